@@ -18,6 +18,7 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray, ImageArray, IntArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.projection import normalised_from_pixels, pixels_wherever
+from posetrack_cli.geometry.rotations import canonical, conjugate, mean_quaternion, multiply, rotate
 from posetrack_cli.head.adjustment.views import PointView
 from posetrack_cli.head.config import SkinSettings
 from posetrack_cli.head.face.pose import HeadPose
@@ -86,7 +87,8 @@ def make_map(
     focal, found = np.array([camera.fx, camera.fy]), begun
     for _ in range(settings.rounds):
         observed = _observe(found, views, camera, settings)
-        poses, points = _of_told_size(*adjust_skin(observed, told, surface, focal, settings.steps), told)
+        poses, points = adjust_skin(observed, told, surface, focal, settings.steps)
+        poses, points = _in_told_frame(*_of_told_size(poses, points, told), told)
         positions, quaternions = _stacked(poses)
         found = replace(found, points=points, positions=positions, quaternions=quaternions)
     apart = [one.difference(pose) for one, pose in zip(told, poses, strict=True)]
@@ -104,6 +106,26 @@ def _of_told_size(
     far, nearer = np.maximum(away, 1.0)  # mm; a file may say that a head is at the camera
     factor = float(np.exp(np.median(np.log(far / nearer))))
     return [HeadPose(factor * pose.position, pose.quaternion) for pose in poses], factor * points
+
+
+def _in_told_frame(
+    poses: Sequence[HeadPose], points: FloatArray, told: Sequence[HeadPose]
+) -> tuple[list[HeadPose], FloatArray]:
+    """Return poses and points in the head's frame that the feature points tell, on average over the views.
+
+    With C the mean of R'^T R, of told rotations R' and the skin's R, and d the median of C R^T (t - t'):
+    R C^T and t - R C^T d, and C X + d. No point is seen elsewhere; where the head's frame sits in the head
+    is a convention that skin says nothing of, and begun with rough depths all heads looked up by .7 degrees.
+    """
+    positions, quaternions = _stacked(poses)
+    expected, before = _stacked(told)
+    turn = mean_quaternion(multiply(conjugate(before), quaternions), np.ones(len(poses)))
+    turned = multiply(quaternions, conjugate(turn))
+    shift = np.median(rotate(conjugate(turned), positions - expected), axis=0)
+    moved = positions - rotate(turned, shift)
+    return [HeadPose(*pose) for pose in zip(moved, canonical(turned), strict=True)], rotate(
+        turn, points
+    ) + shift
 
 
 def _with_points(

@@ -35,7 +35,7 @@ from posetrack_cli.filtering.modes import LikelihoodModes, scaled
 from posetrack_cli.filtering.smoothing import Memory
 from posetrack_cli.geometry.rotations import cross_matrices, matrices_from_quaternions
 from posetrack_cli.head.config import HeadSmoothingSettings
-from posetrack_cli.head.face.pose import POSE_SIZE
+from posetrack_cli.head.face.pose import POSE_SIZE, HeadPose
 from posetrack_cli.head.refinement.refine import point_values
 from posetrack_cli.head.tracker.estimates import UNKNOWN_SD
 from posetrack_cli.tracking.body_space import BodySpace
@@ -87,8 +87,9 @@ class HeadFits:
     """The fits of frames (``filtering.fit_smoothing.FrameFits``).
 
     A frame's memory has the pose that was ``tracked`` (7,), ``points`` (K, 3), ``weights`` (K,), the
-    ``neutral`` face (K, 3), the ``basis`` (K, 3, B) of its deformations with their ``deviations`` (B,), and
-    whether the head was ``seen``; where not, it says hardly more than nothing.
+    ``neutral`` face (K, 3), the ``basis`` (K, 3, B) of its deformations with their ``deviations`` (B,), how
+    far ``beside`` the pose of its points (6,) what it states is, by the skin, and whether the head was
+    ``seen``; where not, it says hardly more than nothing.
 
     Args:
         settings: noise and movements.
@@ -130,7 +131,9 @@ class HeadFits:
             if np.abs(step).max() < CONVERGED:
                 break
             pose = SPACE.retract(pose[None], step[None])[0]
-        return scaled(_mode(pose, gradient, information + vague), self._settings.share)
+        return scaled(
+            _mode(_moved(pose, frame["beside"]), gradient, information + vague), self._settings.share
+        )
 
     def _normal_equations(self, frame: Memory, pose: FloatArray, deformation: FloatArray) -> NormalEquations:
         """Return what the points say about a pose and a deformation (B,), each point reweighted."""
@@ -178,6 +181,14 @@ def make_head_smoother(settings: HeadSmoothingSettings, fits: HeadFits) -> FitSm
         return Dynamics(np.zeros(POSE_SIZE), np.repeat(wandering, 3))
 
     return FitSmoother(dynamics, SPACE, fits, GROUPS, settings.freedom)
+
+
+def _moved(pose: FloatArray, tangent: FloatArray) -> FloatArray:
+    """Return a pose (7,) after a tangent vector (6,) in camera axes; after zeros as it is, bit by bit."""
+    if not tangent.any():
+        return pose
+    moved = HeadPose(pose[:3], pose[3:]).moved(tangent)
+    return np.concatenate([moved.position, moved.quaternion])
 
 
 def _mode(pose: FloatArray, gradient: FloatArray, information: FloatArray) -> LikelihoodModes:

@@ -45,6 +45,7 @@ class HeadFrame:
         deviations: (B,) by how much.
         systematic: (6,) variances that its estimate states beyond the frame's own: what the whole track is
             wrong by, which no smoothing takes away.
+        beside: (6,) tangent vector from the pose that its points tell to the one stated, by the skin, too.
     """
 
     frame_index: int
@@ -60,6 +61,7 @@ class HeadFrame:
     basis: FloatArray
     deviations: FloatArray
     systematic: FloatArray = field(default_factory=lambda: np.zeros(POSE_SIZE))
+    beside: FloatArray = field(default_factory=lambda: np.zeros(POSE_SIZE))
 
     @property
     def is_lost(self) -> bool:
@@ -127,6 +129,7 @@ class FrameKeeper:
             np.pad(model.basis, ((0, 0), (0, 0), (0, missing))),
             np.pad(model.deviations, (0, missing)),
             _systematic(state, estimate),
+            _beside(state, estimate),
         )
 
     def layouts(self) -> dict[str, Layout]:
@@ -146,6 +149,7 @@ class FrameKeeper:
             "basis": floats(K, 3, B),
             "deviations": floats(B, least=0.0),
             "systematic": floats(POSE_SIZE, least=0.0),
+            "beside": floats(POSE_SIZE),
         }
 
     def blank(self) -> Record:
@@ -156,6 +160,14 @@ class FrameKeeper:
 def says_nothing(status: Status, confidence: float) -> bool:
     """Whether no head was followed in a frame; one that was, and is doubted, has some confidence."""
     return status is Status.LOST and confidence <= 0.0
+
+
+def _beside(state: HeadState, estimate: Estimate) -> FloatArray:
+    """How far what is stated is from the pose that points tell; nothing without a head in the frame."""
+    track = state.track
+    if track is None or track.stamp_ns != estimate.stamp_ns or track.pose.position is estimate.position:
+        return np.zeros(POSE_SIZE)
+    return track.pose.difference(HeadPose(estimate.position, estimate.quaternion))
 
 
 def _systematic(state: HeadState, estimate: Estimate) -> FloatArray:

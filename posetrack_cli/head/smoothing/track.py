@@ -125,6 +125,7 @@ def _memory(link: Link, end: HeadFrame, chain: int) -> Memory:
         "chain": chain,
         "speed": link.speed,
         "systematic": frame.systematic,
+        "beside": frame.beside,
         "neutral": end.mean,
         "basis": end.basis,
         "deviations": end.deviations,

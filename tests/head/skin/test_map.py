@@ -12,10 +12,19 @@ from hypothesis import settings as examples
 from hypothesis import strategies as st
 
 from posetrack_cli.arrays import FloatArray
+from posetrack_cli.geometry.rotations import canonical, exponential, multiply
 from posetrack_cli.head.config import SkinSettings
 from posetrack_cli.head.face.pose import POSE_SIZE, HeadPose
 from posetrack_cli.head.skin.crops import HEIGHT, WIDTH
-from posetrack_cli.head.skin.map import LEAST_VIEWS, SkinMap, _of_told_size, _share, make_map, pose_on_map
+from posetrack_cli.head.skin.map import (
+    LEAST_VIEWS,
+    SkinMap,
+    _in_told_frame,
+    _of_told_size,
+    _share,
+    make_map,
+    pose_on_map,
+)
 from posetrack_cli.head.skin.surface import surface_of
 from support.mono_cases import assert_same
 from support.skin_scene import CAMERA, FRAME_NS, SHAPE, depths, drawn, even, pose_at, shown
@@ -97,11 +106,15 @@ def test_a_map_holds_its_views_and_each_point_once(known: SkinMap) -> None:
     assert np.all(known.places >= 0.0) and np.all(known.places < [WIDTH, HEIGHT])
 
 
+ROUNDING_MM = 1e-9
+"""Of numbers below 1000."""
+
+
 def test_heads_are_as_far_away_as_they_were_told_to_be(known: SkinMap) -> None:
-    """On the whole."""
+    """On the whole, to the few of 700 mm by which the frame then sits elsewhere in the head."""
     told = np.array([one.view.pose.position for one in shown(VIEWS, ERROR_DEG).views])
     ratios = np.linalg.norm(told, axis=1) / np.linalg.norm(known.positions, axis=1)
-    assert np.median(np.log(ratios)) == pytest.approx(0.0, abs=1e-9)
+    assert np.median(np.log(ratios)) == pytest.approx(0.0, abs=0.005)
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.5, 2.0), st.integers(1, 9))
@@ -115,6 +128,23 @@ def test_a_map_of_another_size_looks_the_same(seed: int, size: float, count: int
         np.testing.assert_allclose(one.position, wanted.position, rtol=1e-9)
         seen, looked = one.points(scaled), before.points(points)
         np.testing.assert_allclose(seen[:, :2] / seen[:, 2:], looked[:, :2] / looked[:, 2:], atol=1e-12)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 9))
+def test_a_map_in_another_head_frame_looks_the_same(seed: int, count: int) -> None:
+    """And its poses are then, on average, those that were told."""
+    rng = np.random.default_rng(seed)
+    told = [pose_at(index) for index in rng.uniform(0.0, 20.0, count)]
+    other = HeadPose(rng.normal(0.0, 5.0, 3), exponential(rng.normal(0.0, 0.1, 3)))
+    before = [
+        HeadPose(pose.points(other.position), canonical(multiply(pose.quaternion, other.quaternion)))
+        for pose in told
+    ]
+    points = rng.normal(0.0, 30.0, (5, 3))
+    poses, moved = _in_told_frame(before, points, told)
+    for one, was, wanted in zip(poses, before, told, strict=True):
+        np.testing.assert_allclose(one.points(moved), was.points(points), atol=ROUNDING_MM)
+        np.testing.assert_allclose(one.difference(wanted), 0.0, atol=ROUNDING_MM)
 
 
 def test_a_head_at_the_camera_has_no_size() -> None:
@@ -153,16 +183,14 @@ def test_even_views_make_none() -> None:
 
 
 def test_a_view_in_which_nothing_is_seen_stays_as_it_is_told() -> None:
-    """Turned so, and in that direction: heads are all as large."""
+    """But for what all heads are turned and moved by to lie, on average, as they are told to."""
     views = list(shown(VIEWS, 0.0).views)
     views[5] = replace(views[5], crop=np.full((HEIGHT, WIDTH), 128, np.uint8))
     found = make_map(views, SHAPE, CAMERA, SETTINGS)
     assert found is not None and found.of_view(5).start == found.of_view(5).stop
     told, there = views[5].view.pose, poses_of(found)[5]
-    np.testing.assert_allclose(told.difference(there)[3:], 0.0, atol=1e-9)
-    factor = there.position[2] / told.position[2]
-    np.testing.assert_allclose(there.position, factor * told.position, rtol=1e-9)
-    assert factor == pytest.approx(1.0, abs=0.02)
+    assert np.degrees(np.linalg.norm(told.difference(there)[3:])) < TOGETHER_DEG
+    np.testing.assert_allclose(there.position, told.position, atol=0.02 * told.position[2])
 
 
 def test_equal_views_make_equal_maps(known: SkinMap) -> None:

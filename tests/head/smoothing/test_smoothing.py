@@ -97,7 +97,8 @@ def memory_of(one: HeadFrame) -> dict[str, object]:
     pose = np.concatenate([one.position, one.quaternion])
     face = {"neutral": one.mean, "basis": one.basis, "deviations": one.deviations}
     seen = {**face, "seen": int(not one.is_lost)}
-    return {"tracked": pose, "points": one.points, "weights": one.weights, **seen}
+    tracked = {"tracked": pose, "beside": one.beside}
+    return {**tracked, "points": one.points, "weights": one.weights, **seen}
 
 
 def exactly(frames: list[HeadFrame], settings: HeadSmoothingSettings) -> list[Gaussian]:
@@ -168,6 +169,17 @@ def test_points_of_a_rigid_face_give_their_pose(cameras: int) -> None:
     fit = HeadFits(HeadSmoothingSettings(), cameras).known(memory_of(one))
     np.testing.assert_allclose(fit.poses[0][:3], true.position, atol=0.01)
     assert np.degrees(angle_between(true.quaternion, fit.poses[0][3:7])) < 0.01
+
+
+def test_what_the_skin_told_beside_the_points_is_kept() -> None:
+    """The fit is found where the points are, and lies as far beside it as the stated pose did."""
+    told = np.array([1.0, -2.0, 4.0, 0.02, -0.05, 0.01])
+    one = frame(0, np.array([20.0, -10.0, 650.0]))
+    fits = HeadFits(HeadMonoConfig().smoothing, 1)
+    alone = fits.known(memory_of(one)).poses[0]
+    beside = fits.known(memory_of(replace(one, beside=told))).poses[0]
+    moved = HeadPose(alone[:3], alone[3:]).difference(HeadPose(beside[:3], beside[3:]))
+    np.testing.assert_allclose(moved, told, atol=1e-9)
 
 
 def test_one_wild_frame_is_not_believed(tmp_path) -> None:
