@@ -370,7 +370,7 @@ class SkinSettings(Settings):
     rounds: Annotated[int, Field(ge=1, le=10)] = 2
     steps: Annotated[int, Field(ge=1, le=50)] = 8
     near: Annotated[int, Field(ge=0, le=20)] = 2
-    alike: Annotated[int, Field(ge=0, le=20)] = 2
+    alike: Annotated[int, Field(ge=0, le=20)] = 1
     error_deg: Positive = 1.5
     least_points: Annotated[int, Field(ge=6)] = 15
     enough_points: Annotated[int, Field(ge=7)] = 60
