@@ -292,7 +292,8 @@ class MonoPeople:
             return (replace(state, strange=state.strange + 1) if state.elsewhere else state), fit
         fitter, told = self._at(state).fitter, self._told_of(state.current)
         person, fit = fitter.update_person(state.person, state.track, frame, fit, told)
-        person = fitter.keep_skin(person, self._enlarged(state, frame, fit.pixels[0]), fit)
+        if fitter.wants_skin(person, frame):
+            person = fitter.keep_skin(person, self._enlarged(state, frame, fit.pixels[0]), fit)
         state = state.update_person(person).clear_candidates()
         return replace(state, strange=0, cut=False, elsewhere=False), fit
 

@@ -332,8 +332,12 @@ class PersonFitter:
             person = replace(person, templates=(*person.templates, keyframe))
         return person, fit
 
+    def wants_skin(self, person: KnownPerson, frame: SeededFrame) -> bool:
+        """Whether a frame of a first pass is to be kept for what it shows of the skin."""
+        return self._config.skin.use and person.skin_map is None and person.skin.wants(frame.stamp_ns)
+
     def keep_skin(self, person: KnownPerson, frame: SeededFrame, fit: FrameFit) -> KnownPerson:
-        """Return the person with what a frame shows of the skin, if it is one to keep **[ours]**.
+        """Return the person with what a frame shows of the skin **[ours]**.
 
         Args:
             person: who is seen.
@@ -341,10 +345,9 @@ class PersonFitter:
             fit: of the frame.
         """
         settings, (image,) = self._config.skin, frame.frame.images
-        album = person.skin if person.skin.views else SkinAlbum(every_ns=round(settings.every_s * 1e9))
-        wanted = settings.use and person.skin_map is None and album.wants(frame.stamp_ns)
-        if not wanted or image is None:
+        if image is None:
             return person
+        album = person.skin if person.skin.views else SkinAlbum(every_ns=round(settings.every_s * 1e9))
         shown = cut_view(image, self._camera, self._view(person, frame, fit))
         return replace(person, skin=album.with_view(shown, settings.views))
 
