@@ -1,4 +1,4 @@
-"""Faces cut out upright and at one size, and what is kept of a first pass to be cut out of it.
+"""Faces cut out upright and at one size, and which of them a first pass keeps.
 
 Lighting stays where it is while skin turns through it: a cheek that is brighter on one side looks as if it
 moved less than it did. So crops keep only what is finer than ``FINE_PX``; with all of it rendered heads were

@@ -1,8 +1,8 @@
 """A map of a person's skin, made of a first pass, and where it says that a head is.
 
 Ten feature points of a real face slide: by 2 to 4 % of the eyes' distance, which is 3 to 5 degrees of yaw.
-Corners of the skin between them, some 200 in a frame, are matched between frames all over a recording, and
-poses and their depths are adjusted together; then a frame's pose is where its skin lies on the map's. On
+Corners of the skin between them, some hundred in a frame, are matched between frames all over a recording,
+and poses and their depths are adjusted together; then a frame's pose is where its skin lies on the map's. On
 real faces the skin is nearer to what others say of them, on rendered ones the feature points are, and the
 mean of the two is better than either: ``share`` says how far the skin is believed.
 """
@@ -123,9 +123,8 @@ def _in_told_frame(
     turned = multiply(quaternions, conjugate(turn))
     shift = np.median(rotate(conjugate(turned), positions - expected), axis=0)
     moved = positions - rotate(turned, shift)
-    return [HeadPose(*pose) for pose in zip(moved, canonical(turned), strict=True)], rotate(
-        turn, points
-    ) + shift
+    laid = [HeadPose(*pose) for pose in zip(moved, canonical(turned), strict=True)]
+    return laid, rotate(turn, points) + shift
 
 
 def _with_points(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.projection import normalised_from_pixels, pixels_and_jacobian
 from posetrack_cli.head.adjustment.adjuster import Adjuster
-from posetrack_cli.head.adjustment.views import Album, PersonParameters, PointView, choose_views
+from posetrack_cli.head.adjustment.views import Adjusted, Album, PersonParameters, PointView, choose_views
 from posetrack_cli.head.config import HeadMonoConfig, SkinSettings
 from posetrack_cli.head.face.pose import HeadPose, ShapeModel
 from posetrack_cli.head.face.rig_images import RigImages
@@ -129,14 +130,7 @@ class KnownPerson:
 
     def _seen_again(self, view: PointView, score: float, adjuster: Adjuster) -> KnownPerson:
         """Return the same person after a frame: its pose and deformation alone are adjusted."""
-        adjusted = adjuster.over_recording.adjust(
-            (view,),
-            self.person,
-            iterations=adjuster.settings.iterations,
-            hold_person=True,
-            wide=True,
-            deviations=False,
-        )
+        adjusted = self._adjusted_views((view,), adjuster, adjuster.settings.iterations)
         return replace(
             self,
             views=adjusted.views,
@@ -145,25 +139,26 @@ class KnownPerson:
             rms_px=rms(adjusted.residuals),
         )
 
+    def _adjusted_views(self, views: Sequence[PointView], adjuster: Adjuster, iterations: int) -> Adjusted:
+        """Adjust poses and deformations of views to the person as known, who is held."""
+        closely = adjuster.over_recording
+        return closely.adjust(
+            views, self.person, iterations=iterations, hold_person=True, wide=True, deviations=False
+        )
+
     def with_skin_map(self, adjuster: Adjuster, settings: SkinSettings) -> KnownPerson:
         """Return the person with a map of the skin, for a second pass over these images **[ours]**.
 
         The frames' poses are those that the person's points, as they are now known, have there.
         """
-        if not self.skin.views:
-            return replace(self, skin=SkinAlbum(), skin_map=None)
-        closely, shown = adjuster.over_recording, self.skin.views
-        adjusted = closely.adjust(
-            [one.view for one in shown],
-            self.person,
-            iterations=adjuster.settings.start_iterations,
-            hold_person=True,
-            wide=True,
-            deviations=False,
-        )
-        views = [replace(one, view=view) for one, view in zip(shown, adjusted.views, strict=True)]
+        shown, bare = self.skin.views, self.without_skin()
+        if not shown:
+            return bare
+        views = [one.view for one in shown]
+        adjusted = self._adjusted_views(views, adjuster, adjuster.settings.start_iterations)
+        posed = [replace(one, view=view) for one, view in zip(shown, adjusted.views, strict=True)]
         shape = person_shape(adjuster.model, self.person).mean
-        return replace(self, skin=SkinAlbum(), skin_map=make_map(views, shape, adjuster.camera, settings))
+        return replace(bare, skin_map=make_map(posed, shape, adjuster.camera, settings))
 
     def without_skin(self) -> KnownPerson:
         """Return the person without what holds for images of one recording alone."""
