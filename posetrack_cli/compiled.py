@@ -37,6 +37,7 @@ KERNEL_SOURCES = (
     "head/face/templates.py",
     "head/particles/kernels.py",
     "head/refinement/*.py",
+    "head/skin/equations.py",
     "head/adjustment/solver/*.py",
 )
 """Files that compiled code is made of, constants included."""

@@ -106,8 +106,7 @@ def random_map(seed: int, views: int = 3, points: int = 7) -> SkinMap:
     return SkinMap(
         10**18 + np.arange(views),
         rng.integers(0, 256, (views, HEIGHT, WIDTH), dtype=np.uint8),
-        np.array([pose.position for pose in poses]),
-        np.array([pose.quaternion for pose in poses]),
+        HeadPose.stacked(poses),
         np.sort(rng.integers(0, views, points)),
         rng.uniform(0.0, WIDTH, (points, 2)),
         rng.normal(size=(points, 3)),

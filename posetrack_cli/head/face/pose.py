@@ -7,6 +7,7 @@ t' = t + d[:3], R' = exp(w) R. For a head that looks at the camera w is (pitch, 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -28,7 +29,7 @@ POSE_SIZE = 6
 
 @dataclass(frozen=True, eq=False)
 class HeadPose:
-    """Where one head is.
+    """Where one head is, or, with n before each shape, where it is in n frames.
 
     Attributes:
         position: (3,) of the head's origin in the reference camera's axes, mm.
@@ -37,6 +38,15 @@ class HeadPose:
 
     position: FloatArray
     quaternion: FloatArray
+
+    @classmethod
+    def stacked(cls, poses: Sequence[HeadPose]) -> HeadPose:
+        """Return the poses of some frames as one."""
+        return cls(np.array([one.position for one in poses]), np.array([one.quaternion for one in poses]))
+
+    def of_frame(self, index: int) -> HeadPose:
+        """Return the pose in one of several frames."""
+        return HeadPose(self.position[index], self.quaternion[index])
 
     @property
     def rotation(self) -> FloatArray:
@@ -54,13 +64,13 @@ class HeadPose:
 
     def moved(self, tangent: FloatArray) -> HeadPose:
         """Return the pose after a tangent vector (6,)."""
-        turned = multiply(exponential(tangent[3:]), self.quaternion)
-        return HeadPose(self.position + tangent[:3], canonical(turned))
+        turned = multiply(exponential(tangent[..., 3:]), self.quaternion)
+        return HeadPose(self.position + tangent[..., :3], canonical(turned))
 
     def difference(self, other: HeadPose) -> FloatArray:
         """Return the tangent vector (6,) that takes this pose to the other."""
         turn = logarithm(multiply(other.quaternion, conjugate(self.quaternion)))
-        return np.concatenate([other.position - self.position, turn])
+        return np.concatenate([other.position - self.position, turn], axis=-1)
 
 
 @dataclass(frozen=True, eq=False)

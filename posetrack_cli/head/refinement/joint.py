@@ -17,7 +17,7 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.compiled import inlined, kernel
-from posetrack_cli.geometry.kernels import rotate_in_place
+from posetrack_cli.geometry.kernels import invert_symmetric, rotate_in_place
 from posetrack_cli.head.refinement.evidence import Evidence, gather_evidence, make_evidence, make_workspace
 from posetrack_cli.head.refinement.scene import Scene
 
@@ -167,20 +167,6 @@ def jacobian(face: Face, state: FaceUnknowns, k: int, arm: FloatArray, T: FloatA
 
 
 @kernel
-def invert(A: FloatArray, added: float, out: FloatArray) -> None:
-    """Write (A + added 1)^-1 of a symmetric (3, 3) by cofactors."""
-    a, b, c = A[0, 0] + added, A[0, 1], A[0, 2]
-    d, e, f = A[1, 1] + added, A[1, 2], A[2, 2] + added
-    out[0, 0], out[0, 1], out[0, 2] = d * f - e * e, c * e - b * f, b * e - c * d
-    out[1, 1], out[1, 2], out[2, 2] = a * f - c * c, b * c - a * e, a * d - b * b
-    determinant = a * out[0, 0] + b * out[0, 1] + c * out[0, 2]
-    for i in range(3):
-        for j in range(i, 3):
-            out[i, j] /= determinant
-            out[j, i] = out[i, j]
-
-
-@kernel
 def _residual(state: FaceUnknowns, k: int, out: FloatArray) -> float:
     """Write R delta_k, camera axes; return its squared length."""
     squared = 0.0
@@ -218,7 +204,7 @@ def eliminate(
     weight = tail_precision(prior, k, _residual(state, k, d))
     jacobian(face, state, k, arm, T)
     H, g = evidence.hessian, evidence.gradient
-    invert(H, weight, inverse)
+    invert_symmetric(H, weight, inverse)
     for i in range(3):
         s[i] = 0.0
         for j in range(3):
@@ -258,7 +244,7 @@ def back_substitute(
     for i in range(3):
         for a in range(len(step)):
             shift[i] += T[i, a] * step[a]
-    invert(H, weight, inverse)
+    invert_symmetric(H, weight, inverse)
     total = 0.0
     for i in range(3):
         for j in range(3):

@@ -27,6 +27,7 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.compiled import inlined, kernel
+from posetrack_cli.geometry.kernels import invert_symmetric
 from posetrack_cli.head.face.patches import GRID, PATCH, SIZE, normalise, product, sample_grid
 from posetrack_cli.head.refinement.evidence import (
     Evidence,
@@ -36,7 +37,7 @@ from posetrack_cli.head.refinement.evidence import (
     make_workspace,
     project_point,
 )
-from posetrack_cli.head.refinement.joint import CONVERGED_PX, Prior, invert, tail_precision
+from posetrack_cli.head.refinement.joint import CONVERGED_PX, Prior, tail_precision
 from posetrack_cli.head.refinement.scene import Scene
 
 
@@ -76,7 +77,7 @@ def recalculate_points(
                 break
             transform(rotation, points[k] - shape[k], np.zeros(3), d)
             weight = tail_precision(prior, k, d[0] ** 2 + d[1] ** 2 + d[2] ** 2)
-            invert(evidence.hessian, weight, inverse)
+            invert_symmetric(evidence.hessian, weight, inverse)
             squared = 0.0
             for i in range(3):
                 e[i] = 0.0
@@ -135,7 +136,7 @@ def recalculate_as_printed(
             transform(rotation, points[k], position, X)
             _gather_raw(scene, k, X, printed.rho, work, evidence)
             transform(rotation, points[k] - shape[k], np.zeros(3), d)
-            invert(evidence.hessian, printed.epsilon, inverse)
+            invert_symmetric(evidence.hessian, printed.epsilon, inverse)
             for i in range(3):
                 for j in range(3):
                     step = 0.0

@@ -22,8 +22,9 @@ from posetrack_cli.geometry.rotations import canonical, conjugate, mean_quaterni
 from posetrack_cli.head.adjustment.views import PointView
 from posetrack_cli.head.config import SkinSettings
 from posetrack_cli.head.face.pose import HeadPose
-from posetrack_cli.head.skin.adjustment import Observations, adjust_pose, adjust_skin
+from posetrack_cli.head.skin.adjustment import adjust_pose, adjust_skin, observations
 from posetrack_cli.head.skin.crops import PX_PER_MM, SkinView, cut, place_crop, to_crop, to_image
+from posetrack_cli.head.skin.equations import Observations
 from posetrack_cli.head.skin.matching import find_again, views_for
 from posetrack_cli.head.skin.surface import surface_of
 from posetrack_cli.opencv import in_one_thread
@@ -40,7 +41,7 @@ class SkinMap:
     Attributes:
         stamps: (n,) of the views, ns.
         crops: (n, HEIGHT, WIDTH).
-        positions, quaternions: (n, 3) mm, (n, 4), adjusted.
+        poses: (n) adjusted.
         views: (M,) in which view each point was chosen, in order.
         places: (M, 2) where, in its crop.
         points: (M, 3) adjusted, mm in the head's frame.
@@ -49,8 +50,7 @@ class SkinMap:
 
     stamps: IntArray
     crops: ImageArray
-    positions: FloatArray
-    quaternions: FloatArray
+    poses: HeadPose
     views: IntArray
     places: FloatArray
     points: FloatArray
@@ -83,48 +83,39 @@ def make_map(
     begun = _with_points(views, shape, camera, settings)
     if not len(begun.points):
         return None
-    told, surface = [one.view.pose for one in views], begun.points
+    told, surface = begun.poses, begun.points
     focal, found = np.array([camera.fx, camera.fy]), begun
     for _ in range(settings.rounds):
         observed = _observe(found, views, camera, settings)
         poses, points = adjust_skin(observed, told, surface, focal, settings.steps)
         poses, points = _in_told_frame(*_of_told_size(poses, points, told), told)
-        positions, quaternions = _stacked(poses)
-        found = replace(found, points=points, positions=positions, quaternions=quaternions)
-    apart = [one.difference(pose) for one, pose in zip(told, poses, strict=True)]
-    return replace(found, share=_share(np.array(apart), settings))
+        found = replace(found, points=points, poses=poses)
+    return replace(found, share=_share(told.difference(found.poses), settings))
 
 
-def _of_told_size(
-    poses: Sequence[HeadPose], points: FloatArray, told: Sequence[HeadPose]
-) -> tuple[list[HeadPose], FloatArray]:
+def _of_told_size(poses: HeadPose, points: FloatArray, told: HeadPose) -> tuple[HeadPose, FloatArray]:
     """Return poses and points so many times as large that heads are as far away as they were told to be.
 
     A head twice as large and as far away looks the same, so skin says nothing of it.
     """
-    away = [np.linalg.norm([pose.position for pose in each], axis=1) for each in (told, poses)]
+    away = [np.linalg.norm(each.position, axis=1) for each in (told, poses)]
     far, nearer = np.maximum(away, 1.0)  # mm; a file may say that a head is at the camera
     factor = float(np.exp(np.median(np.log(far / nearer))))
-    return [HeadPose(factor * pose.position, pose.quaternion) for pose in poses], factor * points
+    return HeadPose(factor * poses.position, poses.quaternion), factor * points
 
 
-def _in_told_frame(
-    poses: Sequence[HeadPose], points: FloatArray, told: Sequence[HeadPose]
-) -> tuple[list[HeadPose], FloatArray]:
+def _in_told_frame(poses: HeadPose, points: FloatArray, told: HeadPose) -> tuple[HeadPose, FloatArray]:
     """Return poses and points in the head's frame that the feature points tell, on average over the views.
 
     With C the mean of R'^T R, of told rotations R' and the skin's R, and d the median of C R^T (t - t'):
     R C^T and t - R C^T d, and C X + d. No point is seen elsewhere; where the head's frame sits in the head
     is a convention that skin says nothing of, and begun with rough depths all heads looked up by .7 degrees.
     """
-    positions, quaternions = _stacked(poses)
-    expected, before = _stacked(told)
-    turn = mean_quaternion(multiply(conjugate(before), quaternions), np.ones(len(poses)))
-    turned = multiply(quaternions, conjugate(turn))
-    shift = np.median(rotate(conjugate(turned), positions - expected), axis=0)
-    moved = positions - rotate(turned, shift)
-    laid = [HeadPose(*pose) for pose in zip(moved, canonical(turned), strict=True)]
-    return laid, rotate(turn, points) + shift
+    between = multiply(conjugate(told.quaternion), poses.quaternion)
+    turn = mean_quaternion(between, np.ones(len(between)))
+    turned = multiply(poses.quaternion, conjugate(turn))
+    shift = np.median(rotate(conjugate(turned), poses.position - told.position), axis=0)
+    return HeadPose(poses.position - rotate(turned, shift), canonical(turned)), rotate(turn, points) + shift
 
 
 def _with_points(
@@ -142,17 +133,12 @@ def _with_points(
     return SkinMap(
         np.array([one.view.stamp_ns for one in views]),
         np.stack([one.crop for one in views]),
-        *_stacked([one.view.pose for one in views]),
+        HeadPose.stacked([one.view.pose for one in views]),
         views=np.array(owners, dtype=np.int64),
         places=np.concatenate(places),
         points=np.concatenate(points),
         share=0.0,
     )
-
-
-def _stacked(poses: Sequence[HeadPose]) -> tuple[FloatArray, FloatArray]:
-    """Positions (n, 3) and quaternions (n, 4)."""
-    return np.array([pose.position for pose in poses]), np.array([pose.quaternion for pose in poses])
 
 
 def _observe(
@@ -165,15 +151,17 @@ def _observe(
         matches = [(np.arange(own.start, own.stop), found.places[own])]
         away = np.abs(found.stamps - found.stamps[index]).astype(np.float64)
         away[index] = np.inf
-        pose = HeadPose(found.positions[index], found.quaternions[index])
-        for other in views_for(pose.quaternion, away, found.quaternions, settings.linked, settings.linked):
+        pose = found.poses.of_frame(index)
+        for other in views_for(
+            pose.quaternion, away, found.poses.quaternion, settings.linked, settings.linked
+        ):
             matches.append(_matched(found, other, one.crop, one.placement, pose, camera))
         for which, places in matches:
             in_views.append(np.full(len(which), index))
             of_points.append(which)
             pixels.append(to_image(one.placement, places))
     rays = normalised_from_pixels(camera, np.concatenate(pixels))
-    return Observations(np.concatenate(in_views), np.concatenate(of_points), rays)
+    return observations(np.concatenate(in_views), np.concatenate(of_points), rays, len(found.points))
 
 
 def _matched(
@@ -214,7 +202,7 @@ def pose_on_map(
     """
     placement = place_crop(camera, told)
     crop, away = cut(image, placement), np.abs(found.stamps - stamp_ns).astype(np.float64)
-    chosen = views_for(told.quaternion, away, found.quaternions, settings.near, settings.alike)
+    chosen = views_for(told.quaternion, away, found.poses.quaternion, settings.near, settings.alike)
     matches = [_matched(found, view, crop, placement, told, camera) for view in chosen]
     count = sum(len(which) for which, _ in matches)
     if count <= settings.least_points:

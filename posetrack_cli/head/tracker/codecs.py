@@ -248,17 +248,17 @@ def _skin_codec(model: FaceModel) -> Codec[SkinAlbum]:
 def _map_codec() -> Codec[SkinMap]:
     """Return the codec of a map of the skin."""
 
-    def build(views: Array, **parts: Any) -> SkinMap:
+    def build(views: Array, positions: Array, quaternions: Array, **parts: Any) -> SkinMap:
         if np.any(np.diff(views) < 0) or views[-1] >= len(parts["stamps"]):
             raise LayoutError("'views' that do not rise from view to view")
-        return SkinMap(views=views, **parts)
+        return SkinMap(views=views, poses=HeadPose(positions, quaternions), **parts)
 
     return Fields(
         build,
         stamps=Value(stamps("map views")),
         crops=Value(Layout("uint8", ("map views", HEIGHT, WIDTH))),
-        positions=Value(floats("map views", 3)),
-        quaternions=Value(units("map views", 4)),
+        positions=(lambda found: found.poses.position, Value(floats("map views", 3))),
+        quaternions=(lambda found: found.poses.quaternion, Value(units("map views", 4))),
         views=Value(counts("map points")),
         places=Value(floats("map points", 2)),
         points=Value(floats("map points", 3)),

@@ -17,7 +17,6 @@ from posetrack_cli.head.refinement.joint import (
     FaceUnknowns,
     Prior,
     descend,
-    invert,
     jacobian,
     point_in_camera,
     tail_precision,
@@ -194,13 +193,6 @@ def dense_equations(scene, face, prior, pose, coefficients, residuals):
         H[own, own] += weight * np.eye(3)
         g[own] += weight * pose.rotation @ residuals[k]
     return H, g
-
-
-def test_inverse_of_three_by_three():
-    A = np.random.default_rng(4).normal(size=(3, 3))
-    A, out = A @ A.T, np.empty((3, 3))
-    invert(A, 0.7, out)
-    np.testing.assert_allclose(out, np.linalg.inv(A + 0.7 * np.eye(3)))
 
 
 def test_tail_precision_is_the_weight_of_a_student_t():

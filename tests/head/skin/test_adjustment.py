@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -13,16 +14,20 @@ from scipy.optimize import least_squares
 
 from posetrack_cli.head.face.pose import POSE_SIZE, HeadPose
 from posetrack_cli.head.skin.adjustment import (
-    NOISE_PX,
     POINT_SD,
     POSE_SD,
-    TAIL,
-    Linearised,
-    Observations,
-    _step,
+    _solve,
     adjust_pose,
     adjust_skin,
+    observations,
+)
+from posetrack_cli.head.skin.equations import (
+    NOISE_PX,
+    TAIL,
+    Observations,
     linearise,
+    make_equations,
+    move_points,
 )
 
 F = np.array([1000.0, 990.0])
@@ -56,43 +61,47 @@ def apart(one: HeadPose, other: HeadPose) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """What ``adjust_skin`` is given, and the truth."""
+    """What ``adjust_skin`` is given, and the truth; observations in any order."""
 
-    observed: Observations
-    told: list[HeadPose]
+    views: np.ndarray
+    of_points: np.ndarray
+    rays: np.ndarray
+    told: HeadPose
     surface: np.ndarray
-    poses: list[HeadPose]
+    poses: HeadPose
     points: np.ndarray
 
-    def run(self, steps: int) -> tuple[list[HeadPose], np.ndarray]:
+    @property
+    def observed(self) -> Observations:
+        return observations(self.views, self.of_points, self.rays, len(self.points))
+
+    def run(self, steps: int) -> tuple[HeadPose, np.ndarray]:
         return adjust_skin(self.observed, self.told, self.surface, F, steps)
 
-    def terms(self, poses: list[HeadPose], points: np.ndarray) -> np.ndarray:
+    def terms(self, poses: HeadPose, points: np.ndarray) -> np.ndarray:
         """Residuals of which half the sum of squares is E: Cauchy's loss as if it were a square."""
-        i, j = self.observed.views, self.observed.points
-        seen = np.array([rays_of(poses[a], points[b : b + 1])[0] for a, b in zip(i, j, strict=True)])
-        e = (self.observed.rays - seen) * F / NOISE_PX
+        pairs = zip(self.views, self.of_points, strict=True)
+        seen = np.array([rays_of(poses.of_frame(a), points[b : b + 1])[0] for a, b in pairs])
+        e = (self.rays - seen) * F / NOISE_PX
         squared = np.sum(e**2, axis=1)
         loss = TAIL**2 * np.log1p(squared / TAIL**2)
         e *= np.sqrt(loss / np.maximum(squared, 1e-300))[:, None]
-        turns = [apart(pose, told) for pose, told in zip(poses, self.told, strict=True)]
-        return np.concatenate([e.ravel(), np.ravel(turns), ((points - self.surface) / POINT_SD).ravel()])
+        turns, shifts = apart(poses, self.told), (points - self.surface) / POINT_SD
+        return np.concatenate([e.ravel(), turns.ravel(), shifts.ravel()])
 
-    def cost(self, poses: list[HeadPose], points: np.ndarray) -> float:
+    def cost(self, poses: HeadPose, points: np.ndarray) -> float:
         return 0.5 * float(np.sum(self.terms(poses, points) ** 2))
 
-    def moved(
-        self, poses: list[HeadPose], points: np.ndarray, by: np.ndarray
-    ) -> tuple[list[HeadPose], np.ndarray]:
+    def moved(self, poses: HeadPose, points: np.ndarray, by: np.ndarray) -> tuple[HeadPose, np.ndarray]:
         """All poses and points after one vector of all their changes."""
-        turns = by[: POSE_SIZE * len(poses)].reshape(-1, POSE_SIZE)
-        moved = [pose.moved(turn) for pose, turn in zip(poses, turns, strict=True)]
-        return moved, points + by[POSE_SIZE * len(poses) :].reshape(-1, 3)
+        size = POSE_SIZE * len(poses.position)
+        return poses.moved(by[:size].reshape(-1, POSE_SIZE)), points + by[size:].reshape(-1, 3)
 
     @property
     def units(self) -> np.ndarray:
         """A standard deviation of each change."""
-        return np.concatenate([np.tile(POSE_SD, len(self.told)), np.tile(POINT_SD, len(self.surface))])
+        views, points = len(self.told.position), len(self.surface)
+        return np.concatenate([np.tile(POSE_SD, views), np.tile(POINT_SD, points)])
 
 
 def random_case(
@@ -100,19 +109,19 @@ def random_case(
 ) -> Case:
     """Points that most views see, poses told a degree and a few mm aside, a surface some mm beside."""
     rng = np.random.default_rng(seed)
-    poses, skin = [random_pose(rng) for _ in range(views)], random_skin(rng, points)
+    poses = HeadPose.stacked([random_pose(rng) for _ in range(views)])
+    skin = random_skin(rng, points)
     i, j = np.nonzero(rng.uniform(size=(views, points)) < 0.8)
-    exact = np.array([rays_of(poses[a], skin[b : b + 1])[0] for a, b in zip(i, j, strict=True)]).reshape(
-        -1, 2
-    )
+    pairs = zip(i, j, strict=True)
+    exact = np.array([rays_of(poses.of_frame(a), skin[b : b + 1])[0] for a, b in pairs]).reshape(-1, 2)
     pixels = noise * rng.normal(size=exact.shape)
     pixels[rng.uniform(size=len(i)) < outliers] += 15.0
-    told = [pose.moved(POSE_SD / 6 * rng.normal(size=POSE_SIZE)) for pose in poses]
+    told = poses.moved(POSE_SD / 6 * rng.normal(size=(views, POSE_SIZE)))
     surface = skin + 0.5 * POINT_SD * rng.normal(size=skin.shape)
-    return Case(Observations(i, j, exact + pixels / F), told, surface, poses, skin)
+    return Case(i, j, exact + pixels / F, told, surface, poses, skin)
 
 
-def differences(case: Case, poses: list[HeadPose], points: np.ndarray, h: float = 1e-4) -> np.ndarray:
+def differences(case: Case, poses: HeadPose, points: np.ndarray, h: float = 1e-4) -> np.ndarray:
     """The gradient of E per standard deviation of each change, by central differences."""
     found = []
     for index, unit in enumerate(case.units):
@@ -152,9 +161,22 @@ def test_many_points_outweigh_what_is_told() -> None:
     assert np.linalg.norm(found.difference(true)[3:]) < np.radians(3.0) / 20
 
 
+class Linearised(NamedTuple):
+    """Observations (N) of a pose, as the kernel has them."""
+
+    residuals: np.ndarray
+    weights: np.ndarray
+    by_pose: np.ndarray
+    by_point: np.ndarray
+
+
 def linearised(pose: HeadPose, points: np.ndarray, rays: np.ndarray) -> Linearised:
-    R = pose.rotation
-    return linearise(rays, R[None], points @ R.T, pose.position, F)
+    residuals, J = np.empty((len(rays), 2)), np.empty((len(rays), 2, 9))
+    weights = [
+        linearise(ray, pose.rotation, pose.position, point, F, residual, rows)
+        for ray, point, residual, rows in zip(rays, points, residuals, J, strict=True)
+    ]
+    return Linearised(residuals, np.array(weights), J[:, :, :POSE_SIZE], J[:, :, POSE_SIZE:])
 
 
 def test_without_points_it_is_what_is_told() -> None:
@@ -214,21 +236,20 @@ def test_an_observation_counts_half_at_the_tail() -> None:
 # All poses and points
 
 
-def dense(case: Case, poses: list[HeadPose], points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def dense(case: Case, poses: HeadPose, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The normal equations with every number in its place."""
-    n, m = len(poses), len(points)
+    n, m = len(poses.position), len(points)
     size = POSE_SIZE * n + 3 * m
     matrix, vector = np.zeros((size, size)), np.zeros(size)
-    for a, b, ray in zip(*case.observed, strict=True):
-        seen = linearised(poses[a], points[b : b + 1], ray[None])
+    for a, b, ray in zip(case.views, case.of_points, case.rays, strict=True):
+        seen = linearised(poses.of_frame(a), points[b : b + 1], ray[None])
         J = np.zeros((2, size))
         J[:, POSE_SIZE * a : POSE_SIZE * (a + 1)] = seen.by_pose[0]
         J[:, POSE_SIZE * n + 3 * b : POSE_SIZE * n + 3 * (b + 1)] = seen.by_point[0]
         matrix += seen.weights[0] * J.T @ J
         vector += seen.weights[0] * J.T @ seen.residuals[0]
     matrix += np.diag(case.units**-2)
-    turns = [pose.difference(told) for pose, told in zip(poses, case.told, strict=True)]
-    prior = np.concatenate([np.ravel(turns), (case.surface - points).ravel()])
+    prior = np.concatenate([poses.difference(case.told).ravel(), (case.surface - points).ravel()])
     return matrix, vector + prior / case.units**2
 
 
@@ -237,9 +258,11 @@ def dense(case: Case, poses: list[HeadPose], points: np.ndarray) -> tuple[np.nda
 def test_a_step_solves_the_dense_normal_equations(seed: int, views: int, points: int) -> None:
     """Anywhere: at poses and points that are neither told nor found. A view or a point may see nothing."""
     case, rng = random_case(seed, views, points, outliers=0.1), np.random.default_rng(seed)
-    assume(len(case.observed.rays))
+    assume(len(case.rays))
     poses, skin = case.moved(case.told, case.surface, 0.2 * case.units * rng.normal(size=len(case.units)))
-    turns, moves = _step(case.observed, poses, skin, case.told, case.surface, F)
+    equations, moves = make_equations(views, case.observed), np.empty_like(skin)
+    turns = _solve(case.observed, poses, skin, case.told, case.surface, F, equations)
+    move_points(case.observed, equations, turns, moves)
     wanted = np.linalg.solve(*dense(case, poses, skin)) / case.units
     found = np.concatenate([turns.ravel(), moves.ravel()]) / case.units
     np.testing.assert_allclose(found, wanted, atol=1e-7 * (1.0 + np.abs(wanted).max()))
@@ -269,8 +292,7 @@ def test_scipy_comes_to_the_same(outliers: float) -> None:
     theirs = least_squares(function, np.zeros(len(case.units)), ftol=1e-15, xtol=1e-15, gtol=1e-10)
     assert case.cost(*mine) == pytest.approx(theirs.cost, rel=1e-9)
     poses, points = case.moved(case.told, case.surface, theirs.x * case.units)
-    for one, other in zip(mine[0], poses, strict=True):
-        np.testing.assert_allclose(apart(one, other), 0.0, atol=1e-4)
+    np.testing.assert_allclose(apart(mine[0], poses), 0.0, atol=1e-4)
     np.testing.assert_allclose((mine[1] - points) / POINT_SD, 0.0, atol=1e-4)
 
 
@@ -278,8 +300,7 @@ def test_what_is_told_exactly_and_seen_exactly_stays() -> None:
     case = random_case(12, noise=0.0)
     case = replace(case, told=case.poses, surface=case.points)
     poses, points = case.run(5)
-    for one, true in zip(poses, case.poses, strict=True):
-        np.testing.assert_allclose(apart(one, true), 0.0, atol=1e-9)
+    np.testing.assert_allclose(apart(poses, case.poses), 0.0, atol=1e-9)
     np.testing.assert_allclose(points, case.points, atol=1e-8)
 
 
@@ -291,7 +312,7 @@ def test_poses_come_nearer_to_each_other_than_they_are_told(seed: int) -> None:
     poses, _ = case.run(MANY)
     errors = []
     for found in (case.told, poses):
-        turns = np.array([one.difference(true)[3:] for one, true in zip(found, case.poses, strict=True)])
+        turns = found.difference(case.poses)[:, 3:]
         errors.append(np.degrees(np.sqrt(np.mean((turns - turns.mean(axis=0)) ** 2))))
     assert errors[0] > 0.5 and errors[1] < 0.5 * errors[0]
 
@@ -299,6 +320,5 @@ def test_poses_come_nearer_to_each_other_than_they_are_told(seed: int) -> None:
 def test_equal_runs_give_equal_bits() -> None:
     (one, first), (two, second) = random_case(13).run(5), random_case(13).run(5)
     np.testing.assert_array_equal(first, second)
-    for a, b in zip(one, two, strict=True):
-        np.testing.assert_array_equal(a.quaternion, b.quaternion)
-        np.testing.assert_array_equal(a.position, b.position)
+    np.testing.assert_array_equal(one.quaternion, two.quaternion)
+    np.testing.assert_array_equal(one.position, two.position)

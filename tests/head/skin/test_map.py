@@ -40,13 +40,9 @@ DEPTH_MM = 2.0
 """About a plane, of what some tenths of a pixel say of depth with 14 degrees of turn: .3 px of .3 px a mm."""
 
 
-def turns(poses: Sequence[HeadPose], true: Sequence[HeadPose]) -> FloatArray:
-    """(n, 3) rotations of poses against others, degrees."""
-    return np.degrees([one.difference(other)[3:] for one, other in zip(poses, true, strict=True)])
-
-
-def poses_of(found: SkinMap) -> list[HeadPose]:
-    return [HeadPose(p, q) for p, q in zip(found.positions, found.quaternions, strict=True)]
+def turns(poses: HeadPose, true: Sequence[HeadPose]) -> FloatArray:
+    """(n, 3) rotations of poses (n) against others, degrees."""
+    return np.degrees(poses.difference(HeadPose.stacked(true))[:, 3:])
 
 
 def spread(errors: FloatArray) -> float:
@@ -72,15 +68,15 @@ def known() -> SkinMap:
 def test_poses_of_a_map_are_nearer_to_the_truth_than_they_were_told(known: SkinMap) -> None:
     """Nothing but the skin tells: an error that goes otherwise than the head turns fits no surface."""
     frames = shown(VIEWS, ERROR_DEG)
-    before = turns([one.view.pose for one in frames.views], frames.true)
-    after = turns(poses_of(known), frames.true)
+    before = turns(HeadPose.stacked([one.view.pose for one in frames.views]), frames.true)
+    after = turns(known.poses, frames.true)
     assert spread(before) > 2.5 and spread(after) < LEFT_DEG
     assert np.abs(after.mean(axis=0)).max() < TOGETHER_DEG
 
 
 def test_exact_poses_stay_about_where_they_are() -> None:
     found, frames = made(0.0), shown(VIEWS, 0.0)
-    assert spread(turns(poses_of(found), frames.true)) < LEFT_DEG
+    assert spread(turns(found.poses, frames.true)) < LEFT_DEG
     assert found.share < 0.1, "there is nothing that the skin knows better"
 
 
@@ -113,20 +109,21 @@ ROUNDING_MM = 1e-9
 def test_heads_are_as_far_away_as_they_were_told_to_be(known: SkinMap) -> None:
     """On the whole, to the few of 700 mm by which the frame then sits elsewhere in the head."""
     told = np.array([one.view.pose.position for one in shown(VIEWS, ERROR_DEG).views])
-    ratios = np.linalg.norm(told, axis=1) / np.linalg.norm(known.positions, axis=1)
+    ratios = np.linalg.norm(told, axis=1) / np.linalg.norm(known.poses.position, axis=1)
     assert np.median(np.log(ratios)) == pytest.approx(0.0, abs=0.005)
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.5, 2.0), st.integers(1, 9))
 def test_a_map_of_another_size_looks_the_same(seed: int, size: float, count: int) -> None:
     rng = np.random.default_rng(seed)
-    told = [pose_at(index) for index in rng.uniform(0.0, 20.0, count)]
-    larger = [HeadPose(size * pose.position, pose.quaternion) for pose in told]
+    told = HeadPose.stacked([pose_at(index) for index in rng.uniform(0.0, 20.0, count)])
+    larger = replace(told, position=size * told.position)
     points = rng.normal(0.0, 30.0, (5, 3))
     poses, scaled = _of_told_size(larger, points, told)
-    for one, before, wanted in zip(poses, larger, told, strict=True):
-        np.testing.assert_allclose(one.position, wanted.position, rtol=1e-9)
-        seen, looked = one.points(scaled), before.points(points)
+    np.testing.assert_allclose(poses.position, told.position, rtol=1e-9)
+    for index in range(count):
+        seen = poses.of_frame(index).points(scaled)
+        looked = larger.of_frame(index).points(points)
         np.testing.assert_allclose(seen[:, :2] / seen[:, 2:], looked[:, :2] / looked[:, 2:], atol=1e-12)
 
 
@@ -134,25 +131,24 @@ def test_a_map_of_another_size_looks_the_same(seed: int, size: float, count: int
 def test_a_map_in_another_head_frame_looks_the_same(seed: int, count: int) -> None:
     """And its poses are then, on average, those that were told."""
     rng = np.random.default_rng(seed)
-    told = [pose_at(index) for index in rng.uniform(0.0, 20.0, count)]
+    told = HeadPose.stacked([pose_at(index) for index in rng.uniform(0.0, 20.0, count)])
     other = HeadPose(rng.normal(0.0, 5.0, 3), exponential(rng.normal(0.0, 0.1, 3)))
-    before = [
-        HeadPose(pose.points(other.position), canonical(multiply(pose.quaternion, other.quaternion)))
-        for pose in told
-    ]
+    turned = canonical(multiply(told.quaternion, other.quaternion))
+    before = HeadPose(told.points(other.position), turned)
     points = rng.normal(0.0, 30.0, (5, 3))
     poses, moved = _in_told_frame(before, points, told)
-    for one, was, wanted in zip(poses, before, told, strict=True):
+    np.testing.assert_allclose(poses.difference(told), 0.0, atol=ROUNDING_MM)
+    for index in range(count):
+        one, was = poses.of_frame(index), before.of_frame(index)
         np.testing.assert_allclose(one.points(moved), was.points(points), atol=ROUNDING_MM)
-        np.testing.assert_allclose(one.difference(wanted), 0.0, atol=ROUNDING_MM)
 
 
 def test_a_head_at_the_camera_has_no_size() -> None:
     """Nor has it any other become NaN."""
-    told = [replace(pose_at(0), position=np.zeros(3)), pose_at(1), pose_at(2)]
+    told = HeadPose.stacked([replace(pose_at(0), position=np.zeros(3)), pose_at(1), pose_at(2)])
     poses, points = _of_told_size(told, np.ones((2, 3)), told)
     np.testing.assert_allclose(points, 1.0)
-    assert all(np.isfinite(pose.position).all() for pose in poses)
+    assert np.isfinite(poses.position).all()
 
 
 @given(st.lists(st.integers(0, 6), max_size=30), st.integers(0, 3))
@@ -161,9 +157,8 @@ def test_points_of_a_view_are_found_by_their_bounds(views: list[int], more: int)
     owners = np.array(sorted(views), dtype=np.int64)
     count = int(max(views, default=0)) + 1 + more
     nothing = np.zeros((len(views), 2))
-    found = SkinMap(
-        np.arange(count), np.zeros((count, 1, 1), np.uint8), nothing, nothing, owners, nothing, nothing, 0.5
-    )
+    poses = HeadPose(np.zeros((count, 3)), np.zeros((count, 4)))
+    found = SkinMap(np.arange(count), np.zeros((count, 1, 1), np.uint8), poses, owners, nothing, nothing, 0.5)
     for index in range(count):
         np.testing.assert_array_equal(
             np.arange(len(views))[found.of_view(index)], np.flatnonzero(owners == index)
@@ -188,7 +183,7 @@ def test_a_view_in_which_nothing_is_seen_stays_as_it_is_told() -> None:
     views[5] = replace(views[5], crop=np.full((HEIGHT, WIDTH), 128, np.uint8))
     found = make_map(views, SHAPE, CAMERA, SETTINGS)
     assert found is not None and found.of_view(5).start == found.of_view(5).stop
-    told, there = views[5].view.pose, poses_of(found)[5]
+    told, there = views[5].view.pose, found.poses.of_frame(5)
     assert np.degrees(np.linalg.norm(told.difference(there)[3:])) < TOGETHER_DEG
     np.testing.assert_allclose(there.position, told.position, atol=0.02 * told.position[2])
 
@@ -251,9 +246,9 @@ def test_a_pose_told_wrongly_comes_to_where_the_map_has_it(
     known: SkinMap, index: float, yaw_deg: float
 ) -> None:
     """Believed in full: turned as all of the map's poses are, and wrong by no more than they are."""
-    together = turns(poses_of(known), shown(VIEWS, ERROR_DEG).true).mean(axis=0)
+    together = turns(known.poses, shown(VIEWS, ERROR_DEG).true).mean(axis=0)
     found = located(replace(known, share=1.0), index, disturbed(index, yaw_deg))
-    away = turns([found], [pose_at(index)])[0] - together
+    away = turns(HeadPose.stacked([found]), [pose_at(index)])[0] - together
     assert np.linalg.norm(away) < LEFT_DEG + 0.25  # what is told counts a little, too: one part in ten
 
 

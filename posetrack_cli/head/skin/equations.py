@@ -1,0 +1,218 @@
+"""The normal equations of poses and skin (``adjustment``), point by point; compiled.
+
+With A and V the diagonal blocks of views and points, W those between them, b and c the right sides:
+
+    (A - W V^-1 W^T) x = b - W V^-1 c,    y = V^-1 (c - W^T x)
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray, IntArray
+from posetrack_cli.compiled import inlined, kernel
+from posetrack_cli.geometry.kernels import invert_symmetric
+
+POSE, PLACE = 6, 3
+NOISE_PX = 0.7
+"""sigma, of a place that was found."""
+TAIL = 2.0
+"""Cauchy's: at so many deviations a place counts half."""
+NEAREST_MM = 1.0
+"""Whatever is nearer to the camera, or behind it, is taken to be so far away."""
+
+
+class Observations(NamedTuple):
+    """Where points were found, in the order of the points.
+
+    Attributes:
+        views: (N,) index of the view.
+        first: (M + 1,) observations of point j are those from first[j] up to first[j + 1].
+        rays: (N, 2) without the lens, z = 1.
+    """
+
+    views: IntArray
+    first: IntArray
+    rays: FloatArray
+
+
+class Equations(NamedTuple):
+    """The equations of the views with the points eliminated, and what leads back to the points.
+
+    Attributes:
+        matrix: (6 n, 6 n) A - W V^-1 W^T.
+        vector: (6 n,) b - W V^-1 c.
+        inverses: (M, 3, 3) V^-1.
+        pulls: (M, 3) c.
+        cross: (N, 6, 3) W.
+    """
+
+    matrix: FloatArray
+    vector: FloatArray
+    inverses: FloatArray
+    pulls: FloatArray
+    cross: FloatArray
+
+
+def make_equations(views: int, observed: Observations) -> Equations:
+    """Return room for the equations of so many views."""
+    points = len(observed.first) - 1
+    return Equations(
+        np.empty((POSE * views, POSE * views)),
+        np.empty(POSE * views),
+        np.empty((points, PLACE, PLACE)),
+        np.empty((points, PLACE)),
+        np.empty((len(observed.views), POSE, PLACE)),
+    )
+
+
+@kernel
+def linearise(
+    ray: FloatArray,
+    R: FloatArray,
+    t: FloatArray,
+    point: FloatArray,
+    f: FloatArray,
+    residual: FloatArray,
+    J: FloatArray,
+) -> float:
+    """Write an observation about where it is expected, and return its weight, 1 / pixel^2.
+
+    Args:
+        ray: (2,).
+        R, t: (3, 3), (3,) of its view.
+        point: (3,) X.
+        f: (2,) focal lengths, pixels.
+        residual: (2,) written, pixels.
+        J: (2, 9) written, what is seen by the view's tangent vector, then by X: G (1, -[R X]_x, R).
+    """
+    a = R[0, 0] * point[0] + R[0, 1] * point[1] + R[0, 2] * point[2]
+    b = R[1, 0] * point[0] + R[1, 1] * point[1] + R[1, 2] * point[2]
+    c = R[2, 0] * point[0] + R[2, 1] * point[1] + R[2, 2] * point[2]
+    z = max(c + t[2], NEAREST_MM)
+    squared = 0.0
+    for r in range(2):
+        seen = ((a if r == 0 else b) + t[r]) / z
+        residual[r] = (ray[r] - seen) * f[r]
+        squared += residual[r] * residual[r]
+        g, h = f[r] / z, -f[r] * seen / z
+        x, y = (g, 0.0) if r == 0 else (0.0, g)
+        J[r, 0], J[r, 1], J[r, 2] = x, y, h
+        J[r, 3], J[r, 4], J[r, 5] = b * h - c * y, c * x - a * h, a * y - b * x
+        for i in range(PLACE):
+            J[r, POSE + i] = x * R[0, i] + y * R[1, i] + h * R[2, i]
+    return float(1.0 / (1.0 + squared / (NOISE_PX * TAIL) ** 2) / NOISE_PX**2)
+
+
+@kernel
+def add_to_pose(
+    rays: FloatArray,
+    points: FloatArray,
+    R: FloatArray,
+    t: FloatArray,
+    f: FloatArray,
+    matrix: FloatArray,
+    vector: FloatArray,
+) -> None:
+    """Add to the equations (6, 6), (6,) of one pose what observations (N, 2) of points (N, 3) say of it."""
+    residual, J = np.empty(2), np.empty((2, POSE + PLACE))
+    for o in range(len(rays)):
+        weight = linearise(rays[o], R, t, points[o], f, residual, J)
+        _add_pose(weight, residual, J, matrix, vector)
+
+
+@inlined
+def _add_pose(
+    weight: float, residual: FloatArray, J: FloatArray, matrix: FloatArray, vector: FloatArray
+) -> None:
+    for r in range(2):
+        for i in range(POSE):
+            along = weight * J[r, i]
+            vector[i] += along * residual[r]
+            for j in range(POSE):
+                matrix[i, j] += along * J[r, j]
+
+
+@kernel
+def add_points(
+    observed: Observations,
+    rotations: FloatArray,
+    positions: FloatArray,
+    points: FloatArray,
+    f: FloatArray,
+    equations: Equations,
+) -> None:
+    """Add all observations to the equations, which hold the priors, and eliminate the points.
+
+    Args:
+        observed: in the views.
+        rotations, positions: (n, 3, 3), (n, 3) of the views.
+        points: (M, 3).
+        f: (2,) focal lengths, pixels.
+        equations: with the priors of the views in ``matrix`` and ``vector``, those of the points in
+            ``inverses`` (V, not yet inverted) and ``pulls``.
+    """
+    residual, J, V = np.empty(2), np.empty((2, POSE + PLACE)), np.empty((PLACE, PLACE))
+    for j in range(len(points)):
+        V[:] = equations.inverses[j]
+        for o in range(observed.first[j], observed.first[j + 1]):
+            view = observed.views[o]
+            weight = linearise(observed.rays[o], rotations[view], positions[view], points[j], f, residual, J)
+            own = slice(POSE * view, POSE * (view + 1))
+            _add_pose(weight, residual, J, equations.matrix[own, own], equations.vector[own])
+            _add_place(weight, residual, J, V, equations.pulls[j], equations.cross[o])
+        invert_symmetric(V, 0.0, equations.inverses[j])
+        _eliminate(observed, j, equations)
+
+
+@inlined
+def _add_place(
+    weight: float, residual: FloatArray, J: FloatArray, V: FloatArray, pull: FloatArray, cross: FloatArray
+) -> None:
+    """Add an observation to its point's V and c, and write its W."""
+    for i in range(PLACE):
+        for r in range(2):
+            along = weight * J[r, POSE + i]
+            pull[i] += along * residual[r]
+            for j in range(PLACE):
+                V[i, j] += along * J[r, POSE + j]
+        for a in range(POSE):
+            cross[a, i] = weight * (J[0, a] * J[0, POSE + i] + J[1, a] * J[1, POSE + i])
+
+
+@kernel
+def _eliminate(observed: Observations, j: int, equations: Equations) -> None:
+    """Take W V^-1 W^T and W V^-1 c of a point away."""
+    inverse, pull, along = equations.inverses[j], equations.pulls[j], np.empty((POSE, PLACE))
+    first, last = observed.first[j], observed.first[j + 1]
+    for o in range(first, last):
+        row = POSE * observed.views[o]
+        for a in range(POSE):
+            for i in range(PLACE):
+                along[a, i] = 0.0
+                for m in range(PLACE):
+                    along[a, i] += equations.cross[o, a, m] * inverse[m, i]
+                equations.vector[row + a] -= along[a, i] * pull[i]
+        for other in range(first, last):
+            column = POSE * observed.views[other]
+            for a in range(POSE):
+                for b in range(POSE):
+                    for i in range(PLACE):
+                        equations.matrix[row + a, column + b] -= along[a, i] * equations.cross[other, b, i]
+
+
+@kernel
+def move_points(observed: Observations, equations: Equations, turns: FloatArray, moves: FloatArray) -> None:
+    """Write the shifts (M, 3) of points y that go with tangent vectors (n, 6) of views x."""
+    for j in range(len(moves)):
+        for i in range(PLACE):
+            moves[j, i] = 0.0
+        for m in range(PLACE):
+            left = equations.pulls[j, m]
+            for o in range(observed.first[j], observed.first[j + 1]):
+                for a in range(POSE):
+                    left -= equations.cross[o, a, m] * turns[observed.views[o], a]
+            for i in range(PLACE):
+                moves[j, i] += equations.inverses[j, i, m] * left
