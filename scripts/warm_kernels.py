@@ -35,7 +35,7 @@ RUNS = (
         "hand run hand.mcap --particles 8 --hand-side right --keypoints told.csv -o told-result.mcap",
     ),
     (
-        "head synth --frames 3 --image-size 320x240 -o head.mcap",
+        "head synth --frames 10 --fps 4 --motion slight --image-size 320x240 -o head.mcap",  # maps skin
         "head stereo head.mcap --particles 20 -o stereo.mcap",
         "head mono head.mcap --cameras left --particles 20 -o mono.mcap",
     ),

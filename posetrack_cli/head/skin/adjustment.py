@@ -26,6 +26,8 @@ POSE_SD = np.array([6.0, 6.0, 25.0, *np.radians([6.0, 6.0, 6.0])])
 """(6,) mm and rad about the poses that feature points tell: wide, as those may slide."""
 POINT_SD = np.array([2.0, 2.0, 8.0])
 """(3,) mm about the surface."""
+CONVERGED = 1e-4
+"""A pose is found where a step changes it by no more, in ``POSE_SD``."""
 
 
 def observations(views: IntArray, points: IntArray, rays: FloatArray, count: int) -> Observations:
@@ -51,13 +53,16 @@ def adjust_pose(
         start: of the descent.
         told: by feature points.
         f: (2,) focal lengths, pixels.
-        steps: of Gauss and Newton.
+        steps: of Gauss and Newton, at most.
     """
     pose, precisions = start, POSE_SD**-2
     for _ in range(steps):
         matrix, vector = np.diag(precisions), precisions * pose.difference(told)
         add_to_pose(rays, points, pose.rotation, pose.position, f, matrix, vector)
-        pose = pose.moved(np.asarray(np.linalg.solve(matrix, vector), dtype=np.float64))
+        tangent = np.asarray(np.linalg.solve(matrix, vector), dtype=np.float64)
+        pose = pose.moved(tangent)
+        if np.all(np.abs(tangent) < CONVERGED * POSE_SD):
+            break
     return pose
 
 

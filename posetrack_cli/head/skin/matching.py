@@ -35,15 +35,15 @@ def find_again(
     """
     there = places.astype(np.float32)
     guess = expected.astype(np.float32)
-    found, forth = _flow(first, second, there, guess)
-    again, back = _flow(second, first, found, there)
+    found, forth = _flow(first, second, there, guess, LEVELS)
+    again, back = _flow(second, first, found, there, 0)  # it begins where it should end
     near = np.linalg.norm(again - there, axis=1) < BACK_PX
     near &= np.linalg.norm(found - guess, axis=1) < FAR_PX
     return found.astype(np.float64), near & forth & back
 
 
 def _flow(
-    first: ImageArray, second: ImageArray, places: Float32Array, guess: Float32Array
+    first: ImageArray, second: ImageArray, places: Float32Array, guess: Float32Array, levels: int
 ) -> tuple[Float32Array, BoolArray]:
     found, status, _ = cv2.calcOpticalFlowPyrLK(
         first,
@@ -51,7 +51,7 @@ def _flow(
         places,
         guess.copy(),
         winSize=WINDOW,
-        maxLevel=LEVELS,
+        maxLevel=levels,
         criteria=CRITERIA,
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
     )
