@@ -353,16 +353,18 @@ class PersonSettings(Settings):
 class SkinSettings(Settings):
     """The skin between the feature points, which tells a second pass where a head is, too **[ours]**.
 
-    ``use`` without: the feature points alone. The first pass keeps a frame every ``every_s``, ``views`` at
-    most (of more every second goes, and the time doubles). In each of them up to ``points`` corners of skin
-    are chosen, ``distance_mm`` apart, and looked for in ``linked`` views that are near in time and as many
-    that are turned alike; ``rounds`` times poses and points are adjusted to what was found, in ``steps``. A
-    frame is compared with ``near`` and ``alike`` of them. The skin's poses err by about ``error_deg``; they
-    count nothing with ``least_points`` found, and in full from ``enough_points`` on.
+    ``use`` without: the feature points alone. The first pass keeps a frame every ``every_s``, and up to four
+    times as many while the head turns by ``turned_deg`` from one to the next; ``views`` at most (of more
+    every second goes, and the time doubles). In each of them up to ``points`` corners of skin are chosen,
+    ``distance_mm`` apart, and looked for in ``linked`` views that are near in time and as many that are
+    turned alike; ``rounds`` times poses and points are adjusted to what was found, in ``steps``. A frame is
+    compared with ``near`` and ``alike`` of them. The skin's poses err by about ``error_deg``; they count
+    nothing with ``least_points`` found, and in full from ``enough_points`` on.
     """
 
     use: bool = True
     every_s: Positive = 0.25
+    turned_deg: Positive = 10.0
     views: Annotated[int, Field(ge=4, le=400)] = 120
     points: Annotated[int, Field(ge=1, le=200)] = 40
     distance_mm: Positive = 9.0

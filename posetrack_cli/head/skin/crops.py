@@ -15,6 +15,7 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.projection import pixels_wherever
+from posetrack_cli.geometry.rotations import angle_between
 from posetrack_cli.head.adjustment.views import PointView
 from posetrack_cli.head.face.pose import HeadPose
 
@@ -26,6 +27,8 @@ MIDDLE = np.array([0.0, -20.0, 15.0])
 """(3,) of a crop, in the head's frame, mm: the bridge of the nose."""
 FINE_PX, GREY, CONTRAST = 4.0, 128.0, 2.0
 """Deviation of the blur that is taken away, and how the rest is kept in eight bits."""
+
+SOONEST = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,19 +54,23 @@ class SkinView:
 
 @dataclass(frozen=True, eq=False)
 class SkinAlbum:
-    """Frames kept, evenly in time.
+    """Frames kept, evenly in time, and more of them while the head turns.
 
     Attributes:
         views: in the order of their time.
-        every_ns: between two of them, at least.
+        every_ns: between two of them, at least; ``SOONEST`` of it where the head turned.
     """
 
     views: tuple[SkinView, ...] = ()
     every_ns: int = 0
 
-    def wants(self, stamp_ns: int) -> bool:
-        """Whether a frame is late enough after the last one kept."""
-        return not self.views or stamp_ns - self.views[-1].view.stamp_ns >= self.every_ns
+    def wants(self, stamp_ns: int, pose: HeadPose, turned_deg: float) -> bool:
+        """Whether a frame is late enough after the last one kept: sooner if the head turned by so much."""
+        if not self.views:
+            return True
+        last = self.views[-1].view
+        turned = np.degrees(angle_between(last.pose.quaternion, pose.quaternion)) >= turned_deg
+        return stamp_ns - last.stamp_ns >= (SOONEST if turned else 1.0) * self.every_ns
 
     def with_view(self, view: SkinView, most: int) -> SkinAlbum:
         """Return the album with a frame; of more than ``most`` every second goes, and stays away."""

@@ -48,7 +48,7 @@ from posetrack_cli.head.tracker.face_learning import off_axis_deg
 from posetrack_cli.head.tracker.frame_tracker import FrameFit, SeededFrame, TrackState
 from posetrack_cli.head.tracker.head_tracker import HeadTracker
 from posetrack_cli.head.tracker.mono_state import MonoState, Stated, is_cut, mono_codec, thumbnail
-from posetrack_cli.head.tracker.person import PersonFitter, new_person, person_shape
+from posetrack_cli.head.tracker.person import KnownPerson, PersonFitter, new_person, person_shape
 from posetrack_cli.head.tracker.size import PupilDistance, Size
 from posetrack_cli.head.tracker.whole_face import shift_of
 from posetrack_cli.recording.base import Frame
@@ -287,15 +287,26 @@ class MonoPeople:
         """Adjust the person by a frame in which the head was tracked; not by a doubtful one."""
         state = replace(state, trust=min(fit.score, 1.0))
         if fit.is_anchored:
-            return replace(state, strange=state.strange + 1), fit
+            seen = self._keep_skin(state, state.person, frame, fit)
+            return replace(seen, strange=state.strange + 1), fit
         if state.cut and fit.score < RECOGNISED * state.person.usual_score:
             return (replace(state, strange=state.strange + 1) if state.elsewhere else state), fit
         fitter, told = self._at(state).fitter, self._told_of(state.current)
         person, fit = fitter.update_person(state.person, state.track, frame, fit, told)
-        if fitter.wants_skin(person, frame):
-            person = fitter.keep_skin(person, self._enlarged(state, frame, fit.pixels[0]), fit)
-        state = state.update_person(person).clear_candidates()
+        state = self._keep_skin(state, person, frame, fit).clear_candidates()
         return replace(state, strange=0, cut=False, elsewhere=False), fit
+
+    def _keep_skin(
+        self, state: MonoState, person: KnownPerson, frame: SeededFrame, fit: FrameFit
+    ) -> MonoState:
+        """Return the state with a person, and what the frame shows of the skin.
+
+        Where a face turns as it was never seen to, points are found anew, and are off; skin mends them.
+        """
+        fitter = self._at(state).fitter
+        if fitter.wants_skin(person, frame, fit):
+            person = fitter.keep_skin(person, self._enlarged(state, frame, fit.pixels[0]), fit)
+        return state.update_person(person)
 
     def state_fit(self, state: MonoState, frame: SeededFrame, fit: FrameFit) -> tuple[MonoState, FrameFit]:
         """Return what the result says: in a second pass a pose that the skin tells, too **[ours]**.
@@ -303,7 +314,7 @@ class MonoPeople:
         The track goes on from its feature points, so that what goes wrong with the skin stays in its frame.
         """
         before = state.stated
-        if state.person.skin_map is None or fit.is_anchored:
+        if state.person.skin_map is None:
             return replace(state, stated=None), fit
         stated = self._at(state).fitter.fit_on_skin(
             state.person, self._enlarged(state, frame, fit.pixels[0]), fit

@@ -327,9 +327,11 @@ class PersonFitter:
             person = replace(person, templates=(*person.templates, keyframe))
         return person, fit
 
-    def wants_skin(self, person: KnownPerson, frame: SeededFrame) -> bool:
+    def wants_skin(self, person: KnownPerson, frame: SeededFrame, fit: FrameFit) -> bool:
         """Whether a frame of a first pass is to be kept for what it shows of the skin."""
-        return self._config.skin.use and person.skin_map is None and person.skin.wants(frame.stamp_ns)
+        settings = self._config.skin
+        wanted = settings.use and person.skin_map is None
+        return wanted and person.skin.wants(frame.stamp_ns, fit.track.pose, settings.turned_deg)
 
     def keep_skin(self, person: KnownPerson, frame: SeededFrame, fit: FrameFit) -> KnownPerson:
         """Return the person with what a frame shows of the skin **[ours]**.

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from posetrack_cli.geometry.camera import Camera
@@ -41,6 +41,8 @@ ROUNDING = 1e-8
 """Pixels, of numbers of up to 1e5."""
 BLUR_PX = int(4 * FINE_PX)
 """How far OpenCV's blur reaches."""
+STILL = HeadPose(np.array([0.0, 0.0, 700.0]), np.array([1.0, 0.0, 0.0, 0.0]))
+TURNED_DEG = 10.0
 UNCHANGED = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 MOVED = np.array([[0.6, 0.2, 5.3], [-0.2, 0.6, 60.7]])
 """A crop that is turned and enlarged."""
@@ -59,9 +61,8 @@ def placements(draw: st.DrawFn) -> np.ndarray:
 
 
 def view_at(stamp_ns: int, placement: np.ndarray = UNCHANGED) -> SkinView:
-    pose = HeadPose(np.array([0.0, 0.0, 700.0]), np.array([1.0, 0.0, 0.0, 0.0]))
     pixels = np.random.default_rng(abs(stamp_ns)).uniform(0.0, 480.0, (POINT_COUNT, 2))
-    return SkinView(PointView(stamp_ns, pixels, np.ones(POINT_COUNT), pose, np.zeros(5)), CROP, placement)
+    return SkinView(PointView(stamp_ns, pixels, np.ones(POINT_COUNT), STILL, np.zeros(5)), CROP, placement)
 
 
 def rolled(angle: float, distance: float, aside: float, down: float) -> HeadPose:
@@ -189,7 +190,8 @@ def kept(stamps: list[int], every_ns: int, most: int) -> list[SkinAlbum]:
     albums = [SkinAlbum(every_ns=every_ns)]
     for stamp_ns in stamps:
         album = albums[-1]
-        albums.append(album.with_view(view_at(stamp_ns), most) if album.wants(stamp_ns) else album)
+        wanted = album.wants(stamp_ns, STILL, TURNED_DEG)
+        albums.append(album.with_view(view_at(stamp_ns), most) if wanted else album)
     return albums[1:]
 
 
@@ -234,6 +236,17 @@ def test_of_too_many_frames_every_second_goes_and_the_time_doubles() -> None:
 
 def test_a_first_frame_is_wanted_and_a_clock_that_goes_back_is_waited_for() -> None:
     album = SkinAlbum(every_ns=10)
-    assert album.wants(-5)
+    assert album.wants(-5, STILL, TURNED_DEG)
     album = album.with_view(view_at(100), 4)
-    assert not album.wants(109) and album.wants(110) and not album.wants(50)
+    wanted = [album.wants(stamp_ns, STILL, TURNED_DEG) for stamp_ns in (109, 110, 50)]
+    assert wanted == [False, True, False]
+
+
+@given(st.floats(-40.0, 40.0), st.integers(-10, 50))
+def test_while_a_head_turns_frames_are_wanted_four_times_as_often(yaw_deg: float, after_ns: int) -> None:
+    assume(abs(abs(yaw_deg) - TURNED_DEG) > 1e-6)  # rounding
+    turned = STILL.moved(np.array([0.0, 0.0, 0.0, 0.0, np.radians(yaw_deg), 0.0]))
+    album = SkinAlbum((view_at(100),), 40)
+    assert album.wants(100 + after_ns, turned, TURNED_DEG) == (
+        after_ns >= (10 if abs(yaw_deg) > TURNED_DEG else 40)
+    )
