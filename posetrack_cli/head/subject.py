@@ -26,7 +26,7 @@ RIGHT_DEG, RIGHT_MM = 3.0, 5.0
 """Largest rotation error and mean error of the points, in head coordinates, of a frame that is right."""
 COLOUR = (0.3, 0.85, 0.95, 1.0)
 WEIGHT = "weight_"
-SIGNS = ("misfit", "smallness", "unsteadiness", "unseen")
+SIGNS = ("misfit", "smallness", "unsteadiness", "unseen", "unmatched")
 """Of what confidence is made, in the order of ``head.tracker.confidence``."""
 SIGN_NAMES = tuple(f"{SIGN}{name}" for name in SIGNS)
 

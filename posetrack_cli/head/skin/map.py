@@ -65,6 +65,10 @@ class SkinMap:
         """Return which points were chosen in a view."""
         return slice(int(self.bounds[index]), int(self.bounds[index + 1]))
 
+    def count(self, index: int) -> int:
+        """Return how many points were chosen in a view."""
+        return int(self.bounds[index + 1] - self.bounds[index])
+
 
 @in_one_thread()
 def make_map(
@@ -189,8 +193,8 @@ def _share(apart: FloatArray, settings: SkinSettings) -> float:
 @in_one_thread()
 def pose_on_map(
     found: SkinMap, image: ImageArray, stamp_ns: int, told: HeadPose, camera: Camera, settings: SkinSettings
-) -> HeadPose:
-    """Return the pose of a head, between what its feature points tell and where its skin lies on a map.
+) -> tuple[HeadPose, float]:
+    """Find the pose of a head, between what its feature points tell and where its skin lies on a map.
 
     Args:
         found: the map.
@@ -199,20 +203,24 @@ def pose_on_map(
         told: pose by feature points.
         camera: that took it.
         settings: with how many views it is compared.
+
+    Returns:
+        The pose, and the share of the skin looked for that was not found; all of it where none looks alike.
     """
     placement = place_crop(camera, told)
     crop, away = cut(image, placement), np.abs(found.stamps - stamp_ns).astype(np.float64)
     chosen = views_for(told.quaternion, away, found.poses.quaternion, settings.near, settings.alike)
     matches = [_matched(found, view, crop, placement, told, camera) for view in chosen]
-    count = sum(len(which) for which, _ in matches)
+    count, looked_for = sum(len(which) for which, _ in matches), sum(found.count(view) for view in chosen)
+    unmatched = 1.0 - count / max(looked_for, 1)
     if count <= settings.least_points:
-        return told
+        return told, unmatched
     which = np.concatenate([one for one, _ in matches])
     pixels = to_image(placement, np.concatenate([places for _, places in matches]))
     rays, focal = normalised_from_pixels(camera, pixels), np.array([camera.fx, camera.fy])
     pose = adjust_pose(rays, found.points[which], told, told, focal, POSE_STEPS)
     sure = min((count - settings.least_points) / max(settings.enough_points - settings.least_points, 1), 1.0)
-    return told.moved(found.share * sure * told.difference(pose))
+    return told.moved(found.share * sure * told.difference(pose)), unmatched
 
 
 def cut_view(image: ImageArray, camera: Camera, view: PointView) -> SkinView:

@@ -36,8 +36,9 @@ from posetrack_cli.head.subject import SIGNS
 from posetrack_cli.head.tracker.frame_tracker import FrameFit, TrackRecord, TrackState
 from posetrack_cli.tracking.confidence import PROBABLY, Regression
 
-MONO = Regression(5.83, np.array([-0.23, -0.45, -0.34, -9.87]))
-STEREO = Regression(3.70, np.array([-1.22, -1.00, -1.54, -7.07]))
+MONO = Regression(4.51, np.array([-0.81, -0.63, -0.27, -9.24, 0.0]))
+MONO_WITH_SKIN = Regression(7.47, np.array([0.0, -0.11, -0.12, -5.00, -6.97]))
+STEREO = Regression(3.70, np.array([-1.22, -1.00, -1.54, -7.07, 0.0]))
 _USUAL_PX, _STEADY_DEG, _EXACT = 80.0, 0.2, 0.4
 _LONGEST_S = 0.2
 """A gap counts for no longer, as velocities do not last."""
@@ -65,12 +66,13 @@ def doubts(record: TrackRecord) -> tuple[str, ...]:
     return (f"{'; '.join(found)}: {help_}",)
 
 
-def signs_of(before: TrackState | None, fit: FrameFit, camera: Camera) -> FloatArray:
-    """Return the signs (4,) of a frame in which a head was followed.
+def signs_of(before: TrackState | None, fit: FrameFit, stated: FrameFit, camera: Camera) -> FloatArray:
+    """Return the signs (5,) of a frame in which a head was followed.
 
     Args:
         before: the head after the frame before; None without.
-        fit: of the frame.
+        fit: of the frame, by its feature points.
+        stated: of the frame, where the skin may tell, too.
         camera: of the recorded image, the reference.
     """
     track = fit.track
@@ -83,6 +85,7 @@ def signs_of(before: TrackState | None, fit: FrameFit, camera: Camera) -> FloatA
             np.log(_USUAL_PX / eye_distance_px(track.pose, camera)),
             np.log(_off_deg(before, fit) + _STEADY_DEG),
             1.0 - float(fit.weights.mean()),
+            0.0 if stated.unmatched is None else stated.unmatched,
         ]
     )
 

@@ -97,6 +97,7 @@ class FrameFit:
         pixels: (C, K, 2) where the points are on the images.
         effective_sample_size: of the particles.
         is_anchored: whether the points were found anew, not compared with what they looked like before.
+        unmatched: share of the skin looked for that was not found; None where none was looked for.
     """
 
     track: TrackState
@@ -110,6 +111,7 @@ class FrameFit:
     pixels: FloatArray
     effective_sample_size: float
     is_anchored: bool = False
+    unmatched: float | None = None
 
 
 LONG_AGO_NS = -(2**62)

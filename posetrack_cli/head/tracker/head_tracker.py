@@ -77,9 +77,8 @@ class Faces(Protocol[State, Found]):
     def state_fit(self, state: State, frame: SeededFrame, fit: FrameFit) -> tuple[State, FrameFit]:
         """Return what the result says of a frame, which may be better than what the track goes on from."""
 
-    @property
-    def regression(self) -> Regression:
-        """How probable it is that a frame is right, by its signs."""
+    def regression(self, stated: FrameFit) -> Regression:
+        """Return how probable it is that a frame of which this is stated is right, by its signs."""
 
     def describe(self, state: State, fit: FrameFit | None) -> Description:
         """Return the face as the result of a frame states it; without a fit, of one without a head."""
@@ -218,8 +217,8 @@ class HeadTracker(Generic[State, Found]):
     ) -> tuple[State, Estimate]:
         """Tell of a frame with the head; of what is more probably wrong than right, that it is lost."""
         face = self._faces.describe(state, stated)
-        evidence = state.evidence.after(signs_of(before, fit, self._faces.cameras[0]))
-        confidence = self._faces.regression.probability(evidence.signs)
+        evidence = state.evidence.after(signs_of(before, fit, stated, self._faces.cameras[0]))
+        confidence = self._faces.regression(stated).probability(evidence.signs)
         record = state.record.tracked(frame.index, doubtful=confidence < PROBABLY)
         status = Status.REINITIALISED if found_anew else Status.TRACKING
         status = Status.LOST if confidence < self._faces.status.doubtful_below else status

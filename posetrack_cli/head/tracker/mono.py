@@ -42,7 +42,7 @@ from posetrack_cli.head.multilinear.face_model import FaceModel, load_face_model
 from posetrack_cli.head.particles.particles import velocity_between
 from posetrack_cli.head.subject import MonoDiagnostics
 from posetrack_cli.head.tracker.codecs import FOCAL_PX, known_people, people_codec, unusable_people
-from posetrack_cli.head.tracker.confidence import MONO
+from posetrack_cli.head.tracker.confidence import MONO, MONO_WITH_SKIN
 from posetrack_cli.head.tracker.estimates import Description
 from posetrack_cli.head.tracker.face_learning import off_axis_deg
 from posetrack_cli.head.tracker.frame_tracker import FrameFit, SeededFrame, TrackState
@@ -326,10 +326,9 @@ class MonoPeople:
             stated = replace(stated, track=replace(now, velocity=velocity), coefficient_rate=rate)
         return replace(state, stated=Stated(now.pose, stated.coefficients)), stated
 
-    @property
-    def regression(self) -> Regression:
-        """How probable it is that a frame is right."""
-        return MONO
+    def regression(self, stated: FrameFit) -> Regression:
+        """Return how probable it is that a frame is right."""
+        return MONO if stated.unmatched is None else MONO_WITH_SKIN
 
     def describe(self, state: MonoState, fit: FrameFit | None) -> Description:
         """Return deformation and diagnostics of a frame."""

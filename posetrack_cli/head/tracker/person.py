@@ -358,11 +358,14 @@ class PersonFitter:
             return fit
         by_points, factor = fit.track.pose, person.factor
         told = farther(by_points, 1.0 / factor)
-        found = pose_on_map(person.skin_map, image, frame.stamp_ns, told, self._camera, self._config.skin)
+        found, unmatched = pose_on_map(
+            person.skin_map, image, frame.stamp_ns, told, self._camera, self._config.skin
+        )
         pose, pixels = farther(found, factor), fit.pixels[0]
         coefficients = self._deformation_at(pose, person.shape, pixels, fit.weights)
         shape = self._on_rays(pose, person.shape.shapes(coefficients), pixels)
-        return replace(fit, track=replace(fit.track, pose=pose, shape=shape), coefficients=coefficients)
+        track = replace(fit.track, pose=pose, shape=shape)
+        return replace(fit, track=track, coefficients=coefficients, unmatched=unmatched)
 
     def _deformation_at(
         self, pose: HeadPose, face: ShapeModel, pixels: FloatArray, weights: FloatArray

@@ -174,9 +174,8 @@ class StereoFace:
         """Return what the track goes on from."""
         return state, fit
 
-    @property
-    def regression(self) -> Regression:
-        """How probable it is that a frame is right."""
+    def regression(self, stated: FrameFit) -> Regression:
+        """Return how probable it is that a frame is right."""
         return STEREO
 
     def describe(self, state: StereoState, fit: FrameFit | None) -> Description:

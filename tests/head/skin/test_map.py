@@ -15,7 +15,7 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.rotations import canonical, exponential, multiply
 from posetrack_cli.head.config import SkinSettings
 from posetrack_cli.head.face.pose import POSE_SIZE, HeadPose
-from posetrack_cli.head.skin.crops import HEIGHT, WIDTH
+from posetrack_cli.head.skin.crops import HEIGHT, WIDTH, place_crop, to_image
 from posetrack_cli.head.skin.map import (
     LEAST_VIEWS,
     SkinMap,
@@ -233,7 +233,7 @@ def test_a_map_of_poses_told_wrongly_is_believed(known: SkinMap) -> None:
 def located(known: SkinMap, index: float, told: HeadPose, settings: SkinSettings = SETTINGS) -> HeadPose:
     """Where a frame's head is that is not one of the map's."""
     image = drawn(pose_at(index), seed=1000 + round(10 * index))
-    return pose_on_map(known, image, round(index * FRAME_NS), told, CAMERA, settings)
+    return pose_on_map(known, image, round(index * FRAME_NS), told, CAMERA, settings)[0]
 
 
 def disturbed(index: float, yaw_deg: float = 2.5) -> HeadPose:
@@ -291,18 +291,35 @@ def test_too_few_points_leave_what_is_told(known: SkinMap) -> None:
 
 def test_an_even_image_leaves_what_is_told(known: SkinMap) -> None:
     told = disturbed(7.3)
-    assert pose_on_map(known, even(), 0, told, CAMERA, SETTINGS) is told
+    pose, unmatched = pose_on_map(known, even(), 0, told, CAMERA, SETTINGS)
+    assert pose is told and unmatched == 1.0
+
+
+def test_skin_that_is_covered_is_not_found(known: SkinMap) -> None:
+    """Of the whole face nearly all is; of one whose lower part is even, no more than a part."""
+    index, told = 7.3, pose_at(7.3)
+    image = drawn(told, seed=1)
+    below = round(float(to_image(place_crop(CAMERA, told), np.array([0.0, 0.4 * HEIGHT]))[1]))
+    covered = image.copy()
+    covered[below:] = 128
+    unmatched = [
+        pose_on_map(known, one, round(index * FRAME_NS), told, CAMERA, SETTINGS)[1]
+        for one in (image, covered)
+    ]
+    assert unmatched[0] < 0.15 and 0.3 < unmatched[1] < 0.8
 
 
 def test_a_face_outside_the_image_is_where_it_is_told(known: SkinMap) -> None:
     told = disturbed(7.3).moved(np.array([2000.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
-    assert pose_on_map(known, drawn(pose_at(7.3)), 0, told, CAMERA, SETTINGS) is told
+    pose, unmatched = pose_on_map(known, drawn(pose_at(7.3)), 0, told, CAMERA, SETTINGS)
+    assert pose is told and unmatched == 1.0
 
 
 def test_a_map_without_views_that_look_alike_leaves_what_is_told(known: SkinMap) -> None:
     """Turned away by 60 degrees."""
     told = disturbed(7.3, 60.0)
-    assert pose_on_map(known, drawn(told), 0, told, CAMERA, SETTINGS) is told
+    pose, unmatched = pose_on_map(known, drawn(told), 0, told, CAMERA, SETTINGS)
+    assert pose is told and unmatched == 1.0
 
 
 def test_who_asks_for_no_views_gets_what_is_told(known: SkinMap) -> None:

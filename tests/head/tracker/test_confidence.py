@@ -15,6 +15,7 @@ from posetrack_cli.head.subject import SIGN_NAMES
 from posetrack_cli.head.tracker import mono
 from posetrack_cli.head.tracker.confidence import (
     MONO,
+    MONO_WITH_SKIN,
     NO_SIGNS,
     STEREO,
     doubts,
@@ -25,6 +26,7 @@ from posetrack_cli.results.estimate import Status
 from posetrack_cli.tracking.confidence import Regression
 from support.mono_scene import FEW, Scene
 
+REGRESSIONS = (MONO, MONO_WITH_SKIN, STEREO)
 CAMERA, DISTANCE_MM = Camera(640, 480, 900.0, 900.0, 319.5, 239.5), 630.0
 
 
@@ -38,19 +40,21 @@ def fit_of(beside_mm: float = 0.63, weight: float = 0.6) -> FrameFit:
 
 
 def test_signs_are_what_is_stated() -> None:
-    """1 % of the eyes' distance; eyes 90 px apart; at rest; .4 unseen."""
-    signs = signs_of(None, fit_of(), CAMERA)
-    np.testing.assert_allclose(signs, [np.log(1.4), np.log(80 / 90), np.log(0.2), 0.4], rtol=1e-6)
+    """1 % of the eyes' distance; eyes 90 px apart; at rest; .4 unseen; .2 of the skin not found."""
+    fit = fit_of()
+    signs = signs_of(None, fit, replace(fit, unmatched=0.2), CAMERA)
+    np.testing.assert_allclose(signs, [np.log(1.4), np.log(80 / 90), np.log(0.2), 0.4, 0.2], rtol=1e-6)
     assert len(signs) == len(SIGN_NAMES) == len(NO_SIGNS)
+    assert signs_of(None, fit, fit, CAMERA)[-1] == 0.0, "no skin was looked for"
 
 
 def test_a_small_face_tells_less() -> None:
     small, smaller = (
-        signs_of(None, fit_of(), replace(CAMERA, fx=focal, fy=focal)) for focal in (250.0, 200.0)
+        signs_of(None, fit_of(), fit_of(), replace(CAMERA, fx=focal, fy=focal)) for focal in (250.0, 200.0)
     )
     assert (small[1], smaller[1]) == pytest.approx((np.log(80 / 25), np.log(80 / 20)))
-    larger = signs_of(None, fit_of(), CAMERA)
-    for regression in (MONO, STEREO):
+    larger = signs_of(None, fit_of(), fit_of(), CAMERA)
+    for regression in REGRESSIONS:
         assert (
             regression.probability(smaller) < regression.probability(small) < regression.probability(larger)
         )
@@ -61,9 +65,10 @@ def test_points_that_no_camera_sees_do_not_tell() -> None:
     shape, pixels = fit.track.shape.copy(), fit.pixels.copy()
     shape[3], pixels[0, 3] = 100.0, np.nan
     hidden = replace(fit, track=replace(fit.track, shape=shape), pixels=pixels)
-    one, other = (signs_of(None, which, CAMERA) for which in (hidden, fit))
+    one, other = (signs_of(None, which, which, CAMERA) for which in (hidden, fit))
     np.testing.assert_allclose(one, other)
-    none = signs_of(None, replace(fit, weights=np.zeros(POINT_COUNT)), CAMERA)
+    unseen = replace(fit, weights=np.zeros(POINT_COUNT))
+    none = signs_of(None, unseen, unseen, CAMERA)
     assert (none[0], none[3]) == pytest.approx((np.log(100.4), 1.0))  # as far off as eyes are apart
 
 
@@ -73,15 +78,15 @@ def test_unsteady_is_what_turns_otherwise_than_before() -> None:
     fast = replace(fit.track, velocity=np.array([0.0, 0.0, 0.0, 2.0, 0.0, 0.0]))
     faster = replace(fit, track=replace(fast, velocity=1.15 * fast.velocity))
     for before, now, off_deg in ((fast, faster, np.degrees(0.01)), (fast, replace(fit, track=fast), 0.0)):
-        unsteady = signs_of(before, now, CAMERA)[2]
+        unsteady = signs_of(before, now, now, CAMERA)[2]
         assert np.exp(unsteady) == pytest.approx(off_deg + 0.2)
 
 
-@pytest.mark.parametrize("regression", [MONO, STEREO], ids=["mono", "stereo"])
+@pytest.mark.parametrize("regression", REGRESSIONS)
 def test_worse_signs_are_never_more_probable(regression: Regression) -> None:
-    good = np.array([np.log(0.7), 0.0, np.log(0.4), 0.25])
+    good = np.array([np.log(0.7), 0.0, np.log(0.4), 0.25, 0.15])
     assert regression.probability(good) > 0.9
-    assert regression.probability(np.array([np.log(4.0), 1.1, np.log(5.0), 0.7])) < 0.2
+    assert regression.probability(np.array([np.log(4.0), 1.1, np.log(5.0), 0.7, 0.8])) < 0.2
     assert np.all(regression.weights <= 0.0)
 
 
@@ -89,12 +94,12 @@ def test_a_frame_that_is_more_probably_wrong_is_not_tracked(monkeypatch: pytest.
     """It says its pose all the same, goes on from there, and the run says how many such frames there were."""
     scene = Scene()
     plain = [scene.step(index) for index in range(FEW.start.frames + 4)]
-    monkeypatch.setattr(mono, "MONO", Regression(-3.0, np.zeros(4)))
+    monkeypatch.setattr(mono, "MONO", Regression(-3.0, np.zeros(5)))
     doubtful = Scene()
     found = [doubtful.step(index) for index in range(FEW.start.frames + 4)]
     assert {one.status for one in plain} == {Status.TRACKING}
     assert {one.status for one in found} == {Status.LOST}
-    assert {one.confidence for one in found} == {Regression(-3.0, np.zeros(4)).probability(np.zeros(4))}
+    assert {one.confidence for one in found} == {Regression(-3.0, np.zeros(5)).probability(np.zeros(5))}
     for one, other in zip(plain, found, strict=True):
         np.testing.assert_array_equal(one.position, other.position)
         np.testing.assert_array_equal(one.quaternion, other.quaternion)

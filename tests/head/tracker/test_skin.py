@@ -18,11 +18,14 @@ from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.face.rig_images import project
 from posetrack_cli.head.particles.particles import velocity_between
 from posetrack_cli.head.skin.map import LEAST_VIEWS, pose_on_map
+from posetrack_cli.head.subject import SIGN_NAMES
 from posetrack_cli.head.tracker.codecs import track_codec
+from posetrack_cli.head.tracker.confidence import MONO, MONO_WITH_SKIN
 from posetrack_cli.head.tracker.mono_state import MonoState
 from posetrack_cli.head.tracker.person import farther
 from posetrack_cli.results.estimate import Estimate, Status
 from posetrack_cli.results.layouts import LayoutError
+from posetrack_cli.tracking.confidence import RunningSigns
 from support.codecs import assert_lawful, assert_same_arrays
 from support.damage import Arrays
 from support.mono_cases import assert_same
@@ -133,12 +136,26 @@ def test_a_frame_without_an_image_is_not_kept() -> None:
 # What a second pass states
 
 
+def signs_of_frame(scene: Scene, estimate: Estimate) -> np.ndarray:
+    """(5,) the signs that a result holds."""
+    numbers = dict(zip(scene.subject.number_names, estimate.numbers, strict=True))
+    return np.array([numbers[name] for name in SIGN_NAMES])
+
+
+def test_without_skin_there_is_none_to_look_for() -> None:
+    scene = Scene(config=WITHOUT, known=learned(WITHOUT))
+    for index in range(SECOND):
+        signs = signs_of_frame(scene, estimate := scene.step(index))
+        assert signs[-1] == 0.0 and estimate.confidence == MONO.probability(signs)
+
+
 @pytest.mark.parametrize("config", [ON_SKIN, LARGE], ids=["of any size", "of a size that was told"])
 def test_a_pose_between_track_and_skin_is_stated(config: HeadMonoConfig) -> None:
     """As far from the track as the map is believed; the track goes on from its points. A map is as large as
     heads usually are."""
     scene = Scene(config=config, known=believed(config))
-    apart = []
+    apart: list[np.ndarray] = []
+    running = RunningSigns.before(1)
     for index in range(SECOND):
         estimate = scene.step(index)
         state = scene.state
@@ -148,10 +165,13 @@ def test_a_pose_between_track_and_skin_is_stated(config: HeadMonoConfig) -> None
         factor, (image,) = state.person.factor, scene.frame(index).images
         assert (factor > 1.05) == (config is LARGE)
         usual, whole = farther(told, 1.0 / factor), replace(found, share=1.0)
-        on_skin = pose_on_map(whole, image, estimate.stamp_ns, usual, CAMERA, config.skin)
+        on_skin, unmatched = pose_on_map(whole, image, estimate.stamp_ns, usual, CAMERA, config.skin)
         apart.append(usual.difference(farther(pose_of(estimate), 1.0 / factor)))
         np.testing.assert_allclose(apart[-1], SHARE * usual.difference(on_skin), atol=ROUNDING)
         assert_same(pose_of(estimate), state.stated.pose)
+        running, signs = running.after(np.array([unmatched])), signs_of_frame(scene, estimate)
+        assert estimate.confidence == MONO_WITH_SKIN.probability(signs)
+        assert signs[-1] == pytest.approx(running.signs[0], abs=ROUNDING)
     assert np.linalg.norm(apart, axis=1).min() > 1e-3, "the two say something else"
 
 
@@ -200,7 +220,6 @@ def test_the_track_is_that_of_a_run_without_skin_to_the_bit(known: Any) -> None:
         assert_same_arrays(codec.to_arrays(one.track), codec.to_arrays(other.track))
         assert other.stated is None and one.stated is not None
         assert estimate.status is other_estimate.status is Status.TRACKING
-        assert estimate.confidence == other_estimate.confidence
         assert np.any(estimate.position != other_estimate.position)
 
 
