@@ -14,12 +14,12 @@ from head_confidence import KINDS, Frames, fitted, harden, report
 from posetrack_cli.tracking.confidence import Regression
 from support.heads import heads_folder
 
-TRUE = Regression(2.0, np.array([-1.0, -2.0, 0.0, -0.5]))
+TRUE = Regression(2.0, np.array([-1.0, -2.0, 0.0, -0.5, -1.5]))
 
 
 def drawn(person: str, seed: int, count: int = 4000, weight: float = 1.0) -> Frames:
     rng = np.random.default_rng(seed)
-    signs = rng.normal(size=(count, 4))
+    signs = rng.normal(size=(count, 5))
     right = rng.random(count) < [TRUE.probability(one) for one in signs]
     return Frames(person, weight, signs, right, right, ~right)
 
@@ -37,7 +37,7 @@ def test_real_recordings_count_a_quarter_of_rendered_ones_however_many_there_are
     wrong = Frames("a", 1.0, rendered.signs, ~rendered.right, ~rendered.right, rendered.right)
     many, few = fitted([*[wrong] * 10, real]), fitted([wrong, real])
     np.testing.assert_allclose([many.bias, *many.weights], [few.bias, *few.weights], atol=0.02)
-    assert few.probability(np.zeros(4)) < 0.5  # four fifths speak against what is right
+    assert few.probability(np.zeros(5)) < 0.5  # four fifths speak against what is right
 
 
 def test_people_are_judged_by_what_was_fitted_to_others(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -50,7 +50,7 @@ def test_people_are_judged_by_what_was_fitted_to_others(monkeypatch: pytest.Monk
     monkeypatch.setattr(head_confidence, "fitted", remembered)
     lines = report([drawn("a", 0, 300, 4.0), drawn("a", 1, 300), drawn("b", 2, 300)])
     assert fits == [{"b"}, {"b"}, {"a"}, {"a", "b"}]
-    assert lines[0] == "bias 2.00, weights -1.00, -2.00, 0.00, -0.50"
+    assert lines[0] == "bias 2.00, weights -1.00, -2.00, 0.00, -0.50, -1.50"
     assert lines[1].startswith("recordings as they are: 300 frames")
     assert any(line.startswith("all: 900 frames") for line in lines)
 
