@@ -26,6 +26,8 @@ RIGHT_DEG, RIGHT_MM = 3.0, 5.0
 """Largest rotation error and mean error of the points, in head coordinates, of a frame that is right."""
 COLOUR = (0.3, 0.85, 0.95, 1.0)
 WEIGHT = "weight_"
+SKIN_SHARE = "skin_share"
+"""Of the numbers of a head that one camera sees, how far its pose is that of its skin."""
 SIGNS = ("misfit", "smallness", "unsteadiness", "unseen", "unmatched")
 """Of what confidence is made, in the order of ``head.tracker.confidence``."""
 SIGN_NAMES = tuple(f"{SIGN}{name}" for name in SIGNS)
@@ -99,7 +101,7 @@ def mono_subject(camera_frame: str, model: FaceModel) -> Subject:
 
 
 def mono_diagnostic_names(identities: int) -> tuple[str, ...]:
-    """Return the names of the M = 2 S' + 6 + K + 2 E numbers, in the order of ``MonoDiagnostics.numbers``."""
+    """Return the names of the M = 2 S' + 7 + K + 2 E numbers, in the order of ``MonoDiagnostics.numbers``."""
     return (
         *(f"identity_{s + 1}" for s in range(identities)),
         *(f"identity_spread_{s + 1}" for s in range(identities)),
@@ -108,6 +110,7 @@ def mono_diagnostic_names(identities: int) -> tuple[str, ...]:
         "size_sd",
         "adjusted_frames",
         "adjustment_rms_px",
+        SKIN_SHARE,
         "score",
         *(f"{WEIGHT}{name}" for name in POINT_NAMES),
         *ACTION_NAMES,
@@ -126,6 +129,7 @@ class MonoDiagnostics:
             and the standard deviation of its logarithm.
         adjusted_frames: how many frames this person was adjusted from.
         rms_px: root mean square distance of the points from the adjusted face, pixels.
+        skin_share: how far the pose is the skin's, 0 to 1.
         score: mean correlation of the visible points, -1 to 1.
         weights: (K,) how much each point counted, 0 (hidden, turned away or unlike) to 1.
         moved: (K, 3) mm, the points' displacements from the neutral face, which tell its actions.
@@ -138,6 +142,7 @@ class MonoDiagnostics:
     size_sd: float = np.nan
     adjusted_frames: int = 0
     rms_px: float = np.nan
+    skin_share: float = np.nan
     score: float = np.nan
     weights: FloatArray | None = None
     moved: FloatArray | None = None
@@ -151,6 +156,7 @@ class MonoDiagnostics:
             self.size_sd,
             float(self.adjusted_frames),
             self.rms_px,
+            self.skin_share,
             self.score,
         )
         return np.concatenate([self.identity, self.spread, single, weights, action_numbers(self.moved)])

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -68,6 +69,20 @@ class SkinMap:
     def count(self, index: int) -> int:
         """Return how many points were chosen in a view."""
         return int(self.bounds[index + 1] - self.bounds[index])
+
+
+class OnMap(NamedTuple):
+    """Where a head is that was compared with a map.
+
+    Attributes:
+        pose: between what its feature points tell and where its skin lies.
+        share: how far it is the skin's, 0 to 1.
+        unmatched: share of the skin looked for that was not found; all of it where no view looks alike.
+    """
+
+    pose: HeadPose
+    share: float
+    unmatched: float
 
 
 @in_one_thread()
@@ -193,8 +208,8 @@ def _share(apart: FloatArray, settings: SkinSettings) -> float:
 @in_one_thread()
 def pose_on_map(
     found: SkinMap, image: ImageArray, stamp_ns: int, told: HeadPose, camera: Camera, settings: SkinSettings
-) -> tuple[HeadPose, float]:
-    """Find the pose of a head, between what its feature points tell and where its skin lies on a map.
+) -> OnMap:
+    """Return the pose of a head, between what its feature points tell and where its skin lies on a map.
 
     Args:
         found: the map.
@@ -203,9 +218,6 @@ def pose_on_map(
         told: pose by feature points.
         camera: that took it.
         settings: with how many views it is compared.
-
-    Returns:
-        The pose, and the share of the skin looked for that was not found; all of it where none looks alike.
     """
     placement = place_crop(camera, told)
     crop, away = cut(image, placement), np.abs(found.stamps - stamp_ns).astype(np.float64)
@@ -214,13 +226,14 @@ def pose_on_map(
     count, looked_for = sum(len(which) for which, _ in matches), sum(found.count(view) for view in chosen)
     unmatched = 1.0 - count / max(looked_for, 1)
     if count <= settings.least_points:
-        return told, unmatched
+        return OnMap(told, 0.0, unmatched)
     which = np.concatenate([one for one, _ in matches])
     pixels = to_image(placement, np.concatenate([places for _, places in matches]))
     rays, focal = normalised_from_pixels(camera, pixels), np.array([camera.fx, camera.fy])
     pose = adjust_pose(rays, found.points[which], told, told, focal, POSE_STEPS)
     sure = min((count - settings.least_points) / max(settings.enough_points - settings.least_points, 1), 1.0)
-    return told.moved(found.share * sure * told.difference(pose)), unmatched
+    share = found.share * sure
+    return OnMap(told.moved(share * told.difference(pose)), share, unmatched)
 
 
 def cut_view(image: ImageArray, camera: Camera, view: PointView) -> SkinView:

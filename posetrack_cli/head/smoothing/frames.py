@@ -13,7 +13,7 @@ from posetrack_cli.head.config import HeadSmoothingSettings, ParticleSettings
 from posetrack_cli.head.face.points import MEAN_SHAPE, POINT_COUNT
 from posetrack_cli.head.face.pose import POSE_SIZE, HeadPose, rigid_model
 from posetrack_cli.head.particles.particles import velocity_between
-from posetrack_cli.head.subject import WEIGHT
+from posetrack_cli.head.subject import SKIN_SHARE, WEIGHT
 from posetrack_cli.head.tracker.estimates import in_body_axes
 from posetrack_cli.head.tracker.frame_tracker import HeadState
 from posetrack_cli.results.estimate import Estimate, Status, Subject
@@ -46,6 +46,7 @@ class HeadFrame:
         systematic: (6,) variances that its estimate states beyond the frame's own: what the whole track is
             wrong by, which no smoothing takes away.
         beside: (6,) tangent vector from the pose that its points tell to the one stated, by the skin, too.
+        skin_share: how far the one stated is the skin's, 0 to 1.
     """
 
     frame_index: int
@@ -62,6 +63,7 @@ class HeadFrame:
     deviations: FloatArray
     systematic: FloatArray = field(default_factory=lambda: np.zeros(POSE_SIZE))
     beside: FloatArray = field(default_factory=lambda: np.zeros(POSE_SIZE))
+    skin_share: float = 0.0
 
     @property
     def is_lost(self) -> bool:
@@ -102,6 +104,7 @@ class FrameKeeper:
         self._components = len(subject.shape_names)
         self._weights = [index for index, name in enumerate(names) if name.startswith(WEIGHT)]
         self._person = names.index(PERSON) if PERSON in names else None
+        self._skin_share = names.index(SKIN_SHARE) if SKIN_SHARE in names else None
 
     def frame(self, state: HeadState, estimate: Estimate) -> HeadFrame:
         """Return what is kept of a frame.
@@ -112,7 +115,10 @@ class FrameKeeper:
         """
         numbers = np.zeros(0) if estimate.numbers is None else estimate.numbers
         weights = np.clip(np.nan_to_num(numbers[self._weights]), 0.0, 1.0)
-        person = 0.0 if self._person is None else np.nan_to_num(numbers[self._person])
+        person, skin_share = (
+            0.0 if index is None else float(np.nan_to_num(numbers[index]))
+            for index in (self._person, self._skin_share)
+        )
         model = rigid_model(MEAN_SHAPE) if state.track is None else state.track.particles.model
         missing = self._components - model.size
         return HeadFrame(
@@ -130,6 +136,7 @@ class FrameKeeper:
             np.pad(model.deviations, (0, missing)),
             _systematic(state, estimate),
             _beside(state, estimate),
+            min(max(skin_share, 0.0), 1.0),
         )
 
     def layouts(self) -> dict[str, Layout]:
@@ -150,6 +157,7 @@ class FrameKeeper:
             "deviations": floats(B, least=0.0),
             "systematic": floats(POSE_SIZE, least=0.0),
             "beside": floats(POSE_SIZE),
+            "skin_share": floats(least=0.0, most=1.0),
         }
 
     def blank(self) -> Record:

@@ -126,6 +126,7 @@ def _memory(link: Link, end: HeadFrame, chain: int) -> Memory:
         "speed": link.speed,
         "systematic": frame.systematic,
         "beside": frame.beside,
+        "skin_share": frame.skin_share,
         "neutral": end.mean,
         "basis": end.basis,
         "deviations": end.deviations,

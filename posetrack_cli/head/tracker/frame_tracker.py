@@ -98,6 +98,7 @@ class FrameFit:
         effective_sample_size: of the particles.
         is_anchored: whether the points were found anew, not compared with what they looked like before.
         unmatched: share of the skin looked for that was not found; None where none was looked for.
+        skin_share: how far the pose is the skin's, 0 to 1.
     """
 
     track: TrackState
@@ -112,6 +113,7 @@ class FrameFit:
     effective_sample_size: float
     is_anchored: bool = False
     unmatched: float | None = None
+    skin_share: float = 0.0
 
 
 LONG_AGO_NS = -(2**62)

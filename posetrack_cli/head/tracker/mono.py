@@ -471,6 +471,7 @@ class MonoPeople:
             self._config.accuracy.scale if known.size is None else known.size.sd,
             known.adjusted_frames,
             known.rms_px / (state.scale or WHOLE),
+            np.nan if fit is None else fit.skin_share,
             score,
             weights,
             None if fit is None else fit.track.shape - neutral,

@@ -358,14 +358,12 @@ class PersonFitter:
             return fit
         by_points, factor = fit.track.pose, person.factor
         told = farther(by_points, 1.0 / factor)
-        found, unmatched = pose_on_map(
-            person.skin_map, image, frame.stamp_ns, told, self._camera, self._config.skin
-        )
-        pose, pixels = farther(found, factor), fit.pixels[0]
+        found = pose_on_map(person.skin_map, image, frame.stamp_ns, told, self._camera, self._config.skin)
+        pose, pixels = farther(found.pose, factor), fit.pixels[0]
         coefficients = self._deformation_at(pose, person.shape, pixels, fit.weights)
         shape = self._on_rays(pose, person.shape.shapes(coefficients), pixels)
-        track = replace(fit.track, pose=pose, shape=shape)
-        return replace(fit, track=track, coefficients=coefficients, unmatched=unmatched)
+        stated = replace(fit, track=replace(fit.track, pose=pose, shape=shape), coefficients=coefficients)
+        return replace(stated, unmatched=found.unmatched, skin_share=found.share)
 
     def _deformation_at(
         self, pose: HeadPose, face: ShapeModel, pixels: FloatArray, weights: FloatArray

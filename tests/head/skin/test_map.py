@@ -233,7 +233,7 @@ def test_a_map_of_poses_told_wrongly_is_believed(known: SkinMap) -> None:
 def located(known: SkinMap, index: float, told: HeadPose, settings: SkinSettings = SETTINGS) -> HeadPose:
     """Where a frame's head is that is not one of the map's."""
     image = drawn(pose_at(index), seed=1000 + round(10 * index))
-    return pose_on_map(known, image, round(index * FRAME_NS), told, CAMERA, settings)[0]
+    return pose_on_map(known, image, round(index * FRAME_NS), told, CAMERA, settings).pose
 
 
 def disturbed(index: float, yaw_deg: float = 2.5) -> HeadPose:
@@ -291,8 +291,8 @@ def test_too_few_points_leave_what_is_told(known: SkinMap) -> None:
 
 def test_an_even_image_leaves_what_is_told(known: SkinMap) -> None:
     told = disturbed(7.3)
-    pose, unmatched = pose_on_map(known, even(), 0, told, CAMERA, SETTINGS)
-    assert pose is told and unmatched == 1.0
+    pose, share, unmatched = pose_on_map(known, even(), 0, told, CAMERA, SETTINGS)
+    assert pose is told and (share, unmatched) == (0.0, 1.0)
 
 
 def test_skin_that_is_covered_is_not_found(known: SkinMap) -> None:
@@ -303,7 +303,7 @@ def test_skin_that_is_covered_is_not_found(known: SkinMap) -> None:
     covered = image.copy()
     covered[below:] = 128
     unmatched = [
-        pose_on_map(known, one, round(index * FRAME_NS), told, CAMERA, SETTINGS)[1]
+        pose_on_map(known, one, round(index * FRAME_NS), told, CAMERA, SETTINGS).unmatched
         for one in (image, covered)
     ]
     assert unmatched[0] < 0.15 and 0.3 < unmatched[1] < 0.8
@@ -311,15 +311,15 @@ def test_skin_that_is_covered_is_not_found(known: SkinMap) -> None:
 
 def test_a_face_outside_the_image_is_where_it_is_told(known: SkinMap) -> None:
     told = disturbed(7.3).moved(np.array([2000.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
-    pose, unmatched = pose_on_map(known, drawn(pose_at(7.3)), 0, told, CAMERA, SETTINGS)
-    assert pose is told and unmatched == 1.0
+    pose, share, unmatched = pose_on_map(known, drawn(pose_at(7.3)), 0, told, CAMERA, SETTINGS)
+    assert pose is told and (share, unmatched) == (0.0, 1.0)
 
 
 def test_a_map_without_views_that_look_alike_leaves_what_is_told(known: SkinMap) -> None:
     """Turned away by 60 degrees."""
     told = disturbed(7.3, 60.0)
-    pose, unmatched = pose_on_map(known, drawn(told), 0, told, CAMERA, SETTINGS)
-    assert pose is told and unmatched == 1.0
+    pose, share, unmatched = pose_on_map(known, drawn(told), 0, told, CAMERA, SETTINGS)
+    assert pose is told and (share, unmatched) == (0.0, 1.0)
 
 
 def test_who_asks_for_no_views_gets_what_is_told(known: SkinMap) -> None:

@@ -29,7 +29,7 @@ from posetrack_cli.head.config import (
 from posetrack_cli.head.face.points import BROWS, MEAN_SHAPE, POINT_COUNT
 from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.multilinear.face_model import load_face_model
-from posetrack_cli.head.smoothing.fits import UNKNOWN_SPEED, HeadFits
+from posetrack_cli.head.smoothing.fits import SKIN_SD, UNKNOWN_SPEED, HeadFits
 from posetrack_cli.head.smoothing.frames import HeadFrame, Link, Reach, chained, with_speeds
 from posetrack_cli.head.smoothing.places import FLAT, local_line
 from posetrack_cli.head.smoothing.track import HeadMemory
@@ -97,7 +97,7 @@ def memory_of(one: HeadFrame) -> dict[str, object]:
     pose = np.concatenate([one.position, one.quaternion])
     face = {"neutral": one.mean, "basis": one.basis, "deviations": one.deviations}
     seen = {**face, "seen": int(not one.is_lost)}
-    tracked = {"tracked": pose, "beside": one.beside}
+    tracked = {"tracked": pose, "beside": one.beside, "skin_share": one.skin_share}
     return {**tracked, "points": one.points, "weights": one.weights, **seen}
 
 
@@ -180,6 +180,33 @@ def test_what_the_skin_told_beside_the_points_is_kept() -> None:
     beside = fits.known(memory_of(replace(one, beside=told))).poses[0]
     moved = HeadPose(alone[:3], alone[3:]).difference(HeadPose(beside[:3], beside[3:]))
     np.testing.assert_allclose(moved, told, atol=1e-9)
+
+
+def test_what_the_skin_tells_counts_beside_the_points() -> None:
+    """In full where the pose is the skin's alone, in proportion where it is in part."""
+    one = frame(0, np.array([20.0, -10.0, 650.0]))
+    fits = HeadFits(HeadMonoConfig().smoothing, 1)
+    alone, part, whole = (
+        fits.known(memory_of(replace(one, skin_share=share))).information[0] for share in (0.0, 0.25, 1.0)
+    )
+    np.testing.assert_allclose(whole - alone, np.diag(SKIN_SD**-2), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(part - alone, 0.25 * (whole - alone), rtol=1e-9, atol=1e-9)
+
+
+def test_a_head_that_turns_fast_is_followed_by_its_skin(tmp_path) -> None:
+    """By 20 degrees to the side and back within .4 s: by points alone it is rounded off more."""
+    yaw = np.radians(20.0) * np.exp(-0.5 * ((np.arange(25) - 12.0) / 2.5) ** 2)
+    poses = [multiply(exponential(np.array([0.0, angle, 0.0])), UPRIGHT) for angle in yaw]
+    away = []
+    for share in (0.0, 1.0):
+        frames = []
+        for index, quaternion in enumerate(poses):
+            true = HeadPose(np.array([0.0, 0.0, 700.0]), quaternion)
+            made = frame(index, true.position, points=true.points(MEAN_SHAPE))
+            frames.append(replace(made, quaternion=quaternion, skin_share=share))
+        found = smoothed(tmp_path, frames)
+        away.append([angle_between(q, one.quaternion) for q, one in zip(poses, found, strict=True)])
+    assert max(away[1]) < max(away[0]) and np.mean(away[1]) < np.mean(away[0])
 
 
 def test_one_wild_frame_is_not_believed(tmp_path) -> None:

@@ -33,6 +33,7 @@ def numbers(size: int) -> MonoDiagnostics:
         0.03125,
         17,
         0.75,
+        0.625,
         0.875,
         0.01 * np.arange(len(POINT_NAMES)),
     )
@@ -42,12 +43,12 @@ def numbers(size: int) -> MonoDiagnostics:
 def test_every_number_stands_under_its_name(size: int) -> None:
     one, names = numbers(size), mono_diagnostic_names(size)
     found = dict(zip(names, one.numbers(), strict=True))
-    assert len(found) == len(names) == 2 * size + 6 + len(POINT_NAMES) + len(ACTION_NAMES)
+    assert len(found) == len(names) == 2 * size + 7 + len(POINT_NAMES) + len(ACTION_NAMES)
     np.testing.assert_array_equal([found[f"identity_{s + 1}"] for s in range(size)], one.identity)
     np.testing.assert_array_equal([found[f"identity_spread_{s + 1}"] for s in range(size)], one.spread)
     np.testing.assert_array_equal([found[f"weight_{name}"] for name in POINT_NAMES], one.weights)
     single = {"person": 2, "size": 1.125, "size_sd": 0.03125, "adjusted_frames": 17}
-    single |= {"adjustment_rms_px": 0.75, "score": 0.875}
+    single |= {"adjustment_rms_px": 0.75, "skin_share": 0.625, "score": 0.875}
     assert {name: found[name] for name in single} == single
 
 

@@ -165,11 +165,11 @@ def test_a_pose_between_track_and_skin_is_stated(config: HeadMonoConfig) -> None
         factor, (image,) = state.person.factor, scene.frame(index).images
         assert (factor > 1.05) == (config is LARGE)
         usual, whole = farther(told, 1.0 / factor), replace(found, share=1.0)
-        on_skin, unmatched = pose_on_map(whole, image, estimate.stamp_ns, usual, CAMERA, config.skin)
+        on_skin = pose_on_map(whole, image, estimate.stamp_ns, usual, CAMERA, config.skin)
         apart.append(usual.difference(farther(pose_of(estimate), 1.0 / factor)))
-        np.testing.assert_allclose(apart[-1], SHARE * usual.difference(on_skin), atol=ROUNDING)
+        np.testing.assert_allclose(apart[-1], SHARE * usual.difference(on_skin.pose), atol=ROUNDING)
         assert_same(pose_of(estimate), state.stated.pose)
-        running, signs = running.after(np.array([unmatched])), signs_of_frame(scene, estimate)
+        running, signs = running.after(np.array([on_skin.unmatched])), signs_of_frame(scene, estimate)
         assert estimate.confidence == MONO_WITH_SKIN.probability(signs)
         assert signs[-1] == pytest.approx(running.signs[0], abs=ROUNDING)
     assert np.linalg.norm(apart, axis=1).min() > 1e-3, "the two say something else"
