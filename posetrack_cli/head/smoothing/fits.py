@@ -51,8 +51,8 @@ STEPS, CONVERGED = 8, 1e-4
 LEAST_DEVIATION_MM = 1e-6
 """Of a component of the deformation: what is not known yet stays at 0."""
 SKIN_SD = np.array([2.0, 2.0, 8.0, *np.radians([1.0, 1.0, 1.0])])
-"""(6,) mm and rad, by how much a pose by the skin errs otherwise than those about it; chosen on twelve rendered
-heads and three real ones. What all err by alike no smoothing takes away."""
+"""(6,) mm and rad, by how much a pose by the skin errs otherwise than those about it; chosen on twelve
+rendered heads and three real ones. What all err by alike no smoothing takes away."""
 LEAST_WEIGHT = 0.02
 """Of a point that is hardly seen: ten of them still say where the head is."""
 
@@ -135,8 +135,8 @@ class HeadFits:
             if np.abs(step).max() < CONVERGED:
                 break
             pose = SPACE.retract(pose[None], step[None])[0]
-        stated = _moved(pose, frame["beside"])
-        by_points = scaled(_mode(stated, gradient, information + vague), self._settings.share)
+        posed = _with_skin(pose, frame)
+        by_points = scaled(_mode(posed, gradient, information + vague), self._settings.share)
         by_skin = frame["skin_share"] * np.diag(SKIN_SD**-2)
         return replace(by_points, information=by_points.information + by_skin)
 
@@ -188,12 +188,20 @@ def make_head_smoother(settings: HeadSmoothingSettings, fits: HeadFits) -> FitSm
     return FitSmoother(dynamics, SPACE, fits, GROUPS, settings.freedom)
 
 
-def _moved(pose: FloatArray, tangent: FloatArray) -> FloatArray:
-    """Return a pose (7,) after a tangent vector (6,) in camera axes; after zeros as it is, bit by bit."""
-    if not tangent.any():
+def _with_skin(pose: FloatArray, frame: Memory) -> FloatArray:
+    """Return a pose (7,) between a fit of the points and the skin, as the one that the tracker stated is.
+
+    Without skin it is the fit's, bit by bit.
+
+    With s the skin's share, p the tracker's pose of the points, q the one it stated: q + (1 - s) (pose - p).
+    """
+    if not frame["beside"].any():
         return pose
-    moved = HeadPose(pose[:3], pose[3:]).moved(tangent)
-    return np.concatenate([moved.position, moved.quaternion])
+    stated = HeadPose(frame["tracked"][:3], frame["tracked"][3:])
+    by_points = stated.moved(-frame["beside"])
+    apart = by_points.difference(HeadPose(pose[:3], pose[3:]))
+    posed = stated.moved((1.0 - frame["skin_share"]) * apart)
+    return np.concatenate([posed.position, posed.quaternion])
 
 
 def _mode(pose: FloatArray, gradient: FloatArray, information: FloatArray) -> LikelihoodModes:

@@ -171,15 +171,20 @@ def test_points_of_a_rigid_face_give_their_pose(cameras: int) -> None:
     assert np.degrees(angle_between(true.quaternion, fit.poses[0][3:7])) < 0.01
 
 
-def test_what_the_skin_told_beside_the_points_is_kept() -> None:
-    """The fit is found where the points are, and lies as far beside it as the stated pose did."""
-    told = np.array([1.0, -2.0, 4.0, 0.02, -0.05, 0.01])
+@pytest.mark.parametrize("share", [0.25, 0.9, 1.0])
+def test_a_fit_lies_between_points_and_skin_as_what_was_stated_did(share: float) -> None:
+    """The filter had the points elsewhere; where the skin is both say alike. All turns are about one axis."""
     one = frame(0, np.array([20.0, -10.0, 650.0]))
     fits = HeadFits(HeadMonoConfig().smoothing, 1)
-    alone = fits.known(memory_of(one)).poses[0]
-    beside = fits.known(memory_of(replace(one, beside=told))).poses[0]
-    moved = HeadPose(alone[:3], alone[3:]).difference(HeadPose(beside[:3], beside[3:]))
-    np.testing.assert_allclose(moved, told, atol=1e-9)
+    fit = HeadPose(*np.split(fits.known(memory_of(one)).poses[0], [3]))
+    by_filter = fit.moved(np.array([0.5, 0.2, -3.0, 0.0, 0.02, 0.0]))
+    by_skin = fit.moved(np.array([1.0, -2.0, 4.0, 0.0, -0.05, 0.0]))
+    beside = share * by_filter.difference(by_skin)
+    stated = by_filter.moved(beside)
+    told = {"position": stated.position, "quaternion": stated.quaternion}
+    points = replace(one, **told, beside=beside, skin_share=share)
+    found = HeadPose(*np.split(fits.known(memory_of(points)).poses[0], [3]))
+    np.testing.assert_allclose(fit.difference(found), share * fit.difference(by_skin), atol=CLOSE)
 
 
 def test_what_the_skin_tells_counts_beside_the_points() -> None:
