@@ -228,6 +228,13 @@ def test_the_shipped_head_configurations_state_every_default(name: str) -> None:
     assert set(leaves(defaults.model_dump())) - optional == set(leaves(tomllib_of(path)))
 
 
+def test_the_thesis_of_one_camera_knows_its_points_alone() -> None:
+    """Also in the second pass, which a run makes unless it is told otherwise."""
+    printed = load_settings(HeadMonoConfig, find_configuration("head-mono-paper"), {})
+    assert not printed.skin.use and not printed.adjustment.offsets and not printed.refinement.joint
+    assert (printed.particles.weighting, printed.refinement.recalculation) == ("printed", "printed")
+
+
 def test_every_shipped_configuration_can_be_loaded() -> None:
     kinds: dict[str, type[Settings]] = {"hand": HandConfig, **HEADS}
     for path in find_configuration("hand").parent.glob("*.toml"):
