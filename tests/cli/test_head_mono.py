@@ -345,8 +345,12 @@ def test_the_skin_tells_in_a_second_pass_alone(made: Path, tracked: Path, tmp_pa
         assert mono(made, tmp_path / f"{name}.mcap", *often, *more) == 0
     once, skin, points = (load_arrays(tmp_path / f"{name}.mcap") for name in ("once", "skin", "points"))
     np.testing.assert_array_equal(once["position"], load_arrays(tracked)["position"])
-    for name in ("status", "confidence", "stamp_ns"):
+    for name in ("status", "stamp_ns"):
         np.testing.assert_array_equal(skin[name], points[name])
+    shares = [
+        read_result(tmp_path / f"{name}.mcap").numbers()["skin_share"] for name in ("once", "points", "skin")
+    ]
+    assert [np.nanmax(one) > 0.0 for one in shares] == [False, False, True]
     apart = np.any(skin["quaternion"] != points["quaternion"], axis=1)
     assert apart.any() and np.all(apart[skin["status"] == "tracking"])
 
