@@ -35,12 +35,13 @@ RUNS = (
         "hand run hand.mcap --particles 8 --hand-side right --keypoints told.csv -o told-result.mcap",
     ),
     (
-        "head synth --frames 10 --fps 4 --motion slight --image-size 320x240 -o head.mcap",  # maps skin
+        "head synth --frames 10 --fps 4 --motion slight --image-size 320x240 -o head.mcap",
         "head stereo head.mcap --particles 20 -o stereo.mcap",
         "head mono head.mcap --cameras left --particles 20 -o mono.mcap",
     ),
 )
-"""Command lines that come to every kernel; each tuple's one after the other, the tuples side by side."""
+"""Command lines that come to every kernel; each tuple's one after the other, the tuples side by side. The
+head is seen for long enough to make a map of its skin."""
 TRACKERS = ("run", "stereo", "mono")
 """Commands of which a second run must give the same bytes."""
 

@@ -66,10 +66,6 @@ class SkinMap:
         """Return which points were chosen in a view."""
         return slice(int(self.bounds[index]), int(self.bounds[index + 1]))
 
-    def count(self, index: int) -> int:
-        """Return how many points were chosen in a view."""
-        return int(self.bounds[index + 1] - self.bounds[index])
-
 
 class OnMap(NamedTuple):
     """Where a head is that was compared with a map.
@@ -223,7 +219,8 @@ def pose_on_map(
     crop, away = cut(image, placement), np.abs(found.stamps - stamp_ns).astype(np.float64)
     chosen = views_for(told.quaternion, away, found.poses.quaternion, settings.near, settings.alike)
     matches = [_matched(found, view, crop, placement, told, camera) for view in chosen]
-    count, looked_for = sum(len(which) for which, _ in matches), sum(found.count(view) for view in chosen)
+    count = sum(len(which) for which, _ in matches)
+    looked_for = sum(len(found.places[found.of_view(view)]) for view in chosen)
     unmatched = 1.0 - count / max(looked_for, 1)
     if count <= settings.least_points:
         return OnMap(told, 0.0, unmatched)

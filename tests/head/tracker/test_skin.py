@@ -21,6 +21,8 @@ from posetrack_cli.head.skin.map import LEAST_VIEWS, pose_on_map
 from posetrack_cli.head.subject import SIGN_NAMES
 from posetrack_cli.head.tracker.codecs import track_codec
 from posetrack_cli.head.tracker.confidence import MONO, MONO_WITH_SKIN
+from posetrack_cli.head.tracker.frame_tracker import FrameFit, SeededFrame, TrackState
+from posetrack_cli.head.tracker.mono import MonoPeople
 from posetrack_cli.head.tracker.mono_state import MonoState
 from posetrack_cli.head.tracker.person import farther
 from posetrack_cli.results.estimate import Estimate, Status
@@ -173,6 +175,42 @@ def test_a_pose_between_track_and_skin_is_stated(config: HeadMonoConfig) -> None
         assert estimate.confidence == MONO_WITH_SKIN.probability(signs)
         assert signs[-1] == pytest.approx(running.signs[0], abs=ROUNDING)
     assert np.linalg.norm(apart, axis=1).min() > 1e-3, "the two say something else"
+
+
+def anchor(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the points of all frames from now on count as found anew."""
+    fit = MonoPeople.fit
+
+    def anchored(
+        self: MonoPeople, state: MonoState, track: TrackState, frame: SeededFrame
+    ) -> tuple[MonoState, FrameFit]:
+        state, found = fit(self, state, track, frame)
+        return state, replace(found, is_anchored=True)
+
+    monkeypatch.setattr(MonoPeople, "fit", anchored)
+
+
+def test_frames_whose_points_are_found_anew_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = Scene(config=ON_SKIN)
+    for index in range(10):
+        scene.step(index)
+    assert scene.state is not None
+    before = len(scene.state.person.skin.views)
+    anchor(monkeypatch)
+    for index in range(10, 20):
+        scene.step(index)
+    assert len(scene.state.person.skin.views) > before
+
+
+def test_frames_whose_points_are_found_anew_are_compared_too(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    anchor(monkeypatch)
+    scene = Scene(config=ON_SKIN, known=believed())
+    for index in range(SECOND):
+        estimate = scene.step(index)
+        assert scene.state is not None and scene.state.track is not None
+        assert np.any(estimate.quaternion != scene.state.track.pose.quaternion)
 
 
 def test_points_stay_where_they_are_seen() -> None:
