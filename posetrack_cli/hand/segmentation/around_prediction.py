@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
+import cv2
 import numpy as np
 
 from posetrack_cli.arrays import BoolArray, Float32Array, FloatArray, ImageArray, IntArray
@@ -17,7 +18,9 @@ from posetrack_cli.hand.segmentation.prediction import PredictedHand, Silhouette
 from posetrack_cli.hand.segmentation.surfaces import (
     View,
     along,
+    extent_mm,
     jump_mm,
+    nearest_around,
     pixel_mm,
     surface_labels,
     without_pinholes,
@@ -199,36 +202,68 @@ def _limb(
     if inside.any():
         merged[int(np.argmax(inside))] = True
     merged &= ~own
-    begin = (inside > 0) & ~(own | merged) & is_followed
-    fingers = _fingers(view, np.where(read, numbers, 0), near, begin, predicted.scale)
+    limb = read & (own | merged)[numbers]
+    fingers = np.zeros(count, dtype=np.bool_)
+    if is_followed:
+        others = np.where(read & ~limb, numbers, 0)
+        fingers = _fingers(view, others, near, inside > 0, limb, jump, predicted.scale)
     beside = _beside(view, silhouette, predicted, settings.aside_mm, settings.in_front_mm, settings.behind_mm)
-    limb = read & (own | merged | fingers)[numbers]
+    limb |= fingers[numbers] & read
     return limb, limb & (np.where(merged[numbers], at_hand, beside) | fingers[numbers])
 
 
 _FINGER_MM2, _LEAST_NEAR = 3000.0, 0.9
 """What a finger covers at most, of a hand of scale 1, and how much of it lies within the hand's reach."""
+_LEAST_MM2, _LEAST_MM, _WIDEST_MM, _GAP_MM = 300.0, 30.0, 26.0, 10.0
+"""What a finger covers that stands out, how long it is and how wide at most, and how far from the limb it
+begins, behind the nearer finger's rim; of a hand of scale 1."""
+_BESIDE_PX, _MOST_BEHIND = 5, 0.4
+"""Pixels around which something nearer hides a reading, and the share of a finger's that are so: some 0.15
+where a thumb lies before its base, most of a background that is seen between two fingers."""
 
 
-def _fingers(view: View, numbers: IntArray, near: BoolArray, begin: BoolArray, scale: float) -> BoolArray:
-    """Which surfaces are fingers that stretched since the hand was predicted **[ours]**.
+def _fingers(
+    view: View,
+    numbers: IntArray,
+    near: BoolArray,
+    at_prediction: BoolArray,
+    limb: BoolArray,
+    jump: Float32Array,
+    scale: float,
+) -> BoolArray:
+    """Which surfaces (K,) are fingers apart from the limb, which the prediction need not know of **[ours]**.
 
     A thumb before its base, or a missing reading beside it, makes a finger a surface of its own; most of one
     that has just been stretched is not where a fist is expected, nor will the next frame expect it there if
     this one does not see it. Nothing else that begins at a hand ends within its reach, and is so small.
+    Where nothing of it lies at the prediction, as of a finger whose knuckle the thumb hides, it begins beside
+    the limb, has a finger's shape, and does not lie behind what surrounds it.
 
     Args:
         view: the window.
-        numbers: (h, w) of the surfaces, 0 without a reading.
+        numbers: (h, w) of surfaces that are not the limb's, 0 elsewhere.
         near: (h, w) what lies within the hand's reach.
-        begin: (K,) surfaces that are asked about: something of them lies at the prediction.
+        at_prediction: (K,) surfaces of which something lies at the prediction.
+        limb: (h, w) the other surfaces connected to the hand.
+        jump: (h, w) the step in depth that parts surfaces, mm.
         scale: of the hand.
     """
     whole, reached = (
-        np.bincount(numbers[part], weights=view.apart[part] ** 2, minlength=len(begin))
+        np.bincount(numbers[part], weights=view.apart[part] ** 2, minlength=len(at_prediction))
         for part in (numbers > 0, near & (numbers > 0))
     )
-    fingers: BoolArray = begin & (whole < scale**2 * _FINGER_MM2) & (reached > _LEAST_NEAR * whole)
+    small = (whole < scale**2 * _FINGER_MM2) & (reached > _LEAST_NEAR * whole)
+    fingers: BoolArray = at_prediction & small
+    others = small & ~at_prediction & (whole > scale**2 * _LEAST_MM2)
+    if others.any() and limb.any():
+        gap_px = cv2.distanceTransform((~limb).astype(np.uint8), cv2.DIST_L2, 3)
+        beside = others[numbers] & (gap_px * view.apart < scale * _GAP_MM)
+        hidden = nearest_around(view.depth, _BESIDE_PX) < view.depth - jump
+        for k in np.unique(numbers[beside]).tolist():
+            part = numbers == k
+            length = extent_mm(view.points[part].astype(np.float64), float(view.apart[part].mean()))
+            is_slim = length > scale * _LEAST_MM and whole[k] < scale * _WIDEST_MM * length
+            fingers[k] = is_slim and bool(hidden[part].mean() < _MOST_BEHIND)
     return fingers
 
 

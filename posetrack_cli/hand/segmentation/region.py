@@ -10,6 +10,7 @@ import numpy as np
 from posetrack_cli.arrays import BoolArray, Float32Array, FloatArray, ImageArray
 from posetrack_cli.hand.config import DetectionSettings
 from posetrack_cli.hand.segmentation.palms import Surfaces
+from posetrack_cli.hand.segmentation.surfaces import extent_mm
 
 _RING_MM = 14.0
 """Thickness of the shell in which a region's exits are searched for."""
@@ -137,20 +138,9 @@ def _exits(
     for number in range(1, count):
         if stats[number, cv2.CC_STAT_AREA] >= _LEAST_PIXELS:
             part = labels == number
-            width = _width_mm(points[part].astype(np.float64), float(apart[part].mean()))
+            width = extent_mm(points[part].astype(np.float64), float(apart[part].mean()))
             exits.append(Exit(points[part].mean(axis=0, dtype=np.float64), width))
     return tuple(exits)
-
-
-def _width_mm(points: FloatArray, pixel_mm: float) -> float:
-    """Largest extent of pixels' points (P, 3), along the axis of their largest variance.
-
-    It is the same whatever the direction in the image, and the size of the pixels, which reach half of
-    ``pixel_mm`` beyond their middles.
-    """
-    offset = points - points.mean(axis=0)
-    _, axes = np.linalg.eigh(offset.T @ offset)
-    return float(np.ptp(offset @ axes[:, -1])) + pixel_mm
 
 
 _THICK_MM = 16.0

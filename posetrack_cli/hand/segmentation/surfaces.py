@@ -111,6 +111,17 @@ def nearest_around(depth: Float32Array, size: int) -> Float32Array:
     return np.asarray(cv2.erode(read, np.ones((size, size), np.uint8)), dtype=np.float32)
 
 
+def extent_mm(points: FloatArray, pixel_mm: float) -> float:
+    """Return the largest extent of pixels' points (P, 3), along the axis of their largest variance.
+
+    It is the same whatever the direction in the image, and the size of the pixels, which reach half of
+    ``pixel_mm`` beyond their middles.
+    """
+    offset = points - points.mean(axis=0)
+    _, axes = np.linalg.eigh(offset.T @ offset)
+    return float(np.ptp(offset @ axes[:, -1])) + pixel_mm
+
+
 @dataclass(frozen=True, eq=False)
 class View:
     """What a window shows.

@@ -232,6 +232,50 @@ def test_a_finger_that_stretches_behind_missing_readings_is_seen(
     assert (labels == (Label.HAND if is_finger and is_followed else Label.OTHER)).mean() > 0.95
 
 
+@pytest.mark.parametrize(("is_finger", "is_followed"), [(True, True), (False, True), (True, False)])
+def test_a_finger_is_seen_of_which_nothing_lies_where_it_is_expected(
+    device: RenderingDevice, scene: Scene, is_finger: bool, is_followed: bool
+) -> None:
+    """As one whose first half a thumb hides. A stick that goes on is none, nor is one of an unknown hand."""
+    pose = posed(SHAPES["one"])
+    hand, drawn = PredictedHand.of(ANATOMY, pose), drawn_hand(device, pose)
+    knuckle, tip = (hand.joints[JOINT_NAMES.index(f"index_{name}")] for name in ("mcp", "tip"))
+    x, y = across_at(float(tip[2]))
+    beyond = (y <= knuckle[1] - 50.0) & (drawn > 0)
+    along = np.where(beyond | (drawn == 0), 0.0, np.maximum(0.0, knuckle[1] - 30.0 - y))
+    depth = np.where(drawn > 0, drawn - 3.0 * along, WALL_MM)  # up to 60 mm nearer, no step up to there
+    if not is_finger:
+        beyond |= (np.abs(x - tip[0]) < 7.0) & (y < tip[1] + 5.0) & (y > tip[1] - 110.0)
+        depth = np.where(beyond & (drawn == 0), tip[2], depth)
+    image, settings = depth.astype(np.float32), SegmentationSettings()
+    fist = PredictedHand.of(ANATOMY, posed(SHAPES["fist"]))
+    told = segment(image, SAMPLER, scene.window, KINECT, fist, settings, is_followed=is_followed)
+    labels = told.labels[scene.in_window(beyond)]
+    assert len(labels) > 25
+    assert (labels == (Label.HAND if is_finger and is_followed else Label.OTHER)).mean() > 0.95
+
+
+def test_a_body_seen_between_two_fingers_is_no_finger(device: RenderingDevice, scene: Scene) -> None:
+    """A slim piece of it within the hand's reach, beside the hand, but behind what surrounds it."""
+    pose = posed(SHAPES["two"])
+    hand, drawn = PredictedHand.of(ANATOMY, pose), drawn_hand(device, pose)
+    starts, tips = (
+        hand.joints[[JOINT_NAMES.index(f"{finger}_{name}") for finger in ("index", "middle")]]
+        for name in ("pip", "tip")
+    )
+    x, y = across_at(float(tips[:, 2].mean()))
+    gone = (starts[:, 1].mean() - y) / (starts[:, 1].mean() - tips[:, 1].mean())
+    sides = np.sort(starts[:, 0] + gone[..., None] * (tips[:, 0] - starts[:, 0]), axis=-1)
+    between = (gone > 0.0) & (gone < 0.7) & (x > sides[..., 0]) & (x < sides[..., 1]) & (drawn == 0)
+    image = np.where(drawn > 0, drawn, WALL_MM)
+    image[between] = tips[:, 2].mean() + 60.0
+    settings = SegmentationSettings()
+    told = segment(image.astype(np.float32), SAMPLER, scene.window, KINECT, hand, settings)
+    labels = told.labels[scene.in_window(between)]
+    assert len(labels) > 25
+    assert (labels == Label.OTHER).mean() > 0.95
+
+
 def test_a_hand_close_before_a_body_is_told_by_the_step_of_its_rim(scene: Scene) -> None:
     """30 mm behind the hand's back there is a chest: within all margins, but a surface that goes on."""
     chest = np.where(scene.is_hand, scene.drawn, 700.0).astype(np.float32)
