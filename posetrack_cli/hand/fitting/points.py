@@ -177,13 +177,13 @@ class PlaceFitter:
     """Lays a hand on places of its joints.
 
     Args:
-        anatomy: the hand. No finger is hidden whose joints are told, so where closed fingers usually are is
+        anatomy: the hand. No finger is hidden whose joints are told, so where closing fingers usually are is
             no evidence.
     """
 
     def __init__(self, anatomy: HandAnatomy) -> None:
         self._skeleton, self._workspace = skeleton_of(anatomy), make_point_workspace()
-        self._plausibility = plausibility_of(anatomy)._replace(closed_odds=-np.inf)
+        self._plausibility = plausibility_of(anatomy)._replace(closing_odds=-np.inf)
 
     def fit(self, about: PlacesToFit, pose: FloatArray) -> None:
         """Move a pose (22,) to places (``fit_places``)."""

@@ -28,9 +28,9 @@ from support.hand import KINECT, REST, bent, random_poses
 
 SPACE = BodySpace()
 ABOUT = plausibility_of(RIGHT.anatomy)
-NEVER_CLOSED = ABOUT._replace(closed_odds=-np.inf)
-FREE = NEVER_CLOSED._replace(rest=np.zeros(15))
-ONLY_COLLISIONS = FREE._replace(limit=0.0, taut=0.0, closing=0.0)
+NEVER_CLOSING = ABOUT._replace(closing_odds=-np.inf)
+FREE = NEVER_CLOSING._replace(rest=np.zeros(15))
+ONLY_COLLISIONS = FREE._replace(limit=0.0, taut=0.0)
 # The joints of index and middle cross when the fingers are spread towards each other.
 CROSSED = bent(
     index_mcp_abduction=-0.33, middle_mcp_abduction=0.29, thumb_cmc_flexion=0.9, index_mcp_flexion=1.0
@@ -69,7 +69,7 @@ def tangent(name: str) -> int:
 
 def test_a_relaxed_hand_costs_nothing_but_bent_fingers_abduction() -> None:
     np.testing.assert_array_equal(RELAXED, np.clip(RELAXED, *ANGLE_LIMITS.T))
-    value, equations = potential(relaxed(), NEVER_CLOSED._replace(taut=0.0))
+    value, equations = potential(relaxed(), NEVER_CLOSING._replace(taut=0.0))
     assert value == 0.0
     assert not equations.vector.any()
     np.testing.assert_allclose(np.diag(equations.matrix)[6:21], ABOUT.rest)
@@ -78,7 +78,7 @@ def test_a_relaxed_hand_costs_nothing_but_bent_fingers_abduction() -> None:
 def test_inside_the_limits_a_hand_is_pulled_to_the_relaxed_one_alone() -> None:
     pose = relaxed()
     pose[7 + ANGLE_NAMES.index("middle_pip_flexion")] += 0.4
-    value, equations = potential(pose, NEVER_CLOSED._replace(taut=0.0))
+    value, equations = potential(pose, NEVER_CLOSING._replace(taut=0.0))
     rest = ABOUT.rest[ANGLE_NAMES.index("middle_pip_flexion")]
     assert value == pytest.approx(0.5 * rest * 0.4**2)
     expected = np.zeros(21)
@@ -89,7 +89,7 @@ def test_inside_the_limits_a_hand_is_pulled_to_the_relaxed_one_alone() -> None:
 @pytest.mark.parametrize("k", range(15))
 @pytest.mark.parametrize("side", [0, 1])
 def test_beyond_a_limit_the_pull_is_back_by_the_excess(k: int, side: int) -> None:
-    about = FREE._replace(taut=0.0, closing=0.0, overlap=0.0)
+    about = FREE._replace(taut=0.0, overlap=0.0)
     pose, excess = relaxed(), (-1.0, 1.0)[side] * 0.1
     pose[7 + k] = ANGLE_LIMITS[k, side] + excess
     value, equations = potential(pose, about)
@@ -101,7 +101,7 @@ def test_beyond_a_limit_the_pull_is_back_by_the_excess(k: int, side: int) -> Non
 
 
 def test_a_bent_finger_is_not_spread() -> None:
-    about = FREE._replace(closing=0.0, overlap=0.0)
+    about = FREE._replace(overlap=0.0)
     for bend, share in (
         (FREE_BEND, 0.0),
         (0.5 * (FREE_BEND + STIFF_BEND), 0.5),
@@ -112,54 +112,47 @@ def test_a_bent_finger_is_not_spread() -> None:
         assert potential(pose, about)[0] == pytest.approx(0.5 * 5.0 * share * 0.04)
 
 
-def test_a_finger_that_is_bent_at_its_knuckle_is_closed_and_one_that_is_hooked_left_alone() -> None:
-    about = FREE._replace(taut=0.0, overlap=0.0)
-    knuckle, middle = (ANGLE_NAMES.index(f"ring_{joint}_flexion") for joint in ("mcp", "pip"))
-    pose = relaxed()
-    pose[7 + knuckle] += 0.6
-    pose[7 + middle] += 0.2
-    value, equations = potential(pose, about)
-    assert value == pytest.approx(0.5 * ABOUT.closing * 0.4**2)
-    pull = np.zeros(21)
-    pull[[6 + knuckle, 6 + middle]] = [-0.4 * ABOUT.closing, 0.4 * ABOUT.closing]
-    np.testing.assert_allclose(equations.vector, pull, atol=1e-9)
-    pose[7 + middle] += 0.5  # bent more than its knuckle, as a hook is
-    value, equations = potential(pose, about)
-    assert value == 0.0 and not equations.vector.any() and not equations.matrix.any()
-
-
-def closed_part(mcp: float, pip: float) -> tuple[float, NormalEquations]:
+def closing_part(mcp: float, pip: float) -> tuple[float, NormalEquations]:
     """The potential of a hand whose ring finger is bent, but for limits, ligaments and collisions."""
     pose = relaxed()
     k = 7 + ANGLE_NAMES.index("ring_mcp_flexion")
     pose[k], pose[k + 2] = mcp, pip
-    return potential(pose, ABOUT._replace(taut=0.0, closing=0.0, overlap=0.0))
+    return potential(pose, ABOUT._replace(taut=0.0, overlap=0.0))
 
 
 @pytest.mark.parametrize("bend", [(0.3, 0.4), (0.8, 1.0), (1.1, 1.3), (1.3, 0.1)])
-def test_a_finger_is_relaxed_or_closed(bend: tuple[float, float]) -> None:
-    """-log of two Gaussians' sum, by their formula; the other three fingers are relaxed."""
+def test_a_finger_is_relaxed_or_closes(bend: tuple[float, float]) -> None:
+    """-log of two Gaussians' sum, the second one's covariance known; the other three fingers are relaxed."""
+    # joint 3 has the variance 1 / short_weight, joint 2 that of its own and what it bends with joint 3
+    knuckle, with_it = 1.0 / ABOUT.short_weight, ABOUT.together / ABOUT.short_weight
+    middle = 1.0 / ABOUT.closing_weight + ABOUT.together * with_it
+    information = np.linalg.inv([[knuckle, with_it], [with_it, middle]])
 
     def two_gaussians(finger: int, angles: FloatArray | None = None) -> float:
         flexions = [3 * finger, 3 * finger + 2]
         angles = RELAXED[flexions] if angles is None else angles
         rest = ABOUT.rest[flexions] @ np.square(angles - RELAXED[flexions])
-        closed = ABOUT.closed_weight * np.square(angles - ABOUT.closed).sum()
-        return float(-np.logaddexp(-0.5 * rest, ABOUT.closed_odds - 0.5 * closed))
+        closing = (angles - ABOUT.closed) @ information @ (angles - ABOUT.closed)
+        return float(-np.logaddexp(-0.5 * rest, ABOUT.closing_odds - 0.5 * closing))
 
     others = sum(two_gaussians(finger) for finger in (1, 2, 4))
-    value = closed_part(*bend)[0]
+    value = closing_part(*bend)[0]
     assert value == pytest.approx(two_gaussians(3, np.array(bend)) + others, abs=1e-9)
 
 
-def test_what_nothing_shows_of_a_half_closed_finger_is_closed_and_a_little_bent_one_is_left() -> None:
-    k = tangent("ring_mcp_flexion")
-    half = closed_part(0.95, 1.15)[1]
-    assert half.vector[k] > 2.0 and half.vector[k + 2] > 2.0
-    little = closed_part(0.35, 0.5)[1]
-    assert np.abs(little.vector[[k, k + 2]]).max() < 0.2
-    for bend in ((0.95, 1.15), (0.35, 0.5), (1.2, 1.4)):
-        assert np.linalg.eigvalsh(closed_part(*bend)[1].matrix).min() > -1e-9
+@pytest.mark.parametrize("mcp", [0.6, 0.9, 1.2])
+def test_a_middle_joint_that_nothing_shows_is_bent_with_the_knuckle(mcp: float) -> None:
+    """It comes to rest between the relaxed angle and that of fingers that close, nearer to this one."""
+    k = tangent("ring_pip_flexion")
+    bends = np.linspace(0.0, 1.9, 191)
+    rest = bends[int(np.argmin([closing_part(mcp, bend)[0] for bend in bends]))]
+    closing = ABOUT.closed[1] + ABOUT.together * (mcp - ABOUT.closed[0])
+    assert 0.75 * closing < rest <= closing + 0.01
+    assert (
+        closing_part(mcp, 0.7 * rest)[1].vector[k] > 0.2 > -0.2 > closing_part(mcp, 1.3 * rest)[1].vector[k]
+    )
+    for bend in (0.0, rest, 1.8):
+        assert np.linalg.eigvalsh(closing_part(mcp, bend)[1].matrix).min() > -1e-9
 
 
 @pytest.mark.parametrize("name", list(HANDS))
