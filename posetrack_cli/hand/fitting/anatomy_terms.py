@@ -37,8 +37,8 @@ finger's 81 degrees leave it free."""
 _CLOSED: FloatArray = _D * np.array([76.0, 87.0])
 """Flexion of joints 3 and 2 of a closed finger: between the fist that ``hand synth`` draws (80, 95) and the
 closed fingers of strangers who show their palms (66, 79; people 640-650, each with the own mesh). On the way
-there joint 2 bends with joint 3 (``Plausibility.together``), as people's fingers do on average: of CVAR's P1
-joint 2 is bent by 46, 55, 70 and 74 degrees where joint 3 is by 37, 52, 67 and 82, with an sd of 30, of P7, who
+there joint 2 bends with joint 3 (``Plausibility.together``), as people's fingers do on average: where joint 3
+is bent by 37, 52, 67 and 82 degrees, joint 2 of CVAR's P1 is by 46, 55, 70 and 74, sd 30, and that of P7, who
 points, by 87, 81, 83 and 83."""
 
 
@@ -65,7 +65,7 @@ class Plausibility(NamedTuple):
     radii: FloatArray
     rest: FloatArray
     closed: FloatArray
-    together: float = 0.8
+    together: float = 0.5
     limit: float = 400.0
     taut: float = 5.0
     closing_weight: float = 6.0
