@@ -6,9 +6,9 @@ were observed in every frame.
     joint limits          e = excess, rad
     abduction of a bent finger    e = abduction times the bend's share (taut collateral ligaments)
     relaxed hand          e = angle - relaxed angle, weakly: what nothing shows stays plausible
-    closing finger        or e = what joint 2 is bent more or less than in fingers that close with joint 3,
-                          and more weakly what that one is not closed, the more so the more probably a
-                          finger closes: nothing shows how far the fingers of a hand seen from the back do
+    closing finger        or e = angle of joint 2 - what joint 3 makes it where fingers close, and, weaker,
+                          angle of joint 3 - closed angle, the more so the more probably it closes:
+                          nothing shows how far the fingers of a hand seen from the back are closed
     collision             e = overlap of two fingers' spheres, mm
 """
 
@@ -37,7 +37,7 @@ finger's 81 degrees leave it free."""
 _CLOSED: FloatArray = _D * np.array([76.0, 87.0])
 """Flexion of joints 3 and 2 of a closed finger: between the fist that ``hand synth`` draws (80, 95) and the
 closed fingers of strangers who show their palms (66, 79; people 640-650, each with the own mesh). On the way
-there joint 2 bends with joint 3 (``Plausibility.together``), as people's fingers do on average: where joint 3
+there joint 2 bends with joint 3 (``Plausibility.coupling``), as people's fingers do on average: where joint 3
 is bent by 37, 52, 67 and 82 degrees, joint 2 of CVAR's P1 is by 46, 55, 70 and 74, sd 30, and that of P7, who
 points, by 87, 81, 83 and 83."""
 
@@ -51,9 +51,9 @@ class Plausibility(NamedTuple):
         radii: (5, 5) of the fingers' spheres, mm.
         rest: (15,) weights of the relaxed angles, 1 / rad^2.
         closed: (2,) flexion of joints 3 and 2 of a closed finger, rad.
-        together: how far joint 2 bends with joint 3 of a finger that closes.
+        coupling: how far joint 2 of a finger that closes bends for each radian of joint 3.
         limit, taut: weights, 1 / rad^2.
-        closing_weight: of joint 2 in a finger that closes; ``short_weight`` of what joint 3 is not closed.
+        closing_weight, knuckle_weight: of joints 2 and 3 of a finger that closes, 1 / rad^2.
         closing_odds: log odds of a finger that closes, the heights of both densities included.
         overlap: weight of a collision, 1 / mm^2.
         allowed_mm: how far skins may sink into each other.
@@ -65,11 +65,11 @@ class Plausibility(NamedTuple):
     radii: FloatArray
     rest: FloatArray
     closed: FloatArray
-    together: float = 0.5
+    coupling: float = 0.5
     limit: float = 400.0
     taut: float = 5.0
     closing_weight: float = 6.0
-    short_weight: float = 2.0
+    knuckle_weight: float = 2.0
     closing_odds: float = 2.2
     overlap: float = 0.2
     allowed_mm: float = 3.0
@@ -122,9 +122,9 @@ def _add_closing(about: Plausibility, angles: FloatArray, equations: NormalEquat
     for f in range(1, 5):
         a, b = 3 * f, 3 * f + 2
         short = about.closed[0] - angles[a]
-        off = about.closed[1] - about.together * short - angles[b]
+        off = about.closed[1] - about.coupling * short - angles[b]
         odds = about.closing_odds - 0.5 * (
-            about.closing_weight * off * off + about.short_weight * short * short
+            about.closing_weight * off * off + about.knuckle_weight * short * short
         )
         for i in (a, b):
             at_rest = about.relaxed[i] - angles[i]
@@ -132,23 +132,23 @@ def _add_closing(about: Plausibility, angles: FloatArray, equations: NormalEquat
         share = 1.0 / (1.0 + np.exp(-odds))
         for i in (a, b):
             _add_angle(equations, i, about.relaxed[i] - angles[i], -share * about.rest[i])
-        _add_angle(equations, a, short, share * about.short_weight)
-        _add_together(equations, a, b, about.together, off, share * about.closing_weight)
+        _add_angle(equations, a, short, share * about.knuckle_weight)
+        _add_coupled(equations, a, b, about.coupling, off, share * about.closing_weight)
         value -= np.log1p(np.exp(odds))
     return value
 
 
 @kernel
-def _add_together(
-    equations: NormalEquations, a: int, b: int, together: float, residual: float, weight: float
+def _add_coupled(
+    equations: NormalEquations, a: int, b: int, coupling: float, residual: float, weight: float
 ) -> None:
-    """Pull angle b, less so much of angle a, by a residual."""
+    """Pull angle b by a residual, and against it angle a, which it is coupled to."""
     i, j, H, g = 6 + a, 6 + b, equations.matrix, equations.vector
-    H[i, i] += weight * together * together
+    H[i, i] += weight * coupling * coupling
     H[j, j] += weight
-    H[i, j] -= weight * together
-    H[j, i] -= weight * together
-    g[i] -= weight * together * residual
+    H[i, j] -= weight * coupling
+    H[j, i] -= weight * coupling
+    g[i] -= weight * coupling * residual
     g[j] += weight * residual
 
 

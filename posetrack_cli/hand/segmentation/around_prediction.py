@@ -18,9 +18,9 @@ from posetrack_cli.hand.segmentation.prediction import PredictedHand, Silhouette
 from posetrack_cli.hand.segmentation.surfaces import (
     View,
     along,
+    behind_others,
     extent_mm,
     jump_mm,
-    nearest_around,
     pixel_mm,
     surface_labels,
     without_pinholes,
@@ -217,9 +217,9 @@ _FINGER_MM2, _LEAST_NEAR = 3000.0, 0.9
 _LEAST_MM2, _LEAST_MM, _WIDEST_MM, _GAP_MM = 300.0, 30.0, 26.0, 10.0
 """What a finger covers that stands out, how long it is and how wide at most, and how far from the limb it
 begins, behind the nearer finger's rim; of a hand of scale 1."""
-_BESIDE_PX, _MOST_BEHIND = 5, 0.4
-"""Pixels around which something nearer hides a reading, and the share of a finger's that are so: some 0.15
-where a thumb lies before its base, most of a background that is seen between two fingers."""
+_MOST_BEHIND = 0.4
+"""The share of a finger that lies behind something beside it: some 0.15 where a thumb hides its base,
+but most of a background that is seen between two fingers."""
 
 
 def _fingers(
@@ -258,12 +258,12 @@ def _fingers(
     if others.any() and limb.any():
         gap_px = cv2.distanceTransform((~limb).astype(np.uint8), cv2.DIST_L2, 3)
         beside = others[numbers] & (gap_px * view.apart < scale * _GAP_MM)
-        hidden = nearest_around(view.depth, _BESIDE_PX) < view.depth - jump
+        behind = behind_others(view.depth, jump)
         for k in np.unique(numbers[beside]).tolist():
             part = numbers == k
             length = extent_mm(view.points[part].astype(np.float64), float(view.apart[part].mean()))
             is_slim = length > scale * _LEAST_MM and whole[k] < scale * _WIDEST_MM * length
-            fingers[k] = is_slim and bool(hidden[part].mean() < _MOST_BEHIND)
+            fingers[k] = is_slim and bool(behind[part].mean() < _MOST_BEHIND)
     return fingers
 
 

@@ -11,8 +11,8 @@ from posetrack_cli.arrays import BoolArray, Float32Array, ImageArray, IntArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.config import DetectionSettings
 from posetrack_cli.hand.segmentation.surfaces import (
+    behind_others,
     jump_mm,
-    nearest_around,
     pixel_mm,
     points_of,
     rims,
@@ -21,8 +21,6 @@ from posetrack_cli.hand.segmentation.surfaces import (
 )
 from posetrack_cli.rendering.window import Window
 
-_BESIDE_PX = 5
-"""About how many missing pixels part a surface from one behind it."""
 _BEHIND_JUMPS = 3.0
 _SPREAD_MM = 25.0
 _APART_MM = 12.0
@@ -75,7 +73,7 @@ def surfaces_of(depth: Float32Array, window: Window, camera: Camera, steepest: f
     to_rim = np.minimum(cv2.distanceTransform(inside, cv2.DIST_L2, 3), max(depth.shape))
     radius = (to_rim + 0.5) * apart  # a rim belongs half to its surface
     radius[whole <= 0] = 0.0
-    behind = nearest_around(whole, _BESIDE_PX) < whole - _BEHIND_JUMPS * jump
+    behind = behind_others(whole, _BEHIND_JUMPS * jump)
     return Surfaces(window, whole, points_of(whole, window, camera), numbers, sizes, behind, radius, apart)
 
 

@@ -14,6 +14,8 @@ from posetrack_cli.rendering.window import Window
 _BESIDE = np.ones((3, 3), np.uint8)
 _NOISE_MM = 6.0
 _FAR_MM = np.float32(1e9)
+_ACROSS_PX = 5
+"""About how many missing pixels part a surface from one behind it."""
 
 
 def points_of(depth: Float32Array, window: Window, camera: Camera) -> Float32Array:
@@ -109,6 +111,12 @@ def nearest_around(depth: Float32Array, size: int) -> Float32Array:
     """The nearest reading (h, w) in a square around each pixel; far away where there is none."""
     read = np.where(depth > 0, depth, _FAR_MM)
     return np.asarray(cv2.erode(read, np.ones((size, size), np.uint8)), dtype=np.float32)
+
+
+def behind_others(depth: Float32Array, step: Float32Array) -> BoolArray:
+    """Return which readings (h, w) have one beside them that is nearer by more than a step (h, w), mm."""
+    behind: BoolArray = nearest_around(depth, _ACROSS_PX) < depth - step
+    return behind
 
 
 def extent_mm(points: FloatArray, pixel_mm: float) -> float:

@@ -123,9 +123,9 @@ def closing_part(mcp: float, pip: float) -> tuple[float, NormalEquations]:
 @pytest.mark.parametrize("bend", [(0.3, 0.4), (0.8, 1.0), (1.1, 1.3), (1.3, 0.1)])
 def test_a_finger_is_relaxed_or_closes(bend: tuple[float, float]) -> None:
     """-log of two Gaussians' sum, the second one's covariance known; the other three fingers are relaxed."""
-    # joint 3 has the variance 1 / short_weight, joint 2 that of its own and what it bends with joint 3
-    knuckle, with_it = 1.0 / ABOUT.short_weight, ABOUT.together / ABOUT.short_weight
-    middle = 1.0 / ABOUT.closing_weight + ABOUT.together * with_it
+    # joint 3 has the variance 1 / knuckle_weight, joint 2 that of its own and what it bends with joint 3
+    knuckle, with_it = 1.0 / ABOUT.knuckle_weight, ABOUT.coupling / ABOUT.knuckle_weight
+    middle = 1.0 / ABOUT.closing_weight + ABOUT.coupling * with_it
     information = np.linalg.inv([[knuckle, with_it], [with_it, middle]])
 
     def two_gaussians(finger: int, angles: FloatArray | None = None) -> float:
@@ -146,7 +146,7 @@ def test_a_middle_joint_that_nothing_shows_is_bent_with_the_knuckle(mcp: float) 
     k = tangent("ring_pip_flexion")
     bends = np.linspace(0.0, 1.9, 191)
     rest = bends[int(np.argmin([closing_part(mcp, bend)[0] for bend in bends]))]
-    closing = ABOUT.closed[1] + ABOUT.together * (mcp - ABOUT.closed[0])
+    closing = ABOUT.closed[1] + ABOUT.coupling * (mcp - ABOUT.closed[0])
     assert 0.75 * closing < rest <= closing + 0.01
     assert (
         closing_part(mcp, 0.7 * rest)[1].vector[k] > 0.2 > -0.2 > closing_part(mcp, 1.3 * rest)[1].vector[k]
