@@ -36,6 +36,7 @@ KERNEL_SOURCES = (
     "head/face/points.py",
     "head/face/templates.py",
     "head/particles/kernels.py",
+    "head/particles/score_maps.py",
     "head/refinement/*.py",
     "head/skin/equations.py",
     "head/adjustment/solver/*.py",

@@ -57,6 +57,8 @@ def picture(camera, pose, shape):
 
 def observation(pose, shape, used, visibility=None):
     corner = (SPOT - 16) // 2
-    templates = np.array([spots()[:, corner : corner + 16, corner : corner + 16]] * len(used))
+    middles = spots()[:, corner : corner + 16, corner : corner + 16]
+    away = middles - middles.mean(axis=(1, 2), keepdims=True)
+    templates = np.array([away / np.linalg.norm(away, axis=(1, 2), keepdims=True)] * len(used))
     visible = np.ones((len(used), POINT_COUNT)) if visibility is None else visibility
     return PatchObservation([picture(camera, pose, shape) for camera in used], templates, visible)

@@ -1,4 +1,4 @@
-"""The loops over particles that cost time: where they see the points, what is looked up there; compiled.
+"""The loops over particles that cost time: their turns and shapes, and where they see the points; compiled.
 
 Arrays have the particles last, and float32 numbers: 1e-4 px at 1000 px.
 """
@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from posetrack_cli.arrays import Float32Array, FloatArray
-from posetrack_cli.compiled import inlined, kernel
+from posetrack_cli.compiled import kernel
 from posetrack_cli.geometry.kernels import (
     quaternion_from_vector,
     quaternion_product,
@@ -146,46 +146,3 @@ def write_pixels(
             over = one / (Z if in_front else one)
             u[k, n] = fx * (X * over) + cx if in_front else behind
             v[k, n] = fy * (Y * over) + cy if in_front else behind
-
-
-@kernel
-def add_scores(
-    scores: Float32Array,
-    left: float,
-    top: float,
-    u: Float32Array,
-    v: Float32Array,
-    weight: float,
-    between: bool,
-    total: FloatArray,
-) -> None:
-    """Add weight times the score at each particle's pixel; nothing outside the map.
-
-    Args:
-        scores: (H, W) of pixels left + column, top + row.
-        left, top: pixel of the first score.
-        u, v: (N,) pixels.
-        weight: of this point.
-        between: interpolate bilinearly, else take the nearest score.
-        total: (N,) added to.
-    """
-    last_column, last_row = scores.shape[1] - 1, scores.shape[0] - 1
-    for n in range(u.size):
-        column, row = u[n] - left, v[n] - top
-        if between:
-            if 0.0 <= column <= last_column and 0.0 <= row <= last_row:
-                total[n] += weight * _bilinear(scores, column, row)
-        elif -0.5 <= column < last_column + 0.5 and -0.5 <= row < last_row + 0.5:
-            total[n] += weight * scores[int(row + 0.5), int(column + 0.5)]
-
-
-@inlined
-def _bilinear(scores: Float32Array, u: float, v: float) -> float:
-    """Interpolate (H, W) at column u in [0, W - 1] and row v in [0, H - 1]."""
-    column, row = np.uint32(u), np.uint32(v)
-    right, below = min(column + 1, scores.shape[1] - 1), min(row + 1, scores.shape[0] - 1)
-    s, t = u - column, v - row
-    upper = (1.0 - s) * scores[row, column] + s * scores[row, right]
-    lower = (1.0 - s) * scores[below, column] + s * scores[below, right]
-    value: float = (1.0 - t) * upper + t * lower
-    return value

@@ -1,133 +1,24 @@
-"""How well the images agree with particles: project, score maps, look up (thesis, 3.28 and 3.4).
-
-The thesis correlates per particle and point (3.3.1). All particles see a point within a small box of the
-image; there one cv2.matchTemplate gives every correlation at once, and particles look theirs up. The numbers
-are the same, and the cost depends on the box, not on the number of particles.
-
-A template has PATCH x PATCH pixels, at the offsets (column - 7.5, row - 7.5) from its point.
-"""
+"""How well the images agree with particles: project, correlate, look up (thesis, 3.28 and 3.4)."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
-import cv2
 import numpy as np
 
 from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.distortion import distort
-from posetrack_cli.head.face.patches import PATCH
 from posetrack_cli.head.face.pose import POSE_SIZE
 from posetrack_cli.head.particles.kernels import (
-    add_scores,
     write_pixels,
     write_rotations,
     write_shapes,
     write_transforms,
 )
 from posetrack_cli.head.particles.particles import HeadParticles
-
-HALF = 0.5 * (PATCH - 1)
-LARGEST_BOX = 160
-"""Pixels a side. It is cut about its middle beyond; particles outside score 0."""
-
-
-class Box(NamedTuple):
-    """Pixels of top left corners that a template is laid at: columns left..right, rows top..bottom."""
-
-    left: int
-    top: int
-    right: int
-    bottom: int
-
-    @property
-    def is_empty(self) -> bool:
-        """Whether there is no place in the image for the template."""
-        return self.right < self.left or self.bottom < self.top
-
-    def holds(self, other: Box) -> bool:
-        """Whether another box lies in this one."""
-        return (
-            self.left <= other.left
-            and self.top <= other.top
-            and self.right >= other.right
-            and self.bottom >= other.bottom
-        )
-
-    def grown(self, margin: int, size: tuple[int, ...]) -> Box:
-        """Return the box with a margin around it, within an image of this (height, width)."""
-        height, width = size
-        return Box(
-            max(self.left - margin, 0),
-            max(self.top - margin, 0),
-            min(self.right + margin, width - PATCH),
-            min(self.bottom + margin, height - PATCH),
-        )
-
-
-class ScoreMap(NamedTuple):
-    """Normalised correlations, -1 to 1.
-
-    Attributes:
-        scores: (H, W).
-        left, top: pixel of the point, not of the corner, for scores[0, 0].
-    """
-
-    scores: Float32Array
-    left: float
-    top: float
-
-
-def boxes_around(
-    u: Float32Array, v: Float32Array, size: tuple[int, ...], largest: int = LARGEST_BOX
-) -> list[Box]:
-    """Return the places that the particles look at for each point, within the image.
-
-    Args:
-        u, v: (K, N) pixels of K points.
-        size: (height, width) of the image.
-        largest: side; what is larger is cut about its middle.
-    """
-    columns = zip(u.min(axis=1).tolist(), u.max(axis=1).tolist(), strict=True)
-    rows = zip(v.min(axis=1).tolist(), v.max(axis=1).tolist(), strict=True)
-    boxes = []
-    for (left, right), (top, bottom) in zip(columns, rows, strict=True):
-        first, last = _span(left, right, size[1], largest), _span(top, bottom, size[0], largest)
-        boxes.append(Box(first[0], last[0], first[1], last[1]))
-    return boxes
-
-
-def score_map(image: ImageArray, template: ImageArray, box: Box) -> ScoreMap:
-    """Return the normalised correlations (TM_CCOEFF_NORMED) of a template at every place of a box.
-
-    Args:
-        image: (height, width), grey.
-        template: (PATCH, PATCH) float32; mean and norm do not matter.
-        box: not empty.
-    """
-    window = image[box.top : box.bottom + PATCH, box.left : box.right + PATCH].astype(np.float32)
-    scores = cv2.matchTemplate(window, template, cv2.TM_CCOEFF_NORMED)
-    return ScoreMap(np.asarray(scores, np.float32), box.left + HALF, box.top + HALF)
-
-
-def _span(low: float, high: float, size: int, largest: int) -> tuple[int, int]:
-    """Return the first and the last corner for points between low and high on an axis of `size` pixels."""
-    last = size - PATCH
-    first = math.floor(min(max(low - HALF, 0.0), last + 1.0))
-    final = math.ceil(max(min(high - HALF, last), -1.0))
-    excess = final - first + 1 - largest
-    if excess > 0:
-        first += excess // 2
-        final = first + largest - 1
-    return first, final
-
-
-MARGIN_PX = 2
-"""What a map has around its particles, so that it often serves for the second weighing too."""
+from posetrack_cli.head.particles.score_maps import ScoreMaps, add_all_scores
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +27,7 @@ class PatchObservation:
 
     Attributes:
         images: one a camera, grey; None where a camera gave none.
-        templates: (C, K, PATCH, PATCH) float32, warped to the predicted pose.
+        templates: (C, K, PATCH, PATCH) float32 of zero mean and unit norm, warped to the predicted pose.
         visibility: (C, K) weights 0 to 1 of the correlations.
     """
 
@@ -153,19 +44,30 @@ class PatchObservation:
 
 
 class ParticleScores:
-    """Scores particles on the images of one frame at a time; keeps its arrays from frame to frame."""
+    """Scores particles on the images of one frame at a time; keeps its arrays from frame to frame.
+
+    Attributes:
+        maps_made: how many score maps the frame took so far.
+    """
 
     def __init__(self, cameras: Sequence[Camera], between: bool) -> None:
         """Score on images of these cameras, looked up bilinearly if `between`, else at the nearest place."""
         self._projection = ParticleProjection(cameras)
         self._between = between
-        self._maps: dict[tuple[int, int], tuple[Box, ScoreMap]] = {}
+        self._maps: list[ScoreMaps] = []
+        self.maps_made = 0
 
     def observe(self, observation: PatchObservation, particles: HeadParticles) -> None:
         """Take a frame, and what the deviations of particles are counted from."""
-        self._observation, self._weights = observation, observation.weights
+        self._images = [_for_kernels(image) for image in observation.images]
+        self._templates, self._weights = observation.templates, observation.weights
         self._projection.set_reference(particles)
-        self._maps.clear()
+        cameras, points = self._weights.shape
+        if not self._maps:
+            self._maps = [ScoreMaps.of(points) for _ in range(cameras)]
+        for maps in self._maps:
+            maps.clear()
+        self.maps_made = 0
 
     @property
     def visible(self) -> float:
@@ -182,32 +84,19 @@ class ParticleScores:
         """
         total = np.zeros(len(deviations))
         self._projection.set_particles(deviations)
-        for c, image in enumerate(self._observation.images):
-            if image is not None and self._weights[c].any():
-                self._add(c, image, total)
+        for c, image in enumerate(self._images):
+            weights = self._weights[c]
+            if image is not None and weights.any():
+                pixels, templates = self._projection.pixels(c), self._templates[c]
+                parts = image, templates, weights, *pixels, self._between, *self._maps[c], total
+                self.maps_made += add_all_scores(*parts)
         missing: FloatArray = self.visible - total
         return missing
 
-    def _add(self, c: int, image: ImageArray, total: FloatArray) -> None:
-        """Add what each particle's points score on one camera's image."""
-        u, v = self._projection.pixels(c)
-        boxes = boxes_around(u, v, image.shape)
-        for k in np.flatnonzero(self._weights[c]).tolist():
-            if not boxes[k].is_empty:
-                scores, left, top = self._map(c, k, image, boxes[k])
-                weight = float(self._weights[c, k])
-                add_scores(scores, left, top, u[k], v[k], weight, self._between, total)
 
-    def _map(self, c: int, k: int, image: ImageArray, box: Box) -> ScoreMap:
-        """Return a map of at least this box: the one at hand if it is large enough."""
-        if (c, k) in self._maps:
-            known, scores = self._maps[c, k]
-            if known.holds(box):
-                return scores
-        wide = box.grown(MARGIN_PX, image.shape)
-        scores = score_map(image, self._observation.templates[c, k], wide)
-        self._maps[c, k] = wide, scores
-        return scores
+def _for_kernels(image: ImageArray | None) -> ImageArray | None:
+    """Return an image as kernels are compiled for: rows one after the other, and writable."""
+    return None if image is None else np.require(image, np.uint8, ("C", "W"))
 
 
 NORMALISED = np.array([1.0, 1.0, 0.0, 0.0], np.float32)

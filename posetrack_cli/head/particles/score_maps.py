@@ -1,0 +1,250 @@
+"""Score maps: what a template correlates by at every place, and what particles look up there; compiled.
+
+The thesis correlates per particle and point (3.3.1). All particles see a point within a small box of the
+image: there every correlation is computed once, and particles look theirs up. The numbers are the same, and
+the cost depends on the box, not on the number of particles.
+
+A template has PATCH x PATCH pixels, at the offsets (column - 7.5, row - 7.5) from its point. A box is four
+numbers: the first and last columns and rows that its top left corner is laid at.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray, IntArray
+from posetrack_cli.compiled import inlined, kernel
+from posetrack_cli.head.face.patches import LEAST_CONTRAST, PATCH, SIZE
+
+HALF = 0.5 * (PATCH - 1)
+LARGEST_BOX = 160
+"""Places a side. A box is cut about its middle beyond; particles outside score 0."""
+MARGIN_PX = 2
+"""What a map has around its particles, so that it often serves for the second weighing too."""
+LEFT, RIGHT, TOP, BOTTOM = range(4)
+_STRIDE = 4  # columns of the template that are added at a time
+_LEAST_ENERGY = SIZE * LEAST_CONTRAST**2
+
+
+class ScoreMaps(NamedTuple):
+    """The maps of K points on one camera's image.
+
+    Attributes:
+        boxes: (K, 4) left, right, top, bottom; empty, right < left, where there is no map.
+        scores: (K, side, side) normalised correlations, -1 to 1, of the template laid at left + column and
+            top + row; used as far as the box goes.
+    """
+
+    boxes: IntArray
+    scores: Float32Array
+
+    @classmethod
+    def of(cls, points: int) -> ScoreMaps:
+        """Return room for the maps of so many points; there are none yet."""
+        side = LARGEST_BOX + 2 * MARGIN_PX
+        maps = cls(np.zeros((points, 4), np.int64), np.empty((points, side, side), np.float32))
+        maps.clear()
+        return maps
+
+    def clear(self) -> None:
+        """Forget the maps: another image comes."""
+        self.boxes[:] = 0, -1, 0, -1
+
+
+@kernel
+def add_all_scores(
+    image: ImageArray,
+    templates: Float32Array,
+    weights: FloatArray,
+    u: Float32Array,
+    v: Float32Array,
+    between: bool,
+    boxes: IntArray,
+    scores: Float32Array,
+    total: FloatArray,
+) -> int:
+    """Add what each particle's points score on an image, weighted.
+
+    Args:
+        image: (height, width), grey.
+        templates: (K, PATCH, PATCH) of zero mean and unit norm.
+        weights: (K,); a point of weight 0 is left out.
+        u, v: (K, N) pixels.
+        between: interpolate bilinearly, else take the nearest score.
+        boxes, scores: ``ScoreMaps``: of this image, or none; renewed where they do not hold all particles.
+        total: (N,) added to.
+
+    Returns:
+        How many maps were made.
+    """
+    height, width = image.shape
+    made, box = 0, np.empty(4, np.int64)
+    for k in range(u.shape[0]):
+        if weights[k] == 0.0:
+            continue
+        write_box(u[k], v[k], width, height, LARGEST_BOX, box)
+        if box[RIGHT] < box[LEFT] or box[BOTTOM] < box[TOP]:
+            continue
+        known = boxes[k]
+        if not _holds(known, box):
+            known[LEFT], known[TOP] = max(box[LEFT] - MARGIN_PX, 0), max(box[TOP] - MARGIN_PX, 0)
+            known[RIGHT] = min(box[RIGHT] + MARGIN_PX, width - PATCH)
+            known[BOTTOM] = min(box[BOTTOM] + MARGIN_PX, height - PATCH)
+            correlate(image, templates[k], known, scores[k])
+            made += 1
+        add_scores(scores[k], known, u[k], v[k], weights[k], between, total)
+    return made
+
+
+@kernel
+def write_box(u: Float32Array, v: Float32Array, width: int, height: int, largest: int, box: IntArray) -> None:
+    """Write the places, within an image, that particles look at for a point.
+
+    Args:
+        u, v: (N,) pixels.
+        width, height: of the image.
+        largest: side; what is larger is cut about its middle.
+        box: (4,) out, empty if no place of the image is looked at.
+    """
+    box[LEFT], box[RIGHT] = _span(u, width, largest)
+    box[TOP], box[BOTTOM] = _span(v, height, largest)
+
+
+@inlined
+def _span(pixels: Float32Array, size: int, largest: int) -> tuple[int, int]:
+    """Return the first and the last corner for points on an axis of `size` pixels."""
+    low, high = pixels[0], pixels[0]
+    for n in range(1, pixels.size):
+        low, high = min(low, pixels[n]), max(high, pixels[n])
+    last = size - PATCH
+    first = math.floor(min(max(low - HALF, 0.0), last + 1.0))
+    final = math.ceil(max(min(high - HALF, float(last)), -1.0))
+    excess = final - first + 1 - largest
+    if excess > 0:
+        first += excess // 2
+        final = first + largest - 1
+    return first, final
+
+
+@inlined
+def _holds(box: IntArray, other: IntArray) -> bool:
+    """Whether another box lies in this one."""
+    across = bool(box[LEFT] <= other[LEFT] and box[RIGHT] >= other[RIGHT])
+    return across and bool(box[TOP] <= other[TOP] and box[BOTTOM] >= other[BOTTOM])
+
+
+@kernel
+def correlate(image: ImageArray, template: Float32Array, box: IntArray, scores: Float32Array) -> None:
+    """Write the normalised correlations of a template at every place of a box.
+
+    With I' = I - mean of the box, t of zero mean and unit norm and sums over the template's pixels,
+    sum t I' / sqrt(sum I'^2 - (sum I')^2 / SIZE). 0 where the image has less contrast than LEAST_CONTRAST.
+    Sums of I' and I'^2 are whole numbers below 2^24: float32 holds them exactly.
+
+    Args:
+        image: (height, width), grey.
+        template: (PATCH, PATCH).
+        box: not empty, within the image.
+        scores: (>= rows, >= columns of the box) out.
+    """
+    columns, rows = box[RIGHT] - box[LEFT] + 1, box[BOTTOM] - box[TOP] + 1
+    window = _window(image, box)
+    sums, squares = np.zeros(window.shape[1], np.float32), np.zeros(window.shape[1], np.float32)
+    for y in range(PATCH - 1):
+        _add_row(window[y], np.float32(1.0), sums, squares)
+    products = np.empty(columns, np.float32)
+    for row in range(rows):
+        _add_row(window[row + PATCH - 1], np.float32(1.0), sums, squares)
+        _write_products(window[row : row + PATCH], template, products)
+        s, q = np.float32(0.0), np.float32(0.0)
+        for x in range(PATCH - 1):
+            s, q = s + sums[x], q + squares[x]
+        for column in range(columns):
+            s, q = s + sums[column + PATCH - 1], q + squares[column + PATCH - 1]
+            energy = float(q) - float(s) * float(s) / SIZE
+            scores[row, column] = products[column] / np.sqrt(energy) if energy >= _LEAST_ENERGY else 0.0
+            s, q = s - sums[column], q - squares[column]
+        _add_row(window[row], np.float32(-1.0), sums, squares)
+
+
+@inlined
+def _window(image: ImageArray, box: IntArray) -> Float32Array:
+    """Return the pixels under a template anywhere in a box, less their mean, rounded down."""
+    width, height = box[RIGHT] - box[LEFT] + PATCH, box[BOTTOM] - box[TOP] + PATCH
+    total = 0
+    for y in range(height):
+        for x in range(width):
+            total += image[box[TOP] + y, box[LEFT] + x]
+    mean = np.float32(total // (width * height))
+    window = np.empty((height, width), np.float32)
+    for y in range(height):
+        for x in range(width):
+            window[y, x] = np.float32(image[box[TOP] + y, box[LEFT] + x]) - mean
+    return window
+
+
+@inlined
+def _add_row(row: Float32Array, sign: np.float32, sums: Float32Array, squares: Float32Array) -> None:
+    """Add a row of pixels, and their squares, to each column's sums; or take it away."""
+    for x in range(row.size):
+        sums[x] += sign * row[x]
+        squares[x] += sign * row[x] * row[x]
+
+
+@inlined
+def _write_products(window: Float32Array, template: Float32Array, products: Float32Array) -> None:
+    """Write the scalar products of a template with each place along PATCH rows of pixels."""
+    for column in range(products.size):
+        products[column] = np.float32(0.0)
+    for y in range(PATCH):
+        row, across = window[y], template[y]
+        for x in range(0, PATCH, _STRIDE):
+            a, b, c, d = across[x], across[x + 1], across[x + 2], across[x + 3]
+            for column in range(products.size):
+                one, two = a * row[column + x] + b * row[column + x + 1], c * row[column + x + 2]
+                products[column] += one + (two + d * row[column + x + 3])
+
+
+@kernel
+def add_scores(
+    scores: Float32Array,
+    box: IntArray,
+    u: Float32Array,
+    v: Float32Array,
+    weight: float,
+    between: bool,
+    total: FloatArray,
+) -> None:
+    """Add weight times the score at each particle's pixel; nothing outside the map.
+
+    Args:
+        scores, box: of a map.
+        u, v: (N,) pixels.
+        weight: of this point.
+        between: interpolate bilinearly, else take the nearest score.
+        total: (N,) added to.
+    """
+    left, top = box[LEFT] + HALF, box[TOP] + HALF
+    last_column, last_row = box[RIGHT] - box[LEFT], box[BOTTOM] - box[TOP]
+    for n in range(u.size):
+        column, row = u[n] - left, v[n] - top
+        if between:
+            if 0.0 <= column <= last_column and 0.0 <= row <= last_row:
+                total[n] += weight * _bilinear(scores, last_column, last_row, column, row)
+        elif -0.5 <= column < last_column + 0.5 and -0.5 <= row < last_row + 0.5:
+            total[n] += weight * scores[int(row + 0.5), int(column + 0.5)]
+
+
+@inlined
+def _bilinear(scores: Float32Array, last_column: int, last_row: int, u: float, v: float) -> float:
+    """Interpolate at column u in [0, last_column] and row v in [0, last_row]."""
+    column, row = int(u), int(v)
+    right, below = min(column + 1, last_column), min(row + 1, last_row)
+    s, t = u - column, v - row
+    upper = (1.0 - s) * scores[row, column] + s * scores[row, right]
+    lower = (1.0 - s) * scores[below, column] + s * scores[below, right]
+    value: float = (1.0 - t) * upper + t * lower
+    return value
