@@ -34,6 +34,7 @@ KERNEL_SOURCES = (
     "head/detection/appearance.py",
     "head/face/patches.py",
     "head/face/points.py",
+    "head/face/rig_images.py",
     "head/face/templates.py",
     "head/particles/kernels.py",
     "head/particles/score_maps.py",

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray, ImageArray
+from posetrack_cli.compiled import kernel
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.distortion import distort, distortion_jacobian
 from posetrack_cli.geometry.projection import in_camera_axes, normalised_from_pixels, pixels_from_points
@@ -95,38 +96,76 @@ class Projection:
 
 def project(cameras: Sequence[Camera], points: FloatArray) -> Projection:
     """Project points (K, 3), mm in the reference camera's axes, through pinhole and lens of every camera."""
-    seen = [_project_one(camera, points) for camera in cameras]
-    return Projection(*(np.stack(parts) for parts in zip(*seen, strict=True)))
+    count, points = (len(cameras), len(points)), np.ascontiguousarray(points, dtype=np.float64)
+    seen = Projection(
+        np.empty((*count, 2)),
+        np.empty((*count, 2, 3)),
+        np.empty((*count, 3)),
+        np.empty((*count, 2, 3)),
+        np.empty(count, np.bool_),
+    )
+    for c, camera in enumerate(cameras):
+        seen.lenses[c] = _lens(camera, points) if camera.is_distorted else NO_LENS
+        transform = np.array(camera.camera_T_reference)
+        intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+        parts = seen.lenses[c], seen.pixels[c], seen.jacobians[c], seen.rays[c], seen.in_front[c]
+        _write_projection(points, transform, intrinsics, *parts)
+    return seen
 
 
-def _project_one(camera: Camera, points: FloatArray) -> tuple[FloatArray, ...]:
-    transform = np.array(camera.camera_T_reference)
-    R, t = transform[:, :3], transform[:, 3]
-    local = points @ R.T + t
-    in_front = local[:, 2] > 0.0
-    z = np.where(in_front, local[:, 2], 1.0)
+NO_LENS = np.eye(2, 3)
+
+
+def _lens(camera: Camera, points: FloatArray) -> FloatArray:
+    """Return (K, 2, 3) the lens linearised about where a camera sees points (K, 3): exact there."""
+    local = in_camera_axes(camera, points)
+    z = np.where(local[:, 2] > 0.0, local[:, 2], 1.0)
     x, y = local[:, 0] / z, local[:, 1] / z
-    lens = _lens(camera, x, y)
-    focal = np.array([camera.fx, camera.fy])
-    pinhole = np.zeros((len(points), 2, 3))  # d (x, y) / d local point
-    pinhole[:, 0, 0] = pinhole[:, 1, 1] = 1.0 / z
-    pinhole[:, 0, 2], pinhole[:, 1, 2] = -x / z, -y / z
-    jacobian = focal[:, None] * (lens[:, :, :2] @ pinhole) @ R
-    distorted = np.einsum("kij,kj->ki", lens, np.stack([x, y, np.ones_like(x)], axis=-1))
-    pixels = focal * distorted + np.array([camera.cx, camera.cy])
-    to_camera = -local @ R
-    rays = to_camera / np.linalg.norm(to_camera, axis=-1, keepdims=True)
-    return pixels, jacobian, rays, lens, in_front
-
-
-def _lens(camera: Camera, x: FloatArray, y: FloatArray) -> FloatArray:
-    """Return (K, 2, 3) the lens linearised at normalised coordinates (K,): exact there."""
-    lens = np.zeros((len(x), 2, 3))
-    if not camera.is_distorted:
-        lens[:, 0, 0] = lens[:, 1, 1] = 1.0
-        return lens
     a, b, c, d = distortion_jacobian(camera, x, y)
     u, v = distort(camera, x, y)
-    lens[:, 0] = np.stack([a, b, u - a * x - b * y], axis=-1)
-    lens[:, 1] = np.stack([c, d, v - c * x - d * y], axis=-1)
-    return lens
+    upper, lower = np.stack([a, b, u - a * x - b * y], axis=-1), np.stack([c, d, v - c * x - d * y], axis=-1)
+    return np.stack([upper, lower], axis=1)
+
+
+@kernel
+def _write_projection(
+    points: FloatArray,
+    transform: FloatArray,
+    intrinsics: FloatArray,
+    lenses: FloatArray,
+    pixels: FloatArray,
+    jacobians: FloatArray,
+    rays: FloatArray,
+    in_front: BoolArray,
+) -> None:
+    """Write what ``Projection`` says of one camera.
+
+    Args:
+        points: (K, 3) in the reference camera's axes, mm.
+        transform: (3, 4) ``camera_T_reference``.
+        intrinsics: fx, fy, cx, cy.
+        lenses: (K, 2, 3).
+        pixels, jacobians, rays, in_front: out.
+    """
+    local = np.empty(3)
+    for k in range(len(points)):
+        for i in range(3):
+            turned = transform[i, 0] * points[k, 0] + transform[i, 1] * points[k, 1]
+            local[i] = turned + transform[i, 2] * points[k, 2] + transform[i, 3]
+        in_front[k] = local[2] > 0.0
+        over = 1.0 / (local[2] if in_front[k] else 1.0)
+        x, y = local[0] * over, local[1] * over
+        away = np.sqrt(local[0] ** 2 + local[1] ** 2 + local[2] ** 2)
+        for i in range(2):
+            lens = lenses[k, i]
+            pixels[k, i] = intrinsics[i] * (lens[0] * x + lens[1] * y + lens[2]) + intrinsics[2 + i]
+            along = intrinsics[i] * over  # d pixel / d (X, Y, Z) in the camera's own axes, by its lens
+            deeper = -(lens[0] * x + lens[1] * y)
+            for j in range(3):
+                across = lens[0] * transform[0, j] + lens[1] * transform[1, j]
+                jacobians[k, i, j] = along * (across + deeper * transform[2, j])
+        for j in range(3):
+            to_camera = -(
+                transform[0, j] * local[0] + transform[1, j] * local[1] + transform[2, j] * local[2]
+            )
+            rays[k, j] = to_camera / away
