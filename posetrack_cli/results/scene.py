@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
@@ -12,7 +13,7 @@ from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from foxglove_schemas_protobuf.TriangleListPrimitive_pb2 import TriangleListPrimitive
 
-from posetrack_cli.arrays import BoolArray, FloatArray
+from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.projection import in_camera_axes, pixels_from_points
 from posetrack_cli.geometry.rotations import matrices_from_quaternions
@@ -123,34 +124,52 @@ def line_scene(estimate: Estimate, subject: Subject) -> SceneUpdate:
 
     The entity's id is constant, so each update replaces the one before; a lost subject is drawn faintly.
     """
+    names, points = (subject.camera_frame, subject.name), (estimate.points * METRES_PER_MM).tolist()
     message = SceneUpdate()
-    entity = message.entities.add(frame_id=subject.camera_frame, id=subject.name)
+    message.CopyFrom(_scene_of(*names, subject.lines, len(points), _faded(subject.colour, estimate)))
+    (entity,) = message.entities
     entity.timestamp.FromNanoseconds(estimate.stamp_ns)
-    entity.lifetime.FromNanoseconds(0)
-    red, green, blue, alpha = subject.colour
-    colour = {"r": red, "g": green, "b": blue, "a": alpha * _share(estimate)}
-    points = (estimate.points * METRES_PER_MM).tolist()
-    lines = entity.lines.add(type=LinePrimitive.LINE_LIST, thickness=LINE_PX, scale_invariant=True)
-    lines.pose.orientation.w = 1.0
-    _set(lines.color, colour)
-    for end in (end for line in subject.lines for end in line):
-        _set(lines.points.add(), dict(zip("xyz", points[end], strict=True)))
-    for point in points:
-        ball = entity.spheres.add()
-        _set(ball.pose.position, dict(zip("xyz", point, strict=True)))
-        ball.pose.orientation.w = 1.0
-        _set(ball.size, dict.fromkeys("xyz", POINT_MM * METRES_PER_MM))
-        _set(ball.color, colour)
+    ends = (end for line in subject.lines for end in line)
+    for drawn, end in zip(entity.lines[0].points, ends, strict=True):
+        drawn.x, drawn.y, drawn.z = points[end]
+    for ball, (x, y, z) in zip(entity.spheres, points, strict=True):
+        place = ball.pose.position
+        place.x, place.y, place.z = x, y, z
     return message
 
 
-def _share(estimate: Estimate) -> float:
-    return LOST_ALPHA if estimate.status is Status.LOST else 1.0
+_Rgba = tuple[float, float, float, float]
+_Lines = tuple[tuple[int, int], ...]
 
 
-def _set(target: object, values: dict[str, float]) -> None:
-    for name, value in values.items():
-        setattr(target, name, value)
+@lru_cache
+def _scene_of(frame: str, name: str, lines: _Lines, count: int, colour: _Rgba) -> SceneUpdate:
+    """Return what is the same in every scene of so many points, their places and the time left out."""
+    message = SceneUpdate()
+    entity = message.entities.add(frame_id=frame, id=name)
+    entity.lifetime.FromNanoseconds(0)
+    drawn = entity.lines.add(type=LinePrimitive.LINE_LIST, thickness=LINE_PX, scale_invariant=True)
+    drawn.pose.orientation.w = 1.0
+    _colour(drawn.color, colour)
+    for _ in range(2 * len(lines)):
+        drawn.points.add()
+    for _ in range(count):
+        ball = entity.spheres.add()
+        ball.pose.position.SetInParent()
+        ball.pose.orientation.w = 1.0
+        ball.size.x = ball.size.y = ball.size.z = POINT_MM * METRES_PER_MM
+        _colour(ball.color, colour)
+    return message
+
+
+def _faded(colour: _Rgba, estimate: Estimate) -> _Rgba:
+    """Return the colour that an estimate is drawn in."""
+    red, green, blue, alpha = colour
+    return red, green, blue, alpha * (LOST_ALPHA if estimate.status is Status.LOST else 1.0)
+
+
+def _colour(target: Any, rgba: _Rgba) -> None:
+    target.r, target.g, target.b, target.a = rgba
 
 
 AXIS_MM = 60.0
@@ -160,8 +179,6 @@ AXIS_COLOURS = ((1.0, 0.2, 0.2, 1.0), (0.2, 0.85, 0.2, 1.0), (0.25, 0.45, 1.0, 1
 POINT_COLOUR = (1.0, 0.9, 0.2, 1.0)
 POINT_PX, DRAWN_LINE_PX, AXIS_PX = 5.0, 1.5, 2.5
 
-_Rgba = tuple[float, float, float, float]
-
 
 def image_annotations(estimate: Estimate, subject: Subject, camera: Camera) -> ImageAnnotations:
     """Return what a camera sees of an estimate, in pixels of its image as it was taken, distortion included.
@@ -169,65 +186,69 @@ def image_annotations(estimate: Estimate, subject: Subject, camera: Camera) -> I
     The points, the subject's lines between them and the axes of the pose; what lies behind the camera is left
     out, and a lost subject is drawn faintly.
     """
-    message = ImageAnnotations()
-    message.timestamp.FromNanoseconds(estimate.stamp_ns)
     rotation = matrices_from_quaternions(estimate.quaternion)
     ends = estimate.position + AXIS_MM * rotation.T
     every = np.vstack([estimate.points, estimate.position[None], ends])
     pixels, seen = pixels_from_points(camera, in_camera_axes(camera, every))
-    share = LOST_ALPHA if estimate.status is Status.LOST else 1.0
-    draw = _Drawing(message, pixels, seen, share)
-    origin = len(estimate.points)
-    draw.lines(subject.lines, (subject.colour,) * len(subject.lines), DRAWN_LINE_PX)
-    draw.lines([(origin, origin + 1 + axis) for axis in range(3)], AXIS_COLOURS, AXIS_PX)
-    draw.dots(origin)
-    return message
+    of_lines = (_faded(subject.colour, estimate),) * len(subject.lines)
+    of_axes = tuple(_faded(colour, estimate) for colour in AXIS_COLOURS)
+    colours = of_lines, of_axes, _faded(POINT_COLOUR, estimate)
+    drawing = _drawing_of(subject.lines, tuple(seen.tolist()), colours)
+    return drawing.at(pixels, estimate.stamp_ns)
 
 
-class _Drawing:
-    """Adds to a message what is seen of some pixels (N, 2).
+class _Drawing(NamedTuple):
+    """What is drawn of points on an image.
 
-    Args:
-        message: to add to.
-        pixels: of points.
-        seen: (N,) which of them the camera sees.
-        share: of the opacity.
+    Attributes:
+        skeleton: all of it but the pixels and the time.
+        ends: which points its pixels are, in their order.
     """
 
-    def __init__(self, message: ImageAnnotations, pixels: FloatArray, seen: BoolArray, share: float) -> None:
-        self._message, self._share = message, share
-        self._pixels, self._seen = pixels.tolist(), seen.tolist()
+    skeleton: ImageAnnotations
+    ends: tuple[tuple[int, ...], ...]
 
-    def lines(self, pairs: Sequence[tuple[int, int]], colours: Sequence[_Rgba], px: float) -> None:
-        """Add lines between two pixels each, with a colour each."""
-        kept = [(pair, rgba) for pair, rgba in zip(pairs, colours, strict=True) if self._sees(pair)]
-        if not kept:
-            return
-        drawn = self._added(PointsAnnotation.LINE_LIST, px)
-        for pair, rgba in kept:
-            for end in pair:
-                drawn.points.add(x=self._pixels[end][0], y=self._pixels[end][1])
-            self._colour(drawn.outline_colors.add(), rgba)
+    def at(self, pixels: FloatArray, stamp_ns: int) -> ImageAnnotations:
+        """Return the drawing of points at pixels (N, 2)."""
+        message, places = ImageAnnotations(), pixels.tolist()
+        message.CopyFrom(self.skeleton)
+        message.timestamp.FromNanoseconds(stamp_ns)
+        for drawn, ends in zip(message.points, self.ends, strict=True):
+            drawn.timestamp.CopyFrom(message.timestamp)
+            for point, end in zip(drawn.points, ends, strict=True):
+                point.x, point.y = places[end]
+        return message
 
-    def dots(self, count: int) -> None:
-        """Add the first so many pixels."""
-        if not any(self._seen[:count]):
-            return
-        drawn = self._added(PointsAnnotation.POINTS, POINT_PX)
-        self._colour(drawn.outline_color, POINT_COLOUR)
-        for (x, y), seen in zip(self._pixels[:count], self._seen[:count], strict=True):
-            if seen:
-                drawn.points.add(x=x, y=y)
 
-    def _sees(self, pair: tuple[int, int]) -> bool:
-        return all(self._seen[end] for end in pair)
+@lru_cache
+def _drawing_of(
+    lines: _Lines, seen: tuple[bool, ...], colours: tuple[tuple[_Rgba, ...], tuple[_Rgba, ...], _Rgba]
+) -> _Drawing:
+    """Return the drawing of points, the last four of which are a pose's origin and the ends of its axes.
 
-    def _added(self, kind: PointsAnnotation.Type.ValueType, px: float) -> PointsAnnotation:
-        drawn: PointsAnnotation = self._message.points.add(type=kind, thickness=px)
-        drawn.timestamp.CopyFrom(self._message.timestamp)
-        return drawn
-
-    def _colour(self, target: object, rgba: _Rgba) -> None:
-        red, green, blue, alpha = rgba
-        target.r, target.g, target.b = red, green, blue  # type: ignore[attr-defined]
-        target.a = alpha * self._share  # type: ignore[attr-defined]
+    Args:
+        lines: between points.
+        seen: which points the camera sees.
+        colours: of the lines, of the axes, of the points.
+    """
+    message, drawn_ends = ImageAnnotations(), []
+    of_lines, of_axes, of_points = colours
+    origin = len(seen) - 1 - len(of_axes)
+    axes = tuple((origin, origin + 1 + axis) for axis in range(len(of_axes)))
+    for pairs, rgba, px in ((lines, of_lines, DRAWN_LINE_PX), (axes, of_axes, AXIS_PX)):
+        kept = [
+            (pair, each) for pair, each in zip(pairs, rgba, strict=True) if all(seen[end] for end in pair)
+        ]
+        if kept:
+            drawn = message.points.add(type=PointsAnnotation.LINE_LIST, thickness=px)
+            for _, each in kept:
+                _colour(drawn.outline_colors.add(), each)
+            drawn_ends.append(tuple(end for pair, _ in kept for end in pair))
+    dots = tuple(end for end in range(origin) if seen[end])
+    if dots:
+        _colour(message.points.add(type=PointsAnnotation.POINTS, thickness=POINT_PX).outline_color, of_points)
+        drawn_ends.append(dots)
+    for drawn, ends in zip(message.points, drawn_ends, strict=True):
+        for _ in ends:
+            drawn.points.add()
+    return _Drawing(message, tuple(drawn_ends))

@@ -48,7 +48,7 @@ class HeadPose:
         """Return the pose in one of several frames."""
         return HeadPose(self.position[index], self.quaternion[index])
 
-    @property
+    @cached_property
     def rotation(self) -> FloatArray:
         """The (3, 3) rotation matrix R."""
         return matrices_from_quaternions(self.quaternion)
@@ -94,8 +94,8 @@ class ShapeModel:
 
     def shapes(self, coefficients: FloatArray) -> FloatArray:
         """Return the shapes (..., K, 3), mm, of deformation coefficients (..., B), mm."""
-        shapes: FloatArray = self.mean + np.tensordot(coefficients, self.basis, axes=(-1, -1))
-        return shapes
+        moved = coefficients @ self.basis.reshape(self.mean.size, -1).T
+        return self.mean + moved.reshape(*moved.shape[:-1], *self.mean.shape)
 
 
 def rigid_model(mean: FloatArray) -> ShapeModel:

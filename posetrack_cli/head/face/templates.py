@@ -119,13 +119,16 @@ def template_images(patches: FloatArray) -> ImageArray:
     return patches.reshape(*patches.shape[:-1], PATCH, PATCH).astype(np.float32)
 
 
+ADJUGATE_SIGNS = np.array([[1.0, -1.0], [-1.0, 1.0]])
+
+
 def warps_between(source: FloatArray, target: FloatArray) -> FloatArray:
     """Return T_target T_source^-1 (..., 2, 2), NaN where that cannot be told or stretches too much."""
     a, b, c, d = source[..., 0, 0], source[..., 0, 1], source[..., 1, 0], source[..., 1, 1]
     determinant = a * d - b * c
-    adjugate = np.stack([np.stack([d, -b], axis=-1), np.stack([-c, a], axis=-1)], axis=-2)
-    safe = np.where(np.abs(determinant) > 0.0, determinant, np.nan)
-    warps: FloatArray = target @ adjugate / safe[..., None, None]
+    determinant[determinant == 0.0] = np.nan
+    adjugate = source[..., ::-1, ::-1].swapaxes(-1, -2) * ADJUGATE_SIGNS
+    warps: FloatArray = target @ adjugate / determinant[..., None, None]
     stretched = ~(np.abs(warps).max(axis=(-2, -1)) <= LARGEST_STRETCH)
     warps[stretched] = np.nan
     return warps

@@ -145,7 +145,7 @@ def _descended(
 ) -> FaceUnknowns:
     count = (len(scene.images.sizes), len(model.mean))
     state = FaceUnknowns(
-        pose.rotation,
+        pose.rotation.copy(),
         pose.position.copy(),
         np.array(coefficients, dtype=np.float64),
         residuals.copy(),

@@ -106,7 +106,8 @@ def lost_estimate(frame: Frame, track: TrackState | None, face: Description) -> 
 
 def padded(values: FloatArray, count: int) -> FloatArray:
     """Return the first ``count`` values; zeros where there are fewer."""
-    filled: FloatArray = np.pad(values[:count], (0, max(0, count - len(values))))
+    filled = np.zeros(count)
+    filled[: len(values)] = values[:count]
     return filled
 
 

@@ -122,7 +122,7 @@ def test_images_that_show_nothing_leave_everything_where_it_was():
 
 
 def state_at(pose, coefficients, residuals):
-    unknowns = pose.rotation, pose.position.copy(), coefficients.copy(), residuals.copy()
+    unknowns = pose.rotation.copy(), pose.position.copy(), coefficients.copy(), residuals.copy()
     return FaceUnknowns(*unknowns, np.zeros(6), np.empty((2, 10)))
 
 
