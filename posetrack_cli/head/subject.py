@@ -88,8 +88,8 @@ class StereoDiagnostics:
 
     def numbers(self, components: int) -> FloatArray:
         """Return the (M,) numbers for B components, in the order of ``stereo_diagnostic_names``."""
-        known = np.asarray(self.eigenvalues, dtype=float)[:components]
-        eigenvalues = np.pad(known, (0, components - len(known)), constant_values=np.nan)
+        eigenvalues = np.full(components, np.nan)
+        eigenvalues[: len(self.eigenvalues)] = self.eigenvalues[:components]
         weights = np.full(POINT_COUNT, np.nan) if self.weights is None else self.weights
         single = (self.contribution_ratio, float(self.learnt_frames), self.score)
         return np.concatenate([eigenvalues, single, weights, action_numbers(self.moved)])

@@ -14,7 +14,6 @@ from functools import cached_property
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.geometry.rigid import in_camera
 from posetrack_cli.geometry.rotations import (
     canonical,
     conjugate,
@@ -59,8 +58,9 @@ class HeadPose:
         return self.rotation[:, 2]
 
     def points(self, shape: FloatArray) -> FloatArray:
-        """Return R m + t, (..., 3) mm in camera axes, of points m (..., 3) in the head's frame."""
-        return in_camera(shape, self.position, self.quaternion)
+        """Return R m + t, (..., 3) mm in camera axes, of points m (..., 3) in the frame of one head."""
+        points: FloatArray = shape @ self.rotation.T + self.position
+        return points
 
     def moved(self, tangent: FloatArray) -> HeadPose:
         """Return the pose after a tangent vector (6,)."""

@@ -116,9 +116,7 @@ def write_box(u: Float32Array, v: Float32Array, width: int, height: int, largest
 @inlined
 def _span(pixels: Float32Array, size: int, largest: int) -> tuple[int, int]:
     """Return the first and the last corner for points on an axis of `size` pixels."""
-    low, high = pixels[0], pixels[0]
-    for n in range(1, pixels.size):
-        low, high = min(low, pixels[n]), max(high, pixels[n])
+    low, high = _extremes(pixels)
     last = size - PATCH
     first = math.floor(min(max(low - HALF, 0.0), last + 1.0))
     final = math.ceil(max(min(high - HALF, float(last)), -1.0))
@@ -127,6 +125,17 @@ def _span(pixels: Float32Array, size: int, largest: int) -> tuple[int, int]:
         first += excess // 2
         final = first + largest - 1
     return first, final
+
+
+@inlined
+def _extremes(pixels: Float32Array) -> tuple[float, float]:
+    """Return the least and the largest number; of every second one, too, so that two are looked at a time."""
+    a, b = pixels[0], pixels[0]
+    c, d = pixels[pixels.size - 1], pixels[pixels.size - 1]
+    for n in range(0, pixels.size - 1, 2):
+        a, b = min(a, pixels[n]), max(b, pixels[n])
+        c, d = min(c, pixels[n + 1]), max(d, pixels[n + 1])
+    return float(min(a, c)), float(max(b, d))
 
 
 @inlined
@@ -227,8 +236,8 @@ def add_scores(
         between: interpolate bilinearly, else take the nearest score.
         total: (N,) added to.
     """
-    left, top = box[LEFT] + HALF, box[TOP] + HALF
-    last_column, last_row = box[RIGHT] - box[LEFT], box[BOTTOM] - box[TOP]
+    left, top = np.float32(box[LEFT] + HALF), np.float32(box[TOP] + HALF)
+    last_column, last_row = np.float32(box[RIGHT] - box[LEFT]), np.float32(box[BOTTOM] - box[TOP])
     for n in range(u.size):
         column, row = u[n] - left, v[n] - top
         if between:
@@ -239,12 +248,15 @@ def add_scores(
 
 
 @inlined
-def _bilinear(scores: Float32Array, last_column: int, last_row: int, u: float, v: float) -> float:
+def _bilinear(
+    scores: Float32Array, last_column: np.float32, last_row: np.float32, u: np.float32, v: np.float32
+) -> np.float32:
     """Interpolate at column u in [0, last_column] and row v in [0, last_row]."""
-    column, row = int(u), int(v)
-    right, below = min(column + 1, last_column), min(row + 1, last_row)
-    s, t = u - column, v - row
-    upper = (1.0 - s) * scores[row, column] + s * scores[row, right]
-    lower = (1.0 - s) * scores[below, column] + s * scores[below, right]
-    value: float = (1.0 - t) * upper + t * lower
+    column, row = np.uint32(u), np.uint32(v)
+    one = np.float32(1.0)
+    right, below = np.uint32(min(u + one, last_column)), np.uint32(min(v + one, last_row))
+    s, t = u - np.float32(column), v - np.float32(row)
+    upper = scores[row, column] + s * (scores[row, right] - scores[row, column])
+    lower = scores[below, column] + s * (scores[below, right] - scores[below, column])
+    value: np.float32 = upper + t * (lower - upper)
     return value

@@ -12,6 +12,7 @@ from hypothesis import settings as examples
 from hypothesis import strategies as st
 
 from posetrack_cli.arrays import FloatArray
+from posetrack_cli.geometry.rigid import in_camera
 from posetrack_cli.geometry.rotations import canonical, exponential, multiply
 from posetrack_cli.head.config import SkinSettings
 from posetrack_cli.head.face.pose import POSE_SIZE, HeadPose
@@ -134,7 +135,7 @@ def test_a_map_in_another_head_frame_looks_the_same(seed: int, count: int) -> No
     told = HeadPose.stacked([pose_at(index) for index in rng.uniform(0.0, 20.0, count)])
     other = HeadPose(rng.normal(0.0, 5.0, 3), exponential(rng.normal(0.0, 0.1, 3)))
     turned = canonical(multiply(told.quaternion, other.quaternion))
-    before = HeadPose(told.points(other.position), turned)
+    before = HeadPose(in_camera(other.position, told.position, told.quaternion), turned)
     points = rng.normal(0.0, 30.0, (5, 3))
     poses, moved = _in_told_frame(before, points, told)
     np.testing.assert_allclose(poses.difference(told), 0.0, atol=ROUNDING_MM)
