@@ -14,7 +14,7 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.actions import MEAN_DISPLACEMENTS
 from posetrack_cli.head.adjustment.adjuster import Adjuster
 from posetrack_cli.head.adjustment.focal_length import focal_length_check
-from posetrack_cli.head.config import AccuracySettings, HeadMonoConfig, PersonSettings
+from posetrack_cli.head.config import HeadMonoConfig, OneCameraAccuracySettings, PersonSettings
 from posetrack_cli.head.detection.detector import FaceDetector
 from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.face.rig_images import project
@@ -43,7 +43,7 @@ from posetrack_cli.head.particles.particles import velocity_between
 from posetrack_cli.head.subject import MonoDiagnostics
 from posetrack_cli.head.tracker.codecs import FOCAL_PX, known_people, people_codec, unusable_people
 from posetrack_cli.head.tracker.confidence import MONO, MONO_WITH_SKIN
-from posetrack_cli.head.tracker.estimates import Description
+from posetrack_cli.head.tracker.estimates import Description, systematic_variance
 from posetrack_cli.head.tracker.face_learning import off_axis_deg
 from posetrack_cli.head.tracker.frame_tracker import FrameFit, SeededFrame, TrackState
 from posetrack_cli.head.tracker.head_tracker import HeadTracker
@@ -338,7 +338,9 @@ class MonoPeople:
             mean if fit is None else fit.coefficients + mean,
             self._model.deformation_deviations,
             self._diagnostics(state, fit).numbers(),
-            None if fit is None else systematic_variance(fit.track.pose, self._config.accuracy, size),
+            None
+            if fit is None
+            else size_and_systematic_variance(fit.track.pose, self._config.accuracy, size),
         )
 
     def export_model(self, state: MonoState, *, for_second_pass: bool) -> Learned:
@@ -527,7 +529,7 @@ class MonoPeople:
         return self._told if who == 0 else None
 
 
-def told_distance(person: PersonSettings, accuracy: AccuracySettings) -> PupilDistance | None:
+def told_distance(person: PersonSettings, accuracy: OneCameraAccuracySettings) -> PupilDistance | None:
     """Return the distance of the pupils that a configuration tells; None where it tells none."""
     if person.interpupillary_mm is None:
         return None
@@ -535,15 +537,17 @@ def told_distance(person: PersonSettings, accuracy: AccuracySettings) -> PupilDi
     return PupilDistance(person.interpupillary_mm, sd, accuracy.scale)
 
 
-def systematic_variance(pose: HeadPose, settings: AccuracySettings, size: Size | None) -> FloatArray:
-    """Return (6,) what a track is wrong by in all frames alike: (sd t)^2 + position^2, rotation^2.
+def size_and_systematic_variance(
+    pose: HeadPose, settings: OneCameraAccuracySettings, size: Size | None
+) -> FloatArray:
+    """Return (6,) what a track is wrong by in all frames alike, its size included.
 
     Another size moves a head along its ray: t' = c t has the variance (sd(log c) t)^2, with the deviation of
     the size that was told or, without, ``scale``.
     """
-    sd = settings.scale if size is None else size.sd
-    place = (sd * pose.position) ** 2 + np.square(settings.position_mm)
-    return np.concatenate([place, np.square(np.radians(settings.rotation_deg))])
+    sd, variance = settings.scale if size is None else size.sd, systematic_variance(settings)
+    variance[:3] += np.square(sd * pose.position)
+    return variance
 
 
 MonoTracker: TypeAlias = HeadTracker[MonoState, DetectedFace]

@@ -27,7 +27,7 @@ from posetrack_cli.head.refinement.refine import point_values, refine_initial_de
 from posetrack_cli.head.subject import StereoDiagnostics
 from posetrack_cli.head.tracker.codecs import history_codecs, search_codec, template_codec, track_codec
 from posetrack_cli.head.tracker.confidence import STEREO
-from posetrack_cli.head.tracker.estimates import Description, padded
+from posetrack_cli.head.tracker.estimates import Description, padded, systematic_variance
 from posetrack_cli.head.tracker.face_learning import Ccipca, FaceLearning, new_face
 from posetrack_cli.head.tracker.frame_tracker import (
     FrameFit,
@@ -186,6 +186,7 @@ class StereoFace:
             padded(nothing if fit is None else fit.coefficients, count),
             padded(nothing if face is None else face.model.deviations, count),
             _diagnostics(face, fit).numbers(count),
+            None if fit is None else systematic_variance(self._config.accuracy),
         )
 
     def export_model(self, state: StereoState, *, for_second_pass: bool) -> Learned:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from posetrack_cli.head.config import AccuracySettings, PersonSettings
+from posetrack_cli.head.config import OneCameraAccuracySettings, PersonSettings
 from posetrack_cli.head.face.points import MEAN_SHAPE
 from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.face.rig_images import project
@@ -57,7 +57,7 @@ def test_a_larger_head_farther_away_looks_the_same() -> None:
 
 
 def test_what_is_told_must_be_somebodys() -> None:
-    accuracy = AccuracySettings(scale=0.04)
+    accuracy = OneCameraAccuracySettings(scale=0.04)
     assert told_distance(PersonSettings(), accuracy) is None
     told = told_distance(
         PersonSettings(interpupillary_mm=61.0, interpupillary_sd_mm=3.0, corners_sd_mm=4.0), accuracy

@@ -7,6 +7,7 @@ import pytest
 
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.rotations import angle_between
+from posetrack_cli.head.config import AccuracySettings
 from posetrack_cli.head.initialisation.search import InitFailure
 from posetrack_cli.head.tracker.estimates import UNSEEN
 from posetrack_cli.head.tracker.head_tracker import HeadTracker
@@ -85,6 +86,20 @@ def test_a_saved_state_goes_on_alike() -> None:
         np.testing.assert_array_equal(first.position, second.position)
         np.testing.assert_array_equal(first.points, second.points)
         np.testing.assert_array_equal(first.pose_variance, second.pose_variance)
+
+
+def test_a_result_states_what_the_whole_track_is_wrong_by_too() -> None:
+    """Where a head's frame sits in it no frame tells; velocities do not know of it."""
+    accuracy = AccuracySettings(position_mm=(1.0, 2.0, 3.0), rotation_deg=(4.0, 5.0, 6.0))
+    nothing = AccuracySettings(position_mm=(1e-6,) * 3, rotation_deg=(1e-6,) * 3)
+    scenes = [Scene(config=FEW.model_copy(update={"accuracy": one})) for one in (accuracy, nothing)]
+    for index in range(3):
+        stated, particles = (scene.step(index) for scene in scenes)
+    more = stated.pose_variance - particles.pose_variance
+    np.testing.assert_allclose(more[:3], [1.0, 4.0, 9.0], rtol=1e-9)
+    np.testing.assert_allclose(np.degrees(np.sqrt(more[3:6])), [4.0, 5.0, 6.0])
+    np.testing.assert_array_equal(more[6:], 0.0)
+    np.testing.assert_array_equal(stated.twist_variance, particles.twist_variance)
 
 
 def test_a_search_is_saved_too() -> None:
