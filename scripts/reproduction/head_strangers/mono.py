@@ -163,8 +163,10 @@ def judge_strangers(people: Mapping[str, Judged], targets: Targets) -> None:
     judge_most(targets, "first points, px: 95 %", POINTS_P95_PX, float(np.quantile(left, 0.95)))
 
 
-def judge_honesty(people: Mapping[str, Judged], part: str, measured: Measured, targets: Targets) -> None:
-    """Intervals and confidence of all people pooled."""
+def judge_honesty(
+    people: Mapping[str, Judged], part: str, measured: Measured, targets: Targets, of: str = ""
+) -> None:
+    """Intervals and confidence of all people pooled; ``of`` stands before what is judged."""
     if not people:
         return
     inside = np.concatenate([one.inside for one in people.values()])
@@ -174,14 +176,14 @@ def judge_honesty(people: Mapping[str, Judged], part: str, measured: Measured, t
         least, most = INSIDE
         shown = number(share, 1, percent=True)
         targets.add(
-            f"90 % intervals hold, {title}", f"{least:.0%} to {most:.0%}", shown, least <= share <= most
+            f"{of}90 % intervals hold, {title}", f"{least:.0%} to {most:.0%}", shown, least <= share <= most
         )
     found = area(list(people.values()))
     measured.note(part, "confidence", {"roc_area": found})
     known = found == found
     shown = number(found, 3) if known else "-"
     targets.add(
-        f"confidence against rotation > {WRONG_DEG:g} deg, ROC area",
+        f"{of}confidence against rotation > {WRONG_DEG:g} deg, ROC area",
         f">= {LEAST_AREA:g}",
         shown,
         found >= LEAST_AREA if known else None,

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from reproduction.head_strangers.measuring import Measured
-from reproduction.head_strangers.mono import judge_most, judged_people, people_table, rows_of
+from reproduction.head_strangers.mono import judge_honesty, judge_most, judged_people, people_table, rows_of
 from reproduction.head_strangers.options import Options
 from reproduction.heads_data import reading_arguments
 from reproduction.one_camera.population import TRACKED
@@ -32,14 +32,14 @@ class Stereo:
         yield "## Two cameras, two passes"
         yield ""
         strangers = judged_people(options.strangers, self.name, measured)
-        yield from people_table(
-            strangers, judged_people(options.familiar, self.name, measured), self.name, measured
-        )
+        familiar = judged_people(options.familiar, self.name, measured)
+        yield from people_table(strangers, familiar, self.name, measured)
         rows = list(rows_of(strangers).values())
         for name, limit in MEDIAN.items():
             values = [row[name] for row in rows if name in row]
             value = float(np.median(values)) if values else float("nan")
             judge_most(targets, f"stereo, {name.replace('_', ', ')}, median person", limit, value)
+        judge_honesty({**strangers, **familiar}, self.name, measured, targets, "stereo: ")
         found, asked = len(rows), len(options.strangers)
         targets.add(
             "stereo: tracked, not refused", f"{asked} of {asked}", f"{found} of {asked}", found == asked
