@@ -265,3 +265,28 @@ def test_a_shape_that_is_told_or_misleads_no_fit_is_not_estimated(
 
 def test_a_hand_from_a_file_has_the_file_s_shape() -> None:
     assert not is_size_open(HandConfig.model_validate({"hand": {"mesh": "hand.glb"}}))
+
+
+@pytest.mark.usefixtures("strange")
+@pytest.mark.parametrize(("cost", "taken"), [(6.0, True), (10.5, False)])
+def test_a_shape_of_another_size_is_begun_once_more_from_there(
+    seen: tuple[str, Path], monkeypatch: pytest.MonkeyPatch, cost: float, taken: bool
+) -> None:
+    """And taken where it then explains far more than the size that seemed to fit best: below .8 of 13 mm."""
+    begun: list[float] = []
+
+    def estimated(
+        recording: Recording, config: HandConfig, options: CalibrationOptions, report: object
+    ) -> Calibration:
+        scale, side = config.hand.scale, str(options.side)
+        begun.append(scale)
+        if scale == 1.0:
+            return calibration_of(HandShape(0.75), side, costs_mm=(13.0, 11.0))
+        return calibration_of(HandShape(0.74), side, costs_mm=(cost + 2.0, cost), begun_scale=scale)
+
+    monkeypatch.setattr(before_run, "shape_of", estimated)
+    found = find_hand(open_path(seen[1]), HandConfig(), start=0)
+    assert begun[:2] == [1.0, pytest.approx(0.75)]
+    assert found.config.hand.shape == (HandShape(0.74) if taken else HandShape())
+    sides = 2 if taken else 1
+    assert len(begun) == 2 * sides, "of a hand of another size than was tried the side is open again"

@@ -14,15 +14,17 @@ from posetrack_cli.hand.shape import HandShape
 from support.calibrations import calibration_of
 
 
-def told(log_odds: float) -> Trial:
-    """A trial that told so much of a right hand."""
+def told(log_odds: float, by_keypoints: float = 0.0) -> Trial:
+    """A trial of hands of scale 1 that told so much of a right one."""
     side = SIDES[0] if log_odds >= 0.0 else SIDES[1]
     sure = abs(log_odds) >= CLEAR_LOG_ODDS
-    return SimpleNamespace(sides=SIDES, log_odds=log_odds, side=side, is_sure_of_side=sure)  # type: ignore[return-value]
+    trial = SimpleNamespace(sides=SIDES, log_odds=log_odds, side=side, is_sure_of_side=sure)
+    trial.told_log_odds, trial.scale = by_keypoints, lambda side: 1.0
+    return trial  # type: ignore[return-value]
 
 
-def costing(side: str, cost_mm: float) -> Calibration:
-    return calibration_of(HandShape(), side, costs_mm=(9.0, cost_mm))
+def costing(side: str, cost_mm: float, begun_scale: float = 1.0) -> Calibration:
+    return calibration_of(HandShape(), side, costs_mm=(9.0, cost_mm), begun_scale=begun_scale)
 
 
 @pytest.mark.parametrize(("log_odds", "side"), [(4.5, "right"), (-9.0, "left"), (np.inf, "right")])
@@ -60,6 +62,27 @@ def test_a_side_without_a_shape_tells_nothing(missing: str) -> None:
     decided = decide_side(told(-2.0), lambda side: None if side == missing else costing(side, 1.0))
     assert decided.side == "left" and decided.log_odds == pytest.approx(2.0)
     assert (decided.found is None) == (missing == "left")
+
+
+@pytest.mark.parametrize("log_odds", [9.0, 1.0, -1.0, -9.0])
+def test_hands_of_another_size_than_was_tried_decide_the_side_anew(log_odds: float) -> None:
+    """What frames told of the side by hands of a wrong size is forgotten: 4 (8 - 6.2) / 0.9 = 8 remain."""
+    costs = {"right": 8.0, "left": 6.2}
+    decided = decide_side(told(log_odds), lambda side: costing(side, costs[side], begun_scale=0.75))
+    # hands that cost more than the usual 6 mm tell less
+    assert decided.side == "left" and decided.log_odds == pytest.approx(8.0 / (6.2 / 6.0))
+    by_keypoints = decide_side(told(log_odds, 9.0), lambda side: costing(side, costs[side], begun_scale=0.75))
+    assert by_keypoints.side == "right" and by_keypoints.log_odds == pytest.approx(9.0 - 8.0 / (6.2 / 6.0))
+
+
+@pytest.mark.parametrize("resized", SIDES)
+def test_of_hands_of_another_size_one_that_explains_nothing_is_the_less_likely(resized: str) -> None:
+    def estimate(side: str) -> Calibration | None:
+        return costing(side, 6.0, begun_scale=0.75) if side == resized else None
+
+    for log_odds in (-1.0, 1.0):
+        decided = decide_side(told(log_odds), estimate)
+        assert decided.side == resized and decided.found is not None and not decided.is_sure
 
 
 @pytest.mark.parametrize(("cost", "other"), [(3.0, 4.5), (6.0, 7.0), (12.0, 14.0), (5.0, 30.0)])

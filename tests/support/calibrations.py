@@ -13,9 +13,13 @@ GOOD_MM = 1.8
 
 
 def calibration_of(
-    shape: HandShape, side: str = "right", costs_mm: tuple[float, float] = (4.0, 2.0), known: float = 0.2
+    shape: HandShape,
+    side: str = "right",
+    costs_mm: tuple[float, float] = (4.0, 2.0),
+    known: float = 0.2,
+    begun_scale: float = 1.0,
 ) -> Calibration:
     """What a calibration that found a shape says; ``known`` is the share of the prior's deviations left."""
     space = PopulationSpace()
     numbers = measured(average_hand, space, side, shape, np.diag((known * space.sd) ** 2))
-    return Calibration(side, shape, numbers, 20, 9, 1.234, costs_mm, GOOD_MM)
+    return Calibration(side, shape, numbers, 20, 9, 1.234, costs_mm, GOOD_MM, begun_scale)

@@ -9,10 +9,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from posetrack_cli.errors import RecordingError
-from posetrack_cli.hand.anatomy import make_anatomy
 from posetrack_cli.hand.calibration.calibrate import Calibration, CalibrationOptions, Report, shape_of
 from posetrack_cli.hand.calibration.doubts import doubts_of
-from posetrack_cli.hand.calibration.measures import measures_of
 from posetrack_cli.hand.calibration.sides import decide_side
 from posetrack_cli.hand.calibration.trial import (
     LOOKED_AT_S,
@@ -27,8 +25,8 @@ from posetrack_cli.hand.config import HandConfig, HandSettings
 from posetrack_cli.hand.keypoints.file import KeypointFile
 from posetrack_cli.recording.recording import Recording
 
-_ANOTHER_SIZE = 1.25
-"""A shape that is by more larger or smaller than the size that fits best explains something else, too."""
+_FAR_CHEAPER = 0.8
+"""Of what the average hand costs in the size that fitted best: what a hand of another size costs at most."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +78,7 @@ def find_hand(
 
     def estimate(side: str) -> Calibration | None:
         found = _shape(recording, _sized(config, trial, side), CalibrationOptions(side, start=start))
-        return found if found is not None and _is_better(found, trial.scale(side)) else None
+        return found if found is not None and _is_better(found) else None
 
     is_unknown = is_open and trial.cost > WELL_KNOWN_MM
     if is_unknown:
@@ -132,18 +130,26 @@ def _shape(
     options: CalibrationOptions,
     report: Report = lambda line: None,
 ) -> Calibration | None:
-    """The hand's shape, where enough frames show it."""
+    """The hand's shape, where enough frames show it.
+
+    Sizes are tried in few frames and by short searches, which small hands before a forearm may mislead. A
+    shape that leaves the size that fitted best tells of another one: it is begun once more from there.
+    """
     try:
-        return shape_of(recording, config, options, report)
+        found = shape_of(recording, config, options, report)
+        if found.is_of_another_size:
+            again = shape_of(recording, _with_hand(config, {"scale": found.likely_scale}), options, report)
+            is_confirmed = not again.is_of_another_size
+            return again if is_confirmed and again.costs_mm[1] < _FAR_CHEAPER * found.costs_mm[0] else found
     except RecordingError:
         return None
+    return found
 
 
-def _is_better(found: Calibration, scale: float) -> bool:
+def _is_better(found: Calibration) -> bool:
     """Whether a shape explains the frames better than a size alone does."""
     before, after = found.costs_mm
-    ratio = measures_of(make_anatomy(found.side, scale))[0] / found.length_mm
-    return after < before and 1.0 / _ANOTHER_SIZE < ratio < _ANOTHER_SIZE
+    return after < before and not found.is_of_another_size
 
 
 def _sized(config: HandConfig, trial: Trial, side: str) -> HandConfig:

@@ -18,9 +18,9 @@ from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.files import write_output
 from posetrack_cli.hand.acquisition import Acquisition
-from posetrack_cli.hand.anatomy import POSE_SIZE
+from posetrack_cli.hand.anatomy import POSE_SIZE, make_anatomy
 from posetrack_cli.hand.calibration.bundle import Bundle, Observe, adjusted
-from posetrack_cli.hand.calibration.measures import Measured, measured
+from posetrack_cli.hand.calibration.measures import Measured, measured, measures_of
 from posetrack_cli.hand.config import HandConfig, HandSettings
 from posetrack_cli.hand.fitting.fitter import tile_of
 from posetrack_cli.hand.fitting.terms import Terms, Tile
@@ -43,6 +43,8 @@ _FEWEST_FRAMES = 4
 _DEAREST = 1.15
 """Of the median cost: dearer frames are not found well."""
 _ITERATIONS = 8
+_ANOTHER_SIZE = 1.25
+"""A shape that is by more larger or smaller than the size that fits best explains something else, too."""
 _GOOD_PERCENT = 20.0
 """Of the frames' costs: what good fits cost."""
 
@@ -79,6 +81,7 @@ class Calibration:
         costs_mm: median costs of the frames for the average hand of that size, and for the hand that was
             adjusted to them first.
         good_mm: what that hand costs in frames in which it fits well.
+        begun_scale: of the average hand that it was begun with.
     """
 
     side: str
@@ -89,11 +92,28 @@ class Calibration:
     residual_mm: float
     costs_mm: tuple[float, float]
     good_mm: float
+    begun_scale: float = 1.0
 
     @property
     def length_mm(self) -> float:
         """From the wrist to the middle finger's tip."""
         return self.measured.values["hand_length"]
+
+    @property
+    def is_of_another_size(self) -> bool:
+        """Whether the hand is much larger or smaller than the one that it was begun with."""
+        return not 1.0 / _ANOTHER_SIZE < self._ratio < _ANOTHER_SIZE
+
+    @property
+    def likely_scale(self) -> float:
+        """Of the average hand that is as long."""
+        return self.begun_scale * self._ratio
+
+    @property
+    def _ratio(self) -> float:
+        """Of its length to that of the hand that it was begun with."""
+        begun = measures_of(make_anatomy(self.side, self.begun_scale))[0]
+        return float(self.length_mm / begun)
 
     @property
     def settings(self) -> dict[str, object]:
@@ -126,7 +146,8 @@ def shape_of(
     assert found is not None
     numbers = measured(calibrator.maker, calibrator.space, side, shape, found.covariance)
     cost, good = (medians[0], medians[-1]), good_cost(costs)
-    return Calibration(side, shape, numbers, calibrator.seen, len(chosen), found.residual_mm, cost, good)
+    seen, begun = calibrator.seen, config.hand.scale
+    return Calibration(side, shape, numbers, seen, len(chosen), found.residual_mm, cost, good, begun)
 
 
 def good_cost(costs: FloatArray) -> float:

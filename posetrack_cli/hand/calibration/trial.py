@@ -29,7 +29,7 @@ LOOKED_AT_S = 10.0
 """A hand that shows itself later is not waited for."""
 ASKED_EVERY = 12
 """Frames between those that are asked for the side: they err less alike than neighbours do."""
-_COST_PER_LOG_ODDS, _MOST_A_FRAME = 0.9, 3.0
+_COST_PER_LOG_ODDS, MOST_A_FRAME = 0.9, 3.0
 """What the other side costs more, mm, for one unit of log odds, and what a frame tells at most **[ours]**.
 
 Of 94 frames of 14 people (600-617 of the synthetic strangers, with the average hand) the true side is the
@@ -190,7 +190,7 @@ class Trial:
         self.asked += 1
         self._tried = [k for k in {*self._tried, self._best[1]} if abs(k - self._best[1]) <= 1]
         if len(self.sides) > 1:
-            most = CLEAR_LOG_ODDS if costs.min() <= WELL_KNOWN_MM else _MOST_A_FRAME
+            most = CLEAR_LOG_ODDS if costs.min() <= WELL_KNOWN_MM else MOST_A_FRAME
             self._log_odds += log_odds_of(float(costs[0].min()), float(costs[1].min()), most)
 
     def _ask_keypoints(self, frame: Frame) -> None:
@@ -218,7 +218,12 @@ class Trial:
     @property
     def log_odds(self) -> float:
         """The logarithm of the first side's odds, by costs and keypoints; infinite if it is the only one."""
-        return np.inf if len(self.sides) == 1 else self._log_odds + self._told.log_odds
+        return np.inf if len(self.sides) == 1 else self._log_odds + self.told_log_odds
+
+    @property
+    def told_log_odds(self) -> float:
+        """The same by keypoints alone."""
+        return self._told.log_odds
 
     @property
     def _best(self) -> tuple[int, int]:
@@ -277,7 +282,7 @@ class Trial:
         return self._finders[side, k, quick]
 
 
-def log_odds_of(cost_mm: float, other_mm: float, most: float = _MOST_A_FRAME) -> float:
+def log_odds_of(cost_mm: float, other_mm: float, most: float = MOST_A_FRAME) -> float:
     """Return the log odds of a side in a frame, by what it costs and what the other one does."""
     strange = max(1.0, min(cost_mm, other_mm) / _USUAL_COST_MM)
     return float(np.clip((other_mm - cost_mm) / _COST_PER_LOG_ODDS, -most, most)) / strange
