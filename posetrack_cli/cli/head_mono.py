@@ -190,6 +190,8 @@ def _run(
     clicked = None if options.init is None else Path(options.init)
     model = load_face_model(file)
     given = _given_person(options, config, model)
+    if given is not None:
+        config = config.model_copy(update={"accuracy": given.accuracy(config.accuracy)})
 
     def make_tracker(known: Learned | None) -> LearningTracker[Any]:
         if known is None and given is not None:

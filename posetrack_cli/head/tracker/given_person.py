@@ -22,7 +22,12 @@ from posetrack_cli.geometry.rigid import rigid_alignment
 from posetrack_cli.head.actions import MEAN_DISPLACEMENTS
 from posetrack_cli.head.adjustment.adjuster import offset_deviations
 from posetrack_cli.head.adjustment.views import Album, PersonParameters
-from posetrack_cli.head.config import AdjustmentSettings, ModelSettings
+from posetrack_cli.head.config import (
+    AccuracySettings,
+    AdjustmentSettings,
+    ModelSettings,
+    OneCameraAccuracySettings,
+)
 from posetrack_cli.head.face.templates import TemplateSet
 from posetrack_cli.head.model_file import read_model
 from posetrack_cli.head.multilinear.face_model import FaceModel
@@ -50,10 +55,21 @@ class GivenPerson:
     Attributes:
         learned: for a tracker to begin with, as one that knows this person alone exports it.
         size: how large the person is; None where that run did not know.
+        is_measured: whether several cameras measured the person.
     """
 
     learned: Learned
     size: Size | None
+    is_measured: bool = False
+
+    def accuracy(self, configured: OneCameraAccuracySettings) -> OneCameraAccuracySettings:
+        """Return what a track of the person is wrong by: the head's frame sits where that run laid it.
+
+        What a user configured stays as it is.
+        """
+        if not self.is_measured or configured != OneCameraAccuracySettings():
+            return configured
+        return configured.model_copy(update=AccuracySettings().model_dump())
 
 
 def read_person(path: Path, model: FaceModel, settings: AdjustmentSettings) -> GivenPerson:
@@ -80,7 +96,8 @@ def read_person(path: Path, model: FaceModel, settings: AdjustmentSettings) -> G
     except ResultError as error:
         raise ResultError(str(error), where=path) from error
     held = replace(person, views=(), album=Album(), is_settled=True, is_held=True)
-    return GivenPerson(people.to_arrays((held,)) | {FOCAL_PX: focal}, held.size)
+    is_measured = header["tracker"] == STEREO
+    return GivenPerson(people.to_arrays((held,)) | {FOCAL_PX: focal}, held.size, is_measured)
 
 
 def _focal_of(learned: Arrays) -> FloatArray:
