@@ -6,7 +6,7 @@ It depends on the recording and the configuration alone, so a run that is resume
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.hand.calibration.calibrate import Calibration, CalibrationOptions, Report, shape_of
@@ -76,14 +76,16 @@ def find_hand(
         is_guessed = len(sides) > 1
         return HandFound(_with_hand(config, {"side": sides[0]}), line if is_guessed else "", is_guessed)
 
-    def estimate(side: str) -> Calibration | None:
-        found = _shape(recording, _sized(config, trial, side), CalibrationOptions(side, start=start))
+    estimate = _shapes(recording, config, trial, CalibrationOptions(start=start))
+
+    def estimate_better(side: str) -> Calibration | None:
+        found = estimate(side)
         return found if found is not None and _is_better(found) else None
 
     is_unknown = is_open and trial.cost > WELL_KNOWN_MM
     if is_unknown:
         report("estimating the hand's shape")
-    likelier = decide_side(trial, estimate if is_unknown else lambda side: None)
+    likelier = decide_side(trial, estimate_better if is_unknown else lambda side: None)
     sized, found = _sized(config, trial, likelier.side), likelier.found
     told = f"a {likelier.side} hand"
     doubt = (
@@ -119,9 +121,29 @@ def calibrate(
     sides = (options.side,) if options.side else SIDES
     bare = config.model_copy(update={"hand": HandSettings(mesh=config.hand.mesh)})
     trial = tried_all_over(recording, bare, options.start, sides)
-    likelier = decide_side(trial, lambda side: _shape(recording, _sized(bare, trial, side), options, report))
+    likelier = decide_side(trial, _shapes(recording, bare, trial, options, report))
     # what is wrong where there is none is said by trying again
     return likelier.found or shape_of(recording, _sized(bare, trial, likelier.side), options)
+
+
+def _shapes(
+    recording: Recording,
+    config: HandConfig,
+    trial: Trial,
+    options: CalibrationOptions,
+    report: Report = lambda line: None,
+) -> Callable[[str], Calibration | None]:
+    """Return what estimates the shape of a side's hand, begun in the size that is known best by then."""
+    scales = {side: trial.scale(side) for side in trial.sides}
+
+    def estimate(side: str) -> Calibration | None:
+        sized = _with_hand(config, {"side": side, "scale": scales[side]})
+        found = _shape(recording, sized, replace(options, side=side), report)
+        if found is not None and found.begun_scale != scales[side]:
+            scales.update(dict.fromkeys(scales, found.begun_scale))  # which hand it is changes no size
+        return found
+
+    return estimate
 
 
 def _shape(
