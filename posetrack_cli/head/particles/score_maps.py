@@ -129,12 +129,18 @@ def _span(pixels: Float32Array, size: int, largest: int) -> tuple[int, int]:
 
 @inlined
 def _extremes(pixels: Float32Array) -> tuple[float, float]:
-    """Return the least and the largest number; of every second one, too, so that two are looked at a time."""
-    a, b = pixels[0], pixels[0]
-    c, d = pixels[pixels.size - 1], pixels[pixels.size - 1]
+    """Return the least and the largest pixel; of none inf and -inf. Two are looked at a time.
+
+    NaN, which a lens beyond its range makes of a point, is no pixel: every comparison with it is false.
+    """
+    a, b = np.float32(np.inf), np.float32(-np.inf)
+    c, d = a, b
     for n in range(0, pixels.size - 1, 2):
-        a, b = min(a, pixels[n]), max(b, pixels[n])
-        c, d = min(c, pixels[n + 1]), max(d, pixels[n + 1])
+        one, two = pixels[n], pixels[n + 1]
+        a, b = one if one < a else a, one if one > b else b
+        c, d = two if two < c else c, two if two > d else d
+    last = pixels[pixels.size - 1]  # of an odd number; of an even one it was looked at
+    a, b = last if last < a else a, last if last > b else b
     return float(min(a, c)), float(max(b, d))
 
 

@@ -172,6 +172,17 @@ def test_the_box_holds_every_particle_that_is_on_the_image(places):
         assert np.all(np.isfinite(map_of(picture(), template(), box)))
 
 
+@given(st.lists(st.sampled_from([np.nan, np.inf, -np.inf, 20.0, 33.5, 47.0]), min_size=1, max_size=9))
+def test_a_pixel_that_is_none_has_no_place(columns):
+    """A lens beyond its range maps points to infinity, and to what is no number."""
+    u, v = np.float32(columns), np.full(len(columns), 30.0, np.float32)
+    pixels = u[~np.isnan(u)]
+    assert is_empty(box_of(u, v)) if pixels.size == 0 else np.all(box_of(u, v) == box_of(pixels, v))
+    total, maps = np.zeros(len(columns)), ScoreMaps.of(1)
+    add_all_scores(picture(), template()[None], np.ones(1), u[None], v[None], True, *maps, total)
+    assert np.all((total == 0.0) | np.isfinite(u))
+
+
 def test_a_large_box_is_cut_about_its_middle():
     left, right, top, bottom = box_of([20.0, 70.0], [20.0, 22.0], largest=11)
     assert right - left + 1 == 11
