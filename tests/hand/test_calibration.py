@@ -514,6 +514,16 @@ def test_frames_in_which_no_hand_is_found_tell_nothing_of_what_good_fits_cost(mi
     assert good_cost(costs[::-1]) == 3.0
 
 
+@pytest.mark.parametrize(("begun", "another"), [(1.0, False), (0.85, False), (0.75, True), (1.3, True)])
+def test_a_size_is_another_one_beside_the_hand_that_it_was_begun_with(begun: float, another: bool) -> None:
+    """A quarter more or less, of whatever hand that was: a mesh of any length is of its own size."""
+    found = calibration_of(HandShape(1.0), begun_scale=begun)
+    assert found.is_of_another_size == another
+    assert found.likely_scale == pytest.approx(1.0)
+    mesh = replace(found, begun_scale=1.0, begun_mm=found.length_mm)
+    assert not mesh.is_of_another_size and mesh.likely_scale == 1.0
+
+
 def test_a_recording_without_a_hand_is_told(tmp_path: Path) -> None:
     from posetrack_cli.recording.image_files import encode_png
 

@@ -362,7 +362,8 @@ def hand_file(off: FloatArray, sd: float = 2.0) -> str:
     """A hand file as ``hand calibrate`` writes it, whose measures are off by so many mm each."""
     values = dict(zip(MEASURES, TRUE_MM + off, strict=True))
     numbers = measures.Measured(values, dict.fromkeys(MEASURES, sd), dict.fromkeys(MEASURES, 9.0))
-    found = Calibration("left", HandShape(0.98, coefficients=(0.5,)), numbers, 48, 16, 1.75, (3.0, 1.8), 1.6)
+    shape, begun = HandShape(0.98, coefficients=(0.5,)), (1.0, 181.0)
+    found = Calibration("left", shape, numbers, 48, 16, 1.75, (3.0, 1.8), 1.6, *begun)
     return hand_text(found, None, "800.mcap", Path())
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from posetrack_cli.hand.calibration.calibrate import Calibration
-from posetrack_cli.hand.calibration.measures import measured
+from posetrack_cli.hand.calibration.measures import measured, measures_of
 from posetrack_cli.hand.model import average_hand
 from posetrack_cli.hand.shape import HandShape, PopulationSpace
 
@@ -22,4 +22,5 @@ def calibration_of(
     """What a calibration that found a shape says; ``known`` is the share of the prior's deviations left."""
     space = PopulationSpace()
     numbers = measured(average_hand, space, side, shape, np.diag((known * space.sd) ** 2))
-    return Calibration(side, shape, numbers, 20, 9, 1.234, costs_mm, GOOD_MM, begun_scale)
+    begun_mm = float(measures_of(average_hand(side, HandShape(begun_scale)).anatomy)[0])
+    return Calibration(side, shape, numbers, 20, 9, 1.234, costs_mm, GOOD_MM, begun_scale, begun_mm)

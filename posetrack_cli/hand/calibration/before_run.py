@@ -138,7 +138,7 @@ def _shapes(
 
     def estimate(side: str) -> Calibration | None:
         sized = _with_hand(config, {"side": side, "scale": scales[side]})
-        found = _shape(recording, sized, replace(options, side=side), report)
+        found = _shape_in_its_size(recording, sized, replace(options, side=side), report)
         if found is not None and found.begun_scale != scales[side]:
             scales.update(dict.fromkeys(scales, found.begun_scale))  # which hand it is changes no size
         return found
@@ -146,26 +146,30 @@ def _shapes(
     return estimate
 
 
-def _shape(
-    recording: Recording,
-    config: HandConfig,
-    options: CalibrationOptions,
-    report: Report = lambda line: None,
+def _shape_in_its_size(
+    recording: Recording, config: HandConfig, options: CalibrationOptions, report: Report
 ) -> Calibration | None:
-    """The hand's shape, where enough frames show it.
+    """The hand's shape; one that leaves the size that fitted best is begun once more from its own.
 
-    Sizes are tried in few frames and by short searches, which small hands before a forearm may mislead. A
-    shape that leaves the size that fitted best tells of another one: it is begun once more from there.
+    Sizes are tried in few frames and by short searches, which small hands before a forearm may mislead.
     """
+    found = _shape(recording, config, options, report)
+    if found is None or not found.is_of_another_size:
+        return found
+    again = _shape(recording, _with_hand(config, {"scale": found.likely_scale}), options, report)
+    if again is None or again.is_of_another_size:
+        return found
+    return again if again.costs_mm[1] < _FAR_CHEAPER * found.costs_mm[0] else found
+
+
+def _shape(
+    recording: Recording, config: HandConfig, options: CalibrationOptions, report: Report
+) -> Calibration | None:
+    """The hand's shape, where enough frames show it."""
     try:
-        found = shape_of(recording, config, options, report)
-        if found.is_of_another_size:
-            again = shape_of(recording, _with_hand(config, {"scale": found.likely_scale}), options, report)
-            is_confirmed = not again.is_of_another_size
-            return again if is_confirmed and again.costs_mm[1] < _FAR_CHEAPER * found.costs_mm[0] else found
+        return shape_of(recording, config, options, report)
     except RecordingError:
         return None
-    return found
 
 
 def _is_better(found: Calibration) -> bool:

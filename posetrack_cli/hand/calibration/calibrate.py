@@ -18,7 +18,7 @@ from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.files import write_output
 from posetrack_cli.hand.acquisition import Acquisition
-from posetrack_cli.hand.anatomy import POSE_SIZE, make_anatomy
+from posetrack_cli.hand.anatomy import POSE_SIZE
 from posetrack_cli.hand.calibration.bundle import Bundle, Observe, adjusted
 from posetrack_cli.hand.calibration.measures import Measured, measured, measures_of
 from posetrack_cli.hand.config import HandConfig, HandSettings
@@ -81,7 +81,7 @@ class Calibration:
         costs_mm: median costs of the frames for the average hand of that size, and for the hand that was
             adjusted to them first.
         good_mm: what that hand costs in frames in which it fits well.
-        begun_scale: of the average hand that it was begun with.
+        begun_scale, begun_mm: scale and length of the hand that it was begun with.
     """
 
     side: str
@@ -92,7 +92,8 @@ class Calibration:
     residual_mm: float
     costs_mm: tuple[float, float]
     good_mm: float
-    begun_scale: float = 1.0
+    begun_scale: float
+    begun_mm: float
 
     @property
     def length_mm(self) -> float:
@@ -102,18 +103,12 @@ class Calibration:
     @property
     def is_of_another_size(self) -> bool:
         """Whether the hand is much larger or smaller than the one that it was begun with."""
-        return not 1.0 / _ANOTHER_SIZE < self._ratio < _ANOTHER_SIZE
+        return not 1.0 / _ANOTHER_SIZE < self.length_mm / self.begun_mm < _ANOTHER_SIZE
 
     @property
     def likely_scale(self) -> float:
-        """Of the average hand that is as long."""
-        return self.begun_scale * self._ratio
-
-    @property
-    def _ratio(self) -> float:
-        """Of its length to that of the hand that it was begun with."""
-        begun = measures_of(make_anatomy(self.side, self.begun_scale))[0]
-        return float(self.length_mm / begun)
+        """What would make the hand that it was begun with as long."""
+        return self.begun_scale * self.length_mm / self.begun_mm
 
     @property
     def settings(self) -> dict[str, object]:
@@ -146,8 +141,20 @@ def shape_of(
     assert found is not None
     numbers = measured(calibrator.maker, calibrator.space, side, shape, found.covariance)
     cost, good = (medians[0], medians[-1]), good_cost(costs)
-    seen, begun = calibrator.seen, config.hand.scale
-    return Calibration(side, shape, numbers, seen, len(chosen), found.residual_mm, cost, good, begun)
+    begun = HandShape(config.hand.scale)
+    begun_mm = float(measures_of(calibrator.maker(side, begun).anatomy)[0])
+    return Calibration(
+        side,
+        shape,
+        numbers,
+        calibrator.seen,
+        len(chosen),
+        found.residual_mm,
+        cost,
+        good,
+        begun.scale,
+        begun_mm,
+    )
 
 
 def good_cost(costs: FloatArray) -> float:
