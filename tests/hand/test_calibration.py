@@ -236,7 +236,7 @@ def test_a_file_s_hand_is_found_again_by_its_factors(device: RenderingDevice) ->
     )
     hands = [average_hand("right", shape) for shape in (HandShape(), found.shape)]
     before, after = (np.abs(model.anatomy.segments - hand.anatomy.segments).max() for model in hands)
-    assert before > 4.0 and after < 2.0  # mm; the prior holds what the images leave open
+    assert before > 4.0 and after < before / 3.0  # mm; the prior holds what the images leave open
     sd = np.sqrt(np.diag(found.covariance))
     assert not found.shape.coefficients
     assert (sd < POPULATION_SD + 1e-12).all() and sd[0] < 0.5 * POPULATION_SD[0]

@@ -17,7 +17,7 @@ from posetrack_cli.rendering.gl.tiled import TiledDepthRenderer
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.rendering.sums import Comparison, TileSums, sums_in_numpy
 from posetrack_cli.rendering.window import Window
-from support.rendering import CAMERA, STILL, moved, rigid, sphere
+from support.rendering import CAMERA, STILL, moved, moved_a_subpixel, rigid, sphere
 
 KINECT = Camera(512, 424, 365.0, 365.0, 255.5, 211.5)
 MIDDLE = np.array([255.5, 211.5])
@@ -25,8 +25,9 @@ COUNT, SIZE = 512, 32
 SUMS_RELATIVE = 1e-4
 """Float32 sums of a thousand terms below c_max, and depth 50 / (50 / z) with two roundings: 1e-5."""
 COVERAGE_SHARE = 1e-3
-DEPTH_MM, OTHER_SHARE = 0.1, 1e-5
-"""Pixels on the edge between two triangles may show the other one, where skin lies behind skin by little."""
+DEPTH_MM, OTHER_SHARE = 0.1, 1e-4
+"""Pixels on the edge between two triangles may show the other one, where skin lies behind skin by little: 2e-5
+of all where corners are rounded to 1 / 256 of a pixel (an NVIDIA H100)."""
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +69,7 @@ def test_each_of_512_tiles_is_the_hand_drawn_alone(device: RenderingDevice, hand
     assert together.shape == (COUNT, SIZE, SIZE)
     different = (together > 0) != (alone > 0)
     assert different.mean() <= COVERAGE_SHARE
-    apart = np.abs(together - alone)[~different] > DEPTH_MM
+    apart = (np.abs(together - alone) > DEPTH_MM + moved_a_subpixel(alone))[~different]
     assert apart.mean() < OTHER_SHARE
     assert (together > 0).sum(axis=(1, 2)).min() > 100  # there is something to compare in every tile
 

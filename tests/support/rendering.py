@@ -10,6 +10,8 @@ from posetrack_cli.rendering.window import Window
 
 CAMERA = Camera(64, 48, 90.0, 95.0, 31.2, 24.7)
 STILL = np.eye(3, 4)
+SUBPIXEL_PX = 1.0 / 256.0
+"""GPUs round the corners of triangles to such a grid (OpenGL's SUBPIXEL_BITS)."""
 
 
 def rigid(vertices: np.ndarray, triangles: np.ndarray) -> SkinnedMesh:
@@ -60,6 +62,17 @@ def sagitta(mesh: SkinnedMesh, radius: float) -> float:
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     distance = np.einsum("ti,ti->t", normals, corners[:, 0]) / np.linalg.norm(normals, axis=1)
     return radius - float(distance.min())
+
+
+def moved_a_subpixel(depth: np.ndarray) -> np.ndarray:
+    """How much each depth of images (..., h, w) changes within SUBPIXEL_PX, mm, by its steepest neighbour."""
+    steepest = np.zeros(depth.shape)
+    for axis in (-2, -1):
+        one, other = (np.moveaxis(a, axis, 0) for a in (depth, steepest))
+        steps = np.where((one[1:] > 0) & (one[:-1] > 0), np.abs(np.diff(one, axis=0)), 0.0)
+        np.maximum(other[1:], steps, out=other[1:])
+        np.maximum(other[:-1], steps, out=other[:-1])
+    return SUBPIXEL_PX * steepest
 
 
 def plane(z: float, slope_x: float, slope_y: float, half: float = 2000.0) -> SkinnedMesh:

@@ -196,6 +196,7 @@ class TiledDepthRenderer:
         self._sums.bind_to_storage_buffer(1)
         self._boxes.bind_to_storage_buffer(3)
         program.run(count)
+        self.context.memory_barrier()  # only then is a read promised what a shader wrote
         self._sums.read_into(self._rows, size=count * 4 * ROW_FLOATS)
         return self._rows[:count]
 

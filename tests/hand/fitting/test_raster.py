@@ -20,6 +20,7 @@ from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.rendering.raster import NEAR_MM, NOTHING, Drawing, View, draw, empty_drawing
 from support.fitting import HANDS, TILE_PX
 from support.hand import KINECT, random_poses
+from support.rendering import moved_a_subpixel
 
 VIEW = View(90.0, 32.0, 95.0, 30.0)
 STILL = np.tile(np.eye(3, 4), (BONE_COUNT, 1, 1))
@@ -169,8 +170,8 @@ def test_hands_are_drawn_as_by_the_renderer(name: str, device: RenderingDevice) 
         found = depth_of(out)
         both = (found > 0) & (expected > 0)
         assert np.count_nonzero((found > 0) != (expected > 0)) <= 0.01 * both.sum()
-        same = np.abs(found - expected)[both] < 0.01  # mm; float32 at 800 mm, and slopes
-        assert np.count_nonzero(~same) <= 0.01 * both.sum()
+        same = (np.abs(found - expected) < 0.01 + moved_a_subpixel(found))[both]  # mm; float32 at 800 mm
+        assert np.count_nonzero(~same) <= 0.02 * both.sum()  # a GPU rounds corners: .01 on an NVIDIA H100
         shown = out.triangle != NOTHING
         corners = out.vertices[skin.mesh.triangles[out.triangle[shown]]]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
