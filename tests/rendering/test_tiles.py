@@ -26,8 +26,8 @@ SUMS_RELATIVE = 1e-4
 """Float32 sums of a thousand terms below c_max, and depth 50 / (50 / z) with two roundings: 1e-5."""
 COVERAGE_SHARE = 1e-3
 DEPTH_MM, OTHER_SHARE = 0.1, 1e-4
-"""Pixels on the edge between two triangles may show the other one, where skin lies behind skin by little: of all
-2e-5, where corners are rounded to 1 / 256 of a pixel (an NVIDIA H100)."""
+"""Pixels on the edge between two triangles may show the other one, where skin lies behind skin by little:
+2e-5 of all where corners are rounded to 1 / 256 of a pixel (an NVIDIA H100)."""
 
 
 @pytest.fixture(scope="module")
