@@ -12,10 +12,8 @@ from __future__ import annotations
 import numpy as np
 
 from posetrack_cli.arrays import Float32Array, FloatArray
-from posetrack_cli.geometry import rotations
-from posetrack_cli.hand.anatomy import HandAnatomy
-from posetrack_cli.hand.inner import FOREARM, THUMB
-from posetrack_cli.hand.kinematics import skinning_transforms
+from posetrack_cli.hand.anatomy import BONE_COUNT, HandAnatomy
+from posetrack_cli.hand.fitting.skeleton import empty_posed, pose_many, skeleton_of
 from posetrack_cli.rendering.mesh import SkinnedMesh, joined
 
 SEEN_MM = 80.0
@@ -86,27 +84,6 @@ def transforms_with_forearm(anatomy: HandAnatomy, poses: FloatArray, inner: Floa
         poses: (N, 22).
         inner: (6,) the same for all (``hand.inner``).
     """
-    hands = skinning_transforms(anatomy, poses, inner[THUMB])
-    return np.concatenate([hands, forearm_transforms(poses, inner[FOREARM])], axis=1)
-
-
-def forearm_transforms(poses: FloatArray, arm: FloatArray) -> Float32Array:
-    """camera_T_rest (N, 1, 3, 4) of a forearm behind hands in poses (N, 22); see ``skeleton.place_arm``.
-
-    Args:
-        poses: (N, 22).
-        arm: (4,) of the inner numbers.
-    """
-    out = np.zeros((len(poses), 1, 3, 4), dtype=np.float32)
-    out[:, 0, :, 3] = poses[:, :3]
-    direction, girth = arm[:3], np.exp(arm[3])
-    if not direction.any():
-        return out
-    palm = rotations.matrices_from_quaternions(poses[:, 3:7])
-    x, z = palm[:, :, 0], palm[:, :, 2]
-    across = np.where((np.abs(x @ direction) < 0.9)[:, None], x, z)
-    across = across - (across @ direction)[:, None] * direction
-    across /= np.linalg.norm(across, axis=1, keepdims=True)
-    out[:, 0, :, 0], out[:, 0, :, 1] = girth * across, direction
-    out[:, 0, :, 2] = girth * np.cross(across, direction)
-    return out
+    bones = np.empty((len(poses), BONE_COUNT + 1, 3, 4), dtype=np.float32)
+    pose_many(skeleton_of(anatomy), np.ascontiguousarray(poses), inner, empty_posed(), bones)
+    return bones

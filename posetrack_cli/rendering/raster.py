@@ -113,7 +113,7 @@ def _place(mesh: RestMesh, bones: FloatArray, view: View, out: Drawing) -> bool:
 
 
 @inlined
-def _fill(out: Drawing, t: int, a: int, b: int, c: int, area: float) -> None:
+def _fill(out: Drawing, t: int, a: int, b: int, c: int, area: float, with_faces: bool) -> None:
     """Draw one triangle of vertices a, b, c that faces the camera; 1 / z is linear in the image.
 
     No pixel asks whether it is inside: of those around a small triangle every other one is, and a processor
@@ -141,7 +141,8 @@ def _fill(out: Drawing, t: int, a: int, b: int, c: int, area: float) -> None:
             inverse = az + beta * uz + gamma * vz if inside >= 0.0 else 0.0
             before = inverses[j, i]
             inverses[j, i] = max(before, inverse)
-            triangles[j, i] = max(triangles[j, i], t if inverse > before else NOTHING)  # they come in order
+            if with_faces:  # they come in order
+                triangles[j, i] = max(triangles[j, i], t if inverse > before else NOTHING)
 
 
 @inlined
@@ -162,15 +163,16 @@ def draw(mesh: RestMesh, bones: FloatArray, view: View, out: Drawing) -> bool:
 
 @kernel
 def draw_depth(mesh: RestMesh, bones: FloatArray, view: View, out: Drawing) -> bool:
-    """The same without normals, for what looks at depth alone."""
+    """The same without triangles, normals and what faces the camera, for what looks at depth alone."""
     return _draw(mesh, bones, view, False, out)
 
 
 @inlined
-def _draw(mesh: RestMesh, bones: FloatArray, view: View, with_normals: bool, out: Drawing) -> bool:
+def _draw(mesh: RestMesh, bones: FloatArray, view: View, with_faces: bool, out: Drawing) -> bool:
     out.inverse[:] = 0.0
-    out.triangle[:] = NOTHING
-    out.facing[:] = False
+    if with_faces:
+        out.triangle[:] = NOTHING
+        out.facing[:] = False
     if not _place(mesh, bones, view, out):
         return False
     triangles, screen = mesh.triangles, out.screen
@@ -180,8 +182,8 @@ def _draw(mesh: RestMesh, bones: FloatArray, view: View, with_normals: bool, out
         vx, vy = screen[c, 0] - screen[a, 0], screen[c, 1] - screen[a, 1]
         area = ux * vy - uy * vx
         if area < 0.0:  # counter-clockwise from outside; y runs downwards
-            out.facing[a] = out.facing[b] = out.facing[c] = True
-            if with_normals:
+            if with_faces:
+                out.facing[a] = out.facing[b] = out.facing[c] = True
                 _write_normal(out, t, a, b, c)
-            _fill(out, t, a, b, c, area)
+            _fill(out, t, a, b, c, area, with_faces)
     return True

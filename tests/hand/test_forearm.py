@@ -23,7 +23,7 @@ from posetrack_cli.hand.fitting.gauss_newton import (
 from posetrack_cli.hand.fitting.normal_equations import ROW, UNKNOWNS, add_row, empty_equations, gather
 from posetrack_cli.hand.fitting.skeleton import ARM, Posed, empty_posed, point_row, pose_bones
 from posetrack_cli.hand.fitting.skin import skin_of
-from posetrack_cli.hand.forearm import SEEN_MM, forearm_transforms
+from posetrack_cli.hand.forearm import SEEN_MM, transforms_with_forearm
 from posetrack_cli.hand.inner import NO_THUMB
 from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
 from posetrack_cli.hand.local_fits import THUMB_LEFT, without_inner
@@ -134,24 +134,26 @@ def test_a_bent_wrist_leaves_no_gap_before_it(bend: float, seed: int | None) -> 
 
 
 @each_hand
-def test_kernels_and_renderers_put_it_at_the_same_place(name: str) -> None:
-    rng = np.random.default_rng(3)
-    for pose in random_poses(20, 7):
-        arm = arm_towards(rng.standard_normal(3), 0.2 * rng.standard_normal())
-        found = forearm_transforms(pose[None], arm)[0, 0]
-        np.testing.assert_allclose(posed(pose, arm, name).bones[ARM_BONE], found, atol=FLOAT32)
-        turn = found[:, :3].astype(np.float64)
-        np.testing.assert_allclose(np.linalg.norm(turn, axis=0), np.exp([arm[3], 0.0, arm[3]]), rtol=1e-5)
-        assert np.linalg.det(turn) > 0.0
-        np.testing.assert_allclose(turn[:, 1], arm[:3], atol=1e-6)
+def test_many_hands_are_posed_as_arrays_pose_them_and_a_forearm_behind_each(name: str) -> None:
+    rng, poses, anatomy = np.random.default_rng(3), random_poses(20, 7), HANDS[name].anatomy
+    for direction in np.concatenate([rng.standard_normal((5, 3)), np.eye(3)]):
+        thumb, arm = 0.1 * rng.standard_normal(2), arm_towards(direction, 0.2 * rng.standard_normal())
+        found = transforms_with_forearm(anatomy, poses, np.concatenate([arm, thumb]))
+        np.testing.assert_allclose(
+            found[:, :ARM_BONE], skinning_transforms(anatomy, poses, thumb), atol=FLOAT32
+        )
+        turns = found[:, ARM_BONE, :, :3].astype(np.float64)
+        girth = np.broadcast_to(np.exp([arm[3], 0.0, arm[3]]), (len(poses), 3))
+        np.testing.assert_allclose(np.linalg.norm(turns, axis=1), girth, rtol=1e-5)
+        assert (np.linalg.det(turns) > 0.0).all()
+        np.testing.assert_allclose(turns[:, :, 1], np.broadcast_to(arm[:3], (len(poses), 3)), atol=1e-6)
+        np.testing.assert_allclose(found[:, ARM_BONE, :, 3], poses[:, :3], atol=FLOAT32)
 
 
 def test_without_one_nothing_of_it_is_drawn() -> None:
     pose = random_poses(1, 1)[0]
-    np.testing.assert_array_equal(forearm_transforms(pose[None], NO_ARM)[0, 0, :, :3], 0.0)
-    bones = np.concatenate(
-        [skinning_transforms(RIGHT.anatomy, pose[None]), forearm_transforms(pose[None], NO_ARM)], 1
-    )
+    bones = transforms_with_forearm(RIGHT.anatomy, pose[None], with_arm(NO_ARM))
+    np.testing.assert_array_equal(bones[0, ARM_BONE, :, :3], 0.0)
     tube = RIGHT.smooth_with_arm.posed(bones.astype(np.float64))[0, len(RIGHT.smooth.vertices) :]
     np.testing.assert_allclose(tube, np.broadcast_to(pose[:3], tube.shape), atol=FLOAT32)
 

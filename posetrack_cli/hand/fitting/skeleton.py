@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray
+from posetrack_cli.arrays import Float32Array, FloatArray
 from posetrack_cli.compiled import inlined, kernel
 from posetrack_cli.geometry.kernels import matrix_product, rotation_matrix
 from posetrack_cli.hand.anatomy import ARM_BONE, BONE_COUNT, HandAnatomy
@@ -139,6 +139,16 @@ def pose_bones(skeleton: Skeleton, pose: FloatArray, inner: FloatArray, posed: P
             matrix_product(frame, turns[k], turned)
             _place_bone(skeleton, f, k, turned, at, posed)
     _place_arm(inner, posed)
+
+
+@kernel
+def pose_many(
+    skeleton: Skeleton, poses: FloatArray, inner: FloatArray, posed: Posed, bones: Float32Array
+) -> None:
+    """Write camera_T_rest (N, 17, 3, 4) of poses (N, 22) that share inner numbers (6,), for a renderer."""
+    for n in range(len(poses)):
+        pose_bones(skeleton, poses[n], inner, posed)
+        bones[n] = posed.bones
 
 
 @kernel

@@ -15,7 +15,10 @@ from posetrack_cli.rendering.pixel_model import LOGISTIC_OF_NORMAL, LOOKS_BESIDE
 from posetrack_cli.rendering.raster import Drawing, RestMesh, View, draw_depth
 from posetrack_cli.rendering.sums import Comparison
 
-_FAR = 80.0  # the exponent is bounded: beyond, both shares are 0 or 1
+_FAR = 40.0  # beyond that logarithm of odds the smaller share is below the last bit of the larger one
+_SMALL = 0.1
+_MUCH = np.exp(LOOKS_BESIDE)
+_LARGE, _TINY = 1e150, 1e-150  # products of densities are kept between them
 ROW = 8
 """Sums of a tile, in the order of ``TileSums.from_rows``."""
 
@@ -65,17 +68,29 @@ def reading_of(comparison: Comparison, off: FloatArray, slope: float) -> Reading
     return Reading(image, off, before, comparison.clamp_mm, comparison.match_mm, slope)
 
 
+def empty_depths(height: int, width: int) -> FloatArray:
+    """Return depths (h + 2 r, w + 2 r) of a tile and r = ``REACH_PX`` around it: inf, nothing is drawn."""
+    return np.full((height + 2 * REACH_PX, width + 2 * REACH_PX), np.inf)
+
+
 @inlined
-def _misfit(d: float, y: float, before: float, off: float, model: Mixture) -> float:
-    """``PixelMixture.misfit``."""
+def _exponential(x: float) -> float:
+    """exp(x), to 2e-11 where x is small: between two depths of one hand it is."""
+    if abs(x) > _SMALL:
+        return float(np.exp(x))
+    return 1.0 + x * (1.0 + x * (1.0 / 2 + x * (1.0 / 6 + x * (1.0 / 24 + x * (1.0 / 120 + x / 720)))))
+
+
+@inlined
+def _densities(d: float, y: float, before: float, off: float, model: Mixture) -> tuple[float, float]:
+    """Of the most probable reading and of y, both times the same: the log of their ratio is the misfit."""
     sd = model.near_sd + model.sd_growth * d * d
-    outlier = model.outlier_per_sd * sd
+    outlier, occluded = model.outlier_per_sd * sd, model.occluded_per_sd * sd
     t, s = (y - d) / sd, off / model.outline_sd
-    far_end = np.exp(-model.occluder_rate * d)
-    hidden = model.occluded_per_sd * sd / (1.0 - far_end)
-    front = hidden * before if y <= d else 0.0
+    far_end = before * _exponential(model.occluder_rate * (y - d))
+    nearer, front = 1.0 - far_end, occluded * before if y <= d else 0.0
     here = np.exp(-0.5 * (t * t + s * s))
-    return float(np.log((1.0 + hidden * far_end + outlier) / (here + front + outlier)))
+    return nearer * (1.0 + outlier) + occluded * far_end, nearer * (here + outlier) + front
 
 
 @inlined
@@ -83,11 +98,13 @@ def _misfit_of_other(d: float, y: float, off: float, model: Mixture) -> float:
     """``PixelMixture.misfit_of_other`` of a reading -y, and of none where y is 0."""
     sd = model.near_sd + model.sd_growth * d * d
     outlier, t = model.outlier_per_sd * sd, off / model.outline_sd
+    behind = -LOGISTIC_OF_NORMAL * (d + y) / sd
+    if y < 0.0 and behind < -_FAR:  # it lies in front
+        return 0.0
     beside = (np.exp(-0.5 * t * t) + outlier) / (1.0 + outlier)
     if y == 0.0:
         return float(-model.unread_weight * np.log(beside))
-    behind = min(max(-LOGISTIC_OF_NORMAL * (d + y) / sd, -_FAR), _FAR)
-    front = 1.0 / (1.0 + np.exp(behind))
+    front = 1.0 / (1.0 + np.exp(behind)) if behind < _FAR else 0.0
     return float(-np.log(front + (1.0 - front) * beside))
 
 
@@ -99,28 +116,40 @@ def _unexplained(y: float, model: Mixture) -> float:
 
 
 @kernel
-def _misfit_beside(inverse: FloatArray, i: int, j: int, reading: Reading, model: Mixture) -> float:
+def _fill_depths(inverses: FloatArray, depths: FloatArray) -> None:
+    """Write a tile's depths, inf where nothing is drawn, into the middle of ``empty_depths``."""
+    for j in range(inverses.shape[0]):
+        for i in range(inverses.shape[1]):
+            depths[j + REACH_PX, i + REACH_PX] = 1.0 / inverses[j, i]
+
+
+@kernel
+def _misfit_beside(depths: FloatArray, i: int, j: int, reading: Reading, model: Mixture) -> float:
     """The misfit of a target pixel with what fits best of what is drawn ``REACH_PX`` beside it."""
-    height, width = inverse.shape
     y = reading.image[j, i]
-    sd = model.near_sd + model.sd_growth * y * y
-    pixel = reading.slope * y
-    least, depth, aside = np.inf, 0.0, 0.0
+    per_sd, pixel = 1.0 / (model.near_sd + model.sd_growth * y * y), reading.slope * y
+    per_pixel2 = (pixel / model.outline_sd) ** 2
+    least, depth, nearest = np.inf, np.inf, 0.0
     for dj in range(-REACH_PX, REACH_PX + 1):
         for di in range(-REACH_PX, REACH_PX + 1):
-            off2 = di * di + dj * dj
-            if off2 == 0 or off2 > REACH_PX * REACH_PX:
+            off2 = float(di * di + dj * dj)
+            if off2 == 0.0 or off2 > REACH_PX * REACH_PX:
                 continue
-            row, column = j + dj, i + di
-            if row < 0 or column < 0 or row >= height or column >= width or inverse[row, column] == 0.0:
-                continue
-            d = 1.0 / inverse[row, column]
-            square = ((y - d) / sd) ** 2 + off2 * (pixel / model.outline_sd) ** 2
+            d = depths[j + dj + REACH_PX, i + di + REACH_PX]
+            square = ((y - d) * per_sd) ** 2 + off2 * per_pixel2
             if square < least:
-                least, depth, aside = square, d, np.sqrt(off2) * pixel
-    if depth == 0.0:
+                least, depth, nearest = square, d, off2
+    if depth == np.inf:
         return np.inf
-    return _misfit(depth, y, reading.before[j, i], aside, model)
+    best, found = _densities(depth, y, reading.before[j, i], np.sqrt(nearest) * pixel, model)
+    return float(np.log(best / found))
+
+
+@inlined
+def _relief(depths: FloatArray, i: int, j: int, reading: Reading, model: Mixture) -> float:
+    """How much less a target pixel costs that nothing covers because of what is drawn beside it."""
+    beside = _misfit_beside(depths, i, j, reading, model)
+    return max(0.0, _unexplained(reading.image[j, i], model) - beside) if beside < np.inf else 0.0
 
 
 @kernel
@@ -142,35 +171,49 @@ def _box(drawing: Drawing) -> tuple[int, int, int, int]:
 
 
 @kernel
-def add_sums(drawing: Drawing, reading: Reading, model: Mixture, row: FloatArray) -> None:
-    """Write the sums over a drawn tile to a row (8,)."""
-    inverses, image = drawing.inverse, reading.image
+def add_sums(drawing: Drawing, depths: FloatArray, reading: Reading, model: Mixture, row: FloatArray) -> None:
+    """Write the sums over a drawn tile to a row (8,).
+
+    Misfits are added as the logarithm of a ratio of products: one logarithm for many pixels.
+
+    Args:
+        drawing: the tile.
+        depths: of ``empty_depths``, is written to.
+        reading, model: what it is compared with.
+        row: is written to.
+    """
+    image = reading.image
+    _fill_depths(drawing.inverse, depths)
     left, top, right, bottom = _box(drawing)
-    error, misfit, relief = 0.0, 0.0, 0.0
+    error, misfit, relief, most, found = 0.0, 0.0, 0.0, 1.0, 1.0
     both, other, unread, hidden, matched = 0, 0, 0, 0, 0
     for j in range(top, bottom):
         for i in range(left, right):
-            inverse, y = inverses[j, i], image[j, i]
-            if inverse == 0.0:
+            d, y = depths[j + REACH_PX, i + REACH_PX], image[j, i]
+            if d == np.inf:
                 if model.is_asked and y > 0.0:
-                    alone = _unexplained(y, model)
-                    relief += max(0.0, alone - _misfit_beside(inverses, i, j, reading, model))
+                    relief += _relief(depths, i, j, reading, model)
                 continue
-            d = 1.0 / inverse
             if y > 0.0:
                 apart = abs(d - y)
                 both, error = both + 1, error + min(apart, reading.clamp_mm)
                 matched += apart < reading.match_mm
                 if model.is_asked:
-                    alone = _misfit(d, y, reading.before[j, i], 0.0, model)
-                    if alone > LOOKS_BESIDE:
-                        alone = min(alone, _misfit_beside(inverses, i, j, reading, model))
-                    misfit += alone
+                    of_best, of_this = _densities(d, y, reading.before[j, i], 0.0, model)
+                    if of_best > _MUCH * of_this:
+                        beside = _misfit_beside(depths, i, j, reading, model)
+                        misfit += min(np.log(of_best / of_this), beside)
+                        continue
+                    most, found = most * of_best, found * of_this
+                    if most > _LARGE or found < _TINY:
+                        misfit += np.log(most / found)
+                        most, found = 1.0, 1.0
                 continue
             unread, other = unread + (y == 0.0), other + (y < 0.0)
             hidden += (y < 0.0) & (-y < d)
             if model.is_asked:
                 misfit += _misfit_of_other(d, y, reading.off[j, i] * reading.slope * d, model)
+    misfit += np.log(most / found)
     row[0], row[1], row[2], row[3] = error, both, other, unread
     row[4], row[5], row[6], row[7] = misfit, hidden, matched, relief
 
@@ -185,13 +228,14 @@ def sum_poses(
     reading: Reading,
     model: Mixture,
     drawing: Drawing,
+    depths: FloatArray,
     rows: FloatArray,
 ) -> None:
     """Draw every ``stride``-th of poses (N, B, 3, 4) and write its sums (N, 8)."""
     for n in range(first, len(bones), stride):
         rows[n, :] = 0.0
         if draw_depth(mesh, bones[n], view, drawing):
-            add_sums(drawing, reading, model, rows[n])
+            add_sums(drawing, depths, reading, model, rows[n])
 
 
 @kernel

@@ -10,11 +10,18 @@ import numpy as np
 from posetrack_cli.arrays import Float32Array, FloatArray
 from posetrack_cli.compiled import thread_count
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.rendering.cpu.tile_sums import ROW, draw_poses, mixture_of, reading_of, sum_poses
+from posetrack_cli.rendering.cpu.tile_sums import (
+    ROW,
+    draw_poses,
+    empty_depths,
+    mixture_of,
+    reading_of,
+    sum_poses,
+)
 from posetrack_cli.rendering.mesh import SkinnedMesh
 from posetrack_cli.rendering.pixel_model import outline_distances
 from posetrack_cli.rendering.port import check_observed, check_poses
-from posetrack_cli.rendering.raster import Drawing, View, empty_drawing, rest_mesh
+from posetrack_cli.rendering.raster import View, empty_drawing, rest_mesh
 from posetrack_cli.rendering.sums import Comparison, TileSums
 from posetrack_cli.rendering.window import Window
 
@@ -34,6 +41,7 @@ class CompiledDepthRenderer:
         self.tile, self.bones = tile, mesh.weights.shape[1]
         self._mesh, self._threads = rest_mesh(mesh), thread_count()
         self._drawings = [empty_drawing(self._mesh, tile[1], tile[0]) for _ in range(self._threads)]
+        self._depths = [empty_depths(tile[1], tile[0]) for _ in range(self._threads)]
         self._pool = ThreadPoolExecutor(self._threads)
 
     def depth(self, transforms: Float32Array, camera: Camera, window: Window) -> Float32Array:
@@ -42,8 +50,8 @@ class CompiledDepthRenderer:
         bones, view = _bones_of(transforms), View(*window.tile_projection(camera))
         depth = np.empty((len(bones), self.tile[1], self.tile[0]))
 
-        def draw_part(first: int, drawing: Drawing) -> None:
-            draw_poses(self._mesh, bones, first, self._threads, view, drawing, depth)
+        def draw_part(thread: int) -> None:
+            draw_poses(self._mesh, bones, thread, self._threads, view, self._drawings[thread], depth)
 
         self._on_all_threads(draw_part, len(bones))
         return depth.astype(np.float32)
@@ -60,20 +68,21 @@ class CompiledDepthRenderer:
         reading = reading_of(comparison, off.astype(np.float64), window.step / camera.fx)
         rows = np.empty((len(bones), ROW))
 
-        def sum_part(first: int, drawing: Drawing) -> None:
-            sum_poses(self._mesh, bones, first, self._threads, view, reading, model, drawing, rows)
+        def sum_part(thread: int) -> None:
+            drawing, depths = self._drawings[thread], self._depths[thread]
+            sum_poses(self._mesh, bones, thread, self._threads, view, reading, model, drawing, depths, rows)
 
         self._on_all_threads(sum_part, len(bones))
         return TileSums.from_rows(rows, float(np.count_nonzero(comparison.observed > 0)))
 
-    def _on_all_threads(self, work: Callable[[int, Drawing], None], count: int) -> None:
-        """Call a compiled function with a thread's first pose and drawing, on as many as poses need.
+    def _on_all_threads(self, work: Callable[[int], None], count: int) -> None:
+        """Do each thread's part of the work, on as many as poses need.
 
         One of them is this thread.
         """
         parts = range(1, min(count, self._threads))
-        others = [self._pool.submit(work, first, self._drawings[first]) for first in parts]
-        work(0, self._drawings[0])
+        others = [self._pool.submit(work, thread) for thread in parts]
+        work(0)
         for other in others:
             other.result()
 
