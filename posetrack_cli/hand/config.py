@@ -70,7 +70,7 @@ class FilterSettings(Settings):
     """The Bayesian filter (method: paper, section 6; hand.md)."""
 
     kind: Literal["rbpf", "pf", "pso"] = "rbpf"
-    particles: Annotated[int, Field(ge=1, le=1_000_000)] = 128
+    particles: Annotated[int, Field(ge=1, le=1_000_000)] = 256
     proposal: Literal["guided", "annealed", "marginal", "paper"] = "guided"
     discretisation: Literal["exact", "euler"] = "exact"
     resampling: Literal["systematic", "multinomial", "residual", "stratified"] = "systematic"
