@@ -163,7 +163,8 @@ def json_text(tree: Any) -> str:
     limit = sys.getrecursionlimit()
     sys.setrecursionlimit(20_000)
     try:
-        return json.dumps(tree)
+        # What dumps calls is C, whose depth Python 3.12 limits on its own; piece by piece it is Python's.
+        return "".join(json.JSONEncoder().iterencode(tree))
     finally:
         sys.setrecursionlimit(limit)
 

@@ -1,6 +1,6 @@
 """The hand's bones for one pose, and how a point of its skin moves with the pose; compiled.
 
-The same kinematics as ``hand.kinematics``, which does many poses at once without derivatives of the skin.
+The same kinematics as ``hand.kinematics``, which has no forearm and no derivatives of the skin.
 """
 
 from __future__ import annotations

@@ -16,8 +16,8 @@ from posetrack_cli.rendering.raster import Drawing, RestMesh, View, draw_depth
 from posetrack_cli.rendering.sums import Comparison
 
 _FAR = 40.0  # beyond that logarithm of odds the smaller share is below the last bit of the larger one
-_SMALL = 0.1
-_MUCH = np.exp(LOOKS_BESIDE)
+_SMALL = 0.1  # a polynomial stands for exp of less
+_MUCH = np.exp(LOOKS_BESIDE)  # the ratio of densities whose logarithm that misfit is
 _LARGE, _TINY = 1e150, 1e-150  # products of densities are kept between them
 ROW = 8
 """Sums of a tile, in the order of ``TileSums.from_rows``."""
