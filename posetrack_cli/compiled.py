@@ -41,6 +41,7 @@ KERNEL_SOURCES = (
     "head/refinement/*.py",
     "head/skin/equations.py",
     "head/adjustment/solver/*.py",
+    "tracking/body_space.py",
 )
 """Files that compiled code is made of, constants included."""
 _MOST_THREADS = 8

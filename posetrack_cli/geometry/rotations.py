@@ -40,13 +40,16 @@ def canonical(q: FloatArray) -> FloatArray:
     q = np.asarray(q, dtype=np.float64)
     length = np.sqrt(np.einsum("...i,...i->...", q, q))
     if not (np.all(length > 0.0) and np.all(np.isfinite(length))):
-        raise PosetrackError(
-            "a quaternion without direction",
-            found="length 0, NaN or infinite",
-            expected="a finite length > 0",
-        )
+        raise without_direction()
     unit: FloatArray = q * (_canonical_sign(q) / length)[..., None]
     return unit
+
+
+def without_direction() -> PosetrackError:
+    """Return the error of a quaternion that is no rotation: zero, NaN or infinite."""
+    return PosetrackError(
+        "a quaternion without direction", found="length 0, NaN or infinite", expected="a finite length > 0"
+    )
 
 
 def multiply(p: FloatArray, q: FloatArray) -> FloatArray:

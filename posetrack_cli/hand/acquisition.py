@@ -305,29 +305,34 @@ class Acquisition:
         tile = fitter.tile(observation.every(self._step))
         poses = fitter.aligned(tile, poses)
         starts = poses[distinct(poses, fitter.costs(tile, poses), settings.fitted)]
-        fits = self._descended(fitter, tile, starts)
+        fits = self._descended(fitter, tile, [starts])
         rng, none = np.random.default_rng(_SCATTER_SEED), np.empty((0, POSE_SIZE))
-        for fit in _most_different(fits, settings.refined):
-            around = fit_starts(fit.pose, none, settings.scattered, self._space, rng)
-            fits += self._descended(fitter, tile, fitter.aligned(tile, around))
+        around = [
+            fitter.aligned(tile, fit_starts(fit.pose, none, settings.scattered, self._space, rng))
+            for fit in _most_different(fits, settings.refined)
+        ]
+        fits += self._descended(fitter, tile, around)
         return _most_different(fits, settings.finished)
 
     def _finished(self, observation: Observation, rough: Sequence[Fit]) -> Candidate:
         """The best of rough fits once they are fitted to all pixels."""
-        fitter = self.local_fitter.fitter
-        fits = self._descended(fitter, fitter.tile(observation), np.array([fit.pose for fit in rough]))
+        fitter, poses = self.local_fitter.fitter, np.array([fit.pose for fit in rough])
+        fits = self._descended(fitter, fitter.tile(observation), [poses])
         best = min(fits, key=_cost)
         return Candidate(best.pose.copy(), _cost(best), inner=best.inner.copy())
 
-    def _descended(self, fitter: HandFitter, tile: Tile, starts: FloatArray) -> list[Fit]:
-        """Fits from starts (K, 22), and from the best of them with fingers of the others."""
-        settings = self._settings
+    def _descended(self, fitter: HandFitter, tile: Tile, groups: Sequence[FloatArray]) -> list[Fit]:
+        """Fits from groups of starts (K, 22), and from the best of each with fingers of its others."""
+        fits = self._freely(fitter, tile, np.concatenate(groups))
+        ends = np.cumsum([len(group) for group in groups])[:-1].tolist()
+        parts = [fits[first:last] for first, last in zip([0, *ends], [*ends, len(fits)], strict=True)]
+        likeliest = [sorted(part, key=_cost)[: self._settings.swapped] for part in parts]
+        return fits + self._freely(fitter, tile, fitter.swapped(tile, likeliest))
+
+    def _freely(self, fitter: HandFitter, tile: Tile, starts: FloatArray) -> list[Fit]:
+        """Fits from starts (K, 22), each with a wide prior about itself."""
         priors = [PosePrior(start, _FREE_PRECISION) for start in starts]
-        fits = fitter.descend(tile, starts, priors, settings.iterations)
-        swapped = fitter.swapped(tile, sorted(fits, key=_cost)[: settings.swapped])
-        return fits + fitter.descend(
-            tile, swapped[None], [PosePrior(swapped, _FREE_PRECISION)], settings.iterations
-        )
+        return fitter.descend(tile, starts, priors, self._settings.iterations)
 
 
 def _cost(fit: Fit) -> float:

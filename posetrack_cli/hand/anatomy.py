@@ -103,23 +103,6 @@ class HandAnatomy:
         along = np.concatenate([np.zeros((5, 1)), np.cumsum(self.segments, axis=1)[:, :2]], axis=1)
         return self.base_positions[:, None] - along[..., None] * self.base_rotations[:, None, :, 1]
 
-    @cached_property
-    def chain_matrix(self) -> FloatArray:
-        """(5, 3, 9, 15) constants C of the forward kinematics: everything that is linear in a bone's turn.
-
-        For a turn M from rest in the finger's own frame, vec(M) C is vec(B M B^T), then B M e_y times
-        the segment's length, then B M B^T p with p the joint's rest position and B hand_R_finger.
-        """
-        b = self.base_rotations
-        matrix = np.empty((5, 3, 9, 15))
-        turned = np.einsum("fia,fjb->fabij", b, b)  # B M B^T, entry ij from M's entry ab
-        matrix[..., :9] = turned.reshape(5, 1, 9, 9)
-        along = np.zeros((5, 3, 3, 3, 3))  # finger, bone, a, b, i
-        along[:, :, :, 1] = np.einsum("fk,fia->fkai", self.segments, b)
-        matrix[..., 9:12] = along.reshape(5, 3, 9, 3)
-        matrix[..., 12:] = np.einsum("fabij,fkj->fkabi", turned, self.rest_origins).reshape(5, 3, 9, 3)
-        return matrix
-
 
 def make_anatomy(
     side: str = "right",

@@ -85,5 +85,6 @@ def transforms_with_forearm(anatomy: HandAnatomy, poses: FloatArray, inner: Floa
         inner: (6,) the same for all (``hand.inner``).
     """
     bones = np.empty((len(poses), BONE_COUNT + 1, 3, 4), dtype=np.float32)
-    pose_many(skeleton_of(anatomy), np.ascontiguousarray(poses), inner, empty_posed(), bones)
+    each = np.tile(inner, (len(poses), 1))
+    pose_many(skeleton_of(anatomy), np.ascontiguousarray(poses), each, empty_posed(), bones)
     return bones

@@ -10,32 +10,9 @@ import numpy as np
 
 from posetrack_cli.arrays import Float32Array, FloatArray
 from posetrack_cli.geometry import rotations
-from posetrack_cli.hand.anatomy import BONE_COUNT, HandAnatomy
-from posetrack_cli.hand.inner import NO_THUMB
-
-HALF_RULE = 0.5  # joint 1 bends half as far as joint 2 (paper, appendix A.1)
-
-
-def _chain_turns(angles: FloatArray, inner: FloatArray, sign: float) -> FloatArray:
-    """Turns of all finger bones from rest in their finger's frame, (N, 15) -> (5, 3, N, 9).
-
-    A finger bends about one axis behind its abduction: Rz(abduction) Rx(sum of flexions). The thumb
-    bends at the CMC first: Rx(CMC) Rz(abduction), then Rz(its MCP's abduction) Rx(flexion) from the MCP on.
-    The thumb's inner angles (``hand.inner``) are (2,) or (N, 2).
-    """
-    by_angle = angles.T.reshape(5, 3, -1)
-    thumb, fingers = by_angle[0], by_angle[1:]
-    a, t = np.zeros_like(by_angle), np.zeros_like(by_angle)
-    a[0] = sign * thumb[2]
-    a[0, 1:] += sign * inner[..., 1]
-    t[0, 1], t[0, 2] = thumb[1], (1.0 + HALF_RULE) * thumb[1] + inner[..., 0]
-    a[1:] = sign * fingers[:, 1:2]
-    t[1:, 0] = fingers[:, 0]
-    t[1:, 1] = fingers[:, 0] + fingers[:, 2]
-    t[1:, 2] = fingers[:, 0] + (1.0 + HALF_RULE) * fingers[:, 2]
-    turns = _spread_and_bend(a, t)
-    _bend_base(turns[0], thumb[0])
-    return turns
+from posetrack_cli.hand.anatomy import BONE_COUNT, JOINT_NAMES, HandAnatomy
+from posetrack_cli.hand.fitting.skeleton import HALF, empty_posed, place_joints, pose_many, skeleton_of
+from posetrack_cli.hand.inner import INNER_SIZE, NO_THUMB, THUMB
 
 
 def _spread_and_bend(a: FloatArray, t: FloatArray) -> FloatArray:
@@ -56,16 +33,6 @@ def _bend_base(turns: FloatArray, s: FloatArray) -> None:
     turns[..., 6:9] = ss * middle + cs * last
 
 
-def _finger_chain(
-    anatomy: HandAnatomy, angles: FloatArray, thumb: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """In hand coordinates: chain values (5, 3, N, 15), see chain_matrix, and bone ends (5, 3, N, 3)."""
-    sign = -1.0 if anatomy.is_left else 1.0
-    values = _chain_turns(angles, thumb, sign) @ anatomy.chain_matrix
-    ends = anatomy.base_positions[:, None, None] - np.cumsum(values[..., 9:12], axis=1)
-    return values, ends
-
-
 def skinning_transforms(
     anatomy: HandAnatomy, poses: FloatArray, thumb: FloatArray = NO_THUMB
 ) -> Float32Array:
@@ -79,21 +46,9 @@ def skinning_transforms(
     Returns:
         (N, 16, 3, 4), translations in mm: the palm, then three bones a finger, thumb first.
     """
-    values, ends = _finger_chain(anatomy, poses[:, 7:], thumb)
-    n = poses.shape[0]
-    bones = np.empty((n, 3, 5, 3, 4))
-    bones[..., :3] = values[..., :9].reshape(5, 3, n, 3, 3).transpose(2, 3, 0, 1, 4)
-    offsets = -values[..., 12:]
-    offsets[:, 0] += anatomy.base_positions[:, None]
-    offsets[:, 1:] += ends[:, :2]
-    bones[..., 3] = offsets.transpose(2, 3, 0, 1)
-    palm = rotations.matrices_from_quaternions(poses[:, 3:7])
-    posed = (palm @ bones.reshape(n, 3, 60)).reshape(n, 3, 15, 4)
-    posed[..., 3] += poses[:, :3, None]
-    out = np.empty((n, BONE_COUNT, 3, 4), dtype=np.float32)
-    out[:, 0, :, :3], out[:, 0, :, 3] = palm, poses[:, :3]
-    out[:, 1:] = posed.transpose(0, 2, 1, 3)
-    return out
+    bones = np.empty((len(poses), BONE_COUNT, 3, 4), dtype=np.float32)
+    pose_many(skeleton_of(anatomy), _own(poses), _inner_with(thumb, len(poses)), empty_posed(), bones)
+    return bones
 
 
 def joint_positions(anatomy: HandAnatomy, poses: FloatArray, thumb: FloatArray = NO_THUMB) -> FloatArray:
@@ -101,16 +56,21 @@ def joint_positions(anatomy: HandAnatomy, poses: FloatArray, thumb: FloatArray =
 
     The thumb's inner angles (``hand.inner``) are (2,) or (N, 2), rad.
     """
-    _, ends = _finger_chain(anatomy, poses[:, 7:], thumb)
-    n = poses.shape[0]
-    local = np.empty((n, 5, 4, 3))
-    local[:, :, 0] = anatomy.base_positions
-    local[:, :, 1:] = ends.transpose(2, 0, 1, 3)
-    palm = rotations.matrices_from_quaternions(poses[:, 3:7])
-    out = np.empty((n, 21, 3))
-    out[:, 0] = poses[:, :3]
-    out[:, 1:] = local.reshape(n, 20, 3) @ np.swapaxes(palm, 1, 2) + poses[:, None, :3]
-    return out
+    joints = np.empty((len(poses), len(JOINT_NAMES), 3))
+    place_joints(skeleton_of(anatomy), _own(poses), _inner_with(thumb, len(poses)), empty_posed(), joints)
+    return joints
+
+
+def _own(poses: FloatArray) -> FloatArray:
+    """A copy as kernels are compiled for: what is handed on may be read-only, or a part of something."""
+    return np.array(poses, dtype=np.float64, order="C")
+
+
+def _inner_with(thumb: FloatArray, count: int) -> FloatArray:
+    """Inner numbers (N, 6) without a forearm."""
+    inner = np.zeros((count, INNER_SIZE))
+    inner[:, THUMB] = thumb
+    return inner
 
 
 def mean_joint_distances(anatomy: HandAnatomy, pose: FloatArray, others: FloatArray) -> FloatArray:
@@ -174,11 +134,11 @@ def _hinges(
         spread = sign * (turn[1, :, 2::3] @ base[f].T)  # the z axis before it
         if f == 0:
             first = np.broadcast_to(base[0][:, 0], flexion.shape)
-            hinges += [(0, first, 0, 0, 1.0), (1, flexion, 0, 1, 1.0), (1, flexion, 0, 2, HALF_RULE)]
+            hinges += [(0, first, 0, 0, 1.0), (1, flexion, 0, 1, 1.0), (1, flexion, 0, 2, HALF)]
             hinges += [(2, spread, 0, 0, 1.0)]
         else:
             hinges += [(k, flexion, f, 0, 1.0), (k + 1, spread, f, 0, 1.0)]
-            hinges += [(k + 2, flexion, f, 1, 1.0), (k + 2, flexion, f, 2, HALF_RULE)]
+            hinges += [(k + 2, flexion, f, 1, 1.0), (k + 2, flexion, f, 2, HALF)]
     return hinges
 
 

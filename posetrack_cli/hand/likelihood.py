@@ -163,7 +163,7 @@ class RenderedCosts:
 
     def costs(self, poses: FloatArray, observation: Observation) -> FloatArray:
         """Costs D (N,), mm, of poses (N, 22)."""
-        return self._cost(self._sums(poses, observation), self._settings)
+        return self._cost(self._sums(poses, observation, None), self._settings)
 
     def log_likelihood(self, poses: FloatArray, observation: Observation) -> FloatArray:
         """log p(y | x) (N,) of poses (N, 22), up to a constant that no pose changes."""
@@ -175,7 +175,7 @@ class RenderedCosts:
         The mixture's likelihood is -(n_eff / n) R with R of ``union_misfit`` and n_eff / n of
         ``reading_share``; that of other costs is ``log_gibbs``.
         """
-        sums = self._sums(poses, observation)
+        sums = self._sums(poses, observation, self._model)
         costs = self._cost(sums, self._settings)
         if self._model is None:
             return Scores(costs, log_gibbs(costs, self._settings))
@@ -187,10 +187,10 @@ class RenderedCosts:
         correlation = self._settings.mixture.correlation_mm
         return Scores(costs, -reading_share(z, observation.window.step, self._camera, correlation) * misfit)
 
-    def _sums(self, poses: FloatArray, observation: Observation) -> TileSums:
+    def _sums(self, poses: FloatArray, observation: Observation, model: PixelMixture | None) -> TileSums:
         renderer = self._one if len(poses) == 1 else self._many
         transforms = transforms_with_forearm(self._anatomy, poses, observation.inner)
         clamp = self._settings.clamp_mm
         return renderer.sums(
-            transforms, self._camera, observation.window, Comparison(observation.image, clamp, self._model)
+            transforms, self._camera, observation.window, Comparison(observation.image, clamp, model)
         )

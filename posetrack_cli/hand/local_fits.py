@@ -130,12 +130,10 @@ class LocalFitter:
         starts = fitter.aligned(tile, fit_starts(expected, others, settings.starts, self._space, rng))
         prior = PosePrior(expected, motion_precision(settings, dt))
         priors = [prior.about(start[:3]) for start in starts]
-        fits = fitter.descend(tile, starts, priors, settings.iterations)
-        fits += fitter.descend(
-            tile, told, [PosePrior(pose, TOLD_PRECISION) for pose in told], settings.iterations
-        )
+        priors += [PosePrior(pose, TOLD_PRECISION) for pose in told]
+        fits = fitter.descend(tile, np.concatenate([starts, told]), priors, settings.iterations)
         tile = _with_inner(tile, min(fits, key=_cost).inner)
-        best = fitter.swapped(tile, fits)
+        best = fitter.swapped(tile, [fits])[0]
         fits += fitter.descend(tile, best[None], [prior.about(best[:3])], settings.polish)
         renders = len(starts) * (settings.iterations + 2) + 5 * (len(starts) - 1) + settings.polish + 1
         renders += len(told) * (settings.iterations + 6)
@@ -154,7 +152,7 @@ class LocalFitter:
         priors = [PosePrior(start, prior.precision) for start in starts]
         fits = fitter.descend(tile, starts, priors, settings.refold_iterations)
         likeliest = sorted(fits, key=_cost)[: settings.starts]
-        best = fitter.swapped(tile, likeliest)
+        best = fitter.swapped(tile, [likeliest])[0]
         fits += fitter.descend(tile, best[None], [PosePrior(best, prior.precision)], settings.iterations)
         drawn = len(starts) * (settings.refold_iterations + 1) + 5 * (len(likeliest) - 1)
         return fits, drawn + settings.iterations + 1

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from posetrack_cli.errors import PosetrackError
 from posetrack_cli.geometry import rotations
 from posetrack_cli.hand.anatomy import ANGLE_LIMITS, ANGLE_NAMES
 from posetrack_cli.hand.config import ComponentSettings
@@ -42,6 +44,51 @@ def test_retract_undoes_local(x: np.ndarray, y: np.ndarray) -> None:
     np.testing.assert_allclose(there[0, :3], y[:3], atol=ROUNDING)
     np.testing.assert_allclose(there[0, 7:], y[7:], atol=ROUNDING)
     assert rotations.angle_between(there[0, 3:7], y[3:7]) < ROUNDING  # half turns have two quaternions
+
+
+@relaxed
+@given(pose_strategy(), pose_strategy(), tangents)
+def test_rotations_are_those_of_the_arrays(x: np.ndarray, y: np.ndarray, delta: np.ndarray) -> None:
+    turned = rotations.canonical(rotations.multiply(x[3:7], rotations.exponential(delta[3:6])))
+    np.testing.assert_allclose(SPACE.retract(x[None], delta[None])[0, 3:7], turned, atol=ROUNDING)
+    between = rotations.logarithm(rotations.multiply(rotations.conjugate(x[3:7]), y[3:7]))
+    np.testing.assert_allclose(SPACE.local(x, y)[3:6], between, atol=ROUNDING)
+
+
+def test_half_a_turn_is_told_by_its_axis_alone() -> None:
+    x = np.zeros((6, 22))
+    x[:, 6] = 1.0
+    delta = np.zeros((6, 21))
+    delta[:3, 3:6], delta[3:, 3:6] = np.pi * np.eye(3), -np.pi * np.eye(3)
+    moved = SPACE.retract(x, delta)
+    np.testing.assert_allclose(rotations.angle_between(moved[:3, 3:7], moved[3:, 3:7]), 0.0, atol=ROUNDING)
+    half = x.copy()
+    half[:, 3:7] = 0.0
+    half[:3, 3:6], half[3:, 3:6] = np.eye(3), -np.eye(3)  # with w = 0 exactly
+    np.testing.assert_allclose(SPACE.local(x, half)[:, 3:6], np.tile(np.pi * np.eye(3), (2, 1)), atol=1e-15)
+
+
+def test_parts_of_arrays_and_one_pose_beside_many_are_taken() -> None:
+    poses = random_poses(12)
+    wide = np.zeros((12, 30))
+    wide[:, 4:26] = poses
+    frozen = poses.copy()
+    frozen.flags.writeable = False
+    expected = SPACE.local(np.repeat(poses[:1], 6, axis=0), poses[::2])
+    for one in (poses, wide[:, 4:26], np.asfortranarray(poses), frozen):
+        np.testing.assert_array_equal(SPACE.local(one[0], one[::2]), expected)
+        np.testing.assert_array_equal(SPACE.local(one[::2].reshape(2, 3, 22), one[0]).shape, [2, 3, 21])
+        moved = SPACE.retract(np.repeat(one[:1], 6, axis=0), expected)
+        np.testing.assert_allclose(moved[:, 7:], poses[::2, 7:], atol=ROUNDING)
+        assert rotations.angle_between(moved[:, 3:7], poses[::2, 3:7]).max() < ROUNDING
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_rotation_that_is_not_finite_is_refused(value: float) -> None:
+    delta = np.zeros((3, 21))
+    delta[1, 4] = value
+    with pytest.raises(PosetrackError, match="without direction"):
+        SPACE.retract(random_poses(3), delta)
 
 
 @relaxed

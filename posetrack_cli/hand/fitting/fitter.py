@@ -13,7 +13,7 @@ import numpy as np
 from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.compiled import thread_count
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.anatomy import TANGENT_SIZE
+from posetrack_cli.hand.anatomy import POSE_SIZE, TANGENT_SIZE
 from posetrack_cli.hand.fitting.anatomy_terms import add_anatomy, plausibility_of, potentials
 from posetrack_cli.hand.fitting.gauss_newton import (
     FREE_THUMB,
@@ -27,6 +27,7 @@ from posetrack_cli.hand.fitting.gauss_newton import (
     empty_fit,
     empty_fits,
     make_workspace,
+    swap_fingers_each,
     taken_apart,
     write_costs,
 )
@@ -199,18 +200,26 @@ class HandFitter:
         self._share_out(len(priors), descend_some)
         return taken_apart(fits)
 
-    def swapped(self, tile: Tile, fits: Sequence[Fit]) -> FloatArray:
-        """Return the best fit's pose (22,) with each finger taken from the fit where it fits best."""
-        order = sorted(range(len(fits)), key=lambda k: float(fits[k].cost[0]))
-        best, cost = fits[order[0]].pose.copy(), float(fits[order[0]].cost[0])
-        for finger in FINGER_ANGLES:
-            candidates = np.tile(best, (len(order) - 1, 1))
-            for row, k in enumerate(order[1:]):
-                candidates[row, finger] = fits[k].pose[finger]
-            costs = self.costs(tile, candidates)
-            if len(costs) and costs.min() < cost:
-                best, cost = candidates[int(np.argmin(costs))], float(costs.min())
-        return best
+    def swapped(self, tile: Tile, groups: Sequence[Sequence[Fit]]) -> FloatArray:
+        """Return of each of G groups the best fit's pose with each finger from the fit where it fits best.
+
+        Args:
+            tile: the observation.
+            groups: of the same number of fits each, at least one.
+
+        Returns:
+            (G, 22).
+        """
+        ordered = [sorted(group, key=lambda fit: float(fit.cost[0])) for group in groups]
+        poses = np.array([[fit.pose for fit in group] for group in ordered])
+        costs = np.array([float(group[0].cost[0]) for group in ordered])
+        out = np.empty((len(poses), POSE_SIZE))
+
+        def swap_some(first: int, stride: int, workspace: Workspace) -> None:
+            swap_fingers_each(self.hand, tile, poses, costs, first, stride, self._terms, workspace, out)
+
+        self._share_out(len(poses), swap_some)
+        return out
 
     def assessed(self, tile: Tile, pose: FloatArray) -> Fit:
         """Return the fit of a pose as it is."""

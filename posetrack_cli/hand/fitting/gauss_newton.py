@@ -363,6 +363,45 @@ def write_costs(
 
 
 @kernel
+def swap_fingers_each(
+    hand: Hand,
+    tile: Tile,
+    poses: FloatArray,
+    costs: FloatArray,
+    first: int,
+    stride: int,
+    terms: Terms,
+    workspace: Workspace,
+    out: FloatArray,
+) -> None:
+    """Write the best pose of each group (G, 22) with every finger taken from the pose where it fits best.
+
+    A finger after the other, the thumb first, each with those before it as they were chosen.
+
+    Args:
+        hand, tile, terms, workspace: as in ``cost_of``.
+        poses: (G, K, 22) the best of each group first.
+        costs: (G,) of these.
+        first, stride: which groups.
+        out: is written to.
+    """
+    trial = np.empty(POSE_SIZE)
+    for g in range(first, len(poses), stride):
+        best, cost = out[g], costs[g]
+        best[:] = poses[g, 0]
+        for place in range(POSE_SIZE - 15, POSE_SIZE, 3):
+            chosen = 0
+            trial[:] = best
+            for k in range(1, poses.shape[1]):
+                trial[place : place + 3] = poses[g, k, place : place + 3]
+                other = cost_of(hand, tile, trial, terms, workspace)
+                if other < cost:
+                    chosen, cost = k, other
+            if chosen > 0:
+                best[place : place + 3] = poses[g, chosen, place : place + 3]
+
+
+@kernel
 def align_each(
     hand: Hand, tile: Tile, poses: FloatArray, first: int, stride: int, workspace: Workspace
 ) -> None:

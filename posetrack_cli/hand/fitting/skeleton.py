@@ -1,6 +1,6 @@
 """The hand's bones for one pose, and how a point of its skin moves with the pose; compiled.
 
-The same kinematics as ``hand.kinematics``, which has no forearm and no derivatives of the skin.
+``hand.kinematics`` asks it for many poses at once.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from posetrack_cli.geometry.kernels import matrix_product, rotation_matrix
 from posetrack_cli.hand.anatomy import ARM_BONE, BONE_COUNT, HandAnatomy
 from posetrack_cli.hand.inner import IP_OFFSET, MCP_ABDUCTION
 
-HALF = 0.5  # joint 1 bends half as far as joint 2
+HALF = 0.5  # joint 1 bends half as far as joint 2 (paper, appendix A.1)
 THUMB = 0  # the finger of a point of the thumb
 PALM = -1  # that of a point that no finger moves
 ARM = 5  # that of a point of the forearm
@@ -145,10 +145,26 @@ def pose_bones(skeleton: Skeleton, pose: FloatArray, inner: FloatArray, posed: P
 def pose_many(
     skeleton: Skeleton, poses: FloatArray, inner: FloatArray, posed: Posed, bones: Float32Array
 ) -> None:
-    """Write camera_T_rest (N, 17, 3, 4) of poses (N, 22) that share inner numbers (6,), for a renderer."""
+    """Write camera_T_rest (N, B, 3, 4) of poses (N, 22) with inner numbers (N, 6), for a renderer.
+
+    B is 17 with the forearm, 16 without.
+    """
     for n in range(len(poses)):
-        pose_bones(skeleton, poses[n], inner, posed)
-        bones[n] = posed.bones
+        pose_bones(skeleton, poses[n], inner[n], posed)
+        bones[n] = posed.bones[: bones.shape[1]]
+
+
+@kernel
+def place_joints(
+    skeleton: Skeleton, poses: FloatArray, inner: FloatArray, posed: Posed, joints: FloatArray
+) -> None:
+    """Write the joints (N, 21, 3), mm, of poses (N, 22) with inner numbers (N, 6), in the joints' order."""
+    for n in range(len(poses)):
+        pose_bones(skeleton, poses[n], inner[n], posed)
+        joints[n, 0] = poses[n, :3]
+        for f in range(5):
+            joints[n, 1 + 4 * f : 4 + 4 * f] = posed.centres[f]
+            joints[n, 4 + 4 * f] = posed.tips[f]
 
 
 @kernel

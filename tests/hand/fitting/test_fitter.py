@@ -240,9 +240,10 @@ def test_swapping_takes_each_finger_from_where_it_fits(fitters: dict[str, HandFi
     for row, finger in enumerate((1, 2, 4)):
         poses[row, FINGER_ANGLES[finger]] += [0.6, 0.0, 0.8]
     fits = [fitter.assessed(tile, pose) for pose in poses]
-    found = fitter.swapped(tile, fits)
-    np.testing.assert_array_equal(found, truth)
-    np.testing.assert_array_equal(fitter.swapped(tile, fits[:1]), poses[0])
+    found = fitter.swapped(tile, [fits, fits[::-1]])
+    np.testing.assert_array_equal(found, [truth, truth])
+    alone = fitter.swapped(tile, [fits[:1], fits[1:2], fits[2:]])
+    np.testing.assert_array_equal(alone, poses)
 
 
 def test_starts_are_the_expected_pose_others_and_scattered_ones() -> None:
