@@ -153,7 +153,8 @@ def test_scores_are_costs_and_likelihoods_of_one_drawing(device: RenderingDevice
     scene = Scene(device)
     seen = Observation(scene.window, scene.image, int((scene.image > 0).sum()))
     costs, log_likelihood = scene.scorer.scores(POSES, seen)
-    np.testing.assert_array_equal(costs, scene.scorer.costs(POSES, seen))
+    # costs alone ask for no misfits, and a device's program without them may add up in another order
+    np.testing.assert_allclose(costs, scene.scorer.costs(POSES, seen), rtol=1e-6, atol=1e-6)
     np.testing.assert_array_equal(log_likelihood, scene.scorer.log_likelihood(POSES, seen))
     union = RenderedCosts(device, HAND, KINECT, ObservationSettings(cost="union", window_px=128), len(POSES))
     # what is reported is the union's cost, added up in another order

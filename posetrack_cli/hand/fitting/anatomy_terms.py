@@ -9,6 +9,8 @@ were observed in every frame.
     closing finger        or e = angle of joint 2 - what joint 3 makes it where fingers close, and, weaker,
                           angle of joint 3 - closed angle, the more so the more probably it closes:
                           nothing shows how far the fingers of a hand seen from the back are closed
+    neighbours            e = difference of two neighbours' joints 2, the less the more their joints 3 differ:
+                          where one of two fingers that are bent alike is hidden, the other tells of it
     collision             e = overlap of two fingers' spheres, mm
 """
 
@@ -41,6 +43,12 @@ there joint 2 bends with joint 3 (``Plausibility.coupling``), as people's finger
 is bent by 37, 52, 67 and 82 degrees, joint 2 of CVAR's P1 is by 46, 55, 70 and 74, sd 30, and that of P7, who
 points, by 87, 81, 83 and 83."""
 
+ALIKE_WEIGHT = 1.0 / (20.0 * _D) ** 2
+"""Of the difference of two neighbours' joints 2, where their joints 3 are bent alike. Where these differ by
+less than 15 degrees, those of CVAR's P1 and P4 differ by 22 to 36 (rms; the median is 10 to 23), P7's by 14
+to 17 but for the index, who points (92), and those of people 700-753, whose motions bend most fingers alike,
+by 5 to 11; where joints 3 differ by more than 25 degrees, P1's, P4's and the people's by 29 to 69."""
+
 
 class Plausibility(NamedTuple):
     """Constants of the potential.
@@ -55,6 +63,8 @@ class Plausibility(NamedTuple):
         limit, taut: weights, 1 / rad^2.
         closing_weight, knuckle_weight: of joints 2 and 3 of a finger that closes, 1 / rad^2.
         closing_odds: log odds of a finger that closes, the heights of both densities included.
+        alike_weight: of neighbours' joints 2 where joints 3 are bent alike, 1 / rad^2.
+        alike_sd: how far joints 3 differ, rad, where that counts exp(-1/2) of it.
         overlap: weight of a collision, 1 / mm^2.
         allowed_mm: how far skins may sink into each other.
     """
@@ -71,6 +81,8 @@ class Plausibility(NamedTuple):
     closing_weight: float = 6.0
     knuckle_weight: float = 2.0
     closing_odds: float = 2.2
+    alike_weight: float = ALIKE_WEIGHT
+    alike_sd: float = 0.3
     overlap: float = 0.2
     allowed_mm: float = 3.0
 
@@ -135,6 +147,20 @@ def _add_closing(about: Plausibility, angles: FloatArray, equations: NormalEquat
         _add_angle(equations, a, short, share * about.knuckle_weight)
         _add_coupled(equations, a, b, about.coupling, off, share * about.closing_weight)
         value -= np.log1p(np.exp(odds))
+    return value
+
+
+@kernel
+def _add_neighbours(about: Plausibility, angles: FloatArray, equations: NormalEquations) -> float:
+    """Pull joints 2 of neighbouring fingers to each other; how much it counts is held as ligaments' is."""
+    value = 0.0
+    for f in range(1, 4):
+        a, b = 3 * f, 3 * f + 3
+        apart = (angles[a] - angles[b]) / about.alike_sd
+        weight = about.alike_weight * np.exp(-0.5 * apart * apart)
+        off = angles[a + 2] - angles[b + 2]
+        _add_coupled(equations, a + 2, b + 2, 1.0, off, weight)
+        value += 0.5 * weight * off * off
     return value
 
 
@@ -241,6 +267,7 @@ def add_anatomy(
     """
     angles = pose[7:]
     value = _add_limits(about, angles, equations) + _add_closing(about, angles, equations)
+    value += _add_neighbours(about, angles, equations)
     place_spheres(posed, spheres)
     for f in range(5):
         for h in range(f + 1, 5 if f == 0 else min(f + 2, 5)):  # the thumb meets all, a finger its neighbour
