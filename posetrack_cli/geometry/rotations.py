@@ -6,8 +6,9 @@ unit length and w >= 0; q and -q are the same rotation. Products are Hamilton's:
 A rotation vector is axis times angle, rad. Every function returns new float64 arrays and broadcasts.
 
 ``scipy.spatial.transform.Rotation`` says the same, and tests compare with it. It is used where rotations are
-few (``euler``, ``hand.webxr``); what filters do with many particles a frame stays here: one expression
-over arrays without an object in between, of equal bits whatever version of scipy is there.
+few (``euler``, ``hand.webxr``); what is done with many a frame stays here: one expression over arrays without
+an object in between, of equal bits whatever version of scipy is there. Poses of particles are moved and
+subtracted by kernels (``tracking.body_space``).
 """
 
 from __future__ import annotations

@@ -305,27 +305,30 @@ class Acquisition:
         tile = fitter.tile(observation.every(self._step))
         poses = fitter.aligned(tile, poses)
         starts = poses[distinct(poses, fitter.costs(tile, poses), settings.fitted)]
-        fits = self._descended(fitter, tile, [starts])
+        fits = self._descended(fitter, tile, starts[None])
         rng, none = np.random.default_rng(_SCATTER_SEED), np.empty((0, POSE_SIZE))
-        around = [
-            fitter.aligned(tile, fit_starts(fit.pose, none, settings.scattered, self._space, rng))
-            for fit in _most_different(fits, settings.refined)
-        ]
-        fits += self._descended(fitter, tile, around)
+        around = np.array(
+            [
+                fit_starts(fit.pose, none, settings.scattered, self._space, rng)
+                for fit in _most_different(fits, settings.refined)
+            ]
+        )
+        aligned = fitter.aligned(tile, around.reshape(-1, POSE_SIZE)).reshape(around.shape)
+        fits += self._descended(fitter, tile, aligned)
         return _most_different(fits, settings.finished)
 
     def _finished(self, observation: Observation, rough: Sequence[Fit]) -> Candidate:
         """The best of rough fits once they are fitted to all pixels."""
         fitter, poses = self.local_fitter.fitter, np.array([fit.pose for fit in rough])
-        fits = self._descended(fitter, fitter.tile(observation), [poses])
+        fits = self._descended(fitter, fitter.tile(observation), poses[None])
         best = min(fits, key=_cost)
         return Candidate(best.pose.copy(), _cost(best), inner=best.inner.copy())
 
-    def _descended(self, fitter: HandFitter, tile: Tile, groups: Sequence[FloatArray]) -> list[Fit]:
-        """Fits from groups of starts (K, 22), and from the best of each with fingers of its others."""
-        fits = self._freely(fitter, tile, np.concatenate(groups))
-        ends = np.cumsum([len(group) for group in groups])[:-1].tolist()
-        parts = [fits[first:last] for first, last in zip([0, *ends], [*ends, len(fits)], strict=True)]
+    def _descended(self, fitter: HandFitter, tile: Tile, groups: FloatArray) -> list[Fit]:
+        """Fits from groups of starts (G, K, 22), and from the best of each with fingers of its others."""
+        size = groups.shape[1]
+        fits = self._freely(fitter, tile, groups.reshape(-1, POSE_SIZE))
+        parts = [fits[first : first + size] for first in range(0, len(fits), size)]
         likeliest = [sorted(part, key=_cost)[: self._settings.swapped] for part in parts]
         return fits + self._freely(fitter, tile, fitter.swapped(tile, likeliest))
 

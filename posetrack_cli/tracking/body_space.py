@@ -19,11 +19,6 @@ from posetrack_cli.geometry.kernels import (
     vector_from_quaternion,
 )
 
-SHAPE = slice(7, None)
-"""Of a pose, the entries that say how the body is deformed."""
-TANGENT_SHAPE = slice(6, None)
-"""The same of a tangent vector."""
-
 
 @inlined
 def _sign(x: float, y: float, z: float, w: float) -> float:

@@ -389,8 +389,8 @@ def swap_fingers_each(
     for g in range(first, len(poses), stride):
         best, cost = out[g], costs[g]
         best[:] = poses[g, 0]
-        for place in range(POSE_SIZE - 15, POSE_SIZE, 3):
-            chosen = 0
+        for f in range(5):
+            place, chosen = 7 + 3 * f, 0
             trial[:] = best
             for k in range(1, poses.shape[1]):
                 trial[place : place + 3] = poses[g, k, place : place + 3]
