@@ -50,7 +50,7 @@ class LocalFits(NamedTuple):
     """The fits of one frame.
 
     Attributes:
-        modes: approximations of log p(y | x), the best first.
+        modes: approximations of log p(y | x), the most probable first.
         cost: union cost D of the best, mm, with the smooth skin.
         renders: how many poses were drawn for it.
         inner: (6,) inner numbers of the best (``hand.inner``).
@@ -158,7 +158,7 @@ class LocalFitter:
         return fits, drawn + settings.iterations + 1
 
     def _likelihood(self, reading: FrameReading, fits: Sequence[Fit]) -> LikelihoodModes:
-        chosen = [self.fitter.assessed(reading.tile, fit.pose) for fit in self._distinct(fits)]
+        chosen = [self.fitter.assessed(reading.tile, fit.pose) for fit in self.likeliest(reading, fits)]
         noise_sd = float(self._mixture.noise_sd(np.array(reading.depth_mm)))
         scale = reading.share * self._settings.sharpening * (self.sigma_mm / noise_sd) ** 2
         clamp = self._config.observation.clamp_mm
@@ -202,14 +202,19 @@ class LocalFitter:
             log_heights,
         )
 
-    def _distinct(self, fits: Sequence[Fit]) -> list[Fit]:
-        """The best fit, and others nearly as good whose joints lie elsewhere."""
-        order = sorted(fits, key=lambda fit: float(fit.cost[0]))
-        limit = float(order[0].cost[0]) + self._settings.alternative_mm
+    def likeliest(self, reading: FrameReading, fits: Sequence[Fit]) -> list[Fit]:
+        """Return the most probable fits whose joints lie apart, of those that cost little more than the best.
+
+        Of fingers that nothing shows all folds cost the same, and the anatomy tells which are likely.
+        """
+        limit = min(map(_cost, fits)) + self._settings.alternative_mm
+        near = [fit for fit in fits if _cost(fit) <= limit]
+        doubts = self.fitter.potentials(np.array([fit.pose for fit in near]), reading.tile.inner)
+        doubts += reading.height / self._config.observation.clamp_mm * np.array([_cost(fit) for fit in near])
         chosen: list[Fit] = []
         joints: list[FloatArray] = []
-        for fit in order:
-            if fit.cost[0] > limit or len(chosen) == self._settings.most_modes:
+        for fit in (near[k] for k in np.argsort(doubts, kind="stable")):
+            if len(chosen) == self._settings.most_modes:
                 break
             here = joint_positions(self._anatomy, fit.pose[None])[0]
             apart = [np.linalg.norm(here - there, axis=1).max() for there in joints]

@@ -55,7 +55,6 @@ def test_the_first_mode_is_the_hand_and_modes_are_sound(stage: Stage, seed: int)
     assert stage.error(expected, truth) > 8.0
     assert stage.error(modes.poses[0], truth) < FOUND_MM
     assert found.cost < 1.5
-    assert (np.diff(modes.log_heights) <= 0.0).all()
     assert (modes.log_heights <= 0.0).all()
     for information in modes.information:
         np.testing.assert_allclose(information, information.T, rtol=1e-9, atol=1e-9)
@@ -64,6 +63,20 @@ def test_the_first_mode_is_the_hand_and_modes_are_sound(stage: Stage, seed: int)
         sd = np.sqrt(np.diag(np.linalg.inv(information))[:3])
         assert (sd < 3.0).all()
         assert (sd > 0.01).all()
+
+
+def test_of_fingers_that_nothing_shows_the_likeliest_fold_comes_first(stage: Stage) -> None:
+    """A fist from its back: how far the ring finger is bent behind it costs less than the anatomy tells."""
+    fist, guide = relaxed(), local_fitter(apart_mm=3.0)
+    fist[[10, 12, 13, 15, 16, 18, 19, 21]] = np.tile([1.3, 1.5], 4)
+    back = turned_about_its_length(fist, np.pi)
+    odd = back.copy()
+    odd[18] = 0.6
+    reading = guide.read(observation_of(stage.depth(odd), odd))
+    likely, unlikely = (guide.fitter.assessed(reading.tile, pose) for pose in (back, odd))
+    assert unlikely.cost[0] < likely.cost[0]
+    chosen = guide.likeliest(reading, [unlikely, likely])
+    np.testing.assert_array_equal([fit.pose for fit in chosen], [back, odd])
 
 
 def test_the_same_seed_gives_the_same_modes(stage: Stage) -> None:

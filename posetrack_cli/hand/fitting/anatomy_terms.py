@@ -9,6 +9,9 @@ were observed in every frame.
     closing finger        or e = angle of joint 2 - what joint 3 makes it where fingers close, and, weaker,
                           angle of joint 3 - closed angle, the more so the more probably it closes:
                           nothing shows how far the fingers of a hand seen from the back are closed
+    straight finger       or e = angle of joint 2 - straight angle, and, weaker, angle of joint 3 - its
+                          middle, the more so the more probably it is straight: people bend straight
+                          fingers at the knuckle, too
     neighbours            e = difference of two neighbours' joints 2, the less the more their joints 3 differ:
                           where one of two fingers that are bent alike is hidden, the other tells of it
     collision             e = overlap of two fingers' spheres, mm
@@ -43,6 +46,13 @@ there joint 2 bends with joint 3 (``Plausibility.coupling``), as people's finger
 is bent by 37, 52, 67 and 82 degrees, joint 2 of CVAR's P1 is by 46, 55, 70 and 74, sd 30, and that of P7, who
 points, by 87, 81, 83 and 83."""
 
+_STRAIGHT: FloatArray = _D * np.array([30.0, 5.0])
+_STRAIGHT_WEIGHTS: FloatArray = 1.0 / np.square(_D * np.array([40.0, 12.0]))
+"""Flexion of joints 3 and 2 of a finger that is straight, bent at the knuckle or not, and what differing
+from it weighs. Where joint 3 is bent by 40 to 70 degrees, joint 2 is by less than 15 in .18 of CVAR's P1, .49
+of P4, .05 of P7 and .29 of people 640-753, and by more than 60 in .42, .09, .89 and .40. Without this a flat
+hand whose fingers are hidden costs ten nats more than a fist."""
+
 ALIKE_WEIGHT = 1.0 / (20.0 * _D) ** 2
 """Of the difference of two neighbours' joints 2, where their joints 3 are bent alike. Where these differ by
 less than 15 degrees, those of CVAR's P1 and P4 differ by 22 to 36 (rms; the median is 10 to 23), P7's by 14
@@ -63,6 +73,9 @@ class Plausibility(NamedTuple):
         limit, taut: weights, 1 / rad^2.
         closing_weight, knuckle_weight: of joints 2 and 3 of a finger that closes, 1 / rad^2.
         closing_odds: log odds of a finger that closes, the heights of both densities included.
+        straight: (2,) flexion of joints 3 and 2 of a straight finger, rad.
+        straight_weights: (2,) of these, 1 / rad^2.
+        straight_odds: log odds of a straight finger, like ``closing_odds``.
         alike_weight: of neighbours' joints 2 where joints 3 are bent alike, 1 / rad^2.
         alike_sd: how far joints 3 differ, rad, where that counts exp(-1/2) of it.
         overlap: weight of a collision, 1 / mm^2.
@@ -75,12 +88,15 @@ class Plausibility(NamedTuple):
     radii: FloatArray
     rest: FloatArray
     closed: FloatArray
+    straight: FloatArray
+    straight_weights: FloatArray
     coupling: float = 0.5
     limit: float = 400.0
     taut: float = 5.0
     closing_weight: float = 6.0
     knuckle_weight: float = 2.0
     closing_odds: float = 2.2
+    straight_odds: float = 1.0
     alike_weight: float = ALIKE_WEIGHT
     alike_sd: float = 0.3
     overlap: float = 0.2
@@ -94,7 +110,7 @@ def plausibility_of(anatomy: HandAnatomy) -> Plausibility:
         [r[:, 1], 0.5 * (r[:, 1] + r[:, 2]), r[:, 2], 0.5 * (r[:, 2] + r[:, 3]), r[:, 3]], axis=1
     )
     low, high = (np.ascontiguousarray(side) for side in ANGLE_LIMITS.T)
-    return Plausibility(low, high, RELAXED, radii, _REST, _CLOSED)
+    return Plausibility(low, high, RELAXED, radii, _REST, _CLOSED, _STRAIGHT, _STRAIGHT_WEIGHTS)
 
 
 @kernel
@@ -123,30 +139,40 @@ def _add_limits(about: Plausibility, angles: FloatArray, equations: NormalEquati
 
 
 @kernel
-def _add_closing(about: Plausibility, angles: FloatArray, equations: NormalEquations) -> float:
-    """Pull fingers that close to where closing fingers are instead of to where relaxed ones are.
+def _add_folds(about: Plausibility, angles: FloatArray, equations: NormalEquations) -> float:
+    """Pull fingers to where closing or straight fingers are instead of to where relaxed ones are.
 
-    With U_r what the relaxed angles and U_c = sum of w e^2 / 2 what closing costs a finger, and o the odds,
-    its potential is -log(exp(-U_r) + exp(o - U_c)). ``_add_limits`` has U_r; the difference is
-    -log(1 + exp(o - U_c + U_r)), whose gradient is that of s (U_c - U_r), s the probability that it closes.
+    With U_r what the relaxed angles, and U_c and U_s = sum of w e^2 / 2 what closing and being straight cost
+    a finger, and o their odds, its potential is -log(exp(-U_r) + exp(o_c - U_c) + exp(o_s - U_s)).
+    ``_add_limits`` has U_r; the difference is -log(1 + exp(o_c - U_c + U_r) + exp(o_s - U_s + U_r)), whose
+    gradient is that of s_c (U_c - U_r) + s_s (U_s - U_r), s the probabilities that it closes or is straight.
     """
     value = 0.0
     for f in range(1, 5):
         a, b = 3 * f, 3 * f + 2
+        at_rest = 0.0
+        for i in (a, b):
+            off = about.relaxed[i] - angles[i]
+            at_rest += 0.5 * about.rest[i] * off * off
         short = about.closed[0] - angles[a]
-        off = about.closed[1] - about.coupling * short - angles[b]
-        odds = about.closing_odds - 0.5 * (
-            about.closing_weight * off * off + about.knuckle_weight * short * short
+        bent = about.closed[1] - about.coupling * short - angles[b]
+        closing = about.closing_odds + at_rest
+        closing -= 0.5 * (about.closing_weight * bent * bent + about.knuckle_weight * short * short)
+        knuckle, middle = about.straight[0] - angles[a], about.straight[1] - angles[b]
+        straight = about.straight_odds + at_rest
+        straight -= 0.5 * (
+            about.straight_weights[0] * knuckle * knuckle + about.straight_weights[1] * middle * middle
         )
+        most = max(0.0, closing, straight)
+        whole = np.exp(-most) + np.exp(closing - most) + np.exp(straight - most)
+        closes, is_straight = np.exp(closing - most) / whole, np.exp(straight - most) / whole
         for i in (a, b):
-            at_rest = about.relaxed[i] - angles[i]
-            odds += 0.5 * about.rest[i] * at_rest * at_rest
-        share = 1.0 / (1.0 + np.exp(-odds))
-        for i in (a, b):
-            _add_angle(equations, i, about.relaxed[i] - angles[i], -share * about.rest[i])
-        _add_angle(equations, a, short, share * about.knuckle_weight)
-        _add_coupled(equations, a, b, about.coupling, off, share * about.closing_weight)
-        value -= np.log1p(np.exp(odds))
+            _add_angle(equations, i, about.relaxed[i] - angles[i], -(closes + is_straight) * about.rest[i])
+        _add_angle(equations, a, short, closes * about.knuckle_weight)
+        _add_coupled(equations, a, b, about.coupling, bent, closes * about.closing_weight)
+        _add_angle(equations, a, knuckle, is_straight * about.straight_weights[0])
+        _add_angle(equations, b, middle, is_straight * about.straight_weights[1])
+        value -= most + np.log(whole)
     return value
 
 
@@ -266,7 +292,7 @@ def add_anatomy(
         equations: to add to.
     """
     angles = pose[7:]
-    value = _add_limits(about, angles, equations) + _add_closing(about, angles, equations)
+    value = _add_limits(about, angles, equations) + _add_folds(about, angles, equations)
     value += _add_neighbours(about, angles, equations)
     place_spheres(posed, spheres)
     for f in range(5):

@@ -177,13 +177,15 @@ class PlaceFitter:
     """Lays a hand on places of its joints.
 
     Args:
-        anatomy: the hand. No finger is hidden whose joints are told, so where closing fingers usually are,
-            and how their neighbours bend, is no evidence.
+        anatomy: the hand. No finger is hidden whose joints are told, so where closing and straight fingers
+            usually are, and how their neighbours bend, is no evidence.
     """
 
     def __init__(self, anatomy: HandAnatomy) -> None:
         self._skeleton, self._workspace = skeleton_of(anatomy), make_point_workspace()
-        self._plausibility = plausibility_of(anatomy)._replace(closing_odds=-np.inf, alike_weight=0.0)
+        self._plausibility = plausibility_of(anatomy)._replace(
+            closing_odds=-np.inf, straight_odds=-np.inf, alike_weight=0.0
+        )
 
     def fit(self, about: PlacesToFit, pose: FloatArray) -> None:
         """Move a pose (22,) to places (``fit_places``)."""

@@ -29,7 +29,7 @@ from support.hand import KINECT, REST, bent, random_poses
 SPACE = BodySpace()
 ABOUT = plausibility_of(RIGHT.anatomy)
 APART = ABOUT._replace(alike_weight=0.0)
-NEVER_CLOSING = APART._replace(closing_odds=-np.inf)
+NEVER_CLOSING = APART._replace(closing_odds=-np.inf, straight_odds=-np.inf)
 FREE = NEVER_CLOSING._replace(rest=np.zeros(15))
 ONLY_COLLISIONS = FREE._replace(limit=0.0, taut=0.0)
 # The joints of index and middle cross when the fingers are spread towards each other.
@@ -113,47 +113,67 @@ def test_a_bent_finger_is_not_spread() -> None:
         assert potential(pose, about)[0] == pytest.approx(0.5 * 5.0 * share * 0.04)
 
 
-def closing_part(mcp: float, pip: float) -> tuple[float, NormalEquations]:
+def fold_part(mcp: float, pip: float, about: Plausibility = APART) -> tuple[float, NormalEquations]:
     """The potential of a hand whose ring finger is bent, but for limits, ligaments and collisions."""
     pose = relaxed()
     k = 7 + ANGLE_NAMES.index("ring_mcp_flexion")
     pose[k], pose[k + 2] = mcp, pip
-    return potential(pose, APART._replace(taut=0.0, overlap=0.0))
+    return potential(pose, about._replace(taut=0.0, overlap=0.0))
 
 
-@pytest.mark.parametrize("bend", [(0.3, 0.4), (0.8, 1.0), (1.1, 1.3), (1.3, 0.1)])
-def test_a_finger_is_relaxed_or_closes(bend: tuple[float, float]) -> None:
-    """-log of two Gaussians' sum, the second one's covariance known; the other three fingers are relaxed."""
+@pytest.mark.parametrize("bend", [(0.3, 0.4), (0.8, 1.0), (1.1, 1.3), (1.3, 0.1), (0.0, 0.0), (0.9, 0.1)])
+def test_a_finger_is_relaxed_or_closes_or_is_straight(bend: tuple[float, float]) -> None:
+    """-log of three Gaussians' sum, the second one's covariance known; the other fingers are relaxed."""
     # joint 3 has the variance 1 / knuckle_weight, joint 2 that of its own and what it bends with joint 3
     knuckle, with_it = 1.0 / ABOUT.knuckle_weight, ABOUT.coupling / ABOUT.knuckle_weight
     middle = 1.0 / ABOUT.closing_weight + ABOUT.coupling * with_it
     information = np.linalg.inv([[knuckle, with_it], [with_it, middle]])
 
-    def two_gaussians(finger: int, angles: FloatArray | None = None) -> float:
+    def three_gaussians(finger: int, angles: FloatArray | None = None) -> float:
         flexions = [3 * finger, 3 * finger + 2]
         angles = RELAXED[flexions] if angles is None else angles
         rest = ABOUT.rest[flexions] @ np.square(angles - RELAXED[flexions])
         closing = (angles - ABOUT.closed) @ information @ (angles - ABOUT.closed)
-        return float(-np.logaddexp(-0.5 * rest, ABOUT.closing_odds - 0.5 * closing))
+        straight = ABOUT.straight_weights @ np.square(angles - ABOUT.straight)
+        folds = [0.0, ABOUT.closing_odds, ABOUT.straight_odds] - 0.5 * np.array([rest, closing, straight])
+        return float(-np.logaddexp.reduce(folds))
 
-    others = sum(two_gaussians(finger) for finger in (1, 2, 4))
-    value = closing_part(*bend)[0]
-    assert value == pytest.approx(two_gaussians(3, np.array(bend)) + others, abs=1e-9)
+    others = sum(three_gaussians(finger) for finger in (1, 2, 4))
+    value = fold_part(*bend)[0]
+    assert value == pytest.approx(three_gaussians(3, np.array(bend)) + others, abs=1e-9)
 
 
 @pytest.mark.parametrize("mcp", [0.6, 0.9, 1.2])
-def test_a_middle_joint_that_nothing_shows_is_bent_with_the_knuckle(mcp: float) -> None:
-    """It comes to rest between the relaxed angle and that of fingers that close, nearer to this one."""
+def test_a_middle_joint_that_nothing_shows_bends_with_the_knuckle_or_not_at_all(mcp: float) -> None:
+    """It comes to rest between the relaxed angle and that of fingers that close, nearer to this one, or
+    straight, where that begins."""
     k = tangent("ring_pip_flexion")
     bends = np.linspace(0.0, 1.9, 191)
-    rest = bends[int(np.argmin([closing_part(mcp, bend)[0] for bend in bends]))]
+    values = np.array([fold_part(mcp, bend)[0] for bend in bends])
     closing = ABOUT.closed[1] + ABOUT.coupling * (mcp - ABOUT.closed[0])
+    middle = 0.5 * (closing + ABOUT.straight[1])
+    rest = bends[int(np.argmin(np.where(bends > middle, values, np.inf)))]
     assert 0.75 * closing < rest <= closing + 0.01
-    assert (
-        closing_part(mcp, 0.7 * rest)[1].vector[k] > 0.2 > -0.2 > closing_part(mcp, 1.3 * rest)[1].vector[k]
-    )
+    assert fold_part(mcp, 0.8 * rest)[1].vector[k] > 0.2 > -0.2 > fold_part(mcp, 1.3 * rest)[1].vector[k]
+    straight = bends[int(np.argmin(np.where(bends < 0.5 * middle, values, np.inf)))]
+    assert straight == pytest.approx(ABOUT.straight[1], abs=np.deg2rad(2.0))
     for bend in (0.0, rest, 1.8):
-        assert np.linalg.eigvalsh(closing_part(mcp, bend)[1].matrix).min() > -1e-9
+        assert np.linalg.eigvalsh(fold_part(mcp, bend)[1].matrix).min() > -1e-9
+
+
+def test_a_flat_hand_is_about_as_plausible_as_a_fist() -> None:
+    """Without straight fingers it would be ten nats less so, which no image of hidden fingers outweighs."""
+    flat, fist = RELAXED.copy(), RELAXED.copy()
+    for finger in range(1, 5):
+        flat[[3 * finger, 3 * finger + 2]] = np.deg2rad([62.0, 6.0])
+        fist[[3 * finger, 3 * finger + 2]] = ABOUT.closed
+    poses = [np.concatenate([REST[:7], angles]) for angles in (flat, fist)]
+    apart, without = (
+        np.subtract(*(potential(pose, about._replace(taut=0.0, overlap=0.0))[0] for pose in poses))
+        for about in (ABOUT, ABOUT._replace(straight_odds=-np.inf))
+    )
+    assert without > 9.0
+    assert abs(apart) < 0.6 * without
 
 
 ONLY_NEIGHBOURS = FREE._replace(
