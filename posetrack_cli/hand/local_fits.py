@@ -161,9 +161,13 @@ class LocalFitter:
         chosen = [self.fitter.assessed(reading.tile, fit.pose) for fit in self.likeliest(reading, fits)]
         noise_sd = float(self._mixture.noise_sd(np.array(reading.depth_mm)))
         scale = reading.share * self._settings.sharpening * (self.sigma_mm / noise_sd) ** 2
-        clamp = self._config.observation.clamp_mm
-        heights = np.array([-reading.height * fit.cost[0] / clamp for fit in chosen])
+        heights = self._log_heights(reading, chosen)
         return self.modes(chosen, np.full(len(chosen), scale), heights, reading.tile.expected[THUMB])
+
+    def _log_heights(self, reading: FrameReading, fits: Sequence[Fit]) -> FloatArray:
+        """log p(y | x) (K,) of fits, but for the anatomy's factor, from what they cost."""
+        clamp = self._config.observation.clamp_mm
+        return np.array([-reading.height * fit.cost[0] / clamp for fit in fits])
 
     def read(self, observation: Observation) -> FrameReading:
         """Return an observation with at least one target pixel as fits read it."""
@@ -210,7 +214,7 @@ class LocalFitter:
         limit = min(map(_cost, fits)) + self._settings.alternative_mm
         near = [fit for fit in fits if _cost(fit) <= limit]
         doubts = self.fitter.potentials(np.array([fit.pose for fit in near]), reading.tile.inner)
-        doubts += reading.height / self._config.observation.clamp_mm * np.array([_cost(fit) for fit in near])
+        doubts -= self._log_heights(reading, near)
         chosen: list[Fit] = []
         joints: list[FloatArray] = []
         for fit in (near[k] for k in np.argsort(doubts, kind="stable")):

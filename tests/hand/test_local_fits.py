@@ -50,11 +50,15 @@ def moved(pose: FloatArray, seed: int) -> FloatArray:
 def test_the_first_mode_is_the_hand_and_modes_are_sound(stage: Stage, seed: int) -> None:
     truth = relaxed()
     expected = moved(truth, seed)
-    found = fitted(local_fitter(), observation_of(stage.depth(truth), expected), expected, seed)
+    guide = local_fitter()
+    found = fitted(guide, observation_of(stage.depth(truth), expected), expected, seed)
     modes = found.modes
     assert stage.error(expected, truth) > 8.0
     assert stage.error(modes.poses[0], truth) < FOUND_MM
     assert found.cost < 1.5
+    doubts = guide.fitter.potentials(modes.poses, found.inner)
+    assert (np.diff(modes.log_heights - doubts) <= 0.0).all()
+    assert (np.diff(modes.log_heights) <= 0.0).all()
     assert (modes.log_heights <= 0.0).all()
     for information in modes.information:
         np.testing.assert_allclose(information, information.T, rtol=1e-9, atol=1e-9)

@@ -154,15 +154,15 @@ def test_a_middle_joint_that_nothing_shows_bends_with_the_knuckle_or_not_at_all(
     middle = 0.5 * (closing + ABOUT.straight[1])
     rest = bends[int(np.argmin(np.where(bends > middle, values, np.inf)))]
     assert 0.75 * closing < rest <= closing + 0.01
-    assert fold_part(mcp, 0.8 * rest)[1].vector[k] > 0.2 > -0.2 > fold_part(mcp, 1.3 * rest)[1].vector[k]
+    assert fold_part(mcp, 0.7 * rest)[1].vector[k] > 0.2 > -0.2 > fold_part(mcp, 1.3 * rest)[1].vector[k]
     straight = bends[int(np.argmin(np.where(bends < 0.5 * middle, values, np.inf)))]
     assert straight == pytest.approx(ABOUT.straight[1], abs=np.deg2rad(2.0))
     for bend in (0.0, rest, 1.8):
         assert np.linalg.eigvalsh(fold_part(mcp, bend)[1].matrix).min() > -1e-9
 
 
-def test_a_flat_hand_is_about_as_plausible_as_a_fist() -> None:
-    """Without straight fingers it would be ten nats less so, which no image of hidden fingers outweighs."""
+def test_straight_fingers_halve_what_a_flat_hand_costs_more_than_a_fist() -> None:
+    """Without them it is ten nats, more than an image tells of hidden fingers."""
     flat, fist = RELAXED.copy(), RELAXED.copy()
     for finger in range(1, 5):
         flat[[3 * finger, 3 * finger + 2]] = np.deg2rad([62.0, 6.0])
