@@ -12,9 +12,9 @@ from __future__ import annotations
 import numpy as np
 
 from posetrack_cli.arrays import Float32Array, FloatArray
-from posetrack_cli.hand.anatomy import BONE_COUNT, HandAnatomy
+from posetrack_cli.hand.anatomy import ARM_BONE, BONE_COUNT, HandAnatomy
 from posetrack_cli.hand.fitting.skeleton import empty_posed, pose_many, skeleton_of
-from posetrack_cli.rendering.mesh import SkinnedMesh, joined
+from posetrack_cli.rendering.mesh import SkinnedMesh
 
 SEEN_MM = 80.0
 """How much of a forearm of scale 1 is looked at, behind the wrist that is expected."""
@@ -26,7 +26,10 @@ wrist, 57 x 40 mm, to a nearly round forearm, 1.3 times as far around, 100 mm be
 _END_MM = 10.0
 """The hand's skin this near to where it ends tells the wrist's ellipse."""
 _INSIDE = 0.92
-"""Half axes of the first ring, inside the hand, as a share of the wrist's."""
+"""Half axes of the first two rings, inside the hand, as a share of the wrist's."""
+_INTO_HAND_MM = 13.0
+"""How far before the wrist's joint, or before where the skin ends if it does not reach that far, the first
+ring lies, which moves with the palm: a hand of a file may end at the joint, where a bent wrist would open."""
 
 
 def with_forearm(
@@ -41,18 +44,29 @@ def with_forearm(
         anatomy: of the hand.
         sides, rings: how many points a ring has, and how many rings there are.
     """
-    return joined([hand, _tube(smooth, anatomy, sides, rings)])
+    tube = _tube(smooth, anatomy, sides, rings)
+    of_hand = np.pad(hand.weights, ((0, 0), (0, 1)))
+    return SkinnedMesh(
+        np.concatenate([hand.vertices, tube.vertices]),
+        np.concatenate([of_hand, tube.weights]),
+        np.concatenate([hand.triangles, tube.triangles + len(hand.vertices)]),
+    )
 
 
 def _tube(hand: SkinnedMesh, anatomy: HandAnatomy, sides: int, rings: int) -> SkinnedMesh:
-    """A tube of one bone that begins at the origin and runs along y, closed at its far end."""
+    """A tube along y, closed at its far end, bound to 17 bones.
+
+    Its first ring moves with the palm; the others, which begin at the wrist's joint, with the forearm.
+    """
     low, high = _wrist(hand, anatomy.scale)
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     end = float(hand.vertices[:, 1].max())
-    along = np.concatenate([[0.0], np.linspace(end, end + _LENGTH_MM * anatomy.scale, rings - 1)])
+    into_hand = min(end, 0.0) - _INTO_HAND_MM * anatomy.scale
+    beyond_wrist = np.linspace(end, end + _LENGTH_MM * anatomy.scale, rings - 2)
+    along = np.concatenate([[into_hand, min(end, 0.0)], beyond_wrist])
     beyond = np.maximum(along - end, 0.0) / anatomy.scale
     size = np.stack([1.0 + _WIDTH_PER_MM * beyond, 1.0 + _DEPTH_PER_MM * beyond], axis=1) * half
-    size[0] *= _INSIDE
+    size[:2] *= _INSIDE
     angle = 2.0 * np.pi * np.arange(sides) / sides
     x = middle[0] + size[:, :1] * np.cos(angle)
     z = middle[1] + size[:, 1:] * np.sin(angle)
@@ -66,7 +80,9 @@ def _tube(hand: SkinnedMesh, anatomy: HandAnatomy, sides: int, rings: int) -> Sk
     first = (rings - 1) * sides
     faces += [(first + k, rings * sides, first + (k + 1) % sides) for k in range(sides)]
     vertices = np.concatenate([points, last])
-    return SkinnedMesh(vertices, np.ones((len(vertices), 1)), np.array(faces, dtype=np.int64))
+    weights = np.zeros((len(vertices), BONE_COUNT + 1))
+    weights[:sides, 0], weights[sides:, ARM_BONE] = 1.0, 1.0
+    return SkinnedMesh(vertices, weights, np.array(faces, dtype=np.int64))
 
 
 def _wrist(hand: SkinnedMesh, scale: float) -> tuple[FloatArray, FloatArray]:

@@ -22,7 +22,7 @@ from posetrack_cli.rendering.decimation import Decimation, decimation
 from posetrack_cli.rendering.mesh import SkinnedMesh
 
 LEAN_TRIANGLES = 410
-_LEAN_ARM, _SMOOTH_ARM = (10, 4), (16, 6)
+_LEAN_ARM, _SMOOTH_ARM = (10, 5), (16, 7)
 # flexion of joint 3 and 2, rad: open, half closed, a fist, hooked, and bent at the knuckles alone
 _BENDS = ((0.0, 0.0), (0.8, 0.9), (1.4, 1.6), (0.2, 1.3), (1.3, 0.2))
 _THUMB_SHARE = 0.5  # of the fingers' bends in the thumb's

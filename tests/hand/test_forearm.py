@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -27,10 +29,10 @@ from posetrack_cli.hand.forearm import SEEN_MM, transforms_with_forearm
 from posetrack_cli.hand.inner import NO_THUMB
 from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
 from posetrack_cli.hand.local_fits import THUMB_LEFT, without_inner
-from posetrack_cli.hand.model import average_hand, hand_maker
+from posetrack_cli.hand.model import HandModel, average_hand, hand_maker
 from posetrack_cli.hand.observation import IGNORED, Observation, window_around
 from posetrack_cli.hand.shape import random_shape
-from posetrack_cli.rendering.mesh import is_closed
+from posetrack_cli.rendering.mesh import SkinnedMesh, is_closed
 from posetrack_cli.rendering.raster import View, draw, empty_drawing
 from posetrack_cli.tracking.body_space import BodySpace
 from support.fitting import HANDS, RIGHT, TILE_PX, WALL_MM
@@ -97,8 +99,11 @@ def test_a_tube_goes_on_where_the_hand_ends_and_faces_outwards(name: str) -> Non
     for mesh, bare in ((hand.lean_with_arm, hand.lean), (hand.smooth_with_arm, hand.smooth)):
         first = len(bare.vertices)
         np.testing.assert_array_equal(mesh.vertices[:first], bare.vertices)
-        np.testing.assert_array_equal(mesh.weights[first:, ARM_BONE], 1.0)
-        tube = mesh.vertices[first:]
+        tube, weights = mesh.vertices[first:], mesh.weights[first:]
+        np.testing.assert_array_equal(weights.sum(axis=1), 1.0)
+        # what moves with the palm lies inside the hand, the other from the wrist's joint on
+        np.testing.assert_array_equal(weights[:, 0] == 1.0, tube[:, 1] < 0.0)
+        np.testing.assert_array_equal(weights[:, ARM_BONE] == 1.0, tube[:, 1] >= 0.0)
         assert tube[:, 1].max() > SEEN_MM + 60.0
         # the wall of the tube encloses a volume that is positive if it faces outwards; its near end is open
         faces = mesh.triangles[mesh.triangles[:, 0] >= first] - first
@@ -113,7 +118,25 @@ def test_a_tube_goes_on_where_the_hand_ends_and_faces_outwards(name: str) -> Non
 def test_a_bent_wrist_leaves_no_gap_before_it(bend: float, seed: int | None) -> None:
     """Of the average hand, and of others of the population: their skin reaches into the tube."""
     shape = None if seed is None else random_shape(np.random.default_rng(seed))
-    hand = average_hand("right", shape)
+    assert_no_gap(average_hand("right", shape), bend)
+
+
+@pytest.mark.parametrize("bend", [-0.8, -0.4, 0.0, 0.4, 0.8])
+@pytest.mark.parametrize("end_mm", [8.0, 0.0, -6.0])
+def test_a_bent_wrist_of_a_skin_that_ends_at_the_joint_leaves_none_either(end_mm: float, bend: float) -> None:
+    """As the skin of a hand from a file may: the people's own meshes end between -7 and 3 mm behind it."""
+    average = average_hand("right")
+
+    def ended(mesh: SkinnedMesh) -> SkinnedMesh:
+        vertices = mesh.vertices.copy()
+        vertices[:, 1] = np.minimum(vertices[:, 1], end_mm)
+        return replace(mesh, vertices=vertices)
+
+    assert_no_gap(replace(average, lean=ended(average.lean), smooth=ended(average.smooth)), bend)
+
+
+def assert_no_gap(hand: HandModel, bend: float) -> None:
+    """Its skin is drawn over the middle of the limb, and nowhere behind that: one sees into no wrist."""
     pose = bent()
     pose[:3] = 0.0, 0.0, 600.0
     arm = arm_towards(np.array([0.0, np.cos(bend), np.sin(bend)]))
@@ -130,7 +153,7 @@ def test_a_bent_wrist_leaves_no_gap_before_it(bend: float, seed: int | None) -> 
     rows = np.rint((pixels[:, 1] - window.top) / window.step).astype(int)
     inside = rows < TILE_PX
     assert inside.sum() > 50
-    assert (drawing.inverse[rows[inside], columns[inside]] > 0.0).all()
+    assert (drawing.inverse[rows[inside], columns[inside]] > 1.0 / middle[inside, 2]).all()
 
 
 @each_hand
@@ -154,8 +177,26 @@ def test_without_one_nothing_of_it_is_drawn() -> None:
     pose = random_poses(1, 1)[0]
     bones = transforms_with_forearm(RIGHT.anatomy, pose[None], with_arm(NO_ARM))
     np.testing.assert_array_equal(bones[0, ARM_BONE, :, :3], 0.0)
-    tube = RIGHT.smooth_with_arm.posed(bones.astype(np.float64))[0, len(RIGHT.smooth.vertices) :]
-    np.testing.assert_allclose(tube, np.broadcast_to(pose[:3], tube.shape), atol=FLOAT32)
+    mesh = RIGHT.smooth_with_arm
+    arm = mesh.posed(bones.astype(np.float64))[0, mesh.weights[:, ARM_BONE] == 1.0]
+    np.testing.assert_allclose(arm, np.broadcast_to(pose[:3], arm.shape), atol=FLOAT32)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_what_of_a_forearm_is_in_the_hand_is_not_seen(seed: int) -> None:
+    """Whatever shape and pose: hands without an arm are drawn as if there was no forearm to draw."""
+    hand = average_hand("left" if seed % 2 else "right", random_shape(np.random.default_rng(seed)))
+    pose = random_poses(1, seed)[0]
+    pose[:3] = [0.0, 40.0, 650.0]
+    skeleton, out = HandFitter(hand, KINECT, TILE_PX).hand.skeleton, empty_posed()
+    pose_bones(skeleton, pose, with_arm(NO_ARM), out)
+    window = window_around(joint_positions(hand.anatomy, pose[None])[0], KINECT, ObservationSettings())
+    view = View(*window.tile_projection(KINECT))
+    for bare, mesh in ((hand.lean, hand.lean_with_arm), (hand.smooth, hand.smooth_with_arm)):
+        drawings = [empty_drawing(skin_of(m).mesh, TILE_PX, TILE_PX) for m in (bare, mesh)]
+        for skin, drawing in zip((bare, mesh), drawings, strict=True):
+            assert draw(skin_of(skin).mesh, out.bones, view, drawing)
+        np.testing.assert_allclose(drawings[1].inverse, drawings[0].inverse, rtol=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(8))

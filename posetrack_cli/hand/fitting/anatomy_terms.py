@@ -4,7 +4,8 @@ A potential U(x) = sum of w e^2 / 2 over violations e; exp(-U) is a factor of th
 were observed in every frame.
 
     joint limits          e = excess, rad
-    abduction of a bent finger    e = abduction times the bend's share (taut collateral ligaments)
+    abduction of a bent finger    e = abduction - that at which it points at the scaphoid, the more so the
+                          more it is bent: collateral ligaments are taut then
     relaxed hand          e = angle - relaxed angle, weakly: what nothing shows stays plausible
     closing finger        or e = angle of joint 2 - what joint 3 makes it where fingers close, and, weaker,
                           angle of joint 3 - closed angle, the more so the more probably it closes:
@@ -60,6 +61,11 @@ to 17 but for the index, who points (92), and those of people 700-753, whose mot
 by 5 to 11; where joints 3 differ by more than 25 degrees, P1's, P4's and the people's by 29 to 69."""
 
 
+_SCAPHOID = 1.0 / 3.0
+"""Where the scaphoid's tubercle is, which bent fingers point at: as a share of the way from the wrist's joint
+to the thumb's base."""
+
+
 class Plausibility(NamedTuple):
     """Constants of the potential.
 
@@ -75,6 +81,7 @@ class Plausibility(NamedTuple):
         closing_odds: log odds of a finger that closes, the heights of both densities included.
         straight: (2,) flexion of joints 3 and 2 of a straight finger, rad.
         straight_weights: (2,) of these, 1 / rad^2.
+        converging: (4,) abduction of a bent finger, rad.
         straight_odds: log odds of a straight finger, like ``closing_odds``.
         alike_weight: of neighbours' joints 2 where joints 3 are bent alike, 1 / rad^2.
         alike_sd: how far joints 3 differ, rad, where that counts exp(-1/2) of it.
@@ -90,9 +97,10 @@ class Plausibility(NamedTuple):
     closed: FloatArray
     straight: FloatArray
     straight_weights: FloatArray
+    converging: FloatArray
     coupling: float = 0.5
     limit: float = 400.0
-    taut: float = 5.0
+    taut: float = 12.0
     closing_weight: float = 6.0
     knuckle_weight: float = 2.0
     closing_odds: float = 2.2
@@ -110,7 +118,22 @@ def plausibility_of(anatomy: HandAnatomy) -> Plausibility:
         [r[:, 1], 0.5 * (r[:, 1] + r[:, 2]), r[:, 2], 0.5 * (r[:, 2] + r[:, 3]), r[:, 3]], axis=1
     )
     low, high = (np.ascontiguousarray(side) for side in ANGLE_LIMITS.T)
-    return Plausibility(low, high, RELAXED, radii, _REST, _CLOSED, _STRAIGHT, _STRAIGHT_WEIGHTS)
+    return Plausibility(
+        low, high, RELAXED, radii, _REST, _CLOSED, _STRAIGHT, _STRAIGHT_WEIGHTS, _converging(anatomy)
+    )
+
+
+def _converging(anatomy: HandAnatomy) -> FloatArray:
+    """Abductions (4,), rad, at which the planes that fingers bend in meet at the scaphoid's tubercle.
+
+    Bent fingers converge on it (Kapandji, The Physiology of the Joints, vol. 1): tips that nothing shows are
+    nearer to the thumb's side than those of fingers that bend where they point when they are straight.
+    """
+    from_scaphoid = anatomy.base_positions[1:] - _SCAPHOID * anatomy.base_positions[0]
+    fan = -anatomy.base_rotations[1:, :, 1]
+    aside = [np.arctan2(way[:, 0], -way[:, 1]) for way in (from_scaphoid, fan)]
+    out: FloatArray = (-1.0 if anatomy.is_left else 1.0) * (aside[0] - aside[1])
+    return out
 
 
 @kernel
@@ -134,7 +157,8 @@ def _add_limits(about: Plausibility, angles: FloatArray, equations: NormalEquati
         bent = (angles[3 * f] - FREE_BEND) / (STIFF_BEND - FREE_BEND)
         share = min(max(bent, 0.0), 1.0)
         if share > 0.0:
-            value += _add_angle(equations, 3 * f + 1, -angles[3 * f + 1], about.taut * share)
+            off = about.converging[f - 1] - angles[3 * f + 1]
+            value += _add_angle(equations, 3 * f + 1, off, about.taut * share)
     return value
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.hand.anatomy import ANGLE_LIMITS, ANGLE_NAMES
+from posetrack_cli.hand.anatomy import ANGLE_LIMITS, ANGLE_NAMES, FINGERS, JOINT_NAMES
 from posetrack_cli.hand.fitting.anatomy_terms import (
     FREE_BEND,
     RELAXED,
@@ -21,7 +21,7 @@ from posetrack_cli.hand.fitting.gauss_newton import empty_fit
 from posetrack_cli.hand.fitting.normal_equations import THUMB_PLACE, NormalEquations, empty_equations
 from posetrack_cli.hand.fitting.skeleton import empty_posed, pose_bones, skeleton_of
 from posetrack_cli.hand.inner import NO_INNER, THUMB
-from posetrack_cli.hand.kinematics import mirrored_poses
+from posetrack_cli.hand.kinematics import joint_positions, mirrored_poses
 from posetrack_cli.tracking.body_space import BodySpace
 from support.fitting import HANDS, RIGHT, TILE_PX, numerical_gradient
 from support.hand import KINECT, REST, bent, random_poses
@@ -101,7 +101,7 @@ def test_beyond_a_limit_the_pull_is_back_by_the_excess(k: int, side: int) -> Non
     assert potential(pose - np.eye(22)[7 + k] * 1.01 * excess, about)[0] == 0.0
 
 
-def test_a_bent_finger_is_not_spread() -> None:
+def test_a_bent_finger_is_held_where_it_points_at_the_scaphoid() -> None:
     about = FREE._replace(overlap=0.0)
     for bend, share in (
         (FREE_BEND, 0.0),
@@ -110,7 +110,31 @@ def test_a_bent_finger_is_not_spread() -> None:
         (1.5, 1.0),
     ):
         pose = bent(ring_mcp_flexion=bend, ring_mcp_abduction=0.2)
-        assert potential(pose, about)[0] == pytest.approx(0.5 * 5.0 * share * 0.04)
+        value, equations = potential(pose, about)
+        off = ABOUT.converging[2] - 0.2
+        assert value == pytest.approx(0.5 * 12.0 * share * off * off)
+        assert equations.vector[tangent("ring_mcp_abduction")] == pytest.approx(12.0 * share * off)
+
+
+@pytest.mark.parametrize("name", list(HANDS))
+def test_planes_of_bent_fingers_meet_at_the_scaphoid(name: str) -> None:
+    """Whatever the hand: a finger's joints and tip, and a point a third of the way to the thumb's base."""
+    anatomy = HANDS[name].anatomy
+    scaphoid = anatomy.base_positions[0, :2] / 3.0
+    for finger, abduction in zip(FINGERS[1:], plausibility_of(anatomy).converging, strict=True):
+        angles = {f"{finger}_mcp_flexion": 1.1, f"{finger}_pip_flexion": 1.4}
+        pose = bent(**angles, **{f"{finger}_mcp_abduction": abduction})
+        pose[:3] = 0.0
+        first = JOINT_NAMES.index(f"{finger}_mcp")
+        knuckle, *others = joint_positions(anatomy, pose[None])[0, first : first + 4, :2]
+        way = (scaphoid - knuckle) / np.linalg.norm(scaphoid - knuckle)
+        for joint in others:  # in the palm's plane all of them lie on the line from knuckle to scaphoid
+            off = joint - knuckle
+            assert way[0] * off[1] - way[1] * off[0] == pytest.approx(0.0, abs=1e-9)
+    # no finger has to be spread farther than its ligaments let it
+    limits = ANGLE_LIMITS[[4, 7, 10, 13]].T
+    assert (limits[0] < plausibility_of(anatomy).converging).all()
+    assert (plausibility_of(anatomy).converging < limits[1]).all()
 
 
 def fold_part(mcp: float, pip: float, about: Plausibility = APART) -> tuple[float, NormalEquations]:
