@@ -165,9 +165,11 @@ class LocalFitter:
         return self.modes(chosen, np.full(len(chosen), scale), heights, reading.tile.expected[THUMB])
 
     def _log_heights(self, reading: FrameReading, fits: Sequence[Fit]) -> FloatArray:
-        """log p(y | x) (K,) of fits, but for the anatomy's factor, from what they cost."""
-        clamp = self._config.observation.clamp_mm
-        return np.array([-reading.height * fit.cost[0] / clamp for fit in fits])
+        """log p(y | x) (K,) of fits, from what they cost and how plausible they are."""
+        per_mm = reading.height / self._config.observation.clamp_mm
+        poses = np.array([fit.pose for fit in fits])
+        doubts: FloatArray = self.fitter.potentials(poses, reading.tile.inner)
+        return -per_mm * np.array([_cost(fit) for fit in fits]) - doubts
 
     def read(self, observation: Observation) -> FrameReading:
         """Return an observation with at least one target pixel as fits read it."""
@@ -213,11 +215,10 @@ class LocalFitter:
         """
         limit = min(map(_cost, fits)) + self._settings.alternative_mm
         near = [fit for fit in fits if _cost(fit) <= limit]
-        doubts = self.fitter.potentials(np.array([fit.pose for fit in near]), reading.tile.inner)
-        doubts -= self._log_heights(reading, near)
+        order = np.argsort(-self._log_heights(reading, near), kind="stable")
         chosen: list[Fit] = []
         joints: list[FloatArray] = []
-        for fit in (near[k] for k in np.argsort(doubts, kind="stable")):
+        for fit in (near[k] for k in order):
             if len(chosen) == self._settings.most_modes:
                 break
             here = joint_positions(self._anatomy, fit.pose[None])[0]
