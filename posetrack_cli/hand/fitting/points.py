@@ -178,13 +178,13 @@ class PlaceFitter:
 
     Args:
         anatomy: the hand. No finger is hidden whose joints are told, so where closing and straight fingers
-            usually are, and how their neighbours bend, is no evidence.
+            usually are, in which planes they bend, and how their neighbours do, is no evidence.
     """
 
     def __init__(self, anatomy: HandAnatomy) -> None:
         self._skeleton, self._workspace = skeleton_of(anatomy), make_point_workspace()
         self._plausibility = plausibility_of(anatomy)._replace(
-            closing_odds=-np.inf, straight_odds=-np.inf, alike_weight=0.0
+            closing_odds=-np.inf, straight_odds=-np.inf, alike_weight=0.0, taut=0.0
         )
 
     def fit(self, about: PlacesToFit, pose: FloatArray) -> None:
