@@ -153,7 +153,6 @@ def test_a_hand_of_another_size_is_found_with_it(tmp_path: Path, monkeypatch: py
     assert found.config.hand.side == "right"
     assert found.config.hand.scale == pytest.approx(0.78, rel=A_STEP)
     # of eight such hands of 24 frames the line doubts the side of four to six, all of which are right
-    assert found.line is not None
     assert found.line.split(",")[0] == f"a right hand of scale {found.config.hand.scale:.2f}"
     told = HandConfig.model_validate({"hand": {"side": "right"}})
     of_side = find_hand(open_path(path), told, start=0)
