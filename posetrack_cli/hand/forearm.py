@@ -14,7 +14,7 @@ import numpy as np
 from posetrack_cli.arrays import Float32Array, FloatArray
 from posetrack_cli.hand.anatomy import ARM_BONE, BONE_COUNT, HandAnatomy
 from posetrack_cli.hand.fitting.skeleton import empty_posed, pose_many, skeleton_of
-from posetrack_cli.rendering.mesh import SkinnedMesh
+from posetrack_cli.rendering.mesh import SkinnedMesh, bound_to, merged
 
 SEEN_MM = 80.0
 """How much of a forearm of scale 1 is looked at, behind the wrist that is expected."""
@@ -44,26 +44,20 @@ def with_forearm(
         anatomy: of the hand.
         sides, rings: how many points a ring has, and how many rings there are.
     """
-    tube = _tube(smooth, anatomy, sides, rings)
-    of_hand = np.pad(hand.weights, ((0, 0), (0, 1)))
-    return SkinnedMesh(
-        np.concatenate([hand.vertices, tube.vertices]),
-        np.concatenate([of_hand, tube.weights]),
-        np.concatenate([hand.triangles, tube.triangles + len(hand.vertices)]),
-    )
+    return merged([bound_to(hand, BONE_COUNT + 1), _tube(smooth, anatomy, sides, rings)])
 
 
 def _tube(hand: SkinnedMesh, anatomy: HandAnatomy, sides: int, rings: int) -> SkinnedMesh:
     """A tube along y, closed at its far end, bound to 17 bones.
 
-    Its first ring moves with the palm; the others, which begin at the wrist's joint, with the forearm.
+    Its first ring moves with the palm, the others with the forearm.
     """
     low, high = _wrist(hand, anatomy.scale)
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     end = float(hand.vertices[:, 1].max())
-    into_hand = min(end, 0.0) - _INTO_HAND_MM * anatomy.scale
-    beyond_wrist = np.linspace(end, end + _LENGTH_MM * anatomy.scale, rings - 2)
-    along = np.concatenate([[into_hand, min(end, 0.0)], beyond_wrist])
+    wrist = min(end, 0.0)
+    beyond_hand = np.linspace(end, end + _LENGTH_MM * anatomy.scale, rings - 2)
+    along = np.concatenate([[wrist - _INTO_HAND_MM * anatomy.scale, wrist], beyond_hand])
     beyond = np.maximum(along - end, 0.0) / anatomy.scale
     size = np.stack([1.0 + _WIDTH_PER_MM * beyond, 1.0 + _DEPTH_PER_MM * beyond], axis=1) * half
     size[:2] *= _INSIDE

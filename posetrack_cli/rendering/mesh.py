@@ -61,17 +61,28 @@ class SkinnedMesh:
 def joined(meshes: list[SkinnedMesh]) -> SkinnedMesh:
     """One mesh of several, each keeping bones of its own, in order."""
     bones = sum(m.weights.shape[1] for m in meshes)
-    vertices, weights, triangles = [], [], []
-    first_bone = first_vertex = 0
+    bound, first_bone = [], 0
     for mesh in meshes:
-        block = np.zeros((len(mesh.vertices), bones))
-        block[:, first_bone : first_bone + mesh.weights.shape[1]] = mesh.weights
-        vertices.append(mesh.vertices)
-        weights.append(block)
-        triangles.append(mesh.triangles + first_vertex)
+        bound.append(bound_to(mesh, bones, first_bone))
         first_bone += mesh.weights.shape[1]
-        first_vertex += len(mesh.vertices)
-    return SkinnedMesh(np.concatenate(vertices), np.concatenate(weights), np.concatenate(triangles))
+    return merged(bound)
+
+
+def bound_to(mesh: SkinnedMesh, bones: int, first: int = 0) -> SkinnedMesh:
+    """A mesh bound to so many bones, of which its own are those from ``first`` on."""
+    weights = np.zeros((len(mesh.vertices), bones))
+    weights[:, first : first + mesh.weights.shape[1]] = mesh.weights
+    return SkinnedMesh(mesh.vertices, weights, mesh.triangles)
+
+
+def merged(meshes: list[SkinnedMesh]) -> SkinnedMesh:
+    """One mesh of several that are bound to the same bones."""
+    first = np.cumsum([0, *(len(m.vertices) for m in meshes)])
+    return SkinnedMesh(
+        np.concatenate([m.vertices for m in meshes]),
+        np.concatenate([m.weights for m in meshes]),
+        np.concatenate([m.triangles + at for m, at in zip(meshes, first, strict=False)]),
+    )
 
 
 def edges_of(triangles: IntArray) -> tuple[IntArray, IntArray]:

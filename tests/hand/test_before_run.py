@@ -148,12 +148,11 @@ def test_a_hand_of_another_size_is_found_with_it(tmp_path: Path, monkeypatch: py
 
     monkeypatch.setattr(before_run, "shape_of", too_few)
     path = tmp_path / "small.mcap"
-    write_synthetic(SynthOptions(seed=2, frames=FRAMES, side="right", scale=0.78), path)
+    write_synthetic(SynthOptions(seed=4, frames=FRAMES, side="right", scale=0.78), path)
     found = find_hand(open_path(path), HandConfig(), start=0)
     assert found.config.hand.side == "right"
     assert found.config.hand.scale == pytest.approx(0.78, rel=A_STEP)
-    # of eight such hands of 24 frames the line doubts the side of four to six, all of which are right
-    assert found.line.split(",")[0] == f"a right hand of scale {found.config.hand.scale:.2f}"
+    assert found.line == f"a right hand of scale {found.config.hand.scale:.2f}"
     told = HandConfig.model_validate({"hand": {"side": "right"}})
     of_side = find_hand(open_path(path), told, start=0)
     assert of_side.config.hand.scale == pytest.approx(0.78, rel=A_STEP)

@@ -76,12 +76,12 @@ class Plausibility(NamedTuple):
         rest: (15,) weights of the relaxed angles, 1 / rad^2.
         closed: (2,) flexion of joints 3 and 2 of a closed finger, rad.
         coupling: how far joint 2 of a finger that closes bends for each radian of joint 3.
-        limit, taut: weights, 1 / rad^2.
+        converging: (4,) abduction of a bent finger, rad.
+        limit, taut: weights of the limits and of a bent finger's abduction, 1 / rad^2.
         closing_weight, knuckle_weight: of joints 2 and 3 of a finger that closes, 1 / rad^2.
         closing_odds: log odds of a finger that closes, the heights of both densities included.
         straight: (2,) flexion of joints 3 and 2 of a straight finger, rad.
         straight_weights: (2,) of these, 1 / rad^2.
-        converging: (4,) abduction of a bent finger, rad.
         straight_odds: log odds of a straight finger, like ``closing_odds``.
         alike_weight: of neighbours' joints 2 where joints 3 are bent alike, 1 / rad^2.
         alike_sd: how far joints 3 differ, rad, where that counts exp(-1/2) of it.
