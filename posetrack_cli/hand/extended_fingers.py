@@ -89,7 +89,7 @@ def poses_of_fingers(observation: Observation, anatomy: HandAnatomy, camera: Cam
     fingers = extended_fingers(observation, anatomy.scale, camera)
     if not FEWEST <= len(fingers) <= len(FINGERS):
         return np.empty((0, POSE_SIZE))
-    made, fitter = _hypotheses(fingers, observation, anatomy), PlaceFitter(anatomy)
+    made, fitter = _hypotheses(fingers, observation, anatomy), PlaceFitter(anatomy, all_told=False)
     likeliest = np.argsort(made.misfits, kind="stable")[:_LIKELIEST]
     poses = made.poses[likeliest]
     for k, pose in zip(likeliest.tolist(), poses, strict=True):

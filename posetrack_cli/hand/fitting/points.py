@@ -178,13 +178,18 @@ class PlaceFitter:
 
     Args:
         anatomy: the hand. No finger is hidden whose joints are told, so where closing and straight fingers
-            usually are, in which planes they bend, and how their neighbours do, is no evidence.
+            usually are, and how their neighbours bend, is no evidence.
+        all_told: whether that is so of all fingers. If not, ligaments hold bent ones in their usual planes.
     """
 
-    def __init__(self, anatomy: HandAnatomy) -> None:
+    def __init__(self, anatomy: HandAnatomy, *, all_told: bool) -> None:
         self._skeleton, self._workspace = skeleton_of(anatomy), make_point_workspace()
-        self._plausibility = plausibility_of(anatomy)._replace(
-            closing_odds=-np.inf, straight_odds=-np.inf, alike_weight=0.0, taut=0.0
+        about = plausibility_of(anatomy)
+        self._plausibility = about._replace(
+            closing_odds=-np.inf,
+            straight_odds=-np.inf,
+            alike_weight=0.0,
+            taut=0.0 if all_told else about.taut,
         )
 
     def fit(self, about: PlacesToFit, pose: FloatArray) -> None:

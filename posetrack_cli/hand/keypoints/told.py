@@ -67,7 +67,7 @@ def pose_of_places(about: PlacesToFit, anatomy: HandAnatomy) -> tuple[FloatArray
     known = palm if len(palm) >= 4 else np.flatnonzero(about.precision[:, 0] > 0.0)
     if len(known) < 4:
         return None
-    fitter = PlaceFitter(anatomy)
+    fitter = PlaceFitter(anatomy, all_told=True)
     found: list[tuple[float, FloatArray]] = []
     weights = about.precision[:, 0] / about.precision[:, 0].sum()
     for bend in (_OPEN, _BENT):
