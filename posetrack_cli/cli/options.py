@@ -253,7 +253,7 @@ def hand_side_option(*choices: str, details: str, default: str | None = None) ->
 
 
 scale_option = option(
-    "--scale", metavar="FACTOR", type=float, help="Size of the hand. 1 is the average adult's, 181 mm long."
+    "--scale", metavar="FACTOR", type=float, help="Size of the hand. 1 is the average adult's, 179 mm long."
 )
 hand_mesh_option = option(
     "--hand-mesh",

@@ -2,7 +2,7 @@
 
 ``population.npz`` is built by ``scripts/build-hand-model`` from the skins and joints of hundreds of drawn
 people (CONTRIBUTING, "The hands that are shipped"). A hand is the mean plus modes times coefficients, all of
-them in lengths of a hand of 181 mm from the wrist to the middle finger's tip. Coefficients are in standard
+them in lengths of a hand of 179 mm from the wrist to the middle finger's tip. Coefficients are in standard
 deviations: among people each is normal, of mean 0 and variance 1, and independent of the others.
 """
 
@@ -20,8 +20,9 @@ from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.npz import read_npz
 
 SHIPPED = Path(__file__).with_name("population.npz")
-HAND_LENGTH_MM = 181.0
-"""From the wrist to the tip of the straight middle finger, at scale 1: the mean of women and men."""
+HAND_LENGTH_MM = 179.0
+"""From the wrist to the tip of the straight middle finger, where its skin ends, at scale 1: the mean of women
+and men."""
 COEFFICIENTS = 24
 """How many coefficients the hand that is shipped has."""
 

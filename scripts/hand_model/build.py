@@ -5,6 +5,7 @@ The people have the same triangles in the same order, as one rig's have that is 
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -14,14 +15,18 @@ from hand_model.people import rows
 from hand_model.template import adult, cage_of
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.cli.progress import bar
-from posetrack_cli.hand.population import COEFFICIENTS, SHIPPED
+from posetrack_cli.hand.anatomy import rest_rotations
+from posetrack_cli.hand.population import COEFFICIENTS, SHIPPED, Population
 from posetrack_cli.outputs import whole_or_nothing
+from posetrack_cli.rendering.mesh import smoothing
 
 BONE_WEIGHT = 4.0
 """A millimetre of a bone counts as so many of one coordinate of the skin: modes are to explain both."""
 _BONES = 30  # numbers behind the cage's: bases and segments
 _RADII = 20
 _DIGITS = 6
+_LAST = np.arange(-_RADII - 13, -_RADII, 3)
+"""Where a hand's row has the fingers' last segments."""
 
 
 def modes_of(hands: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
@@ -33,6 +38,32 @@ def modes_of(hands: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
     modes = vt[:count] * (s[:count, None] / np.sqrt(len(hands) - 1.0)) / weights
     strongest = np.take_along_axis(modes, np.abs(modes).argmax(axis=1)[:, None], axis=1)
     return mean, modes * np.sign(strongest)
+
+
+def with_tips_in_the_skin(people: Population) -> Population:
+    """Return the hands with each finger's last segment ending where the skin that is tracked ends.
+
+    A template laid on people's skins rounds their fingers' ends off, so joints that are where theirs end
+    would stick out of it by .5 to 1.9 mm. Modes move tips as they move the skin's ends, to first order.
+    """
+    mean, modes = people.mean.copy(), people.modes.copy()
+    mean[_LAST] = _last_segments(people)
+    for k, mode in enumerate(people.modes):
+        ends = [_last_segments(replace(people, mean=people.mean + way * mode)) for way in (1.0, -1.0)]
+        modes[k, _LAST] = 0.5 * (ends[0] - ends[1])
+    return replace(people, mean=mean, modes=modes)
+
+
+def _last_segments(people: Population) -> FloatArray:
+    """(5,) from the mean hand's joints 1 to where its smooth skin ends along the fingers, thumb first."""
+    hand, smooth = people.hand(), smoothing(people.triangles, 1)
+    vertices, weights = smooth.through @ hand.cage, np.asarray(smooth.blend @ people.weights)
+    outwards = -rest_rotations()[:, :, 1]
+    reaches = [
+        (vertices[weights[:, 3 * finger + 3] > 0.5] - hand.bases[finger]) @ outwards[finger]
+        for finger in range(5)
+    ]
+    return np.array([reach.max() for reach in reaches]) - hand.segments[:, :2].sum(axis=1)
 
 
 @click.command()
@@ -51,14 +82,7 @@ def main(people: tuple[Path, ...], output: Path) -> None:
     hands = np.array(found)
     mean, modes = modes_of(hands, COEFFICIENTS)
     cage = cage_of(adult())
-    with whole_or_nothing(output) as part, part.open("wb") as stream:
-        np.savez_compressed(
-            stream,
-            mean=_rounded(mean),
-            modes=_rounded(modes),
-            weights=_rounded(cage.weights),
-            triangles=cage.triangles.astype(np.int16),
-        )
+    write(with_tips_in_the_skin(Population(mean, modes, cage.weights, cage.triangles)), output)
     rest = hands - mean
     unexplained = rest - rest @ np.linalg.pinv(modes) @ modes
     skin = unexplained[:, : -_BONES - _RADII].reshape(len(hands), -1, 3)
@@ -67,6 +91,18 @@ def main(people: tuple[Path, ...], output: Path) -> None:
         f"{output}: {len(hands)} hands, {COEFFICIENTS} modes leave"
         f" {np.sqrt((skin**2).sum(axis=2).mean()):.2f} mm of skin, {np.sqrt((bones**2).mean()):.2f} of bones"
     )
+
+
+def write(people: Population, output: Path) -> None:
+    """Write a file as ``population.npz`` is one."""
+    with whole_or_nothing(output) as part, part.open("wb") as stream:
+        np.savez_compressed(
+            stream,
+            mean=_rounded(people.mean),
+            modes=_rounded(people.modes),
+            weights=_rounded(people.weights),
+            triangles=people.triangles.astype(np.int16),
+        )
 
 
 def _rounded(values: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:

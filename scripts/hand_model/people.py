@@ -14,7 +14,6 @@ from hand_model.template import adult, cage_of, with_wrist
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.hand.anatomy import BONE_COUNT, HandAnatomy
 from posetrack_cli.hand.calibration.measures import MEASURES, measures_of
-from posetrack_cli.hand.population import HAND_LENGTH_MM
 from posetrack_cli.hand.shape import HandShape, reshaped_anatomy, reshaped_skin
 from posetrack_cli.hand.webxr import PER_METRE, FileHand, joint_places, straightened
 from posetrack_cli.rendering.gltf import read_glb
@@ -24,6 +23,9 @@ from posetrack_cli.rendering.mesh import SkinnedMesh, smoothing
 FURTHER_SD: FloatArray = np.array([0.0, *[0.03] * 5, *[0.05] * 5, 0.035, 0.025, 0.05, 0.06, 0.03])
 """(16,) of the logarithms of a shape's factors: what further differs from hand to hand, as other people's and
 other artists' hands do from those that are learned from."""
+RIG_LENGTH_MM = 181.0
+"""From the wrist to the middle finger's tip as the people's rigs have it, the mean of women and men; the
+skin that is laid on theirs ends 2 mm before."""
 _MEAN_OF, _SEED = 120, 5
 _WRIST_MM = 4.0
 
@@ -42,7 +44,7 @@ def rows(files: Sequence[Path]) -> Iterator[FloatArray]:
         hand = _reshaped(person_hand(path, rng), rng)
         vertices = reference.posed(_stretches(mean.anatomy, hand.anatomy)[None])[0]
         cage = template.cage(template.laid(vertices, Skin(hand.skin)))
-        a, size = hand.anatomy, HAND_LENGTH_MM / _length(hand.anatomy)
+        a, size = hand.anatomy, RIG_LENGTH_MM / _length(hand.anatomy)
         parts = (with_wrist(size * cage), *(size * one for one in (a.base_positions, a.segments, a.radii)))
         yield np.concatenate([part.ravel() for part in parts])
 
@@ -57,7 +59,7 @@ def person_hand(path: Path, rng: np.random.Generator | None) -> FileHand:
 
 def _mean_hand(hands: Sequence[FileHand]) -> FileHand:
     """The mean of hands of the same triangles, in lengths of a hand."""
-    sizes = [HAND_LENGTH_MM / _length(hand.anatomy) for hand in hands]
+    sizes = [RIG_LENGTH_MM / _length(hand.anatomy) for hand in hands]
 
     def mean(parts: Sequence[FloatArray]) -> FloatArray:
         return np.asarray(np.mean([size * part for size, part in zip(sizes, parts, strict=True)], axis=0))

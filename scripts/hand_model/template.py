@@ -120,7 +120,7 @@ def cage_of(anatomy: HandAnatomy) -> SkinnedMesh:
 
 
 def with_wrist(cage: FloatArray) -> FloatArray:
-    """Return a cage (C, 3) that was laid on a skin 181 mm long, drawn out behind the wrist joint.
+    """Return a cage (C, 3) that was laid on a skin of scale 1, drawn out behind the wrist joint.
 
     People's skins end at the wrist, some before it. A forearm begins inside the hand; where the wrist is
     bent, nothing would be drawn between the two.

@@ -45,6 +45,7 @@ from posetrack_cli.hand.fitting.terms import Terms, Tile
 from posetrack_cli.hand.inner import NO_THUMB
 from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
 from posetrack_cli.hand.model import HandModel, average_hand
+from posetrack_cli.hand.population import HAND_LENGTH_MM
 from posetrack_cli.hand.shape import (
     POPULATION_SD,
     SHAPE_NAMES,
@@ -69,7 +70,7 @@ from support.hand import KINECT
 
 TILE = 96
 HALF_A_STEP = 0.077  # 1.16^(1/2) - 1, of the sizes that are tried
-MOST_OFF_MM = 7.0
+MOST_OFF_MM = 7.5
 """A length of a hand of which nine perfect images are given: where in it a knuckle lies they hardly tell."""
 FEW = {"fitted": 16, "refined": 2, "scattered": 4}
 """Hypotheses of a search; ten hands are searched for, and the one hand in the image is easily found."""
@@ -216,7 +217,7 @@ def test_a_hand_of_the_population_is_found_again_from_perfect_images(device: Ren
         joint_positions(model.anatomy, p, angles)
         for model, p, angles in ((made, found.poses, found.thumbs), (hand, poses, true_thumbs))
     ]
-    assert np.median(np.linalg.norm(joints[0] - joints[1], axis=2)) < 3.5
+    assert np.median(np.linalg.norm(joints[0] - joints[1], axis=2)) < 4.0
     # never less sure than before, of the scale and of the strongest modes far surer, though the thumb's inner
     # angles leave more open than a thumb without them
     sd = np.sqrt(np.diag(found.covariance))
@@ -261,7 +262,7 @@ def test_measures_are_what_a_ruler_says() -> None:
     palm = float(np.linalg.norm(joints[9] - joints[0]))
     assert numbers["palm_length"] == pytest.approx(palm)
     assert numbers["hand_length"] == pytest.approx(palm + chains[2].sum())
-    assert numbers["hand_length"] == pytest.approx(1.1 * 181.0, abs=0.5)
+    assert numbers["hand_length"] == pytest.approx(1.1 * HAND_LENGTH_MM, abs=0.5)
     assert numbers["palm_width"] == pytest.approx(float(np.linalg.norm(joints[5] - joints[17])))
     assert numbers["little_length"] == pytest.approx(chains[4].sum())
     assert numbers["thumb_length"] == pytest.approx(chains[0, 1:].sum())

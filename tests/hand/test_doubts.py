@@ -14,6 +14,7 @@ from posetrack_cli.hand.calibration.doubts import (
     LARGEST_COEFFICIENT,
     doubts_of,
 )
+from posetrack_cli.hand.population import HAND_LENGTH_MM
 from posetrack_cli.hand.shape import HandShape
 from support.calibrations import calibration_of
 
@@ -34,7 +35,7 @@ def test_a_hand_like_others_that_was_seen_well_has_none() -> None:
 @pytest.mark.parametrize("length_mm", [HAND_LENGTHS_MM[0] - 5.0, HAND_LENGTHS_MM[1] + 5.0])
 def test_no_hand_is_so_large_or_so_small(length_mm: float) -> None:
     """Most likely the depth is in other units."""
-    found = calibration_of(HandShape(length_mm / 181.0, coefficients=(LARGEST_COEFFICIENT + 1.0,)))
+    found = calibration_of(HandShape(length_mm / HAND_LENGTH_MM, coefficients=(LARGEST_COEFFICIENT + 1.0,)))
     said = doubts_of(found)
     assert found.length_mm == pytest.approx(length_mm, abs=1.5)
     assert "120 to 225 mm" in said and "is the depth in mm" in said and "--depth-unit-mm" in said

@@ -10,9 +10,9 @@ import pytest
 from click.testing import CliRunner
 
 from hand_model import build
-from hand_model.build import BONE_WEIGHT, modes_of
+from hand_model.build import BONE_WEIGHT, modes_of, with_tips_in_the_skin
 from hand_model.joints import ANATOMY_SHARE, _thumb, anatomical_joints
-from hand_model.people import rows
+from hand_model.people import RIG_LENGTH_MM, rows
 from hand_model.registration import Skin, Template, vertex_normals
 from hand_model.template import SEGMENTS, adult, cage_of, with_wrist
 from posetrack_cli.arrays import FloatArray
@@ -20,7 +20,7 @@ from posetrack_cli.geometry import rotations
 from posetrack_cli.hand.anatomy import HandAnatomy, make_anatomy
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.mesh import hand_mesh
-from posetrack_cli.hand.population import HAND_LENGTH_MM, population
+from posetrack_cli.hand.population import Population, population
 from posetrack_cli.hand.shape import HandShape, reshaped_anatomy, reshaped_skin
 from posetrack_cli.npz import read_npz
 from posetrack_cli.rendering.mesh import SkinnedMesh, closest_points, is_closed, smoothing
@@ -29,6 +29,7 @@ from support.hand import REST, enclosed_volume
 
 SIZE = 671  # numbers of a hand
 BONES = slice(-50, -20)
+LAST_SEGMENTS = np.arange(SIZE - 33, SIZE - 20, 3)
 
 
 # Modes
@@ -232,6 +233,34 @@ def test_a_cage_that_ends_at_the_wrist_is_drawn_out() -> None:
     np.testing.assert_array_equal(with_wrist(short)[rest], cage[rest])
 
 
+# Tips
+
+
+def stretched(sizes: FloatArray) -> Population:
+    """The hands that are shipped, whose skin's ends (5,) differ by a last mode, mm, and joints do not."""
+    people = population()
+    cage = np.zeros((len(people.weights), 3))
+    for finger, frame in enumerate(make_anatomy().base_rotations):
+        outer = people.weights[:, 2 + 3 * finger : 4 + 3 * finger].sum(axis=1) > 0.5
+        cage[outer] -= sizes[finger] * frame[:, 1]
+    mode = np.zeros(SIZE)
+    mode[: cage.size] = cage.ravel()
+    return replace(people, modes=np.vstack([people.modes[:2], mode]))
+
+
+def test_tips_end_with_the_skin() -> None:
+    """In a mode that moves the ends of all fingers, tips go along; nothing else is changed."""
+    sizes = 0.1 * np.array([1.0, 0.8, 0.6, -0.5, -1.0])  # so small that the vertex that is outermost stays it
+    before = stretched(sizes)
+    shifted = before.mean.copy()
+    shifted[LAST_SEGMENTS] += 3.0
+    after = with_tips_in_the_skin(replace(before, mean=shifted))
+    np.testing.assert_allclose(after.mean, before.mean, atol=1e-5)  # as what is shipped was made
+    np.testing.assert_allclose(after.modes[2, LAST_SEGMENTS], sizes, rtol=1e-3)
+    others = np.setdiff1d(np.arange(SIZE), LAST_SEGMENTS)
+    np.testing.assert_array_equal(after.modes[:, others], before.modes[:, others])
+
+
 # All of it
 
 
@@ -249,12 +278,13 @@ def test_a_population_is_built_of_files_and_read_again(
         arrays = read_npz(stream)
     assert arrays["mean"].shape == (SIZE,) and arrays["modes"].shape == (3, SIZE)
     hands = np.array(list(rows(sorted(tmp_path.glob("*.glb")))))
-    np.testing.assert_allclose(arrays["mean"], hands.mean(axis=0), atol=1e-5)  # drawn alike again
+    others = np.setdiff1d(np.arange(SIZE), LAST_SEGMENTS)  # tips are moved to where the skin ends
+    np.testing.assert_allclose(arrays["mean"][others], hands.mean(axis=0)[others], atol=1e-5)  # drawn alike
     ends = np.cumsum([3 * len(population().weights), 15, 15])
     for hand in hands:
         _, bases, segments, _ = np.split(hand, ends)
         length = np.linalg.norm(bases.reshape(5, 3)[2]) + segments.reshape(5, 3)[2].sum()
-        assert length == pytest.approx(HAND_LENGTH_MM)
+        assert length == pytest.approx(RIG_LENGTH_MM)
     cage = arrays["mean"][: ends[0]].reshape(-1, 3)
     assert is_closed(arrays["triangles"]) and cage[:, 1].max() == pytest.approx(13.0)
     # the skin that was put in, in lengths of a hand

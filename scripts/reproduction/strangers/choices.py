@@ -77,7 +77,7 @@ class Choices:
             "The recordings of the part `default`, tracked again with one thing changed: `--filter pf`, "
             "`--cost paper`, `--cost union`, `--filter pso` (64 particles, 25 generations), all told the "
             "side and the shape that the default found, so that nothing else differs; and `--shape average`, "
-            "told nothing: a hand of 181 mm, whatever the person's size. The filters' particles are drawn by "
+            "told nothing: a hand of 179 mm, whatever the person's size. The filters' particles are drawn by "
             "the local fits. "
             "Errors are means over the joints and all frames, lost ones included; ± is the standard "
             "deviation over people."
