@@ -86,7 +86,6 @@ def straightened(skin: GltfSkin, path: Path, average: HandAnatomy | None = None)
     anatomy, transforms = _zero_angles(joints, average, scale)
     mesh = SkinnedMesh(mesh.posed(transforms[None])[0], mesh.weights, mesh.triangles)
     mesh = _without_forearm(mesh, anatomy.scale, path)
-    anatomy = replace(anatomy, segments=_segments_to_the_skin(anatomy, mesh))
     return FileHand(replace(anatomy, radii=_radii(anatomy, mesh, path)), mesh)
 
 
@@ -269,16 +268,6 @@ def _without_forearm(mesh: SkinnedMesh, scale: float, path: Path) -> SkinnedMesh
             "skin is no surface", where=path, found=found, expected=f"at most {limits.MESH_VALENCE}"
         )
     return whole
-
-
-def _segments_to_the_skin(anatomy: HandAnatomy, mesh: SkinnedMesh) -> FloatArray:
-    """(5, 3) segments of which the last ends where the skin ends, as ours do; WebXR's tips may lie inside."""
-    segments = anatomy.segments.copy()
-    for finger in range(5):
-        last = mesh.weights[:, 3 + 3 * finger] > 0.5
-        along = -(mesh.vertices[last] - anatomy.base_positions[finger]) @ anatomy.base_rotations[finger][:, 1]
-        segments[finger, 2] = along.max(initial=segments[finger].sum()) - segments[finger, :2].sum()
-    return segments
 
 
 def _radii(anatomy: HandAnatomy, mesh: SkinnedMesh, path: Path) -> FloatArray:
