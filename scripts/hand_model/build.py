@@ -59,11 +59,12 @@ def _last_segments(people: Population) -> FloatArray:
     hand, smooth = people.hand(), smoothing(people.triangles, 1)
     vertices, weights = smooth.through @ hand.cage, np.asarray(smooth.blend @ people.weights)
     outwards = -rest_rotations()[:, :, 1]
-    reaches = [
-        (vertices[weights[:, 3 * finger + 3] > 0.5] - hand.bases[finger]) @ outwards[finger]
-        for finger in range(5)
-    ]
-    return np.array([reach.max() for reach in reaches]) - hand.segments[:, :2].sum(axis=1)
+    reaches: FloatArray = np.empty(len(outwards))
+    for finger, (outward, base) in enumerate(zip(outwards, hand.bases, strict=True)):
+        own = weights[:, 3 * finger + 3] > 0.5
+        reaches[finger] = np.max((vertices[own] - base) @ outward)
+    lasts: FloatArray = reaches - hand.segments[:, :2].sum(axis=1)
+    return lasts
 
 
 @click.command()

@@ -94,7 +94,7 @@ def test_a_shape_is_estimated_unless_it_is_told(
     assert estimated == [CalibrationOptions("right", start=1)]
     said = capsys.readouterr().err.splitlines()
     assert "estimating the hand's shape ..." in said
-    assert any(line.startswith(f"{recording}: a right hand, 145 mm long") for line in said)
+    assert any(line.startswith(f"{recording}: a right hand, 143 mm long") for line in said)
     used = json.loads(read_result(tmp_path / "r.mcap").run["configuration"])["hand"]
     assert used["coefficients"] == pytest.approx(SHAPE.coefficients) and used["scale"] == SHAPE.scale
 

@@ -198,7 +198,7 @@ def test_a_hand_that_explains_little_gets_a_shape_of_its_own(
     ((known, options),) = asked
     assert known.hand.side == "right" and known.hand.scale == 1.0
     assert options == CalibrationOptions("right", start=3)
-    assert found.line == "a right hand, 188 mm long"
+    assert found.line == "a right hand, 186 mm long"
     assert told == ["estimating the hand's shape"]
 
 
@@ -237,7 +237,7 @@ def test_what_is_doubtful_of_a_shape_is_in_the_line(
     odd = calibration_of(HandShape(1.1, coefficients=(0.0, 3.5)), costs_mm=(4.0, 3.0))
     monkeypatch.setattr(before_run, "shape_of", lambda *arguments: odd)
     line = find_hand(open_path(seen[1]), HandConfig(), start=0).line
-    assert line.startswith("a right hand, 199 mm long, of proportions that hardly any hand has")
+    assert line.startswith("a right hand, 197 mm long, of proportions that hardly any hand has")
     assert "\n" not in line
 
 
