@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import click
 import numpy as np
@@ -16,7 +17,7 @@ from hand_model.template import adult, cage_of
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.cli.progress import bar
 from posetrack_cli.hand.anatomy import rest_rotations
-from posetrack_cli.hand.population import COEFFICIENTS, SHIPPED, Population
+from posetrack_cli.hand.population import COEFFICIENTS, SHIPPED, Population, RestHand
 from posetrack_cli.outputs import whole_or_nothing
 from posetrack_cli.rendering.mesh import smoothing
 
@@ -25,7 +26,7 @@ BONE_WEIGHT = 4.0
 _BONES = 30  # numbers behind the cage's: bases and segments
 _RADII = 20
 _DIGITS = 6
-_LAST = np.arange(-_RADII - 13, -_RADII, 3)
+_LAST = np.arange(-_RADII - 15, -_RADII)[2::3]
 """Where a hand's row has the fingers' last segments."""
 
 
@@ -44,24 +45,31 @@ def with_tips_in_the_skin(people: Population) -> Population:
     """Return the hands with each finger's last segment ending where the skin that is tracked ends.
 
     A template laid on people's skins rounds their fingers' ends off, so joints that are where theirs end
-    would stick out of it by .5 to 1.9 mm. Modes move tips as they move the skin's ends, to first order.
+    would stick out of it by .5 to 1.9 mm. A mode moves tips as it moves the skin's ends, to first order.
     """
+    smooth = smoothing(people.triangles, 1)
+    skin = _Smooth(smooth.through, np.asarray(smooth.blend @ people.weights))
     mean, modes = people.mean.copy(), people.modes.copy()
-    mean[_LAST] = _last_segments(people)
-    for k, mode in enumerate(people.modes):
-        ends = [_last_segments(replace(people, mean=people.mean + way * mode)) for way in (1.0, -1.0)]
-        modes[k, _LAST] = 0.5 * (ends[0] - ends[1])
+    mean[_LAST] = _last_segments(people.hand(), skin)
+    for k in range(len(modes)):
+        more, less = (_last_segments(people.hand([0.0] * k + [way]), skin) for way in (1.0, -1.0))
+        modes[k, _LAST] = 0.5 * (more - less)
     return replace(people, mean=mean, modes=modes)
 
 
-def _last_segments(people: Population) -> FloatArray:
-    """(5,) from the mean hand's joints 1 to where its smooth skin ends along the fingers, thumb first."""
-    hand, smooth = people.hand(), smoothing(people.triangles, 1)
-    vertices, weights = smooth.through @ hand.cage, np.asarray(smooth.blend @ people.weights)
-    outwards = -rest_rotations()[:, :, 1]
+class _Smooth(NamedTuple):
+    """The surface that is tracked: ``through`` (V, C), what makes it of a cage, and ``weights`` (V, 16)."""
+
+    through: FloatArray
+    weights: FloatArray
+
+
+def _last_segments(hand: RestHand, skin: _Smooth) -> FloatArray:
+    """(5,) from a hand's joints 1 to where its smooth skin ends along the fingers, thumb first, mm."""
+    vertices, outwards = skin.through @ hand.cage, -rest_rotations()[:, :, 1]
     reaches: FloatArray = np.empty(len(outwards))
     for finger, (outward, base) in enumerate(zip(outwards, hand.bases, strict=True)):
-        own = weights[:, 3 * finger + 3] > 0.5
+        own = skin.weights[:, 3 + 3 * finger] > 0.5
         reaches[finger] = np.max((vertices[own] - base) @ outward)
     lasts: FloatArray = reaches - hand.segments[:, :2].sum(axis=1)
     return lasts
@@ -95,7 +103,7 @@ def main(people: tuple[Path, ...], output: Path) -> None:
 
 
 def write(people: Population, output: Path) -> None:
-    """Write a file as ``population.npz`` is one."""
+    """Write hands as ``population.npz`` holds them."""
     with whole_or_nothing(output) as part, part.open("wb") as stream:
         np.savez_compressed(
             stream,

@@ -27,7 +27,8 @@ _PALM_MM = 90.0
 def anatomical_joints(joints: FloatArray, rng: np.random.Generator | None) -> FloatArray:
     """Return a hand's 21 joints (21, 3) as they may lie in its skin, mm; without a generator, as on average.
 
-    Tips stay: rigs have them where the skin ends, to a millimetre or two (``build.with_tips_in_the_skin``).
+    Tips stay: rigs have them where the skin ends, to a millimetre or two. The build puts them where the
+    skin that was laid on it ends.
 
     Args:
         joints: of a rig, in our order, mm, any axes.

@@ -19,7 +19,7 @@ RIGHT, LEFT = make_anatomy("right"), make_anatomy("left")
 FLOAT32_MM = 1e-3
 """Skinning transforms are float32: lengths of 1e3 mm times 1.2e-7, several terms."""
 TIP_MM = {"lean": 1.0, "medium": 0.5, "fine": 1.0}
-"""How far joint and skin end apart: tips end with the medium skin, of hands near the mean to first order."""
+"""How far tip and skin end apart: they end together in the medium mesh, in other hands to first order."""
 COUNTS = {"lean": 410, "medium": 1640, "fine": 6560}
 
 every_level = pytest.mark.parametrize("level", LEVELS)

@@ -250,7 +250,7 @@ def stretched(sizes: FloatArray) -> Population:
 
 def test_tips_end_with_the_skin() -> None:
     """In a mode that moves the ends of all fingers, tips go along; nothing else is changed."""
-    sizes = 0.1 * np.array([1.0, 0.8, 0.6, -0.5, -1.0])  # so small that the vertex that is outermost stays it
+    sizes = 0.1 * np.array([1.0, 0.8, 0.6, -0.5, -1.0])  # so small that the outermost vertex remains it
     before = stretched(sizes)
     shifted = before.mean.copy()
     shifted[LAST_SEGMENTS] += 3.0
