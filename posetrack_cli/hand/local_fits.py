@@ -132,16 +132,17 @@ class LocalFitter:
         priors = [prior.about(start[:3]) for start in starts]
         priors += [PosePrior(pose, TOLD_PRECISION) for pose in told]
         fits = fitter.descend(tile, np.concatenate([starts, told]), priors, settings.iterations)
-        tile = _with_inner(tile, min(fits, key=_cost).inner)
-        best = fitter.swapped(tile, [fits])[0]
+        anywhere = prior.anywhere
+        tile = _with_inner(tile, self._best(tile, fits, anywhere).inner)
+        best = fitter.swapped(tile, [fits], anywhere)[0]
         fits += fitter.descend(tile, best[None], [prior.about(best[:3])], settings.polish)
         renders = len(starts) * (settings.iterations + 2) + 5 * (len(starts) - 1) + settings.polish + 1
         renders += len(told) * (settings.iterations + 6)
-        first = min(fits, key=_cost)
+        first = self._best(tile, fits, anywhere)
         if _cost(first) > enough_mm:
             refolded, more = self._refolded(tile, first.pose, prior)
             fits, renders = fits + refolded, renders + more
-        best_fit = min(fits, key=_cost)
+        best_fit = self._best(tile, fits, anywhere)
         modes = self._likelihood(reading._replace(tile=_with_inner(tile, best_fit.inner)), fits)
         return LocalFits(modes, _cost(best_fit), renders + len(modes), best_fit.inner)
 
@@ -151,11 +152,16 @@ class LocalFitter:
         starts = refolds(pose)
         priors = [PosePrior(start, prior.precision) for start in starts]
         fits = fitter.descend(tile, starts, priors, settings.refold_iterations)
-        likeliest = sorted(fits, key=_cost)[: settings.starts]
-        best = fitter.swapped(tile, [likeliest])[0]
+        order = np.argsort(fitter.objectives(tile, fits, prior.anywhere), kind="stable")
+        likeliest = [fits[k] for k in order[: settings.starts]]
+        best = fitter.swapped(tile, [likeliest], prior.anywhere)[0]
         fits += fitter.descend(tile, best[None], [PosePrior(best, prior.precision)], settings.iterations)
         drawn = len(starts) * (settings.refold_iterations + 1) + 5 * (len(likeliest) - 1)
         return fits, drawn + settings.iterations + 1
+
+    def _best(self, tile: Tile, fits: Sequence[Fit], prior: PosePrior) -> Fit:
+        """The most probable of fits."""
+        return fits[int(np.argmin(self.fitter.objectives(tile, fits, prior)))]
 
     def _likelihood(self, reading: FrameReading, fits: Sequence[Fit]) -> LikelihoodModes:
         chosen = [self.fitter.assessed(reading.tile, fit.pose) for fit in self.likeliest(reading, fits)]
@@ -180,6 +186,7 @@ class LocalFitter:
         correlation = self._config.observation.mixture.correlation_mm
         share = reading_share(depth, observation.window.step, self._camera, correlation)
         height = share * tile.observed * float(self._mixture.unexplained(np.array(depth)))
+        tile = tile._replace(mm_per_nat=self._config.observation.clamp_mm / height)
         return FrameReading(tile, depth, share, height)
 
     def modes(

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from posetrack_cli.hand.config import StatusSettings
 
 _MEMORY = 0.1  # share of a new frame in the running mean of costs
-_ENOUGH_FACTOR, _ENOUGH_MM = 1.25, 1.0
+_ENOUGH_FACTOR, _ENOUGH_MM = 1.15, 0.5
 _MOST_WAIT, _MOST_WAIT_AS_USUAL = 4, 6  # frames
 _GOOD_SHARE, _GOOD_RISE_MM = 0.3, 0.03
 """Share of a better frame in the level of good fits, and by how much that rises in a frame at most."""

@@ -127,6 +127,14 @@ class PosePrior:
         """The same prior about another position (3,)."""
         return PosePrior(np.concatenate([position, self.mean[3:]]), self.precision)
 
+    @property
+    def anywhere(self) -> PosePrior:
+        """The same prior without a position."""
+        return PosePrior(self.mean, np.concatenate([np.zeros(3), self.precision[3:]]))
+
+
+NO_PRIOR = PosePrior(np.concatenate([np.zeros(6), [1.0], np.zeros(15)]), np.zeros(TANGENT_SIZE))
+
 
 class HandFitter:
     """Fits one hand model to observations of one size.
@@ -154,6 +162,7 @@ class HandFitter:
         anatomy, skin = model.anatomy, skin or model.smooth_with_arm
         self.hand = Hand(skeleton_of(anatomy), skin_of(skin), plausibility_of(anatomy), thumb)
         self._camera, self._terms, self._steps = camera, terms or Terms(), steps or Steps()
+        self._space = BodySpace()
         self._free = [make_workspace(self.hand, tile_px, tile_px) for _ in range(thread_count())]
         self._threads = ThreadPoolExecutor(len(self._free))
 
@@ -200,23 +209,54 @@ class HandFitter:
         self._share_out(len(priors), descend_some)
         return taken_apart(fits)
 
-    def swapped(self, tile: Tile, groups: Sequence[Sequence[Fit]]) -> FloatArray:
+    def objectives(self, tile: Tile, fits: Sequence[Fit], prior: PosePrior = NO_PRIOR) -> FloatArray:
+        """Return what fits are compared by (N,), mm: their costs and the tile's share of doubt.
+
+        Args:
+            tile: the observation.
+            fits: N of them.
+            prior: of all of them.
+        """
+        costs = np.array([float(fit.cost[0]) for fit in fits])
+        if tile.mm_per_nat == 0.0 or not fits:
+            return costs
+        poses = np.array([fit.pose for fit in fits])
+        off = self._space.local(prior.mean[None], poses)
+        doubts = self.potentials(poses, tile.inner) + 0.5 * np.square(off) @ prior.precision
+        objectives: FloatArray = costs + tile.mm_per_nat * doubts
+        return objectives
+
+    def swapped(self, tile: Tile, groups: Sequence[Sequence[Fit]], prior: PosePrior = NO_PRIOR) -> FloatArray:
         """Return of each of G groups the best fit's pose with each finger from the fit where it fits best.
 
         Args:
             tile: the observation.
             groups: of the same number of fits each, at least one.
+            prior: of all poses.
 
         Returns:
             (G, 22).
         """
-        ordered = [sorted(group, key=lambda fit: float(fit.cost[0])) for group in groups]
-        poses = np.array([[fit.pose for fit in group] for group in ordered])
-        costs = np.array([float(group[0].cost[0]) for group in ordered])
+        values = np.array([self.objectives(tile, group, prior) for group in groups])
+        order = np.argsort(values, axis=1, kind="stable")
+        poses = np.array([[group[k].pose for k in row] for group, row in zip(groups, order, strict=True)])
+        least, mean, precision = values.min(axis=1), prior.mean, prior.precision
         out = np.empty((len(poses), POSE_SIZE))
 
         def swap_some(first: int, stride: int, workspace: Workspace) -> None:
-            swap_fingers_each(self.hand, tile, poses, costs, first, stride, self._terms, workspace, out)
+            swap_fingers_each(
+                self.hand,
+                tile,
+                poses,
+                least,
+                mean,
+                precision,
+                first,
+                stride,
+                self._terms,
+                workspace,
+                out,
+            )
 
         self._share_out(len(poses), swap_some)
         return out

@@ -273,6 +273,24 @@ def _keep(pose: FloatArray, inner: FloatArray, data: NormalEquations, cost: floa
 
 
 @kernel
+def _doubt(
+    hand: Hand,
+    pose: FloatArray,
+    mean: FloatArray,
+    precision: FloatArray,
+    workspace: Workspace,
+    off: FloatArray,
+) -> float:
+    """What anatomy and prior have against a pose that is posed in the workspace, nats."""
+    clear(workspace.whole)
+    doubt = add_anatomy(hand.plausibility, pose, workspace.posed, workspace.spheres, workspace.whole)
+    _difference(mean, pose, off)
+    for i in range(TANGENT_SIZE):
+        doubt += 0.5 * precision[i] * off[i] * off[i]
+    return doubt
+
+
+@kernel
 def descend(
     hand: Hand,
     tile: Tile,
@@ -285,7 +303,12 @@ def descend(
     workspace: Workspace,
     out: Fit,
 ) -> None:
-    """Descend from a start pose and keep the pose of least union cost on the way.
+    """Descend from a start pose and keep the best pose on the way.
+
+    The best is what the step is towards, the most probable one: of D + u (U + e^T P e / 2) the least, with D
+    the union cost, U the anatomy's potential, e the pose's distance from the prior's mean, P its precision
+    and u the tile's ``mm_per_nat``. D alone is least where noise happens to fit, the more so the more poses
+    are tried: a finger that nothing shows would be taken from anywhere for a tenth of a millimetre.
 
     Args:
         hand: the model.
@@ -299,6 +322,7 @@ def descend(
     """
     pose, inner, delta = start.copy(), tile.inner.copy(), np.empty(UNKNOWNS)
     _keep(pose, inner, workspace.data, np.inf, out)
+    least = np.inf
     for k in range(iterations + 1):
         pose_bones(hand.skeleton, pose, inner, workspace.posed)
         clear(workspace.data)
@@ -317,7 +341,11 @@ def descend(
                 workspace.data,
             )
             gather(workspace.data)
-        if cost < out.cost[0]:
+        objective = cost
+        if tile.mm_per_nat > 0.0:
+            objective += tile.mm_per_nat * _doubt(hand, pose, mean, precision, workspace, delta)
+        if objective < least:
+            least = objective
             _keep(pose, inner, workspace.data, cost, out)
         if k < iterations:
             _solve(hand, tile, pose, inner, mean, precision, workspace, delta)
@@ -367,7 +395,9 @@ def swap_fingers_each(
     hand: Hand,
     tile: Tile,
     poses: FloatArray,
-    costs: FloatArray,
+    objectives: FloatArray,
+    mean: FloatArray,
+    precision: FloatArray,
     first: int,
     stride: int,
     terms: Terms,
@@ -381,13 +411,14 @@ def swap_fingers_each(
     Args:
         hand, tile, terms, workspace: as in ``cost_of``.
         poses: (G, K, 22) the best of each group first.
-        costs: (G,) of these.
+        objectives: (G,) of these, as in ``descend``.
+        mean, precision: (22,), (21,) prior of all.
         first, stride: which groups.
         out: is written to.
     """
-    trial = np.empty(POSE_SIZE)
+    trial, off = np.empty(POSE_SIZE), np.empty(TANGENT_SIZE)
     for g in range(first, len(poses), stride):
-        best, cost = out[g], costs[g]
+        best, least = out[g], objectives[g]
         best[:] = poses[g, 0]
         for f in range(5):
             place, chosen = 7 + 3 * f, 0
@@ -395,8 +426,10 @@ def swap_fingers_each(
             for k in range(1, poses.shape[1]):
                 trial[place : place + 3] = poses[g, k, place : place + 3]
                 other = cost_of(hand, tile, trial, terms, workspace)
-                if other < cost:
-                    chosen, cost = k, other
+                if tile.mm_per_nat > 0.0:
+                    other += tile.mm_per_nat * _doubt(hand, trial, mean, precision, workspace, off)
+                if other < least:
+                    chosen, least = k, other
             if chosen > 0:
                 best[place : place + 3] = poses[g, chosen, place : place + 3]
 

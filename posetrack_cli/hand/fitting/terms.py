@@ -35,6 +35,8 @@ class Tile(NamedTuple):
         projection: how points fall on it.
         inner: (6,) where fits begin, and what poses are drawn with (``hand.inner``).
         expected: (6,) the mean of their prior.
+        mm_per_nat: what cost D a nat of anatomy and prior weighs as much as where poses are compared; 0 where
+            the image alone counts.
     """
 
     image: FloatArray
@@ -43,6 +45,7 @@ class Tile(NamedTuple):
     projection: View
     inner: FloatArray = NO_INNER
     expected: FloatArray = NO_INNER
+    mm_per_nat: float = 0.0
 
 
 class Terms(NamedTuple):
