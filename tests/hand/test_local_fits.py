@@ -162,6 +162,7 @@ def test_modes_are_the_image_s_equations_scaled_and_anatomy(stage: Stage) -> Non
     scale = reading.share * config.fit.sharpening * (4.0 / noise_sd) ** 2
     per_mm, doubts = reading.height / config.observation.clamp_mm, fitter.potentials(modes.poses, found.inner)
     assert (np.abs(doubts) > 0.1).all()
+    assert reading.tile.mm_per_nat == pytest.approx(1.0 / per_mm, rel=1e-12)
     for k, pose in enumerate(modes.poses):
         tile = fitter.tile(observation)._replace(inner=found.inner)
         fit = fitter.assessed(tile, pose)

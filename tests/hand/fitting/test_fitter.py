@@ -106,6 +106,44 @@ def test_more_iterations_are_never_worse_at_the_same_width(fitters: dict[str, Ha
         assert fit.cost[0] <= still.cost[0]
 
 
+@pytest.mark.parametrize("mm_per_nat", [0.0, 0.03, 10.0])
+def test_fits_are_compared_by_cost_anatomy_and_prior(
+    fitters: dict[str, HandFitter], mm_per_nat: float
+) -> None:
+    """D + u (U + e^T P e / 2), each part by itself."""
+    fitter, truth = fitters["right"], open_hand()
+    tile = fitter.tile(observed(RIGHT, fitter, truth))._replace(mm_per_nat=mm_per_nat)
+    poses = np.stack([moved(truth, k) for k in range(3)])
+    fits = [fitter.assessed(tile, pose) for pose in poses]
+    prior = PosePrior(moved(truth, 9), FREE)
+    off = np.stack([SPACE.local(prior.mean, pose) for pose in poses])
+    doubts = fitter.potentials(poses, tile.inner) + 0.5 * np.square(off) @ FREE
+    expected = fitter.costs(tile, poses) + mm_per_nat * doubts
+    np.testing.assert_allclose(fitter.objectives(tile, fits, prior), expected, rtol=1e-12)
+    elsewhere = PosePrior(np.concatenate([prior.mean[:3] + 500.0, prior.mean[3:]]), FREE)
+    np.testing.assert_allclose(
+        fitter.objectives(tile, fits, elsewhere.anywhere), fitter.objectives(tile, fits, prior.anywhere)
+    )
+
+
+def test_a_descent_keeps_the_most_probable_pose_on_its_way(fitters: dict[str, HandFitter]) -> None:
+    """Where a nat weighs a metre, what the image gains is worth nothing, and no pose is kept for it."""
+    fitter, start = fitters["right"], open_hand()
+    tile = fitter.tile(observed(RIGHT, fitter, moved(start, 5)))
+    heavy = tile._replace(mm_per_nat=1000.0)
+    prior = PosePrior(start, 4.0 * FREE)
+
+    def objective(fit: Fit) -> float:
+        return float(fitter.objectives(heavy._replace(inner=fit.inner), [fit], prior)[0])
+
+    still = fitter.assessed(heavy, start)
+    (by_cost,) = fitter.descend(tile, start[None], [prior], 6)
+    (probable,) = fitter.descend(heavy, start[None], [prior], 6)
+    assert by_cost.cost[0] < 0.5 * still.cost[0]
+    assert objective(by_cost) > objective(still)
+    assert objective(probable) <= objective(still)
+
+
 def test_a_firm_prior_holds_the_pose(fitters: dict[str, HandFitter]) -> None:
     fitter, truth = fitters["right"], open_hand()
     tile = fitter.tile(observed(RIGHT, fitter, truth))
@@ -244,6 +282,24 @@ def test_swapping_takes_each_finger_from_where_it_fits(fitters: dict[str, HandFi
     np.testing.assert_array_equal(found, [truth, truth])
     alone = fitter.swapped(tile, [fits[:1], fits[1:2], fits[2:]])
     np.testing.assert_array_equal(alone, poses)
+
+
+def test_no_finger_is_swapped_for_less_than_the_prior_has_against_it(fitters: dict[str, HandFitter]) -> None:
+    fitter, truth = fitters["right"], open_hand()
+    tile = fitter.tile(observed(RIGHT, fitter, truth))
+    aside = truth.copy()
+    aside[FINGER_ANGLES[2]] += [0.3, 0.0, 0.3]
+    fits = [fitter.assessed(tile, pose) for pose in (aside, truth)]
+    gain = float(fits[0].cost[0] - fits[1].cost[0])
+    assert gain > 0.1
+    prior = PosePrior(aside, 25.0 * FREE)
+    doubt = float(np.subtract(*fitter.objectives(tile._replace(mm_per_nat=1.0), fits[::-1], prior))) + gain
+    assert doubt > 0.1  # nats, of the true finger more than of the one beside it
+    for share, expected in ((0.9, truth), (1.1, aside)):
+        weighed = tile._replace(mm_per_nat=share * gain / doubt)
+        found = fitter.swapped(weighed, [fits], prior)
+        np.testing.assert_array_equal(found[0], expected)
+    np.testing.assert_array_equal(fitter.swapped(tile, [fits], prior)[0], truth)
 
 
 def test_starts_are_the_expected_pose_others_and_scattered_ones() -> None:
