@@ -138,11 +138,11 @@ class LocalFitter:
         fits += fitter.descend(tile, best[None], [prior.about(best[:3])], settings.polish)
         renders = len(starts) * (settings.iterations + 2) + 5 * (len(starts) - 1) + settings.polish + 1
         renders += len(told) * (settings.iterations + 6)
-        first = self._best(tile, fits, anywhere)
-        if _cost(first) > enough_mm:
-            refolded, more = self._refolded(tile, first.pose, prior)
-            fits, renders = fits + refolded, renders + more
         best_fit = self._best(tile, fits, anywhere)
+        if _cost(best_fit) > enough_mm:
+            refolded, more = self._refolded(tile, best_fit.pose, prior)
+            fits, renders = fits + refolded, renders + more
+            best_fit = self._best(tile, fits, anywhere)
         modes = self._likelihood(reading._replace(tile=_with_inner(tile, best_fit.inner)), fits)
         return LocalFits(modes, _cost(best_fit), renders + len(modes), best_fit.inner)
 
@@ -152,9 +152,10 @@ class LocalFitter:
         starts = refolds(pose)
         priors = [PosePrior(start, prior.precision) for start in starts]
         fits = fitter.descend(tile, starts, priors, settings.refold_iterations)
-        order = np.argsort(fitter.objectives(tile, fits, prior.anywhere), kind="stable")
+        anywhere = prior.anywhere
+        order = np.argsort(fitter.objectives(tile, fits, anywhere), kind="stable")
         likeliest = [fits[k] for k in order[: settings.starts]]
-        best = fitter.swapped(tile, [likeliest], prior.anywhere)[0]
+        best = fitter.swapped(tile, [likeliest], anywhere)[0]
         fits += fitter.descend(tile, best[None], [PosePrior(best, prior.precision)], settings.iterations)
         drawn = len(starts) * (settings.refold_iterations + 1) + 5 * (len(likeliest) - 1)
         return fits, drawn + settings.iterations + 1

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from posetrack_cli.hand.config import StatusSettings
 
 _MEMORY = 0.1  # share of a new frame in the running mean of costs
-_ENOUGH_FACTOR, _ENOUGH_MM = 1.15, 0.5
 _MOST_WAIT, _MOST_WAIT_AS_USUAL = 4, 6  # frames
 _GOOD_SHARE, _GOOD_RISE_MM = 0.3, 0.03
 """Share of a better frame in the level of good fits, and by how much that rises in a frame at most."""
@@ -58,8 +57,8 @@ class TrackMonitor:
 
     @property
     def sufficient_mm(self) -> float:
-        """The cost at which a fit is good enough; infinite before the first fit."""
-        return _ENOUGH_FACTOR * self.usual_mm + _ENOUGH_MM if self.usual_mm > 0.0 else float("inf")
+        """What a fit may cost that is not raised above the usual; infinite before the first."""
+        return _RAISED_FACTOR * self.usual_mm + _RAISED_MM if self.usual_mm > 0.0 else float("inf")
 
     def is_worse(self, cost_mm: float, settings: StatusSettings) -> bool:
         """Whether a fit's cost is far above the usual."""

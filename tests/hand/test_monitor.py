@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -175,6 +176,17 @@ def test_the_level_of_good_fits_is_none_that_no_fit_had(first: float, later: lis
     for cost in later:
         before, monitor = monitor.good_mm, monitor.after_fit(cost, 1.0, SETTINGS)
         assert min(cost, before) <= monitor.good_mm <= min(max(cost, before), before + 0.03 + 1e-12)
+
+
+@given(costs)
+def test_a_fit_is_sufficient_up_to_where_it_is_raised(cost: float) -> None:
+    """Where all fits cost alike, the usual cost is that of good fits."""
+    assert TrackMonitor().sufficient_mm == math.inf
+    monitor = TrackMonitor().after_fit(cost, 1.0, SETTINGS)
+    enough = monitor.sufficient_mm
+    assert enough > cost
+    assert not monitor.is_raised(enough)
+    assert monitor.is_raised(math.nextafter(enough, math.inf))
 
 
 def test_a_bad_second_stays_a_bad_second() -> None:

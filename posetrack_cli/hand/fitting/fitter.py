@@ -134,6 +134,7 @@ class PosePrior:
 
 
 NO_PRIOR = PosePrior(np.concatenate([np.zeros(6), [1.0], np.zeros(15)]), np.zeros(TANGENT_SIZE))
+"""One that every pose meets alike."""
 
 
 class HandFitter:
@@ -210,7 +211,9 @@ class HandFitter:
         return taken_apart(fits)
 
     def objectives(self, tile: Tile, fits: Sequence[Fit], prior: PosePrior = NO_PRIOR) -> FloatArray:
-        """Return what fits are compared by (N,), mm: their costs and the tile's share of doubt.
+        """Return what fits are compared by (N,), mm: their costs, and what else speaks against them.
+
+        As in ``gauss_newton.descend``, but with one prior and the tile's inner numbers for all.
 
         Args:
             tile: the observation.

@@ -242,21 +242,12 @@ def _move_arm(arm: FloatArray, delta: FloatArray, posed: Posed, most: Steps) -> 
 def _solve(
     hand: Hand,
     tile: Tile,
-    pose: FloatArray,
     inner: FloatArray,
-    mean: FloatArray,
-    precision: FloatArray,
     workspace: Workspace,
     delta: FloatArray,
 ) -> None:
-    """Write the Gauss-Newton step (26,) for image, priors of pose (mean, precision) and inner, anatomy."""
+    """Write the Gauss-Newton step (26,) for what was added up of a pose, and the prior of inner numbers."""
     whole = workspace.whole
-    copy(workspace.data, whole)
-    _difference(mean, pose, delta)
-    for i in range(TANGENT_SIZE):
-        whole.matrix[i, i] += precision[i]
-        whole.vector[i] += precision[i] * delta[i]
-    add_anatomy(hand.plausibility, pose, workspace.posed, workspace.spheres, whole)
     add_inner_prior(tile.expected, inner, hand.thumb, workspace.posed, whole)
     step = np.linalg.solve(whole.matrix, whole.vector)
     for i in range(UNKNOWNS):
@@ -273,7 +264,7 @@ def _keep(pose: FloatArray, inner: FloatArray, data: NormalEquations, cost: floa
 
 
 @kernel
-def _doubt(
+def _add_doubt(
     hand: Hand,
     pose: FloatArray,
     mean: FloatArray,
@@ -281,10 +272,17 @@ def _doubt(
     workspace: Workspace,
     off: FloatArray,
 ) -> float:
-    """What anatomy and prior have against a pose that is posed in the workspace, nats."""
-    clear(workspace.whole)
-    doubt = add_anatomy(hand.plausibility, pose, workspace.posed, workspace.spheres, workspace.whole)
+    """Add prior (mean, precision) and anatomy to the workspace's ``whole``, and return what they have against
+    a pose that is posed there, nats.
+
+    Writes the mean's distance from the pose (21,) to ``off``.
+    """
+    whole = workspace.whole
     _difference(mean, pose, off)
+    for i in range(TANGENT_SIZE):
+        whole.matrix[i, i] += precision[i]
+        whole.vector[i] += precision[i] * off[i]
+    doubt = add_anatomy(hand.plausibility, pose, workspace.posed, workspace.spheres, whole)
     for i in range(TANGENT_SIZE):
         doubt += 0.5 * precision[i] * off[i] * off[i]
     return doubt
@@ -341,14 +339,13 @@ def descend(
                 workspace.data,
             )
             gather(workspace.data)
-        objective = cost
-        if tile.mm_per_nat > 0.0:
-            objective += tile.mm_per_nat * _doubt(hand, pose, mean, precision, workspace, delta)
+        copy(workspace.data, workspace.whole)
+        objective = cost + tile.mm_per_nat * _add_doubt(hand, pose, mean, precision, workspace, delta)
         if objective < least:
             least = objective
             _keep(pose, inner, workspace.data, cost, out)
         if k < iterations:
-            _solve(hand, tile, pose, inner, mean, precision, workspace, delta)
+            _solve(hand, tile, inner, workspace, delta)
             step_pose(pose, delta, most)
             _move_inner(inner, delta, workspace.posed, most)
 
@@ -427,7 +424,8 @@ def swap_fingers_each(
                 trial[place : place + 3] = poses[g, k, place : place + 3]
                 other = cost_of(hand, tile, trial, terms, workspace)
                 if tile.mm_per_nat > 0.0:
-                    other += tile.mm_per_nat * _doubt(hand, trial, mean, precision, workspace, off)
+                    clear(workspace.whole)
+                    other += tile.mm_per_nat * _add_doubt(hand, trial, mean, precision, workspace, off)
                 if other < least:
                     chosen, least = k, other
             if chosen > 0:

@@ -35,8 +35,8 @@ class Tile(NamedTuple):
         projection: how points fall on it.
         inner: (6,) where fits begin, and what poses are drawn with (``hand.inner``).
         expected: (6,) the mean of their prior.
-        mm_per_nat: what cost D a nat of anatomy and prior weighs as much as where poses are compared; 0 where
-            the image alone counts.
+        mm_per_nat: how much cost D a nat that anatomy or prior has against a pose is worth where poses are
+            compared; 0 where the image alone counts.
     """
 
     image: FloatArray
