@@ -193,8 +193,8 @@ def fps_option(details: str, default: float | None = None) -> Adding:
     )
 
 
-def particles_option(default: int) -> Adding:
-    """Return --particles, whose default is in the configuration, or the command's own."""
+def particles_option(default: int | str) -> Adding:
+    """Return --particles, whose default, as help states it, is in the configuration, or the command's own."""
     return option(
         "--particles",
         metavar="N",
