@@ -87,6 +87,25 @@ def test_inside_the_limits_a_hand_is_pulled_to_the_relaxed_one_alone() -> None:
     np.testing.assert_allclose(equations.vector, expected, atol=1e-12)
 
 
+@pytest.mark.parametrize("off", [(25.0, 0.0, 0.0), (0.0, 30.0, 0.0), (-15.0, 20.0, -20.0)])
+def test_a_thumb_that_nothing_shows_comes_to_rest_where_thumbs_are(off: tuple[float, float, float]) -> None:
+    """All terms count, those of its collisions with the fingers, too: at rest it touches none."""
+    pose, thumb = relaxed(), slice(6, 9)
+    pose[7:10] += np.deg2rad(off)
+    for _ in range(20):
+        _, equations = potential(pose, ABOUT)
+        pose[7:10] += np.linalg.solve(equations.matrix[thumb, thumb], equations.vector[thumb])
+    np.testing.assert_allclose(pose[7:10], RELAXED[:3], atol=1e-6)
+
+
+@pytest.mark.parametrize(("k", "sd"), [(0, 14.0), (1, 14.0), (2, 12.0)])
+def test_a_thumb_one_standard_deviation_from_rest_costs_half_a_nat(k: int, sd: float) -> None:
+    pose = relaxed()
+    pose[7 + k] -= np.deg2rad(sd)
+    about = ABOUT._replace(overlap=0.0)
+    assert potential(pose, about)[0] - potential(relaxed(), about)[0] == pytest.approx(0.5)
+
+
 @pytest.mark.parametrize("k", range(15))
 @pytest.mark.parametrize("side", [0, 1])
 def test_beyond_a_limit_the_pull_is_back_by_the_excess(k: int, side: int) -> None:
