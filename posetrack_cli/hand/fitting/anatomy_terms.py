@@ -34,15 +34,12 @@ SPHERES = 5  # a finger: at joint 2, between, at joint 1, between, near the tip
 FREE_BEND, STIFF_BEND = np.deg2rad(5.0), np.deg2rad(40.0)
 _D = np.pi / 180.0
 RELAXED: FloatArray = _D * np.array(
-    [17, 24, 10, 15, 2, 20, 15, 0, 22, 17, -2, 23, 20, -5, 24], dtype=np.float64
+    [15, 22, 5, 15, 2, 20, 15, 0, 22, 17, -2, 23, 20, -5, 24], dtype=np.float64
 )
-"""(15,) angles of a relaxed hand, rad. The thumb's lie between the means of 37 people of 640-753, whose
-estimated hands were laid on their joints in every third frame: 17, 23 and 10 degrees in all of these, and
-19, 25 and 12 where the hand's back hides the tip."""
-_REST: FloatArray = np.array([*1.0 / np.square(_D * np.array([14.0, 14.0, 12.0])), *[0.5] * 12])
-"""(15,) 1 / rad^2: standard deviations of 14 degrees for a thumb's flexions and of 12 for its abduction.
-Those of the people above vary by 4 to 7, those of CVAR's P1, P4 and P7, as far as our hand can be laid on
-their skeletons, by 4 to 12, about means up to 30 degrees apart. A finger's 81 degrees leave it free."""
+"""(15,) angles of a relaxed hand, rad."""
+_REST: FloatArray = np.array([4.0, 4.0, 8.0, *[0.5] * 12])
+"""(15,) 1 / rad^2: standard deviations of 29 degrees for a thumb's flexions and of 20 for its abduction; a
+finger's 81 degrees leave it free."""
 _CLOSED: FloatArray = _D * np.array([76.0, 87.0])
 """Flexion of joints 3 and 2 of a closed finger: between the fist that ``hand synth`` draws (80, 95) and the
 closed fingers of strangers who show their palms (66, 79; people 640-650, each with the own mesh). On the way
