@@ -55,12 +55,12 @@ def frames_of(depths: list[np.ndarray]) -> list[Frame]:
     return [Frame(k, k * FRAME_NS, (depth,)) for k, depth in enumerate(depths)]
 
 
-def run(tracking: HandTracker, frames: list[Frame]) -> tuple[list[HandState], list[Estimate]]:
+def run(tracking: HandTracker, frames: list[Frame], *seed: int) -> tuple[list[HandState], list[Estimate]]:
     """States after each frame, and estimates; every frame's randomness is its own."""
-    state = tracking.start_unknown(ELSEWHERE, frames[0], np.random.default_rng(0))
+    state = tracking.start_unknown(ELSEWHERE, frames[0], np.random.default_rng([*seed, 0]))
     states, estimates = [], []
     for frame in frames:
-        state, estimate = tracking.step(state, frame, np.random.default_rng(frame.index))
+        state, estimate = tracking.step(state, frame, np.random.default_rng([*seed, frame.index]))
         states.append(state)
         estimates.append(estimate)
     return states, estimates
@@ -195,7 +195,7 @@ def directions(anatomy: HandAnatomy, pose: FloatArray) -> FloatArray:
     return along / np.linalg.norm(along, axis=1, keepdims=True)
 
 
-def off_while_turning(device: RenderingDevice, tracking: HandTracker) -> list[float]:
+def off_while_turning(device: RenderingDevice, tracking: HandTracker, seed: int) -> list[float]:
     """Degrees that a finger of a stranger's open hand is off at most, by frame; it turns from frame 8 on.
 
     750 degrees a second in the image: fits that begin at the prediction lay one finger on another. On a
@@ -209,7 +209,7 @@ def off_while_turning(device: RenderingDevice, tracking: HandTracker) -> list[fl
         pose[ANGLES] *= 0.4
         pose[:3] += [0.0, 20.0, 650.0] - joint_positions(stranger.anatomy, pose[None])[0].mean(axis=0)
         poses.append(pose)
-    states, estimates = run(tracking, frames_of([scene.depth(pose) for pose in poses]))
+    states, estimates = run(tracking, frames_of([scene.depth(pose) for pose in poses]), seed)
     assert not any(state.monitor.lost for state in states)
     off = []
     for estimate, pose in zip(estimates, poses, strict=True):
@@ -226,8 +226,13 @@ def keeps_its_fingers(off: list[float]) -> bool:
 def test_a_stranger_s_open_hand_that_turns_in_a_moment_keeps_its_fingers(
     device: RenderingDevice, well_mm: float
 ) -> None:
+    """With a look at each poor frame always; without any it is chance, and last bits decide with which seed.
+
+    Without, five of six seeds were seen to lay a finger on another: all of four keep them once in 1,300.
+    """
     tracking = tracker(device, HAND, HandConfig.model_validate({"status": {"well_mm": well_mm}}))
-    assert keeps_its_fingers(off_while_turning(device, tracking)) == (well_mm == 0.0)
+    kept = [keeps_its_fingers(off_while_turning(device, tracking, seed)) for seed in range(4)]
+    assert all(kept) == (well_mm == 0.0)
 
 
 def test_a_look_is_at_the_window_about_the_fit(
