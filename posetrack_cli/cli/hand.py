@@ -131,7 +131,7 @@ hand.add_command(hand_synth)
         type=click.Choice(["rbpf", "pf", "pso"]),
         help="Filter, or pso, the optimiser of Oikonomidis and others, 2011.  [default: rbpf]",
     ),
-    particles_option("256, of pso 64"),
+    particles_option("256; 64 for pso"),
     option(
         "--proposal",
         type=click.Choice(["guided", "annealed", "marginal", "paper"]),

@@ -13,7 +13,7 @@ from posetrack_cli.head.config import HeadMonoConfig, HeadStereoConfig
 STATED = re.compile(r"Number of particles\.\s+\[default:\s+([^\]]+)\]")
 HAND = HandConfig()
 DEFAULTS = {
-    "hand run": f"{HAND.filter.particles}, of pso {HAND.pso.particles}",
+    "hand run": f"{HAND.filter.particles}; {HAND.pso.particles} for pso",
     "head mono": str(HeadMonoConfig().particles.count),
     "head stereo": str(HeadStereoConfig().particles.count),
 }

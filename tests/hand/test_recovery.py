@@ -226,9 +226,9 @@ def keeps_its_fingers(off: list[float]) -> bool:
 def test_a_stranger_s_open_hand_that_turns_in_a_moment_keeps_its_fingers(
     device: RenderingDevice, well_mm: float
 ) -> None:
-    """With a look at each poor frame always; without any it is chance, and last bits decide with which seed.
+    """With a look at each poor frame it does; without, chance decides, and last bits for which seed.
 
-    Without, five of six seeds were seen to lay a finger on another: all of four keep them once in 1,300.
+    Five of six seeds were seen to lay one finger on another: all of four keep theirs once in 1,300 times.
     """
     tracking = tracker(device, HAND, HandConfig.model_validate({"status": {"well_mm": well_mm}}))
     kept = [keeps_its_fingers(off_while_turning(device, tracking, seed)) for seed in range(4)]
