@@ -19,6 +19,9 @@ FOREARM, THUMB = slice(0, 4), slice(4, INNER_SIZE)
 LOG_GIRTH, IP_OFFSET, MCP_ABDUCTION = 3, 4, 5
 NO_INNER: FloatArray = np.zeros(INNER_SIZE)
 NO_THUMB: FloatArray = np.zeros(2)
+RELAXED_INNER: FloatArray = np.array([0.0, 0.0, 0.0, 0.0, np.deg2rad(14.0), 0.0])
+"""(6,) what is expected before any frame told: the last joint of a thumb that rests bends farther than by
+half of what its MCP does. Our hands, laid on the joints of people 640 to 753, have 17 degrees, sd 13."""
 
 FOREARM_NUMBERS = ("forearm_x", "forearm_y", "forearm_z", "forearm_girth")
 """What estimates say of it: the unit direction from wrist to elbow, camera axes, and the girth as a

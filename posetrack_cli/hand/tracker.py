@@ -26,7 +26,7 @@ from posetrack_cli.hand.confidence import (
     with_model_error,
 )
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.inner import INNER_SIZE, LOG_GIRTH, NO_INNER, THUMB
+from posetrack_cli.hand.inner import INNER_SIZE, LOG_GIRTH, NO_INNER, RELAXED_INNER, THUMB
 from posetrack_cli.hand.keypoints.told import ToldHand, ToldHands, candidates, likeliest, split
 from posetrack_cli.hand.kinematics import joint_set_distance, mean_joint_distances
 from posetrack_cli.hand.likelihood import PoseScorer
@@ -47,7 +47,9 @@ from posetrack_cli.tracking.state_codec import Codec, Fields, Value, flag, real,
 # The prior holds one usual frame before the first one, so the first frame is a step like all others.
 FIRST_STEP_NS = 33_333_333
 _GIRTH_MEMORY = 0.1  # share of a new frame in the running mean of the forearm's girth
-THUMB_MEMORY = 0.4  # share of a thumb's inner angles that is expected of the next frame
+THUMB_MEMORY = (
+    0.4  # share of what a thumb's inner angles differ by from a relaxed one's that is expected to last
+)
 NEAR_MM = 35.0  # distance of two sets of joints, up to which a better fit is of the hand that is tracked
 _BETTER_MM = 0.4  # what another fold of fingers is cheaper by, at least, of a hand that faces the same way
 _FACES_ALIKE = np.cos(np.deg2rad(60.0))
@@ -148,7 +150,10 @@ class HandTracker:
         settings, init = self.config.filter, self.config.init
         prior = Prior(pose, tangent_vector(init.spread), tangent_vector(init.velocity))
         particles = FILTERS.find(settings.kind).initial(prior, settings.particles, self._space, rng)
-        return HandState(particles, stamp_ns - FIRST_STEP_NS, pose, np.zeros(TANGENT_SIZE))
+        expected = NO_INNER if self._finder is None else RELAXED_INNER
+        return HandState(
+            particles, stamp_ns - FIRST_STEP_NS, pose, np.zeros(TANGENT_SIZE), expected=expected.copy()
+        )
 
     def start_unknown(self, pose: FloatArray, frame: Frame, rng: np.random.Generator) -> HandState:
         """Return the state before a first frame in which the hand has yet to be found.
@@ -378,7 +383,7 @@ class HandTracker:
         rng: np.random.Generator,
     ) -> FrameObservation:
         """The same track, fitted once more from a hand that was found near it."""
-        observation = self._observer.observe(frame.depth, found.pose)
+        observation = self._observer.observe(frame.depth, found.pose, RELAXED_INNER)
         if observation.target_pixels == 0:
             return seen
         fits = finder.local_fitter.fit(observation, found.pose, seen.state.pose[None], seen.dt, rng)
@@ -396,7 +401,7 @@ class HandTracker:
         state = self.start(found.pose, frame.stamp_ns, rng)
         state = replace(state, monitor=monitor.after_restart(found.cost))
         dt = FIRST_STEP_NS * 1e-9
-        observation = self._observer.observe(frame.depth, found.pose)
+        observation = self._observer.observe(frame.depth, found.pose, RELAXED_INNER)
         if observation.target_pixels == 0:
             return FrameObservation(state, dt, None, restarted=True)
         fits = finder.local_fitter.fit(observation, found.pose, np.empty((0, POSE_SIZE)), dt, rng)
@@ -515,7 +520,8 @@ def _doubt_here(fits: LocalFits, monitor: TrackMonitor) -> float:
 def _expected_after(seen: FrameObservation) -> FloatArray:
     """The inner numbers (6,) that are expected after a frame, but for the forearm's direction.
 
-    A thumb's are a share of the last: a running mean of what hidden thumbs were taken for wanders off.
+    A thumb's lie between a relaxed one's and the last: a running mean of what hidden thumbs were taken for
+    wanders off.
     """
     expected = seen.state.expected.copy()
     if seen.fits is None:
@@ -523,7 +529,7 @@ def _expected_after(seen: FrameObservation) -> FloatArray:
     found = seen.fits.inner
     if found[:3].any():
         expected[LOG_GIRTH] += _GIRTH_MEMORY * (found[LOG_GIRTH] - expected[LOG_GIRTH])
-    expected[THUMB] = THUMB_MEMORY * found[THUMB]
+    expected[THUMB] = RELAXED_INNER[THUMB] + THUMB_MEMORY * (found[THUMB] - RELAXED_INNER[THUMB])
     return expected
 
 

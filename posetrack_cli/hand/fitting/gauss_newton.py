@@ -32,7 +32,7 @@ STRIDE_FROM_AFAR, LAST_STEPS = 2, 2  # all pixels of the surface count in the la
 WIDENING = 1.3  # factor on the robust scales per iteration left
 SWING_SD, GIRTH_SD = 0.25, 0.1
 """Of the forearm about what is expected of it: rad, and of the girth's logarithm."""
-IP_SD, ABDUCTION_SD = np.deg2rad(4.0), np.deg2rad(8.0)
+IP_SD, ABDUCTION_SD = np.deg2rad(8.0), np.deg2rad(8.0)
 """Of the thumb's inner angles about what is expected of them, rad."""
 FREE_THUMB: FloatArray = 1.0 / np.square([IP_SD, ABDUCTION_SD])
 STIFF_THUMB: FloatArray = np.full(2, 1e9)

@@ -28,7 +28,7 @@ from support.hand import KINECT, REST, bent, random_poses
 
 SPACE = BodySpace()
 ABOUT = plausibility_of(RIGHT.anatomy)
-APART = ABOUT._replace(alike_weight=0.0)
+APART = ABOUT._replace(alike_weight=0.0, resting_odds=-np.inf)
 NEVER_CLOSING = APART._replace(closing_odds=-np.inf, straight_odds=-np.inf)
 FREE = NEVER_CLOSING._replace(rest=np.zeros(15))
 ONLY_COLLISIONS = FREE._replace(limit=0.0, taut=0.0)
@@ -98,6 +98,39 @@ def test_a_thumb_that_nothing_shows_comes_to_rest_at_the_relaxed_angles(
         _, equations = potential(pose, ABOUT)
         pose[7:10] += np.linalg.solve(equations.matrix[thumb, thumb], equations.vector[thumb])
     np.testing.assert_allclose(pose[7:10], RELAXED[:3], atol=1e-6)
+
+
+RESTING = NEVER_CLOSING._replace(taut=0.0, overlap=0.0, resting_odds=ABOUT.resting_odds)
+
+
+def off_rest(degrees: tuple[float, float, float]) -> tuple[FloatArray, FloatArray]:
+    """A relaxed hand whose thumb is off by so much, and that in rad."""
+    pose, off = relaxed(), np.deg2rad(degrees)
+    pose[7:10] += off
+    return pose, off
+
+
+@pytest.mark.parametrize(
+    "degrees", [(0.0, 0.0, 0.0), (10.0, -5.0, 8.0), (-40.0, 0.0, 0.0), (30.0, 30.0, -30.0)]
+)
+def test_a_thumb_rests_or_is_anywhere(degrees: tuple[float, float, float]) -> None:
+    """-log of two Gaussians' sum, and four of five thumbs rest."""
+    pose, off = off_rest(degrees)
+    anywhere, resting = (np.exp(-0.5 * w @ np.square(off)) for w in (ABOUT.rest[:3], ABOUT.resting))
+    odds = np.exp(ABOUT.resting_odds)
+    assert potential(pose, RESTING)[0] == pytest.approx(-np.log(anywhere + odds * resting), abs=1e-9)
+    # of a Gaussian's mass its height is the root of the weights' product
+    masses = odds * np.sqrt(np.prod(ABOUT.rest[:3] / ABOUT.resting))
+    assert masses == pytest.approx(4.0, rel=0.05)
+
+
+def test_only_a_thumb_that_is_near_rest_is_pulled_to_it() -> None:
+    """As by a thumb that rests, and as by any; between the two by less than by either far off."""
+    thumb = slice(6, 9)
+    near, off = off_rest((6.0, -6.0, 5.0))
+    np.testing.assert_allclose(potential(near, RESTING)[1].vector[thumb], -ABOUT.resting * off, rtol=0.1)
+    far, off = off_rest((45.0, -20.0, -30.0))
+    np.testing.assert_allclose(potential(far, RESTING)[1].vector[thumb], -ABOUT.rest[:3] * off, rtol=0.1)
 
 
 @pytest.mark.parametrize("k", range(15))
