@@ -27,11 +27,11 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.filtering.errors import FilterError, Registry
 
-TRUNCATION = 0.03
+TRUNCATION = 0.06
 """[ours] In some twenty dimensions a few of a hundred particles carry most of the weight, and their mean is
 only as good as the places where they happened to be drawn. Hands have the smallest errors with a limit of
-1.8 to 2.8 times the mean weight (1.08 to 1.12 mm of the own model's seeds 301 to 303 with 128 particles; 1.17
-and 1.20 with 5.7 and 11), 2.2 here of 256. 20,000 weights are cut at 23 times their mean."""
+1.8 to 2.8 times the mean of 128 weights, 2.5 here (1.08 to 1.12 mm of the own model's seeds 301 to 303; 1.17
+and 1.20 with 5.7 and 11). 20,000 weights are cut at 45 times their mean."""
 
 
 def normalise(log_weights: FloatArray) -> tuple[FloatArray, float]:

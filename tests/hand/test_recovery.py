@@ -251,8 +251,10 @@ def test_a_look_is_at_the_window_about_the_fit(
     ((seen, fit),) = looks
     assert stage.error(fit, after) < TRACKED_MM
     observer = Observer(tracking.config, HAND.anatomy, KINECT, segment=True, with_arm=True, follows=True)
-    assert seen.window == observer.observe(frames[3].depth, fit).window
-    assert seen.window != observer.observe(frames[3].depth, before).window
+    about_fit, about_before = (
+        observer.observe(frames[3].depth, pose, states[-1].expected).window for pose in (fit, before)
+    )
+    assert seen.window == about_fit != about_before
 
 
 @pytest.mark.parametrize("far", [True, False])

@@ -188,7 +188,7 @@ def _add_rest(about: Plausibility, angles: FloatArray, equations: NormalEquation
     """Pull a thumb to its relaxed angles as if it rested, the more so the more probably it does.
 
     With U_w and U_r = sum of w e^2 / 2, w the weights of any thumb and of one that rests, and o the odds, its
-    potential is -log(exp(-U_w) + exp(o - U_r)). As in ``_add_folds``, ``_add_limits`` has U_w.
+    potential is -log(exp(-U_w) + exp(o - U_r)), and 0 at rest. As in ``_add_folds``, ``_add_limits`` has U_w.
     """
     log_odds = about.resting_odds
     for k in range(3):
@@ -199,7 +199,7 @@ def _add_rest(about: Plausibility, angles: FloatArray, equations: NormalEquation
     rests = np.exp(log_odds - most) / whole
     for k in range(3):
         _add_angle(equations, k, about.relaxed[k] - angles[k], rests * (about.resting[k] - about.rest[k]))
-    return -(most + float(np.log(whole)))
+    return float(np.log(1.0 + np.exp(about.resting_odds)) - most - np.log(whole))
 
 
 @kernel

@@ -186,6 +186,7 @@ class PlaceFitter:
         self._skeleton, self._workspace = skeleton_of(anatomy), make_point_workspace()
         about = plausibility_of(anatomy)
         self._plausibility = about._replace(
+            resting_odds=-np.inf,
             closing_odds=-np.inf,
             straight_odds=-np.inf,
             alike_weight=0.0,

@@ -114,11 +114,14 @@ def off_rest(degrees: tuple[float, float, float]) -> tuple[FloatArray, FloatArra
     "degrees", [(0.0, 0.0, 0.0), (10.0, -5.0, 8.0), (-40.0, 0.0, 0.0), (30.0, 30.0, -30.0)]
 )
 def test_a_thumb_rests_or_is_anywhere(degrees: tuple[float, float, float]) -> None:
-    """-log of two Gaussians' sum, and four of five thumbs rest."""
+    """-log of two Gaussians' sum, 0 at rest, and four of five thumbs do."""
     pose, off = off_rest(degrees)
     anywhere, resting = (np.exp(-0.5 * w @ np.square(off)) for w in (ABOUT.rest[:3], ABOUT.resting))
     odds = np.exp(ABOUT.resting_odds)
-    assert potential(pose, RESTING)[0] == pytest.approx(-np.log(anywhere + odds * resting), abs=1e-9)
+    at_rest = 1.0 + odds
+    assert potential(pose, RESTING)[0] == pytest.approx(
+        -np.log((anywhere + odds * resting) / at_rest), abs=1e-9
+    )
     # of a Gaussian's mass its height is the root of the weights' product
     masses = odds * np.sqrt(np.prod(ABOUT.rest[:3] / ABOUT.resting))
     assert masses == pytest.approx(4.0, rel=0.05)
