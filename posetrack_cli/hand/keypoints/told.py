@@ -32,6 +32,7 @@ NEAR_MM = 80.0
 _OPEN, _BENT = 0.0, 2.5
 """Shapes that fits begin with, in relaxed angles."""
 _PALM = (0, 1, 5, 9, 13, 17)
+_LEAST_EXTENT_MM = 8.0  # a fifth of a palm's; a hand can be folded up about a single spot
 _OFF_SD, _LEAST_ON = 3.0, 0.6
 """A point is off from so many standard deviations on; a set with fewer points on a hand is of none."""
 _TOLD_MM = 2.0
@@ -65,7 +66,7 @@ def pose_of_places(about: PlacesToFit, anatomy: HandAnatomy) -> tuple[FloatArray
     """
     palm = np.array(_PALM)[about.precision[list(_PALM), 0] > 0.0]
     known = palm if len(palm) >= 4 else np.flatnonzero(about.precision[:, 0] > 0.0)
-    if len(known) < 4:
+    if len(known) < 4 or _extent(about.places[known]) < _LEAST_EXTENT_MM:
         return None
     fitter = PlaceFitter(anatomy, all_told=True)
     found: list[tuple[float, FloatArray]] = []
@@ -80,6 +81,11 @@ def pose_of_places(about: PlacesToFit, anatomy: HandAnatomy) -> tuple[FloatArray
         return None
     pose = max(found, key=lambda one: one[0])[1]
     return pose, float(weights @ (fitter.misfits(about, pose) < _OFF_SD))
+
+
+def _extent(places: FloatArray) -> float:
+    """How far places (K, 3) lie from their mean, rms, mm."""
+    return float(np.sqrt(np.square(places - places.mean(axis=0)).sum(axis=1).mean()))
 
 
 def _laid_on(about: PlacesToFit, known: IntArray, anatomy: HandAnatomy, bend: float) -> FloatArray:
