@@ -178,6 +178,7 @@ class Acquisition:
         hand: the model.
         camera: of the depth images.
         thumb: (2,) precisions of its thumb's inner angles, 1 / rad^2.
+        thumb_rests: whether its thumb is expected to rest.
 
     Attributes:
         observer: cuts out and segments windows.
@@ -186,17 +187,26 @@ class Acquisition:
     """
 
     def __init__(
-        self, config: HandConfig, hand: HandModel, camera: Camera, thumb: FloatArray = FREE_THUMB
+        self,
+        config: HandConfig,
+        hand: HandModel,
+        camera: Camera,
+        thumb: FloatArray = FREE_THUMB,
+        *,
+        thumb_rests: bool = True,
     ) -> None:
         self._config, self._settings = config, config.acquisition
         self.accept_mm = config.acquisition.accept_mm
         self._hand, self._camera, self._space = hand, camera, BodySpace()
         self.observer = Observer(config, hand.anatomy, camera, segment=True, with_arm=True)
-        self.local_fitter = LocalFitter(config, hand, camera, thumb)
+        self.local_fitter = LocalFitter(config, hand, camera, thumb, thumb_rests=thumb_rests)
         size = config.observation.tile_px
         self._step = _ROUGH_STEP if size >= _LEAST_TILE_PX else 1
         rough_px, terms = -(-size // self._step), fit_terms(config)
-        self._rough = HandFitter(hand, camera, rough_px, terms, skin=hand.lean_with_arm, thumb=thumb)
+        lean = hand.lean_with_arm
+        self._rough = HandFitter(
+            hand, camera, rough_px, terms, skin=lean, thumb=thumb, thumb_rests=thumb_rests
+        )
 
     def search(self, depth: ImageArray, told: Sequence[Candidate] = ()) -> Candidate | None:
         """Return what is most like a hand in a whole image, if it fits well enough.

@@ -91,16 +91,24 @@ class LocalFitter:
         hand: the model.
         camera: of the depth images.
         thumb: (2,) precisions of its inner angles, 1 / rad^2.
+        thumb_rests: whether its thumb is expected to rest.
     """
 
     def __init__(
-        self, config: HandConfig, hand: HandModel, camera: Camera, thumb: FloatArray = FREE_THUMB
+        self,
+        config: HandConfig,
+        hand: HandModel,
+        camera: Camera,
+        thumb: FloatArray = FREE_THUMB,
+        *,
+        thumb_rests: bool = True,
     ) -> None:
         self._config, self._settings, self._camera = config, config.fit, camera
         self._anatomy, self._space = hand.anatomy, BodySpace()
         terms = fit_terms(config)
         self.sigma_mm = terms.sigma_mm
-        self.fitter = HandFitter(hand, camera, config.observation.tile_px, terms, thumb=thumb)
+        size = config.observation.tile_px
+        self.fitter = HandFitter(hand, camera, size, terms, thumb=thumb, thumb_rests=thumb_rests)
         self._mixture = pixel_mixture(config.observation.mixture, config.observation.unread_weight)
 
     def fit(

@@ -47,7 +47,7 @@ from posetrack_cli.tracking.state_codec import Codec, Fields, Value, flag, real,
 # The prior holds one usual frame before the first one, so the first frame is a step like all others.
 FIRST_STEP_NS = 33_333_333
 _GIRTH_MEMORY = 0.1  # share of a new frame in the running mean of the forearm's girth
-THUMB_MEMORY = 0.4  # of what a thumb's inner angles are beyond a relaxed one's, the share that the next are
+THUMB_MEMORY = 0.4  # share of a thumb's departure from RELAXED_INNER that is expected of the next frame
 NEAR_MM = 35.0  # distance of two sets of joints, up to which a better fit is of the hand that is tracked
 _BETTER_MM = 0.4  # what another fold of fingers is cheaper by, at least, of a hand that faces the same way
 _FACES_ALIKE = np.cos(np.deg2rad(60.0))

@@ -152,7 +152,7 @@ def test_a_hand_of_another_size_is_found_with_it(tmp_path: Path, monkeypatch: py
     found = find_hand(open_path(path), HandConfig(), start=0)
     assert found.config.hand.side == "right"
     assert found.config.hand.scale == pytest.approx(0.78, rel=A_STEP)
-    assert found.line.startswith(f"a right hand of scale {found.config.hand.scale:.2f}")
+    assert found.line == f"a right hand of scale {found.config.hand.scale:.2f}"
     told = HandConfig.model_validate({"hand": {"side": "right"}})
     of_side = find_hand(open_path(path), told, start=0)
     assert of_side.config.hand.scale == pytest.approx(0.78, rel=A_STEP)

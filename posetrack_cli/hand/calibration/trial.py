@@ -272,13 +272,16 @@ class Trial:
     def _finder(self, side: int, k: int, quick: bool = False) -> Acquisition:
         """What searches with a hand of one side and size.
 
-        Its thumb has no inner angles: with them a hand of another side or size fits, too.
+        Its thumb has no inner angles: with them a hand of another side or size fits, too. Nor is it expected
+        to rest: that pulls both sides' thumbs from what the image shows, and tells less of the side.
         """
         if (side, k, quick) not in self._finders:
             shape = replace(self._config.hand.shape, scale=self._scales[k])
             hand = hand_maker(self._config.hand.mesh)(self.sides[side], shape)
             config = self._quick if quick else self._config
-            self._finders[side, k, quick] = Acquisition(config, hand, self._camera, STIFF_THUMB)
+            self._finders[side, k, quick] = Acquisition(
+                config, hand, self._camera, STIFF_THUMB, thumb_rests=False
+            )
         return self._finders[side, k, quick]
 
 

@@ -7,8 +7,8 @@ were observed in every frame.
     abduction of a bent finger    e = abduction - that at which it points at the scaphoid, the more so the
                           more it is bent: collateral ligaments are taut then
     relaxed hand          e = angle - relaxed angle, weakly: what nothing shows stays plausible
-    resting thumb         the same of a thumb, strongly, the more so the more probably it rests: one that
-                          nothing shows mostly does, and one that is seen may be anywhere
+    resting thumb         or e = angle of a thumb - resting angle, the more so the more probably it rests: one
+                          that nothing shows mostly does, and one that is seen may be anywhere
     closing finger        or e = angle of joint 2 - what joint 3 makes it where fingers close, and, weaker,
                           angle of joint 3 - closed angle, the more so the more probably it closes:
                           nothing shows how far the fingers of a hand seen from the back are closed
@@ -36,15 +36,17 @@ SPHERES = 5  # a finger: at joint 2, between, at joint 1, between, near the tip
 FREE_BEND, STIFF_BEND = np.deg2rad(5.0), np.deg2rad(40.0)
 _D = np.pi / 180.0
 RELAXED: FloatArray = _D * np.array(
-    [14, 24, 16, 15, 2, 20, 15, 0, 22, 17, -2, 23, 20, -5, 24], dtype=np.float64
+    [15, 22, 5, 15, 2, 20, 15, 0, 22, 17, -2, 23, 20, -5, 24], dtype=np.float64
 )
-"""(15,) angles of a relaxed hand, rad. The thumbs of our hands, laid on the joints of people 640 to 753, have
-14, 18 and 10 degrees; those here place thumbs that the back of the hand hides best."""
+"""(15,) angles of a relaxed hand, rad."""
 _REST: FloatArray = np.array([4.0, 4.0, 8.0, *[0.5] * 12])
 """(15,) 1 / rad^2: standard deviations of 29 degrees for a thumb's flexions and of 20 for its abduction; a
 finger's 81 degrees leave it free."""
-_RESTING: FloatArray = 1.0 / np.square(_D * np.array([12.0, 12.0, 10.0]))
-"""(3,) 1 / rad^2, of a thumb that rests: its angles vary by 7, 13 and 8 degrees among people and motions."""
+_RESTING: FloatArray = _D * np.array([14.0, 24.0, 16.0])
+_RESTING_WEIGHTS: FloatArray = 1.0 / np.square(_D * np.array([12.0, 12.0, 10.0]))
+"""Angles of a thumb that rests, and what differing from them weighs. The thumbs of our hands, laid on the
+joints of people 640 to 753, have 14, 18 and 10 degrees (sd 7, 13 and 8); where the back of the hand hides
+the tip, these place it best."""
 _CLOSED: FloatArray = _D * np.array([76.0, 87.0])
 """Flexion of joints 3 and 2 of a closed finger: between the fist that ``hand synth`` draws (80, 95) and the
 closed fingers of strangers who show their palms (66, 79; people 640-650, each with the own mesh). On the way
@@ -79,7 +81,8 @@ class Plausibility(NamedTuple):
         relaxed: (15,) rad.
         radii: (5, 5) of the fingers' spheres, mm.
         rest: (15,) weights of the relaxed angles, 1 / rad^2.
-        resting: (3,) those of a thumb that rests.
+        resting: (3,) angles of a thumb that rests, rad.
+        resting_weights: (3,) of these, 1 / rad^2.
         closed: (2,) flexion of joints 3 and 2 of a closed finger, rad.
         coupling: how far joint 2 of a finger that closes bends for each radian of joint 3.
         converging: (4,) abduction of a bent finger, rad.
@@ -102,6 +105,7 @@ class Plausibility(NamedTuple):
     radii: FloatArray
     rest: FloatArray
     resting: FloatArray
+    resting_weights: FloatArray
     closed: FloatArray
     straight: FloatArray
     straight_weights: FloatArray
@@ -120,25 +124,32 @@ class Plausibility(NamedTuple):
     allowed_mm: float = 3.0
 
 
-def plausibility_of(anatomy: HandAnatomy) -> Plausibility:
-    """Return the constants for a hand: limits of the tables, spheres of its own radii."""
+def plausibility_of(anatomy: HandAnatomy, *, thumb_rests: bool = True) -> Plausibility:
+    """Return the constants for a hand: limits of the tables, spheres of its own radii.
+
+    Args:
+        anatomy: the hand.
+        thumb_rests: whether most thumbs are expected to rest.
+    """
     r = anatomy.radii
     radii = np.stack(
         [r[:, 1], 0.5 * (r[:, 1] + r[:, 2]), r[:, 2], 0.5 * (r[:, 2] + r[:, 3]), r[:, 3]], axis=1
     )
     low, high = (np.ascontiguousarray(side) for side in ANGLE_LIMITS.T)
-    return Plausibility(
+    about = Plausibility(
         low,
         high,
         RELAXED,
         radii,
         _REST,
         _RESTING,
+        _RESTING_WEIGHTS,
         _CLOSED,
         _STRAIGHT,
         _STRAIGHT_WEIGHTS,
         _converging(anatomy),
     )
+    return about if thumb_rests else about._replace(resting_odds=-np.inf)
 
 
 def _converging(anatomy: HandAnatomy) -> FloatArray:
@@ -185,20 +196,22 @@ def _add_limits(about: Plausibility, angles: FloatArray, equations: NormalEquati
 
 @kernel
 def _add_rest(about: Plausibility, angles: FloatArray, equations: NormalEquations) -> float:
-    """Pull a thumb to its relaxed angles as if it rested, the more so the more probably it does.
+    """Pull a thumb to where thumbs rest instead of to the relaxed angles, as far as it probably rests.
 
-    With U_w and U_r = sum of w e^2 / 2, w the weights of any thumb and of one that rests, and o the odds, its
-    potential is -log(exp(-U_w) + exp(o - U_r)), and 0 at rest. As in ``_add_folds``, ``_add_limits`` has U_w.
+    With U_w and U_r = sum of w e^2 / 2 what the relaxed and the resting angles cost, and o the odds, its
+    potential is -log((exp(-U_w) + exp(o - U_r)) / (1 + exp(o))), at least 0. As in ``_add_folds``,
+    ``_add_limits`` has U_w.
     """
     log_odds = about.resting_odds
     for k in range(3):
-        off = about.relaxed[k] - angles[k]
-        log_odds += 0.5 * (about.rest[k] - about.resting[k]) * off * off
+        anywhere, off = about.relaxed[k] - angles[k], about.resting[k] - angles[k]
+        log_odds += 0.5 * (about.rest[k] * anywhere * anywhere - about.resting_weights[k] * off * off)
     most = max(0.0, log_odds)
     whole = np.exp(-most) + np.exp(log_odds - most)
     rests = np.exp(log_odds - most) / whole
     for k in range(3):
-        _add_angle(equations, k, about.relaxed[k] - angles[k], rests * (about.resting[k] - about.rest[k]))
+        _add_angle(equations, k, about.relaxed[k] - angles[k], -rests * about.rest[k])
+        _add_angle(equations, k, about.resting[k] - angles[k], rests * about.resting_weights[k])
     return float(np.log(1.0 + np.exp(about.resting_odds)) - most - np.log(whole))
 
 

@@ -148,6 +148,7 @@ class HandFitter:
         steps: largest steps.
         skin: of the hand and its forearm, by default the smooth one.
         thumb: (2,) precisions of its inner angles, 1 / rad^2.
+        thumb_rests: whether its thumb is expected to rest.
     """
 
     def __init__(
@@ -159,9 +160,12 @@ class HandFitter:
         steps: Steps | None = None,
         skin: SkinnedMesh | None = None,
         thumb: FloatArray = FREE_THUMB,
+        *,
+        thumb_rests: bool = True,
     ) -> None:
         anatomy, skin = model.anatomy, skin or model.smooth_with_arm
-        self.hand = Hand(skeleton_of(anatomy), skin_of(skin), plausibility_of(anatomy), thumb)
+        about = plausibility_of(anatomy, thumb_rests=thumb_rests)
+        self.hand = Hand(skeleton_of(anatomy), skin_of(skin), about, thumb)
         self._camera, self._terms, self._steps = camera, terms or Terms(), steps or Steps()
         self._space = BodySpace()
         self._free = [make_workspace(self.hand, tile_px, tile_px) for _ in range(thread_count())]
