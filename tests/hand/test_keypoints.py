@@ -119,6 +119,17 @@ def test_points_anywhere_are_no_hand() -> None:
     assert on_one_spot.of(frame) == ()
 
 
+@pytest.mark.parametrize("scatter_mm", [1.0, 3.0])
+def test_points_within_millimetres_are_no_hand(scatter_mm: float) -> None:
+    """A hand can be folded up about them, with all its joints within what conventions differ by."""
+    rng = np.random.default_rng(1)
+    frame = Frame(0, 0, (np.zeros((424, 512), dtype=np.float32),))
+    for _ in range(15):
+        spot = rng.uniform([-200, -200, 500], [200, 200, 1500])
+        points = spot + scatter_mm * rng.standard_normal((21, 3))
+        assert ToldHands(told_of([points]), KINECT, RIGHT.anatomy).of(frame) == ()
+
+
 # Pixels and depth
 
 
