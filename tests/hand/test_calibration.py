@@ -21,11 +21,14 @@ from posetrack_cli.hand.calibration import bundle
 from posetrack_cli.hand.calibration.before_run import calibrate
 from posetrack_cli.hand.calibration.calibrate import (
     LOOKED_AT,
+    MOST_ROUNDS,
+    ROUNDS,
     Calibration,
     CalibrationOptions,
     _Calibrator,
     good_cost,
     hand_text,
+    shape_of,
     write_hand_file,
 )
 from posetrack_cli.hand.calibration.measures import MEASURES, measured, measures_of
@@ -357,6 +360,41 @@ def test_frames_that_fit_badly_are_left_out_and_too_few_are_refused(monkeypatch:
 def test_a_recording_without_frames_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(RecordingError, match=r"shown\.mcap: holds no frame"):
         chosen_of(Shown([]), CalibrationOptions("right"), monkeypatch)
+
+
+@pytest.mark.parametrize(
+    ("medians", "rounds"),
+    [((5.0, 4.0, 3.0), ROUNDS), ((5.9, 6.0, 3.4), MOST_ROUNDS), ((5.0, 5.0, 6.0), MOST_ROUNDS)],
+    ids=["better", "worse and then better", "never better"],
+)
+def test_a_hand_that_fits_no_better_is_adjusted_once_more(
+    monkeypatch: pytest.MonkeyPatch, medians: tuple[float, ...], rounds: int
+) -> None:
+    """Each round finds the hand that the one before adjusted; the last adjustment is what is believed."""
+    monkeypatch.setattr(Acquisition, "detect", lambda finder, depth: [])
+    found_with: list[float] = []
+
+    def find(calibrator: _Calibrator, shape: HandShape) -> tuple[FloatArray, FloatArray, FloatArray]:
+        found_with.append(shape.scale)
+        return np.zeros((9, 22)), np.zeros((9, 2)), np.full(9, medians[len(found_with) - 1])
+
+    def adjust(
+        calibrator: _Calibrator, chosen: object, poses: object, thumbs: object, shape: HandShape
+    ) -> bundle.Bundle:
+        covariance = np.diag(PopulationSpace.sd**2)
+        nothing = np.zeros(0)
+        return bundle.Bundle(replace(shape, scale=shape.scale + 0.1), nothing, nothing, covariance, 2.0, 3)
+
+    monkeypatch.setattr(_Calibrator, "find", find)
+    monkeypatch.setattr(_Calibrator, "adjust", adjust)
+    told: list[str] = []
+    config = load_settings(HandConfig, None, {"hand.side": "right"})
+    found = shape_of(Shown(np.ones(9)), config, CalibrationOptions("right"), told.append)  # type: ignore[arg-type]
+    np.testing.assert_allclose(found_with, 1.0 + 0.1 * np.arange(rounds))
+    assert found.shape.scale == pytest.approx(1.0 + 0.1 * rounds)
+    assert found.costs_mm == (medians[0], medians[rounds - 1])
+    assert sum(line.startswith("finding") for line in told) == rounds
+    assert ("finding the right hand, once more" in told) == (rounds == MOST_ROUNDS)
 
 
 # Side and size, of all that there is

@@ -2,7 +2,7 @@
 
 No truth is used. Frames are chosen from the whole recording by how much of fingers they show: a fist from the
 back fits many hands, and makes every one of them a wrong one. The first time the hand is found with the
-average shape, then with the one that was found.
+average shape, then with the one that was found; a third time if that one fits no better.
 """
 
 from __future__ import annotations
@@ -38,7 +38,9 @@ LOOKED_AT = 48
 as many where the recording's frames do not divide."""
 _UNKNOWN_COUNT = 900
 """Frames of a recording that does not say how many it has: half a minute."""
-ROUNDS = 2
+ROUNDS, MOST_ROUNDS = 2, 3
+"""How often a hand is found and its shape adjusted: once more where the adjusted hand costs no less than the
+average one. An adjustment may end at skin that stands out by 6 mm, and the next one returns from there."""
 _FEWEST_FRAMES = 4
 _DEAREST = 1.15
 """Of the median cost: dearer frames are not found well."""
@@ -78,8 +80,8 @@ class Calibration:
         frames_seen: frames that were looked at.
         frames_used: frames that the shape was adjusted to.
         residual_mm: weighted root mean square of their residuals.
-        costs_mm: median costs of the frames for the average hand of that size, and for the hand that was
-            adjusted to them first.
+        costs_mm: median costs of the frames for the average hand of that size, and for the adjusted hand that
+            they were found with last.
         good_mm: what that hand costs in frames in which it fits well.
         begun_scale, begun_mm: scale and length of the hand that it was begun with.
     """
@@ -129,9 +131,10 @@ def shape_of(
     """
     calibrator = _Calibrator(recording, config, options)
     side, shape, found = config.hand.side, HandShape(config.hand.scale), None
-    medians = []
-    for attempt in range(ROUNDS):
-        report(f"finding the {side} hand, {attempt + 1} of {ROUNDS}")
+    medians: list[float] = []
+    while len(medians) < ROUNDS or (len(medians) < MOST_ROUNDS and medians[-1] >= medians[0]):
+        again = f"{len(medians) + 1} of {ROUNDS}" if len(medians) < ROUNDS else "once more"
+        report(f"finding the {side} hand, {again}")
         poses, thumbs, costs = calibrator.find(shape)
         chosen = calibrator.chosen(costs)
         medians.append(float(np.median(costs)))
