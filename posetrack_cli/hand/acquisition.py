@@ -15,7 +15,7 @@ from posetrack_cli.hand.anatomy import ANGLES, POSE_SIZE, HandAnatomy
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.extended_fingers import poses_of_fingers
 from posetrack_cli.hand.fitting.fitter import HandFitter, PosePrior, fit_starts
-from posetrack_cli.hand.fitting.gauss_newton import FREE_THUMB, Fit
+from posetrack_cli.hand.fitting.gauss_newton import FREE_THUMB, Fit, ThumbPrior
 from posetrack_cli.hand.fitting.terms import Tile
 from posetrack_cli.hand.inner import NO_INNER
 from posetrack_cli.hand.kinematics import joint_positions
@@ -177,8 +177,7 @@ class Acquisition:
         config: parameters.
         hand: the model.
         camera: of the depth images.
-        thumb: (2,) precisions of its thumb's inner angles, 1 / rad^2.
-        thumb_rests: whether its thumb is expected to rest.
+        thumb: what is expected of its thumb.
 
     Attributes:
         observer: cuts out and segments windows.
@@ -187,26 +186,17 @@ class Acquisition:
     """
 
     def __init__(
-        self,
-        config: HandConfig,
-        hand: HandModel,
-        camera: Camera,
-        thumb: FloatArray = FREE_THUMB,
-        *,
-        thumb_rests: bool = True,
+        self, config: HandConfig, hand: HandModel, camera: Camera, thumb: ThumbPrior = FREE_THUMB
     ) -> None:
         self._config, self._settings = config, config.acquisition
         self.accept_mm = config.acquisition.accept_mm
         self._hand, self._camera, self._space = hand, camera, BodySpace()
         self.observer = Observer(config, hand.anatomy, camera, segment=True, with_arm=True)
-        self.local_fitter = LocalFitter(config, hand, camera, thumb, thumb_rests=thumb_rests)
+        self.local_fitter = LocalFitter(config, hand, camera, thumb)
         size = config.observation.tile_px
         self._step = _ROUGH_STEP if size >= _LEAST_TILE_PX else 1
         rough_px, terms = -(-size // self._step), fit_terms(config)
-        lean = hand.lean_with_arm
-        self._rough = HandFitter(
-            hand, camera, rough_px, terms, skin=lean, thumb=thumb, thumb_rests=thumb_rests
-        )
+        self._rough = HandFitter(hand, camera, rough_px, terms, skin=hand.lean_with_arm, thumb=thumb)
 
     def search(self, depth: ImageArray, told: Sequence[Candidate] = ()) -> Candidate | None:
         """Return what is most like a hand in a whole image, if it fits well enough.

@@ -24,7 +24,7 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import POSE_SIZE, TANGENT_SIZE
 from posetrack_cli.hand.config import FitSettings, HandConfig
 from posetrack_cli.hand.fitting.fitter import HandFitter, PosePrior, fit_starts, refolds
-from posetrack_cli.hand.fitting.gauss_newton import FREE_THUMB, GIRTH_SD, SWING_SD, Fit
+from posetrack_cli.hand.fitting.gauss_newton import FREE_THUMB, GIRTH_SD, SWING_SD, Fit, ThumbPrior
 from posetrack_cli.hand.fitting.normal_equations import THUMB_PLACE, NormalEquations
 from posetrack_cli.hand.fitting.terms import Terms, Tile
 from posetrack_cli.hand.inner import NO_INNER, THUMB
@@ -90,25 +90,17 @@ class LocalFitter:
         config: parameters.
         hand: the model.
         camera: of the depth images.
-        thumb: (2,) precisions of its inner angles, 1 / rad^2.
-        thumb_rests: whether its thumb is expected to rest.
+        thumb: what is expected of its thumb.
     """
 
     def __init__(
-        self,
-        config: HandConfig,
-        hand: HandModel,
-        camera: Camera,
-        thumb: FloatArray = FREE_THUMB,
-        *,
-        thumb_rests: bool = True,
+        self, config: HandConfig, hand: HandModel, camera: Camera, thumb: ThumbPrior = FREE_THUMB
     ) -> None:
         self._config, self._settings, self._camera = config, config.fit, camera
         self._anatomy, self._space = hand.anatomy, BodySpace()
         terms = fit_terms(config)
         self.sigma_mm = terms.sigma_mm
-        size = config.observation.tile_px
-        self.fitter = HandFitter(hand, camera, size, terms, thumb=thumb, thumb_rests=thumb_rests)
+        self.fitter = HandFitter(hand, camera, config.observation.tile_px, terms, thumb=thumb)
         self._mixture = pixel_mixture(config.observation.mixture, config.observation.unread_weight)
 
     def fit(
@@ -251,7 +243,7 @@ fitted ones, and proposals as wide as if each had its own are missed by most of 
 sds of 10 and 15 degrees, joints are 1.16 mm off with the whole of them, 1.11 with next to nothing; people's
 backs, where thumbs are hidden, are better with more (3.6 and 3.9 for 4.0 and 4.1 mm)."""
 LEFT_PRECISION: FloatArray = np.append(
-    1.0 / np.square([SWING_SD, SWING_SD, GIRTH_SD]), FREE_THUMB / THUMB_LEFT**2
+    1.0 / np.square([SWING_SD, SWING_SD, GIRTH_SD]), FREE_THUMB.precision / THUMB_LEFT**2
 )
 """(5,) of the unknowns that are integrated out."""
 
@@ -273,7 +265,7 @@ def without_inner(
     """
     matrix, vector = scale * fit.data.matrix + own.matrix, scale * fit.data.vector + own.vector
     p, a = slice(0, TANGENT_SIZE), slice(TANGENT_SIZE, None)
-    vector[THUMB_PLACE:] += scale * FREE_THUMB * (thumb - fit.inner[THUMB])
+    vector[THUMB_PLACE:] += scale * FREE_THUMB.precision * (thumb - fit.inner[THUMB])
     inner = matrix[a, a] + np.diag(LEFT_PRECISION)
     carried = np.linalg.solve(inner, np.column_stack([matrix[a, p], vector[a]]))
     information = matrix[p, p] - matrix[p, a] @ carried[:, :-1]

@@ -253,7 +253,7 @@ def test_a_wrist_is_turned_back_from_where_it_cannot_bend_to(bend_deg: float) ->
     pose, bend = bent(), np.deg2rad(bend_deg)
     arm = arm_towards(np.array([0.0, np.cos(bend), np.sin(bend)]))
     equations = empty_equations()
-    add_inner_prior(with_arm(arm), with_arm(arm), FREE_THUMB, posed(pose, arm), equations)
+    add_inner_prior(with_arm(arm), with_arm(arm), FREE_THUMB.precision, posed(pose, arm), equations)
     step = np.zeros(UNKNOWNS)
     step[[3, 4, 5, 21, 22]] = np.linalg.pinv(equations.matrix[:, [3, 4, 5, 21, 22]]) @ equations.vector
     turned = BodySpace().retract(pose[None], step[None, :21])[0]

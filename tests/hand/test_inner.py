@@ -11,7 +11,7 @@ from posetrack_cli.evaluation.viewing.hand_drawing import HandDrawer
 from posetrack_cli.hand.anatomy import JOINT_NAMES
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.fitting.fitter import HandFitter, PosePrior
-from posetrack_cli.hand.fitting.gauss_newton import STIFF_THUMB
+from posetrack_cli.hand.fitting.gauss_newton import STIFF_THUMB, ThumbPrior
 from posetrack_cli.hand.inner import (
     NO_INNER,
     NO_THUMB,
@@ -34,7 +34,7 @@ from support.hand_scene import WALL_MM, relaxed
 
 FREE = 1.0 / np.square(np.repeat([60.0, 0.8, 0.7], [3, 3, 15]))
 """(21,) a prior that holds next to nothing."""
-LOOSE = 1.0 / np.square(np.array([0.7, 0.7]))
+LOOSE = ThumbPrior(1.0 / np.square(np.array([0.7, 0.7])), rests=True)
 """(2,) the same of the thumb's inner angles."""
 BENT, ASIDE = np.array([0.4, 0.0]), np.array([0.0, 0.35])
 THUMBS = pytest.mark.parametrize("thumb", [BENT, ASIDE, -ASIDE], ids=["bent", "aside", "inwards"])

@@ -279,9 +279,7 @@ class Trial:
             shape = replace(self._config.hand.shape, scale=self._scales[k])
             hand = hand_maker(self._config.hand.mesh)(self.sides[side], shape)
             config = self._quick if quick else self._config
-            self._finders[side, k, quick] = Acquisition(
-                config, hand, self._camera, STIFF_THUMB, thumb_rests=False
-            )
+            self._finders[side, k, quick] = Acquisition(config, hand, self._camera, STIFF_THUMB)
         return self._finders[side, k, quick]
 
 

@@ -124,19 +124,14 @@ class Plausibility(NamedTuple):
     allowed_mm: float = 3.0
 
 
-def plausibility_of(anatomy: HandAnatomy, *, thumb_rests: bool = True) -> Plausibility:
-    """Return the constants for a hand: limits of the tables, spheres of its own radii.
-
-    Args:
-        anatomy: the hand.
-        thumb_rests: whether most thumbs are expected to rest.
-    """
+def plausibility_of(anatomy: HandAnatomy) -> Plausibility:
+    """Return the constants for a hand: limits of the tables, spheres of its own radii."""
     r = anatomy.radii
     radii = np.stack(
         [r[:, 1], 0.5 * (r[:, 1] + r[:, 2]), r[:, 2], 0.5 * (r[:, 2] + r[:, 3]), r[:, 3]], axis=1
     )
     low, high = (np.ascontiguousarray(side) for side in ANGLE_LIMITS.T)
-    about = Plausibility(
+    return Plausibility(
         low,
         high,
         RELAXED,
@@ -149,7 +144,6 @@ def plausibility_of(anatomy: HandAnatomy, *, thumb_rests: bool = True) -> Plausi
         _STRAIGHT_WEIGHTS,
         _converging(anatomy),
     )
-    return about if thumb_rests else about._replace(resting_odds=-np.inf)
 
 
 def _converging(anatomy: HandAnatomy) -> FloatArray:

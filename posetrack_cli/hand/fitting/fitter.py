@@ -20,6 +20,7 @@ from posetrack_cli.hand.fitting.gauss_newton import (
     Fit,
     Hand,
     Steps,
+    ThumbPrior,
     Workspace,
     align_each,
     assess,
@@ -147,8 +148,7 @@ class HandFitter:
         terms: weights of the residuals.
         steps: largest steps.
         skin: of the hand and its forearm, by default the smooth one.
-        thumb: (2,) precisions of its inner angles, 1 / rad^2.
-        thumb_rests: whether its thumb is expected to rest.
+        thumb: what is expected of its thumb.
     """
 
     def __init__(
@@ -159,13 +159,12 @@ class HandFitter:
         terms: Terms | None = None,
         steps: Steps | None = None,
         skin: SkinnedMesh | None = None,
-        thumb: FloatArray = FREE_THUMB,
-        *,
-        thumb_rests: bool = True,
+        thumb: ThumbPrior = FREE_THUMB,
     ) -> None:
         anatomy, skin = model.anatomy, skin or model.smooth_with_arm
-        about = plausibility_of(anatomy, thumb_rests=thumb_rests)
-        self.hand = Hand(skeleton_of(anatomy), skin_of(skin), about, thumb)
+        about = plausibility_of(anatomy)
+        about = about if thumb.rests else about._replace(resting_odds=-np.inf)
+        self.hand = Hand(skeleton_of(anatomy), skin_of(skin), about, thumb.precision)
         self._camera, self._terms, self._steps = camera, terms or Terms(), steps or Steps()
         self._space = BodySpace()
         self._free = [make_workspace(self.hand, tile_px, tile_px) for _ in range(thread_count())]

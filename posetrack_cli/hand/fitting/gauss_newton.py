@@ -34,12 +34,26 @@ SWING_SD, GIRTH_SD = 0.25, 0.1
 """Of the forearm about what is expected of it: rad, and of the girth's logarithm."""
 IP_SD, ABDUCTION_SD = np.deg2rad(8.0), np.deg2rad(8.0)
 """Of the thumb's inner angles about what is expected of them, rad."""
-FREE_THUMB: FloatArray = 1.0 / np.square([IP_SD, ABDUCTION_SD])
-STIFF_THUMB: FloatArray = np.full(2, 1e9)
-"""(2,) 1 / rad^2 of a thumb with its inner angles, and of one without."""
 MOST_GIRTH, MOST_THUMB = 0.5, np.deg2rad(40.0)
 FREE_BEND, STIFF_BEND = np.deg2rad(60.0), 30.0
 """Up to where a wrist bends freely, rad, and the weight beyond, 1 / rad^2."""
+
+
+class ThumbPrior(NamedTuple):
+    """What is expected of a thumb.
+
+    Attributes:
+        precision: (2,) of its inner angles about what is expected of them, 1 / rad^2.
+        rests: whether it probably rests.
+    """
+
+    precision: FloatArray
+    rests: bool
+
+
+FREE_THUMB = ThumbPrior(1.0 / np.square([IP_SD, ABDUCTION_SD]), rests=True)
+STIFF_THUMB = ThumbPrior(np.full(2, 1e9), rests=False)
+"""Of a thumb that is followed, and of one without inner angles, which is not expected to rest either."""
 
 
 class Hand(NamedTuple):

@@ -184,8 +184,9 @@ class PlaceFitter:
 
     def __init__(self, anatomy: HandAnatomy, *, all_told: bool) -> None:
         self._skeleton, self._workspace = skeleton_of(anatomy), make_point_workspace()
-        about = plausibility_of(anatomy, thumb_rests=False)
+        about = plausibility_of(anatomy)
         self._plausibility = about._replace(
+            resting_odds=-np.inf,
             closing_odds=-np.inf,
             straight_odds=-np.inf,
             alike_weight=0.0,
