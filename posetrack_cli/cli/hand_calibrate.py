@@ -45,7 +45,7 @@ if TYPE_CHECKING:
         "--fit-frames",
         metavar="N",
         type=click.IntRange(min=4, max=200),
-        default=16,
+        default=32,
         show_default=True,
         help="How many frames the shape is fitted to: those that show the most of fingers.",
     ),

@@ -20,6 +20,7 @@ from posetrack_cli.hand.anatomy import make_anatomy
 from posetrack_cli.hand.calibration import bundle
 from posetrack_cli.hand.calibration.before_run import calibrate
 from posetrack_cli.hand.calibration.calibrate import (
+    FIRST_FRAMES,
     LOOKED_AT,
     MOST_ROUNDS,
     ROUNDS,
@@ -326,6 +327,15 @@ def test_frames_that_show_most_of_fingers_are_chosen_in_their_order(monkeypatch:
     assert chosen_of(Shown(areas), later, monkeypatch) == ([13, 25, 30], 27)  # of equal ones the first
 
 
+def test_frames_of_the_first_round_show_most_and_come_before_the_others(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Both parts are in the recording's order."""
+    shown = Shown(np.arange(100.0, 0.0, -2.0)[::-1])  # later frames show more
+    frames, _ = chosen_of(shown, CalibrationOptions("right", frames=20), monkeypatch)
+    assert frames == [*range(50 - FIRST_FRAMES, 50), *range(30, 50 - FIRST_FRAMES)]
+
+
 @pytest.mark.parametrize("count", [10, 100, 1000])
 def test_a_recording_is_looked_at_evenly_all_over(monkeypatch: pytest.MonkeyPatch, count: int) -> None:
     frames, seen = chosen_of(Shown(np.ones(count)), CalibrationOptions("right", frames=200), monkeypatch)
@@ -370,13 +380,22 @@ def test_a_recording_without_frames_is_told(monkeypatch: pytest.MonkeyPatch) -> 
 def test_a_hand_that_fits_no_better_is_adjusted_once_more(
     monkeypatch: pytest.MonkeyPatch, medians: tuple[float, ...], rounds: int
 ) -> None:
-    """Each round finds the hand that the one before adjusted; the last adjustment is what is believed."""
+    """Each round finds the hand that the one before adjusted; the last adjustment is what is believed.
+
+    The first round looks at few frames, and rounds are compared by these alone.
+    """
     monkeypatch.setattr(Acquisition, "detect", lambda finder, depth: [])
     found_with: list[float] = []
+    searched: list[int] = []
 
-    def find(calibrator: _Calibrator, shape: HandShape) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def find(
+        calibrator: _Calibrator, shape: HandShape, most: int
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         found_with.append(shape.scale)
-        return np.zeros((9, 22)), np.zeros((9, 2)), np.full(9, medians[len(found_with) - 1])
+        searched.append(most)
+        costs = np.full(most, medians[len(found_with) - 1])
+        costs[FIRST_FRAMES:] = 1.0
+        return np.zeros((most, 22)), np.zeros((most, 2)), costs
 
     def adjust(
         calibrator: _Calibrator, chosen: object, poses: object, thumbs: object, shape: HandShape
@@ -389,8 +408,10 @@ def test_a_hand_that_fits_no_better_is_adjusted_once_more(
     monkeypatch.setattr(_Calibrator, "adjust", adjust)
     told: list[str] = []
     config = load_settings(HandConfig, None, {"hand.side": "right"})
-    found = shape_of(Shown(np.ones(9)), config, CalibrationOptions("right"), told.append)  # type: ignore[arg-type]
+    options = CalibrationOptions("right", frames=2 * FIRST_FRAMES)
+    found = shape_of(Shown(np.ones(40)), config, options, told.append)  # type: ignore[arg-type]
     np.testing.assert_allclose(found_with, 1.0 + 0.1 * np.arange(rounds))
+    assert searched == [FIRST_FRAMES] + [2 * FIRST_FRAMES] * (rounds - 1)
     assert found.shape.scale == pytest.approx(1.0 + 0.1 * rounds)
     assert found.costs_mm == (medians[0], medians[rounds - 1])
     assert sum(line.startswith("finding") for line in told) == rounds

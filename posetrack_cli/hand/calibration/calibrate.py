@@ -2,7 +2,8 @@
 
 No truth is used. Frames are chosen from the whole recording by how much of fingers they show: a fist from the
 back fits many hands, and makes every one of them a wrong one. The first time the hand is found with the
-average shape, then with the one that was found; a third time if that one fits no better.
+average shape, in the frames that show the most; then with the one that was found, in more frames; a third
+time if that one fits no better.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from posetrack_cli.outputs import whole_or_nothing
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.recording import Recording
 
-LOOKED_AT = 48
+LOOKED_AT = 64
 """Frames, evenly over the recording, of which those are chosen that show the most of fingers; less than twice
 as many where the recording's frames do not divide."""
 _UNKNOWN_COUNT = 900
@@ -41,6 +42,9 @@ _UNKNOWN_COUNT = 900
 ROUNDS, MOST_ROUNDS = 2, 3
 """How often a hand is found and its shape adjusted: once more where the adjusted hand costs no less than the
 average one. An adjustment may end at skin that stands out by 6 mm, and the next one returns from there."""
+FIRST_FRAMES = 16
+"""Frames that show the most of fingers, in which alone the hand is found the first time: the average hand is
+laid wrongly on more of the others, and a shape that is adjusted to those begins the next round worse."""
 _FEWEST_FRAMES = 4
 _DEAREST = 1.15
 """Of the median cost: dearer frames are not found well."""
@@ -60,12 +64,12 @@ class CalibrationOptions:
 
     Attributes:
         side: ``right`` or ``left``; None to find out.
-        frames: how many frames the shape is adjusted to.
+        frames: how many frames the shape is adjusted to in the end.
         start: the first frame that is used.
     """
 
     side: str | None = None
-    frames: int = 16
+    frames: int = 32
     start: int = 0
 
 
@@ -80,8 +84,8 @@ class Calibration:
         frames_seen: frames that were looked at.
         frames_used: frames that the shape was adjusted to.
         residual_mm: weighted root mean square of their residuals.
-        costs_mm: median costs of the frames for the average hand of that size, and for the adjusted hand that
-            they were found with last.
+        costs_mm: median costs of the frames of the first round for the average hand of that size, and for
+            the adjusted hand that they were found with last.
         good_mm: what that hand costs in frames in which it fits well.
         begun_scale, begun_mm: scale and length of the hand that it was begun with.
     """
@@ -135,9 +139,9 @@ def shape_of(
     while len(medians) < ROUNDS or (len(medians) < MOST_ROUNDS and medians[-1] >= medians[0]):
         again = f"{len(medians) + 1} of {ROUNDS}" if len(medians) < ROUNDS else "once more"
         report(f"finding the {side} hand, {again}")
-        poses, thumbs, costs = calibrator.find(shape)
+        poses, thumbs, costs = calibrator.find(shape, options.frames if medians else FIRST_FRAMES)
         chosen = calibrator.chosen(costs)
-        medians.append(float(np.median(costs)))
+        medians.append(float(np.median(costs[:FIRST_FRAMES])))
         report(f"adjusting its shape to {len(chosen)} frames")
         found = calibrator.adjust(chosen, poses[chosen], thumbs[chosen], shape)
         shape = found.shape
@@ -176,7 +180,7 @@ class _Calibrator:
         self._frames = self._showing_fingers(HandShape(config.hand.scale))
 
     def _showing_fingers(self, shape: HandShape) -> list[Frame]:
-        """The frames that show the most of fingers, in order.
+        """The frames that show the most of fingers: those of the first round, in order, then the others.
 
         Raises:
             RecordingError: there is none.
@@ -193,20 +197,25 @@ class _Calibrator:
             kept = sorted(kept, key=lambda one: one[:2])[: options.frames]
         if not self.seen:
             raise RecordingError("holds no frame", where=self._recording.path)
-        return [frame for _, _, frame in sorted(kept, key=lambda one: one[1])]
+        first, others = kept[:FIRST_FRAMES], kept[FIRST_FRAMES:]
+        return [frame for part in (first, others) for _, _, frame in sorted(part, key=lambda one: one[1])]
 
     def _finder(self, shape: HandShape) -> Acquisition:
         return Acquisition(self._config, self.maker(self._side, shape), self._camera)
 
-    def find(self, shape: HandShape) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def find(self, shape: HandShape, most: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """The poses (F, 22) of a hand in the frames, its thumb's inner angles (F, 2), and costs (F,), mm.
 
         A cost is infinite where there is none.
+
+        Args:
+            shape: of the hand.
+            most: how many of the frames, those of the first round first.
         """
-        finder = self._finder(shape)
-        poses, costs = np.zeros((len(self._frames), POSE_SIZE)), np.full(len(self._frames), np.inf)
-        poses[:, 6], thumbs = 1.0, np.zeros((len(self._frames), len(NO_THUMB)))
-        for k, frame in enumerate(self._frames):
+        finder, frames = self._finder(shape), self._frames[:most]
+        poses, costs = np.zeros((len(frames), POSE_SIZE)), np.full(len(frames), np.inf)
+        poses[:, 6], thumbs = 1.0, np.zeros((len(frames), len(NO_THUMB)))
+        for k, frame in enumerate(frames):
             found = finder.search(frame.depth)
             if found is not None:
                 poses[k], costs[k] = inside_limits(found.pose[None])[0], found.cost
