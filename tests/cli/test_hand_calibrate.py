@@ -11,9 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from posetrack_cli.cli.hand_calibrate import hand_calibrate
 from posetrack_cli.cli.main import run
 from posetrack_cli.configuration import load_settings
 from posetrack_cli.hand.calibration import before_run
+from posetrack_cli.hand.calibration.calibrate import CalibrationOptions
 from posetrack_cli.hand.calibration.measures import MEASURES, measures_of
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.model import hand_model
@@ -130,6 +132,11 @@ def test_too_few_frames_or_too_many(
     assert calibrate(recording, tmp_path / "hand.toml", "--fit-frames", frames) == 2
     assert "--fit-frames" in one_line(capsys)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_hand_is_fitted_to_as_many_frames_as_before_a_run() -> None:
+    stated = {parameter.name: parameter.default for parameter in hand_calibrate.params}
+    assert stated["fit_frames"] == CalibrationOptions().frames
 
 
 def test_missing_recording_folder_and_mesh(

@@ -35,7 +35,7 @@ from support.hand_scene import WALL_MM, relaxed
 FREE = 1.0 / np.square(np.repeat([60.0, 0.8, 0.7], [3, 3, 15]))
 """(21,) a prior that holds next to nothing."""
 LOOSE = ThumbPrior(1.0 / np.square(np.array([0.7, 0.7])), rests=True)
-"""(2,) the same of the thumb's inner angles."""
+"""The same of the thumb's inner angles."""
 BENT, ASIDE = np.array([0.4, 0.0]), np.array([0.0, 0.35])
 THUMBS = pytest.mark.parametrize("thumb", [BENT, ASIDE, -ASIDE], ids=["bent", "aside", "inwards"])
 FRAME_NS = 33_333_333
