@@ -43,8 +43,8 @@ ROUNDS, MOST_ROUNDS = 2, 3
 """How often a hand is found and its shape adjusted: once more where the adjusted hand costs no less than the
 average one. An adjustment may end at skin that stands out by 6 mm, and the next one returns from there."""
 FIRST_FRAMES = 16
-"""Frames that show the most of fingers, in which alone the hand is found the first time: the average hand is
-laid wrongly on more of the others, and a shape that is adjusted to those begins the next round worse."""
+"""How many frames the first round uses, those that show the most of the fingers. The average hand is placed
+wrongly in more of the others, and a shape adjusted to those starts the next round worse."""
 _FEWEST_FRAMES = 4
 _DEAREST = 1.15
 """Of the median cost: dearer frames are not found well."""
