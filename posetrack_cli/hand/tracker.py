@@ -49,6 +49,9 @@ FIRST_STEP_NS = 33_333_333
 _GIRTH_MEMORY = 0.1  # share of a new frame in the running mean of the forearm's girth
 THUMB_MEMORY = 0.4  # share of a thumb's departure from RELAXED_INNER that is expected of the next frame
 NEAR_MM = 35.0  # distance of two sets of joints, up to which a better fit is of the hand that is tracked
+SAME_PLACE_MM = 60.0
+"""Up to here two hands are at one place **[ours]**: an adult's that is taken end for end, with its fingers
+along the forearm, is 40 to 55 mm off, the other end of an arm 150 and more."""
 _BETTER_MM = 0.4  # what another fold of fingers is cheaper by, at least, of a hand that faces the same way
 _FACES_ALIKE = np.cos(np.deg2rad(60.0))
 
@@ -322,7 +325,7 @@ class HandTracker:
             if there is None or self._is_near(there.pose, here):
                 found, monitor = better_of(found, there), replace(monitor, elsewhere=0)
             else:
-                monitor = monitor.leaves_for(_doubt_here(fits, monitor), there.doubt, settings)
+                monitor = monitor.leaves_for(*self._doubts(fits, there, monitor), settings)
                 if monitor.elsewhere >= settings.leave_after_frames:
                     return self._restarted(finder, there, monitor, frame, rng)
         seen = seen._replace(state=replace(state, monitor=monitor))
@@ -371,6 +374,15 @@ class HandTracker:
     def _is_near(self, pose: FloatArray, other: FloatArray) -> bool:
         """Whether two poses (22,) are of a hand at one place, folded otherwise, not of two."""
         return joint_set_distance(self.anatomy, pose, other) < NEAR_MM
+
+    def _doubts(self, fits: LocalFits, there: Candidate, monitor: TrackMonitor) -> tuple[float, float]:
+        """What speaks against the hand that is followed and against one found elsewhere, mm of cost.
+
+        Of two hands at one place the costs alone decide: the fingers that were seen there are either's.
+        """
+        if joint_set_distance(self.anatomy, there.pose, fits.modes.poses[0]) < SAME_PLACE_MM:
+            return fits.cost, there.cost
+        return _doubt_here(fits, monitor), there.doubt
 
     def _refined(
         self,

@@ -10,17 +10,18 @@ import numpy as np
 import pytest
 
 from posetrack_cli.arrays import FloatArray
+from posetrack_cli.geometry import rotations
 from posetrack_cli.hand.acquisition import Acquisition, Candidate
 from posetrack_cli.hand.anatomy import ANGLES, HandAnatomy
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.kinematics import joint_positions
+from posetrack_cli.hand.kinematics import joint_positions, joint_set_distance
 from posetrack_cli.hand.model import hand_maker
 from posetrack_cli.hand.monitor import TrackMonitor
 from posetrack_cli.hand.observation import Observation
 from posetrack_cli.hand.observer import Observer
 from posetrack_cli.hand.shape import random_shape
 from posetrack_cli.hand.start import rest_pose
-from posetrack_cli.hand.tracker import HandState, HandTracker
+from posetrack_cli.hand.tracker import NEAR_MM, SAME_PLACE_MM, HandState, HandTracker
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.results.estimate import Estimate
@@ -35,6 +36,7 @@ ELSEWHERE = rest_pose(HAND.anatomy, np.array([0.0, 0.0, 400.0]))
 TRACKED_MM = 4.0
 """Mean error of a drawn hand's joints: 0.5 to 2 mm, more in the first frames and at hidden fingers."""
 LOST_AFTER = HandConfig().status.lost_after_frames
+LEAVE_AFTER = HandConfig().status.leave_after_frames
 
 
 @pytest.fixture(scope="module")
@@ -290,6 +292,41 @@ def test_a_fit_that_costs_far_more_is_replaced_by_a_hand_found_in_the_whole_imag
     tracking.step(waiting, frames[3], np.random.default_rng(3))
     assert len(searched) == far
     assert [candidate.pose is there for candidate in refined] == [True] * (far and not turned)
+
+
+@pytest.mark.parametrize(("turned", "leaves"), [(True, True), (False, False)])
+def test_fingers_seen_before_do_not_keep_a_track_that_lies_end_for_end_along_its_arm(
+    tracking: HandTracker, stage: Stage, monkeypatch: pytest.MonkeyPatch, turned: bool, leaves: bool
+) -> None:
+    """Fingers speak for a place, so a hand at another one has to be without this doubt; one at the same
+    place only has to fit better. CVAR's P7 was followed along the forearm for 30 frames else."""
+    pose = relaxed()
+    there = turned_end_for_end(pose) if turned else relaxed(200.0)
+    apart = joint_set_distance(HAND.anatomy, pose, there)
+    assert NEAR_MM < apart < SAME_PLACE_MM if turned else apart > SAME_PLACE_MM
+    config = tracking.config.status
+    found = Candidate(there, -2.0 * config.better_mm, doubt=config.better_mm)
+    frames = frames_of([stage.depth(pose)] * (3 + LEAVE_AFTER))
+    states, _ = run(tracking, frames[:3])
+    state = replace(states[-1], monitor=replace(states[-1].monitor, fingers_mm=4.0))
+    monkeypatch.setattr(TrackMonitor, "is_doubtful", lambda *_: True)
+    monkeypatch.setattr(Acquisition, "reconsider", lambda *_: None)
+    monkeypatch.setattr(Acquisition, "search", lambda *_: found)
+    cut = []
+    for frame in frames[3:]:
+        state, _ = tracking.step(state, frame, np.random.default_rng(frame.index))
+        cut.append(state.cut)
+    assert cut == [False] * (LEAVE_AFTER - 1) + [leaves]
+
+
+def turned_end_for_end(pose: FloatArray) -> FloatArray:
+    """A pose (22,) after half a turn in the image about the middle of its palm."""
+    palm = [0, 5, 9, 13, 17]
+    middle = joint_positions(HAND.anatomy, pose[None])[0, palm].mean(axis=0)
+    turned = pose.copy()
+    turned[3:7] = rotations.multiply(rotations.exponential(np.array([0.0, 0.0, np.pi])), pose[3:7])
+    turned[:3] += middle - joint_positions(HAND.anatomy, turned[None])[0, palm].mean(axis=0)
+    return turned
 
 
 def same(first: Estimate, second: Estimate) -> None:
