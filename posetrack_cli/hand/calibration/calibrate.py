@@ -41,7 +41,8 @@ _UNKNOWN_COUNT = 900
 """Frames of a recording that does not say how many it has: half a minute."""
 ROUNDS, MOST_ROUNDS = 2, 3
 """How often a hand is found and its shape adjusted: once more where the adjusted hand costs no less than the
-average one. An adjustment may end at skin that stands out by 6 mm, and the next one returns from there."""
+average one. An adjustment may end at skin that stands out by 6 mm, and the next one returns from there. What
+the last adjustment gave is found once more before it is given up."""
 FIRST_FRAMES = 16
 """How many frames the first round uses, those that show the most of the fingers. The average hand is placed
 wrongly in more of the others, and a shape adjusted to those starts the next round worse."""
@@ -145,6 +146,9 @@ def shape_of(
         report(f"adjusting its shape to {len(chosen)} frames")
         found = calibrator.adjust(chosen, poses[chosen], thumbs[chosen], shape)
         shape = found.shape
+    if medians[-1] >= medians[0]:  # which tells of the shape before the last adjustment
+        report(f"finding the {side} hand, with its last shape")
+        medians.append(float(np.median(calibrator.find(shape, FIRST_FRAMES)[2])))
     assert found is not None
     numbers = measured(calibrator.maker, calibrator.space, side, shape, found.covariance)
     cost, good = (medians[0], medians[-1]), good_cost(costs)
