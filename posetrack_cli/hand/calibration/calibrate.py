@@ -87,7 +87,7 @@ class Calibration:
         residual_mm: weighted root mean square of their residuals.
         costs_mm: median costs of the frames of the first round for the average hand of that size, and for
             the adjusted hand that they were found with last.
-        good_mm: what that hand costs in frames in which it fits well.
+        good_mm: what the hand of the last round costs in frames in which it fits well.
         begun_scale, begun_mm: scale and length of the hand that it was begun with.
     """
 
