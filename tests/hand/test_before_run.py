@@ -206,18 +206,28 @@ def test_a_hand_that_explains_little_gets_a_shape_of_its_own(
 @pytest.mark.parametrize(
     "other",
     [
-        calibration_of(SHAPE, costs_mm=(4.0, 4.0)),
+        calibration_of(SHAPE, costs_mm=(4.0, 5.1)),
         calibration_of(HandShape(1.3), costs_mm=(4.0, 2.0)),
         calibration_of(HandShape(0.75), costs_mm=(4.0, 2.0)),
     ],
-    ids=["explains no more", "of a larger hand", "of a smaller hand"],
+    ids=["explains less", "of a larger hand", "of a smaller hand"],
 )
-def test_a_shape_that_explains_no_more_or_something_else_is_not_taken(
+def test_a_shape_that_explains_less_or_something_else_is_not_taken(
     seen: tuple[str, Path], monkeypatch: pytest.MonkeyPatch, other: Calibration
 ) -> None:
     monkeypatch.setattr(before_run, "shape_of", lambda *arguments: other)
     found = find_hand(open_path(seen[1]), HandConfig(), start=0)
     assert found.config.hand.shape == HandShape() and found.line == "a right hand"
+
+
+@pytest.mark.usefixtures("strange")
+def test_a_shape_that_costs_a_little_more_than_the_average_hand_is_taken(
+    seen: tuple[str, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Person 614 with motion 615: 3.93 for 3.52 mm, and tips 8.0 for 10.5 mm off."""
+    dearer = calibration_of(SHAPE, costs_mm=(3.52, 3.93))
+    monkeypatch.setattr(before_run, "shape_of", lambda *arguments: dearer)
+    assert find_hand(open_path(seen[1]), HandConfig(), start=0).config.hand.shape == SHAPE
 
 
 @pytest.mark.usefixtures("strange")
