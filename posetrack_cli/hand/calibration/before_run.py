@@ -28,9 +28,10 @@ from posetrack_cli.recording.recording import Recording
 _FAR_CHEAPER = 0.8
 """Of what the average hand costs in the size that fitted best: what a hand of another size costs at most."""
 _DEARER = 1.25
-"""Of what the average hand costs: what a shape costs at most **[ours]**. Searches find either hand a little
-better or worse by chance. Shapes of 133 people (504 to 753 of the synthetic strangers) cost up to 1.12; with
-the 19 that cost most, from .91 on, fingertips of all are closer than with the average hand, by 1.9 mm."""
+"""Of what the average hand costs: what a shape costs at most **[ours]**. Shapes are adjusted to other
+residuals than searches are judged by, so a better one may cost more. Those of 133 people (504 to 753 of the
+synthetic strangers) cost up to 1.12; with the 19 that cost most, from .91 on, fingertips of all are closer
+than with the average hand, by 1.9 mm on average."""
 
 
 @dataclass(frozen=True)
@@ -177,7 +178,7 @@ def _shape(
 
 
 def _is_usable(found: Calibration) -> bool:
-    """Whether a shape explains the frames that it was found in, and the hand that it was begun with."""
+    """Whether a shape explains the frames nearly as well as the average hand or better, and is as large."""
     average, own = found.costs_mm
     return own <= _DEARER * average and not found.is_of_another_size
 

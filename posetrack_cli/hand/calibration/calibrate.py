@@ -42,7 +42,7 @@ _UNKNOWN_COUNT = 900
 ROUNDS, MOST_ROUNDS = 2, 3
 """How often a hand is found and its shape adjusted: once more where the adjusted hand costs no less than the
 average one. An adjustment may end at skin that stands out by 6 mm, and the next one returns from there. What
-the last adjustment gave is found once more before it is given up."""
+the last adjustment gave is found once more before it is judged."""
 FIRST_FRAMES = 16
 """How many frames the first round uses, those that show the most of the fingers. The average hand is placed
 wrongly in more of the others, and a shape adjusted to those starts the next round worse."""
