@@ -73,7 +73,7 @@ def adjusted(
     deviations. With H_f the normal matrix of frame f in blocks of shape s and frame p, the frames are
     eliminated: S = sum_f (H_ss - H_sp H_pp^-1 H_ps) + prior (Schur complement), and theta's covariance is
     S^-1, the images' part of S by ``OVERCONFIDENCE`` less. Residuals are weighted by their own mean square,
-    one in ``CORRELATED`` counting as independent.
+    one in ``CORRELATED`` counting as independent. A step of theta stays within the space's bounds.
 
     Args:
         maker: makes the hand.
@@ -106,7 +106,7 @@ def adjusted(
         ]
         matrix, vector = _reduced(equations, prior, theta)
         covariance = np.asarray(np.linalg.inv(matrix), dtype=np.float64)
-        step = np.clip(covariance @ vector, -most, most)
+        step = np.clip(_bounded_step(matrix, vector, space.low - theta, space.high - theta), -most, most)
         turns = np.array([_frame_step(equation, step) for equation in equations])
         turns = np.clip(turns, -MOST_FRAME_STEP, MOST_FRAME_STEP)
         poses = inside_limits(_SPACE.retract(poses, turns[:, :TANGENT_SIZE]))
@@ -149,6 +149,19 @@ def _reduced(
         matrix += h[s, s] - h[s, p] @ carried[:, :-1]
         vector += g[s] - h[s, p] @ carried[:, -1]
     return matrix, vector
+
+
+def _bounded_step(matrix: FloatArray, vector: FloatArray, least: FloatArray, most: FloatArray) -> FloatArray:
+    """The x between two bounds (S,) for which x^T matrix x / 2 - vector^T x is least.
+
+    A number that has come to its bound is as if it were not unknown: all others, the poses among them, are
+    the likeliest for it there, not for where it would have gone.
+    """
+    from scipy.optimize import lsq_linear
+
+    root = np.linalg.cholesky(matrix).T
+    found = lsq_linear(root, np.linalg.solve(root.T, vector), bounds=(least, most), method="bvls")
+    return np.asarray(found.x, dtype=np.float64)
 
 
 def _frame_step(equation: tuple[FloatArray, FloatArray], step: FloatArray) -> FloatArray:
