@@ -29,9 +29,9 @@ _FAR_CHEAPER = 0.8
 """Of what the average hand costs in the size that fitted best: what a hand of another size costs at most."""
 _DEARER = 1.25
 """Of what the average hand costs: what a shape costs at most **[ours]**. Shapes are adjusted to other
-residuals than searches are judged by, so a better one may cost more. Those of 133 people (504 to 753 of the
-synthetic strangers) cost up to 1.12; with the 19 that cost most, from .91 on, fingertips of all are closer
-than with the average hand, by 1.9 mm on average."""
+residuals than searches are judged by, so a better one may cost more. Of 133 people (504 to 753 of the
+synthetic strangers) sixteen that once cost most cost .79 to 1.16; when nineteen cost .91 to 1.12, fingertips
+of all were closer with their shapes than with the average hand, by 1.9 mm on average."""
 
 
 @dataclass(frozen=True)
