@@ -224,7 +224,7 @@ def test_a_shape_that_explains_less_or_something_else_is_not_taken(
 def test_a_shape_that_costs_a_little_more_than_the_average_hand_is_taken(
     seen: tuple[str, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Person 614 with motion 615: 3.93 for 3.52 mm, and tips 8.0 for 10.5 mm off."""
+    """As person 614's once did with motion 615, 3.93 for 3.52 mm: tips were 8.0 for 10.5 mm off."""
     dearer = calibration_of(SHAPE, costs_mm=(3.52, 3.93))
     monkeypatch.setattr(before_run, "shape_of", lambda *arguments: dearer)
     assert find_hand(open_path(seen[1]), HandConfig(), start=0).config.hand.shape == SHAPE

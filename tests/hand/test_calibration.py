@@ -271,7 +271,7 @@ def test_a_hand_of_the_population_is_found_again_from_perfect_images(device: Ren
     views = Views(device, hand, poses, true_thumbs)
     begun, thumbs = started(poses, seed=1), np.zeros((9, 2))
     found = bundle.adjusted(
-        average_hand, SPACE, "right", HandShape(), begun, thumbs, views, TILE, iterations=15
+        average_hand, SPACE, "right", HandShape(), begun, thumbs, views, TILE, iterations=30
     )
     numbers = measured(average_hand, SPACE, "right", found.shape, found.covariance)
     average, true, got = (
@@ -290,10 +290,9 @@ def test_a_hand_of_the_population_is_found_again_from_perfect_images(device: Ren
     ]
     assert np.median(np.linalg.norm(joints[0] - joints[1], axis=2)) < 4.0
     # never less sure than before, of the scale and of the strongest modes far surer, though the thumb's inner
-    # angles leave more open than a thumb without them; from three starts .33 to .46 and .53 to .67 remain
-    # of the two strongest
+    # angles leave more open than a thumb without them
     sd = np.sqrt(np.diag(found.covariance))
-    assert (sd < SPACE.sd + 1e-12).all() and (sd[:3] < [0.04, 0.5, 0.7]).all()
+    assert (sd < SPACE.sd + 1e-12).all() and (sd[:3] < 0.55 * SPACE.sd[:3]).all()
 
 
 def test_a_file_s_hand_is_found_again_by_its_factors(device: RenderingDevice) -> None:

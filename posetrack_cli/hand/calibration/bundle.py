@@ -111,7 +111,7 @@ def adjusted(
         turns = np.clip(turns, -MOST_FRAME_STEP, MOST_FRAME_STEP)
         poses = inside_limits(_SPACE.retract(poses, turns[:, :TANGENT_SIZE]))
         thumbs = np.clip(thumbs + turns[:, TANGENT_SIZE:], -MOST_THUMB, MOST_THUMB)
-        theta = np.clip(theta + step, space.low, space.high)
+        theta = np.clip(theta + step, space.low, space.high)  # rounding may leave by an ulp
         if np.abs(step / np.sqrt(np.diag(covariance))).max() < CONVERGED:
             break
     stated = np.linalg.inv((matrix - prior) / OVERCONFIDENCE + prior)
