@@ -13,6 +13,7 @@ from posetrack_cli.hand.model import average_hand
 from posetrack_cli.hand.observation import Observation, window_around
 from posetrack_cli.rendering.port import RenderingDevice
 from support.hand import KINECT, REST, bent
+from support.rendering import moved_a_subpixel
 
 HAND = average_hand()
 TRUTH = REST.copy()
@@ -68,6 +69,14 @@ class Scene:
         seen = Observation(self.window, image.astype(np.float32), int((image > 0).sum()))
         return self.scorer.log_likelihood(poses, seen)
 
+    @property
+    def rounding(self) -> float:
+        """What a GPU, which rounds corners of triangles, costs the true pose at most: half of each squared
+        shift in standard deviations, in as many readings as the pixels are worth."""
+        shifts = moved_a_subpixel(self.image) / self.settings.mixture.near_sd_mm
+        share = reading_share(TRUTH[2], self.window.step, KINECT, self.settings.mixture.correlation_mm)
+        return share * 0.5 * float(np.square(shifts).sum())
+
     def beside_the_thumb(self) -> np.ndarray:
         """The half of the window, left or right, in which the index finger is."""
         index = KINECT.pixels_from_points(joint_positions(HAND.anatomy, TRUTH[None])[0, 5:9])[0][:, 0].mean()
@@ -82,8 +91,8 @@ class Scene:
 def test_the_true_pose_is_perfect_and_the_farther_a_pose_the_worse(device: RenderingDevice) -> None:
     scene = Scene(device)
     found = scene.log_likelihood(scene.image)
-    # the outline's pixels see two surfaces at float32: nothing else differs
-    assert found[0] == pytest.approx(0.0, abs=0.01)
+    # the outline's pixels see two surfaces at float32: nothing else differs, but for a GPU's rounding
+    assert found[0] == pytest.approx(0.0, abs=0.01 + scene.rounding)
     assert (found[1:] < found[0]).all()
     assert found[1] < found[2]  # 9 and 2 mm nearer
     assert found[4] < found[3]
