@@ -102,6 +102,9 @@ class HaarFaces:
 
     Args:
         least_width: pixels; narrower faces are not looked for. The cascade's box is about 2.7 eye distances.
+
+    Raises:
+        PosetrackError: OpenCV has no cascades, as 5 has not.
     """
 
     def __init__(self, least_width: int = 50) -> None:
@@ -146,10 +149,15 @@ class HaarFaces:
 
 def _cascade(name: str) -> Any:
     path = Path(cv2.__file__).parent / "data" / name
-    cascade = cv2.CascadeClassifier(str(path))
-    if cascade.empty():
+    cascade = cv2.CascadeClassifier(str(path)) if hasattr(cv2, "CascadeClassifier") else None  # not in 5
+    if cascade is None or cascade.empty():
         raise PosetrackError(
-            "OpenCV's Haar cascade cannot be loaded", where=path.name, hint="install opencv-python 4"
+            "OpenCV's Haar cascade cannot be loaded",
+            where=path.name,
+            found=f"OpenCV {cv2.__version__}",
+            expected="4.9 or later, below 5",
+            hint="another package may have replaced it: pip install --force-reinstall"
+            " 'opencv-python-headless<5'",
         )
     return cascade
 

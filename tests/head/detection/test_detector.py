@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
-from posetrack_cli.errors import UsageError
+from posetrack_cli.errors import PosetrackError, UsageError
 from posetrack_cli.head.config import DetectionSettings
 from posetrack_cli.head.detection.detector import FaceDetector
-from posetrack_cli.head.detection.finders import TURNS, FaceGuess, find_turned
+from posetrack_cli.head.detection.finders import TURNS, FaceGuess, HaarFaces, find_turned
 from posetrack_cli.head.face.points import EYES, MIRRORED
 
 # The detector's points lie within these of the truth's vertices, mm, once each point's constant offset is
@@ -128,3 +128,13 @@ def test_a_rolled_face_is_found_where_it_is(degrees: float) -> None:
     np.testing.assert_allclose(found.eyes[0][0], dark, atol=1.0)
     assert abs(np.degrees(found.roll) - degrees) < 17.0 + 1.2
     assert not find_turned(Upright(), image, (roll + np.pi,))
+
+
+def test_an_opencv_without_cascades_is_named_with_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    """OpenCV 5 has none; packages that bring their own may put it over the one that was installed."""
+    monkeypatch.delattr(cv2, "CascadeClassifier")
+    monkeypatch.setattr(cv2, "__version__", "5.0.0")
+    with pytest.raises(PosetrackError) as raised:
+        HaarFaces()
+    assert "found OpenCV 5.0.0, expected 4.9 or later, below 5" in str(raised.value)
+    assert "'opencv-python-headless<5'" in str(raised.value)
