@@ -2,8 +2,8 @@
 
 No truth is used. Frames are chosen from the whole recording by how much of fingers they show: a fist from the
 back fits many hands, and makes every one of them a wrong one. The first time the hand is found with the
-average shape, in the frames that show the most; then with the one that was found, in more frames; a third
-time if that one fits no better.
+average shape, in the frame of each part of the recording that shows the most; then with the one that was
+found, in more frames; a third time if that one fits no better.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from posetrack_cli.hand.acquisition import Acquisition
 from posetrack_cli.hand.anatomy import POSE_SIZE
 from posetrack_cli.hand.calibration.bundle import Bundle, Observe, adjusted
 from posetrack_cli.hand.calibration.measures import Measured, measured, measures_of
+from posetrack_cli.hand.calibration.shown_fingers import FIRST_FRAMES, ShownFingers
 from posetrack_cli.hand.config import HandConfig, HandSettings
 from posetrack_cli.hand.fitting.fitter import tile_of
 from posetrack_cli.hand.fitting.terms import Terms, Tile
@@ -43,9 +44,6 @@ ROUNDS, MOST_ROUNDS = 2, 3
 """How often a hand is found and its shape adjusted: once more where the adjusted hand costs no less than the
 average one. An adjustment may end at skin that stands out by 6 mm, and the next one returns from there. What
 the last adjustment gave is found once more before it is judged."""
-FIRST_FRAMES = 16
-"""How many frames the first round uses, those that show the most of the fingers. The average hand is placed
-wrongly in more of the others, and a shape adjusted to those starts the next round worse."""
 _FEWEST_FRAMES = 4
 _DEAREST = 1.15
 """Of the median cost: dearer frames are not found well."""
@@ -192,17 +190,14 @@ class _Calibrator:
         options, count = self._options, self._recording.frame_count
         ahead = _UNKNOWN_COUNT if count is None else count - options.start
         stride = max(1, ahead // LOOKED_AT)
-        finder = self._finder(shape)
-        kept: list[tuple[float, int, Frame]] = []
+        finder, shown = self._finder(shape), ShownFingers(options.frames, -(-ahead // stride))
         for frame in self._recording.frames(start=options.start, end=None, stride=stride):
-            self.seen += 1
             area = max((place.fingers_mm2 for place in finder.detect(frame.depth)), default=0.0)
-            kept.append((-area, self.seen, frame))
-            kept = sorted(kept, key=lambda one: one[:2])[: options.frames]
+            shown.add(frame, area)
+        self.seen = shown.seen
         if not self.seen:
             raise RecordingError("holds no frame", where=self._recording.path)
-        first, others = kept[:FIRST_FRAMES], kept[FIRST_FRAMES:]
-        return [frame for part in (first, others) for _, _, frame in sorted(part, key=lambda one: one[1])]
+        return shown.frames
 
     def _finder(self, shape: HandShape) -> Acquisition:
         return Acquisition(self._config, self.maker(self._side, shape), self._camera)
