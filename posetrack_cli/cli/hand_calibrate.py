@@ -47,7 +47,8 @@ if TYPE_CHECKING:
         type=click.IntRange(min=4, max=200),
         default=32,
         show_default=True,
-        help="How many frames the shape is fitted to: those of all its parts that show the most of fingers.",
+        help="How many frames the shape is fitted to: those that show the most of fingers, up to 16 of them "
+        "from as many parts of the recording.",
     ),
     hand_side_option("auto", "right", "left", details="auto tells from the images.  [default: auto]"),
     hand_mesh_option,

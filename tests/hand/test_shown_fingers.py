@@ -34,7 +34,7 @@ def brute_force(areas: list[float], most: int, count: int) -> list[int]:
 
 
 @given(AREAS, st.integers(1, 40), st.integers(1, 120))
-def test_a_frame_after_another_the_same_are_chosen_as_from_all_at_once(
+def test_frames_added_one_by_one_are_chosen_as_if_all_were_known(
     areas: list[float], most: int, count: int
 ) -> None:
     assert chosen(areas, most, count) == brute_force(areas, most, count)

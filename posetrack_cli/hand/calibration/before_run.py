@@ -31,7 +31,8 @@ _DEARER = 1.25
 """Of what the average hand costs: what a shape costs at most **[ours]**. Shapes are adjusted to other
 residuals than searches are judged by, so a better one may cost more. Of 133 people (504 to 753 of the
 synthetic strangers) nineteen had shapes that cost .91 to 1.12, and fingertips of all were closer with them
-than with the average hand, by 1.9 mm on average; sixteen of these cost .79 to 1.16 now."""
+than with the average hand, by 1.9 mm on average; sixteen of these cost .79 to 1.16 once steps
+stayed within bounds."""
 
 
 @dataclass(frozen=True)

@@ -178,10 +178,10 @@ class _Calibrator:
         self._recording, self._config, self._options = recording, config, options
         self._side, self._camera = config.hand.side, recording.cameras[0]
         self.maker, self.space = hand_maker(config.hand.mesh), shape_space(config.hand.mesh)
-        self.seen = 0
-        self._frames = self._showing_fingers(HandShape(config.hand.scale))
+        shown = self._showing_fingers(HandShape(config.hand.scale))
+        self.seen, self._frames = shown.seen, shown.frames
 
-    def _showing_fingers(self, shape: HandShape) -> list[Frame]:
+    def _showing_fingers(self, shape: HandShape) -> ShownFingers:
         """The frames that show the most of fingers: those of the first round, in order, then the others.
 
         Raises:
@@ -194,10 +194,9 @@ class _Calibrator:
         for frame in self._recording.frames(start=options.start, end=None, stride=stride):
             area = max((place.fingers_mm2 for place in finder.detect(frame.depth)), default=0.0)
             shown.add(frame, area)
-        self.seen = shown.seen
-        if not self.seen:
+        if not shown.seen:
             raise RecordingError("holds no frame", where=self._recording.path)
-        return shown.frames
+        return shown
 
     def _finder(self, shape: HandShape) -> Acquisition:
         return Acquisition(self._config, self.maker(self._side, shape), self._camera)

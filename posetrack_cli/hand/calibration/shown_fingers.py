@@ -1,7 +1,8 @@
-"""Which frames a hand's shape is estimated from: those that show the most of fingers, first of all parts."""
+"""Which frames a hand's shape is estimated from: those that show the most of fingers."""
 
 from __future__ import annotations
 
+from bisect import insort
 from typing import NamedTuple
 
 from posetrack_cli.recording.base import Frame
@@ -12,19 +13,18 @@ in more of the others, and a shape adjusted to those starts the next round worse
 
 
 class _Shown(NamedTuple):
-    """A frame, its number, and how much of fingers it shows: minus mm^2."""
+    """A frame, and how much of fingers it shows, mm^2."""
 
-    order: float
-    number: int
+    fingers_mm2: float
     frame: Frame
 
     def rank(self) -> tuple[float, int]:
         """What sorts those first that show the most, of equal ones the earliest."""
-        return self.order, self.number
+        return -self.fingers_mm2, self.frame.index
 
 
 class ShownFingers:
-    """Chooses frames by how much of fingers they show: for the first round of all parts of a recording.
+    """Chooses frames by how much of fingers they show, those of the first round from all parts.
 
     Frames that show much of them follow each other, and are much alike. The first round, which knows the
     average hand alone, takes the best frame of each of ``FIRST_FRAMES`` parts of the recording; what it still
@@ -45,12 +45,12 @@ class ShownFingers:
         """Take the next frame into account."""
         part = min(self.seen * self._first // self._count, self._first - 1)
         self.seen += 1
-        shown, best = _Shown(-fingers_mm2, self.seen, frame), self._best.get(part)
+        shown, best = _Shown(fingers_mm2, frame), self._best.get(part)
         passed: _Shown | None = shown
         if fingers_mm2 > 0.0 and (best is None or shown.rank() < best.rank()):
             self._best[part], passed = shown, best
         if passed is not None:
-            self._rest = sorted([*self._rest, passed], key=_Shown.rank)
+            insort(self._rest, passed, key=_Shown.rank)
         del self._rest[self._most - len(self._best) :]
 
     @property
@@ -58,4 +58,4 @@ class ShownFingers:
         """Those of the first round, in order, then the others."""
         ranked = [*self._best.values(), *self._rest]
         parts = (ranked[: self._first], ranked[self._first :])
-        return [shown.frame for part in parts for shown in sorted(part, key=lambda one: one.number)]
+        return [shown.frame for part in parts for shown in sorted(part, key=lambda one: one.frame.index)]
