@@ -309,7 +309,7 @@ class Acquisition:
         rng, none = np.random.default_rng(_SCATTER_SEED), np.empty((0, POSE_SIZE))
         around = np.array(
             [
-                fit_starts(fit.pose, none, settings.scattered, self._space, rng)
+                fit_starts(fit.pose, none, settings.scattered, self._space, rng, ahead=True)
                 for fit in _most_different(fits, settings.refined)
             ]
         )

@@ -62,7 +62,13 @@ SCATTER: FloatArray = np.array([8.0] * 3 + [0.15] * 3 + [0.3, 0.3, 0.08] + list(
 
 
 def fit_starts(
-    expected: FloatArray, others: FloatArray, count: int, space: BodySpace, rng: np.random.Generator
+    expected: FloatArray,
+    others: FloatArray,
+    count: int,
+    space: BodySpace,
+    rng: np.random.Generator,
+    *,
+    ahead: bool = False,
 ) -> FloatArray:
     """Return start poses (count, 22): the expected pose, others, then scattered ones about all of these.
 
@@ -77,6 +83,9 @@ def fit_starts(
         count: how many starts.
         space: of poses.
         rng: draws the scatter.
+        ahead: whether fingers that take another fold are scattered about straight ahead, not about as far
+            sideways as they are: where nothing is known of them but a fit, it may have laid a finger on its
+            neighbour's image.
     """
     given = np.concatenate([expected[None], others])[:count]
     more = count - len(given)
@@ -92,6 +101,8 @@ def fit_starts(
         rows = refolded[:, finger - 1]
         scattered[rows, 7 + 3 * finger] = fold[rows, finger - 1, 0]
         scattered[rows, 9 + 3 * finger] = fold[rows, finger - 1, 1]
+        if ahead:
+            scattered[rows, 8 + 3 * finger] -= about[rows, 8 + 3 * finger]
     thumbs = rng.random(more) < _REFOLDED
     scattered[thumbs, FINGER_ANGLES[0]] = _THUMB_FOLDS[
         rng.integers(len(_THUMB_FOLDS), size=int(thumbs.sum()))
@@ -99,12 +110,16 @@ def fit_starts(
     return np.concatenate([given, scattered])
 
 
-def refolds(pose: FloatArray) -> FloatArray:
-    """Return a pose (22,) with each finger in each fold, one at a time: (26, 22)."""
+def refolds(pose: FloatArray, expected: FloatArray) -> FloatArray:
+    """Return a pose (22,) with each finger in each fold, one at a time: (26, 22).
+
+    A refolded finger is as far sideways as in the expected pose (22,): one that was laid on its neighbour's
+    image would else be folded across the neighbour.
+    """
     count = 4 * len(_FOLDS)
     poses = np.tile(pose, (count + len(_THUMB_FOLDS), 1))
-    for row, (finger, fold) in enumerate(product(range(1, 5), _FOLDS)):
-        poses[row, [7 + 3 * finger, 9 + 3 * finger]] = fold
+    for row, (finger, (mcp, pip)) in enumerate(product(range(1, 5), _FOLDS)):
+        poses[row, FINGER_ANGLES[finger]] = mcp, expected[8 + 3 * finger], pip
     poses[count:, FINGER_ANGLES[0]] = _THUMB_FOLDS
     return poses
 

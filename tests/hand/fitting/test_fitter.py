@@ -8,6 +8,7 @@ import pytest
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry import rotations
 from posetrack_cli.hand.anatomy import ANGLES, POSE_SIZE, TANGENT_SIZE
+from posetrack_cli.hand.config import FitSettings
 from posetrack_cli.hand.fitting.anatomy_terms import RELAXED
 from posetrack_cli.hand.fitting.fitter import (
     FINGER_ANGLES,
@@ -62,6 +63,10 @@ def free(start: FloatArray) -> PosePrior:
     return PosePrior(start, FREE)
 
 
+def best_of(fits: list[Fit]) -> Fit:
+    return min(fits, key=lambda fit: float(fit.cost[0]))
+
+
 def descended(fitter: HandFitter, tile: Tile, starts: FloatArray, iterations: int = 10) -> list[Fit]:
     return fitter.descend(tile, starts, [free(start) for start in starts], iterations)
 
@@ -75,7 +80,7 @@ def test_a_drawn_hand_is_found(fitters: dict[str, HandFitter], name: str, seed: 
     fits = descended(fitter, tile, starts)
     before = fitter.costs(tile, starts)
     assert all(fit.cost[0] <= cost for fit, cost in zip(fits, before, strict=True))
-    best = min(fits, key=lambda fit: float(fit.cost[0]))
+    best = best_of(fits)
     assert min(error(name, start, truth) for start in starts) > 4.0
     assert error(name, best.pose, truth) < FOUND_MM
     assert best.cost[0] < 0.2 * before.min()
@@ -340,13 +345,65 @@ def test_scattered_starts_spread_as_stated_and_fold_fingers_together_or_each_alo
         assert {tuple(bend) for bend in alone[refolded, finger - 1]} == folds
         kept = delta[1::2][~refolded][:, [6 + 3 * finger, 8 + 3 * finger]]
         assert np.abs(kept.mean(axis=0)).max() < 4.0 * 0.36 / np.sqrt(0.25 * count)
-    thumbs = {tuple(pose[7:10]) for pose in refolds(expected)} - {tuple(expected[7:10])}
+    thumbs = {tuple(pose[7:10]) for pose in refolds(expected, expected)} - {tuple(expected[7:10])}
     assert len(thumbs) == 6
     refolded = np.array([tuple(pose[7:10]) in thumbs for pose in starts])
     assert refolded.mean() == pytest.approx(0.5, abs=4.0 * 0.5 / np.sqrt(count))
     assert {tuple(pose[7:10]) for pose in starts[refolded]} == thumbs
     spread = 4.0 / np.sqrt(2 * 0.5 * count)
     np.testing.assert_allclose(delta[~refolded][:, 6:9].std(axis=0), SCATTER[6:9], rtol=spread)
+
+
+def test_refolded_fingers_of_a_search_are_scattered_about_straight_ahead() -> None:
+    """And those that keep their fold about as far sideways as they are; nothing else changes."""
+    count, expected = 20_000, open_hand()
+    sideways = np.array([0.3, -0.2, 0.1, -0.3])
+    expected[[11, 14, 17, 20]] = sideways
+    none = np.empty((0, POSE_SIZE))
+    here, ahead = (
+        fit_starts(expected, none, count + 1, SPACE, np.random.default_rng(3), ahead=ahead)[1:]
+        for ahead in (False, True)
+    )
+    bends = here[:, [[7 + 3 * finger, 9 + 3 * finger] for finger in range(1, 5)]]
+    folds = {(0.0, 0.0), (1.2, 1.5), (0.6, 0.8), (0.1, 1.2), (1.2, 0.1)}
+    refolded = np.array([[tuple(bend) in folds for bend in row] for row in bends])
+    assert 0.7 < refolded.mean() < 0.8  # all of every second pose, half of the others
+    off = np.where(refolded, sideways, 0.0)
+    np.testing.assert_allclose(ahead[:, [11, 14, 17, 20]], here[:, [11, 14, 17, 20]] - off, atol=1e-12)
+    same = np.setdiff1d(np.arange(POSE_SIZE), [11, 14, 17, 20])
+    np.testing.assert_array_equal(ahead[:, same], here[:, same])
+    assert np.abs(ahead[:, [11, 14, 17, 20]][refolded].mean()) < 4.0 * SCATTER[10] / np.sqrt(refolded.sum())
+
+
+def test_a_refolded_finger_is_as_far_sideways_as_expected_and_no_other_moves() -> None:
+    pose, expected = moved(open_hand(), 1), moved(open_hand(), 2)
+    poses = refolds(pose, expected)
+    np.testing.assert_array_equal(poses[:, :7], np.tile(pose[:7], (26, 1)))
+    changed = np.array([(poses[:, part] != pose[part]).any(axis=1) for part in FINGER_ANGLES])
+    np.testing.assert_array_equal(np.argmax(changed, axis=0), [*np.repeat([1, 2, 3, 4], 5), *[0] * 6])
+    np.testing.assert_array_equal(changed.sum(axis=0), 1)
+    for row, finger in enumerate(np.argmax(changed, axis=0)[:20]):
+        assert poses[row, 8 + 3 * finger] == expected[8 + 3 * finger]
+
+
+def test_a_finger_laid_on_its_neighbour_is_found_closed_beside_it(fitters: dict[str, HandFitter]) -> None:
+    """Three fingers closed since the frame before; the middle one was laid on the index and stays there.
+
+    Folded where it lies it would cross the index, and the few iterations from there lead nowhere.
+    """
+    fitter, iterations = fitters["right"], FitSettings().refold_iterations
+    before, closed = open_hand(), open_hand()
+    before[10:] = [-0.15, -0.1, 0.4, 0.0, -0.15, 0.9, 0.3, -0.2, 0.55, 0.6, -0.3, 0.4]
+    closed[10:] = [-0.3, -0.1, 0.3, 0.4, -0.3, 1.5, 0.5, -0.25, 1.45, 0.6, -0.2, 1.55]
+    laid = closed.copy()
+    laid[FINGER_ANGLES[2]] = -0.5, 0.4, 1.35
+    tile = fitter.tile(observed(RIGHT, fitter, closed))
+    stuck = best_of(descended(fitter, tile, laid[None]))
+    assert error("right", stuck.pose, closed) > 5.0
+    refolded = best_of(descended(fitter, tile, refolds(stuck.pose, before), iterations))
+    assert refolded.cost[0] < 0.75 * stuck.cost[0]
+    found = best_of(descended(fitter, tile, refolded.pose[None]))
+    assert error("right", found.pose, closed) < FOUND_MM
 
 
 def test_a_prior_about_another_place_keeps_all_else() -> None:
