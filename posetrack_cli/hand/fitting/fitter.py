@@ -83,9 +83,8 @@ def fit_starts(
         count: how many starts.
         space: of poses.
         rng: draws the scatter.
-        ahead: whether fingers that take another fold are scattered about straight ahead, not about as far
-            sideways as they are: where nothing is known of them but a fit, it may have laid a finger on its
-            neighbour's image.
+        ahead: whether a finger that takes another fold is scattered about straight ahead instead of about
+            where it points: a search knows of it by a fit alone, which may have laid it on its neighbour.
     """
     given = np.concatenate([expected[None], others])[:count]
     more = count - len(given)
@@ -113,8 +112,8 @@ def fit_starts(
 def refolds(pose: FloatArray, expected: FloatArray) -> FloatArray:
     """Return a pose (22,) with each finger in each fold, one at a time: (26, 22).
 
-    A refolded finger is as far sideways as in the expected pose (22,): one that was laid on its neighbour's
-    image would else be folded across the neighbour.
+    A finger in another fold is as far sideways as in the expected pose (22,): one that was laid on its
+    neighbour's image would else be folded across the neighbour.
     """
     count = 4 * len(_FOLDS)
     poses = np.tile(pose, (count + len(_THUMB_FOLDS), 1))
