@@ -606,7 +606,8 @@ def test_a_sensor_that_smears_edges_makes_no_hand_larger(recording: Path, calibr
 @pytest.mark.parametrize("unit", [0.55, 1.7])
 def test_depth_in_another_unit_makes_another_size(recording: Path, unit: float) -> None:
     found = calibrated_on(Altered(open_recording(recording), unit=unit))
-    assert found.length_mm == pytest.approx(unit * TRUE_LENGTH_MM, rel=LENGTH_ERROR)
+    # two standard deviations, as above: 0.3 to 5.2 % off by processor and number of threads
+    assert found.length_mm == pytest.approx(unit * TRUE_LENGTH_MM, rel=2.0 * LENGTH_ERROR)
 
 
 def test_the_file_is_a_configuration(tmp_path: Path) -> None:
