@@ -238,15 +238,12 @@ class AllPadded(PopulationSpace):
         return super().theta(shape)[:-1]
 
 
-ALIKE = 1e-4
-"""Of coefficients, in standard deviations, and of poses, mm and rad: the two steps are solved in different
-ways, and eight of them that do not converge carry their rounding to 1e-5 on some processors."""
-
-
 def test_a_number_at_its_bound_is_as_if_it_were_known(device: RenderingDevice) -> None:
     """Images of a hand whose skin does not stand out: its poses are the likeliest for the skin that is drawn.
 
-    They once were those for the skin that the images ask for, which lies farther in, at every step anew.
+    They once were those for the skin that the images ask for, which lies farther in, at every step anew. Four
+    steps show that (4 mm); eight, which do not converge, carry the rounding of two solvers to 1e-5 on some
+    processors, four to 1e-11.
     """
     hand = average_hand("right", OTHER)
     poses = poses_of(hand, 6)
@@ -254,12 +251,12 @@ def test_a_number_at_its_bound_is_as_if_it_were_known(device: RenderingDevice) -
     begun, thumbs = started(poses, seed=1), np.zeros((6, 2))
     start = HandShape(padding_mm=float(Padded.low[-1]))
     bounded, known = (
-        bundle.adjusted(average_hand, space, "right", start, begun, thumbs, views, TILE, iterations=8)
+        bundle.adjusted(average_hand, space, "right", start, begun, thumbs, views, TILE, iterations=4)
         for space in (Padded(), AllPadded())
     )
     assert bounded.shape.padding_mm == Padded.low[-1]
-    np.testing.assert_allclose(bounded.shape.coefficients, known.shape.coefficients, atol=ALIKE)
-    np.testing.assert_allclose(bounded.poses, known.poses, atol=ALIKE)
+    np.testing.assert_allclose(bounded.shape.coefficients, known.shape.coefficients, atol=1e-6)
+    np.testing.assert_allclose(bounded.poses, known.poses, atol=1e-6)
 
 
 def started(poses: FloatArray, seed: int) -> FloatArray:
@@ -589,8 +586,8 @@ class Altered:
 
 
 def calibrated_on(altered: Altered) -> Calibration:
-    config = HandConfig.model_validate({"acquisition": FEW})
-    return calibrate(altered, config, CalibrationOptions("left", frames=12))  # type: ignore[arg-type]
+    """With the whole search: with fewer hypotheses last bits decide whether a size is 0.3 or 5.2 % off."""
+    return calibrate(altered, HandConfig(), CalibrationOptions("left", frames=12))  # type: ignore[arg-type]
 
 
 TRUE_LENGTH_MM = float(measures_of(average_hand("left", hand_of_seed(9)).anatomy)[0])
@@ -611,8 +608,7 @@ def test_a_sensor_that_smears_edges_makes_no_hand_larger(recording: Path, calibr
 @pytest.mark.parametrize("unit", [0.55, 1.7])
 def test_depth_in_another_unit_makes_another_size(recording: Path, unit: float) -> None:
     found = calibrated_on(Altered(open_recording(recording), unit=unit))
-    # two standard deviations, as above: 0.3 to 5.2 % off by processor and number of threads
-    assert found.length_mm == pytest.approx(unit * TRUE_LENGTH_MM, rel=2.0 * LENGTH_ERROR)
+    assert found.length_mm == pytest.approx(unit * TRUE_LENGTH_MM, rel=LENGTH_ERROR)
 
 
 def test_the_file_is_a_configuration(tmp_path: Path) -> None:
