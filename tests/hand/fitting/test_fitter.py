@@ -30,6 +30,10 @@ SPACE = BodySpace()
 CLAMP_MM = Terms().clamp_mm
 FREE = 1.0 / np.square(np.repeat([40.0, 0.6, 0.6], [3, 3, 15]))
 """Precision of a prior that hardly holds."""
+FOLDS = {(0.0, 0.0), (1.2, 1.5), (0.6, 0.8), (0.1, 1.2), (1.2, 0.1)}
+"""MCP and PIP flexion, rad."""
+SIDEWAYS = [8 + 3 * finger for finger in range(1, 5)]
+"""Where a pose has the abductions of the four fingers."""
 FOUND_MM = 1.0
 """Mean error of the joints: the relaxed hand pulls by tenths of a millimetre at what is hidden."""
 
@@ -336,13 +340,12 @@ def test_scattered_starts_spread_as_stated_and_fold_fingers_together_or_each_alo
     np.testing.assert_allclose(delta[:, free].std(axis=0), SCATTER[free], rtol=4.0 / np.sqrt(2 * count))
     bends = starts[:, [[7 + 3 * finger, 9 + 3 * finger] for finger in range(1, 5)]]
     together, alone = bends[::2], bends[1::2]
-    folds = {(0.0, 0.0), (1.2, 1.5), (0.6, 0.8), (0.1, 1.2), (1.2, 0.1)}
-    assert {tuple(bend) for bend in together[:, 0]} == folds
+    assert {tuple(bend) for bend in together[:, 0]} == FOLDS
     np.testing.assert_array_equal(together, np.repeat(together[:, :1], 4, axis=1))
     for finger in range(1, 5):
-        refolded = np.array([tuple(bend) in folds for bend in alone[:, finger - 1]])
+        refolded = np.array([tuple(bend) in FOLDS for bend in alone[:, finger - 1]])
         assert refolded.mean() == pytest.approx(0.5, abs=4.0 * 0.5 / np.sqrt(0.5 * count))
-        assert {tuple(bend) for bend in alone[refolded, finger - 1]} == folds
+        assert {tuple(bend) for bend in alone[refolded, finger - 1]} == FOLDS
         kept = delta[1::2][~refolded][:, [6 + 3 * finger, 8 + 3 * finger]]
         assert np.abs(kept.mean(axis=0)).max() < 4.0 * 0.36 / np.sqrt(0.25 * count)
     thumbs = {tuple(pose[7:10]) for pose in refolds(expected, expected)} - {tuple(expected[7:10])}
@@ -358,21 +361,20 @@ def test_refolded_fingers_of_a_search_are_scattered_about_straight_ahead() -> No
     """And those that keep their fold about as far sideways as they are; nothing else changes."""
     count, expected = 20_000, open_hand()
     sideways = np.array([0.3, -0.2, 0.1, -0.3])
-    expected[[11, 14, 17, 20]] = sideways
+    expected[SIDEWAYS] = sideways
     none = np.empty((0, POSE_SIZE))
     here, ahead = (
         fit_starts(expected, none, count + 1, SPACE, np.random.default_rng(3), ahead=ahead)[1:]
         for ahead in (False, True)
     )
     bends = here[:, [[7 + 3 * finger, 9 + 3 * finger] for finger in range(1, 5)]]
-    folds = {(0.0, 0.0), (1.2, 1.5), (0.6, 0.8), (0.1, 1.2), (1.2, 0.1)}
-    refolded = np.array([[tuple(bend) in folds for bend in row] for row in bends])
+    refolded = np.array([[tuple(bend) in FOLDS for bend in row] for row in bends])
     assert 0.7 < refolded.mean() < 0.8  # all of every second pose, half of the others
     off = np.where(refolded, sideways, 0.0)
-    np.testing.assert_allclose(ahead[:, [11, 14, 17, 20]], here[:, [11, 14, 17, 20]] - off, atol=1e-12)
-    same = np.setdiff1d(np.arange(POSE_SIZE), [11, 14, 17, 20])
+    np.testing.assert_allclose(ahead[:, SIDEWAYS], here[:, SIDEWAYS] - off, atol=1e-12)
+    same = np.setdiff1d(np.arange(POSE_SIZE), SIDEWAYS)
     np.testing.assert_array_equal(ahead[:, same], here[:, same])
-    assert np.abs(ahead[:, [11, 14, 17, 20]][refolded].mean()) < 4.0 * SCATTER[10] / np.sqrt(refolded.sum())
+    assert np.abs(ahead[:, SIDEWAYS][refolded].mean()) < 4.0 * SCATTER[10] / np.sqrt(refolded.sum())
 
 
 def test_a_refolded_finger_is_as_far_sideways_as_expected_and_no_other_moves() -> None:
@@ -383,7 +385,7 @@ def test_a_refolded_finger_is_as_far_sideways_as_expected_and_no_other_moves() -
     np.testing.assert_array_equal(np.argmax(changed, axis=0), [*np.repeat([1, 2, 3, 4], 5), *[0] * 6])
     np.testing.assert_array_equal(changed.sum(axis=0), 1)
     for row, finger in enumerate(np.argmax(changed, axis=0)[:20]):
-        assert poses[row, 8 + 3 * finger] == expected[8 + 3 * finger]
+        assert poses[row, SIDEWAYS[finger - 1]] == expected[SIDEWAYS[finger - 1]]
 
 
 def test_a_finger_laid_on_its_neighbour_is_found_closed_beside_it(fitters: dict[str, HandFitter]) -> None:
