@@ -149,7 +149,7 @@ class LocalFitter:
     def _refolded(self, tile: Tile, pose: FloatArray, prior: PosePrior) -> tuple[list[Fit], int]:
         """Fits from a pose (22,) with one finger at a time in another fold, and how many poses they drew."""
         settings, fitter = self._settings, self.fitter
-        starts = refolds(pose, prior.mean)
+        starts = refolds(pose)
         priors = [PosePrior(start, prior.precision) for start in starts]
         fits = fitter.descend(tile, starts, priors, settings.refold_iterations)
         anywhere = prior.anywhere

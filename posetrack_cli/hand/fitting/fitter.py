@@ -109,16 +109,12 @@ def fit_starts(
     return np.concatenate([given, scattered])
 
 
-def refolds(pose: FloatArray, expected: FloatArray) -> FloatArray:
-    """Return a pose (22,) with each finger in each fold, one at a time: (26, 22).
-
-    A finger in another fold is as far sideways as in the expected pose (22,): one that was laid on its
-    neighbour's image would else be folded across the neighbour.
-    """
+def refolds(pose: FloatArray) -> FloatArray:
+    """Return a pose (22,) with each finger in each fold, one at a time: (26, 22)."""
     count = 4 * len(_FOLDS)
     poses = np.tile(pose, (count + len(_THUMB_FOLDS), 1))
-    for row, (finger, (mcp, pip)) in enumerate(product(range(1, 5), _FOLDS)):
-        poses[row, FINGER_ANGLES[finger]] = mcp, expected[8 + 3 * finger], pip
+    for row, (finger, fold) in enumerate(product(range(1, 5), _FOLDS)):
+        poses[row, [7 + 3 * finger, 9 + 3 * finger]] = fold
     poses[count:, FINGER_ANGLES[0]] = _THUMB_FOLDS
     return poses
 
