@@ -36,6 +36,7 @@ from reproduction.strangers.mesh import OwnMesh
 from reproduction.strangers.options import (
     ARM,
     DEFAULT,
+    DOUBLE_SPEED,
     EXACT,
     FREE_ELBOW,
     PAPER_COST,
@@ -83,10 +84,11 @@ class MadeUp(Measured):
         side: str = "right",
         of_tasks: dict[str, JudgedFrames] | None = None,
         hand_files: dict[str, str] | None = None,
+        of_eval: dict[tuple[str, str], float] | None = None,
     ) -> None:
         super().__init__(Path("nowhere"))
         self._given, self._side, self._judged = given, side, of_tasks or {}
-        self._hand_files = hand_files or {}
+        self._hand_files, self._figures = hand_files or {}, of_eval or {}
 
     def judged(self, task: EntrantsTask, entrant: str) -> JudgedFrames | None:
         return self._judged.get(task.name)
@@ -99,6 +101,11 @@ class MadeUp(Measured):
         options: EvalOptions | None = None,
     ) -> Frames | None:
         return self._given.get((task.name, entrant, track))
+
+    def figure(
+        self, task: EntrantsTask, entrant: str, address: str, options: EvalOptions | None = None
+    ) -> float:
+        return self._figures.get((task.name, address), float("nan"))
 
     def side(self, task: EntrantsTask, entrant: str) -> str:
         return self._side
@@ -306,6 +313,30 @@ def test_defaults_are_judged_with_one_who_is_never_found(tmp_path: Path) -> None
     assert "| 801 left, back | right | 0 | 2 | never |" in text
     assert "| all |  | 2 | 3 | never | 1.00 |" in text
     assert "| 800 right | right | 1 | 1 | 5 |" in text
+
+
+def test_defaults_are_judged_at_both_speeds_and_by_the_worst_person(tmp_path: Path) -> None:
+    chosen, targets = options(tmp_path), Targets()
+    kinds = {ARM: (2.0, 6.0), DOUBLE_SPEED: (3.0, 4.0)}  # after offsets, and tips, of 800
+    names = {(person, kind): f"{person.number}-{kind}-30" for person in FEW for kind in kinds}
+    farther = {FEW[0]: 0.0, FEW[1]: 0.3, FEW[2]: 2.6}
+    of_eval = {
+        (name, address): kinds[kind][k] + farther[person]
+        for (person, kind), name in names.items()
+        for k, address in enumerate(("joint_error_mm.mean", "fingertip_error_mm.mean"))
+    }
+    given = {(name, DEFAULT, FILTERED): frames([1.0, 2.0], lost=[0, 1]) for name in names.values()}
+    measured = MadeUp(given, of_eval=of_eval)
+    assert {task.name for task in Defaults().tasks(chosen)} == set(names.values())
+    text = "\n".join(Defaults().lines(chosen, measured, targets))
+    said = judged(targets)
+    assert said["defaults, offsets removed: mean joint error, mm"] == ("2.97", "reached")
+    assert said["defaults, offsets removed: worst recording, mm"] == ("4.60", "**missed**")
+    assert said["defaults, fingertips, mm"] == ("6.97", "**missed**")
+    assert said["defaults, double speed, offsets removed: mean joint error, mm"] == ("3.97", "reached")
+    assert said["defaults, double speed: fingertips, mm"] == ("4.97", "reached")
+    assert "| 804 right, back | right | 1 | 0 | 1 | 1.50 | 8.60 | 4.60 | 1 | 5.60 | 6.60 | 1 |" in text
+    assert measured.everything["default"]["801"]["fast_tip_error_mm"] == 4.3
 
 
 def test_smoothing_is_judged_by_the_worst(tmp_path: Path) -> None:
