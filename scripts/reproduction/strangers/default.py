@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from posetrack_cli.evaluation.evaluate import EvalOptions
 from reproduction.running import Targets
 from reproduction.strangers.figures import OFF_MM, found_within, off_unsaid
-from reproduction.strangers.measuring import NAN, Measured
+from reproduction.strangers.measuring import Measured
 from reproduction.strangers.options import ARM, DEFAULT, DOUBLE_SPEED, Options
 from reproduction.strangers.people import Person
 from reproduction.strangers.tables import (
@@ -16,6 +16,7 @@ from reproduction.strangers.tables import (
     Value,
     judge_count,
     judge_most,
+    max_of,
     mean_of,
     noted,
     people_table,
@@ -80,10 +81,9 @@ class Defaults:
         quick, title = int((found <= FOUND_FRAMES).sum()), f"defaults: found within {FOUND_FRAMES} frames"
         judge_count(targets, title, people, quick, people)
         plain = values_of(rows, "error_without_offsets_mm")
-        worst = float(plain.max()) if len(plain) else NAN
         for what, most, value in (
             ("offsets removed: mean joint error, mm", MOST_MM, mean_of(plain)),
-            ("offsets removed: worst recording, mm", MOST_OF_ONE_MM, worst),
+            ("offsets removed: worst recording, mm", MOST_OF_ONE_MM, max_of(plain)),
             ("fingertips, mm", MOST_TIPS_MM, mean_of(values_of(rows, "tip_error_mm"))),
             (
                 "double speed, offsets removed: mean joint error, mm",

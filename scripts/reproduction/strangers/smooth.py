@@ -15,6 +15,7 @@ from reproduction.strangers.tables import (
     Value,
     judge_count,
     judge_most,
+    max_of,
     noted,
     people_table,
     values_of,
@@ -52,8 +53,7 @@ class Smoothing:
         ratios = values_of(rows, "ratio")
         people, better = len(ratios), int((ratios < 1.0).sum())
         judge_count(targets, "smoothing: better", math.ceil(LEAST_SHARE * people), better, people)
-        worst = float(ratios.max()) if people else float("nan")
-        judge_most(targets, "smoothing: worst ratio", MOST_RATIO, worst, 3)
+        judge_most(targets, "smoothing: worst ratio", MOST_RATIO, max_of(ratios), 3)
 
 
 def figures_of(person: Person, options: Options, measured: Measured) -> dict[str, Value]:

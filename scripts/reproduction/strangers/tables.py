@@ -123,3 +123,8 @@ def judge_intervals(targets: Targets, what: str, share: float | None) -> None:
 def mean_of(values: FloatArray) -> float:
     """The mean, NaN of none."""
     return float(values.mean()) if len(values) else float("nan")
+
+
+def max_of(values: FloatArray) -> float:
+    """The largest, NaN of none."""
+    return float(values.max()) if len(values) else float("nan")

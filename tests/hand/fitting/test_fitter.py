@@ -377,6 +377,16 @@ def test_refolded_fingers_of_a_search_are_scattered_about_straight_ahead() -> No
     assert np.abs(ahead[:, SIDEWAYS][refolded].mean()) < 4.0 * SCATTER[10] / np.sqrt(refolded.sum())
 
 
+def test_a_refolded_finger_stays_as_far_sideways_as_it_was_and_no_other_moves() -> None:
+    pose = moved(open_hand(), 1)
+    poses = refolds(pose)
+    np.testing.assert_array_equal(poses[:, :7], np.tile(pose[:7], (26, 1)))
+    changed = np.array([(poses[:, part] != pose[part]).any(axis=1) for part in FINGER_ANGLES])
+    np.testing.assert_array_equal(np.argmax(changed, axis=0), [*np.repeat([1, 2, 3, 4], 5), *[0] * 6])
+    np.testing.assert_array_equal(changed.sum(axis=0), 1)
+    np.testing.assert_array_equal(poses[:, SIDEWAYS], np.tile(pose[SIDEWAYS], (26, 1)))
+
+
 def test_a_search_finds_a_finger_closed_that_was_laid_on_its_neighbour(
     fitters: dict[str, HandFitter],
 ) -> None:
