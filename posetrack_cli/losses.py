@@ -19,6 +19,11 @@ class LossLog:
 
     def __init__(self) -> None:
         self._losses: dict[str, Loss] = {}
+        self._notes: dict[str, None] = {}
+
+    def note(self, text: str) -> None:
+        """Record what a user should know of the data although nothing was lost; equal notes count once."""
+        self._notes[text] = None
 
     def add(self, what: str, where: str, count: int = 1) -> None:
         """Count losses of the kind ``what``, the first of which happened at ``where``."""
@@ -38,6 +43,11 @@ class LossLog:
     def losses(self) -> tuple[Loss, ...]:
         """The losses, in the order in which each kind happened first."""
         return tuple(self._losses.values())
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What else a user should know, one line each, in order."""
+        return tuple(self._notes)
 
 
 def loss_line(losses: tuple[Loss, ...]) -> str:

@@ -35,8 +35,8 @@ def open_for_reading(
     recording = open_recording(path, pixels, **reading_options(options), **further)
     for camera in recording.cameras:
         print_detail(f"{path}: {camera.name or 'camera'} {camera.width}x{camera.height}, fx {camera.fx:.1f}")
-    if recording.remark:
-        print_note(f"{path}: {recording.remark}")
+    for remark in recording.remarks:
+        print_note(f"{path}: {remark}")
     return recording
 
 

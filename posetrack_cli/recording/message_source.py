@@ -99,7 +99,7 @@ def open_depth_messages(path: Path, options: ReadingOptions) -> Recording:
         identity=identity,
         frame_count=source.topic.count,
         truth=_truth(topics, mirror=window.mirror),
-        remark=_taken("depth", source, topics.depth_topics, "--topic"),
+        remarks=_taken("depth", source, topics.depth_topics, "--topic"),
     )
 
 
@@ -114,7 +114,7 @@ def open_grey_messages(path: Path, options: ReadingOptions) -> Recording:
             image of another size raises it while it is read.
     """
     topics, tolerance = scan_topics(path), tolerance_ns(options)
-    rig, sources, cameras, calibration, remark = _grey_cameras(topics, options)
+    rig, sources, cameras, calibration, remarks = _grey_cameras(topics, options)
     if options.get("in_colour"):
         sources = [replace(source, pixels=replace(source.pixels, keeps_colour=True)) for source in sources]
     windows = [_window(rig.cameras[s.name].crop if rig else None, rig, options) for s in sources]
@@ -146,7 +146,7 @@ def open_grey_messages(path: Path, options: ReadingOptions) -> Recording:
         truth=_truth(topics, mirror=windows[0].mirror),
         tolerance_ns=tolerance,
         is_guessed=calibration == GUESSED,
-        remark=remark,
+        remarks=remarks,
     )
 
 
@@ -185,7 +185,7 @@ def _camera_file(options: ReadingOptions) -> DepthCamera | None:
 
 def _grey_cameras(
     topics: FileTopics, options: ReadingOptions
-) -> tuple[Rig | None, list[GreyTopic], Sequence[Camera], str, str]:
+) -> tuple[Rig | None, list[GreyTopic], Sequence[Camera], str, tuple[str, ...]]:
     """Return the camera file if there is one, topics and stored images' cameras, where these are from.
 
     And what was taken of several topics where one camera is to be used.
@@ -195,14 +195,14 @@ def _grey_cameras(
         every = distinct_names(find_sources(topics, wanted))
         sources = _of_colour(every) if guess is not None else every
         words = _taken("colour", sources[0], [source.topic for source in every], "--cameras")
-        return None, sources, *_cameras(topics, sources, guess), words if len(sources) == 1 else ""
+        return None, sources, *_cameras(topics, sources, guess), words if len(sources) == 1 else ()
     rig = load_rig(file)
     rig = rig if wanted is None else rig.chosen(wanted)
     sources = [_with_bits(source, rig) for source in sources_of_rig(topics, rig)]
     cameras = rig.stored_cameras({source.name: source.size for source in sources})
     if guess is not None:
         check_one_camera(topics.path, rig.cameras)
-    return rig, sources, cameras, FROM_FILE, ""
+    return rig, sources, cameras, FROM_FILE, ()
 
 
 def _cameras(
@@ -225,10 +225,10 @@ def _of_colour(sources: list[GreyTopic]) -> list[GreyTopic]:
     return colour if len(colour) == 1 else sources
 
 
-def _taken(what: str, source: CameraTopic[Pixels], several: Sequence[Topic], option: str) -> str:
+def _taken(what: str, source: CameraTopic[Pixels], several: Sequence[Topic], option: str) -> tuple[str, ...]:
     """Words about the topic that was taken of several; none where there is only one."""
     others = ", ".join(topic.name for topic in several if topic.name != source.topic.name)
-    return f"{what} is taken from {source.topic.name}; {option} takes another: {others}" if others else ""
+    return (f"{what} is taken from {source.topic.name}; {option} takes another: {others}",) if others else ()
 
 
 def _with_bits(source: GreyTopic, rig: Rig) -> GreyTopic:

@@ -93,7 +93,7 @@ class Recording:
         truth: yields the messages on ``/truth/...`` topics undecoded, in order of log time where indexed.
         tolerance_ns: largest difference of stamps within a frame.
         is_guessed: whether the intrinsics are a ``Guess``.
-        remark: what was taken where several things would do; empty where nothing had to be chosen.
+        remarks: what was recognised, chosen or converted when it was opened, one line each.
     """
 
     def __init__(
@@ -106,9 +106,10 @@ class Recording:
         truth: Callable[[], Iterator[TruthMessage]] = no_truth,
         tolerance_ns: int = 0,
         is_guessed: bool = False,
-        remark: str = "",
+        remarks: Sequence[str] = (),
     ) -> None:
-        self.path, self.frame_count, self.is_guessed, self.remark = path, frame_count, is_guessed, remark
+        self.path, self.frame_count, self.is_guessed = path, frame_count, is_guessed
+        self.remarks = tuple(remarks)
         self.identity, self.truth = identity, truth
         self.cameras: tuple[Camera, ...] = tuple(stream.camera for stream in streams)
         self.pixels: tuple[Pixels, ...] = tuple(stream.pixels for stream in streams)
@@ -119,6 +120,11 @@ class Recording:
     def losses(self) -> tuple[Loss, ...]:
         """What the last pass over the frames had to skip; empty when nothing was lost."""
         return self._log.losses
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the last pass over the frames noted, one line each."""
+        return self._log.notes
 
     def frames(self, *, start: int = 0, end: int | None = None, stride: int = 1) -> Iterator[Frame]:
         """Yield the frames start, start + stride, ... below end, stamps strictly increasing."""

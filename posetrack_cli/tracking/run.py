@@ -164,7 +164,7 @@ class Run(ABC):
                         return self._outcome(writer, began, stopped=True)
                 if memory is not None:
                     memory.finish(writer)
-                remarks = self._stamps.remarks + self.remarks(run_state.state)
+                remarks = self._stamps.remarks + self._recording.notes + self.remarks(run_state.state)
                 self._close(writer, run_state.state, remarks)
             return replace(self._outcome(writer, began, stopped=False), remarks=remarks)
         return self._outcome(writer, began, stopped=True)

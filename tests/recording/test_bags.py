@@ -57,7 +57,7 @@ def test_depth(path: Path) -> None:
         np.testing.assert_array_equal(frame.depth, depth_codes(number))
     (camera,) = recording.cameras
     assert (camera.width, camera.height, camera.fx, camera.cx) == (WIDTH, HEIGHT, FX, CX)
-    assert (recording.frame_count, recording.losses, recording.remark) == (COUNT, (), "")
+    assert (recording.frame_count, recording.losses, recording.remarks) == (COUNT, (), ())
 
 
 def test_colour(path: Path) -> None:
@@ -67,7 +67,7 @@ def test_colour(path: Path) -> None:
     assert len(frames) == COUNT
     for number, frame in enumerate(frames):
         assert np.abs(frame.images[0] - colours(number) @ [0.299, 0.587, 0.114]).max() <= GREY_LEVELS
-    assert (recording.cameras[0].name, recording.is_guessed, recording.remark) == ("color_frame", False, "")
+    assert (recording.cameras[0].name, recording.is_guessed, recording.remarks) == ("color_frame", False, ())
 
 
 def test_identity_and_description(path: Path) -> None:
@@ -113,9 +113,9 @@ def test_realsense_tells_its_unit_and_its_cameras(tmp_path: Path) -> None:
         f"{SENSOR}/Depth_0/info/camera_info",
     )
     colour = open_recording(path, "grey", guess=Guess())
-    assert colour.remark == (
+    assert colour.remarks == (
         "colour is taken from /device_0/sensor_1/Color_0/image/data; "
-        f"--cameras takes another: {SENSOR}/Infrared_1/image/data"
+        f"--cameras takes another: {SENSOR}/Infrared_1/image/data",
     )
     assert np.abs(next(colour.frames()).images[0] - colours(0) @ [0.299, 0.587, 0.114]).max() <= GREY_LEVELS
     converted = tmp_path / "r.mcap"
@@ -153,7 +153,7 @@ def test_the_likeliest_depth_is_taken_and_said(tmp_path: Path, others: list[str]
 
     path = write_bag(tmp_path / "r.bag", rows=rows)
     recording = open_recording(path)
-    assert recording.remark == f"depth is taken from {DEPTH}; --topic takes another: {remark}"
+    assert recording.remarks == (f"depth is taken from {DEPTH}; --topic takes another: {remark}",)
     assert open_recording(path, topic=others[0], camera_topic=DEPTH_INFO).identity()["topic"] == others[0]
 
 
