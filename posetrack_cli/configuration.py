@@ -124,7 +124,7 @@ def find_configuration(name: str | os.PathLike[str]) -> Path:
     path = Path(name)
     if path.is_file():
         return path
-    shipped = {p.stem: p for folder in _shipped_folders() for p in sorted(folder.glob("*.toml"))}
+    shipped = shipped_files()
     if str(name) in shipped:
         return shipped[str(name)]
     if path.exists():
@@ -137,10 +137,14 @@ def find_configuration(name: str | os.PathLike[str]) -> Path:
     )
 
 
-def _shipped_folders() -> list[Path]:
-    """Where the configurations lie: inside an installed package, beside it in a checkout."""
+def shipped_files(folder: str = "") -> dict[str, Path]:
+    """Return the TOML files that come with posetrack, by name: configurations, or those of a subfolder.
+
+    They lie inside an installed package, next to it in a checkout.
+    """
     package = Path(str(resources.files("posetrack_cli")))
-    return [folder for folder in (package / "configs", package.parent / "configs") if folder.is_dir()]
+    folders = (package / "configs" / folder, package.parent / "configs" / folder)
+    return {path.stem: path for each in folders for path in sorted(each.glob("*.toml"))}
 
 
 def _read_toml(path: Path) -> dict[str, Any]:

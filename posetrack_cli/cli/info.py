@@ -129,6 +129,7 @@ def _message_lines(report: Values) -> Iterator[str]:
         yield f"    {_timing(topic)}"
     for camera in report["cameras"]:
         yield f"camera {camera['topic']}: {camera.get('problem') or _intrinsics(camera)}"
+    yield from _use_lines(report)
     yield from _rig_lines(report)
     for record in report["metadata"]:
         yield f"metadata {record['name']}: {record['entries']} entries"
@@ -136,6 +137,16 @@ def _message_lines(report: Values) -> Iterator[str]:
             yield f"    {key}: {value}"
     for attachment in report["attachments"]:
         yield f"attachment {attachment['name']}: {attachment['media_type']}, {_size(attachment['bytes'])}"
+
+
+def _use_lines(report: Values) -> Iterator[str]:
+    """Yield the camera that each command would use, and why."""
+    for use in report["used"]:
+        for camera in use["cameras"]:
+            yield f"{use['command']} uses {_intrinsics(camera)} ({camera['why']})"
+        yield from (f"{use['command']}: {remark}" for remark in use["remarks"])
+        if use["problem"]:
+            yield f"{use['command']} cannot read it: {use['problem']}"
 
 
 def _rig_lines(report: Values) -> Iterator[str]:

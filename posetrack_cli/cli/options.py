@@ -327,9 +327,9 @@ def cameras_option(details: str, group: str = READ) -> Adding:
 _CAMERA = option(
     "--camera",
     "camera_file",
-    metavar="FILE.toml",
+    metavar="FILE.toml|NAME",
     type=FILE,
-    help="Camera file to use in place of the recording's own calibration.",
+    help="Camera file to use in place of the recording's own calibration, or the name of a nominal camera.",
 )
 _MIRROR = option("--mirror/--no-mirror", default=None, help="Flip images left to right, or do not.")
 

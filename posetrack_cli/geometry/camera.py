@@ -17,6 +17,7 @@ DISTORTION_LENGTHS = {
     "plumb_bob": (0, 4, 5),
     "rational_polynomial": (8, 12, 14),
     "equidistant": (4,),
+    "inverse_brown_conrady": (4, 5),
 }
 # Beyond those of any camera; within them no arithmetic on pixels overflows.
 SMALLEST_FOCAL_PX, LARGEST_PX, LARGEST_COEFFICIENT = 0.1, 1e6, 1e6
@@ -34,7 +35,8 @@ class Camera:
         width, height: image size, pixels.
         fx, fy, cx, cy: intrinsics, pixels.
         distortion: coefficients in OpenCV's order; empty for none.
-        distortion_model: ``plumb_bob`` (k1 k2 p1 p2 k3), ``rational_polynomial`` or ``equidistant``.
+        distortion_model: ``plumb_bob`` (k1 k2 p1 p2 k3), ``rational_polynomial``, ``equidistant`` or
+            ``inverse_brown_conrady`` (plumb_bob's polynomial, from distorted to undistorted coordinates).
         name: frame id or folder name; topics of results carry it.
         camera_T_reference: (3, 4) transform from the recording's reference camera, mm.
     """
@@ -94,6 +96,19 @@ class Camera:
     def is_distorted(self) -> bool:
         """Whether any distortion coefficient differs from zero."""
         return any(self.distortion)
+
+    def scaled(self, width: int, height: int) -> Camera:
+        """Return the camera of the same picture at another resolution: cx' = (cx + 1/2) s - 1/2."""
+        across, down = width / self.width, height / self.height
+        return replace(
+            self,
+            width=width,
+            height=height,
+            fx=self.fx * across,
+            fy=self.fy * down,
+            cx=(self.cx + 0.5) * across - 0.5,
+            cy=(self.cy + 0.5) * down - 0.5,
+        )
 
     def mirrored(self) -> Camera:
         """Return the camera of the image flipped left to right: cx' = width - 1 - cx.

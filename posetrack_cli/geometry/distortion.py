@@ -34,6 +34,7 @@ def distort(camera: Camera, x: F, y: F) -> tuple[F, F]:
     plumb_bob, rational_polynomial: x' = x f(r) + 2 p1 x y + p2 (r^2 + 2 x^2) + s1 r^2 + s2 r^4, y' alike,
     f = (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6), then the sensor's tilt.
     equidistant: x' = x/r theta (1 + k1 theta^2 + ... + k4 theta^8), theta = atan r.
+    inverse_brown_conrady (librealsense, rsutil.h): the x' whose plumb_bob distortion is x.
 
     Args:
         camera: whose distortion it is.
@@ -51,13 +52,28 @@ def distortion_jacobian(camera: Camera, x: F, y: F) -> Jacobian:
 
 
 def undistort(camera: Camera, x: F, y: F) -> tuple[F, F]:
-    """Return the normalised coordinates that the lens puts at x, y: Newton's method on ``distort``.
+    """Return the normalised coordinates that the lens puts at x, y.
+
+    By Newton's method on ``distort``; of inverse_brown_conrady by its polynomial.
 
     Coordinates that no point in front of the lens is put at come back as whatever Newton's method ends with.
     """
     if not camera.is_distorted:
         return x, y
-    lens, found_x, found_y = _lens(camera), x, y
+    return _lens(camera).undistort(x, y)
+
+
+def _lens(camera: Camera) -> _Polynomial | _Equidistant | _Inverse:
+    """The lens of a camera with distortion; of fourteen coefficients those not given are 0."""
+    if camera.distortion_model == "equidistant":
+        return _Equidistant(*camera.distortion)
+    polynomial = _Polynomial(*camera.distortion, *(0.0,) * (14 - len(camera.distortion)))
+    return _Inverse(polynomial) if camera.distortion_model == "inverse_brown_conrady" else polynomial
+
+
+def _inverted(lens: _Polynomial | _Equidistant, x: F, y: F) -> tuple[F, F]:
+    """Return the coordinates that a lens puts at x, y, by Newton's method."""
+    found_x, found_y = x, y
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # coefficients of no lens diverge
         for _ in range(NEWTON_STEPS):
             seen_x, seen_y = lens.distort(found_x, found_y)
@@ -66,13 +82,6 @@ def undistort(camera: Camera, x: F, y: F) -> tuple[F, F]:
             if max(np.max(np.abs(step_x), initial=0.0), np.max(np.abs(step_y), initial=0.0)) < CONVERGED:
                 break
     return found_x, found_y
-
-
-def _lens(camera: Camera) -> _Polynomial | _Equidistant:
-    """The lens of a camera with distortion; of fourteen coefficients those not given are 0."""
-    if camera.distortion_model == "equidistant":
-        return _Equidistant(*camera.distortion)
-    return _Polynomial(*camera.distortion, *(0.0,) * (14 - len(camera.distortion)))
 
 
 class _Polynomial(NamedTuple):
@@ -112,6 +121,9 @@ class _Polynomial(NamedTuple):
         under = g * xd + h * yd + i
         outer = ((a - g * xt) / under, (b - h * xt) / under, (d - g * yt) / under, (e - h * yt) / under)
         return _product(outer, inner)
+
+    def undistort(self, x: F, y: F) -> tuple[F, F]:
+        return _inverted(self, x, y)
 
     def _radial(self, r2: F) -> tuple[F, F]:
         """Return f(r) and its derivative with respect to r^2."""
@@ -184,6 +196,9 @@ class _Equidistant(NamedTuple):
         along = (rate - scale) / np.maximum(r2, SMALL_ANGLE**2)
         return scale + along * x * x, along * x * y, along * x * y, scale + along * y * y
 
+    def undistort(self, x: F, y: F) -> tuple[F, F]:
+        return _inverted(self, x, y)
+
     def _scale(self, r2: F) -> F:
         """Return distorted over undistorted radius; 1 on the axis."""
         k1, k2, k3, k4 = self
@@ -193,6 +208,23 @@ class _Equidistant(NamedTuple):
         distorted = theta * (1.0 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))))
         scale: F = np.where(r > SMALL_ANGLE, distorted / np.maximum(r, SMALL_ANGLE), r * 0 + 1)
         return scale
+
+
+class _Inverse(NamedTuple):
+    """A lens whose polynomial leads from distorted to undistorted coordinates."""
+
+    polynomial: _Polynomial
+
+    def distort(self, x: F, y: F) -> tuple[F, F]:
+        return _inverted(self.polynomial, x, y)
+
+    def jacobian(self, x: F, y: F) -> Jacobian:
+        a, b, c, d = self.polynomial.jacobian(*self.distort(x, y))
+        determinant = a * d - b * c
+        return d / determinant, -b / determinant, -c / determinant, a / determinant
+
+    def undistort(self, x: F, y: F) -> tuple[F, F]:
+        return self.polynomial.distort(x, y)
 
 
 def _product(first: Jacobian, second: Jacobian) -> Jacobian:

@@ -10,7 +10,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from posetrack_cli.arrays import BoolArray, FloatArray
+from posetrack_cli.arrays import BoolArray, Float32Array, FloatArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.distortion import distort, distortion_jacobian, undistort
 
@@ -92,6 +92,17 @@ def undistorted_pixels(camera: Camera, pixels: FloatArray) -> FloatArray:
     flat: FloatArray = normalised_from_pixels(camera, pixels) * [camera.fx, camera.fy]
     flat += [camera.cx, camera.cy]
     return flat
+
+
+def pixel_map(target: Camera, source: Camera) -> tuple[Float32Array, Float32Array]:
+    """Return u and v (height, width) in a source camera's image of every pixel of a target camera's.
+
+    Both cameras are in one place with the same axes, and differ in intrinsics, distortion and size.
+    """
+    v, u = np.mgrid[: target.height, : target.width].astype(float)
+    rays = normalised_from_pixels(target, np.stack([u, v], axis=-1))
+    pixels = pixels_from_normalised(source, rays).astype(np.float32)
+    return np.ascontiguousarray(pixels[..., 0]), np.ascontiguousarray(pixels[..., 1])
 
 
 @lru_cache(maxsize=64)

@@ -10,6 +10,7 @@ import numpy as np
 
 from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray, IntArray
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.geometry.projection import pixel_map
 from posetrack_cli.hand.config import ObservationSettings
 from posetrack_cli.hand.inner import NO_INNER
 from posetrack_cli.rendering.window import Window
@@ -85,6 +86,9 @@ class PixelSampler:
 
 def _undistorting_lookup(camera: Camera) -> tuple[IntArray, IntArray]:
     """For every undistorted pixel the nearest row and column in the image as the sensor gives it."""
+    if camera.distortion_model == "inverse_brown_conrady":  # which OpenCV does not have
+        across, down = pixel_map(replace(camera, distortion=()), camera)
+        return _nearest(down, camera.height), _nearest(across, camera.width)
     size = (camera.width, camera.height)
     coefficients = np.asarray(camera.distortion)
     fisheye = camera.distortion_model == "equidistant"

@@ -38,10 +38,15 @@ _IMAGES = {
 }
 _VALUES = {"Float32": "float32 data", "String": "string data"}
 _CAMERA_INFO = "Header header\nuint32 height\nuint32 width\nstring distortion_model\n"
+_PART_OF_SENSOR = "\nuint32 binning_x\nuint32 binning_y\nRegionOfInterest roi"
+_REGION = "uint32 x_offset\nuint32 y_offset\nuint32 height\nuint32 width\nbool do_rectify"
 DEFINITIONS: Mapping[Dialect, Mapping[str, str]] = {
     "ros1": {
         "Header": "uint32 seq\ntime stamp\nstring frame_id",
-        "CameraInfo": _CAMERA_INFO + "float64[] D\nfloat64[9] K\nfloat64[9] R\nfloat64[12] P",
+        "CameraInfo": _CAMERA_INFO
+        + "float64[] D\nfloat64[9] K\nfloat64[9] R\nfloat64[12] P"
+        + _PART_OF_SENSOR,
+        "RegionOfInterest": _REGION,
         **_IMAGES,
         **_GEOMETRY,
         **_VALUES,
@@ -49,7 +54,10 @@ DEFINITIONS: Mapping[Dialect, Mapping[str, str]] = {
     "cdr": {
         "Header": "Time stamp\nstring frame_id",
         "Time": "int32 sec\nuint32 nanosec",
-        "CameraInfo": _CAMERA_INFO + "float64[] d\nfloat64[9] k\nfloat64[9] r\nfloat64[12] p",
+        "CameraInfo": _CAMERA_INFO
+        + "float64[] d\nfloat64[9] k\nfloat64[9] r\nfloat64[12] p"
+        + _PART_OF_SENSOR,
+        "RegionOfInterest": _REGION,
         **_IMAGES,
         **_GEOMETRY,
         **_VALUES,
@@ -59,7 +67,9 @@ DEFINITIONS: Mapping[Dialect, Mapping[str, str]] = {
 
 _OPEN = ("Image", "CompressedImage", "CameraInfo")
 """Layouts that more fields may follow; others are parts of messages and must end where they end here."""
-_NUMBERS = {"uint8": "B", "uint32": "I", "int32": "i", "float32": "f", "float64": "d"}
+_TAIL = {"CameraInfo": 3}
+"""How many of the last fields a message may lack: some writers end a CameraInfo with P."""
+_NUMBERS = {"uint8": "B", "bool": "B", "uint32": "I", "int32": "i", "float32": "f", "float64": "d"}
 _FIELD = re.compile(r"([A-Za-z][\w/]*)(\[(?:<=)?\d*\])?\s+([A-Za-z]\w*)\s*(=?)")
 _RULE = re.compile(r"^=+$", re.MULTILINE)
 _PART = re.compile(r"\s*MSG:\s*(\S+)[^\n]*\n?")
@@ -149,6 +159,8 @@ def ros_decoder(dialect: Dialect, name: str) -> Callable[[bytes], Any]:
 def _check_fields(name: str, found: tuple[Field, ...], published: tuple[Field, ...]) -> None:
     if name in _OPEN:
         found = found[: len(published)]
+        lacking = len(published) - len(found)
+        published = published[: len(found)] if lacking == _TAIL.get(name) else published
     if found != published:
         raise OtherLayoutError(f"its definition of {name} has other fields than ROS publishes")
 
@@ -166,7 +178,13 @@ class _Ros1Reader:
         self._data, self._position, self._order = data, 0, "<"
 
     def message(self, name: str) -> Any:
-        values = {field.name: self._field(field) for field in LAYOUTS[self.dialect][name]}
+        fields = LAYOUTS[self.dialect][name]
+        first_of_tail = len(fields) - _TAIL.get(name, 0)
+        values = {}
+        for number, field in enumerate(fields):
+            if number == first_of_tail and self._position >= len(self._data):
+                break
+            values[field.name] = self._field(field)
         return SimpleNamespace(**values)
 
     def _field(self, field: Field) -> Any:

@@ -93,12 +93,12 @@ def not_calibrated(where: object) -> NotCalibratedError:
     )
 
 
-def no_intrinsics(where: object) -> NotCalibratedError:
-    """Return the error for a recording without any camera, with what to write."""
+def no_intrinsics(where: object, more: str = "") -> NotCalibratedError:
+    """Return the error for a recording without any camera, with what to write, and what else would do."""
     return NotCalibratedError(
         "no intrinsics",
         where=where,
-        hint=f"write them to a {CAMERA_FILE_NAME} and pass --camera: {CAMERA_EXAMPLE}",
+        hint=f"write them to a {CAMERA_FILE_NAME} and pass --camera: {CAMERA_EXAMPLE}{more}",
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
@@ -13,8 +13,8 @@ import numpy as np
 from pydantic import Field, ValidationError
 
 from posetrack_cli import limits
-from posetrack_cli.configuration import Settings, expected_words
-from posetrack_cli.errors import PosetrackError, RecordingError, nearest_name
+from posetrack_cli.configuration import Settings, expected_words, shipped_files
+from posetrack_cli.errors import PosetrackError, RecordingError, UsageError, nearest_name
 from posetrack_cli.files import read_text
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.rigid import inverse, placed, relative_to, rotation_from_rows
@@ -23,6 +23,15 @@ from posetrack_cli.recording.base import (
     CAMERA_FILE_KEY,
     CAMERA_FILE_NAME,
     not_calibrated,
+)
+from posetrack_cli.recording.camera_of import (
+    OUTSIDE,
+    ImageCamera,
+    at_size,
+    is_off_centre,
+    likely_size,
+    off_centre_remark,
+    principal_point_fault,
 )
 from posetrack_cli.recording.guess import Guess
 from posetrack_cli.recording.pixels import Window
@@ -40,6 +49,7 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 Unit = Annotated[float, Field(ge=1e-6, le=1e6)]  # 16-bit codes of it are depths that float32 holds
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Length = Annotated[float, Field(ge=-limits.LENGTH_MM, le=limits.LENGTH_MM)]
+Rate = Annotated[float, Field(ge=1e-6, le=1e6)]
 Bits = Annotated[int, Field(ge=8, le=16)]
 
 AnyIntrinsics = TypeVar("AnyIntrinsics", bound="Intrinsics")
@@ -49,9 +59,11 @@ class Intrinsics(Settings):
     """What a camera file says about one camera's stored images, whatever they hold.
 
     Attributes:
-        width, height: size of the stored images, pixels; checked against them when given.
+        width, height: of the images that the intrinsics are for, pixels; of stored images of another
+            resolution with the same aspect ratio they are scaled. None for the size of the stored images.
         fx, fy, cx, cy: intrinsics, pixels.
         distortion, distortion_model: as in ``Camera``.
+        fps: frame rate, Hz, of images that have no stamps.
         crop: x, y, width, height of the part that is used; cut out before mirroring.
     """
 
@@ -62,24 +74,61 @@ class Intrinsics(Settings):
     cx: Finite
     cy: Finite
     distortion: tuple[Finite, ...] = ()
-    distortion_model: Literal["plumb_bob", "rational_polynomial", "equidistant"] = "plumb_bob"
+    distortion_model: Literal["plumb_bob", "rational_polynomial", "equidistant", "inverse_brown_conrady"] = (
+        "plumb_bob"
+    )
+    fps: Rate | None = None
     crop: tuple[int, int, int, int] | None = None
 
     def stored_camera(self, width: int, height: int, name: str = "camera") -> Camera:
         """Return the camera of stored images of this size.
 
         Raises:
-            RecordingError: if the file gives another size.
+            RecordingError: if the file's intrinsics are not of such images.
         """
-        wanted = (self.width or width, self.height or height)
-        if wanted != (width, height):
+        stated = self._camera(self.width or width, self.height or height, name)
+        camera = at_size(stated, width, height)
+        if camera is None:
             raise RecordingError(
                 "camera file and images differ in size",
                 where=CAMERA_FILE_NAME,
                 found=f"images of {width}x{height}",
-                expected=f"{wanted[0]}x{wanted[1]}",
+                expected=f"{stated.width}x{stated.height}",
                 hint="crop = [x, y, width, height] uses a part of the images",
             )
+        fault = principal_point_fault(camera)
+        is_doubtful = fault is not None or is_off_centre(camera)
+        if fault == OUTSIDE or (is_doubtful and self.width is None):
+            raise self._of_other_images(camera, fault or "far from the middle")
+        return camera
+
+    def remarks(self, width: int, height: int) -> tuple[str, ...]:
+        """Return what was converted for stored images of this size, or is unusual, one line each."""
+        stated = (self.width or width, self.height or height)
+        scaled = f"camera file is of {stated[0]}x{stated[1]}: intrinsics are scaled to {width}x{height}"
+        camera = self.stored_camera(width, height)
+        return (*((scaled,) if stated != (width, height) else ()), *off_centre_remark(camera))
+
+    def _of_other_images(self, camera: Camera, fault: str) -> RecordingError:
+        """Return the error for intrinsics of images of another size, with those that would fit."""
+        width, height = likely_size(camera)
+        size = f"{camera.width}x{camera.height}"
+        hint = f"if they are right, write width = {camera.width} and height = {camera.height} next to them"
+        like = at_size(
+            replace(camera, width=max(width, 1), height=max(height, 1)), camera.width, camera.height
+        )
+        if like is not None and (width, height) != (camera.width, camera.height):
+            values = ", ".join(f"{key} = {getattr(like, key):.6g}" for key in ("fx", "fy", "cx", "cy"))
+            hint = f"if so, write width = {width} and height = {height} next to them, or scale them: {values}"
+        return RecordingError(
+            f"principal point is {fault}",
+            where=CAMERA_FILE_NAME,
+            found=f"cx {camera.cx:g} cy {camera.cy:g} for images of {size}",
+            expected=f"a camera of these images; is this the matrix of images of {width}x{height}?",
+            hint=hint,
+        )
+
+    def _camera(self, width: int, height: int, name: str = "camera") -> Camera:
         return Camera(
             width=width,
             height=height,
@@ -194,13 +243,21 @@ class Rig:
         check_apart(rebased, self.path)
         return rebased
 
+    def remarks(self, sizes: Mapping[str, tuple[int, int]]) -> tuple[str, ...]:
+        """Return what was converted for stored images of these sizes, or is unusual, one line each."""
+        said = []
+        for name, camera in self.cameras.items():
+            if not isinstance(camera, Guess):
+                prefix = f"camera '{name}': " if name else ""
+                said += [f"{prefix}{remark}" for remark in camera.remarks(*sizes[name])]
+        return (*nominal_remark(self.path), *said)
+
     def _stored_camera(self, name: str, size: tuple[int, int]) -> Camera:
         settings = self.cameras[name]
         try:
             camera = settings.stored_camera(*size, name or LONE_NAME)
         except RecordingError as error:
-            where = f"{self.path}, camera '{name}'" if name else str(self.path)
-            raise RecordingError(str(error).removeprefix(f"{CAMERA_FILE_NAME}: "), where=where) from error
+            raise _in_file(error, f"{self.path}, camera '{name}'" if name else self.path) from error
         if not isinstance(settings, RigCamera) or _is_placeless(settings):
             return camera
         where = f"{self.path}, rotation of camera '{name}'"
@@ -213,6 +270,63 @@ class Rig:
         except PosetrackError as error:
             raise RecordingError(str(error)) from error
         return placed(camera, np.column_stack([rotation, settings.translation_mm]))
+
+
+def camera_path(given: Path) -> Path:
+    """Return the camera file that --camera means: a file, or a nominal camera by name.
+
+    Raises:
+        UsageError: it is neither.
+    """
+    if given.exists() or given.suffix or len(given.parts) != 1:
+        return given
+    known = shipped_files("cameras")
+    if str(given) not in known:
+        raise UsageError(
+            "no such camera",
+            where="--camera",
+            found=str(given),
+            expected=f"a camera file, or one of {', '.join(known)}",
+            hint=nearest_name(str(given), known),
+        )
+    return known[str(given)]
+
+
+def nominal_remark(path: Path) -> tuple[str, ...]:
+    """Return a remark if a camera file is one of the nominal cameras."""
+    if path not in shipped_files("cameras").values():
+        return ()
+    values = parse_toml(read_text(path, limits.TEXT_BYTES))
+    shown = ", ".join(f"{key} {values[key]:g}" for key in ("fx", "cx", "cy", "depth_unit_mm", "fps"))
+    return (f"camera {path.stem} is nominal, not calibrated: {values['width']}x{values['height']}, {shown}",)
+
+
+def nominal_names(width: int, height: int) -> list[str]:
+    """Return the names of the nominal cameras whose images have this size, also where two pixels make one."""
+    every = {name: load_depth_camera(path) for name, path in shipped_files("cameras").items()}
+    sizes = ((width, height), (2 * width, 2 * height))
+    return [name for name, camera in every.items() if (camera.width, camera.height) in sizes]
+
+
+def nominal_hint(width: int, height: int) -> str:
+    """Return words about the nominal cameras whose images may have this size; none if there is none."""
+    names = nominal_names(width, height)
+    return f"; or use a nominal camera for {width}x{height}: --camera {' | '.join(names)}" if names else ""
+
+
+def image_camera(
+    settings: DepthCamera, path: Path, size: tuple[int, int], name: str = LONE_NAME
+) -> ImageCamera:
+    """Return the camera that a camera file gives stored images of a width and height.
+
+    Raises:
+        RecordingError: its intrinsics are not of such images.
+    """
+    try:
+        camera = settings.stored_camera(*size, name)
+    except RecordingError as error:
+        raise _in_file(error, path) from error
+    return ImageCamera(camera, path.name, nominal_remark(path) + settings.remarks(*size))
 
 
 def load_depth_camera(path: Path) -> DepthCamera:
@@ -332,6 +446,11 @@ def _quoted(text: str) -> str:
     return printable_json(json.dumps(text, ensure_ascii=False))
 
 
+def _in_file(error: RecordingError, where: object) -> RecordingError:
+    """Return the error of settings that do not know their file."""
+    return RecordingError(str(error).removeprefix(f"{CAMERA_FILE_NAME}: "), where=where)
+
+
 def _is_placeless(camera: RigCamera | LoneCamera | Guess) -> bool:
     return not isinstance(camera, RigCamera) or (camera.rotation is None and camera.translation_mm is None)
 
@@ -379,7 +498,7 @@ def _checked(kind: type[AnyIntrinsics], values: dict[str, Any], where: object) -
     try:
         settings = kind.model_validate(values)
         if settings.distortion:
-            settings.stored_camera(settings.width or 1, settings.height or 1)
+            settings._camera(settings.width or 1, settings.height or 1)
     except ValidationError as error:
         raise _first_problem(error, kind, where) from error
     except PosetrackError as error:

@@ -29,6 +29,19 @@ def described_cameras(recording: Recording | None) -> list[dict[str, Any]]:
     ]
 
 
+def described_use(opening: Callable[[], Recording], command: str) -> dict[str, Any]:
+    """Return the cameras that a command would use and where they come from, or why it cannot read it."""
+    recording, problem = opened(opening)
+    cameras = described_cameras(recording)
+    why = () if recording is None else recording.why
+    return {
+        "command": command,
+        "cameras": [camera | {"why": reason} for camera, reason in zip(cameras, why, strict=False)],
+        "remarks": [] if recording is None else list(recording.remarks),
+        "problem": problem,
+    }
+
+
 def described_stamps(stamps: Iterable[int]) -> dict[str, Any]:
     """Return rate, gaps and order of stamps, ns, and what of them cannot be meant."""
     timeline = Timeline()

@@ -20,15 +20,18 @@ from posetrack_cli.recording.base import (
 )
 from posetrack_cli.recording.camera_file import (
     DepthCamera,
+    Intrinsics,
     Rig,
     camera_record,
     found_rig,
+    image_camera,
     load_depth_camera,
     load_rig,
+    nominal_hint,
 )
 from posetrack_cli.recording.depth import Depth, DepthEncoding
 from posetrack_cli.recording.grey import Grey, decode_as_stored, grey_like
-from posetrack_cli.recording.guess import check_one_camera
+from posetrack_cli.recording.guess import GUESSED, Guess, check_one_camera
 from posetrack_cli.recording.identity import files_digest, identity_record
 from posetrack_cli.recording.image_files import (
     PNG_SIGNATURE,
@@ -59,14 +62,16 @@ def open_depth_folder(path: Path, options: ReadingOptions) -> Recording:
             or kind raise it while they are read; unreadable ones are skipped and counted.
         UsageError: if an option has a value that cannot be used.
     """
-    images, fps = list_images(path), options.get("fps")
-    file = depth_camera_path(path, options.get("camera_file"))
-    settings = _overridden(load_depth_camera(file), options)
-    stamps = common_stamps(path, images, fps)
+    images = list_images(path)
     height, width = first_decoded(images, lambda image: decode_codes(read_image(image), str(image))).shape
+    file = depth_camera_path(path, options.get("camera_file"), (width, height))
+    settings = _overridden(load_depth_camera(file), options)
+    fps = nominal_rate(path, settings) if options.get("fps") is None else options.get("fps")
+    stamps = common_stamps(path, images, fps)
     encoding: DepthEncoding = "16UC1" if settings.depth_unit_mm == 1.0 else "32FC1"
     pixels = Depth(width, height, encoding, settings.depth_unit_mm, settings.missing)
-    camera = settings.window.camera(settings.stored_camera(width, height))
+    found = image_camera(settings, file, (width, height))
+    camera = settings.window.camera(found.camera)
     copied = settings.depth_unit_mm == 1.0 and settings.missing == 0 and settings.window.keeps_pixels
     stamped = list(zip(stamps, images, strict=True))
     stream = _stream(camera, pixels, settings.window, "", stamped, is_millimetres=copied)
@@ -84,7 +89,14 @@ def open_depth_folder(path: Path, options: ReadingOptions) -> Recording:
             **camera_record(options.get("camera_file")),
         }
 
-    return Recording(path, [stream], identity=identity, frame_count=len(images))
+    return Recording(
+        path,
+        [stream],
+        identity=identity,
+        frame_count=len(images),
+        why=[found.why],
+        remarks=found.remarks,
+    )
 
 
 def open_grey_folder(path: Path, options: ReadingOptions) -> Recording:
@@ -96,15 +108,18 @@ def open_grey_folder(path: Path, options: ReadingOptions) -> Recording:
             left out and counted.
         UsageError: if an option has a value that cannot be used.
     """
-    every, fps, tolerance = find_folders(path), options.get("fps"), tolerance_ns(options)
+    every, tolerance = find_folders(path), tolerance_ns(options)
     rig = _rig_of(every, options)
+    first = next(iter(rig.cameras.values()))
+    fps = nominal_rate(path, first) if options.get("fps") is None else options.get("fps")
     chosen = _folders_of(every, rig)
     folders, stamped = chosen.by_name, chosen.stamped(fps)
     kinds = {name: _first_grey(rig, name, images) for name, images in folders.items()}
     if options.get("in_colour"):
         kinds = {name: replace(kind, keeps_colour=True) for name, kind in kinds.items()}
     windows = {name: rig.window(name, options.get("mirror")) for name in folders}
-    stored = rig.stored_cameras({name: (kind.width, kind.height) for name, kind in kinds.items()})
+    sizes = {name: (kind.width, kind.height) for name, kind in kinds.items()}
+    stored = rig.stored_cameras(sizes)
     streams = [
         _stream(windows[name].camera(camera), kinds[name], windows[name], name, stamped[name])
         for name, camera in zip(folders, stored, strict=True)
@@ -133,19 +148,26 @@ def open_grey_folder(path: Path, options: ReadingOptions) -> Recording:
         frame_count=count,
         tolerance_ns=tolerance,
         is_guessed=rig.is_guessed,
+        why=[GUESSED if rig.is_guessed else rig.path.name] * len(streams),
+        remarks=rig.remarks(sizes),
     )
 
 
-def depth_camera_path(folder: Path, camera_file: Path | None) -> Path:
-    """Return the camera file to use: the one given, else the folder's.
+def depth_camera_path(folder: Path, camera_file: Path | None, size: tuple[int, int]) -> Path:
+    """Return the camera file to use for images of a size: the one given, else the folder's.
 
     Raises:
         RecordingError: if none is given and the folder has none.
     """
     path = camera_file or folder / CAMERA_FILE_NAME
     if camera_file is None and not path.exists():
-        raise no_intrinsics(folder)
+        raise no_intrinsics(folder, nominal_hint(*size))
     return path
+
+
+def nominal_rate(path: Path, settings: Intrinsics | Guess) -> float | None:
+    """Return the frame rate that a camera file states for a folder without stamps."""
+    return None if (path / STAMPS_FILE_NAME).exists() else settings.fps
 
 
 def _overridden(settings: DepthCamera, options: ReadingOptions) -> DepthCamera:

@@ -12,7 +12,7 @@ from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import PosetrackError, RecordingError
 from posetrack_cli.files import placed_path
 from posetrack_cli.losses import LossLog
-from posetrack_cli.recording.camera_file import load_depth_camera
+from posetrack_cli.recording.camera_file import image_camera, load_depth_camera
 from posetrack_cli.recording.description import described_cameras, described_stamps, opened
 from posetrack_cli.recording.folder import depth_camera_path, open_grey_folder
 from posetrack_cli.recording.grey import decode_as_stored, grey_like
@@ -103,8 +103,9 @@ def _stamps(path: Path, images: list[Path]) -> dict[str, Any]:
 
 
 def _camera(path: Path, width: int, height: int) -> dict[str, Any]:
-    settings = load_depth_camera(depth_camera_path(path, None))
-    camera = settings.window.camera(settings.stored_camera(width, height))
+    file = depth_camera_path(path, None, (width, height))
+    settings = load_depth_camera(file)
+    camera = settings.window.camera(image_camera(settings, file, (width, height)).camera)
     depth = {"depth_unit_mm": settings.depth_unit_mm, "missing": settings.missing, "mirror": settings.mirror}
     return camera.values() | depth
 

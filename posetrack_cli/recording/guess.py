@@ -10,6 +10,8 @@ from typing import ClassVar
 from posetrack_cli.errors import UsageError
 from posetrack_cli.geometry.camera import Camera
 
+GUESSED = "guessed"
+"""Where the model of such a camera comes from, in run records and descriptions."""
 LIKELY_FOCAL = 1.0
 """Focal length over the image's longer side: a field of view of 53 degrees.
 
@@ -30,6 +32,7 @@ class Guess:
     focal: float = LIKELY_FOCAL
 
     # as of cameras in a camera file
+    fps: ClassVar[None] = None
     crop: ClassVar[None] = None
     bits: ClassVar[None] = None
 

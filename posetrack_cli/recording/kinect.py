@@ -15,7 +15,8 @@ from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.recording.base import no_intrinsics
-from posetrack_cli.recording.camera_file import camera_record, load_depth_camera
+from posetrack_cli.recording.camera_file import camera_record, image_camera, load_depth_camera
+from posetrack_cli.recording.camera_of import ImageCamera
 from posetrack_cli.recording.depth import Depth
 from posetrack_cli.recording.description import described_cameras, opened
 from posetrack_cli.recording.identity import file_digest, identity_record
@@ -77,13 +78,16 @@ def open_kinect(path: Path, options: ReadingOptions) -> Recording:
     unit_mm, missing = (1.0, 0) if settings is None else (settings.depth_unit_mm, settings.missing)
     video = VideoImages(path, None, opened_depth, _codes, lambda first: _depth(first, unit_mm, missing))
     width, height = video.pixels.width, video.pixels.height
-    stored = _own_camera(path, width, height) if settings is None else settings.stored_camera(width, height)
+    if settings is None or file is None:
+        found = ImageCamera(_own_camera(path, width, height), f"attachment {CALIBRATION}")
+    else:
+        found = image_camera(settings, file, (width, height))
     mirror = options.get("mirror")
     window = Window(
         None if settings is None else settings.crop,
         bool(settings and settings.mirror) if mirror is None else mirror,
     )
-    stream = CameraStream(window.camera(stored), video.pixels, partial(video.images, window))
+    stream = CameraStream(window.camera(found.camera), video.pixels, partial(video.images, window))
 
     def identity() -> Mapping[str, str]:
         return {
@@ -95,7 +99,14 @@ def open_kinect(path: Path, options: ReadingOptions) -> Recording:
             **camera_record(file),
         }
 
-    return Recording(path, [stream], identity=identity, frame_count=video.count)
+    return Recording(
+        path,
+        [stream],
+        identity=identity,
+        frame_count=video.count,
+        why=[found.why],
+        remarks=found.remarks,
+    )
 
 
 def describe_kinect(path: Path) -> dict[str, Any]:

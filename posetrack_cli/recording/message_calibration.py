@@ -3,44 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from posetrack_cli.errors import RecordingError, nearest_name
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.recording.base import NotCalibratedError, no_intrinsics
+from posetrack_cli.recording.camera_of import calibration_of, namespace_of, reprojected_to
 
-MODEL_NAMES = {
-    "Brown Conrady": "plumb_bob",  # as RealSense calls it
-    "kannala_brandt": "equidistant",
-    "fisheye": "equidistant",
-    "": "plumb_bob",
-    "none": "plumb_bob",
-}
+MESSAGE_NAMES = {"equidistant": "kannala_brandt", "inverse_brown_conrady": "Inverse Brown Conrady"}
+"""How messages name models that are not named as OpenCV does."""
 
 
-def camera_from_message(decoded: Any, frame_id: str, topic: str) -> Camera:
-    """Return the camera of a foxglove.CameraCalibration or a ROS CameraInfo (K or k, D or d).
+def camera_from_message(decoded: Any, name: str, topic: str) -> Camera:
+    """Return the camera of the raw image of a foxglove.CameraCalibration or a ROS CameraInfo.
 
     Raises:
         NotCalibratedError: if it is uncalibrated, which both mark by K[0] = 0.
-        PosetrackError: if its values cannot be used.
+        RecordingError: if its values cannot be used.
     """
-    k = [float(value) for value in _field(decoded, "K")]
-    d = [float(value) for value in _field(decoded, "D")]
-    if len(k) != 9 or k[0] == 0.0:
-        raise NotCalibratedError("camera is not calibrated", where=topic, found=f"K = {k}")
-    model = str(decoded.distortion_model)
-    return Camera(
-        width=int(decoded.width),
-        height=int(decoded.height),
-        fx=k[0],
-        fy=k[4],
-        cx=k[2],
-        cy=k[5],
-        distortion=tuple(d) if any(d) else (),
-        distortion_model=MODEL_NAMES.get(model, model) if any(d) else "plumb_bob",
-        name=frame_id or "camera",
-    )
+    raw = calibration_of(decoded, topic).raw
+    if raw is None:
+        raise NotCalibratedError("camera is not calibrated", where=topic, found="K of zeros")
+    return replace(raw, name=name or "camera")
 
 
 def calibration_message(camera: Camera, stamp_ns: int, frame_id: str) -> Any:
@@ -51,9 +36,7 @@ def calibration_message(camera: Camera, stamp_ns: int, frame_id: str) -> Any:
         frame_id=frame_id,
         width=camera.width,
         height=camera.height,
-        distortion_model="kannala_brandt"
-        if camera.distortion_model == "equidistant"
-        else camera.distortion_model,
+        distortion_model=MESSAGE_NAMES.get(camera.distortion_model, camera.distortion_model),
         D=camera.distortion or (0.0,) * 5,
         K=camera.matrix.ravel().tolist(),
         R=(1, 0, 0, 0, 1, 0, 0, 0, 1),
@@ -69,7 +52,7 @@ def choose_calibration(
     """Return the topic of the calibration that belongs to an image topic.
 
     That is the one asked for; else the one with the image's frame id; else the one in the same
-    namespace, nearest first; else the only one.
+    namespace, nearest first. Depth that was reprojected to another camera has that camera's calibration.
 
     Args:
         image_topic, frame_id: of the images.
@@ -77,20 +60,63 @@ def choose_calibration(
         wanted: the --camera-topic option.
 
     Raises:
-        RecordingError: if there is none, or several fit equally well.
+        RecordingError: if there is none, several fit equally well, or the only one is of another frame and
+            namespace.
     """
     if wanted is not None:
         return _asked_for(wanted, calibrations)
     if not calibrations:
         raise no_intrinsics(f"no camera calibration for {image_topic}")
-    same_frame = [topic for topic, frame in calibrations.items() if frame_id and frame == frame_id]
-    candidates = _nearest_namespace(image_topic, same_frame or list(calibrations))
-    if len(candidates) == 1:
-        return candidates[0]
-    listed = ", ".join(f"{topic} (frame '{calibrations[topic]}')" for topic in sorted(candidates))
+    candidates = _nearest_namespace(image_topic, _of_same_camera(image_topic, frame_id, calibrations))
+    if len(candidates) > 1:
+        listed = ", ".join(f"{topic} (frame '{calibrations[topic]}')" for topic in sorted(candidates))
+        raise RecordingError(
+            "several calibrations fit", where=image_topic, found=listed, hint="choose one with --camera-topic"
+        )
+    (topic,) = candidates
+    if _is_elsewhere(image_topic, frame_id, topic, calibrations[topic]):
+        raise RecordingError(
+            "the only calibration is of another camera",
+            where=image_topic,
+            found=f"{topic} of frame '{calibrations[topic]}'",
+            expected=f"frame '{frame_id}' or namespace {namespace_of(image_topic) or '/'}",
+            hint=f"--camera-topic {topic} uses it all the same; or pass --camera",
+        )
+    return topic
+
+
+def _of_same_camera(image_topic: str, frame_id: str, calibrations: Mapping[str, str]) -> list[str]:
+    """Return the calibrations of the camera whose pixels the images have, as far as names tell."""
+    words = reprojected_to(image_topic)
+    if not words:
+        same_frame = [topic for topic, frame in calibrations.items() if _is_frame(frame, frame_id)]
+        return same_frame or list(calibrations)
+    own = [topic for topic in calibrations if namespace_of(topic) == namespace_of(image_topic)]
+    named = [t for t, frame in calibrations.items() if any(word in f"{t} {frame}".lower() for word in words)]
+    if own or named:
+        return own or named
     raise RecordingError(
-        "several calibrations fit", where=image_topic, found=listed, hint="choose one with --camera-topic"
+        "no calibration of the camera that depth was reprojected to",
+        where=image_topic,
+        found=", ".join(sorted(calibrations)),
+        expected=f"one named {' or '.join(words)}",
+        hint="pass --camera-topic or --camera",
     )
+
+
+def _is_elsewhere(image_topic: str, frame_id: str, calibration: str, frame: str) -> bool:
+    """Whether a calibration shares neither frame id nor namespace with the images, and has both."""
+    differs = bool(frame_id and frame) and not _is_frame(frame, frame_id)
+    return (
+        differs
+        and not reprojected_to(image_topic)
+        and not calibration.startswith(namespace_of(image_topic) + "/")
+    )
+
+
+def _is_frame(frame: str, frame_id: str) -> bool:
+    """ROS 1 had a leading slash for a while."""
+    return bool(frame_id) and frame.lstrip("/") == frame_id.lstrip("/")
 
 
 def _asked_for(wanted: str, calibrations: Mapping[str, str]) -> str:
@@ -118,9 +144,3 @@ def _nearest_namespace(image_topic: str, topics: list[str]) -> list[str]:
         if inside:
             return directly or inside
     return topics
-
-
-def _field(decoded: Any, name: str) -> Any:
-    """ROS 1 and Foxglove write K and D, ROS 2 k and d."""
-    value = getattr(decoded, name, None)
-    return getattr(decoded, name.lower()) if value is None else value

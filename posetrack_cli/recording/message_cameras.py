@@ -13,16 +13,21 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import PosetrackError, RecordingError, UsageError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.rigid import placed, relative_to, rotation_from_rows
-from posetrack_cli.recording.base import TRUTH_PREFIX, UnreadableImageError
+from posetrack_cli.recording.base import TRUTH_PREFIX, NotCalibratedError, UnreadableImageError
 from posetrack_cli.recording.camera_file import Rig, check_apart
+from posetrack_cli.recording.camera_of import (
+    ImageCamera,
+    calibration_of,
+    camera_of_message,
+    is_rectified,
+)
 from posetrack_cli.recording.grey import Grey, grey_like_message, holds_grey
-from posetrack_cli.recording.message_calibration import camera_from_message, choose_calibration
-from posetrack_cli.recording.message_extrinsics import camera_places, is_placed, rectification
+from posetrack_cli.recording.message_calibration import choose_calibration
+from posetrack_cli.recording.message_extrinsics import camera_places, is_placed, place_of_calibration
 from posetrack_cli.recording.message_topics import FileTopics, Topic
 from posetrack_cli.recording.pixels import Pixels
 
 COMPRESSED = "/compressed"
-RECTIFIED = "image_rect"
 SIDES = {"left": 0, "right": 1}
 
 
@@ -107,20 +112,20 @@ def sources_of_rig(topics: FileTopics, rig: Rig) -> list[GreyTopic]:
     return found
 
 
-def cameras_of_messages(topics: FileTopics, sources: Sequence[GreyTopic]) -> list[Camera]:
+def cameras_of_messages(topics: FileTopics, sources: Sequence[GreyTopic]) -> list[ImageCamera]:
     """Return the cameras of stored images from the file's calibrations and transforms, relative to the first.
 
     Raises:
         RecordingError: if one is not calibrated, sizes differ, or nothing tells where the cameras are.
     """
     calibrations = _calibrations(topics, sources)
-    cameras = [_camera(topics, s, name) for s, name in zip(sources, calibrations, strict=True)]
+    found = [camera_of_topic(topics, s, name) for s, name in zip(sources, calibrations, strict=True)]
+    cameras = [each.camera for each in found]
     if len(cameras) == 1:
-        return cameras
-    places = [
-        _rectified(topics.by_name[name], source) for source, name in zip(sources, calibrations, strict=True)
+        return found
+    known: Sequence[FloatArray | None] = [
+        _place(topics.by_name[name], source) for source, name in zip(sources, calibrations, strict=True)
     ]
-    known: Sequence[FloatArray | None] = [place[1] if place is not None else None for place in places]
     if not is_placed(known):
         known = camera_places(topics, [source.topic.frame_id for source in sources])
     if not is_placed(known):
@@ -132,7 +137,7 @@ def cameras_of_messages(topics: FileTopics, sources: Sequence[GreyTopic]) -> lis
         )
     rebased = relative_to(*_placed(cameras, known, topics.path))
     check_apart(rebased, topics.path)
-    return list(rebased)
+    return [replace(each, camera=camera) for each, camera in zip(found, rebased, strict=True)]
 
 
 def distinct_names(sources: Sequence[GreyTopic]) -> list[GreyTopic]:
@@ -178,40 +183,32 @@ def _calibrations(topics: FileTopics, sources: Sequence[GreyTopic]) -> list[str]
     return chosen
 
 
-def calibrated_camera(topics: FileTopics, source: CameraTopic[Pixels], calibration: str, hint: str) -> Camera:
-    """Return the camera that a topic's calibration tells of.
+def camera_of_topic(topics: FileTopics, source: CameraTopic[Pixels], calibration: str) -> ImageCamera:
+    """Return the camera of a topic's images by a calibration topic of the file.
 
     Raises:
-        RecordingError: it is of another image size.
+        NotCalibratedError: the calibration is empty.
+        RecordingError: it does not fit the images.
     """
-    camera = camera_from_message(topics.by_name[calibration].first, source.name, calibration)
-    if (camera.width, camera.height) != source.size:
-        raise RecordingError(
-            "calibration and images differ in size",
-            where=f"{topics.path}, {calibration}",
-            found=f"{camera.width}x{camera.height}",
-            expected=f"{source.size[0]}x{source.size[1]} as on {source.topic.name}",
-            hint=hint,
+    topic = source.topic
+    try:
+        return camera_of_message(
+            calibration_of(topics.by_name[calibration].first, calibration),
+            source.size,
+            rectified=is_rectified(topic.name, topic.frame_id),
+            name=source.name or "camera",
+            topic=calibration,
+            images=topic.name,
         )
-    return camera
+    except NotCalibratedError:
+        raise
+    except RecordingError as error:
+        raise RecordingError(str(error), where=topics.path) from error
 
 
-def _camera(topics: FileTopics, source: GreyTopic, calibration: str) -> Camera:
-    camera = calibrated_camera(topics, source, calibration, "pass --camera")
-    matrix = _rectified(topics.by_name[calibration], source)
-    if matrix is None or not _is_rectified(source.topic):
-        return camera
-    k = matrix[0]
-    return replace(camera, fx=k[0, 0], fy=k[1, 1], cx=k[0, 2], cy=k[1, 2], distortion=())
-
-
-def _rectified(calibration: Topic, source: GreyTopic) -> tuple[FloatArray, FloatArray] | None:
-    return rectification(calibration.first, rectified=_is_rectified(source.topic))
-
-
-def _is_rectified(topic: Topic) -> bool:
-    """ROS names images so that distortion was taken out of."""
-    return any(part.startswith(RECTIFIED) for part in topic.name.split("/"))
+def _place(calibration: Topic, source: GreyTopic) -> FloatArray | None:
+    topic = source.topic
+    return place_of_calibration(calibration.first, rectified=is_rectified(topic.name, topic.frame_id))
 
 
 def _asked_for(path: Path, name: str, grey: Sequence[Topic]) -> GreyTopic:

@@ -22,11 +22,16 @@ from posetrack_cli.mcap.decoding import (
 )
 from posetrack_cli.mcap.stream import McapFile, McapItem
 from posetrack_cli.recording.base import RUN_RECORD
-from posetrack_cli.recording.description import described_cameras, described_losses, opened
+from posetrack_cli.recording.description import (
+    described_cameras,
+    described_losses,
+    described_use,
+    opened,
+)
 from posetrack_cli.recording.grey import holds_grey
 from posetrack_cli.recording.identity import shown_name
 from posetrack_cli.recording.message_calibration import camera_from_message
-from posetrack_cli.recording.message_source import open_grey_messages
+from posetrack_cli.recording.message_source import open_depth_messages, open_grey_messages
 from posetrack_cli.recording.message_topics import Topic, TopicScan
 from posetrack_cli.recording.timeline import Timeline
 
@@ -62,6 +67,10 @@ class MessageSurvey:
         """Whether there are two topics of images that can be made grey, depth aside."""
         images = [topic for topic in self._scan.topics.values() if topic.image is not None]
         return sum(holds_grey(topic.first, topic.kind) and not topic.is_depth for topic in images) > 1
+
+    def has_depth(self) -> bool:
+        """Whether there is a topic of depth images."""
+        return any(topic.is_depth for topic in self._scan.topics.values())
 
     @property
     def losses(self) -> tuple[Loss, ...]:
@@ -106,8 +115,12 @@ def describe_messages(path: Path) -> dict[str, Any]:
     container = required_container(path)
     survey = MessageSurvey(path)
     extras = survey.extras()
-    several = survey.has_several_cameras() and not any(values["name"] == RUN_RECORD for _, values in extras)
+    is_result = any(values["name"] == RUN_RECORD for _, values in extras)
+    several = survey.has_several_cameras() and not is_result
     rig, no_rig = opened(lambda: open_grey_messages(path, {})) if several else (None, None)
+    used = []
+    if survey.has_depth() and not is_result:
+        used = [described_use(lambda: open_depth_messages(path, {}), "hand run")]
     return {
         "name": shown_name(placed_path(path)),
         "kind": container.kind,
@@ -118,6 +131,7 @@ def describe_messages(path: Path) -> dict[str, Any]:
         "complete": not survey.losses,
         "topics": survey.topics(),
         "cameras": survey.cameras(),
+        "used": used,
         "rig": described_cameras(rig),
         "no_rig": no_rig,
         "metadata": [values for kind, values in extras if kind == "metadata"],

@@ -15,6 +15,7 @@ from posetrack_cli.geometry.rigid import composed, inverse
 from posetrack_cli.geometry.rotations import canonical, matrices_from_quaternions
 from posetrack_cli.mcap.decoding import TRANSFORM_TYPES, MessageDecoder, UndecodableMessageError
 from posetrack_cli.mcap.stream import McapItem
+from posetrack_cli.recording.camera_of import matrix_of
 from posetrack_cli.recording.depth import MM_PER_M
 from posetrack_cli.recording.message_topics import FileTopics
 
@@ -24,8 +25,8 @@ Edges = dict[tuple[str, str], FloatArray]
 """Transform (3, 4), mm, from the axes of the second frame to those of the first."""
 
 
-def rectification(decoded: Any, *, rectified: bool) -> tuple[FloatArray, FloatArray] | None:
-    """Return what P and R of a calibration say: K of the image (3, 3) and camera_T_common (3, 4), mm.
+def place_of_calibration(decoded: Any, *, rectified: bool) -> FloatArray | None:
+    """Return camera_T_common (3, 4), mm, by P and R of a calibration.
 
     Common are the rectified axes of all cameras of a stereo set; P = K' [I | t], so that a point X there is
     at R^T (X + t) in the camera's own axes, and at X + t in its rectified image. t is 0 for the first camera.
@@ -37,16 +38,15 @@ def rectification(decoded: Any, *, rectified: bool) -> tuple[FloatArray, FloatAr
     Returns:
         None if it has no P.
     """
-    projection, turn = _matrix(decoded, "P", (3, 4)), _matrix(decoded, "R", (3, 3))
+    projection, turn = matrix_of(decoded, "P", (3, 4)), matrix_of(decoded, "R", (3, 3))
     if projection is None or projection[0, 0] == 0.0 or projection[1, 1] == 0.0:
         return None
     intrinsics = projection[:, :3]
     t = np.linalg.solve(intrinsics, projection[:, 3]) * MM_PER_M
     rotation = np.eye(3) if rectified or turn is None else turn.T
     if rectified:
-        return intrinsics, np.column_stack([rotation, t])
-    own = _matrix(decoded, "K", (3, 3))
-    return (intrinsics if own is None else own), np.column_stack([rotation, rotation @ t])
+        return np.column_stack([rotation, t])
+    return np.column_stack([rotation, rotation @ t])
 
 
 def is_placed(places: Sequence[FloatArray | None]) -> bool:
@@ -126,12 +126,3 @@ def _reached(edges: Edges, start: str) -> dict[str, FloatArray]:
                 reached[to] = composed(edges[to, here], reached[here])
                 waiting.append(to)
     return reached
-
-
-def _matrix(decoded: Any, name: str, shape: tuple[int, int]) -> FloatArray | None:
-    """ROS 1 and Foxglove write K, R and P, ROS 2 k, r and p; nothing or zeros mean not known."""
-    values: Any = getattr(decoded, name, getattr(decoded, name.lower(), ()))
-    matrix = np.array([float(value) for value in values])
-    if matrix.size != shape[0] * shape[1] or not matrix.any() or not np.isfinite(matrix).all():
-        return None
-    return matrix.reshape(shape)

@@ -32,18 +32,20 @@ from posetrack_cli.recording.camera_file import (
     DepthCamera,
     Rig,
     camera_record,
+    image_camera,
     load_depth_camera,
     load_rig,
 )
+from posetrack_cli.recording.camera_of import ImageCamera
 from posetrack_cli.recording.depth import Depth
-from posetrack_cli.recording.guess import Guess, check_one_camera
+from posetrack_cli.recording.guess import GUESSED, Guess, check_one_camera
 from posetrack_cli.recording.identity import file_digest, files_digest, identity_record
 from posetrack_cli.recording.matching import NS_PER_MS
 from posetrack_cli.recording.message_calibration import choose_calibration
 from posetrack_cli.recording.message_cameras import (
     CameraTopic,
     GreyTopic,
-    calibrated_camera,
+    camera_of_topic,
     cameras_of_messages,
     distinct_names,
     find_sources,
@@ -54,7 +56,7 @@ from posetrack_cli.recording.pixels import Pixels, Window
 from posetrack_cli.recording.realsense import depth_unit_mm
 from posetrack_cli.recording.recording import CameraStream, ReadingOptions, Recording, no_truth, tolerance_ns
 
-FROM_FILE, FROM_MESSAGES, GUESSED = "camera file", "messages", "guessed"
+FROM_FILE, FROM_MESSAGES = "camera file", "messages"
 """Where cameras are from."""
 
 
@@ -74,13 +76,11 @@ def open_depth_messages(path: Path, options: ReadingOptions) -> Recording:
     name, frame_id = source.topic.name, source.topic.frame_id
     wanted = options.get("camera_topic")
     calibration = "" if settings else choose_calibration(name, frame_id, topics.calibration_frames, wanted)
-    stored = (
-        settings.stored_camera(*source.size, source.name)
-        if settings
-        else calibrated_camera(
-            topics, source, calibration, "choose another with --camera-topic, or pass --camera"
-        )
-    )
+    file = options.get("camera_file")
+    if settings is None or file is None:
+        found = camera_of_topic(topics, source, calibration)
+    else:
+        found = image_camera(settings, file, source.size, source.name)
     window = _window(settings.crop if settings else None, settings, options)
 
     def identity() -> Mapping[str, str]:
@@ -95,11 +95,12 @@ def open_depth_messages(path: Path, options: ReadingOptions) -> Recording:
 
     return Recording(
         path,
-        [_TopicImages(path, source, window).stream(stored)],
+        [_TopicImages(path, source, window).stream(found.camera)],
         identity=identity,
         frame_count=source.topic.count,
         truth=_truth(topics, mirror=window.mirror),
-        remarks=_taken("depth", source, topics.depth_topics, "--topic"),
+        why=[found.why],
+        remarks=_taken("depth", source, topics.depth_topics, "--topic") + found.remarks,
     )
 
 
@@ -114,13 +115,13 @@ def open_grey_messages(path: Path, options: ReadingOptions) -> Recording:
             image of another size raises it while it is read.
     """
     topics, tolerance = scan_topics(path), tolerance_ns(options)
-    rig, sources, cameras, calibration, remarks = _grey_cameras(topics, options)
+    rig, sources, found, calibration, remarks = _grey_cameras(topics, options)
     if options.get("in_colour"):
         sources = [replace(source, pixels=replace(source.pixels, keeps_colour=True)) for source in sources]
     windows = [_window(rig.cameras[s.name].crop if rig else None, rig, options) for s in sources]
     streams = [
-        _TopicImages(path, source, window).stream(camera)
-        for source, window, camera in zip(sources, windows, cameras, strict=True)
+        _TopicImages(path, source, window).stream(each.camera)
+        for source, window, each in zip(sources, windows, found, strict=True)
     ]
     counts = {source.topic.count for source in sources}
     count = counts.pop() if len(counts) == 1 else None  # where they differ some have dropped out
@@ -146,7 +147,8 @@ def open_grey_messages(path: Path, options: ReadingOptions) -> Recording:
         truth=_truth(topics, mirror=windows[0].mirror),
         tolerance_ns=tolerance,
         is_guessed=calibration == GUESSED,
-        remarks=remarks,
+        why=[each.why for each in found],
+        remarks=remarks + tuple(dict.fromkeys(remark for each in found for remark in each.remarks)),
     )
 
 
@@ -185,7 +187,7 @@ def _camera_file(options: ReadingOptions) -> DepthCamera | None:
 
 def _grey_cameras(
     topics: FileTopics, options: ReadingOptions
-) -> tuple[Rig | None, list[GreyTopic], Sequence[Camera], str, tuple[str, ...]]:
+) -> tuple[Rig | None, list[GreyTopic], Sequence[ImageCamera], str, tuple[str, ...]]:
     """Return the camera file if there is one, topics and stored images' cameras, where these are from.
 
     And what was taken of several topics where one camera is to be used.
@@ -199,15 +201,16 @@ def _grey_cameras(
     rig = load_rig(file)
     rig = rig if wanted is None else rig.chosen(wanted)
     sources = [_with_bits(source, rig) for source in sources_of_rig(topics, rig)]
-    cameras = rig.stored_cameras({source.name: source.size for source in sources})
+    sizes = {source.name: source.size for source in sources}
+    cameras = [ImageCamera(camera, file.name) for camera in rig.stored_cameras(sizes)]
     if guess is not None:
         check_one_camera(topics.path, rig.cameras)
-    return rig, sources, cameras, FROM_FILE, ()
+    return rig, sources, cameras, FROM_FILE, rig.remarks(sizes)
 
 
 def _cameras(
     topics: FileTopics, sources: Sequence[GreyTopic], guess: Guess | None
-) -> tuple[list[Camera], str]:
+) -> tuple[list[ImageCamera], str]:
     """Return the cameras of stored images, and where they are from."""
     if guess is not None:
         check_one_camera(topics.path, [source.name for source in sources])
@@ -216,7 +219,8 @@ def _cameras(
     except NotCalibratedError:
         if guess is None:
             raise
-    return [guess.stored_camera(*source.size, source.name) for source in sources], GUESSED
+    guessed = [guess.stored_camera(*source.size, source.name) for source in sources]
+    return [ImageCamera(camera, GUESSED) for camera in guessed], GUESSED
 
 
 def _of_colour(sources: list[GreyTopic]) -> list[GreyTopic]:

@@ -11,6 +11,7 @@ from typing import Any, Unpack
 from posetrack_cli.bags.message_file import container_of
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.files import hint_of_missing
+from posetrack_cli.recording.camera_file import camera_path
 from posetrack_cli.recording.folder import open_depth_folder, open_grey_folder
 from posetrack_cli.recording.folder_description import describe_folder
 from posetrack_cli.recording.kinect import describe_kinect, open_kinect
@@ -110,6 +111,9 @@ def open_recording(path: Path, pixels: PixelKind = "depth", **options: Unpack[Re
     source = _source_of(path)
     opener = source.openers[pixels]
     _refuse_others(source.words, opener, options)
+    file = options.get("camera_file")
+    if file is not None:
+        options["camera_file"] = camera_path(file)
     return opener.open(path, options)
 
 

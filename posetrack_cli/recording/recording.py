@@ -93,6 +93,7 @@ class Recording:
         truth: yields the messages on ``/truth/...`` topics undecoded, in order of log time where indexed.
         tolerance_ns: largest difference of stamps within a frame.
         is_guessed: whether the intrinsics are a ``Guess``.
+        why: where each camera's model comes from, for people.
         remarks: what was recognised, chosen or converted when it was opened, one line each.
     """
 
@@ -106,10 +107,11 @@ class Recording:
         truth: Callable[[], Iterator[TruthMessage]] = no_truth,
         tolerance_ns: int = 0,
         is_guessed: bool = False,
+        why: Sequence[str] = (),
         remarks: Sequence[str] = (),
     ) -> None:
         self.path, self.frame_count, self.is_guessed = path, frame_count, is_guessed
-        self.remarks = tuple(remarks)
+        self.why, self.remarks = tuple(why), tuple(remarks)
         self.identity, self.truth = identity, truth
         self.cameras: tuple[Camera, ...] = tuple(stream.camera for stream in streams)
         self.pixels: tuple[Pixels, ...] = tuple(stream.pixels for stream in streams)

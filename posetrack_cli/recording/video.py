@@ -19,6 +19,7 @@ from posetrack_cli.recording.camera_file import Rig, camera_record, found_rig
 from posetrack_cli.recording.depth import Depth
 from posetrack_cli.recording.description import described_cameras, opened
 from posetrack_cli.recording.grey import Grey, grey_like
+from posetrack_cli.recording.guess import GUESSED
 from posetrack_cli.recording.identity import file_digest, identity_record, shown_name
 from posetrack_cli.recording.pixels import Window
 from posetrack_cli.recording.recording import CameraStream, ReadingOptions, Recording
@@ -55,7 +56,8 @@ def open_video(path: Path, options: ReadingOptions) -> Recording:
     if fps is not None:
         stamps_at_rate(0, fps)  # refuses what is no rate
     window = rig.window(name, options.get("mirror"))
-    (stored,) = rig.stored_cameras({name: (video.pixels.width, video.pixels.height)})
+    sizes = {name: (video.pixels.width, video.pixels.height)}
+    (stored,) = rig.stored_cameras(sizes)
     stream = CameraStream(window.camera(stored), video.pixels, partial(video.images, window))
 
     def identity() -> Mapping[str, str]:
@@ -69,7 +71,15 @@ def open_video(path: Path, options: ReadingOptions) -> Recording:
             **camera_record(file),
         }
 
-    return Recording(path, [stream], identity=identity, frame_count=video.count, is_guessed=rig.is_guessed)
+    return Recording(
+        path,
+        [stream],
+        identity=identity,
+        frame_count=video.count,
+        is_guessed=rig.is_guessed,
+        why=[GUESSED if rig.is_guessed else rig.path.name],
+        remarks=rig.remarks(sizes),
+    )
 
 
 P = TypeVar("P", Depth, Grey)

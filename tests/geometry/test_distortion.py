@@ -39,6 +39,7 @@ DISTORTIONS: dict[str, tuple[str, tuple[float, ...]]] = {
         "rational_polynomial",
         (0.3, 0.1, 0.011, -0.023, 0.02, 0.4, 0.1, 0.01, 0.013, -0.02, -0.017, 0.03, 0.05, -0.08),
     ),
+    "inverse": ("inverse_brown_conrady", (0.12, -0.11, 0.004, 0.006, 0.03)),
     "fisheye": ("equidistant", (0.1, -0.02, 0.003, 0.001)),
 }
 
@@ -59,6 +60,12 @@ def some_points() -> np.ndarray:
 
 def opencv_pixels(camera: Camera, points: np.ndarray) -> np.ndarray:
     coefficients, zero = np.array(camera.distortion), np.zeros(3)
+    if camera.distortion_model == "inverse_brown_conrady":
+        # OpenCV's undistortion of this lens is its distortion of the inverse one, and the other way round
+        criteria = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 200, 1e-15)
+        rays = points[:, None, :2] / points[:, None, 2:]
+        ideal = cv2.undistortPointsIter(rays, np.eye(3), coefficients, np.eye(3), np.eye(3), criteria)[:, 0]
+        return ideal * [camera.fx, camera.fy] + [camera.cx, camera.cy]
     if camera.distortion_model == "equidistant":
         return cv2.fisheye.projectPoints(points[:, None], zero, zero, camera.matrix, coefficients)[0][:, 0]
     return cv2.projectPoints(points, zero, zero, camera.matrix, coefficients)[0][:, 0]

@@ -62,7 +62,8 @@ def test_equal_input_gives_equal_bytes(tmp_path: Path, make: SimpleNamespace) ->
 def test_size_stays_within_the_margin_of_the_pngs(tmp_path: Path, make: SimpleNamespace) -> None:
     rng = np.random.default_rng(0)
     images = list(rng.integers(400, 900, size=(12, 200, 200)).astype(np.uint16))
-    folder = make.write_folder(tmp_path / "r", images)
+    camera = "fx = 300.0\nfy = 300.0\ncx = 99.5\ncy = 99.5\n"
+    folder = make.write_folder(tmp_path / "r", images, camera=camera)
     convert_recording(open_recording(folder), tmp_path / "out.mcap")
     pngs = sum(file.stat().st_size for file in folder.glob("*.png"))
     assert (tmp_path / "out.mcap").stat().st_size < pngs * (1 + SIZE_MARGIN)

@@ -211,7 +211,9 @@ def test_wrong_topic_lists_candidates_and_the_nearest(tmp_path: Path, make: Simp
         ({"/x/info": "cam", "/cam/info": "other"}, "/x/info"),
         ({"/cam/info": "a", "/rgb/info": "b"}, "/cam/info"),
         ({"/cam/info": "cam", "/rgb/info": "cam"}, "/cam/info"),
-        ({"/rgb/info": "b"}, "/rgb/info"),
+        ({"/cam/info": ""}, "/cam/info"),
+        ({"/rgb/info": ""}, "/rgb/info"),
+        ({"/rgb/info": "/cam"}, "/rgb/info"),
     ],
 )
 def test_calibration_by_frame_then_namespace_then_alone(

@@ -381,9 +381,12 @@ def spoilt(make: SimpleNamespace, path: Path, what: str) -> Path:
 @pytest.mark.parametrize(
     ("what", "message"),
     [
-        ("uncalibrated", "camera is not calibrated, found K = [0.0"),
+        ("uncalibrated", "camera is not calibrated, found K of zeros"),
         ("no calibration", "no camera calibration for /stereo/left/image_raw: no intrinsics"),
-        ("one calibration", "/stereo/left/image_raw, /stereo/right/image_raw have one calibration"),
+        (
+            "one calibration",
+            "the only calibration is of another camera, found /stereo/left/camera_info of frame 'left'",
+        ),
         ("size", "calibration and images differ in size, found 30x24, expected 32x24"),
         ("no images", "no topic holds grey or colour images, found no image topics"),
     ],

@@ -84,7 +84,7 @@ def test_every_reader_guesses_when_it_may_and_else_refuses(uncalibrated: Path) -
 
 def test_a_camera_file_that_is_given_is_no_guess(uncalibrated: Path, tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
-    file.write_text("fx = 70.0\nfy = 71.0\ncx = 31.0\ncy = 24.0\n")
+    file.write_text("fx = 70.0\nfy = 71.0\ncx = 15.0\ncy = 12.0\n")
     recording = open_recording(uncalibrated, "grey", camera_file=file, guess=Guess())
     assert not recording.is_guessed
     assert recording.cameras[0].fx == 70.0

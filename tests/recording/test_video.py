@@ -90,11 +90,11 @@ def test_one_camera_of_a_file_of_several(video: Path, tmp_path: Path) -> None:
 
 
 def test_a_camera_file_of_another_size_is_named_once(video: Path, tmp_path: Path) -> None:
-    (tmp_path / "face.toml").write_text(f"{CAMERA}width = 640\nheight = 480\n")
+    (tmp_path / "face.toml").write_text(f"{CAMERA}width = 640\nheight = 640\n")
     told = rf"^{tmp_path / 'face.toml'}: camera file and images differ in size, found images of 64x48"
     with pytest.raises(RecordingError, match=told):
         open_recording(video, "grey")
-    place = "width = 640\nheight = 480\n"
+    place = "width = 640\nheight = 640\n"
     (tmp_path / "face.toml").write_text(f"[cameras.left]\n{CAMERA}{place}")
     with pytest.raises(RecordingError, match=rf"^{tmp_path / 'face.toml'}, camera 'left': camera file and"):
         open_recording(video, "grey")

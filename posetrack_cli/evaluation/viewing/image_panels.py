@@ -24,7 +24,7 @@ from posetrack_cli.evaluation.viewing.layers import (
 )
 from posetrack_cli.evaluation.viewing.viewport import Framing
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.projection import in_camera_axes, pixels_from_normalised
+from posetrack_cli.geometry.projection import in_camera_axes, pixel_map
 from posetrack_cli.geometry.rotations import canonical, multiply, quaternions_from_matrices
 from posetrack_cli.results.subject_kind import kind_of
 
@@ -81,11 +81,7 @@ class CameraPanel:
     @cached_property
     def _map(self) -> tuple[Float32Array, Float32Array]:
         """u and v (h, w) in the image as it was taken, for every pixel of one without distortion."""
-        camera = self._camera
-        v, u = np.mgrid[: camera.height, : camera.width].astype(float)
-        normalised = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy], axis=-1)
-        pixels = pixels_from_normalised(camera, normalised).astype(np.float32)
-        return np.ascontiguousarray(pixels[..., 0]), np.ascontiguousarray(pixels[..., 1])
+        return pixel_map(replace(self._camera, distortion=()), self._camera)
 
 
 def seen_from(camera: Camera, drawn: DrawnEstimate) -> DrawnEstimate:
