@@ -45,26 +45,6 @@ OTHER_SCALE, SAME_SCALE = 0.2, 0.04
 number, is that of another resolution: multiples differ by at most the second number, twice what lenses do."""
 
 USUAL_WIDTHS = (256, 320, 384, 424, 480, 512, 640, 720, 848, 960, 1024, 1080, 1280, 1440, 1600, 1920, 2560)
-    256,
-    320,
-    384,
-    424,
-    480,
-    512,
-    640,
-    720,
-    848,
-    960,
-    1024,
-    1080,
-    1280,
-    1440,
-    1600,
-    1920,
-    2048,
-    2560,
-    3840,
-)
 """Of images of cameras, pixels."""
 
 
