@@ -56,11 +56,13 @@ class ImageCamera:
         camera: of the images as they are stored.
         why: where it comes from, for people.
         remarks: what was converted or is unusual, one line each.
+        calibration: topic of the messages that state it; empty for none.
     """
 
     camera: Camera
     why: str
     remarks: tuple[str, ...] = ()
+    calibration: str = ""
 
 
 @dataclass(frozen=True)
@@ -104,6 +106,12 @@ def calibration_of(decoded: Any, where: str) -> Calibration:
     return Calibration(width, height, raw, rectified, (binning[0], binning[1]), _roi(decoded))
 
 
+def is_empty(decoded: Any) -> bool:
+    """Return whether a calibration message states nothing, as some drivers' first ones do: K is zero."""
+    k = matrix_of(decoded, "K", (3, 3))
+    return k is None or k[0, 0] == 0.0
+
+
 def camera_of_message(
     calibration: Calibration, size: tuple[int, int], *, rectified: bool, name: str, topic: str, images: str
 ) -> ImageCamera:
@@ -138,8 +146,8 @@ def camera_of_message(
     fault = principal_point_fault(camera)
     if fault is not None:
         raise _off_centre(camera, fault, topic)
-    remarks = [f"camera is {why} of {size[0]}x{size[1]}"] if how else []
-    return ImageCamera(camera, why, tuple(remarks) + off_centre_remark(camera))
+    remarks = [f"images of {size[0]}x{size[1]}: camera is {why}"] if how else []
+    return ImageCamera(camera, why, tuple(remarks) + off_centre_remark(camera), topic)
 
 
 def is_rectified(topic: str, frame_id: str = "") -> bool:
@@ -245,6 +253,9 @@ def _of_size(whole: Camera, calibration: Calibration, size: tuple[int, int]) -> 
             yield part, of_part
     across, down = calibration.binning
     if (across, down) != (1, 1):
+        if (whole.width, whole.height) == size:  # a driver that states the size of what it delivers
+            sensor = replace(whole, width=size[0] * across, height=size[1] * down)
+            yield sensor.scaled(*size), f"binned {across}x{down}"
         binned = (part.width // across, part.height // down)
         if max(abs(a - b) for a, b in zip(binned, size, strict=True)) <= 1:
             how = f"binned {across}x{down}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -190,10 +190,20 @@ def camera_of_topic(topics: FileTopics, source: CameraTopic[Pixels], calibration
         NotCalibratedError: the calibration is empty.
         RecordingError: it does not fit the images.
     """
+    return camera_by(topics.by_name[calibration].first, topics.path, source, calibration)
+
+
+def camera_by(message: Any, path: Path, source: CameraTopic[Pixels], calibration: str) -> ImageCamera:
+    """Return the camera of a topic's images by one message of a calibration topic.
+
+    Raises:
+        NotCalibratedError: the calibration is empty.
+        RecordingError: it does not fit the images.
+    """
     topic = source.topic
     try:
         return camera_of_message(
-            calibration_of(topics.by_name[calibration].first, calibration),
+            calibration_of(message, calibration),
             source.size,
             rectified=is_rectified(topic.name, topic.frame_id),
             name=source.name or "camera",
@@ -203,7 +213,7 @@ def camera_of_topic(topics: FileTopics, source: CameraTopic[Pixels], calibration
     except NotCalibratedError:
         raise
     except RecordingError as error:
-        raise RecordingError(str(error), where=topics.path) from error
+        raise RecordingError(str(error), where=path) from error
 
 
 def _place(calibration: Topic, source: GreyTopic) -> FloatArray | None:

@@ -10,16 +10,15 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from posetrack_cli.arrays import ImageArray
-from posetrack_cli.bags.message_file import message_file, required_container
+from posetrack_cli.bags.message_file import MessageFile, message_file, required_container
 from posetrack_cli.bags.ros2_folder import parts_of
-from posetrack_cli.errors import UsageError
+from posetrack_cli.errors import PosetrackError, UsageError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.losses import LossLog
 from posetrack_cli.mcap.decoding import MessageDecoder, UndecodableMessageError, stamp_of
-from posetrack_cli.mcap.stream import McapItem
 from posetrack_cli.recording.base import (
     TRUTH_PREFIX,
     NotCalibratedError,
@@ -37,6 +36,7 @@ from posetrack_cli.recording.camera_file import (
     load_rig,
 )
 from posetrack_cli.recording.camera_of import ImageCamera
+from posetrack_cli.recording.changing_camera import CurrentCamera, Resampling, with_calibration
 from posetrack_cli.recording.depth import Depth
 from posetrack_cli.recording.guess import GUESSED, Guess, check_one_camera
 from posetrack_cli.recording.identity import file_digest, files_digest, identity_record
@@ -45,6 +45,7 @@ from posetrack_cli.recording.message_calibration import choose_calibration
 from posetrack_cli.recording.message_cameras import (
     CameraTopic,
     GreyTopic,
+    camera_by,
     camera_of_topic,
     cameras_of_messages,
     distinct_names,
@@ -95,7 +96,7 @@ def open_depth_messages(path: Path, options: ReadingOptions) -> Recording:
 
     return Recording(
         path,
-        [_TopicImages(path, source, window).stream(found.camera)],
+        [_TopicImages(path, source, window, calibration).stream(found.camera)],
         identity=identity,
         frame_count=source.topic.count,
         truth=_truth(topics, mirror=window.mirror),
@@ -120,7 +121,7 @@ def open_grey_messages(path: Path, options: ReadingOptions) -> Recording:
         sources = [replace(source, pixels=replace(source.pixels, keeps_colour=True)) for source in sources]
     windows = [_window(rig.cameras[s.name].crop if rig else None, rig, options) for s in sources]
     streams = [
-        _TopicImages(path, source, window).stream(each.camera)
+        _TopicImages(path, source, window, each.calibration).stream(each.camera)
         for source, window, each in zip(sources, windows, found, strict=True)
     ]
     counts = {source.topic.count for source in sources}
@@ -257,40 +258,79 @@ class _TopicImages:
         path: the file.
         source: the topic.
         window: the part of the images that is used.
+        calibration: topic of the calibration that is applied frame by frame; empty for none.
     """
 
     path: Path
     source: CameraTopic[Pixels]
     window: Window
+    calibration: str = ""
 
     def stream(self, stored: Camera) -> CameraStream:
         """Return the stream, given the camera of the images as they are stored."""
-        return CameraStream(self.window.camera(stored), self.source.pixels, self._images)
+        return CameraStream(self.window.camera(stored), self.source.pixels, partial(self._images, stored))
 
-    def _images(self, losses: LossLog) -> Iterator[StoredImage | None]:
-        decoder, is_alone = MessageDecoder(), self.source.pixels.is_numbered_as_stored
+    def _images(self, stored: Camera, losses: LossLog) -> Iterator[StoredImage | None]:
+        is_alone = self.source.pixels.is_numbered_as_stored
         file = message_file(self.path, losses if is_alone else None)
+        current = CurrentCamera(stored, self._camera_by)
         try:
-            for number, item in enumerate(file.messages([self.source.topic.name])):
-                try:
-                    yield self._image(decoder.decode(*item), item)
-                except UndecodableMessageError as error:
-                    at = f"at {item[2].log_time} ns"
-                    losses.add(f"message skipped, {error}", f"frame {number} {at}" if is_alone else at)
+            for number, (image, calibration) in enumerate(with_calibration(self._messages(file))):
+                where = f"frame {number} at {image.log_time} ns" if is_alone else f"at {image.log_time} ns"
+                if isinstance(image.decoded, UndecodableMessageError):
+                    losses.add(f"message skipped, {image.decoded}", where)
                     yield None
+                    continue
+                try:
+                    resampling = current.resampling(calibration)
+                except PosetrackError as error:
+                    losses.add(f"image skipped, {error}", where)
+                    yield None
+                    continue
+                if resampling is not None:
+                    losses.note(f"{self.calibration} changes: images are resampled to its first camera")
+                yield self._image(image, resampling)
         finally:
             if not is_alone:
                 losses.include(file.losses.losses)  # every camera's pass meets the same damage
 
-    def _image(self, decoded: Any, item: McapItem) -> StoredImage:
-        pixels, stamp, kind = self.source.pixels, stamp_of(decoded, item[2]), str(self.source.topic.kind)
-        where = f"{self.source.topic.name} at {stamp} ns"
+    def _messages(self, file: MessageFile) -> Iterator[tuple[bool, int, Any]]:
+        """Yield images, and calibrations that decode, as ``with_calibration`` takes them."""
+        decoder, topic = MessageDecoder(), self.source.topic.name
+        names = [topic, self.calibration] if self.calibration else [topic]
+        for item in file.messages(names):
+            is_image = item[1].topic == topic
+            try:
+                decoded: Any = decoder.decode(*item)
+                stamp = stamp_of(decoded, item[2])
+            except UndecodableMessageError as error:
+                if not is_image:
+                    continue
+                decoded, stamp = error, item[2].log_time
+            yield not is_image, stamp, _Decoded(decoded, stamp, item[2].log_time) if is_image else decoded
+
+    def _camera_by(self, calibration: Any) -> Camera:
+        return camera_by(calibration, self.path, self.source, self.calibration).camera
+
+    def _image(self, image: _Decoded, resampling: Resampling | None) -> StoredImage:
+        pixels, kind = self.source.pixels, str(self.source.topic.kind)
+        where = f"{self.source.topic.name} at {image.stamp_ns} ns"
 
         def decode() -> ImageArray:
-            return self.window.apply(pixels.from_message(decoded, kind, f"{self.path}, {where}"))
+            values = pixels.from_message(image.decoded, kind, f"{self.path}, {where}")
+            return self.window.apply(values if resampling is None else resampling.apply(values))
 
-        png = partial(pixels.png_of_message, decoded, kind) if self.window.keeps_pixels else no_png
-        return StoredImage(stamp, where, decode, png)
+        is_kept = self.window.keeps_pixels and resampling is None
+        png = partial(pixels.png_of_message, image.decoded, kind) if is_kept else no_png
+        return StoredImage(image.stamp_ns, where, decode, png)
+
+
+class _Decoded(NamedTuple):
+    """An image message, or why it does not decode, and its times."""
+
+    decoded: Any
+    stamp_ns: int
+    log_time: int
 
 
 def _truth(topics: FileTopics, *, mirror: bool) -> Callable[[], Iterator[TruthMessage]]:

@@ -19,6 +19,7 @@ from posetrack_cli.mcap.decoding import (
     kind_of,
 )
 from posetrack_cli.mcap.stream import McapItem
+from posetrack_cli.recording.camera_of import is_empty
 from posetrack_cli.recording.depth import ImageDescription, describe_image
 
 DEPTH = "depth"
@@ -62,7 +63,8 @@ class Topic:
     @property
     def is_settled(self) -> bool:
         """Whether looking at more messages would tell nothing new about what the topic holds."""
-        return self.kind is None or self.first is not None or self.tries >= TRIES
+        found = self.first is not None and not (self.kind == CALIBRATION and is_empty(self.first))
+        return self.kind is None or found or self.tries >= TRIES
 
     @property
     def frame_id(self) -> str:

@@ -28,7 +28,7 @@ INFO_1 = (
 )
 INFO_2 = (
     "uint32 height\nuint32 width\nstring distortion_model\nfloat64[] d\nfloat64[9] k\n"
-    "float64[9] r\nfloat64[12] p\n"
+    "float64[9] r\nfloat64[12] p\nuint32 binning_x\nuint32 binning_y\nsensor_msgs/RegionOfInterest roi\n"
 )
 RULE = "=" * 80 + "\n"
 HEADER_TEXT_1 = RULE + "MSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n"
@@ -38,6 +38,11 @@ HEADER_TEXT_2 = (
     + RULE
     + "MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
 )
+ROI_TEXT = (
+    RULE
+    + "MSG: sensor_msgs/RegionOfInterest\nuint32 x_offset\nuint32 y_offset\nuint32 height\nuint32 width\n"
+    + "bool do_rectify\n"
+)
 DEFINITIONS_1 = {
     "Image": HEADER_1 + IMAGE + HEADER_TEXT_1,
     "CompressedImage": HEADER_1 + COMPRESSED + HEADER_TEXT_1,
@@ -46,8 +51,14 @@ DEFINITIONS_1 = {
 DEFINITIONS_2 = {
     "Image": HEADER_1 + IMAGE + HEADER_TEXT_2,
     "CompressedImage": HEADER_1 + COMPRESSED + HEADER_TEXT_2,
-    "CameraInfo": HEADER_1 + INFO_2 + HEADER_TEXT_2,
+    "CameraInfo": HEADER_1 + INFO_2 + HEADER_TEXT_2 + ROI_TEXT,
 }
+PART_OF_SENSOR = {
+    "binning_x": 0,
+    "binning_y": 0,
+    "roi": {"x_offset": 0, "y_offset": 0, "height": 0, "width": 0, "do_rectify": False},
+}
+"""What a CameraInfo of ROS 2 has unless fields say otherwise; here those of ROS 1 end before."""
 
 Message = tuple[str, str, int, int, dict[str, Any]]
 """Topic, type without package, stamp ns, log time ns, fields."""
@@ -228,7 +239,8 @@ def write_ros2(path: Path, messages: Sequence[Message], *, frame_id: str = "cam"
             sec, nanosec = divmod(stamp, 10**9)
             own = {name: value for name, value in fields.items() if name != "frame_id"}
             header = {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": fields.get("frame_id", frame_id)}
-            message = {"header": header, "is_bigendian": 0, **own}
+            more = PART_OF_SENSOR if kind == "CameraInfo" else {}
+            message = {"header": header, "is_bigendian": 0, **more, **own}
             if kind != "Image":
                 del message["is_bigendian"]
             writer.write_message(topic, schemas[kind], message, log_time=log_time, publish_time=log_time)
