@@ -34,6 +34,7 @@ class Memory:
     blank: tuple[int, ...] = ()
     true: tuple[TruthMessage, ...] = ()
     losses: tuple[Loss, ...] = ()
+    notes: tuple[str, ...] = ()
     known: bool = True
     path: Path = Path("/somewhere/secret/memory.mcap")
 

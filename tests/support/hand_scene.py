@@ -89,6 +89,7 @@ class Drawn:
     depths: tuple[Float32Array, ...]
     path: Path = Path("/somewhere/drawn.mcap")
     losses: tuple[Loss, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, stage: Stage, poses: Sequence[FloatArray]) -> Drawn:

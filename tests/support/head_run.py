@@ -42,6 +42,7 @@ class Memory:
     pixels: tuple[Pixels, ...] = ()
     true: tuple[TruthMessage, ...] = ()
     losses: tuple[Loss, ...] = ()
+    notes: tuple[str, ...] = ()
     path: Path = Path("/somewhere/secret/memory")
 
     @property
