@@ -420,7 +420,7 @@ def test_frames_without_readings_are_lost_but_there(
 
 
 def test_nothing_but_zeros(track: Track, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    write_folder(tmp_path, [(k * 10**7, np.zeros((60, 80), np.uint16)) for k in range(3)])
+    write_folder(tmp_path, [(k * 10**7, np.zeros((424, 512), np.uint16)) for k in range(3)])
     assert track(tmp_path, tmp_path / "r.mcap") == 3
     assert "frames without any reading: 3" in one_line(capsys)
     arrays = load_arrays(tmp_path / "r.mcap")
