@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -41,7 +42,6 @@ from posetrack_cli.cli.standard_output import print_aside, print_detail
 from posetrack_cli.errors import UsageError
 
 if TYPE_CHECKING:
-    from posetrack_cli.geometry.camera import Camera
     from posetrack_cli.hand.calibration.before_run import HandFound
     from posetrack_cli.hand.config import HandConfig
     from posetrack_cli.hand.keypoints.file import KeypointFile
@@ -186,7 +186,7 @@ def _prepare(recording: Path, options: dict[str, Any]) -> tuple[HandRun, int | N
 
     config = _configuration(options)
     source = open_hand_recording(recording, options)
-    keypoints = _keypoints(options, source.cameras[0])
+    keypoints = _keypoints(options, source)
     own = {name: options[name] for name in (*RUN_OPTIONS, "init", "smooth")}
     run_options = RunOptions(**own, keypoints=keypoints)
     device = open_fastest_device(options["device"])
@@ -203,7 +203,7 @@ def open_hand_recording(recording: Path, options: dict[str, Any]) -> Recording:
     return open_for_reading(recording, options)
 
 
-def _keypoints(options: dict[str, Any], camera: Camera) -> KeypointFile | None:
+def _keypoints(options: dict[str, Any], source: Recording) -> KeypointFile | None:
     """Read the keypoints that are given, and say what they are taken for."""
     path, unit, swap = (options[f"keypoint{name}"] for name in ("_file", "s_unit", "s_swap_sides"))
     if path is None:
@@ -212,9 +212,12 @@ def _keypoints(options: dict[str, Any], camera: Camera) -> KeypointFile | None:
             raise UsageError(f"{option} is about keypoints, and none are given", hint="--keypoints FILE")
         return None
     from posetrack_cli.hand.keypoints.file import read_keypoints
+    from posetrack_cli.recording.keypoints.use import fitted_to
 
-    keypoints = read_keypoints(path, camera, unit, swap)
-    print_aside(f"{path}: {keypoints.line}")
+    keypoints = read_keypoints(path, source.cameras[0], unit, swap)
+    sets, words = fitted_to(keypoints.sets, source)
+    keypoints = replace(keypoints, sets=sets)
+    print_aside(f"{path}: {keypoints.line}{words and f'; {words}'}")
     return keypoints
 
 

@@ -127,7 +127,7 @@ def head_mono(recording: Path, **options: Any) -> None:
 
     source = open_mono_recording(recording, options)
     config = head_configuration(HeadMonoConfig, options, OWN_CONFIGURED)
-    chosen, face = head_run_options(options, source.cameras[0]), options["face"]
+    chosen, face = head_run_options(options, source), options["face"]
     if chosen.init is not None and face > 1:
         raise UsageError("--face does not apply to clicked points", found=face, hint="leave it out")
 

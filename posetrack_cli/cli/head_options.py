@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
@@ -23,7 +24,6 @@ from posetrack_cli.cli.standard_output import print_aside
 from posetrack_cli.errors import UsageError
 
 if TYPE_CHECKING:
-    from posetrack_cli.geometry.camera import Camera
     from posetrack_cli.head.config import HeadMonoConfig, HeadStereoConfig
     from posetrack_cli.head.landmarks.file import LandmarkFile
     from posetrack_cli.head.run import HeadRun, HeadRunOptions
@@ -123,22 +123,22 @@ def head_configuration(
     return config
 
 
-def head_run_options(options: Mapping[str, Any], camera: Camera) -> HeadRunOptions:
+def head_run_options(options: Mapping[str, Any], source: Recording) -> HeadRunOptions:
     """Return what a run depends on besides recording and configuration, and say what landmarks are taken for.
 
     Args:
         options: of the command.
-        camera: the reference, of whose images landmarks are.
+        source: the recording; landmarks are of the images of its reference camera.
     """
     from posetrack_cli.head.run import HeadRunOptions
 
     init = None if options["init"] == "auto" else options["init"]
     own = {name: options[name] for name in HEAD_RUN_OPTIONS}
     person = options.get("person")
-    return HeadRunOptions(**own, init=init, person=person, landmarks=_landmarks(options, camera))
+    return HeadRunOptions(**own, init=init, person=person, landmarks=_landmarks(options, source))
 
 
-def _landmarks(options: Mapping[str, Any], camera: Camera) -> LandmarkFile | None:
+def _landmarks(options: Mapping[str, Any], source: Recording) -> LandmarkFile | None:
     path, unit = options["landmark_file"], options["landmarks_unit"]
     if path is None:
         if unit is not None:
@@ -146,9 +146,12 @@ def _landmarks(options: Mapping[str, Any], camera: Camera) -> LandmarkFile | Non
             raise UsageError(what, hint="--landmarks FILE")
         return None
     from posetrack_cli.head.landmarks.file import read_landmarks
+    from posetrack_cli.recording.keypoints.use import fitted_to
 
-    landmarks = read_landmarks(path, camera, unit)
-    print_aside(f"{path}: {landmarks.line}")
+    landmarks = read_landmarks(path, source.cameras[0], unit)
+    sets, words = fitted_to(landmarks.sets, source)
+    landmarks = replace(landmarks, sets=sets)
+    print_aside(f"{path}: {landmarks.line}{words and f'; {words}'}")
     return landmarks
 
 

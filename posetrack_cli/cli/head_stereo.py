@@ -73,7 +73,7 @@ def head_stereo(recording: Path, **options: Any) -> None:
 
     source = open_stereo_recording(recording, options)
     config = head_configuration(HeadStereoConfig, options, {"model": "model.kind"})
-    chosen = head_run_options(options, source.cameras[0])
+    chosen = head_run_options(options, source)
     track_head(source, chosen, lambda first_pass: _run(source, config, chosen, first_pass))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +18,11 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import JOINT_NAMES
 from posetrack_cli.hand.keypoints.file import KeypointFile, read_keypoints
 from posetrack_cli.hand.keypoints.joints import HAND_POINTS
+from posetrack_cli.recording.base import StoredFrame
 from posetrack_cli.recording.keypoints.layout import point_column
 from posetrack_cli.recording.keypoints.reading import parse_keypoints
 from posetrack_cli.recording.keypoints.sets import SetCollector
-from posetrack_cli.recording.keypoints.use import KeypointUse
+from posetrack_cli.recording.keypoints.use import KeypointUse, fitted_to
 
 CAMERA = Camera(512, 424, 365.0, 365.0, 255.5, 211.5)
 FRAMES = (0, 1, 4)
@@ -76,6 +77,40 @@ def named(points: np.ndarray, n: int) -> list[dict[str, float]]:
         dict(zip("xyz", point, strict=False)) | {"score": SCORES[n, k]}
         for k, point in enumerate(points.tolist())
     ]
+
+
+COCO = [
+    "wrist",
+    *(f"thumb{k}" for k in range(1, 5)),
+    *(f"forefinger{k}" for k in range(1, 5)),
+    *(f"{f}_finger{k}" for f in ("middle", "ring", "pinky") for k in range(1, 5)),
+]
+"""Names of COCO's whole body, which MMPose's hands have."""
+
+
+def deeplabcut(images: bool = False) -> str:
+    """A table with the header of DeepLabCut; of labelled images with their folders in three columns."""
+    names = [name.lower() for name in MEDIAPIPE]
+    blank = ["", ""] if images else []
+    coords = ("x", "y") if images else ("x", "y", "likelihood")
+    header = [
+        ["scorer", *blank, *["net"] * (21 * len(coords))],
+        ["bodyparts", *blank, *(name for name in names for _ in coords)],
+        ["coords", *blank, *(list(coords) * 21)],
+    ]
+    rows = []
+    for f, p in zip(FRAMES, PIXELS, strict=True):
+        key = ["labeled-data", "take2", f"img{f:04d}.png"] if images else [f]
+        rows.append([*key, *(v for x, y in p.tolist() for v in (x, y, 0.97)[: len(coords)])])
+    return csv_of(header[0], [*header[1:], *rows])
+
+
+WHOLE_SCORES = [0.0] * 112 + [0.8] * 21
+
+
+def whole_body(hand: np.ndarray) -> list[list[float]]:
+    """133 points of a body of which the right hand is seen."""
+    return [[0.0, 0.0]] * 112 + hand.tolist()  # type: ignore[no-any-return]
 
 
 NORMALISED = (PIXELS + 0.5) / [512, 424]
@@ -173,6 +208,51 @@ LAYOUTS: dict[str, tuple[str, Any, np.ndarray]] = {
         },
         PIXELS,
     ),
+    "DeepLabCut": ("k.csv", deeplabcut(), PIXELS),
+    "DeepLabCut, labelled images": ("k.csv", deeplabcut(images=True), PIXELS),
+    "SLEAP": (
+        "k.csv",
+        csv_of(
+            [
+                "track",
+                "frame_idx",
+                *(f"{n}.{a}" for n in COCO for a in ("x", "y", "score")),
+                "instance.score",
+            ],
+            [
+                ["", f, *(v for x, y in p.tolist() for v in (x, y, 1.08)), 17.3]
+                for f, p in zip(FRAMES, PIXELS, strict=True)
+            ],
+        ),
+        PIXELS,
+    ),
+    "MMPose": (
+        "k.json",
+        [
+            {"frame_id": f, "instances": [{"keypoints": p.tolist(), "keypoint_scores": [0.8] * 21}]}
+            for f, p in zip(FRAMES, PIXELS, strict=True)
+        ],
+        PIXELS,
+    ),
+    "MMPose, names in another order": (
+        "k.json",
+        {
+            "meta_info": {"keypoint_id2name": {str(k): name for k, name in enumerate(reversed(COCO))}},
+            "instance_info": [
+                {"frame_id": f, "instances": [{"keypoints": p[::-1].tolist()}]}
+                for f, p in zip(FRAMES, PIXELS, strict=True)
+            ],
+        },
+        PIXELS,
+    ),
+    "MMPose, whole body": (
+        "k.json",
+        [
+            {"frame_id": f, "instances": [{"keypoints": whole_body(p), "keypoint_scores": WHOLE_SCORES}]}
+            for f, p in zip(FRAMES, PIXELS, strict=True)
+        ],
+        PIXELS,
+    ),
     "export of ours, JSON": (
         "k.json",
         {
@@ -204,6 +284,86 @@ def test_every_layout_gives_the_points_back(tmp_path: Path, layout: str) -> None
         atol=EXACT * 1e6 if "norm" in layout or "Media" in layout else EXACT,
     )
     assert found.in_pixels == (points is PIXELS)
+
+
+def openpose(tmp_path: Path, frames: Sequence[int] = FRAMES) -> Path:
+    folder = tmp_path / "openpose"
+    folder.mkdir()
+    for f, p in zip(frames, PIXELS, strict=True):
+        person = {
+            "hand_left_keypoints_2d": [0] * 63,
+            "hand_right_keypoints_2d": [v for x, y in p.tolist() for v in (x, y, 0.8)],
+        }
+        path = folder / f"take_{f:012d}_keypoints.json"
+        path.write_text(json.dumps({"version": 1.3, "people": [person]}))
+    return folder
+
+
+def test_a_folder_of_openpose_has_a_file_per_frame(tmp_path: Path) -> None:
+    """A hand that was not found is all zeros there, and is none."""
+    found = read(openpose(tmp_path))
+    assert found.sets.keys.tolist() == list(FRAMES)
+    np.testing.assert_allclose(found.sets.points[..., :2], PIXELS, atol=EXACT)
+    np.testing.assert_allclose(found.sets.right, 1.0)
+    assert read(tmp_path / "openpose" / "take_000000000001_keypoints.json").sets.keys.tolist() == [1]
+    (tmp_path / "openpose" / "readme.json").write_text("[]")
+    with pytest.raises(UsageError, match=r"readme\.json: name has no frame number"):
+        read(tmp_path / "openpose")
+
+
+class Stamped:
+    """A recording of which stamps count."""
+
+    def __init__(self, stamps: Sequence[int]) -> None:
+        self.stamps, self.frame_count = stamps, len(stamps)
+
+    def stored_frames(self, losses: Any) -> Iterator[tuple[int, StoredFrame]]:
+        return ((k, StoredFrame(stamp, "", ())) for k, stamp in enumerate(self.stamps))
+
+
+def test_numbers_count_from_one_where_the_last_is_the_number_of_frames(tmp_path: Path) -> None:
+    frames = [1, 2, 5]
+    sets = read(openpose(tmp_path, frames)).sets
+    shifted, words = fitted_to(sets, Stamped(range(5)))  # type: ignore[arg-type]
+    assert shifted.keys.tolist() == [0, 1, 4] and words == "numbers count from 1: the last is 5 of 5 frames"
+    for count in (4, 6):
+        assert fitted_to(sets, Stamped(range(count)))[0] is sets  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("is_right", [True, False])
+def test_stamps_count_before_numbers_only_if_they_are_the_recording_s(tmp_path: Path, is_right: bool) -> None:
+    """Of a video whose rate falls from 30 to 15 Hz a script wrote frame / average rate."""
+    truth = [33_000_000 * min(k, 20) + 67_000_000 * max(k - 20, 0) for k in range(60)]
+    stated = truth if is_right else [round(k * truth[-1] / 59) for k in range(60)]
+    header = ["frame", "timestamp_ms", *(f"{a}{k}" for k in range(21) for a in "xy")]
+    rows = [[k, stamp / 1e6, *(PIXELS[0] + k).ravel()] for k, stamp in enumerate(stated)]
+    sets, words = fitted_to(read(written(tmp_path, csv_of(header, rows))).sets, Stamped(truth))  # type: ignore[arg-type]
+    assert sets.by_stamp == is_right
+    for k, stamp in enumerate(truth):
+        (own,) = sets.points[sets.of(k, stamp)]
+        np.testing.assert_allclose(own[:, :2], PIXELS[0] + k)
+    if not is_right:
+        assert "its stamps are up to 0.45 s" in words and "frame numbers are used" in words
+
+
+def test_a_neighbour_s_stamp_is_no_match_at_a_high_rate(tmp_path: Path) -> None:
+    """At 200 Hz the next frame is 5 ms away, less than the largest difference of stamps."""
+    header = ["stamp_ns", *(f"{a}{k}" for k in range(21) for a in "xy")]
+    rows = [[5_000_000 * k, *PIXELS[0].ravel()] for k in (0, 2, 3)]
+    recording = Stamped([5_000_000 * k for k in range(4)])
+    sets, _ = fitted_to(read(written(tmp_path, csv_of(header, rows))).sets, recording)  # type: ignore[arg-type]
+    assert [sets.of(k, 5_000_000 * k).start == sets.of(k, 5_000_000 * k).stop for k in range(4)] == [
+        False,
+        True,
+        False,
+        False,
+    ]
+
+
+def test_a_header_of_deeplabcut_that_ends_early(tmp_path: Path) -> None:
+    text = "\n".join(deeplabcut().splitlines()[:2]) + "\n"
+    with pytest.raises(UsageError, match="header of DeepLabCut is not complete"):
+        read(written(tmp_path, text))
 
 
 def test_joints_have_the_names_and_order_that_mediapipe_gives_them() -> None:
@@ -517,7 +677,7 @@ def test_a_unit_that_is_told_is_believed(tmp_path: Path) -> None:
 def test_missing_files_and_large_ones_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(UsageError, match=r"none\.csv: cannot be read, found No such file"):
         read(tmp_path / "none.csv")
-    with pytest.raises(UsageError, match="cannot be read, found Is a directory"):
+    with pytest.raises(UsageError, match="folder holds no keypoints"):
         read(tmp_path)
     path = written(tmp_path, GOOD)
     monkeypatch.setattr(limits, "KEYPOINT_SETS", 2)

@@ -1,4 +1,4 @@
-"""Columns of numbers from a CSV file, with errors that name the line and the column."""
+"""Columns of numbers from a file of rows, with errors that name the line and the column."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ import numpy as np
 
 from posetrack_cli import limits
 from posetrack_cli.arrays import FloatArray, IntArray
-from posetrack_cli.csv_rows import Row, csv_rows
+from posetrack_cli.csv_rows import Row
 from posetrack_cli.errors import TruthError
+from posetrack_cli.evaluation.truth.formats import table_rows
 from posetrack_cli.recording.matching import LATEST_NS
 from posetrack_cli.results.estimate import Status
 from posetrack_cli.units import NS_PER_S
@@ -54,7 +55,7 @@ def read_header(path: Path) -> CsvHeader:
         TruthError: the file cannot be read, is empty, is not UTF-8, is not separated by commas, or has a
             column twice.
     """
-    _, row = next(_rows(path), (0, []))
+    _, row = next(table_rows(path), (0, []))
     if not row:
         raise TruthError("is empty", where=path, expected="a CSV file with a header row")
     _check_separator(path, row)
@@ -140,13 +141,9 @@ def read_table(header: CsvHeader, columns: Sequence[str], optional: Collection[s
     return table
 
 
-def _rows(path: Path) -> Iterator[Row]:
-    return csv_rows(path, TruthError, "a truth is an MCAP file or a CSV file in UTF-8")
-
-
 def _blocks(header: CsvHeader) -> Iterator[list[Row]]:
     """Yield the rows after the header, some at a time, each of the header's length."""
-    rows = islice(_rows(header.path), 1, None)
+    rows = islice(table_rows(header.path), 1, None)
     while block := list(islice(rows, BLOCK_ROWS)):
         for line, row in block:
             if len(row) != len(header.columns):

@@ -42,7 +42,8 @@ def load_csv_track(path: Path, subject: Subject) -> Track:
       ``<angle>_rad_s`` or ``<coefficient>_per_s``: velocities; a cell that is empty or nan is unknown;
     - ``status``: rows where it is ``lost`` are no truth and are left out.
 
-    An export of a result is such a file.
+    An export of a result as CSV is such a file; as JSON or TUM's trajectory it has the same columns, the
+    latter those of the pose alone (``formats``).
 
     Args:
         path: the file.

@@ -105,7 +105,7 @@ def read_landmarks(path: Path, camera: Camera, unit: str | None = None) -> Landm
     noise = _noise_px(replace(sets, points=points))
     known = np.isfinite(points[..., 0]) & (sets.scores > 0.0)
     kept = known.sum(axis=1) >= FEWEST_POINTS
-    sets = KeypointSets(sets.keys[kept], sets.by_stamp, points[kept], sets.scores[kept], sets.right[kept])
+    sets = sets.rows(kept, points)
     return LandmarkFile(shown_name(path), digest_of(path), sets, unit, noise, int(wild.sum()))
 
 

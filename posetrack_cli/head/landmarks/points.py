@@ -30,10 +30,13 @@ FACE_POINTS = PointKind(
     counted={
         POINT_COUNT: same_order(POINT_COUNT),
         68: by_index(OF_68),
+        70: by_index(OF_68),
         468: by_index(OF_478),
         478: by_index(OF_478),
     },
     several=("faces", "multi_face_landmarks", "face_landmarks", "faceLandmarks"),
     command="posetrack head mono --help",
+    flat={"face_keypoints_2d": ""},
+    parts={"": slice(23, 91)},
     ends=(POINT_NAMES[0], POINT_NAMES[-1]),
 )

@@ -35,6 +35,10 @@ from posetrack_cli.recording.keypoints.sets import SetCollector
 from posetrack_cli.recording.keypoints.tables import KIND, parse_table
 
 _ONE = ("landmarks", "keypoints", "points", "landmark")
+_PEOPLE, _INSTANCES, _INFO = "people", "instances", "instance_info"
+"""Fields of OpenPose's files, one a frame, and of MMPose's frames and files."""
+_WHOLE_BODY = 133
+"""Points of COCO's whole body."""
 _LABELS = {SIDE: SIDE, MIRRORED: MIRRORED, HANDEDNESS: HANDEDNESS, "handednesses": HANDEDNESS}
 """Fields that tell sides, and which of ``SIDE_FIELDS`` they are."""
 _LABEL_NAMES = ("label", "category_name", "categoryName", "display_name", "name")
@@ -48,16 +52,20 @@ def read_json(path: Path, kind: PointKind) -> Parsed:
     Raises:
         UsageError: names file, frame and field of what cannot be used.
     """
+    return _parsed(path, kind, _value(path))
+
+
+def _value(path: Path) -> Any:
+    """Return the one value of a JSON file."""
     try:
         text = read_text(path, limits.KEYPOINT_JSON_BYTES, "utf-8-sig")
-        said = json.loads(text, parse_constant=_refuse)
+        return json.loads(text, parse_constant=_refuse)
     except OSError as error:
         hint = "a longer file is one of JSON lines (.jsonl) or CSV"
         raise UsageError("cannot be read", where=path, found=error.strerror or error, hint=hint) from error
     except (ValueError, RecursionError) as error:
         found = "values nested too deeply" if isinstance(error, RecursionError) else error
         raise UsageError("is no JSON", where=path, found=found, hint=KIND) from error
-    return _parsed(path, kind, said)
 
 
 def read_json_lines(path: Path, kind: PointKind) -> Parsed:
@@ -89,6 +97,10 @@ def _parsed(path: Path, kind: PointKind, said: Any) -> Parsed:
             return _coco(path, kind, said, unit)
         if isinstance(said.get("frames"), (list, Mapping)):
             return _frames(path, kind, said["frames"], unit)
+        if isinstance(said.get(_INFO), list):
+            return _frames(path, kind, _with_names(said), unit)
+        if isinstance(said.get(_PEOPLE), list):
+            return _frames(path, kind, [{FRAME_FIELDS[0]: _number_in(path), **said}], unit)
         if said and all(str(key).isdecimal() for key in said):
             return _frames(path, kind, said, unit)
         found = ", ".join(map(str, list(said)[:5]))[:80] or "an empty object"
@@ -96,6 +108,57 @@ def _parsed(path: Path, kind: PointKind, said: Any) -> Parsed:
     if isinstance(said, (list, Iterator)):
         return _frames(path, kind, said, None)
     raise UsageError("holds no frames", where=path, found=type(said).__name__, expected=kind.expected)
+
+
+def read_folder(path: Path, kind: PointKind) -> Parsed:
+    """Read a folder of JSON files, each of which is a frame that its name numbers: OpenPose's or MMPose's.
+
+    Raises:
+        UsageError: as of ``read_json``, or there are no such files.
+    """
+    files = frame_files(path)
+    return _frames(path, kind, (_file_frame(file) for file in files), None)
+
+
+def frame_files(path: Path) -> list[Path]:
+    """Return the JSON files of a folder, each of which is a frame.
+
+    Raises:
+        UsageError: there are none, too many, or they are too large together.
+    """
+    try:
+        files = sorted(
+            file for file in path.iterdir() if file.suffix.lower() == ".json" and file.name[0] != "."
+        )
+        size = sum(file.stat().st_size for file in files[: limits.KEYPOINT_SETS + 1])
+    except OSError as error:
+        raise UsageError("cannot be read", where=path, found=error.strerror or error) from error
+    if not files:
+        expected = "a JSON file per frame, as OpenPose and MMPose write them"
+        raise UsageError("folder holds no keypoints", where=path, expected=expected)
+    _check_count(len(files) - 1, path)
+    if size > limits.KEYPOINT_BYTES:
+        expected = f"{limits.KEYPOINT_BYTES} at most"
+        raise UsageError("is too large", where=path, found=f"{size} bytes", expected=expected)
+    return files
+
+
+def _file_frame(file: Path) -> Mapping[str, Any]:
+    """Return what a file says of its frame: OpenPose's people, or a list of MMPose's instances."""
+    said = _value(file)
+    if isinstance(said, list):
+        said = {_INSTANCES: said}
+    if not isinstance(said, Mapping):
+        raise UsageError("holds no frame", where=file, found=type(said).__name__, expected=_PEOPLE)
+    return {FRAME_FIELDS[0]: _number_in(file), **said}
+
+
+def _number_in(file: Path) -> int:
+    """Return the frame's number in a file's name: ``take_000000000012_keypoints.json``."""
+    digits = re.findall(r"\d{1,18}", file.stem.removesuffix("_keypoints"))
+    if not digits:
+        raise UsageError("name has no frame number", where=file)
+    return int(digits[-1])
 
 
 # Frames
@@ -118,6 +181,9 @@ def _frames(path: Path, kind: PointKind, frames: Any, unit: str | None) -> Parse
             stamp = next((name for name in NS_PER_UNIT if name in frame), None)
             collector = SetCollector(path, kind, stamp is not None)
         key = _key(frame, stamp, place, where)
+        number = next((name for name in FRAME_FIELDS if name in frame), None)
+        if collector.by_stamp and number is not None:
+            collector.tell_number(key, key_of(frame[number], None, where))
         sides |= _take_frame(collector, key, frame, where)
     if collector is None:
         raise UsageError("holds no frames", where=path, found="none", expected=kind.expected)
@@ -145,6 +211,7 @@ def _key(frame: Mapping[str, Any], stamp: str | None, place: Any, where: str) ->
 
 def _take_frame(collector: SetCollector, key: int, frame: Mapping[str, Any], where: str) -> set[str]:
     """Add a frame's hands; return which fields told their sides."""
+    frame = _of_peers(collector.kind, frame, where)
     first = collector.new_hand(key)  # entries of one frame: a hand each
     told: set[str] = set()
     hands, labels = _hands(collector.kind, frame, where), _labels(frame)
@@ -167,6 +234,67 @@ def _take_frame(collector: SetCollector, key: int, frame: Mapping[str, Any], whe
             told.add(field)
             collector.tell_side(key, first + n, _right(label[0], where))
     return told
+
+
+def _with_names(said: Mapping[str, Any]) -> Iterator[Any]:
+    """Yield the frames of a file of MMPose, each with the names of its points."""
+    about = said.get("meta_info")
+    names = about.get("keypoint_id2name") if isinstance(about, Mapping) else None
+    return ({**frame, "names": names} if isinstance(frame, Mapping) else frame for frame in said[_INFO])
+
+
+def _of_peers(kind: PointKind, frame: Mapping[str, Any], where: str) -> Mapping[str, Any]:
+    """Return a frame of OpenPose or MMPose as a list of hands or faces, any other as it is."""
+    found: list[Mapping[str, Any]] = []
+    if isinstance(frame.get(_PEOPLE), list):
+        for person in frame[_PEOPLE]:
+            flat = person if isinstance(person, Mapping) else {}
+            found += [_set(_triples(flat.get(name), where), side) for name, side in kind.flat.items()]
+    elif isinstance(frame.get(_INSTANCES), list):
+        for instance in frame[_INSTANCES]:
+            if isinstance(instance, Mapping):
+                found += _instance(kind, instance, frame.get("names"))
+    else:
+        return frame
+    return {kind.several[0]: [one for one in found if one[_ONE[0]]]}
+
+
+def _set(points: Any, side: str) -> Mapping[str, Any]:
+    return {_ONE[0]: points, SIDE: side} if side else {_ONE[0]: points}
+
+
+def _triples(values: Any, where: str) -> list[Any]:
+    """Return x, y, score one after the other as points; one of score 0 is none, and so is a set of such."""
+    if not isinstance(values, list) or len(values) % 3:
+        if values is None:
+            return []
+        raise UsageError("points are not x, y, score", where=where, found=type(values).__name__)
+    points = [_scored(values[k], values[k + 1], values[k + 2]) for k in range(0, len(values), 3)]
+    return points if any(points) else []
+
+
+def _scored(x: Any, y: Any, score: Any) -> list[Any] | None:
+    return None if score == 0 else [x, y, None, score]
+
+
+def _instance(kind: PointKind, instance: Mapping[str, Any], names: Any) -> list[Mapping[str, Any]]:
+    """Return an instance of MMPose as sets: of all its points, or of the parts of a whole body."""
+    points, scores = instance.get("keypoints"), instance.get("keypoint_scores")
+    if not isinstance(points, list):
+        return []
+    if not isinstance(scores, list) or len(scores) != len(points):
+        scores = [None] * len(points)
+    scored = [
+        _scored(point[0], point[1], score) if isinstance(point, list) and len(point) > 1 else point
+        for point, score in zip(points, scores, strict=True)
+    ]
+    if len(scored) == _WHOLE_BODY:
+        return [_set(scored[part], side) for side, part in kind.parts.items()]
+    named = names if isinstance(names, Mapping) else {}
+    own = [str(named.get(str(k), "")) for k in range(len(scored))]
+    if all(kind.number(name) is not None for name in own):
+        return [_set(dict(zip(own, scored, strict=True)), "")]
+    return [_set(scored, "")]
 
 
 def _hands(kind: PointKind, frame: Mapping[str, Any], where: str) -> Sequence[Any]:

@@ -21,6 +21,8 @@ class PointKind:
             ours are not listed.
         several: fields of JSON frames that list several subjects.
         plain: makes of a lower-case name of another program's ours, where it is one.
+        flat: fields of OpenPose's people with x, y, score of each point, and the side that each is of.
+        parts: points of COCO's 133 of a whole body, and the side that each part is of.
         ends: what the first and the last point are, for errors.
         command: whose help says more.
     """
@@ -31,6 +33,8 @@ class PointKind:
     several: tuple[str, ...]
     command: str
     plain: Callable[[str], str] = field(default=_unchanged)
+    flat: Mapping[str, str] = field(default_factory=dict)
+    parts: Mapping[str, slice] = field(default_factory=dict)
     ends: tuple[str, str] = ("", "")
 
     @property

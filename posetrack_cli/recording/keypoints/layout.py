@@ -31,9 +31,11 @@ NS_PER_UNIT = {
     for name in ("stamp", "timestamp", "time", "t")
 }
 """Fields of stamps, and what one of their units is in ns."""
-FRAME_FIELDS = ("frame", "frame_index", "frame_id", "frame_number", "image_index")
+FRAME_FIELDS = ("frame", "frame_index", "frame_id", "frame_number", "frame_idx", "image_index")
 SCORE_FIELDS = ("score", "confidence", "conf", "visibility", "presence", "likelihood")
 POINT_FIELDS = ("landmark", "landmark_index", "landmark_id", "keypoint", "joint", "point", "name", "id")
+OVER_ONE = 1.2
+"""Scores up to this are 1: peaks of confidence maps, as SLEAP and OpenPose state them, may exceed it."""
 SIDE, HANDEDNESS, MIRRORED = "side", "handedness", "multi_handedness"
 """Fields that tell right or left: the hand's own side; the label of MediaPipe's tasks, which is that since
 version 0.10.15; and that of its solutions, which take every image for that of a mirror and so call a right
@@ -44,7 +46,7 @@ KEYS = f"a number in {FRAME_FIELDS[0]} (from 0) or a stamp in stamp_ns, timestam
 _AXES = {"x": X, "y": Y, "z": Z} | dict.fromkeys((*SCORE_FIELDS, "c"), SCORE)
 _NUMBERED = re.compile(r"(?:(?:landmark|keypoint|point|joint|kp|lm)_?)?(\d{1,3})_?([a-z]+)")
 _AXIS_FIRST = re.compile(r"([a-z]+)_?(\d{1,3})")
-_NAMED = re.compile(r"([a-z_]+)_([a-z]+)")
+_NAMED = re.compile(r"([a-z_]+[1-4]?)_([a-z]+)")
 
 
 class Parsed(NamedTuple):
@@ -88,7 +90,7 @@ def point_of(kind: PointKind, value: Any, where: object) -> int:
 
 def point_column(kind: PointKind, name: str) -> PointColumn | None:
     """Return what a column of a wide table is of: ``x0``, ``landmark_0_x``, ``thumb_tip_x_mm`` ..."""
-    plain, unit = name.strip().lower(), None
+    plain, unit = name.strip().lower().replace(".", "_"), None
     for ending in UNIT_NAMES:
         if plain.endswith(f"_{ending}"):
             plain, unit = plain.removesuffix(f"_{ending}"), UNIT_NAMES[ending]
@@ -156,6 +158,8 @@ def score_of(value: Any, where: object) -> float:
         UsageError: it is not between 0 and 1.
     """
     score = number_of(value, where)
+    if 1.0 < score <= OVER_ONE:
+        return 1.0
     if not math.isnan(score) and not 0.0 <= score <= 1.0:
         raise UsageError("score cannot be used", where=where, found=_shown(value), expected="0 to 1")
     return score

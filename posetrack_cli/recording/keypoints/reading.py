@@ -13,8 +13,8 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.files import open_input
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.recording.identity import file_digest
-from posetrack_cli.recording.keypoints.json_text import read_json, read_json_lines
+from posetrack_cli.recording.identity import file_digest, files_digest
+from posetrack_cli.recording.keypoints.json_text import frame_files, read_folder, read_json, read_json_lines
 from posetrack_cli.recording.keypoints.kind import PointKind
 from posetrack_cli.recording.keypoints.layout import NORMALISED, PIXELS, Parsed
 from posetrack_cli.recording.keypoints.sets import KeypointSets
@@ -30,12 +30,15 @@ def parse_keypoints(path: Path, kind: PointKind) -> Parsed:
     """Read keypoints that another program found, in the file's unit.
 
     Args:
-        path: CSV; or JSON, one value (``.json``) or one per line (``.jsonl``, ``.ndjson``).
+        path: CSV; JSON, one value (``.json``) or one per line (``.jsonl``, ``.ndjson``); or a folder of JSON
+            files, one a frame.
         kind: whose points they are.
 
     Raises:
         UsageError: no such file; or names file, line and field of what cannot be used.
     """
+    if path.is_dir():
+        return read_folder(path, kind)
     _check_size(path)
     suffix = path.suffix.lower()
     if suffix in (".jsonl", ".ndjson"):
@@ -46,6 +49,8 @@ def parse_keypoints(path: Path, kind: PointKind) -> Parsed:
 def digest_of(path: Path) -> str:
     """Return the SHA-256 of a file of keypoints; UsageError if it cannot be read."""
     try:
+        if path.is_dir():
+            return files_digest((file.name, file) for file in frame_files(path))[1]
         return file_digest(path)[1]
     except RecordingError as error:
         raise UsageError(str(error)) from error

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from posetrack_cli import limits
-from posetrack_cli.arrays import FloatArray, IntArray
+from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
 from posetrack_cli.errors import UsageError
 from posetrack_cli.recording.keypoints.kind import PointKind
 
 X, Y, Z, SCORE = range(4)
 """Columns of a set's values."""
 NS_TOLERANCE = 10_000_000
-"""Stamps of a set and of its frame differ by so much at most, ns."""
+"""Stamps of a set and of its frame differ by this at most, ns, and by less than half the time to the next."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +28,8 @@ class KeypointSets:
         points: (N, P, 3) x, y, z in the file's unit; NaN where unknown, z everywhere for points in images.
         scores: (N, P) 0 to 1; NaN where none is stated.
         right: (N,) the stated probability that the hand is a right one; NaN where none is stated.
+        numbers: (N,) frame numbers next to stamps, -1 where none is stated.
+        tolerance_ns: stamps of a set and of its frame differ by this at most.
     """
 
     keys: IntArray
@@ -35,9 +37,17 @@ class KeypointSets:
     points: FloatArray
     scores: FloatArray
     right: FloatArray
+    numbers: IntArray | None = None
+    tolerance_ns: int = NS_TOLERANCE
 
     def __len__(self) -> int:
         return len(self.keys)
+
+    def rows(self, kept: BoolArray, points: FloatArray) -> KeypointSets:
+        """Return the sets of some rows, with other points (N, P, 3)."""
+        numbers = None if self.numbers is None else self.numbers[kept]
+        own = replace(self, keys=self.keys[kept], points=points[kept], scores=self.scores[kept])
+        return replace(own, right=self.right[kept], numbers=numbers)
 
     def of(self, index: int, stamp_ns: int) -> slice:
         """Return which sets are of a frame: of its number or, told by stamps, of the stamp nearest to its."""
@@ -46,7 +56,7 @@ class KeypointSets:
             after = int(np.searchsorted(self.keys, key))
             near = self.keys[max(after - 1, 0) : after + 1]
             nearest = int(near[int(np.argmin(np.abs(near - key)))])
-            if abs(nearest - key) > NS_TOLERANCE:
+            if abs(nearest - key) > self.tolerance_ns:
                 return slice(0, 0)
             key = nearest
         return slice(int(np.searchsorted(self.keys, key)), int(np.searchsorted(self.keys, key, "right")))
@@ -67,6 +77,7 @@ class SetCollector:
     by_stamp: bool
     _values: dict[tuple[int, int], FloatArray] = field(default_factory=dict)
     _right: dict[tuple[int, int], float] = field(default_factory=dict)
+    _numbers: dict[int, int] = field(default_factory=dict)
     _after: dict[tuple[int, int], int] = field(default_factory=dict)
 
     def set_of(self, key: int, hand: int, where: object) -> FloatArray:
@@ -109,6 +120,10 @@ class SetCollector:
             raise UsageError("point occurs twice in a frame", where=where, found=f"point {point}")
         values[point] = said
 
+    def tell_number(self, key: int, number: int) -> None:
+        """Record the frame number next to a stamp."""
+        self._numbers[key] = number
+
     def tell_side(self, key: int, hand: int, right: float) -> None:
         """Say with which probability a set is of a right hand."""
         self._right[key, hand] = right
@@ -131,4 +146,6 @@ class SetCollector:
         values[~np.isfinite(values[..., :Z]).all(axis=2)] = np.nan
         right = np.array([self._right.get(key, np.nan) for key in known])
         keys = np.array([key for key, _ in known], dtype=np.int64)
-        return KeypointSets(keys, self.by_stamp, values[..., :SCORE], values[..., SCORE], right)
+        numbers = [self._numbers.get(key, -1) for key, _ in known]
+        stated = np.array(numbers, dtype=np.int64) if self._numbers else None
+        return KeypointSets(keys, self.by_stamp, values[..., :SCORE], values[..., SCORE], right, stated)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
-from pathlib import Path
+from pathlib import Path, PurePath
 from textwrap import shorten
 
 from posetrack_cli import limits
@@ -39,6 +40,9 @@ EXPECTED = (
     "columns of points (x0, y0 ... or wrist_x, wrist_y ..., or a row per point with landmark, x, y), "
     "and of frames or stamps"
 )
+_SCORER, _COORDS = "scorer", "coords"
+_LEVELS = ("individuals", "bodyparts", _COORDS)
+"""Rows of the header of a table of DeepLabCut, after the scorer's."""
 _SUBJECTS = ("hand", "face", "face_id")
 """Columns that count the subjects of a frame."""
 _SUCCESS = "success"
@@ -53,8 +57,53 @@ def read_csv(path: Path, kind: PointKind) -> Parsed:
         UsageError: names file, line and column of what cannot be used.
     """
     rows = csv_rows(path, UsageError, KIND)
-    line, names = next(rows, (0, []))
+    line, first = next(rows, (0, []))
+    names: Sequence[str] = first
+    if names and names[0].strip().lower() == _SCORER:
+        names, rows = _deeplabcut(path, line, names, rows)
     return parse_table(path, kind, [name.strip() for name in names], rows, f"{path} line {line}")
+
+
+def _deeplabcut(
+    path: Path, line: int, scorer: Sequence[str], rows: Iterator[Row]
+) -> tuple[Sequence[str], Iterator[Row]]:
+    """Return the columns and rows of a table of DeepLabCut, whose names are spread over three or four rows.
+
+    These are scorer, individuals (of several animals), bodyparts and coords; the first column counts frames
+    or names images. A row becomes one for each individual.
+
+    Raises:
+        UsageError: the header ends early or does not name bodyparts and coords.
+    """
+    header: dict[str, Sequence[str]] = {}
+    while _COORDS not in header:
+        line, row = next(rows, (line, []))
+        if not row or len(row) != len(scorer) or len(header) > len(_LEVELS):
+            found, expected = f"{len(row)} cells", f"{len(scorer)}, and rows {', '.join(_LEVELS)}"
+            raise UsageError(
+                "header of DeepLabCut is not complete",
+                where=f"{path} line {line}",
+                found=found,
+                expected=expected,
+            )
+        header[row[0].strip().lower()] = [cell.strip() for cell in row]
+    parts = header.get("bodyparts", [""] * len(scorer))
+    first = 1 + sum(1 for cell in parts[1:3] if not cell)  # images may be named in three columns
+    who = header.get("individuals", [""] * len(scorer))
+    columns: dict[str, list[int]] = {}
+    for k in range(first, len(scorer)):
+        columns.setdefault(who[k], []).append(k)
+    names = [f"{parts[k]}_{header[_COORDS][k]}" for k in next(iter(columns.values()), [])]
+
+    def taken() -> Iterator[Row]:
+        for number, row in rows:
+            frame = re.findall(r"\d+", PurePath(row[first - 1]).stem if len(row) >= first else "")
+            for own in columns.values():
+                cells = [row[k] for k in own if k < len(row)]
+                if any(cells) or len(row) != len(scorer):
+                    yield number, [frame[-1] if frame else "", *cells]
+
+    return [FRAME_FIELDS[0], *names], taken()
 
 
 def parse_table(path: Path, kind: PointKind, names: Sequence[str], rows: Iterator[Row], where: str) -> Parsed:
@@ -88,6 +137,7 @@ class _Table:
 
     Attributes:
         key, ns_per_unit: column of the frame or, with what its unit is in ns, of the stamp.
+        frame: column of the frame next to that of the stamp, -1 for none.
         points: columns of a row per frame; none where each row is a point.
         values: columns of point, x, y, z of a row per point, -1 for none.
         score: of the row, -1 for none.
@@ -98,6 +148,7 @@ class _Table:
 
     key: int
     ns_per_unit: int | None
+    frame: int
     points: tuple[tuple[int, PointColumn], ...]
     values: tuple[int, int, int, int]
     score: int
@@ -140,6 +191,7 @@ class _Table:
         return cls(
             plain.index(key),
             None if stamp is None else NS_PER_UNIT[stamp],
+            _place(plain, frame) if stamp is not None else -1,
             points if is_wide else (),
             (_place(plain, point), long_names["x"], long_names["y"], long_names["z"]),
             next((plain.index(name) for name in SCORE_FIELDS if name in plain), -1),
@@ -159,6 +211,8 @@ class _Table:
         if self.success >= 0 and not number_of(row[self.success], f"{where}, {_SUCCESS}") > 0.0:
             return
         key = key_of(row[self.key], self.ns_per_unit, where)
+        if self.frame >= 0 and row[self.frame].strip():
+            collector.tell_number(key, key_of(row[self.frame], None, where))
         label = row[self.side] if self.side >= 0 else ""
         hand = 0
         if self.hand >= 0:

@@ -131,19 +131,57 @@ def test_stamps_keep_their_nanoseconds(
     assert load(tmp_path, text).stamp_ns.tolist() == expected
 
 
+@pytest.mark.parametrize("format_name", ["csv", "json"])
 @pytest.mark.parametrize("subject", [HAND, HEAD], ids=["hand", "head"])
-def test_an_exported_result_is_a_truth(tmp_path: Path, subject: Subject) -> None:
+def test_an_exported_result_is_a_truth(tmp_path: Path, subject: Subject, format_name: str) -> None:
     """All but its lost frames; a rotation of the points to and from a head's axes rounds."""
     own = estimates(subject, 9, lost=(2, 3))
     result = read_result(write_result(tmp_path / "r.mcap", subject, own))
-    export_file(ExportSource(result, result.estimate_topic), "csv", tmp_path / "r.csv")
-    track = load_csv_track(tmp_path / "r.csv", subject)
+    export_file(ExportSource(result, result.estimate_topic), format_name, tmp_path / f"r.{format_name}")
+    track = load_csv_track(tmp_path / f"r.{format_name}", subject)
     kept = [one for one in own if one.status != Status.LOST]
-    assert (track.name, track.shape_names) == ("r.csv without its 2 lost frames", subject.shape_names)
+    assert (track.name, track.shape_names) == (
+        f"r.{format_name} without its 2 lost frames",
+        subject.shape_names,
+    )
     assert track.stamp_ns.tolist() == [one.stamp_ns for one in kept]
     for name in ("position", "quaternion", "shape", "twist", "points"):
         expected = [getattr(one, name) for one in kept]
         np.testing.assert_allclose(of(getattr(track, name)), expected, rtol=1e-12, atol=1e-9)
+
+
+def test_a_trajectory_in_tum_s_format_is_a_truth(tmp_path: Path) -> None:
+    """Metres become mm, by decimals; other programs write no comments, and more spaces."""
+    own = estimates(HEAD, 9)
+    result = read_result(write_result(tmp_path / "r.mcap", HEAD, own))
+    export_file(ExportSource(result, result.estimate_topic), "tum", tmp_path / "r.tum")
+    track = load_csv_track(tmp_path / "r.tum", HEAD)
+    assert track.stamp_ns.tolist() == [one.stamp_ns for one in own]
+    np.testing.assert_allclose(of(track.position), [one.position for one in own], rtol=1e-12)
+    np.testing.assert_allclose(of(track.quaternion), [one.quaternion for one in own], atol=WRITTEN)
+    track = load(tmp_path, "1.5   0.001 0.002 -0.7  0 0 0 1\n")
+    assert (track.stamp_ns.tolist(), of(track.position).tolist()) == ([1_500_000_000], [[1, 2, -700]])
+    assert "line 2: row does not fit the header, found 7" in message(
+        tmp_path, "1 0 0 0 0 0 0 1\n2 0 0 0 0 0 1\n"
+    )
+    assert "line 2, column x_mm: is not a number" in message(tmp_path, "1 0 0 0 0 0 0 1\n2 x 0 0 0 0 0 1\n")
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("[1, 2]", "holds no table, found list"),
+        ('{"rows": []}', "holds no table, found rows"),
+        ('{"columns": {"t_s": [1, 2], "x_mm": [1]}}', "columns are not of one length"),
+        ("{", "is no JSON"),
+        ("[" * 100_000, "is no JSON"),
+    ],
+)
+def test_json_that_is_no_export(tmp_path: Path, text: str, says: str) -> None:
+    path = tmp_path / "truth.json"
+    path.write_text(text)
+    with pytest.raises(TruthError, match=says):
+        load_csv_track(path, HEAD)
 
 
 def test_a_file_of_lost_frames_has_no_truth(tmp_path: Path) -> None:
