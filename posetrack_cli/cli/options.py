@@ -343,11 +343,13 @@ recording_options = option_group(
     _CAMERA,
     fps_option("Of a folder of images, which may not tell it."),
     option(
-        "--depth-unit-mm", metavar="MM", type=float, help="Millimetres per stored unit of a folder's images."
+        "--depth-unit-mm",
+        metavar="MM",
+        type=float,
+        help="Millimetres per stored unit of depth.  [default: by what the images hold; integers are mm, "
+        "floats m]",
     ),
-    option(
-        "--missing", metavar="N", type=int, help="Stored value of a folder's images that means no reading."
-    ),
+    option("--missing", metavar="N", type=int, help="Stored integer that means no reading; 0 always does."),
     _MIRROR,
     title=READ,
 )

@@ -15,7 +15,8 @@ from posetrack_cli.units import NS_PER_S
 RAW_IMAGE = "image"
 COMPRESSED_IMAGE = "compressed image"
 CALIBRATION = "calibration"
-IMAGES = (RAW_IMAGE, COMPRESSED_IMAGE)
+DISPARITY_IMAGE = "disparity image"
+IMAGES = (RAW_IMAGE, COMPRESSED_IMAGE, DISPARITY_IMAGE)
 
 KINDS = {
     "foxglove.RawImage": RAW_IMAGE,
@@ -24,6 +25,8 @@ KINDS = {
     "foxglove.CompressedImage": COMPRESSED_IMAGE,
     "sensor_msgs/CompressedImage": COMPRESSED_IMAGE,
     "sensor_msgs/msg/CompressedImage": COMPRESSED_IMAGE,
+    "stereo_msgs/DisparityImage": DISPARITY_IMAGE,
+    "stereo_msgs/msg/DisparityImage": DISPARITY_IMAGE,
     "foxglove.CameraCalibration": CALIBRATION,
     "sensor_msgs/CameraInfo": CALIBRATION,
     "sensor_msgs/msg/CameraInfo": CALIBRATION,

@@ -43,6 +43,7 @@ _REGION = "uint32 x_offset\nuint32 y_offset\nuint32 height\nuint32 width\nbool d
 DEFINITIONS: Mapping[Dialect, Mapping[str, str]] = {
     "ros1": {
         "Header": "uint32 seq\ntime stamp\nstring frame_id",
+        "DisparityImage": "Header header\nImage image\nfloat32 f\nfloat32 T",
         "CameraInfo": _CAMERA_INFO
         + "float64[] D\nfloat64[9] K\nfloat64[9] R\nfloat64[12] P"
         + _PART_OF_SENSOR,
@@ -54,6 +55,7 @@ DEFINITIONS: Mapping[Dialect, Mapping[str, str]] = {
     "cdr": {
         "Header": "Time stamp\nstring frame_id",
         "Time": "int32 sec\nuint32 nanosec",
+        "DisparityImage": "Header header\nImage image\nfloat32 f\nfloat32 t",
         "CameraInfo": _CAMERA_INFO
         + "float64[] d\nfloat64[9] k\nfloat64[9] r\nfloat64[12] p"
         + _PART_OF_SENSOR,
@@ -65,7 +67,7 @@ DEFINITIONS: Mapping[Dialect, Mapping[str, str]] = {
 }
 """In ROS's own notation, without the packages of types: no two that are read have the same name."""
 
-_OPEN = ("Image", "CompressedImage", "CameraInfo")
+_OPEN = ("Image", "CompressedImage", "CameraInfo", "DisparityImage")
 """Layouts that more fields may follow; others are parts of messages and must end where they end here."""
 _TAIL = {"CameraInfo": 3}
 """How many of the last fields a message may lack: some writers end a CameraInfo with P."""

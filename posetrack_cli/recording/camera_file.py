@@ -142,17 +142,25 @@ class Intrinsics(Settings):
         )
 
 
-class DepthCamera(Intrinsics):
+class DepthStorage(Settings):
+    """How depth is stored.
+
+    Attributes:
+        depth_unit_mm: millimetres per stored unit; None decides by the images.
+        missing: stored code that means no reading; 0 always means it, too.
+    """
+
+    depth_unit_mm: Unit | None = None
+    missing: Annotated[int, Field(ge=0, le=65535)] = 0
+
+
+class DepthCamera(Intrinsics, DepthStorage):
     """The one camera of a camera.toml for depth; all of it about the images before crop and mirror.
 
     Attributes:
-        depth_unit_mm: millimetres per stored unit.
-        missing: stored code that means no reading; 0 always means it, too.
         mirror: flip the images left to right.
     """
 
-    depth_unit_mm: Unit = 1.0
-    missing: Annotated[int, Field(ge=0, le=65535)] = 0
     mirror: bool = False
 
     @property
@@ -336,6 +344,22 @@ def load_depth_camera(path: Path) -> DepthCamera:
         RecordingError: if it is missing, not TOML, or a key is unknown, missing or of the wrong kind.
     """
     return _checked(DepthCamera, _read_toml(path), path)
+
+
+def stated_depth(settings: DepthCamera | None, options: Mapping[str, Any]) -> tuple[float | None, int]:
+    """Return the unit of depth, mm, and the code of no reading that options or a camera file state.
+
+    Raises:
+        UsageError: an option has a value that cannot be used.
+    """
+    known = {} if settings is None else {"depth_unit_mm": settings.depth_unit_mm, "missing": settings.missing}
+    given = {key: options[key] for key in DepthStorage.model_fields if options.get(key) is not None}
+    try:
+        stated = DepthStorage.model_validate(known | given)
+    except ValueError as error:
+        text = ", ".join(f"{key} {value}" for key, value in given.items())
+        raise UsageError("depth option cannot be used", found=text) from error
+    return stated.depth_unit_mm, stated.missing
 
 
 def load_rig(path: Path) -> Rig:

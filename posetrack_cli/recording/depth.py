@@ -9,9 +9,9 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from posetrack_cli import limits
-from posetrack_cli.arrays import Float32Array, ImageArray
+from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray
 from posetrack_cli.errors import RecordingError
-from posetrack_cli.mcap.decoding import COMPRESSED_IMAGE, RAW_IMAGE
+from posetrack_cli.mcap.decoding import COMPRESSED_IMAGE, DISPARITY_IMAGE, RAW_IMAGE
 from posetrack_cli.recording.base import UnreadableImageError
 from posetrack_cli.recording.image_files import PNG_SIGNATURE, PNG_SIZE_AT, decode_codes
 from posetrack_cli.recording.pixels import check_size, raw_values
@@ -19,6 +19,8 @@ from posetrack_cli.recording.pixels import check_size, raw_values
 DepthEncoding = Literal["16UC1", "32FC1"]
 
 MM_PER_M = 1000.0
+DISPARITY = "disparity"
+"""How a topic, a folder and an encoding are named that hold the shift between two images, pixels."""
 RAW_DEPTH: dict[str, DepthEncoding] = {"16UC1": "16UC1", "mono16": "16UC1", "32FC1": "32FC1"}
 DTYPES: dict[DepthEncoding, str] = {"16UC1": "u2", "32FC1": "f4"}
 COMPRESSED_DEPTH_HEADER = struct.Struct("<iff")
@@ -28,14 +30,16 @@ PNG_COLOUR_TYPES = {0: "grey", 2: "colour", 3: "palette", 4: "grey with alpha", 
 
 @dataclass(frozen=True)
 class Depth:
-    """Depth as 16-bit codes of some unit, or as floating-point metres; a kind of ``Pixels``.
+    """Depth as 16-bit codes or floating-point numbers of some unit; a kind of ``Pixels``.
 
     Attributes:
         width, height: of the stored images, pixels.
         encoding: ``16UC1`` if every depth is a whole number of millimetres, else ``32FC1``.
-        unit_mm: millimetres per code.
-        missing: code in image files that means no reading; 0 always means it, too.
+        unit_mm: millimetres per stored unit, also of floating-point numbers.
+        missing: stored code that means no reading; 0 always means it, too.
         stored: as people name how messages store it: ``16UC1``, ``png 16-bit grey``...
+        disparity_px_m: focal length times baseline, px m, where images hold disparity; else None.
+        is_float: whether image files hold floats.
     """
 
     width: int
@@ -44,17 +48,24 @@ class Depth:
     unit_mm: float = 1.0
     missing: int = 0
     stored: str = ""
+    disparity_px_m: float | None = None
+    is_float: bool = False
 
     is_numbered_as_stored: ClassVar[bool] = True
 
     def from_file(self, data: bytes, where: object) -> Float32Array:
         """Return (height, width) depth, mm, of an image file."""
-        return self.from_stored(decode_codes(data, str(where)), where)
+        values = decode_codes(data, str(where))
+        if (values.dtype.kind == "f") != self.is_float:
+            kinds = "16-bit integers", "32-bit floats"
+            found, expected = kinds[not self.is_float], kinds[self.is_float]
+            raise RecordingError("images differ in kind", where=where, found=found, expected=expected)
+        return self.from_stored(values, where)
 
     def from_stored(self, codes: ImageArray, where: object) -> Float32Array:
         """Return (height, width) depth, mm, of codes as they are stored."""
         check_size(codes, self, where)
-        return depth_from_codes(codes, self.unit_mm, self.missing)
+        return depth_from_stored(codes, self.unit_mm, self.missing)
 
     def from_message(self, decoded: Any, kind: str, where: str) -> Float32Array:
         """Return (height, width) depth, mm, of an image message."""
@@ -67,11 +78,12 @@ class Depth:
                 found=f"{here.width}x{here.height} {here.encoding}",
                 expected=f"{first.width}x{first.height} {first.encoding} as at the beginning",
             )
-        return decode_depth(decoded, kind, where, self.unit_mm)
+        values = stored_depth(decoded, kind, where, self.disparity_px_m)
+        return depth_from_stored(values, self.unit_mm, self.missing)
 
     def png_of_message(self, decoded: Any, kind: str) -> bytes | None:
         """Return the 16-bit PNG of depth in mm that a message carries, None if it does not carry one."""
-        if kind != COMPRESSED_IMAGE or self.unit_mm != 1.0:
+        if kind != COMPRESSED_IMAGE or self.unit_mm != 1.0 or self.missing:
             return None
         data = bytes(decoded.data)
         if _describe_compressed(str(decoded.format), data).depth != "16UC1":
@@ -100,26 +112,40 @@ def describe_image(decoded: Any, kind: str) -> ImageDescription:
     if kind == RAW_IMAGE:
         encoding = str(decoded.encoding)
         return ImageDescription(encoding, int(decoded.width), int(decoded.height), RAW_DEPTH.get(encoding))
+    if kind == DISPARITY_IMAGE:
+        image = decoded.image
+        depth: DepthEncoding | None = "32FC1" if str(image.encoding) == "32FC1" else None
+        return ImageDescription(DISPARITY, int(image.width), int(image.height), depth)
     return _describe_compressed(str(decoded.format), bytes(decoded.data))
 
 
-def decode_depth(decoded: Any, kind: str, where: str, unit_mm: float = 1.0) -> Float32Array:
-    """Return the (height, width) depth of an image message, mm, 0 = no reading.
+def stored_depth(decoded: Any, kind: str, where: str, disparity_px_m: float | None = None) -> ImageArray:
+    """Return the (height, width) values of a depth message: integer codes, or floats, in its own unit.
 
     Args:
         decoded, kind: the message.
         where: for errors.
-        unit_mm: millimetres per integer code.
+        disparity_px_m: focal length times baseline, where the values are disparities; depth in m is returned.
 
     Raises:
         UnreadableImageError: if the data are too short or damaged, or are no depth.
     """
     if kind == COMPRESSED_IMAGE:
-        return _decode_compressed(decoded, where, unit_mm)
+        return _decode_compressed(decoded, where)
+    if kind == DISPARITY_IMAGE:
+        baseline = decoded.T if hasattr(decoded, "T") else decoded.t  # in ROS 1 and in ROS 2
+        decoded, disparity_px_m = decoded.image, float(decoded.f) * float(baseline)
     if decoded.encoding not in RAW_DEPTH:
         raise UnreadableImageError(f"encoding {decoded.encoding} is no depth")
     values = raw_values(decoded, DTYPES[RAW_DEPTH[decoded.encoding]])
-    return depth_from_metres(values) if values.dtype.kind == "f" else depth_from_codes(values, unit_mm)
+    return values if disparity_px_m is None else depth_from_disparity(values, disparity_px_m)
+
+
+def depth_from_stored(values: ImageArray, unit_mm: float, missing: int = 0) -> Float32Array:
+    """Return depth, mm, of stored integer codes or floats of ``unit_mm`` each, 0 = no reading."""
+    if values.dtype.kind == "f":
+        return depth_from_floats(values, unit_mm)
+    return depth_from_codes(values, unit_mm, missing)
 
 
 def depth_from_codes(codes: ImageArray, unit_mm: float = 1.0, missing: int = 0) -> Float32Array:
@@ -134,18 +160,23 @@ def depth_from_codes(codes: ImageArray, unit_mm: float = 1.0, missing: int = 0) 
     return depth if usual else _readings(depth)
 
 
-def depth_from_metres(metres: ImageArray) -> Float32Array:
-    """Return depth, mm, of floating-point metres; NaN, inf and what no camera reads (``limits``) become 0."""
+def depth_from_floats(values: ImageArray, unit_mm: float = MM_PER_M) -> Float32Array:
+    """Return depth, mm, of floats of ``unit_mm`` each; NaN, inf and what no camera reads become 0."""
     with np.errstate(over="ignore", invalid="ignore"):
-        depth = (metres.astype(np.float64) * MM_PER_M).astype(np.float32)
+        depth = (values.astype(np.float64) * unit_mm).astype(np.float32)
     return _readings(depth)
 
 
-def depth_from_inverse(codes: ImageArray, a: float, b: float) -> Float32Array:
-    """Return depth, mm, of compressedDepth's quantised inverse depth: z = a / (v - b) metres, v = 0 none."""
+def depth_from_inverse(codes: ImageArray, a: float, b: float) -> FloatArray:
+    """Return depth, m, of compressedDepth's quantised inverse depth: z = a / (v - b), v = 0 none."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        metres = np.where(codes > 0, a / (codes.astype(np.float64) - b), 0.0)
-    return depth_from_metres(metres)
+        return np.where(codes > 0, a / (codes.astype(np.float64) - b), 0.0)
+
+
+def depth_from_disparity(disparity: ImageArray, px_m: float) -> FloatArray:
+    """Return depth, m, of disparity, px: z = f B / d; 0 where d is not positive."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(disparity > 0, px_m / disparity.astype(np.float64), 0.0)
 
 
 def _readings(depth: Float32Array) -> Float32Array:
@@ -180,7 +211,7 @@ def _png_offset(data: bytes) -> int | None:
     return None
 
 
-def _decode_compressed(decoded: Any, where: str, unit_mm: float) -> Float32Array:
+def _decode_compressed(decoded: Any, where: str) -> ImageArray:
     data = bytes(decoded.data)
     description = _describe_compressed(str(decoded.format), data)
     if description.depth is None:
@@ -188,5 +219,5 @@ def _decode_compressed(decoded: Any, where: str, unit_mm: float) -> Float32Array
     offset = _png_offset(data) or 0
     codes = decode_codes(data[offset:], where)
     if description.depth == "16UC1":
-        return depth_from_codes(codes, unit_mm)
+        return codes
     return depth_from_inverse(codes, *COMPRESSED_DEPTH_HEADER.unpack(data[:offset])[1:])

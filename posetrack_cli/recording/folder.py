@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -15,6 +16,7 @@ from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.base import (
     CAMERA_FILE_NAME,
     StoredImage,
+    UnreadableImageError,
     no_intrinsics,
     no_png,
 )
@@ -30,6 +32,13 @@ from posetrack_cli.recording.camera_file import (
     nominal_hint,
 )
 from posetrack_cli.recording.depth import Depth, DepthEncoding
+from posetrack_cli.recording.depth_content import (
+    DepthContent,
+    content_of,
+    decide_unit,
+    early,
+    other_content,
+)
 from posetrack_cli.recording.grey import Grey, decode_as_stored, grey_like
 from posetrack_cli.recording.guess import GUESSED, Guess, check_one_camera
 from posetrack_cli.recording.identity import files_digest, identity_record
@@ -63,16 +72,27 @@ def open_depth_folder(path: Path, options: ReadingOptions) -> Recording:
         UsageError: if an option has a value that cannot be used.
     """
     images = list_images(path)
-    height, width = first_decoded(images, lambda image: decode_codes(read_image(image), str(image))).shape
+    first = first_decoded(images, lambda image: decode_codes(read_image(image), str(image)))
+    height, width = first.shape
     file = depth_camera_path(path, options.get("camera_file"), (width, height))
     settings = _overridden(load_depth_camera(file), options)
+    if (other := other_content(placed_path(path).name)) and settings.depth_unit_mm is None:
+        raise RecordingError(
+            f"a folder called {other} holds no depth",
+            where=path,
+            found=f"{len(images)} images",
+            hint="--depth-unit-mm 1 takes them for depth all the same",
+        )
     fps = nominal_rate(path, settings) if options.get("fps") is None else options.get("fps")
     stamps = common_stamps(path, images, fps)
-    encoding: DepthEncoding = "16UC1" if settings.depth_unit_mm == 1.0 else "32FC1"
-    pixels = Depth(width, height, encoding, settings.depth_unit_mm, settings.missing)
     found = image_camera(settings, file, (width, height))
+    decision = decide_unit(_early_content(images, found.camera, settings.missing), settings.depth_unit_mm)
+    encoding: DepthEncoding = "16UC1" if decision.unit_mm == 1.0 and first.dtype.kind == "u" else "32FC1"
+    pixels = Depth(
+        width, height, encoding, decision.unit_mm, settings.missing, is_float=first.dtype.kind == "f"
+    )
     camera = settings.window.camera(found.camera)
-    copied = settings.depth_unit_mm == 1.0 and settings.missing == 0 and settings.window.keeps_pixels
+    copied = encoding == "16UC1" and settings.missing == 0 and settings.window.keeps_pixels
     stamped = list(zip(stamps, images, strict=True))
     stream = _stream(camera, pixels, settings.window, "", stamped, is_millimetres=copied)
 
@@ -82,7 +102,7 @@ def open_depth_folder(path: Path, options: ReadingOptions) -> Recording:
         return {
             **identity_record(path, "folder", files_digest([*files, (CAMERA_FILE_NAME, file)])),
             "frames": str(len(images)),
-            "depth_unit_mm": str(settings.depth_unit_mm),
+            "depth_unit_mm": str(decision.unit_mm),
             "missing": str(settings.missing),
             "mirror": str(settings.mirror).lower(),
             **_rate(fps),
@@ -95,8 +115,17 @@ def open_depth_folder(path: Path, options: ReadingOptions) -> Recording:
         identity=identity,
         frame_count=len(images),
         why=[found.why],
-        remarks=found.remarks,
+        remarks=found.remarks + decision.remarks,
     )
+
+
+def _early_content(images: Sequence[Path], camera: Camera, missing: int) -> DepthContent:
+    """What early images hold, as far as they can be decoded and are of one size and kind."""
+    decoded: list[ImageArray] = []
+    for image in early(images):
+        with suppress(UnreadableImageError, RecordingError):
+            decoded.append(decode_codes(read_image(image), str(image)))
+    return content_of(decoded, camera, missing)
 
 
 def open_grey_folder(path: Path, options: ReadingOptions) -> Recording:

@@ -12,9 +12,10 @@ from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import PosetrackError, RecordingError
 from posetrack_cli.files import placed_path
 from posetrack_cli.losses import LossLog
-from posetrack_cli.recording.camera_file import image_camera, load_depth_camera
+from posetrack_cli.recording.camera_file import load_depth_camera
+from posetrack_cli.recording.depth import Depth
 from posetrack_cli.recording.description import described_cameras, described_stamps, opened
-from posetrack_cli.recording.folder import depth_camera_path, open_grey_folder
+from posetrack_cli.recording.folder import depth_camera_path, open_depth_folder, open_grey_folder
 from posetrack_cli.recording.grey import decode_as_stored, grey_like
 from posetrack_cli.recording.identity import shown_name
 from posetrack_cli.recording.image_files import (
@@ -37,7 +38,11 @@ def describe_folder(path: Path) -> dict[str, Any]:
     images = folders.by_name.get("")
     if images is not None:
         first = first_decoded(images, _as_stored)
-        if first.ndim == 2 and first.dtype == np.uint16 and images[0].suffix.lower() in DEPTH_SUFFIXES:
+        if (
+            first.ndim == 2
+            and first.dtype in (np.uint16, np.float32)
+            and images[0].suffix.lower() in DEPTH_SUFFIXES
+        ):
             return _describe_depth(path)
     return _describe_grey(folders)
 
@@ -103,11 +108,12 @@ def _stamps(path: Path, images: list[Path]) -> dict[str, Any]:
 
 
 def _camera(path: Path, width: int, height: int) -> dict[str, Any]:
-    file = depth_camera_path(path, None, (width, height))
-    settings = load_depth_camera(file)
-    camera = settings.window.camera(image_camera(settings, file, (width, height)).camera)
-    depth = {"depth_unit_mm": settings.depth_unit_mm, "missing": settings.missing, "mirror": settings.mirror}
-    return camera.values() | depth
+    settings = load_depth_camera(depth_camera_path(path, None, (width, height)))
+    recording = open_depth_folder(path, {"fps": ANY_RATE_HZ})
+    (pixels,) = recording.pixels
+    unit_mm = pixels.unit_mm if isinstance(pixels, Depth) else None
+    depth = {"depth_unit_mm": unit_mm, "missing": settings.missing, "mirror": settings.mirror}
+    return recording.cameras[0].values() | depth
 
 
 def _as_stored(image: Path) -> ImageArray:

@@ -95,23 +95,23 @@ def first_decoded(images: Sequence[Path], decode: Callable[[Path], Decoded]) -> 
 
 
 def decode_codes(data: bytes, where: str) -> ImageArray:
-    """Decode a 16-bit single-channel image file to (height, width) uint16 codes.
+    """Decode a single-channel image file to (height, width) uint16 codes, or float32 values of a TIFF.
 
     Raises:
         UnreadableImageError: if the bytes are no image or an incomplete one.
-        RecordingError: if the image has colours or other than 16 bits.
+        RecordingError: if the image has colours or other numbers.
     """
     image = decode_any(data)
     if image.ndim != 2:
         raise RecordingError(
             "colour image given as depth", where=where, found=f"{image.shape[2]} channels", expected="one"
         )
-    if image.dtype != np.uint16:
+    if image.dtype not in (np.uint16, np.float32):
         raise RecordingError(
             f"{8 * image.dtype.itemsize}-bit image given as depth",
             where=where,
             found=image.dtype,
-            expected="16-bit unsigned",
+            expected="16-bit unsigned, or 32-bit floats",
         )
     return image
 

@@ -15,7 +15,12 @@ from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.recording.base import no_intrinsics
-from posetrack_cli.recording.camera_file import camera_record, image_camera, load_depth_camera
+from posetrack_cli.recording.camera_file import (
+    camera_record,
+    image_camera,
+    load_depth_camera,
+    stated_depth,
+)
 from posetrack_cli.recording.camera_of import ImageCamera
 from posetrack_cli.recording.depth import Depth
 from posetrack_cli.recording.description import described_cameras, opened
@@ -75,7 +80,8 @@ def open_kinect(path: Path, options: ReadingOptions) -> Recording:
         )
     file = options.get("camera_file")
     settings = None if file is None else load_depth_camera(file)
-    unit_mm, missing = (1.0, 0) if settings is None else (settings.depth_unit_mm, settings.missing)
+    stated_mm, missing = stated_depth(settings, options)
+    unit_mm = 1.0 if stated_mm is None else stated_mm
     video = VideoImages(path, None, opened_depth, _codes, lambda first: _depth(first, unit_mm, missing))
     width, height = video.pixels.width, video.pixels.height
     if settings is None or file is None:

@@ -21,6 +21,7 @@ from posetrack_cli.recording.camera_of import (
     camera_of_message,
     is_rectified,
 )
+from posetrack_cli.recording.depth import DISPARITY
 from posetrack_cli.recording.grey import Grey, grey_like_message, holds_grey
 from posetrack_cli.recording.message_calibration import choose_calibration
 from posetrack_cli.recording.message_extrinsics import camera_places, is_placed, place_of_calibration
@@ -205,7 +206,7 @@ def camera_by(message: Any, path: Path, source: CameraTopic[Pixels], calibration
         return camera_of_message(
             calibration_of(message, calibration),
             source.size,
-            rectified=is_rectified(topic.name, topic.frame_id),
+            rectified=is_rectified(topic.name, topic.frame_id) or topic.other_content == DISPARITY,
             name=source.name or "camera",
             topic=calibration,
             images=topic.name,

@@ -103,7 +103,7 @@ class MessageSurvey:
             "encoding": image.encoding if image is not None else None,
             "width": image.width if image is not None else None,
             "height": image.height if image is not None else None,
-            "depth": topic.is_depth,
+            "depth": topic.is_depth and not topic.other_content,
             "frame_id": frame_id_of(topic.first) if topic.first is not None else None,
             **timeline.summary(),
             "remarks": [] if image is None else list(timeline.remarks),

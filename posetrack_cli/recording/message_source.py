@@ -7,6 +7,7 @@ goes, which ends the frames with a loss, not an error.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -15,15 +16,21 @@ from typing import Any, NamedTuple
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.bags.message_file import MessageFile, message_file, required_container
 from posetrack_cli.bags.ros2_folder import parts_of
-from posetrack_cli.errors import PosetrackError, UsageError
+from posetrack_cli.errors import PosetrackError, RecordingError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.losses import LossLog
-from posetrack_cli.mcap.decoding import MessageDecoder, UndecodableMessageError, stamp_of
+from posetrack_cli.mcap.decoding import (
+    DISPARITY_IMAGE,
+    MessageDecoder,
+    UndecodableMessageError,
+    stamp_of,
+)
 from posetrack_cli.recording.base import (
     TRUTH_PREFIX,
     NotCalibratedError,
     StoredImage,
     TruthMessage,
+    UnreadableImageError,
     no_png,
     truth_message,
 )
@@ -34,10 +41,19 @@ from posetrack_cli.recording.camera_file import (
     image_camera,
     load_depth_camera,
     load_rig,
+    stated_depth,
 )
 from posetrack_cli.recording.camera_of import ImageCamera
 from posetrack_cli.recording.changing_camera import CurrentCamera, Resampling, with_calibration
-from posetrack_cli.recording.depth import Depth
+from posetrack_cli.recording.depth import DISPARITY, MM_PER_M, Depth, DepthEncoding, stored_depth
+from posetrack_cli.recording.depth_content import (
+    Decision,
+    DepthContent,
+    content_of,
+    decide_unit,
+    early,
+)
+from posetrack_cli.recording.disparity import disparity_px_m
 from posetrack_cli.recording.guess import GUESSED, Guess, check_one_camera
 from posetrack_cli.recording.identity import file_digest, files_digest, identity_record
 from posetrack_cli.recording.matching import NS_PER_MS
@@ -67,13 +83,13 @@ def open_depth_messages(path: Path, options: ReadingOptions) -> Recording:
     Raises:
         RecordingError: if there is not exactly one topic or calibration that fits, or if the calibration is
             of another image size. A later image of another size or encoding raises it while it is read.
-        UsageError: a camera file that tells what the messages tell themselves, or a calibration topic
-            together with a camera file.
+        UsageError: an option that cannot be used, or a calibration topic together with a camera file.
     """
     topics = scan_topics(path)
-    topic = topics.depth_topic(options.get("topic"))
-    source = _depth_topic(topic, depth_unit_mm(topics, topic))
     settings = _camera_file(options)
+    stated_mm, missing = stated_depth(settings, options)
+    topic = topics.depth_topic(options.get("topic"))
+    source = _depth_topic(topics, topic, is_depth=stated_mm is not None)
     name, frame_id = source.topic.name, source.topic.frame_id
     wanted = options.get("camera_topic")
     calibration = "" if settings else choose_calibration(name, frame_id, topics.calibration_frames, wanted)
@@ -83,13 +99,23 @@ def open_depth_messages(path: Path, options: ReadingOptions) -> Recording:
     else:
         found = image_camera(settings, file, source.size, source.name)
     window = _window(settings.crop if settings else None, settings, options)
+    sensor_mm = depth_unit_mm(topics, topic) if stated_mm is None else None
+    decision = (
+        decide_unit(_early_content(topics, source, found.camera, missing), stated_mm)
+        if sensor_mm is None
+        else Decision(sensor_mm)
+    )
+    source = replace(source, pixels=_of_unit(source, decision.unit_mm, missing))
 
     def identity() -> Mapping[str, str]:
+        is_usual = sensor_mm is not None or decision.unit_mm == _usual_unit_mm(source)
         return {
             **_identity(path),
             "topic": source.topic.name,
             "camera_topic": calibration,
             "frames": str(source.topic.count),
+            **({} if is_usual else {"depth_unit_mm": str(decision.unit_mm)}),
+            **({"missing": str(missing)} if missing else {}),
             "mirror": str(window.mirror).lower(),
             **camera_record(options.get("camera_file")),
         }
@@ -101,7 +127,12 @@ def open_depth_messages(path: Path, options: ReadingOptions) -> Recording:
         frame_count=source.topic.count,
         truth=_truth(topics, mirror=window.mirror),
         why=[found.why],
-        remarks=_taken("depth", source, topics.depth_topics, "--topic") + found.remarks,
+        remarks=(
+            *_taken("depth", source, topics.depth_topics, "--topic"),
+            *_computed(source),
+            *found.remarks,
+            *decision.remarks,
+        ),
     )
 
 
@@ -160,30 +191,63 @@ def _identity(path: Path) -> dict[str, str]:
     return identity_record(path, kind, files_digest(parts) if parts else file_digest(path))
 
 
-def _depth_topic(topic: Topic, unit_mm: float) -> CameraTopic[Depth]:
-    """Return the camera of a topic that holds depth, named by its frame id."""
+def _depth_topic(topics: FileTopics, topic: Topic, *, is_depth: bool) -> CameraTopic[Depth]:
+    """Return the camera of a topic that holds depth, or disparity that becomes depth; named by its frame id.
+
+    Args:
+        topics: of the file.
+        topic: of the images.
+        is_depth: whether they are depth whatever the topic is called.
+    """
     image = topic.image
     if image is None or image.depth is None:
         raise TypeError(f"{topic.name} holds no depth")
-    encoding = image.depth if unit_mm == 1.0 else "32FC1"
-    pixels = Depth(image.width, image.height, encoding, unit_mm, stored=image.encoding)
+    is_disparity = topic.other_content == DISPARITY and topic.kind != DISPARITY_IMAGE and not is_depth
+    pixels = Depth(
+        image.width,
+        image.height,
+        image.depth,
+        stored=image.encoding,
+        disparity_px_m=disparity_px_m(topics, topic) if is_disparity else None,
+    )
     return CameraTopic(topic, topic.frame_id or "camera", pixels)
 
 
+def _usual_unit_mm(source: CameraTopic[Depth]) -> float:
+    """Millimetres per stored unit by ROS's convention."""
+    return MM_PER_M if source.pixels.encoding == "32FC1" else 1.0
+
+
+def _of_unit(source: CameraTopic[Depth], unit_mm: float, missing: int) -> Depth:
+    """Return what a topic's images hold, once their unit is known."""
+    is_whole = unit_mm == 1.0 and source.pixels.encoding == "16UC1"
+    encoding: DepthEncoding = "16UC1" if is_whole else "32FC1"
+    return replace(source.pixels, encoding=encoding, unit_mm=unit_mm, missing=missing)
+
+
+def _early_content(
+    topics: FileTopics, source: CameraTopic[Depth], camera: Camera, missing: int
+) -> DepthContent:
+    """What early images hold, as far as they can be decoded."""
+    decoder, decoded = MessageDecoder(), []
+    for item in early(topics.file.messages([source.topic.name])):
+        with suppress(UndecodableMessageError, UnreadableImageError, RecordingError):
+            message, kind = decoder.decode(*item), str(source.topic.kind)
+            decoded.append(stored_depth(message, kind, source.topic.name, source.pixels.disparity_px_m))
+    return content_of(decoded, camera, missing)
+
+
+def _computed(source: CameraTopic[Depth]) -> tuple[str, ...]:
+    """Words about depth that is computed from disparity."""
+    if source.topic.kind != DISPARITY_IMAGE and source.pixels.disparity_px_m is None:
+        return ()
+    return (f"{source.topic.name} holds disparity: depth is focal length times baseline over it",)
+
+
 def _camera_file(options: ReadingOptions) -> DepthCamera | None:
-    """Load the camera file, if one is given, for images whose depth format the messages tell themselves."""
+    """Load the camera file, if one is given."""
     path = options.get("camera_file")
-    if path is None:
-        return None
-    settings = load_depth_camera(path)
-    for key in ("depth_unit_mm", "missing"):
-        if getattr(settings, key) != DepthCamera.model_fields[key].default:
-            raise UsageError(
-                f"key '{key}' does not apply to messages",
-                where=path,
-                hint="its encoding tells the unit: 16UC1 mm, 32FC1 m",
-            )
-    return settings
+    return None if path is None else load_depth_camera(path)
 
 
 def _grey_cameras(

@@ -20,7 +20,8 @@ from posetrack_cli.mcap.decoding import (
 )
 from posetrack_cli.mcap.stream import McapItem
 from posetrack_cli.recording.camera_of import is_empty
-from posetrack_cli.recording.depth import ImageDescription, describe_image
+from posetrack_cli.recording.depth import DISPARITY, ImageDescription, describe_image
+from posetrack_cli.recording.depth_content import other_content
 
 DEPTH = "depth"
 TRANSPORTS = ("/compressed", "/compressedDepth")
@@ -59,6 +60,11 @@ class Topic:
     def is_depth(self) -> bool:
         """Whether the topic holds depth images."""
         return self.image is not None and self.image.depth is not None
+
+    @property
+    def other_content(self) -> str:
+        """The word in its name that says that its images are not depth, such as ``infrared``; else empty."""
+        return other_content(self.name)
 
     @property
     def is_settled(self) -> bool:
@@ -167,6 +173,8 @@ class FileTopics:
                 hint=nearest_name(wanted, names) if asked is None and names else "",
             )
         likeliest = _likeliest_depth(depth)
+        if likeliest and all(topic.other_content not in ("", DISPARITY) for topic in likeliest):
+            raise not_depth(self.path, likeliest)
         if len(likeliest) == 1:
             return likeliest[0]
         if depth:
@@ -210,11 +218,27 @@ def _settle(file: MessageFile, scan: TopicScan) -> None:
 
 def _likeliest_depth(depth: Sequence[Topic]) -> Sequence[Topic]:
     """Leave out what is there twice, infrared, and depth that was drawn anew for another camera."""
+    depth = (
+        [topic for topic in depth if not topic.other_content]
+        or [topic for topic in depth if topic.other_content == DISPARITY]
+        or depth
+    )
     names = {topic.name for topic in depth}
     copies = {name for name in names if name.endswith(TRANSPORTS) and name.rpartition("/")[0] in names}
     raw = [topic for topic in depth if topic.name not in copies]
     called = [topic for topic in raw if DEPTH in f"{topic.name} {topic.frame_id}".lower()] or raw
     return [topic for topic in called if not any(word in topic.name.lower() for word in REDRAWN)] or called
+
+
+def not_depth(path: Path, topics: Sequence[Topic]) -> RecordingError:
+    """Return the error for a file whose only candidates are called infrared or the like."""
+    return RecordingError(
+        "no topic holds depth",
+        where=path,
+        found=f"{_labels(list(topics))}, which is called {topics[0].other_content}",
+        expected="a topic of depth images",
+        hint=f"--topic {topics[0].name} takes it all the same",
+    )
 
 
 def _labels(topics: list[Topic]) -> str:

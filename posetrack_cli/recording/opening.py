@@ -24,6 +24,8 @@ from posetrack_cli.recording.video import open_video
 MANY_RECORDINGS = "posetrack batch takes patterns of many recordings"
 ANY = frozenset({"camera_file", "mirror"})
 """Options that apply to every source."""
+UNIT = frozenset({"depth_unit_mm", "missing"})
+"""Options that apply to every source of depth."""
 CAMERAS = ANY | {"cameras", "guess", "in_colour"}
 """And to every source of grey images."""
 
@@ -66,7 +68,9 @@ def _holds_messages(path: Path, *, mcap: bool) -> bool:
 
 
 MESSAGES: Mapping[PixelKind, Opener] = {
-    "depth": Opener(open_depth_messages, ANY | {"topic", "camera_topic"}, {"camera_file": "camera_topic"}),
+    "depth": Opener(
+        open_depth_messages, ANY | {"topic", "camera_topic"} | UNIT, {"camera_file": "camera_topic"}
+    ),
     "grey": Opener(open_grey_messages, CAMERAS | {"tolerance_ms"}),
 }
 """How messages are opened, whatever their container is."""
@@ -78,7 +82,7 @@ SOURCES = (
         "a folder of images",
         Path.is_dir,
         {
-            "depth": Opener(open_depth_folder, ANY | {"fps", "depth_unit_mm", "missing"}),
+            "depth": Opener(open_depth_folder, ANY | UNIT | {"fps"}),
             "grey": Opener(open_grey_folder, CAMERAS | {"fps", "tolerance_ms"}),
         },
         describe_folder,
@@ -86,7 +90,7 @@ SOURCES = (
     Source(
         "a video",
         lambda path: True,  # any other file; what is none is told when it is opened
-        {"grey": Opener(open_video, CAMERAS | {"fps"}), "depth": Opener(open_kinect, ANY)},
+        {"grey": Opener(open_video, CAMERAS | {"fps"}), "depth": Opener(open_kinect, ANY | UNIT)},
         describe_kinect,
     ),
 )

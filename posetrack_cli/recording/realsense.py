@@ -17,8 +17,8 @@ SHORTEST_MM, LONGEST_MM = 1e-3, 100.0
 """Cameras have from 0.025 mm, of a close-up, to 1 mm."""
 
 
-def depth_unit_mm(topics: FileTopics, images: Topic) -> float:
-    """Return how many millimetres a code of integer depth is: 1 by ROS's convention, unless the sensor tells.
+def depth_unit_mm(topics: FileTopics, images: Topic) -> float | None:
+    """Return how many millimetres a code of integer depth is, None if the sensor does not state it.
 
     Raises:
         RecordingError: what it tells is no unit.
@@ -26,7 +26,7 @@ def depth_unit_mm(topics: FileTopics, images: Topic) -> float:
     sensor = _SENSOR.match(images.name)
     name = "" if sensor is None else sensor.group() + UNIT
     if name not in topics.by_name or topics.by_name[name].type_name not in VALUE_TYPES:
-        return 1.0
+        return None
     for item in topics.file.messages([name]):
         try:
             # Stored as float32, whose nearest value to 0.001 is not it
@@ -38,4 +38,4 @@ def depth_unit_mm(topics: FileTopics, images: Topic) -> float:
         raise RecordingError(
             "depth unit cannot be used", where=f"{topics.path}, {name}", found=f"{unit:g} mm"
         )
-    return 1.0
+    return None

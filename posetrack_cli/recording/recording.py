@@ -27,7 +27,7 @@ class ReadingOptions(TypedDict, total=False):
         cameras: names (MCAP: or topics) of those to use; None for all.
         camera_file: in place of the recording's own calibration.
         fps: frame rate, Hz, in place of timestamps.csv or a video's own stamps.
-        depth_unit_mm, missing: of a folder's depth: mm per stored unit, code for no reading.
+        depth_unit_mm, missing: of depth: mm per stored unit, code for no reading.
         mirror: flip images left to right.
         tolerance_ms: largest difference of stamps within a frame; 10 if None.
         in_colour: colour stays so, uint8 blue green red: to draw on, not to track in.

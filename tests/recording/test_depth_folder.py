@@ -292,11 +292,13 @@ def test_options_that_do_not_apply(tmp_path: Path, make: SimpleNamespace, foxglo
         open_recording(folder, topic="/x")
     with pytest.raises(UsageError, match="--camera-topic does not apply"):
         open_recording(folder, camera_topic="/x")
-    for option in ({"fps": 30.0}, {"missing": 1}, {"depth_unit_mm": 1.0}):
-        with pytest.raises(UsageError, match="does not apply to an MCAP file"):
-            open_recording(foxglove_file, **option)
-    with pytest.raises(UsageError, match="depth option"):
-        open_recording(folder, depth_unit_mm=-1.0)
+    with pytest.raises(UsageError, match="--fps does not apply to an MCAP file"):
+        open_recording(foxglove_file, fps=30.0)
+    for path in (folder, foxglove_file):
+        with pytest.raises(UsageError, match="depth option"):
+            open_recording(path, depth_unit_mm=-1.0)
+        with pytest.raises(UsageError, match="depth option"):
+            open_recording(path, missing=65536)
 
 
 def test_identity_depends_on_contents_and_names_no_path(tmp_path: Path, make: SimpleNamespace) -> None:

@@ -253,9 +253,11 @@ def test_no_calibration_needs_a_camera_file(tmp_path: Path, make: SimpleNamespac
     assert recording.cameras[0].cx == 10 - 1 - (11.0 - 1)
     with pytest.raises(UsageError, match="--camera-topic does not apply"):
         open_recording(path, camera_file=camera, camera_topic="/x")
-    camera.write_text(make.CAMERA_TOML + "depth_unit_mm = 2.0\n")
-    with pytest.raises(UsageError, match="depth_unit_mm"):
-        open_recording(path, camera_file=camera)
+    codes = make.depth_codes(1)[0]
+    missing = int(codes[0, 0])
+    camera.write_text(make.CAMERA_TOML + f"depth_unit_mm = 2.0\nmissing = {missing}\n")
+    depth = next(iter(open_recording(path, camera_file=camera).frames())).depth
+    np.testing.assert_array_equal(depth, np.where(codes == missing, 0, 2.0 * codes))
 
 
 def test_calibration_of_another_size_or_none_at_all(tmp_path: Path, make: SimpleNamespace) -> None:
