@@ -15,6 +15,7 @@ from posetrack_cli.recording.recording import Recording
 from posetrack_cli.results.joining import Share
 from posetrack_cli.results.joining import join_results as join
 from posetrack_cli.results.reader import load_arrays, read_result
+from posetrack_cli.tracking.options import is_hardly_tracked
 
 _NS = 1_000_000_000
 
@@ -112,7 +113,7 @@ def join_results(
     One piece goes over to the next where they agree best (``meeting_frame``).
 
     Returns:
-        Whether some of the recording could not be used.
+        Whether some of the recording could not be used, or hardly any of it was tracked.
     """
     first, last = pieces[0][1], pieces[-1][1]
     changes = {
@@ -125,4 +126,5 @@ def join_results(
     cuts = [first.first, *(meeting_frame(*pair) for pair in pairwise(pieces)), last.last]
     shares = [Share(path, *own) for (path, _), own in zip(pieces, pairwise(cuts), strict=True)]
     join(shares, output, changes, overwrite=True)
-    return "losses" in read_result(output).summary
+    summary = read_result(output).summary
+    return "losses" in summary or is_hardly_tracked(int(summary["frames"]), int(summary["lost"]))

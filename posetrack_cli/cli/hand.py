@@ -158,7 +158,8 @@ def hand_run(recording: Path, **options: Any) -> None:
     """Track the hand in RECORDING: MCAP, a bag of ROS, a folder of 16-bit depth images or a Kinect file.
 
     The result is MCAP with pose, velocity, their variances and the 21 joints of every frame. The same input,
-    configuration and seed give the same bytes.
+    configuration and seed give the same bytes. Exit code 3: some data could not be used, or less than 5 % of
+    the frames were tracked.
     """
     output = options["output"]
     with compiling_said(output) as is_compiling:
@@ -169,7 +170,7 @@ def hand_run(recording: Path, **options: Any) -> None:
             kept(output),
         ):
             outcome = run.track(report, stopped)
-    if found.line:
+    if found.line and not outcome.failure:
         if found.is_doubtful:
             print_remark(recording, found.line)
         else:

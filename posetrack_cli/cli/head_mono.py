@@ -122,6 +122,7 @@ def head_mono(recording: Path, **options: Any) -> None:
     model of faces. The result is MCAP with pose, velocity, ten points, deformation and identity. One camera
     sees no scale: distance and size rest on what faces are like, and on the focal length, which is guessed
     where neither recording nor --camera tells it. The same input, configuration and seed give the same bytes.
+    Exit code 3: some data could not be used, or less than 5 % of the frames were tracked.
     """
     from posetrack_cli.head.config import HeadMonoConfig
 

@@ -68,6 +68,7 @@ def head_stereo(recording: Path, **options: Any) -> None:
     Two or more calibrated cameras are needed. The face is found by itself, any person's; how it deforms is
     learnt while it is tracked. The result is MCAP with pose, velocity, ten points, the deformation and the
     model learnt. The same input, configuration and seed give the same bytes.
+    Exit code 3: some data could not be used, or less than 5 % of the frames were tracked.
     """
     from posetrack_cli.head.config import HeadStereoConfig
 

@@ -216,7 +216,11 @@ def close(recording: Path, output: Path, outcome: RunOutcome, passes: int = 1) -
     print_line(f"{what}: {output}")
     for remark in outcome.remarks:
         print_remark(recording, remark)
-    tell_next(*next_of_result(recording, output))
+    if not outcome.failure:
+        tell_next(*next_of_result(recording, output))
     if outcome.losses:
         print_remark(recording, loss_line(outcome.losses))
+    if outcome.failure:
+        print_remark(recording, outcome.failure)
+    if outcome.losses or outcome.failure:
         click.get_current_context().exit(EXIT_DATA_LOST)

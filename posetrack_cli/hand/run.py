@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +17,7 @@ from posetrack_cli.filtering.smoothing import Memory
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS, POSE_SIZE
 from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.evidence import DepthEvidence
 from posetrack_cli.hand.inner import NO_INNER, THUMB, inner_of
 from posetrack_cli.hand.keypoints.file import KeypointFile
 from posetrack_cli.hand.kinematics import skinning_transforms
@@ -164,6 +165,10 @@ class HandRun(Run):
             f"{state.doubtful} of {state.frames} frames are more probably wrong than right (confidence below"
             f" 0.5); posetrack view shows them, and what may help is to tell {told}",
         )
+
+    def evidence(self, frames: Sequence[Frame]) -> str:
+        """Return what frames show, and the likeliest reason why hardly any was tracked: part of a line."""
+        return DepthEvidence(self._recording, self._config, frames).line
 
     def losses(self) -> tuple[Loss, ...]:
         """Return what could not be read, and frames without any reading."""

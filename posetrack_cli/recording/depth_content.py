@@ -34,7 +34,8 @@ HAND_MM = (50.0, 350.0)
 """Square root of the area of a hand, with some of its forearm."""
 _STEPS = {10: 0.1, 8: 0.125, 5: 0.2, 4: 0.25}
 """Unit by the common divisor of codes: whole millimetres of a sensor, stored in a finer unit."""
-FINE_UNITS_MM = (0.1, 0.125, 0.2, 0.25)
+USUAL_UNITS_MM = (*_STEPS.values(), 1.0, 10.0, MM_PER_M)
+"""In which depth is stored, millimetres."""
 _DIVISIBLE = 0.999
 """Share of readings that a divisor must divide: some interpolate a few at edges."""
 _LEAST_VALUES = 16
@@ -95,7 +96,7 @@ class DepthContent:
 
     def range_words(self, unit_mm: float) -> str:
         """Say at which depths readings lie: ``4.8 to 6.6 m``."""
-        return f"{length_words(self.near * unit_mm)} to {length_words(self.far * unit_mm)}"
+        return range_words(self.near * unit_mm, self.far * unit_mm)
 
 
 @dataclass(frozen=True)
@@ -193,39 +194,32 @@ def decide_unit(content: DepthContent, given_mm: float | None = None) -> Decisio
     return Decision(usual)
 
 
-def doubt_words(content: DepthContent, unit_mm: float) -> str:
-    """Describe depths at which no hand can be, and name the option that settles it; empty if one can be.
+def likely_units(content: DepthContent, unit_mm: float = 1.0) -> tuple[float, ...]:
+    """Return the usual units in which the nearest surface is as far away as a hand, and as large as one.
 
     Args:
-        content: of images.
-        unit_mm: millimetres per stored unit, as they are read.
+        content: of images, whose values are multiples of ``unit_mm``.
+        unit_mm: the unit that they were read in, mm; 1 of stored values.
     """
     low, high = SEARCHED_MM
-    if not content.images:
-        return "images have no reading"
-    if content.near * unit_mm <= high and content.far * unit_mm >= low:
-        return ""
-    searched = f"hands are searched for from {low / MM_PER_M:g} to {high / MM_PER_M:g} m"
-    words = f"depths lie at {content.range_words(unit_mm)}; {searched}"
-    units = [unit for unit in likely_units(content) if unit != unit_mm]
-    tried = f" ({', '.join(f'{unit:g}' for unit in units)} would fit)" if units else ""
-    return f"{words}; --depth-unit-mm states another unit{tried}"
-
-
-def likely_units(content: DepthContent) -> tuple[float, ...]:
-    """Return the usual units in which the nearest surface is as far away as a hand, and as large as one."""
-    low, high = SEARCHED_MM
-    usual = (1.0, *FINE_UNITS_MM, 10.0, MM_PER_M)
     return tuple(
         unit
-        for unit in usual
-        if low <= content.near * unit <= high and HAND_MM[0] <= content.surface * unit <= HAND_MM[1]
+        for unit in USUAL_UNITS_MM
+        if low <= content.near * unit / unit_mm <= high
+        and HAND_MM[0] <= content.surface * unit / unit_mm <= HAND_MM[1]
     )
+
+
+def range_words(low_mm: float, high_mm: float) -> str:
+    """Return a range of lengths for people: ``4.8 to 6.6 m``."""
+    low, high = length_words(low_mm), length_words(high_mm)
+    unit = high.rpartition(" ")[2]
+    return f"{low.removesuffix(f' {unit}')} to {high}"
 
 
 def length_words(mm: float) -> str:
     """Return a length for people: ``0.6 mm``, ``35 mm``, ``4.8 m``, ``600 m``."""
-    if mm < 100.0:
+    if mm < 99.5:
         return f"{mm:.2g} mm"
     metres = mm / MM_PER_M
     return f"{metres:.2f} m" if metres < 1.0 else f"{metres:.3g} m" if metres >= 100.0 else f"{metres:.1f} m"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import TypedDict
 
@@ -134,6 +135,20 @@ class Recording:
         log = self._log = LossLog()
         selected = select_frames(self.matched(log), log, start=start, end=end, stride=stride)
         return read_ahead(self._decoded(selected, log))
+
+    def sample(self, count: int, *, start: int = 0, stride: int = 1, frames: int) -> Iterator[Frame]:
+        """Yield about ``count`` of the frames start, start + stride, ...; what is lost in it is not kept.
+
+        Args:
+            count: frames to yield, at most twice as many.
+            start, stride: of the frames to choose from.
+            frames: how many there are.
+        """
+        every, log = stride * max(1, frames // count), LossLog()
+        selected = select_frames(
+            self.matched(log), log, start=start, end=start + frames * stride, stride=every
+        )
+        return islice(self._decoded(selected, log), 2 * count)
 
     def stored_frames(self, losses: LossLog) -> Iterator[tuple[int, StoredFrame]]:
         """Yield index and undecoded frame of all that ``frames`` gives."""

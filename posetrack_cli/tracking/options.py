@@ -13,6 +13,9 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.losses import Loss, loss_line
 from posetrack_cli.recording.recording import Recording
 
+LEAST_TRACKED = 0.05
+"""Share of frames that a run must track, or it is not a success."""
+
 
 @dataclass(frozen=True)
 class RunOptions:
@@ -53,6 +56,7 @@ class RunOutcome:
         losses: data that could not be used.
         stopped: whether it was interrupted.
         remarks: what else a user should know, one line each.
+        failure: what the images show of which hardly any was tracked, one line; empty for a success.
     """
 
     frames: int
@@ -62,6 +66,12 @@ class RunOutcome:
     losses: tuple[Loss, ...]
     stopped: bool
     remarks: tuple[str, ...] = ()
+    failure: str = ""
+
+
+def is_hardly_tracked(frames: int, lost: int) -> bool:
+    """Return whether so many of a result's frames are lost that it is not a success."""
+    return frames - lost < LEAST_TRACKED * frames
 
 
 def frames_ahead(recording: Recording, options: RunOptions) -> int | None:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
-from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, closing, contextmanager, nullcontext, suppress
 from dataclasses import replace
 from itertools import chain, islice
 from typing import Any, Protocol
@@ -13,6 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
+from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.losses import Loss, loss_line
 from posetrack_cli.recording.base import Frame, TruthMessage
@@ -22,7 +23,16 @@ from posetrack_cli.results.checkpoint import Checkpoint
 from posetrack_cli.results.estimate import Estimate, Status, Subject
 from posetrack_cli.results.writer import ResultWriter
 from posetrack_cli.tracking.loop import RunState, Step, Tracker, checkpoint_of, run_state_at, track_frames
-from posetrack_cli.tracking.options import RunOptions, RunOutcome, frames_ahead, nothing_to_track
+from posetrack_cli.tracking.options import (
+    RunOptions,
+    RunOutcome,
+    frames_ahead,
+    is_hardly_tracked,
+    nothing_to_track,
+)
+
+FRAMES_SHOWN = 8
+"""About how many frames are read again to say why hardly any was tracked."""
 
 Report = Callable[[Estimate], None]
 Stopped = Callable[[], bool]
@@ -119,6 +129,10 @@ class Run(ABC):
         """Return what else a user should know once all frames are tracked, one line each."""
         return ()
 
+    def evidence(self, frames: Sequence[Frame]) -> str:
+        """Return what frames show, and the likeliest reason why hardly any was tracked: part of a line."""
+        return ""
+
     # What a run of several passes does otherwise
 
     def run_state_at(self, checkpoint: Checkpoint) -> RunState:
@@ -165,8 +179,9 @@ class Run(ABC):
                 if memory is not None:
                     memory.finish(writer)
                 remarks = self._stamps.remarks + self._recording.notes + self.remarks(run_state.state)
-                self._close(writer, run_state.state, remarks)
-            return replace(self._outcome(writer, began, stopped=False), remarks=remarks)
+                failure = self._failure(writer)
+                self._close(writer, run_state.state, (failure, *remarks) if failure else remarks)
+            return replace(self._outcome(writer, began, stopped=False), remarks=remarks, failure=failure)
         return self._outcome(writer, began, stopped=True)
 
     def _watched(self, frames: Iterable[Frame]) -> Iterator[Frame]:
@@ -205,6 +220,24 @@ class Run(ABC):
         start = RunState(None, self.new_rng())
         writer.save_checkpoint(checkpoint_of(self.tracker, start, 0))
         return writer, start
+
+    def _failure(self, writer: ResultWriter) -> str:
+        """Say what the images show if hardly any was tracked; some of them are read again for it."""
+        frames, lost = writer.frames_written, writer.count(Status.LOST)
+        if not is_hardly_tracked(frames, lost):
+            return ""
+        return f"only {frames - lost} of {frames} frames tracked: {self.evidence(self.sampled(frames))}"
+
+    def sampled(self, frames: int | None = None) -> list[Frame]:
+        """Return a few frames of all that were read, so far as they can be decoded."""
+        options = self._options
+        known = self._tracked if frames is None else frames
+        sample = self._recording.sample(
+            FRAMES_SHOWN, start=options.start, stride=options.stride, frames=known
+        )
+        with suppress(RecordingError):
+            return list(sample)
+        return []
 
     def _frames(self) -> Any:
         options = self._options

@@ -10,7 +10,7 @@ from typing import Any, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 
-from posetrack_cli.errors import RecordingError
+from posetrack_cli.errors import EXIT_DATA_LOST, RecordingError
 from posetrack_cli.outputs import part_path, state_path
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.recording import Recording
@@ -31,6 +31,8 @@ _LEARNED = "learned:"
 
 class NothingFoundError(RecordingError):
     """What is to be tracked was found in no frame of a recording."""
+
+    exit_code = EXIT_DATA_LOST
 
 
 class LearningTracker(Tracker[State], Protocol[State]):

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import islice
 
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.hand.calibration.calibrate import Calibration, CalibrationOptions, Report, shape_of
@@ -17,14 +18,18 @@ from posetrack_cli.hand.calibration.trial import (
     SIDES,
     WELL_KNOWN_MM,
     Trial,
+    early_frames,
     is_size_open,
     tried,
     tried_all_over,
 )
 from posetrack_cli.hand.config import HandConfig, HandSettings
+from posetrack_cli.hand.evidence import DepthEvidence
 from posetrack_cli.hand.keypoints.file import KeypointFile
 from posetrack_cli.recording.recording import Recording
 
+_SHOWN = 8
+"""Frames that are described where none shows a hand."""
 _FAR_CHEAPER = 0.8
 """Of what the average hand costs in the size that fitted best: what a hand of another size costs at most."""
 _DEARER = 1.25
@@ -78,9 +83,8 @@ def find_hand(
     sides = SIDES if config.hand.side == "auto" else (config.hand.side,)
     trial = tried(recording, config, start, sides, keypoints)
     if not trial.asked:
-        line = f"no hand in the first {LOOKED_AT_S:g} s, taken for a {sides[0]} one; --hand-side tells"
-        is_guessed = len(sides) > 1
-        return HandFound(_with_hand(config, {"side": sides[0]}), line if is_guessed else "", is_guessed)
+        line = _nothing_found(recording, config, start, sides[0]) if len(sides) > 1 else ""
+        return HandFound(_with_hand(config, {"side": sides[0]}), line, bool(line))
 
     estimate = _shapes(recording, config, trial, CalibrationOptions(start=start))
 
@@ -106,6 +110,18 @@ def find_hand(
     changed = sized.hand.scale != config.hand.scale
     line = told + (f" of scale {sized.hand.scale:.2f}" if changed else "") + doubt
     return HandFound(sized, line if len(sides) > 1 or changed else "", bool(doubt))
+
+
+def _nothing_found(recording: Recording, config: HandConfig, start: int, side: str) -> str:
+    """What the first seconds show, and what a hand that comes later is taken for."""
+    frames = list(islice(early_frames(recording, start), _SHOWN))
+    line = f"no hand in the first {LOOKED_AT_S:g} s"
+    if not frames:
+        return line
+    seen = DepthEvidence(recording, config, frames)
+    line = f"{line}: {seen.line}"
+    later = f"; a later one is taken for a {side} hand, --hand-side states another"
+    return f"{line}{later if seen.is_in_range else ''}"
 
 
 def calibrate(

@@ -80,7 +80,7 @@ def tried(
         UsageError: the configuration's mesh is no hand that can be used.
     """
     trial = Trial(config, recording.cameras[0], sides, keypoints, has_sizes=is_size_open(config))
-    return _asked(trial, _early_frames(recording, start))
+    return _asked(trial, early_frames(recording, start))
 
 
 def tried_all_over(recording: Recording, config: HandConfig, start: int, sides: Sequence[str]) -> Trial:
@@ -289,8 +289,8 @@ def log_odds_of(cost_mm: float, other_mm: float, most: float = MOST_A_FRAME) -> 
     return float(np.clip((other_mm - cost_mm) / _COST_PER_LOG_ODDS, -most, most)) / strange
 
 
-def _early_frames(recording: Recording, start: int) -> Iterator[Frame]:
-    """Frames of the first seconds, some time apart: hands that turn and open tell their side."""
+def early_frames(recording: Recording, start: int) -> Iterator[Frame]:
+    """Yield frames of the first seconds, some time apart: hands that turn and open tell their side."""
     frames = recording.frames(start=start, end=None, stride=ASKED_EVERY)
     first = next(frames, None)
     if first is None:
