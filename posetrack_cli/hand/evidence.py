@@ -10,6 +10,7 @@ import numpy as np
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.segmentation import Detection, detect
 from posetrack_cli.recording.base import Frame
+from posetrack_cli.recording.camera_of import principal_point_fault
 from posetrack_cli.recording.depth import MM_PER_M, Depth
 from posetrack_cli.recording.depth_content import content_of, length_words, likely_units, range_words
 from posetrack_cli.recording.recording import Recording
@@ -83,14 +84,15 @@ class DepthEvidence:
     def _of_camera(self) -> str:
         camera = self._camera
         size = f"{camera.width}x{camera.height}"
-        if not (0.0 <= camera.cx < camera.width and 0.0 <= camera.cy < camera.height):
-            centre = f"the principal point ({camera.cx:.0f}, {camera.cy:.0f}) lies outside the {size} image"
-            return f"{centre}: --camera with the intrinsics of these images"
+        fault = principal_point_fault(camera)
+        if fault is not None:
+            where = f"({camera.cx:.0f}, {camera.cy:.0f}) in {size}"
+            return f"the principal point is {fault}, {where}: --camera with the camera of these images"
         angle = degrees(2.0 * atan(0.5 * camera.width / camera.fx))
         if NARROWEST_DEG <= angle <= WIDEST_DEG:
             return ""
         view = f"a focal length of {camera.fx:.0f} px is a field of view of {angle:.0f} degrees"
-        return f"{view} for {size}: --camera with the intrinsics of these images"
+        return f"{view} in {size}: --camera with the camera of these images"
 
     @property
     def _of_unit(self) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +16,7 @@ from posetrack_cli.configuration import Settings
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.files import real_path, write_output
 from posetrack_cli.head.config import HeadMonoConfig, HeadStereoConfig
+from posetrack_cli.head.evidence import FaceEvidence
 from posetrack_cli.head.landmarks.file import LandmarkFile
 from posetrack_cli.head.model_file import ATTACHMENT, MEDIA_TYPE, load_model, model_bytes
 from posetrack_cli.head.smoothing.track import HeadMemory
@@ -124,11 +125,12 @@ class HeadRun(TwoPassRun):
         """Return what the tracker has learned of the face; NothingFoundError if it never found one."""
         searched = self.tracker.not_found(state)
         if searched:
+            seen = self._seen(self.sampled())
             raise NothingFoundError(
                 "no face found",
                 where=self._recording.path,
-                found=searched,
-                hint=_hint(self._recording),
+                found=f"{searched}; {seen.seen}",
+                hint=seen.reason or _hint(self._recording),
             )
         return self.tracker.learned(state, for_second_pass=for_second_pass)
 
@@ -151,6 +153,13 @@ class HeadRun(TwoPassRun):
             with whole_or_nothing(self._options.save_model) as part:
                 write_output(part, data)
         return {"passes": str(self._options.passes)}
+
+    def evidence(self, frames: Sequence[Frame]) -> str:
+        """Return what frames show, and the likeliest reason why hardly any was tracked: part of a line."""
+        return self._seen(frames).line
+
+    def _seen(self, frames: Sequence[Frame]) -> FaceEvidence:
+        return FaceEvidence(self._recording, self._config.start.detection, frames)
 
     def on_frame(self, frame: Frame) -> None:
         """Remember whether there were landmarks of a frame."""

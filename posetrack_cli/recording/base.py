@@ -22,7 +22,7 @@ RECORDING_KEY = "input.sha256"
 CAMERA_FILE_NAME = "camera.toml"
 CAMERA_FILE_KEY = "camera_file"
 """What a run record calls the text of a camera file that is not the recording's own, below ``input``."""
-CAMERA_EXAMPLE = "fx = 365.0, fy = 365.0, cx = 255.5, cy = 211.5, depth_unit_mm = 1.0, each on its own line"
+CAMERA_EXAMPLE = "fx = 365.0, fy = 365.0, cx = 255.5, cy = 211.5, each on its own line"
 
 
 @dataclass(frozen=True)

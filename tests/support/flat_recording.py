@@ -12,6 +12,8 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.losses import Loss
 from posetrack_cli.recording.base import Frame, TruthMessage
+from posetrack_cli.recording.depth import Depth
+from posetrack_cli.recording.pixels import Pixels
 
 CAMERA = Camera(120, 100, 90.0, 91.0, 59.5, 49.5, (0.01, 0.0, 0.0, 0.0), name="kinect")
 CONFIG = HandConfig.model_validate(
@@ -43,6 +45,10 @@ class Memory:
         return (CAMERA,)
 
     @property
+    def pixels(self) -> tuple[Pixels, ...]:
+        return (Depth(CAMERA.width, CAMERA.height, "16UC1"),)
+
+    @property
     def frame_count(self) -> int | None:
         return self.count if self.known else None
 
@@ -53,6 +59,9 @@ class Memory:
         for k in range(start, self.count if end is None else min(end, self.count), stride):
             reading = 0.0 if k in self.blank else 650.0
             yield Frame(k, k * FRAME_NS, (np.full((100, 120), reading, np.float32),))
+
+    def sample(self, count: int, *, start: int = 0, stride: int = 1, frames: int) -> Iterator[Frame]:
+        return self.frames(start=start, end=start + frames * stride, stride=stride * max(1, frames // count))
 
     def truth(self) -> Iterator[TruthMessage]:
         yield from self.true

@@ -22,6 +22,8 @@ from posetrack_cli.hand.model import HandModel, average_hand
 from posetrack_cli.hand.tracker import HandTracker
 from posetrack_cli.losses import Loss
 from posetrack_cli.recording.base import Frame, TruthMessage
+from posetrack_cli.recording.depth import Depth
+from posetrack_cli.recording.pixels import Pixels
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.rendering.window import Window
 from support.hand import KINECT
@@ -90,6 +92,7 @@ class Drawn:
     path: Path = Path("/somewhere/drawn.mcap")
     losses: tuple[Loss, ...] = ()
     notes: tuple[str, ...] = ()
+    pixels: tuple[Pixels, ...] = (Depth(KINECT.width, KINECT.height, "32FC1"),)
 
     @classmethod
     def of(cls, stage: Stage, poses: Sequence[FloatArray]) -> Drawn:
@@ -113,6 +116,9 @@ class Drawn:
     def frames(self, *, start: int = 0, end: int | None = None, stride: int = 1) -> Iterator[Frame]:
         for k in range(start, len(self.depths) if end is None else end, stride):
             yield Frame(k, k * FRAME_NS, (self.depths[k],))
+
+    def sample(self, count: int, *, start: int = 0, stride: int = 1, frames: int) -> Iterator[Frame]:
+        return self.frames(start=start, end=start + frames * stride, stride=stride * max(1, frames // count))
 
     def truth(self) -> Iterator[TruthMessage]:
         return iter(())

@@ -57,6 +57,9 @@ class Memory:
             image = np.full((48, 64), 100 + k if k >= self.appears else 0, np.uint8)
             yield Frame(k, k * FRAME_NS, tuple(image for _ in self.cameras))
 
+    def sample(self, count: int, *, start: int = 0, stride: int = 1, frames: int) -> Iterator[Frame]:
+        return self.frames(start=start, end=start + frames * stride, stride=stride * max(1, frames // count))
+
     def truth(self) -> Iterator[TruthMessage]:
         yield from self.true
 

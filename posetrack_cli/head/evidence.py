@@ -1,0 +1,137 @@
+"""What grey images show of which no or hardly any frame was tracked, and the likeliest reason."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from posetrack_cli.arrays import ImageArray
+from posetrack_cli.head.config import DetectionSettings
+from posetrack_cli.head.detection.detector import FaceDetector
+from posetrack_cli.recording.base import Frame
+from posetrack_cli.recording.camera_of import principal_point_fault
+from posetrack_cli.recording.grey import PLAIN_BITS, Grey
+from posetrack_cli.recording.recording import Recording
+
+WHITE, DARK, FLAT = 250, 40, 12
+"""Grey values: from which a pixel is white, below which all are dark, and the least range of contrast."""
+_MUCH = 0.3
+"""Share of white pixels that hides a face."""
+_TURNS = (1, 3, 2)
+"""Quarter turns, anticlockwise, in which a face is looked for."""
+_MOST_TURNED = 3
+"""Images that are looked at in other turns."""
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """What one image shows.
+
+    Attributes:
+        low, middle, high: percentiles 5, 50 and 95 of brightness.
+        white: share of white pixels.
+        eye_distances: of its faces, pixels.
+        score: of the surest face.
+    """
+
+    low: float
+    middle: float
+    high: float
+    white: float
+    eye_distances: tuple[float, ...]
+    score: float
+
+
+class FaceEvidence:
+    """What some frames of a recording show.
+
+    Args:
+        recording: that they are of.
+        settings: of the face detector.
+        frames: a few of its frames.
+    """
+
+    def __init__(self, recording: Recording, settings: DetectionSettings, frames: Sequence[Frame]) -> None:
+        self._recording, self._detector = recording, FaceDetector(settings)
+        self._images = [image for frame in frames for image in frame.images if image is not None]
+        self._seen = [self._look(image) for image in self._images]
+
+    @property
+    def line(self) -> str:
+        """What was seen, and the likeliest reason if there is evidence for one."""
+        return f"{self.seen}{f'; {self.reason}' if self.reason else ''}"
+
+    @property
+    def seen(self) -> str:
+        """Say how many images have a face, of which size, and how bright images are."""
+        if not self._seen:
+            return "no image could be looked at"
+        low, middle, high = (
+            int(np.median([getattr(one, name) for one in self._seen])) for name in ("low", "middle", "high")
+        )
+        sizes = [size for one in self._seen for size in one.eye_distances]
+        faces = f"a face in {sum(bool(one.eye_distances) for one in self._seen)}"
+        if sizes:
+            faces += f", eyes {min(sizes):.0f} to {max(sizes):.0f} px apart"
+        light = f"brightness {low} to {high}, median {middle}, {100.0 * self._white:.0f} % of pixels white"
+        return f"{len(self._seen)} images looked at, {self._stored}: {faces}; {light}"
+
+    @property
+    def reason(self) -> str:
+        """The likeliest reason, with the option that mends it; empty without evidence for one."""
+        if not self._seen:
+            return ""
+        return self._of_camera or self._of_brightness or self._of_turn
+
+    @property
+    def _white(self) -> float:
+        return float(np.median([one.white for one in self._seen]))
+
+    @property
+    def _stored(self) -> str:
+        kinds = dict.fromkeys(p.words for p in self._recording.pixels if isinstance(p, Grey))
+        return ", ".join(kinds) or "grey"
+
+    @property
+    def _of_camera(self) -> str:
+        for camera in self._recording.cameras:
+            fault = principal_point_fault(camera)
+            if fault is not None:
+                where = f"({camera.cx:.0f}, {camera.cy:.0f}) in {camera.width}x{camera.height}"
+                return f"the principal point is {fault}, {where}: --camera with the camera of these images"
+        return ""
+
+    @property
+    def _of_brightness(self) -> str:
+        high = float(np.median([one.high for one in self._seen]))
+        low = float(np.median([one.low for one in self._seen]))
+        is_deep = any(isinstance(p, Grey) and p.bits > PLAIN_BITS for p in self._recording.pixels)
+        bits = ": bits in the camera file states how many are significant" if is_deep else ""
+        if self._white > _MUCH:
+            return f"images are mostly white{bits}"
+        if high < DARK:
+            return f"images are dark{bits}"
+        return f"images have hardly any contrast{bits}" if high - low < FLAT else ""
+
+    @property
+    def _of_turn(self) -> str:
+        if any(one.eye_distances for one in self._seen):
+            return ""
+        for image in self._images[:_MOST_TURNED]:
+            for turns in _TURNS:
+                turned = np.ascontiguousarray(np.rot90(image, turns))
+                if self._detector.detect(turned).faces:
+                    degrees = 90 * (4 - turns)
+                    return (
+                        f"faces are found once images are turned clockwise by {degrees} degrees: "
+                        "pass upright images, with their camera"
+                    )
+        return ""
+
+    def _look(self, image: ImageArray) -> _Seen:
+        low, middle, high = (float(value) for value in np.percentile(image, (5.0, 50.0, 95.0)))
+        found = self._detector.detect(image)
+        eyes = tuple(float(face.guess.eye_distance) for face in found.faces)
+        return _Seen(low, middle, high, float(np.mean(image >= WHITE)), eyes, found.best_score)
