@@ -66,13 +66,9 @@ class DepthEvidence:
     @property
     def reason(self) -> str:
         """The likeliest reason, with the option that mends it; empty without evidence for one."""
-        return (
-            self._of_camera
-            or ("" if self.content.images else "is depth stored with another --missing, or on another topic?")
-            or self._of_unit
-            or self._of_hand
-            or self._of_brightness
-        )
+        if not self.content.images:
+            return ""
+        return self._of_camera or self._of_unit or self._of_hand or self._of_brightness
 
     @property
     def is_in_range(self) -> bool:

@@ -21,6 +21,10 @@ _MUCH = 0.3
 """Share of white pixels that hides a face."""
 _TURNS = (1, 3, 2)
 """Quarter turns, anticlockwise, in which a face is looked for."""
+_BITS = (
+    "bits in the camera file states how many are significant; if they are depth, posetrack hand run tracks "
+    "hands in them"
+)
 _MOST_TURNED = 3
 """Images that are looked at in other turns."""
 
@@ -108,7 +112,7 @@ class FaceEvidence:
         high = float(np.median([one.high for one in self._seen]))
         low = float(np.median([one.low for one in self._seen]))
         is_deep = any(isinstance(p, Grey) and p.bits > PLAIN_BITS for p in self._recording.pixels)
-        bits = ": bits in the camera file states how many are significant" if is_deep else ""
+        bits = f": {_BITS}" if is_deep else ""
         if self._white > _MUCH:
             return f"images are mostly white{bits}"
         if high < DARK:

@@ -36,7 +36,7 @@ from posetrack_cli.tracking.two_pass import (
     Learned,
     LearningTracker,
     MakeTracker,
-    NothingFoundError,
+    NothingTrackedError,
     TwoPassRun,
 )
 
@@ -122,11 +122,11 @@ class HeadRun(TwoPassRun):
         return self.tracker.start(frame, rng)
 
     def learned_by(self, state: Any, *, for_second_pass: bool = False) -> Learned:
-        """Return what the tracker has learned of the face; NothingFoundError if it never found one."""
+        """Return what the tracker has learned of the face; NothingTrackedError if it never found one."""
         searched = self.tracker.not_found(state)
         if searched:
             seen = self._seen(self.sampled())
-            raise NothingFoundError(
+            raise NothingTrackedError(
                 "no face found",
                 where=self._recording.path,
                 found=f"{searched}; {seen.seen}",

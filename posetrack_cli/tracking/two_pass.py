@@ -32,6 +32,10 @@ _LEARNED = "learned:"
 class NothingFoundError(RecordingError):
     """What is to be tracked was found in no frame of a recording."""
 
+
+class NothingTrackedError(NothingFoundError):
+    """All frames were searched: as of a run that tracked hardly any of its frames."""
+
     exit_code = EXIT_DATA_LOST
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from posetrack_cli.cli.main import run
+from posetrack_cli.errors import EXIT_DATA_LOST
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.config import HeadMonoConfig
 from posetrack_cli.head.face.points import POINT_NAMES
@@ -70,10 +71,13 @@ def test_no_face_is_one_line_with_frames_and_score(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], passes: str
 ) -> None:
     recording = write_noise(tmp_path / "noise")
-    assert mono(recording, tmp_path / "r.mcap", "--fps", "30", "--passes", passes) == 1
+    assert mono(recording, tmp_path / "r.mcap", "--fps", "30", "--passes", passes) == EXIT_DATA_LOST
     guessed, told = lines(capsys)
     assert GUESSED.format(160) in guessed
     assert "no face found, found 3 frames searched, best score 0.00" in told
+    # noise of 90 to 109: its 5th and 95th percentile, and nothing to be blamed
+    assert "3 images looked at, 8-bit grey: a face in 0; brightness 90 to 109, median 10" in told
+    assert "0 % of pixels white; --init FILE begins" in told
     assert [path.name for path in tmp_path.iterdir()] == ["noise"]
 
 
@@ -144,7 +148,7 @@ def test_several_cameras_are_listed(
     assert mono(recording, tmp_path / "r.mcap", "--fps", "30") == 2
     (told,) = lines(capsys)
     assert "several cameras, one can be used, found left, right; choose one with --cameras" in told
-    assert mono(recording, tmp_path / "r.mcap", "--fps", "30", "--cameras", "right") == 1
+    assert mono(recording, tmp_path / "r.mcap", "--fps", "30", "--cameras", "right") == EXIT_DATA_LOST
     assert "no face found" in lines(capsys)[-1]
 
 
@@ -368,7 +372,7 @@ def test_a_person_need_not_be_adjusted(made: Path, tracked: Path, tmp_path: Path
 def test_a_second_face_that_is_not_there_is_one_line(
     made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert mono(made, tmp_path / "r.mcap", "--face", "2", "--end", "4") == 1
+    assert mono(made, tmp_path / "r.mcap", "--face", "2", "--end", "4") == EXIT_DATA_LOST
     (told,) = lines(capsys)
     assert "no face found, found 4 frames searched" in told and "1 face, not 2" in told
     assert not list(tmp_path.iterdir())
@@ -488,5 +492,5 @@ def test_images_of_depth_are_told_from_faces(tmp_path: Path, capsys: pytest.Capt
     for index in range(2):
         depth = rng.integers(600, 4000, (CAMERA.height, CAMERA.width), dtype=np.uint16)
         cv2.imwrite(str(folder / f"{index:06d}.png"), depth)
-    assert mono(folder, tmp_path / "r.mcap", "--fps", "30") == 1
+    assert mono(folder, tmp_path / "r.mcap", "--fps", "30") == EXIT_DATA_LOST
     assert lines(capsys)[-1].endswith("; are these images of depth? posetrack hand run tracks hands in them")

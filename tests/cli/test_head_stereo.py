@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from posetrack_cli.cli.main import run
+from posetrack_cli.errors import EXIT_DATA_LOST
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.config import HeadStereoConfig
 from posetrack_cli.head.face.points import POINT_NAMES
@@ -56,7 +57,7 @@ def test_no_face_is_one_line_with_frames_and_score(
     recording = write_recording(tmp_path / "noise")
     output = tmp_path / "r.mcap"
     code = run(["head", "stereo", str(recording), "-o", str(output), "--fps", "30", "--passes", passes])
-    assert code == 1
+    assert code == EXIT_DATA_LOST
     told = line(capsys)
     assert "no face found, found 3 frames searched, best score 0.00" in told
     assert "kept" not in told
