@@ -38,7 +38,7 @@ USUAL_UNITS_MM = (*_STEPS.values(), 1.0, 10.0, MM_PER_M)
 """In which depth is stored, millimetres."""
 _DIVISIBLE = 0.999
 """Share of readings that a divisor must divide: some interpolate a few at edges."""
-_LEAST_VALUES = 16
+_LEAST_VALUES = 64
 """Different codes needed, or a flat scene would be a multiple of anything."""
 _LABEL_BITS = 3
 """Of Kinect v1 images with the number of a player below the depth."""
