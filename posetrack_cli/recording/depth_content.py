@@ -289,7 +289,13 @@ def _nearest(image: ImageArray, mask: ImageArray, focal: float) -> tuple[float, 
 
 def _labels(image: ImageArray, mask: ImageArray) -> tuple[int, int]:
     """How many neighbours of different depth have equal low bits, and how many there are."""
-    both = mask[:, :-1] & mask[:, 1:]
-    one, other = image[:, :-1][both].astype(np.int64), image[:, 1:][both].astype(np.int64)
-    differs = one >> _LABEL_BITS != other >> _LABEL_BITS
-    return int(np.count_nonzero((one & 7)[differs] == (other & 7)[differs])), int(np.count_nonzero(differs))
+    alike = compared = 0
+    codes = image.astype(np.int64)
+    for one, other, both in (
+        (codes[:, :-1], codes[:, 1:], mask[:, :-1] & mask[:, 1:]),
+        (codes[:-1], codes[1:], mask[:-1] & mask[1:]),
+    ):
+        differs = both & (one >> _LABEL_BITS != other >> _LABEL_BITS)
+        alike += int(np.count_nonzero(differs & ((one ^ other) & 7 == 0)))
+        compared += int(np.count_nonzero(differs))
+    return alike, compared

@@ -248,6 +248,44 @@ def write_ros2(path: Path, messages: Sequence[Message], *, frame_id: str = "cam"
     return path
 
 
+DISPARITY_FIELDS = (
+    "sensor_msgs/Image image\nfloat32 f\nfloat32 {baseline}\nsensor_msgs/RegionOfInterest valid_window\n"
+    "float32 min_disparity\nfloat32 max_disparity\nfloat32 delta_d\n"
+)
+REGION = "uint32 x_offset\nuint32 y_offset\nuint32 height\nuint32 width\nbool do_rectify\n"
+
+
+def write_disparity(path: Path, ros: int, disparity: np.ndarray, focal_px: float, baseline_m: float) -> Path:
+    """Write one stereo_msgs/DisparityImage, in the wire format of ROS 1, or as CDR."""
+    from mcap.writer import Writer
+
+    height, width = disparity.shape
+    region = RULE + "MSG: sensor_msgs/RegionOfInterest\n" + REGION
+    if ros == 1:
+        head = ros1_bytes("IIIs", (0, 5, 0, "cam"))
+        image = head + ros1_bytes("IIsBIb", (height, width, "32FC1", 0, 4 * width, disparity.tobytes()))
+        data = head + image + struct.pack("<2f4IB3f", focal_px, baseline_m, 0, 0, 0, 0, 0, 0.0, 64.0, 0.125)
+        text = HEADER_1 + DISPARITY_FIELDS.format(baseline="T") + HEADER_TEXT_1
+        text += RULE + "MSG: sensor_msgs/Image\n" + HEADER_1 + IMAGE + region
+        names = ("stereo_msgs/DisparityImage", "ros1msg", "ros1")
+    else:
+        head = struct.pack("<iI", 5, 0) + struct.pack("<I4s", 4, b"cam\0")
+        image = head + struct.pack("<II", height, width) + struct.pack("<I6s", 6, b"32FC1\0") + b"\0"
+        image += b"\0" * (-(len(head) + len(image)) % 4) + struct.pack("<II", 4 * width, disparity.nbytes)
+        data = b"\0\1\0\0" + head + image + disparity.tobytes() + struct.pack("<2f", focal_px, baseline_m)
+        text = HEADER_1 + DISPARITY_FIELDS.format(baseline="t") + HEADER_TEXT_2
+        text += RULE + "MSG: sensor_msgs/Image\n" + HEADER_1 + IMAGE + region
+        names = ("stereo_msgs/msg/DisparityImage", "ros2msg", "cdr")
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("tests", "tests")
+        schema = writer.register_schema(names[0], names[1], text.encode())
+        channel = writer.register_channel("/stereo/disparity", names[2], schema)
+        writer.add_message(channel, 5, data, 5)
+        writer.finish()
+    return path
+
+
 WRITERS: dict[str, Callable[..., Path]] = {"foxglove": write_foxglove, "ros1": write_ros1, "ros2": write_ros2}
 
 
