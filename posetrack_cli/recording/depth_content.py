@@ -29,7 +29,7 @@ EARLY_FRAMES = (0, 7, 15, 22, 30)
 MOST_PIXELS = 40_000
 """Of one image; of a larger one every second or third row and column is used."""
 SEARCHED_MM = (120.0, 1500.0)
-"""Depths at which hands are searched for, see ``hand.config``."""
+"""Depths at which hands are searched for, see ``hand.config``: a finer unit is considered only beyond."""
 HAND_MM = (50.0, 350.0)
 """Square root of the area of a hand, with some of its forearm."""
 _STEPS = {10: 0.1, 8: 0.125, 5: 0.2, 4: 0.25}
@@ -49,8 +49,6 @@ _FLOATS_IN_MM = (100.0, 200.0)
 """First percentile and median of floats in mm at least: no hand is recorded 100 m away."""
 _TOO_FAR_MM = 10_000.0
 """Median depth that no camera for hands has."""
-_BEYOND_HANDS_MM = 2000.0
-"""Nearest depth from which on a finer unit is considered."""
 _TOUCHING_MM = 20.0
 """Everything within this is too near for any depth camera."""
 _NEAREST_SHARES, _LEAST_SURFACE = (1.0, 2.0, 4.0, 8.0, 16.0), 0.008
@@ -250,14 +248,14 @@ def _has_players(content: DepthContent) -> bool:
         content.values >= _LEAST_VALUES
         and content.labelled >= _LABELLED
         and content.labels_alike >= _LABELS_ALIKE
-        and content.near >= _BEYOND_HANDS_MM
+        and content.near >= SEARCHED_MM[1]
     )
 
 
 def _is_finer(content: DepthContent, unit_mm: float) -> bool:
     """Whether values are of a finer unit than mm: too far for mm, or the nearest surface a hand's size."""
     low, high = SEARCHED_MM
-    if content.near < _BEYOND_HANDS_MM or not low <= content.near * unit_mm <= high:
+    if content.near < high or not low <= content.near * unit_mm <= high:
         return False
     is_hand = HAND_MM[0] <= content.surface * unit_mm <= HAND_MM[1] < content.surface
     return is_hand or content.middle >= _TOO_FAR_MM

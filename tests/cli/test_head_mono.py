@@ -306,6 +306,26 @@ def test_a_video_without_calibration_is_tracked_on_a_guess_that_is_said(
     assert "identity_10" in (tmp_path / "r.csv").read_text()
 
 
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (lambda image: np.rot90(image, 1), "faces are found once images are turned clockwise by 90 degrees"),
+        (lambda image: image // 16, "images are dark"),
+        (lambda image: np.maximum(image, np.uint8(255)), "100 % of pixels white; images are mostly white"),
+    ],
+    ids=["turned", "dark", "white"],
+)
+def test_images_without_a_face_that_can_be_found(
+    images: list[np.ndarray], tmp_path: Path, capsys: pytest.CaptureFixture[str], change, expected: str
+) -> None:
+    folder = tmp_path / "images"
+    folder.mkdir()
+    for index, image in enumerate(images[:1]):
+        assert cv2.imwrite(str(folder / f"{index}.png"), np.ascontiguousarray(change(image)))
+    assert mono(folder, tmp_path / "r.mcap", "--fps", "30", "--passes", "1") == EXIT_DATA_LOST
+    assert expected in lines(capsys)[-1]
+
+
 def test_a_focal_length_that_is_given_is_taken(made: Path, video: Path, tmp_path: Path) -> None:
     """A field of view of the made camera's 1000 px gives its distances, and so does a camera file."""
     fov = 2 * np.degrees(np.arctan(320 / 1000))

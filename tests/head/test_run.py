@@ -339,3 +339,18 @@ def test_a_resumed_run_refuses_cameras_in_another_place(track: Track, tmp_path: 
     moved = replace(CAMERAS[1], camera_T_reference=((1.0, 0.0, 0.0, -121.0), *ASIDE[1:]))
     with pytest.raises(UsageError, match="is of another run"):
         track(Memory(cameras=(CAMERAS[0], moved)), resume=True)
+
+
+def test_a_run_of_which_hardly_any_frame_is_tracked_says_what_images_show(
+    track: Track, tmp_path: Path
+) -> None:
+    """2 of 60 frames are less than 5 %, 3 are not; an interrupted run says the same."""
+    assert track(Memory(60, appears=57), "enough.mcap").failure == ""
+    outcome = track(Memory(60, appears=58))
+    assert outcome.failure.startswith("only 2 of 60 frames tracked: ")
+    assert "a face in 0; brightness 0 to 0, median 0, 0 % of pixels white; images are dark" in outcome.failure
+    remarks = read_result(tmp_path / "r.mcap").summary["remarks"]
+    assert remarks == "; ".join((outcome.failure, *outcome.remarks))
+    track(Memory(60, appears=58), "again.mcap", stopped=after(59))
+    assert track(Memory(60, appears=58), "again.mcap", resume=True).failure == outcome.failure
+    assert filecmp.cmp(tmp_path / "r.mcap", tmp_path / "again.mcap", shallow=False)
