@@ -95,12 +95,15 @@ def kind_of(schema: Schema | None) -> str | None:
 
 def stamp_of(decoded: Any, message: Message) -> int:
     """Return when an image or calibration was taken, ns: its own stamp, or the log time if that is 0."""
+    return own_stamp_of(decoded) or message.log_time
+
+
+def own_stamp_of(decoded: Any) -> int:
+    """Return the stamp that an image or calibration carries itself, ns; 0 for none."""
     header = getattr(decoded, "header", None)
     if header is None:
-        own = decoded.timestamp.seconds * NS_PER_S + decoded.timestamp.nanos
-    else:
-        own = header.stamp.sec * NS_PER_S + header.stamp.nanosec
-    return int(own) or message.log_time
+        return int(decoded.timestamp.seconds * NS_PER_S + decoded.timestamp.nanos)
+    return int(header.stamp.sec * NS_PER_S + header.stamp.nanosec)
 
 
 def frame_id_of(decoded: Any) -> str:

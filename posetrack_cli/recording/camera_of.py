@@ -56,13 +56,14 @@ class ImageCamera:
         camera: of the images as they are stored.
         why: where it comes from, for people.
         remarks: what was converted or is unusual, one line each.
-        calibration: topic of the messages that state it; empty for none.
+        calibration, frame: topic and frame id of the messages that state it; empty for none.
     """
 
     camera: Camera
     why: str
     remarks: tuple[str, ...] = ()
     calibration: str = ""
+    frame: str = ""
 
 
 @dataclass(frozen=True)
@@ -164,6 +165,11 @@ def reprojected_to(topic: str) -> tuple[str, ...]:
             is_colour = not target or target.startswith(COLOUR_WORDS)
             return COLOUR_WORDS if is_colour else (target,)
     return ()
+
+
+def is_same_frame(frame: str, other: str) -> bool:
+    """Return whether two frame ids are one; ROS 1 had a leading slash for a while."""
+    return frame.lstrip("/") == other.lstrip("/")
 
 
 def namespace_of(topic: str) -> str:

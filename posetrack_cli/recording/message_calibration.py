@@ -9,7 +9,7 @@ from typing import Any
 from posetrack_cli.errors import RecordingError, nearest_name
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.recording.base import NotCalibratedError, no_intrinsics
-from posetrack_cli.recording.camera_of import calibration_of, namespace_of, reprojected_to
+from posetrack_cli.recording.camera_of import calibration_of, is_same_frame, namespace_of, reprojected_to
 
 MESSAGE_NAMES = {"equidistant": "kannala_brandt", "inverse_brown_conrady": "Inverse Brown Conrady"}
 """How messages name models that are not named as OpenCV does."""
@@ -89,7 +89,7 @@ def _of_same_camera(image_topic: str, frame_id: str, calibrations: Mapping[str, 
     """Return the calibrations of the camera whose pixels the images have, as far as names tell."""
     words = reprojected_to(image_topic)
     if not words:
-        same_frame = [topic for topic, frame in calibrations.items() if _is_frame(frame, frame_id)]
+        same_frame = [topic for topic, frame in calibrations.items() if is_same_frame(frame, frame_id)]
         return same_frame or list(calibrations)
     own = [topic for topic in calibrations if namespace_of(topic) == namespace_of(image_topic)]
     named = [t for t, frame in calibrations.items() if any(word in f"{t} {frame}".lower() for word in words)]
@@ -106,17 +106,12 @@ def _of_same_camera(image_topic: str, frame_id: str, calibrations: Mapping[str, 
 
 def _is_elsewhere(image_topic: str, frame_id: str, calibration: str, frame: str) -> bool:
     """Whether a calibration shares neither frame id nor namespace with the images, and has both."""
-    differs = bool(frame_id and frame) and not _is_frame(frame, frame_id)
+    differs = bool(frame_id and frame) and not is_same_frame(frame, frame_id)
     return (
         differs
         and not reprojected_to(image_topic)
         and not calibration.startswith(namespace_of(image_topic) + "/")
     )
-
-
-def _is_frame(frame: str, frame_id: str) -> bool:
-    """ROS 1 had a leading slash for a while."""
-    return bool(frame_id) and frame.lstrip("/") == frame_id.lstrip("/")
 
 
 def _asked_for(wanted: str, calibrations: Mapping[str, str]) -> str:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -13,19 +15,22 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import PosetrackError, RecordingError, UsageError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.rigid import placed, relative_to, rotation_from_rows
+from posetrack_cli.mcap.decoding import MessageDecoder, UndecodableMessageError, frame_id_of
 from posetrack_cli.recording.base import TRUTH_PREFIX, NotCalibratedError, UnreadableImageError
 from posetrack_cli.recording.camera_file import Rig, check_apart
 from posetrack_cli.recording.camera_of import (
     ImageCamera,
     calibration_of,
     camera_of_message,
+    is_empty,
     is_rectified,
+    is_same_frame,
 )
 from posetrack_cli.recording.depth import DISPARITY
 from posetrack_cli.recording.grey import Grey, grey_like_message, holds_grey
 from posetrack_cli.recording.message_calibration import choose_calibration
 from posetrack_cli.recording.message_extrinsics import camera_places, is_placed, place_of_calibration
-from posetrack_cli.recording.message_topics import FileTopics, Topic
+from posetrack_cli.recording.message_topics import TRIES, FileTopics, Topic
 from posetrack_cli.recording.pixels import Pixels
 
 COMPRESSED = "/compressed"
@@ -191,7 +196,23 @@ def camera_of_topic(topics: FileTopics, source: CameraTopic[Pixels], calibration
         NotCalibratedError: the calibration is empty.
         RecordingError: it does not fit the images.
     """
-    return camera_by(topics.by_name[calibration].first, topics.path, source, calibration)
+    message = _message_of(topics, source.topic, calibration)
+    found = camera_by(message, topics.path, source, calibration)
+    return replace(found, frame=frame_id_of(message))
+
+
+def _message_of(topics: FileTopics, images: Topic, calibration: str) -> Any:
+    """Return the first message of a calibration topic that is of the frame of images, else the first."""
+    first = topics.by_name[calibration].first
+    if not images.frame_id or is_same_frame(frame_id_of(first), images.frame_id):
+        return first
+    decoder = MessageDecoder()
+    for item in islice(topics.file.messages([calibration]), TRIES):
+        with suppress(UndecodableMessageError):
+            decoded = decoder.decode(*item)
+            if is_same_frame(frame_id_of(decoded), images.frame_id) and not is_empty(decoded):
+                return decoded
+    return first
 
 
 def camera_by(message: Any, path: Path, source: CameraTopic[Pixels], calibration: str) -> ImageCamera:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,7 +23,8 @@ from posetrack_cli.mcap.decoding import (
     DISPARITY_IMAGE,
     MessageDecoder,
     UndecodableMessageError,
-    stamp_of,
+    frame_id_of,
+    own_stamp_of,
 )
 from posetrack_cli.recording.base import (
     TRUTH_PREFIX,
@@ -43,8 +44,9 @@ from posetrack_cli.recording.camera_file import (
     load_rig,
     stated_depth,
 )
-from posetrack_cli.recording.camera_of import ImageCamera
+from posetrack_cli.recording.camera_of import ImageCamera, is_same_frame
 from posetrack_cli.recording.changing_camera import CurrentCamera, Resampling, with_calibration
+from posetrack_cli.recording.clock import Clock, Shifts, Timed
 from posetrack_cli.recording.depth import DISPARITY, MM_PER_M, Depth, DepthEncoding, stored_depth
 from posetrack_cli.recording.depth_content import (
     Decision,
@@ -122,7 +124,7 @@ def open_depth_messages(path: Path, options: ReadingOptions) -> Recording:
 
     return Recording(
         path,
-        [_TopicImages(path, source, window, calibration).stream(found.camera)],
+        [_TopicImages(path, source, window, calibration, found.frame).stream(found.camera)],
         identity=identity,
         frame_count=source.topic.count,
         truth=_truth(topics, mirror=window.mirror),
@@ -151,8 +153,9 @@ def open_grey_messages(path: Path, options: ReadingOptions) -> Recording:
     if options.get("in_colour"):
         sources = [replace(source, pixels=replace(source.pixels, keeps_colour=True)) for source in sources]
     windows = [_window(rig.cameras[s.name].crop if rig else None, rig, options) for s in sources]
+    shifts = Shifts()
     streams = [
-        _TopicImages(path, source, window, each.calibration).stream(each.camera)
+        _TopicImages(path, source, window, each.calibration, each.frame, shifts).stream(each.camera)
         for source, window, each in zip(sources, windows, found, strict=True)
     ]
     counts = {source.topic.count for source in sources}
@@ -323,12 +326,16 @@ class _TopicImages:
         source: the topic.
         window: the part of the images that is used.
         calibration: topic of the calibration that is applied frame by frame; empty for none.
+        frame: of the calibration's messages that are this camera's.
+        shifts: of the clocks of all cameras of the recording.
     """
 
     path: Path
     source: CameraTopic[Pixels]
     window: Window
     calibration: str = ""
+    frame: str = ""
+    shifts: Shifts = field(default_factory=Shifts)
 
     def stream(self, stored: Camera) -> CameraStream:
         """Return the stream, given the camera of the images as they are stored."""
@@ -337,48 +344,71 @@ class _TopicImages:
     def _images(self, stored: Camera, losses: LossLog) -> Iterator[StoredImage | None]:
         is_alone = self.source.pixels.is_numbered_as_stored
         file = message_file(self.path, losses if is_alone else None)
-        current = CurrentCamera(stored, self._camera_by)
+        clock = Clock[StoredImage | None](self.source.topic.name, losses, self.shifts)
         try:
-            for number, (image, calibration) in enumerate(with_calibration(self._messages(file))):
-                where = f"frame {number} at {image.log_time} ns" if is_alone else f"at {image.log_time} ns"
-                if isinstance(image.decoded, UndecodableMessageError):
-                    losses.add(f"message skipped, {image.decoded}", where)
-                    yield None
-                    continue
-                try:
-                    resampling = current.resampling(calibration)
-                except PosetrackError as error:
-                    losses.add(f"image skipped, {error}", where)
-                    yield None
-                    continue
-                if resampling is not None:
-                    losses.note(f"{self.calibration} changes: images are resampled to its first camera")
-                yield self._image(image, resampling)
+            for image, stamp in clock.stamped(self._timed(stored, file, losses)):
+                yield None if image is None else replace(image, stamp_ns=stamp)
         finally:
             if not is_alone:
                 losses.include(file.losses.losses)  # every camera's pass meets the same damage
 
+    def _timed(
+        self, stored: Camera, file: MessageFile, losses: LossLog
+    ) -> Iterator[Timed[StoredImage | None]]:
+        """Yield the images with their times; None for one that cannot be used and keeps its place."""
+        current = CurrentCamera(stored, self._camera_by)
+        for number, (image, calibration) in enumerate(with_calibration(self._messages(file))):
+            at = f"at {image.log_time} ns"
+            where = f"frame {number} {at}" if self.source.pixels.is_numbered_as_stored else at
+            usable: StoredImage | None = None
+            try:
+                fault = self._fault(image)
+                resampling = None if fault else current.resampling(calibration)
+            except PosetrackError as error:
+                fault = f"image skipped, {error}"
+            if fault:
+                losses.add(fault, where)
+            else:
+                usable = self._image(image, resampling)
+            if usable is not None and resampling is not None:
+                losses.note(f"{self.calibration} changes: images are resampled to its first camera")
+            yield Timed(usable, image.own_ns if usable is not None else -1, image.log_time)
+
+    def _fault(self, image: _Decoded) -> str:
+        """Return why an image cannot be used; empty if it can."""
+        if isinstance(image.decoded, UndecodableMessageError):
+            return f"message skipped, {image.decoded}"
+        frame, own = frame_id_of(image.decoded), self.source.topic.frame_id
+        if frame and own and not is_same_frame(frame, own):
+            other = f"images of another camera, frame '{frame}', are on the same topic"
+            return f"image skipped, {other}"
+        return ""
+
     def _messages(self, file: MessageFile) -> Iterator[tuple[bool, int, Any]]:
         """Yield images, and calibrations that decode, as ``with_calibration`` takes them."""
-        decoder, topic = MessageDecoder(), self.source.topic.name
-        names = [topic, self.calibration] if self.calibration else [topic]
+        decoder, topic = MessageDecoder(), self.source.topic
+        names = [topic.name, self.calibration] if self.calibration else [topic.name]
         for item in file.messages(names):
-            is_image = item[1].topic == topic
+            is_image = item[1].topic == topic.name
             try:
                 decoded: Any = decoder.decode(*item)
-                stamp = stamp_of(decoded, item[2])
+                own = own_stamp_of(decoded)
             except UndecodableMessageError as error:
                 if not is_image:
                     continue
-                decoded, stamp = error, item[2].log_time
-            yield not is_image, stamp, _Decoded(decoded, stamp, item[2].log_time) if is_image else decoded
+                decoded, own = error, -1
+            if not is_image and not is_same_frame(frame_id_of(decoded), self.frame):
+                continue
+            stamp = own if own > 0 else item[2].log_time
+            yield not is_image, stamp, _Decoded(decoded, own, item[2].log_time) if is_image else decoded
 
     def _camera_by(self, calibration: Any) -> Camera:
         return camera_by(calibration, self.path, self.source, self.calibration).camera
 
     def _image(self, image: _Decoded, resampling: Resampling | None) -> StoredImage:
         pixels, kind = self.source.pixels, str(self.source.topic.kind)
-        where = f"{self.source.topic.name} at {image.stamp_ns} ns"
+        stamp = image.own_ns or image.log_time
+        where = f"{self.source.topic.name} at {stamp} ns"
 
         def decode() -> ImageArray:
             values = pixels.from_message(image.decoded, kind, f"{self.path}, {where}")
@@ -386,14 +416,14 @@ class _TopicImages:
 
         is_kept = self.window.keeps_pixels and resampling is None
         png = partial(pixels.png_of_message, image.decoded, kind) if is_kept else no_png
-        return StoredImage(image.stamp_ns, where, decode, png)
+        return StoredImage(stamp, where, decode, png)
 
 
 class _Decoded(NamedTuple):
     """An image message, or why it does not decode, and its times."""
 
     decoded: Any
-    stamp_ns: int
+    own_ns: int
     log_time: int
 
 
