@@ -107,7 +107,7 @@ class Clock(Generic[Item]):
         if not image.own_ns:
             return self._unstamped(image)
         stamp = image.own_ns + self._shift
-        if last is None or not 0 <= stamp <= LATEST_NS:
+        if last is None or image.own_ns > LATEST_NS:
             return stamp
         if stamp <= self._latest:
             back = self._latest - stamp
@@ -124,7 +124,7 @@ class Clock(Generic[Item]):
     def _unstamped(self, image: Timed[Item]) -> int:
         """Continue, or begin, the camera's stamps by log times; without any, log times are the clock."""
         if self._last is not None:
-            if not self._last.own_ns or abs(self._last.own_ns + self._shift - self._last.log_ns) < NS_PER_S:
+            if abs(self._latest - self._last.log_ns) < NS_PER_S:  # the camera has the computer's clock
                 return image.log_ns
             self._note("has images without a stamp: theirs continue by log times")
             return self._latest + self._step(image, self._last)
