@@ -1,0 +1,84 @@
+"""Digests what every command writes, over recordings that it makes itself.
+
+Every step is a command line as a user types it, in a folder of its own with relative names: nothing but
+the code and the machine decides what is written. Two runs on one machine give the same digests; runs
+before and after a change of the code therefore show whether any result changed.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import click
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def check_package(package: Path) -> None:
+    """Refuse a checkout whose package the commands would not run.
+
+    Raises:
+        click.UsageError: it would be another package.
+    """
+    line = [sys.executable, "-c", "import posetrack_cli; print(posetrack_cli.__file__)"]
+    with tempfile.TemporaryDirectory() as elsewhere:
+        found = subprocess.run(
+            line, cwd=elsewhere, env={"PYTHONPATH": str(package)}, capture_output=True, text=True, check=True
+        )
+    if Path(found.stdout.strip()).parents[1].resolve() != package:
+        raise click.UsageError(f"{package} holds no posetrack_cli; {found.stdout.strip()} would run")
+
+
+@click.command()
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="Write the digests here, JSON.")
+@click.option(
+    "--against", type=click.Path(path_type=Path, exists=True), help="Compare with these earlier digests."
+)
+@click.option("--only", multiple=True, metavar="NAME", help="Only this group or step, and what it needs.")
+@click.option(
+    "--package", type=click.Path(path_type=Path, exists=True), help="Checkout to run.  [default: this]"
+)
+@click.option("--keep", type=click.Path(path_type=Path), help="Work in this new folder and leave it.")
+def main(
+    output: Path | None, against: Path | None, only: Sequence[str], package: Path | None, keep: Path | None
+) -> None:
+    """Digest what every command writes; exit code 1 if anything differs from before or a step fails.
+
+    Groups: recordings, conversions, hand, head, exports, reports, pictures, calibrations, batches.
+    """
+    package = (package or ROOT).resolve()
+    check_package(package)
+    sys.path[:0] = [str(package), str(ROOT / "tests"), str(ROOT / "scripts")]
+    from digesting.steps import groups
+    from digesting.workplace import Workplace, chosen, differences
+
+    began, now, failed = time.monotonic(), dict[str, dict[str, str]](), 0
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = keep or Path(temporary)
+        folder.mkdir(parents=True, exist_ok=keep is None)
+        workplace = Workplace(folder.resolve(), package)
+        for step in chosen(groups(), only):
+            try:
+                now[step.name] = workplace.digest(step)
+            except Exception as error:  # the other steps still count
+                failed += 1
+                now[step.name] = {"failed": repr(error)}
+                print(f"failed: {step.name}: {error!r}", file=sys.stderr)
+            if output is not None:
+                output.write_text(json.dumps(now, indent=1) + "\n")
+            print(f"{time.monotonic() - began:7.1f} s  {step.name}", file=sys.stderr, flush=True)
+    print(f"{sum(len(d) for d in now.values())} digests of {len(now)} steps, {failed} failed")
+    lines = [] if against is None else list(differences(json.loads(against.read_text()), now))
+    if against is not None:
+        print("\n".join(lines or ["nothing differs"]))
+    sys.exit(1 if lines or failed else 0)
+
+
+if __name__ == "__main__":
+    main(prog_name="scripts/digests")

@@ -1,0 +1,148 @@
+"""What counts of a written file: its content without run record, configuration, version and measured times.
+
+An MCAP file is digested topic by topic, so that a difference names the stream that changed.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import json
+import re
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap.reader import make_reader
+
+RUN_RECORD = "posetrack.run"
+LEFT_OUT = frozenset(
+    {"version", "run", "configuration", "bytes", "seconds", "cpu_s", "frames_per_s", "peak_mb", "started"}
+)
+"""Keys of JSON objects and columns of CSV tables that state the run or its cost, not its result."""
+_VERSION = re.compile(r"\bposetrack \d+\.\d+\.\d+\S*")
+_RECORD_TABLE = re.compile(r'<table class="record">.*?</table>', re.DOTALL)
+_COST_CELL = re.compile(
+    r'<td[^>]*data-label="(?:seconds|cpu_s|frames_per_s|peak_mb)"[^>]*>.*?</td>', re.DOTALL
+)
+_PRINTED_RECORD = re.compile(rf"^metadata {re.escape(RUN_RECORD)}:.*\n(?:    .*\n)*", re.MULTILINE)
+_PRINTED_SIZE = re.compile(r"\b[\d.]+ (?:B|kB|MB)\b")
+
+
+def digests_of(path: Path) -> dict[str, str]:
+    """Return the digests of a file: one by the name "", or one for each part of an MCAP or npz file."""
+    content = path.read_bytes()
+    return {name: digest_of(part) for name, part in _PARTS.get(path.suffix, _whole)(content)}
+
+
+def printed_digest(content: bytes) -> str:
+    """Return the digest of standard output."""
+    text = _PRINTED_SIZE.sub("SIZE", _PRINTED_RECORD.sub("", content.decode()))
+    if text.startswith("{"):
+        return digest_of(_json_text(text.encode()))
+    return digest_of(_VERSION.sub("posetrack", text).encode())
+
+
+def digest_of(content: bytes) -> str:
+    """Return the SHA-256 of bytes."""
+    return hashlib.sha256(content).hexdigest()
+
+
+Parts = Iterator[tuple[str, bytes]]
+
+
+def _whole(content: bytes) -> Parts:
+    yield "", content
+
+
+def _mcap(content: bytes) -> Parts:
+    """Yield each topic's messages, their order across topics, other metadata and attachments."""
+    streams: dict[str, Any] = {}
+    order = hashlib.sha256()
+    for schema, channel, message in make_reader(io.BytesIO(content)).iter_messages(log_time_order=False):
+        if channel.topic not in streams:
+            streams[channel.topic] = hashlib.sha256()
+            kind = (None, None, b"") if schema is None else (schema.name, schema.encoding, schema.data)
+            streams[channel.topic].update(repr((kind, channel.message_encoding, channel.metadata)).encode())
+        facts = (message.log_time, message.publish_time, message.sequence, len(message.data))
+        streams[channel.topic].update(repr(facts).encode() + message.data)
+        order.update(channel.topic.encode() + b"\n")
+    for topic, stream in streams.items():
+        yield topic, stream.digest()
+    yield "order of topics", order.digest()
+    for record in make_reader(io.BytesIO(content)).iter_metadata():
+        if record.name != RUN_RECORD:
+            kept = sorted((k, v) for k, v in record.metadata.items() if k not in LEFT_OUT)
+            yield f"metadata {record.name}", repr(kept).encode()
+    for attachment in make_reader(io.BytesIO(content)).iter_attachments():
+        described = (attachment.media_type, attachment.log_time, attachment.create_time)
+        yield f"attachment {attachment.name}", repr(described).encode() + attachment.data
+
+
+def _npz(content: bytes) -> Parts:
+    """Yield each array; an array of JSON text without what states the run."""
+    with np.load(io.BytesIO(content)) as arrays:
+        for name in arrays.files:
+            array = arrays[name]
+            is_json = array.ndim == 0 and str(array)[:1] == "{"
+            data = _json_text(str(array).encode()) if is_json else array.tobytes()
+            yield name, repr((array.dtype.kind if is_json else array.dtype.str, array.shape)).encode() + data
+
+
+def _json(content: bytes) -> Parts:
+    yield "", _json_text(content)
+
+
+def _json_text(content: bytes) -> bytes:
+    return json.dumps(_without_run(json.loads(content))).encode()
+
+
+def _without_run(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {
+            key: _without_run(one)
+            for key, one in value.items()
+            if key not in LEFT_OUT and not key.endswith("sha256")
+        }
+    if isinstance(value, list):
+        return [
+            _without_run(one)
+            for one in value
+            if not (isinstance(one, dict) and one.get("name") == RUN_RECORD)
+        ]
+    return value
+
+
+def _csv(content: bytes) -> Parts:
+    """Yield the table without columns of cost, and the comments without the run record."""
+    lines = content.decode().splitlines()
+    comments = [line for line in lines if line.startswith("#") and not line.startswith("# run:")]
+    rows = list(csv.reader(line for line in lines if not line.startswith("#")))
+    cost = {k for k, name in enumerate(rows[0]) if name in LEFT_OUT} if rows else set()
+    kept = [[cell for k, cell in enumerate(row) if k not in cost] for row in rows]
+    yield "", repr((comments, kept)).encode()
+
+
+def _html(content: bytes) -> Parts:
+    text = _COST_CELL.sub("", _RECORD_TABLE.sub("", content.decode()))
+    yield "", _VERSION.sub("posetrack", text).encode()
+
+
+def _text(content: bytes) -> Parts:
+    yield "", _VERSION.sub("posetrack", content.decode()).encode()
+
+
+_PARTS: Mapping[str, Callable[[bytes], Parts]] = {
+    ".mcap": _mcap,
+    ".npz": _npz,
+    ".json": _json,
+    ".csv": _csv,
+    ".html": _html,
+    ".md": _text,
+    ".xml": _text,
+    ".toml": _text,
+    ".tum": _text,
+    ".bvh": _text,
+}

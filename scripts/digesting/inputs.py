@@ -1,0 +1,228 @@
+"""Inputs that no command writes: folders of images, a video, bags, points of other programs, boards, ...
+
+They are made from synthetic recordings in the same folder, with the helpers that the tests use.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from mcap.reader import make_reader
+
+DEPTH_TOPIC, INFO_TOPIC = "/camera/depth/image_rect_raw", "/camera/depth/camera_info"
+GREY_TOPIC, GREY_INFO_TOPIC = "/camera/left/image_raw", "/camera/left/camera_info"
+TENTHS_MISSING = 65535
+"""Stored in the folder of tenths of a millimetre where there is no reading."""
+KEYPOINT_SCATTER_PX = 3.0
+CLICK_ERROR_PX = 0.5
+
+
+def helper(name: str) -> Any:
+    """Return a module of the tests' helpers."""
+    return import_module(f"support.{name}")
+
+
+def frames_of(recording: Path, pixels: str) -> Iterator[Any]:
+    """Yield the frames of a recording; the package decodes them."""
+    from posetrack_cli.recording.opening import open_recording
+
+    yield from open_recording(recording, pixels).frames()  # type: ignore[arg-type]
+
+
+def cameras_of(recording: Path, pixels: str) -> Sequence[Any]:
+    """Return the cameras of a recording."""
+    from posetrack_cli.recording.opening import open_recording
+
+    return open_recording(recording, pixels).cameras  # type: ignore[arg-type]
+
+
+def truth_of(recording: Path, topic: str) -> list[tuple[dict[str, Any], Any]]:
+    """Return the true estimates of a synthetic recording, with their points (N, 3), mm."""
+    with recording.open("rb") as stream:
+        estimates = [json.loads(m.data) for _, _, m in make_reader(stream).iter_messages([topic])]
+    return [
+        (one, np.array([[point[axis] for axis in "xyz"] for point in one["points"]])) for one in estimates
+    ]
+
+
+def write_depth_folder(folder: Path) -> None:
+    """Write depth in whole millimetres, with a camera file."""
+    _write_depth(folder / "depth", folder / "hand-C.mcap", 1.0)
+    _write_camera(folder / "depth" / "camera.toml", cameras_of(folder / "hand-C.mcap", "depth")[0])
+
+
+def write_tenths_folder(folder: Path) -> None:
+    """Write depth in tenths of a millimetre with a value for no reading, and a separate camera file."""
+    _write_depth(folder / "tenths", folder / "near.mcap", 10.0)
+    _write_camera(folder / "tenths.toml", cameras_of(folder / "near.mcap", "depth")[0])
+
+
+def _write_depth(target: Path, recording: Path, per_mm: float) -> None:
+    target.mkdir()
+    for frame in frames_of(recording, "depth"):
+        codes = np.round(frame.images[0] * per_mm).astype(np.uint16)
+        if per_mm != 1.0:
+            codes[codes == 0] = TENTHS_MISSING
+        cv2.imwrite(str(target / f"{frame.index:06d}.png"), codes)
+
+
+def _write_camera(path: Path, camera: Any) -> None:
+    path.write_text("".join(f"{key} = {getattr(camera, key)!r}\n" for key in ("fx", "fy", "cx", "cy")))
+
+
+def copy_images(folder: Path) -> None:
+    """Copy the images of one camera of a folder without their calibration."""
+    (folder / "uncalibrated").mkdir()
+    for path in sorted((folder / "faces" / "left").glob("*.png")):
+        shutil.copy(path, folder / "uncalibrated" / path.name)
+
+
+def write_video(folder: Path) -> None:
+    """Write a camera's images as H.264 in MP4."""
+    import av
+
+    with av.open(str(folder / "face.mp4"), "w") as container:
+        stream = container.add_stream("libx264", rate=30, options={"crf": "12"})
+        stream.pix_fmt = "yuv420p"
+        camera = cameras_of(folder / "one.mcap", "grey")[0]
+        stream.width, stream.height = camera.width, camera.height
+        for frame in frames_of(folder / "one.mcap", "grey"):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(frame.images[0], format="gray")))
+        container.mux(stream.encode(None))
+
+
+def write_bags(folder: Path) -> None:
+    """Write the depth as a bag of ROS 1 and a camera's grey images as another."""
+    recordings = (folder / "hand-C.mcap", folder / "two.mcap")
+    hand, head = (_Rows(r, p) for r, p in zip(recordings, ("depth", "grey"), strict=True))
+    write_bag = helper("bags").write_bag
+    write_bag(folder / "depth.bag", "lz4", hand.depth)
+    write_bag(folder / "grey.bag", "none", head.grey)
+
+
+def write_ros2_folder(folder: Path) -> None:
+    """Write the depth as a folder of ROS 2 (SQLite)."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores
+
+    messages = helper("bags").Messages(Stores.ROS2_HUMBLE)
+    with Writer(folder / "ros2", version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        messages.write(
+            _Rows(folder / "hand-C.mcap", "depth").depth(messages), writer, messages.store.serialize_cdr
+        )
+
+
+class _Rows:
+    """A recording's images as messages of ROS, for ``support.bags``."""
+
+    def __init__(self, recording: Path, pixels: str) -> None:
+        self._recording, self._pixels = recording, pixels
+
+    def depth(self, messages: Any) -> Iterator[tuple[str, int, Any]]:
+        """Yield topic, number and message of the calibration and every depth image."""
+        yield from self._rows(messages, DEPTH_TOPIC, INFO_TOPIC, "16UC1", np.uint16)
+
+    def grey(self, messages: Any) -> Iterator[tuple[str, int, Any]]:
+        """Yield topic, number and message of the calibration and every image of the first camera."""
+        yield from self._rows(messages, GREY_TOPIC, GREY_INFO_TOPIC, "mono8", np.uint8)
+
+    def _rows(self, messages: Any, topic: str, info: str, encoding: str, kind: Any) -> Iterator[Any]:
+        camera = cameras_of(self._recording, self._pixels)[0]
+        k = np.array([camera.fx, 0, camera.cx, 0, camera.fy, camera.cy, 0, 0, 1.0])
+        p = np.insert(k, (3, 6, 9), 0.0)
+        described = messages.camera_info("sensor")
+        letters = ("K", "P") if hasattr(described, "K") else ("k", "p")
+        changes: dict[str, Any] = dict(zip(letters, (k, p), strict=True))
+        yield info, 0, replace(described, width=camera.width, height=camera.height, **changes)
+        for frame in frames_of(self._recording, self._pixels):
+            image = np.round(frame.images[0]).astype(kind)
+            yield topic, frame.index, messages.image(frame.index, "sensor", encoding, image)
+
+
+def write_kinect_file(folder: Path) -> None:
+    """Write a Matroska file as an Azure Kinect's recorder does."""
+    helper("kinect").write_kinect(folder / "kinect.mkv")
+
+
+def write_keypoints(folder: Path) -> None:
+    """Write a hand's joints in pixels with scatter, and the truth as a table."""
+    recording = folder / "hand-C.mcap"
+    camera, rng = cameras_of(recording, "depth")[0], np.random.default_rng(5)
+    truth = truth_of(recording, "/truth/hand/estimate")
+    frames = []
+    for estimate, points in truth:
+        places = camera.pixels_from_points(points)[0]
+        places = places + rng.normal(0.0, KEYPOINT_SCATTER_PX, places.shape)
+        frames.append(
+            {"frame": estimate["frame_index"], "landmarks": places.round(2).tolist(), "side": "left"}
+        )
+    (folder / "keypoints.json").write_text(json.dumps(frames))
+    _write_table(folder / "joints.csv", truth)
+
+
+def _write_table(path: Path, truth: Sequence[tuple[dict[str, Any], Any]]) -> None:
+    """Write joints in millimetres as ``eval`` and ``--keypoints`` read them."""
+    from posetrack_cli.hand.anatomy import JOINT_NAMES
+
+    with path.open("w", newline="") as stream:
+        rows = csv.writer(stream, lineterminator="\n")
+        rows.writerow(["stamp_ns", *(f"{joint}_{axis}_mm" for joint in JOINT_NAMES for axis in "xyz")])
+        for estimate, points in truth:
+            rows.writerow([estimate["stamp_ns"], *points.ravel().round(3).tolist()])
+
+
+def write_landmarks(folder: Path) -> None:
+    """Write a face's ten points in pixels with scatter, and those of the first frame as clicked ones."""
+    from posetrack_cli.head.face.points import POINT_NAMES
+
+    camera, rng = cameras_of(folder / "two.mcap", "grey")[0], np.random.default_rng(6)
+    landmarks, clicked = ["frame,point,x,y"], ["camera,point,x,y"]
+    for estimate, points in truth_of(folder / "two.mcap", "/truth/head/estimate"):
+        places = camera.pixels_from_points(points)[0]
+        places = places + rng.normal(0.0, CLICK_ERROR_PX, places.shape)
+        named = [f"{name},{x:.2f},{y:.2f}" for name, (x, y) in zip(POINT_NAMES, places, strict=True)]
+        landmarks += [f"{estimate['frame_index']},{row}" for row in named]
+        clicked += [] if len(clicked) > 1 else [f"{camera.name},{row}" for row in named]
+    (folder / "landmarks.csv").write_text("\n".join(landmarks) + "\n")
+    (folder / "clicked.csv").write_text("\n".join(clicked) + "\n")
+
+
+def write_mesh(folder: Path) -> None:
+    """Write a hand as glTF with WebXR joint names."""
+    from posetrack_cli.hand.anatomy import make_anatomy
+
+    helper("glb").write_hand(folder / "hand.glb", make_anatomy("right", 1.02), np.eye(22)[6])
+
+
+def write_people(folder: Path) -> None:
+    """Write results of three people whose faces move as ``head build-model`` asks for."""
+    faces = helper("face_people")
+    for number, face in enumerate(faces.people(3)):
+        faces.write_stereo_result(folder / f"person-{number}.mcap", faces.performance(face, 120))
+
+
+def write_boards(folder: Path) -> None:
+    """Write views of a chessboard and of a ChArUco board by two cameras."""
+    boards = helper("boards")
+    boards.write_views(folder / "chessboard", boards.CHESSBOARD, boards.cameras(), boards.poses(6))
+    boards.write_views(folder / "charuco", boards.CHARUCO, boards.cameras(), boards.poses(6, seed=2))
+
+
+def write_lists(folder: Path) -> None:
+    """Write a manifest of two recordings, a list of one, and a file of gates."""
+    (folder / "manifest.toml").write_text(
+        'gates = ["coverage < 0.5"]\n[options]\nparticles = 64\nend = 6\n'
+        '[[recordings]]\npath = "hand-C.mcap"\ntruth = "joints.csv"\n'
+        '[[recordings]]\npath = "near.mcap"\nname = "lab/near"\noptions = { hand-side = "left" }\n'
+    )
+    (folder / "list.txt").write_text("two.mcap\n")
+    (folder / "gates.txt").write_text("coverage < 0.5\njoint_error_mm.mean > 20\n")

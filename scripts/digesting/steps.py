@@ -1,0 +1,275 @@
+"""The steps: every command, with every option that changes what is written."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+
+from digesting import inputs
+from digesting.inputs import DEPTH_TOPIC, GREY_TOPIC, INFO_TOPIC, TENTHS_MISSING
+from digesting.step import Step, command, made
+
+FEW = "--particles 64"
+FEWER = "--particles 200"
+GIVEN = "--hand-side right --shape average --init {hand-C}"
+"""Options of ``hand run`` that leave nothing to be found before the first frame."""
+FLUSH = "--set output.flush_frames=3"
+OF_BAG = f"--topic {DEPTH_TOPIC} --camera-topic {INFO_TOPIC}"
+OF_TENTHS = f"--depth-unit-mm .1 --missing {TENTHS_MISSING} --camera {{tenths:1}} --fps 30"
+
+
+def recordings() -> Iterator[Step]:
+    """Yield the steps that make recordings and other inputs."""
+    hand, head = "hand synth --seed 3 --frames", "head synth --seed 4 --frames"
+    fingers = "--finger-lengths 1.02 1 1 1 .98 --finger-widths 1 1 1.05 1 1 --thumb-place 1.1"
+    palm = "--palm-width 1.03 --palm-length .97 --palm-thickness 1.05 --wrist-width 1.05"
+    shape = f"{fingers} {palm} --padding-mm 1 --scale 1.03"
+    switches = "--noise --edges --background --body --forearm --drops --late"
+    without = switches.replace("--", "--no-")
+    yield command("hand-C", f"{hand} 16 --motion C -o hand-C.mcap")
+    yield command("hand-A", f"{hand} 12 --motion A --speed 1.2 {shape} -o hand-A.mcap")
+    yield command("hand-B", f"{hand} 16 --motion B --random-hand {switches} -o hand-B.mcap")
+    yield command("near", f"{hand} 12 --hand-side left {without} --overwrite -o near.mcap")
+    yield command("slow", f"{hand} 24 --fps 10 --speed .3 -o slow.mcap")
+    yield made("mesh", inputs.write_mesh, "hand.glb")
+    yield command("hand-mesh", f"{hand} 6 --hand-mesh {{mesh}} -o hand-mesh.mcap")
+
+    seen = "--lens-distortion --drops --occlusion --light sudden --noise-factor .5 --distance-mm 650"
+    small = "--image-format png --image-size 512x384 --baseline-mm 100 --no-expressions"
+    slow = "--fps 10 --speed .3 --camera-count 1 --motion slight"
+    yield command("two", f"{head} 16 --identity 2 -o two.mcap")
+    yield command("one", f"{head} 16 --camera-count 1 {seen} --motion turn --speed 1.2 -o one.mcap")
+    yield command("faces", f"{head} 8 --fps 25 {small} --overwrite -o faces")
+    yield command("motions", f"{head} 16 --script two-motions --image-format raw -o motions.mcap")
+    yield command("slow-head", f"{head} 24 {slow} -o slow-head.mcap")
+
+    yield made("depth", inputs.write_depth_folder, "depth", "hand-C")
+    yield made("tenths", inputs.write_tenths_folder, "tenths tenths.toml", "near")
+    yield made("uncalibrated", inputs.copy_images, "uncalibrated", "faces")
+    yield made("video", inputs.write_video, "face.mp4", "one")
+    yield made("bags", inputs.write_bags, "depth.bag grey.bag", "hand-C two")
+    yield made("ros2", inputs.write_ros2_folder, "ros2", "hand-C")
+    yield made("kinect", inputs.write_kinect_file, "kinect.mkv")
+    yield made("keypoints", inputs.write_keypoints, "keypoints.json joints.csv", "hand-C")
+    yield made("landmarks", inputs.write_landmarks, "landmarks.csv clicked.csv", "two")
+    yield made("people", inputs.write_people, "person-0.mcap person-1.mcap person-2.mcap")
+    yield made("boards", inputs.write_boards, "chessboard charuco")
+    yield made("lists", inputs.write_lists, "manifest.toml list.txt gates.txt", "hand-C near keypoints two")
+
+
+def conversions() -> Iterator[Step]:
+    """Yield conversions of every container of depth."""
+    converted = {
+        "mcap": "{hand-C} --overwrite",
+        "truth": "{depth} --fps 30 --truth {keypoints:1}",
+        "tenths": f"{{tenths}} {OF_TENTHS}",
+        "bag": f"{{bags}} {OF_BAG}",
+        "ros2": "{ros2} --mirror",
+        "kinect": "{kinect}",
+    }
+    for name, line in converted.items():
+        yield command(f"convert-{name}", f"convert {line} -o converted-{name}.mcap")
+
+
+def hand_runs() -> Iterator[Step]:
+    """Yield runs of every hand tracker, and calibrations of hands."""
+    runs = {
+        "rbpf": "{hand-C}",
+        "smooth": f"{{hand-C}} --smooth {FEW}",
+        "left": f"{{near}} {FEW} --overwrite",
+        "own-shape": f"{{hand-B}} {FEW} --end 8",
+        "pf": f"{{hand-C}} --filter pf {FEW} --end 8 {GIVEN}",
+        "pf-smooth": f"{{hand-A}} --filter pf --smooth {FEW} --end 8",
+        "pso": f"{{hand-C}} --filter pso --particles 16 --end 6 {GIVEN}",
+        "fast": f"{{hand-C}} --config hand-fast --end 8 {GIVEN}",
+        "paper": f"{{hand-A}} --config hand-paper {FEW} --init center --end 8",
+        "annealed": f"{{hand-C}} --proposal annealed {FEW} --end 5 {GIVEN}",
+        "marginal": f"{{hand-A}} --proposal marginal {FEW} --end 8",
+        "multinomial": f"{{hand-C}} --resampling multinomial --cost paper {FEW} --end 8 {GIVEN}",
+        "residual": f"{{hand-C}} --resampling residual --cost union --device cpu {FEW} --end 8 {GIVEN}",
+        "stratified": f"{{hand-C}} --resampling stratified --set observation.sigma_mm=7 {FEW} {GIVEN}",
+        "folder": f"{{depth}} --fps 30 --hand-side right --scale 1.02 --stride 2 --seed 7 {FEW}",
+        "folder-tenths": f"{{tenths}} {OF_TENTHS} --end 6 {FEW}",
+        "mirror": f"{{near}} --mirror --init center --end 8 {FEW}",
+        "started": f"{{hand-C}} --init {{rbpf}} --start 5 --end 12 {FEW}",
+        "keypoints-mm": f"{{hand-C}} --keypoints {{keypoints:1}} --keypoints-unit mm --end 8 {FEW}",
+        "keypoints-px": f"{{hand-C}} --keypoints {{keypoints}} --keypoints-swap-sides --end 8 {FEW}",
+        "mesh-run": f"{{hand-mesh}} --hand-mesh {{mesh}} {FEW}",
+        "bag-run": f"{{bags}} {OF_BAG} --end 8 {FEW}",
+        "ros2-run": f"{{ros2}} --end 8 --stride 2 {FEW}",
+        "kinect-run": f"{{kinect}} --hand-side right {FEW}",
+    }
+    for name, line in runs.items():
+        yield command(name, f"hand run {line} -o {name}.mcap")
+    for name in ("rbpf", "smooth"):
+        line = f"hand run {runs[name]} -o {name}-resumed.mcap {FLUSH}"
+        yield command(f"{name}-resumed", line, interrupted=True)
+    calibrations = {
+        "shape": "{hand-B} --fit-frames 8 --config hand-fast --overwrite",
+        "shape-bag": f"{{bags}} {OF_BAG} --fit-frames 4 --hand-side right",
+        "shape-tenths": f"{{tenths}} {OF_TENTHS} --fit-frames 4 --mirror",
+        "shape-mesh": "{hand-mesh} --hand-mesh {mesh} --fit-frames 4",
+    }
+    for name, line in calibrations.items():
+        yield command(name, f"hand calibrate {line} -o {name}.toml")
+    yield command("shaped", f"hand run {{hand-B}} --shape {{shape}} --end 8 {FEW} -o shaped.mcap")
+
+
+def head_runs() -> Iterator[Step]:
+    """Yield runs of both head trackers, and the building of a face model."""
+    people = "{people} {people:1} {people:2} --identity-size 2 --deformation-size 3"
+    picture = "--picture face.png --overwrite"
+    yield command("face", f"head build-model {people} {picture} -o face.npz", "face.png")
+    stereo = {
+        "stereo": f"{{two}} --smooth --overwrite --save-model stereo.npz {FEWER}",
+        "stereo-default": "{two} --end 8",
+        "stereo-two": f"{{two}} --passes 2 --end 10 {FEWER}",
+        "stereo-rigid": f"{{two}} --model rigid --seed 3 --cameras right,left --tolerance-ms 5 {FEWER}",
+        "stereo-folder": f"{{faces}} --fps 30 --stride 2 {FEWER}",
+        "stereo-mirror": f"{{faces}} --camera faces/camera.toml --mirror --end 6 {FEWER}",
+        "stereo-loaded": f"{{two}} --load-model {{stereo:1}} --start 4 {FEWER}",
+        "stereo-paper": f"{{two}} --config head-stereo-paper --end 8 {FEWER}",
+        "stereo-landmarks": f"{{two}} --landmarks {{landmarks}} --landmarks-unit px --end 8 {FEWER}",
+        "stereo-clicked": f"{{two}} --init {{landmarks:1}} --detector haar --end 8 {FEWER}",
+        "motions-result": f"{{motions}} --set model.components=3 {FEWER}",
+    }
+    mono = {
+        "mono": f"{{one}} --overwrite --save-model mono.npz {FEWER}",
+        "mono-default": "{two} --cameras left --end 8",
+        "mono-smooth": f"{{two}} --cameras left --smooth --passes 1 {FEWER}",
+        "mono-start": f"{{two}} --cameras left --adjust start --end 8 {FEWER}",
+        "mono-never": f"{{one}} --adjust never --passes 1 --start 2 --stride 2 {FEWER}",
+        "mono-loaded": f"{{one}} --load-model {{mono:1}} --passes 1 {FEWER}",
+        "mono-guess": f"{{uncalibrated}} --fov 50 --fps 30 --interpupillary-mm 62 --passes 1 {FEWER}",
+        "mono-person": f"{{two}} --cameras left --person {{stereo}} --end 8 --passes 1 {FEWER}",
+        "mono-model": f"{{two}} --cameras left --face-model {{face}} --end 8 --passes 1 {FEWER}",
+        "mono-landmarks": f"{{two}} --cameras left --landmarks {{landmarks}} --landmarks-unit px --end 8 "
+        f"--passes 1 {FEWER}",
+        "mono-clicked": f"{{two}} --cameras left --init {{landmarks:1}} --end 8 --passes 1 {FEWER}",
+        "mono-video": f"{{video}} --face 1 --detector haar --seed 5 --passes 1 {FEWER}",
+        "mono-mirror": f"{{faces}} --cameras left --camera faces/camera.toml --mirror --passes 1 {FEWER}",
+        "mono-bag": f"{{bags:1}} --cameras {GREY_TOPIC} --end 8 --passes 1 {FEWER}",
+        "mono-paper": f"{{two}} --cameras left --config head-mono-paper --end 8 --passes 1 {FEWER}",
+        "mono-set": f"{{two}} --cameras left --set adjustment.views=4 --end 8 --passes 1 {FEWER}",
+    }
+    saved = {"stereo": ("stereo.npz",), "mono": ("mono.npz",)}
+    for kind, runs in (("stereo", stereo), ("mono", mono)):
+        for name, line in runs.items():
+            yield command(name, f"head {kind} {line} -o {name}.mcap", *saved.get(name, ()))
+    for kind, name, line in (
+        ("stereo", "stereo-two", stereo["stereo-two"]),
+        ("mono", "mono-smooth", mono["mono-smooth"]),
+    ):
+        again = f"head {kind} {line} -o {name}-resumed.mcap {FLUSH}"
+        yield command(f"{name}-resumed", again, interrupted=True)
+
+
+def exports() -> Iterator[Step]:
+    """Yield what ``info`` reports and ``export`` writes."""
+    for name in ("hand-C", "one", "depth", "faces", "video", "bags", "ros2", "kinect", "smooth", "mono"):
+        yield command(f"info-{name}", f"info {{{name}}} --json -", printed=True)
+        yield command(f"info-text-{name}", f"info {{{name}}}", printed=True)
+    yield command("info-file", "info {hand-C} --overwrite --json info.json", "info.json")
+    for name, kinds in {
+        "smooth": "csv tum json npz bvh c3d mcap",
+        "stereo": "csv tum json npz c3d mcap",
+        "mono": "csv tum npz",
+        "pso": "json",
+    }.items():
+        for kind in kinds.split():
+            yield command(f"export-{name}-{kind}", f"export {{{name}}} -o {name}.{kind}")
+    yield command("export-smoothed", "export {smooth} --track smoothed --no-lost -o smoothed.csv")
+    ros2 = "--format mcap --schemas ros2 --estimate-topic /truth/hand/estimate --overwrite"
+    yield command("export-truth", f"export {{smooth}} {ros2} -o truth.mcap")
+    yield command("export-printed", "export {stereo} --format tum", printed=True)
+
+
+def reports() -> Iterator[Step]:
+    """Yield what ``eval`` measures and writes."""
+    page = ("json", "csv", "html", "junit", "markdown", "curve")
+    suffixes = {"junit": "xml", "markdown": "md", "curve": "curve.csv"}
+    measured = {
+        "rbpf": "{rbpf} --truth {hand-C} --recording {hand-C} --overwrite --honesty",
+        "smooth": "{smooth} --truth {hand-C} --track both --joint-offsets palm --parts --columns",
+        "left": "{left} --truth {near} --align rigid --time-offset-s .001 --truth-tolerance-ms 8",
+        "joints": "{started} --truth {keypoints:1} --align similarity --fail-if joint_error_mm.mean>1",
+        "stereo": "{stereo} --truth {two} --align rigid+points --parts --track smoothed",
+        "mono": "{mono} --truth {one} --align rigid --gates {lists:2}",
+        "compared": "{rbpf} {pf} {fast} --truth {hand-C}",
+        "groups": "{rbpf} {pf} {fast} {own-shape} --group a=rbpf.mcap --group b=pf.mcap",
+        "rows": "{rbpf} {pf} {fast} {smooth} {left} --rows --worst 3 --honesty --baseline {eval-rbpf}",
+    }
+    for name, line in measured.items():
+        files = [f"{name}.eval.{suffixes.get(kind, kind)}" for kind in page]
+        options = " ".join(f"--{kind} {path}" for kind, path in zip(page, files, strict=True))
+        if name == "rows":  # a curve is of a few results only
+            options, files = options.rsplit(" --curve", 1)[0], files[:-1]
+        tolerance = "--baseline-tolerance .5" if "--baseline" in line else ""
+        yield command(f"eval-{name}", f"eval {line} {tolerance} {options}", *files, printed=True)
+    yield command("eval-metrics", "eval --list-metrics", printed=True)
+
+
+def pictures() -> Iterator[Step]:
+    """Yield what ``view`` draws: folders, sheets and videos."""
+    of_folder = "--any-recording --depth-unit-mm .1 --missing 65535 --fps 30 --camera {tenths:1} --no-mirror"
+    drawn = {
+        "rbpf": "{rbpf} --recording {hand-C} --show-truth --skeleton --select 3,10 --overwrite -o view-rbpf",
+        "smooth": "{smooth} --recording {hand-C} --track both --layout over --select 3,10 -o view-smooth",
+        "stereo": "{stereo} --recording {two} --show-truth --select 3,10 -o view-stereo",
+        "mono": "{mono} --recording {one} --crop head --zoom 2 --select 3,10 -o view-mono",
+        "segments": "{rbpf} --layout segments --select spread:4 --device cpu -o view-segments.png",
+        "paper": "{rbpf} --layout paper --select worst:2 --range-mm 500 900 -o view-paper.png",
+        "compared": "{rbpf} {fast} --recording {hand-C} --rate 10 --select 0:6 -o view-compared.mp4",
+        "bag": f"{{bag-run}} --recording {{bags}} {OF_BAG} --select 2,4 -o view-bag",
+        "tenths": f"{{folder-tenths}} --recording {{tenths}} {of_folder} --select 2 -o view-tenths",
+    }
+    for name, line in drawn.items():
+        yield command(f"view-{name}", f"view {line}")
+
+
+def calibrations() -> Iterator[Step]:
+    """Yield calibrations of cameras."""
+    charuco = "--squares 7x5 --square-mm 26 --marker-mm 19 --dictionary 4X4_50 --distortion five"
+    boards = {
+        "chessboard": "{boards} --squares 8x6 --square-mm 22 --overwrite",
+        "charuco": f"{{boards:1}} {charuco} --cameras right,left",
+    }
+    for name, line in boards.items():
+        yield command(f"rig-{name}", f"calibrate stereo {line} -o rig-{name}.toml")
+
+
+def batches() -> Iterator[Step]:
+    """Yield batches: many recordings, one, pieces of long ones."""
+    gates = "--fail-if coverage<.5 --gates {lists:2} --baseline {eval-rbpf} --baseline-tolerance .5"
+    reported = "--junit batch.xml --markdown batch.md"
+    bounds = "--timeout 600 --memory-limit 8G --jobs 1"
+    yield command(
+        "batch-hand",
+        f"batch hand run {{lists}} --smooth {gates} {reported} {bounds} -o batch-hand",
+        "batch.xml",
+        "batch.md",
+    )
+    again = "batch hand run {lists} --smooth --jobs 1"
+    yield command("batch-dry", f"{again} --dry-run -o batch-hand", printed=True)
+    pieces = "--chunk-s 1 --overlap-s .4 --jobs 1 --redo --no-reports --smooth"
+    yield command("batch-pieces", f"batch hand run {{slow}} {pieces} {FEW} -o batch-pieces")
+    yield command("batch-stereo", f"batch head stereo {{lists:1}} --end 8 --jobs 1 {FEWER} -o batch-stereo")
+    pieces = f"{pieces} --passes 1"
+    yield command("batch-mono", f"batch head mono {{slow-head}} {pieces} {FEWER} -o batch-mono")
+
+
+_GROUPS: Mapping[str, Callable[[], Iterator[Step]]] = {
+    "recordings": recordings,
+    "conversions": conversions,
+    "hand": hand_runs,
+    "head": head_runs,
+    "exports": exports,
+    "reports": reports,
+    "pictures": pictures,
+    "calibrations": calibrations,
+    "batches": batches,
+}
+
+
+def groups() -> Mapping[str, Sequence[Step]]:
+    """Return all steps by group, in the order in which they are done."""
+    return {name: tuple(make()) for name, make in _GROUPS.items()}
