@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import random
 import re
 import shlex
@@ -141,14 +142,15 @@ def attempt_corpus(pool: Pool, seeds: Seeds, tally: Tally, until: float) -> None
 
 def run(options: argparse.Namespace) -> int:
     tally, began = Tally(), time.monotonic()
-    until = began + 60.0 * options.minutes
+    minutes = options.minutes if options.minutes is not None else math.inf if options.cases else 1.0
+    until = began + 60.0 * minutes
     signal.signal(signal.SIGTERM, _interrupt)
     try:
         with Pool() as pool:
             seeds, harness = make_seeds(pool), pool.harnesses[0]
             if not options.target:
                 attempt_corpus(pool, seeds, tally, until)
-            for target, number in _turns(options):
+            for target, number in turns(options, tally):
                 if time.monotonic() > until:
                     break
                 search(harness, seeds, target, options.batch, number, tally)
@@ -166,12 +168,14 @@ def _interrupt(*_: object) -> None:
     raise KeyboardInterrupt
 
 
-def _turns(options: argparse.Namespace) -> Iterator[tuple[str, int]]:
+def turns(options: argparse.Namespace, tally: Tally) -> Iterator[tuple[str, int]]:
+    """Yield targets in turn, each until it had its cases, with a number for the batch of each turn."""
     chance = random.Random(options.seed)
     targets = options.target or list(TARGETS)
-    while True:
+    while options.cases is None or any(tally.tried[target] < options.cases for target in targets):
         for target in targets:
-            yield target, chance.randrange(2**60)
+            if options.cases is None or tally.tried[target] < options.cases:
+                yield target, chance.randrange(2**60)
 
 
 def line_of(tally: Tally) -> str:
@@ -240,7 +244,10 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         prog="scripts/fuzz", description="Search for inputs that break the invariant."
     )
-    parser.add_argument("--minutes", type=float, default=1.0, help="how long; the seeds take one more")
+    parser.add_argument(
+        "--minutes", type=float, help="how long, by default 1 or as --cases takes; the seeds take one more"
+    )
+    parser.add_argument("--cases", type=int, metavar="N", help="stop after N cases of each target")
     parser.add_argument("--target", action="append", choices=list(TARGETS), help="only this one; repeatable")
     parser.add_argument(
         "--seed", type=int, default=None, help="of the search; by default a fresh one, which is told"

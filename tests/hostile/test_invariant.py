@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from hostile.case import Case, Link, Pipe, load, save
-from hostile.fuzz import Tally, failure_class
+from hostile.fuzz import Tally, failure_class, turns
 from hostile.invariant import MEMORY_BYTES, violations
 from hostile.running import Harness, Outcome
 
@@ -87,6 +88,15 @@ def test_a_kept_case_is_read_again(tmp_path: Path) -> None:
     case = replace(CASE, files={"a/\udcff": b"1", "l": Link("a"), "p": Pipe(), "\x1b[2J": b""})
     save(case, tmp_path / "kept", {"broken": []})
     assert load(tmp_path / "kept") == case
+
+
+def test_every_target_has_its_turns_until_it_had_its_cases() -> None:
+    tally, seen = Tally(), list[str]()
+    for target, _ in turns(Namespace(seed=1, target=["few", "many"], cases=3), tally):
+        seen.append(target)
+        tally.tried[target] += 1 if target == "few" else 2
+    assert seen == ["few", "many", "few", "many", "few"]
+    assert list(turns(Namespace(seed=1, target=["few"], cases=3), tally)) == []
 
 
 # What a real process does is seen
