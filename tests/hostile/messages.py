@@ -71,6 +71,16 @@ def image(ros: int, stamp_ns: int, pixels: Any, encoding: str) -> Layout:
     )
 
 
+def disparity_image(ros: int, stamp_ns: int, pixels: Any) -> Layout:
+    return (
+        header(ros, stamp_ns, "cam"),
+        Field("sensor_msgs/Image", "image", image(ros, stamp_ns, pixels, "32FC1")),
+        Field("float32", "f", 45.0),
+        Field("float32", "T" if ros == 1 else "t", 0.075),
+        Field("float32", "min_disparity", 0.0),
+    )
+
+
 def compressed_image(ros: int, stamp_ns: int, data: bytes, kind: str) -> Layout:
     return header(ros, stamp_ns, "cam"), Field("string", "format", kind), Field("uint8[]", "data", data)
 

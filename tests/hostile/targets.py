@@ -124,17 +124,23 @@ def _ros(seeds: Seeds, version: int) -> Strategy:
         ros.compressed_image(version, 10 + k, head + of.png(image), "16UC1; compressedDepth png")
         for k, image in enumerate(depth)
     ]
+    with np.errstate(divide="ignore"):
+        apart = [np.where(image > 0, 3375.0 / image, -1.0).astype(np.float32) for image in depth]
+    disparity = [ros.disparity_image(version, 10 + k, image) for k, image in enumerate(apart)]
+    pixels = [ros.image(version, 10 + k, image, "32FC1") for k, image in enumerate(apart)]
     info = [ros.camera_info(version, 9, columns, rows)]
     whole = {
         "raw": {"/cam/image": ("sensor_msgs/Image", raw)},
         "deep": {"/cam/image": ("sensor_msgs/CompressedImage", deep)},
         "grey": {"/cam/image": ("sensor_msgs/CompressedImage", packed)},
+        "disparity": {"/cam/image": ("stereo_msgs/DisparityImage", disparity)},
+        "pixels": {"/cam/disparity": ("sensor_msgs/Image", pixels)},
     }
     more = {
         "/cam/camera_info": ("sensor_msgs/CameraInfo", info),
         "/tf": ("tf2_msgs/TFMessage", [ros.transforms(version, 9)]),
     }
-    topics = one_of([whole[kind] | more for kind in ("raw", "deep", "grey", "raw")])
+    topics = one_of([whole[kind] | more for kind in ("raw", "deep", "grey", "raw", "disparity", "pixels")])
     content = topics.flatmap(lambda chosen: ros.ros_records(version, chosen)).map(
         lambda inner: file_bytes([{"op": 1}, {"op": CHUNK, "inner": inner}])
     )
