@@ -55,6 +55,9 @@ JPEG_SCANS = 30
 TILE_PIXELS = 1 << 22
 """Of one tile of a TIFF, which is decoded whole for the smallest image: writers use 128 to 1024 squared."""
 
+TIFF_PAGES = 1 << 20
+"""Of one TIFF, each of which is a frame: ten hours of 30 frames a second."""
+
 NEAREST_MM, FARTHEST_MM = 0.01, 1e7
 """A depth nearer or farther is no reading. No depth camera sees nearer than a millimetre or beyond 10 km."""
 
