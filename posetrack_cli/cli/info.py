@@ -78,6 +78,9 @@ def _folder_lines(report: Values) -> Iterator[str]:
         )
     if report["no_camera"]:
         yield f"camera: {report['no_camera']}"
+    yield from report["remarks"]
+    if "colour" in report:
+        yield from _image_lines(report["colour"])
 
 
 def _image_lines(report: Values) -> Iterator[str]:
@@ -94,6 +97,7 @@ def _image_lines(report: Values) -> Iterator[str]:
     if report["stamps"] or report["no_stamps"]:
         yield f"stamps: {_timing(report['stamps']) if report['stamps'] else report['no_stamps']}"
     yield from _camera_lines(report)
+    yield from report["remarks"]
 
 
 def _video_lines(report: Values) -> Iterator[str]:

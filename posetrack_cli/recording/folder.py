@@ -8,9 +8,10 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+from posetrack_cli import limits
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError, UsageError
-from posetrack_cli.files import placed_path
+from posetrack_cli.files import placed_path, read_text
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.base import (
@@ -21,8 +22,8 @@ from posetrack_cli.recording.base import (
     no_png,
 )
 from posetrack_cli.recording.camera_file import (
+    TABLE,
     DepthCamera,
-    Intrinsics,
     Rig,
     camera_record,
     found_rig,
@@ -40,16 +41,17 @@ from posetrack_cli.recording.depth_content import (
     other_content,
 )
 from posetrack_cli.recording.grey import Grey, decode_as_stored, grey_like
-from posetrack_cli.recording.guess import GUESSED, Guess, check_one_camera
+from posetrack_cli.recording.guess import GUESSED, check_one_camera
 from posetrack_cli.recording.identity import files_digest, identity_record
 from posetrack_cli.recording.image_files import (
     PNG_SIGNATURE,
+    ImageFile,
     decode_codes,
+    files_of,
     first_decoded,
-    list_images,
     read_image,
 )
-from posetrack_cli.recording.image_folders import CameraFolders, Stamped, common_stamps, find_folders
+from posetrack_cli.recording.image_folders import CameraFolders, Stamped, find_depth, find_folders
 from posetrack_cli.recording.matching import NS_PER_MS
 from posetrack_cli.recording.pixels import Pixels, Window
 from posetrack_cli.recording.recording import (
@@ -59,7 +61,6 @@ from posetrack_cli.recording.recording import (
     match_streams,
     tolerance_ns,
 )
-from posetrack_cli.recording.stamps import STAMPS_FILE_NAME
 
 
 def open_depth_folder(path: Path, options: ReadingOptions) -> Recording:
@@ -71,20 +72,21 @@ def open_depth_folder(path: Path, options: ReadingOptions) -> Recording:
             or kind raise it while they are read; unreadable ones are skipped and counted.
         UsageError: if an option has a value that cannot be used.
     """
-    images = list_images(path)
+    images_of = find_depth(path)
+    (images,) = images_of.by_name.values()
+    folder = images[0].parent
     first = first_decoded(images, lambda image: decode_codes(read_image(image), str(image)))
     height, width = first.shape
-    file = depth_camera_path(path, options.get("camera_file"), (width, height))
+    file = depth_camera_path(path, options.get("camera_file"), folder, (width, height))
     settings = _overridden(load_depth_camera(file), options)
-    if (other := other_content(placed_path(path).name)) and settings.depth_unit_mm is None:
+    if (other := other_content(placed_path(folder).name)) and settings.depth_unit_mm is None:
         raise RecordingError(
             f"a folder called {other} holds no depth",
-            where=path,
+            where=folder,
             found=f"{len(images)} images",
             hint="--depth-unit-mm 1 takes them for depth all the same",
         )
-    fps = nominal_rate(path, settings) if options.get("fps") is None else options.get("fps")
-    stamps = common_stamps(path, images, fps)
+    timing = images_of.timing(options.get("fps"), nominal_fps=settings.fps)
     found = image_camera(settings, file, (width, height))
     decision = decide_unit(_early_content(images, found.camera, settings.missing), settings.depth_unit_mm)
     encoding: DepthEncoding = "16UC1" if decision.unit_mm == 1.0 and first.dtype.kind == "u" else "32FC1"
@@ -93,19 +95,19 @@ def open_depth_folder(path: Path, options: ReadingOptions) -> Recording:
     )
     camera = settings.window.camera(found.camera)
     copied = encoding == "16UC1" and settings.missing == 0 and settings.window.keeps_pixels
-    stamped = list(zip(stamps, images, strict=True))
+    (stamped,) = timing.stamped.values()
     stream = _stream(camera, pixels, settings.window, "", stamped, is_millimetres=copied)
 
     def identity() -> Mapping[str, str]:
-        files = [(image.name, image) for image in images]
-        files += [] if fps is not None else [(STAMPS_FILE_NAME, path / STAMPS_FILE_NAME)]
+        files = [(image.name, image) for image in files_of(images)]
+        files += [(file.name, file) for file in timing.files]
         return {
             **identity_record(path, "folder", files_digest([*files, (CAMERA_FILE_NAME, file)])),
             "frames": str(len(images)),
             "depth_unit_mm": str(decision.unit_mm),
             "missing": str(settings.missing),
             "mirror": str(settings.mirror).lower(),
-            **_rate(fps),
+            **_rate(timing.fps),
             **camera_record(options.get("camera_file")),
         }
 
@@ -115,11 +117,11 @@ def open_depth_folder(path: Path, options: ReadingOptions) -> Recording:
         identity=identity,
         frame_count=len(images),
         why=[found.why],
-        remarks=found.remarks + decision.remarks,
+        remarks=(*images_of.every_remark, *timing.remarks, *found.remarks, *decision.remarks),
     )
 
 
-def _early_content(images: Sequence[Path], camera: Camera, missing: int) -> DepthContent:
+def _early_content(images: Sequence[ImageFile], camera: Camera, missing: int) -> DepthContent:
     """What early images hold, as far as they can be decoded and are of one size and kind."""
     decoded: list[ImageArray] = []
     for image in early(images):
@@ -137,12 +139,12 @@ def open_grey_folder(path: Path, options: ReadingOptions) -> Recording:
             left out and counted.
         UsageError: if an option has a value that cannot be used.
     """
-    every, tolerance = find_folders(path), tolerance_ns(options)
+    every, tolerance = _without_depth(find_folders(path), options), tolerance_ns(options)
     rig = _rig_of(every, options)
     first = next(iter(rig.cameras.values()))
-    fps = nominal_rate(path, first) if options.get("fps") is None else options.get("fps")
     chosen = _folders_of(every, rig)
-    folders, stamped = chosen.by_name, chosen.stamped(fps)
+    folders = chosen.by_name
+    timing = chosen.timing(options.get("fps"), tolerance, nominal_fps=first.fps)
     kinds = {name: _first_grey(rig, name, images) for name, images in folders.items()}
     if options.get("in_colour"):
         kinds = {name: replace(kind, keeps_colour=True) for name, kind in kinds.items()}
@@ -150,14 +152,14 @@ def open_grey_folder(path: Path, options: ReadingOptions) -> Recording:
     sizes = {name: (kind.width, kind.height) for name, kind in kinds.items()}
     stored = rig.stored_cameras(sizes)
     streams = [
-        _stream(windows[name].camera(camera), kinds[name], windows[name], name, stamped[name])
+        _stream(windows[name].camera(camera), kinds[name], windows[name], name, timing.stamped[name])
         for name, camera in zip(folders, stored, strict=True)
     ]
     count = sum(1 for _ in match_streams(streams, tolerance, LossLog()))
 
     def identity() -> Mapping[str, str]:
-        files = [(_label(name, image), image) for name, images in folders.items() for image in images]
-        files += [(f"{i} {file.name}", file) for i, file in enumerate(chosen.stamps_files(fps))]
+        files = [(_label(name, image), image) for name, all_ in folders.items() for image in files_of(all_)]
+        files += [(f"{i} {file.name}", file) for i, file in enumerate(timing.files)]
         files += [] if rig.is_guessed else [(CAMERA_FILE_NAME, rig.path)]
         return {
             **identity_record(path, "folder", files_digest(files)),
@@ -166,7 +168,7 @@ def open_grey_folder(path: Path, options: ReadingOptions) -> Recording:
             "stored": ", ".join(dict.fromkeys(kind.words for kind in kinds.values())),
             "mirror": str(next(iter(windows.values())).mirror).lower(),
             "tolerance_ms": f"{tolerance / NS_PER_MS:g}",
-            **_rate(fps),
+            **_rate(timing.fps),
             **camera_record(options.get("camera_file")),
         }
 
@@ -178,25 +180,23 @@ def open_grey_folder(path: Path, options: ReadingOptions) -> Recording:
         tolerance_ns=tolerance,
         is_guessed=rig.is_guessed,
         why=[GUESSED if rig.is_guessed else rig.path.name] * len(streams),
-        remarks=rig.remarks(sizes),
+        remarks=(*chosen.every_remark, *timing.remarks, *rig.remarks(sizes)),
     )
 
 
-def depth_camera_path(folder: Path, camera_file: Path | None, size: tuple[int, int]) -> Path:
+def depth_camera_path(folder: Path, camera_file: Path | None, images: Path, size: tuple[int, int]) -> Path:
     """Return the camera file to use for images of a size: the one given, else the folder's.
 
+    A folder whose images lie in another one may have it there.
+
     Raises:
-        RecordingError: if none is given and the folder has none.
+        RecordingError: if none is given and there is none.
     """
-    path = camera_file or folder / CAMERA_FILE_NAME
+    own = folder / CAMERA_FILE_NAME
+    path = camera_file or (own if own.exists() else images / CAMERA_FILE_NAME)
     if camera_file is None and not path.exists():
         raise no_intrinsics(folder, nominal_hint(*size))
     return path
-
-
-def nominal_rate(path: Path, settings: Intrinsics | Guess) -> float | None:
-    """Return the frame rate that a camera file states for a folder without stamps."""
-    return None if (path / STAMPS_FILE_NAME).exists() else settings.fps
 
 
 def _overridden(settings: DepthCamera, options: ReadingOptions) -> DepthCamera:
@@ -229,11 +229,11 @@ def _stream(
     return CameraStream(camera, pixels, images)
 
 
-def _decoded(image: Path, pixels: Pixels, window: Window) -> ImageArray:
+def _decoded(image: ImageFile, pixels: Pixels, window: Window) -> ImageArray:
     return window.apply(pixels.from_file(read_image(image), image))
 
 
-def _png(image: Path) -> bytes | None:
+def _png(image: ImageFile) -> bytes | None:
     data = read_image(image)
     return data if data.startswith(PNG_SIGNATURE) else None
 
@@ -242,7 +242,7 @@ def _rate(fps: float | None) -> dict[str, str]:
     return {} if fps is None else {"fps": str(fps)}
 
 
-def _label(folder: str, image: Path) -> str:
+def _label(folder: str, image: ImageFile | Path) -> str:
     return f"{folder}/{image.name}" if folder else image.name
 
 
@@ -286,16 +286,32 @@ def _camera_file(path: Path, given: Path | None) -> Path | None:
     own = path / CAMERA_FILE_NAME
     if given is not None or own.exists():
         return given or own
-    if above.exists() and placed_path(path).name in load_rig(above).cameras:
+    if above.exists() and _is_of_rig(above) and placed_path(path).name in load_rig(above).cameras:
         return above
     return None
+
+
+def _is_of_rig(file: Path) -> bool:
+    """Whether a camera file is of several cameras, not of the depth of another recording."""
+    try:
+        return TABLE in read_text(file, limits.TEXT_BYTES)
+    except (OSError, UnicodeDecodeError):
+        return True  # reading it says why it cannot be used
+
+
+def _without_depth(folders: CameraFolders, options: ReadingOptions) -> CameraFolders:
+    """Return the cameras but those of depth, unless options or the camera file name them."""
+    file = _camera_file(folders.path, options.get("camera_file"))
+    return folders.without_depth(
+        [*(options.get("cameras") or ()), *(() if file is None else load_rig(file).cameras)]
+    )
 
 
 def _folders_of(folders: CameraFolders, rig: Rig) -> CameraFolders:
     """Return the images of each camera of the rig, in its order."""
     path, by_name = folders.path, folders.by_name
     if len(by_name) == len(rig.cameras) == 1:
-        return CameraFolders(path, {next(iter(rig.cameras)): next(iter(by_name.values()))})
+        return folders.called(next(iter(rig.cameras)))
     found = ", ".join(by_name) if "" not in by_name else "images of one camera"
     if "" in rig.cameras:
         hint = "write a table [cameras.NAME] for each; posetrack calibrate stereo measures them"
@@ -308,7 +324,7 @@ def _folders_of(folders: CameraFolders, rig: Rig) -> CameraFolders:
     return folders.of(rig.cameras)
 
 
-def _first_grey(rig: Rig, name: str, images: Sequence[Path]) -> Grey:
+def _first_grey(rig: Rig, name: str, images: Sequence[ImageFile]) -> Grey:
     """Tell what a camera's images are like from the first that can be decoded."""
     bits = rig.cameras[name].bits
     return first_decoded(images, lambda image: grey_like(decode_as_stored(read_image(image)), image, bits))

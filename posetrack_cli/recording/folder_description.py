@@ -20,20 +20,28 @@ from posetrack_cli.recording.grey import decode_as_stored, grey_like
 from posetrack_cli.recording.identity import shown_name
 from posetrack_cli.recording.image_files import (
     DEPTH_SUFFIXES,
+    ImageFile,
     decode_any,
+    files_of,
     first_decoded,
-    list_images,
     read_image,
 )
-from posetrack_cli.recording.image_folders import CameraFolders, find_folders
-from posetrack_cli.recording.stamps import STAMPS_FILE_NAME, load_stamps
+from posetrack_cli.recording.image_folders import CameraFolders, Timing, depth_below, find_depth, find_folders
+from posetrack_cli.recording.image_lists import DEPTH_WORD
 
 ANY_RATE_HZ = 30.0
 """Which images belong together does not depend on it."""
 
 
 def describe_folder(path: Path) -> dict[str, Any]:
-    """Describe a folder of 16-bit depth, or images of cameras; of depth only the first image is read."""
+    """Describe a folder of 16-bit depth, or images of cameras; of depth only the first image is read.
+
+    Of a folder with depth below both this and the images of cameras are described, the latter under
+    ``colour``.
+    """
+    if (depth := depth_below(path)) is not None:
+        others = _others(path)
+        return _describe_depth(depth) | ({} if others is None else {"colour": _describe_grey(others)})
     folders = find_folders(path)
     images = folders.by_name.get("")
     if images is not None:
@@ -43,23 +51,34 @@ def describe_folder(path: Path) -> dict[str, Any]:
             and first.dtype in (np.uint16, np.float32)
             and images[0].suffix.lower() in DEPTH_SUFFIXES
         ):
-            return _describe_depth(path)
+            return _describe_depth(find_depth(path))
     return _describe_grey(folders)
 
 
-def _describe_depth(path: Path) -> dict[str, Any]:
+def _others(path: Path) -> CameraFolders | None:
+    """Return the images of a folder that are not called depth, None if there are none."""
+    try:
+        found = find_folders(path).without_depth()
+    except RecordingError:
+        return None
+    return None if all(DEPTH_WORD in name.lower() for name in found.by_name) else found
+
+
+def _describe_depth(found: CameraFolders) -> dict[str, Any]:
     """Describe a folder of depth images: number, size, stamps, camera; what is missing has a reason."""
-    images = list_images(path)
+    path, (images,) = found.path, found.by_name.values()
     first = first_decoded(images, _as_stored)
     height, width = first.shape[:2]
     channels = 1 if first.ndim == 2 else first.shape[2]
     image = {"width": width, "height": height, "bits": 8 * first.dtype.itemsize, "channels": channels}
-    stamps, no_stamps = _or_reason(lambda: _stamps(path, images))
-    camera, no_camera = _or_reason(lambda: _camera(path, width, height))
+    timing, no_stamps = _timing(found)
+    stamps = None if timing is None else described_stamps(stamp for stamp, _ in timing.stamped[""])
+    fps = None if timing else ANY_RATE_HZ
+    camera, no_camera = _or_reason(lambda: _camera(path, images[0].parent, (width, height), fps))
     return {
         "name": shown_name(placed_path(path)),
         "kind": "folder",
-        "bytes": sum(entry.stat().st_size for entry in images),
+        "bytes": sum(file.stat().st_size for file in files_of(images)),
         "images": len(images),
         "first": images[0].name,
         "last": images[-1].name,
@@ -68,6 +87,7 @@ def _describe_depth(path: Path) -> dict[str, Any]:
         "no_stamps": no_stamps,
         "cameras": [camera] if camera else [],
         "no_camera": no_camera,
+        "remarks": _remarks(found, timing),
         "losses": [],
     }
 
@@ -75,14 +95,15 @@ def _describe_depth(path: Path) -> dict[str, Any]:
 def _describe_grey(folders: CameraFolders) -> dict[str, Any]:
     """Describe the images of each camera, the frames that they make, and the cameras together."""
     path, by_name = folders.path, folders.by_name
-    fps, no_stamps = _rate_if_unstamped(folders)
+    timing, no_stamps = _timing(folders)
+    fps = None if timing else ANY_RATE_HZ
     recording, no_camera = opened(lambda: open_grey_folder(path, {"fps": fps}))
     matched = () if recording is None else recording.matched(LossLog())
     frames = [frame for frame in matched if frame is not None]
     return {
         "name": shown_name(placed_path(path)),
         "kind": "images",
-        "bytes": sum(image.stat().st_size for images in by_name.values() for image in images),
+        "bytes": sum(file.stat().st_size for images in by_name.values() for file in files_of(images)),
         "folders": [_folder(name, images) for name, images in by_name.items()],
         "frames": len(frames),
         "incomplete_frames": sum(None in frame.images for frame in frames),
@@ -90,6 +111,7 @@ def _describe_grey(folders: CameraFolders) -> dict[str, Any]:
         "no_stamps": no_stamps,
         "cameras": described_cameras(recording),
         "no_camera": no_camera,
+        "remarks": _remarks(folders, timing),
         "losses": [],
     }
 
@@ -101,35 +123,32 @@ def _or_reason(make: Callable[[], dict[str, Any]]) -> tuple[dict[str, Any] | Non
         return None, str(error)
 
 
-def _stamps(path: Path, images: list[Path]) -> dict[str, Any]:
-    if not (path / STAMPS_FILE_NAME).exists():
-        raise RecordingError(f"no {STAMPS_FILE_NAME}", hint="pass --fps")
-    return described_stamps(load_stamps(path / STAMPS_FILE_NAME, [image.name for image in images]))
-
-
-def _camera(path: Path, width: int, height: int) -> dict[str, Any]:
-    settings = load_depth_camera(depth_camera_path(path, None, (width, height)))
-    recording = open_depth_folder(path, {"fps": ANY_RATE_HZ})
+def _camera(path: Path, images: Path, size: tuple[int, int], fps: float | None) -> dict[str, Any]:
+    settings = load_depth_camera(depth_camera_path(path, None, images, size))
+    recording = open_depth_folder(path, {"fps": fps})
     (pixels,) = recording.pixels
     unit_mm = pixels.unit_mm if isinstance(pixels, Depth) else None
     depth = {"depth_unit_mm": unit_mm, "missing": settings.missing, "mirror": settings.mirror}
     return recording.cameras[0].values() | depth
 
 
-def _as_stored(image: Path) -> ImageArray:
+def _as_stored(image: ImageFile) -> ImageArray:
     return decode_any(read_image(image))
 
 
-def _rate_if_unstamped(folders: CameraFolders) -> tuple[float | None, str | None]:
-    """Return a rate to read images without stamps at, and why they have none."""
+def _timing(folders: CameraFolders) -> tuple[Timing | None, str | None]:
+    """Return the stamps of images without a rate, or why they have none."""
     try:
-        folders.stamped(None)
+        return folders.timing(None), None
     except PosetrackError as error:
-        return ANY_RATE_HZ, str(error)
-    return None, None
+        return None, str(error).removeprefix(f"{folders.path}: ")
 
 
-def _folder(name: str, images: Sequence[Path]) -> dict[str, Any]:
+def _remarks(folders: CameraFolders, timing: Timing | None) -> list[str]:
+    return [*folders.every_remark, *(() if timing is None else timing.remarks)]
+
+
+def _folder(name: str, images: Sequence[ImageFile]) -> dict[str, Any]:
     kind = first_decoded(images, lambda image: grey_like(decode_as_stored(read_image(image)), image))
     return {
         "name": name,

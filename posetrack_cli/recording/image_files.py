@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
@@ -16,6 +17,9 @@ from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.files import read_input
 from posetrack_cli.recording.base import UnreadableImageError
+from posetrack_cli.recording.file_names import order_remark
+from posetrack_cli.recording.name_stamps import order_of_names
+from posetrack_cli.recording.tiff_pages import Page, find_pages, page_bytes
 
 Decoded = TypeVar("Decoded")
 
@@ -31,6 +35,9 @@ SIGNATURES = (
     *(b"P%d" % kind for kind in range(1, 7)),
 )
 """How the files begin that are decoded."""
+TIFF_SUFFIXES = (".tif", ".tiff")
+MOST_CHANNELS = 4
+"""Pages of each of several files that may be channels of one image: depth, confidence, infrared ..."""
 JPEG_SCAN = b"\xff\xda"
 PNG_SIZE, PNG_SIZE_AT = struct.Struct(">II"), 16
 TOO_LARGE = "CV_IO_MAX_IMAGE"
@@ -39,8 +46,64 @@ PNG_LEVEL = 9
 PNG_CHUNK = struct.Struct(">I4s")  # length of the content, type; content and checksum follow
 
 
-def list_images(folder: Path, suffixes: tuple[str, ...] = DEPTH_SUFFIXES) -> list[Path]:
-    """Return the images of a folder, sorted by name; hidden files are left out.
+@dataclass(frozen=True)
+class ImageFile:
+    """An image in a file of its own, or a page of a TIFF.
+
+    Attributes:
+        path: the file.
+        page: of a TIFF with several, else None.
+    """
+
+    path: Path
+    page: Page | None = None
+
+    @property
+    def name(self) -> str:
+        """File name, and the page counted from 1."""
+        return self.path.name if self.page is None else f"{self.path.name} page {self.page.number + 1}"
+
+    @property
+    def stem(self) -> str:
+        """File name without its suffix."""
+        return self.path.stem
+
+    @property
+    def suffix(self) -> str:
+        """Suffix of the file name."""
+        return self.path.suffix
+
+    @property
+    def parent(self) -> Path:
+        """Folder of the file."""
+        return self.path.parent
+
+    def __str__(self) -> str:
+        return str(self.parent / self.name)
+
+
+@dataclass(frozen=True)
+class ListedImages:
+    """The images of a folder, in order.
+
+    Attributes:
+        images: at least one.
+        remarks: on their order and on the pages of TIFFs.
+    """
+
+    images: list[ImageFile]
+    remarks: tuple[str, ...] = ()
+
+
+def list_images(folder: Path, suffixes: tuple[str, ...] = DEPTH_SUFFIXES) -> list[ImageFile]:
+    """Return the images of ``listed_images``."""
+    return listed_images(folder, suffixes).images
+
+
+def listed_images(folder: Path, suffixes: tuple[str, ...] = DEPTH_SUFFIXES) -> ListedImages:
+    """Return the images of a folder, with all pages of TIFFs; hidden files are left out.
+
+    They are in the order of the stamps in their names, else in natural order: 2 before 10.
 
     Args:
         folder: to look in.
@@ -50,31 +113,79 @@ def list_images(folder: Path, suffixes: tuple[str, ...] = DEPTH_SUFFIXES) -> lis
         RecordingError: if the folder cannot be listed or holds no image.
     """
     try:
-        entries = sorted(folder.iterdir(), key=lambda entry: entry.name)
+        entries = list(folder.iterdir())
     except OSError as error:
         raise RecordingError("cannot be read", where=folder, found=error.strerror or error) from error
-    images = [e for e in entries if e.suffix.lower() in suffixes and not e.name.startswith(".")]
-    if not images:
+    files = [e for e in entries if e.suffix.lower() in suffixes and not e.name.startswith(".")]
+    if not files:
         found = f"{len(entries)} other files" if entries else "an empty folder"
         raise RecordingError(
             "no images", where=folder, found=found, expected=f"files named *{', *'.join(suffixes)}"
         )
-    return images
+    order = order_of_names([file.name for file in files], [file.stem for file in files])
+    files = [files[i] for i in order]
+    images, remarks = _with_pages(files)
+    return ListedImages(images, order_remark([file.name for file in files]) + remarks)
 
 
-def read_image(path: Path) -> bytes:
-    """Return an image file's bytes.
+def _with_pages(files: Sequence[Path]) -> tuple[list[ImageFile], tuple[str, ...]]:
+    """Return the images of files, where all pages of a TIFF are frames, and remarks on them.
+
+    Of several files that have the same few pages each the first page is the image, the others are channels.
+    """
+    pages = {file: find_pages(file) for file in files if file.suffix.lower() in TIFF_SUFFIXES}
+    stacks = {file: found for file, found in pages.items() if found is not None and len(found.images) > 1}
+    each = {len(found.images) for found in stacks.values()}
+    if len(stacks) == len(files) > 1 and len(each) == 1 and max(each) <= MOST_CHANNELS:
+        remark = f"each of {len(files)} files has {max(each)} pages: the first is read as the image"
+        return [ImageFile(file) for file in files], (remark,)
+    images: list[ImageFile] = []
+    for file in files:
+        found = pages.get(file)
+        if found is None or (len(found.images) == 1 and found.images[0].number == 0):
+            images.append(ImageFile(file))
+        else:
+            images += [ImageFile(file, page) for page in found.images]
+    remarks = []
+    if stacks:
+        total, more = sum(len(found.images) for found in stacks.values()), _more(stacks)
+        remarks.append(f"all {total} pages of {next(iter(stacks)).name}{more} are frames")
+    others = {file: found.others for file, found in pages.items() if found is not None and found.others}
+    if others:
+        name = next(iter(others)).name
+        remarks.append(
+            f"pages of another size or kind are left out: {sum(others.values())} of {name}{_more(others)}"
+        )
+    return images, tuple(remarks)
+
+
+def _more(files: Mapping[Path, object]) -> str:
+    return f" and {len(files) - 1} more files" if len(files) > 1 else ""
+
+
+def files_of(images: Iterable[ImageFile]) -> list[Path]:
+    """Return the files that hold images, each once."""
+    return list(dict.fromkeys(image.path for image in images))
+
+
+def read_image(image: ImageFile) -> bytes:
+    """Return an image's bytes: of its file, or a TIFF of its page alone.
 
     Raises:
         UnreadableImageError: if it cannot be read.
     """
     try:
-        return read_input(path, limits.IMAGE_BYTES)
+        if image.page is None:
+            return read_input(image.path, limits.IMAGE_BYTES)
+        data = page_bytes(image.path, image.page)
     except OSError as error:
         raise UnreadableImageError("file cannot be read") from error
+    if not data:
+        raise UnreadableImageError("page is damaged")
+    return data
 
 
-def first_decoded(images: Sequence[Path], decode: Callable[[Path], Decoded]) -> Decoded:
+def first_decoded(images: Sequence[ImageFile], decode: Callable[[ImageFile], Decoded]) -> Decoded:
     """Return what the first image that can be decoded gives.
 
     Args:

@@ -1,20 +1,82 @@
-"""Where the images of each camera lie, and which of them were taken at the same time."""
+"""Where the images of each camera lie, when they were taken, and which of them at the same time."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Hashable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
+
+import numpy as np
 
 from posetrack_cli.errors import RecordingError
-from posetrack_cli.recording.image_files import GREY_SUFFIXES, list_images
-from posetrack_cli.recording.stamps import STAMPS_FILE_NAME, load_stamps, stamps_at_rate
+from posetrack_cli.losses import LossLog
+from posetrack_cli.recording.base import CAMERA_FILE_NAME, StoredImage, UnreadableImageError
+from posetrack_cli.recording.file_names import (
+    DIGITS,
+    layouts_of_one_sequence,
+    natural_order,
+    number,
+    numbered_sequence,
+    varying_numbers,
+)
+from posetrack_cli.recording.image_files import (
+    DEPTH_SUFFIXES,
+    GREY_SUFFIXES,
+    ImageFile,
+    ListedImages,
+    decode_any,
+    first_decoded,
+    listed_images,
+    read_image,
+)
+from posetrack_cli.recording.image_lists import (
+    CAMERA_IMAGES,
+    DEPTH_WORD,
+    ImageList,
+    camera_list,
+    colour_list,
+    depth_list,
+    load_times,
+)
+from posetrack_cli.recording.matching import NS_PER_MS, match_images
+from posetrack_cli.recording.name_stamps import NameStamps, stamps_in_names
+from posetrack_cli.recording.recording import DEFAULT_TOLERANCE_MS
+from posetrack_cli.recording.stamps import STAMPS_FILE_NAME, load_stamps, stamp_at_rate, stamps_at_rate
 
-NUMBER = re.compile(r"\d+")
-Stamped = list[tuple[int, Path]]
+Stamped = list[tuple[int, ImageFile]]
 """Stamp, ns, and image."""
+Instants = list[dict[str, ImageFile]]
+"""Images of each instant by camera."""
+TOLERANCE_NS = round(DEFAULT_TOLERANCE_MS * NS_PER_MS)
+DEPTH_TYPES = (np.uint16, np.float32)
+"""Of images by which a folder of depth is found."""
+SHARED = 0.5
+"""Share of the smaller folder's names that all cameras have, unless they count frames."""
+COLOUR_WORDS = ("color", "colour", "rgb")
+"""In names of colour images, where there are several other kinds, too."""
+RATE_DIFFERENCE = 0.05
+"""Relative: nobody calls 24 frames a second 25."""
+SPARSE = 5
+"""Numbers further apart on average do not count frames: times in ms are 8 and more apart."""
+
+
+@dataclass(frozen=True)
+class Timing:
+    """When the images of each camera were taken.
+
+    Attributes:
+        stamped: stamps and images by camera.
+        files: that were read for it.
+        remarks: where stamps come from if not from a timestamps.csv or the rate, and gaps.
+        fps: frame rate that stamps come from, Hz; None if there are others.
+    """
+
+    stamped: dict[str, Stamped]
+    files: list[Path] = field(default_factory=list)
+    remarks: tuple[str, ...] = ()
+    fps: float | None = None
 
 
 @dataclass(frozen=True)
@@ -24,71 +86,168 @@ class CameraFolders:
     Attributes:
         path: the recording.
         by_name: images by camera; of the folder itself under "".
+        remarks: on what was found, by camera.
+        lists: of the cameras whose images and stamps a file lists.
     """
 
     path: Path
-    by_name: Mapping[str, list[Path]]
+    by_name: Mapping[str, list[ImageFile]]
+    remarks: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    lists: Mapping[str, ImageList] = field(default_factory=dict)
 
     def of(self, names: Iterable[str]) -> CameraFolders:
         """Return those of some cameras, in this order."""
-        return CameraFolders(self.path, {name: self.by_name[name] for name in names})
+        return self._renamed({name: name for name in names})
 
-    def stamped(self, fps: float | None) -> dict[str, Stamped]:
+    def called(self, name: str) -> CameraFolders:
+        """Return the only camera with another name."""
+        (own,) = self.by_name
+        return self._renamed({name: own})
+
+    def without_depth(self, named: Iterable[str] = ()) -> CameraFolders:
+        """Return the cameras whose folders are not called depth, if there are any; ``named`` ones stay."""
+        kept = [name for name in self.by_name if DEPTH_WORD not in name.lower() or name in named]
+        if not kept or len(kept) == len(self.by_name):
+            return self
+        left = ", ".join(name for name in self.by_name if name not in kept)
+        chosen = self.of(kept)
+        said = (*chosen.remarks.get(kept[0], ()), f"images of {left} are left out")
+        return replace(chosen, remarks={**chosen.remarks, kept[0]: said})
+
+    def _renamed(self, names: Mapping[str, str]) -> CameraFolders:
+        """Return some cameras; ``names`` has the present one by the new one."""
+        return CameraFolders(
+            self.path,
+            {new: self.by_name[name] for new, name in names.items()},
+            {new: self.remarks[name] for new, name in names.items() if name in self.remarks},
+            {new: self.lists[name] for new, name in names.items() if name in self.lists},
+        )
+
+    @property
+    def every_remark(self) -> tuple[str, ...]:
+        """The remarks on all cameras, each once."""
+        return tuple(dict.fromkeys(remark for remarks in self.remarks.values() for remark in remarks))
+
+    def timing(
+        self, fps: float | None, tolerance_ns: int = TOLERANCE_NS, nominal_fps: float | None = None
+    ) -> Timing:
         """Return stamp and path of every camera's images.
 
-        Each camera's folder may have a timestamps.csv. Else images of one name, or of names with the same
-        number, belong together and have a stamp from the recording's timestamps.csv or from the rate.
+        Each camera's folder may have a timestamps.csv, or a list or the names hold its stamps. Else images
+        of one instant (``instants``) have a stamp from the recording's timestamps.csv or from the rate.
+        A rate replaces every timestamps.csv, but not stamps of lists and names that contradict it.
 
         Args:
-            fps: frame rate, Hz; replaces every timestamps.csv.
+            fps: frame rate, Hz.
+            tolerance_ns: largest difference of stamps within an instant.
+            nominal_fps: rate of images that have no stamps.
 
         Raises:
             RecordingError: if there are no stamps, or they do not fit the images.
+            UsageError: the rate is not one that cameras have.
         """
+        if fps is not None:
+            stamps_at_rate(0, fps)  # refuses what is not a rate
         own = self._own_stamps()
         if fps is None and all(file.exists() for file in own.values()):
-            return {
-                name: list(zip(load_stamps(own[name], _names(images)), images, strict=True))
-                for name, images in self.by_name.items()
-            }
-        together = self.instants()
-        common = [next(iter(instant.values())) for instant in together]
-        stamps = common_stamps(self.path, common, fps)
-        return {
+            return Timing(
+                {
+                    name: list(zip(load_stamps(own[name], _names(images)), images, strict=True))
+                    for name, images in self.by_name.items()
+                },
+                list(own.values()),
+            )
+        common = self.path / STAMPS_FILE_NAME
+        held = self._held_stamps()
+        if held and (not common.exists() if fps is None else not all(s.fit_rate(fps) for s in held.values())):
+            _check_rate(self.path, held, fps)
+            return self._held_timing(held, fps)
+        together = self.instants(tolerance_ns)
+        firsts = [next(iter(instant.values())) for instant in together]
+        remarks: tuple[str, ...] = ()
+        files = [common]
+        if fps is None and common.exists():
+            stamps = load_stamps(common, _names(firsts))
+        elif fps is None and (times := load_times(self.path, len(firsts))) is not None:
+            stamps, files = list(times[1].stamps_ns), [times[0]]
+            remarks = (f"stamps from {times[0].name}, {times[1].words}",)
+        else:
+            fps = nominal_fps if fps is None else fps
+            if fps is None:
+                _refuse_unstamped(self.path, firsts)
+            stamps, remarks = _at_rate(firsts, fps)
+            files = []
+        stamped = {
             name: [(stamp, i[name]) for stamp, i in zip(stamps, together, strict=True) if name in i]
             for name in self.by_name
         }
+        return Timing(stamped, files, remarks, fps)
 
-    def stamps_files(self, fps: float | None) -> list[Path]:
-        """Return the timestamps.csv files that ``stamped`` reads."""
-        if fps is not None:
-            return []
-        own = list(self._own_stamps().values())
-        return own if all(file.exists() for file in own) else [self.path / STAMPS_FILE_NAME]
+    def instants(self, tolerance_ns: int = TOLERANCE_NS) -> Instants:
+        """Return the images of each instant by camera.
 
-    def instants(self) -> list[dict[str, Path]]:
-        """Return the images of each instant by camera: of names that tell the same, or else by position.
+        Images belong together whose stamps in lists or names are nearest, or whose names are the same or have
+        the same number. Names without numbers, and numbers in equal steps, are matched by position.
+
+        Args:
+            tolerance_ns: largest difference of stamps.
 
         Raises:
-            RecordingError: names have nothing in common, and there are not as many of every camera.
+            RecordingError: names do not show which images belong together.
         """
         folders = self.by_name
-        for key in (_stem, _last_number):
-            keyed = {name: {key(image): image for image in images} for name, images in folders.items()}
-            is_unique = all(len(keyed[name]) == len(images) for name, images in folders.items())
-            shared = set.intersection(*(set(by_key) for by_key in keyed.values()))
-            if is_unique and shared and None not in set.union(*(set(k) for k in keyed.values())):
-                every: list[Any] = sorted(set.union(*(set(by_key) for by_key in keyed.values())))
-                return [{n: by_key[k] for n, by_key in keyed.items() if k in by_key} for k in every]
-        counts = {name: len(images) for name, images in folders.items()}
-        if len(set(counts.values())) > 1:
-            raise RecordingError(
-                "images of the cameras cannot be told to belong together",
-                where=self.path,
-                found=", ".join(f"{count} in {name}" for name, count in counts.items()),
-                expected=f"the same names or numbers, or a {STAMPS_FILE_NAME} in each folder",
+        if len(folders) == 1:
+            (name,) = folders
+            return [{name: image} for image in folders[name]]
+        if held := self._held_stamps():
+            return _nearest(folders, held, tolerance_ns)
+        numbers = {name: varying_numbers([i.stem for i in images]) for name, images in folders.items()}
+        keys: tuple[Mapping[str, Sequence[Hashable]], ...] = (
+            {name: [_stem(image) for image in images] for name, images in folders.items()},
+            {name: [_last_number(image) for image in images] for name, images in folders.items()},
+            {name: values or [] for name, values in numbers.items()},
+        )
+        for key in keys:
+            if together := _by_key(folders, key):
+                return together
+        if len({len(images) for images in folders.values()}) == 1 and _in_step(list(numbers.values())):
+            return [dict(zip(folders, images, strict=True)) for images in zip(*folders.values(), strict=True)]
+        raise RecordingError(
+            "images of the cameras cannot be told to belong together",
+            where=self.path,
+            found=", ".join(f"{len(images)} in {name}" for name, images in folders.items())
+            + f" named {' and '.join(f'{i[0].name} to {i[-1].name}' for i in folders.values())}",
+            expected=f"the same names or numbers, stamps as names, or a {STAMPS_FILE_NAME} in each folder",
+        )
+
+    def _held_timing(self, held: Mapping[str, NameStamps], fps: float | None) -> Timing:
+        stamped = {
+            name: list(zip(stamps.stamps_ns, self.by_name[name], strict=True))
+            for name, stamps in held.items()
+        }
+        remarks = []
+        for name, stamps in held.items():
+            listed = self.lists.get(name)
+            source = "file names" if listed is None or listed.stamps is None else listed.path.name
+            remarks.append(f"stamps from {source}{f' of {name}' if len(held) > 1 else ''}, {stamps.words}")
+        if fps is not None:
+            remarks.append(
+                f"{fps:g} frames/s is not used, the stamps contradict it; a {STAMPS_FILE_NAME} "
+                "without --fps gives others"
             )
-        return [dict(zip(folders, images, strict=True)) for images in zip(*folders.values(), strict=True)]
+        return Timing(stamped, [one.path for one in self.lists.values()], tuple(remarks))
+
+    def _held_stamps(self) -> dict[str, NameStamps]:
+        """Return the stamps that lists or names hold; nothing unless those of all cameras do."""
+        held = {}
+        for name, images in self.by_name.items():
+            listed = self.lists.get(name)
+            found = None if listed is None else listed.stamps
+            found = found or stamps_in_names([image.stem for image in images])
+            if found is None:
+                return {}
+            held[name] = found
+        return held
 
     def _own_stamps(self) -> dict[str, Path]:
         """Where each camera's own timestamps.csv would be."""
@@ -96,60 +255,280 @@ class CameraFolders:
 
 
 def find_folders(path: Path) -> CameraFolders:
-    """Return the images of each camera: of the folder itself, named "", else of its subfolders by name.
+    """Return the images of each camera.
+
+    They are those of the folder itself, named "", or that its rgb.txt lists; else those of its subfolders by
+    name, or of a folder ``data`` in each of them.
 
     Raises:
         RecordingError: if the folder cannot be listed or there are no images.
     """
-    try:
-        folders = sorted(entry for entry in path.iterdir() if entry.is_dir() and entry.name[0] != ".")
-        holds_images = any(_is_image(entry) for entry in path.iterdir())
-    except OSError as error:
-        raise RecordingError("cannot be read", where=path, found=error.strerror or error) from error
-    if holds_images or not folders:
-        return CameraFolders(path, {"": list_images(path, GREY_SUFFIXES)})
-    found = {folder.name: list_images(folder, GREY_SUFFIXES) for folder in folders if _has_images(folder)}
-    if not found:
-        raise RecordingError(
-            "no images", where=path, found=f"folders {', '.join(f.name for f in folders)} without images"
+    folders, holds_images = _entries(path)
+    if holds_images:
+        return _lone(path, _of_one_kind(path, listed_images(path, GREY_SUFFIXES), is_depth=False))
+    if (listed := camera_list(path, GREY_SUFFIXES)) is not None:
+        return _of_list(path, "", listed)
+    if (listed := colour_list(path)) is not None:
+        return _of_list(path, listed.images[0].parent.name, listed)
+    if not folders:
+        return _lone(path, listed_images(path, GREY_SUFFIXES))
+    found = {folder.name: listed_images(folder, GREY_SUFFIXES) for folder in folders if _has_images(folder)}
+    if found:
+        return CameraFolders(
+            path, {n: one.images for n, one in found.items()}, {n: one.remarks for n, one in found.items()}
         )
-    return CameraFolders(path, found)
+    inner = [folder for folder in folders if _has_images(folder / CAMERA_IMAGES)]
+    if inner:
+        return _joined(path, inner)
+    below = [folder for folder in folders if any(_has_images(f / CAMERA_IMAGES) for f in _subfolders(folder))]
+    if len(below) == 1:
+        found_below = find_folders(below[0])
+        is_above = (path / CAMERA_FILE_NAME).exists()
+        return CameraFolders(
+            path if is_above else below[0], found_below.by_name, found_below.remarks, found_below.lists
+        )
+    raise RecordingError(
+        "no images", where=path, found=f"folders {', '.join(f.name for f in folders)} without images"
+    )
 
 
-def common_stamps(path: Path, images: Sequence[Path], fps: float | None) -> list[int]:
-    """Return the stamps of images, ns, from their rate or the recording's timestamps.csv.
+def find_depth(path: Path) -> CameraFolders:
+    """Return the depth images of a folder as those of one camera.
+
+    They are its own, those that its depth.txt or associations.txt lists, or those of the only subfolder with
+    16-bit images of one channel.
 
     Raises:
-        RecordingError: if there are no stamps, or they do not fit the images.
+        RecordingError: there are no images, or several such folders.
     """
-    if fps is not None:
-        return stamps_at_rate(len(images), fps)
-    if not (path / STAMPS_FILE_NAME).exists():
+    folders, holds_images = _entries(path, DEPTH_SUFFIXES)
+    if holds_images or not folders:
+        return _lone(path, _of_one_kind(path, listed_images(path), is_depth=True))
+    if (below := depth_below(path)) is not None:
+        return below
+    found = [folder for folder in folders if _has_images(folder, DEPTH_SUFFIXES) and _holds_depth(folder)]
+    if len(found) == 1:
+        return _subfolder(path, found[0])
+    if found:
+        names = ", ".join(folder.name for folder in found)
         raise RecordingError(
-            "no stamps", where=path, hint=f"pass --fps, or add a {STAMPS_FILE_NAME} with a stamp_ns column"
+            "several folders of 16-bit images", where=path, found=names, hint=f"pass {path / found[0].name}"
         )
-    return load_stamps(path / STAMPS_FILE_NAME, _names(images))
+    names = ", ".join(folder.name for folder in folders)
+    raise RecordingError(
+        "no depth images", where=path, found=f"folders {names}", expected="16-bit images of one channel"
+    )
 
 
-def _stem(image: Path) -> Hashable:
-    return image.stem
+def depth_below(path: Path) -> CameraFolders | None:
+    """Return the depth images that a folder lists, or of the only subfolder called depth; None without.
+
+    Raises:
+        RecordingError: a list cannot be used.
+    """
+    folders, holds_images = _entries(path)
+    if holds_images:
+        return None
+    if (listed := depth_list(path)) is not None:
+        return _of_list(path, "", listed)
+    called = [folder for folder in folders if DEPTH_WORD in folder.name.lower() and _holds_depth(folder)]
+    return _subfolder(path, called[0]) if len(called) == 1 else None
 
 
-def _last_number(image: Path) -> Hashable:
-    numbers = NUMBER.findall(image.stem)
-    return int(numbers[-1]) if numbers else None
+def _subfolder(path: Path, folder: Path) -> CameraFolders:
+    listed = listed_images(folder)
+    remark = f"depth images are those of {folder.name}"
+    return CameraFolders(path, {"": listed.images}, {"": (remark, *listed.remarks)})
 
 
-def _names(images: Sequence[Path]) -> list[str]:
+def _entries(path: Path, suffixes: tuple[str, ...] = GREY_SUFFIXES) -> tuple[list[Path], bool]:
+    """Return the folders in a folder, sorted, unless it holds images itself, and whether it does."""
+    try:
+        holds_images = any(_is_image(entry, suffixes) for entry in path.iterdir())
+        return [] if holds_images else _subfolders(path), holds_images
+    except OSError as error:
+        raise RecordingError("cannot be read", where=path, found=error.strerror or error) from error
+
+
+def _subfolders(path: Path) -> list[Path]:
+    found = [entry for entry in path.iterdir() if entry.is_dir() and entry.name[0] != "."]
+    order = natural_order([folder.name for folder in found])
+    return [found[i] for i in order]
+
+
+def _lone(path: Path, listed: ListedImages) -> CameraFolders:
+    return CameraFolders(path, {"": listed.images}, {"": listed.remarks})
+
+
+def _of_list(path: Path, name: str, listed: ImageList) -> CameraFolders:
+    return CameraFolders(path, {name: listed.images}, {name: listed.remarks}, {name: listed})
+
+
+def _of_one_kind(path: Path, listed: ListedImages, *, is_depth: bool) -> ListedImages:
+    """Return the images of depth, or the others, where a folder holds several kinds of each frame.
+
+    Raises:
+        RecordingError: names do not show which ones these are.
+    """
+    kinds = layouts_of_one_sequence([image.stem for image in listed.images])
+    if not kinds:
+        return listed
+    called = [text for text in kinds if (DEPTH_WORD in text.lower()) == is_depth]
+    coloured = [text for text in called if any(word in text.lower() for word in COLOUR_WORDS)]
+    chosen = called if len(called) == 1 else coloured
+    if len(chosen) != 1:
+        raise RecordingError(
+            "images of several kinds in one folder",
+            where=path,
+            found=", ".join(listed.images[positions[0]].name for positions in kinds.values()),
+            hint="move those of each camera to a folder of their own",
+        )
+    images = [listed.images[i] for i in kinds[chosen[0]]]
+    remark = f"{len(images)} of {len(listed.images)} images are read, those named as {images[0].name}"
+    return ListedImages(images, (remark, *listed.remarks))
+
+
+def _joined(path: Path, cameras: Sequence[Path]) -> CameraFolders:
+    """Return the images in the folder ``data`` of each camera."""
+    lists = {camera.name: camera_list(camera, GREY_SUFFIXES) for camera in cameras}
+    listed = {name: one for name, one in lists.items() if one is not None}
+    found = {
+        camera.name: listed_images(camera / CAMERA_IMAGES, GREY_SUFFIXES)
+        for camera in cameras
+        if camera.name not in listed
+    }
+    images = {name: one.images for name, one in (listed | found).items()}
+    remarks = {name: one.remarks for name, one in (listed | found).items()}
+    return CameraFolders(path, images, remarks, listed).of([camera.name for camera in cameras])
+
+
+def _holds_depth(folder: Path) -> bool:
+    """Whether the first image that can be decoded has 16 bits and one channel."""
+    try:
+        first = first_decoded(listed_images(folder).images, lambda image: decode_any(read_image(image)))
+    except RecordingError:
+        return False
+    return first.ndim == 2 and first.dtype in DEPTH_TYPES
+
+
+def _at_rate(images: Sequence[ImageFile], fps: float) -> tuple[list[int], tuple[str, ...]]:
+    """Return stamps at a rate, with gaps where a numbered sequence has them, and a remark on these."""
+    stems = [image.stem for image in images]
+    sequence = numbered_sequence(stems)
+    if sequence is None and len({image.parent for image in images}) > 1:  # instants with either camera
+        sequence = numbered_sequence([str(_last_number(image)) for image in images])
+    if sequence is None:
+        return stamps_at_rate(len(images), fps), ()
+    lost = sequence.positions[-1] + 1 - len(images)
+    remark = f"images lack {sequence.words}: taken for {lost} frame{'s' if lost > 1 else ''} that were lost"
+    return [stamp_at_rate(position, fps) for position in sequence.positions], (remark,)
+
+
+def _check_rate(path: Path, held: Mapping[str, NameStamps], fps: float | None) -> None:
+    """Raise RecordingError if a rate is not that of stamps which only their rate shows to be such."""
+    for stamps in held.values():
+        if fps is not None and stamps.is_count and abs(stamps.rate_hz / fps - 1.0) > RATE_DIFFERENCE:
+            raise RecordingError(
+                "numbers in names look like stamps and contradict --fps",
+                where=path,
+                found=f"{stamps.words}: {stamps.rate_hz:.4g} frames/s, not {fps:g}",
+                hint=f"leave --fps out to use them, or write a {STAMPS_FILE_NAME} instead",
+            )
+
+
+def _refuse_unstamped(path: Path, images: Sequence[ImageFile]) -> NoReturn:
+    """Raise RecordingError for images without stamps; numbers that could be stamps are named."""
+    numbers = [value[0] for value in varying_numbers([i.stem for i in images]) or [] if len(value) == 1]
+    steps = {b - a for a, b in pairwise(numbers)}
+    is_unclear = len(numbers) == len(images) and steps and min(steps) > 1
+    raise RecordingError(
+        "no stamps",
+        where=path,
+        found=f"numbers {numbers[0]} to {numbers[-1]}, times or counts" if is_unclear else "",
+        hint=f"pass --fps, or add a {STAMPS_FILE_NAME} with a stamp_ns column",
+    )
+
+
+def _nearest(
+    folders: Mapping[str, list[ImageFile]], held: Mapping[str, NameStamps], tolerance_ns: int
+) -> Instants:
+    """Put together images whose stamps differ by at most the tolerance, as ``match_images`` does."""
+    by_stamp = {
+        name: dict(zip(held[name].stamps_ns, images, strict=True)) for name, images in folders.items()
+    }
+    streams = [
+        iter([StoredImage(stamp, name, _no_pixels) for stamp in sorted(images)])
+        for name, images in by_stamp.items()
+    ]
+    return [
+        {image.where: by_stamp[image.where][image.stamp_ns] for image in frame.images if image is not None}
+        for frame in match_images(list(folders), streams, tolerance_ns, LossLog())
+    ]
+
+
+def _no_pixels() -> NoReturn:
+    raise UnreadableImageError("only its stamp is used")
+
+
+def _by_key(folders: Mapping[str, list[ImageFile]], keys: Mapping[str, Sequence[Hashable]]) -> Instants:
+    """Return the images of each instant by a key of their names; nothing unless it identifies images."""
+    keyed = {name: dict(zip(keys[name], images, strict=False)) for name, images in folders.items()}
+    if any(
+        len(keyed[name]) < len(images) or {None, ()} & set(keyed[name]) for name, images in folders.items()
+    ):
+        return []
+    shared = set.intersection(*(set(by_key) for by_key in keyed.values()))
+    fewest = min(len(images) for images in folders.values())
+    is_chance = len(shared) < SHARED * fewest and not all(map(_count_frames, folders.values()))
+    if not shared or is_chance:
+        return []
+    every: list[Any] = list(set.union(*(set(by_key) for by_key in keyed.values())))
+    ordered = [every[i] for i in natural_order(every)] if isinstance(every[0], str) else sorted(every)
+    return [{n: by_key[k] for n, by_key in keyed.items() if k in by_key} for k in ordered]
+
+
+def _count_frames(images: Sequence[ImageFile]) -> bool:
+    """Whether the last numbers of names are as dense as those of frames, of which some are left out."""
+    numbers = [value for value in map(_last_number, images) if value is not None]
+    return bool(numbers) and max(numbers) - min(numbers) <= SPARSE * len(numbers)
+
+
+def _in_step(numbers: Sequence[list[tuple[int, ...]] | None]) -> bool:
+    """Whether nothing in names contradicts that images were taken together one by one.
+
+    Names have no numbers that vary, or those of all cameras increase by the same steps.
+    """
+    steps = {
+        tuple(
+            tuple(b - a for a, b in zip(value, following, strict=True))
+            for value, following in pairwise(values)
+        )
+        for values in numbers
+        if values and values[0]
+    }
+    has_all = sum(bool(values and values[0]) for values in numbers) in (0, len(numbers))
+    return len(steps) <= 1 and (has_all or all(len(set(one)) <= 1 for one in steps))
+
+
+def _stem(image: ImageFile) -> str:
+    return image.stem if image.page is None else image.name
+
+
+def _last_number(image: ImageFile) -> int | None:
+    numbers = DIGITS.findall(image.stem)
+    return number(numbers[-1]) if numbers and image.page is None else None
+
+
+def _names(images: Sequence[ImageFile]) -> list[str]:
     return [image.name for image in images]
 
 
-def _is_image(entry: Path) -> bool:
-    return entry.suffix.lower() in GREY_SUFFIXES and entry.name[0] != "." and entry.is_file()
+def _is_image(entry: Path, suffixes: tuple[str, ...] = GREY_SUFFIXES) -> bool:
+    return entry.suffix.lower() in suffixes and entry.name[0] != "." and entry.is_file()
 
 
-def _has_images(folder: Path) -> bool:
+def _has_images(folder: Path, suffixes: tuple[str, ...] = GREY_SUFFIXES) -> bool:
     try:
-        return any(_is_image(entry) for entry in folder.iterdir())
+        return any(_is_image(entry, suffixes) for entry in folder.iterdir())
     except OSError:
         return False

@@ -59,4 +59,4 @@ def link_recording(path: Path, folder: Path, frames: int) -> None:
         into = path / camera.relative_to(folder)
         into.mkdir(exist_ok=True)
         for index, shown in enumerate(there_and_back(len(images), frames)):
-            (into / f"{index:06d}{images[shown].suffix}").symlink_to(images[shown].resolve())
+            (into / f"{index:06d}{images[shown].suffix}").symlink_to(images[shown].path.resolve())

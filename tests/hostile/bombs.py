@@ -37,6 +37,26 @@ def lz4_zeros(mebibytes: int) -> bytes:
     return head + (struct.pack("<I", len(block)) + block) * (mebibytes // 4) + struct.pack("<I", 0)
 
 
+@cache
+def tiff_of_one_page() -> bytes:
+    """Return a TIFF of 700 directories that all show one strip of 2 kB: 1024 x 1024 pixels of zeros."""
+    strip = zlib.compress(bytes(2 << 20), 9)
+    tags = {256: 1024, 257: 1024, 258: 16, 259: 8, 262: 1, 273: 8, 277: 1, 278: 1024, 279: len(strip)}
+    entries = b"".join(struct.pack("<HHII", tag, 4, 1, value) for tag, value in tags.items())
+    start, size = 8 + len(strip), 2 + len(entries) + 4
+    pages = (
+        struct.pack("<H", len(tags)) + entries + struct.pack("<I", start + (k + 1) * size) for k in range(700)
+    )
+    return b"II*\0" + struct.pack("<I", start) + strip + b"".join(pages)
+
+
+@cache
+def tiff_of_overlapping_directories() -> bytes:
+    """Return a TIFF of 900 kB, every second byte of which begins a directory of 1024 entries."""
+    words = [struct.pack("<H", 1024)] * 450_000
+    return b"II*\0" + struct.pack("<I", 8) + b"".join(words)
+
+
 def _deflated_zeros(mebibytes: int, tail: bytes = b"") -> bytes:
     """Return a raw deflate stream of zeros and a tail: one block, repeated."""
     packer = zlib.compressobj(9, zlib.DEFLATED, -15)

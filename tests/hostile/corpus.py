@@ -622,6 +622,16 @@ for _name, (_suffix, _spoil) in SPOILED.items():
             return {**files, f"rec/left/000001{suffix}": spoil(files[f"rec/left/000001{suffix}"])}
 
         add(f"damaged {_name}: {_called}", _command, _spoiled)
+for _called, _data in {
+    "one page again and again": bombs.tiff_of_one_page,
+    "directories that overlap": bombs.tiff_of_overlapping_directories,
+}.items():
+    for _name, _command in FOLDER.items():
+        add(
+            f"TIFF with {_called}: {_name}",
+            _command,
+            lambda seeds, data=_data: {"rec/camera.toml": of.CAMERA_TOML.encode(), "rec/a.tif": data()},
+        )
 for _number, _text in enumerate(PLAYLISTS):
     for _suffix in (".avi", ".mp4"):
         for _called, _command in {

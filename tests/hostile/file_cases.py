@@ -152,15 +152,37 @@ def _changed_numbers(draw: st.DrawFn, data: bytes, places: tuple[tuple[int, int,
     return bytes(out)
 
 
+TIFF_ENTRY = ((0, 2), (2, 2), (4, 4), (8, 4))
+"""Where an entry of a directory has tag, type, count and value, and their lengths."""
+
+
 def _changed_tiff(draw: st.DrawFn, data: bytes) -> bytes:
     """Entries of the directory: tag, type, count or value."""
     order = "little" if data[:2] == b"II" else "big"
     first = int.from_bytes(data[4:8], order)
     count = int.from_bytes(data[first : first + 2], order)
-    widths = ((0, 2), (2, 2), (4, 4), (8, 4))
-    places = [(first + 2 + 12 * k + offset, width, order) for k in range(count) for offset, width in widths]
+    places = [
+        (first + 2 + 12 * k + offset, width, order) for k in range(count) for offset, width in TIFF_ENTRY
+    ]
     places += [(4, 4, order), (first, 2, order), (first + 2 + 12 * count, 4, order)]
     return _changed_numbers(draw, data, tuple(p for p in places if p[0] + p[1] <= len(data)))
+
+
+@composite
+def changed_stack(draw: st.DrawFn, images: Array) -> bytes:
+    """A TIFF of several pages, entries of any of their directories or bytes changed."""
+    data = seeds.stack(images)
+    if draw(st.integers(0, 3)) == 0:
+        return draw(changed_bytes(data))
+    places: list[tuple[int, int, str]] = [(4, 4, "little")]
+    directory = int.from_bytes(data[4:8], "little")
+    while directory:
+        count = int.from_bytes(data[directory : directory + 2], "little")
+        entries = [directory + 2 + 12 * k for k in range(count)]
+        places += [(e + offset, width, "little") for e in entries for offset, width in TIFF_ENTRY]
+        places += [(directory, 2, "little"), (entries[-1] + 12, 4, "little")]
+        directory = int.from_bytes(data[entries[-1] + 12 : entries[-1] + 16], "little")
+    return _changed_numbers(draw, data, tuple(places))
 
 
 def _changed_jpeg(draw: st.DrawFn, data: bytes) -> bytes:

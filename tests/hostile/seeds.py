@@ -21,6 +21,8 @@ STEP = 8
 """Every so many pixels of a synthetic hand's images are kept: 64 x 53."""
 START_NS = 1_700_000_000_000_000_000
 PERIOD_NS = 33_333_333
+LISTED = [f"1305031102.{160407 + 33333 * k}" for k in range(FRAMES)]
+"""Names of images in TUM's layout."""
 QUICK_HAND = (
     "--particles",
     "8",
@@ -232,6 +234,45 @@ def png(image: np.ndarray[Any, Any]) -> bytes:
 def encoded(suffix: str, image: np.ndarray[Any, Any]) -> bytes:
     data: bytes = cv2.imencode(suffix, image)[1].tobytes()
     return data
+
+
+@cache
+def _stack(images: bytes, shape: tuple[int, ...], dtype: str) -> bytes:
+    return cv2.imencodemulti(".tiff", list(np.frombuffer(images, dtype).reshape(shape)))[1].tobytes()
+
+
+def stack(images: np.ndarray[Any, Any]) -> bytes:
+    """Return a TIFF whose pages are images (N, height, width)."""
+    return _stack(images.tobytes(), images.shape, images.dtype.str)
+
+
+def listed_folder(seeds: Seeds) -> dict[str, Content]:
+    """A folder of TUM with depth and colour, their lists in it."""
+    files: dict[str, Content] = {"rec/camera.toml": CAMERA_TOML.encode()}
+    files |= {f"rec/depth/{name}.png": png(image) for name, image in zip(LISTED, seeds.depth, strict=True)}
+    files |= {f"rec/rgb/{name}.png": png(image) for name, image in zip(LISTED, seeds.grey, strict=True)}
+    return files | {f"rec/{kind}.txt": image_list(kind).encode() for kind in ("depth", "rgb")}
+
+
+def image_list(kind: str) -> str:
+    return "\n".join(["# timestamp filename", *(f"{name} {kind}/{name}.png" for name in LISTED)]) + "\n"
+
+
+def camera_folders(seeds: Seeds) -> dict[str, Content]:
+    """Folders of EuRoC: of each camera data.csv and data/."""
+    files: dict[str, Content] = {"rec/camera.toml": rig_toml(("cam0", "cam1")).encode()}
+    for camera in ("cam0", "cam1"):
+        files |= {
+            f"rec/{camera}/data/{START_NS + k * PERIOD_NS}.png": png(image)
+            for k, image in enumerate(seeds.grey)
+        }
+        files[f"rec/{camera}/data.csv"] = camera_list().encode()
+    return files
+
+
+def camera_list() -> str:
+    rows = [f"{START_NS + k * PERIOD_NS},{START_NS + k * PERIOD_NS}.png" for k in range(FRAMES)]
+    return "\n".join(["#timestamp [ns],filename", *rows]) + "\n"
 
 
 def stamps_csv() -> str:

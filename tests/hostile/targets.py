@@ -17,6 +17,7 @@ from hostile.file_cases import (
     changed_image,
     changed_npz,
     changed_records,
+    changed_stack,
     changed_video,
     resigned,
 )
@@ -36,6 +37,8 @@ from hostile.values import (
 
 Strategy = st.SearchStrategy[Case]
 OUT = ("out.mcap",)
+START_S = 1_305_031_102
+"""Seconds since 1970, in names of images."""
 HAND = ("--particles", "4", "--hand-side", "right", "--shape", "average", "--init", "center", "--end", "2")
 OUT_OF_HAND = ("-o", "out.mcap", *HAND)
 HEAD = ("--particles", "10", "--end", "2")
@@ -534,6 +537,90 @@ def tables(seeds: Seeds) -> Strategy:
     )
 
 
+LIST_PIECES = (
+    *CSV_PIECES,
+    "0.5 depth/1305031102.160407.png",
+    "1305031102160 depth/1305031102.193740.png",
+    "1e99 depth/1305031102.193740.png",
+    "1 depth/../depth/1305031102.193740.png 2 rgb/1305031102.193740.png",
+    "# only a comment",
+    "0 /etc/passwd",
+    "9" * 20 + "." + "9" * 20 + " depth/1305031102.193740.png",
+)
+TIMES = "0.000000e+00\n3.3e-02\n6.7e-02\n"
+NAME_DIGITS = st.one_of(
+    st.integers(0, 10**12).map(str),
+    st.integers(0, 120).map(lambda k: f"{k * 33_333:08d}"),
+    st.integers(0, 9).map(lambda k: str(START_S + k)),
+    st.integers(0, 99).map(lambda k: f"{START_S}.{k}"),
+    st.integers(0, 99).map(lambda k: f"{START_S}_{10**7 * k}"),
+    st.integers(0, 99).map(lambda k: str(10**3 * START_S + 33 * k)),
+    st.sampled_from(
+        ("9" * 240, "0" * 200, "1" * 19, "4" + "0" * 18, "1.2.3", "-5", "\u0663", "a", "1e9", "")
+    ),
+)
+
+
+@composite
+def _numbered(draw: st.DrawFn, files: dict[str, Content], folders: tuple[str, ...]) -> dict[str, Content]:
+    """The images of folders under other names, of one layout or not."""
+    changed = dict(files)
+    for folder in folders:
+        prefix, suffix = (
+            draw(st.sampled_from(("", "d_", "0001-", "v1."))),
+            draw(st.sampled_from(("", "_d", ".9"))),
+        )
+        own = [name for name in files if name.startswith(f"{folder}/") and name.endswith(".png")]
+        called = draw(st.lists(NAME_DIGITS, min_size=len(own), max_size=len(own), unique=True))
+        for name, digits in zip(own, called, strict=True):
+            data = changed.pop(name)
+            changed[f"{folder}/{prefix}{digits}{suffix}.png"] = data
+    return changed
+
+
+def image_folders(seeds: Seeds) -> Strategy:
+    """Names of images, lists of TUM and EuRoC, and pages of TIFFs."""
+    depth, heads = of.depth_folder(seeds), of.grey_folder(seeds)
+    tum, euroc = of.listed_folder(seeds), of.camera_folders(seeds)
+    stamps = "rec/timestamps.csv"
+    single = {name: data for name, data in depth.items() if not name.endswith((".png", ".csv"))}
+    rate = ("--fps", "30")
+    of_depth = st.sampled_from(
+        (("info", "rec"), ("convert", "rec", "-o", "out.mcap"), ("convert", "rec", "-o", "out.mcap", *rate))
+    )
+    of_heads = st.sampled_from((("info", "rec"), ("head", "stereo", "rec", "-o", "out.mcap", *HEAD, *rate)))
+
+    def named(files: dict[str, Content], folders: tuple[str, ...], command: Any) -> Strategy:
+        return st.builds(
+            lambda changed, words: Case("image_folders", words, changed, OUT),
+            _numbered(_but(files, stamps), folders),
+            command,
+        )
+
+    def listed(name: str, text: str, files: dict[str, Content], command: Any) -> Strategy:
+        return made_of("image_folders", name, changed_text(text, LIST_PIECES), command, **_but(files, name))
+
+    associated = _but(_but(tum, "rec/depth.txt"), "rec/rgb.txt")
+    pairs = "\n".join(f"{n} rgb/{n}.png {n} depth/{n}.png" for n in of.LISTED) + "\n"
+    return st.one_of(
+        named(depth, ("rec",), of_depth),
+        named(heads, ("rec/left", "rec/right"), of_heads),
+        listed("rec/times.txt", TIMES, _but(depth, stamps), of_depth),
+        listed("rec/depth.txt", of.image_list("depth"), tum, of_depth),
+        listed("rec/rgb.txt", of.image_list("rgb"), tum, of_heads),
+        listed("rec/associations.txt", pairs, associated, of_depth),
+        listed("rec/cam1/data.csv", of.camera_list(), euroc, of_heads),
+        made_of("image_folders", "rec/a.tiff", changed_stack(seeds.depth), of_depth, **single),
+        made_of(
+            "image_folders",
+            "rec/left/a.tiff",
+            changed_stack(seeds.grey),
+            of_heads,
+            **{name: data for name, data in heads.items() if not name.startswith("rec/left")},
+        ),
+    )
+
+
 MANIFEST = """gates = ["coverage < 0.5"]
 [options]
 seed = 3
@@ -791,6 +878,7 @@ TARGETS: dict[str, Callable[[Seeds], Strategy]] = {
     "tables": tables,
     "batches": batches,
     "images": images,
+    "image_folders": image_folders,
     "videos": videos,
     "bags": bags,
     "meshes": meshes,

@@ -1,0 +1,238 @@
+"""Lists of images with their stamps: depth.txt, rgb.txt and associations.txt of TUM, data.csv of EuRoC.
+
+Names in a list are compared with those of the images that are there; none becomes a path.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from decimal import Decimal
+from itertools import pairwise
+from pathlib import Path
+
+from posetrack_cli import limits
+from posetrack_cli.csv_rows import text_lines
+from posetrack_cli.errors import RecordingError
+from posetrack_cli.recording.image_files import GREY_SUFFIXES, ImageFile, list_images
+from posetrack_cli.recording.matching import LATEST_NS
+from posetrack_cli.recording.name_stamps import NameStamps, stamps_in_names
+from posetrack_cli.units import NS_PER_S
+
+DEPTH_LISTS, COLOUR_LISTS = ("depth.txt",), ("rgb.txt", "color.txt", "colour.txt")
+ASSOCIATIONS = re.compile(r"assoc\w*\.txt", re.IGNORECASE)
+CAMERA_LIST, CAMERA_IMAGES = "data.csv", "data"
+"""In the folder of a camera of EuRoC: the list, and the folder of images."""
+TIMES_FILES = ("times.txt", "timestamps.txt")
+"""With a stamp a line, as of KITTI."""
+DEPTH_WORD = "depth"
+STAMP = re.compile(r"[0-9]{1,20}(\.[0-9]{0,20})?([eE][+-]?[0-9]{1,2})?")
+LEAST_STEP_NS = 100_000
+"""Smaller steps number images: 10,000 a second."""
+EXPECTED = "lines of a stamp and a file name"
+
+
+@dataclass(frozen=True)
+class ImageList:
+    """Images in the order of a list.
+
+    Attributes:
+        path: the list.
+        images: those that are there, in order of their stamps.
+        stamps: of the images, None if the list numbers them.
+        remarks: on images that are missing or not listed.
+    """
+
+    path: Path
+    images: list[ImageFile]
+    stamps: NameStamps | None
+    remarks: tuple[str, ...]
+
+
+def depth_list(folder: Path) -> ImageList | None:
+    """Return the depth images that a folder's depth.txt or associations.txt lists, None without such a list.
+
+    Raises:
+        RecordingError: the list cannot be read, or none of its images is there.
+    """
+    return _tum_list(folder, DEPTH_LISTS, is_depth=True)
+
+
+def colour_list(folder: Path) -> ImageList | None:
+    """Return the images that a folder's rgb.txt or associations.txt lists, None without such a list.
+
+    Raises:
+        RecordingError: the list cannot be read, or none of its images is there.
+    """
+    return _tum_list(folder, COLOUR_LISTS, is_depth=False)
+
+
+def camera_list(folder: Path, suffixes: tuple[str, ...]) -> ImageList | None:
+    """Return the images of a camera's folder with data.csv and data/, None without them.
+
+    Raises:
+        RecordingError: the list cannot be read, or none of its images is there.
+    """
+    path, images = folder / CAMERA_LIST, folder / CAMERA_IMAGES
+    if not path.is_file() or not images.is_dir():
+        return None
+    there = {image.name: image for image in list_images(images, suffixes)}
+    return _listed(path, [(row[0], row[1]) for row in _rows(path)], there, "ns")
+
+
+def load_times(folder: Path, count: int) -> tuple[Path, NameStamps] | None:
+    """Return the stamps of a folder's times.txt or timestamps.txt, one a line as of KITTI; None without it.
+
+    Args:
+        folder: of the recording.
+        count: of its images, each of which has a line.
+
+    Raises:
+        RecordingError: a line is not a stamp, or there are more or fewer.
+    """
+    path = next((folder / name for name in TIMES_FILES if (folder / name).is_file()), None)
+    if path is None:
+        return None
+    texts = [line for _, line in _lines(path)]
+    if len(texts) != count:
+        raise RecordingError(
+            "stamps and images differ in number",
+            where=path,
+            found=f"{len(texts)} lines",
+            expected=f"{count}, one per image",
+            hint="pass --fps to leave the file out",
+        )
+    stamps = stamps_in_names(texts) or _stamps(texts, "s", path)
+    if stamps is None:
+        raise RecordingError(
+            "lines may be times or count images",
+            where=path,
+            found=f"{texts[0]} to {texts[-1]}",
+            hint="pass --fps",
+        )
+    return path, stamps
+
+
+def _tum_list(folder: Path, names: Sequence[str], *, is_depth: bool) -> ImageList | None:
+    for name in names:
+        if (folder / name).is_file():
+            entries = [(row[0], row[1]) for row in _rows(folder / name)]
+            return _listed(folder / name, entries, _images_below(folder, entries), "s")
+    try:
+        found = sorted(e for e in folder.iterdir() if ASSOCIATIONS.fullmatch(e.name) and e.is_file())
+    except OSError:
+        return None
+    for path in found[:1]:
+        entries = list(_of_kind(_rows(path), is_depth=is_depth))
+        if entries:
+            return _listed(path, entries, _images_below(folder, entries), "s")
+    return None
+
+
+def _of_kind(rows: Sequence[list[str]], *, is_depth: bool) -> Iterator[tuple[str, str]]:
+    """Yield stamp and name of depth, or of the other image, in rows that list both."""
+    for row in rows:
+        for stamp, name in zip(row[::2], row[1::2], strict=False):
+            if (DEPTH_WORD in name.lower()) == is_depth:
+                yield stamp, name
+                break
+
+
+def _rows(path: Path) -> list[list[str]]:
+    """Return the cells of a list's lines that begin with a stamp, without comments and a header.
+
+    Raises:
+        RecordingError: the file is too long, or a line has no stamp or no name.
+    """
+    rows: list[list[str]] = []
+    for number, line in _lines(path):
+        cells = line.replace(",", " ").split()
+        if not cells:
+            continue
+        if len(cells) < 2 or not STAMP.fullmatch(cells[0]):
+            if not rows and not STAMP.fullmatch(cells[0]):  # a header
+                continue
+            raise RecordingError(
+                "line is not of a list of images",
+                where=f"{path} line {number}",
+                found=f"'{line.strip()[:80]}'",
+                expected="a stamp and a file name",
+            )
+        rows.append(cells)
+    return rows
+
+
+def _lines(path: Path) -> Iterator[tuple[int, str]]:
+    """Yield the lines of a list with their numbers, without comments and empty ones."""
+    size = 0
+    for number, line in text_lines(path, RecordingError, EXPECTED):
+        size += len(line)
+        if size > limits.TEXT_BYTES:
+            raise RecordingError("is too long", where=path, expected=f"at most {limits.TEXT_BYTES} bytes")
+        if line.strip() and not line.startswith("#"):
+            yield number, line.strip()
+
+
+def _images_below(folder: Path, entries: Sequence[tuple[str, str]]) -> dict[str, ImageFile]:
+    """Return images by their names in a list: of a folder and of those of its folders that entries name."""
+    wanted = {name.rpartition("/")[0] for name in map(_plain, (name for _, name in entries))}
+    there: dict[str, ImageFile] = {}
+    try:
+        entries_there = sorted(folder.iterdir())
+    except OSError as error:
+        raise RecordingError("cannot be read", where=folder, found=error.strerror or error) from error
+    for entry in entries_there:
+        if entry.name in wanted and entry.is_dir():
+            there |= {f"{entry.name}/{image.name}": image for image in list_images(entry, GREY_SUFFIXES)}
+    if "" in wanted:
+        there |= {image.name: image for image in list_images(folder, GREY_SUFFIXES)}
+    return there
+
+
+def _plain(name: str) -> str:
+    return name.replace("\\", "/").removeprefix("./")
+
+
+def _listed(
+    path: Path, entries: Sequence[tuple[str, str]], there: dict[str, ImageFile], unit: str
+) -> ImageList:
+    known = [(stamp, there[name]) for stamp, name in ((s, _plain(n)) for s, n in entries) if name in there]
+    if not known:
+        found = f"{len(entries)} lines, of the first: {entries[0][1]}" if entries else "no lines"
+        raise RecordingError("lists no image that is there", where=path, found=found)
+    remarks = []
+    if len(known) < len(entries):
+        missing = next(name for _, name in entries if _plain(name) not in there)
+        count = len(entries) - len(known)
+        remarks.append(f"{count} of {len(entries)} images of {path.name} are missing, the first is {missing}")
+    if len({image.name for _, image in known}) < len(there):
+        count = len(there) - len({image.name for _, image in known})
+        remarks.append(f"{count} images that {path.name} does not list are left out")
+    stamps = _stamps([stamp for stamp, _ in known], unit, path)
+    if stamps is None:
+        return ImageList(path, [image for _, image in known], None, tuple(remarks))
+    order = sorted(range(len(known)), key=stamps.stamps_ns.__getitem__)
+    ordered = NameStamps(stamps.unit, tuple(stamps.stamps_ns[i] for i in order))
+    return ImageList(path, [known[i][1] for i in order], ordered, tuple(remarks))
+
+
+def _stamps(texts: Sequence[str], unit: str, path: Path) -> NameStamps | None:
+    """Return the stamps of a list, in the unit that they give away, else in its usual one.
+
+    None if they are the numbers of images: integers in equal steps.
+    """
+    for text in texts:
+        if not STAMP.fullmatch(text):
+            raise RecordingError("stamp is not a number", where=path, found=f"'{text[:80]}'")
+    recognised = stamps_in_names(texts)
+    if recognised is not None:
+        return recognised
+    values = [Decimal(text) for text in texts]
+    whole = len(values) > 1 and all(value == int(value) for value in values)
+    if whole and (unit == "s" or max(b - a for a, b in pairwise(values)) < LEAST_STEP_NS):
+        return None
+    stamps = [round(value * (NS_PER_S if unit == "s" else 1)) for value in values]
+    if max(stamps) > LATEST_NS:
+        raise RecordingError("stamp is too late", where=path, found=str(max(values)))
+    return NameStamps(unit, tuple(stamps))
