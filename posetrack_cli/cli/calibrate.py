@@ -21,7 +21,7 @@ from posetrack_cli.cli.options import (
 )
 from posetrack_cli.cli.progress import bar
 from posetrack_cli.cli.standard_output import print_line, print_note
-from posetrack_cli.errors import EXIT_DATA_LOST, UsageError
+from posetrack_cli.errors import EXIT_DATA_LOST, RecordingError, UsageError
 
 SQUARES = re.compile(r"(\d{1,4})[xX](\d{1,4})")
 
@@ -87,8 +87,9 @@ def calibrate_stereo(images: Path, output: Path, **options: Any) -> None:
     """Measure intrinsics, distortion and places of the cameras whose images of a board lie in FOLDER.
 
     FOLDER has one folder of images per camera (left/ right/ ...); images taken at the same instant have the
-    same name or number. Show the board some 20 times: near and far, tilted, in the middle and the corners of
-    every image. What is written is the camera.toml of recordings with these cameras, errors in comments.
+    same name or number, or their stamps as names. Show the board some 20 times: near and far, tilted, in the
+    middle and the corners of every image. What is written is the camera.toml of recordings with these
+    cameras, errors in comments. Exit code 3 means that the errors are large.
     """
     from posetrack_cli.files import write_output
     from posetrack_cli.losses import LossLog, loss_line
@@ -106,15 +107,25 @@ def calibrate_stereo(images: Path, output: Path, **options: Any) -> None:
     with _progress() as report:
         views = find_views(images, board, names, report, losses)
         found = calibrated(views, options["distortion"])
-    with whole_or_nothing(output) as part:
-        write_output(part, found.file_text(images).encode())
+    for note in losses.notes:
+        print_note(f"{images}: {note}")
     for line in found.lines():
         print_line(line)
     for doubt in found.doubts():
         print_note(f"doubtful: {doubt}")
+    if not found.fits_together:
+        raise RecordingError(
+            "cameras do not fit together, no camera file is written",
+            where=images,
+            found="images that each camera alone explains",
+            hint="give images of one instant the same name or number, or their stamps as names",
+        )
+    with whole_or_nothing(output) as part:
+        write_output(part, found.file_text(images).encode())
     print_line(f"{output}: cameras {', '.join(camera.name for camera in found.cameras)}")
     if losses.losses:
         print_note(f"{images}: {loss_line(losses.losses)}")
+    if losses.losses or found.is_inaccurate:
         click.get_current_context().exit(EXIT_DATA_LOST)
 
 

@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from posetrack_cli.cli.calibrate import calibrate
-from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_DONE, PosetrackError, UsageError
+from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_DONE, PosetrackError, RecordingError, UsageError
 from posetrack_cli.recording.opening import open_recording
 from support import boards as support
 
@@ -57,6 +57,18 @@ def test_images_that_cannot_be_decoded_are_told_and_change_the_exit_code(views: 
     assert result.exit_code == EXIT_DATA_LOST
     assert "image skipped, file is empty: 1" in result.stderr
     assert (tmp_path / "out.toml").exists()
+
+
+def test_cameras_that_do_not_fit_together_are_not_written(views: Path, tmp_path: Path) -> None:
+    names = sorted(image.name for image in (views / "left").iterdir())
+    for side, shift in (("left", 0), ("right", 1)):
+        (tmp_path / side).mkdir()
+        for name, other in zip(names, names[shift:] + names[:shift], strict=True):
+            (tmp_path / side / name).write_bytes((views / side / other).read_bytes())
+    output = tmp_path / "out.toml"
+    with pytest.raises(RecordingError, match="cameras do not fit together, no camera file is written"):
+        run(tmp_path, "-o", output, *BOARD)
+    assert not output.exists()
 
 
 @pytest.mark.parametrize(

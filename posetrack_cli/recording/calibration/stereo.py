@@ -23,6 +23,8 @@ from posetrack_cli.recording.identity import shown_name
 
 DOUBTFUL_PX = 1.0
 """Errors above are no calibration to rely on."""
+MISFIT = 3.0
+"""Cameras do not fit together if one's error is this many times that of its views alone, and doubtful."""
 DOUBTFUL_FOCAL = 0.02
 """Standard deviation of a focal length, as a fraction, that comes of views that are all alike."""
 
@@ -57,16 +59,25 @@ class StereoCalibration:
         cameras: the reference first.
         fits: of each camera.
         pairs: of every two cameras that saw the board at once.
+        fits_together: whether one place of the cameras explains their views. If not, intrinsics are those of
+            each camera's own views.
     """
 
     board: Board
     cameras: tuple[Camera, ...]
     fits: tuple[CameraFit, ...]
     pairs: tuple[PairError, ...]
+    fits_together: bool = True
 
     def lines(self) -> list[str]:
         """Return what was measured and how well, for people and as comments of the camera file."""
         return [*map(_camera_line, self.fits), *(_pair_line(pair, self.board) for pair in self.pairs)]
+
+    @property
+    def is_inaccurate(self) -> bool:
+        """Whether an error of a camera or of two together is large."""
+        errors = [*(fit.rms_px for fit in self.fits), *(pair.epipolar_rms_px for pair in self.pairs)]
+        return max(errors) > DOUBTFUL_PX
 
     def doubts(self) -> list[str]:
         """Return what speaks against using it; nothing if nothing does."""
@@ -101,7 +112,8 @@ def calibrate_stereo(views: Sequence[CameraViews], distortion: str = "four") -> 
     """Calibrate the cameras that saw a board.
 
     Every camera's intrinsics come from all its views, the places then from the views that two cameras share;
-    with these to start from everything is adjusted together.
+    with these to start from everything is adjusted together. Views that were not taken at once fit no place:
+    then intrinsics stay as they are.
 
     Args:
         views: of each camera (``find_views``), the reference first.
@@ -114,17 +126,21 @@ def calibrate_stereo(views: Sequence[CameraViews], distortion: str = "four") -> 
     fits, used = [fit for fit, _ in fitted], [own for _, own in fitted]
     start = place_cameras([fit.camera for fit in fits], used)
     joint = adjust(start, used)
-    cameras = joint.cameras
-    fits = [
-        replace(fit, camera=camera, rms_px=float(rms), focal_sd_px=float(sd))
-        for fit, camera, rms, sd in zip(fits, cameras, joint.rms_px, joint.focal_sd_px, strict=True)
-    ]
+    fits_together = all(
+        rms <= max(MISFIT * fit.rms_px, DOUBTFUL_PX) for fit, rms in zip(fits, joint.rms_px, strict=True)
+    )
+    cameras = joint.cameras if fits_together else tuple(start)
+    if fits_together:
+        fits = [
+            replace(fit, camera=camera, rms_px=float(rms), focal_sd_px=float(sd))
+            for fit, camera, rms, sd in zip(fits, cameras, joint.rms_px, joint.focal_sd_px, strict=True)
+        ]
     pairs = [
         error
         for i, j in combinations(range(len(cameras)), 2)
         if (error := _pair_error(cameras[i], cameras[j], used[i], used[j]))
     ]
-    return StereoCalibration(views[0].board, cameras, tuple(fits), tuple(pairs))
+    return StereoCalibration(views[0].board, cameras, tuple(fits), tuple(pairs), fits_together)
 
 
 def _pair_error(first: Camera, second: Camera, views: CameraViews, others: CameraViews) -> PairError | None:

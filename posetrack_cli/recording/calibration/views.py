@@ -12,8 +12,8 @@ from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.base import UnreadableImageError
 from posetrack_cli.recording.calibration.boards import Board, BoardFinder, FoundBoard
 from posetrack_cli.recording.grey import Grey, decode_as_stored, grey_like
-from posetrack_cli.recording.image_files import read_image
-from posetrack_cli.recording.image_folders import CameraFolders, find_folders
+from posetrack_cli.recording.image_files import ImageFile, read_image
+from posetrack_cli.recording.image_folders import CameraFolders, Instants, find_folders
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,8 @@ def find_views(
     """Look for the board in every image of every camera.
 
     Args:
-        path: a folder with a folder of images per camera; images of one name or number were taken at once.
+        path: a folder with a folder of images per camera; images of one name or number, or whose names are
+            stamps of about the same time, were taken at once.
         board: what to look for.
         names: of the cameras, the reference first; None for all folders, left before right.
         report: told how many images of how many are done.
@@ -69,7 +70,9 @@ def find_views(
     folders = found.of(_chosen(found, names))
     log, done = LossLog() if losses is None else losses, 0
     total = sum(len(images) for images in folders.by_name.values())
-    every, finder, views = folders.instants(), BoardFinder(board), []
+    every, finder, views = _instants(folders), BoardFinder(board), []
+    for remark in folders.every_remark:
+        log.note(remark)
     for name in folders.by_name:
         camera = _Camera(path / name, finder, log)
         for instant in every:
@@ -101,7 +104,7 @@ class _Camera:
         self.boards: list[FoundBoard | None] = []
         self.images = 0
 
-    def add(self, image: Path | None) -> None:
+    def add(self, image: ImageFile | None) -> None:
         """Look at the image of the next instant, None if there is none."""
         self.images += image is not None
         self.boards.append(None if image is None else self._found(image))
@@ -112,7 +115,7 @@ class _Camera:
             raise RecordingError("no image can be decoded", where=self._folder, found=f"{self.images} files")
         return self._pixels.width, self._pixels.height
 
-    def _found(self, image: Path) -> FoundBoard | None:
+    def _found(self, image: ImageFile) -> FoundBoard | None:
         try:
             stored = decode_as_stored(read_image(image))
         except UnreadableImageError as error:
@@ -121,6 +124,14 @@ class _Camera:
         if self._pixels is None:
             self._pixels = grey_like(stored, image)
         return self._finder.find(self._pixels.from_stored(stored, image))
+
+
+def _instants(folders: CameraFolders) -> Instants:
+    try:
+        return folders.instants()
+    except RecordingError as error:
+        reason = str(error).partition(";")[0]  # recordings have an option for it
+        raise RecordingError(reason, hint="give images of one instant the same name or number") from error
 
 
 def _chosen(folders: CameraFolders, names: Sequence[str] | None) -> Sequence[str]:

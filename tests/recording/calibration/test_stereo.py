@@ -211,6 +211,50 @@ def test_images_not_taken_at_once_are_doubted(seen: list[CameraViews]) -> None:
     left, right = seen
     found = calibrate_stereo([left, replace(right, boards=(*right.boards[1:], right.boards[0]))])
     assert any("epipolar error" in doubt and "same instants" in doubt for doubt in found.doubts())
+    assert not found.fits_together
+    assert found.is_inaccurate
+    for camera, own in zip(found.cameras, (left, right), strict=True):
+        alone = fit_camera(own, "four")[0].camera
+        # the order of views changes the last digits
+        np.testing.assert_allclose(camera.matrix, alone.matrix, rtol=1e-6, err_msg="of its own views")
+
+
+def test_views_taken_at_once_fit_together(measured: StereoCalibration) -> None:
+    assert measured.fits_together
+    assert not measured.is_inaccurate
+
+
+def test_board_images_are_paired_by_the_stamps_of_their_names(
+    tmp_path: Path, rendered: tuple[Path, Board], seen: list[CameraViews]
+) -> None:
+    """Each camera lacks an image, as the numbered ones do: pairs must be the same."""
+    folder, board = rendered
+    for number, side in enumerate(("left", "right")):
+        (tmp_path / side).mkdir()
+        for image in (folder / side).iterdir():
+            us = 1_305_031_102_160_407 + 200_000 * int(image.stem) + 4000 * number
+            (tmp_path / side / f"{us // 10**6}.{us % 10**6:06d}.png").write_bytes(image.read_bytes())
+    found = find_views(tmp_path, board)
+    for views, numbered in zip(found, seen, strict=True):
+        assert [one is None for one in views.boards] == [one is None for one in numbered.boards]
+        for one, other in zip(views.boards, numbered.boards, strict=True):
+            if one is not None and other is not None:
+                np.testing.assert_array_equal(one.pixels, other.pixels)
+
+
+def test_board_images_with_stamps_further_apart_are_refused(
+    tmp_path: Path, rendered: tuple[Path, Board]
+) -> None:
+    folder, board = rendered
+    for number, side in enumerate(("left", "right")):
+        (tmp_path / side).mkdir()
+        for image in (folder / side).iterdir():
+            ms = 1_305_031_102_160 + 200 * int(image.stem) + 40 * number
+            (tmp_path / side / f"{ms}.png").write_bytes(image.read_bytes())
+    with pytest.raises(
+        RecordingError, match=r"40 ms apart at best.*; give images of one instant the same name"
+    ):
+        find_views(tmp_path, board)
 
 
 def test_too_few_views_are_told_with_what_may_be_wrong(rendered: tuple[Path, Board]) -> None:
