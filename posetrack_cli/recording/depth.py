@@ -55,16 +55,19 @@ class Depth:
 
     def from_file(self, data: bytes, where: object) -> Float32Array:
         """Return (height, width) depth, mm, of an image file."""
-        values = decode_codes(data, str(where))
+        try:
+            values = decode_codes(data, str(where))
+        except RecordingError as error:  # which names the file; the first image would have been refused
+            raise UnreadableImageError(str(error).removeprefix(f"{where}: ")) from error
         if (values.dtype.kind == "f") != self.is_float:
             kinds = "16-bit integers", "32-bit floats"
             found, expected = kinds[not self.is_float], kinds[self.is_float]
-            raise RecordingError("images differ in kind", where=where, found=found, expected=expected)
+            raise UnreadableImageError(f"it has {found}, not {expected} as the others")
         return self.from_stored(values, where)
 
     def from_stored(self, codes: ImageArray, where: object) -> Float32Array:
         """Return (height, width) depth, mm, of codes as they are stored."""
-        check_size(codes, self, where)
+        check_size(codes, self)
         return depth_from_stored(codes, self.unit_mm, self.missing)
 
     def from_message(self, decoded: Any, kind: str, where: str) -> Float32Array:
@@ -72,12 +75,9 @@ class Depth:
         here = describe_image(decoded, kind)
         first = ImageDescription(self.stored, self.width, self.height, here.depth)
         if here.width and here != first:
-            raise RecordingError(
-                "images differ in size or encoding",
-                where=where,
-                found=f"{here.width}x{here.height} {here.encoding}",
-                expected=f"{first.width}x{first.height} {first.encoding} as at the beginning",
-            )
+            found = f"{here.width}x{here.height} {here.encoding}"
+            expected = f"{first.width}x{first.height} {first.encoding}"
+            raise UnreadableImageError(f"it is {found}, not {expected} as the others")
         values = stored_depth(decoded, kind, where, self.disparity_px_m)
         return depth_from_stored(values, self.unit_mm, self.missing)
 

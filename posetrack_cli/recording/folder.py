@@ -8,6 +8,8 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+
 from posetrack_cli import limits
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError, UsageError
@@ -40,7 +42,7 @@ from posetrack_cli.recording.depth_content import (
     early,
     other_content,
 )
-from posetrack_cli.recording.grey import Grey, decode_as_stored, grey_like
+from posetrack_cli.recording.grey import PLAIN_BITS, Grey, decode_as_stored, grey_like, with_bits_of
 from posetrack_cli.recording.guess import GUESSED, check_one_camera
 from posetrack_cli.recording.identity import files_digest, identity_record
 from posetrack_cli.recording.image_files import (
@@ -61,6 +63,9 @@ from posetrack_cli.recording.recording import (
     match_streams,
     tolerance_ns,
 )
+
+SPREAD = 9
+"""Images of a folder whose significant bits are looked at."""
 
 
 def open_depth_folder(path: Path, options: ReadingOptions) -> Recording:
@@ -325,6 +330,14 @@ def _folders_of(folders: CameraFolders, rig: Rig) -> CameraFolders:
 
 
 def _first_grey(rig: Rig, name: str, images: Sequence[ImageFile]) -> Grey:
-    """Tell what a camera's images are like from the first that can be decoded."""
+    """Tell what a camera's images are like from the first that can be decoded, and bits from several."""
     bits = rig.cameras[name].bits
-    return first_decoded(images, lambda image: grey_like(decode_as_stored(read_image(image)), image, bits))
+    kind = first_decoded(images, lambda image: grey_like(decode_as_stored(read_image(image)), image, bits))
+    return kind if bits is not None or kind.bits == PLAIN_BITS else with_bits_of(kind, _spread(images))
+
+
+def _spread(images: Sequence[ImageFile]) -> Iterator[ImageArray]:
+    """Yield some images of a folder that can be decoded, from its first to its last."""
+    for place in np.unique(np.linspace(0, len(images) - 1, SPREAD).round().astype(int)):
+        with suppress(UnreadableImageError):
+            yield decode_as_stored(read_image(images[place]))

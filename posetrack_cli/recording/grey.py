@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import cv2
@@ -93,12 +94,12 @@ class Grey:
         """Return the (height, width) uint8 grey of an image file, or its colour."""
         image = decode_any(data, AS_STORED_FLAGS if self.keeps_colour else GREY_FLAGS)
         if image.dtype not in (np.uint8, np.uint16):
-            raise _unusable(image, where)
+            raise UnreadableImageError(f"it has {image.dtype}, not 8 or 16 bits")
         return self.from_stored(image, where)
 
     def from_stored(self, image: ImageArray, where: object) -> ImageArray:
         """Return the (height, width) uint8 grey, or the colour, of an image with channels B G R as stored."""
-        check_size(image, self, where)
+        check_size(image, self)
         return self._shown(image)
 
     def from_message(self, decoded: Any, kind: str, where: str) -> ImageArray:
@@ -110,16 +111,18 @@ class Grey:
             raise UnreadableImageError(f"encoding {encoding} is not known")
         values, stored = _raw_values(decoded), RAW_GREY[encoding]
         conversion = stored.to_colour if self.keeps_colour else stored.conversion
-        check_size(values, self, where)
+        check_size(values, self)
         try:
             return self._shown(values if conversion is None else cv2.cvtColor(values, conversion))
         except cv2.error as error:  # a width or height that the encoding cannot have
             raise UnreadableImageError(f"{encoding} cannot be {self.width}x{self.height}") from error
 
     def _shown(self, image: ImageArray) -> ImageArray:
+        is_deeper = self.bits == PLAIN_BITS and image.dtype == np.uint16  # among images of 8 bits
+        bits = bits_of(image) if is_deeper else self.bits
         if not self.keeps_colour or image.ndim == 2:
-            return grey_of(image, self.bits)
-        return eight_bits(image[..., :3], self.bits) if image.shape[2] > 2 else grey_of(image, self.bits)
+            return grey_of(image, bits)
+        return eight_bits(image[..., :3], bits) if image.shape[2] > 2 else grey_of(image, bits)
 
     def png_of_message(self, decoded: Any, kind: str) -> bytes | None:
         """Return None: a message of grey carries no depth."""
@@ -143,8 +146,19 @@ def grey_like(image: ImageArray, where: object, bits: int | None = None) -> Grey
         return Grey(width, height, 8, colour)
     if image.dtype != np.uint16:
         raise _unusable(image, where)
-    found = next(b for b in BITS if image.max(initial=0) < 1 << b)
-    return Grey(width, height, bits or found, colour)
+    return Grey(width, height, bits or bits_of(image), colour)
+
+
+def bits_of(image: ImageArray) -> int:
+    """Return the fewest significant bits that hold the values of an image of 16 bits; 8 of one of 8."""
+    if image.dtype != np.uint16:
+        return PLAIN_BITS
+    return next(bits for bits in BITS if image.max(initial=0) < 1 << bits)
+
+
+def with_bits_of(kind: Grey, images: Iterable[ImageArray]) -> Grey:
+    """Return a kind with the significant bits of several images: a dark first one does not decide."""
+    return replace(kind, bits=max([kind.bits, *map(bits_of, images)]))
 
 
 def grey_like_message(decoded: Any, kind: str, where: str) -> Grey:
@@ -154,8 +168,16 @@ def grey_like_message(decoded: Any, kind: str, where: str) -> Grey:
         UnreadableImageError: the data are damaged.
         RecordingError: the pixels are of another kind.
     """
-    raw = kind == RAW_IMAGE
-    return grey_like(_raw_values(decoded) if raw else decode_as_stored(bytes(decoded.data)), where)
+    return grey_like(stored_grey(decoded, kind), where)
+
+
+def stored_grey(decoded: Any, kind: str) -> ImageArray:
+    """Return the pixels of an image message as they are stored.
+
+    Raises:
+        UnreadableImageError: the data are damaged.
+    """
+    return _raw_values(decoded) if kind == RAW_IMAGE else decode_as_stored(bytes(decoded.data))
 
 
 def holds_grey(decoded: Any, kind: str | None) -> bool:

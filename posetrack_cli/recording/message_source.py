@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -56,6 +57,7 @@ from posetrack_cli.recording.depth_content import (
     early,
 )
 from posetrack_cli.recording.disparity import disparity_px_m
+from posetrack_cli.recording.grey import PLAIN_BITS, stored_grey, with_bits_of
 from posetrack_cli.recording.guess import GUESSED, Guess, check_one_camera
 from posetrack_cli.recording.identity import file_digest, files_digest, identity_record
 from posetrack_cli.recording.matching import NS_PER_MS
@@ -77,6 +79,8 @@ from posetrack_cli.recording.recording import CameraStream, ReadingOptions, Reco
 
 FROM_FILE, FROM_MESSAGES = "camera file", "messages"
 """Where cameras are from."""
+BITS_OF_FIRST, BITS_EVERY = 31, 3
+"""Of how many messages of a topic which ones tell the significant bits: exposure settles in a second."""
 
 
 def open_depth_messages(path: Path, options: ReadingOptions) -> Recording:
@@ -150,6 +154,8 @@ def open_grey_messages(path: Path, options: ReadingOptions) -> Recording:
     """
     topics, tolerance = scan_topics(path), tolerance_ns(options)
     rig, sources, found, calibration, remarks = _grey_cameras(topics, options)
+    bits = {name: camera.bits for name, camera in rig.cameras.items()} if rig is not None else {}
+    sources = [_with_bits(topics, source, bits.get(source.name)) for source in sources]
     if options.get("in_colour"):
         sources = [replace(source, pixels=replace(source.pixels, keeps_colour=True)) for source in sources]
     windows = [_window(rig.cameras[s.name].crop if rig else None, rig, options) for s in sources]
@@ -268,7 +274,7 @@ def _grey_cameras(
         return None, sources, *_cameras(topics, sources, guess), words if len(sources) == 1 else ()
     rig = load_rig(file)
     rig = rig if wanted is None else rig.chosen(wanted)
-    sources = [_with_bits(source, rig) for source in sources_of_rig(topics, rig)]
+    sources = sources_of_rig(topics, rig)
     sizes = {source.name: source.size for source in sources}
     cameras = [ImageCamera(camera, file.name) for camera in rig.stored_cameras(sizes)]
     if guess is not None:
@@ -297,17 +303,24 @@ def _of_colour(sources: list[GreyTopic]) -> list[GreyTopic]:
     return colour if len(colour) == 1 else sources
 
 
+def _with_bits(topics: FileTopics, source: GreyTopic, bits: int | None) -> GreyTopic:
+    """Return the source with the significant bits that are given, or those of several early images."""
+    if source.pixels.bits == PLAIN_BITS:
+        return source
+    if bits is not None:
+        return replace(source, pixels=replace(source.pixels, bits=bits))
+    decoder, images = MessageDecoder(), []
+    every = islice(topics.file.messages([source.topic.name]), 0, BITS_OF_FIRST, BITS_EVERY)
+    for item in every:
+        with suppress(UndecodableMessageError, UnreadableImageError):
+            images.append(stored_grey(decoder.decode(*item), str(source.topic.kind)))
+    return replace(source, pixels=with_bits_of(source.pixels, images))
+
+
 def _taken(what: str, source: CameraTopic[Pixels], several: Sequence[Topic], option: str) -> tuple[str, ...]:
     """Words about the topic that was taken of several; none where there is only one."""
     others = ", ".join(topic.name for topic in several if topic.name != source.topic.name)
     return (f"{what} is taken from {source.topic.name}; {option} takes another: {others}",) if others else ()
-
-
-def _with_bits(source: GreyTopic, rig: Rig) -> GreyTopic:
-    bits = rig.cameras[source.name].bits
-    if bits is None or source.pixels.bits == 8:
-        return source
-    return replace(source, pixels=replace(source.pixels, bits=bits))
 
 
 def _window(

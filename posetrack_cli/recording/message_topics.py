@@ -28,6 +28,8 @@ TRANSPORTS = ("/compressed", "/compressedDepth")
 """What ROS adds to the name of a topic that is published compressed, too."""
 REDRAWN = ("aligned_depth", "depth_registered", "depth_to_", "registered_depth")
 """How drivers name depth as another camera, that of colour, would see it."""
+SAMPLES = 3
+"""How many images of a topic are looked at: a first one that differs from the others does not count."""
 TRIES = 50
 """How many messages of a topic are looked at until one decodes."""
 
@@ -45,6 +47,7 @@ class Topic:
         first: first decoded message, of images and calibrations only; None if none decodes.
         image: what the first image holds, None for other topics.
         tries: how many messages were tried.
+        samples: first images with what they hold; the first that is like most of them counts.
     """
 
     name: str
@@ -55,6 +58,7 @@ class Topic:
     first: Any = None
     image: ImageDescription | None = None
     tries: int = field(default=0, repr=False)
+    samples: list[tuple[Any, ImageDescription]] = field(default_factory=list, repr=False)
 
     @property
     def is_depth(self) -> bool:
@@ -69,7 +73,10 @@ class Topic:
     @property
     def is_settled(self) -> bool:
         """Whether looking at more messages would tell nothing new about what the topic holds."""
-        found = self.first is not None and not (self.kind == CALIBRATION and is_empty(self.first))
+        if self.kind == CALIBRATION:
+            found = self.first is not None and not is_empty(self.first)
+        else:
+            found = len(self.samples) >= SAMPLES
         return self.kind is None or found or self.tries >= TRIES
 
     @property
@@ -107,11 +114,13 @@ class TopicScan:
         topic.tries += 1
         try:
             decoded = self._decoder.decode(*item)
-            if topic.kind != CALIBRATION:
-                topic.image = describe_image(decoded, str(topic.kind))
+            if topic.kind == CALIBRATION:
+                topic.first = decoded
+            else:
+                topic.samples.append((decoded, describe_image(decoded, str(topic.kind))))
+                topic.first, topic.image = _usual(topic.samples)
         except UndecodableMessageError:
             return topic
-        topic.first = decoded
         return topic
 
 
@@ -210,10 +219,17 @@ def _settle(file: MessageFile, scan: TopicScan) -> None:
         return
     for item in file.messages(waiting.__contains__):
         topic = scan.inspect(item)
-        if topic.is_settled:
+        if topic.is_settled or topic.tries >= topic.count:
             waiting.discard(topic.name)
             if not waiting:
                 return
+
+
+def _usual(samples: Sequence[tuple[Any, ImageDescription]]) -> tuple[Any, ImageDescription]:
+    """Return the first image, or the second where it is like the third and the first one is not."""
+    first, *others = samples
+    is_agreed = len(others) == SAMPLES - 1 and len({image for _, image in others}) == 1
+    return others[0] if is_agreed and others[0][1] != first[1] else first
 
 
 def _likeliest_depth(depth: Sequence[Topic]) -> Sequence[Topic]:

@@ -19,8 +19,8 @@ PixelKind = Literal["depth", "grey"]
 class Pixels(Protocol):
     """What one camera's images hold.
 
-    All decoding raises UnreadableImageError for data that are no image, damaged or incomplete, and
-    RecordingError for an image of another size or kind than the first.
+    All decoding raises UnreadableImageError for data that are no image, damaged or incomplete, or an image of
+    another size or kind than the first.
 
     Attributes:
         is_numbered_as_stored: whether every stored image is a frame, also one that cannot be used; else
@@ -95,15 +95,11 @@ def _cropped(camera: Camera, crop: tuple[int, int, int, int]) -> Camera:
     return replace(camera, width=width, height=height, cx=camera.cx - x, cy=camera.cy - y)
 
 
-def check_size(image: ImageArray, pixels: Pixels, where: object) -> None:
-    """Raise RecordingError if an image is not of the size of the first."""
+def check_size(image: ImageArray, pixels: Pixels) -> None:
+    """Raise UnreadableImageError if an image is not of the size of the first."""
     if image.shape[:2] != (pixels.height, pixels.width):
-        raise RecordingError(
-            "images differ in size",
-            where=where,
-            found=f"{image.shape[1]}x{image.shape[0]}",
-            expected=f"{pixels.width}x{pixels.height} as in the images before",
-        )
+        found, expected = f"{image.shape[1]}x{image.shape[0]}", f"{pixels.width}x{pixels.height}"
+        raise UnreadableImageError(f"its size is {found}, not {expected} as of the others")
 
 
 def raw_values(decoded: Any, value: str, channels: int = 1) -> ImageArray:

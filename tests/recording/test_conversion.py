@@ -161,11 +161,12 @@ def test_existing_output_is_kept_unless_asked(tmp_path: Path, make: SimpleNamesp
 
 
 def test_failure_leaves_nothing_behind_and_spares_the_old_file(tmp_path: Path, make: SimpleNamespace) -> None:
-    images = [*make.depth_codes(3), np.ones((8, 8), np.uint16)]
-    source = open_recording(make.write_folder(tmp_path / "r", images))
+    source = open_recording(make.write_folder(tmp_path / "r", make.depth_codes(3)))
     out = tmp_path / "out.mcap"
     out.write_bytes(b"precious")
-    with pytest.raises(RecordingError, match="differ in size"):
+    for image in (tmp_path / "r").glob("*.png"):
+        image.write_bytes(b"damaged meanwhile")
+    with pytest.raises(RecordingError, match="no frame can be decoded"):
         convert_recording(source, out, overwrite=True)
     assert out.read_bytes() == b"precious"
     assert not (tmp_path / "out.mcap.part").exists()

@@ -276,11 +276,13 @@ def test_a_folder_of_float_tiff(tmp_path: Path, name: str, unit: float) -> None:
     assert reopened.remarks == () and reopened.identity() == recording.identity()
 
 
-def test_integers_among_floats_are_refused(tmp_path: Path) -> None:
+def test_integers_among_floats_are_left_out(tmp_path: Path) -> None:
     folder = write_floats(tmp_path / "both", [scene().astype(np.float32), scene().astype(np.uint16)])
     recording = open_recording(folder, fps=30.0)
-    with pytest.raises(RecordingError, match=r"found 16-bit integers, expected 32-bit floats"):
-        list(recording.frames())
+    assert [frame.index for frame in recording.frames()] == [0]
+    assert (
+        recording.losses[0].what == "image skipped, it has 16-bit integers, not 32-bit floats as the others"
+    )
 
 
 def test_a_folder_called_infrared_is_refused(tmp_path: Path, make: SimpleNamespace) -> None:

@@ -314,13 +314,17 @@ def test_image_too_short_is_skipped(
     assert loss.first.startswith("frame 1, /cam/image at ")
 
 
-def test_later_image_of_another_size_ends_the_pass(tmp_path: Path, make: SimpleNamespace) -> None:
-    contents = [make.raw_fields(image, "16UC1") for image in make.depth_codes(2)]
-    contents.append(make.raw_fields(np.ones((8, 8), np.uint16), "16UC1"))
-    frames = open_recording(write(make, tmp_path, "foxglove", "Image", contents)).frames()
-    assert len([next(frames), next(frames)]) == 2
-    with pytest.raises(RecordingError, match="found 8x8 16UC1, expected 24x16 16UC1"):
-        next(frames)
+@pytest.mark.parametrize("place", [0, 1, 3])
+def test_an_image_of_another_size_is_left_out_and_counted(
+    tmp_path: Path, make: SimpleNamespace, place: int
+) -> None:
+    """Also if it is the first, which does not decide for the others."""
+    contents = [make.raw_fields(image, "16UC1") for image in make.depth_codes(4)]
+    contents.insert(place, make.raw_fields(np.ones((8, 8), np.uint16), "16UC1"))
+    recording = open_recording(write(make, tmp_path, "foxglove", "Image", contents))
+    assert [frame.index for frame in recording.frames()] == [k for k in range(5) if k != place]
+    (loss,) = recording.losses
+    assert loss.what == "image skipped, it is 8x8 16UC1, not 24x16 16UC1 as the others"
 
 
 def test_messages_that_do_not_decode_are_skipped(tmp_path: Path, make: SimpleNamespace) -> None:

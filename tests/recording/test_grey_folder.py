@@ -249,12 +249,25 @@ def test_orientation_tags_do_not_turn_images(tmp_path: Path) -> None:
     assert frame.images[0].shape == (support.HEIGHT, support.WIDTH)
 
 
-def test_another_size_later_on_ends_the_pass(stereo: Path) -> None:
+def test_an_image_of_another_size_is_left_out_and_counted(stereo: Path) -> None:
     (stereo / "left" / "000002.png").write_bytes(cv2.imencode(".png", LEFT[0][:10])[1].tobytes())
-    with pytest.raises(
-        RecordingError, match=r"000002.png: images differ in size, found 32x10, expected 32x24"
-    ):
-        list(open_recording(stereo, "grey").frames())
+    recording = open_recording(stereo, "grey")
+    frames = list(recording.frames())
+    assert [frame.index for frame in frames if frame.images[0] is None] == [2]
+    (loss,) = recording.losses
+    assert loss.what == "image skipped, its size is 32x10, not 32x24 as of the others"
+
+
+def test_bits_are_those_of_several_images(tmp_path: Path) -> None:
+    """The first image was taken before the exposure had settled: it has 9 bits, the others 16."""
+    values = [(image.astype(np.uint16) * 257) for image in LEFT[:5]]
+    support.write_images(tmp_path, [values[0] >> 7, *values[1:]])
+    (tmp_path / "camera.toml").write_text("fx = 40.0\nfy = 41.0\ncx = 15.0\ncy = 12.0\n")
+    recording = open_recording(tmp_path, "grey", fps=30)
+    assert recording.identity()["stored"] == "16-bit grey"
+    for frame, image in zip(recording.frames(), LEFT, strict=False):
+        if frame.index:
+            np.testing.assert_array_equal(frame.images[0], image)
 
 
 def test_values_that_are_no_grey_are_refused(tmp_path: Path) -> None:

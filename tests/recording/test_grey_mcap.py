@@ -427,13 +427,28 @@ def test_images_that_are_damaged_are_counted(tmp_path: Path, make: SimpleNamespa
     assert loss.what == "image skipped, 9 bytes do not hold 32x24 mono8"
 
 
-def test_a_later_image_of_another_size_ends_the_pass(tmp_path: Path, make: SimpleNamespace) -> None:
+def test_an_image_of_another_size_is_left_out_and_counted(tmp_path: Path, make: SimpleNamespace) -> None:
     found = messages(make, "foxglove", {"left": LEFT, "right": RIGHT})
     small = make.raw_fields(LEFT[0][:10], "mono8") | {"frame_id": "right"}
     index = max(i for i, m in enumerate(found) if m[0].endswith("right/image_raw"))
     found[index] = (*found[index][:4], small)
-    with pytest.raises(RecordingError, match="images differ in size, found 32x10, expected 32x24"):
-        list(open_recording(write(make, tmp_path / "r.mcap", found), "grey").frames())
+    recording = open_recording(write(make, tmp_path / "r.mcap", found), "grey")
+    assert [frame.images[1] is None for frame in recording.frames()] == [False] * (COUNT - 1) + [True]
+    (loss,) = recording.losses
+    assert loss.what == "image skipped, its size is 32x10, not 32x24 as of the others"
+
+
+def test_bits_are_those_of_several_images(tmp_path: Path, make: SimpleNamespace) -> None:
+    found = []
+    for number, (topic, kind, stamp, log, fields) in enumerate(messages(make, "foxglove", {"left": LEFT})):
+        if kind == "Image":
+            values = LEFT[len(found) - 1].astype(np.uint16) * 257
+            dark = values >> 7 if len(found) == 1 else values
+            fields = make.raw_fields(dark, "mono16") | {"frame_id": "left"}
+        if kind == "Image" or not number:
+            found.append((topic, kind, stamp, log, fields))
+    recording = open_recording(write(make, tmp_path / "r.mcap", found), "grey")
+    assert recording.identity()["stored"] == "16-bit grey"
 
 
 def test_identity_tells_topics_and_how_it_was_read(stereo: Path) -> None:

@@ -118,12 +118,13 @@ class _Camera:
     def _found(self, image: ImageFile) -> FoundBoard | None:
         try:
             stored = decode_as_stored(read_image(image))
+            if self._pixels is None:
+                self._pixels = grey_like(stored, image)
+            grey = self._pixels.from_stored(stored, image)
         except UnreadableImageError as error:
             self._losses.add(f"image skipped, {error}", str(image))
             return None
-        if self._pixels is None:
-            self._pixels = grey_like(stored, image)
-        return self._finder.find(self._pixels.from_stored(stored, image))
+        return self._finder.find(grey)
 
 
 def _instants(folders: CameraFolders) -> Instants:
