@@ -176,35 +176,39 @@ def exports() -> Iterator[Step]:
         "pso": "json",
     }.items():
         for kind in kinds.split():
-            yield command(f"export-{name}-{kind}", f"export {{{name}}} -o {name}.{kind}")
-    yield command("export-smoothed", "export {smooth} --track smoothed --no-lost -o smoothed.csv")
+            yield command(f"export-{name}-{kind}", f"export {{{name}}} -o exported-{name}.{kind}")
+    yield command("export-smoothed", "export {smooth} --track smoothed --no-lost -o exported-smoothed.csv")
     ros2 = "--format mcap --schemas ros2 --estimate-topic /truth/hand/estimate --overwrite"
-    yield command("export-truth", f"export {{smooth}} {ros2} -o truth.mcap")
+    yield command("export-truth", f"export {{smooth}} {ros2} -o exported-truth.mcap")
     yield command("export-printed", "export {stereo} --format tum", printed=True)
 
 
 def reports() -> Iterator[Step]:
     """Yield what ``eval`` measures and writes."""
-    page = ("json", "csv", "html", "junit", "markdown", "curve")
-    suffixes = {"junit": "xml", "markdown": "md", "curve": "curve.csv"}
+    suffixes = {"html": "html", "json": "json", "csv": "csv", "junit": "xml", "markdown": "md"}
+    gates = "--fail-if joint_error_mm.mean>1"
+    of_heads = "--fail-if point_error_mm.mean>5"
     measured = {
-        "rbpf": "{rbpf} --truth {hand-C} --recording {hand-C} --overwrite --honesty",
-        "smooth": "{smooth} --truth {hand-C} --track both --joint-offsets palm --parts --columns",
-        "left": "{left} --truth {near} --align rigid --time-offset-s .001 --truth-tolerance-ms 8",
-        "joints": "{started} --truth {keypoints:1} --align similarity --fail-if joint_error_mm.mean>1",
-        "stereo": "{stereo} --truth {two} --align rigid+points --parts --track smoothed",
-        "mono": "{mono} --truth {one} --align rigid --gates {lists:2}",
-        "compared": "{rbpf} {pf} {fast} --truth {hand-C}",
-        "groups": "{rbpf} {pf} {fast} {own-shape} --group a=rbpf.mcap --group b=pf.mcap",
-        "rows": "{rbpf} {pf} {fast} {smooth} {left} --rows --worst 3 --honesty --baseline {eval-rbpf}",
+        "rbpf": f"{{rbpf}} --truth {{hand-C}} --recording {{hand-C}} --overwrite --honesty {gates}",
+        "smooth": f"{{smooth}} --truth {{hand-C}} --track both --joint-offsets palm --parts --columns "
+        f"{gates}",
+        "left": f"{{left}} --truth {{near}} --align rigid --time-offset-s .001 --truth-tolerance-ms 8 "
+        f"{gates}",
+        "joints": f"{{started}} --truth {{keypoints:1}} {gates}",
+        "stereo": f"{{stereo}} --truth {{two}} --align rigid+points --parts --track smoothed {of_heads}",
+        "mono": "{mono} --truth {one} --align similarity --gates {lists:2}",
+        "compared": f"{{rbpf}} {{pf}} {{fast}} --truth {{hand-C}} {gates}",
+        "groups": f"{{rbpf}} {{pf}} {{fast}} {{own-shape}} --group a=rbpf.mcap --group b=pf.mcap {gates}",
+        "rows": "{rbpf} {pf} {fast} {smooth} {left} --rows --worst 3 --honesty --baseline {eval-rbpf} "
+        "--baseline-tolerance .5",
     }
     for name, line in measured.items():
-        files = [f"{name}.eval.{suffixes.get(kind, kind)}" for kind in page]
-        options = " ".join(f"--{kind} {path}" for kind, path in zip(page, files, strict=True))
-        if name == "rows":  # a curve is of a few results only
-            options, files = options.rsplit(" --curve", 1)[0], files[:-1]
-        tolerance = "--baseline-tolerance .5" if "--baseline" in line else ""
-        yield command(f"eval-{name}", f"eval {line} {tolerance} {options}", *files, printed=True)
+        written = {kind: f"{name}.eval.{suffix}" for kind, suffix in suffixes.items()}
+        if name in ("rbpf", "compared"):
+            written["curve"] = f"{name}.curve.csv"
+        options = " ".join(f"--{kind} {path}" for kind, path in written.items())
+        json_first = sorted(written.values(), key=lambda path: not path.endswith(".json"))
+        yield command(f"eval-{name}", f"eval {line} {options}", *json_first, printed=True)
     yield command("eval-metrics", "eval --list-metrics", printed=True)
 
 
@@ -248,8 +252,8 @@ def batches() -> Iterator[Step]:
         "batch.xml",
         "batch.md",
     )
-    again = "batch hand run {lists} --smooth --jobs 1"
-    yield command("batch-dry", f"{again} --dry-run -o batch-hand", printed=True)
+    again = "batch hand run {lists} --smooth --jobs 1 --dry-run"
+    yield command("batch-dry", f"{again} --output batch-hand", printed=True)
     pieces = "--chunk-s 1 --overlap-s .4 --jobs 1 --redo --no-reports --smooth"
     yield command("batch-pieces", f"batch hand run {{slow}} {pieces} {FEW} -o batch-pieces")
     yield command("batch-stereo", f"batch head stereo {{lists:1}} --end 8 --jobs 1 {FEWER} -o batch-stereo")
