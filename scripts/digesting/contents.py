@@ -19,14 +19,11 @@ from mcap.reader import make_reader
 
 RUN_RECORD = "posetrack.run"
 LEFT_OUT = frozenset(
-    {"version", "run", "configuration", "bytes", "seconds", "cpu_s", "frames_per_s", "peak_mb", "started"}
+    {"version", "run", "configuration", "bytes", "seconds", "cpu_s", "frames_per_s", "peak_mb", "peak_bytes"}
 )
 """Keys of JSON objects and columns of CSV tables that state the run or its cost, not its result."""
 _VERSION = re.compile(r"\bposetrack \d+\.\d+\.\d+\S*")
 _RECORD_TABLE = re.compile(r'<table class="record">.*?</table>', re.DOTALL)
-_COST_CELL = re.compile(
-    r'<td[^>]*data-label="(?:seconds|cpu_s|frames_per_s|peak_mb)"[^>]*>.*?</td>', re.DOTALL
-)
 _PRINTED_RECORD = re.compile(rf"^metadata {re.escape(RUN_RECORD)}:.*\n(?:    .*\n)*", re.MULTILINE)
 _PRINTED_SIZE = re.compile(r"\b[\d.]+ (?:B|kB|MB)\b")
 
@@ -126,7 +123,7 @@ def _csv(content: bytes) -> Parts:
 
 
 def _html(content: bytes) -> Parts:
-    text = _COST_CELL.sub("", _RECORD_TABLE.sub("", content.decode()))
+    text = _RECORD_TABLE.sub("", content.decode())
     yield "", _VERSION.sub("posetrack", text).encode()
 
 

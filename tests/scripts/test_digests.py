@@ -121,7 +121,9 @@ def test_all_else_in_a_result_counts(tmp_path: Path, changes: dict[str, object],
 
 
 PAGE = '<p>{figure}</p><table class="record"><td>{key}</td></table><li>Written by posetrack {version}.</li>'
-REPORT = '{{"version": "{version}", "results": [{{"mean": {figure}, "run": {{"k": "{key}"}}}}]}}'
+REPORT = (
+    '{{"version": "{version}", "peak_bytes": {key}, "results": [{{"x": {figure}, "run": {{"k": "{key}"}}}}]}}'
+)
 TABLE = "# run: {{{key} {version}}}\n# mm\nx\n{figure}\n"
 COSTS = "name,mean,seconds\na,{figure},{key}{version}\n"
 TEXT = (
