@@ -90,7 +90,7 @@ def write_result(path: Path, run: Mapping[str, str], model: bytes = b"learnt", f
             writer.add_message(channel, stamp, b'{"x": 1.0}', stamp)
         writer.add_metadata(RUN_RECORD, dict(run))
         writer.add_metadata("posetrack.summary", {"frames": frames})
-        writer.add_metadata("posetrack.synth", {"version": run["version"], "seed": "1"})
+        writer.add_metadata("posetrack.synth", {"version": run["version"], "input.sha256": run["version"]})
         writer.add_attachment(0, 0, "model.npz", "application/x-npz", model)
         writer.finish()
     return path
