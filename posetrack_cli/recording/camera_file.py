@@ -29,11 +29,14 @@ from posetrack_cli.recording.camera_of import (
     ImageCamera,
     at_size,
     is_off_centre,
+    is_same,
     likely_size,
+    off_centre,
     off_centre_remark,
     principal_point_fault,
 )
 from posetrack_cli.recording.guess import Guess
+from posetrack_cli.recording.orientation import UPRIGHT, Orientation, Picture
 from posetrack_cli.recording.pixels import Window
 from posetrack_cli.text import one_line, parse_toml, printable_json
 
@@ -41,6 +44,9 @@ LONE_NAME = "camera"
 """What frames and run records call the one camera to which no file gives a name."""
 TABLE = "cameras"
 RIG_KEYS = (TABLE, "reference", "mirror")
+CENTRAL = 0.1
+"""A principal point within this share of half the image from the middle is that of the picture, and one that
+is farther off by this much is not, where a picture is turned."""
 NEAREST_MM = 1.0
 """Cameras that are closer see no depth: their place was not measured."""
 NO_PLACE = "rotation = [9 numbers, row after row] and translation_mm = [3 numbers]: camera from reference"
@@ -63,8 +69,10 @@ class Intrinsics(Settings):
             resolution with the same aspect ratio they are scaled. None for the size of the stored images.
         fx, fy, cx, cy: intrinsics, pixels.
         distortion, distortion_model: as in ``Camera``.
+        picture: which picture the intrinsics are for where EXIF or a video's container turns it; None decides
+            by sizes and the principal point.
         fps: frame rate, Hz, of images that have no stamps.
-        crop: x, y, width, height of the part that is used; cut out before mirroring.
+        crop: x, y, width, height of the part of the shown picture that is used; cut out before mirroring.
     """
 
     width: Annotated[int, Field(gt=0)] | None = None
@@ -77,15 +85,59 @@ class Intrinsics(Settings):
     distortion_model: Literal["plumb_bob", "rational_polynomial", "equidistant", "inverse_brown_conrady"] = (
         "plumb_bob"
     )
+    picture: Literal["stored", "shown"] | None = None
     fps: Rate | None = None
     crop: tuple[int, int, int, int] | None = None
 
-    def stored_camera(self, width: int, height: int, name: str = "camera") -> Camera:
-        """Return the camera of stored images of this size.
+    def stored_camera(
+        self, width: int, height: int, name: str = "camera", *, picture: Picture | None = None
+    ) -> Camera:
+        """Return the camera of images of this size.
+
+        Args:
+            width, height: of the images.
+            name: of the camera.
+            picture: how the images are shown, where that is not as they are stored; of the same size.
 
         Raises:
-            RecordingError: if the file's intrinsics are not of such images.
+            RecordingError: if the file's intrinsics are not of such images, or it is not clear whether they
+                are of the stored or the shown picture.
         """
+        orientation = UPRIGHT if picture is None else picture.orientation
+        if orientation == UPRIGHT:
+            return self._of_size(width, height, name)
+        return self._described(width, height, name, orientation)[1]
+
+    def _described(self, width: int, height: int, name: str, orientation: Orientation) -> tuple[str, Camera]:
+        """Return which picture the intrinsics describe, and the camera of the shown one."""
+        found: dict[str, Camera] = {}
+        problem: PosetrackError | None = None
+        for kind in ("shown", "stored") if self.picture is None else (self.picture,):
+            try:
+                if kind == "shown":
+                    found[kind] = self._of_size(width, height, name)
+                else:
+                    stored = self._of_size(*orientation.stored_size(width, height), name)
+                    found[kind] = orientation.camera(stored)
+            except PosetrackError as error:
+                problem = problem or error
+        if not found:
+            raise problem or RecordingError("camera cannot be used", where=CAMERA_FILE_NAME)
+        if len(found) == 1 or not orientation.transposed or is_same(found["shown"], found["stored"]):
+            return next(iter(found.items()))
+        kinds = sorted(found, key=lambda kind: off_centre(found[kind]))
+        near, far = (off_centre(found[kind]) for kind in kinds)
+        if near <= CENTRAL and far - near >= CENTRAL:
+            return kinds[0], found[kinds[0]]
+        raise RecordingError(
+            "it is not clear which picture the camera is of",
+            where=CAMERA_FILE_NAME,
+            found=f"pictures that are shown {orientation.words}",
+            hint='write picture = "stored" or picture = "shown" next to the intrinsics',
+        )
+
+    def _of_size(self, width: int, height: int, name: str) -> Camera:
+        """Return the camera of images of this size."""
         stated = self._camera(self.width or width, self.height or height, name)
         camera = at_size(stated, width, height)
         if camera is None:
@@ -102,12 +154,19 @@ class Intrinsics(Settings):
             raise self._of_other_images(camera, fault or "far from the middle")
         return camera
 
-    def remarks(self, width: int, height: int) -> tuple[str, ...]:
-        """Return what was converted for stored images of this size, or is unusual, one line each."""
-        stated = (self.width or width, self.height or height)
-        scaled = f"camera file is of {stated[0]}x{stated[1]}: intrinsics are scaled to {width}x{height}"
-        camera = self.stored_camera(width, height)
-        return (*((scaled,) if stated != (width, height) else ()), *off_centre_remark(camera))
+    def remarks(self, width: int, height: int, *, picture: Picture | None = None) -> tuple[str, ...]:
+        """Return what was converted for images of this size, or is unusual, one line each."""
+        orientation = UPRIGHT if picture is None else picture.orientation
+        of, said = "shown", []
+        if orientation != UPRIGHT:
+            of, _ = self._described(width, height, LONE_NAME, orientation)
+            said.append(f"pictures are {orientation.words}; the camera file describes the {of} picture")
+        size = orientation.stored_size(width, height) if of == "stored" else (width, height)
+        stated = (self.width or size[0], self.height or size[1])
+        if stated != size:
+            stored = f"{size[0]}x{size[1]}"
+            said.append(f"camera file is of {stated[0]}x{stated[1]}: intrinsics are scaled to {stored}")
+        return (*said, *off_centre_remark(self.stored_camera(width, height, picture=picture)))
 
     def _of_other_images(self, camera: Camera, fault: str) -> RecordingError:
         """Return the error for intrinsics of images of another size, with those that would fit."""
@@ -233,8 +292,8 @@ class Rig:
         """Return the part of a camera's images that is used; ``mirror`` replaces the file's value."""
         return Window(self.cameras[name].crop, self.mirror if mirror is None else mirror)
 
-    def stored_cameras(self, sizes: Mapping[str, tuple[int, int]]) -> tuple[Camera, ...]:
-        """Return the cameras of stored images of given widths and heights, relative to the first.
+    def stored_cameras(self, sizes: Mapping[str, Picture | tuple[int, int]]) -> tuple[Camera, ...]:
+        """Return the cameras of pictures, relative to the first.
 
         Raises:
             RecordingError: if the file gives other sizes, or no or an impossible place of a camera.
@@ -246,24 +305,25 @@ class Rig:
                 where=self.path,
                 hint=f"posetrack calibrate stereo measures them; or write {NO_PLACE}",
             )
-        cameras = [self._stored_camera(name, sizes[name]) for name in self.cameras]
+        cameras = [self._stored_camera(name, Picture(*sizes[name])) for name in self.cameras]
         rebased = relative_to(cameras[0], cameras)
         check_apart(rebased, self.path)
         return rebased
 
-    def remarks(self, sizes: Mapping[str, tuple[int, int]]) -> tuple[str, ...]:
-        """Return what was converted for stored images of these sizes, or is unusual, one line each."""
+    def remarks(self, sizes: Mapping[str, Picture | tuple[int, int]]) -> tuple[str, ...]:
+        """Return what was converted for these pictures, or is unusual, one line each."""
         said = []
         for name, camera in self.cameras.items():
             if not isinstance(camera, Guess):
                 prefix = f"camera '{name}': " if name else ""
-                said += [f"{prefix}{remark}" for remark in camera.remarks(*sizes[name])]
+                picture = Picture(*sizes[name])
+                said += [f"{prefix}{remark}" for remark in camera.remarks(*picture[:2], picture=picture)]
         return (*nominal_remark(self.path), *said)
 
-    def _stored_camera(self, name: str, size: tuple[int, int]) -> Camera:
+    def _stored_camera(self, name: str, picture: Picture) -> Camera:
         settings = self.cameras[name]
         try:
-            camera = settings.stored_camera(*size, name or LONE_NAME)
+            camera = settings.stored_camera(*picture[:2], name or LONE_NAME, picture=picture)
         except RecordingError as error:
             raise _in_file(error, f"{self.path}, camera '{name}'" if name else self.path) from error
         if not isinstance(settings, RigCamera) or _is_placeless(settings):

@@ -17,6 +17,7 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import PosetrackError, RecordingError
 from posetrack_cli.geometry.camera import DISTORTION_LENGTHS, Camera
+from posetrack_cli.geometry.projection import pixels_from_normalised
 from posetrack_cli.recording.base import NotCalibratedError
 
 MODEL_NAMES = {
@@ -37,6 +38,10 @@ COLOUR_WORDS = ("color", "colour", "rgb")
 TRANSPORTS = ("compressed", "compressedDepth", "data", "theora", "ffmpeg")
 """What a topic's name has behind that of its images."""
 
+SAME_PX = 0.05
+"""Calibrations whose pixels differ by less are one: online calibration refines the last digits."""
+GRID = 9
+"""Rays across and down an image at which cameras are compared."""
 OUTSIDE = "outside the image"
 OFF_CENTRE = 0.25
 """A principal point farther from the middle than this share of the image is unusual; lenses reach 0.05."""
@@ -218,7 +223,25 @@ def off_centre_remark(camera: Camera) -> tuple[str, ...]:
 
 def is_off_centre(camera: Camera) -> bool:
     """Return whether the principal point is farther from the middle than a quarter of the image."""
-    return max(abs(share - 1.0) for share in _relative(camera)) > 2.0 * OFF_CENTRE
+    return off_centre(camera) > 2.0 * OFF_CENTRE
+
+
+def off_centre(camera: Camera) -> float:
+    """Return how far the principal point is from the middle, as a share of half the image."""
+    return max(abs(share - 1.0) for share in _relative(camera))
+
+
+def is_same(first: Camera, other: Camera) -> bool:
+    """Return whether two cameras see the same rays at the same pixels, to ``SAME_PX``."""
+    if (first.width, first.height) != (other.width, other.height):
+        return False
+    if replace(other, name=first.name) == first:
+        return True
+    x = (np.linspace(0, first.width - 1, GRID) - first.cx) / first.fx
+    y = (np.linspace(0, first.height - 1, GRID) - first.cy) / first.fy
+    rays = np.stack(np.meshgrid(x, y), axis=-1)
+    apart = pixels_from_normalised(first, rays) - pixels_from_normalised(other, rays)
+    return bool(np.abs(apart).max() < SAME_PX)
 
 
 def likely_size(camera: Camera) -> tuple[int, int]:

@@ -15,13 +15,9 @@ import numpy as np
 
 from posetrack_cli.arrays import Float32Array, ImageArray
 from posetrack_cli.geometry.camera import IN_PLACE, Camera
-from posetrack_cli.geometry.projection import pixel_map, pixels_from_normalised
+from posetrack_cli.geometry.projection import pixel_map
 from posetrack_cli.recording.base import NotCalibratedError
-
-SAME_PX = 0.05
-"""Calibrations whose pixels differ by less are one: online calibration refines the last digits."""
-GRID = 9
-"""Rays across and down an image at which cameras are compared."""
+from posetrack_cli.recording.camera_of import is_same
 
 Dated = tuple[int, Any]
 """Stamp, ns, and decoded message."""
@@ -77,19 +73,6 @@ class Resampling:
         u, v = self._nearest if is_depth else (self._u, self._v)
         how = cv2.INTER_NEAREST if is_depth else cv2.INTER_LINEAR
         return np.asarray(cv2.remap(image, u, v, how, borderMode=cv2.BORDER_CONSTANT, borderValue=0))
-
-
-def is_same(first: Camera, other: Camera) -> bool:
-    """Return whether two cameras see the same rays at the same pixels, to ``SAME_PX``."""
-    if (first.width, first.height) != (other.width, other.height):
-        return False
-    if replace(other, name=first.name) == first:
-        return True
-    x = (np.linspace(0, first.width - 1, GRID) - first.cx) / first.fx
-    y = (np.linspace(0, first.height - 1, GRID) - first.cy) / first.fy
-    rays = np.stack(np.meshgrid(x, y), axis=-1)
-    apart = pixels_from_normalised(first, rays) - pixels_from_normalised(other, rays)
-    return bool(np.abs(apart).max() < SAME_PX)
 
 
 def with_calibration(items: Iterable[tuple[bool, int, Any]]) -> Iterator[tuple[Any, Any]]:

@@ -63,9 +63,9 @@ class Depth:
             kinds = "16-bit integers", "32-bit floats"
             found, expected = kinds[not self.is_float], kinds[self.is_float]
             raise UnreadableImageError(f"it has {found}, not {expected} as the others")
-        return self.from_stored(values, where)
+        return self.from_stored(values)
 
-    def from_stored(self, codes: ImageArray, where: object) -> Float32Array:
+    def from_stored(self, codes: ImageArray) -> Float32Array:
         """Return (height, width) depth, mm, of codes as they are stored."""
         check_size(codes, self)
         return depth_from_stored(codes, self.unit_mm, self.missing)

@@ -42,7 +42,7 @@ from posetrack_cli.recording.depth_content import (
     early,
     other_content,
 )
-from posetrack_cli.recording.grey import PLAIN_BITS, Grey, decode_as_stored, grey_like, with_bits_of
+from posetrack_cli.recording.grey import PLAIN_BITS, Grey, decode_shown, grey_like, with_bits_of
 from posetrack_cli.recording.guess import GUESSED, check_one_camera
 from posetrack_cli.recording.identity import files_digest, identity_record
 from posetrack_cli.recording.image_files import (
@@ -55,6 +55,7 @@ from posetrack_cli.recording.image_files import (
 )
 from posetrack_cli.recording.image_folders import CameraFolders, Stamped, find_depth, find_folders
 from posetrack_cli.recording.matching import NS_PER_MS
+from posetrack_cli.recording.orientation import UPRIGHT, Orientation, Picture, orientation_of_file
 from posetrack_cli.recording.pixels import Pixels, Window
 from posetrack_cli.recording.recording import (
     CameraStream,
@@ -154,7 +155,8 @@ def open_grey_folder(path: Path, options: ReadingOptions) -> Recording:
     if options.get("in_colour"):
         kinds = {name: replace(kind, keeps_colour=True) for name, kind in kinds.items()}
     windows = {name: rig.window(name, options.get("mirror")) for name in folders}
-    sizes = {name: (kind.width, kind.height) for name, kind in kinds.items()}
+    turns = {name: first_decoded(images, _orientation) for name, images in folders.items()}
+    sizes = {name: Picture(kind.width, kind.height, turns[name]) for name, kind in kinds.items()}
     stored = rig.stored_cameras(sizes)
     streams = [
         _stream(windows[name].camera(camera), kinds[name], windows[name], name, timing.stamped[name])
@@ -185,7 +187,7 @@ def open_grey_folder(path: Path, options: ReadingOptions) -> Recording:
         tolerance_ns=tolerance,
         is_guessed=rig.is_guessed,
         why=[GUESSED if rig.is_guessed else rig.path.name] * len(streams),
-        remarks=(*chosen.every_remark, *timing.remarks, *rig.remarks(sizes)),
+        remarks=(*chosen.every_remark, *timing.remarks, *_turned(turns), *rig.remarks(sizes)),
     )
 
 
@@ -329,10 +331,22 @@ def _folders_of(folders: CameraFolders, rig: Rig) -> CameraFolders:
     return folders.of(rig.cameras)
 
 
+def _orientation(image: ImageFile) -> Orientation:
+    return orientation_of_file(read_image(image))
+
+
+def _turned(turns: Mapping[str, Orientation]) -> Iterator[str]:
+    """Yield a remark for each camera whose images are not stored as they are shown."""
+    for name, orientation in turns.items():
+        if orientation != UPRIGHT:
+            of = f" of camera '{name}'" if name else ""
+            yield f"images{of} are {orientation.words}, as their EXIF states"
+
+
 def _first_grey(rig: Rig, name: str, images: Sequence[ImageFile]) -> Grey:
     """Tell what a camera's images are like from the first that can be decoded, and bits from several."""
     bits = rig.cameras[name].bits
-    kind = first_decoded(images, lambda image: grey_like(decode_as_stored(read_image(image)), image, bits))
+    kind = first_decoded(images, lambda image: grey_like(decode_shown(read_image(image)), image, bits))
     return kind if bits is not None or kind.bits == PLAIN_BITS else with_bits_of(kind, _spread(images))
 
 
@@ -340,4 +354,4 @@ def _spread(images: Sequence[ImageFile]) -> Iterator[ImageArray]:
     """Yield some images of a folder that can be decoded, from its first to its last."""
     for place in np.unique(np.linspace(0, len(images) - 1, SPREAD).round().astype(int)):
         with suppress(UnreadableImageError):
-            yield decode_as_stored(read_image(images[place]))
+            yield decode_shown(read_image(images[place]))

@@ -16,7 +16,7 @@ from posetrack_cli.recording.camera_file import load_depth_camera
 from posetrack_cli.recording.depth import Depth
 from posetrack_cli.recording.description import described_cameras, described_stamps, opened
 from posetrack_cli.recording.folder import depth_camera_path, open_depth_folder, open_grey_folder
-from posetrack_cli.recording.grey import decode_as_stored, grey_like
+from posetrack_cli.recording.grey import decode_shown, grey_like
 from posetrack_cli.recording.identity import shown_name
 from posetrack_cli.recording.image_files import (
     DEPTH_SUFFIXES,
@@ -149,7 +149,7 @@ def _remarks(folders: CameraFolders, timing: Timing | None) -> list[str]:
 
 
 def _folder(name: str, images: Sequence[ImageFile]) -> dict[str, Any]:
-    kind = first_decoded(images, lambda image: grey_like(decode_as_stored(read_image(image)), image))
+    kind = first_decoded(images, lambda image: grey_like(decode_shown(read_image(image)), image))
     return {
         "name": name,
         "images": len(images),

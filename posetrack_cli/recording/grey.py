@@ -14,6 +14,7 @@ from posetrack_cli.errors import RecordingError
 from posetrack_cli.mcap.decoding import COMPRESSED_IMAGE, RAW_IMAGE
 from posetrack_cli.recording.base import UnreadableImageError
 from posetrack_cli.recording.image_files import JPEG_BEGIN, PNG_SIGNATURE, WEBP_BEGIN, decode_any
+from posetrack_cli.recording.orientation import UPRIGHT, Orientation, orientation_of_file
 from posetrack_cli.recording.pixels import check_size, raw_values
 
 PLAIN_BITS = 8
@@ -91,13 +92,16 @@ class Grey:
         return f"{self.bits}-bit {'colour' if self.colour else 'grey'}"
 
     def from_file(self, data: bytes, where: object) -> ImageArray:
-        """Return the (height, width) uint8 grey of an image file, or its colour."""
-        image = decode_any(data, AS_STORED_FLAGS if self.keeps_colour else GREY_FLAGS)
+        """Return the (height, width) uint8 grey of an image file, or its colour, turned as it is shown."""
+        return self._from_encoded(data, orientation_of_file(data))
+
+    def _from_encoded(self, data: bytes, orientation: Orientation = UPRIGHT) -> ImageArray:
+        image = orientation.apply(decode_any(data, AS_STORED_FLAGS if self.keeps_colour else GREY_FLAGS))
         if image.dtype not in (np.uint8, np.uint16):
             raise UnreadableImageError(f"it has {image.dtype}, not 8 or 16 bits")
-        return self.from_stored(image, where)
+        return self.from_stored(image)
 
-    def from_stored(self, image: ImageArray, where: object) -> ImageArray:
+    def from_stored(self, image: ImageArray) -> ImageArray:
         """Return the (height, width) uint8 grey, or the colour, of an image with channels B G R as stored."""
         check_size(image, self)
         return self._shown(image)
@@ -105,7 +109,7 @@ class Grey:
     def from_message(self, decoded: Any, kind: str, where: str) -> ImageArray:
         """Return the (height, width) uint8 grey of an image message."""
         if kind == COMPRESSED_IMAGE:
-            return self.from_file(bytes(decoded.data), where)
+            return self._from_encoded(bytes(decoded.data))  # whose calibration is of the stored picture
         encoding = str(decoded.encoding)
         if encoding not in RAW_GREY:
             raise UnreadableImageError(f"encoding {encoding} is not known")
@@ -211,6 +215,15 @@ def decode_as_stored(data: bytes) -> ImageArray:
         UnreadableImageError: the bytes are no image or an incomplete one.
     """
     return decode_any(data, AS_STORED_FLAGS)
+
+
+def decode_shown(data: bytes) -> ImageArray:
+    """Decode an image file with the channels and bits it has, turned as its EXIF states.
+
+    Raises:
+        UnreadableImageError: the bytes are no image or an incomplete one.
+    """
+    return orientation_of_file(data).apply(decode_as_stored(data))
 
 
 def _raw_values(decoded: Any) -> ImageArray:

@@ -9,6 +9,7 @@ from typing import ClassVar
 
 from posetrack_cli.errors import UsageError
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.recording.orientation import Picture
 
 GUESSED = "guessed"
 """Where the model of such a camera comes from, in run records and descriptions."""
@@ -33,11 +34,14 @@ class Guess:
 
     # as of cameras in a camera file
     fps: ClassVar[None] = None
+    picture: ClassVar[None] = None
     crop: ClassVar[None] = None
     bits: ClassVar[None] = None
 
-    def stored_camera(self, width: int, height: int, name: str = "camera") -> Camera:
-        """Return the camera of images of this size."""
+    def stored_camera(
+        self, width: int, height: int, name: str = "camera", *, picture: Picture | None = None
+    ) -> Camera:
+        """Return the camera of images of this size; how they are shown does not matter to their middle."""
         focal_px = self.focal * max(width, height)
         return Camera(width, height, focal_px, focal_px, (width - 1) / 2, (height - 1) / 2, name=name)
 

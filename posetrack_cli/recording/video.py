@@ -21,6 +21,7 @@ from posetrack_cli.recording.description import described_cameras, opened
 from posetrack_cli.recording.grey import Grey, grey_like
 from posetrack_cli.recording.guess import GUESSED
 from posetrack_cli.recording.identity import file_digest, identity_record, shown_name
+from posetrack_cli.recording.orientation import Picture
 from posetrack_cli.recording.pixels import Window
 from posetrack_cli.recording.recording import CameraStream, ReadingOptions, Recording
 from posetrack_cli.recording.stamps import VideoStamps, stamp_at_rate, stamps_at_rate
@@ -29,6 +30,7 @@ from posetrack_cli.recording.video_file import (
     OpenVideo,
     is_video,
     opened_video,
+    orientation_of_frame,
     shown_image,
 )
 from posetrack_cli.units import NS_PER_S
@@ -52,11 +54,12 @@ def open_video(path: Path, options: ReadingOptions) -> Recording:
     file = options.get("camera_file") or _beside(path)
     rig = _one_camera(found_rig(path, file, [""], options.get("guess")), options.get("cameras"))
     (name,) = rig.cameras
-    video = VideoImages(path, fps, opened_video, shown_image, partial(_pixels, path, options))
+    shown, remarks = _shown(path, rig)
+    video = VideoImages(path, fps, opened_video, shown, partial(_pixels, path, options))
     if fps is not None:
         stamps_at_rate(0, fps)  # refuses what is no rate
     window = rig.window(name, options.get("mirror"))
-    sizes = {name: (video.pixels.width, video.pixels.height)}
+    sizes = {name: video.picture}
     (stored,) = rig.stored_cameras(sizes)
     stream = CameraStream(window.camera(stored), video.pixels, partial(video.images, window))
 
@@ -78,11 +81,24 @@ def open_video(path: Path, options: ReadingOptions) -> Recording:
         frame_count=video.count,
         is_guessed=rig.is_guessed,
         why=[GUESSED if rig.is_guessed else rig.path.name],
-        remarks=rig.remarks(sizes),
+        remarks=remarks + rig.remarks(sizes),
     )
 
 
 P = TypeVar("P", Depth, Grey)
+
+
+def _shown(path: Path, rig: Rig) -> tuple[Callable[[VideoFrame], ImageArray], tuple[str, ...]]:
+    """Return what makes images of a video's frames, and a remark where these have other pixels than stored.
+
+    A guessed camera has square pixels; a camera file is of the pixels that are stored.
+    """
+    with opened_video(path) as video:
+        aspect = video.pixel_aspect if rig.is_guessed else 1.0
+    if aspect == 1.0:
+        return shown_image, ()
+    remark = f"pixels are {aspect:.4g} times as wide as high: pictures are resampled to square ones"
+    return partial(shown_image, pixel_aspect=aspect), (remark,)
 
 
 class VideoImages(Generic[P]):
@@ -97,6 +113,7 @@ class VideoImages(Generic[P]):
 
     Attributes:
         count: the number of frames that it tells, None if it does not.
+        picture: what its frames are like as they are shown.
         pixels: what its frames hold.
     """
 
@@ -111,7 +128,9 @@ class VideoImages(Generic[P]):
         self._path, self._fps, self._opened, self._stored = path, fps, opened, stored
         with opened(path) as video:
             self.count, rate = video.frame_count, video.rate_hz
-            self.pixels: P = pixels_of(stored(_first_frame(video, path)))
+            first = _first_frame(video, path)
+            self.pixels: P = pixels_of(stored(first))
+        self.picture = Picture(self.pixels.width, self.pixels.height, orientation_of_frame(first))
         self._period_ns = NS_PER_S / rate if rate > 0 else 0.0  # 0 if it tells no rate
 
     def images(self, window: Window, losses: LossLog) -> Iterator[StoredImage | None]:
@@ -156,7 +175,7 @@ class VideoImages(Generic[P]):
         return index if is_full else self.count
 
     def _decoded(self, image: ImageArray, index: int, window: Window) -> ImageArray:
-        return window.apply(self.pixels.from_stored(image, f"{self._path}, frame {index}"))
+        return window.apply(self.pixels.from_stored(image))
 
 
 def _pixels(path: Path, options: ReadingOptions, first: ImageArray) -> Grey:

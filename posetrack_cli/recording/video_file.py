@@ -7,21 +7,23 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, TYPE_CHECKING
+from typing import IO, TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
 
 from posetrack_cli import limits
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.files import open_input
+from posetrack_cli.recording.orientation import UPRIGHT, Orientation, orientation_of_matrix
 
 if TYPE_CHECKING:
     from av.container import InputContainer
     from av.video.frame import VideoFrame
     from av.video.stream import VideoStream
 
-SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv")
+SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv", ".gif")
 BEGIN_BYTES = 189
 MATROSKA = b"\x1a\x45\xdf\xa3"
 CONTAINERS = (
@@ -36,19 +38,22 @@ CONTAINERS = (
             b"\x30\x26\xb2\x75",  # ASF, of .wmv
             b"OggS",
             b"FLV\x01",
+            b"GIF8",
         ),
     ),
     (188, (b"G",)),  # MPEG transport stream: its second packet, as its first byte is no sign
 )
 """How videos begin: from this byte on, one of these."""
-FORMATS = "mov,mp4,m4a,3gp,3g2,mj2,avi,matroska,webm,mpeg,mpegvideo,mpegts,asf,ogg,flv"
+FORMATS = "mov,mp4,m4a,3gp,3g2,mj2,avi,matroska,webm,mpeg,mpegvideo,mpegts,asf,ogg,flv,gif"
 """What FFmpeg may take a file for."""
 OPTIONS = {"format_whitelist": FORMATS, "protocol_whitelist": "none"}
 """It is handed an open file, so that a protocol would only be for what the file refers to."""
 SENSOR_FORMAT = "gray16be"
 DEPTH_TITLE, INFRARED_TITLE = "DEPTH", "IR"
 """Of the streams of an Azure Kinect, whose codec Matroska calls b16g."""
-QUARTER_TURN = 90
+DISPLAY_MATRIX = "DISPLAYMATRIX"
+MOST_ASPECT = 8.0
+"""Of pixels: anamorphic film has 2."""
 MICROSECONDS = 1_000_000
 """FFmpeg's unit of durations."""
 FFMPEG_LOGGER = "libav"
@@ -93,6 +98,12 @@ class OpenVideo:
     def rate_hz(self) -> float:
         """The rate that it states; 0 if it does not."""
         return float(self.stream.average_rate or self.stream.guessed_rate or 0)
+
+    @property
+    def pixel_aspect(self) -> float:
+        """Width over height of a pixel; 1 if it does not state it."""
+        aspect = float(self.stream.sample_aspect_ratio or 1)
+        return aspect if 1.0 / MOST_ASPECT <= aspect <= MOST_ASPECT else 1.0
 
     @property
     def frame_count(self) -> int | None:
@@ -178,11 +189,26 @@ def opened_stream(container: InputContainer, stream: VideoStream | None, path: P
     return OpenVideo(container, stream)
 
 
-def shown_image(frame: VideoFrame) -> ImageArray:
-    """Return a frame (height, width, 3), blue green red, turned as the container says that it is shown."""
-    image = frame.to_ndarray(format="bgr24")
-    quarters, rest = divmod(frame.rotation, QUARTER_TURN)
-    return image if rest or not quarters % 4 else np.ascontiguousarray(np.rot90(image, quarters))
+def shown_image(frame: VideoFrame, pixel_aspect: float = 1.0) -> ImageArray:
+    """Return a frame (height, width, 3), blue green red, turned and mirrored as the container states.
+
+    Args:
+        frame: of the video.
+        pixel_aspect: width over height of a stored pixel; of others than square ones as many more are made.
+    """
+    image: ImageArray = frame.to_ndarray(format="bgr24")
+    if pixel_aspect != 1.0:
+        height, width = image.shape[:2]
+        size = (max(round(width * pixel_aspect), width), max(round(height / pixel_aspect), height))
+        image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_LINEAR))
+    return orientation_of_frame(frame).apply(image)
+
+
+def orientation_of_frame(frame: VideoFrame) -> Orientation:
+    """Return how a frame is shown, by its display matrix."""
+    sides: Any = frame.side_data  # declared to be strings
+    matrix = next((side for side in sides if side.type.name == DISPLAY_MATRIX), None)
+    return UPRIGHT if matrix is None else orientation_of_matrix(bytes(matrix))
 
 
 def is_video(path: Path) -> bool:

@@ -23,11 +23,12 @@ from posetrack_cli.recording.camera_of import (
     at_size,
     camera_of_message,
     is_rectified,
+    is_same,
     namespace_of,
     principal_point_fault,
     reprojected_to,
 )
-from posetrack_cli.recording.changing_camera import Resampling, is_same, with_calibration
+from posetrack_cli.recording.changing_camera import Resampling, with_calibration
 from posetrack_cli.recording.guess import Guess
 from posetrack_cli.recording.opening import describe, open_recording
 

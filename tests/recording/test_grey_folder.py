@@ -238,17 +238,6 @@ def test_a_cut_jpeg_is_not_filled_up_with_grey(tmp_path: Path) -> None:
     assert [frame.index for frame in recording.frames()] == [0, 2]
 
 
-def test_orientation_tags_do_not_turn_images(tmp_path: Path) -> None:
-    data = cv2.imencode(".jpg", LEFT[0])[1].tobytes()
-    exif = b"Exif\0\0II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x06\0\0\0\0\0\0\0"
-    (tmp_path / "a.jpg").write_bytes(
-        data[:2] + b"\xff\xe1" + (len(exif) + 2).to_bytes(2, "big") + exif + data[2:]
-    )
-    (tmp_path / "camera.toml").write_text("fx = 40.0\nfy = 41.0\ncx = 15.0\ncy = 12.0\n")
-    (frame,) = open_recording(tmp_path, "grey", fps=30).frames()
-    assert frame.images[0].shape == (support.HEIGHT, support.WIDTH)
-
-
 def test_an_image_of_another_size_is_left_out_and_counted(stereo: Path) -> None:
     (stereo / "left" / "000002.png").write_bytes(cv2.imencode(".png", LEFT[0][:10])[1].tobytes())
     recording = open_recording(stereo, "grey")

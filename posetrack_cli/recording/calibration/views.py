@@ -11,7 +11,7 @@ from posetrack_cli.errors import RecordingError, nearest_name
 from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.base import UnreadableImageError
 from posetrack_cli.recording.calibration.boards import Board, BoardFinder, FoundBoard
-from posetrack_cli.recording.grey import Grey, decode_as_stored, grey_like
+from posetrack_cli.recording.grey import Grey, decode_shown, grey_like
 from posetrack_cli.recording.image_files import ImageFile, read_image
 from posetrack_cli.recording.image_folders import CameraFolders, Instants, find_folders
 
@@ -117,10 +117,10 @@ class _Camera:
 
     def _found(self, image: ImageFile) -> FoundBoard | None:
         try:
-            stored = decode_as_stored(read_image(image))
+            shown = decode_shown(read_image(image))
             if self._pixels is None:
-                self._pixels = grey_like(stored, image)
-            grey = self._pixels.from_stored(stored, image)
+                self._pixels = grey_like(shown, image)
+            grey = self._pixels.from_stored(shown)
         except UnreadableImageError as error:
             self._losses.add(f"image skipped, {error}", str(image))
             return None

@@ -1,0 +1,226 @@
+"""How a stored picture is shown: one of the eight turns and reflections of EXIF and of videos' containers."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from posetrack_cli.arrays import ImageArray
+from posetrack_cli.errors import PosetrackError
+from posetrack_cli.geometry.camera import Camera
+
+EXIF_TAG = 274
+EXIF_BEGIN = b"Exif\0\0"
+JPEG_BEGIN, JPEG_MARKERS_WITHOUT_SIZE = b"\xff\xd8", (0x01, *range(0xD0, 0xD8))
+JPEG_APP1, JPEG_SCAN = 0xE1, 0xDA
+PNG_BEGIN, PNG_EXIF = b"\x89PNG\r\n\x1a\n", b"eXIf"
+RIFF_BEGIN, WEBP_EXIF = b"RIFF", b"EXIF"
+MOST_ENTRIES = 512
+"""Of a directory of EXIF, segments of a JPEG and chunks of a PNG or WebP that are looked at."""
+TRANSPOSED_COEFFICIENTS = (0, 1, 3, 2, 4, 5, 6, 7, 10, 11, 8, 9)
+"""Where a polynomial lens's coefficients come from if x and y are exchanged: p1 and p2, s1 s2 and s3 s4."""
+SIGNED_IN_X, SIGNED_IN_Y = (3, 8, 9, 13), (2, 10, 11, 12)
+"""Coefficients that change their sign in a reflection of x or of y; the last are the sensor's tilt."""
+TILT = slice(12, 14)
+
+
+class Orientation(NamedTuple):
+    """What is done with a stored picture to show it: transpose, then flip left to right, then upside down.
+
+    Attributes:
+        transposed, flipped_x, flipped_y: whether each is done.
+    """
+
+    transposed: bool = False
+    flipped_x: bool = False
+    flipped_y: bool = False
+
+    @property
+    def words(self) -> str:
+        """For people: ``turned 90 degrees clockwise``, ``mirrored``..."""
+        return WORDS[self]
+
+    def apply(self, image: ImageArray) -> ImageArray:
+        """Return a stored picture (height, width, ...) as it is shown, contiguous."""
+        if self == UPRIGHT:
+            return image
+        shown = image.swapaxes(0, 1) if self.transposed else image
+        shown = shown[:, ::-1] if self.flipped_x else shown
+        return np.ascontiguousarray(shown[::-1] if self.flipped_y else shown)
+
+    def stored_size(self, width: int, height: int) -> tuple[int, int]:
+        """Return width and height of the stored picture of a shown one, or the other way round."""
+        return (height, width) if self.transposed else (width, height)
+
+    def camera(self, stored: Camera) -> Camera:
+        """Return the camera of the shown picture.
+
+        A turn takes the camera's axes with it. A reflection does not: what is shown is taken for the scene.
+
+        Raises:
+            PosetrackError: the lens has a tilted sensor.
+        """
+        if self == UPRIGHT:
+            return stored
+        if any(stored.distortion[TILT]):
+            raise PosetrackError("a picture of a tilted sensor is not turned", where=stored.name)
+        camera = _transposed(stored) if self.transposed else stored
+        if self.flipped_x:
+            camera = replace(camera, cx=camera.width - 1 - camera.cx, distortion=_signed(camera, SIGNED_IN_X))
+        if self.flipped_y:
+            camera = replace(
+                camera, cy=camera.height - 1 - camera.cy, distortion=_signed(camera, SIGNED_IN_Y)
+            )
+        rows = np.array(camera.camera_T_reference)
+        if not self._is_reflection:
+            rows = self._turn @ rows
+        return replace(camera, camera_T_reference=tuple(tuple(float(v) + 0.0 for v in row) for row in rows))
+
+    @property
+    def _is_reflection(self) -> bool:
+        return (self.transposed + self.flipped_x + self.flipped_y) % 2 == 1
+
+    @property
+    def _turn(self) -> ImageArray:
+        """The (3, 3) matrix from the axes of the stored picture's camera to those of the shown one's."""
+        turn = np.eye(3)
+        if self.transposed:
+            turn = turn[[1, 0, 2]]
+        return np.diag([-1.0 if self.flipped_x else 1.0, -1.0 if self.flipped_y else 1.0, 1.0]) @ turn
+
+
+UPRIGHT = Orientation()
+
+
+class Picture(NamedTuple):
+    """What a camera's pictures are like as they are shown.
+
+    Attributes:
+        width, height: pixels.
+        orientation: how the stored picture is shown so.
+    """
+
+    width: int
+    height: int
+    orientation: Orientation = UPRIGHT
+
+
+WORDS = {
+    UPRIGHT: "as it is stored",
+    Orientation(False, True, False): "mirrored",
+    Orientation(False, True, True): "turned by 180 degrees",
+    Orientation(False, False, True): "mirrored and turned by 180 degrees",
+    Orientation(True, False, False): "mirrored and turned 90 degrees counterclockwise",
+    Orientation(True, True, False): "turned 90 degrees clockwise",
+    Orientation(True, True, True): "mirrored and turned 90 degrees clockwise",
+    Orientation(True, False, True): "turned 90 degrees counterclockwise",
+}
+"""In the order of EXIF's numbers, 1 to 8."""
+OF_EXIF = dict(enumerate(WORDS, 1))
+
+
+def orientation_of_file(data: bytes) -> Orientation:
+    """Return the orientation in the EXIF of a JPEG, PNG or WebP file; that of TIFF its decoder applies."""
+    exif = _exif(data)
+    return OF_EXIF.get(_stated(exif), UPRIGHT) if exif else UPRIGHT
+
+
+def orientation_of_matrix(data: bytes) -> Orientation:
+    """Return the orientation of a display matrix: nine 32-bit numbers, row by row, of [x y 1] M.
+
+    A matrix that turns by other than quarters is that of an upright picture.
+    """
+    if len(data) < 36:
+        return UPRIGHT
+    a, b, _, c, d, *_ = struct.unpack("<9i", data[:36])
+    if not (a or d) and b and c:
+        return Orientation(True, c < 0, b < 0)
+    return Orientation(False, a < 0, d < 0) if not (b or c) else UPRIGHT
+
+
+def _transposed(camera: Camera) -> Camera:
+    d = camera.distortion
+    is_polynomial = camera.distortion_model != "equidistant"
+    order = [k for k in TRANSPOSED_COEFFICIENTS if k < len(d)]
+    return replace(
+        camera,
+        width=camera.height,
+        height=camera.width,
+        fx=camera.fy,
+        fy=camera.fx,
+        cx=camera.cy,
+        cy=camera.cx,
+        distortion=(*(d[k] for k in order), *d[TILT]) if is_polynomial else d,
+    )
+
+
+def _signed(camera: Camera, places: tuple[int, ...]) -> tuple[float, ...]:
+    if camera.distortion_model == "equidistant":
+        return camera.distortion
+    return tuple(-value if k in places else value for k, value in enumerate(camera.distortion))
+
+
+def _exif(data: bytes) -> bytes:
+    """Return the EXIF block of a file, from its TIFF header on; empty for none."""
+    if data.startswith(JPEG_BEGIN):
+        return _jpeg_exif(data)
+    if data.startswith(PNG_BEGIN):
+        return _chunk(data, len(PNG_BEGIN), ">I4s", PNG_EXIF, 4, 1)
+    if data.startswith(RIFF_BEGIN):
+        return _chunk(data, 12, "<4sI", WEBP_EXIF, 0, 2).removeprefix(EXIF_BEGIN)
+    return b""
+
+
+def _jpeg_exif(data: bytes) -> bytes:
+    at = len(JPEG_BEGIN)
+    for _ in range(MOST_ENTRIES):
+        if at + 4 > len(data) or data[at] != 0xFF:
+            return b""
+        marker = data[at + 1]
+        if marker == 0xFF or marker in JPEG_MARKERS_WITHOUT_SIZE:
+            at += 1 if marker == 0xFF else 2
+            continue
+        size = int.from_bytes(data[at + 2 : at + 4], "big")
+        content = data[at + 4 : at + 2 + size]
+        if marker == JPEG_SCAN or size < 2:
+            return b""
+        if marker == JPEG_APP1 and content.startswith(EXIF_BEGIN):
+            return content.removeprefix(EXIF_BEGIN)
+        at += 2 + size
+    return b""
+
+
+def _chunk(data: bytes, at: int, head: str, wanted: bytes, checksum: int, even: int) -> bytes:
+    """Return the content of a chunk of a PNG or RIFF file; its head is length and type in either order."""
+    for _ in range(MOST_ENTRIES):
+        if at + 8 > len(data):
+            break
+        first, second = struct.unpack_from(head, data, at)
+        length, kind = (first, second) if isinstance(first, int) else (second, first)
+        if kind == wanted:
+            return data[at + 8 : at + 8 + length]
+        at += 8 + length + checksum
+        at += -at % even
+    return b""
+
+
+def _stated(exif: bytes) -> int:
+    """Return the orientation's number in the first directory of EXIF (TIFF 6.0, section 2); 1 for none."""
+    order = {b"II": "<", b"MM": ">"}.get(exif[:2])
+    if order is None or len(exif) < 8:
+        return 1
+    (start,) = struct.unpack_from(f"{order}I", exif, 4)
+    if start + 2 > len(exif):
+        return 1
+    (count,) = struct.unpack_from(f"{order}H", exif, start)
+    for k in range(min(count, MOST_ENTRIES)):
+        at = start + 2 + 12 * k
+        if at + 12 > len(exif):
+            break
+        tag, kind, _, value = struct.unpack_from(f"{order}HHIH", exif, at)
+        if tag == EXIF_TAG and kind == 3:
+            return int(value)
+    return 1
