@@ -16,7 +16,8 @@ RAW_IMAGE = "image"
 COMPRESSED_IMAGE = "compressed image"
 CALIBRATION = "calibration"
 DISPARITY_IMAGE = "disparity image"
-IMAGES = (RAW_IMAGE, COMPRESSED_IMAGE, DISPARITY_IMAGE)
+VIDEO_IMAGE = "video picture"
+IMAGES = (RAW_IMAGE, COMPRESSED_IMAGE, DISPARITY_IMAGE, VIDEO_IMAGE)
 
 KINDS = {
     "foxglove.RawImage": RAW_IMAGE,
@@ -25,6 +26,8 @@ KINDS = {
     "foxglove.CompressedImage": COMPRESSED_IMAGE,
     "sensor_msgs/CompressedImage": COMPRESSED_IMAGE,
     "sensor_msgs/msg/CompressedImage": COMPRESSED_IMAGE,
+    "foxglove.CompressedVideo": VIDEO_IMAGE,
+    "foxglove_msgs/msg/CompressedVideo": VIDEO_IMAGE,
     "stereo_msgs/DisparityImage": DISPARITY_IMAGE,
     "stereo_msgs/msg/DisparityImage": DISPARITY_IMAGE,
     "foxglove.CameraCalibration": CALIBRATION,
@@ -102,7 +105,10 @@ def own_stamp_of(decoded: Any) -> int:
     """Return the stamp that an image or calibration carries itself, ns; 0 for none."""
     header = getattr(decoded, "header", None)
     if header is None:
-        return int(decoded.timestamp.seconds * NS_PER_S + decoded.timestamp.nanos)
+        stamp = decoded.timestamp
+        if hasattr(stamp, "nanosec"):  # of a ROS message without a header
+            return int(stamp.sec * NS_PER_S + stamp.nanosec)
+        return int(stamp.seconds * NS_PER_S + stamp.nanos)
     return int(header.stamp.sec * NS_PER_S + header.stamp.nanosec)
 
 

@@ -60,6 +60,7 @@ DEFINITIONS: Mapping[Dialect, Mapping[str, str]] = {
         + "float64[] d\nfloat64[9] k\nfloat64[9] r\nfloat64[12] p"
         + _PART_OF_SENSOR,
         "RegionOfInterest": _REGION,
+        "CompressedVideo": "Time timestamp\nstring frame_id\nuint8[] data\nstring format",
         **_IMAGES,
         **_GEOMETRY,
         **_VALUES,

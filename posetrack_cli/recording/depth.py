@@ -11,7 +11,7 @@ import numpy as np
 from posetrack_cli import limits
 from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray
 from posetrack_cli.errors import RecordingError
-from posetrack_cli.mcap.decoding import COMPRESSED_IMAGE, DISPARITY_IMAGE, RAW_IMAGE
+from posetrack_cli.mcap.decoding import COMPRESSED_IMAGE, DISPARITY_IMAGE, RAW_IMAGE, VIDEO_IMAGE
 from posetrack_cli.recording.base import UnreadableImageError
 from posetrack_cli.recording.image_files import PNG_SIGNATURE, PNG_SIZE_AT, decode_codes
 from posetrack_cli.recording.pixels import check_size, raw_values
@@ -112,6 +112,8 @@ def describe_image(decoded: Any, kind: str) -> ImageDescription:
     if kind == RAW_IMAGE:
         encoding = str(decoded.encoding)
         return ImageDescription(encoding, int(decoded.width), int(decoded.height), RAW_DEPTH.get(encoding))
+    if kind == VIDEO_IMAGE:
+        return ImageDescription(f"{decoded.format} video", 0, 0, None)
     if kind == DISPARITY_IMAGE:
         image = decoded.image
         depth: DepthEncoding | None = "32FC1" if str(image.encoding) == "32FC1" else None

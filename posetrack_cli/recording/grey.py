@@ -11,9 +11,10 @@ import numpy as np
 
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError
-from posetrack_cli.mcap.decoding import COMPRESSED_IMAGE, RAW_IMAGE
+from posetrack_cli.mcap.decoding import COMPRESSED_IMAGE, RAW_IMAGE, VIDEO_IMAGE
 from posetrack_cli.recording.base import UnreadableImageError
 from posetrack_cli.recording.image_files import JPEG_BEGIN, PNG_SIGNATURE, WEBP_BEGIN, decode_any
+from posetrack_cli.recording.message_video import is_video_format
 from posetrack_cli.recording.orientation import UPRIGHT, Orientation, orientation_of_file
 from posetrack_cli.recording.pixels import check_size, raw_values
 
@@ -188,6 +189,8 @@ def holds_grey(decoded: Any, kind: str | None) -> bool:
     """Whether an image message can be made grey, as far as its head tells."""
     if kind == RAW_IMAGE:
         return str(decoded.encoding) in RAW_GREY
+    if kind == VIDEO_IMAGE:
+        return is_video_format(str(decoded.format))
     return kind == COMPRESSED_IMAGE and bytes(decoded.data).startswith(
         (PNG_SIGNATURE, JPEG_BEGIN, WEBP_BEGIN)
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -15,7 +15,7 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import PosetrackError, RecordingError, UsageError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.rigid import placed, relative_to, rotation_from_rows
-from posetrack_cli.mcap.decoding import MessageDecoder, UndecodableMessageError, frame_id_of
+from posetrack_cli.mcap.decoding import VIDEO_IMAGE, MessageDecoder, UndecodableMessageError, frame_id_of
 from posetrack_cli.recording.base import TRUTH_PREFIX, NotCalibratedError, UnreadableImageError
 from posetrack_cli.recording.camera_file import Rig, check_apart
 from posetrack_cli.recording.camera_of import (
@@ -27,10 +27,11 @@ from posetrack_cli.recording.camera_of import (
     is_same_frame,
 )
 from posetrack_cli.recording.depth import DISPARITY
-from posetrack_cli.recording.grey import Grey, grey_like_message, holds_grey
+from posetrack_cli.recording.grey import Grey, grey_like, grey_like_message, holds_grey
 from posetrack_cli.recording.message_calibration import choose_calibration
 from posetrack_cli.recording.message_extrinsics import camera_places, is_placed, place_of_calibration
 from posetrack_cli.recording.message_topics import TRIES, FileTopics, Topic
+from posetrack_cli.recording.message_video import first_picture
 from posetrack_cli.recording.pixels import Pixels
 
 COMPRESSED = "/compressed"
@@ -80,8 +81,8 @@ def find_sources(topics: FileTopics, wanted: Sequence[str] | None = None) -> lis
     images = [topic for topic in images if not topic.name.startswith(TRUTH_PREFIX)]
     grey = [topic for topic in images if holds_grey(topic.first, topic.kind)]
     if wanted is not None:
-        return [_asked_for(topics.path, name, grey) for name in wanted]
-    sources = [_source(topic) for topic in sorted(grey, key=_order)]
+        return [_asked_for(topics, name, grey) for name in wanted]
+    sources = [_source(topics, topic) for topic in sorted(grey, key=_order)]
     eight = [source for source in sources if source.pixels.bits == 8] or sources
     names = {source.topic.name for source in eight}
     kept = [s for s in eight if s.topic.name.removesuffix(COMPRESSED) not in names - {s.topic.name}]
@@ -243,14 +244,14 @@ def _place(calibration: Topic, source: GreyTopic) -> FloatArray | None:
     return place_of_calibration(calibration.first, rectified=is_rectified(topic.name, topic.frame_id))
 
 
-def _asked_for(path: Path, name: str, grey: Sequence[Topic]) -> GreyTopic:
+def _asked_for(topics: FileTopics, name: str, grey: Sequence[Topic]) -> GreyTopic:
     exact = [topic for topic in grey if topic.name == name]
     fitting = exact or [topic for topic in grey if _is_called(topic, name)]
     if len(fitting) == 1:
-        return replace(_source(fitting[0]), name=fitting[0].frame_id if exact else name)
+        return replace(_source(topics, fitting[0]), name=fitting[0].frame_id if exact else name)
     raise (UsageError if fitting else RecordingError)(
         f"{'several topics' if fitting else 'no topic'} of camera '{name}'",
-        where=path,
+        where=topics.path,
         found=", ".join(topic.label for topic in fitting or grey) or "no topic with grey or colour images",
         hint="name topics with --cameras TOPIC,TOPIC",
     )
@@ -260,12 +261,30 @@ def _is_called(topic: Topic, name: str) -> bool:
     return name in (topic.name, topic.frame_id, *topic.name.split("/"))
 
 
-def _source(topic: Topic) -> GreyTopic:
+def _source(topics: FileTopics, topic: Topic) -> GreyTopic:
     try:
-        pixels = grey_like_message(topic.first, str(topic.kind), topic.name)
+        if topic.kind == VIDEO_IMAGE:
+            pixels = _first_of_video(topics, topic)
+        else:
+            pixels = grey_like_message(topic.first, str(topic.kind), topic.name)
     except UnreadableImageError as error:
         raise RecordingError(f"first image cannot be used, {error}", where=topic.name) from error
     return CameraTopic(topic, topic.frame_id, pixels)
+
+
+def _first_of_video(topics: FileTopics, topic: Topic) -> Grey:
+    """Return what a topic of video holds, by its first picture, which may come after some messages."""
+    decoder = MessageDecoder()
+
+    def messages() -> Iterator[Any]:
+        for item in topics.file.messages([topic.name]):
+            with suppress(UndecodableMessageError):
+                yield decoder.decode(*item)
+
+    picture = first_picture(messages())
+    if picture is None:
+        raise UnreadableImageError("no picture can be decoded")
+    return grey_like(picture, topic.name)
 
 
 def _order(topic: Topic) -> tuple[int, str]:

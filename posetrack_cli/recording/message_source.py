@@ -14,6 +14,8 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.bags.message_file import MessageFile, message_file, required_container
 from posetrack_cli.bags.ros2_folder import parts_of
@@ -22,6 +24,7 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.losses import LossLog
 from posetrack_cli.mcap.decoding import (
     DISPARITY_IMAGE,
+    VIDEO_IMAGE,
     MessageDecoder,
     UndecodableMessageError,
     frame_id_of,
@@ -73,6 +76,7 @@ from posetrack_cli.recording.message_cameras import (
     sources_of_rig,
 )
 from posetrack_cli.recording.message_topics import FileTopics, Topic, scan_topics
+from posetrack_cli.recording.message_video import decoded_video
 from posetrack_cli.recording.pixels import Pixels, Window
 from posetrack_cli.recording.realsense import depth_unit_mm
 from posetrack_cli.recording.recording import CameraStream, ReadingOptions, Recording, no_truth, tolerance_ns
@@ -370,7 +374,7 @@ class _TopicImages:
     ) -> Iterator[Timed[StoredImage | None]]:
         """Yield the images with their times; None for one that cannot be used and keeps its place."""
         current = CurrentCamera(stored, self._camera_by)
-        for number, (image, calibration) in enumerate(with_calibration(self._messages(file))):
+        for number, (image, calibration) in enumerate(self._pictures(file)):
             at = f"at {image.log_time} ns"
             where = f"frame {number} {at}" if self.source.pixels.is_numbered_as_stored else at
             usable: StoredImage | None = None
@@ -387,8 +391,23 @@ class _TopicImages:
                 losses.note(f"{self.calibration} changes: images are resampled to its first camera")
             yield Timed(usable, image.own_ns if usable is not None else -1, image.log_time)
 
+    def _pictures(self, file: MessageFile) -> Iterator[tuple[_Decoded, Any]]:
+        """Yield images with their calibrations; of video decoded, in order."""
+        pairs = with_calibration(self._messages(file))
+        if self.source.topic.kind != VIDEO_IMAGE:
+            yield from pairs
+            return
+        own = (((image, other), None if self._fault(image) else image.decoded) for image, other in pairs)
+        for (image, calibration), picture in decoded_video(own):
+            if not self._fault(image):
+                lacking = UndecodableMessageError("video picture cannot be decoded")
+                image = image._replace(decoded=lacking if picture is None else picture)
+            yield image, calibration
+
     def _fault(self, image: _Decoded) -> str:
         """Return why an image cannot be used; empty if it can."""
+        if isinstance(image.decoded, np.ndarray):
+            return ""
         if isinstance(image.decoded, UndecodableMessageError):
             return f"message skipped, {image.decoded}"
         frame, own = frame_id_of(image.decoded), self.source.topic.frame_id
@@ -424,16 +443,20 @@ class _TopicImages:
         where = f"{self.source.topic.name} at {stamp} ns"
 
         def decode() -> ImageArray:
-            values = pixels.from_message(image.decoded, kind, f"{self.path}, {where}")
+            if isinstance(image.decoded, np.ndarray):
+                values = pixels.from_stored(image.decoded)
+            else:
+                values = pixels.from_message(image.decoded, kind, f"{self.path}, {where}")
             return self.window.apply(values if resampling is None else resampling.apply(values))
 
         is_kept = self.window.keeps_pixels and resampling is None
+        is_kept = is_kept and kind != VIDEO_IMAGE
         png = partial(pixels.png_of_message, image.decoded, kind) if is_kept else no_png
         return StoredImage(stamp, where, decode, png)
 
 
 class _Decoded(NamedTuple):
-    """An image message, or why it does not decode, and its times."""
+    """An image message, or its picture if it is of a video, or why it does not decode; and its times."""
 
     decoded: Any
     own_ns: int

@@ -40,6 +40,9 @@ class Pixels(Protocol):
     def from_file(self, data: bytes, where: object) -> ImageArray:
         """Return the (height, width) pixels of an image file."""
 
+    def from_stored(self, image: ImageArray) -> ImageArray:
+        """Return the (height, width) pixels of an image as it is stored, decoded."""
+
     def from_message(self, decoded: Any, kind: str, where: str) -> ImageArray:
         """Return the (height, width) pixels of a message of kind RAW_IMAGE or COMPRESSED_IMAGE."""
 

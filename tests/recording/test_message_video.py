@@ -1,0 +1,127 @@
+"""Video in messages: every picture belongs to its message, wherever one begins or what is damaged."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import pytest
+
+from posetrack_cli.mcap.sink import McapSink
+from posetrack_cli.recording.guess import Guess
+from posetrack_cli.recording.message_video import decoded_video
+from posetrack_cli.recording.opening import describe, open_recording
+
+COUNT, START_NS, PERIOD_NS = 12, 1_700_000_000_000_000_000, 33_000_000
+GREY_LEVELS = 12.0
+"""What compression changes on average at most."""
+KEYFRAMES = 5
+
+
+def pictures() -> list[np.ndarray]:
+    """A bar that moves by eight pixels each frame (48, 128)."""
+    images = []
+    for k in range(COUNT):
+        image = np.full((48, 128), 60, np.uint8)
+        image[:, 8 * k : 8 * k + 16] = 220
+        images.append(image)
+    return images
+
+
+def encoded(codec: str, options: dict[str, str]) -> list[bytes]:
+    """One packet a picture, without B-frames, a keyframe every five."""
+    encoder = av.CodecContext.create(codec, "w")
+    encoder.width, encoder.height, encoder.pix_fmt = 128, 48, "yuv420p"
+    encoder.time_base, encoder.framerate = Fraction(1, 30), Fraction(30, 1)
+    encoder.gop_size, encoder.max_b_frames, encoder.options = KEYFRAMES, 0, options
+    found = []
+    for number, image in enumerate(pictures()):
+        frame = av.VideoFrame.from_ndarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), format="bgr24")
+        frame.pts = number
+        found += [bytes(packet) for packet in encoder.encode(frame.reformat(format="yuv420p"))]
+    found += [bytes(packet) for packet in encoder.encode(None)]
+    assert len(found) == COUNT
+    return found
+
+
+CODECS = {
+    "h264": ("libx264", {"tune": "zerolatency", "x264-params": "repeat-headers=1:annexb=1"}),
+    "h265": ("libx265", {"tune": "zerolatency", "x265-params": "repeat-headers=1:log-level=none"}),
+}
+
+
+@pytest.fixture(params=CODECS, scope="module")
+def stream(request: pytest.FixtureRequest) -> tuple[str, list[bytes]]:
+    return request.param, encoded(*CODECS[request.param])
+
+
+def write(path: Path, name: str, data: list[bytes]) -> Path:
+    from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
+
+    with McapSink(path, compression="zstd") as sink:
+        channel = sink.channel("/camera/video", CompressedVideo)
+        for number, content in enumerate(data):
+            message = CompressedVideo(frame_id="camera", format=name, data=content)
+            message.timestamp.FromNanoseconds(START_NS + number * PERIOD_NS)
+            sink.write(channel, START_NS + number * PERIOD_NS, message.SerializeToString())
+        sink.finish()
+    return path
+
+
+def errors(path: Path, **options: int) -> dict[int, float]:
+    """Mean difference of each frame from the picture of its number."""
+    recording = open_recording(path, "grey", guess=Guess())
+    found = {}
+    for frame in recording.frames(**options):
+        (image,) = frame.images
+        assert image is not None and image.shape == (48, 128)
+        number = (frame.stamp_ns - START_NS) // PERIOD_NS
+        found[number] = float(np.abs(image.astype(int) - pictures()[number]).mean())
+    return found
+
+
+def test_each_message_is_its_picture(tmp_path: Path, stream: tuple[str, list[bytes]]) -> None:
+    path = write(tmp_path / "v.mcap", *stream)
+    found = errors(path)
+    assert list(found) == list(range(COUNT)) and max(found.values()) < GREY_LEVELS
+    assert list(errors(path, start=7, stride=2)) == [7, 9, 11], "what is before is decoded all the same"
+    assert max(errors(path, start=7, stride=2).values()) < GREY_LEVELS
+    (topic,) = describe(path)["topics"]
+    assert topic["encoding"] == f"{stream[0]} video"
+
+
+def test_a_recording_that_begins_between_keyframes(tmp_path: Path, stream: tuple[str, list[bytes]]) -> None:
+    name, data = stream
+    recording = open_recording(write(tmp_path / "v.mcap", name, data[2:]), "grey", guess=Guess())
+    frames = [frame for frame in recording.frames() if frame.images[0] is not None]
+    numbers = [(frame.stamp_ns - START_NS) // PERIOD_NS + 2 for frame in frames]
+    assert numbers == list(range(KEYFRAMES, COUNT))
+    assert recording.losses[0].what == "message skipped, video picture cannot be decoded"
+
+
+def test_damage_costs_pictures_and_no_order(tmp_path: Path, stream: tuple[str, list[bytes]]) -> None:
+    name, data = stream
+    damaged = [*data[:6], b"\0\0\0\1" + bytes(40), *data[7:]]
+    found = errors(write(tmp_path / "v.mcap", name, damaged))
+    after = [number for number in found if number >= 2 * KEYFRAMES]
+    assert after == [10, 11] and max(found[number] for number in after) < GREY_LEVELS
+
+
+def test_formats_that_are_not_read_are_no_images(tmp_path: Path) -> None:
+    path = write(tmp_path / "v.mcap", "prores", [b"x"] * 3)
+    with pytest.raises(Exception, match="no topic holds grey or colour images, found /camera/video"):
+        open_recording(path, "grey", guess=Guess())
+
+
+def test_messages_without_any_picture_do_not_pile_up(stream: tuple[str, list[bytes]]) -> None:
+    class Message:
+        format, data = stream[0], b"no packet"
+
+    taken = 0
+    for _, picture in decoded_video((k, Message()) for k in range(1000)):
+        assert picture is None
+        taken += 1
+    assert taken == 1000
