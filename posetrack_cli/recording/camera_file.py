@@ -40,6 +40,8 @@ from posetrack_cli.recording.orientation import UPRIGHT, Orientation, Picture
 from posetrack_cli.recording.pixels import Window
 from posetrack_cli.text import one_line, parse_toml, printable_json
 
+NOMINAL_SHOWN = ("fx", "fy", "cx", "cy", "depth_unit_mm", "fps")
+"""What is reported of a nominal camera."""
 LONE_NAME = "camera"
 """What frames and run records call the one camera to which no file gives a name."""
 TABLE = "cameras"
@@ -228,12 +230,12 @@ class DepthCamera(Intrinsics, DepthStorage):
         return Window(self.crop, self.mirror)
 
 
-class LoneCamera(Intrinsics):
-    """The one camera of a camera.toml without ``[cameras.NAME]``, for grey images.
+class LoneCamera(Intrinsics, DepthStorage):
+    """The one camera of a camera.toml without ``[cameras.NAME]``, for grey images, which depth may lie next to.
 
     Attributes:
         mirror: flip the images left to right.
-        bits: significant bits of stored grey values above 8; None finds out from the first image.
+        bits: significant bits of stored grey values above 8; None decides by several images.
     """
 
     mirror: bool = False
@@ -365,7 +367,7 @@ def nominal_remark(path: Path) -> tuple[str, ...]:
     if path not in shipped_files("cameras").values():
         return ()
     values = parse_toml(read_text(path, limits.TEXT_BYTES))
-    shown = ", ".join(f"{key} {values[key]:g}" for key in ("fx", "cx", "cy", "depth_unit_mm", "fps"))
+    shown = ", ".join(f"{key} {values[key]:g}" for key in NOMINAL_SHOWN if key in values)
     return (f"camera {path.stem} is nominal, not calibrated: {values['width']}x{values['height']}, {shown}",)
 
 

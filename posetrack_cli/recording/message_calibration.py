@@ -47,7 +47,11 @@ def calibration_message(camera: Camera, stamp_ns: int, frame_id: str) -> Any:
 
 
 def choose_calibration(
-    image_topic: str, frame_id: str, calibrations: Mapping[str, str], wanted: str | None = None
+    image_topic: str,
+    frame_id: str,
+    calibrations: Mapping[str, str],
+    wanted: str | None = None,
+    otherwise: str = "",
 ) -> str:
     """Return the topic of the calibration that belongs to an image topic.
 
@@ -58,6 +62,7 @@ def choose_calibration(
         image_topic, frame_id: of the images.
         calibrations: frame id by topic.
         wanted: the --camera-topic option.
+        otherwise: what else to do where there is none, for the error.
 
     Raises:
         RecordingError: if there is none, several fit equally well, or the only one is of another frame and
@@ -66,7 +71,7 @@ def choose_calibration(
     if wanted is not None:
         return _asked_for(wanted, calibrations)
     if not calibrations:
-        raise no_intrinsics(f"no camera calibration for {image_topic}")
+        raise no_intrinsics(f"no camera calibration for {image_topic}", otherwise)
     candidates = _nearest_namespace(image_topic, _of_same_camera(image_topic, frame_id, calibrations))
     if len(candidates) > 1:
         listed = ", ".join(f"{topic} (frame '{calibrations[topic]}')" for topic in sorted(candidates))

@@ -46,6 +46,7 @@ from posetrack_cli.recording.camera_file import (
     image_camera,
     load_depth_camera,
     load_rig,
+    nominal_hint,
     stated_depth,
 )
 from posetrack_cli.recording.camera_of import ImageCamera, is_same_frame
@@ -102,7 +103,9 @@ def open_depth_messages(path: Path, options: ReadingOptions) -> Recording:
     source = _depth_topic(topics, topic, is_depth=stated_mm is not None)
     name, frame_id = source.topic.name, source.topic.frame_id
     wanted = options.get("camera_topic")
-    calibration = "" if settings else choose_calibration(name, frame_id, topics.calibration_frames, wanted)
+    nominal = nominal_hint(*source.size)
+    known = topics.calibration_frames
+    calibration = "" if settings else choose_calibration(name, frame_id, known, wanted, nominal)
     file = options.get("camera_file")
     if settings is None or file is None:
         found = camera_of_topic(topics, source, calibration)

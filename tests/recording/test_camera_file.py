@@ -82,7 +82,7 @@ def test_one_camera_without_a_table(tmp_path: Path) -> None:
         ("mirror = 3\n" + TWO, "key 'mirror' cannot be used"),
         ("cameras = 3\n", "'cameras' cannot be used"),
         (TWO.replace("fx = 40.0", "width = 30\nfx = 40.0"), "found images of 32x24, expected 30x24"),
-        (INTRINSICS + "depth_unit_mm = 1.0\n", "unknown key 'depth_unit_mm'"),
+        (INTRINSICS + "depht_unit_mm = 1.0\n", "unknown key 'depht_unit_mm'; did you mean 'depth_unit_mm'?"),
         ("x = [", "is not TOML"),
     ],
 )
