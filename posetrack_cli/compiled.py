@@ -41,6 +41,8 @@ KERNEL_SOURCES = (
     "head/refinement/*.py",
     "head/skin/equations.py",
     "head/adjustment/solver/*.py",
+    "recording/lzfse.py",
+    "recording/rvl.py",
     "tracking/body_space.py",
 )
 """Files that compiled code is made of, constants included."""

@@ -58,7 +58,12 @@ def _json_text(report: Values) -> str:
 
 def report_lines(report: Values) -> Iterator[str]:
     """Yield the lines that tell a report of ``describe`` to people."""
-    lines = {"folder": _folder_lines, "images": _image_lines, "video": _video_lines}
+    lines = {
+        "folder": _folder_lines,
+        "images": _image_lines,
+        "video": _video_lines,
+        "dataset": _dataset_lines,
+    }
     yield from lines.get(report["kind"], _message_lines)(report)
 
 
@@ -98,6 +103,14 @@ def _image_lines(report: Values) -> Iterator[str]:
         yield f"stamps: {_timing(report['stamps']) if report['stamps'] else report['no_stamps']}"
     yield from _camera_lines(report)
     yield from report["remarks"]
+
+
+def _dataset_lines(report: Values) -> Iterator[str]:
+    frames = "" if report["frames"] is None else f", {report['frames']} frames"
+    yield f"{report['name']}: {report['format']}{frames}, {_size(report['bytes'])}"
+    if report["stamps"]:
+        yield f"stamps: {_timing(report['stamps'])}"
+    yield from _use_lines(report)
 
 
 def _video_lines(report: Values) -> Iterator[str]:

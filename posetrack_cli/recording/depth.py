@@ -25,6 +25,10 @@ RAW_DEPTH: dict[str, DepthEncoding] = {"16UC1": "16UC1", "mono16": "16UC1", "32F
 DTYPES: dict[DepthEncoding, str] = {"16UC1": "u2", "32FC1": "f4"}
 COMPRESSED_DEPTH_HEADER = struct.Struct("<iff")
 PNG_SIZE_AND_TYPE = struct.Struct(">IIBB")
+RVL_FORMAT = "compressedDepth rvl"
+"""Part of the format of messages of compressedDepth's other codec; the usual one is PNG."""
+RVL_SIZE = struct.Struct("<II")
+"""Width and height, before the words of ``rvl``."""
 PNG_COLOUR_TYPES = {0: "grey", 2: "colour", 3: "palette", 4: "grey with alpha", 6: "colour with alpha"}
 
 
@@ -86,9 +90,10 @@ class Depth:
         if kind != COMPRESSED_IMAGE or self.unit_mm != 1.0 or self.missing:
             return None
         data = bytes(decoded.data)
-        if _describe_compressed(str(decoded.format), data).depth != "16UC1":
+        offset = _png_offset(data)
+        if offset is None or _describe_compressed(str(decoded.format), data).depth != "16UC1":
             return None
-        return data[_png_offset(data) :]
+        return data[offset:]
 
 
 @dataclass(frozen=True)
@@ -191,6 +196,14 @@ def _readings(depth: Float32Array) -> Float32Array:
 
 def _describe_compressed(image_format: str, data: bytes) -> ImageDescription:
     offset = _png_offset(data)
+    if (
+        offset is None
+        and RVL_FORMAT in image_format
+        and len(data) >= COMPRESSED_DEPTH_HEADER.size + RVL_SIZE.size
+    ):
+        width, height = RVL_SIZE.unpack_from(data, COMPRESSED_DEPTH_HEADER.size)
+        stored = image_format.split(";")[0].strip()
+        return ImageDescription(f"{stored} compressedDepth, rvl", width, height, RAW_DEPTH.get(stored))
     if offset is None:
         return ImageDescription(image_format, 0, 0, None)
     start = offset + PNG_SIZE_AT
@@ -218,8 +231,13 @@ def _decode_compressed(decoded: Any, where: str) -> ImageArray:
     description = _describe_compressed(str(decoded.format), data)
     if description.depth is None:
         raise UnreadableImageError(f"format {description.encoding or 'unknown'} is no depth")
-    offset = _png_offset(data) or 0
-    codes = decode_codes(data[offset:], where)
+    offset = _png_offset(data)
+    if offset is None:
+        from posetrack_cli.recording.rvl import decode_rvl  # loads numba
+
+        codes = decode_rvl(data[COMPRESSED_DEPTH_HEADER.size :])
+    else:
+        codes = decode_codes(data[offset:], where)
     if description.depth == "16UC1":
         return codes
-    return depth_from_inverse(codes, *COMPRESSED_DEPTH_HEADER.unpack(data[:offset])[1:])
+    return depth_from_inverse(codes, *COMPRESSED_DEPTH_HEADER.unpack_from(data)[1:])

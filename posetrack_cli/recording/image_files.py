@@ -215,7 +215,11 @@ def decode_codes(data: bytes, where: str) -> ImageArray:
     image = decode_any(data)
     if image.ndim != 2:
         raise RecordingError(
-            "colour image given as depth", where=where, found=f"{image.shape[2]} channels", expected="one"
+            "colour image given as depth",
+            where=where,
+            found=f"{image.shape[2]} channels",
+            expected="one",
+            hint="depth packed in two colours is read from folders of NYU's hand pose data only",
         )
     if image.dtype not in (np.uint16, np.float32):
         raise RecordingError(

@@ -12,6 +12,20 @@ from posetrack_cli.bags.message_file import container_of
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.files import hint_of_missing
 from posetrack_cli.recording.camera_file import camera_path
+from posetrack_cli.recording.datasets.biwi import describe_biwi, is_biwi, open_biwi_colour, open_biwi_depth
+from posetrack_cli.recording.datasets.nyu import describe_nyu, is_nyu, open_nyu_depth
+from posetrack_cli.recording.datasets.record3d import (
+    describe_record3d,
+    is_record3d,
+    open_record3d_colour,
+    open_record3d_depth,
+)
+from posetrack_cli.recording.datasets.stray_scanner import (
+    describe_stray,
+    is_stray_scanner,
+    open_stray_depth,
+    open_stray_video,
+)
 from posetrack_cli.recording.folder import open_depth_folder, open_grey_folder
 from posetrack_cli.recording.folder_description import describe_folder
 from posetrack_cli.recording.kinect import describe_kinect, open_kinect
@@ -79,6 +93,36 @@ SOURCES = (
     Source("an MCAP file", partial(_holds_messages, mcap=True), MESSAGES, describe_messages),
     Source("a recording of ROS", partial(_holds_messages, mcap=False), MESSAGES, describe_messages),
     Source(
+        "a Stray Scanner recording",
+        is_stray_scanner,
+        {"depth": Opener(open_stray_depth, ANY | UNIT), "grey": Opener(open_stray_video, CAMERAS | {"fps"})},
+        describe_stray,
+    ),
+    Source(
+        "a Record3D recording",
+        is_record3d,
+        {"depth": Opener(open_record3d_depth, ANY | UNIT), "grey": Opener(open_record3d_colour, CAMERAS)},
+        describe_record3d,
+    ),
+    Source(
+        "a sequence of the Biwi Kinect head pose data",
+        is_biwi,
+        {
+            "depth": Opener(open_biwi_depth, ANY | UNIT | {"fps"}),
+            "grey": Opener(open_biwi_colour, CAMERAS | {"fps"}),
+        },
+        describe_biwi,
+    ),
+    Source(
+        "a folder of NYU's hand pose data",
+        is_nyu,
+        {
+            "depth": Opener(open_nyu_depth, ANY | UNIT | {"fps"}),
+            "grey": Opener(open_grey_folder, CAMERAS | {"fps", "tolerance_ms"}),
+        },
+        describe_nyu,
+    ),
+    Source(
         "a folder of images",
         Path.is_dir,
         {
@@ -130,8 +174,8 @@ def describe(path: Path) -> dict[str, Any]:
     """Describe folders of images, a video or a file of messages, recording or result, in plain values.
 
     Reads every message of a file, of a folder of depth only the first image. Keys: ``name``, ``kind``
-    (``folder`` of depth, ``images`` of one or more cameras, ``video``, or that of a container of messages:
-    ``mcap``, ``bag``, ``db3``, ``ros2``), ``bytes``, ``losses``
+    (``folder`` of depth, ``images`` of one or more cameras, ``dataset`` of another tool, ``video``, or that
+    of a container of messages: ``mcap``, ``bag``, ``db3``, ``ros2``), ``bytes``, ``losses``
     (what could not be read) and what the kind has.
 
     Raises:

@@ -41,18 +41,24 @@ if TYPE_CHECKING:
 UNDECODABLE, MISSING = "video frame cannot be decoded", "video frame missing"
 
 
-def open_video(path: Path, options: ReadingOptions) -> Recording:
+def open_video(path: Path, options: ReadingOptions, known: Rig | None = None) -> Recording:
     """Open a video as a recording of one camera, its frames made grey.
 
     Its calibration is the camera file given, or NAME.toml or camera.toml beside the video.
+
+    Args:
+        path: the file.
+        options: how it is read.
+        known: its camera where another file states it, in place of camera files.
 
     Raises:
         RecordingError: if it cannot be read, has no frame, or is not calibrated.
         UsageError: if an option has a value that cannot be used.
     """
     fps = options.get("fps")
-    file = options.get("camera_file") or _beside(path)
-    rig = _one_camera(found_rig(path, file, [""], options.get("guess")), options.get("cameras"))
+    file = None if known else options.get("camera_file") or _beside(path)
+    found = known or found_rig(path, file, [""], options.get("guess"))
+    rig = _one_camera(found, options.get("cameras"))
     (name,) = rig.cameras
     shown, remarks = _shown(path, rig)
     video = VideoImages(path, fps, opened_video, shown, partial(_pixels, path, options))

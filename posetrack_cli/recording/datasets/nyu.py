@@ -1,0 +1,116 @@
+"""NYU's hand pose data: 16-bit depth of Kinects in mm, packed in PNGs of 8-bit colour.
+
+Names are depth_C_NNNNNNN.png of camera C; rendered images are called synthdepth. The upper eight bits are
+green, the lower ones blue. J. Tompson et al., Real-Time Continuous Pose Recovery of Human Hands, 2014.
+"""
+
+from __future__ import annotations
+
+import re
+from contextlib import suppress
+from functools import partial
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from posetrack_cli.arrays import ImageArray
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.recording.base import UnreadableImageError
+from posetrack_cli.recording.datasets.layout import (
+    Dataset,
+    DatasetImage,
+    describe_dataset,
+    nominal_stamps,
+    numbered,
+    open_depth,
+)
+from posetrack_cli.recording.image_files import ImageFile, decode_any, read_image
+from posetrack_cli.recording.recording import ReadingOptions, Recording
+
+WORDS = "NYU hand pose images"
+KINDS = ("depth", "synthdepth")
+NAME = re.compile(r"((?:synth)?depth)_([0-9])_([0-9]{7})\.png")
+CAMERA = Camera(640, 480, 588.036865, 587.075073, 320.0, 240.0)
+"""As published with the data."""
+BLUE, GREEN = 0, 1
+PLAUSIBLE_MM = (200.0, 40_000.0)
+"""Median of depth; a Kinect writes 32001 where it has none, which may be most of an image."""
+SMOOTH = 0.9
+"""Share of neighbouring readings within ``STEP_MM``, of depth; packed the other way round there are few."""
+STEP_MM = 64
+SENSOR = "a Kinect"
+LOOKED_AT = 5
+
+
+def is_nyu(path: Path) -> bool:
+    """Whether a path is a folder with these names whose first image holds packed depth."""
+    return path.is_dir() and any(
+        _is_packed(file) for file in islice((f for f in _entries(path) if NAME.fullmatch(f.name)), LOOKED_AT)
+    )
+
+
+def open_nyu_depth(path: Path, options: ReadingOptions) -> Recording:
+    """Open depth: measured before rendered, and of the first camera.
+
+    Raises:
+        RecordingError: the folder cannot be listed.
+    """
+    found = sorted({match.groups()[:2] for f in _entries(path) if (match := NAME.fullmatch(f.name))})
+    kind, camera = found[0]
+    images = numbered(path, re.compile(rf"{kind}_{camera}_([0-9]{{7}})\.png"))
+    stamps, fps, said = nominal_stamps(images, options.get("fps"), SENSOR)
+    stored = [
+        DatasetImage(stamp, file.name, partial(_depth, file))
+        for stamp, file in zip(stamps, images.values(), strict=True)
+    ]
+    others = ", ".join(f"{kind} of camera {number}" for kind, number in found[1:])
+    remarks = ["depth in mm is unpacked from green and blue", *said]
+    if others:
+        remarks.insert(0, f"{kind} of camera {camera} is read; {others} is left out")
+    files = [(file.name, file) for file in images.values()]
+    why = "published with the data"
+    return open_depth(
+        Dataset(path, WORDS, stored, CAMERA, why, files, remarks=tuple(remarks), fps=fps), options
+    )
+
+
+def describe_nyu(path: Path) -> dict[str, Any]:
+    """Describe a folder."""
+    return describe_dataset(path, WORDS, {"hand run": open_nyu_depth})
+
+
+def unpacked(image: ImageArray) -> ImageArray:
+    """Return (height, width) uint16 depth, mm, of an image with channels blue, green, red.
+
+    Raises:
+        UnreadableImageError: the image is of another kind.
+    """
+    if image.ndim != 3 or image.dtype != np.uint8:
+        raise UnreadableImageError("image holds no packed depth")
+    return (image[..., GREEN].astype(np.uint16) << 8) | image[..., BLUE]
+
+
+def _entries(path: Path) -> list[Path]:
+    try:
+        return list(path.iterdir())
+    except OSError:
+        return []
+
+
+def _is_packed(file: Path) -> bool:
+    """Whether an image holds depth: plausible, and smooth where green and blue are put together."""
+    with suppress(UnreadableImageError):
+        depth = _depth(file).astype(np.int64)
+        readings = depth[depth > 0]
+        if not readings.size or not PLAUSIBLE_MM[0] <= np.median(readings) <= PLAUSIBLE_MM[1]:
+            return False
+        both = (depth[:, 1:] > 0) & (depth[:, :-1] > 0)
+        steps = np.abs(np.diff(depth, axis=1))[both]
+        return bool(steps.size and np.mean(steps <= STEP_MM) >= SMOOTH)
+    return False
+
+
+def _depth(file: Path) -> ImageArray:
+    return unpacked(decode_any(read_image(ImageFile(file))))

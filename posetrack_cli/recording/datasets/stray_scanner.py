@@ -1,0 +1,221 @@
+"""Recordings of Stray Scanner, an app for iPhones and iPads with LiDAR.
+
+A folder has depth/NNNNNN.png (16-bit mm), confidence/NNNNNN.png (0, 1 or 2), rgb.mp4, camera_matrix.csv (3x3,
+of the video) and odometry.csv, whose lines have the time in seconds and the number of each image; newer ones
+also the intrinsics at that time. All images are as the sensor has them: landscape.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from dataclasses import dataclass
+from decimal import Decimal
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from posetrack_cli import limits
+from posetrack_cli.arrays import ImageArray
+from posetrack_cli.errors import RecordingError
+from posetrack_cli.files import read_text
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.recording.base import UnreadableImageError
+from posetrack_cli.recording.camera_of import is_off_centre, principal_point_fault
+from posetrack_cli.recording.datasets.layout import (
+    Dataset,
+    DatasetImage,
+    camera_of,
+    describe_dataset,
+    known_rig,
+    numbered,
+    numbers_of,
+    open_depth,
+)
+from posetrack_cli.recording.image_files import ImageFile, decode_any, decode_codes, read_image
+from posetrack_cli.recording.matching import LATEST_NS
+from posetrack_cli.recording.recording import ReadingOptions, Recording
+from posetrack_cli.recording.video import open_video
+from posetrack_cli.recording.video_file import opened_video
+from posetrack_cli.text import one_line
+from posetrack_cli.units import NS_PER_S
+
+WORDS = "Stray Scanner recording"
+MATRIX, ODOMETRY, VIDEO = "camera_matrix.csv", "odometry.csv", "rgb.mp4"
+DEPTH, CONFIDENCE = "depth", "confidence"
+LIKELY_SIZE = (1920, 1440)
+"""Of the video, where there is none."""
+UNTRUSTED = 0
+"""Level of readings that ARKit itself does not trust: edges, dark and shiny surfaces."""
+TIME, NUMBER, INTRINSICS = "timestamp", "frame", ("fx", "fy", "cx", "cy")
+IMAGE = re.compile(r"([0-9]{1,18})\.png")
+COLUMNS_SHOWN, LINE_SHOWN = 9, 80
+
+
+def is_stray_scanner(path: Path) -> bool:
+    """Whether a path is a folder of Stray Scanner."""
+    return path.is_dir() and (path / MATRIX).is_file() and (path / ODOMETRY).is_file()
+
+
+def open_stray_depth(path: Path, options: ReadingOptions) -> Recording:
+    """Open the depth of a folder of Stray Scanner.
+
+    Raises:
+        RecordingError: a file is missing or damaged.
+    """
+    rows = _rows(path / ODOMETRY)
+    images = numbered(path / DEPTH, IMAGE)
+    levels = numbered(path / CONFIDENCE, IMAGE) if (path / CONFIDENCE).is_dir() else {}
+    if not images:
+        raise RecordingError(
+            "no depth images",
+            where=path / DEPTH,
+            expected="16-bit images 000000.png and so on",
+            hint="Stray Scanner of 2021 wrote NPY files: record with a newer one",
+        )
+    whole, of = _video_camera(path)
+    read = [(row, images[row.number], levels.get(row.number)) for row in rows if row.number in images]
+    if not read:
+        found = f"numbers {rows[0].number} to {rows[-1].number}" if rows else "no line"
+        raise RecordingError("no depth image has a stamp", where=path / ODOMETRY, found=found)
+    cameras = [row.camera(whole, path / ODOMETRY) for row, _, _ in read]
+    stored = [
+        DatasetImage(row.stamp_ns, f"{DEPTH}/{file.name}", partial(_depth, file, level), camera)
+        for (row, file, level), camera in zip(read, cameras, strict=True)
+    ]
+    remarks = [f"images are landscape, as the sensor has them; the camera is that of {of}"]
+    if levels:
+        remarks.append(f"depth of confidence {UNTRUSTED} is left out")
+    if len(set(cameras)) > 1:
+        remarks.append("intrinsics change during the recording and are applied image by image")
+    if len(images) > len(read):
+        remarks.append(f"{len(images) - len(read)} depth images without a stamp in {ODOMETRY} are left out")
+    files = [(f"{DEPTH}/{file.name}", file) for _, file, _ in read]
+    files += [(f"{CONFIDENCE}/{level.name}", level) for _, _, level in read if level is not None]
+    files += [(name, path / name) for name in (MATRIX, ODOMETRY)]
+    dataset = Dataset(path, WORDS, stored, cameras[0], MATRIX, files, remarks=tuple(remarks))
+    return open_depth(dataset, options)
+
+
+def open_stray_video(path: Path, options: ReadingOptions) -> Recording:
+    """Open the video of a folder of Stray Scanner with its camera.
+
+    Raises:
+        RecordingError: a file is missing or damaged.
+    """
+    if options.get("camera_file") is not None:
+        return open_video(path / VIDEO, options)
+    camera, _ = _video_camera(path)
+    return open_video(path / VIDEO, options, known_rig(path / MATRIX, camera))
+
+
+def describe_stray(path: Path) -> dict[str, Any]:
+    """Describe a folder of Stray Scanner."""
+    return describe_dataset(path, WORDS, {"hand run": open_stray_depth, "head mono": open_stray_video})
+
+
+@dataclass(frozen=True)
+class _Row:
+    """A line of the odometry.
+
+    Attributes:
+        stamp_ns: when the image was taken.
+        number: of the image.
+        intrinsics: fx, fy, cx, cy of the video's image; None where they are not stated.
+    """
+
+    stamp_ns: int
+    number: int
+    intrinsics: tuple[float, float, float, float] | None
+
+    def camera(self, whole: Camera, where: Path) -> Camera:
+        """Return the camera of this image, given the recording's."""
+        if self.intrinsics is None:
+            return whole
+        return camera_of(whole.width, whole.height, *self.intrinsics, where)
+
+
+def _rows(path: Path) -> list[_Row]:
+    """Return the lines of the odometry.
+
+    Raises:
+        RecordingError: it cannot be read, or lacks times or numbers.
+    """
+    try:
+        text = read_text(path, limits.TEXT_BYTES, "utf-8-sig")
+        lines = csv.DictReader(io.StringIO(text, newline=""), skipinitialspace=True)
+        names = {(name or "").strip(): name for name in lines.fieldnames or ()}
+        if not {TIME, NUMBER} <= names.keys():
+            found = ", ".join(list(names)[:COLUMNS_SHOWN])
+            raise RecordingError(
+                "header is not known", where=path, found=found, expected=f"{TIME}, {NUMBER}, ..."
+            )
+        return [_row(line, names, path) for line in lines]
+    except OSError as error:
+        raise RecordingError("cannot be read", where=path, found=error.strerror or error) from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise RecordingError("is not a CSV file", where=path, found=error) from error
+
+
+def _row(line: dict[Any, Any], names: dict[str, Any], path: Path) -> _Row:
+    try:
+        stamp_ns = Decimal(line[names[TIME]].strip()) * NS_PER_S
+        is_time = bool(0 <= stamp_ns <= LATEST_NS)
+        number = int(line[names[NUMBER]])
+        stated = [float(line[names[name]]) for name in INTRINSICS if name in names]
+    except (ValueError, ArithmeticError, AttributeError, TypeError) as error:
+        raise RecordingError(
+            "line cannot be used", where=path, found=one_line(str(line))[:LINE_SHOWN]
+        ) from error
+    if not is_time:
+        raise RecordingError("time is negative or too late", where=path, found=line[names[TIME]])
+    fx, fy, cx, cy = stated if len(stated) == len(INTRINSICS) else [0.0] * len(INTRINSICS)
+    return _Row(round(stamp_ns), number, (fx, fy, cx, cy) if fx > 0 else None)
+
+
+def _video_camera(path: Path) -> tuple[Camera, str]:
+    """Return the camera of the video's images, and what it is of.
+
+    Raises:
+        RecordingError: the matrix is not one, or there is no video and its size is not clear.
+    """
+    matrix = numbers_of(path / MATRIX)
+    if len(matrix) != 9:
+        expected = "3 lines of 3 numbers"
+        raise RecordingError(
+            "is not a camera matrix", where=path / MATRIX, found=f"{len(matrix)} numbers", expected=expected
+        )
+    width, height = LIKELY_SIZE
+    of = f"images of {width}x{height}"
+    if (path / VIDEO).is_file():
+        with opened_video(path / VIDEO) as video:
+            width, height = video.stream.width, video.stream.height
+        of = VIDEO
+    camera = camera_of(width, height, matrix[0], matrix[4], matrix[2], matrix[5], path / MATRIX)
+    if is_off_centre(camera) or principal_point_fault(camera):
+        raise RecordingError(
+            "camera matrix is not of this video",
+            where=path / MATRIX,
+            found=f"cx {camera.cx:g} cy {camera.cy:g}",
+            expected=f"the middle of {width}x{height}",
+            hint="pass --camera with the camera of the images",
+        )
+    return camera, of
+
+
+def _depth(file: Path, level: Path | None) -> ImageArray:
+    """Return depth, mm, without the readings that are not trusted.
+
+    Raises:
+        UnreadableImageError: the depth cannot be decoded.
+    """
+    codes = decode_codes(read_image(ImageFile(file)), str(file))
+    if level is None:
+        return codes
+    levels = decode_any(read_image(ImageFile(level)))
+    if levels.shape != codes.shape:
+        raise UnreadableImageError("confidence and depth differ in size")
+    return np.where(levels == UNTRUSTED, 0, codes).astype(codes.dtype)
