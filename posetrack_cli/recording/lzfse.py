@@ -2,11 +2,13 @@
 
 A stream is a row of blocks: ``bvx-`` holds bytes as they are, ``bvx2`` compressed ones, ``bvx$`` ends it.
 ``bvxn``, which Apple's encoder writes for less than 4 kB only, is not read. A compressed block has tables of
-frequencies, then literals, then triples: how many literals, how many bytes to copy, from how far back. Literals
-and triples are each read from the last bit to the first.
+frequencies, then literals, then triples: how many literals, how many bytes to copy, from how far back. Both
+literals and triples are read from the last bit to the first.
 """
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 
@@ -17,20 +19,23 @@ from posetrack_cli.recording.base import UnreadableImageError
 _RAW, _COMPRESSED, _END = 0x2D787662, 0x32787662, 0x24787662
 _HEADER = 32
 """Bytes of a compressed block before its tables."""
-_MOST_LITERALS, _MOST_MATCHES, _SPARE_LITERALS = 40_000, 10_000, 3
-"""Of a block; literals come in fours. A block that makes more work than output is damaged."""
+_MOST_LITERALS, _MOST_MATCHES_TO_LITERALS, _SPARE_LITERALS = 40_000, 4, 3
+"""Of a block, which has a quarter as many triples at most; literals come in fours.
+
+A block that makes more work than output is damaged.
+"""
 _EXPANSION = 2
 """Of data that do not compress, which encoders store as they are."""
 _TAKEN_BITS = np.array([0] * 16 + [2, 3, 5, 8])
 _COPIED_BITS = np.array([0] * 16 + [3, 5, 8, 11])
 _BACK_BITS = np.repeat(np.arange(16), 4)
 _LITERAL_BITS = np.zeros(256, np.int64)
-"""Plain bits behind each symbol: of how many literals, how many bytes to copy, how far back; of literals none."""
+"""Plain bits behind each symbol: of numbers of literals, of bytes to copy, of distances; of literals none."""
 _CODE_BITS = np.array([2, 3, 2, 5, 2, 3, 2, 8, 2, 3, 2, 5, 2, 3, 2, 14] * 2)
 _CODED = np.array(
     [0, 2, 1, 4, 0, 3, 1, 8, 0, 2, 1, 5, 0, 3, 1, 24, 0, 2, 1, 6, 0, 3, 1, 8, 0, 2, 1, 7, 0, 3, 1, 24]
 )
-"""Bits of a frequency's code and the frequency, by the lowest five; codes of 8 and 14 bits add those above four."""
+"""Bits of a frequency's code, and the frequency, by the lowest five; longer codes add those above four."""
 
 
 def decode_lzfse(data: bytes, size: int) -> bytes:
@@ -49,11 +54,12 @@ def decode_lzfse(data: bytes, size: int) -> bytes:
 def _bits(data: ImageArray, position: int, count: int) -> int:
     """Return up to 32 bits from a position in bits on, the first one lowest."""
     byte = position >> 3
-    value = np.int64(0)
+    value: Any = np.int64(0)
     for i in range(5):
         if 0 <= byte + i < len(data):
             value |= np.int64(data[byte + i]) << (8 * i)
-    return (value >> (position & 7)) & ((np.int64(1) << count) - 1)
+    found: int = (value >> (position & 7)) & ((np.int64(1) << count) - 1)
+    return found
 
 
 @kernel
@@ -99,75 +105,93 @@ def _value(data: ImageArray, position: int, state: int, table: ImageArray) -> tu
 
 
 @kernel
-def _decode_block(data: ImageArray, at: int, out: ImageArray, filled: int) -> tuple[int, int]:
-    """Decode the compressed block at a byte; return where the next begins and how much is filled, or -1."""
-    begin = 8 * at
-    literal_count, literal_bytes = _bits(data, begin + 64, 20), _bits(data, begin + 84, 20)
-    match_count, literal_pad = _bits(data, begin + 104, 20), _bits(data, begin + 124, 3) - 7
-    match_bytes, match_pad = _bits(data, begin + 168, 20), _bits(data, begin + 188, 3) - 7
-    tables = at + _bits(data, begin + 192, 32)
-    taken_state, copied_state = _bits(data, begin + 224, 10), _bits(data, begin + 234, 10)
-    back_state = _bits(data, begin + 244, 10)
-    literals_end = tables + literal_bytes
-    end = literals_end + match_bytes
-    if (
-        tables < at + _HEADER
-        or end > len(data)
-        or literal_count > _MOST_LITERALS
-        or match_count > _MOST_MATCHES
-    ):
-        return -1, filled
-    if taken_state > 63 or copied_state > 63 or back_state > 255:
-        return -1, filled
-
+def _frequencies(data: ImageArray, at: int, end: int) -> ImageArray:
+    """Return the frequencies of 20, 20, 64 and 256 symbols; the first is -1 if they do not end there."""
     frequencies = np.zeros(360, np.int64)
-    position = begin + 8 * _HEADER
-    for i in range(360):
+    position = 8 * at
+    for i in range(360 if end > at else 0):
         code = _bits(data, position, 14)
         length = _CODE_BITS[code & 31]
         frequencies[i] = _CODED[code & 31]
         if length >= 8:
             frequencies[i] += (code & ((1 << length) - 1)) >> 4
         position += length
-    if tables > at + _HEADER and (position > 8 * tables or 8 * tables - position >= 8):
-        return -1, filled
-    taken_table = _table(frequencies[:20], _TAKEN_BITS, 64)
-    copied_table = _table(frequencies[20:40], _COPIED_BITS, 64)
-    back_table = _table(frequencies[40:104], _BACK_BITS, 256)
-    literal_table = _table(frequencies[104:], _LITERAL_BITS, 1024)
-    if min(taken_table[0, 0], copied_table[0, 0], back_table[0, 0], literal_table[0, 0]) < 0:
-        return -1, filled
+    if not 0 <= 8 * end - position < 8:
+        frequencies[0] = -1
+    return frequencies
 
-    literals = np.zeros(literal_count, np.uint8)
-    position = 8 * literals_end + literal_pad
-    states = np.zeros(4, np.int64)
-    for i in range(4):
-        states[i] = _bits(data, begin + 128 + 10 * i, 10)
-    for i in range(literal_count):
-        literals[i], position, states[i & 3] = _value(data, position, states[i & 3], literal_table)
-        if position < 8 * tables:
-            return -1, filled
 
-    position = 8 * end + match_pad
-    used, back = 0, np.int64(0)
-    for _ in range(match_count):
-        taken, position, taken_state = _value(data, position, taken_state, taken_table)
-        copied, position, copied_state = _value(data, position, copied_state, copied_table)
-        other, position, back_state = _value(data, position, back_state, back_table)
+@kernel
+def _literals(data: ImageArray, at: int, begin: int, end: int, table: ImageArray) -> ImageArray:
+    """Return the literals of a block, coded between two bytes; none if they do not end there."""
+    literals = np.zeros(_bits(data, 8 * at + 64, 20), np.uint8)
+    position = 8 * end + _bits(data, 8 * at + 124, 3) - 7
+    states = np.array([_bits(data, 8 * at + 128 + 10 * i, 10) for i in range(4)])
+    for i in range(len(literals)):
+        literals[i], position, states[i & 3] = _value(data, position, states[i & 3], table)
+        if position < 8 * begin:
+            return literals[:0]
+    return literals
+
+
+@kernel
+def _copy(
+    data: ImageArray,
+    at: int,
+    begin: int,
+    end: int,
+    tables: tuple[ImageArray, ...],
+    literals: ImageArray,
+    out: ImageArray,
+    filled: int,
+) -> int:
+    """Carry out the triples of a block, coded between two bytes; return how much is filled, or -1."""
+    position = 8 * end + _bits(data, 8 * at + 188, 3) - 7
+    taken_state, copied_state = _bits(data, 8 * at + 224, 10) & 63, _bits(data, 8 * at + 234, 10) & 63
+    back_state = _bits(data, 8 * at + 244, 10) & 255
+    back: Any = np.int64(0)
+    used = 0
+    for _ in range(_bits(data, 8 * at + 104, 20)):
+        taken, position, taken_state = _value(data, position, taken_state, tables[0])
+        copied, position, copied_state = _value(data, position, copied_state, tables[1])
+        other, position, back_state = _value(data, position, back_state, tables[2])
         back = other if other else back
-        is_work = taken + copied > 0 and position >= 8 * literals_end
-        if not is_work or used + taken > literal_count or filled + taken + copied > len(out):
-            return -1, filled
+        is_work = taken + copied > 0 and position >= 8 * begin
+        if not is_work or used + taken > len(literals) or filled + taken + copied > len(out):
+            return -1
         for i in range(taken):
             out[filled + i] = literals[used + i]
         used += taken
         filled += taken
         if copied and not 0 < back <= filled:
-            return -1, filled
+            return -1
         for _ in range(copied):
             out[filled] = out[filled - back]
             filled += 1
-    return (end if literal_count - used <= _SPARE_LITERALS else -1), filled
+    return filled if len(literals) - used <= _SPARE_LITERALS else -1
+
+
+@kernel
+def _decode_block(data: ImageArray, at: int, out: ImageArray, filled: int) -> tuple[int, int]:
+    """Decode the compressed block at a byte; return where the next begins and how much is filled, or -1."""
+    counts = max(_bits(data, 8 * at + 64, 20), _MOST_MATCHES_TO_LITERALS * _bits(data, 8 * at + 104, 20))
+    first = at + _bits(data, 8 * at + 192, 32)
+    second = first + _bits(data, 8 * at + 84, 20)
+    end = second + _bits(data, 8 * at + 168, 20)
+    if first < at + _HEADER or end > len(data) or counts > _MOST_LITERALS:
+        return end, -1
+    frequencies = _frequencies(data, at + _HEADER, first)
+    tables = (
+        _table(frequencies[:20], _TAKEN_BITS, 64),
+        _table(frequencies[20:40], _COPIED_BITS, 64),
+        _table(frequencies[40:104], _BACK_BITS, 256),
+    )
+    literal_table = _table(frequencies[104:], _LITERAL_BITS, 1024)
+    least = min(tables[0][0, 0], tables[1][0, 0], tables[2][0, 0], literal_table[0, 0], frequencies[0])
+    if least < 0:
+        return end, -1
+    literals = _literals(data, at, first, second, literal_table)
+    return end, _copy(data, at, second, end, tables, literals, out, filled)
 
 
 @kernel
@@ -187,7 +211,7 @@ def _decode(data: ImageArray, out: ImageArray) -> bool:
             at += 8 + count
         elif magic == _COMPRESSED and at + _HEADER <= len(data):
             at, filled = _decode_block(data, at, out, filled)
-            if at < 0:
+            if filled < 0:
                 return False
         else:
             return False

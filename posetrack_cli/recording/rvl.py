@@ -8,6 +8,8 @@ if another group follows. These nibbles fill little-endian words of 32 bits from
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from posetrack_cli import limits
@@ -44,7 +46,8 @@ def decode_rvl(data: bytes) -> ImageArray:
 @inlined
 def _number(words: ImageArray, nibble: int) -> tuple[int, int]:
     """Return a number and where the next begins; -1 if it is cut, -2 if it is longer than any."""
-    value, shift = 0, 0
+    value: Any = 0
+    shift = 0
     while nibble < 8 * len(words):
         bits = (words[nibble >> 3] >> np.uint32(28 - 4 * (nibble & 7))) & np.uint32(15)
         nibble += 1

@@ -95,7 +95,7 @@ def load_calibration(path: Path) -> Camera:
         )
     distortion = tuple(values[MATRIX : MATRIX + lens])
     width, height = values[-2:]
-    if not (width == round(width) and height == round(height)):
+    if not (width.is_integer() and height.is_integer()):
         raise RecordingError("is not a calibration", where=path, found=f"size {width:g} x {height:g}")
     return camera_of(
         round(width),

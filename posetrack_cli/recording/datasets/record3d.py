@@ -13,7 +13,7 @@ import re
 import struct
 import zipfile
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -113,7 +113,7 @@ class _Contents:
 def is_record3d(path: Path) -> bool:
     """Whether a path is a recording of Record3D, or was exported by it."""
     if path.is_dir():
-        return (path / METADATA).is_file() and (path / IMAGES).is_dir() or _is_exported(path)
+        return ((path / METADATA).is_file() and (path / IMAGES).is_dir()) or _is_exported(path)
     return path.suffix.lower() == SUFFIX and path.is_file() and begins_with(path, ZIP_BEGIN)
 
 
@@ -168,7 +168,7 @@ def describe_record3d(path: Path) -> dict[str, Any]:
 def _dataset(
     path: Path,
     contents: _Contents,
-    reading: dict[int, Callable[[], ImageArray]],
+    reading: Mapping[int, Callable[[], ImageArray]],
     remarks: Sequence[str],
     unit_mm: float,
 ) -> Dataset:
