@@ -34,6 +34,8 @@ from hostile.values import (
     texts,
     utf8,
 )
+from support import datasets as layouts
+from support.rvl import encoded as encoded_rvl
 
 Strategy = st.SearchStrategy[Case]
 OUT = ("out.mcap",)
@@ -127,6 +129,10 @@ def _ros(seeds: Seeds, version: int) -> Strategy:
         ros.compressed_image(version, 10 + k, head + of.png(image), "16UC1; compressedDepth png")
         for k, image in enumerate(depth)
     ]
+    runs = [
+        ros.compressed_image(version, 10 + k, head + encoded_rvl(image), "16UC1; compressedDepth rvl")
+        for k, image in enumerate(depth)
+    ]
     with np.errstate(divide="ignore"):
         apart = [np.where(image > 0, 3375.0 / image, -1.0).astype(np.float32) for image in depth]
     disparity = [ros.disparity_image(version, 10 + k, image) for k, image in enumerate(apart)]
@@ -136,6 +142,7 @@ def _ros(seeds: Seeds, version: int) -> Strategy:
         "raw": {"/cam/image": ("sensor_msgs/Image", raw)},
         "deep": {"/cam/image": ("sensor_msgs/CompressedImage", deep)},
         "grey": {"/cam/image": ("sensor_msgs/CompressedImage", packed)},
+        "runs": {"/cam/image/compressedDepth": ("sensor_msgs/CompressedImage", runs)},
         "disparity": {"/cam/image": ("stereo_msgs/DisparityImage", disparity)},
         "pixels": {"/cam/disparity": ("sensor_msgs/Image", pixels)},
     }
@@ -143,7 +150,7 @@ def _ros(seeds: Seeds, version: int) -> Strategy:
         "/cam/camera_info": ("sensor_msgs/CameraInfo", info),
         "/tf": ("tf2_msgs/TFMessage", [ros.transforms(version, 9)]),
     }
-    topics = one_of([whole[kind] | more for kind in ("raw", "deep", "grey", "raw", "disparity", "pixels")])
+    topics = one_of([whole[kind] | more for kind in ("raw", "deep", "grey", "runs", "disparity", "pixels")])
     content = topics.flatmap(lambda chosen: ros.ros_records(version, chosen)).map(
         lambda inner: file_bytes([{"op": 1}, {"op": CHUNK, "inner": inner}])
     )
@@ -740,6 +747,50 @@ def _images_in_messages(seeds: Seeds) -> Strategy:
     return made_of("images", "r.mcap", content(), of_recording("r.mcap"))
 
 
+JSON_PIECES = ("[1e12]", "[[]]", "[null]", '{"w": 1}', "1e400", "-1", "33554433")
+
+
+def datasets(seeds: Seeds) -> Strategy:
+    """Layouts of other tools: folders and archives with a file that was changed."""
+    stray = {f"rec/{name}": content for name, content in layouts.stray_files(2, focal=(266.0, 270.0)).items()}
+    stray["rec/camera_matrix.csv"] = b"1600, 0, 960\n0, 1600, 720\n0, 0, 1\n"
+    biwi = {f"rec/{name}": content for name, content in layouts.biwi_files((3, 5)).items()}
+    nyu = {f"rec/{name}": content for name, content in layouts.nyu_files((1,), 2).items()}
+    own = layouts.r3d_files(2)
+    record3d = {f"rec/{name}": content for name, content in own.items()}
+    metadata = json.loads(own["metadata"])
+
+    def text(name: str, files: dict[str, bytes], pieces: tuple[str, ...]) -> Strategy:
+        content = changed_text(files[name].decode(), pieces)
+        return made_of("datasets", name, content, of_recording("rec"), **_but(dict(files), name))
+
+    def binary(name: str, files: dict[str, bytes]) -> Strategy:
+        content = changed_bytes(files[name])
+        return made_of("datasets", name, content, of_recording("rec"), **_but(dict(files), name))
+
+    tree = changed_tree(metadata).map(lambda changed: utf8(json_text(changed)))
+    whole = changed_bytes(layouts.r3d_bytes(own))
+    members = tree.map(lambda changed: layouts.r3d_bytes(own | {"metadata": changed}))
+    return st.one_of(
+        text("rec/odometry.csv", stray, CSV_PIECES),
+        text("rec/camera_matrix.csv", stray, CSV_PIECES),
+        binary("rec/depth/000001.png", stray),
+        binary("rec/confidence/000001.png", stray),
+        text("rec/depth.cal", biwi, CSV_PIECES),
+        text("rec/rgb.cal", biwi, CSV_PIECES),
+        binary("rec/frame_00003_depth.bin", biwi),
+        binary("rec/depth_1_0000001.png", nyu),
+        made_of(
+            "datasets", "rec/metadata", tree, of_recording("rec"), **_but(dict(record3d), "rec/metadata")
+        ),
+        text("rec/metadata", record3d, JSON_PIECES),
+        binary("rec/rgbd/0.depth", record3d),
+        binary("rec/rgbd/0.conf", record3d),
+        made_of("datasets", "a.r3d", whole, of_recording("a.r3d")),
+        made_of("datasets", "a.r3d", members, of_recording("a.r3d")),
+    )
+
+
 def videos(seeds: Seeds) -> Strategy:
     """Videos and what calls itself one."""
     del seeds
@@ -879,6 +930,7 @@ TARGETS: dict[str, Callable[[Seeds], Strategy]] = {
     "batches": batches,
     "images": images,
     "image_folders": image_folders,
+    "datasets": datasets,
     "videos": videos,
     "bags": bags,
     "meshes": meshes,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import io
 import json
 import struct
 import zipfile
@@ -83,10 +84,17 @@ def r3d_files(count: int = 3, **changes: Any) -> dict[str, bytes]:
     return files
 
 
-def write_r3d(path: Path, files: dict[str, bytes], compression: int = zipfile.ZIP_STORED) -> Path:
-    with zipfile.ZipFile(path, "w", compression) as archive:
+def r3d_bytes(files: dict[str, bytes], compression: int = zipfile.ZIP_STORED) -> bytes:
+    """The archive of a recording of Record3D."""
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w", compression) as archive:
         for name, data in files.items():
             archive.writestr(zipfile.ZipInfo(name), data, compression)
+    return content.getvalue()
+
+
+def write_r3d(path: Path, files: dict[str, bytes], compression: int = zipfile.ZIP_STORED) -> Path:
+    path.write_bytes(r3d_bytes(files, compression))
     return path
 
 
