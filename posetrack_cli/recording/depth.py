@@ -235,7 +235,9 @@ def _decode_compressed(decoded: Any, where: str) -> ImageArray:
     if offset is None:
         from posetrack_cli.recording.rvl import decode_rvl  # loads numba
 
-        codes = decode_rvl(data[COMPRESSED_DEPTH_HEADER.size :])
+        codes = decode_rvl(
+            data[COMPRESSED_DEPTH_HEADER.size + RVL_SIZE.size :], description.width, description.height
+        )
     else:
         codes = decode_codes(data[offset:], where)
     if description.depth == "16UC1":

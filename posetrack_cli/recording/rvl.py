@@ -16,27 +16,24 @@ from posetrack_cli import limits
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.compiled import inlined, kernel
 from posetrack_cli.recording.base import UnreadableImageError
-from posetrack_cli.recording.depth import RVL_SIZE
 
 _LONGEST_BITS = 27
 """Of a number, in groups of three: more than every number of pixels and every difference of an image has."""
 _WHOLE, _CUT, _DAMAGED = 0, 1, 2
 
 
-def decode_rvl(data: bytes) -> ImageArray:
-    """Return the (height, width) uint16 codes of an image: width and height, then its words.
+def decode_rvl(data: bytes, width: int, height: int) -> ImageArray:
+    """Return the (height, width) uint16 codes of an image that words hold.
 
     Raises:
         UnreadableImageError: the image is larger than any that is read, or the data are cut or damaged.
     """
-    width, height = RVL_SIZE.unpack_from(data)
     if not width * height:
         raise UnreadableImageError("image is empty")
     if width * height > limits.IMAGE_PIXELS:
         raise UnreadableImageError(f"image has more than {limits.IMAGE_PIXELS} pixels")
     codes = np.zeros(width * height, np.uint16)
-    whole = len(data) - (len(data) - RVL_SIZE.size) % 4
-    words = np.frombuffer(data[RVL_SIZE.size : whole], "<u4").astype(np.uint32)
+    words = np.frombuffer(data[: len(data) // 4 * 4], "<u4").astype(np.uint32)
     state = _decode(words, codes)
     if state != _WHOLE:
         raise UnreadableImageError("image is incomplete" if state == _CUT else "image is damaged")

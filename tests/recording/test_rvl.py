@@ -17,6 +17,10 @@ from posetrack_cli.recording.rvl import decode_rvl
 from support.rvl import encoded
 
 
+def decoded(data: bytes) -> np.ndarray:
+    return decode_rvl(data[8:], *struct.unpack_from("<II", data))
+
+
 def images() -> Iterator[np.ndarray]:
     random = np.random.default_rng(0)
     yield np.zeros((3, 5), np.uint16)
@@ -30,13 +34,13 @@ def images() -> Iterator[np.ndarray]:
 
 @pytest.mark.parametrize("codes", list(images()))
 def test_codes_come_back(codes: np.ndarray) -> None:
-    np.testing.assert_array_equal(decode_rvl(encoded(codes)), codes)
+    np.testing.assert_array_equal(decoded(encoded(codes)), codes)
 
 
 def test_the_example_written_by_hand() -> None:
     # 2 pixels without and 3 with readings 5, 6, 4: differences 5, 1, -2 folded to 10, 2, 3; 10 is 12 in octal
     data = struct.pack("<II", 5, 1) + struct.pack("<I", int("23a12300", 16))
-    np.testing.assert_array_equal(decode_rvl(data), [[0, 0, 5, 6, 4]])
+    np.testing.assert_array_equal(decoded(data), [[0, 0, 5, 6, 4]])
 
 
 @pytest.mark.parametrize("keep", range(8, 60, 4))
@@ -44,7 +48,7 @@ def test_a_cut_image_cannot_be_read(keep: int) -> None:
     data = encoded(np.arange(1, 101, dtype=np.uint16).reshape(10, 10) * 7)
     assert len(data) > 60
     with pytest.raises(UnreadableImageError, match="incomplete"):
-        decode_rvl(data[:keep])
+        decoded(data[:keep])
 
 
 @pytest.mark.parametrize(
@@ -61,7 +65,7 @@ def test_a_cut_image_cannot_be_read(keep: int) -> None:
 )
 def test_a_damaged_image_cannot_be_read(size: tuple[int, int], words: bytes, error: str) -> None:
     with pytest.raises(UnreadableImageError, match=error):
-        decode_rvl(struct.pack("<II", *size) + words)
+        decode_rvl(words, *size)
 
 
 @pytest.mark.parametrize("flavour", ["ros1", "ros2"])
