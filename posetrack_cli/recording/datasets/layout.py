@@ -296,7 +296,7 @@ def _stream(
     dataset: Dataset, pixels: Depth | Grey, camera: Camera, window: Window, *, changes: bool
 ) -> CameraStream:
     def decoded(image: DatasetImage) -> ImageArray:
-        values = pixels.from_stored(image.read(), image.where)
+        values = pixels.from_stored(image.read())
         if changes and image.camera is not None:
             source = dataset.scaled(image.camera, pixels.width, pixels.height)
             if not is_same(camera, source):
