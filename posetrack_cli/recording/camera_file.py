@@ -231,7 +231,7 @@ class DepthCamera(Intrinsics, DepthStorage):
 
 
 class LoneCamera(Intrinsics, DepthStorage):
-    """The one camera of a camera.toml without ``[cameras.NAME]``, for grey images, which depth may lie next to.
+    """The one camera of a camera.toml without ``[cameras.NAME]``, for grey images; depth may lie with them.
 
     Attributes:
         mirror: flip the images left to right.
