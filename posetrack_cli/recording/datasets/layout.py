@@ -28,8 +28,8 @@ from posetrack_cli.recording.camera_file import (
     load_rig,
     stated_depth,
 )
-from posetrack_cli.recording.camera_of import ImageCamera, at_size
-from posetrack_cli.recording.changing_camera import Resampling, is_same
+from posetrack_cli.recording.camera_of import ImageCamera, at_size, is_same
+from posetrack_cli.recording.changing_camera import Resampling
 from posetrack_cli.recording.depth import Depth
 from posetrack_cli.recording.description import described_stamps, described_use
 from posetrack_cli.recording.grey import Grey, grey_like
