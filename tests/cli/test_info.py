@@ -18,6 +18,7 @@ from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from posetrack_cli.cli.info import info
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_DONE, RecordingError
 from posetrack_cli.mcap.sink import McapSink
+from support import datasets as layouts
 
 MS = 1_000_000
 STAMPS_MS = [0, 100, 200, 300, 700, 800, 800, 650, 900]
@@ -160,3 +161,15 @@ def test_commands_import_nothing_heavy() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_a_recording_of_another_tool(tmp_path: Path) -> None:
+    archive = layouts.write_r3d(tmp_path / "a.r3d", layouts.r3d_files())
+    printed = run(archive).stdout.splitlines()
+    assert printed[0].startswith("a.r3d: Record3D recording, 3 frames, ")
+    assert printed[1].startswith("stamps: 3 messages, 0.033 s, 60.00 Hz")
+    camera = "64x48, fx 60 fy 60.25 cx 31.5 cy 23.5, no distortion (metadata of the recording)"
+    assert printed[2] == f"hand run uses {camera}"
+    assert "hand run: depth of confidence 0 is left out" in printed
+    camera = "256x192, fx 240 fy 241 cx 127.5 cy 95.5, no distortion (metadata of the recording)"
+    assert f"head mono uses {camera}" in printed

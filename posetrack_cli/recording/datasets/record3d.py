@@ -211,10 +211,10 @@ def _stamps(path: Path, metadata: _Metadata, numbers: Sequence[int]) -> tuple[li
     """Return the stamps of images, ns, and their rate where they have none of their own."""
     times = metadata.frameTimestamps
     if len(times) > numbers[-1]:
-        stamps = [round((times[number] - times[0]) * NS_PER_S) for number in numbers]
+        stamps = [round(times[number] * NS_PER_S) for number in numbers]
         if not all(0 <= stamp <= LATEST_NS for stamp in stamps):
             raise RecordingError(
-                "stamps are before the first, or too late", where=path, found="frameTimestamps"
+                "stamps are negative or too late", where=path, found="frameTimestamps"
             )
         return stamps, None
     if metadata.fps is None or metadata.fps <= 0:
