@@ -213,9 +213,7 @@ def _stamps(path: Path, metadata: _Metadata, numbers: Sequence[int]) -> tuple[li
     if len(times) > numbers[-1]:
         stamps = [round(times[number] * NS_PER_S) for number in numbers]
         if not all(0 <= stamp <= LATEST_NS for stamp in stamps):
-            raise RecordingError(
-                "stamps are negative or too late", where=path, found="frameTimestamps"
-            )
+            raise RecordingError("stamps are negative or too late", where=path, found="frameTimestamps")
         return stamps, None
     if metadata.fps is None or metadata.fps <= 0:
         found = f"{len(times)} stamps for {len(numbers)} images"
