@@ -15,6 +15,9 @@ import numpy as np
 from hostile.case import Case, Content
 from hostile.mcap_bytes import CHANNEL, CHUNK, MESSAGE, SCHEMA, Record, file_bytes, read_records
 from hostile.running import SEED, Harness, Pool
+from support import datasets as layouts
+from support import recordings
+from support.rvl import encoded as encoded_rvl
 
 FRAMES = 3
 STEP = 8
@@ -113,7 +116,7 @@ def _tracked(
 
 
 def _warm_up(harness: Harness, heads: bytes) -> None:
-    """Load the compiled code of heads once, for all children; what needs GL is theirs."""
+    """Load the compiled code of heads and of images once, for all children; what needs GL is theirs."""
     folder = harness.scratch / "warm"
     folder.mkdir(exist_ok=True)
     (folder / "heads.mcap").write_bytes(heads)
@@ -123,7 +126,23 @@ def _warm_up(harness: Harness, heads: bytes) -> None:
         [*(swap.get(word, word) for word in COMMANDS[kind]), "-o", str(folder / f"{kind}.mcap"), *tail]
         for kind in ("stereo", "mono")
     ]
+    layouts.write_r3d(folder / "lzfse.r3d", layouts.r3d_files(1))
+    _write_rvl(folder / "rvl.mcap")
+    for name in ("lzfse.r3d", "rvl.mcap"):
+        commands.append(["convert", str(folder / name), "-o", str(folder / "out.mcap"), "--overwrite"])
     harness.warm(commands)
+
+
+def _write_rvl(path: Path) -> None:
+    """Write one message of depth in RVL, and its calibration."""
+    image = recordings.depth_codes(1)[0]
+    content = {"format": "16UC1; compressedDepth rvl", "data": bytes(12) + encoded_rvl(image)}
+    calibration = recordings.calibration_fields(upper=False)
+    messages = [
+        ("/cam/camera_info", "CameraInfo", START_NS, START_NS, calibration),
+        ("/cam/image/compressedDepth", "CompressedImage", START_NS, START_NS, content),
+    ]
+    recordings.write_ros2(path, messages)
 
 
 def _model_options(kind: str) -> tuple[str, ...]:
