@@ -131,7 +131,8 @@ def _video_lines(report: Values) -> Iterator[str]:
 def _camera_lines(report: Values) -> Iterator[str]:
     for number, camera in enumerate(report["cameras"]):
         place = f", {camera['distance_mm']:.1f} mm from the first" if number else ""
-        yield f"camera {camera['name']}: {_intrinsics(camera)}{place}"
+        why = f" ({camera['why']})" if camera["why"] else ""
+        yield f"camera {camera['name']}: {_intrinsics(camera)}{place}{why}"
     if report["no_camera"]:
         yield f"camera: {report['no_camera']}"
 

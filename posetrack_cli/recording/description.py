@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -22,21 +23,23 @@ def opened(opening: Callable[[], Recording]) -> tuple[Recording | None, str | No
 
 
 def described_cameras(recording: Recording | None) -> list[dict[str, Any]]:
-    """Return a recording's cameras as plain values, with their distance from the first, mm."""
+    """Return a recording's cameras as plain values, with their distance from the first, mm, and why they count."""
+    if recording is None:
+        return []
     return [
-        camera.values() | {"distance_mm": float(np.linalg.norm(np.array(camera.camera_T_reference)[:, 3]))}
-        for camera in (() if recording is None else recording.cameras)
+        camera.values()
+        | {"distance_mm": float(np.linalg.norm(np.array(camera.camera_T_reference)[:, 3])), "why": why}
+        for camera, why in zip_longest(recording.cameras, recording.why, fillvalue="")
+        if not isinstance(camera, str)
     ]
 
 
 def described_use(opening: Callable[[], Recording], command: str) -> dict[str, Any]:
     """Return the cameras that a command would use and where they come from, or why it cannot read it."""
     recording, problem = opened(opening)
-    cameras = described_cameras(recording)
-    why = () if recording is None else recording.why
     return {
         "command": command,
-        "cameras": [camera | {"why": reason} for camera, reason in zip(cameras, why, strict=False)],
+        "cameras": described_cameras(recording),
         "remarks": [] if recording is None else list(recording.remarks),
         "problem": problem,
     }

@@ -29,6 +29,7 @@ from posetrack_cli.recording.description import (
     opened,
 )
 from posetrack_cli.recording.grey import holds_grey
+from posetrack_cli.recording.guess import Guess
 from posetrack_cli.recording.identity import shown_name
 from posetrack_cli.recording.message_calibration import camera_from_message
 from posetrack_cli.recording.message_source import open_depth_messages, open_grey_messages
@@ -67,6 +68,11 @@ class MessageSurvey:
         """Whether there are two topics of images that can be made grey, depth aside."""
         images = [topic for topic in self._scan.topics.values() if topic.image is not None]
         return sum(holds_grey(topic.first, topic.kind) and not topic.is_depth for topic in images) > 1
+
+    def has_grey(self) -> bool:
+        """Whether there is a topic of images that can be made grey, depth aside."""
+        images = [topic for topic in self._scan.topics.values() if topic.image is not None]
+        return any(holds_grey(topic.first, topic.kind) and not topic.is_depth for topic in images)
 
     def has_depth(self) -> bool:
         """Whether there is a topic of depth images."""
@@ -121,6 +127,8 @@ def describe_messages(path: Path) -> dict[str, Any]:
     used = []
     if survey.has_depth() and not is_result:
         used = [described_use(lambda: open_depth_messages(path, {}), "hand run")]
+    if survey.has_grey() and not several and not is_result:
+        used.append(described_use(lambda: open_grey_messages(path, {"guess": Guess()}), "head mono"))
     return {
         "name": shown_name(placed_path(path)),
         "kind": container.kind,

@@ -37,7 +37,7 @@ def test_folders_of_two_cameras(tmp_path: Path) -> None:
     assert text[0].startswith("r: 7 images of 2 cameras")
     assert text[1] == "images left: 4, 000000.png to 000003.png, 32x24, 8-bit grey"
     assert text[3] == "frames: 4, of which 1 lack a camera"
-    assert text[-1].endswith("101.1 mm from the first")
+    assert text[-1].endswith("101.1 mm from the first (camera.toml)")
 
 
 def test_what_is_missing_is_told(tmp_path: Path) -> None:
