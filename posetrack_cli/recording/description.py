@@ -23,7 +23,7 @@ def opened(opening: Callable[[], Recording]) -> tuple[Recording | None, str | No
 
 
 def described_cameras(recording: Recording | None) -> list[dict[str, Any]]:
-    """Return a recording's cameras as plain values, with distance from the first, mm, and where they are from."""
+    """Return a recording's cameras as plain values, with distance from the first, mm, and origin."""
     if recording is None:
         return []
     return [
