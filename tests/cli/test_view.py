@@ -220,7 +220,7 @@ def test_a_folder_needs_no_options_again_nor_its_camera_file(
         (["RESULT", "RESULT", "RESULT", "-o", "v.mp4"], 2, "at most 2"),
         (["RESULT", "-o", "v.mp4", "--recording", "RESULT"], 1, "is not the recording"),
         (["RESULT", "-o", "v.mp4", "--any-recording"], 2, "needs --recording"),
-        (["RESULT", "-o", "v.mp4", "--missing", "3"], 2, "does not apply to an MCAP file"),
+        (["RESULT", "-o", "v.mp4", "--fps", "3"], 2, "does not apply to an MCAP file"),
         (["RESULT", "-o", "v.mp4", "--device", "99"], 1, "no headless context"),
         (["RESULT", "-o", "v.mp4", "--zoom", "0"], 2, "--zoom"),
         (["RESULT", "-o", "v.mp4", "--zoom", "nan"], 2, "nan is no finite number"),

@@ -311,8 +311,8 @@ def test_a_folder_of_one_camera_without_a_name_is_opened_as_the_run_opened_it(tm
 
 def test_options_that_do_not_apply_are_wrong_usage(recording: Path, tmp_path: Path) -> None:
     result = result_of(tmp_path / "home" / "r.mcap", open_recording(recording))
-    with pytest.raises(UsageError, match="--missing does not apply to an MCAP file"):
-        search_recording(result, missing=7)
+    with pytest.raises(UsageError, match="--fps does not apply to an MCAP file"):
+        search_recording(result, fps=7.0)
 
 
 def test_the_camera_of_a_run(recording: Path, tmp_path: Path) -> None:
