@@ -73,7 +73,7 @@ def _list_metrics(context: click.Context, parameter: click.Parameter, asked: boo
 )
 @click.argument("results", metavar="RESULT...", nargs=-1, type=FILE)
 @option_group(
-    truth_option("A recording, a result, or CSV.  [default: what the result carries]"),
+    truth_option("A recording, result, CSV, or folder of .pts files.  [default: what the result carries]"),
     option(
         "--truth-tolerance-ms",
         metavar="MS",

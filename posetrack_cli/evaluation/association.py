@@ -1,4 +1,4 @@
-"""Which estimate and which truth belong together: one to one, by their stamps."""
+"""Which estimate and which truth belong together: one to one, by their stamps or frame numbers."""
 
 from __future__ import annotations
 
@@ -45,6 +45,12 @@ def associate(estimate_ns: IntArray, truth_ns: IntArray, tolerance_ns: int) -> P
     taken = _disjoint(nearest_first, len(merged))
     rows = np.sort([order[taken], order[taken + 1]], axis=0)
     return Pairs(rows[0], rows[1] - count)
+
+
+def associate_frames(estimate: IntArray, truth: IntArray) -> Pairs:
+    """Pair the frames that are in both, by their numbers (N,) and (M,), strictly increasing."""
+    _, mine, theirs = np.intersect1d(estimate, truth, assume_unique=True, return_indices=True)
+    return Pairs(mine, theirs)
 
 
 def check_stamps(stamp_ns: IntArray, name: str) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.evaluation.alignment import common_factor, remove_constant_offset
-from posetrack_cli.evaluation.association import Pairs, associate, nearest_rows
+from posetrack_cli.evaluation.association import Pairs, associate, associate_frames, nearest_rows
 from posetrack_cli.evaluation.coverage import Coverage, measure_coverage
 from posetrack_cli.evaluation.evaluation import Curve, Evaluation, Value
 from posetrack_cli.evaluation.honesty import JudgedFrames
@@ -129,7 +129,7 @@ def evaluate(path: Path, options: EvalOptions = DEFAULT_OPTIONS, name: str | Non
 def _measured(
     result: Result, track: Track, truth: Track | None, truth_losses: LossLog, options: EvalOptions
 ) -> Evaluation:
-    pairs = None if truth is None else associate(track.stamp_ns, truth.stamp_ns, options.tolerance_ns)
+    pairs = None if truth is None else _paired(track, truth, options)
     coverage = measure_coverage(track, truth, pairs, tolerance_ns=options.tolerance_ns)
     measures = Measures(_nothing(track, truth, options), notes=_run_notes(result, options))
     measures.metrics |= coverage_metrics(coverage)
@@ -182,6 +182,8 @@ def _nothing(track: Track, truth: Track | None, options: EvalOptions) -> str:
         return NO_TRUTH
     if not len(truth):
         return "the truth is empty"
+    if truth.frame_index is not None:
+        return f"no estimate is of an annotated frame: {truth.name}"
     nearest = truth.stamp_ns[nearest_rows(track.stamp_ns, truth.stamp_ns)]
     away = _readable(int(np.abs(track.stamp_ns - nearest).min()))
     return (
@@ -201,6 +203,12 @@ def _run_notes(result: Result, options: EvalOptions) -> list[str]:
     notes += [GUESS_NOTE] if result.run.get("intrinsics") == "guessed" else []
     told = {"the run could not use all of its input": "losses", "the run remarks": "remarks"}
     return notes + [f"{what}: {result.summary[key]}" for what, key in told.items() if key in result.summary]
+
+
+def _paired(track: Track, truth: Track, options: EvalOptions) -> Pairs:
+    if truth.frame_index is not None and track.frame_index is not None:
+        return associate_frames(track.frame_index, truth.frame_index)
+    return associate(track.stamp_ns, truth.stamp_ns, options.tolerance_ns)
 
 
 def _aligned(measures: Measures, track: Track, truth: Track, pairs: Pairs, options: EvalOptions) -> Track:
@@ -234,8 +242,8 @@ def _against_truth(
         measures.notes.append(measures.nothing)
     kind = KINDS[matched.estimate.subject]
     curve = kind.measure(measures, matched, coverage.missed)
-    if kind.measure_intervals is not None:
-        kind.measure_intervals(measures, result, matched)
+    if kind.measure_of_result is not None:
+        kind.measure_of_result(measures, result, matched)
     judged = judged_frames(measures, matched, kind)
     if judged is not None:
         honesty_metrics(measures, judged)

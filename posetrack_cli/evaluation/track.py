@@ -49,8 +49,10 @@ class Track:
         points: (N, P, 3) mm, camera axes.
         confidence, cost, effective_sample_size, milliseconds, evaluations: (N,); NaN where unknown.
         resampled: (N,).
-        frame_index: (N,) positions of the frames in the recording; None for a truth or where unknown.
+        frame_index: (N,) positions of the frames in the recording; None where unknown, of a truth unless it
+            is matched by them.
         numbers: (N, M) further numbers that the tracker names; NaN where unknown.
+        pixels: (N, P, 2) points in the images, of a truth that has nothing else.
     """
 
     name: str
@@ -76,6 +78,7 @@ class Track:
     resampled: BoolArray | None = None
     frame_index: IntArray | None = None
     numbers: FloatArray | None = None
+    pixels: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.stamp_ns)

@@ -344,6 +344,12 @@ def landmarks_csv() -> str:
     return "\n".join([", ".join(names), *rows]) + "\n"
 
 
+def points_text() -> str:
+    """The annotated points of one frame, as 300-VW has them."""
+    points = "\n".join(f"{20 + k % 17}.5 {15 + k % 13}" for k in range(68))
+    return f"version: 1\nn_points: 68\n{{\n{points}\n}}\n"
+
+
 def landmarks_tree() -> list[dict[str, Any]]:
     """The same by our own names."""
     from posetrack_cli.head.face.points import POINT_NAMES

@@ -450,6 +450,9 @@ CSV_PIECES = (
 )
 
 
+PTS_PIECES = (*CSV_PIECES, "{", "}", "n_points: 68", "n_points: 4294967296", "nan 5", "5", "1 2 3", "1e400 1")
+
+
 def tables(seeds: Seeds) -> Strategy:
     """timestamps.csv, truth, clicked points, keypoints, landmarks, gates and baselines."""
     folder, heads = of.depth_folder(seeds), of.grey_folder(seeds)
@@ -491,6 +494,23 @@ def tables(seeds: Seeds) -> Strategy:
             changed_text(of.truth_csv(), CSV_PIECES),
             st.just(("eval", "r.mcap", "--truth", "t.csv")),
             **result,
+        ),
+        made_of(
+            "tables",
+            "a/000001.pts",
+            changed_text(of.points_text(), PTS_PIECES),
+            st.just(("eval", "r.mcap", "--truth", "a")),
+            **{"r.mcap": seeds.results["mono"], "a/000002.pts": utf8(of.points_text())},
+        ),
+        st.builds(
+            lambda digits, words: Case(
+                "tables",
+                words,
+                {f"a/{digits}.pts": utf8(of.points_text()), "r.mcap": seeds.results["mono"]},
+                OUT,
+            ),
+            NAME_DIGITS,
+            st.just(("eval", "r.mcap", "--truth", "a")),
         ),
         made_of(
             "tables",

@@ -39,6 +39,8 @@ class Matched:
         for side, track in (("truth", self.truth), ("result", self.estimate)):
             for name in names:
                 if getattr(track, name) is None:
+                    if track.pixels is not None:
+                        return f"the {side} has only image points"
                     return f"the {side} has no {_WORDS.get(name, name)}"
         return ""
 

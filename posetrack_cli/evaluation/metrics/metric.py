@@ -20,7 +20,7 @@ GROUP_TITLES: dict[Group, str] = {
 }
 """The groups in the order of every table."""
 
-_UNIT_ENDINGS = ("_deg_s", "_mm_s", "_mm", "_deg", "_s")
+_UNIT_ENDINGS = ("_deg_s", "_mm_s", "_mm", "_deg", "_px", "_s")
 
 
 @dataclass(frozen=True)

@@ -172,7 +172,7 @@ HAND = SubjectKind(
     worst_by=("joint_error_mm",),
     right={"joint_error_mm": RIGHT_MM},
     far={"joint_error_mm": FAR_MM},
-    measure_intervals=_joint_intervals,
+    measure_of_result=_joint_intervals,
     remove_offsets=_without_offsets,
     compare_images=_compared,
 )

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from posetrack_cli.evaluation.metrics.head_metrics import HEAD_POSE, STATE_PARTS, head_metrics
+from posetrack_cli.evaluation.metrics.landmark_metrics import landmark_metrics
+from posetrack_cli.evaluation.metrics.measures import Matched, Measures
 from posetrack_cli.evaluation.metrics.metric import Metric
 from posetrack_cli.evaluation.subjects.kind import SubjectKind
 from posetrack_cli.head.subject import RIGHT_DEG, RIGHT_MM
+from posetrack_cli.results.reader import Result
 
 FAR_DEG = 10.0
 _METRICS = (
@@ -33,7 +36,26 @@ _METRICS = (
         "Distance between an estimated and the true feature point in head coordinates, each by its own pose.",
         "point",
     ),
+    Metric(
+        "landmark_error_px",
+        "px",
+        "Image distance between a projected and the annotated feature point, in which constant offsets are "
+        "expected as nostrils and brows are not quite those of annotations.",
+        "point",
+    ),
+    Metric(
+        "landmark_nme",
+        "%",
+        "Landmark error over the points of a frame, in percent of the distance of the annotated outer eye "
+        "corners.",
+        spoken="normalised landmark error",
+    ),
 )
+
+
+def _landmarks(measures: Measures, result: Result, matched: Matched) -> None:
+    landmark_metrics(measures, matched, result.camera())
+
 
 HEAD = SubjectKind(
     name="head",
@@ -57,7 +79,8 @@ HEAD = SubjectKind(
     ),
     lead=("position_mm", "rotation_deg"),
     readings=("position_mm", "rotation_deg", "point_error_mm"),
-    worst_by=("point_error_mm", "position_mm"),
+    worst_by=("point_error_mm", "position_mm", "landmark_error_px"),
     right={"rotation_deg": RIGHT_DEG, "point_error_mm": RIGHT_MM},
     far={"rotation_deg": FAR_DEG},
+    measure_of_result=_landmarks,
 )

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 Measure: TypeAlias = Callable[[Measures, Matched, int], Curve | None]
 """Adds what is measured of matched frames against truth; the number is that of frames that were missed."""
 RemoveOffsets: TypeAlias = Callable[[Result, Matched, OffsetFrame], tuple[Track, JointOffsets | None]]
-MeasureIntervals: TypeAlias = Callable[[Measures, Result, Matched], None]
+MeasureOfResult: TypeAlias = Callable[[Measures, Result, Matched], None]
 CompareImages: TypeAlias = Callable[[Result, "Recording", str], Mapping[str, FloatArray]]
 """Measures a track of a result, by name, against images: values (N,) by metric, NaN where there is none."""
 
@@ -46,8 +46,8 @@ class SubjectKind:
             are judged where the first is known; confidence is the probability that they are right.
         far: the errors above which a frame is far off; the first must be the first of ``right``.
         worst_by: those of its metrics that say how bad a frame is; the first counts that an evaluation has.
-        measure_intervals: adds whether points lie within the intervals that follow from a pose's; None where
-            that is not known.
+        measure_of_result: adds metrics that need more of the result than its track, such as its camera; None
+            where there are none.
         remove_offsets: takes a constant offset of each point out of an estimate; None where none is meant.
         compare_images: measures against depth images; None where there are none.
     """
@@ -67,7 +67,7 @@ class SubjectKind:
     worst_by: tuple[str, ...]
     right: Mapping[str, float] = field(default_factory=dict)
     far: Mapping[str, float] = field(default_factory=dict)
-    measure_intervals: MeasureIntervals | None = None
+    measure_of_result: MeasureOfResult | None = None
     remove_offsets: RemoveOffsets | None = None
     compare_images: CompareImages | None = None
 

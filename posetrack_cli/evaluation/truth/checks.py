@@ -76,6 +76,8 @@ def truth_warnings(result: Result, track: Track, truth: Track, path: Path | None
         truth: what they are measured against.
         path: the file that it was taken from; None for what the result carries.
     """
+    if truth.pixels is not None:
+        yield f"the truth has only image points: {truth.name}"
     if path is not None and _of_another_recording(result, path):
         yield f"the truth {path.name} was made from another recording than the result"
     distance, true_distance = _distance_mm(track), _distance_mm(truth)
@@ -88,7 +90,7 @@ def truth_warnings(result: Result, track: Track, truth: Track, path: Path | None
 
 def _of_another_recording(result: Result, path: Path) -> bool:
     """Whether a truth is another run's estimates, and both say what they were made from."""
-    if not (is_mcap(path) and is_result(path)):
+    if path.is_dir() or not (is_mcap(path) and is_result(path)):
         return False
     mine, its = result.run.get(RECORDING_KEY), read_result(path).run.get(RECORDING_KEY)
     return bool(mine and its and mine != its)

@@ -202,7 +202,7 @@ def _numbers(
     return np.array(
         [
             [
-                _number(row[place], name in optional, f"{header.path} line {line}, column {name}")
+                cell_number(row[place], name in optional, f"{header.path} line {line}, column {name}")
                 for place, name in zip(places, columns, strict=True)
             ]
             for line, row in block
@@ -210,8 +210,17 @@ def _numbers(
     )
 
 
-def _number(cell: str, optional: bool, where: str) -> float:
-    """Return one cell; slow, for blocks with empty cells or with a fault that needs its place."""
+def cell_number(cell: str, optional: bool, where: str) -> float:
+    """Return one cell; slow, for blocks with empty cells or with a fault that needs its place.
+
+    Args:
+        cell: its text.
+        optional: whether an empty cell or ``nan`` is NaN.
+        where: the cell is.
+
+    Raises:
+        TruthError: it is not a number, not finite or too large.
+    """
     cell = cell.strip()
     if optional and cell.lower() in ("", "nan"):
         return math.nan

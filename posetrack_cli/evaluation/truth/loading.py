@@ -12,6 +12,7 @@ from posetrack_cli.errors import TruthError, UsageError
 from posetrack_cli.evaluation.track import MOTION_FIELDS, Track, truth_of_columns
 from posetrack_cli.evaluation.truth.checks import check_point_names
 from posetrack_cli.evaluation.truth.csv_track import load_csv_track
+from posetrack_cli.evaluation.truth.image_points import load_image_points
 from posetrack_cli.evaluation.truth.topics import (
     ODOMETRY_SCHEMA,
     POINTS_SCHEMA_NAME,
@@ -44,11 +45,12 @@ def load_truth(
     - of another result its **own estimates**, such as a stereo track as the truth for a mono one, without
       those that are lost; not the truth that it carries;
     - of any other MCAP file, such as the recording, the ``/truth`` topics;
-    - of any other file what it has as CSV (``csv_track``).
+    - of any other file what it has as CSV (``csv_track``);
+    - of a folder points of a face in its images (``image_points``).
 
     Args:
         result: to be measured.
-        path: a file; None for what the result carries.
+        path: a file or folder; None for what the result carries.
         time_offset_s: added to the stamps of the truth.
         losses: gets what of an MCAP file given as ``path`` cannot be read; what is lost of the result itself
             is in ``result.losses``.
@@ -75,6 +77,8 @@ def load_truth(
 
 
 def _given(result: Result, path: Path, losses: LossLog) -> Track:
+    if path.is_dir():
+        return load_image_points(path, result)
     if not path.is_file():
         raise TruthError("is no file" if path.exists() else "does not exist", where=path)
     if path.samefile(result.path):
@@ -154,6 +158,10 @@ def _shifted(truth: Track, offset_s: float) -> Track:
     """Return the truth with the offset added to its stamps."""
     if offset_s == 0.0 or not len(truth):
         return truth
+    if truth.frame_index is not None:
+        raise UsageError(
+            "frames of image points are matched by their numbers", hint="leave --time-offset-s out"
+        )
     offset = round(offset_s * NS_PER_S)
     if max(abs(int(truth.stamp_ns[0]) + offset), abs(int(truth.stamp_ns[-1]) + offset)) > LATEST_NS:
         raise UsageError("time offset leads beyond 64-bit stamps", found=f"{offset_s} s")
