@@ -52,8 +52,6 @@ def load_image_points(folder: Path, result: Result) -> Track:
         UsageError: the run mirrored its images.
         ResultError: the stamps of the result do not leave room for those of its missing frames.
     """
-    if result.subject.name != HEAD:
-        raise TruthError("is of another subject", where=folder, found="a face", expected=result.subject.name)
     if result.run.get("input.mirror") == "true":
         raise UsageError("image points are not those of mirrored images", where=folder, found="--mirror")
     files = _numbered_files(folder)

@@ -21,6 +21,7 @@ from posetrack_cli.evaluation.truth.topics import (
     points_topic,
     points_track,
 )
+from posetrack_cli.head.subject import HEAD
 from posetrack_cli.losses import LossLog
 from posetrack_cli.mcap.stream import McapFile, is_mcap
 from posetrack_cli.recording.base import TRUTH_PREFIX
@@ -46,7 +47,7 @@ def load_truth(
       those that are lost; not the truth that it carries;
     - of any other MCAP file, such as the recording, the ``/truth`` topics;
     - of any other file what it has as CSV (``csv_track``);
-    - of a folder points of a face in its images (``image_points``).
+    - of a folder, for a head, points of its face in images (``image_points``).
 
     Args:
         result: to be measured.
@@ -77,7 +78,7 @@ def load_truth(
 
 
 def _given(result: Result, path: Path, losses: LossLog) -> Track:
-    if path.is_dir():
+    if path.is_dir() and result.subject.name == HEAD:
         return load_image_points(path, result)
     if not path.is_file():
         raise TruthError("is no file" if path.exists() else "does not exist", where=path)

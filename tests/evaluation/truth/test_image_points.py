@@ -189,15 +189,13 @@ def test_options_that_do_not_fit_are_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="mirrored"):
         measured(mirrored, folder)
     hand = write_result(tmp_path / "h.mcap", HAND, estimates(HAND, 3))
-    with pytest.raises(TruthError, match="another subject"):
+    with pytest.raises(TruthError, match="is no file"):
         measured(hand, folder)
 
 
 def test_annotations_of_larger_images_are_refused(tmp_path: Path) -> None:
     folder = annotated(tmp_path / "annot", shift=(640.0, 0.0))
-    with pytest.raises(
-        TruthError, match=r"outside the images that were tracked, found points up to .*, expected 640x480"
-    ):
+    with pytest.raises(TruthError, match=r"points up to [0-9]+, [0-9]+, expected 640x480"):
         measured(result_at(tmp_path), folder)
 
 
