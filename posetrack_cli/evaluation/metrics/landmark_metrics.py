@@ -31,7 +31,7 @@ def landmark_metrics(measures: Measures, matched: Matched, camera: Camera) -> No
     projected, visible = pixels_from_points(camera, matched.of_estimate("points")[:, points.estimate])
     pixels = matched.of_truth("pixels")
     errors = distances(projected, pixels[:, points.truth])
-    known: BoolArray = visible.all(axis=1)
+    known: BoolArray = np.logical_and.reduce(visible, axis=1)
     if not known.all():
         measures.notes.append(f"image errors without {(~known).sum()} frames with points outside the view")
     measures.add(ERROR, errors, known)
