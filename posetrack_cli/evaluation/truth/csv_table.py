@@ -26,6 +26,8 @@ SEPARATORS = {";": "semicolons", "\t": "tabs", " ": "spaces"}
 """What other programs write between columns."""
 STATUS = "status"
 BLOCK_ROWS = 4096  # as text a row takes ten times its numbers' memory
+SHOWN = 40
+"""Characters of a cell that an error shows."""
 NS_PER_UNIT = {"stamp_ns": 1, "t_s": NS_PER_S, "time_s": NS_PER_S}
 """Columns of stamps, the first that a file has is taken, and what one of their units is in ns."""
 
@@ -227,11 +229,13 @@ def cell_number(cell: str, optional: bool, where: str) -> float:
     try:
         value = float(cell)
     except ValueError as error:
-        raise TruthError("is not a number", where=where, found=repr(cell)) from error
+        raise TruthError("is not a number", where=where, found=repr(cell[:SHOWN])) from error
     if not math.isfinite(value):
-        raise TruthError("is not finite", where=where, found=cell)
+        raise TruthError("is not finite", where=where, found=cell[:SHOWN])
     if abs(value) > limits.NUMBER:
-        raise TruthError("is too large", where=where, found=cell, expected=f"{limits.NUMBER:g} at most")
+        raise TruthError(
+            "is too large", where=where, found=cell[:SHOWN], expected=f"{limits.NUMBER:g} at most"
+        )
     return value
 
 
