@@ -10,6 +10,7 @@ import numpy as np
 
 from posetrack_cli.errors import TruthError, UsageError
 from posetrack_cli.evaluation.track import MOTION_FIELDS, Track, truth_of_columns
+from posetrack_cli.evaluation.truth.biwi import holds_poses, load_biwi_poses
 from posetrack_cli.evaluation.truth.checks import check_point_names
 from posetrack_cli.evaluation.truth.csv_track import load_csv_track
 from posetrack_cli.evaluation.truth.image_points import load_image_points
@@ -78,6 +79,8 @@ def load_truth(
 
 
 def _given(result: Result, path: Path, losses: LossLog) -> Track:
+    if path.is_dir() and result.subject.name == HEAD and holds_poses(path):
+        return load_biwi_poses(path, result.run)
     if path.is_dir() and result.subject.name == HEAD:
         return load_image_points(path, result)
     if not path.is_file():
