@@ -385,18 +385,30 @@ def nominal_hint(width: int, height: int) -> str:
 
 
 def image_camera(
-    settings: DepthCamera, path: Path, size: tuple[int, int], name: str = LONE_NAME
+    settings: DepthCamera,
+    path: Path,
+    size: tuple[int, int],
+    name: str = LONE_NAME,
+    orientation: Orientation = UPRIGHT,
 ) -> ImageCamera:
-    """Return the camera that a camera file gives stored images of a width and height.
+    """Return the camera that a camera file gives images of a width and height.
+
+    Args:
+        settings: of the file.
+        path: the file.
+        size: of the decoded images, pixels.
+        name: of the camera.
+        orientation: of the decoded images against the stored ones.
 
     Raises:
         RecordingError: its intrinsics are not of such images.
     """
     try:
-        camera = settings.stored_camera(*size, name)
+        picture = Picture(*size, orientation)
+        camera = settings.stored_camera(*size, name, picture=picture)
     except RecordingError as error:
         raise _in_file(error, path) from error
-    return ImageCamera(camera, path.name, nominal_remark(path) + settings.remarks(*size))
+    return ImageCamera(camera, path.name, nominal_remark(path) + settings.remarks(*size, picture=picture))
 
 
 def load_depth_camera(path: Path) -> DepthCamera:

@@ -55,7 +55,13 @@ from posetrack_cli.recording.image_files import (
 )
 from posetrack_cli.recording.image_folders import CameraFolders, Stamped, find_depth, find_folders
 from posetrack_cli.recording.matching import NS_PER_MS
-from posetrack_cli.recording.orientation import UPRIGHT, Orientation, Picture, orientation_of_file
+from posetrack_cli.recording.orientation import (
+    UPRIGHT,
+    Orientation,
+    Picture,
+    orientation_of_decoding,
+    orientation_of_file,
+)
 from posetrack_cli.recording.pixels import Pixels, Window
 from posetrack_cli.recording.recording import (
     CameraStream,
@@ -81,7 +87,7 @@ def open_depth_folder(path: Path, options: ReadingOptions) -> Recording:
     images_of = find_depth(path)
     (images,) = images_of.by_name.values()
     folder = images[0].parent
-    first = first_decoded(images, lambda image: decode_codes(read_image(image), str(image)))
+    first, turn = first_decoded(images, _depth_and_turn)
     height, width = first.shape
     file = depth_camera_path(path, options.get("camera_file"), folder, (width, height))
     settings = _overridden(load_depth_camera(file), options)
@@ -93,7 +99,7 @@ def open_depth_folder(path: Path, options: ReadingOptions) -> Recording:
             hint="--depth-unit-mm 1 takes them for depth all the same",
         )
     timing = images_of.timing(options.get("fps"), nominal_fps=settings.fps)
-    found = image_camera(settings, file, (width, height))
+    found = image_camera(settings, file, (width, height), orientation=turn)
     decision = decide_unit(_early_content(images, found.camera, settings.missing), settings.depth_unit_mm)
     encoding: DepthEncoding = "16UC1" if decision.unit_mm == 1.0 and first.dtype.kind == "u" else "32FC1"
     pixels = Depth(
@@ -125,6 +131,11 @@ def open_depth_folder(path: Path, options: ReadingOptions) -> Recording:
         why=[found.why],
         remarks=(*images_of.every_remark, *timing.remarks, *found.remarks, *decision.remarks),
     )
+
+
+def _depth_and_turn(image: ImageFile) -> tuple[ImageArray, Orientation]:
+    data = read_image(image)
+    return decode_codes(data, str(image)), orientation_of_decoding(data)
 
 
 def _early_content(images: Sequence[ImageFile], camera: Camera, missing: int) -> DepthContent:

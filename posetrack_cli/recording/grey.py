@@ -15,7 +15,7 @@ from posetrack_cli.mcap.decoding import COMPRESSED_IMAGE, RAW_IMAGE, VIDEO_IMAGE
 from posetrack_cli.recording.base import UnreadableImageError
 from posetrack_cli.recording.image_files import JPEG_BEGIN, PNG_SIGNATURE, WEBP_BEGIN, decode_any
 from posetrack_cli.recording.message_video import is_video_format
-from posetrack_cli.recording.orientation import UPRIGHT, Orientation, orientation_of_file
+from posetrack_cli.recording.orientation import UPRIGHT, Orientation, orientation_after_decoding
 from posetrack_cli.recording.pixels import check_size, raw_values
 
 PLAIN_BITS = 8
@@ -94,7 +94,7 @@ class Grey:
 
     def from_file(self, data: bytes, where: object) -> ImageArray:
         """Return the (height, width) uint8 grey of an image file, or its colour, turned as it is shown."""
-        return self._from_encoded(data, orientation_of_file(data))
+        return self._from_encoded(data, orientation_after_decoding(data))
 
     def _from_encoded(self, data: bytes, orientation: Orientation = UPRIGHT) -> ImageArray:
         image = orientation.apply(decode_any(data, AS_STORED_FLAGS if self.keeps_colour else GREY_FLAGS))
@@ -226,7 +226,7 @@ def decode_shown(data: bytes) -> ImageArray:
     Raises:
         UnreadableImageError: the bytes are no image or an incomplete one.
     """
-    return orientation_of_file(data).apply(decode_as_stored(data))
+    return orientation_after_decoding(data).apply(decode_as_stored(data))
 
 
 def _raw_values(decoded: Any) -> ImageArray:

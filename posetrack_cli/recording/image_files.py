@@ -19,6 +19,7 @@ from posetrack_cli.files import read_input
 from posetrack_cli.recording.base import UnreadableImageError
 from posetrack_cli.recording.file_names import order_remark
 from posetrack_cli.recording.name_stamps import order_of_names
+from posetrack_cli.recording.orientation import TIFF_BEGIN
 from posetrack_cli.recording.tiff_pages import Page, find_pages, page_bytes
 
 Decoded = TypeVar("Decoded")
@@ -28,7 +29,6 @@ GREY_SUFFIXES = (*DEPTH_SUFFIXES, ".jpg", ".jpeg", ".bmp", ".ppm", ".webp")
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 JPEG_BEGIN, JPEG_END = b"\xff\xd8", b"\xff\xd9"
 WEBP_BEGIN = b"RIFF"
-TIFF_BEGIN = b"II*\0", b"MM\0*"
 TIFF_ENTRY_BYTES, TIFF_SHORT, TIFF_TILE_TAGS = 12, 3, (322, 323)
 SIGNATURES = (
     *(PNG_SIGNATURE, JPEG_BEGIN, WEBP_BEGIN, *TIFF_BEGIN, b"BM"),

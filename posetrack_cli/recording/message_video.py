@@ -49,9 +49,10 @@ def decoded_video(messages: Iterable[tuple[Item, Any]]) -> Iterator[tuple[Item, 
         waiting.append((number, item))
         if len(waiting) > MOST_BEHIND:
             yield waiting.popleft()[1], None
-        if message is None:
+        decoder = None if message is None else DECODERS.get(str(message.format))
+        if decoder is None:
             continue
-        context = context or _context(str(message.format))
+        context = context or _context(decoder)
         for shown, picture in _pictures(context, bytes(message.data), number):
             yield from _until(waiting, shown, picture)
     if context is not None:
@@ -75,11 +76,11 @@ def _until(
         yield item, picture if number == shown else None
 
 
-def _context(name: str) -> VideoCodecContext:
+def _context(decoder: str) -> VideoCodecContext:
     import av
     from av.video.codeccontext import VideoCodecContext
 
-    context = av.CodecContext.create(DECODERS[name], "r")
+    context = av.CodecContext.create(decoder, "r")
     assert isinstance(context, VideoCodecContext)
     context.options = {"max_pixels": str(limits.IMAGE_PIXELS)}
     context.thread_count = 1  # threads would hold pictures back

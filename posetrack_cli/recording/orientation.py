@@ -16,6 +16,7 @@ EXIF_TAG = 274
 EXIF_BEGIN = b"Exif\0\0"
 JPEG_BEGIN, JPEG_MARKERS_WITHOUT_SIZE = b"\xff\xd8", (0x01, *range(0xD0, 0xD8))
 JPEG_APP1, JPEG_SCAN = 0xE1, 0xDA
+TIFF_BEGIN = b"II*\0", b"MM\0*"
 PNG_BEGIN, PNG_EXIF = b"\x89PNG\r\n\x1a\n", b"eXIf"
 RIFF_BEGIN, WEBP_EXIF = b"RIFF", b"EXIF"
 MOST_ENTRIES = 512
@@ -123,9 +124,19 @@ OF_EXIF = dict(enumerate(WORDS, 1))
 
 
 def orientation_of_file(data: bytes) -> Orientation:
-    """Return the orientation in the EXIF of a JPEG, PNG or WebP file; that of TIFF its decoder applies."""
+    """Return the orientation that a TIFF, or the EXIF of a JPEG, PNG or WebP file, states."""
     exif = _exif(data)
     return OF_EXIF.get(_stated(exif), UPRIGHT) if exif else UPRIGHT
+
+
+def orientation_of_decoding(data: bytes) -> Orientation:
+    """Return the orientation that OpenCV applies when it decodes a file: that of TIFF, whatever its flags."""
+    return orientation_of_file(data) if data.startswith(TIFF_BEGIN) else UPRIGHT
+
+
+def orientation_after_decoding(data: bytes) -> Orientation:
+    """Return the orientation of a decoded image that remains to be applied."""
+    return UPRIGHT if data.startswith(TIFF_BEGIN) else orientation_of_file(data)
 
 
 def orientation_of_matrix(data: bytes) -> Orientation:
@@ -165,6 +176,8 @@ def _signed(camera: Camera, places: tuple[int, ...]) -> tuple[float, ...]:
 
 def _exif(data: bytes) -> bytes:
     """Return the EXIF block of a file, from its TIFF header on; empty for none."""
+    if data.startswith(TIFF_BEGIN):
+        return data
     if data.startswith(JPEG_BEGIN):
         return _jpeg_exif(data)
     if data.startswith(PNG_BEGIN):

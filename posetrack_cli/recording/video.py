@@ -95,16 +95,17 @@ P = TypeVar("P", Depth, Grey)
 
 
 def _shown(path: Path, rig: Rig) -> tuple[Callable[[VideoFrame], ImageArray], tuple[str, ...]]:
-    """Return what makes images of a video's frames, and a remark where these have other pixels than stored.
+    """Return what makes images of a video's frames, and remarks where these differ from ordinary video.
 
     A guessed camera has square pixels; a camera file is of the pixels that are stored.
     """
     with opened_video(path) as video:
         aspect = video.pixel_aspect if rig.is_guessed else 1.0
+        remarks = ("video is HDR (PQ): brightness is used as it is coded",) if video.is_pq else ()
     if aspect == 1.0:
-        return shown_image, ()
+        return shown_image, remarks
     remark = f"pixels are {aspect:.4g} times as wide as high: pictures are resampled to square ones"
-    return partial(shown_image, pixel_aspect=aspect), (remark,)
+    return partial(shown_image, pixel_aspect=aspect), (*remarks, remark)
 
 
 class VideoImages(Generic[P]):

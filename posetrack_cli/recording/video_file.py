@@ -54,6 +54,8 @@ DEPTH_TITLE, INFRARED_TITLE = "DEPTH", "IR"
 DISPLAY_MATRIX = "DISPLAYMATRIX"
 MOST_ASPECT = 8.0
 """Of pixels: anamorphic film has 2."""
+PQ_TRANSFER = 16
+"""H.273's number of the brightness curve of HDR10 and Dolby Vision; HLG looks like ordinary video."""
 MICROSECONDS = 1_000_000
 """FFmpeg's unit of durations."""
 FFMPEG_LOGGER = "libav"
@@ -104,6 +106,11 @@ class OpenVideo:
         """Width over height of a pixel; 1 if it does not state it."""
         aspect = float(self.stream.sample_aspect_ratio or 1)
         return aspect if 1.0 / MOST_ASPECT <= aspect <= MOST_ASPECT else 1.0
+
+    @property
+    def is_pq(self) -> bool:
+        """Whether it states that brightness is coded by PQ, as HDR10 is."""
+        return bool(self.stream.codec_context.color_trc == PQ_TRANSFER)
 
     @property
     def frame_count(self) -> int | None:
