@@ -124,8 +124,10 @@ HEADERS: Mapping[str, tuple[tuple[int, int, str], ...]] = {
 
 @composite
 def changed_image(draw: st.DrawFn, suffix: str, image: Array) -> bytes:
-    """An image file of a format, its header or bytes changed."""
+    """An image file of a format, its header, EXIF or bytes changed."""
     data = seeds.encoded(suffix, image)
+    if suffix in EXIF_PLACES and draw(st.integers(0, 4)) == 0:
+        return EXIF_PLACES[suffix](data, draw(st.one_of(changed_bytes(EXIF), _changed_entry())))
     if suffix == ".png" and draw(st.integers(0, 4)) > 0:
         return draw(changed_png(data))
     if suffix == ".pgm" and draw(st.booleans()):
@@ -141,6 +143,43 @@ def changed_image(draw: st.DrawFn, suffix: str, image: Array) -> bytes:
     if suffix in HEADERS and draw(st.booleans()):
         return _changed_numbers(draw, data, HEADERS[suffix])
     return draw(changed_bytes(data))
+
+
+ENTRY = struct.Struct(">HHIHH")
+EXIF = b"MM\0*" + struct.pack(">IH", 8, 1) + ENTRY.pack(274, 3, 1, 6, 0) + bytes(4)
+"""A directory with one entry: turned by a quarter."""
+
+
+def _changed_entry() -> st.SearchStrategy[bytes]:
+    """EXIF whose numbers are others."""
+    short, long = st.integers(0, 2**16 - 1), st.integers(0, 2**32 - 1)
+    kinds, values = st.sampled_from((0, 1, 3, 4, 65535)), st.one_of(st.integers(0, 9), short)
+    return st.builds(
+        lambda start, count, kind, several, value: (
+            b"MM\0*" + struct.pack(">IH", start, count) + ENTRY.pack(274, kind, several, value, 0)
+        ),
+        *(st.one_of(st.just(8), long), st.one_of(st.just(1), short)),
+        *(kinds, long, values),
+    )
+
+
+def _jpeg_with(data: bytes, exif: bytes) -> bytes:
+    block = b"Exif\0\0" + exif
+    return data[:2] + b"\xff\xe1" + struct.pack(">H", len(block) + 2 & 0xFFFF) + block + data[2:]
+
+
+def _png_with(data: bytes, exif: bytes) -> bytes:
+    head, *others = png_chunks(data)
+    return PNG_MAGIC + b"".join(png_chunk(*chunk) for chunk in (head, (b"eXIf", exif), *others))
+
+
+def _webp_with(data: bytes, exif: bytes) -> bytes:
+    body = data[8:] + b"EXIF" + struct.pack("<I", len(exif)) + exif + bytes(len(exif) % 2)
+    return b"RIFF" + struct.pack("<I", len(body)) + body
+
+
+EXIF_PLACES = {".jpg": _jpeg_with, ".png": _png_with, ".webp": _webp_with}
+"""How the formats hold EXIF."""
 
 
 def _changed_numbers(draw: st.DrawFn, data: bytes, places: tuple[tuple[int, int, str], ...]) -> bytes:
@@ -252,9 +291,7 @@ def changed_video(draw: st.DrawFn, data: bytes) -> bytes:
             continue
         heads = [at for at in range(0, max(0, len(out) - 8)) if bytes(out[at : at + 4]) in VIDEO_MARKS]
         if heads:
-            place = draw(st.sampled_from(heads)) + draw(
-                st.sampled_from((-4, 4, 8, 12, 16, 20, 24, 28, 32, 36, 40))
-            )
+            place = draw(st.sampled_from(heads)) + draw(st.sampled_from((-4, *range(4, 84, 4))))
             new = draw(packed_numbers())
             place = max(0, place)
             out[place : place + len(new)] = new

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -384,6 +385,47 @@ def video(suffix: str, fourcc: str) -> bytes:
             writer.write(rng.integers(90, 160, (48, 64, 3), dtype=np.uint8))
         writer.release()
         return path.read_bytes()
+
+
+@cache
+def gif() -> bytes:
+    """Return an animated GIF of three small images."""
+    import tempfile
+
+    import av
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "v.gif"
+        with av.open(str(path), "w") as container:
+            stream = container.add_stream("gif", rate=10)
+            stream.width, stream.height, stream.pix_fmt = 64, 48, "rgb8"
+            for image in _noise("rgb24"):
+                container.mux(stream.encode(image.reformat(format="rgb8")))
+            container.mux(stream.encode(None))
+        return path.read_bytes()
+
+
+@cache
+def video_packets(codec: str) -> tuple[bytes, ...]:
+    """Return a packet for each of three small images, as video in messages has them."""
+    import av
+
+    encoder: Any = av.CodecContext.create(codec, "w")
+    encoder.width, encoder.height, encoder.pix_fmt = 64, 48, "yuv420p"
+    encoder.time_base, encoder.max_b_frames = Fraction(1, 30), 0
+    encoder.options = {"tune": "zerolatency", "x265-params": "repeat-headers=1:log-level=none"}
+    images = [image.reformat(format="yuv420p") for image in _noise("rgb24")]
+    return tuple(bytes(packet) for image in [*images, None] for packet in encoder.encode(image))
+
+
+def _noise(form: str) -> Iterator[Any]:
+    import av
+
+    rng = np.random.default_rng(0)
+    for number in range(FRAMES):
+        image = av.VideoFrame.from_ndarray(rng.integers(90, 160, (48, 64, 3), dtype=np.uint8), format=form)
+        image.pts = number
+        yield image
 
 
 @cache

@@ -21,7 +21,16 @@ from hostile.file_cases import (
     changed_video,
     resigned,
 )
-from hostile.mcap_bytes import CHUNK, METADATA, SCHEMA, Record, file_bytes, read_records
+from hostile.mcap_bytes import (
+    CHANNEL,
+    CHUNK,
+    MESSAGE,
+    METADATA,
+    SCHEMA,
+    Record,
+    file_bytes,
+    read_records,
+)
 from hostile.mcap_cases import changed_file
 from hostile.seeds import Seeds, messages
 from hostile.values import (
@@ -812,9 +821,13 @@ def datasets(seeds: Seeds) -> Strategy:
 
 
 def videos(seeds: Seeds) -> Strategy:
-    """Videos and what calls itself one."""
+    """Videos, those in messages, and what calls itself a video."""
     del seeds
-    cases = []
+    of_gif = commands((3, ("info", "v.gif")), (2, ("head", "mono", "v.gif", "-o", "out.mcap", *HEAD)))
+    cases = [
+        made_of("videos", "v.gif", changed_bytes(of.gif()), of_gif),
+        made_of("videos", "r.mcap", _video_messages(), of_recording("r.mcap")),
+    ]
     for suffix, code in ((".avi", "MJPG"), (".mp4", "mp4v"), (".mkv", "MJPG")):
         name = f"v{suffix}"
         words = commands(
@@ -823,6 +836,37 @@ def videos(seeds: Seeds) -> Strategy:
         other: dict[str, Content] = {"other.avi": of.video(".avi", "MJPG")}
         cases.append(made_of("videos", name, changed_video(of.video(suffix, code)), words, **other))
     return st.one_of(*cases)
+
+
+@composite
+def _video_messages(draw: st.DrawFn) -> bytes:
+    """Messages of one or two videos, with packets changed, lost, doubled and of other formats."""
+    from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
+
+    formats = {"h264": "libx264", "h265": "libx265"}
+    names = draw(st.lists(st.sampled_from(sorted(formats)), min_size=1, max_size=2, unique=True))
+    records: list[Record] = [
+        {"op": SCHEMA, "id": 1, "name": "foxglove.CompressedVideo", "encoding": "protobuf", "data": b""}
+    ]
+    for number, name in enumerate(names, 1):
+        packets = of.video_packets(formats[name])
+        channel = {"op": CHANNEL, "id": number, "schema_id": 1, "topic": f"/{name}/video"}
+        records.append({**channel, "message_encoding": "protobuf", "metadata": {}})
+        order = draw(st.one_of(st.just([0, 1, 2]), st.lists(st.integers(0, 2), max_size=6)))
+        for place, k in enumerate(order):
+            stamp = of.START_NS + place * of.PERIOD_NS
+            own = CompressedVideo(frame_id=name, format=name, data=packets[k])
+            own.timestamp.FromNanoseconds(stamp)
+            how = draw(st.sampled_from(("as is", "as is", "as is", "data", "data", "format", "message")))
+            if how == "data":
+                own.data = draw(changed_bytes(own.data))
+            elif how == "format":
+                own.format = draw(st.sampled_from(("h264", "h265", "vp9", "av1", "", "x", "\x1b[2J")))
+            whole = own.SerializeToString()
+            content = draw(ros.changed_protobuf(own)) if how == "message" else whole
+            message = {"op": MESSAGE, "channel_id": number, "sequence": place, "log_time": stamp}
+            records.append({**message, "publish_time": stamp, "data": content})
+    return file_bytes([{"op": 1}, {"op": CHUNK, "inner": records}])
 
 
 def bags(seeds: Seeds) -> Strategy:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from fractions import Fraction
 from pathlib import Path
+from types import SimpleNamespace
 
 import av
 import cv2
@@ -125,3 +126,88 @@ def test_messages_without_any_picture_do_not_pile_up(stream: tuple[str, list[byt
         assert picture is None
         taken += 1
     assert taken == 1000
+
+
+def test_messages_of_ros(tmp_path: Path, stream: tuple[str, list[bytes]]) -> None:
+    """CDR of foxglove_msgs/msg/CompressedVideo, by its published definition."""
+    from mcap_ros2.writer import Writer
+
+    name, data = stream
+    definition = (
+        "builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\nstring format\n"
+        f"{'=' * 80}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+    )
+    path = tmp_path / "v.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        schema = writer.register_msgdef("foxglove_msgs/msg/CompressedVideo", definition)
+        for number, content in enumerate(data):
+            sec, nanosec = divmod(START_NS + number * PERIOD_NS, 10**9)
+            message = {
+                "timestamp": {"sec": sec, "nanosec": nanosec},
+                "frame_id": "camera",
+                "data": content,
+                "format": name,
+            }
+            writer.write_message("/camera/video", schema, message, log_time=START_NS, publish_time=START_NS)
+        writer.finish()
+    found = errors(path)
+    assert list(found) == list(range(COUNT)) and max(found.values()) < GREY_LEVELS
+
+
+def test_two_calibrated_cameras(tmp_path: Path) -> None:
+    """Each topic has a decoder of its own, here of two codecs; cameras come from calibrations."""
+    from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+    from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
+
+    path, baseline_m = tmp_path / "v.mcap", 0.12
+    with McapSink(path, compression="zstd") as sink:
+        for k, name in enumerate(("left", "right")):
+            info = sink.channel(f"/{name}/camera_info", CameraCalibration)
+            p = [100.0, 0.0, 63.5, -100.0 * baseline_m * k, 0.0, 100.0, 23.5, 0.0, 0.0, 0.0, 1.0, 0.0]
+            calibration = CameraCalibration(
+                frame_id=name,
+                width=128,
+                height=48,
+                distortion_model="plumb_bob",
+                D=[0.0] * 5,
+                K=[100.0, 0.0, 63.5, 0.0, 100.0, 23.5, 0.0, 0.0, 1.0],
+                R=[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+                P=p,
+            )
+            sink.write(info, START_NS, calibration.SerializeToString())
+        own = {
+            name: (sink.channel(f"/{name}/video", CompressedVideo), codec, encoded(*CODECS[codec]))
+            for name, codec in (("left", "h264"), ("right", "h265"))
+        }
+        for number in range(COUNT):
+            for name, (channel, codec, data) in own.items():
+                message = CompressedVideo(frame_id=name, format=codec, data=data[number])
+                message.timestamp.FromNanoseconds(START_NS + number * PERIOD_NS)
+                sink.write(channel, START_NS + number * PERIOD_NS, message.SerializeToString())
+        sink.finish()
+    recording = open_recording(path, "grey")
+    assert [camera.fx for camera in recording.cameras] == [100.0, 100.0]
+    assert recording.cameras[1].camera_T_reference[0][3] == pytest.approx(-1000.0 * baseline_m)
+    frames = list(recording.frames())
+    assert len(frames) == COUNT and recording.losses == ()
+    for number, frame in enumerate(frames):
+        for image in frame.images:
+            assert image is not None
+            assert np.abs(image.astype(int) - pictures()[number]).mean() < GREY_LEVELS
+
+
+def test_pictures_beyond_the_bound_are_not_decoded(
+    monkeypatch: pytest.MonkeyPatch, stream: tuple[str, list[bytes]]
+) -> None:
+    monkeypatch.setattr("posetrack_cli.limits.IMAGE_PIXELS", 128 * 48 - 1)
+    messages = [SimpleNamespace(format=stream[0], data=data) for data in stream[1]]
+    assert [picture for _, picture in decoded_video(enumerate(messages))] == [None] * COUNT
+
+
+def test_messages_of_another_format_cost_themselves(stream: tuple[str, list[bytes]]) -> None:
+    name, data = stream
+    messages = [SimpleNamespace(format="prores", data=b"x")]
+    messages += [SimpleNamespace(format=name, data=content) for content in data]
+    found = dict(decoded_video(enumerate(messages)))
+    assert [number for number, picture in found.items() if picture is None] == [0]

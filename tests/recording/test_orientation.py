@@ -17,6 +17,7 @@ from posetrack_cli.errors import PosetrackError, RecordingError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.projection import pixels_from_points
 from posetrack_cli.recording.camera_file import Intrinsics
+from posetrack_cli.recording.grey import decode_shown, grey_like
 from posetrack_cli.recording.guess import Guess
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.recording.orientation import (
@@ -27,6 +28,7 @@ from posetrack_cli.recording.orientation import (
     orientation_of_file,
     orientation_of_matrix,
 )
+from posetrack_cli.recording.pixels import PixelKind
 
 ROUNDING_PX = 1e-9
 CAMERAS = {
@@ -197,6 +199,55 @@ def test_a_folder_of_turned_pictures(tmp_path: Path) -> None:
     assert first is not None and second is not None
     assert np.abs(first.astype(int) - second).max() <= 8, "JPEG compresses along rows and columns alike"
     assert "images are turned 90 degrees clockwise, as their EXIF states" in recording.remarks
+
+
+# TIFF, which OpenCV turns itself
+
+
+def tiff(image: np.ndarray, number: int) -> bytes:
+    """Return a TIFF of one strip that states its orientation (TIFF 6.0, section 8)."""
+    height, width = image.shape
+    tags = {256: width, 257: height, 258: 8 * image.itemsize, 259: 1, 262: 1, 273: 8, 274: number, 277: 1}
+    tags |= {278: height, 279: image.nbytes, 339: 1}
+    entries = b"".join(struct.pack("<HHIHH", tag, 3, 1, value, 0) for tag, value in tags.items())
+    directory = struct.pack("<H", len(tags)) + entries + bytes(4)
+    return b"II*\0" + struct.pack("<I", 8 + image.nbytes) + image.tobytes() + directory
+
+
+@pytest.mark.parametrize("number", range(1, 9))
+def test_all_eight_of_tiff_are_shown_once(number: int) -> None:
+    data = tiff(corners(), number)
+    assert orientation_of_file(data) == OF_EXIF[number]
+    np.testing.assert_array_equal(decode_shown(data), OF_EXIF[number].apply(corners()))
+    shown = grey_like(decode_shown(data), "image").from_file(data, "image")
+    np.testing.assert_array_equal(shown, OF_EXIF[number].apply(corners()))
+
+
+@pytest.mark.parametrize("kind", ["grey", "depth"])
+def test_a_folder_of_turned_tiff(tmp_path: Path, kind: PixelKind) -> None:
+    """The camera file describes the stored picture: its size and principal point are those."""
+    stored = corners() if kind == "grey" else corners().astype("<u2") + 500
+    for k in range(2):
+        (tmp_path / f"{k}.tif").write_bytes(tiff(stored, 6))
+    (tmp_path / "camera.toml").write_text("fx = 60.0\nfy = 61.0\ncx = 29.0\ncy = 20.0\n")
+    recording = open_recording(tmp_path, kind, fps=30)
+    (camera,) = recording.cameras
+    assert (camera.width, camera.height, camera.fx, camera.cx) == (40, 60, 61.0, 40 - 1 - 20.0)
+    frame = next(iter(recording.frames()))
+    image = frame.images[0] if kind == "grey" else frame.depth
+    np.testing.assert_array_equal(image, OF_EXIF[6].apply(stored))
+    remark = "pictures are turned 90 degrees clockwise; the camera file describes the stored picture"
+    assert remark in recording.remarks
+
+
+def test_depth_stays_as_it_is_stored_whatever_its_exif_states(tmp_path: Path) -> None:
+    """A PNG of depth is not turned by its EXIF, as its reader never did."""
+    stored = corners().astype(np.uint16) + 500
+    (tmp_path / "0.png").write_bytes(png(stored, 6))
+    (tmp_path / "camera.toml").write_text("fx = 60.0\nfy = 61.0\ncx = 29.0\ncy = 20.0\n")
+    recording = open_recording(tmp_path, fps=30)
+    np.testing.assert_array_equal(next(iter(recording.frames())).depth, stored)
+    assert recording.cameras[0].width == 60
 
 
 # Videos
