@@ -100,11 +100,14 @@ def _shown(path: Path, rig: Rig) -> tuple[Callable[[VideoFrame], ImageArray], tu
     A guessed camera has square pixels; a camera file is of the pixels that are stored.
     """
     with opened_video(path) as video:
-        aspect = video.pixel_aspect if rig.is_guessed else 1.0
+        aspect = video.pixel_aspect
         remarks = ("video is HDR (PQ): brightness is used as it is coded",) if video.is_pq else ()
     if aspect == 1.0:
         return shown_image, remarks
-    remark = f"pixels are {aspect:.4g} times as wide as high: pictures are resampled to square ones"
+    shape = f"pixels are {aspect:.4g} times as wide as high"
+    if not rig.is_guessed:
+        return shown_image, (*remarks, f"{shape}: the camera file is taken to describe these")
+    remark = f"{shape}: pictures are resampled to square ones"
     return partial(shown_image, pixel_aspect=aspect), (*remarks, remark)
 
 

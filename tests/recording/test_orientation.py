@@ -311,8 +311,11 @@ def test_pixels_that_are_not_square(tmp_path: Path) -> None:
     assert (camera.width, camera.height, camera.fx, camera.fy) == (128, 96, 128.0, 128.0)
     assert recording.remarks == ("pixels are 2 times as wide as high: pictures are resampled to square ones",)
     (tmp_path / "v.toml").write_text("fx = 60.0\nfy = 120.0\ncx = 31.5\ncy = 47.5\n")
-    (camera,) = open_recording(path, "grey").cameras
+    recording = open_recording(path, "grey")
+    (camera,) = recording.cameras
     assert (camera.width, camera.height, camera.fx, camera.fy) == (64, 96, 60.0, 120.0)
+    remark = "pixels are 2 times as wide as high: the camera file is taken to describe these"
+    assert recording.remarks == (remark,)
 
 
 def test_an_animated_gif_is_a_video(tmp_path: Path) -> None:
