@@ -211,3 +211,22 @@ def test_messages_of_another_format_cost_themselves(stream: tuple[str, list[byte
     messages += [SimpleNamespace(format=name, data=content) for content in data]
     found = dict(decoded_video(enumerate(messages)))
     assert [number for number, picture in found.items() if picture is None] == [0]
+
+
+@pytest.mark.parametrize(
+    ("name", "codec", "options"),
+    [
+        ("vp9", "libvpx-vp9", {"lag-in-frames": "0", "deadline": "realtime"}),
+        ("av1", "libsvtav1", {"preset": "12", "svtav1-params": "pred-struct=1:lookahead=0"}),
+    ],
+)
+def test_other_codecs(
+    monkeypatch: pytest.MonkeyPatch, name: str, codec: str, options: dict[str, str]
+) -> None:
+    monkeypatch.setenv("SVT_LOG", "0")  # the encoder reports its settings
+    data = encoded(codec, options)
+    found = list(decoded_video((k, SimpleNamespace(format=name, data=d)) for k, d in enumerate(data)))
+    assert [number for number, _ in found] == list(range(COUNT))
+    for number, picture in found:
+        assert picture is not None
+        assert np.abs(picture[..., 0].astype(int) - pictures()[number]).mean() < GREY_LEVELS
