@@ -106,6 +106,23 @@ class MotionSettings(Settings):
     gap_max_s: Positive = 0.5
 
 
+class VelocitySettings(Settings):
+    """The velocity that a result states (``tracking/velocity.py``) **[ours]**.
+
+    ``next-frame`` estimates it from the tracked poses up to the next frame's: ``acceleration`` is the square
+    root of the density of the acceleration, ``pose`` the standard deviation of the poses' errors. ``filter``
+    states the particles' own velocity, (63).
+    """
+
+    method: Literal["next-frame", "filter"] = "next-frame"
+    acceleration: ComponentSettings = ComponentSettings(
+        position_mm=130.0, rotation_rad=4.0, flexion_rad=7.0, abduction_rad=5.0
+    )
+    pose: ComponentSettings = ComponentSettings(
+        position_mm=0.2, rotation_rad=0.004, flexion_rad=0.01, abduction_rad=0.015
+    )
+
+
 class MixtureSettings(Settings):
     """How a pixel's reading comes about (``rendering/pixel_model.py``); only the cost "mixture" asks.
 
@@ -327,6 +344,7 @@ class HandConfig(Settings):
     hand: HandSettings = HandSettings()
     filter: FilterSettings = FilterSettings()
     motion: MotionSettings = MotionSettings()
+    velocity: VelocitySettings = VelocitySettings()
     observation: ObservationSettings = ObservationSettings()
     segmentation: SegmentationSettings = SegmentationSettings()
     detection: DetectionSettings = DetectionSettings()

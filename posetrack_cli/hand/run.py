@@ -26,6 +26,7 @@ from posetrack_cli.hand.model import MESH_DIGEST, hand_model
 from posetrack_cli.hand.proposals import PROPOSALS
 from posetrack_cli.hand.protocol import NUMBER_NAMES, HandTrackerProtocol
 from posetrack_cli.hand.smoothing import frame_fits, make_smoother, smoothed_hand
+from posetrack_cli.hand.space import tangent_vector
 from posetrack_cli.hand.start import centre_pose, read_pose
 from posetrack_cli.hand.tracker import HandState, dynamics
 from posetrack_cli.hand.trackers import make_tracker
@@ -43,6 +44,7 @@ from posetrack_cli.tracking import options as tracking_options
 from posetrack_cli.tracking.options import common_record, frames_ahead, nothing_to_track
 from posetrack_cli.tracking.run import Run
 from posetrack_cli.tracking.smoothing import FrameFacts, Kept, SmoothedTrack, smoothing_path
+from posetrack_cli.tracking.velocity import VelocityModel, smoothed_velocities
 
 INIT_METHODS = ("auto", "center")
 _REST: FloatArray = np.eye(1, POSE_SIZE, 6)[0]
@@ -90,6 +92,7 @@ class HandRun(Run):
         self._camera = recording.cameras[0]
         self.tracker = make_tracker(config, hand, self._camera, device, options.keypoints)
         self._mesh = None if config.output.mesh == "none" else hand.skin(config.output.mesh)
+        self.velocity_model = velocity_model(config)
         self._start_pose = _given_pose(options)
         renderer = str(device.info)
         self.cameras = (self._camera,)
@@ -195,7 +198,8 @@ class _Smoothing:
         self._track.flush()
 
     def finish(self, writer: ResultWriter) -> None:
-        for estimate in self._track.backward():
+        model = self._run.velocity_model
+        for estimate in smoothed_velocities(self._track.backward(), model, backward=True):
             writer.write_smoothed(estimate, self._run.vertices(estimate))
         self._track.delete()
 
@@ -205,6 +209,18 @@ def with_method(config: HandConfig, options: RunOptions) -> HandConfig:
     if options.init not in INIT_METHODS:
         return config
     return config.model_copy(update={"init": config.init.model_copy(update={"method": options.init})})
+
+
+def velocity_model(config: HandConfig) -> VelocityModel | None:
+    """Return what a result's velocities are estimated with; None for those of the filter."""
+    settings = config.velocity
+    if settings.method == "filter":
+        return None
+    return VelocityModel(
+        tangent_vector(settings.acceleration),
+        tangent_vector(settings.pose),
+        tangent_vector(config.init.velocity),
+    )
 
 
 def _given_pose(options: RunOptions) -> FloatArray | None:

@@ -177,6 +177,20 @@ class HeadStatusSettings(Settings):
     lost_after_frames: Count = 3
 
 
+class HeadVelocitySettings(Settings):
+    """The velocity that a result states, from the tracked poses up to the next frame's **[ours]**.
+
+    ``acceleration_mm`` and ``acceleration_rad`` are the square root of the density of a head's acceleration,
+    ``pose_mm`` and ``pose_rad`` the standard deviations of its poses' errors from frame to frame. See
+    ``tracking/velocity.py``.
+    """
+
+    acceleration_mm: Positive = 40.0
+    acceleration_rad: Positive = 0.5
+    pose_mm: Positive = 0.1
+    pose_rad: Positive = 0.001
+
+
 class HeadSmoothingSettings(Settings):
     """The smoothed track of ``--smooth`` **[ours]**; see ``head.smoothing``.
 
@@ -231,6 +245,7 @@ class HeadStereoConfig(Settings):
     refinement: RefinementSettings = RefinementSettings()
     status: HeadStatusSettings = HeadStatusSettings()
     accuracy: AccuracySettings = AccuracySettings()
+    velocity: HeadVelocitySettings = HeadVelocitySettings()
     smoothing: HeadSmoothingSettings = HeadSmoothingSettings()
     output: HeadOutputSettings = HeadOutputSettings()
 
@@ -402,6 +417,9 @@ class HeadMonoConfig(Settings):
     person: PersonSettings = PersonSettings()
     accuracy: OneCameraAccuracySettings = OneCameraAccuracySettings()
     skin: SkinSettings = SkinSettings()
+    velocity: HeadVelocitySettings = HeadVelocitySettings(
+        acceleration_mm=90.0, acceleration_rad=0.8, pose_mm=0.3, pose_rad=0.003
+    )
     smoothing: HeadSmoothingSettings = HeadSmoothingSettings(
         velocity_mm=300.0,
         velocity_rad=2.0,

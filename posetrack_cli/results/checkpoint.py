@@ -23,7 +23,7 @@ from posetrack_cli.results.layouts import COUNTS, check_numbers
 
 _ARRAY_PREFIX = "array."
 _JSON_KEY, _DIGEST_KEY = "json", "digest"
-FORMAT_VERSION = 5
+FORMAT_VERSION = 6
 RESTART_HINT = "start again with --overwrite"
 
 

@@ -9,11 +9,12 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
+from posetrack_cli.arrays import FloatArray
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.checkpoint import Checkpoint
 from posetrack_cli.results.estimate import Estimate
-from posetrack_cli.results.layouts import FLAGS, LayoutError, check_numbers
-from posetrack_cli.tracking.state_codec import Codec
+from posetrack_cli.results.layouts import FLAGS, LayoutError, check_numbers, floats
+from posetrack_cli.tracking.state_codec import Codec, Fields, Maybe, Value, joined, part_of, stamp
 
 State = TypeVar("State")
 
@@ -36,6 +37,24 @@ StartState = Callable[[Frame, np.random.Generator], Any]
 """Makes a tracker's state before a first frame."""
 
 
+class VelocityBelief(NamedTuple):
+    """What is believed of a body's motion after a frame (``tracking.velocity``).
+
+    Attributes:
+        stamp_ns: of the frame.
+        pose: (1 + D,) position, quaternion and shape entries.
+        velocity: (D,) in the tangent space.
+        covariance: (3, D) variance of the pose, covariance of pose and velocity, variance of the velocity.
+        surprise: (D,) square of the last innovation over its variance; 1 where there was none.
+    """
+
+    stamp_ns: int
+    pose: FloatArray
+    velocity: FloatArray
+    covariance: FloatArray
+    surprise: FloatArray
+
+
 class RunState(NamedTuple):
     """Where a pass is.
 
@@ -43,11 +62,13 @@ class RunState(NamedTuple):
         state: the tracker's, None before its first frame.
         rng: the random generator.
         frame_index: of the last frame tracked, -1 before the first.
+        velocity: what is believed of the motion; None where nothing is.
     """
 
     state: Any
     rng: np.random.Generator
     frame_index: int = -1
+    velocity: VelocityBelief | None = None
 
 
 class Step(NamedTuple):
@@ -81,7 +102,7 @@ def track_frames(
         start_state: makes the state before the first frame.
         timings: give every estimate the milliseconds that its step took.
     """
-    state, rng, last = run_state
+    state, rng, last = run_state.state, run_state.rng, run_state.frame_index
     for frame in frames:
         if frame.index <= last:
             continue
@@ -94,6 +115,18 @@ def track_frames(
         yield Step(frame, estimate, RunState(state, rng, frame.index))
 
 
+_VELOCITY = "run_velocity"
+"""What the arrays of a velocity's belief are called in a checkpoint, beside those of the tracker."""
+_VELOCITY_CODEC = Maybe(
+    Fields(
+        VelocityBelief,
+        stamp_ns=stamp(),
+        pose=Value(floats("pose entries")),
+        velocity=Value(floats("velocities")),
+        covariance=Value(floats(3, "velocities")),
+        surprise=Value(floats("velocities", least=0.0)),
+    )
+)
 _BITS_32, _BITS_128 = (0, (1 << 32) - 1), (0, (1 << 128) - 1)
 
 
@@ -102,7 +135,11 @@ def checkpoint_of(tracker: Tracker[Any], run_state: RunState, frames: int) -> Ch
     record: dict[str, Any] = {"rng": run_state.rng.bit_generator.state}
     if run_state.state is None:
         return Checkpoint(run_state.frame_index, frames, {}, record)
-    return Checkpoint(run_state.frame_index, frames, tracker.codec.to_arrays(run_state.state), record)
+    motion = _VELOCITY_CODEC.to_arrays(run_state.velocity)
+    arrays = tracker.codec.to_arrays(run_state.state) | {
+        joined(_VELOCITY, name): v for name, v in motion.items()
+    }
+    return Checkpoint(run_state.frame_index, frames, arrays, record)
 
 
 def run_state_at(tracker: Tracker[Any], checkpoint: Checkpoint, rng: np.random.Generator) -> RunState:
@@ -115,7 +152,9 @@ def run_state_at(tracker: Tracker[Any], checkpoint: Checkpoint, rng: np.random.G
     _set_state(rng, record.get("rng"))
     if index < 0:
         return RunState(None, rng, index)
-    return RunState(tracker.codec.from_arrays(checkpoint.arrays), rng, index)
+    motion = part_of(checkpoint.arrays, _VELOCITY)
+    own = {name: v for name, v in checkpoint.arrays.items() if not name.startswith(f"{_VELOCITY}.")}
+    return RunState(tracker.codec.from_arrays(own), rng, index, _VELOCITY_CODEC.from_arrays(motion))
 
 
 def _set_state(rng: np.random.Generator, state: Any) -> None:

@@ -30,6 +30,7 @@ from posetrack_cli.tracking.options import (
     is_hardly_tracked,
     nothing_to_track,
 )
+from posetrack_cli.tracking.velocity import VelocityModel, with_velocities
 
 FRAMES_SHOWN = 8
 """About how many frames are read again to say why hardly any was tracked."""
@@ -67,12 +68,14 @@ class Run(ABC):
         subject: what is tracked; set by the subclass.
         record: the run record; set by the subclass.
         cameras: that the result states, the one that estimates are relative to first.
+        velocity_model: what velocities are estimated with, a frame late; None leaves the tracker's.
     """
 
     tracker: Tracker[Any]
     subject: Subject
     record: Mapping[str, str]
     cameras: tuple[Camera, ...]
+    velocity_model: VelocityModel | None = None
 
     def __init__(self, recording: Recording, options: RunOptions, flush_frames: int) -> None:
         self._recording, self._options, self._flush_frames = recording, options, flush_frames
@@ -169,7 +172,10 @@ class Run(ABC):
             run_state = going_on
             carrier = truth_carrier(iter(self._recording.truth()), writer)
             with closing(carrier) as truth, self.open_memory(writer) as memory:
-                for step in self.steps(self._watched(frames), run_state):
+                steps = self._remembered(self.steps(self._watched(frames), run_state), memory)
+                if self.velocity_model is not None:
+                    steps = with_velocities(steps, self.velocity_model, run_state.velocity)
+                for step in steps:
                     truth.send(step.frame.stamp_ns)
                     run_state = step.after
                     self._write(writer, memory, step)
@@ -191,10 +197,15 @@ class Run(ABC):
             self._stamps.add(frame.index, frame.stamp_ns)
             yield frame
 
+    def _remembered(self, steps: Iterable[Step], memory: FrameMemory | None) -> Iterator[Step]:
+        """The steps, each remembered before the next one: what a state holds of its frame is gone then."""
+        for step in steps:
+            if memory is not None:
+                memory.remember(step.after.state, step.estimate)
+            yield step
+
     def _write(self, writer: ResultWriter, memory: FrameMemory | None, step: Step) -> None:
         """Write an estimate, and a checkpoint where the result is flushed."""
-        if memory is not None:
-            memory.remember(step.after.state, step.estimate)
         if writer.write(step.estimate, self.vertices(step.estimate)):
             if memory is not None:
                 memory.flush()

@@ -91,7 +91,7 @@ def path(tmp_path: Path) -> Path:
 
 
 def test_the_state_itself_is_taken(path: Path) -> None:
-    (place, steps, stamp), generator, index = resume(path)
+    (place, steps, stamp), generator, index, _ = resume(path)
     expected = rng()
     for _ in range(FLUSHED):
         last = expected.standard_normal(3)

@@ -1,12 +1,15 @@
-"""The laws that every state codec is held to."""
+"""The laws that every state codec is held to, and a tracker with a small state."""
 
 from __future__ import annotations
 
-from typing import Any, TypeVar
+from operator import itemgetter
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from posetrack_cli.tracking.state_codec import Codec
+from posetrack_cli.results.layouts import floats
+from posetrack_cli.tracking.loop import Tracker
+from posetrack_cli.tracking.state_codec import Codec, Fields, Value, whole
 
 T = TypeVar("T")
 
@@ -25,3 +28,16 @@ def assert_lawful(codec: Codec[T], value: T) -> T:
     again = codec.from_arrays({name: array.copy() for name, array in arrays.items()})
     assert_same_arrays(codec.to_arrays(again), arrays)
     return again
+
+
+class Counting:
+    """A tracker whose state is an array and a number."""
+
+    codec = Fields(
+        lambda sum, count: (sum, count),
+        sum=(itemgetter(0), Value(floats("n"))),
+        count=(itemgetter(1), whole()),
+    )
+
+
+TRACKER = cast(Tracker[Any], Counting())

@@ -2,30 +2,14 @@
 
 from __future__ import annotations
 
-from operator import itemgetter
 from pathlib import Path
-from typing import Any, cast
 
 import numpy as np
 
 from posetrack_cli.results import checkpoint as checkpoints
 from posetrack_cli.results.checkpoint import Progress
-from posetrack_cli.results.layouts import floats
-from posetrack_cli.tracking.loop import RunState, Tracker, checkpoint_of, run_state_at
-from posetrack_cli.tracking.state_codec import Fields, Value, whole
-
-
-class Counting:
-    """A tracker whose state is an array and a number."""
-
-    codec = Fields(
-        lambda sum, count: (sum, count),
-        sum=(itemgetter(0), Value(floats("n"))),
-        count=(itemgetter(1), whole()),
-    )
-
-
-TRACKER = cast(Tracker[Any], Counting())
+from posetrack_cli.tracking.loop import RunState, checkpoint_of, run_state_at
+from support.codecs import TRACKER
 
 
 def test_state_frame_and_random_numbers_come_back_from_a_file(tmp_path: Path) -> None:
@@ -35,13 +19,13 @@ def test_state_frame_and_random_numbers_come_back_from_a_file(tmp_path: Path) ->
     checkpoints.save(tmp_path / "state", saved, Progress(0, 2, 0, {}))
     loaded, _ = checkpoints.load(tmp_path / "state")
     assert (loaded.frame_index, loaded.frames_written) == (11, 6)
-    (total, count), again, index = run_state_at(TRACKER, loaded, np.random.default_rng(0))
-    assert (total.tolist(), count, index) == ([0.0, 1.0, 2.0], 7, 11)
+    (total, count), again, index, motion = run_state_at(TRACKER, loaded, np.random.default_rng(0))
+    assert (total.tolist(), count, index, motion) == ([0.0, 1.0, 2.0], 7, 11, None)
     assert again.standard_normal(9).tolist() == rng.standard_normal(9).tolist()
 
 
 def test_before_the_first_frame_there_is_no_state() -> None:
     saved = checkpoint_of(TRACKER, RunState(None, np.random.default_rng(4)), 0)
-    state, rng, index = run_state_at(TRACKER, saved, np.random.default_rng(0))
+    state, rng, index, _ = run_state_at(TRACKER, saved, np.random.default_rng(0))
     assert state is None and index == -1
     assert rng.integers(1 << 40) == np.random.default_rng(4).integers(1 << 40)

@@ -16,12 +16,14 @@ from posetrack_cli.head.config import HeadMonoConfig, HeadStereoConfig
 from posetrack_cli.head.smoothing.fits import HeadFits, make_head_smoother
 from posetrack_cli.head.smoothing.frames import FrameKeeper, HeadFrame, Link, Reach, chained, with_speeds
 from posetrack_cli.head.smoothing.places import PosedFrame, posed_frame, with_places
+from posetrack_cli.head.velocity import velocity_model
 from posetrack_cli.results.checkpoint import RESTART_HINT
 from posetrack_cli.results.estimate import Estimate, Subject
 from posetrack_cli.results.layouts import LayoutError, check_arrays
 from posetrack_cli.results.spool import RecordSpool
 from posetrack_cli.results.writer import ResultWriter
 from posetrack_cli.tracking.smoothing import SmoothedTrack
+from posetrack_cli.tracking.velocity import smoothed_velocities
 from posetrack_cli.units import NS_PER_S
 
 
@@ -56,7 +58,7 @@ class HeadMemory:
         kept: int = 0,
     ) -> None:
         self._path, self._cameras, self._origin = path, cameras, origin
-        self._settings = config.smoothing
+        self._settings, self._velocity = config.smoothing, velocity_model(config.velocity)
         self._fits = HeadFits(self._settings, cameras)
         self._reach = Reach(self._settings, config.particles)
         self._keeper = FrameKeeper(subject)
@@ -79,7 +81,8 @@ class HeadMemory:
             for link, chain, dt, end in self._linked():
                 memory = _memory(link, end, chain)
                 track.remember(self._fits.belief(memory), link.frame.facts, dt, link.begins, memory)
-            for estimate in with_places(track.backward(), self._settings, self._origin):
+            placed = with_places(track.backward(), self._settings, self._origin)
+            for estimate in smoothed_velocities(placed, self._velocity):
                 writer.write_smoothed(estimate)
             track.delete()
         self._spool.delete()

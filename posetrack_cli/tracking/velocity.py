@@ -1,0 +1,200 @@
+"""The velocity of a tracked body, estimated from its poses with a lag of one frame.
+
+The difference of two poses is the velocity half a frame earlier, and a filter's velocity lags further. The
+pose of the next frame removes this lag. So an estimate is written once the next frame is tracked, with its
+velocity given both; its pose, the variance of the pose and all else stay as the tracker made them.
+
+Each entry of the tangent vector has a filter of its own, with white acceleration of density q^2 and poses
+that err by r (Kalman 1960; F and the noise are those of ``filtering.kalman``, exact, without pose noise)::
+
+    pose' = pose + dt v + w^n,    v' = v + w^l;    the tracked pose is pose + e,  e ~ N(0, r^2)
+
+The velocity of frame t given frame t + 1 follows by one step of Rauch, Tung and Striebel (1965). With the
+predicted mean m' and covariance P', and G = P F^T P'^-1::
+
+    m_t + G (m_t+1 - m'),    P_t + G (P_t+1 - P') G^T
+
+A body rests and hurries, and some poses are wrong, so both noises are known up to a common factor only. With
+a factor whose inverse is gamma distributed (Roth, Ozkan and Gustafsson 2013) the stated variances are
+multiplied by (nu + d_t^2 + d_t+1^2) / (nu + 2), where d are the innovations over their standard deviations.
+
+Of a smoothed track every pose knows all frames; the same estimator gives its velocities, in whichever order
+the smoother yields the frames.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.filtering.kalman import step_noise
+from posetrack_cli.results.estimate import Estimate, Status
+from posetrack_cli.tracking.body_space import BodySpace, pose_rates
+from posetrack_cli.tracking.loop import Step, VelocityBelief
+from posetrack_cli.units import NS_PER_S
+
+FREEDOM = 4.0
+"""nu: with fewer degrees of freedom the two innovations decide alone, with many the densities do."""
+_SPACE = BodySpace()
+
+
+@dataclass(frozen=True, eq=False)
+class VelocityModel:
+    """How a body's velocity wanders, and how far its tracked poses are off.
+
+    The entries are the first D of the tangent vector, in mm and rad; u is an entry's unit.
+
+    Attributes:
+        acceleration: (D,) q, square root of the density of the acceleration, u/s per square root of a second.
+        pose_sd: (D,) r, standard deviation of the tracked poses' errors, u.
+        start_sd: (D,) standard deviation of the velocity where a track begins, u/s.
+    """
+
+    acceleration: FloatArray
+    pose_sd: FloatArray
+    start_sd: FloatArray
+
+
+class _Later(NamedTuple):
+    """What a frame tells of the velocity at the one before: what is added to mean and variance, and d^2."""
+
+    velocity: FloatArray
+    variance: FloatArray
+    surprise: FloatArray
+
+
+class VelocityEstimator:
+    """Takes the estimates of a track one by one, and returns each with its velocity, one frame late.
+
+    A chain of poses ends at a lost frame, which keeps the velocity that it has, and a new chain begins where
+    the track is re-initialised or the clock stands still.
+
+    Args:
+        model: of the velocity.
+        belief: of the last estimate that was taken before an interruption.
+        backward: the estimates come latest first.
+
+    Attributes:
+        belief: after the estimate that was taken last; None if it was lost.
+    """
+
+    def __init__(
+        self, model: VelocityModel, belief: VelocityBelief | None = None, *, backward: bool = False
+    ) -> None:
+        self.belief = belief
+        self._model, self._direction = model, -1.0 if backward else 1.0
+        self._waiting: Estimate | None = None
+
+    def take(self, estimate: Estimate) -> Estimate | None:
+        """Return the estimate taken before, with its velocity given both; None at the first one."""
+        waiting, before = self._waiting, self.belief
+        later = self._advance(estimate)
+        self._waiting = estimate
+        return None if waiting is None else self._revised(waiting, before, later)
+
+    def last(self) -> Estimate | None:
+        """Return the estimate taken last, with its velocity given those before; None without any."""
+        return None if self._waiting is None else self._revised(self._waiting, self.belief, None)
+
+    def _advance(self, estimate: Estimate) -> _Later | None:
+        """Take a pose in; return what it tells of the frame before, None where that is of another chain."""
+        before, model = self.belief, self._model
+        if estimate.status is Status.LOST:
+            self.belief = None
+            return None
+        size = len(model.pose_sd)
+        pose = np.concatenate([estimate.position, estimate.quaternion, estimate.shape])[: size + 1]
+        dt = 0.0 if before is None else self._direction * (estimate.stamp_ns - before.stamp_ns) / NS_PER_S
+        if before is None or dt <= 0.0 or self._is_cut(estimate):
+            covariance = np.stack([np.square(model.pose_sd), np.zeros(size), np.square(model.start_sd)])
+            self.belief = VelocityBelief(estimate.stamp_ns, pose, np.zeros(size), covariance, np.ones(size))
+            return None
+        expected = _SPACE.retract(before.pose[None], dt * before.velocity[None])[0]
+        pp, pv, vv = before.covariance
+        noise = step_noise(np.zeros(size), np.square(model.acceleration), dt)
+        # P', of which the pose's variance, the covariance and the velocity's variance are kept.
+        a = pp + 2.0 * dt * pv + dt**2 * vv + noise.pose
+        b = pv + dt * vv + noise.cross
+        c = vv + noise.velocity
+        innovation, spread = _SPACE.local(expected, pose), a + np.square(model.pose_sd)
+        gain, surprise = np.stack([a, b]) / spread, np.square(innovation) / spread
+        change = gain * innovation
+        fall = np.stack([gain[0] * a, gain[0] * b, gain[1] * b])
+        moved = _SPACE.retract(expected[None], change[:1])[0]
+        ahead = np.stack([a, b, c])
+        self.belief = VelocityBelief(
+            estimate.stamp_ns, moved, before.velocity + change[1], ahead - fall, surprise
+        )
+        # The velocity's row of G: (pv + dt vv, vv) P'^-1.
+        g = ((pv + dt * vv) * c - vv * b) / (a * c - b**2)
+        h = (vv * a - (pv + dt * vv) * b) / (a * c - b**2)
+        return _Later(
+            g * change[0] + h * change[1],
+            -(g**2 * fall[0] + 2.0 * g * h * fall[1] + h**2 * fall[2]),
+            surprise,
+        )
+
+    def _is_cut(self, estimate: Estimate) -> bool:
+        """Whether the track was re-initialised between the estimate taken before and this one."""
+        later = estimate if self._direction > 0.0 else self._waiting
+        return later is not None and later.status is Status.REINITIALISED
+
+    def _revised(self, estimate: Estimate, belief: VelocityBelief | None, later: _Later | None) -> Estimate:
+        """The estimate with the velocity that was believed at it, and what the next one told."""
+        if belief is None:
+            return estimate
+        known, size = len(belief.velocity), len(estimate.shape) + 6
+        unknown = np.zeros(known)
+        added, fall, surprise = later or _Later(unknown, unknown, np.ones(known))
+        twist = np.zeros(size) if estimate.twist is None else estimate.twist.copy()
+        variance = np.zeros(size) if estimate.twist_variance is None else estimate.twist_variance.copy()
+        twist[:known] = self._direction * (belief.velocity + added)
+        factor = (FREEDOM + belief.surprise + surprise) / (FREEDOM + 2.0)
+        variance[:known] = (belief.covariance[2] + fall) * factor
+        pose = np.concatenate([estimate.position, estimate.quaternion, estimate.shape])
+        return replace(estimate, twist=twist, twist_variance=variance, pose_rate=pose_rates(pose, twist))
+
+
+def with_velocities(
+    steps: Iterable[Step], model: VelocityModel, belief: VelocityBelief | None
+) -> Iterator[Step]:
+    """Yield the steps of a pass with their velocities, each once the next frame is tracked.
+
+    Args:
+        steps: of the pass.
+        model: of the velocity.
+        belief: of the last frame that was yielded before an interruption.
+    """
+    estimator, waiting = VelocityEstimator(model, belief), None
+    for step in steps:
+        estimate = estimator.take(step.estimate)
+        if waiting is not None and estimate is not None:
+            yield waiting._replace(estimate=estimate)
+        # The generator is shared by all steps, and tracking the next frame advances it.
+        after = step.after._replace(rng=copy.deepcopy(step.after.rng), velocity=estimator.belief)
+        waiting = step._replace(after=after)
+    estimate = estimator.last()
+    if waiting is not None and estimate is not None:
+        yield waiting._replace(estimate=estimate)
+
+
+def smoothed_velocities(
+    estimates: Iterable[Estimate], model: VelocityModel | None, *, backward: bool = False
+) -> Iterator[Estimate]:
+    """Yield the estimates of a smoothed track with their velocities; as they are without a model."""
+    if model is None:
+        yield from estimates
+        return
+    estimator = VelocityEstimator(model, backward=backward)
+    for estimate in estimates:
+        before = estimator.take(estimate)
+        if before is not None:
+            yield before
+    last = estimator.last()
+    if last is not None:
+        yield last
