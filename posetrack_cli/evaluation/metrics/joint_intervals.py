@@ -57,7 +57,7 @@ def joint_intervals(measures: Measures, matched: Matched, anatomy: Callable[[], 
             raises PosetrackError where they are not known.
     """
     joints = common_columns(matched.estimate.point_names, matched.truth.point_names)
-    reason = _lacks(matched, joints) or ("" if len(matched) else measures.nothing)
+    reason = hand_lacks(matched, joints) or ("" if len(matched) else measures.nothing)
     if reason:
         return measures.lack(reason, *METRICS)
     try:
@@ -71,8 +71,8 @@ def joint_intervals(measures: Measures, matched: Matched, anatomy: Callable[[], 
             measures.share(f"{metric}.{name}", pose_errors.inside_interval(own, half_width))
 
 
-def _lacks(matched: Matched, joints: Common) -> str:
-    """Why there are no intervals of joints; empty when there are."""
+def hand_lacks(matched: Matched, joints: Common) -> str:
+    """Return why a pose tells nothing of joints that could be compared; empty where it does."""
     track = matched.estimate
     if track.position is None or track.quaternion is None or track.pose_variance is None:
         return "the result has no pose with covariance"

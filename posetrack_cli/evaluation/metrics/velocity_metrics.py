@@ -44,13 +44,13 @@ def velocity_lacks(matched: Matched) -> str:
     """Why velocities cannot be compared at all; empty when they can."""
     if reason := matched.lacks("twist"):
         return reason
-    if _estimates_no_velocity(matched.estimate):
+    if estimates_no_velocity(matched.estimate):
         return "the run estimates no velocity"
     return NO_VELOCITY if _moves_without_velocity(matched.truth) else ""
 
 
-def _estimates_no_velocity(track: Track) -> bool:
-    """Whether all velocities are exactly 0 and certain, as a filter without velocity writes them."""
+def estimates_no_velocity(track: Track) -> bool:
+    """Return whether all velocities are exactly 0 and certain, as a filter without velocity writes them."""
     both = (track.twist, track.twist_variance)
     return len(track) > 0 and not any(array is not None and array.any() for array in both)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
 from typing import TYPE_CHECKING
 
 from posetrack_cli.arrays import FloatArray
@@ -55,28 +56,30 @@ def _without_offsets(
     return remove_joint_offsets(matched.estimate, matched.truth, matched.pairs, anatomy, frame)
 
 
-def _joint_intervals(measures: Measures, result: Result, matched: Matched) -> None:
+def _joints_by_pose(measures: Measures, result: Result, matched: Matched) -> None:
     from posetrack_cli.evaluation.metrics.joint_intervals import joint_intervals
+    from posetrack_cli.evaluation.metrics.joint_velocities import joint_velocities
     from posetrack_cli.evaluation.recorded_hand import anatomy_of
 
-    joint_intervals(measures, matched, lambda: anatomy_of(result))
+    anatomy = cache(lambda: anatomy_of(result))
+    joint_intervals(measures, matched, anatomy)
+    joint_velocities(measures, matched, anatomy)
 
 
-def _inside(percent: int, half_width: float) -> Metric:
+def _inside(percent: int, half_width: float, prefix: str, spoken: str, stated: str) -> Metric:
     meaning = (
-        f"Share of the true joint coordinates within +-{half_width:.3f} standard deviations that follow from "
-        f"the stated ones of the pose; with independent Gaussian errors {percent / 100:g}."
+        f"Share of the true coordinates of {spoken} within +-{half_width:.3f} standard deviations that "
+        f"follow from the stated ones of the {stated}; with independent Gaussian errors {percent / 100:g}."
     )
-    spoken = f"joints inside {percent} % interval"
     return Metric(
-        f"joint_inside_{percent}",
+        f"{prefix}_inside_{percent}",
         "",
         meaning,
         "joint",
         "covariance",
         "neither",
         scalar=True,
-        spoken=spoken,
+        spoken=f"{spoken} inside {percent} % interval",
         pooled=True,
     )
 
@@ -130,8 +133,18 @@ _METRICS = (
         "angle",
         "velocity",
     ),
-    _inside(50, INSIDE_50),
-    _inside(90, INSIDE_90),
+    Metric(
+        "joint_velocity_error_mm_s",
+        "mm/s",
+        "Distance between a joint's estimated velocity and the central difference of its true places.",
+        "joint",
+        "velocity",
+    ),
+    *(
+        _inside(percent, half_width, *about)
+        for about in (("joint", "joints", "pose"), ("joint_velocity", "joint velocities", "velocity"))
+        for percent, half_width in ((50, INSIDE_50), (90, INSIDE_90))
+    ),
 )
 
 HAND = SubjectKind(
@@ -172,7 +185,7 @@ HAND = SubjectKind(
     worst_by=("joint_error_mm",),
     right={"joint_error_mm": RIGHT_MM},
     far={"joint_error_mm": FAR_MM},
-    measure_of_result=_joint_intervals,
+    measure_of_result=_joints_by_pose,
     remove_offsets=_without_offsets,
     compare_images=_compared,
 )
