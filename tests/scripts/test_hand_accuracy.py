@@ -157,16 +157,16 @@ def test_what_was_not_measured_is_said_to_be_so(tmp_path: Path) -> None:
 def test_filters_are_compared_by_pairs(tmp_path: Path) -> None:
     chosen, targets = options(tmp_path), Targets()
     figures: dict[tuple[str, str], Figures] = {}
-    for motion, speed in filters.CONDITIONS:
-        for k, task in enumerate(filters.tasks_of(chosen, motion, speed)):
-            gain = 0.5 if motion == "C" else (-1.0) ** k
+    for condition in filters.CONDITIONS:
+        for k, task in enumerate(filters.tasks_of(chosen, condition)):
+            gain = 0.5 if condition.motion == "C" else (-1.0) ** k
             figures[task.name, "pf-guided"] = {"error_mm": 5.0 + k}
             figures[task.name, "rbpf-guided"] = {"error_mm": 5.0 + k - gain}
     text = "\n".join(filters.Filters().lines(chosen, MadeUp(figures), targets))
     said = judged(targets)
-    assert said["C, speed 1: RBPF better than PF"] == ("-0.500 mm, p = 0.0078", "reached")  # 2 of 2^8 signs
-    assert said["B, speed 2: RBPF better than PF"][1] == "**missed**"
-    assert "| C, 2 | by the local fits | 8 |" in text and "-0.50 [-0.50, -0.50] | 0.0078 | 8 |" in text
+    assert said["C, 1, 30 Hz: RBPF better than PF"] == ("-0.500 mm, p = 0.0078", "reached")  # 2 of 2^8 signs
+    assert said["B, 2, 30 Hz: RBPF better than PF"][1] == "**missed**"
+    assert "| C, 2, 30 Hz | by the local fits | default | 8 |" in text and "-0.50 [-0.50, -0.50] | 0.0078 | 8 |" in text
 
 
 def test_other_hands_are_judged_with_the_shape_that_is_found(tmp_path: Path) -> None:

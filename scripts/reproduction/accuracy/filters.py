@@ -1,53 +1,87 @@
-"""Does the marginalised velocity pay? RBPF against PF, same budget, guided and plain."""
+"""Does velocity help? RBPF against PF with the same budget, by speed, frame rate and proposal."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.evaluation.comparing.paired import paired
+from posetrack_cli.hand.config import SmoothingSettings
 from reproduction.accuracy.measuring import PAIR_COLUMNS, Measured, Row, mean_and_sd, pair_cells
 from reproduction.accuracy.options import AVERAGE, NO_MESH, Options, seeds, synthetic
 from reproduction.accuracy.tasks import RECORDING, Task
 from reproduction.running import Targets, table
 
-CONDITIONS = (("B", 1.0), ("B", 2.0), ("C", 1.0), ("C", 2.0))
-PROPOSALS = {"guided": "by the local fits", "marginal": "from the motion alone"}
+
+class Condition(NamedTuple):
+    """Motion, speed and frame rate of recordings."""
+
+    motion: str
+    speed: float
+    fps: float = 30.0
+
+    @property
+    def name(self) -> str:
+        """As tables call it."""
+        return f"{self.motion}, {self.speed:g}, {self.fps:g} Hz"
+
+
+CONDITIONS = (
+    *(Condition(motion, speed) for motion in "BC" for speed in (1.0, 2.0)),
+    Condition("C", 3.0),
+    *(Condition("C", 1.0, fps) for fps in (10.0, 20.0, 60.0)),
+)
+PROPOSALS = {"guided": "by the local fits", "paper": "(51) as printed"}
+_SMOOTH = SmoothingSettings()
+SMOOTH = tuple(
+    part
+    for name, settings in (("pose", _SMOOTH.pose), ("velocity", _SMOOTH.velocity))
+    for key, value in settings
+    for part in ("--set", f"motion.{name}.{key}={value}")
+)
+"""The noise densities of the smoothed track: nearly all motion is velocity, and the filter's follows it."""
+FILTERS = {"pf": ("pf", ()), "rbpf": ("rbpf", ()), "smooth": ("rbpf", SMOOTH)}
+"""Filter and further arguments by entrant."""
 FROM_TRUTH = ("--init", RECORDING)
 """Both filters begin at the true pose: they are compared, not their starts; motion B may begin anywhere."""
 LEVEL = 0.01
 
 
 class Filters:
-    """Paired over recordings, per motion, speed and proposal."""
+    """Paired over recordings, per condition and proposal."""
 
     name = "filters"
 
     def tasks(self, options: Options) -> list[Task]:
-        """Every condition and seed, both filters with both proposals."""
-        return [task for motion, speed in CONDITIONS for task in tasks_of(options, motion, speed)]
+        """Every condition and seed, all filters with both proposals."""
+        return [task for condition in CONDITIONS for task in tasks_of(options, condition)]
 
     def lines(self, options: Options, measured: Measured, targets: Targets) -> Iterator[str]:
-        """A row per condition and proposal."""
+        """A row per condition, proposal and RBPF."""
         yield "## RBPF against PF, same budget"
         yield ""
         yield (
-            f"{options.seeds} recordings per row, {options.frames} frames, both filters on the same ones "
+            f"{options.seeds} recordings per row, {options.frames} frames, all filters on the same ones "
             "with the same seed, from the true pose, all else as in `hand`. B is a random walk of pose and "
-            "velocity with a bare hand, C natural motion with all effects. Differences are RBPF - PF."
+            "velocity with a bare hand, C natural motion with all effects. Smooth: the RBPF with the noise "
+            "densities of the smoothed track. Differences are RBPF - PF."
         )
         yield ""
         rows = []
         for proposal, drawn in PROPOSALS.items():
-            pair = tuple(Row(f"{kind}-{proposal}") for kind in ("pf", "rbpf"))
-            for motion, speed in CONDITIONS:
-                pairs = measured.pairs(tasks_of(options, motion, speed), (pair[0], pair[1]), "error_mm")
-                rows.append(_cells(f"{motion}, {speed:g}", drawn, pairs))
-                if proposal == "guided":
-                    _judge(f"{motion}, speed {speed:g}", pairs, targets)
+            for condition in CONDITIONS:
+                for kind in ("rbpf", "smooth"):
+                    pair = Row(f"pf-{proposal}"), Row(f"{kind}-{proposal}")
+                    pairs = measured.pairs(tasks_of(options, condition), pair, "error_mm")
+                    densities = "default" if kind == "rbpf" else "smooth"
+                    rows.append(_cells(condition.name, drawn, densities, pairs))
+                    if proposal == "guided" and kind == "rbpf":
+                        _judge(condition.name, pairs, targets)
         header = (
-            "motion, speed",
+            "motion, speed, frame rate",
             "particles drawn",
+            "densities",
             "n",
             "PF, mm",
             "RBPF, mm",
@@ -57,26 +91,28 @@ class Filters:
         yield from table(header, rows)
 
 
-def tasks_of(options: Options, motion: str, speed: float) -> list[Task]:
+def tasks_of(options: Options, condition: Condition) -> list[Task]:
     """The recordings of a condition."""
+    motion, speed, fps = condition
     entrants = {
-        f"{kind}-{proposal}": (
+        f"{name}-{proposal}": (
             "--config",
             "hand",
             "--filter",
             kind,
             *_proposal(proposal),
+            *densities,
             *FROM_TRUTH,
             *AVERAGE,
             *NO_MESH,
         )
-        for kind in ("pf", "rbpf")
+        for name, (kind, densities) in FILTERS.items()
         for proposal in PROPOSALS
     }
     return [
         Task(
-            f"{motion}-{speed:g}x-{seed}-{options.frames}-filters",
-            synthetic(options, motion, speed, seed),
+            f"{motion}-{speed:g}x-{fps:g}Hz-{seed}-{options.frames}-filters",
+            synthetic(options, motion, speed, seed, "--fps", f"{fps:g}"),
             entrants,
         )
         for seed in seeds(options)
@@ -87,11 +123,11 @@ def _proposal(name: str) -> tuple[str, str]:
     return "--set", f"filter.proposal={name}"
 
 
-def _cells(condition: str, drawn: str, pairs: FloatArray) -> list[str]:
+def _cells(condition: str, drawn: str, densities: str, pairs: FloatArray) -> list[str]:
     said = paired(*pairs.T)
     first, second = (mean_and_sd(column) for column in pairs.T)
     better = int((pairs[:, 1] < pairs[:, 0]).sum())
-    return [condition, drawn, str(said.count), first, second, *pair_cells(said), f"{better}"]
+    return [condition, drawn, densities, str(said.count), first, second, *pair_cells(said), f"{better}"]
 
 
 def _judge(condition: str, pairs: FloatArray, targets: Targets) -> None:
