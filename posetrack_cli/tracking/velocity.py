@@ -15,7 +15,7 @@ predicted mean m' and covariance P', and G = P F^T P'^-1::
     m_t + G (m_t+1 - m'),    P_t + G (P_t+1 - P') G^T
 
 A body rests and hurries, and some poses are wrong, so both noises are known up to a common factor only. With
-a factor whose inverse is gamma distributed (Roth, Ozkan and Gustafsson 2013) the stated variances are
+a factor whose inverse is gamma distributed (Roth, Özkan and Gustafsson 2013) the stated variances are
 multiplied by (nu + d_t^2 + d_t+1^2) / (nu + 2), where d are the innovations over their standard deviations.
 
 Of a smoothed track every pose knows all frames; the same estimator gives its velocities, in whichever order
