@@ -41,6 +41,8 @@ CHANNEL_BYTES = 4 * MIB
 
 A thousand topics of ROS 2 take 1 MiB as channels with their quality of service, and 20 MiB as schemas.
 """
+CHANNELS = 65_535
+"""Of an MCAP file that is written: their numbers have 16 bits."""
 SUMMARY_BYTES = 256 * MIB
 """Of the index of an MCAP file, which is read whole: 2 million chunks."""
 MESSAGES = 1 << 40

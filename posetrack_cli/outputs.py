@@ -23,7 +23,9 @@ def state_path(path: Path) -> Path:
     return path.with_name(path.name + ".part.state")
 
 
-def check_output(out: Path, *, overwrite: bool, source: Path | None = None) -> None:
+def check_output(
+    out: Path, *, overwrite: bool, source: Path | None = None, source_name: str = "recording"
+) -> None:
     """Refuse an MCAP output that cannot be written under this name, or would replace what it must not.
 
     Raises:
@@ -34,7 +36,7 @@ def check_output(out: Path, *, overwrite: bool, source: Path | None = None) -> N
         raise UsageError(
             "output is not named as an MCAP file", where=out, expected="a name that ends in .mcap"
         )
-    check_target(out, overwrite=overwrite, source=source)
+    check_target(out, overwrite=overwrite, source=source, source_name=source_name)
 
 
 def check_target(

@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from posetrack_cli.evaluation.evaluation import Evaluation
     from posetrack_cli.evaluation.pictures import Picture
     from posetrack_cli.evaluation.reports.table import Table
+    from posetrack_cli.losses import Loss
 
 TEXT_REPORTS = ("json", "csv", "curve", "junit", "markdown")
 """Reports that are text, by the names of their options."""
@@ -64,6 +65,7 @@ def _list_metrics(context: click.Context, parameter: click.Parameter, asked: boo
     cls=Command,
     examples=(
         "posetrack eval result.mcap --html report.html",
+        "posetrack eval result.mcap --mcap evaluated.mcap",
         "posetrack eval result.mcap --truth joints.csv --joint-offsets palm",
         "posetrack eval result.mcap --fail-if 'coverage < 0.9'",
         "posetrack eval results/*.mcap --baseline baseline.json --junit junit.xml",
@@ -163,6 +165,13 @@ def _list_metrics(context: click.Context, parameter: click.Parameter, asked: boo
         metavar="FILE",
         help="Write a page with tables and plots; in rows one table to be sorted and filtered.",
     ),
+    option(
+        "--mcap",
+        type=FILE,
+        metavar="OUT",
+        help="Write the result with errors and other metrics of every frame as topics /eval/..., and totals, "
+        "gates and the origin of the truth as metadata. A file named *.mcap; of several results a folder.",
+    ),
     json_option("Serves as --baseline."),
     option(
         "--csv",
@@ -198,12 +207,14 @@ def evaluate(results: tuple[Path, ...], **options: Any) -> None:
     from posetrack_cli.evaluation.assessment import assess
 
     request = _request(results, options)
+    outputs = _check_reports(request, options)
     with _progress(len(results) + sum(map(len, request.groups.values()))) as report:
         found = assess(request, report)
     _write_reports(found, request, options)
+    lost = _write_mcaps(found, request, outputs, options["track"])
     with reader_may_leave():
         _show(found, len(results), options)
-    _close(found)
+    _close(found, lost)
 
 
 def _request(results: tuple[Path, ...], options: dict[str, Any]) -> Request:
@@ -219,7 +230,7 @@ def _request(results: tuple[Path, ...], options: dict[str, Any]) -> Request:
         raise UsageError("no result to evaluate", hint="see: posetrack eval --help")
     names = ("truth", "time_offset_s", "align", "recording", "joint_offsets")
     track = options["track"]
-    request = Request(
+    return Request(
         results=results,
         groups=groups,
         options=EvalOptions(
@@ -232,17 +243,17 @@ def _request(results: tuple[Path, ...], options: dict[str, Any]) -> Request:
         gates=all_gates(options["conditions"], options["gate_files"]),
         baseline=None if options["baseline"] is None else read_baseline(options["baseline"]),
         baseline_tolerance=options["baseline_tolerance"],
-        keep_tracks=options["html"] is not None,
+        keep_tracks=options["html"] is not None or options["mcap"] is not None,
     )
-    _check_reports(request, options)
-    return request
 
 
 def _layout(rows: bool | None) -> Layout | None:
     return None if rows is None else "rows" if rows else "columns"
 
 
-def _check_reports(request: Request, options: dict[str, Any]) -> None:
+def _check_reports(request: Request, options: dict[str, Any]) -> dict[Path, Path]:
+    """Refuse reports that cannot be written; return where each result goes with its metrics."""
+    from posetrack_cli.evaluation.reports.mcap_report import mcap_outputs
     from posetrack_cli.evaluation.reports.report_files import check_reports
 
     if options["junit"] is not None and not (request.gates or request.baseline):
@@ -260,9 +271,11 @@ def _check_reports(request: Request, options: dict[str, Any]) -> None:
     given = [options[name] for name in ("truth", "recording", "baseline")]
     inputs = [*request.results, *options["gate_files"], *(path for path in given if path is not None)]
     inputs += [path for paths in request.groups.values() for path in paths]
-    check_reports(
-        (path for path in reports if path != STANDARD_OUTPUT), inputs, overwrite=options["overwrite"]
-    )
+    out, overwrite = options["mcap"], options["overwrite"]
+    outputs = {} if out is None else mcap_outputs(out, request.paths, overwrite=overwrite)
+    reports += [path for path in outputs.values() if path.parent.is_dir()]
+    check_reports((path for path in reports if path != STANDARD_OUTPUT), inputs, overwrite=overwrite)
+    return outputs
 
 
 @contextmanager
@@ -284,6 +297,20 @@ def _write_reports(found: Assessment, request: Request, options: dict[str, Any])
         _write(path, text)
     if options["html"] is not None:
         write_page(found, options["html"], options["recording"])
+
+
+def _write_mcaps(
+    found: Assessment, request: Request, outputs: dict[Path, Path], track: str | None
+) -> dict[str, tuple[Loss, ...]]:
+    """Write results with their metrics; return what could not be read of each, by name."""
+    from posetrack_cli.evaluation.reports.mcap_report import write_mcaps
+
+    lost = {}
+    with _progress(len(outputs)) as report:
+        for name, losses in write_mcaps(found, request, outputs, None if track is None else request.tracks):
+            lost[name] = losses
+            report()
+    return lost
 
 
 def _write(path: Path, text: str) -> None:
@@ -394,8 +421,13 @@ def _rows(found: Assessment, options: dict[str, Any]) -> tuple[list[Table], list
     return [row_table(one, most) for one in sets], [*row_lines(sets, most), *lines]
 
 
-def _close(found: Assessment) -> None:
-    """Say on standard error what failed and what was lost, and choose the exit code."""
+def _close(found: Assessment, lost: dict[str, tuple[Loss, ...]]) -> None:
+    """Say on standard error what failed and what was lost, and choose the exit code.
+
+    Args:
+        found: what was found out.
+        lost: what results that were written with their metrics lack, by name.
+    """
     from posetrack_cli.losses import loss_line
 
     for note in found.notes:
@@ -405,8 +437,12 @@ def _close(found: Assessment) -> None:
     damaged = [one for one in found.evaluations if one.losses]
     for one in damaged:
         print_note(f"{one.name}: measured over what can be read: {loss_line(one.losses)}")
+    known = {one.name for one in damaged}
+    cut = {name: losses for name, losses in lost.items() if losses and name not in known}
+    for name, losses in cut.items():
+        print_note(f"{name}: written as far as it can be read: {loss_line(losses)}")
     context = click.get_current_context()
     if found.failed:
         context.exit(EXIT_FAILED)
-    if damaged:
+    if damaged or cut:
         context.exit(EXIT_DATA_LOST)

@@ -86,6 +86,12 @@ class Request:
     lenient: bool = False
 
     @property
+    def paths(self) -> tuple[Path, ...]:
+        """The files of all results, those of groups included, each once, in the order given."""
+        files = (path for paths in self.groups.values() for path in paths)
+        return tuple(dict.fromkeys((*self.results, *files)))
+
+    @property
     def every_gate(self) -> tuple[Gate, ...]:
         """Those for all, and those of single results."""
         return (*self.gates, *(gate for own in self.own.values() for gate in own.gates))
@@ -227,7 +233,7 @@ class _Measuring:
 
     def measure(self, report: Callable[[], Any]) -> None:
         """Measure all, in the order given; of many one that cannot be read does not stop the others."""
-        request, paths = self._request, _every_path(self._request)
+        request, paths = self._request, self._request.paths
         plain = unique_names(list(paths))
         names = [request.of(path).name or name for path, name in zip(paths, plain, strict=True)]
         first: PosetrackError | None = None
@@ -270,12 +276,6 @@ def stated_options(options: EvalOptions) -> dict[str, Any]:
     """Return the options as reports state them, paths as they were given; each result states its track."""
     stated = {key: value for key, value in asdict(options).items() if key != "track"}
     return {key: str(value) if isinstance(value, Path) else value for key, value in stated.items()}
-
-
-def _every_path(request: Request) -> tuple[Path, ...]:
-    """Each file once, in the order given."""
-    files = (path for paths in request.groups.values() for path in paths)
-    return tuple(dict.fromkeys((*request.results, *files)))
 
 
 def _check_tracks(evaluations: Mapping[tuple[Path, str], Evaluation], request: Request) -> None:
@@ -327,7 +327,7 @@ def _lean(evaluation: Evaluation, *, keep_series: bool) -> Evaluation:
         track.point_parents,
         stamp_ns=np.empty(0, dtype=np.int64),
     )
-    lean = replace(evaluation, track=empty, truth=None, pairs=None)
+    lean = replace(evaluation, track=empty, truth=None, pairs=None, track_series={})
     return lean if keep_series else replace(lean, series={}, series_stamp_ns=empty.stamp_ns)
 
 

@@ -165,6 +165,7 @@ def _measured(
         judged=judged,
         counts=measures.counts,
         distributions=measures.distributions,
+        track_series=measures.track_series,
     )
 
 
@@ -273,6 +274,7 @@ def _against_images(measures: Measures, result: Result, options: EvalOptions, ro
         known = np.isfinite(values)
         if known.any():
             measures.summarise(name, values[known])
+            measures.track_series[name] = values
         if known[rows].any():
             measures.series[name] = rows_of(values, rows)
 

@@ -190,6 +190,8 @@ class Evaluation:
         judged: the frames with a truth, right or wrong, and what the track says of them; None without.
         counts: what the shares among the metrics are made from, where they are of single frames or entries.
         distributions: of the metrics as wholes that are ``Statistics``, what pooling needs of their values.
+        track_series: jitter, and residual and overlap where measured, of all N frames of the track; NaN in a
+            frame without a value.
     """
 
     name: str
@@ -212,3 +214,13 @@ class Evaluation:
     judged: JudgedFrames | None = None
     counts: Mapping[str, Count] = field(default_factory=dict)
     distributions: Mapping[str, Distribution] = field(default_factory=dict)
+    track_series: Mapping[str, FloatArray] = field(default_factory=dict)
+
+    def placed_series(self) -> dict[str, FloatArray]:
+        """Return the series at all N frames of the track; NaN in frames without truth."""
+        rows = np.searchsorted(self.track.stamp_ns, self.series_stamp_ns)
+        placed: dict[str, FloatArray] = {}
+        for name, values in self.series.items():
+            placed[name] = np.full(len(self.track), np.nan)
+            placed[name][rows] = values
+        return placed

@@ -12,6 +12,7 @@ from typing import Any, Literal, NamedTuple
 from mcap.writer import CompressionType, Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
+from posetrack_cli import limits
 from posetrack_cli.errors import ResultError
 from posetrack_cli.files import open_output
 from posetrack_cli.outputs import lock
@@ -99,7 +100,12 @@ class McapSink:
         """Register a topic of messages that are encoded already and return its channel id.
 
         Equal schemas are written once.
+
+        Raises:
+            ResultError: there are as many channels as a file can have; and as of the class.
         """
+        if len(self._sequences) >= limits.CHANNELS:
+            raise ResultError("too many topics", where=self.path, expected=f"at most {limits.CHANNELS}")
         with self._reported():
             schema_id = self._schema(schema)
             channel_id = self._writer.register_channel(
@@ -133,10 +139,13 @@ class McapSink:
         with self._reported():
             self._writer.add_metadata(name, dict(values))
 
-    def attachment(self, name: str, media_type: str, data: bytes, stamp_ns: int = 0) -> None:
-        """Attach a file's bytes, created and logged at ``stamp_ns``."""
+    def attachment(
+        self, name: str, media_type: str, data: bytes, stamp_ns: int = 0, created_ns: int | None = None
+    ) -> None:
+        """Attach a file's bytes, logged at ``stamp_ns``, and created then if nothing else is given."""
+        created_ns = stamp_ns if created_ns is None else created_ns
         with self._reported():
-            self._writer.add_attachment(stamp_ns, stamp_ns, name, media_type, data)
+            self._writer.add_attachment(created_ns, stamp_ns, name, media_type, data)
 
     def flush(self) -> None:
         """End the chunk and hand everything to the operating system."""

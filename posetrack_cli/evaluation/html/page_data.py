@@ -88,7 +88,7 @@ def _result(
 
 def _quantities(evaluation: Evaluation, table: RowTable, limit: int) -> dict[str, Any]:
     """Per-frame values by metric, those of the series and those that the track itself tells."""
-    lines = _series_lines(evaluation) | run_series(evaluation.track)
+    lines = evaluation.placed_series() | run_series(evaluation.track)
     found: dict[str, Any] = {}
     for name in sorted(lines, key=place_of):
         values = lines[name]
@@ -103,17 +103,6 @@ def _quantities(evaluation: Evaluation, table: RowTable, limit: int) -> dict[str
                 "value": packed(values[rows], "f4"),
             }
     return found
-
-
-def _series_lines(evaluation: Evaluation) -> dict[str, FloatArray]:
-    """The evaluation's series placed at the track's frames, NaN at frames without truth."""
-    count = len(evaluation.track)
-    rows = np.searchsorted(evaluation.track.stamp_ns, evaluation.series_stamp_ns)
-    lines: dict[str, FloatArray] = {}
-    for name, values in evaluation.series.items():
-        lines[name] = np.full(count, np.nan)
-        lines[name][rows] = values
-    return lines
 
 
 def _components(evaluation: Evaluation, table: RowTable, limit: int) -> list[dict[str, Any]]:

@@ -110,6 +110,7 @@ class Measures:
         nothing: why there is no figure where nothing is there to be summarised.
         metrics: values by address without statistic.
         series: per-frame values by address; of wholes only, parts would be many.
+        track_series: the same of what needs no truth, over all frames of the track.
         absent: reasons by metric or address.
         counts: by address what ``share`` made shares from.
         distributions: by address of a whole what pooling needs of the values that were summarised.
@@ -119,6 +120,7 @@ class Measures:
     nothing: str
     metrics: dict[str, Value] = field(default_factory=dict)
     series: dict[str, FloatArray] = field(default_factory=dict)
+    track_series: dict[str, FloatArray] = field(default_factory=dict)
     absent: dict[str, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     counts: dict[str, Count] = field(default_factory=dict)

@@ -29,7 +29,10 @@ def consistency_metrics(measures: Measures, track: Track) -> None:
     - ``status_changes``: how often a frame's status differs from that of the frame before.
     """
     metrics = measures.metrics
-    samples = {"cost_mm": track.cost, "confidence": track.confidence, "jitter_mm": jitter(track)}
+    shaking = jitter(track)
+    if shaking is not None:
+        measures.track_series["jitter_mm"] = shaking
+    samples = {"cost_mm": track.cost, "confidence": track.confidence, "jitter_mm": shaking}
     for name, values in samples.items():
         known = None if values is None else values[~np.isnan(values)]
         if known is not None and known.size:
@@ -43,7 +46,7 @@ def consistency_metrics(measures: Measures, track: Track) -> None:
 
 
 def jitter(track: Track) -> FloatArray | None:
-    """Return how much points shake from frame to frame, (J,) mm, one value per three frames without a gap.
+    """Return how much points shake from frame to frame, (N,) mm; NaN next to a gap and at the ends.
 
     A point's deviation from the straight line between its places one frame before (stamp t-) and one
     after (t+), scaled so that white noise of sd s per axis on a motion of constant velocity gives 3 s^2 for
@@ -55,7 +58,7 @@ def jitter(track: Track) -> FloatArray | None:
     its position. An acceleration adds |acceleration| dt^2 / sqrt(6): 0.5 mm at 1 m/s^2 and 30 Hz.
 
     Returns:
-        None for a track with neither; empty for fewer than three frames in a row.
+        None for a track with neither.
     """
     points = track.position[:, None] if track.points is None and track.position is not None else track.points
     if points is None:
@@ -70,7 +73,8 @@ def jitter(track: Track) -> FloatArray | None:
         p, a_ = points[:, point], a[:, None]
         deviation = p[first + 1] - a_ * p[first] - (1.0 - a_) * p[first + 2]
         total += scale * np.linalg.norm(deviation, axis=1)
-    mean: FloatArray = total / points.shape[1]
+    mean: FloatArray = np.full(len(track), np.nan)
+    mean[first + 1] = total / points.shape[1]
     return mean
 
 

@@ -123,8 +123,8 @@ OF_RECORDING = ("seed", "input.name", RECORDING_KEY)
 """What rows keep of a run record."""
 
 
-def _row(evaluation: Evaluation) -> dict[str, Any]:
-    """What every report says of a result."""
+def result_values(evaluation: Evaluation) -> dict[str, Any]:
+    """Return what every report says of a result, apart from its run record."""
     return {
         "name": evaluation.name,
         "file": str(evaluation.path),
@@ -133,6 +133,12 @@ def _row(evaluation: Evaluation) -> dict[str, Any]:
         **_figures(evaluation),
         "notes": list(evaluation.notes),
         "losses": [asdict(loss) for loss in evaluation.losses],
+    }
+
+
+def _row(evaluation: Evaluation) -> dict[str, Any]:
+    return {
+        **result_values(evaluation),
         "run": {key: evaluation.run[key] for key in OF_RECORDING if key in evaluation.run},
     }
 

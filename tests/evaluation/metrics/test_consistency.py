@@ -46,8 +46,8 @@ def consistency_metrics(track: Track) -> dict[str, Value]:
 
 def values_of(track: Track) -> FloatArray:
     values = jitter(track)
-    assert values is not None
-    return values
+    assert values is not None and len(values) == len(track)
+    return values[~np.isnan(values)]
 
 
 def statistics_of(track: Track, name: str) -> Statistics:
@@ -64,6 +64,13 @@ def test_jitter_by_hand() -> None:
     assert figures.count == 3
     assert figures.mean == pytest.approx(8.0 / math.sqrt(6.0))
     assert figures.max == pytest.approx(12.0 / math.sqrt(6.0))
+
+
+def test_jitter_is_of_the_middle_of_three_frames_in_a_row() -> None:
+    stamps = [FRAME_NS * k for k in (0, 1, 2, 3, 6, 7, 8)]  # two frames are missing after the fourth
+    values = jitter(point_track(along_x(0, 0, 6, 6, 6, 6, 0), stamps))
+    nan, one = math.nan, 6.0 / math.sqrt(6.0)
+    np.testing.assert_allclose(values, [nan, one, one, nan, nan, one, nan], rtol=1e-12)
 
 
 def test_jitter_is_a_mean_over_points_of_lengths() -> None:

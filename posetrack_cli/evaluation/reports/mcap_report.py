@@ -1,0 +1,258 @@
+"""Results as they are, with what was measured of them: errors of every frame as topics, totals as metadata."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap.records import Attachment, Channel, Schema
+
+from posetrack_cli import __version__, limits
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.errors import ResultError, UsageError
+from posetrack_cli.evaluation.assessment import Assessment, Request, stated_options
+from posetrack_cli.evaluation.evaluate import evaluate
+from posetrack_cli.evaluation.evaluation import Evaluation
+from posetrack_cli.evaluation.metrics.catalogue import metric_of, place_of
+from posetrack_cli.evaluation.metrics.without_truth import run_series
+from posetrack_cli.evaluation.reports.report_files import FORMAT, finite, result_values
+from posetrack_cli.evaluation.track import track_name, unique_names
+from posetrack_cli.losses import Loss
+from posetrack_cli.mcap.sink import McapSink, SchemaText
+from posetrack_cli.mcap.stream import McapFile
+from posetrack_cli.outputs import check_output, whole_or_nothing
+from posetrack_cli.recording.identity import file_digest, identity_record, shown_name
+from posetrack_cli.results.reader import read_result
+from posetrack_cli.results.records import SUMMARY_RECORD
+from posetrack_cli.results.tracks import topics_prefix
+
+EVAL_PREFIX = "/eval/"
+EVAL_RECORD = "posetrack.eval"
+METRICS_SCHEMA_NAME = "posetrack.FrameMetrics"
+_CHUNK_BYTES = limits.MIB
+_CHUNK_FRAMES = 100
+"""Of metrics: chunks that span little time are read along with the frames that they are of."""
+
+
+def mcap_outputs(out: Path, results: Sequence[Path], *, overwrite: bool) -> dict[Path, Path]:
+    """Return the file that each result is written to with its metrics, before anything is measured.
+
+    Args:
+        out: the file, or a folder with a file for each result, named as tables name it.
+        results: to be measured.
+        overwrite: whether existing files may be replaced.
+
+    Raises:
+        UsageError: several results would go into one file, or as of ``check_output``.
+        ResultError: as of ``check_output``.
+    """
+    in_folder = out.is_dir() or len(results) > 1
+    if not in_folder:
+        check_output(out, overwrite=overwrite, source=results[0], source_name="result")
+        return {results[0]: out}
+    if out.suffix == ".mcap" and not out.is_dir() or out.is_file():
+        found, expected = f"{len(results)} results for one file", "a folder"
+        raise UsageError("output is no folder", where=out, found=found, expected=expected)
+    if not out.parent.is_dir():
+        raise ResultError("cannot be written", where=out, found=f"no folder {out.parent}")
+    names = [f"{name.replace('/', '-')}.mcap" for name in unique_names(results)]
+    twice = next((name for name, count in Counter(names).items() if count > 1), None)
+    if twice is not None:
+        raise UsageError("two results would have one name", where=out / twice, hint="rename one of them")
+    outputs = {result: out / name for result, name in zip(results, names, strict=True)}
+    if out.is_dir():
+        for result, written in outputs.items():
+            check_output(written, overwrite=overwrite, source=result, source_name="result")
+    return outputs
+
+
+def write_mcaps(
+    found: Assessment, request: Request, outputs: Mapping[Path, Path], tracks: Sequence[str] | None
+) -> Iterator[tuple[str, tuple[Loss, ...]]]:
+    """Write every result that was measured with its metrics; yield its name and what of it was not readable.
+
+    What was kept of a result is written as it is; of rows, which keep figures alone, each result is measured
+    again, so that the frames of one are in memory at a time.
+
+    Args:
+        found: what was found out.
+        request: of it; one that keeps tracks.
+        outputs: the file for each result.
+        tracks: to write the metrics of; None for all of a result.
+
+    Raises:
+        PosetrackError: a result or its truth cannot be read any more, or a file not be written.
+    """
+    names = [one.name for one in found.evaluations]
+    kept = {} if found.rows else {(one.path, one.which): one for one in found.on_page}
+    of_path = {one.path: one.name for one in reversed(found.evaluations)}
+    for folder in {out.parent for out in outputs.values()}:
+        _make_folder(folder)
+    for path, out in outputs.items():
+        if path not in of_path:
+            continue  # it cannot be read, which is a failed gate
+        there = read_result(path).tracks
+        evaluations = [
+            kept.get((path, which))
+            or evaluate(path, request.options_of(path, which), track_name(of_path[path], which, names))
+            for which in tracks or there
+            if which in there
+        ]
+        yield of_path[path], write_mcap(path, out, evaluations, _record(found, request, path, evaluations))
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise ResultError("cannot be written", where=folder, found=error.strerror or error) from error
+
+
+def write_mcap(
+    source: Path, out: Path, evaluations: Sequence[Evaluation], record: Mapping[str, str]
+) -> tuple[Loss, ...]:
+    """Write a result as it is, with metrics on ``/eval/<subject>``, of a smoothed track ``/eval/smoothed/...``.
+
+    Channels, messages, attachments and metadata are those of the result, and no more than a chunk of them is
+    in memory. Metrics that it has of an earlier evaluation are replaced. A result without a summary, which
+    did not finish, has none here either.
+
+    Args:
+        source: the result.
+        out: the file, written whole or not at all.
+        evaluations: of its tracks, with tracks kept.
+        record: of the metadata ``posetrack.eval``.
+
+    Returns:
+        What of the result could not be read, and is missing.
+
+    Raises:
+        ResultError: the file cannot be written.
+    """
+    file = McapFile(source)
+    with whole_or_nothing(out) as part, McapSink(part, chunk_bytes=_CHUNK_BYTES) as sink:
+        summaries = _copy_extras(file, sink)
+        _copy_messages(file, sink)
+        for one in evaluations:
+            _write_metrics(sink, one)
+        sink.metadata(EVAL_RECORD, record)
+        for summary in summaries:
+            sink.metadata(SUMMARY_RECORD, summary)
+        sink.finish()
+    return file.losses.losses
+
+
+def _copy_extras(file: McapFile, sink: McapSink) -> list[Mapping[str, str]]:
+    """Copy metadata and attachments; return summaries, which stand behind the messages."""
+    summaries: list[Mapping[str, str]] = []
+    for extra in file.extras():
+        if isinstance(extra, Attachment):
+            sink.attachment(extra.name, extra.media_type, extra.data, extra.log_time, extra.create_time)
+        elif extra.name == SUMMARY_RECORD:
+            summaries.append(extra.metadata)
+        elif extra.name != EVAL_RECORD:
+            sink.metadata(extra.name, extra.metadata)
+    return summaries
+
+
+def _copy_messages(file: McapFile, sink: McapSink) -> None:
+    channels = _CopiedChannels(sink)
+    for schema, channel in sorted(file.channels(), key=lambda pair: pair[1].id):
+        if _is_copied(channel.topic):
+            channels.id_of(schema, channel)
+    for schema, channel, message in file.messages(_is_copied, in_file_order=True):
+        sink.write(channels.id_of(schema, channel), message.log_time, message.data)
+    sink.flush()
+
+
+def _is_copied(topic: str) -> bool:
+    return not topic.startswith(EVAL_PREFIX)
+
+
+@dataclass
+class _CopiedChannels:
+    """Channels of another file, each registered once, also those that no message is on."""
+
+    sink: McapSink
+    _ids: dict[tuple[object, ...], int] = field(default_factory=dict)
+
+    def id_of(self, schema: Schema | None, channel: Channel) -> int:
+        """Return the id of the channel that is like one of the other file."""
+        text = SchemaText("", "", b"") if schema is None else SchemaText(schema.name, schema.encoding, schema.data)
+        about = channel.topic, text, channel.message_encoding
+        key = (*about, tuple(sorted(channel.metadata.items())))
+        if key not in self._ids:
+            self._ids[key] = self.sink.raw_channel(*about, channel.metadata)
+        return self._ids[key]
+
+
+def _write_metrics(sink: McapSink, evaluation: Evaluation) -> None:
+    """Write one message for each estimate, at its stamp."""
+    values, track = frame_metrics(evaluation), evaluation.track
+    topic = f"{EVAL_PREFIX.rstrip('/')}{topics_prefix(evaluation.subject, evaluation.which)}"
+    channel_id = sink.json_channel(topic, METRICS_SCHEMA_NAME, metrics_schema(values))
+    for row, stamp_ns in enumerate(track.stamp_ns.tolist()):
+        message = {"stamp_ns": stamp_ns, "status": track.status(row).value}
+        message |= {name: float(of[row]) for name, of in values.items() if np.isfinite(of[row])}
+        sink.write(channel_id, stamp_ns, json.dumps(message, separators=(",", ":")).encode())
+        if row % _CHUNK_FRAMES == _CHUNK_FRAMES - 1:
+            sink.flush()
+    sink.flush()
+
+
+def frame_metrics(evaluation: Evaluation) -> dict[str, FloatArray]:
+    """Return the metrics of every frame of a track (N,) by name, in the order of tables; NaN for no value.
+
+    A metric of parts, such as joints, is their mean. Metrics that no frame has a value of are left out.
+    """
+    every = evaluation.placed_series() | run_series(evaluation.track) | evaluation.track_series
+    return {name: every[name] for name in sorted(every, key=place_of) if np.isfinite(every[name]).any()}
+
+
+def metrics_schema(names: Iterable[str]) -> dict[str, Any]:
+    """Return the JSON schema of messages with some metrics; names end in their units."""
+    properties: dict[str, Any] = {
+        "stamp_ns": {"type": "integer", "description": "Of the estimate."},
+        "status": {"type": "string", "description": "Of the estimate."},
+    }
+    properties |= {name: {"type": "number", "description": metric_of(name).meaning} for name in names}
+    return {
+        "title": METRICS_SCHEMA_NAME,
+        "description": "Metrics of one frame, of parts such as joints their mean; unknown ones are left out.",
+        "type": "object",
+        "properties": properties,
+        "required": ["stamp_ns", "status"],
+        "additionalProperties": False,
+    }
+
+
+def _record(
+    found: Assessment, request: Request, path: Path, evaluations: Sequence[Evaluation]
+) -> dict[str, str]:
+    """What metadata say: totals as ``--json`` has them, gates of the result and of pools, and the truth."""
+    names = {*(one.name for one in evaluations), *(pool.name for pool in found.pools)}
+    values = {
+        "options": stated_options(request.options_of(path, evaluations[0].which)),
+        "results": [result_values(one) for one in evaluations],
+        "gates": [vars(outcome) for outcome in found.outcomes if outcome.result in names],
+    }
+    stated = {key: json.dumps(finite(value), allow_nan=False) for key, value in values.items()}
+    return {"format": FORMAT, "version": __version__, **stated, **_truth(path, request, evaluations)}
+
+
+def _truth(path: Path, request: Request, evaluations: Sequence[Evaluation]) -> dict[str, str]:
+    """Where the truth is from: a file, by its name and SHA-256, or topics of the result."""
+    if not any(one.coverage.has_truth for one in evaluations):
+        return {}
+    given = request.options_of(path, evaluations[0].which).truth
+    if given is None:
+        return {"truth.topics": json.dumps(read_result(path).truth_topics)}
+    if given.is_dir():
+        return {"truth.name": shown_name(given), "truth.kind": "folder"}
+    identity = identity_record(given, "file", file_digest(given))
+    return {f"truth.{key}": value for key, value in identity.items()}
