@@ -204,6 +204,8 @@ def reports() -> Iterator[Step]:
     }
     for name, line in measured.items():
         written = {kind: f"{name}.eval.{suffix}" for kind, suffix in suffixes.items()}
+        if name in ("rbpf", "smooth", "stereo", "mono"):
+            written["mcap"] = f"{name}.eval.mcap"
         if name in ("rbpf", "compared"):
             written["curve"] = f"{name}.curve.csv"
         options = " ".join(f"--{kind} {path}" for kind, path in written.items())

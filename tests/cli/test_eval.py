@@ -18,7 +18,7 @@ from posetrack_cli.cli.main import run
 from posetrack_cli.evaluation.metrics.catalogue import CATALOGUE
 from posetrack_cli.outputs import part_path
 from posetrack_cli.results import Estimate, ResultWriter, Status, Subject
-from support.eval_command import CAMERA, truth_message, write_result
+from support.eval_command import CAMERA, damaged, killed_run, truth_message, write_result
 from support.tracks import hand_track
 
 TESTS = Path(__file__).parents[1]
@@ -51,33 +51,7 @@ def shown(text: str) -> dict[str, list[str]]:
 @pytest.fixture(scope="module")
 def killed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What a killed run left of ``r.mcap``: of 45 frames four flushes of ten."""
-    path = tmp_path_factory.mktemp("killed") / "r.mcap"
-    done = subprocess.run(
-        [sys.executable, "-m", "support.eval_command", str(path), "45"],
-        capture_output=True,
-        text=True,
-        cwd=TESTS,
-    )
-    assert done.returncode == -9, done.stderr
-    return part_path(path)
-
-
-def damaged(path: Path) -> Path:
-    """A result of nine chunks with one byte of the fifth changed."""
-    from mcap.opcode import Opcode
-
-    whole = bytearray(write_result(path).read_bytes())
-    place, chunks = 8, []
-    while place < len(whole):
-        length = int.from_bytes(whole[place + 1 : place + 9], "little")
-        if whole[place] == Opcode.CHUNK:
-            chunks.append(place + 9 + length // 2)
-        if whole[place] == Opcode.FOOTER:
-            break
-        place += 9 + length
-    whole[chunks[4]] ^= 0xFF
-    path.write_bytes(whole)
-    return path
+    return killed_run(tmp_path_factory.mktemp("killed") / "r.mcap", 45)
 
 
 def test_the_figures_are_those_of_the_result(result: Path, capsys: pytest.CaptureFixture[str]) -> None:

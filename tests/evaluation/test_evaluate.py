@@ -192,6 +192,7 @@ def test_images_are_looked_at_when_the_recording_is_given(
     np.testing.assert_array_equal(found.series["residual_mm"], [1.0, nan, 3.0])
     np.testing.assert_array_equal(apart.series["region_overlap"], [0.0, nan, 0.0])
     assert "residual_mm" not in apart.series
+    np.testing.assert_array_equal(found.track_series["residual_mm"], [1.0, nan, 3.0])
     assert all(map(is_complete, (found, nothing, apart)))
 
 

@@ -82,6 +82,7 @@ def of_result(name: str) -> st.SearchStrategy[tuple[str, ...]]:
         (1, ("eval", name, "--parts")),
         (1, ("eval", name, "--json", "-")),
         (1, ("eval", name, "--html", "out.html")),
+        (2, ("eval", name, "--mcap", "out.mcap")),
         (1, ("eval", name, "--rows", "--html", "out.html", "--markdown", "-")),
         (2, ("export", name)),
         (2, ("export", name, "--format", "json")),

@@ -61,6 +61,26 @@ def test_what_is_written_can_be_read(tmp_path: Path) -> None:
     assert names == ["posetrack.run", "hand.glb"]
 
 
+def test_an_attachment_keeps_when_it_was_made(tmp_path: Path) -> None:
+    with McapSink(tmp_path / "a.mcap") as sink:
+        sink.attachment("a", "text/plain", b"x", 5, 3)
+        sink.attachment("b", "text/plain", b"x", 5)
+        sink.finish()
+    times = [(one.log_time, one.create_time) for one in McapFile(tmp_path / "a.mcap").extras()]
+    assert times == [(5, 3), (5, 5)]
+
+
+def test_more_channels_than_a_file_can_number_are_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("posetrack_cli.limits.CHANNELS", 2)
+    with McapSink(tmp_path / "a.mcap") as sink:
+        for topic in "ab":
+            sink.channel(topic, RawImage)
+        with pytest.raises(ResultError, match="too many topics, expected at most 2"):
+            sink.channel("c", RawImage)
+
+
 def test_one_schema_per_type_and_a_fixed_library(tmp_path: Path) -> None:
     path = write_all(tmp_path / "a.mcap")
     summary = read_summary(path)

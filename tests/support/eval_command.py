@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
 import sys
 from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
+from mcap.opcode import Opcode
 
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS
+from posetrack_cli.outputs import part_path
 from posetrack_cli.recording.base import TruthMessage
 from posetrack_cli.results import (
     ESTIMATE_SCHEMA_NAME,
@@ -96,6 +99,34 @@ def write_smoothed_frames(writer: ResultWriter, frames: int, error_mm: float) ->
     track = hand_track("smoothed", frames, error_mm, seed=3)
     for row in reversed(range(frames)):
         writer.write_smoothed(estimate(track, row))
+
+
+def killed_run(path: Path, frames: int) -> Path:
+    """What a killed run left of a result: of its frames the flushed tens."""
+    done = subprocess.run(
+        [sys.executable, "-m", "support.eval_command", str(path), str(frames)],
+        capture_output=True,
+        text=True,
+        cwd=Path(__file__).parents[1],
+    )
+    assert done.returncode == -9, done.stderr
+    return part_path(path)
+
+
+def damaged(path: Path) -> Path:
+    """A result of nine chunks with one byte of the fifth changed."""
+    whole = bytearray(write_result(path).read_bytes())
+    place, chunks = 8, []
+    while place < len(whole):
+        length = int.from_bytes(whole[place + 1 : place + 9], "little")
+        if whole[place] == Opcode.CHUNK:
+            chunks.append(place + 9 + length // 2)
+        if whole[place] == Opcode.FOOTER:
+            break
+        place += 9 + length
+    whole[chunks[4]] ^= 0xFF
+    path.write_bytes(whole)
+    return path
 
 
 if __name__ == "__main__":

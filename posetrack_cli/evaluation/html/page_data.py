@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray
 from posetrack_cli.evaluation.evaluation import Evaluation, Statistics
 from posetrack_cli.evaluation.honesty import JudgedFrames, reliability, roc_area, roc_curve
 from posetrack_cli.evaluation.html.components import components, readable

@@ -1,11 +1,11 @@
-"""Results as they are, with what was measured of them: errors of every frame as topics, totals as metadata."""
+"""Write results with their metrics: those of every frame as topics, totals, gates and truth as metadata."""
 
 from __future__ import annotations
 
 import json
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +55,7 @@ def mcap_outputs(out: Path, results: Sequence[Path], *, overwrite: bool) -> dict
     if not in_folder:
         check_output(out, overwrite=overwrite, source=results[0], source_name="result")
         return {results[0]: out}
-    if out.suffix == ".mcap" and not out.is_dir() or out.is_file():
+    if (out.suffix == ".mcap" and not out.is_dir()) or out.is_file():
         found, expected = f"{len(results)} results for one file", "a folder"
         raise UsageError("output is no folder", where=out, found=found, expected=expected)
     if not out.parent.is_dir():
@@ -116,17 +116,16 @@ def _make_folder(folder: Path) -> None:
 def write_mcap(
     source: Path, out: Path, evaluations: Sequence[Evaluation], record: Mapping[str, str]
 ) -> tuple[Loss, ...]:
-    """Write a result as it is, with metrics on ``/eval/<subject>``, of a smoothed track ``/eval/smoothed/...``.
+    """Write a copy of a result with metrics on ``/eval/<subject>`` and ``/eval/smoothed/<subject>``.
 
-    Channels, messages, attachments and metadata are those of the result, and no more than a chunk of them is
-    in memory. Metrics that it has of an earlier evaluation are replaced. A result without a summary, which
-    did not finish, has none here either.
+    Channels, messages, attachments and metadata are copied, one chunk in memory at a time. Metrics of an
+    earlier evaluation are replaced. The summary stays last, so that a copy that is cut off is unfinished.
 
     Args:
         source: the result.
         out: the file, written whole or not at all.
         evaluations: of its tracks, with tracks kept.
-        record: of the metadata ``posetrack.eval``.
+        record: of the metadata ``posetrack.eval``, apart from what of the result could not be read.
 
     Returns:
         What of the result could not be read, and is missing.
@@ -140,7 +139,8 @@ def write_mcap(
         _copy_messages(file, sink)
         for one in evaluations:
             _write_metrics(sink, one)
-        sink.metadata(EVAL_RECORD, record)
+        lost = {"losses": json.dumps([asdict(loss) for loss in file.losses.losses])}
+        sink.metadata(EVAL_RECORD, {**record, **lost})
         for summary in summaries:
             sink.metadata(SUMMARY_RECORD, summary)
         sink.finish()
@@ -183,7 +183,11 @@ class _CopiedChannels:
 
     def id_of(self, schema: Schema | None, channel: Channel) -> int:
         """Return the id of the channel that is like one of the other file."""
-        text = SchemaText("", "", b"") if schema is None else SchemaText(schema.name, schema.encoding, schema.data)
+        text = (
+            SchemaText("", "", b"")
+            if schema is None
+            else SchemaText(schema.name, schema.encoding, schema.data)
+        )
         about = channel.topic, text, channel.message_encoding
         key = (*about, tuple(sorted(channel.metadata.items())))
         if key not in self._ids:
