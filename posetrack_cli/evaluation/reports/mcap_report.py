@@ -91,7 +91,7 @@ def write_mcaps(
     names = [one.name for one in found.evaluations]
     kept = {} if found.rows else {(one.path, one.which): one for one in found.on_page}
     of_path = {one.path: one.name for one in reversed(found.evaluations)}
-    for folder in {out.parent for out in outputs.values()}:
+    for folder in {out.parent for out in outputs.values() if not out.parent.is_dir()}:
         _make_folder(folder)
     for path, out in outputs.items():
         if path not in of_path:
