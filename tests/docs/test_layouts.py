@@ -11,8 +11,11 @@ from typing import Any
 
 import pytest
 
+from posetrack_cli.evaluation.metrics.catalogue import catalogue, is_measured
+from posetrack_cli.evaluation.subjects import KINDS
 from posetrack_cli.recording.conversion import IMAGE_TOPIC
 from posetrack_cli.results import ResultWriter, read_result
+from posetrack_cli.results.tracks import TRACKS, topics_prefix
 from support.markdown import ROOT
 from support.results import CAMERA, RUN, SUBJECT, make_estimate
 
@@ -52,7 +55,16 @@ def case(
         writer.write(make_estimate(0))
         writer.write_smoothed(make_estimate(0))
         writer.finish({})
-    return json.loads(LAYOUTS[request.param].read_text(encoding="utf-8")), described(path)
+    topics = described(path)
+    for track in TRACKS:  # of ``eval --mcap``
+        topics[f"/eval{topics_prefix(subject.name, track)}"] = metrics_of(subject.name)
+    return json.loads(LAYOUTS[request.param].read_text(encoding="utf-8")), topics
+
+
+def metrics_of(subject: str) -> set[str]:
+    """The metrics that a frame of a subject may have."""
+    known = catalogue().values()
+    return {metric.name for metric in known if is_measured(metric, KINDS[subject]) and not metric.scalar}
 
 
 def panels(node: Any) -> list[str]:
