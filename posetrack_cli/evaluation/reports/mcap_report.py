@@ -214,7 +214,7 @@ def frame_metrics(evaluation: Evaluation) -> dict[str, FloatArray]:
 
     A metric of parts, such as joints, is their mean. Metrics that no frame has a value of are left out.
     """
-    every = evaluation.placed_series() | run_series(evaluation.track) | evaluation.track_series
+    every = {**evaluation.placed_series(), **run_series(evaluation.track), **evaluation.track_series}
     return {name: every[name] for name in sorted(every, key=place_of) if np.isfinite(every[name]).any()}
 
 
