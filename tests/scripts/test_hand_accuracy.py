@@ -166,7 +166,10 @@ def test_filters_are_compared_by_pairs(tmp_path: Path) -> None:
     said = judged(targets)
     assert said["C, 1, 30 Hz: RBPF better than PF"] == ("-0.500 mm, p = 0.0078", "reached")  # 2 of 2^8 signs
     assert said["B, 2, 30 Hz: RBPF better than PF"][1] == "**missed**"
-    assert "| C, 2, 30 Hz | by the local fits | default | 8 |" in text and "-0.50 [-0.50, -0.50] | 0.0078 | 8 |" in text
+    assert (
+        "| C, 2, 30 Hz | by the local fits | default | 8 |" in text
+        and "-0.50 [-0.50, -0.50] | 0.0078 | 8 |" in text
+    )
 
 
 def test_other_hands_are_judged_with_the_shape_that_is_found(tmp_path: Path) -> None:
