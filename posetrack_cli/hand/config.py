@@ -119,7 +119,7 @@ class VelocitySettings(Settings):
         position_mm=130.0, rotation_rad=4.0, flexion_rad=7.0, abduction_rad=5.0
     )
     pose: ComponentSettings = ComponentSettings(
-        position_mm=0.2, rotation_rad=0.004, flexion_rad=0.01, abduction_rad=0.015
+        position_mm=0.25, rotation_rad=0.005, flexion_rad=0.013, abduction_rad=0.02
     )
 
 
