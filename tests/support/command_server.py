@@ -28,7 +28,7 @@ TIMEOUT_S = 600.0
 """Where nothing is compiled yet, and much else is done beside."""
 OWN = ("POSETRACK_", "_POSETRACK_")
 """How the variables begin that a command reads, and that are handed over."""
-ON_DEMAND = ("scipy.interpolate", "scipy.optimize", "scipy.stats", "rich.table")
+ON_DEMAND = ("scipy.interpolate", "scipy.optimize", "scipy.stats")
 """What commands import only where they need it; here each would do so anew."""
 BROKEN = 70
 """Exit code of a command whose process crashed."""

@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
-from typing import IO, TYPE_CHECKING, Any
+from shutil import get_terminal_size
+from typing import TextIO
+from unicodedata import combining, east_asian_width
 
 from posetrack_cli.evaluation.reports.table import Table
 from posetrack_cli.text import one_line
 
-if TYPE_CHECKING:
-    from rich.console import Console
-    from rich.table import Table as RichTable
-
 PIPE_WIDTH = 1_000_000
 """Nothing is broken or cut where no terminal says how much it shows."""
 BETWEEN = 2
+"""Columns of text between two of a table."""
+
+_BOLD = "\x1b[1m"
+_BOLD_CYAN = "\x1b[1;36m"
+_RESET = "\x1b[0m"
 
 
 def print_tables(
-    tables: Iterable[Table], lines: Iterable[str], file: IO[str], width: int | None = None
+    tables: Iterable[Table], lines: Iterable[str], file: TextIO, width: int | None = None
 ) -> None:
     """Print tables and the lines below them; colours only on a terminal.
 
@@ -32,110 +35,61 @@ def print_tables(
         file: where to.
         width: columns of text; by default the terminal's, or no limit.
     """
-    limit = width if width is not None else None if file.isatty() else PIPE_WIDTH
-    console = _console(file, limit)
-    plain = console.encoding.lower() not in ("utf-8", "utf8")
-    available = console.width
+    is_terminal = file.isatty()
+    available = width or (get_terminal_size().columns if is_terminal else PIPE_WIDTH)
+    coloured = is_terminal and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
+    plain = (file.encoding or "utf-8").lower() not in ("utf-8", "utf8")
     for table in tables:
-        for piece in _pieces(_printable(table, plain), available):
-            console.width = max(available, _width(piece, range(len(piece.columns))))
-            printed = _printed(console, _rendered(piece))
-            file.write("".join(f"{line.rstrip()}\n" for line in (*printed.splitlines(), "")))
+        rows = list(_rows(table, plain))
+        widths = [max(map(_width, column)) for column in zip(*(texts for _, texts in rows), strict=True)]
+        for piece in _pieces(widths, available):
+            for style, texts in rows:
+                line = _line([texts[at] for at in piece], [widths[at] for at in piece])
+                file.write(f"{style}{line}{_RESET}\n" if coloured and style else f"{line}\n")
+            file.write("\n")
     for line in lines:
-        file.write(_printed(console, _shown(line, plain), soft_wrap=True))
+        file.write(f"{_shown(line, plain)}\n")
 
 
-def _console(file: IO[str], width: int | None) -> Console:
-    from rich.console import Console
-
-    class OurConsole(Console):
-        """Rich's would end the program where nobody reads, which is not its to decide."""
-
-        def on_broken_pipe(self) -> None:
-            raise BrokenPipeError
-
-    return OurConsole(file=file, width=width, markup=False, emoji=False, highlight=False)
-
-
-def _printed(console: Console, shown: RichTable | str, **options: Any) -> str:
-    """What the console would print; it flushes the file all the same."""
-    with console.capture() as capture:
-        console.print(shown, **options)
-    return capture.get()
-
-
-def _pieces(table: Table, width: int) -> Iterator[Table]:
-    """The table, or tables of some of its columns each that fit."""
-    first = 0
-    while first < len(table.columns):
-        last = first + 1
-        while last < len(table.columns) and _width(table, range(first, last + 1)) <= width:
-            last += 1
-        yield _columns(table, slice(first, last))
-        first = last
-
-
-def _columns(table: Table, wanted: slice) -> Table:
-    sections = tuple(
-        replace(section, rows=tuple(replace(row, cells=row.cells[wanted]) for row in section.rows))
-        for section in table.sections
-    )
-    return replace(table, columns=table.columns[wanted], sections=sections)
-
-
-def _width(table: Table, places: Sequence[int]) -> int:
-    from rich.cells import cell_len
-
-    rows = [row for section in table.sections for row in section.rows]
-    labels = [cell_len(_label(row.label, row.indent)) for row in rows]
-    titles = [cell_len(section.title) for section in table.sections]
-    cells = [max(map(cell_len, [table.columns[at], *(row.cells[at] for row in rows)])) for at in places]
-    return max([*labels, *titles, cell_len(table.title)]) + sum(BETWEEN + cell for cell in cells)
-
-
-def _rendered(table: Table) -> RichTable:
-    from rich.table import Table as RichTable
-    from rich.text import Text
-
-    made = RichTable(box=None, padding=(0, BETWEEN, 0, 0), pad_edge=False, header_style="bold")
-    made.add_column(Text(table.title), no_wrap=True)
-    for column in table.columns:
-        made.add_column(Text(column), justify="right", no_wrap=True)
+def _rows(table: Table, plain: bool) -> Iterator[tuple[str, list[str]]]:
+    """Yield the style and the texts of each row, the header first: all have the same number of texts."""
+    rows = [(_BOLD, [table.title, *table.columns])]
     for section in table.sections:
         if section.title:
-            made.add_row(Text(section.title, style="bold cyan"))
-        for row in section.rows:
-            made.add_row(*map(Text, (_label(row.label, row.indent), *row.cells)))
-    return made
+            rows.append((_BOLD_CYAN, [section.title, *[""] * len(table.columns)]))
+        rows += [("", ["  " * row.indent + row.label, *row.cells]) for row in section.rows]
+    for style, texts in rows:
+        yield style, [_shown(text, plain) for text in texts]
 
 
-def _printable(table: Table, plain: bool) -> Table:
-    """The table as ``_shown`` makes its texts: names of results, joints and persons come from files."""
-
-    def shown(text: str) -> str:
-        return _shown(text, plain)
-
-    sections = tuple(
-        replace(
-            section,
-            title=shown(section.title),
-            rows=tuple(
-                replace(row, label=shown(row.label), cells=tuple(map(shown, row.cells)))
-                for row in section.rows
-            ),
-        )
-        for section in table.sections
-    )
-    return replace(
-        table, title=shown(table.title), columns=tuple(map(shown, table.columns)), sections=sections
-    )
+def _pieces(widths: Sequence[int], limit: int) -> Iterator[list[int]]:
+    """Yield which columns stand beside each other: that of the labels, and as many others as fit."""
+    piece = [0]
+    for at in range(1, len(widths)):
+        if len(piece) > 1 and sum(widths[one] + BETWEEN for one in [*piece, at]) - BETWEEN > limit:
+            yield piece
+            piece = [0]
+        piece.append(at)
+    if len(piece) > 1:
+        yield piece
 
 
-def _label(label: str, indent: int) -> str:
-    return "  " * indent + label
+def _line(texts: Sequence[str], widths: Sequence[int]) -> str:
+    """Return the label, flush left, and the other texts, flush right."""
+    gaps = [" " * (width - _width(text)) for text, width in zip(texts, widths, strict=True)]
+    others = [" " * BETWEEN + gap + text for text, gap in zip(texts[1:], gaps[1:], strict=True)]
+    return "".join([texts[0], gaps[0], *others]).rstrip()
+
+
+def _width(text: str) -> int:
+    """Return how many columns of a terminal a text takes."""
+    return sum(0 if combining(char) else 2 if east_asian_width(char) in "WF" else 1 for char in text)
 
 
 def _shown(text: str, plain: bool) -> str:
-    """Return text on one line without control characters; +- where an output has no sign for it."""
-    safe = one_line(text)
+    """Return text on one line without control characters; +- where an output has no sign for it.
+
+    Names of results, joints and persons come from files.
+    """
+    safe = one_line(text).expandtabs()
     return safe.replace("\u00b1", "+-") if plain else safe

@@ -19,6 +19,7 @@ from posetrack_cli.evaluation.reports.table import Table, closing_lines, shown, 
 from posetrack_cli.evaluation.reports.terminal import print_tables
 from posetrack_cli.losses import Loss
 from support.evaluation import hand_evaluation
+from support.terminal import Terminal
 
 FIGURES = Statistics(mean=8.25, sd=2.0, median=7.5, p95=12.0, max=30.0, p5=4.5, count=600)
 OTHER = Statistics(mean=4.0, sd=1.0, median=3.5, p95=6.0, max=15.0, p5=2.25, count=600)
@@ -207,6 +208,14 @@ def test_names_are_no_markup_and_may_be_of_any_script() -> None:
     assert "[red]x[/red] :smile: \u624b" in text
 
 
+def test_columns_of_names_of_any_script_end_where_their_figures_do() -> None:
+    """Chinese signs take two columns of a terminal, an accent of its own none."""
+    wide, accented = 12 * "\u624b", 30 * "e\u0301"
+    header, _, *below = printed(tables([evaluation(wide), evaluation(accented)])).splitlines()
+    shown = [line for line in below if line.startswith("joint_error_mm ")]
+    assert len(header) + len(wide) - accented.count("\u0301") == len(shown[0])
+
+
 def test_an_output_without_plus_minus_gets_ascii() -> None:
     raw = io.BytesIO()
     out = io.TextIOWrapper(raw, encoding="ascii", errors="backslashreplace")
@@ -218,14 +227,14 @@ def test_an_output_without_plus_minus_gets_ascii() -> None:
 def test_colours_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TERM", "xterm-256color")
     monkeypatch.delenv("NO_COLOR", raising=False)
-
-    class Terminal(io.StringIO):
-        def isatty(self) -> bool:
-            return True
-
     out = Terminal()
     print_tables(tables([evaluation()]), [], out, 80)
-    assert "\x1b[" in out.getvalue()
+    assert out.getvalue().startswith("\x1b[1ma ") and "\x1b[1;36mCoverage\x1b[0m\n" in out.getvalue()
+    for name, value in (("NO_COLOR", "1"), ("TERM", "dumb")):
+        with monkeypatch.context() as patch:
+            patch.setenv(name, value)
+            print_tables(tables([evaluation()]), [], out := Terminal(), 80)
+            assert out.getvalue() == printed(tables([evaluation()]))
 
 
 def test_offsets_of_joints_have_a_table_of_their_own() -> None:
