@@ -8,8 +8,8 @@ from threading import Lock
 from types import TracebackType
 from typing import TYPE_CHECKING
 
-from posetrack_cli.cli.progress import bar, print_above
-from posetrack_cli.cli.standard_output import is_quiet
+from posetrack_cli.cli.progress import bar
+from posetrack_cli.cli.standard_output import is_quiet, print_note
 
 if TYPE_CHECKING:
     from posetrack_cli.batch.engine import Told
@@ -57,19 +57,19 @@ class BatchProgress:
             is_failed = outcome.state == "failed"
             self._failed += is_failed
             if is_failed or not (self._bar.is_drawn or is_quiet()):
-                print_above(f"[{self._over}/{self._total}] {line_of(outcome)}")
+                print_note(f"[{self._over}/{self._total}] {line_of(outcome)}")
             self._show(1)
 
     def note(self, line: str) -> None:
         """Say what a user should know meanwhile."""
         with self._lock:
-            print_above(line)
+            print_note(line)
 
     def _show(self, over: int = 0) -> None:
         frames = self._done + sum(self._frames.values())
         rate = frames / max(1e-9, time.monotonic() - self._began_s)
-        failed = f", {self._failed} failed" if self._failed else ""
-        self._bar.advance(over, f"{frames} frames, {rate:.1f}/s{failed}")
+        failed = f"{self._failed} failed, " if self._failed else ""
+        self._bar.advance(over, f"{failed}{frames} frames, {rate:.1f}/s")
 
 
 def line_of(outcome: Outcome) -> str:

@@ -35,7 +35,7 @@ LIBRARIES = (
     "protobuf",
     "pydantic",
     "click",
-    "rich",
+    "tqdm",
     "zstandard",
 )
 

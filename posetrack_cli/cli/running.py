@@ -13,8 +13,8 @@ import click
 
 from posetrack_cli.cli.options import reading_options
 from posetrack_cli.cli.process import leave_process, signals_watched
-from posetrack_cli.cli.progress import bar, close_bars, print_above
-from posetrack_cli.cli.standard_output import is_quiet, print_detail, print_line, print_note
+from posetrack_cli.cli.progress import bar, close_bars
+from posetrack_cli.cli.standard_output import print_aside, print_detail, print_line, print_note
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_INTERRUPTED, PosetrackError, UsageError
 from posetrack_cli.text import printable
 
@@ -61,7 +61,7 @@ def compiling_said(resumable: Path | None = None) -> Iterator[Callable[[], bool]
             raise KeyboardInterrupt
 
     with (
-        announced(lambda line: None if is_quiet() else print_above(f"{line} ...")),
+        announced(lambda line: print_aside(f"{line} ...")),
         watched(lambda: check()) as is_compiling,
         signals_watched(is_compiling, give_up) as asked,
     ):

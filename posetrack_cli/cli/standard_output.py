@@ -9,8 +9,9 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
+from typing import IO, Any
 
 from posetrack_cli.text import one_line, printable
 
@@ -21,6 +22,10 @@ STANDARD_OUTPUT = Path("-")
 QUIET, USUAL, VERBOSE = -1, 0, 1
 _volume = [USUAL]
 """What is said of the command that runs."""
+
+
+drawn_bars: list[Any] = []
+"""The bar of tqdm's that is drawn now, if there is one; lines go above it."""
 
 
 @contextmanager
@@ -38,19 +43,24 @@ def is_quiet() -> bool:
     return _volume[-1] <= QUIET
 
 
+def _print(text: str, file: IO[str]) -> None:
+    drawn = next(iter(drawn_bars), None)
+    with nullcontext() if drawn is None else drawn.external_write_mode(file):
+        print(one_line(text), file=file, flush=True)
+
+
 def print_line(text: str = "") -> None:
     """Print one line of a command's answer on standard output, without control characters.
 
     --quiet leaves it out.
     """
-    if is_quiet():
-        return
-    print(one_line(text), flush=True)
+    if not is_quiet():
+        _print(text, sys.stdout)
 
 
 def print_note(text: str) -> None:
     """Print one line on standard error, without control characters: what the user should know."""
-    print(one_line(text), file=sys.stderr, flush=True)
+    _print(text, sys.stderr)
 
 
 def print_aside(text: str) -> None:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 
 from benchmarking.rows import Row
+from posetrack_cli.cli.standard_output import print_note
 
 
 class Findings:
@@ -28,7 +28,7 @@ class Findings:
     def trouble(self, line: str) -> None:
         """Note what is not as it must be, in one line."""
         self.troubles.append(line)
-        print(f"soak: {line}", file=sys.stderr, flush=True)
+        print_note(f"soak: {line}")
 
     def troubles_of(self, name: str, lines: Iterable[str]) -> bool:
         """Note troubles of one run; return whether there was none."""

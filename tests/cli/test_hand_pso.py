@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import filecmp
-import io
 import sys
 from contextlib import closing
 from pathlib import Path
@@ -21,6 +20,7 @@ from posetrack_cli.hand.run import HandRun, RunOptions
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.rendering.devices import open_fastest_device
 from posetrack_cli.results import load_arrays, read_result
+from support.terminal import Terminal
 
 FRAMES = 10
 SWARM = {"particles": 32, "generations": 12}
@@ -106,16 +106,12 @@ def test_an_interrupted_run_resumes_to_the_same_bytes(recording: Path, result: P
 
 
 def test_the_progress_bar_shows_no_particles_where_none_are_weighted(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Terminal(io.StringIO):
-        def isatty(self) -> bool:
-            return True
-
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
     with progress(10, 0, 1, "hand") as report:
         report(SimpleNamespace(frame_index=3, effective_sample_size=None, status="tracking"))
-    shown = terminal.getvalue()
-    assert " 4/10 frames " in shown and "tracking" in shown and "ESS" not in shown
+    (shown,) = terminal.lines
+    assert " 4/10 [" in shown and shown.endswith("frame/s, tracking]")
 
 
 def test_a_swarm_that_would_not_converge_is_one_line(

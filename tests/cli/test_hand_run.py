@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import filecmp
-import io
 import os
 import resource
 import shutil
@@ -32,6 +31,7 @@ from posetrack_cli.outputs import part_path, state_path
 from posetrack_cli.recording.message_calibration import calibration_message
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results import load_arrays, read_result
+from support.terminal import Terminal
 
 FRAMES = 24
 SMALL = ["--particles", "48"]
@@ -317,13 +317,6 @@ def test_stopped_run_is_readable_and_resumes_to_the_same_bytes(
     assert not part_path(output).exists() and not state_path(output).exists()
 
 
-class Terminal(io.StringIO):
-    """A stream that says that a person looks at it."""
-
-    def isatty(self) -> bool:
-        return True
-
-
 @pytest.mark.parametrize("index", [5, 15])
 def test_the_progress_bar_stands_at_the_frame(monkeypatch: pytest.MonkeyPatch, index: int) -> None:
     """Frames 5, 7, ... 23: a resumed run does not start from 0, and its rate is that of its own frames."""
@@ -332,8 +325,8 @@ def test_the_progress_bar_stands_at_the_frame(monkeypatch: pytest.MonkeyPatch, i
     estimate = SimpleNamespace(frame_index=index, effective_sample_size=7.4, status="lost")
     with progress(10, 5, 2, "hand") as report:
         report(estimate)
-    shown = terminal.getvalue()
-    assert f" {(index - 5) // 2 + 1}/10 frames " in shown and "ESS 7 lost" in shown
+    (shown,) = terminal.lines
+    assert f" {(index - 5) // 2 + 1}/10 [" in shown and shown.endswith("ESS 7 lost]")
 
 
 def test_resume_of_nothing_says_so(
