@@ -121,6 +121,7 @@ def _video_lines(report: Values) -> Iterator[str]:
         "as far as the video tells"
     )
     yield from _camera_lines(report)
+    yield from report["remarks"]
     if "depth" in report:
         depth = report["depth"]
         yield from (f"depth: {_intrinsics(camera)}" for camera in depth["cameras"])

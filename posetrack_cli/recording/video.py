@@ -19,7 +19,7 @@ from posetrack_cli.recording.camera_file import Rig, camera_record, found_rig
 from posetrack_cli.recording.depth import Depth
 from posetrack_cli.recording.description import described_cameras, opened
 from posetrack_cli.recording.grey import Grey, grey_like
-from posetrack_cli.recording.guess import GUESSED
+from posetrack_cli.recording.guess import GUESSED, Guess
 from posetrack_cli.recording.identity import file_digest, identity_record, shown_name
 from posetrack_cli.recording.orientation import Picture
 from posetrack_cli.recording.pixels import Window
@@ -200,7 +200,9 @@ def _told_ns(frame: VideoFrame, begin: int = 0) -> int:
 
 
 def describe_video(path: Path) -> dict[str, Any]:
-    """Describe a video: size, rate, number of frames as it tells them, and its camera if there is one.
+    """Describe a video: displayed size, rate, number of frames as it tells them, and its camera if known.
+
+    Remarks are those of a run, which guesses the camera where there is none.
 
     Raises:
         RecordingError: it is none.
@@ -213,8 +215,9 @@ def describe_video(path: Path) -> dict[str, Any]:
         )
     with opened_video(path) as video:
         rate, frames = video.rate_hz, video.frame_count
-        height, width = shown_image(_first_frame(video, path)).shape[:2]
+        height, width = shown_image(_first_frame(video, path), video.pixel_aspect).shape[:2]
     recording, no_camera = opened(lambda: open_video(path, {}))
+    read = recording or opened(lambda: open_video(path, {"guess": Guess()}))[0]
     return {
         "name": shown_name(placed_path(path)),
         "kind": "video",
@@ -224,6 +227,7 @@ def describe_video(path: Path) -> dict[str, Any]:
         "rate_hz": rate,
         "cameras": described_cameras(recording),
         "no_camera": no_camera,
+        "remarks": [] if read is None else list(read.remarks),
         "losses": [],
     }
 

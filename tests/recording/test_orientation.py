@@ -13,13 +13,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from posetrack_cli.cli.info import report_lines
 from posetrack_cli.errors import PosetrackError, RecordingError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.projection import pixels_from_points
 from posetrack_cli.recording.camera_file import Intrinsics
 from posetrack_cli.recording.grey import decode_shown, grey_like
 from posetrack_cli.recording.guess import Guess
-from posetrack_cli.recording.opening import open_recording
+from posetrack_cli.recording.opening import describe, open_recording
 from posetrack_cli.recording.orientation import (
     OF_EXIF,
     UPRIGHT,
@@ -310,12 +311,14 @@ def test_pixels_that_are_not_square(tmp_path: Path) -> None:
     (camera,) = recording.cameras
     assert (camera.width, camera.height, camera.fx, camera.fy) == (128, 96, 128.0, 128.0)
     assert recording.remarks == ("pixels are 2 times as wide as high: pictures are resampled to square ones",)
+    _, images, _, *remarks = report_lines(describe(path))
+    assert images.startswith("images: 3, 128x96, ") and tuple(remarks) == recording.remarks
     (tmp_path / "v.toml").write_text("fx = 60.0\nfy = 120.0\ncx = 31.5\ncy = 47.5\n")
     recording = open_recording(path, "grey")
     (camera,) = recording.cameras
     assert (camera.width, camera.height, camera.fx, camera.fy) == (64, 96, 60.0, 120.0)
     remark = "pixels are 2 times as wide as high: the camera file is taken to describe these"
-    assert recording.remarks == (remark,)
+    assert recording.remarks == tuple(describe(path)["remarks"]) == (remark,)
 
 
 def test_an_animated_gif_is_a_video(tmp_path: Path) -> None:

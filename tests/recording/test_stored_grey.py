@@ -13,7 +13,7 @@ import pytest
 
 from posetrack_cli.recording.grey import decode_shown, grey_like
 from posetrack_cli.recording.guess import Guess
-from posetrack_cli.recording.opening import open_recording
+from posetrack_cli.recording.opening import describe, open_recording
 
 Array = np.ndarray[Any, Any]
 SIDE = 8
@@ -156,4 +156,5 @@ def test_hdr_is_used_as_it_is_coded_and_reported(tmp_path: Path) -> None:
     assert image is not None
     middles = image[24, 8 :: 128 // STEPS].astype(float)
     np.testing.assert_allclose(middles, np.linspace(0.0, 255.0, STEPS), atol=CUT_BITS)
-    assert recording.remarks == ("video is HDR (PQ): brightness is used as it is coded",)
+    remark = "video is HDR (PQ): brightness is used as it is coded"
+    assert recording.remarks == tuple(describe(path)["remarks"]) == (remark,)
