@@ -89,7 +89,7 @@ OWN_CONFIGURED = {
     ),
     title="Person",
 )
-@learning_options(passes=2)
+@learning_options
 @option_group(
     start_options,
     option(
@@ -137,7 +137,7 @@ def head_mono(recording: Path, **options: Any) -> None:
         _say_guess(source, options["fov"])
         return run
 
-    track_head(source, chosen, made)
+    track_head(source, config.run.passes, chosen, made)
 
 
 def open_mono_recording(recording: Path, options: dict[str, Any]) -> Recording:

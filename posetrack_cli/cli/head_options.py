@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from posetrack_cli.cli.command import Adding, option
+from posetrack_cli.cli.command import option
 from posetrack_cli.cli.options import (
     FILE,
     RUN_OPTIONS,
@@ -35,39 +35,37 @@ CONFIGURED = {
     "particles": "particles.count",
     "detector": "start.detection.detector",
     "detector_model": "start.detection.model",
+    "passes": "run.passes",
 }
 """Configuration keys that options stand for."""
-HEAD_RUN_OPTIONS = (*RUN_OPTIONS, "passes", "load_model", "save_model", "smooth")
+HEAD_RUN_OPTIONS = (*RUN_OPTIONS, "load_model", "save_model", "smooth")
 
 
 LEARNED, START = "Learning", "Start and evidence"
 
 
-def learning_options(passes: int) -> Adding:
-    """Return what adds --passes, by default so many, --save-model and --load-model to a command."""
-    return option_group(
-        option(
-            "--passes",
-            metavar="1|2",
-            type=click.IntRange(1, 2),
-            default=passes,
-            help="How often the recording is gone through: the last pass, which is the result, begins with "
-            "what the first has learned.  [default: 2 with one camera, 1 with several]",
-        ),
-        option(
-            "--save-model",
-            metavar="FILE.npz",
-            type=FILE,
-            help="Write what was learned.",
-        ),
-        option(
-            "--load-model",
-            metavar="FILE",
-            type=FILE,
-            help="Begin with what an earlier run of the same person learned: its --save-model or result.",
-        ),
-        title=LEARNED,
-    )
+learning_options = option_group(
+    option(
+        "--passes",
+        metavar="1|2",
+        type=click.IntRange(1, 2),
+        help="How often the recording is gone through: the last pass, which is the result, begins with "
+        "what the first has learned.  [default: 2 with one camera, 1 with several or as printed]",
+    ),
+    option(
+        "--save-model",
+        metavar="FILE.npz",
+        type=FILE,
+        help="Write what was learned.",
+    ),
+    option(
+        "--load-model",
+        metavar="FILE",
+        type=FILE,
+        help="Begin with what an earlier run of the same person learned: its --save-model or result.",
+    ),
+    title=LEARNED,
+)
 
 
 start_options = option_group(
@@ -155,17 +153,20 @@ def _landmarks(options: Mapping[str, Any], source: Recording) -> LandmarkFile | 
     return landmarks
 
 
-def track_head(source: Recording, options: HeadRunOptions, made: Callable[[Report], HeadRun]) -> None:
+def track_head(
+    source: Recording, passes: int, options: HeadRunOptions, made: Callable[[Report], HeadRun]
+) -> None:
     """Track with a bar for each pass, tell how it closed, and set the exit code.
 
     Args:
         source: the recording.
+        passes: of the run.
         options: of the run.
         made: makes the run, given what reports its first pass; refuses all that can be refused before it.
     """
     from posetrack_cli.tracking.options import frames_ahead
 
-    names = ("head",) if options.passes == 1 else ("pass 1", "pass 2")
+    names = ("head",) if passes == 1 else ("pass 1", "pass 2")
     with (
         compiling_said(options.output) as is_compiling,
         stop_signals(is_compiling) as stopped,
@@ -178,4 +179,4 @@ def track_head(source: Recording, options: HeadRunOptions, made: Callable[[Repor
         bars = (progress(total, options.start, options.stride, name) for name in names)
         reports.extend(stack.enter_context(bar) for bar in bars)
         outcome = run.track(reports[-1], stopped)
-    close(source.path, options.output, outcome, options.passes)
+    close(source.path, options.output, outcome, passes)

@@ -55,7 +55,7 @@ if TYPE_CHECKING:
     help="Whether the face's deformations are learnt and tracked.  [default: deformable]",
     group=LEARNED,
 )
-@learning_options(passes=1)
+@learning_options
 @option_group(start_options, title=START)
 @option_group(particles_option(1000), title=CONFIGURATION)
 @configuration_options("head-stereo (the defaults), head-stereo-paper", "model.components=3")
@@ -75,7 +75,8 @@ def head_stereo(recording: Path, **options: Any) -> None:
     source = open_stereo_recording(recording, options)
     config = head_configuration(HeadStereoConfig, options, {"model": "model.kind"})
     chosen = head_run_options(options, source)
-    track_head(source, chosen, lambda first_pass: _run(source, config, chosen, first_pass))
+    passes = config.run.passes
+    track_head(source, passes, chosen, lambda first_pass: _run(source, config, chosen, first_pass))
 
 
 def open_stereo_recording(recording: Path, options: dict[str, Any]) -> Recording:

@@ -74,20 +74,24 @@ class ModelSettings(Settings):
     """How the face may deform, and how its model is learnt while tracking (thesis, 3.2.4).
 
     ``components`` is B. The first ``rigid_frames`` frames are tracked with a rigid face, whose mean shape
-    moves towards what is measured at ``mean_rate`` a frame **[ours]**. A frame is learnt from where the face
-    is turned from the camera by less than ``facing_deg``, the shape differs from the mean by ``least_mm`` to
-    ``most_mm`` (the length of its 3K numbers) and every point correlates above ``correlation``. Shapes are
-    laid on the mean by points that move little: ``expression_mm`` is how far a kind moves in expressions.
+    moves towards what is measured at ``mean_rate`` a frame **[ours]**; with ``rigid_phase = "printed"`` they
+    are tracked with the shape that was found, and learnt from as all others (3.4). A frame is learnt from
+    where the face is turned from the camera by less than ``facing_deg``, the shape differs from the mean by
+    ``least_mm`` to ``most_mm`` (the length of its 3K numbers) and every point correlates above
+    ``correlation``. Shapes are laid on the mean by points that move little: ``expression_mm`` is how far a
+    kind moves in expressions. They are laid on it where they differ from the model's by ``align_above_mm``.
     """
 
     kind: Literal["deformable", "rigid"] = "deformable"
     components: Annotated[int, Field(ge=1, le=20)] = 5
     rigid_frames: Annotated[int, Field(ge=0)] = 120
+    rigid_phase: Literal["mean", "printed"] = "mean"
     mean_rate: Fraction = 0.02
     facing_deg: Positive = 25.0
     least_mm: NotNegative = 3.0
     most_mm: Positive = 40.0
     correlation: Fraction = 0.5
+    align_above_mm: NotNegative = 0.0
     expression_mm: PointSettings = PointSettings(eyes=1.0, mouth=8.0, nostrils=1.5, brows=8.0)
 
 
@@ -228,6 +232,16 @@ class AccuracySettings(Settings):
     rotation_deg: Triple = (2.3, 1.8, 1.4)
 
 
+class RunSettings(Settings):
+    """How a recording is gone through.
+
+    With ``passes`` 2 it is tracked twice: the second pass begins with the model and the templates that the
+    first one has learned, and is the result.
+    """
+
+    passes: Annotated[int, Field(ge=1, le=2)] = 1
+
+
 class HeadOutputSettings(Settings):
     """How a result is written."""
 
@@ -247,6 +261,7 @@ class HeadStereoConfig(Settings):
     accuracy: AccuracySettings = AccuracySettings()
     velocity: HeadVelocitySettings = HeadVelocitySettings()
     smoothing: HeadSmoothingSettings = HeadSmoothingSettings()
+    run: RunSettings = RunSettings()
     output: HeadOutputSettings = HeadOutputSettings()
 
 
@@ -300,7 +315,8 @@ class AdjustmentSettings(Settings):
     ``when``: after every frame that faces the camera, only at the start, or never (the mean person).
     ``whole``: the first of two passes ends with an adjustment of the person over the whole recording, which
     the second one holds; without, the second one goes on adjusting **[ours]**.
-    ``views`` is n; ``iterations`` of each of the two stages, ``start_iterations`` at the start. Boxes:
+    ``views`` is n, chosen by the ``spread`` of face directions, or of their angles as printed (4.3.2);
+    ``iterations`` of each of the two stages, ``start_iterations`` at the start. Boxes:
     ``pose_mm`` (camera x, y, z) and ``pose_rad`` (about camera x, y, z), lambda_p; ``deformation`` and
     ``identity``, lambda_a and lambda_s in standard deviations about the start, and ``bound`` standard
     deviations about the mean. The identity's start is the mean of the last ``average`` adjustments (N_s).
@@ -311,12 +327,15 @@ class AdjustmentSettings(Settings):
     frames. Over a whole recording, and of a person whom that has told, it is ``whole_share`` of that: frames
     of many directions err less alike. A frame is adjusted with if the face is turned from the camera by less
     than ``facing_deg``, its score is above ``score``, and it is deformed by less than ``neutral_mm`` (the
-    length of its 3K numbers): an expression that the model does not know would be taken for the person.
+    length of its 3K numbers): an expression that the model does not know would be taken for the person. With
+    ``gates_points`` direction and score also decide whether a frame's points are recalculated (4.4.3); in
+    other frames they are where the model has them.
     """
 
     when: Literal["always", "start", "never"] = "always"
     whole: bool = True
     views: Annotated[int, Field(ge=2, le=200)] = 20
+    spread: Literal["directions", "angles"] = "directions"
     iterations: Count = 5
     start_iterations: Count = 10
     average: Count = 15
@@ -333,6 +352,7 @@ class AdjustmentSettings(Settings):
     whole_share: Annotated[float, Field(ge=0.05, le=1.0)] = 0.35
     facing_deg: Positive = 45.0
     score: Fraction = 0.6
+    gates_points: bool = False
     neutral_mm: Positive = 6.0
 
 
@@ -426,4 +446,5 @@ class HeadMonoConfig(Settings):
         deformation=1.0,
         expression_mm=PointSettings(eyes=0.5, mouth=1.2, nostrils=0.9, brows=1.5),
     )
+    run: RunSettings = RunSettings(passes=2)
     output: HeadOutputSettings = HeadOutputSettings()

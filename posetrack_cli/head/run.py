@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.configuration import Settings
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.files import real_path, write_output
 from posetrack_cli.head.config import HeadMonoConfig, HeadStereoConfig
@@ -48,15 +47,12 @@ class HeadRunOptions(tracking_options.RunOptions):
 
     Attributes:
         init: a file with clicked points; None finds the face.
-        passes: 2 tracks twice: the second pass begins with the model and the templates that the first one has
-            learned, and is the result (thesis, 4.5).
         load_model: begin with what an earlier run of the same person has learned.
         save_model: write what this one has.
         person: a result that says who it is, for one camera.
         landmarks: from elsewhere.
     """
 
-    passes: int = 1
     load_model: Path | None = None
     save_model: Path | None = None
     person: Path | None = None
@@ -101,7 +97,7 @@ class HeadRun(TwoPassRun):
         stated: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
         check_head_run(recording, options)
-        super().__init__(recording, options, flush_frames, options.passes, make_tracker, first_pass)
+        super().__init__(recording, options, flush_frames, config.run.passes, make_tracker, first_pass)
         self._config, self.velocity_model = config, velocity_model(config.velocity)
         told = options.landmarks
         self._use = None if told is None else KeypointUse(told.name, told.sets, "landmarks")
@@ -153,7 +149,7 @@ class HeadRun(TwoPassRun):
         if self._options.save_model is not None:
             with whole_or_nothing(self._options.save_model) as part:
                 write_output(part, data)
-        return {"passes": str(self._options.passes)}
+        return {"passes": str(self._config.run.passes)}
 
     def evidence(self, frames: Sequence[Frame]) -> str:
         """Return what frames show, and the likeliest reason why hardly any was tracked: part of a line."""
@@ -201,7 +197,10 @@ def check_head_run(recording: Recording, options: HeadRunOptions) -> None:
 
 
 def head_record(
-    tracker: str, recording: Recording, config: Settings, options: HeadRunOptions
+    tracker: str,
+    recording: Recording,
+    config: HeadStereoConfig | HeadMonoConfig,
+    options: HeadRunOptions,
 ) -> dict[str, str]:
     """What a result states about its run: all that its bytes depend on but the machine, nothing else.
 
@@ -209,7 +208,7 @@ def head_record(
         tracker: its name.
         recording: its identity is stated, not its path.
         config: resolved, with the defaults.
-        options: frames, seed, passes; of files their names and contents, as these may change.
+        options: frames, seed; of files their names and contents, as these may change.
     """
     init = None if options.init is None else Path(options.init)
     files = {"init": init, "load_model": options.load_model, "person": options.person}
@@ -217,7 +216,7 @@ def head_record(
     return {
         **common_record(tracker, recording, recording.cameras[0], config, options),
         "init": "auto",
-        "passes": str(options.passes),
+        "passes": str(config.run.passes),
         **{key: shown_name(path) for key, path in given.items()},
         **{f"{key}.sha256": file_digest(path)[1] for key, path in given.items()},
         **({} if options.landmarks is None else options.landmarks.record()),

@@ -23,7 +23,7 @@ from posetrack_cli.geometry.euler import head_quaternion_from_roll_pitch_yaw
 from posetrack_cli.geometry.projection import pixels_from_points
 from posetrack_cli.head.adjustment.adjuster import Adjuster
 from posetrack_cli.head.adjustment.views import PersonParameters, PointView
-from posetrack_cli.head.config import HeadMonoConfig
+from posetrack_cli.head.config import HeadMonoConfig, RunSettings
 from posetrack_cli.head.detection.detector import FaceDetector
 from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.initialisation.mono import DetectedFace, MonoInitialiser
@@ -183,12 +183,13 @@ def file_to_file(video: Path, folder: Path) -> Iterator[Row]:
 
 
 def _run(video: Path, folder: Path, passes: int) -> HeadRun:
-    config, recording = HeadMonoConfig(), open_recording(video, "grey", guess=Guess())
+    config = HeadMonoConfig(run=RunSettings(passes=passes))
+    recording = open_recording(video, "grey", guess=Guess())
     (camera,) = recording.cameras
     return HeadRun(
         recording,
         config,
-        HeadRunOptions(folder / f"mono-{passes}.mcap", passes=passes),
+        HeadRunOptions(folder / f"mono-{passes}.mcap"),
         name="head-mono",
         subject=mono_subject(camera.name, load_face_model(None)),
         flush_frames=config.output.flush_frames,

@@ -486,7 +486,7 @@ def test_the_tracker_goes_on_from_its_checkpoints_to_the_same_bytes(made: Path, 
         return HeadRun(
             source,
             config,
-            HeadRunOptions(tmp_path / name, passes=2, resume=resume),
+            HeadRunOptions(tmp_path / name, resume=resume),
             name="head-mono",
             subject=mono_subject(camera.name, load_face_model()),
             flush_frames=config.output.flush_frames,

@@ -192,7 +192,8 @@ def test_a_second_pass_equals_a_run_with_the_saved_model(made: Path, tracked: Pa
 def test_the_tracker_goes_on_from_its_checkpoint_to_the_same_bytes(
     made: Path, tmp_path: Path, passes: int, frames: int
 ) -> None:
-    config = HeadStereoConfig.model_validate({"particles": {"count": 50}, "output": {"flush_frames": 3}})
+    few = {"particles": {"count": 50}, "output": {"flush_frames": 3}, "run": {"passes": passes}}
+    config = HeadStereoConfig.model_validate(few)
     source = open_recording(made, "grey")
 
     def track(name: str, stop_after: int = 0, *, resume: bool = False) -> RunOutcome:
@@ -200,7 +201,7 @@ def test_the_tracker_goes_on_from_its_checkpoint_to_the_same_bytes(
         return HeadRun(
             source,
             config,
-            HeadRunOptions(tmp_path / name, passes=passes, resume=resume, smooth=True),
+            HeadRunOptions(tmp_path / name, resume=resume, smooth=True),
             name="head-stereo",
             subject=head_subject(source.cameras[0].name, components_of(config)),
             flush_frames=config.output.flush_frames,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from posetrack_cli.head.config import HeadStereoConfig
+from posetrack_cli.head.config import HeadStereoConfig, RunSettings
 from posetrack_cli.head.run import HeadRun, HeadRunOptions
 from posetrack_cli.head.subject import head_subject
 from posetrack_cli.outputs import part_path
@@ -33,11 +33,13 @@ class InterruptedTracker(FakeTracker):
         return super().step(state, frame, rng)
 
 
-def track(path: Path, interrupted: int | None = None, stopped: bool = True, **options: Any) -> RunOutcome:
+def track(
+    path: Path, interrupted: int | None = None, stopped: bool = True, passes: int = 1, **options: Any
+) -> RunOutcome:
     asked = Event()
     run = HeadRun(
         Memory(),
-        HeadStereoConfig(),
+        HeadStereoConfig(run=RunSettings(passes=passes)),
         HeadRunOptions(path, **options),
         name="fake",
         subject=head_subject(CAMERAS[0].name, COMPONENTS),

@@ -14,7 +14,7 @@ import pytest
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 
 from posetrack_cli.errors import PosetrackError, ResultError, UsageError
-from posetrack_cli.head.config import HeadStereoConfig
+from posetrack_cli.head.config import HeadStereoConfig, RunSettings
 from posetrack_cli.head.model_file import load_model, model_bytes
 from posetrack_cli.head.run import HeadRun, HeadRunOptions
 from posetrack_cli.head.subject import head_subject
@@ -51,12 +51,13 @@ def track(tmp_path: Path) -> Track:
         stopped: Callable[[], bool] = lambda: False,
         report: Callable[[Estimate], None] = ignored,
         first_pass: Callable[[Estimate], None] = ignored,
+        passes: int = 1,
         **options: Any,
     ) -> RunOutcome:
         chosen = HeadRunOptions(tmp_path / name, **options)
         return HeadRun(
             recording,
-            HeadStereoConfig(),
+            HeadStereoConfig(run=RunSettings(passes=passes)),
             chosen,
             name=NAME,
             subject=head_subject(recording.cameras[0].name, COMPONENTS),

@@ -125,27 +125,45 @@ class Album:
 
 def _cell(facing: FloatArray) -> tuple[int, int]:
     """The cell of a direction (3,): yaw and pitch from the camera's axis."""
-    yaw = np.degrees(np.arctan2(facing[0], -facing[2]))
-    pitch = np.degrees(np.arcsin(np.clip(facing[1], -1.0, 1.0)))
+    yaw, pitch = np.degrees(angles_of(facing))
     return round(yaw / CELL_DEG), round(pitch / CELL_DEG)
 
 
-def choose_views(views: Sequence[PointView], new: PointView, count: int) -> tuple[PointView, ...]:
+def angles_of(facing: FloatArray) -> FloatArray:
+    """Return yaw and pitch (..., 2), rad, of directions (..., 3) from the camera's axis."""
+    yaw = np.arctan2(facing[..., 0], -facing[..., 2])
+    return np.stack([yaw, np.arcsin(np.clip(facing[..., 1], -1.0, 1.0))], axis=-1)
+
+
+def choose_views(
+    views: Sequence[PointView], new: PointView, count: int, *, by_angles: bool = False
+) -> tuple[PointView, ...]:
     """Return the frames for the next adjustment; the new one is the last.
 
     While there are fewer than ``count`` it is added. Then it replaces one: that without which the directions
-    of the others and the new one vary most, ``spread``. Of equal ones the oldest in order goes.
+    of the others and the new one vary most, ``spread``, or their angles, ``angle_variance``. Of equal ones
+    the oldest in order goes.
 
     Args:
         views: frames of the last adjustment.
         new: the present frame.
         count: n, at least 1.
+        by_angles: as printed (4.3.2), not by directions.
     """
     kept = list(views)
     while len(kept) >= count:
         facing = matrices_from_quaternions(np.array([view.pose.quaternion for view in (*kept, new)]))[..., 2]
-        del kept[int(np.argmax(spreads_without(facing)[:-1]))]
+        if by_angles:
+            spreads = [angle_variance(np.delete(facing, i, axis=0)) for i in range(len(kept))]
+        else:
+            spreads = spreads_without(facing)[:-1]
+        del kept[int(np.argmax(spreads))]
     return (*kept, new)
+
+
+def angle_variance(facing: FloatArray) -> float:
+    """Return the variance of yaw plus that of pitch, rad^2, of directions (n, 3)."""
+    return float(angles_of(facing).var(axis=0).sum())
 
 
 def spread(facing: FloatArray) -> float:

@@ -32,39 +32,54 @@ class FaceLearning:
         statistics: mean and principal components so far.
         frames: in which the face was tracked since it was first found.
         settings: when and what is learnt.
+        found: the shape that was found first, rigid; only where the first frames are tracked with it
+            (``rigid_phase = "printed"``).
     """
 
     statistics: Ccipca
     frames: int
     settings: ModelSettings
+    found: ShapeModel | None = None
 
     @property
     def model(self) -> ShapeModel:
-        """The model of these statistics; the same object until they change."""
-        return self.statistics.rigid if self.settings.kind == "rigid" else self.statistics.model
+        """The model that the next frame is tracked with; the same object until it changes."""
+        is_rigid = self.settings.kind == "rigid"
+        if self.found is not None and (is_rigid or self.frames < self.settings.rigid_frames):
+            return self.found
+        return self.statistics.rigid if is_rigid else self.statistics.model
 
     def after(
-        self, places: FloatArray, weights: FloatArray, pose: HeadPose, correlations: FloatArray
+        self,
+        places: FloatArray,
+        weights: FloatArray,
+        pose: HeadPose,
+        correlations: FloatArray,
+        expected: FloatArray,
     ) -> FaceLearning:
         """Return what is known after a tracked frame.
 
-        The points' own places hold what the pose is wrong by, too: they are laid on the mean shape first. The
-        first ``rigid_frames`` frames refine that mean, exponentially forgetting the start's **[ours]**; those
-        that come later are learnt from as deformations.
+        The points' own places hold what the pose is wrong by, too: they are laid on the mean shape first where
+        they are ``align_above_mm`` from the model's. The first ``rigid_frames`` frames refine that mean,
+        exponentially forgetting the start's **[ours]**; those that come later are learnt from as deformations,
+        and with ``rigid_phase = "printed"`` the first ones, too.
 
         Args:
             places: (K, 3) M', mm.
             weights: (K,) how much each point counts in laying them on the mean.
             pose: of the head.
             correlations: (K,) of each point's patches, the best camera's.
+            expected: (K, 3) M, the shape that the model has in this frame, mm.
         """
         settings = self.settings
         later = replace(self, frames=self.frames + 1)
         if off_axis_deg(pose) > settings.facing_deg or not np.all(correlations > settings.correlation):
             return later
-        R, t = rigid_alignment(places, self.statistics.mean, weights)
-        shape = places @ R.T + t
-        if self.frames < settings.rigid_frames:
+        shape = places
+        if np.linalg.norm(places - expected) >= settings.align_above_mm:
+            R, t = rigid_alignment(places, self.statistics.mean, weights)
+            shape = places @ R.T + t
+        if self.found is None and self.frames < settings.rigid_frames:
             return replace(later, statistics=replace(self.statistics, mean=self._refined_mean(shape)))
         distance = float(np.linalg.norm(shape - self.statistics.mean))
         if settings.kind == "rigid" or not settings.least_mm < distance < settings.most_mm:
@@ -80,6 +95,9 @@ class FaceLearning:
 
 def new_face(shape: FloatArray, settings: ModelSettings) -> FaceLearning:
     """Return what is known of a face (K, 3), mm, that was just found: its shape, which does not deform."""
+    if settings.rigid_phase == "printed":  # M'_1 is the first sample of (3.20)
+        statistics = untrained_statistics(shape, settings.components, mean_count=1)
+        return FaceLearning(statistics, 0, settings, rigid_model(shape))
     statistics = untrained_statistics(shape, settings.components, mean_count=settings.rigid_frames)
     return FaceLearning(statistics, 0, settings)
 

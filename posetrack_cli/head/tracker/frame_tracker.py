@@ -29,6 +29,7 @@ from posetrack_cli.head.particles.scores import PatchObservation
 from posetrack_cli.head.refinement.refine import recalculate, refine
 from posetrack_cli.head.refinement.scene import ComparedFrame
 from posetrack_cli.head.subject import SIGNS
+from posetrack_cli.head.tracker.face_learning import off_axis_deg
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.tracking.confidence import RunningSigns
 
@@ -199,6 +200,8 @@ class FrameTracker:
     def __init__(self, config: HeadStereoConfig | HeadMonoConfig, cameras: Sequence[Camera]) -> None:
         self._settings, self._motion, self._cameras = config.refinement, config.particles, cameras
         self._filter = HeadFilter(config.particles, cameras)
+        adjustment = config.adjustment if isinstance(config, HeadMonoConfig) else None
+        self._gate = adjustment if adjustment is not None and adjustment.gates_points else None
 
     def images(self, frame: SeededFrame) -> RigImages:
         """Return a frame's images with the cameras that took them."""
@@ -240,7 +243,11 @@ class FrameTracker:
         compared = ComparedFrame(images, nearest, before.templates, self._settings)
         refined = refine(compared, model, filtered.pose, filtered.coefficients)
         places = model.shapes(refined.coefficients)
-        own = recalculate(refined.scene, refined.pose, places, before.shape, self._settings)
+        correlations, score = agreement(refined.correlations, refined.visibility)
+        settings, start = self._settings, before.shape
+        if not self._recalculates(refined.pose, score):
+            settings, start = settings.model_copy(update={"recalculation_iterations": 0}), places
+        own = recalculate(refined.scene, refined.pose, places, start, settings)
         track = TrackState(
             frame.stamp_ns,
             refined.pose,
@@ -249,7 +256,6 @@ class FrameTracker:
             own.shape,
             take_templates(images, refined.pose, own.shape, own.pixels),
         )
-        correlations, score = agreement(refined.correlations, refined.visibility)
         at_own_places, _ = agreement(own.correlations, refined.visibility)
         return FrameFit(
             track,
@@ -263,6 +269,11 @@ class FrameTracker:
             own.pixels,
             filtered.effective_sample_size,
         )
+
+    def _recalculates(self, pose: HeadPose, score: float) -> bool:
+        """Whether points are looked for off their model: everywhere, or as printed in clear frames (4.4.3)."""
+        gate = self._gate
+        return gate is None or (off_axis_deg(pose) < gate.facing_deg and score > gate.score)
 
 
 def _expected(

@@ -114,7 +114,8 @@ class KnownPerson:
         settings = adjuster.settings
         if self.is_settled:
             return self._seen_again(view, score, adjuster)
-        views = choose_views(self.views, view, settings.views)
+        by_angles = settings.spread == "angles"
+        views = choose_views(self.views, view, settings.views, by_angles=by_angles)
         start = PersonParameters(self.history.mean, self.person.offsets)
         adjusted = adjuster.adjust(views, start, iterations=settings.iterations, deviations=False)
         return replace(

@@ -15,7 +15,7 @@ from posetrack_cli.geometry.rigid import rigid_alignment
 from posetrack_cli.geometry.rotations import quaternions_from_matrices
 from posetrack_cli.head.config import HeadStereoConfig, ModelSettings
 from posetrack_cli.head.face.points import POINT_COUNT
-from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.head.face.pose import HeadPose, rigid_model
 from posetrack_cli.head.face.templates import TemplateSet, is_new_direction, take_templates
 from posetrack_cli.head.initialisation.clicked import ClickedInitialiser, ClickedPoints
 from posetrack_cli.head.initialisation.search import InitFailure
@@ -163,7 +163,8 @@ class StereoFace:
     def learn(self, state: StereoState, frame: SeededFrame, fit: FrameFit) -> tuple[StereoState, FrameFit]:
         """Learn how the face deforms, and what it looks like from new directions."""
         now, templates = fit.track, state.templates
-        face = state.known_face.after(now.shape, self._steadiness, now.pose, fit.correlations)
+        expected = state.known_face.model.shapes(fit.coefficients)
+        face = state.known_face.after(now.shape, self._steadiness, now.pose, fit.correlations, expected)
         if now.templates is not None and self._is_keyframe(templates, fit):
             templates = (*templates, now.templates)
         return replace(state, face=face, templates=templates), fit
@@ -286,13 +287,20 @@ class StereoCodecs:
     """
 
     def __init__(self, cameras: int, settings: ModelSettings) -> None:
-        def face(mean: Array, components: Array, variance: float, counts: Array) -> FaceLearning:
+        def face(
+            mean: Array, components: Array, variance: float, counts: Array, found: Array | None = None
+        ) -> FaceLearning:
             count, learnt, frames = (int(value) for value in counts)
-            return FaceLearning(Ccipca(mean, components, variance, count, learnt), frames, settings)
+            statistics = Ccipca(mean, components, variance, count, learnt)
+            rigid = statistics.rigid if found is None else rigid_model(found)
+            is_printed = settings.rigid_phase == "printed"
+            return FaceLearning(statistics, frames, settings, rigid if is_printed else None)
 
+        points = Value(floats(POINT_COUNT, 3))
         faces: Codec[FaceLearning] = Fields(
             face,
-            mean=("statistics.mean", Value(floats(POINT_COUNT, 3))),
+            found=(lambda one: None if one.found is None else one.found.mean, Maybe(points)),
+            mean=("statistics.mean", points),
             components=("statistics.components", Value(floats("components", 3 * POINT_COUNT))),
             variance=("statistics.variance", real(floats(least=0.0))),
             counts=(

@@ -128,6 +128,28 @@ def test_spread_is_the_variance_of_small_angles():
     assert spread(facing) == pytest.approx(wanted, rel=10 * 0.02**2)
 
 
+@given(st.integers(0, 10_000), st.integers(2, 8))
+def test_as_printed_the_set_of_the_largest_variance_of_angles_is_chosen(seed, count):
+    """4.3.2: of the n sets in which the new frame replaces one, against numpy's variance of each."""
+    rng = np.random.default_rng(seed)
+    angles = rng.uniform(-70.0, 70.0, (count + 1, 2))
+    *kept, new = [view(stamp, *one) for stamp, one in enumerate(angles)]
+    variances = [np.var(np.delete(angles, left_out, axis=0), axis=0).sum() for left_out in range(count)]
+    wanted = set(range(count + 1)) - {int(np.argmax(variances))}
+    chosen = choose_views(kept, new, count, by_angles=True)
+    assert {one.stamp_ns for one in chosen} == wanted and chosen[-1] is new
+
+
+def test_directions_and_angles_disagree_near_the_pole():
+    """Above the head yaw says little of the direction: 60 degrees of it are 10 of direction there."""
+    views = [view(0, 0.0, 80.0), view(1, 60.0, 80.0), view(2, 0.0, 55.0)]
+    new = view(3, 0.0, 80.0)
+    by_angles = [one.stamp_ns for one in choose_views(views, new, 3, by_angles=True)]
+    assert 1 in by_angles and 2 not in by_angles[:1]
+    by_directions = [one.stamp_ns for one in choose_views(views, new, 3)]
+    assert 2 in by_directions
+
+
 def test_spread_does_not_depend_on_axes():
     rng = np.random.default_rng(2)
     facing = np.array([random_pose(rng).facing for _ in range(7)])

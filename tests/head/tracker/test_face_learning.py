@@ -40,7 +40,7 @@ def smile(strength_mm: float) -> np.ndarray:
 
 def learnt(face: FaceLearning, shapes: list[np.ndarray]) -> FaceLearning:
     for shape in shapes:
-        face = face.after(shape, EQUAL, pose(), SURE)
+        face = face.after(shape, EQUAL, pose(), SURE, face.model.mean)
     return face
 
 
@@ -92,8 +92,45 @@ def test_other_frames_teach_nothing(shape: np.ndarray, yaw_deg: float, correlati
     correlations = SURE.copy()
     correlations[7] = correlation
     face = new_face(MEAN_SHAPE, AFTER_REST)
-    after = face.after(shape, EQUAL, pose(yaw_deg), correlations)
+    after = face.after(shape, EQUAL, pose(yaw_deg), correlations, MEAN_SHAPE)
     assert after.statistics is face.statistics and after.frames == 1
+
+
+def test_as_printed_the_first_frames_are_tracked_rigidly_and_learnt_from() -> None:
+    """3.4: the shape found for 120 frames, while (3.20) counts it as the first sample of the mean."""
+    settings = ModelSettings(rigid_phase="printed")
+    shapes = [smile(float(strength)) for strength in np.tile([8.0, -8.0], 59)]
+    face = learnt(new_face(MEAN_SHAPE, settings), [MEAN_SHAPE, *shapes])
+    assert face.frames == 119 and face.statistics.learnt == len(shapes)
+    np.testing.assert_array_equal(face.model.mean, MEAN_SHAPE)
+    assert face.model.size == 0
+    later = learnt(face, [MEAN_SHAPE])  # which is too near the mean to be learnt
+    np.testing.assert_allclose(later.model.mean, np.mean([MEAN_SHAPE, *shapes], axis=0), atol=ROUNDING)
+    direction = (smile(1.0) - MEAN_SHAPE).ravel()
+    cosine = abs(later.model.basis[..., 0].ravel() @ direction) / np.linalg.norm(direction)
+    assert cosine == pytest.approx(1.0, abs=ROUNDING)
+    ours = learnt(new_face(MEAN_SHAPE, ModelSettings()), [MEAN_SHAPE, *shapes, MEAN_SHAPE])
+    assert ours.statistics.learnt == 0
+
+
+def test_as_printed_a_rigid_face_stays_the_one_that_was_found() -> None:
+    settings = ModelSettings(rigid_phase="printed", kind="rigid", rigid_frames=2)
+    face = learnt(new_face(MEAN_SHAPE, settings), [smile(8.0)] * 4)
+    np.testing.assert_array_equal(face.model.mean, MEAN_SHAPE)
+
+
+def test_a_shape_is_laid_on_the_mean_from_a_distance_to_the_model_on() -> None:
+    """3.2.3: a shape moved by 2 mm in x is 2 sqrt(K) mm from the model's."""
+    moved = smile(8.0) + [2.0, 0.0, 0.0]
+    means = {}
+    for above_mm in (0.0, 2.0 * np.sqrt(POINT_COUNT) - 0.01, 2.0 * np.sqrt(POINT_COUNT) + 0.01):
+        settings = ModelSettings(rigid_frames=0, rigid_phase="printed", align_above_mm=above_mm)
+        face = new_face(MEAN_SHAPE, settings).after(moved, EQUAL, pose(), SURE, smile(8.0))
+        means[above_mm] = face.statistics.mean
+    always, above, below = means.values()
+    np.testing.assert_array_equal(always, above)
+    np.testing.assert_allclose(always, 0.5 * (MEAN_SHAPE + smile(8.0)), atol=ROUNDING)
+    np.testing.assert_allclose(below, 0.5 * (MEAN_SHAPE + moved), atol=ROUNDING)
 
 
 def test_a_rigid_face_learns_no_deformation() -> None:

@@ -58,6 +58,21 @@ def test_what_a_tracker_has_learned_is_taken_but_for_its_search() -> None:
     assert (len(state.templates), state.track, state.search.frames) == (2, None, 0)
 
 
+def test_the_shape_found_is_kept_where_frames_are_tracked_with_it() -> None:
+    printed = ModelSettings(rigid_phase="printed")
+    codecs, before = StereoCodecs(2, printed), CODECS.from_model(learned())
+    assert "face.found" not in learned()
+    state = StereoState(face=new_face(MEAN_SHAPE + 1.0, printed), templates=before.templates)
+    kept = codecs.to_model(state)
+    found = codecs.from_model(kept).known_face.found
+    assert found is not None
+    np.testing.assert_array_equal(found.mean, MEAN_SHAPE + 1.0)
+    assert CODECS.from_model(kept).known_face.found is None  # of no use to other settings
+    without = codecs.from_model(learned()).known_face.found  # nor kept by them: the mean is taken for it
+    assert without is not None
+    np.testing.assert_array_equal(without.mean, MEAN_SHAPE)
+
+
 @pytest.mark.parametrize("name", NEEDED)
 def test_every_array_is_needed_and_has_its_shape_and_kind(name: str) -> None:
     arrays = learned()

@@ -9,6 +9,7 @@ import pytest
 
 from posetrack_cli.head.adjustment.adjuster import Adjuster
 from posetrack_cli.head.config import HeadMonoConfig
+from posetrack_cli.head.face.rig_images import project
 from posetrack_cli.head.tracker.frame_tracker import FrameFit, SeededFrame
 from posetrack_cli.head.tracker.person import KnownPerson, PersonFitter
 from support.mono_scene import CAMERA, FEW, MODEL, Scene
@@ -81,6 +82,34 @@ def test_other_frames_are_not_learnt_from(scene: Scene, fit: FrameFit, gate: dic
     person, after = updated(scene, fit, **gate)
     assert person.adjusted_frames == frames_of(scene)
     assert after is fit
+
+
+@pytest.mark.parametrize("shut", [{"facing_deg": 0.01}, {"score": 1.0}])
+@pytest.mark.parametrize("recalculation", ["joint", "printed"])
+def test_as_printed_points_are_recalculated_in_frames_that_are_learnt_from_alone(
+    scene: Scene, recalculation: str, shut: dict[str, float]
+) -> None:
+    """4.4.3: in others they are where the model has them; the pose, found before, is the same."""
+    state, values = scene.state, FEW.model_dump()
+    assert state is not None and state.track is not None
+    values["refinement"]["recalculation"] = recalculation
+    frame = scene.frame(FRAMES)
+
+    def fitted(**adjustment: object) -> FrameFit:
+        changed = values | {"adjustment": values["adjustment"] | adjustment}
+        fitter = fitter_of(HeadMonoConfig.model_validate(changed))
+        assert state is not None and state.track is not None
+        return fitter.fit(state.person, state.track, SeededFrame(frame, np.random.default_rng(1)))
+
+    always, opened = fitted(**shut), fitted(gates_points=True)
+    model = state.person.shape.shapes(always.coefficients)
+    assert np.abs(always.track.shape - model).max() > 0.01  # mm: points were found off the model
+    np.testing.assert_array_equal(opened.track.shape, always.track.shape)
+    gated = fitted(gates_points=True, **shut)
+    np.testing.assert_array_equal(gated.track.shape, model)
+    np.testing.assert_array_equal(gated.track.pose.position, always.track.pose.position)
+    seen = project((CAMERA,), gated.track.pose.points(model)).pixels
+    np.testing.assert_allclose(gated.pixels, seen, atol=1e-9)
 
 
 def test_a_keyframe_has_only_points_that_look_like_themselves(scene: Scene, fit: FrameFit) -> None:
