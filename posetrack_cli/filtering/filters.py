@@ -279,7 +279,7 @@ class MarginalState(FilterState):
 
     def _motion(self, dt: float, model: FilterModel) -> Motion:
         dynamics = model.dynamics
-        gain = velocity_gain(self.velocity_variance, dynamics.over(dt), dt)
+        gain = velocity_gain(self.velocity_variance, dynamics.over(dt), dt, dynamics.gain)
         sampled = dt * dynamics.pose_noise if model.sampling == "paper" else gain.increment_variance
         return Motion(dt * self.velocities, gain.increment_variance, sampled, gain)
 

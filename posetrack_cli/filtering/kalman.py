@@ -27,6 +27,8 @@ from posetrack_cli.filtering.errors import FilterError, check_time_step
 
 Discretisation: TypeAlias = Literal["exact", "euler"]
 DISCRETISATIONS: tuple[str, ...] = get_args(Discretisation)
+GainForm: TypeAlias = Literal["corrected", "printed"]
+GAIN_FORMS: tuple[str, ...] = get_args(GainForm)
 
 SMALLEST_VARIANCE = float(np.finfo(np.float64).tiny)
 """Increments that vary less count as frozen: quotients of subnormal numbers have no digits left."""
@@ -85,7 +87,9 @@ def step_noise(
     return StepNoise(dt * pose_noise + wander, dt**2 / 2.0 * velocity_noise, dt * velocity_noise)
 
 
-def velocity_gain(variance: FloatArray, noise: StepNoise, dt: float) -> VelocityGain:
+def velocity_gain(
+    variance: FloatArray, noise: StepNoise, dt: float, form: GainForm = "corrected"
+) -> VelocityGain:
     """Return (55)-(57) for diagonal matrices.
 
     With (A, B, C) = var w^n, cov(w^n, w^l), var w^l:
@@ -97,19 +101,39 @@ def velocity_gain(variance: FloatArray, noise: StepNoise, dt: float) -> Velocity
 
     Written in the last form P' cannot turn negative by cancellation: of C A / N at most 3/4 is taken away. A
     component without pose noise and with a velocity known exactly (N = 0) is frozen: L = 0, P' = P + C.
+    As printed, L = P / N and P' = P + C - P^2 / N, which is negative unless P is small against Q^n.
 
     Args:
         variance: (D,) P, the velocity's variance before the step, (u/s)^2.
         noise: of the step.
         dt: its length, s.
+        form: of L: ``corrected``, or ``printed``.
+
+    Raises:
+        FilterError: the printed form makes a variance negative.
     """
     A, B, C = noise
     N = dt**2 * variance + A
     moves = N >= SMALLEST_VARIANCE
     divisor = np.where(moves, N, 1.0)
+    if form == "printed":
+        gain = np.where(moves, variance / divisor, 0.0)
+        return VelocityGain(N, gain, _not_negative(variance + C - gain * gain * N, dt))
     gain = np.where(moves, (dt * variance + B) / divisor, 0.0)
     after = variance * (A + dt**2 * C - 2.0 * dt * B) / divisor + (C * (A / divisor) - B * (B / divisor))
     return VelocityGain(N, gain, np.where(moves, after, variance + C))
+
+
+def _not_negative(variance: FloatArray, dt: float) -> FloatArray:
+    """The variances, as the printed gain leaves them."""
+    if np.any(variance < 0.0):
+        raise FilterError(
+            "the printed gain P / N makes the velocity's variance negative",
+            found=f"{variance.min():.3g} after a step of {dt:.3g} s",
+            expected="motion.velocity and init.velocity that are small against motion.pose",
+            hint="--set filter.gain=corrected",
+        )
+    return variance
 
 
 def constant_velocity(noise: StepNoise, dt: float) -> tuple[FloatArray, FloatArray]:

@@ -15,7 +15,14 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import nearest_name
 from posetrack_cli.filtering.errors import FilterError
-from posetrack_cli.filtering.kalman import Discretisation, StepNoise, check_discretisation, step_noise
+from posetrack_cli.filtering.kalman import (
+    GAIN_FORMS,
+    Discretisation,
+    GainForm,
+    StepNoise,
+    check_discretisation,
+    step_noise,
+)
 from posetrack_cli.filtering.resampling import Resampling
 
 LogLikelihood: TypeAlias = Callable[[FloatArray], FloatArray]
@@ -81,18 +88,23 @@ class Dynamics:
         discretisation: ``exact`` **[ours]** or ``euler``; see `posetrack_cli.filtering.kalman`.
         constrain: **[ours]** puts sampled poses back inside their limits, or None. The velocity then learns
             from the motion that was left, not from the one that was sampled.
+        gain: L of (56), ``corrected`` **[fix]** or ``printed``; see `posetrack_cli.filtering.kalman`.
 
     Raises:
-        FilterError: a noise is negative or not finite, the shapes differ, or the discretisation is not known.
+        FilterError: a noise is negative or not finite, the shapes differ, or the discretisation or the gain
+            is not known.
     """
 
     pose_noise: FloatArray
     velocity_noise: FloatArray
     discretisation: Discretisation = "exact"
     constrain: Constrain | None = None
+    gain: GainForm = "corrected"
 
     def __post_init__(self) -> None:
         check_discretisation(self.discretisation)
+        if self.gain not in GAIN_FORMS:
+            raise FilterError("no such gain", found=self.gain, hint=nearest_name(self.gain, GAIN_FORMS))
         for name in ("pose_noise", "velocity_noise"):
             object.__setattr__(self, name, checked_variance(getattr(self, name), name))
         if self.pose_noise.shape != self.velocity_noise.shape:

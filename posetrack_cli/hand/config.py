@@ -67,12 +67,20 @@ class HandSettings(Settings):
 
 
 class FilterSettings(Settings):
-    """The Bayesian filter (method: paper, section 6; hand.md)."""
+    """The Bayesian filter (method: paper, section 6; hand.md).
+
+    As printed, ``gain`` is P / N without dt, which few noise densities allow (``filtering.kalman``),
+    quaternions add like all other numbers (``hand.space``), and there are no ``joint_limits``. The last two
+    hold for poses drawn from the motion; local fits stay on the manifold and within the limits.
+    """
 
     kind: Literal["rbpf", "pf", "pso"] = "rbpf"
     particles: Annotated[int, Field(ge=1, le=1_000_000)] = 256
     proposal: Literal["guided", "annealed", "marginal", "paper"] = "guided"
     discretisation: Literal["exact", "euler"] = "exact"
+    gain: Literal["corrected", "printed"] = "corrected"
+    rotations: Literal["manifold", "additive"] = "manifold"
+    joint_limits: bool = True
     resampling: Literal["systematic", "multinomial", "residual", "stratified"] = "systematic"
     ess_threshold: Annotated[float, Field(ge=0.0, le=1.0)] = 0.5
 

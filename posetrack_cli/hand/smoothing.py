@@ -17,9 +17,8 @@ from posetrack_cli.hand.local_fits import INNER, HandFits
 from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.proposals import BLOCKS, PROPOSALS
 from posetrack_cli.hand.protocol import hand_estimate
-from posetrack_cli.hand.space import tangent_vector
+from posetrack_cli.hand.space import space_of, tangent_vector
 from posetrack_cli.results.estimate import Estimate
-from posetrack_cli.tracking.body_space import BodySpace
 from posetrack_cli.tracking.smoothing import Describe, FrameFacts
 
 
@@ -64,7 +63,7 @@ def make_smoother(
         fits: of `frame_fits`.
     """
     moving = FILTERS.find(config.filter.kind).has_velocity
-    space, settings = BodySpace(), config.smoothing
+    space, settings = space_of(config.filter), config.smoothing
     if settings.method == "particles":
         return ParticleSmoother(noise_of(dynamics, moving), space, settings.trajectories, rng)
     if fits is not None:

@@ -36,11 +36,10 @@ from posetrack_cli.hand.observation import Observation
 from posetrack_cli.hand.observer import Observer, Outline
 from posetrack_cli.hand.proposals import PROPOSALS
 from posetrack_cli.hand.protocol import found_pose, hand_estimate
-from posetrack_cli.hand.space import inside_limits, pose_layout, tangent_vector
+from posetrack_cli.hand.space import inside_limits, pose_layout, space_of, tangent_vector
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
 from posetrack_cli.results.layouts import STAMPS_NS, Layout, floats
-from posetrack_cli.tracking.body_space import BodySpace
 from posetrack_cli.tracking.confidence import PROBABLY, RunningSigns, signs_codec
 from posetrack_cli.tracking.state_codec import Codec, Fields, Value, flag, real, stamp, whole
 
@@ -141,7 +140,7 @@ class HandTracker:
         plausible = finder is not None and self._proposal.looks_at_frames
         self._fitter = finder.local_fitter.fitter if finder is not None and plausible else None
         self._is_calibrated = self._finder is not None and config.observation.models_pixels
-        self._space, self.dynamics = BodySpace(), dynamics(config)
+        self._space, self.dynamics = space_of(config.filter), dynamics(config)
         resampling = Resampling(config.filter.resampling, config.filter.ess_threshold)
         self._model = FilterModel(self.dynamics, self._space, resampling, self._proposal.sampling)
         self.codec = state_codec(config)
@@ -449,7 +448,7 @@ class HandTracker:
     def predict(self, state: HandState, dt: float) -> FloatArray:
         """Return the expected pose (22,) after dt seconds."""
         moved = self._space.retract(state.pose[None], dt * state.velocity[None])
-        pose: FloatArray = inside_limits(moved)[0]
+        pose: FloatArray = (inside_limits(moved) if self.config.filter.joint_limits else moved)[0]
         return pose
 
     def _log_likelihood(self, observation: Observation | None) -> _Counted | None:
@@ -556,7 +555,8 @@ def dynamics(config: HandConfig) -> Dynamics:
         pose_noise=tangent_vector(pose) ** 2,
         velocity_noise=tangent_vector(settings.velocity) ** 2,
         discretisation=config.filter.discretisation,
-        constrain=inside_limits,
+        constrain=inside_limits if config.filter.joint_limits else None,
+        gain=config.filter.gain,
     )
 
 

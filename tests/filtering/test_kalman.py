@@ -35,6 +35,27 @@ def joint(pose_cov: np.ndarray, velocity_cov: np.ndarray) -> np.ndarray:
     return np.block([[np.diag(pose_cov), zero], [zero, np.diag(velocity_cov)]])
 
 
+def test_the_printed_gain_by_hand() -> None:
+    """(55)-(57) as printed with P = 2, Q^n = 300, Q^l = 6, dt = 0.1: N = .02 + 30, L = 2 / N."""
+    gain = velocity_gain(
+        np.array([2.0]), step_noise(np.full(1, 300.0), np.full(1, 6.0), 0.1, "euler"), 0.1, "printed"
+    )
+    assert gain.increment_variance[0] == pytest.approx(30.02)
+    assert gain.gain[0] == pytest.approx(2.0 / 30.02)
+    assert gain.variance[0] == pytest.approx(2.0 + 0.6 - 4.0 / 30.02)
+    corrected = velocity_gain(
+        np.array([2.0]), step_noise(np.full(1, 300.0), np.full(1, 6.0), 0.1, "euler"), 0.1
+    )
+    assert gain.gain[0] == pytest.approx(corrected.gain[0] / 0.1)  # the factor dt that it lacks
+
+
+def test_the_printed_gain_refuses_a_negative_variance() -> None:
+    """A velocity that matters: P = 900 and dt Q^n = 53, so P^2 / N is some 15,000."""
+    noise = step_noise(np.full(1, 1600.0), np.full(1, 600.0**2), 1.0 / 30.0, "euler")
+    with pytest.raises(FilterError, match=r"negative, found -2.*expected motion\.velocity"):
+        velocity_gain(np.full(1, 900.0), noise, 1.0 / 30.0, "printed")
+
+
 @both
 @relaxed
 @given(P=positive, Qn=positive, Ql=positive, dt=time_steps)

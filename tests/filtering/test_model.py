@@ -45,6 +45,8 @@ def test_noise_is_checked(pose_noise, velocity_noise, message: str) -> None:
 def test_unknown_discretisation_is_refused() -> None:
     with pytest.raises(FilterError, match="no such discretisation, found eulr"):
         Dynamics(np.ones(1), np.ones(1), "eulr")
+    with pytest.raises(FilterError, match=r"no such gain.*did you mean 'printed'"):
+        Dynamics(np.ones(1), np.ones(1), gain="print")  # type: ignore[arg-type]
 
 
 def test_noise_is_a_copy_of_its_own_and_read_only() -> None:

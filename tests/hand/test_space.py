@@ -12,7 +12,7 @@ from posetrack_cli.errors import PosetrackError
 from posetrack_cli.geometry import rotations
 from posetrack_cli.hand.anatomy import ANGLE_LIMITS, ANGLE_NAMES
 from posetrack_cli.hand.config import ComponentSettings
-from posetrack_cli.hand.space import inside_limits, tangent_vector
+from posetrack_cli.hand.space import AdditiveSpace, inside_limits, tangent_vector
 from posetrack_cli.tracking.body_space import BodySpace, pose_rates
 from support.hand import pose_strategy, random_poses
 
@@ -53,6 +53,63 @@ def test_rotations_are_those_of_the_arrays(x: np.ndarray, y: np.ndarray, delta: 
     np.testing.assert_allclose(SPACE.retract(x[None], delta[None])[0, 3:7], turned, atol=ROUNDING)
     between = rotations.logarithm(rotations.multiply(rotations.conjugate(x[3:7]), y[3:7]))
     np.testing.assert_allclose(SPACE.local(x, y)[3:6], between, atol=ROUNDING)
+
+
+ADDITIVE = AdditiveSpace()
+
+
+@relaxed
+@given(pose_strategy(), tangents)
+def test_additive_quaternions_are_sums(pose: np.ndarray, delta: np.ndarray) -> None:
+    """(44) component by component, with the rate of p4..p7 that the tangent vector stands for."""
+    moved = ADDITIVE.retract(pose[None], delta[None])[0]
+    added = pose + pose_rates(pose, delta)
+    added[3:7] = rotations.canonical(added[3:7])
+    np.testing.assert_allclose(moved, added, atol=ROUNDING)
+    back = ADDITIVE.local(pose, moved)
+    np.testing.assert_allclose(back, delta, atol=ROUNDING)
+
+
+def test_additive_is_the_manifold_to_first_order() -> None:
+    """q + q (w, 0) / 2 turns by 2 atan(|w| / 2) = |w| - |w|^3 / 12."""
+    x, delta = random_poses(20), np.random.default_rng(3).normal(size=(20, 21))
+    for small in (1e-1, 1e-2):
+        step = small * delta
+        apart = rotations.angle_between(ADDITIVE.retract(x, step)[:, 3:7], SPACE.retract(x, step)[:, 3:7])
+        length = np.linalg.norm(step[:, 3:6], axis=1)
+        np.testing.assert_allclose(apart, length - 2.0 * np.arctan(0.5 * length), atol=1e-7)
+
+
+def test_the_additive_mean_is_that_of_the_components() -> None:
+    """(62): of turns by 0 and a, weighted 3 to 1, half the mean's has tan = sin(a/2) / (3 + cos(a/2))."""
+    poses = np.tile(random_poses(1), (2, 1))
+    turn = np.zeros((2, 21))
+    turn[1, 3] = 1.2
+    poses = SPACE.retract(poses, turn)
+    mean = ADDITIVE.mean(poses, np.array([0.75, 0.25]))
+    expected = 2.0 * np.arctan2(np.sin(0.6), 3.0 + np.cos(0.6))
+    assert rotations.angle_between(poses[0, 3:7], mean[3:7]) == pytest.approx(expected)
+
+
+def test_the_additive_volume_is_that_of_the_rotations() -> None:
+    """Against the determinant of rotation vectors at the sum, by differences, and the exponential's volume."""
+    x, delta, step = random_poses(1), np.zeros((1, 21)), 1e-5
+    delta[0, 3:6] = 0.4, -0.3, 0.7
+    columns = []
+    for k in range(3):
+        more = np.zeros((1, 21))
+        more[0, 3 + k] = step
+        there = [SPACE.local(x, ADDITIVE.retract(x, delta + sign * more))[0, 3:6] for sign in (-1.0, 1.0)]
+        columns.append((there[1] - there[0]) / (2.0 * step))
+    at = SPACE.local(x, ADDITIVE.retract(x, delta))
+    wanted = np.log(abs(np.linalg.det(np.array(columns)))) + SPACE.log_volume(at)[0]
+    assert ADDITIVE.log_volume(delta)[0] == pytest.approx(wanted, abs=1e-6)
+
+
+def test_half_a_turn_apart_the_additive_difference_is_finite() -> None:
+    x = np.eye(1, 22, 6)
+    half = np.eye(1, 22, 3)
+    assert np.isfinite(ADDITIVE.local(x, half)).all()
 
 
 def test_half_a_turn_is_told_by_its_axis_alone() -> None:

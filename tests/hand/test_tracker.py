@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from posetrack_cli.configuration import find_configuration, load_settings
 from posetrack_cli.filtering.errors import FilterError
-from posetrack_cli.hand.anatomy import ANGLE_LIMITS, make_anatomy
+from posetrack_cli.filtering.kalman import velocity_gain
+from posetrack_cli.hand.anatomy import ANGLE_LIMITS, ANGLES, make_anatomy
 from posetrack_cli.hand.config import HandConfig, ObservationSettings
 from posetrack_cli.hand.inner import NO_THUMB
 from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
@@ -130,6 +132,36 @@ def test_the_plain_filter_has_no_velocity_and_its_own_noise() -> None:
         model = dynamics(configured(kind))
         np.testing.assert_allclose(model.pose_noise, tangent_vector(noise) ** 2)
         np.testing.assert_allclose(model.velocity_noise, tangent_vector(settings.velocity) ** 2)
+
+
+@pytest.mark.parametrize("limits", [True, False])
+def test_without_joint_limits_fingers_bend_back(limits: bool) -> None:
+    """The middle finger's PIP, whose limit is 0, with a random walk of 3 rad/sqrt(s) about it."""
+    loose = {"flexion_rad": 3.0, "position_mm": 1.0, "rotation_rad": 0.01, "abduction_rad": 0.01}
+    tables = {
+        "filter": {"kind": "pf", "particles": 64, "joint_limits": limits},
+        "motion": {"pose_alone": loose},
+    }
+    state, _ = run(tracker_with(DistanceScorer(START[:3]), **tables), [seen(k) for k in range(4)])
+    lowest = state.particles.poses[:, ANGLES].min(axis=0)
+    assert np.all(lowest >= ANGLE_LIMITS[:, 0]) == limits
+
+
+def test_the_papers_densities_keep_its_gain_from_negative_variances() -> None:
+    """Hand-paper at any rate of 30 Hz or less, and in one frame of 60 Hz: P never turns negative."""
+    config = load_settings(HandConfig, find_configuration("hand-paper"), {})
+    model, rng = dynamics(config), np.random.default_rng(1)
+    assert (model.gain, model.constrain) == ("printed", None)
+    for steps in (
+        np.full(300, 1 / 30),
+        np.full(300, 1 / 60),
+        rng.uniform(1 / 60, 0.5, 2000),
+        [10.0, 1 / 30] * 50,
+    ):
+        P = tangent_vector(config.init.velocity) ** 2
+        for dt in steps:
+            P = velocity_gain(P, model.over(float(dt)), float(dt), model.gain).variance
+        assert np.all(P > 0.0)
 
 
 @both_filters

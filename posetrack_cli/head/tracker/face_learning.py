@@ -59,10 +59,10 @@ class FaceLearning:
     ) -> FaceLearning:
         """Return what is known after a tracked frame.
 
-        The points' own places hold what the pose is wrong by, too: they are laid on the mean shape first where
-        they are ``align_above_mm`` from the model's. The first ``rigid_frames`` frames refine that mean,
-        exponentially forgetting the start's **[ours]**; those that come later are learnt from as deformations,
-        and with ``rigid_phase = "printed"`` the first ones, too.
+        The points' own places hold what the pose is wrong by, too: where they are ``align_above_mm`` from the
+        model's, they are laid on the mean shape first. The first ``rigid_frames`` frames refine that mean,
+        exponentially forgetting the start's **[ours]**; later ones are learnt from as deformations, and with
+        ``rigid_phase = "printed"`` the first ones, too.
 
         Args:
             places: (K, 3) M', mm.

@@ -271,7 +271,7 @@ class FrameTracker:
         )
 
     def _recalculates(self, pose: HeadPose, score: float) -> bool:
-        """Whether points are looked for off their model: everywhere, or as printed in clear frames (4.4.3)."""
+        """Whether points are looked for off their model; as printed, in clear frames alone (4.4.3)."""
         gate = self._gate
         return gate is None or (off_axis_deg(pose) < gate.facing_deg and score > gate.score)
 

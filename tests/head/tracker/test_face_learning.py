@@ -121,7 +121,7 @@ def test_as_printed_a_rigid_face_stays_the_one_that_was_found() -> None:
 
 def test_a_shape_is_laid_on_the_mean_from_a_distance_to_the_model_on() -> None:
     """3.2.3: a shape moved by 2 mm in x is 2 sqrt(K) mm from the model's."""
-    moved = smile(8.0) + [2.0, 0.0, 0.0]
+    moved = smile(8.0) + np.array([2.0, 0.0, 0.0])
     means = {}
     for above_mm in (0.0, 2.0 * np.sqrt(POINT_COUNT) - 0.01, 2.0 * np.sqrt(POINT_COUNT) + 0.01):
         settings = ModelSettings(rigid_frames=0, rigid_phase="printed", align_above_mm=above_mm)
