@@ -29,8 +29,8 @@ def inside_limits(poses: FloatArray) -> FloatArray:
 class AdditiveSpace(BodySpace):
     """Poses whose quaternions add like all other numbers, as the hand paper prints (44), (58) and (62).
 
-    q becomes q + q (w, 0) / 2, its sum with its rate for a rotation vector w, and is scaled to length 1 again:
-    a quaternion of another length is not a rotation. Noise along q itself, which scaling removes, is left out.
+    q becomes q + q (w, 0) / 2, its sum with its rate for a rotation vector w, scaled to length 1 again, as
+    other quaternions are no rotations. Noise along q itself, which scaling removes, is left out.
     Tangent vectors equal those of ``BodySpace`` to first order.
     """
 

@@ -75,7 +75,8 @@ class ModelSettings(Settings):
 
     ``components`` is B. The first ``rigid_frames`` frames are tracked with a rigid face, whose mean shape
     moves towards what is measured at ``mean_rate`` a frame **[ours]**; with ``rigid_phase = "printed"`` they
-    are tracked with the shape that was found, and learnt from as all others (3.4). A frame is learnt from
+    are tracked with the shape that was found, and learnt from as all others (3.4); the mean is then that of
+    all frames that face the camera, from the shape found on (3.20). A deformation is learnt from a frame
     where the face is turned from the camera by less than ``facing_deg``, the shape differs from the mean by
     ``least_mm`` to ``most_mm`` (the length of its 3K numbers) and every point correlates above
     ``correlation``. Shapes are laid on the mean by points that move little: ``expression_mm`` is how far a

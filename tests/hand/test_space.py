@@ -92,7 +92,7 @@ def test_the_additive_mean_is_that_of_the_components() -> None:
 
 
 def test_the_additive_volume_is_that_of_the_rotations() -> None:
-    """Against the determinant of rotation vectors at the sum, by differences, and the exponential's volume."""
+    """Against a determinant by differences, of rotation vectors at the sum, and the exponential's volume."""
     x, delta, step = random_poses(1), np.zeros((1, 21)), 1e-5
     delta[0, 3:6] = 0.4, -0.3, 0.7
     columns = []

@@ -61,8 +61,8 @@ class FaceLearning:
 
         The points' own places hold what the pose is wrong by, too: where they are ``align_above_mm`` from the
         model's, they are laid on the mean shape first. The first ``rigid_frames`` frames refine that mean,
-        exponentially forgetting the start's **[ours]**; later ones are learnt from as deformations, and with
-        ``rigid_phase = "printed"`` the first ones, too.
+        exponentially forgetting the start's **[ours]**; later ones are learnt from as deformations. With
+        ``rigid_phase = "printed"`` so are the first ones, and M'_1 to M'_t of all clear frames make the mean.
 
         Args:
             places: (K, 3) M', mm.
@@ -82,9 +82,11 @@ class FaceLearning:
         if self.found is None and self.frames < settings.rigid_frames:
             return replace(later, statistics=replace(self.statistics, mean=self._refined_mean(shape)))
         distance = float(np.linalg.norm(shape - self.statistics.mean))
-        if settings.kind == "rigid" or not settings.least_mm < distance < settings.most_mm:
-            return later
-        return replace(later, statistics=self.statistics.updated(shape))
+        if settings.kind != "rigid" and settings.least_mm < distance < settings.most_mm:
+            return replace(later, statistics=self.statistics.updated(shape))
+        if self.found is not None:
+            return replace(later, statistics=self.statistics.averaged(shape))
+        return later
 
     def _refined_mean(self, shape: FloatArray) -> FloatArray:
         """A running average first, which forgets once ``mean_rate`` is more than its own weight."""
@@ -130,16 +132,20 @@ class Ccipca:
     count: int = 0
     learnt: int = 0
 
+    def averaged(self, shape: FloatArray) -> Ccipca:
+        """Return the state whose mean has another shape M' (K, 3), mm; (3.20)."""
+        count = self.count + 1
+        return replace(self, mean=self.mean + (shape - self.mean) / count, count=count)
+
     def updated(self, shape: FloatArray) -> Ccipca:
         """Return the state after another shape M' (K, 3), mm; (3.20), (3.24), (3.25)."""
-        count, learnt = self.count + 1, self.learnt + 1
-        mean = self.mean + (shape - self.mean) / count
-        residue = (shape - mean).ravel()
+        after, learnt = self.averaged(shape), self.learnt + 1
+        residue = (shape - after.mean).ravel()
         variance = self.variance + (float(residue @ residue) - self.variance) / learnt
         components = self.components.copy()
         for component in components:
             residue = _learn(component, residue, learnt)
-        return replace(self, mean=mean, components=components, variance=variance, count=count, learnt=learnt)
+        return replace(after, components=components, variance=variance, learnt=learnt)
 
     @property
     def eigenvalues(self) -> FloatArray:

@@ -97,15 +97,18 @@ def test_other_frames_teach_nothing(shape: np.ndarray, yaw_deg: float, correlati
 
 
 def test_as_printed_the_first_frames_are_tracked_rigidly_and_learnt_from() -> None:
-    """3.4: the shape found for 120 frames, while (3.20) counts it as the first sample of the mean."""
+    """3.4: with the shape found for 120 frames, M'_1 of the mean (3.20), which all clear frames count for."""
     settings = ModelSettings(rigid_phase="printed")
     shapes = [smile(float(strength)) for strength in np.tile([8.0, -8.0], 59)]
-    face = learnt(new_face(MEAN_SHAPE, settings), [MEAN_SHAPE, *shapes])
+    clear = [MEAN_SHAPE, *shapes]  # the first of them is too near the mean for a component
+    face = learnt(new_face(MEAN_SHAPE, settings), clear)
     assert face.frames == 119 and face.statistics.learnt == len(shapes)
     np.testing.assert_array_equal(face.model.mean, MEAN_SHAPE)
     assert face.model.size == 0
-    later = learnt(face, [MEAN_SHAPE])  # which is too near the mean to be learnt
-    np.testing.assert_allclose(later.model.mean, np.mean([MEAN_SHAPE, *shapes], axis=0), atol=ROUNDING)
+    later = learnt(face, [MEAN_SHAPE])
+    wanted = np.mean([MEAN_SHAPE, *clear, MEAN_SHAPE], axis=0)
+    np.testing.assert_allclose(later.model.mean, wanted, atol=ROUNDING)
+    assert later.statistics.learnt == len(shapes)
     direction = (smile(1.0) - MEAN_SHAPE).ravel()
     cosine = abs(later.model.basis[..., 0].ravel() @ direction) / np.linalg.norm(direction)
     assert cosine == pytest.approx(1.0, abs=ROUNDING)
