@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,6 +19,7 @@ from posetrack_cli.head.config import HeadMonoConfig, HeadStereoConfig
 from posetrack_cli.head.evidence import FaceEvidence
 from posetrack_cli.head.landmarks.file import LandmarkFile
 from posetrack_cli.head.model_file import ATTACHMENT, MEDIA_TYPE, load_model, model_bytes
+from posetrack_cli.head.printed import deviations_from_print
 from posetrack_cli.head.smoothing.track import HeadMemory
 from posetrack_cli.head.velocity import velocity_model
 from posetrack_cli.outputs import check_output, check_target, part_path, state_path, whole_or_nothing
@@ -30,6 +32,7 @@ from posetrack_cli.results.estimate import Subject
 from posetrack_cli.results.writer import ResultWriter
 from posetrack_cli.tracking import options as tracking_options
 from posetrack_cli.tracking.options import common_record
+from posetrack_cli.tracking.printed import RECORD_KEY
 from posetrack_cli.tracking.run import Report
 from posetrack_cli.tracking.smoothing import smoothing_path
 from posetrack_cli.tracking.two_pass import (
@@ -213,8 +216,10 @@ def head_record(
     init = None if options.init is None else Path(options.init)
     files = {"init": init, "load_model": options.load_model, "person": options.person}
     given = {key: path for key, path in files.items() if path is not None}
+    differing = deviations_from_print(config)
     return {
         **common_record(tracker, recording, recording.cameras[0], config, options),
+        **({} if differing is None else {RECORD_KEY: json.dumps(differing)}),
         "init": "auto",
         "passes": str(config.run.passes),
         **{key: shown_name(path) for key, path in given.items()},
