@@ -78,9 +78,7 @@ ALWAYS_MONO = (
     Deviation("4.4.3", "the score is the estimate's mean correlation, not the best particle's"),
     Deviation("4.3, 4.4.3", "boxes, angle and score are ours; none are printed"),
 )
-SHIPPED_MODEL = Deviation(
-    "4.2", "the shipped face model is learned from ICT-FaceKit"
-)
+SHIPPED_MODEL = Deviation("4.2", "the shipped face model is learned from ICT-FaceKit")
 
 
 def deviations_from_print(config: HeadStereoConfig | HeadMonoConfig) -> list[str] | None:

@@ -21,10 +21,15 @@ from posetrack_cli.errors import EXIT_DATA_LOST
 from posetrack_cli.rendering.devices import open_fastest_device
 from posetrack_cli.rendering.port import RenderingDevice
 from reproduction import analysis, figures, report, study, timing
-from reproduction.unit import ENTRANTS, Unit, is_current, run_unit
+from reproduction.unit import ENTRANTS, Entrant, Unit, is_current, run_unit
 
 FIGURE_SEED = 201
-CONFIGURATIONS = {"paper's values": "printed", "hand.toml": "union"}
+CONFIGURATIONS = {
+    "hand-paper": "printed",
+    "union cost, drawn from the motion": "union",
+    "hand (default)": "default",
+}
+"""What rows of figures are called, and the entrants of ``unit`` that they show."""
 PAIRS = {
     "PF against RBPF": (
         ("pf-printed", "rbpf-printed"),
@@ -92,11 +97,19 @@ def _head(renderer: str, seeds: int, frames: int) -> Iterator[str]:
     )
     yield ""
     yield (
-        "*Paper's values* is `configs/hand-paper.toml`: everything as the paper prints it, its cost (4), "
-        "sigma 20 mm, its proposal; noise densities, which it does not print, are ours. "
-        "*hand.toml* is our default."
+        "*hand-paper* is `--config hand-paper`: the paper as printed, as far as there are keys "
+        "(`docs/method.md`); noise densities, which it does not print, are ours. *Union cost, drawn from the "
+        "motion* is `hand.toml` with "
+        f"{_changes(ENTRANTS['rbpf-union'])}. *hand (default)* is `hand.toml` itself, with the recording's "
+        "hand."
     )
     yield ""
+
+
+def _changes(entrant: Entrant) -> str:
+    """What an entrant changes of its configuration, but for the filter, which is each row's own."""
+    changes = (f"`{key}={value}`" for key, value in entrant.changes.items() if key != "filter.kind")
+    return ", ".join(changes)
 
 
 def _artificial(
@@ -203,7 +216,7 @@ def _study(output: Path, seeds: int, frames: int, jobs: int, failures: list[str]
     yield (
         "A pair is one recording, tracked twice with the same seed. `paper` and `union` name the cost; "
         "particles are drawn from the motion, not by local fits; all else is as in `hand.toml`. `printed` is "
-        "everything as the paper prints it. Errors are means over all frames of a recording, lost ones "
+        "`hand-paper`. Errors are means over all frames of a recording, lost ones "
         "included; ± is the standard deviation over recordings; negative differences are in favour of the "
         "second. p adjusted: Benjamini and Hochberg over the table's rows. Motion A is a random walk without "
         "velocity."

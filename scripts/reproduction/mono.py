@@ -16,6 +16,7 @@ from reproduction.one_camera.experiments import Experiments
 from reproduction.one_camera.measuring import Measured
 from reproduction.one_camera.options import (
     FRAMES,
+    LEAST_MOTION_FRAMES,
     MODEL_PEOPLE,
     MOTION_FRAMES,
     PEOPLE,
@@ -27,7 +28,7 @@ from reproduction.running import FOLDER, Study, thesis_head
 from reproduction.steps import run_chains
 
 PARTS: tuple[Part, ...] = (People(), Clips(), Experiments(), Population())
-QUICK_PEOPLE, QUICK_MODEL_PEOPLE, QUICK_FRAMES, QUICK_MOTION_FRAMES = 1, 6, 180, 240
+QUICK_PEOPLE, QUICK_MODEL_PEOPLE, QUICK_FRAMES = 1, 6, 180
 """A model of ten identity dimensions needs five persons, and experiment B one more."""
 
 
@@ -74,13 +75,13 @@ STUDY = Study("mono", "mono.json", PARTS, _make, lambda options: Measured(option
     "--motion-frames",
     default=MOTION_FRAMES,
     show_default=True,
-    type=click.IntRange(120),
+    type=click.IntRange(LEAST_MOTION_FRAMES),
     help="Frames per recording of the two motions that the model is built from.",
 )
 @STUDY.running_options(
     "--first-identity",
     f"a person of {QUICK_FRAMES} frames, a model of {QUICK_MODEL_PEOPLE} persons of "
-    f"{QUICK_MOTION_FRAMES} frames",
+    f"{LEAST_MOTION_FRAMES} frames",
 )
 def main(jobs: int, chosen: tuple[str, ...], quick: bool, **values: Any) -> None:
     """Redo experiments A, B, C and measure accuracy; everything goes to the output folder, report.md tells.
@@ -90,7 +91,7 @@ def main(jobs: int, chosen: tuple[str, ...], quick: bool, **values: Any) -> None
     """
     if quick:
         values |= {"people": QUICK_PEOPLE, "model_people": QUICK_MODEL_PEOPLE}
-        values |= {"frames": QUICK_FRAMES, "motion_frames": QUICK_MOTION_FRAMES}
+        values |= {"frames": QUICK_FRAMES, "motion_frames": LEAST_MOTION_FRAMES}
     options = Options(**values)
     if options.people > options.model_people:
         modelled = f"only {options.model_people} are in the model (--model-people)"

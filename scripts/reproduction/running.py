@@ -162,7 +162,7 @@ def thesis_head(title: str, chapter: int, tracker: str, persons: range) -> Itera
     yield ""
     yield (
         f"`{tracker}` is our default; `{tracker}-paper` is the thesis's method as printed, as far as there "
-        f"are switches (`configs/{tracker}-paper.toml` says what is ours all the same)."
+        f"are keys (`docs/method.md` lists what is ours all the same)."
     )
     yield ""
 

@@ -44,9 +44,13 @@ ENTRANTS = {
     f"{kind}-{cost}": Entrant("hand", {"filter.kind": kind, "observation.cost": cost} | PLAIN)
     for kind in ("pf", "rbpf")
     for cost in ("paper", "union")
-} | {f"{kind}-printed": Entrant("hand-paper", {"filter.kind": kind}) for kind in ("pf", "rbpf")}
-"""Filter and cost, particles drawn from the motion, all else as in hand.toml; ``printed``: everything as the
-paper prints it."""
+} | {
+    f"{kind}-{name}": Entrant(configuration, {"filter.kind": kind})
+    for kind in ("pf", "rbpf")
+    for name, configuration in (("printed", "hand-paper"), ("default", "hand"))
+}
+"""Filter and cost, particles drawn from the motion, all else as in hand.toml; ``printed``: hand-paper, the
+paper as printed; ``default``: hand.toml itself."""
 
 
 @dataclass(frozen=True)

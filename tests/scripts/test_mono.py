@@ -28,7 +28,7 @@ from reproduction import mono
 from reproduction.one_camera import clips, comparing, figures, overlays, people, population
 from reproduction.one_camera.experiments import Experiments
 from reproduction.one_camera.measuring import Figures, Measured, Removed, compare, figures_of
-from reproduction.one_camera.options import Options
+from reproduction.one_camera.options import LEAST_MOTION_FRAMES, Options
 from reproduction.one_camera.tables import THESIS
 from reproduction.running import FIRST_SEED, Targets
 from reproduction.steps import FILE, Chain, Step
@@ -385,6 +385,14 @@ def test_more_test_persons_than_the_model_has_are_refused(tmp_path: Path) -> Non
     asked = ["-o", str(tmp_path / "out"), "--people", "9", "--model-people", "8"]
     result = CliRunner().invoke(mono.main, asked)
     assert result.exit_code == 2 and "only 8 are in the model" in result.output
+    assert not (tmp_path / "out").exists()
+
+
+def test_motions_too_short_to_show_a_face_in_are_refused(tmp_path: Path) -> None:
+    """At 120 frames the tracker sees 1.8 of some 8 mm, and no model is built; --quick and more do."""
+    asked = ["-o", str(tmp_path / "out"), "--motion-frames", "120"]
+    result = CliRunner().invoke(mono.main, asked)
+    assert result.exit_code == 2 and f"120 is not in the range x>={LEAST_MOTION_FRAMES}" in result.output
     assert not (tmp_path / "out").exists()
 
 

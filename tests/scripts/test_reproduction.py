@@ -6,10 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
+from posetrack_cli.configuration import find_configuration, load_settings
+from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.results import load_arrays, read_result
-from reproduction import analysis, report, study
+from reproduction import analysis, hand, report, study
+from reproduction.hand import CONFIGURATIONS as ROWS
 from reproduction.study import CONDITIONS, Condition
-from reproduction.unit import ENTRANTS, Unit, is_current
+from reproduction.unit import ENTRANTS, Unit, configuration, is_current
 
 PAIR = ("pf-union", "rbpf-union")
 UNITS = {condition: condition.units(8, 150) for condition in CONDITIONS}
@@ -85,3 +88,26 @@ def test_a_unit_is_tracked_as_its_entrants_say_also_beside_one_that_fails(tmp_pa
 
 def test_every_studied_entrant_is_known() -> None:
     assert set(study.STUDIED) <= set(ENTRANTS)
+
+
+def test_rows_of_figures_are_called_by_the_configuration_that_runs() -> None:
+    """Each title's entrants, resolved, against the shipped files that it names."""
+    made = {
+        title: [configuration(f"{kind}-{name}") for kind in ("pf", "rbpf")] for title, name in ROWS.items()
+    }
+    assert list(made) == ["hand-paper", "union cost, drawn from the motion", "hand (default)"]
+    for name, title in (("hand-paper", "hand-paper"), ("hand", "hand (default)")):
+        for kind, config in zip(("pf", "rbpf"), made[title], strict=True):
+            options = {"filter.kind": kind, "output.mesh": "none"}
+            assert config == load_settings(HandConfig, find_configuration(name), options)
+    for config in made["union cost, drawn from the motion"]:
+        assert (config.observation.cost, config.filter.proposal) == ("union", "marginal")
+
+
+def test_the_report_says_what_each_row_ran() -> None:
+    (text,) = (line for line in hand._head("renderer", 1, 2) if "hand-paper" in line)
+    assert (
+        "`filter.proposal=marginal`, `observation.sigma_mm=4.0`" in text
+        and "`observation.cost=union`" in text
+    )
+    assert "*hand (default)* is `hand.toml` itself" in text

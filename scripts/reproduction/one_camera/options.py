@@ -13,6 +13,9 @@ from reproduction.steps import Chain
 MODEL_PEOPLE, PEOPLE = 11, 6
 """S of the thesis; and with six pairs Wilcoxon's test can find a difference."""
 FRAMES, MOTION_FRAMES = 1800, 420
+LEAST_MOTION_FRAMES = 240
+"""Eight seconds: in shorter ones the two motions are so quick that the stereo tracker does not see them in
+full, and no model can be built."""
 
 
 @dataclass(frozen=True)
