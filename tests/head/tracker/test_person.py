@@ -10,9 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from posetrack_cli.geometry.euler import head_quaternion_from_roll_pitch_yaw
 from posetrack_cli.head.adjustment.adjuster import Adjuster
 from posetrack_cli.head.adjustment.views import PersonParameters, PointView
 from posetrack_cli.head.config import AdjustmentSettings
+from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.tracker.person import IdentityHistory, KnownPerson, new_person, rms
 from support.bundles import CAMERA, UNIT_SD, Bundle, random_bundle, random_model
 from support.mono_cases import assert_same, random_templates
@@ -96,6 +98,25 @@ def test_views_end_with_the_frame_adjusted() -> None:
     # the size that one camera cannot tell moves a head along its ray: only the turn is known exactly
     assert np.abs(bundle.views[13].pose.difference(last.pose)[3:]).max() < NOTHING
     assert known.rms_px < 0.01
+
+
+def test_views_are_chosen_by_the_spread_that_is_asked_for() -> None:
+    """Faces near a pole of yaw, where directions and angles choose others (``test_views``)."""
+    bundle, stamps = at_rest(0), {}
+    poses = [(50.0, 75.0), (0.0, 40.0), (0.0, 75.0)]
+    turned = [
+        replace(as_tracked(bundle, index), pose=HeadPose(bundle.views[0].pose.position, quaternion))
+        for index, quaternion in enumerate(
+            head_quaternion_from_roll_pitch_yaw(np.radians([0.0, pitch, yaw])) for yaw, pitch in poses
+        )
+    ]
+    for spread in ("directions", "angles"):
+        settings = USUAL.model_copy(update={"views": 2, "spread": spread})
+        known = replace(found(bundle, settings), views=tuple(turned[:2]))
+        after_it = known.after(turned[2], 0.9, adjuster(bundle, settings))
+        stamps[spread] = [one.stamp_ns for one in after_it.views]
+    first, second, new = (one.stamp_ns for one in turned)
+    assert stamps == {"directions": [second, new], "angles": [first, new]}
 
 
 @pytest.mark.parametrize("average", [1, 4])
