@@ -21,6 +21,7 @@ SETTINGS = (
     PrintedSetting("7.1", "observation.window_px", 128),
     PrintedSetting("7.1", "observation.tile_px", 128),
     PrintedSetting("7.3", "init.method", "center"),
+    PrintedSetting("(63)", "velocity.method", "filter"),
 )
 ALWAYS = (
     Deviation("A.1", "the thumb turns about z at joint 3 (CMC), not at joint 2"),

@@ -59,6 +59,7 @@ ALWAYS_BOTH = (
     Deviation("3.2.1", "templates are warped to the predicted pose"),
     Deviation("(3.28)", "points weigh less where they are turned away from the camera"),
     Deviation("(3.26)", "rotations move by rotation vectors, not by angles"),
+    Deviation("(3.31)", "the velocity in results is estimated from the poses up to the next frame's"),
     Deviation("(3.29)", "motion noise and the radius d are ours; none are printed"),
     Deviation("3.3", "a frame may be lost (status); the face is then searched for"),
 )
