@@ -346,6 +346,22 @@ def test_another_seed_gives_other_estimates(made: Path, tracked: Path) -> None:
     assert not np.array_equal(one, seeded)
 
 
+@pytest.mark.parametrize("passes", [(), ("--passes", "2"), ("--set", "run.passes=2")])
+def test_as_printed_there_is_one_pass_unless_another_is_asked_for(
+    made: Path, tmp_path: Path, passes: tuple[str, ...]
+) -> None:
+    few = ("--config", "head-mono-paper", "--particles", "50", "--end", "7")
+    assert mono(made, tmp_path / "r.mcap", *few, *passes) == 0
+    result = read_result(tmp_path / "r.mcap")
+    count = 2 if passes else 1
+    assert (result.run["passes"], result.summary["passes"]) == (str(count), str(count))
+    assert json.loads(result.run["configuration"])["run"] == {"passes": count}
+    listed = json.loads(result.run["deviations_from_print"])
+    assert listed[0] == "4.5: particles.count is 50, printed 750"
+    assert ("3.4, 4.5: run.passes is 2, printed 1" in listed) == (count == 2)
+    assert "4.2: the shipped face model is learned from ICT-FaceKit" in listed
+
+
 def test_two_passes_are_the_default_and_equal_a_run_with_the_saved_model(made: Path, tracked: Path) -> None:
     """But for the skin, which tells in these images alone."""
     twice, loaded = made.with_name("twice.mcap"), made.with_name("loaded.mcap")

@@ -141,7 +141,7 @@ def choose_views(
     """Return the frames for the next adjustment; the new one is the last.
 
     While there are fewer than ``count`` it is added. Then it replaces one: that without which the directions
-    of the others and the new one vary most, ``spread``, or their angles, ``angle_variance``. Of equal ones
+    of the others and the new one vary most, ``spread``, or their angles, yaw and pitch. Of equal ones
     the oldest in order goes.
 
     Args:
@@ -153,17 +153,9 @@ def choose_views(
     kept = list(views)
     while len(kept) >= count:
         facing = matrices_from_quaternions(np.array([view.pose.quaternion for view in (*kept, new)]))[..., 2]
-        if by_angles:
-            spreads = [angle_variance(np.delete(facing, i, axis=0)) for i in range(len(kept))]
-        else:
-            spreads = spreads_without(facing)[:-1]
-        del kept[int(np.argmax(spreads))]
+        spreads = angle_variances_without(facing) if by_angles else spreads_without(facing)
+        del kept[int(np.argmax(spreads[:-1]))]
     return (*kept, new)
-
-
-def angle_variance(facing: FloatArray) -> float:
-    """Return the variance of yaw plus that of pitch, rad^2, of directions (n, 3)."""
-    return float(angles_of(facing).var(axis=0).sum())
 
 
 def spread(facing: FloatArray) -> float:
@@ -184,3 +176,9 @@ def spreads_without(facing: FloatArray) -> FloatArray:
     means = (facing.sum(axis=0) - facing) / (len(facing) - 1)
     spreads: FloatArray = 1.0 - np.einsum("ni,ni->n", means, means)
     return spreads
+
+
+def angle_variances_without(facing: FloatArray) -> FloatArray:
+    """Return (n,) the variance of yaw plus that of pitch, rad^2, without each of n >= 2 directions (n, 3)."""
+    angles = angles_of(facing)
+    return np.array([np.delete(angles, i, axis=0).var(axis=0).sum() for i in range(len(angles))])

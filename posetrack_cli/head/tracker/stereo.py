@@ -296,7 +296,7 @@ class StereoCodecs:
             is_printed = settings.rigid_phase == "printed"
             return FaceLearning(statistics, frames, settings, rigid if is_printed else None)
 
-        points = Value(floats(POINT_COUNT, 3))
+        points: Value[FloatArray] = Value(floats(POINT_COUNT, 3))
         faces: Codec[FaceLearning] = Fields(
             face,
             found=(lambda one: None if one.found is None else one.found.mean, Maybe(points)),
