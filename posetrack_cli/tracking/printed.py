@@ -44,7 +44,7 @@ def deviations(
     """Return a line for each setting in force that is not as printed, then for each constant deviation."""
     differing = [(one, _value(config, one.key)) for one in settings]
     return [
-        f"{one.where}: {one.key} is {value}, printed {one.value}"
+        f"{one.where}: {one.key} is {_shown(value)}, not {_shown(one.value)}"
         for one, value in differing
         if value != one.value
     ] + [f"{one.where}: {one.text}" for one in always]
@@ -52,3 +52,7 @@ def deviations(
 
 def _value(config: Settings, key: str) -> object:
     return reduce(getattr, key.split("."), config)
+
+
+def _shown(value: object) -> str:
+    return repr(value) if isinstance(value, str) else str(value)

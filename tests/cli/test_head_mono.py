@@ -357,8 +357,8 @@ def test_as_printed_there_is_one_pass_unless_another_is_asked_for(
     assert (result.run["passes"], result.summary["passes"]) == (str(count), str(count))
     assert json.loads(result.run["configuration"])["run"] == {"passes": count}
     listed = json.loads(result.run["deviations_from_print"])
-    assert listed[0] == "4.5: particles.count is 50, printed 750"
-    assert ("3.4, 4.5: run.passes is 2, printed 1" in listed) == (count == 2)
+    assert listed[0] == "4.5: particles.count is 50, not 750"
+    assert ("3.4, 4.5: run.passes is 2, not 1" in listed) == (count == 2)
     assert "4.2: the shipped face model is learned from ICT-FaceKit" in listed
 
 

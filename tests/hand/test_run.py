@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from posetrack_cli import __version__
+from posetrack_cli.configuration import find_configuration, load_settings
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.config import HandConfig
@@ -107,6 +108,19 @@ def test_a_start_pose_from_a_file_is_in_the_record(track: Callable[..., RunOutco
     assert json.loads(record["init.pose"]) == [1.0, 2.0, 650.0, 0.0, 0.0, 0.0, 1.0, *[0.0] * 15]
     assert record["init"] == "pose.toml"
     assert "init.pose" not in record_of()
+
+
+def test_a_record_lists_deviations_from_print_where_a_run_follows_the_paper() -> None:
+    options = {"init.method": "auto", "filter.gain": "corrected"}
+    config = load_settings(HandConfig, find_configuration("hand-paper"), options)
+    record = run_record(Memory(), CAMERA, config, RunOptions(Path("r.mcap")), "a renderer")
+    listed = json.loads(record["deviations_from_print"])
+    assert listed[:2] == [
+        "(56): filter.gain is 'corrected', not 'printed'",
+        "7.3: init.method is 'auto', not 'center'",
+    ]
+    assert listed[2] == "A.1: the thumb turns about z at joint 3 (CMC), not at joint 2"
+    assert "deviations_from_print" not in record_of()
 
 
 # Truth and losses
