@@ -21,7 +21,7 @@ from posetrack_cli.errors import EXIT_DATA_LOST
 from posetrack_cli.rendering.devices import open_fastest_device
 from posetrack_cli.rendering.port import RenderingDevice
 from reproduction import analysis, figures, report, study, timing
-from reproduction.unit import ENTRANTS, Entrant, Unit, is_current, run_unit
+from reproduction.unit import ENTRANTS, Entrant, Unit, configuration, is_current, run_unit
 
 FIGURE_SEED = 201
 CONFIGURATIONS = {
@@ -92,8 +92,8 @@ def _head(renderer: str, seeds: int, frames: int) -> Iterator[str]:
     yield ""
     yield (
         "Kajihara and Tanaka, *3D hand pose tracking with a Rao-Blackwellized particle filter*, section 7, "
-        f"by posetrack {__version__}. PF is the plain particle filter, RBPF the Rao-Blackwellized one; 512 "
-        f"particles, 30 Hz. Study: {seeds} recordings of {frames} frames per condition. Renderer: {renderer}."
+        f"by posetrack {__version__}. PF is the plain particle filter, RBPF the Rao-Blackwellized one. "
+        f"30 Hz. Study: {seeds} recordings of {frames} frames per condition. Renderer: {renderer}."
     )
     yield ""
     yield (
@@ -101,9 +101,13 @@ def _head(renderer: str, seeds: int, frames: int) -> Iterator[str]:
         "(`docs/method.md`); noise densities, which it does not print, are ours. *Union cost, drawn from the "
         "motion* is `hand.toml` with "
         f"{_changes(ENTRANTS['rbpf-union'])}. *hand (default)* is `hand.toml` itself, with the recording's "
-        "hand."
+        f"hand. They have {', '.join(map(_particles, CONFIGURATIONS.values()))} particles."
     )
     yield ""
+
+
+def _particles(name: str) -> str:
+    return str(configuration(f"rbpf-{name}").filter.particles)
 
 
 def _changes(entrant: Entrant) -> str:

@@ -111,3 +111,4 @@ def test_the_report_says_what_each_row_ran() -> None:
         and "`observation.cost=union`" in text
     )
     assert "*hand (default)* is `hand.toml` itself" in text
+    assert text.endswith("They have 512, 256, 256 particles.")
