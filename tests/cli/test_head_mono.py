@@ -286,7 +286,8 @@ def test_a_folder_with_its_camera_file_is_as_good(made: Path, tracked: Path, tmp
     assert mono(folder, tmp_path / "r.mcap", "--passes", "1") == 0
     mine, theirs = load_arrays(tmp_path / "r.mcap"), load_arrays(tracked)
     for name in mine:
-        np.testing.assert_array_equal(mine[name], theirs[name][: len(frames)], err_msg=name)
+        # But for the last one, whose velocity does not know the next frame.
+        np.testing.assert_array_equal(mine[name][:-1], theirs[name][: len(frames) - 1], err_msg=name)
 
 
 def test_a_video_without_calibration_is_tracked_on_a_guess_that_is_said(
