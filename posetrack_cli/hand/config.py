@@ -94,6 +94,15 @@ class ComponentSettings(Settings):
     abduction_rad: NotNegative
 
 
+class PositiveSettings(ComponentSettings):
+    """The same, none of them 0."""
+
+    position_mm: Positive
+    rotation_rad: Positive
+    flexion_rad: Positive
+    abduction_rad: Positive
+
+
 class MotionSettings(Settings):
     """Noise densities of eq. (44): standard deviations after one second of random walk.
 
@@ -123,10 +132,10 @@ class VelocitySettings(Settings):
     """
 
     method: Literal["next-frame", "filter"] = "next-frame"
-    acceleration: ComponentSettings = ComponentSettings(
+    acceleration: PositiveSettings = PositiveSettings(
         position_mm=130.0, rotation_rad=4.0, flexion_rad=7.0, abduction_rad=5.0
     )
-    pose: ComponentSettings = ComponentSettings(
+    pose: PositiveSettings = PositiveSettings(
         position_mm=0.25, rotation_rad=0.005, flexion_rad=0.013, abduction_rad=0.02
     )
 

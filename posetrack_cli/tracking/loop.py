@@ -115,16 +115,18 @@ def track_frames(
         yield Step(frame, estimate, RunState(state, rng, frame.index))
 
 
+_MOST = 1e30
+"""Of what a belief holds: poses that leap give velocities without a meaning, but with a number."""
 _VELOCITY = "run_velocity"
 """What the arrays of a velocity's belief are called in a checkpoint, beside those of the tracker."""
 _VELOCITY_CODEC = Maybe(
     Fields(
         VelocityBelief,
         stamp_ns=stamp(),
-        pose=Value(floats("pose entries")),
-        velocity=Value(floats("velocities")),
-        covariance=Value(floats(3, "velocities")),
-        surprise=Value(floats("velocities", least=0.0)),
+        pose=Value(replace(floats("pose entries"), unit=(3, 7))),
+        velocity=Value(floats("velocities", least=-_MOST, most=_MOST)),
+        covariance=Value(floats(3, "velocities", least=-_MOST, most=_MOST)),
+        surprise=Value(floats("velocities", least=0.0, most=_MOST)),
     )
 )
 _BITS_32, _BITS_128 = (0, (1 << 32) - 1), (0, (1 << 128) - 1)

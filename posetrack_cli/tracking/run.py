@@ -30,7 +30,7 @@ from posetrack_cli.tracking.options import (
     is_hardly_tracked,
     nothing_to_track,
 )
-from posetrack_cli.tracking.velocity import VelocityModel, with_velocities
+from posetrack_cli.tracking.velocity import VelocityModel, check_belief, with_velocities
 
 FRAMES_SHOWN = 8
 """About how many frames are read again to say why hardly any was tracked."""
@@ -140,7 +140,9 @@ class Run(ABC):
 
     def run_state_at(self, checkpoint: Checkpoint) -> RunState:
         """Return where a run was interrupted; LayoutError or ResultError if its tracker has no such state."""
-        return run_state_at(self.tracker, checkpoint, self.new_rng())
+        reached = run_state_at(self.tracker, checkpoint, self.new_rng())
+        check_belief(reached.velocity, self.velocity_model)
+        return reached
 
     def checkpoint(self, run_state: RunState, frames: int) -> Checkpoint:
         """Return the checkpoint after a frame, of which ``frames`` are written."""
@@ -153,11 +155,9 @@ class Run(ABC):
     # The loop
 
     def steps(self, frames: Iterable[Frame], run_state: RunState) -> Iterator[Step]:
-        """Yield the steps of one pass, and count them."""
+        """Return the steps of one pass."""
         timings = self._options.timings
-        for step in track_frames(self.tracker, frames, run_state, self.start_state, timings=timings):
-            self._tracked += 1
-            yield step
+        return track_frames(self.tracker, frames, run_state, self.start_state, timings=timings)
 
     def new_rng(self) -> np.random.Generator:
         """Return the random generator as it is at the start of a pass."""
@@ -179,6 +179,7 @@ class Run(ABC):
                     truth.send(step.frame.stamp_ns)
                     run_state = step.after
                     self._write(writer, memory, step)
+                    self._tracked += 1
                     report(step.estimate)
                     if stopped():
                         return self._outcome(writer, began, stopped=True)

@@ -147,6 +147,7 @@ class TwoPassRun(Run):
         with closing(self._frames()) as frames:
             for step in self.steps(frames, run_state):
                 run_state = step.after
+                self._tracked += 1
                 self._first_pass_report(step.estimate)
                 if self._tracked % self._flush_frames == 0:
                     writer.save_checkpoint(within_first_pass(super().checkpoint(run_state, 0)))

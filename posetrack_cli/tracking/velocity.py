@@ -34,6 +34,7 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.filtering.kalman import step_noise
 from posetrack_cli.results.estimate import Estimate, Status
+from posetrack_cli.results.layouts import LayoutError
 from posetrack_cli.tracking.body_space import BodySpace, pose_rates
 from posetrack_cli.tracking.loop import Step, VelocityBelief
 from posetrack_cli.units import NS_PER_S
@@ -41,6 +42,8 @@ from posetrack_cli.units import NS_PER_S
 FREEDOM = 2.0
 """nu: the densities count for as much as the two innovations. Chosen with them, on seeds and people that no
 figure is reported of."""
+LONGEST_S = 10.0
+"""Poses farther apart say nothing of a velocity: another chain begins, also where a clock is set."""
 _SPACE = BodySpace()
 
 
@@ -72,8 +75,8 @@ class _Later(NamedTuple):
 class VelocityEstimator:
     """Takes the estimates of a track one by one, and returns each with its velocity, one frame late.
 
-    A chain of poses ends at a lost frame, which keeps the velocity that it has, and a new chain begins where
-    the track is re-initialised or the clock stands still.
+    A chain of poses ends at a lost frame, which keeps the velocity that the tracker gives it, if any. Another
+    begins where the track is re-initialised, or the clock stands still or leaps.
 
     Args:
         model: of the velocity.
@@ -111,7 +114,7 @@ class VelocityEstimator:
         size = len(model.pose_sd)
         pose = np.concatenate([estimate.position, estimate.quaternion, estimate.shape])[: size + 1]
         dt = 0.0 if before is None else self._direction * (estimate.stamp_ns - before.stamp_ns) / NS_PER_S
-        if before is None or dt <= 0.0 or self._is_cut(estimate):
+        if before is None or not 0.0 < dt <= LONGEST_S or self._is_cut(estimate):
             covariance = np.stack([np.square(model.pose_sd), np.zeros(size), np.square(model.start_sd)])
             self.belief = VelocityBelief(estimate.stamp_ns, pose, np.zeros(size), covariance, np.ones(size))
             return None
@@ -122,15 +125,14 @@ class VelocityEstimator:
         a = pp + 2.0 * dt * pv + dt**2 * vv + noise.pose
         b = pv + dt * vv + noise.cross
         c = vv + noise.velocity
-        innovation, spread = _SPACE.local(expected, pose), a + np.square(model.pose_sd)
+        error = np.square(model.pose_sd)
+        innovation, spread = _SPACE.local(expected, pose), a + error
         gain, surprise = np.stack([a, b]) / spread, np.square(innovation) / spread
         change = gain * innovation
         fall = np.stack([gain[0] * a, gain[0] * b, gain[1] * b])
         moved = _SPACE.retract(expected[None], change[:1])[0]
-        ahead = np.stack([a, b, c])
-        self.belief = VelocityBelief(
-            estimate.stamp_ns, moved, before.velocity + change[1], ahead - fall, surprise
-        )
+        after = np.stack([gain[0] * error, gain[1] * error, c - fall[2]])  # a - a^2 / s = a r^2 / s
+        self.belief = VelocityBelief(estimate.stamp_ns, moved, before.velocity + change[1], after, surprise)
         # The velocity's row of G: (pv + dt vv, vv) P'^-1.
         g = ((pv + dt * vv) * c - vv * b) / (a * c - b**2)
         h = (vv * a - (pv + dt * vv) * b) / (a * c - b**2)
@@ -148,7 +150,11 @@ class VelocityEstimator:
     def _revised(self, estimate: Estimate, belief: VelocityBelief | None, later: _Later | None) -> Estimate:
         """The estimate with the velocity that was believed at it, and what the next one told."""
         if belief is None:
-            return estimate
+            own = estimate.twist_variance
+            if own is None or own.any():
+                return estimate
+            # A filter without velocity states 0, and no doubt of it.
+            return replace(estimate, twist=None, twist_variance=None, pose_rate=None)
         known, size = len(belief.velocity), len(estimate.shape) + 6
         unknown = np.zeros(known)
         added, fall, surprise = later or _Later(unknown, unknown, np.ones(known))
@@ -159,6 +165,16 @@ class VelocityEstimator:
         variance[:known] = (belief.covariance[2] + fall) * factor
         pose = np.concatenate([estimate.position, estimate.quaternion, estimate.shape])
         return replace(estimate, twist=twist, twist_variance=variance, pose_rate=pose_rates(pose, twist))
+
+
+def check_belief(belief: VelocityBelief | None, model: VelocityModel | None) -> None:
+    """Raise LayoutError unless a checkpoint's belief is of the entries that a model is of."""
+    if belief is None or model is None:
+        return
+    size = len(model.pose_sd)
+    if (len(belief.velocity), len(belief.pose)) != (size, size + 1):
+        found = f"{len(belief.velocity)} velocities of a pose of {len(belief.pose)} numbers"
+        raise LayoutError(f"{found}, not {size} of {size + 1}")
 
 
 def with_velocities(

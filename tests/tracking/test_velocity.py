@@ -21,7 +21,13 @@ from posetrack_cli.results.checkpoint import Progress
 from posetrack_cli.results.estimate import Estimate, Status
 from posetrack_cli.results.layouts import LayoutError
 from posetrack_cli.tracking.loop import RunState, Step, VelocityBelief, checkpoint_of, run_state_at
-from posetrack_cli.tracking.velocity import FREEDOM, VelocityModel, smoothed_velocities, with_velocities
+from posetrack_cli.tracking.velocity import (
+    FREEDOM,
+    VelocityModel,
+    check_belief,
+    smoothed_velocities,
+    with_velocities,
+)
 from support.codecs import TRACKER
 from support.results import make_estimate
 
@@ -202,3 +208,41 @@ def test_a_belief_that_no_run_saved_is_refused() -> None:
     arrays[name] = arrays[name][:, :-1]
     with pytest.raises(LayoutError):
         run_state_at(TRACKER, replace(saved, arrays=arrays), np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("leap_s", [11.0, 1e5, 1.7e9])
+def test_a_clock_that_leaps_begins_another_chain(leap_s: float) -> None:
+    stamps = np.arange(6) / 30.0
+    stamps[3:] += leap_s
+    for step in tracked(estimates(stamps, np.full((6, 3), 5.0), np.zeros((6, K)))):
+        assert step.estimate.twist is not None and step.estimate.twist_variance is not None
+        assert np.abs(step.estimate.twist).max() < 1e-6
+        assert (step.estimate.twist_variance > 0.0).all()
+
+
+@given(st.lists(st.sampled_from([1e-9, 1e-6, 0.03, 9.9]), min_size=2, max_size=12))
+def test_variances_are_positive_whatever_the_gaps(gaps: list[float]) -> None:
+    stamps = np.cumsum([0.0, *gaps])
+    rng = np.random.default_rng(len(gaps))
+    place, shape = rng.normal(0, 1e3, (len(stamps), 3)), rng.normal(0, 1e3, (len(stamps), K))
+    for step in tracked(estimates(stamps, place, shape)):
+        assert step.estimate.twist_variance is not None and (step.estimate.twist_variance > 0.0).all()
+        assert step.estimate.twist is not None and np.isfinite(step.estimate.twist).all()
+
+
+def test_a_lost_frame_of_a_filter_without_velocity_has_none() -> None:
+    sequence = estimates(np.arange(3) / 30.0, np.zeros((3, 3)), np.zeros((3, K)))
+    nothing = np.zeros(SIZE)
+    sequence[1] = replace(sequence[1], status=Status.LOST, twist=nothing, twist_variance=nothing)
+    lost = tracked(sequence)[1].estimate
+    assert lost.twist is None and lost.twist_variance is None and lost.pose_rate is None
+
+
+def test_a_belief_of_another_body_is_refused() -> None:
+    pose = np.array([0.0] * 6 + [1.0] + [0.0] * K)
+    belief = VelocityBelief(0, pose, np.zeros(SIZE), np.zeros((3, SIZE)), np.ones(SIZE))
+    check_belief(belief, MODEL)
+    check_belief(belief, None)
+    smaller = VelocityModel(*(values[:6] for values in (MODEL.acceleration, MODEL.pose_sd, MODEL.start_sd)))
+    with pytest.raises(LayoutError):
+        check_belief(belief, smaller)

@@ -30,6 +30,7 @@ from posetrack_cli.units import NS_PER_S
 
 ERROR = "joint_velocity_error_mm_s"
 INTERVALS = {f"joint_velocity_{name}": half_width for name, half_width in pose_errors.INTERVALS.items()}
+_SAME_MM = 0.01
 FARTHEST = 3.0
 """Two neighbours lie two intervals apart; where more than one frame is missing they are not neighbours."""
 
@@ -48,14 +49,14 @@ def joint_velocities(measures: Measures, matched: Matched, anatomy: Callable[[],
     if reason or not len(matched):
         return measures.lack(reason or measures.nothing, ERROR, *INTERVALS)
     true = rows_of(central_differences(matched.truth), matched.pairs.truth)[:, joints.truth]
-    known = known_frames(true)
-    if not known.any():
+    if not known_frames(true).any():
         return measures.lack(NO_VELOCITY, ERROR, *INTERVALS)
     try:
         velocity, variance = _of_joints(matched, anatomy())
     except PosetrackError as error:
         return measures.lack(f"bones of the hand are not known: {error}", ERROR, *INTERVALS)
     off = true - velocity[:, joints.estimate]
+    known = known_frames(off)
     distances: FloatArray = np.linalg.norm(off, axis=-1)
     measures.add(ERROR, distances, known)
     measures.summarise_parts(ERROR, distances[known], joints.names)
@@ -81,10 +82,18 @@ def central_differences(truth: Track) -> FloatArray:
 
 
 def _lacks(track: Track) -> str:
-    """Why a result has no velocity; empty where it has one."""
+    """Why a result has no velocity of joints; empty where it has one."""
+    if len(track) and _is_moved(track):
+        return "poses are aligned, and no longer those of the joints"
     if track.twist is None or track.twist_variance is None or estimates_no_velocity(track):
         return "the run estimates no velocity"
     return ""
+
+
+def _is_moved(track: Track) -> bool:
+    """Whether an alignment has moved the poses, whose origin is the wrist."""
+    assert track.position is not None and track.points is not None
+    return not np.allclose(track.position, track.points[:, 0], rtol=0.0, atol=_SAME_MM)
 
 
 def _of_joints(matched: Matched, anatomy: HandAnatomy) -> tuple[FloatArray, FloatArray]:

@@ -124,3 +124,20 @@ def test_two_frames_have_no_velocity() -> None:
 def _is_long(track: Track, name: str) -> bool:
     values = getattr(track, name)
     return isinstance(values, np.ndarray) and len(values) == FRAMES
+
+
+def test_frames_without_an_estimated_velocity_are_left_out() -> None:
+    estimate, truth = moving()
+    assert estimate.twist is not None and estimate.twist_variance is not None
+    gone = estimate.twist.copy()
+    gone[7] = np.nan
+    measures = measured(replace(estimate, twist=gone), truth)
+    error = measures.metrics[ERROR]
+    assert isinstance(error, Statistics) and error.max < 0.1
+
+
+def test_aligned_poses_have_no_velocities_of_joints() -> None:
+    estimate, truth = moving()
+    assert estimate.position is not None
+    moved = replace(estimate, position=estimate.position + 20.0)
+    assert measured(moved, truth).absent[ERROR] == "poses are aligned, and no longer those of the joints"
