@@ -43,7 +43,7 @@ from posetrack_cli.results.replay import check_unfinished
 from posetrack_cli.results.writer import ResultWriter
 from posetrack_cli.tracking import options as tracking_options
 from posetrack_cli.tracking.options import common_record, frames_ahead, nothing_to_track
-from posetrack_cli.tracking.printed import RECORD_KEY
+from posetrack_cli.tracking.printed import deviations_record
 from posetrack_cli.tracking.run import Run
 from posetrack_cli.tracking.smoothing import FrameFacts, Kept, SmoothedTrack, smoothing_path
 from posetrack_cli.tracking.velocity import VelocityModel, smoothed_velocities
@@ -276,10 +276,9 @@ def run_record(
         renderer: the driver's names.
         start_pose: (22,) if it was read from a file; stated as ``init.pose``, for the file may change.
     """
-    differing = deviations_from_print(config)
     return {
         **common_record("hand", recording, camera, config, options),
-        **({} if differing is None else {RECORD_KEY: json.dumps(differing)}),
+        **deviations_record(deviations_from_print(config)),
         "init": config.init.method if start_pose is None else shown_name(Path(str(options.init))),
         "renderer": renderer,
         **({} if config.hand.mesh is None else {MESH_DIGEST: file_digest(Path(config.hand.mesh))[1]}),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -32,7 +31,7 @@ from posetrack_cli.results.estimate import Subject
 from posetrack_cli.results.writer import ResultWriter
 from posetrack_cli.tracking import options as tracking_options
 from posetrack_cli.tracking.options import common_record
-from posetrack_cli.tracking.printed import RECORD_KEY
+from posetrack_cli.tracking.printed import deviations_record
 from posetrack_cli.tracking.run import Report
 from posetrack_cli.tracking.smoothing import smoothing_path
 from posetrack_cli.tracking.two_pass import (
@@ -216,10 +215,9 @@ def head_record(
     init = None if options.init is None else Path(options.init)
     files = {"init": init, "load_model": options.load_model, "person": options.person}
     given = {key: path for key, path in files.items() if path is not None}
-    differing = deviations_from_print(config)
     return {
         **common_record(tracker, recording, recording.cameras[0], config, options),
-        **({} if differing is None else {RECORD_KEY: json.dumps(differing)}),
+        **deviations_record(deviations_from_print(config)),
         "init": "auto",
         "passes": str(config.run.passes),
         **{key: shown_name(path) for key, path in given.items()},

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from functools import reduce
 from typing import NamedTuple
@@ -56,3 +57,8 @@ def _value(config: Settings, key: str) -> object:
 
 def _shown(value: object) -> str:
     return repr(value) if isinstance(value, str) else str(value)
+
+
+def deviations_record(lines: Sequence[str] | None) -> dict[str, str]:
+    """Return what a run record says of deviations; nothing where no paper is followed."""
+    return {} if lines is None else {RECORD_KEY: json.dumps(lines)}

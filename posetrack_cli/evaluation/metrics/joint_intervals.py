@@ -40,11 +40,25 @@ def joint_variances(
         variances: (N, 21) of the tangent vector's entries, mm^2 and rad^2.
     """
     found: FloatArray = np.empty((len(poses), len(JOINT_NAMES), 3))
-    for rows in (slice(first, first + BLOCK_FRAMES) for first in range(0, len(poses), BLOCK_FRAMES)):
-        with np.errstate(all="ignore"):  # a stranger's poses may be too large for any derivative
-            squares = joint_jacobian(anatomy, poses[rows], thumbs[rows]) ** 2
-            found[rows] = np.einsum("njck,nk->njc", squares, variances[rows])
+    with np.errstate(all="ignore"):  # a stranger's poses may be too large for any derivative
+        for rows, jacobian in jacobians(anatomy, poses, thumbs):
+            found[rows] = np.einsum("njck,nk->njc", jacobian**2, variances[rows])
     return found
+
+
+def jacobians(
+    anatomy: HandAnatomy, poses: FloatArray, thumbs: FloatArray
+) -> Iterator[tuple[slice, FloatArray]]:
+    """Yield blocks of rows, and J (n, 21, 3, 21) of their poses; see ``joint_variances``."""
+    for rows in (slice(first, first + BLOCK_FRAMES) for first in range(0, len(poses), BLOCK_FRAMES)):
+        yield rows, joint_jacobian(anatomy, poses[rows], thumbs[rows])
+
+
+def poses_of(matched: Matched) -> tuple[FloatArray, FloatArray]:
+    """Return the estimated poses (M, 22), and the inner angles (M, 2) of their thumbs."""
+    poses = np.hstack([matched.of_estimate(name) for name in ("position", "quaternion", "shape")])
+    numbers = None if matched.estimate.numbers is None else matched.of_estimate("numbers")
+    return poses, thumbs_of(numbers, len(poses))
 
 
 def joint_intervals(measures: Measures, matched: Matched, anatomy: Callable[[], HandAnatomy]) -> None:
@@ -83,10 +97,7 @@ def hand_lacks(matched: Matched, joints: Common) -> str:
 
 def _normalised(matched: Matched, joints: Common, anatomy: HandAnatomy) -> Iterator[tuple[str, FloatArray]]:
     """The squares (M, 3) of each joint's errors over their variances."""
-    poses = np.hstack([matched.of_estimate(name) for name in ("position", "quaternion", "shape")])
-    numbers = None if matched.estimate.numbers is None else matched.of_estimate("numbers")
-    thumbs = thumbs_of(numbers, len(poses))
-    variances = joint_variances(anatomy, poses, thumbs, matched.of_estimate("pose_variance"))
+    variances = joint_variances(anatomy, *poses_of(matched), matched.of_estimate("pose_variance"))
     for name, mine, theirs in zip(joints.names, joints.estimate, joints.truth, strict=True):
         errors = matched.of_truth("points", theirs) - matched.of_estimate("points", mine)
         yield name, pose_errors.normalised_squares(errors, variances[:, mine])

@@ -19,13 +19,11 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import PosetrackError
 from posetrack_cli.evaluation.coverage import usual_interval
 from posetrack_cli.evaluation.metrics import pose_errors
-from posetrack_cli.evaluation.metrics.joint_intervals import BLOCK_FRAMES, hand_lacks
+from posetrack_cli.evaluation.metrics.joint_intervals import hand_lacks, jacobians, poses_of
 from posetrack_cli.evaluation.metrics.measures import Matched, Measures, common_columns, rows_of
 from posetrack_cli.evaluation.metrics.velocity_metrics import NO_VELOCITY, estimates_no_velocity, known_frames
 from posetrack_cli.evaluation.track import Track
 from posetrack_cli.hand.anatomy import JOINT_NAMES, HandAnatomy
-from posetrack_cli.hand.inner import thumbs_of
-from posetrack_cli.hand.kinematics import joint_jacobian
 from posetrack_cli.units import NS_PER_S
 
 ERROR = "joint_velocity_error_mm_s"
@@ -98,14 +96,10 @@ def _is_moved(track: Track) -> bool:
 
 def _of_joints(matched: Matched, anatomy: HandAnatomy) -> tuple[FloatArray, FloatArray]:
     """The estimated velocities (M, 21, 3) of joints, mm/s, and their variances."""
-    poses = np.hstack([matched.of_estimate(name) for name in ("position", "quaternion", "shape")])
-    numbers = None if matched.estimate.numbers is None else matched.of_estimate("numbers")
-    thumbs = thumbs_of(numbers, len(poses))
     twist, variance = matched.of_estimate("twist"), matched.of_estimate("twist_variance")
-    found: FloatArray = np.empty((2, len(poses), len(JOINT_NAMES), 3))
-    for rows in (slice(first, first + BLOCK_FRAMES) for first in range(0, len(poses), BLOCK_FRAMES)):
-        with np.errstate(all="ignore"):  # a stranger's poses may be too large for any derivative
-            jacobian = joint_jacobian(anatomy, poses[rows], thumbs[rows])
+    found: FloatArray = np.empty((2, len(matched), len(JOINT_NAMES), 3))
+    with np.errstate(all="ignore"):  # a stranger's poses may be too large for any derivative
+        for rows, jacobian in jacobians(anatomy, *poses_of(matched)):
             found[0, rows] = np.einsum("njck,nk->njc", jacobian, twist[rows])
             found[1, rows] = np.einsum("njck,nk->njc", jacobian**2, variance[rows])
     return found[0], found[1]
