@@ -65,7 +65,7 @@ class VelocityModel:
 
 
 class _Later(NamedTuple):
-    """What a frame tells of the velocity at the one before: what is added to mean and variance, and d^2."""
+    """How a frame changes the velocity of the frame before: additions to its mean and variance, and d^2."""
 
     velocity: FloatArray
     variance: FloatArray
@@ -106,7 +106,7 @@ class VelocityEstimator:
         return None if self._waiting is None else self._revised(self._waiting, self.belief, None)
 
     def _advance(self, estimate: Estimate) -> _Later | None:
-        """Take a pose in; return what it tells of the frame before, None where that is of another chain."""
+        """Take a pose in; return how it changes the velocity of the frame before, None in another chain."""
         before, model = self.belief, self._model
         if estimate.status is Status.LOST:
             self.belief = None
@@ -148,7 +148,7 @@ class VelocityEstimator:
         return later is not None and later.status is Status.REINITIALISED
 
     def _revised(self, estimate: Estimate, belief: VelocityBelief | None, later: _Later | None) -> Estimate:
-        """The estimate with the velocity that was believed at it, and what the next one told."""
+        """The estimate with its velocity, given the next pose where the chain has one."""
         if belief is None:
             own = estimate.twist_variance
             if own is None or own.any():
@@ -203,7 +203,7 @@ def with_velocities(
 def smoothed_velocities(
     estimates: Iterable[Estimate], model: VelocityModel | None, *, backward: bool = False
 ) -> Iterator[Estimate]:
-    """Yield the estimates of a smoothed track with their velocities; as they are without a model."""
+    """Yield the estimates of a smoothed track with their velocities; unchanged without a model."""
     if model is None:
         yield from estimates
         return
