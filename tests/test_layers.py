@@ -1,13 +1,16 @@
-"""The layers of CONTRIBUTING.md, read off the source; and what --help must not load."""
+"""The layers of CONTRIBUTING.md, read off the source; declared dependencies; what --help must not load."""
 
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterable, Mapping, Set
 from functools import cache
 from graphlib import TopologicalSorter
+from importlib.metadata import packages_distributions
 from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1] / "posetrack_cli"
@@ -30,6 +33,8 @@ LAYERS = (
 """Packages, each above those that it may import from; single modules lie below all of them."""
 FILES = {"os", "io", "pathlib", "shutil", "tempfile"}
 HEAVY = {"numpy", "scipy", "cv2", "av", "pydantic", "mcap", "moderngl", "google.protobuf", "jinja2"}
+PART_OF = {"pydantic_core": "pydantic", "markupsafe": "jinja2"}
+"""Modules of a library that come with another one, whose interface they are part of."""
 MODULES = {
     ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(".__init__"): path
     for path in PACKAGE.rglob("*.py")
@@ -96,3 +101,32 @@ def test_help_loads_nothing_heavy() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.stdout.splitlines()[-1] == "LOADED [0, 0, 0] []", done.stderr
+
+
+def test_what_is_imported_is_a_declared_dependency() -> None:
+    """A library that happens to come with another one is missing as soon as that one is dropped."""
+    project = tomllib.loads((PACKAGE.parent / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+    installed = [*project["dependencies"], *extras["batch"], *extras["c3d"]]
+    assert not imported_in("posetrack_cli") - names_of(installed)
+    assert not imported_in("tests", "scripts") - names_of([*installed, *extras["dev"]])
+
+
+def names_of(requirements: Iterable[str]) -> set[str]:
+    """Normalized names of distributions."""
+    return {normalized(re.split(r"[<>=!~\[; ]", requirement)[0]) for requirement in requirements}
+
+
+def normalized(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def imported_in(*folders: str) -> set[str]:
+    """Distributions whose modules the Python files of folders import."""
+    installed = packages_distributions()
+    found: set[str] = set()
+    for path in (path for folder in folders for path in (PACKAGE.parent / folder).rglob("*.py")):
+        tops = {name.split(".")[0] for name in imported(ast.walk(ast.parse(path.read_text())))}
+        for top in tops - sys.stdlib_module_names - {PACKAGE.name}:
+            found |= {normalized(PART_OF.get(top, one)) for one in installed.get(top, [])}
+    return found
