@@ -134,8 +134,8 @@ hand.add_command(hand_synth)
     particles_option("256; 64 for pso"),
     option(
         "--proposal",
-        type=click.Choice(["guided", "annealed", "marginal", "paper"]),
-        help="Proposal distribution; annealed is slow, to check guided with.  [default: guided]",
+        type=click.Choice(["guided", "marginal", "paper"]),
+        help="Proposal distribution.  [default: guided]",
     ),
     option(
         "--resampling",

@@ -20,6 +20,7 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.filtering.errors import FilterError, Registry, check_time_step
+from posetrack_cli.filtering.guided import Guide
 from posetrack_cli.filtering.kalman import VelocityGain, velocity_gain
 from posetrack_cli.filtering.model import FilterModel, LogLikelihood, StateSpace, checked_variance
 from posetrack_cli.filtering.resampling import truncated
@@ -27,7 +28,6 @@ from posetrack_cli.filtering.step import (
     Posterior,
     Prediction,
     Proposed,
-    Proposer,
     Weighing,
     choose_ancestors,
     equal_log_weights,
@@ -110,7 +110,7 @@ class FilterState(ABC):
         model: FilterModel,
         log_likelihood: LogLikelihood | None,
         rng: np.random.Generator,
-        guide: Proposer | None = None,
+        guide: Guide | None = None,
     ) -> tuple[FilterState, Posterior]:
         """Advance by one frame: sample (52), weigh (54), velocity (55)-(61), estimate, resample (7).
 
@@ -122,9 +122,8 @@ class FilterState(ABC):
             log_likelihood: log p(y_t | x) of poses; None when nothing was observed: particles then move on by
                 the same recursion (exactly the prediction), weights stay, nothing is resampled.
             rng: source of randomness.
-            guide: a proposal that looks at the frame, `Guide` or `Annealing`; the weights are then (24),
-                ancestors chosen before and not after, no limit constrains, and the estimate is taken with
-                truncated weights.
+            guide: what looks at the frame before poses are drawn; the weights are then (24), ancestors chosen
+                before and not after, no limit constrains, and the estimate is taken with truncated weights.
 
         Raises:
             FilterError: dt is not > 0, or the likelihood is NaN, infinite or zero for all particles.

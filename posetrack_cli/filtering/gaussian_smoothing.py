@@ -4,9 +4,6 @@ Rauch, Tung and Striebel's smoother (1965) over the filter's moments. For a line
 as the number of particles grows. Of several modes it keeps the mean and the spread: where the filter doubted,
 the spread is wide, the gain close to 1, and the mean follows the frames that knew.
 
-It moves the mean to where the smoothed pose is. A particle smoother has to find it among the filter's
-particles, and in 21 dimensions next to none of 256 lies there.
-
 What later frames say about a state is also to be had without the state's own prior and likelihood, in
 information form, as the backward half of a two-filter smoother (Mayne 1966; Fraser and Potter 1969):
 
@@ -29,7 +26,7 @@ from posetrack_cli.filtering.filters import FilterState, MarginalState
 from posetrack_cli.filtering.kalman import Gaussian, constant_velocity, kalman_smooth
 from posetrack_cli.filtering.model import Dynamics, StateSpace
 from posetrack_cli.filtering.modes import LikelihoodModes
-from posetrack_cli.filtering.resampling import effective_count, normalise, truncated
+from posetrack_cli.filtering.resampling import effective_count, normalise
 from posetrack_cli.filtering.smoothing import Memory, Smoothed, Step
 
 
@@ -54,17 +51,15 @@ class GaussianSmoother:
     Args:
         dynamics: the noise that the filter had, see `noise_of`.
         space: the poses' space.
-        guided: whether its steps are guided: their estimates, and so the moments, take `truncated` weights.
     """
 
-    def __init__(self, dynamics: Dynamics, space: StateSpace, guided: bool = False) -> None:
-        self._dynamics, self._space, self._guided = dynamics, space, guided
+    def __init__(self, dynamics: Dynamics, space: StateSpace) -> None:
+        self._dynamics, self._space = dynamics, space
         self._later: StateGaussian | None = None
 
     def remember(self, state: FilterState, step: Step | None = None) -> Memory:
         """Return the moments; see `Smoother`."""
         weights = normalise(state.log_weights)[0]
-        weights = truncated(weights) if self._guided else weights
         moving = state.with_velocity(self._dynamics.pose_noise.size)
         return vars(state_gaussian(moving, weights, self._space))
 

@@ -65,7 +65,11 @@ class Guide:
     def propose(
         self, prediction: Prediction, model: FilterModel, score: LogLikelihood, rng: np.random.Generator
     ) -> Proposed:
-        """Draw from q(i, x) and weigh by (24); see `draw_guided` and `weigh_drawn`."""
+        """Draw as many poses as there are particles from q(i, x), and weigh them by (24).
+
+        Raises:
+            FilterError: the likelihood has the wrong shape, a NaN or an infinity, or is zero for all.
+        """
         draw = draw_guided(prediction, self, model.space, model.resampling.scheme, rng)
         weighing = weigh_drawn(draw.log_weights, draw.poses, score)
         return Proposed(draw.poses, draw.increments, draw.ancestors, weighing)

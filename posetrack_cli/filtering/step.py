@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.filtering.errors import FilterError
-from posetrack_cli.filtering.model import Constrain, FilterModel, LogLikelihood, StateSpace
+from posetrack_cli.filtering.model import Constrain, LogLikelihood, StateSpace
 from posetrack_cli.filtering.resampling import Resampling, effective_count, normalise, resample
 
 
@@ -52,28 +52,6 @@ class Proposed(NamedTuple):
     increments: FloatArray
     ancestors: IntArray
     weighing: Weighing
-
-
-class Proposer(Protocol):
-    """A proposal that looks at the frame; false if it has nothing to look with."""
-
-    def __bool__(self) -> bool: ...
-
-    def propose(
-        self, prediction: Prediction, model: FilterModel, score: LogLikelihood, rng: np.random.Generator
-    ) -> Proposed:
-        """Draw and weigh as many poses as there are particles.
-
-        Args:
-            prediction: the belief before the frame.
-            model: its space, and the scheme that ancestors are drawn by.
-            score: log p(y_t | x) of poses.
-            rng: source of randomness.
-
-        Raises:
-            FilterError: the likelihood has the wrong shape, a NaN or an infinity, or is zero for all.
-        """
-        ...
 
 
 def equal_log_weights(count: int) -> FloatArray:

@@ -76,7 +76,7 @@ class FilterSettings(Settings):
 
     kind: Literal["rbpf", "pf", "pso"] = "rbpf"
     particles: Annotated[int, Field(ge=1, le=1_000_000)] = 256
-    proposal: Literal["guided", "annealed", "marginal", "paper"] = "guided"
+    proposal: Literal["guided", "marginal", "paper"] = "guided"
     discretisation: Literal["exact", "euler"] = "exact"
     gain: Literal["corrected", "printed"] = "corrected"
     rotations: Literal["manifold", "additive"] = "manifold"
@@ -320,18 +320,17 @@ class StatusSettings(Settings):
 class SmoothingSettings(Settings):
     """How ``--smooth`` goes back over the frames **[ours]**.
 
-    ``fits`` smooths the local fits of the frames, with ``pose`` and ``velocity`` as noise densities of their
-    motion (as ``motion``'s); ``gaussian`` each frame's mean and covariance of the filter; ``particles`` is
-    backward simulation among the filter's particles with ``trajectories`` of them.
+    The local fits of the frames are smoothed, with ``pose`` and ``velocity`` as noise densities of their
+    motion (as ``motion``'s). Of a proposal that fits no frames each frame's mean and covariance are smoothed,
+    with ``motion``'s densities, and nothing here applies.
 
-    Of ``fits`` alone: where fits leave more than ``believed_mm`` the filter's estimate is smoothed instead;
+    Where fits leave more than ``believed_mm`` the filter's estimate is smoothed instead;
     ``refit_iterations`` is how often each frame is fitted again from what all others
     expect, 0 not at all; ``sharpening`` how much sharper the likelihood is than the residuals that a fit
     leaves; ``height_share`` how much their heights count where one of several fits is chosen; ``freedom``
     that of the Student-t density of a fit's error, the smaller the more outliers.
     """
 
-    method: Literal["fits", "gaussian", "particles"] = "fits"
     pose: ComponentSettings = ComponentSettings(
         position_mm=5.0, rotation_rad=0.1, flexion_rad=0.1, abduction_rad=0.05
     )
@@ -343,7 +342,6 @@ class SmoothingSettings(Settings):
     sharpening: Positive = 3.5
     height_share: Fraction = 0.3
     freedom: Positive = 4.0
-    trajectories: Annotated[int, Field(ge=1, le=10_000)] = 64
 
 
 class OutputSettings(Settings):

@@ -51,7 +51,6 @@ from posetrack_cli.tracking.velocity import VelocityModel, smoothed_velocities
 INIT_METHODS = ("auto", "center")
 _REST: FloatArray = np.eye(1, POSE_SIZE, 6)[0]
 """(22,) a pose: at the origin, not turned, all angles 0."""
-_SMOOTHING_STREAM = 1  # of random numbers: what is filtered does not depend on whether it is smoothed
 
 
 @dataclass(frozen=True)
@@ -140,9 +139,8 @@ class HandRun(Run):
         if not self._options.smooth:
             yield None
             return
-        rng = np.random.default_rng([self._options.seed, _SMOOTHING_STREAM])
         fits = frame_fits(self._config, self._hand, self._camera)
-        smoother = make_smoother(self._config, dynamics(self._config), rng, fits)
+        smoother = make_smoother(self._config, dynamics(self._config), fits)
         kept = None
         if writer.frames_written:
             like = self.tracker.start(_REST, 0, np.random.default_rng(0)).particles
@@ -243,7 +241,7 @@ def check_run(recording: Recording, config: HandConfig, options: RunOptions) -> 
             found="--filter pso, which states no distribution",
             expected="rbpf or pf",
         )
-    fits = config.filter.kind != "pso" and PROPOSALS.find(config.filter.proposal).fits_frames
+    fits = config.filter.kind != "pso" and PROPOSALS[config.filter.proposal].fits_frames
     if options.keypoints is not None and not fits:
         raise UsageError(
             "--keypoints cannot be used",

@@ -8,18 +8,20 @@ from posetrack_cli.filtering.filters import FILTERS
 from posetrack_cli.filtering.fit_smoothing import FitSmoother
 from posetrack_cli.filtering.gaussian_smoothing import GaussianSmoother
 from posetrack_cli.filtering.model import Dynamics
-from posetrack_cli.filtering.particle_smoothing import ParticleSmoother
 from posetrack_cli.filtering.smoothing import Memory, Smoothed, Smoother, noise_of
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import HandAnatomy
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.local_fits import INNER, HandFits
 from posetrack_cli.hand.model import HandModel
-from posetrack_cli.hand.proposals import BLOCKS, PROPOSALS
+from posetrack_cli.hand.proposals import PROPOSALS
 from posetrack_cli.hand.protocol import hand_estimate
 from posetrack_cli.hand.space import space_of, tangent_vector
 from posetrack_cli.results.estimate import Estimate
 from posetrack_cli.tracking.smoothing import Describe, FrameFacts
+
+BLOCKS = (np.arange(6), *np.arange(6, 21).reshape(5, 3))
+"""Components of the tangent space that err together: the palm, then each finger."""
 
 
 def smoothed_hand(anatomy: HandAnatomy) -> Describe[Estimate]:
@@ -46,29 +48,20 @@ def smoothed_hand(anatomy: HandAnatomy) -> Describe[Estimate]:
 
 
 def frame_fits(config: HandConfig, hand: HandModel, camera: Camera) -> HandFits | None:
-    """Return what looks at frames again; None unless local fits are smoothed."""
-    wanted = config.smoothing.method == "fits" and PROPOSALS.find(config.filter.proposal).fits_frames
-    return HandFits(config, hand, camera) if wanted else None
+    """Return what looks at frames again; None where the proposal fits no frames."""
+    return HandFits(config, hand, camera) if PROPOSALS[config.filter.proposal].fits_frames else None
 
 
-def make_smoother(
-    config: HandConfig, dynamics: Dynamics, rng: np.random.Generator, fits: HandFits | None = None
-) -> Smoother:
-    """Return the smoother of ``smoothing.method``; ``fits`` is ``gaussian`` where there are no fits.
+def make_smoother(config: HandConfig, dynamics: Dynamics, fits: HandFits | None = None) -> Smoother:
+    """Return the smoother of the local fits; where there are none, that of the filter's moments.
 
     Args:
         config: parameters.
         dynamics: those of the filter.
-        rng: of backward simulation alone, so that filtered estimates do not depend on it.
         fits: of `frame_fits`.
     """
-    moving = FILTERS.find(config.filter.kind).has_velocity
     space, settings = space_of(config.filter), config.smoothing
-    if settings.method == "particles":
-        return ParticleSmoother(noise_of(dynamics, moving), space, settings.trajectories, rng)
     if fits is not None:
         pose, velocity = tangent_vector(settings.pose), tangent_vector(settings.velocity)
         return FitSmoother(Dynamics(pose**2, velocity**2), space, fits, BLOCKS, settings.freedom)
-    return GaussianSmoother(
-        noise_of(dynamics, moving), space, guided=PROPOSALS.find(config.filter.proposal).looks_at_frames
-    )
+    return GaussianSmoother(noise_of(dynamics, FILTERS.find(config.filter.kind).has_velocity), space)

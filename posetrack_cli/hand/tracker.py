@@ -11,6 +11,7 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.filtering.errors import check_time_step
 from posetrack_cli.filtering.filters import FILTERS, FilterState, Prior
+from posetrack_cli.filtering.guided import Guide
 from posetrack_cli.filtering.model import Dynamics, FilterModel, LogLikelihood
 from posetrack_cli.filtering.modes import LikelihoodModes
 from posetrack_cli.filtering.resampling import Resampling
@@ -120,7 +121,7 @@ class HandTracker:
         scorer: the likelihood.
         observer: cuts out and segments windows.
         finder: local fits, and the search for a hand of which no pose is known. The guided proposal asks it
-            in every frame, others for the start alone; annealing takes the anatomy's potential from it.
+            in every frame, others for the start alone.
         told: hands that keypoints from elsewhere tell of, for a proposal that fits frames; None for none.
     """
 
@@ -135,10 +136,8 @@ class HandTracker:
     ) -> None:
         self.config, self.anatomy, self._told = config, anatomy, told
         self.scorer, self._observer, self._start_finder = scorer, observer, finder
-        self._proposal = PROPOSALS.find(config.filter.proposal)
+        self._proposal = PROPOSALS[config.filter.proposal]
         self._finder = finder if self._proposal.fits_frames else None
-        plausible = finder is not None and self._proposal.looks_at_frames
-        self._fitter = finder.local_fitter.fitter if finder is not None and plausible else None
         self._is_calibrated = self._finder is not None and config.observation.models_pixels
         self._space, self.dynamics = space_of(config.filter), dynamics(config)
         resampling = Resampling(config.filter.resampling, config.filter.ess_threshold)
@@ -455,9 +454,9 @@ class HandTracker:
         """None where there is nothing to compare with: the filter then only predicts."""
         if observation is None:
             return None
-        fitter = self._fitter
-        if fitter is None:
+        if self._finder is None:
             return _Counted(lambda poses: self.scorer.log_likelihood(poses, observation))
+        fitter = self._finder.local_fitter.fitter
         return _Counted(
             lambda poses: (
                 self.scorer.log_likelihood(poses, observation) - fitter.potentials(poses, observation.inner)
@@ -469,7 +468,7 @@ class HandTracker:
         particles = seen.state.particles
         if seen.dt <= 0.0:
             return particles, particles.summary(self._space), 0
-        guide = self._proposal.proposer(seen.fits, self.config.fit)
+        guide = None if seen.fits is None else Guide(seen.fits.modes, self.config.fit.prior_share)
         score = self._log_likelihood(seen.observation)
         advanced = particles.step(seen.dt, self._model, score, rng, guide)
         return *advanced, 0 if score is None else score.count

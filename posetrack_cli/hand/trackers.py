@@ -40,8 +40,8 @@ def make_tracker(
         FilterError: a swarm that would not converge.
     """
     scorer = RenderedCosts(device, hand, camera, config.observation, config.filter.particles)
-    finder, proposal = None, PROPOSALS.find(config.filter.proposal)
-    if proposal.looks_at_frames or config.init.method == "auto":
+    finder, proposal = None, PROPOSALS[config.filter.proposal]
+    if proposal.fits_frames or config.init.method == "auto":
         finder = Acquisition(config, hand, camera)
     is_swarm = config.filter.kind == "pso"
     # the paper's cost takes all readings for the hand's; fits, and a swarm, have to know which are

@@ -82,7 +82,6 @@ def hand_runs() -> Iterator[Step]:
         "pso": f"{{hand-C}} --filter pso --particles 16 --end 6 {GIVEN}",
         "fast": f"{{hand-C}} --config hand-fast --end 8 {GIVEN}",
         "paper": f"{{hand-A}} --config hand-paper {FEW} --init center --end 8",
-        "annealed": f"{{hand-C}} --proposal annealed {FEW} --end 5 {GIVEN}",
         "marginal": f"{{hand-A}} --proposal marginal {FEW} --end 8",
         "multinomial": f"{{hand-C}} --resampling multinomial --cost paper {FEW} --end 8 {GIVEN}",
         "residual": f"{{hand-C}} --resampling residual --cost union --device cpu {FEW} --end 8 {GIVEN}",

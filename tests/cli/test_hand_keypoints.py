@@ -228,9 +228,7 @@ def test_what_cannot_be_meant_is_one_line(
     assert not (tmp_path / "r.mcap").exists()
 
 
-@pytest.mark.parametrize(
-    "options", [("--filter", "pso"), ("--proposal", "paper"), ("--proposal", "annealed")]
-)
+@pytest.mark.parametrize("options", [("--filter", "pso"), ("--proposal", "paper")])
 def test_only_trackers_that_fit_frames_take_keypoints(
     two_hands: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], options: tuple[str, ...]
 ) -> None:

@@ -11,7 +11,6 @@ from posetrack_cli.filtering.gaussian_smoothing import GaussianSmoother, shrunk
 from posetrack_cli.filtering.guided import Guide
 from posetrack_cli.filtering.kalman import Gaussian, kalman_predict, kalman_smooth
 from posetrack_cli.filtering.model import Dynamics, Euclidean, FilterModel
-from posetrack_cli.filtering.particle_smoothing import ParticleSmoother
 from posetrack_cli.filtering.resampling import Resampling
 from posetrack_cli.filtering.smoothing import Smoothed, Smoother, noise_of
 from posetrack_cli.filtering.step import Posterior
@@ -21,15 +20,12 @@ SPACE, RESAMPLING, DT = Euclidean(), Resampling(), 1.0 / 30.0
 RUNS = 10
 MIXING = np.array([[1.0, 0.5, 0.0], [-0.3, 2.0, 0.4], [0.9, 0.8, 0.7]])
 """Observed are sums of components, so that what is known of them is correlated, up to 0.6."""
-both = pytest.mark.parametrize("method", ["gaussian", "particles"])
 
 State = MarginalState | ParticleState
 
 
-def smoother(method: str, dynamics: Dynamics, seed: int, space=SPACE, moving: bool = True) -> Smoother:
-    if method == "gaussian":
-        return GaussianSmoother(noise_of(dynamics, moving), space)
-    return ParticleSmoother(noise_of(dynamics, moving), space, 50, np.random.default_rng(seed))
+def smoother(dynamics: Dynamics, space=SPACE, moving: bool = True) -> GaussianSmoother:
+    return GaussianSmoother(noise_of(dynamics, moving), space)
 
 
 def backward(smoother: Smoother, states: list[State], steps: np.ndarray) -> list[Smoothed]:
@@ -97,29 +93,27 @@ def test_reference_is_the_joint_gaussian_conditioned_directly(make_world) -> Non
     np.testing.assert_allclose(variances.ravel(), np.diag(joint - gain @ H @ joint), atol=1e-9)
 
 
-@both
 @pytest.mark.parametrize(("discretisation", "dimension"), [("euler", 1), ("exact", 3)])
-def test_smoothers_meet_the_exact_one(make_world, discretisation: str, dimension: int, method: str) -> None:
+def test_smoothers_meet_the_exact_one(make_world, discretisation: str, dimension: int) -> None:
     """Poses and velocities, over unequal steps. The filter's sd is 1.4 to 1.9 times the smoother's."""
     steps = np.random.default_rng(5).integers(1, 5, 20) / 30.0
     mixing = None if dimension == 1 else MIXING
     world = make_world(steps, dimension=dimension, discretisation=discretisation, mixing=mixing)
-    assert_exact(world, method)
+    assert_exact(world)
 
 
-@both
-def test_smoothers_of_the_plain_filter_meet_the_exact_one(make_world, method: str) -> None:
-    assert_exact(make_world(np.full(20, DT), dimension=2, moving=False), method)
+def test_smoothers_of_the_plain_filter_meet_the_exact_one(make_world) -> None:
+    assert_exact(make_world(np.full(20, DT), dimension=2, moving=False))
 
 
-def assert_exact(world, method: str) -> None:
+def assert_exact(world) -> None:
     """Over runs of the filter on the same observations: no bias, little scatter, the right variance."""
     observations = world.observations(3)
     means, variances = exact(world, observations)
     runs = [
         stacked(
             backward(
-                smoother(method, world.dynamics, seed, moving=world.moving),
+                smoother(world.dynamics, moving=world.moving),
                 filtered(world, observations, seed),
                 world.steps,
             ),
@@ -139,9 +133,8 @@ def assert_exact(world, method: str) -> None:
     np.testing.assert_allclose(ratio + np.mean(np.square(errors), axis=(0, 1)), 1.0, atol=0.06)
 
 
-@both
 @pytest.mark.parametrize("kind", ["particle", "marginal"])
-def test_last_frame_is_the_filter_s(make_world, method: str, kind: str) -> None:
+def test_last_frame_is_the_filter_s(make_world, kind: str) -> None:
     moving = kind == "marginal"
     world = make_world(np.full(5, DT), dimension=2, moving=moving)
     rng, ones = np.random.default_rng(0), np.ones(2)
@@ -152,20 +145,7 @@ def test_last_frame_is_the_filter_s(make_world, method: str, kind: str) -> None:
     for y in world.observations(1):
         model = FilterModel(world.dynamics, SPACE, never)
         state, posterior = state.step(DT, model, world.log_likelihood(y), rng)
-    way = smoother(method, world.dynamics, 0, moving=moving)
-    assert_equal(way.begin(way.remember(state)), posterior)
-
-
-def test_last_frame_is_that_of_guided_steps_too(make_world) -> None:
-    """Their estimates take truncated weights: with fits this wide, few particles have most of the weight."""
-    world = make_world(np.full(3, DT), dimension=2)
-    rng, ones = np.random.default_rng(0), np.ones(2)
-    state = MarginalState.initial(Prior(0.0 * ones, ones, ones), 50, SPACE, rng)
-    for y in world.observations(1):
-        guide = Guide(world.exact_modes(y, y[None]), 0.3, inflation=50.0)
-        score = world.log_likelihood(y)
-        state, posterior = state.step(DT, FilterModel(world.dynamics, SPACE, RESAMPLING), score, rng, guide)
-    way = GaussianSmoother(world.dynamics, SPACE, guided=True)
+    way = smoother(world.dynamics, moving=moving)
     assert_equal(way.begin(way.remember(state)), posterior)
 
 
@@ -174,8 +154,7 @@ def assert_equal(smoothed: Smoothed, posterior: Posterior) -> None:
         np.testing.assert_allclose(getattr(smoothed, name), getattr(posterior, name), rtol=1e-12, atol=1e-12)
 
 
-@both
-def test_the_future_decides_between_two_modes(method: str) -> None:
+def test_the_future_decides_between_two_modes() -> None:
     """Ten frames at which a finger may be bent or straight, then five that show it bent: it was, all along.
 
     Truth by a forward-backward pass over a grid.
@@ -213,17 +192,14 @@ def test_the_future_decides_between_two_modes(method: str) -> None:
             )
             states.append(state)
             filter_means.append(posterior.pose[0])
-        way = smoother(method, dynamics, seed, moving=False)
+        way = smoother(dynamics, moving=False)
         means.append([s.pose[0] for s in backward(way, states, np.full(frames, DT))])
     filter_means = np.reshape(filter_means, (20, frames)).mean(axis=0)
     error = np.abs(np.mean(means, axis=0) - truth)
     before = np.abs(filter_means - truth)[:ambiguous]
     assert before.min() > 0.1  # the filter could not know
-    if method == "particles":
-        assert np.all(error < 4.0 * np.std(means, axis=0) / np.sqrt(20.0) + 0.01)
-        assert np.std(means, axis=0).max() < 0.1
-    else:  # nothing exact is claimed for a mixture: 0.27 to 0.45 of the error is left
-        assert np.all(error[:ambiguous] < 0.6 * before)
+    # nothing exact is claimed for a mixture: 0.27 to 0.45 of the error is left
+    assert np.all(error[:ambiguous] < 0.6 * before)
 
 
 class Turning:
@@ -242,8 +218,7 @@ class Turning:
         return 2.0 * np.log(np.sinc(np.linalg.norm(delta, axis=-1) / (2.0 * np.pi)))
 
 
-@both
-def test_a_steady_turn_is_smoother_than_it_was_filtered(method: str) -> None:
+def test_a_steady_turn_is_smoother_than_it_was_filtered() -> None:
     """Noisy views of a body turning at 2 rad/s through half a turn, where canonical quaternions jump."""
     space, frames, sd, rate = Turning(), 80, 0.06, np.array([1.2, -1.6, 0.0])
     dynamics = Dynamics(np.full(3, 1e-2), np.full(3, 0.05))
@@ -267,7 +242,7 @@ def test_a_steady_turn_is_smoother_than_it_was_filtered(method: str) -> None:
             )
             states.append(state)
             filter_errors.append(rot.angle_between(posterior.pose, truth[frame]))
-        smoothed = backward(smoother(method, dynamics, seed, space), states, np.full(frames, DT))
+        smoothed = backward(smoother(dynamics, space), states, np.full(frames, DT))
         smooth_errors += [rot.angle_between(s.pose, turn) for s, turn in zip(smoothed, truth, strict=True)]
         rates += [s.velocity for s in smoothed]
     assert np.sqrt(np.mean(np.square(smooth_errors))) < 0.8 * np.sqrt(np.mean(np.square(filter_errors)))
@@ -297,10 +272,9 @@ def test_shrinking_keeps_what_many_samples_show() -> None:
     np.testing.assert_allclose(shrunk(covariance, 1e6), covariance, rtol=1e-4)
 
 
-@both
-def test_a_pass_begins_with_the_last_frame(method: str) -> None:
+def test_a_pass_begins_with_the_last_frame() -> None:
     dynamics = Dynamics(np.ones(1), np.ones(1))
-    way = smoother(method, dynamics, 0)
+    way = smoother(dynamics)
     kept = way.remember(
         MarginalState.initial(Prior(np.zeros(1), np.ones(1), np.ones(1)), 5, SPACE, np.random.default_rng(0))
     )
@@ -311,8 +285,7 @@ def test_a_pass_begins_with_the_last_frame(method: str) -> None:
         way.back(kept, 0.0)
 
 
-@both
-def test_frozen_components_stay(method: str) -> None:
+def test_frozen_components_stay() -> None:
     """No noise, no spread, no velocity: nothing to smooth, and nothing to divide by."""
     dynamics = Dynamics(np.array([1.0, 0.0]), np.array([1.0, 0.0]))
     rng = np.random.default_rng(0)
@@ -325,18 +298,8 @@ def test_frozen_components_stay(method: str) -> None:
             DT, FilterModel(dynamics, SPACE, RESAMPLING), lambda x: -0.5 * np.square(x[:, 0]), rng
         )
         states.append(state)
-    for smoothed in backward(smoother(method, dynamics, 1), states, np.full(4, DT)):
+    for smoothed in backward(smoother(dynamics), states, np.full(4, DT)):
         assert smoothed.pose[1] == pytest.approx(7.0, abs=1e-9)
         assert smoothed.velocity[1] == smoothed.velocity_variance[1] == 0.0
         assert smoothed.pose_variance[1] == pytest.approx(0.0, abs=1e-12)
         assert np.isfinite(smoothed.velocity).all()
-
-
-@both
-def test_a_seed_gives_identical_results(make_world, method: str) -> None:
-    world = make_world(np.full(6, DT))
-    states = filtered(world, world.observations(1), 0, count=60)
-    first, second = (backward(smoother(method, world.dynamics, 3), states, world.steps) for _ in range(2))
-    for a, b in zip(first, second, strict=True):
-        np.testing.assert_array_equal(a.pose, b.pose)
-        np.testing.assert_array_equal(a.velocity_variance, b.velocity_variance)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -364,25 +363,6 @@ def test_the_filter_s_settings_reach_the_filter(changes: dict[str, object]) -> N
         return run(tracker, [seen(k) for k in range(3)])[1][-1].position
 
     assert np.abs(last(changes) - last({})).max() > 1e-3
-
-
-@both_filters
-def test_annealing_takes_the_anatomy_s_potential_and_counts_every_pose(kind: str) -> None:
-    """A potential holds one angle to 0.01 rad, 0.3 rad from the start; the image says nothing of it."""
-    joint, held, sd = 9, START[9] + 0.3, 0.01
-
-    def potentials(poses: np.ndarray, inner: np.ndarray) -> np.ndarray:
-        return 0.5 * np.square((poses[:, joint] - held) / sd)
-
-    fitter = SimpleNamespace(potentials=potentials)
-    finder: Any = SimpleNamespace(local_fitter=SimpleNamespace(fitter=fitter))
-    config = configured(filter={"kind": kind, "particles": 64, "proposal": "annealed"})
-    scorer = DistanceScorer(START[:3])
-    tracker = HandTracker(config, ANATOMY, scorer, observing(config), finder)
-    state, estimates = run(tracker, [seen(k) for k in range(4)])
-    assert sum(scorer.asked) == sum(e.evaluations or 0 for e in estimates)
-    assert scorer.asked[0] == 64 and len(scorer.asked) > 4 * (1 + 6)
-    assert abs(state.pose[joint] - held) < 4.0 * sd
 
 
 def test_only_the_union_tells_hand_from_wall() -> None:

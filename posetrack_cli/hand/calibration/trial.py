@@ -111,7 +111,7 @@ def is_size_open(config: HandConfig) -> bool:
     """Whether nobody has told the hand's shape, and the tracker fits frames, which a wrong shape misleads."""
     told = config.init.shape == "given" or config.hand.mesh is not None
     told = told or config.hand.shape != HandSettings().shape
-    return not told and PROPOSALS.find(config.filter.proposal).fits_frames and config.filter.kind != "pso"
+    return not told and PROPOSALS[config.filter.proposal].fits_frames and config.filter.kind != "pso"
 
 
 class Trial:
