@@ -175,39 +175,11 @@ class ObservationSettings(Settings):
         return self.cost == "mixture"
 
 
-class SegmentationSettings(Settings):
-    """Which readings are the hand's; only costs that know of regions ask. Lengths grow with the hand."""
-
-    in_front_mm: Positive = 70.0
-    behind_mm: Positive = 70.0
-    aside_mm: Positive = 60.0
-    vote_mm: Positive = 45.0
-    vote_aside_mm: Positive = 15.0
-    reach_mm: Positive = 140.0
-    steepest: Positive = 3.0
-    least_share: Fraction = 0.5
-    forearm_mm: Annotated[float, Field(ge=-1e6, le=1e6)] = 0.0
-    wrist_sd_mm: Positive = 40.0
-    margin_mm: NotNegative = 60.0
-
-
 class DetectionSettings(Settings):
-    """What a hand looks like that is found without a prediction.
-
-    A palm's surface takes in a disc of ``palm_radius_mm``, smallest to largest; within ``reach_mm`` of its
-    middle the surface continues at one place at most, the arm, which is ``arm_mm`` wide at most.
-    """
+    """At which distances from the camera a hand is searched for that no prediction tells of."""
 
     nearest_mm: Positive = 120.0
     farthest_mm: Positive = 1500.0
-    palm_radius_mm: tuple[Positive, Positive] = (11.0, 85.0)
-    reach_mm: Positive = 170.0
-    arm_mm: Positive = 150.0
-    apart_mm: Positive = 110.0
-    steepest: Positive = 3.0
-    most_places: Annotated[int, Field(ge=1)] = 24
-    most_hands: Annotated[int, Field(ge=1)] = 4
-    least_score: Fraction = 0.4
 
 
 class InitSettings(Settings):
@@ -361,7 +333,6 @@ class HandConfig(Settings):
     motion: MotionSettings = MotionSettings()
     velocity: VelocitySettings = VelocitySettings()
     observation: ObservationSettings = ObservationSettings()
-    segmentation: SegmentationSettings = SegmentationSettings()
     detection: DetectionSettings = DetectionSettings()
     init: InitSettings = InitSettings()
     fit: FitSettings = FitSettings()

@@ -37,8 +37,6 @@ _INSIDE_PALM_MM = 15.0
 """So far a straight finger goes on in what a palm's disc covers."""
 _SEEN_SD_MM, _UNSEEN_SD_MM, _WRIST_SD_MM = 8.0, 14.0, 25.0
 """Of a joint along a finger that is seen, of one farther back, where it may be bent, and of the wrist."""
-_STEEPEST = 3.0
-"""Neighbours farther apart in depth than so many pixels are of two fingers."""
 _LIKELIEST = 6
 """Hypotheses that a bending hand is laid on."""
 _CLOSED = (1.2, 1.5)  # MCP and PIP flexion, rad
@@ -113,7 +111,7 @@ def extended_fingers(observation: Observation, scale: float, camera: Camera) -> 
     palm = hand & ~thin
     if not palm.any():
         return []
-    steepest = jump_mm(np.full(image.shape, apart, dtype=np.float32), _STEEPEST)
+    steepest = jump_mm(np.full(image.shape, apart, dtype=np.float32))
     count, numbers = surface_labels(np.where(thin, image, np.float32(0.0)), steepest)
     beside = cv2.dilate(palm.astype(np.uint8), _BLOCK) > 0
     parts = (_finger(numbers == k, beside, points, apart, scale) for k in range(1, count))

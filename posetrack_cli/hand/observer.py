@@ -193,10 +193,7 @@ class Observer:
         window = window_around(hand.joints, self._camera, self._config.observation)
         if not self._segment:
             return everything(self.sampler.sample(depth, window), window)
-        settings = self._config.segmentation
-        found = segment_hand(
-            depth, self.sampler, window, self._camera, hand, settings, is_followed=self._follows
-        )
+        found = segment_hand(depth, self.sampler, window, self._camera, hand, is_followed=self._follows)
         return self._observation(found, expected)
 
     def _observation(self, found: Segmentation, expected: FloatArray) -> Observation:

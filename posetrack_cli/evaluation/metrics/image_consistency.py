@@ -18,7 +18,7 @@ from posetrack_cli.evaluation.recorded_hand import hand_of
 from posetrack_cli.evaluation.recording_of import cameras_of
 from posetrack_cli.evaluation.track import Track, track_of_result
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.config import ObservationSettings, SegmentationSettings
+from posetrack_cli.hand.config import ObservationSettings
 from posetrack_cli.hand.inner import NO_THUMB, thumbs_of
 from posetrack_cli.hand.kinematics import skinning_transforms
 from posetrack_cli.hand.model import HandModel
@@ -56,7 +56,6 @@ class HandConsistency:
     def __init__(self, device: RenderingDevice, hand: HandModel, camera: Camera) -> None:
         self._anatomy, self._camera, self._sampler = hand.anatomy, camera, PixelSampler(camera)
         self._window = ObservationSettings(window_mm=WINDOW_MM * hand.anatomy.scale, tile_px=TILE_PX)
-        self._segmentation = SegmentationSettings()
         mesh = hand.skin(MESH_LEVEL)
         self._renderer = device.depth_renderer(mesh, (TILE_PX, TILE_PX), 1)
 
@@ -75,9 +74,7 @@ class HandConsistency:
         """Sums over the pixels of the window around a pose (22,) with inner angles of its thumb (2,)."""
         hand = PredictedHand.of(self._anatomy, pose, thumb)
         window = window_around(hand.joints, self._camera, self._window)
-        observed = segment(
-            frame.depth, self._sampler, window, self._camera, hand, self._segmentation
-        ).observation
+        observed = segment(frame.depth, self._sampler, window, self._camera, hand).observation
         transforms = skinning_transforms(self._anatomy, pose[None], thumb)
         return self._renderer.sums(transforms, self._camera, window, Comparison(observed.image, NO_CLAMP_MM))
 

@@ -134,7 +134,7 @@ class HandSegments:
         pose = _pose_of(shown)
         hand = PredictedHand.of(self._anatomy, pose, _thumb_of(shown))
         window = window_around(hand.joints, self._camera, self._config.observation)
-        return segment(depth, self._sampler, window, self._camera, hand, self._config.segmentation)
+        return segment(depth, self._sampler, window, self._camera, hand)
 
     def paint(self, straight: ImageArray, depth: ImageArray, shown: Shown) -> None:
         """Paint the labels over a picture (h, w, 3) of the whole image without lens distortion, in place."""

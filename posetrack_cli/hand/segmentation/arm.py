@@ -7,13 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray
-from posetrack_cli.hand.config import SegmentationSettings
 from posetrack_cli.hand.forearm import SEEN_MM
 from posetrack_cli.hand.segmentation.prediction import PredictedHand, Silhouette
 from posetrack_cli.hand.segmentation.surfaces import View
 
 BIN_MM = 4.0
 """Length of a slice."""
+_WRIST_SD_MM = 40.0
+"""How far along the arm a prediction may be off."""
 _MOST_FORESHORTENED = 0.33
 """An arm that points more at the camera is sliced as if it pointed no more."""
 
@@ -138,7 +139,6 @@ def arm_of(
     hand: BoolArray,
     silhouette: Silhouette,
     predicted: PredictedHand,
-    settings: SegmentationSettings,
 ) -> Arm:
     """Find the forearm of a hand.
 
@@ -153,7 +153,6 @@ def arm_of(
         hand: (h, w) what of them lies beside the prediction.
         silhouette: the predicted hand.
         predicted: the hand as expected.
-        settings: ``wrist_sd_mm``.
     """
     offset = view.points[limb].astype(np.float64) - predicted.wrist
     apart = view.apart[limb].astype(np.float64)
@@ -167,7 +166,7 @@ def arm_of(
     counted = hand[limb] | ((along > 0.0) & _beside_axis(offset, towards_elbow, predicted.scale))
     observed = _widths(along[counted], apart[counted], cut, predicted.scale)
     expected = _expected_widths(view, silhouette, cut, predicted)
-    shift = _shift_mm(observed, expected, settings, predicted.scale)
+    shift = _shift_mm(observed, expected, predicted.scale)
     return Arm(predicted.wrist + shift * cut, cut, -towards_elbow)
 
 
@@ -245,12 +244,10 @@ def _widths(along: FloatArray, apart: FloatArray, cut: FloatArray, scale: float)
     return slice_areas(along, apart**2, extents(apart, cut), -before * BIN_MM, before + beyond)
 
 
-def _shift_mm(
-    observed: FloatArray, expected: FloatArray, settings: SegmentationSettings, scale: float
-) -> float:
+def _shift_mm(observed: FloatArray, expected: FloatArray, scale: float) -> float:
     last = _slices(_FINGERS_MM, scale) + _slices(_COMPARED_MM, scale)
     most = max(0, min(_slices(_MOST_SHIFT_MM, scale), last, len(observed) - last))
-    sd = settings.wrist_sd_mm * scale / BIN_MM
+    sd = _WRIST_SD_MM * scale / BIN_MM
     stiffness = scale**2 * _AREA_PER_SD_MM2 / BIN_MM / sd**2
     return BIN_MM * best_shift(observed, expected, max(last, 0), most, stiffness)
 

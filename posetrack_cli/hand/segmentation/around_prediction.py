@@ -10,7 +10,6 @@ import numpy as np
 
 from posetrack_cli.arrays import BoolArray, Float32Array, FloatArray, ImageArray, IntArray
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.config import SegmentationSettings
 from posetrack_cli.hand.inner import FOREARM
 from posetrack_cli.hand.observation import IGNORED, Observation, PixelSampler
 from posetrack_cli.hand.segmentation.arm import Arm, arm_of, is_forearm
@@ -26,6 +25,16 @@ from posetrack_cli.hand.segmentation.surfaces import (
     without_pinholes,
 )
 from posetrack_cli.rendering.window import Window
+
+# Lengths are of a hand of scale 1, mm.
+_IN_FRONT_MM, _BEHIND_MM, _ASIDE_MM = 70.0, 70.0, 60.0
+"""What lies so near to the predicted skin, in depth and in the image, may be the hand's."""
+_REACH_MM, _LEAST_SHARE = 140.0, 0.5
+"""Of a surface what is so near to the joints' centre counts, and so much of it lies at the prediction ..."""
+_VOTE_ASIDE_MM, _VOTE_MM = 15.0, 45.0
+"""... so near to it in the image, and in depth."""
+_MARGIN_MM = 60.0
+"""Looked at around the window, where the arm goes."""
 
 
 class Label(IntEnum):
@@ -97,7 +106,6 @@ def segment(
     window: Window,
     camera: Camera,
     predicted: PredictedHand,
-    settings: SegmentationSettings,
     *,
     is_followed: bool = True,
 ) -> Segmentation:
@@ -113,15 +121,14 @@ def segment(
         window: the pixels asked for; a margin around them is used too, for the arm.
         camera: its camera.
         predicted: the hand as expected.
-        settings: margins.
         is_followed: whether the prediction is of a hand that is followed, not of one that may be there: only
             such a hand has fingers where none are expected.
     """
-    margin = round(settings.margin_mm / max(float(pixel_mm(predicted.wrist[2], window, camera)), 1e-3))
+    margin = round(_MARGIN_MM / max(float(pixel_mm(predicted.wrist[2], window, camera)), 1e-3))
     margin = min(max(margin, 0), window.width)
     wide = _widened(window, margin)
     tile = sampler.sample(depth, wide)
-    labels, arm, is_reversed = _labels(View.of(tile, wide, camera), predicted, settings, is_followed)
+    labels, arm, is_reversed = _labels(View.of(tile, wide, camera), predicted, is_followed)
     inner = np.s_[margin : margin + window.height, margin : margin + window.width]
     return Segmentation(window, tile[inner], labels[inner], arm.wrist, arm.direction, is_reversed)
 
@@ -158,18 +165,16 @@ def _goes_on(view: View, limb: BoolArray, arm: Arm, scale: float) -> bool:
     return towards_fingers > _WAY_OUT_MM * scale and towards_elbow == 0.0
 
 
-def _labels(
-    view: View, predicted: PredictedHand, settings: SegmentationSettings, is_followed: bool
-) -> tuple[ImageArray, Arm, bool]:
+def _labels(view: View, predicted: PredictedHand, is_followed: bool) -> tuple[ImageArray, Arm, bool]:
     labels = np.where(view.depth > 0, np.uint8(Label.OTHER), np.uint8(Label.UNREAD))
     silhouette = silhouette_of(predicted.joints, predicted.scale, view.window, view.camera)
     if silhouette is None:
         return labels, Arm(predicted.wrist, predicted.towards_elbow, None), False
-    limb, hand = _limb(view, silhouette, predicted, settings, is_followed)
-    arm = arm_of(view, limb, hand, silhouette, predicted, settings)
+    limb, hand = _limb(view, silhouette, predicted, is_followed)
+    arm = arm_of(view, limb, hand, silhouette, predicted)
     labels[hand] = Label.HAND
     if arm.direction is not None:
-        beyond = limb & (along(view.points, arm.wrist, arm.cut) > settings.forearm_mm * predicted.scale)
+        beyond = limb & (along(view.points, arm.wrist, arm.cut) > 0.0)
         offset = view.points[beyond].astype(np.float64) - predicted.wrist
         near = is_forearm(offset, -arm.direction, predicted.scale)
         labels[beyond] = np.where(near, Label.FOREARM, Label.BEYOND)
@@ -180,7 +185,6 @@ def _limb(
     view: View,
     silhouette: Silhouette,
     predicted: PredictedHand,
-    settings: SegmentationSettings,
     is_followed: bool,
 ) -> tuple[BoolArray, BoolArray]:
     """The surfaces connected to the hand, and what of them is the hand or forearm.
@@ -189,15 +193,14 @@ def _limb(
     finger of a hand that is followed (``_fingers``). The one with most pixels there is in any case: a hand
     that touches a body is one with it, and is cut out closely.
     """
-    jump = jump_mm(view.apart, settings.steepest)
+    jump = jump_mm(view.apart)
     count, numbers = surface_labels(without_pinholes(view.depth, jump), jump)
     read = view.depth > 0
-    deep = settings.vote_mm
-    at_hand = read & _beside(view, silhouette, predicted, settings.vote_aside_mm, deep, deep)
-    near = read & _within_reach(view.points, predicted, settings)
+    at_hand = read & _beside(view, silhouette, predicted, _VOTE_ASIDE_MM, _VOTE_MM, _VOTE_MM)
+    near = read & _within_reach(view.points, predicted)
     inside = np.bincount(numbers[at_hand & near], minlength=count)
     inside[0] = 0
-    own = inside > settings.least_share * np.bincount(numbers[near], minlength=count)
+    own = inside > _LEAST_SHARE * np.bincount(numbers[near], minlength=count)
     merged = np.zeros(count, dtype=np.bool_)
     if inside.any():
         merged[int(np.argmax(inside))] = True
@@ -207,7 +210,7 @@ def _limb(
     if is_followed:
         others = np.where(read & ~limb, numbers, 0)
         fingers = _fingers(view, others, near, inside > 0, limb, jump, predicted.scale)
-    beside = _beside(view, silhouette, predicted, settings.aside_mm, settings.in_front_mm, settings.behind_mm)
+    beside = _beside(view, silhouette, predicted, _ASIDE_MM, _IN_FRONT_MM, _BEHIND_MM)
     limb |= fingers[numbers] & read
     return limb, limb & (np.where(merged[numbers], at_hand, beside) | fingers[numbers])
 
@@ -281,12 +284,10 @@ def _beside(
     return beside & (beyond > -scale * in_front) & (beyond < scale * behind)
 
 
-def _within_reach(
-    points: Float32Array, predicted: PredictedHand, settings: SegmentationSettings
-) -> BoolArray:
+def _within_reach(points: Float32Array, predicted: PredictedHand) -> BoolArray:
     """The points within the hand's reach, and not behind its wrist, where the arm is."""
     squared = np.zeros(points.shape[:2], dtype=np.float32)
     for axis, middle in enumerate(predicted.joints.mean(axis=0).tolist()):
         squared += (points[..., axis] - np.float32(middle)) ** 2
     beyond_wrist = along(points, predicted.wrist, predicted.towards_elbow) >= 0.0
-    return (squared < (predicted.scale * settings.reach_mm) ** 2) & ~beyond_wrist
+    return (squared < (predicted.scale * _REACH_MM) ** 2) & ~beyond_wrist

@@ -19,6 +19,11 @@ _APART_MM, _MOST_ACROSS = 3.5, 240
 """Least distance of pixels on the nearest surface, and the most pixels across the shorter side."""
 _NEAREST_PERCENT, _SPARSE = 10.0, 4
 _MOST_SHARED = 0.2
+_REACH_MM = 170.0
+"""So far from its palm a hand does not reach: only the arm goes on."""
+_TWO_PALMS_MM = 110.0
+_MOST_HANDS, _LEAST_SCORE = 4, 0.4
+"""How many are told; a score of 1 is all like a hand at the end of an arm."""
 _AS_LIKELY = 0.85
 _STEPS_OUTWARDS = 3
 _SURE, _SAME_PALM_MM = 0.9, 60.0
@@ -80,24 +85,24 @@ def detect(
     Args:
         depth: (height, width) mm, 0 = no reading.
         camera: its camera; lens distortion is taken out.
-        settings: sizes and depths.
+        settings: the depths at which hands are searched for.
         sampler: of the camera, kept by callers that look at many images.
     """
     window = coarse_window(depth, camera, settings)
     tile = (sampler or PixelSampler(camera)).sample(depth, window)
-    tile[tile > settings.farthest_mm + settings.reach_mm] = 0.0
-    surfaces = surfaces_of(tile, window, camera, settings.steepest)
+    tile[tile > settings.farthest_mm + _REACH_MM] = 0.0
+    surfaces = surfaces_of(tile, window, camera)
     found: list[_Candidate] = []
     for place in palm_pixels(surfaces, settings).tolist():
         if not any(_is_of(surfaces, place, candidate) for candidate in found):
-            found.append(_better(surfaces, place, settings))
-    likely = [candidate for candidate in found if candidate.score >= settings.least_score]
+            found.append(_better(surfaces, place))
+    likely = [candidate for candidate in found if candidate.score >= _LEAST_SCORE]
     kept: list[Detection] = []
     for candidate in sorted(likely, key=_rank, reverse=True):
         detection = _detection(surfaces, candidate)
-        if all(_are_two(detection, other, settings) for other in kept):
+        if all(_are_two(detection, other) for other in kept):
             kept.append(detection)
-        if len(kept) == settings.most_hands:
+        if len(kept) == _MOST_HANDS:
             break
     return sorted(kept, key=lambda d: float(d.palm[2]))
 
@@ -134,29 +139,29 @@ def _rank(candidate: _Candidate) -> float:
     return candidate.score * region.radius_mm / max(float(region.palm[2]), 1.0)
 
 
-def _better(surfaces: Surfaces, place: list[int], settings: DetectionSettings) -> _Candidate:
+def _better(surfaces: Surfaces, place: list[int]) -> _Candidate:
     """The hand at a place, or farther out on the same limb if that is about as much like one."""
-    here = _candidate(surfaces, place, settings)
+    here = _candidate(surfaces, place)
     for _ in range(_STEPS_OUTWARDS):
         outwards = None if here.score == 0.0 else _farther_out(surfaces, here)
         if outwards is None:
             break
-        there = _candidate(surfaces, outwards, settings)
+        there = _candidate(surfaces, outwards)
         if there.score < _AS_LIKELY * here.score:
             break
         here = there
     return here
 
 
-def _candidate(surfaces: Surfaces, place: list[int], settings: DetectionSettings) -> _Candidate:
+def _candidate(surfaces: Surfaces, place: list[int]) -> _Candidate:
     row, column = place
-    reach = max(settings.reach_mm, _REACH_OF_RADIUS * float(surfaces.radius[row, column]))
+    reach = max(_REACH_MM, _REACH_OF_RADIUS * float(surfaces.radius[row, column]))
     region = region_around(surfaces, row, column, reach)
     way = arm_exit(region)
     if way is None:
-        return _Candidate(region, likeness(region, settings), None)
+        return _Candidate(region, likeness(region), None)
     arm = region.palm - way.middle
-    return _Candidate(region, likeness(region, settings), arm / max(float(np.linalg.norm(arm)), 1e-9))
+    return _Candidate(region, likeness(region), arm / max(float(np.linalg.norm(arm)), 1e-9))
 
 
 def _farther_out(surfaces: Surfaces, candidate: _Candidate) -> list[int] | None:
@@ -215,9 +220,9 @@ def _without_arm(region: Region, surfaces: Surfaces, arm: FloatArray) -> tuple[B
     return region.mask & (along < wrist), region.palm - wrist * arm
 
 
-def _are_two(first: Detection, second: Detection, settings: DetectionSettings) -> bool:
+def _are_two(first: Detection, second: Detection) -> bool:
     """Whether two detections are of two hands."""
     apart = float(np.linalg.norm(first.palm - second.palm))
     shared = int(np.count_nonzero(first.mask & second.mask))
     least = min(int(np.count_nonzero(d.mask)) for d in (first, second))
-    return apart > settings.apart_mm and shared < _MOST_SHARED * least
+    return apart > _TWO_PALMS_MM and shared < _MOST_SHARED * least

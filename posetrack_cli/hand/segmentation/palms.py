@@ -25,6 +25,10 @@ _BEHIND_JUMPS = 3.0
 _SPREAD_MM = 25.0
 _APART_MM = 12.0
 """Discs closer together than this are one place."""
+PALM_RADIUS_MM = (11.0, 85.0)
+"""Of the largest disc on a palm; of a hand seen edge-on the smallest."""
+_MOST_PLACES = 24
+"""Looked at, the nearest first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,20 +56,18 @@ class Surfaces:
     pixel_mm: Float32Array
 
 
-def surfaces_of(depth: Float32Array, window: Window, camera: Camera, steepest: float) -> Surfaces:
+def surfaces_of(depth: Float32Array, window: Window, camera: Camera) -> Surfaces:
     """Take a depth image apart into surfaces.
 
     Args:
         depth: (h, w) the window's readings, mm, 0 = none.
         window: its pixels.
         camera: its camera.
-        steepest: neighbours farther apart in depth than this many pixel distances, and a few mm, are of two
-            surfaces.
     """
     unbridged = pixel_mm(depth, window, camera).astype(np.float32)
-    whole = without_pinholes(depth, jump_mm(unbridged, steepest))
+    whole = without_pinholes(depth, jump_mm(unbridged))
     apart = pixel_mm(whole, window, camera).astype(np.float32)
-    jump = jump_mm(apart, steepest)
+    jump = jump_mm(apart)
     count, numbers = surface_labels(whole, jump)
     sizes = np.bincount(numbers.ravel(), minlength=count)
     inside = ((whole > 0) & ~rims(whole, jump)).astype(np.uint8)
@@ -83,7 +85,7 @@ def palm_pixels(surfaces: Surfaces, settings: DetectionSettings) -> IntArray:
     They are local maxima of the disc's radius that a palm can have, at a depth where hands are searched for.
     """
     depth, radius = surfaces.depth, surfaces.radius
-    low, high = settings.palm_radius_mm
+    low, high = PALM_RADIUS_MM
     in_range = (depth >= settings.nearest_mm) & (depth <= settings.farthest_mm)
     fits = in_range & (radius >= low) & (radius <= high)
     if not fits.any():
@@ -93,7 +95,7 @@ def palm_pixels(surfaces: Surfaces, settings: DetectionSettings) -> IntArray:
     maxima = np.argwhere(fits & (radius >= around))
     places = _spread_out(maxima, surfaces)
     order = np.argsort(depth[places[:, 0], places[:, 1]], kind="stable")
-    return np.asarray(places[order][: settings.most_places], dtype=np.int64)
+    return np.asarray(places[order][:_MOST_PLACES], dtype=np.int64)
 
 
 def _spread_out(maxima: IntArray, surfaces: Surfaces) -> IntArray:

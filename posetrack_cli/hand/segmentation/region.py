@@ -8,8 +8,7 @@ import cv2
 import numpy as np
 
 from posetrack_cli.arrays import BoolArray, Float32Array, FloatArray, ImageArray
-from posetrack_cli.hand.config import DetectionSettings
-from posetrack_cli.hand.segmentation.palms import Surfaces
+from posetrack_cli.hand.segmentation.palms import PALM_RADIUS_MM, Surfaces
 from posetrack_cli.hand.segmentation.surfaces import extent_mm
 
 _RING_MM = 14.0
@@ -18,6 +17,8 @@ _LEAST_PIXELS = 3
 _NEAR_PALM_MM = 80.0
 """A palm is the widest part of what is so near to it; a finger is not."""
 _MOST_BEHIND = 0.25
+_ARM_MM = 150.0
+"""No arm is wider."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,27 +179,27 @@ def arm_exit(region: Region) -> Exit | None:
     return max(_arms(region), key=lambda way: way.width_mm, default=None)
 
 
-def likeness(region: Region, settings: DetectionSettings) -> float:
+def likeness(region: Region) -> float:
     """0 to 1, the product of what speaks for a hand: disc, area, one arm, and nothing before it.
 
     Nothing as wide as a body leads out of a hand's reach; the end of a finger is not the widest part of its
     surroundings; what is seen between things nearer is background.
     """
-    low, high = settings.palm_radius_mm
+    low, high = PALM_RADIUS_MM
     disc = _plateau(region.radius_mm, 0.8 * low, 1.3 * low, 0.8 * high, 1.1 * high)
     widest = float(np.interp(region.radius_mm / region.widest_mm, _OF_WIDEST, [_NARROW, 1.0]))
     area = _plateau(region.area_mm2, *_AREAS_MM2)
     before = float(np.interp(region.behind, _BEHIND, [1.0, 0.0]))
     larger = 1.0 - _LARGER_FIRST * (1.0 - min(1.0, region.radius_mm / high))
-    return disc * widest * area * before * larger * _of_exits(region, settings)
+    return disc * widest * area * before * larger * _of_exits(region)
 
 
-def _of_exits(region: Region, settings: DetectionSettings) -> float:
+def _of_exits(region: Region) -> float:
     arms = [way.width_mm for way in _arms(region)]
     fingers = _LONG_FINGER ** (len(region.exits) - len(arms))
     if not arms:
         return fingers * _NO_ARM
-    too_wide = float(np.interp(max(arms), [settings.arm_mm, 1.5 * settings.arm_mm], [1.0, 0.0]))
+    too_wide = float(np.interp(max(arms), [_ARM_MM, 1.5 * _ARM_MM], [1.0, 0.0]))
     return fingers * too_wide * _MORE_ARMS ** (len(arms) - 1)
 
 

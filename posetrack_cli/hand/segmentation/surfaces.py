@@ -13,6 +13,8 @@ from posetrack_cli.rendering.window import Window
 
 _BESIDE = np.ones((3, 3), np.uint8)
 _NOISE_MM = 6.0
+_STEEPEST = 3.0
+"""Neighbours parted by more depth than so many pixel distances, and noise, are of two surfaces."""
 _FAR_MM = np.float32(1e9)
 _ACROSS_PX = 5
 """About how many missing pixels part a surface from one behind it."""
@@ -45,9 +47,9 @@ def pixel_mm(z: float | FloatArray | Float32Array, window: Window, camera: Camer
     return np.multiply(z, per_mm, dtype=np.float64)
 
 
-def jump_mm(apart: Float32Array, steepest: float) -> Float32Array:
+def jump_mm(apart: Float32Array) -> Float32Array:
     """The step in depth that parts surfaces, mm: more than noise, and than a slope over that distance."""
-    return np.asarray(_NOISE_MM + steepest * apart, dtype=np.float32)
+    return np.asarray(_NOISE_MM + _STEEPEST * apart, dtype=np.float32)
 
 
 def without_pinholes(depth: Float32Array, jump: Float32Array | float) -> Float32Array:

@@ -9,7 +9,7 @@ import pytest
 
 from posetrack_cli.arrays import BoolArray, FloatArray, ImageArray
 from posetrack_cli.geometry import rotations
-from posetrack_cli.hand.config import ObservationSettings, SegmentationSettings
+from posetrack_cli.hand.config import ObservationSettings
 from posetrack_cli.hand.kinematics import skinning_transforms
 from posetrack_cli.hand.model import average_hand
 from posetrack_cli.hand.observation import PixelSampler, window_around
@@ -23,7 +23,7 @@ from posetrack_cli.synthesis.hand.sensor import CAMERA
 from posetrack_cli.tracking.body_space import BodySpace
 
 HAND = average_hand()
-ANATOMY, SAMPLER, SETTINGS = HAND.anatomy, PixelSampler(CAMERA), SegmentationSettings()
+ANATOMY, SAMPLER = HAND.anatomy, PixelSampler(CAMERA)
 SAME_MM = 6.0
 """A reading is of the surface drawn there: six standard deviations of the sensor's noise at 650 mm."""
 OFF_MM, OFF_RAD, SLID_MM = 15.0, 0.15, 25.0
@@ -60,7 +60,7 @@ def frames(device: RenderingDevice) -> list[Told]:
 def segmented(frame: Told, predicted: FloatArray) -> tuple[Segmentation, BoolArray, BoolArray]:
     hand = PredictedHand.of(ANATOMY, predicted)
     window = window_around(hand.joints, CAMERA, ObservationSettings())
-    found = segment(frame.depth, SAMPLER, window, CAMERA, hand, SETTINGS)
+    found = segment(frame.depth, SAMPLER, window, CAMERA, hand)
     return (found, *(SAMPLER.sample(mask, window) > 0 for mask in (frame.is_hand, frame.is_forearm)))
 
 

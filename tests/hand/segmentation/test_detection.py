@@ -207,7 +207,7 @@ def test_where_an_arm_goes_on_it_is_as_wide_as_it_is(camera: Camera, angle: floa
     """Whatever its direction, and the size of the pixels."""
     depth = scene(Stick(0.0, 0.0, 500.0, angle), camera=camera)
     window = coarse_window(depth, camera, SETTINGS)
-    surfaces = surfaces_of(PixelSampler(camera).sample(depth, window), window, camera, SETTINGS.steepest)
+    surfaces = surfaces_of(PixelSampler(camera).sample(depth, window), window, camera)
     row, column = round(camera.cy / window.step), round(camera.cx / window.step)
     (way,) = region_around(surfaces, row, column, 140.0).exits
     apart = float(surfaces.pixel_mm[row, column])

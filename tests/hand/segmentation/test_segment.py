@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from posetrack_cli.hand.anatomy import JOINT_NAMES, make_anatomy
-from posetrack_cli.hand.config import ObservationSettings, SegmentationSettings
+from posetrack_cli.hand.config import ObservationSettings
 from posetrack_cli.hand.kinematics import mirrored_poses, skinning_transforms
 from posetrack_cli.hand.mesh import hand_mesh
 from posetrack_cli.hand.observation import PixelSampler, window_around
-from posetrack_cli.hand.segmentation import Label, PredictedHand, Segmentation, segment
+from posetrack_cli.hand.segmentation import Label, PredictedHand, Segmentation, around_prediction, segment
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.rendering.window import Window
 from posetrack_cli.synthesis.hand.shapes import SHAPES
@@ -55,9 +55,8 @@ class Scene:
         self.is_hole = np.random.default_rng(1).random(self.depth.shape) < 0.05
         self.depth[self.is_hole] = 0.0
 
-    def told(self, hand: PredictedHand | None = None, **changes: float) -> Segmentation:
-        settings = SegmentationSettings(**changes)
-        return segment(self.depth, SAMPLER, self.window, KINECT, hand or self.hand, settings)
+    def told(self, hand: PredictedHand | None = None) -> Segmentation:
+        return segment(self.depth, SAMPLER, self.window, KINECT, hand or self.hand)
 
     def in_window(self, mask: np.ndarray) -> np.ndarray:
         return SAMPLER.sample(mask, self.window) > 0
@@ -132,8 +131,7 @@ def test_a_missing_reading_is_no_background(scene: Scene) -> None:
 
 
 def replace_depth(scene: Scene, depth: np.ndarray) -> Segmentation:
-    settings = SegmentationSettings()
-    return segment(depth.astype(np.float32), SAMPLER, scene.window, KINECT, scene.hand, settings)
+    return segment(depth.astype(np.float32), SAMPLER, scene.window, KINECT, scene.hand)
 
 
 @pytest.mark.parametrize("slide_mm", [-25.0, 25.0])
@@ -153,16 +151,6 @@ def test_wherever_along_the_arm_a_hand_is_predicted_the_wrist_is_the_same(scene:
     # the prior takes a few per cent of a slide along, and a slice is told from its neighbour by a parabola
     assert np.abs(found - np.median(found)).max() < 0.5 * PIXEL_MM + 0.05 * slides.max()
     assert np.polyfit(slides, found, 1)[0] < 0.1
-
-
-def test_where_the_forearm_is_cut_off_does_not_change_where_the_wrist_is_found(scene: Scene) -> None:
-    for slide_mm in (0.0, 25.0):
-        hand = scene.moved(0.0, slide_mm, 0.0)
-        usual = scene.told(hand)
-        for forearm_mm in (-40.0, 8.0, 30.0):
-            told = scene.told(hand, forearm_mm=forearm_mm)
-            np.testing.assert_array_equal(told.wrist, usual.wrist)
-            assert (told.observation.target_pixels > usual.observation.target_pixels) == (forearm_mm > 0.0)
 
 
 def test_without_a_forearm_nothing_is_cut(scene: Scene) -> None:
@@ -185,12 +173,11 @@ def test_a_prediction_that_is_somewhat_off_finds_the_same_hand(
     assert both.sum() > 0.95 * either.sum()
 
 
-def test_each_margin_holds_something_back(scene: Scene) -> None:
+@pytest.mark.parametrize("margin", ["_ASIDE_MM", "_IN_FRONT_MM", "_BEHIND_MM"])
+def test_each_margin_holds_something_back(scene: Scene, monkeypatch: pytest.MonkeyPatch, margin: str) -> None:
     usual = scene.told().observation.target_pixels
-    assert scene.told(aside_mm=1.0).observation.target_pixels < 0.95 * usual
-    assert scene.told(in_front_mm=1e-3).observation.target_pixels < usual
-    assert scene.told(behind_mm=1e-3).observation.target_pixels < usual
-    assert scene.told(forearm_mm=-40.0).observation.target_pixels < 0.9 * usual
+    monkeypatch.setattr(around_prediction, margin, 1e-3)
+    assert scene.told().observation.target_pixels < usual
 
 
 def test_a_hand_that_touches_a_body_is_cut_out_of_it(scene: Scene) -> None:
@@ -225,8 +212,7 @@ def test_a_finger_that_stretches_behind_missing_readings_is_seen(
         depth = np.where(beyond & (drawn == 0), tip[2], depth)
     fist = PredictedHand.of(ANATOMY, posed(SHAPES["fist"]))
     image = np.where(gap, 0.0, depth).astype(np.float32)
-    settings = SegmentationSettings()
-    told = segment(image, SAMPLER, scene.window, KINECT, fist, settings, is_followed=is_followed)
+    told = segment(image, SAMPLER, scene.window, KINECT, fist, is_followed=is_followed)
     labels = told.labels[scene.in_window(beyond & ~gap)]
     assert len(labels) > 50
     assert (labels == (Label.HAND if is_finger and is_followed else Label.OTHER)).mean() > 0.95
@@ -247,9 +233,9 @@ def test_a_finger_is_seen_of_which_nothing_lies_where_it_is_expected(
     if not is_finger:
         beyond |= (np.abs(x - tip[0]) < 7.0) & (y < tip[1] + 5.0) & (y > tip[1] - 110.0)
         depth = np.where(beyond & (drawn == 0), tip[2], depth)
-    image, settings = depth.astype(np.float32), SegmentationSettings()
+    image = depth.astype(np.float32)
     fist = PredictedHand.of(ANATOMY, posed(SHAPES["fist"]))
-    told = segment(image, SAMPLER, scene.window, KINECT, fist, settings, is_followed=is_followed)
+    told = segment(image, SAMPLER, scene.window, KINECT, fist, is_followed=is_followed)
     labels = told.labels[scene.in_window(beyond)]
     assert len(labels) > 25
     assert (labels == (Label.HAND if is_finger and is_followed else Label.OTHER)).mean() > 0.95
@@ -269,8 +255,7 @@ def test_a_body_seen_between_two_fingers_is_no_finger(device: RenderingDevice, s
     between = (gone > 0.0) & (gone < 0.7) & (x > sides[..., 0]) & (x < sides[..., 1]) & (drawn == 0)
     image = np.where(drawn > 0, drawn, WALL_MM)
     image[between] = tips[:, 2].mean() + 60.0
-    settings = SegmentationSettings()
-    told = segment(image.astype(np.float32), SAMPLER, scene.window, KINECT, hand, settings)
+    told = segment(image.astype(np.float32), SAMPLER, scene.window, KINECT, hand)
     labels = told.labels[scene.in_window(between)]
     assert len(labels) > 25
     assert (labels == Label.OTHER).mean() > 0.95
@@ -293,7 +278,7 @@ def test_a_left_hand_is_told_as_its_mirror_image(scene: Scene) -> None:
         scene.window, left=511 - scene.window.left - scene.window.step * (scene.window.width - 1)
     )
     mirrored = np.ascontiguousarray(scene.depth[:, ::-1])
-    other = segment(mirrored, SAMPLER, window, KINECT.mirrored(), left, SegmentationSettings())
+    other = segment(mirrored, SAMPLER, window, KINECT.mirrored(), left)
     differing = (other.labels[:, ::-1] != told.labels).mean()
     assert differing < 0.002  # lines are drawn from pixel centres: a rim pixel may fall to the other side
 
@@ -305,8 +290,7 @@ def test_a_nearer_hand_larger_in_pixels_is_told_alike(scene: Scene) -> None:
     pose = scene.pose.copy()
     pose[:3] *= factor
     hand = PredictedHand.of(anatomy, pose)
-    settings = SegmentationSettings(margin_mm=60.0 * factor)
-    near = segment((scene.depth * factor).astype(np.float32), SAMPLER, scene.window, KINECT, hand, settings)
+    near = segment((scene.depth * factor).astype(np.float32), SAMPLER, scene.window, KINECT, hand)
     assert (near.labels != scene.told().labels).mean() < 0.01  # slices of the arm stay 4 mm long
 
 
