@@ -55,13 +55,13 @@ def test_defaults_then_file_then_options(tmp_path: Path) -> None:
 
 def test_a_table_given_in_part_keeps_the_other_defaults(tmp_path: Path) -> None:
     """Also where the table's own fields have none: --set motion.pose.position_mm=50 sets any key."""
-    path = written(tmp_path, "[motion.pose]\nposition_mm = 30.0\n[init.spread]\nrotation_rad = 0.5\n")
+    path = written(tmp_path, "[motion.pose]\nposition_mm = 30.0\n[init.velocity]\nrotation_rad = 0.5\n")
     config = load_settings(HandConfig, path, {"motion.pose.flexion_rad": 2.0, "motion.gap_max_s": 3.0})
     default = HandConfig()
     pose = default.motion.pose.model_copy(update={"position_mm": 30.0, "flexion_rad": 2.0})
-    spread = default.init.spread.model_copy(update={"rotation_rad": 0.5})
+    velocity = default.init.velocity.model_copy(update={"rotation_rad": 0.5})
     assert config.motion == default.motion.model_copy(update={"pose": pose, "gap_max_s": 3.0})
-    assert config.init == default.init.model_copy(update={"spread": spread})
+    assert config.init == default.init.model_copy(update={"velocity": velocity})
     with pytest.raises(UsageError, match=r"unknown configuration key 'motion.pose.flexion'"):
         load_settings(HandConfig, None, {"motion.pose.flexion": 2.0})
 

@@ -42,6 +42,12 @@ _TILTS = _D * np.array([-35.0, 0.0, 35.0])  # of the wrist, towards palm and bac
 _SURFACE_MM = 12.0  # from the skin to the bones of a palm
 _IN_PLANE = _D * np.arange(0.0, 360.0, 30.0)
 _KNUCKLES = [0, 5, 9, 13, 17]  # joints whose mean is the palm's middle
+ITERATIONS = 7
+"""Of Gauss-Newton from each hypothesis."""
+SWAPPED = 6
+"""So many of the best fits exchange their fingers."""
+ACCEPT_MM = 18.0
+"""What a hand that is found costs at most."""
 
 
 def detected_poses(detection: Detection, anatomy: HandAnatomy) -> FloatArray:
@@ -182,14 +188,12 @@ class Acquisition:
     Attributes:
         observer: cuts out and segments windows.
         local_fitter: makes local fits.
-        accept_mm: what a hand costs at most.
     """
 
     def __init__(
         self, config: HandConfig, hand: HandModel, camera: Camera, thumb: ThumbPrior = FREE_THUMB
     ) -> None:
         self._config, self._settings = config, config.acquisition
-        self.accept_mm = config.acquisition.accept_mm
         self._hand, self._camera, self._space = hand, camera, BodySpace()
         self.observer = Observer(config, hand.anatomy, camera, segment=True, with_arm=True)
         self.local_fitter = LocalFitter(config, hand, camera, thumb)
@@ -206,7 +210,7 @@ class Acquisition:
             told: further candidates, found otherwise.
         """
         likely = with_told([one for _, one in self._likely(depth, self.detect(depth))], told)
-        fitting = [one for one in likely if one.cost <= self._settings.accept_mm]
+        fitting = [one for one in likely if one.cost <= ACCEPT_MM]
         return min(fitting, key=lambda one: one.doubt, default=None)
 
     def appraise(
@@ -329,13 +333,13 @@ class Acquisition:
         size = groups.shape[1]
         fits = self._freely(fitter, tile, groups.reshape(-1, POSE_SIZE))
         parts = [fits[first : first + size] for first in range(0, len(fits), size)]
-        likeliest = [sorted(part, key=_cost)[: self._settings.swapped] for part in parts]
+        likeliest = [sorted(part, key=_cost)[:SWAPPED] for part in parts]
         return fits + self._freely(fitter, tile, fitter.swapped(tile, likeliest))
 
     def _freely(self, fitter: HandFitter, tile: Tile, starts: FloatArray) -> list[Fit]:
         """Fits from starts (K, 22), each with a wide prior about itself."""
         priors = [PosePrior(start, _FREE_PRECISION) for start in starts]
-        return fitter.descend(tile, starts, priors, self._settings.iterations)
+        return fitter.descend(tile, starts, priors, ITERATIONS)
 
 
 def _cost(fit: Fit) -> float:

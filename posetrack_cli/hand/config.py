@@ -94,15 +94,6 @@ class ComponentSettings(Settings):
     abduction_rad: NotNegative
 
 
-class PositiveSettings(ComponentSettings):
-    """The same, none of them 0."""
-
-    position_mm: Positive
-    rotation_rad: Positive
-    flexion_rad: Positive
-    abduction_rad: Positive
-
-
 class MotionSettings(Settings):
     """Noise densities of eq. (44): standard deviations after one second of random walk.
 
@@ -126,18 +117,11 @@ class MotionSettings(Settings):
 class VelocitySettings(Settings):
     """The velocity that a result states (``tracking/velocity.py``) **[ours]**.
 
-    ``next-frame`` estimates it from the tracked poses up to the next frame's: ``acceleration`` is the square
-    root of the density of the acceleration, ``pose`` the standard deviation of the poses' errors. ``filter``
-    states the particles' own velocity, (63).
+    ``next-frame`` estimates it from the tracked poses up to the next frame's, ``filter`` states the
+    particles' own velocity, (63).
     """
 
     method: Literal["next-frame", "filter"] = "next-frame"
-    acceleration: PositiveSettings = PositiveSettings(
-        position_mm=130.0, rotation_rad=4.0, flexion_rad=7.0, abduction_rad=5.0
-    )
-    pose: PositiveSettings = PositiveSettings(
-        position_mm=0.25, rotation_rad=0.005, flexion_rad=0.013, abduction_rad=0.02
-    )
 
 
 class MixtureSettings(Settings):
@@ -193,9 +177,6 @@ class InitSettings(Settings):
     method: Literal["auto", "center"] = "auto"
     shape: Literal["auto", "given"] = "auto"
     depth_mm: Positive | None = None
-    spread: ComponentSettings = ComponentSettings(
-        position_mm=20.0, rotation_rad=0.15, flexion_rad=0.15, abduction_rad=0.08
-    )
     velocity: ComponentSettings = ComponentSettings(
         position_mm=200.0, rotation_rad=1.5, flexion_rad=2.0, abduction_rad=0.3
     )
@@ -225,95 +206,41 @@ class PsoSettings(Settings):
 
 
 class FitSettings(Settings):
-    """Local fits of the pose to the frame, from which the guided proposal is made.
-
-    ``prior`` is the standard deviation of a usual frame's motion about the prediction, for the fits only.
-    ``sharpening`` is how much sharper the likelihood is than a fit's own residuals: the outline adds to it.
-    Fits whose cost is at most ``alternative_mm`` above the best, and a joint of which lies ``apart_mm`` from
-    it, are modes of their own.
-    """
+    """Local fits of the pose to the frame, from which the guided proposal is made."""
 
     starts: Annotated[int, Field(ge=1, le=64)] = 7
     iterations: Annotated[int, Field(ge=1, le=100)] = 6
     polish: Annotated[int, Field(ge=0, le=100)] = 2
-    refold_iterations: Annotated[int, Field(ge=1, le=100)] = 3
-    prior: ComponentSettings = ComponentSettings(
-        position_mm=12.0, rotation_rad=0.12, flexion_rad=0.33, abduction_rad=0.1
-    )
-    sharpening: Positive = 1.6
-    prior_share: Fraction = 0.05
-    alternative_mm: NotNegative = 1.0
-    apart_mm: NotNegative = 6.0
-    most_modes: Annotated[int, Field(ge=1, le=64)] = 4
 
 
 class AcquisitionSettings(Settings):
     """How a hand is found without a prediction: of all hypotheses the best are fitted.
 
-    That is to some of the pixels, but for the last ``finished`` fits. A hand is found if its cost is
-    ``accept_mm`` at most.
+    That is to some of the pixels, but for the last ``finished`` fits.
     """
 
     fitted: Annotated[int, Field(ge=1, le=1000)] = 32
-    iterations: Annotated[int, Field(ge=1, le=100)] = 7
-    swapped: Annotated[int, Field(ge=1, le=64)] = 6
     refined: Annotated[int, Field(ge=0, le=64)] = 4
     scattered: Annotated[int, Field(ge=1, le=64)] = 8
     finished: Annotated[int, Field(ge=1, le=64)] = 6
-    accept_mm: Positive = 18.0
 
 
 class StatusSettings(Settings):
     """When a track is doubted, and when it counts as lost.
 
-    A frame's cost D is compared with the usual one, a running mean over well-tracked frames: above
-    ``doubt_factor`` times that plus ``doubt_mm``, or above ``sure_mm``, the hand is reconsidered, and
-    replaced by another one in the image if that costs less than ``better`` times as much, or ``better_mm``
-    less. A share 1 - D / c_max that stays below ``lost_below`` for ``lost_after_frames`` is a loss; the
-    hand is then searched for in the whole image. A fit that costs more than good ones of the recording, and
-    more than ``well_mm``, is looked for anew where it is. A track is left for a hand at another place once
-    ``leave_after_frames`` searches in a row found that better. Confidence falls by what a fit costs over
-    ``good_mm``, too, what good ones of the whole recording cost: 0 for unknown, which a shape that is
+    A hand whose cost D is far above that of well-tracked frames (``hand/monitor.py``), or above ``sure_mm``,
+    is reconsidered. A share 1 - D / c_max that stays below ``lost_below`` for ``lost_after_frames`` is a
+    loss; the hand is then searched for in the whole image. A fit that costs more than good ones of the
+    recording, and more than ``well_mm``, is looked for anew where it is. Confidence falls by what a fit costs
+    over ``good_mm``, too, what good ones of the whole recording cost: 0 for unknown, which a shape that is
     estimated from the recording replaces.
     """
 
-    doubt_factor: Positive = 1.5
-    doubt_mm: NotNegative = 2.0
     sure_mm: NotNegative = 6.0
-    better: Fraction = 0.7
-    better_mm: Positive = 2.0
     well_mm: NotNegative = 2.2
     good_mm: NotNegative = 0.0
     lost_below: Fraction = 0.5
     lost_after_frames: Annotated[int, Field(ge=1)] = 5
-    leave_after_frames: Annotated[int, Field(ge=1)] = 5
-
-
-class SmoothingSettings(Settings):
-    """How ``--smooth`` goes back over the frames **[ours]**.
-
-    The local fits of the frames are smoothed, with ``pose`` and ``velocity`` as noise densities of their
-    motion (as ``motion``'s). Of a proposal that fits no frames each frame's mean and covariance are smoothed,
-    with ``motion``'s densities, and nothing here applies.
-
-    Where fits leave more than ``believed_mm`` the filter's estimate is smoothed instead;
-    ``refit_iterations`` is how often each frame is fitted again from what all others
-    expect, 0 not at all; ``sharpening`` how much sharper the likelihood is than the residuals that a fit
-    leaves; ``height_share`` how much their heights count where one of several fits is chosen; ``freedom``
-    that of the Student-t density of a fit's error, the smaller the more outliers.
-    """
-
-    pose: ComponentSettings = ComponentSettings(
-        position_mm=5.0, rotation_rad=0.1, flexion_rad=0.1, abduction_rad=0.05
-    )
-    velocity: ComponentSettings = ComponentSettings(
-        position_mm=3000.0, rotation_rad=50.0, flexion_rad=50.0, abduction_rad=12.0
-    )
-    believed_mm: NotNegative = 2.0
-    refit_iterations: Annotated[int, Field(ge=0, le=100)] = 4
-    sharpening: Positive = 3.5
-    height_share: Fraction = 0.3
-    freedom: Positive = 4.0
 
 
 class OutputSettings(Settings):
@@ -339,5 +266,4 @@ class HandConfig(Settings):
     acquisition: AcquisitionSettings = AcquisitionSettings()
     pso: PsoSettings = PsoSettings()
     status: StatusSettings = StatusSettings()
-    smoothing: SmoothingSettings = SmoothingSettings()
     output: OutputSettings = OutputSettings()

@@ -22,7 +22,7 @@ from posetrack_cli.filtering.modes import LikelihoodModes, scaled
 from posetrack_cli.filtering.smoothing import Memory
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import POSE_SIZE, TANGENT_SIZE
-from posetrack_cli.hand.config import FitSettings, HandConfig
+from posetrack_cli.hand.config import ComponentSettings, HandConfig
 from posetrack_cli.hand.fitting.fitter import HandFitter, PosePrior, fit_starts, refolds
 from posetrack_cli.hand.fitting.gauss_newton import FREE_THUMB, GIRTH_SD, SWING_SD, Fit, ThumbPrior
 from posetrack_cli.hand.fitting.normal_equations import THUMB_PLACE, NormalEquations
@@ -78,6 +78,16 @@ class FrameReading(NamedTuple):
     height: float
 
 
+_REFOLD_ITERATIONS = 3
+"""From each fold of each finger, where the best fit is worse than usual."""
+SHARPENING = 1.6
+"""The likelihood is so much sharper than a fit's own residuals: the outline adds to it."""
+ALTERNATIVE_MM, APART_MM, MOST_MODES = 1.0, 6.0, 4
+"""Fits whose cost is so much above the best's are modes as well, if a joint lies so far from theirs."""
+USUAL_MOTION = ComponentSettings(position_mm=12.0, rotation_rad=0.12, flexion_rad=0.33, abduction_rad=0.1)
+"""Standard deviation of a usual frame's motion about the prediction, for the fits alone."""
+
+
 def fit_terms(config: HandConfig) -> Terms:
     """Return the weights of residuals that a configuration's observations ask for."""
     return Terms(clamp_mm=config.observation.clamp_mm, unread_weight=config.observation.unread_weight)
@@ -128,7 +138,7 @@ class LocalFitter:
         reading = self.read(observation)
         tile = reading.tile
         starts = fitter.aligned(tile, fit_starts(expected, others, settings.starts, self._space, rng))
-        prior = PosePrior(expected, motion_precision(settings, dt))
+        prior = PosePrior(expected, motion_precision(dt))
         priors = [prior.about(start[:3]) for start in starts]
         priors += [PosePrior(pose, TOLD_PRECISION) for pose in told]
         fits = fitter.descend(tile, np.concatenate([starts, told]), priors, settings.iterations)
@@ -151,13 +161,13 @@ class LocalFitter:
         settings, fitter = self._settings, self.fitter
         starts = refolds(pose)
         priors = [PosePrior(start, prior.precision) for start in starts]
-        fits = fitter.descend(tile, starts, priors, settings.refold_iterations)
+        fits = fitter.descend(tile, starts, priors, _REFOLD_ITERATIONS)
         anywhere = prior.anywhere
         order = np.argsort(fitter.objectives(tile, fits, anywhere), kind="stable")
         likeliest = [fits[k] for k in order[: settings.starts]]
         best = fitter.swapped(tile, [likeliest], anywhere)[0]
         fits += fitter.descend(tile, best[None], [PosePrior(best, prior.precision)], settings.iterations)
-        drawn = len(starts) * (settings.refold_iterations + 1) + 5 * (len(likeliest) - 1)
+        drawn = len(starts) * (_REFOLD_ITERATIONS + 1) + 5 * (len(likeliest) - 1)
         return fits, drawn + settings.iterations + 1
 
     def _best(self, tile: Tile, fits: Sequence[Fit], prior: PosePrior) -> Fit:
@@ -167,7 +177,7 @@ class LocalFitter:
     def _likelihood(self, reading: FrameReading, fits: Sequence[Fit]) -> LikelihoodModes:
         chosen = [self.fitter.assessed(reading.tile, fit.pose) for fit in self.likeliest(reading, fits)]
         noise_sd = float(self._mixture.noise_sd(np.array(reading.depth_mm)))
-        scale = reading.share * self._settings.sharpening * (self.sigma_mm / noise_sd) ** 2
+        scale = reading.share * SHARPENING * (self.sigma_mm / noise_sd) ** 2
         heights = self._log_heights(reading, chosen)
         return self.modes(chosen, np.full(len(chosen), scale), heights, reading.tile.expected[THUMB])
 
@@ -221,17 +231,17 @@ class LocalFitter:
 
         Of fingers that nothing shows all folds cost the same, and the anatomy tells which are likely.
         """
-        limit = min(map(_cost, fits)) + self._settings.alternative_mm
+        limit = min(map(_cost, fits)) + ALTERNATIVE_MM
         near = [fit for fit in fits if _cost(fit) <= limit]
         order = np.argsort(-self._log_heights(reading, near), kind="stable")
         chosen: list[Fit] = []
         joints: list[FloatArray] = []
         for fit in (near[k] for k in order):
-            if len(chosen) == self._settings.most_modes:
+            if len(chosen) == MOST_MODES:
                 break
             here = joint_positions(self._anatomy, fit.pose[None])[0]
             apart = [np.linalg.norm(here - there, axis=1).max() for there in joints]
-            if min(apart, default=np.inf) > self._settings.apart_mm:
+            if min(apart, default=np.inf) > APART_MM:
                 chosen.append(fit)
                 joints.append(here)
         return chosen
@@ -287,14 +297,22 @@ def _cost(fit: Fit) -> float:
     return float(fit.cost[0])
 
 
-def motion_precision(settings: FitSettings, dt: float) -> FloatArray:
+def motion_precision(dt: float) -> FloatArray:
     """1 / variance (21,) of a pose after dt seconds about its prediction, for the fits alone."""
-    sd = tangent_vector(settings.prior)
+    sd = tangent_vector(USUAL_MOTION)
     sd[6:9] = np.minimum(sd[6:9], THUMB_SD)
     precision: FloatArray = USUAL_STEP_S / dt / np.square(sd)
     return precision
 
 
+BELIEVED_MM = 2.0
+"""Where fits leave more, the filter's estimate is smoothed instead."""
+_REFIT_ITERATIONS = 4
+"""Of a frame's fit from what all other frames expect."""
+_LEFT_SHARPENING = 3.5
+"""The likelihood is so much sharper than the residuals that a fit leaves."""
+_HEIGHT_SHARE = 0.3
+"""How much the cost counts where a frame has several fits, against the others' say."""
 LEAST_COST_MM = 0.5
 """The readings' own steps: no fit leaves less."""
 SD_PER_COST = float(np.sqrt(np.pi / 2.0))
@@ -314,8 +332,7 @@ class HandFits:
 
     def __init__(self, config: HandConfig, hand: HandModel, camera: Camera) -> None:
         self._local, self._space = LocalFitter(config, hand, camera), BodySpace()
-        self._settings, self._clamp_mm = config.smoothing, config.observation.clamp_mm
-        self._most, self._size = config.fit.most_modes, config.observation.tile_px
+        self._clamp_mm, self._size = config.observation.clamp_mm, config.observation.tile_px
         self._is_calibrated = config.observation.models_pixels
 
     def keep(
@@ -332,7 +349,7 @@ class HandFits:
             pose: (22,) the filter's estimate.
             confidence: of it.
         """
-        poses, count = np.zeros((self._most, POSE_SIZE)), 0
+        poses, count = np.zeros((MOST_MODES, POSE_SIZE)), 0
         image, place = np.zeros((self._size, self._size), dtype=np.float32), np.zeros(3, dtype=np.int64)
         inner = NO_INNER
         if observation is not None and modes is not None:
@@ -363,7 +380,7 @@ class HandFits:
 
         Not where the filter's estimate stands in for fits, which has no gradient, nor where it is doubted.
         """
-        if not self._settings.refit_iterations or float(frame["trust"]) < 1.0 or not known.gradients.any():
+        if float(frame["trust"]) < 1.0 or not known.gradients.any():
             return known
         found = self._refitted(self._reading(frame), belief)
         return LikelihoodModes(
@@ -375,7 +392,7 @@ class HandFits:
 
     def _are_believed(self, fits: Sequence[Fit]) -> bool:
         """Whether what fits leave is so little that the model must be the hand's."""
-        return min(_cost(fit) for fit in fits) <= self._settings.believed_mm
+        return min(_cost(fit) for fit in fits) <= BELIEVED_MM
 
     def _trust(self, confidence: float) -> float:
         """How much an estimate's information counts: all of what is more probably right than wrong.
@@ -398,7 +415,7 @@ class HandFits:
         pose = belief.pose
         best = here = self._assessed(reading, self._fits_at(reading, pose[None]))
         highest = float(here.log_heights[0])
-        for _ in range(self._settings.refit_iterations):
+        for _ in range(_REFIT_ITERATIONS):
             off = self._space.local(pose, belief.pose)
             step = np.linalg.solve(np.eye(size) + C @ here.information[0], C @ here.gradients[0] + off)
             pose = self._space.retract(pose[None], np.clip(step, -STEP, STEP)[None])[0]
@@ -418,8 +435,8 @@ class HandFits:
         fitter, poses = self._local.fitter, np.array([fit.pose for fit in fits])
         cost = np.array([_cost(fit) for fit in fits])
         noise_sd = SD_PER_COST * np.maximum(cost, LEAST_COST_MM)
-        scales = reading.share * self._settings.sharpening * (self._local.sigma_mm / noise_sd) ** 2
-        height = self._settings.height_share * reading.height / self._clamp_mm
+        scales = reading.share * _LEFT_SHARPENING * (self._local.sigma_mm / noise_sd) ** 2
+        height = _HEIGHT_SHARE * reading.height / self._clamp_mm
         return self._local.modes(fits, scales, -height * cost - fitter.potentials(poses, reading.tile.inner))
 
     def _reading(self, frame: Memory) -> FrameReading:

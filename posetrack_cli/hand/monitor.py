@@ -6,6 +6,12 @@ from dataclasses import dataclass, replace
 
 from posetrack_cli.hand.config import StatusSettings
 
+_DOUBT_FACTOR, _DOUBT_MM = 1.5, 2.0
+"""A fit that costs so many times the usual, and so much more, is reconsidered, and ..."""
+_BETTER, MUCH_BETTER_MM = 0.7, 2.0
+"""... replaced by another one that costs less than this share, or so much less."""
+LEAVE_AFTER_FRAMES = 5
+"""Searches in a row in which another place was better; then the hand is there."""
 _MEMORY = 0.1  # share of a new frame in the running mean of costs
 _MOST_WAIT, _MOST_WAIT_AS_USUAL = 4, 6  # frames
 _GOOD_SHARE, _GOOD_RISE_MM = 0.3, 0.03
@@ -60,22 +66,22 @@ class TrackMonitor:
         """What a fit may cost that is not raised above the usual; infinite before the first."""
         return _RAISED_FACTOR * self.usual_mm + _RAISED_MM if self.usual_mm > 0.0 else float("inf")
 
-    def is_worse(self, cost_mm: float, settings: StatusSettings) -> bool:
+    def is_worse(self, cost_mm: float) -> bool:
         """Whether a fit's cost is far above the usual."""
-        limit = settings.doubt_factor * self.usual_mm + settings.doubt_mm
+        limit = _DOUBT_FACTOR * self.usual_mm + _DOUBT_MM
         return self.usual_mm > 0.0 and cost_mm > limit
 
     def is_doubtful(self, cost_mm: float, settings: StatusSettings) -> bool:
         """Whether a fit is worse than usual, or poor for a hand whose shape is known."""
-        return self.is_worse(cost_mm, settings) or cost_mm > settings.sure_mm
+        return self.is_worse(cost_mm) or cost_mm > settings.sure_mm
 
-    def prefers(self, cost_mm: float, other_mm: float, settings: StatusSettings) -> bool:
+    def prefers(self, cost_mm: float, other_mm: float) -> bool:
         """Whether another fit is so much better that it replaces a fit.
 
         A ratio decides where the model is the hand's; where it is not, all costs are high, and a
         difference decides.
         """
-        return other_mm < max(settings.better * cost_mm, cost_mm - settings.better_mm)
+        return other_mm < max(_BETTER * cost_mm, cost_mm - MUCH_BETTER_MM)
 
     def raised(self, cost_mm: float, settings: StatusSettings) -> float:
         """What a fit costs over what good ones of this recording do, at least 1; 1 before the first.
@@ -117,30 +123,30 @@ class TrackMonitor:
         """Return the record after a frame that shows fingers worth so much at the hand's place."""
         return replace(self, fingers_mm=max(bonus_mm, self.fingers_mm - _FORGOTTEN_MM))
 
-    def leaves_for(self, here_mm: float, there_mm: float, settings: StatusSettings) -> TrackMonitor:
+    def leaves_for(self, here_mm: float, there_mm: float) -> TrackMonitor:
         """Return the record after a hand was found elsewhere, with the doubts that both places leave.
 
-        A track is left for one that has been better for ``leave_after_frames`` searches in a row, no sooner:
+        A track is left for one that has been better for ``LEAVE_AFTER_FRAMES`` searches in a row, no sooner:
         what is better in a single frame is mostly the other end of the same arm.
         """
-        better = there_mm < here_mm - settings.better_mm
+        better = there_mm < here_mm - MUCH_BETTER_MM
         return replace(self, elsewhere=self.elsewhere + 1 if better else 0)
 
-    def postpones_search(self, cost_mm: float, settings: StatusSettings) -> bool:
+    def postpones_search(self, cost_mm: float) -> bool:
         """Whether a search is postponed; a long wait is cut short when fits get worse."""
-        most = _MOST_WAIT if self.is_worse(cost_mm, settings) else _MOST_WAIT_AS_USUAL
+        most = _MOST_WAIT if self.is_worse(cost_mm) else _MOST_WAIT_AS_USUAL
         return self.elsewhere == 0 and 0 < self.wait <= most
 
     def after_wait(self) -> TrackMonitor:
         """Return the record after a frame without a search."""
         return replace(self, wait=max(0, self.wait - 1))
 
-    def after_failed_search(self, cost_mm: float, settings: StatusSettings) -> TrackMonitor:
+    def after_failed_search(self, cost_mm: float) -> TrackMonitor:
         """Return the record after a search that found nothing better: each such search doubles the wait.
 
         The limit is higher where the cost is as usual: the hand then has another shape than the model.
         """
-        worse = self.lost or self.is_worse(cost_mm, settings)
+        worse = self.lost or self.is_worse(cost_mm)
         most = _MOST_WAIT if worse else _MOST_WAIT_AS_USUAL
         return replace(
             self, wait=min(self.next_wait, most), next_wait=min(2 * self.next_wait, _MOST_WAIT_AS_USUAL)
@@ -161,7 +167,7 @@ class TrackMonitor:
         back = replace(self, misses=0, lost=False, good_mm=good)
         if not self.is_raised(cost_mm):
             back = replace(back, look_wait=0, next_look_wait=1)
-        if self.is_worse(cost_mm, settings):
+        if self.is_worse(cost_mm):
             return back
         usual += _MEMORY * (cost_mm - usual)
         if cost_mm > settings.sure_mm:

@@ -16,7 +16,7 @@ from posetrack_cli.errors import UsageError
 from posetrack_cli.filtering.smoothing import Memory
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS, POSE_SIZE
-from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.config import ComponentSettings, HandConfig
 from posetrack_cli.hand.evidence import DepthEvidence
 from posetrack_cli.hand.inner import NO_INNER, THUMB, inner_of
 from posetrack_cli.hand.keypoints.file import KeypointFile
@@ -51,6 +51,10 @@ from posetrack_cli.tracking.velocity import VelocityModel, smoothed_velocities
 INIT_METHODS = ("auto", "center")
 _REST: FloatArray = np.eye(1, POSE_SIZE, 6)[0]
 """(22,) a pose: at the origin, not turned, all angles 0."""
+_ACCELERATION = ComponentSettings(position_mm=130.0, rotation_rad=4.0, flexion_rad=7.0, abduction_rad=5.0)
+"""Square root of the density of a hand's acceleration, for the velocity that a result states."""
+_POSE_ERROR = ComponentSettings(position_mm=0.25, rotation_rad=0.005, flexion_rad=0.013, abduction_rad=0.02)
+"""Standard deviation of the poses' errors, likewise."""
 
 
 @dataclass(frozen=True)
@@ -213,12 +217,11 @@ def with_method(config: HandConfig, options: RunOptions) -> HandConfig:
 
 def velocity_model(config: HandConfig) -> VelocityModel | None:
     """Return what a result's velocities are estimated with; None for those of the filter."""
-    settings = config.velocity
-    if settings.method == "filter":
+    if config.velocity.method == "filter":
         return None
     return VelocityModel(
-        tangent_vector(settings.acceleration),
-        tangent_vector(settings.pose),
+        tangent_vector(_ACCELERATION),
+        tangent_vector(_POSE_ERROR),
         tangent_vector(config.init.velocity),
     )
 

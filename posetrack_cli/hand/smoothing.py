@@ -11,7 +11,7 @@ from posetrack_cli.filtering.model import Dynamics
 from posetrack_cli.filtering.smoothing import Memory, Smoothed, Smoother, noise_of
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import HandAnatomy
-from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.config import ComponentSettings, HandConfig
 from posetrack_cli.hand.local_fits import INNER, HandFits
 from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.proposals import PROPOSALS
@@ -22,6 +22,13 @@ from posetrack_cli.tracking.smoothing import Describe, FrameFacts
 
 BLOCKS = (np.arange(6), *np.arange(6, 21).reshape(5, 3))
 """Components of the tangent space that err together: the palm, then each finger."""
+SMOOTH_POSE = ComponentSettings(position_mm=5.0, rotation_rad=0.1, flexion_rad=0.1, abduction_rad=0.05)
+SMOOTH_VELOCITY = ComponentSettings(
+    position_mm=3000.0, rotation_rad=50.0, flexion_rad=50.0, abduction_rad=12.0
+)
+"""Noise densities of the motion among the fits, as `MotionSettings` has them: nearly all is velocity."""
+_FREEDOM = 4.0
+"""Of the Student-t density of a fit's error: the smaller, the more outliers."""
 
 
 def smoothed_hand(anatomy: HandAnatomy) -> Describe[Estimate]:
@@ -60,8 +67,8 @@ def make_smoother(config: HandConfig, dynamics: Dynamics, fits: HandFits | None 
         dynamics: those of the filter.
         fits: of `frame_fits`.
     """
-    space, settings = space_of(config.filter), config.smoothing
+    space = space_of(config.filter)
     if fits is not None:
-        pose, velocity = tangent_vector(settings.pose), tangent_vector(settings.velocity)
-        return FitSmoother(Dynamics(pose**2, velocity**2), space, fits, BLOCKS, settings.freedom)
+        motion = Dynamics(tangent_vector(SMOOTH_POSE) ** 2, tangent_vector(SMOOTH_VELOCITY) ** 2)
+        return FitSmoother(motion, space, fits, BLOCKS, _FREEDOM)
     return GaussianSmoother(noise_of(dynamics, FILTERS.find(config.filter.kind).has_velocity), space)

@@ -17,7 +17,7 @@ from posetrack_cli.files import read_text
 from posetrack_cli.geometry import rotations
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import POSE_SIZE, HandAnatomy
-from posetrack_cli.hand.config import InitSettings
+from posetrack_cli.hand.config import ComponentSettings
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.space import inside_limits, tangent_vector
 from posetrack_cli.mcap.stream import McapFile, is_mcap
@@ -26,6 +26,8 @@ from posetrack_cli.text import parse_toml
 from posetrack_cli.tracking.body_space import BodySpace
 
 ESTIMATE_TOPICS = ("/hand/estimate", "/truth/hand/estimate")
+START_SPREAD = ComponentSettings(position_mm=20.0, rotation_rad=0.15, flexion_rad=0.15, abduction_rad=0.08)
+"""Standard deviations of the first pose."""
 USUAL_DEPTH_MM = 650.0
 # The hand is the nearest thing in the middle half of the image, as deep as a hand is.
 _HAND_DEPTH_MM = 100.0
@@ -53,7 +55,7 @@ def rest_pose(anatomy: HandAnatomy, centre: FloatArray) -> FloatArray:
 def scattered_poses(anatomy: HandAnatomy, count: int, rng: np.random.Generator) -> FloatArray:
     """Poses (N, 22) as the start's prior spreads them, 650 mm away: what benchmarks draw."""
     start = np.tile(rest_pose(anatomy, np.array([0.0, 0.0, USUAL_DEPTH_MM])), (count, 1))
-    spread = tangent_vector(InitSettings().spread)
+    spread = tangent_vector(START_SPREAD)
     return inside_limits(BodySpace().retract(start, spread * rng.standard_normal((count, spread.size))))
 
 

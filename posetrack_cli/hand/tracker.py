@@ -32,12 +32,13 @@ from posetrack_cli.hand.keypoints.told import ToldHand, ToldHands, candidates, l
 from posetrack_cli.hand.kinematics import joint_set_distance, mean_joint_distances
 from posetrack_cli.hand.likelihood import PoseScorer
 from posetrack_cli.hand.local_fits import LocalFits
-from posetrack_cli.hand.monitor import TrackMonitor
+from posetrack_cli.hand.monitor import LEAVE_AFTER_FRAMES, MUCH_BETTER_MM, TrackMonitor
 from posetrack_cli.hand.observation import Observation
 from posetrack_cli.hand.observer import Observer, Outline
 from posetrack_cli.hand.proposals import PROPOSALS
 from posetrack_cli.hand.protocol import found_pose, hand_estimate
 from posetrack_cli.hand.space import inside_limits, pose_layout, space_of, tangent_vector
+from posetrack_cli.hand.start import START_SPREAD
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
 from posetrack_cli.results.layouts import STAMPS_NS, Layout, floats
@@ -47,6 +48,7 @@ from posetrack_cli.tracking.state_codec import Codec, Fields, Value, flag, real,
 # The prior holds one usual frame before the first one, so the first frame is a step like all others.
 FIRST_STEP_NS = 33_333_333
 _GIRTH_MEMORY = 0.1  # share of a new frame in the running mean of the forearm's girth
+_PRIOR_SHARE = 0.05  # of particles drawn from the prior alone
 THUMB_MEMORY = 0.4  # share of a thumb's departure from RELAXED_INNER that is expected of the next frame
 NEAR_MM = 35.0  # distance of two sets of joints, up to which a better fit is of the hand that is tracked
 SAME_PLACE_MM = 60.0
@@ -147,7 +149,7 @@ class HandTracker:
     def start(self, pose: FloatArray, stamp_ns: int, rng: np.random.Generator) -> HandState:
         """Return the prior about a pose (22,): one usual frame before the first frame's stamp."""
         settings, init = self.config.filter, self.config.init
-        prior = Prior(pose, tangent_vector(init.spread), tangent_vector(init.velocity))
+        prior = Prior(pose, tangent_vector(START_SPREAD), tangent_vector(init.velocity))
         particles = FILTERS.find(settings.kind).initial(prior, settings.particles, self._space, rng)
         expected = NO_INNER if self._finder is None else RELAXED_INNER
         return HandState(
@@ -271,7 +273,7 @@ class HandTracker:
             return FrameObservation(replace(state, monitor=state.monitor.after_wait()), 0.0, None)
         found = finder.search(frame.depth, there)
         if found is None:
-            monitor = state.monitor.after_failed_search(np.inf, self.config.status)
+            monitor = state.monitor.after_failed_search(np.inf)
             return FrameObservation(replace(state, monitor=monitor), 0.0, None)
         return self._restarted(finder, found, state.monitor, frame, rng)
 
@@ -296,11 +298,11 @@ class HandTracker:
         monitor = replace(before, elsewhere=0)
         if there is not None:
             doubt = _doubt_here(seen.fits, before)
-            doubt -= 0.0 if is_doubtful else settings.better_mm
-            monitor = before.leaves_for(doubt, there.doubt, settings)
+            doubt -= 0.0 if is_doubtful else MUCH_BETTER_MM
+            monitor = before.leaves_for(doubt, there.doubt)
         if monitor.elsewhere <= before.elsewhere and is_doubtful:
             return None
-        if there is not None and monitor.elsewhere >= settings.leave_after_frames:
+        if there is not None and monitor.elsewhere >= LEAVE_AFTER_FRAMES:
             return self._restarted(finder, there, monitor, frame, rng)
         return seen._replace(state=replace(seen.state, monitor=monitor))
 
@@ -313,7 +315,7 @@ class HandTracker:
             return seen
         if not state.monitor.is_doubtful(fits.cost, settings):
             return self._looked_again(finder, seen, frame, rng)
-        if state.monitor.postpones_search(fits.cost, settings):
+        if state.monitor.postpones_search(fits.cost):
             waited = seen._replace(state=replace(state, monitor=state.monitor.after_wait()))
             return self._looked_again(finder, waited, frame, rng)
         here, monitor = fits.modes.poses[0], state.monitor
@@ -323,13 +325,13 @@ class HandTracker:
             if there is None or self._is_near(there.pose, here):
                 found, monitor = better_of(found, there), replace(monitor, elsewhere=0)
             else:
-                monitor = monitor.leaves_for(*self._doubts(fits, there, monitor), settings)
-                if monitor.elsewhere >= settings.leave_after_frames:
+                monitor = monitor.leaves_for(*self._doubts(fits, there, monitor))
+                if monitor.elsewhere >= LEAVE_AFTER_FRAMES:
                     return self._restarted(finder, there, monitor, frame, rng)
         seen = seen._replace(state=replace(state, monitor=monitor))
-        if found is not None and monitor.prefers(fits.cost, found.cost, settings):
+        if found is not None and monitor.prefers(fits.cost, found.cost):
             return self._refined(finder, found, seen, frame, rng)
-        refused = monitor.after_failed_search(fits.cost, settings)
+        refused = monitor.after_failed_search(fits.cost)
         return seen._replace(state=replace(seen.state, monitor=refused))
 
     def _looked_again(
@@ -357,7 +359,7 @@ class HandTracker:
             if there is not None and self._is_alike(there.pose, here):
                 found = better_of(found, there)
         helped = found is not None and (
-            state.monitor.prefers(fits.cost, found.cost, self.config.status)
+            state.monitor.prefers(fits.cost, found.cost)
             or (found.cost < fits.cost - _BETTER_MM and self._is_alike(found.pose, here))
         )
         monitor = state.monitor.after_look(fits.cost, helped=helped)
@@ -468,7 +470,7 @@ class HandTracker:
         particles = seen.state.particles
         if seen.dt <= 0.0:
             return particles, particles.summary(self._space), 0
-        guide = None if seen.fits is None else Guide(seen.fits.modes, self.config.fit.prior_share)
+        guide = None if seen.fits is None else Guide(seen.fits.modes, _PRIOR_SHARE)
         score = self._log_likelihood(seen.observation)
         advanced = particles.step(seen.dt, self._model, score, rng, guide)
         return *advanced, 0 if score is None else score.count

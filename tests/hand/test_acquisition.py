@@ -76,13 +76,13 @@ def test_where_there_is_no_hand_none_is_found(finder: Acquisition) -> None:
     assert finder.search(disc) is None
 
 
-def test_what_fits_badly_is_no_find(device: RenderingDevice, stage: Stage) -> None:
+def test_what_fits_badly_is_no_find(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
     """Noise of 2 mm leaves errors of 1.6 mm on average, however well the hand is placed."""
     noise = np.random.default_rng(0).normal(scale=2.0, size=(KINECT.height, KINECT.width))
     noisy = (stage.depth(relaxed()) + noise).astype(np.float32)
     for accept_mm, found in ((0.5, False), (5.0, True)):
-        config = HandConfig.model_validate({"acquisition": {"accept_mm": accept_mm}})
-        assert (acquisition(HANDS["right"], config).search(noisy) is not None) == found
+        monkeypatch.setattr("posetrack_cli.hand.acquisition.ACCEPT_MM", accept_mm)
+        assert (acquisition(HANDS["right"]).search(noisy) is not None) == found
 
 
 def test_natural_hands_are_found_in_single_frames(device: RenderingDevice) -> None:

@@ -22,22 +22,20 @@ from support.damage import damaged_arrays, sealed, wild_numbers
 from support.flat_recording import CONFIG, Memory, after
 
 KINDS = ("rbpf", "pf", "pso")
-SMOOTHERS = ("gaussian", "particles")
 
 
-def config_of(kind: str, smoother: str = "gaussian") -> HandConfig:
+def config_of(kind: str) -> HandConfig:
     changes: dict[str, Any] = {
         "filter": CONFIG.filter.model_copy(update={"kind": kind}),
         "pso": CONFIG.pso.model_copy(update={"particles": 8, "generations": 2}),
-        "smoothing": CONFIG.smoothing.model_copy(update={"method": smoother}),
     }
     return CONFIG.model_copy(update=changes)
 
 
 @pytest.fixture
 def run(device: RenderingDevice, tmp_path: Path) -> Callable[..., HandRun]:
-    def make(kind: str, name: str = "r.mcap", smoother: str = "gaussian", **options: Any) -> HandRun:
-        return HandRun(Memory(), config_of(kind, smoother), RunOptions(tmp_path / name, **options), device)
+    def make(kind: str, name: str = "r.mcap", **options: Any) -> HandRun:
+        return HandRun(Memory(), config_of(kind), RunOptions(tmp_path / name, **options), device)
 
     return make
 
@@ -127,16 +125,15 @@ def test_a_state_without_its_stamp_is_refused_and_nothing_is_deleted(
     assert filecmp.cmp(tmp_path / "r.mcap", tmp_path / "whole.mcap", shallow=False)
 
 
-@pytest.mark.parametrize(("kind", "smoother"), list(zip(("rbpf", "pf"), SMOOTHERS, strict=True)))
+@pytest.mark.parametrize("kind", ["rbpf", "pf"])
 def test_what_is_smoothed_has_to_be_what_was_remembered(
     run: Callable[..., HandRun],
     interrupted: Callable[..., dict[str, bytes]],
     tmp_path: Path,
     kind: str,
-    smoother: str,
 ) -> None:
     """Flipped, truncated, exchanged and hostile files of frames are one line; the untouched one goes on."""
-    interrupted(kind, smooth=True, smoother=smoother)
+    interrupted(kind, smooth=True)
     spool = smoothing_path(tmp_path / "r.mcap")
     data = spool.read_bytes()
     head, records = data[: data.index(b"\n") + 1], data[data.index(b"\n") + 1 :]
@@ -157,9 +154,9 @@ def test_what_is_smoothed_has_to_be_what_was_remembered(
     )
     for damaged in hostile:
         spool.write_bytes(damaged)
-        line = refusal(run(kind, smooth=True, smoother=smoother, resume=True), tmp_path)
+        line = refusal(run(kind, smooth=True, resume=True), tmp_path)
         assert str(spool) in line and "start again with --overwrite" in line
     spool.write_bytes(data)
-    run(kind, smooth=True, smoother=smoother, resume=True).track(nothing)
-    run(kind, "whole.mcap", smooth=True, smoother=smoother).track(nothing)
+    run(kind, smooth=True, resume=True).track(nothing)
+    run(kind, "whole.mcap", smooth=True).track(nothing)
     assert filecmp.cmp(tmp_path / "r.mcap", tmp_path / "whole.mcap", shallow=False)

@@ -11,6 +11,7 @@ import pytest
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.filtering.gaussian_smoothing import StateGaussian
 from posetrack_cli.filtering.modes import LikelihoodModes
+from posetrack_cli.hand import local_fits
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.local_fits import HandFits
 from posetrack_cli.hand.observation import Observation
@@ -30,9 +31,14 @@ def stage(device: RenderingDevice) -> Stage:
     return Stage(device, HAND)
 
 
-def fits(**smoothing: object) -> HandFits:
-    believed = {"believed_mm": 40.0}  # fits of these tests are bad ones, too
-    return HandFits(HandConfig.model_validate({"smoothing": believed | smoothing}), HAND, KINECT)
+@pytest.fixture(autouse=True)
+def all_fits_are_believed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those of these tests are bad ones, too."""
+    monkeypatch.setattr(local_fits, "BELIEVED_MM", 40.0)
+
+
+def fits() -> HandFits:
+    return HandFits(HandConfig(), HAND, KINECT)
 
 
 def observation_of(stage: Stage, truth: FloatArray, noise_mm: float = 0.0) -> Observation:
@@ -135,17 +141,12 @@ def test_what_is_known_for_sure_is_not_moved_by_a_frame(stage: Stage, share: flo
     np.testing.assert_allclose(found.poses[1], expected, atol=1e-3)
 
 
-def test_frames_are_not_fitted_again_where_that_is_not_wanted(stage: Stage) -> None:
-    truth, looks = relaxed(), fits(refit_iterations=0)
-    frame = kept(looks, observation_of(stage, truth), truth)
-    known = looks.known(frame)
-    assert known is not None
-    assert looks.more(frame, known, belief_at(truth)) is known
-
-
-def test_where_fits_leave_much_the_filters_estimate_is_what_is_smoothed(stage: Stage) -> None:
+def test_where_fits_leave_much_the_filters_estimate_is_what_is_smoothed(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A hand that the model is not: its cheapest pose is another one than what the filter made of it."""
-    truth, looks = relaxed(), fits(believed_mm=3.0)
+    monkeypatch.setattr(local_fits, "BELIEVED_MM", 3.0)
+    truth, looks = relaxed(), fits()
     off, estimate = moved(truth, 1), moved(truth, 2)
     seen = observation_of(stage, truth)
     close = looks.known(looks.keep(seen, modes_at(truth, off), estimate, 0.9))

@@ -25,7 +25,7 @@ from posetrack_cli.hand.keypoints.told import (
 )
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.likelihood import RenderedCosts
-from posetrack_cli.hand.monitor import TrackMonitor
+from posetrack_cli.hand.monitor import LEAVE_AFTER_FRAMES, TrackMonitor
 from posetrack_cli.hand.observation import Observation
 from posetrack_cli.hand.tracker import HandTracker
 from posetrack_cli.recording.base import Frame
@@ -47,7 +47,6 @@ LIFTED_MM = 16.0
 TRACKED_MM = 4.0
 """Mean error of a drawn hand that is tracked, as in ``test_recovery``."""
 LOST_AFTER = HandConfig().status.lost_after_frames
-LEAVE_AFTER = HandConfig().status.leave_after_frames
 
 
 def joints_of(pose: FloatArray) -> FloatArray:
@@ -225,7 +224,7 @@ def test_a_track_that_fits_is_not_left_for_a_hand_that_is_told_and_no_better(
     device: RenderingDevice, stage: Stage
 ) -> None:
     here, there = relaxed(-110.0, 60.0, 640.0), relaxed(110.0, 60.0, 660.0)
-    depths = [stage.depth(here, there)] * (LEAVE_AFTER + 2)
+    depths = [stage.depth(here, there)] * (LEAVE_AFTER_FRAMES + 2)
     told = told_of([joints_of(there)] * len(depths), right=1.0)
     assert max(error(pose_of(e), here) for e in tracked(tracker(device, told), depths, here)) < TRACKED_MM
 
@@ -238,7 +237,7 @@ def test_a_track_that_is_on_something_else_leaves_for_the_hand_that_is_told(
     rows, columns = np.mgrid[:424, :512]
     limb = np.hypot(columns - 130.0, 0.35 * (rows - 210.0)) < 24.0  # as large as a hand, and none
     depth = np.where(limb, 640.0, stage.depth(there)).astype(np.float32)
-    depths, start = [depth] * (LEAVE_AFTER + 1), relaxed(-215.0, 60.0, 650.0)  # no more than a pause
+    depths, start = [depth] * (LEAVE_AFTER_FRAMES + 1), relaxed(-215.0, 60.0, 650.0)  # no more than a pause
     doubting = HandConfig.model_validate({"status": {"sure_mm": 1.0}})  # no fit to the limb ends the pause
     pausing = TrackMonitor(usual_mm=12.0, wait=6, next_wait=6)
     silent = tracked(tracker(device, None, doubting), depths, start, pausing)
@@ -246,8 +245,10 @@ def test_a_track_that_is_on_something_else_leaves_for_the_hand_that_is_told(
     file = told_of([joints_of(there)] * len(depths))
     told = tracked(tracker(device, file, doubting), depths, start, pausing)
     errors = [error(pose_of(e), there) for e in told]
-    assert min(errors[: LEAVE_AFTER - 1]) > 200.0 and max(errors[LEAVE_AFTER - 1 :]) < TRACKED_MM
-    assert [e.status for e in told[LEAVE_AFTER - 1 :]] == [Status.REINITIALISED, Status.TRACKING]
+    assert (
+        min(errors[: LEAVE_AFTER_FRAMES - 1]) > 200.0 and max(errors[LEAVE_AFTER_FRAMES - 1 :]) < TRACKED_MM
+    )
+    assert [e.status for e in told[LEAVE_AFTER_FRAMES - 1 :]] == [Status.REINITIALISED, Status.TRACKING]
 
 
 def test_a_frame_that_fits_and_tells_of_nothing_better_ends_the_row(
@@ -258,7 +259,7 @@ def test_a_frame_that_fits_and_tells_of_nothing_better_ends_the_row(
     frame = Frame(0, FRAME_NS, (stage.depth(pose),))
     tracking = tracker(device, told_of([joints_of(pose)]))
     state = tracking.start(pose, FRAME_NS, np.random.default_rng(0))
-    state = replace(state, monitor=TrackMonitor(usual_mm=2.0, elsewhere=LEAVE_AFTER - 1))
+    state = replace(state, monitor=TrackMonitor(usual_mm=2.0, elsewhere=LEAVE_AFTER_FRAMES - 1))
     after, _ = tracking.step(state, frame, np.random.default_rng(1))
     assert after.monitor.elsewhere == 0 and not after.cut
 

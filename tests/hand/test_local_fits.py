@@ -6,11 +6,20 @@ import numpy as np
 import pytest
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.hand.config import FitSettings, HandConfig
+from posetrack_cli.hand import local_fits
+from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.fitting.gauss_newton import ABDUCTION_SD, IP_SD
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.likelihood import RenderedCosts
-from posetrack_cli.hand.local_fits import THUMB_LEFT, LocalFits, LocalFitter, motion_precision
+from posetrack_cli.hand.local_fits import (
+    MOST_MODES,
+    SHARPENING,
+    THUMB_LEFT,
+    USUAL_MOTION,
+    LocalFits,
+    LocalFitter,
+    motion_precision,
+)
 from posetrack_cli.hand.observation import Observation
 from posetrack_cli.hand.observer import Observer
 from posetrack_cli.rendering.port import RenderingDevice
@@ -67,9 +76,12 @@ def test_the_first_mode_is_the_hand_and_modes_are_sound(stage: Stage, seed: int)
         assert (sd > 0.01).all()
 
 
-def test_of_fingers_that_nothing_shows_the_likeliest_fold_comes_first(stage: Stage) -> None:
+def test_of_fingers_that_nothing_shows_the_likeliest_fold_comes_first(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A fist from its back: how far the ring finger is bent behind it costs less than the anatomy tells."""
-    fist, guide = relaxed(), local_fitter(apart_mm=3.0)
+    monkeypatch.setattr(local_fits, "APART_MM", 3.0)
+    fist, guide = relaxed(), local_fitter()
     fist[[10, 12, 13, 15, 16, 18, 19, 21]] = np.tile([1.3, 1.5], 4)
     back = turned_about_its_length(fist, np.pi)
     odd = back.copy()
@@ -110,24 +122,25 @@ def test_the_likelihood_falls_about_as_the_modes_say(stage: Stage, device: Rende
         assert 0.25 * 4.5 < lost < 4.0 * 4.5
 
 
-def test_alternatives_are_fits_nearly_as_good_that_lie_elsewhere(stage: Stage) -> None:
+def test_alternatives_are_fits_nearly_as_good_that_lie_elsewhere(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
     truth = relaxed()
     expected = moved(truth, 2)
     observation = observation_of(stage.depth(truth), expected)
-    one = fitted(local_fitter(alternative_mm=0.0), observation, expected).modes
+    monkeypatch.setattr(local_fits, "ALTERNATIVE_MM", 0.0)
+    one = fitted(local_fitter(), observation, expected).modes
     assert len(one) == 1
-    many = fitted(local_fitter(alternative_mm=40.0, apart_mm=3.0, most_modes=5), observation, expected).modes
-    assert 2 <= len(many) <= 5
+    monkeypatch.setattr(local_fits, "ALTERNATIVE_MM", 40.0)
+    monkeypatch.setattr(local_fits, "APART_MM", 3.0)
+    many = fitted(local_fitter(), observation, expected).modes
+    assert 2 <= len(many) <= MOST_MODES
     np.testing.assert_array_equal(many.poses[0], one.poses[0])
     joints = joint_positions(HAND.anatomy, many.poses)
     for k in range(1, len(many)):
         assert np.linalg.norm(joints[k] - joints[:k], axis=2).max(axis=1).min() > 3.0
-    assert (
-        len(
-            fitted(local_fitter(alternative_mm=40.0, apart_mm=3.0, most_modes=2), observation, expected).modes
-        )
-        == 2
-    )
+    monkeypatch.setattr(local_fits, "MOST_MODES", 2)
+    assert len(fitted(local_fitter(), observation, expected).modes) == 2
 
 
 def test_what_is_hidden_is_told_by_anatomy_alone(stage: Stage) -> None:
@@ -159,7 +172,7 @@ def test_modes_are_the_image_s_equations_scaled_and_anatomy(stage: Stage) -> Non
         config.observation.mixture.near_sd_mm + config.observation.mixture.sd_mm_per_m2 * (z / 1e3) ** 2
     )
     reading = guide.read(observation)
-    scale = reading.share * config.fit.sharpening * (4.0 / noise_sd) ** 2
+    scale = reading.share * SHARPENING * (4.0 / noise_sd) ** 2
     per_mm, doubts = reading.height / config.observation.clamp_mm, fitter.potentials(modes.poses, found.inner)
     assert (np.abs(doubts) > 0.1).all()
     assert reading.tile.mm_per_nat == pytest.approx(1.0 / per_mm, rel=1e-12)
@@ -193,13 +206,12 @@ def test_every_pose_that_is_drawn_is_counted(stage: Stage) -> None:
 
 
 def test_a_prior_widens_with_time_and_a_thumb_moves_less() -> None:
-    settings = FitSettings()
-    usual, twice = motion_precision(settings, FRAME_S), motion_precision(settings, 2.0 * FRAME_S)
+    usual, twice = motion_precision(FRAME_S), motion_precision(2.0 * FRAME_S)
     np.testing.assert_allclose(twice, 0.5 * usual)
-    np.testing.assert_allclose(usual[:3], 1.0 / settings.prior.position_mm**2)
-    np.testing.assert_allclose(usual[3:6], 1.0 / settings.prior.rotation_rad**2)
-    np.testing.assert_allclose(usual[[9, 11]], 1.0 / settings.prior.flexion_rad**2)
-    np.testing.assert_allclose(usual[10], 1.0 / settings.prior.abduction_rad**2)
+    np.testing.assert_allclose(usual[:3], 1.0 / USUAL_MOTION.position_mm**2)
+    np.testing.assert_allclose(usual[3:6], 1.0 / USUAL_MOTION.rotation_rad**2)
+    np.testing.assert_allclose(usual[[9, 11]], 1.0 / USUAL_MOTION.flexion_rad**2)
+    np.testing.assert_allclose(usual[10], 1.0 / USUAL_MOTION.abduction_rad**2)
     assert (usual[6:8] > usual[9]).all()
 
 

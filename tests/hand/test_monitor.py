@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from posetrack_cli.hand.config import StatusSettings
-from posetrack_cli.hand.monitor import TrackMonitor
+from posetrack_cli.hand.monitor import LEAVE_AFTER_FRAMES, TrackMonitor
 
-SETTINGS = StatusSettings(doubt_factor=1.5, doubt_mm=2.0, sure_mm=6.0, lost_below=0.5, lost_after_frames=3)
+SETTINGS = StatusSettings(sure_mm=6.0, lost_below=0.5, lost_after_frames=3)
 costs = st.floats(0.01, 40.0)
 watches = st.builds(
     TrackMonitor,
@@ -28,7 +28,7 @@ def refusals(monitor: TrackMonitor, cost: float, count: int) -> list[int]:
     """How many frames pass between searches of which none finds anything."""
     waits = []
     for _ in range(count):
-        monitor = monitor.after_failed_search(cost, SETTINGS)
+        monitor = monitor.after_failed_search(cost)
         waits.append(monitor.wait)
         for _ in range(monitor.wait):
             monitor = monitor.after_wait()
@@ -67,7 +67,7 @@ def test_the_usual_cost_follows_good_frames_and_no_bad_ones(monitor: TrackMonito
     after = monitor.after_fit(cost, 0.9, SETTINGS)
     if monitor.usual_mm == 0.0:
         assert after.usual_mm == pytest.approx(cost)
-    elif monitor.is_worse(cost, SETTINGS):
+    elif monitor.is_worse(cost):
         assert after.usual_mm == monitor.usual_mm
     else:
         assert after.usual_mm == pytest.approx(0.9 * monitor.usual_mm + 0.1 * cost)
@@ -81,7 +81,7 @@ def test_doubt_begins_where_stated() -> None:
         False,
         True,
     ]  # nothing is usual yet
-    assert not TrackMonitor().is_worse(1e9, SETTINGS)
+    assert not TrackMonitor().is_worse(1e9)
 
 
 @given(watches, costs, costs)
@@ -121,38 +121,37 @@ def test_what_was_found_is_found_and_its_usual_cost_does_not_rise(monitor: Track
 
 
 def test_another_fit_takes_the_place_of_one_that_costs_a_share_more_or_millimetres() -> None:
-    monitor, settings = TrackMonitor(usual_mm=2.0), StatusSettings(better=0.7, better_mm=2.0)
-    assert monitor.prefers(3.0, 2.0, settings)  # by the share: below 2.1
-    assert not monitor.prefers(3.0, 2.2, settings)
-    assert monitor.prefers(12.0, 9.9, settings)  # by the difference, where the model is not the hand
-    assert not monitor.prefers(12.0, 10.1, settings)
+    monitor = TrackMonitor(usual_mm=2.0)
+    assert monitor.prefers(3.0, 2.0)  # by the share: below 2.1
+    assert not monitor.prefers(3.0, 2.2)
+    assert monitor.prefers(12.0, 9.9)  # by the difference, where the model is not the hand
+    assert not monitor.prefers(12.0, 10.1)
 
 
 def test_a_fit_is_replaced_by_one_that_is_better_by_a_share_or_by_millimetres() -> None:
-    settings = StatusSettings(better=0.7, better_mm=2.0)
     for cost, limit in ((2.0, 1.4), (10.0, 8.0)):  # 0.7 * 2; 10 - 2
-        assert TrackMonitor().prefers(cost, limit - 0.01, settings)
-        assert not TrackMonitor().prefers(cost, limit + 0.01, settings)
+        assert TrackMonitor().prefers(cost, limit - 0.01)
+        assert not TrackMonitor().prefers(cost, limit + 0.01)
 
 
 def test_a_search_that_was_to_come_late_comes_at_once_when_fits_get_worse() -> None:
     late, soon = TrackMonitor(usual_mm=12.0, wait=6), TrackMonitor(usual_mm=12.0, wait=3)
-    assert late.postpones_search(12.0, SETTINGS)
-    assert not late.postpones_search(35.0, SETTINGS)  # above 1.5 x 12 + 2
-    assert soon.postpones_search(35.0, SETTINGS)  # the last search of a bad track was a moment ago
-    assert not replace(soon, wait=0).postpones_search(12.0, SETTINGS)
+    assert late.postpones_search(12.0)
+    assert not late.postpones_search(35.0)  # above 1.5 x 12 + 2
+    assert soon.postpones_search(35.0)  # the last search of a bad track was a moment ago
+    assert not replace(soon, wait=0).postpones_search(12.0)
 
 
 def test_a_track_is_left_for_another_place_after_so_many_searches_in_a_row_and_not_before() -> None:
     """A single frame in which the elbow looks better moves nothing; one in which it does not begins anew."""
     monitor, better, worse = TrackMonitor(usual_mm=8.0), (9.0, 6.9), (9.0, 7.1)  # by 2.1 and by 1.9 mm
     for here, there in [better] * 4 + [worse] + [better] * 4:
-        monitor = monitor.leaves_for(here, there, SETTINGS)
-        assert monitor.elsewhere < SETTINGS.leave_after_frames
+        monitor = monitor.leaves_for(here, there)
+        assert monitor.elsewhere < LEAVE_AFTER_FRAMES
         if monitor.elsewhere:
             waiting = replace(monitor, wait=3)
-            assert not waiting.postpones_search(8.0, SETTINGS)  # what may be better is looked at every frame
-    assert monitor.leaves_for(*better, SETTINGS).elsewhere == SETTINGS.leave_after_frames
+            assert not waiting.postpones_search(8.0)  # what may be better is looked at every frame
+    assert monitor.leaves_for(*better).elsewhere == LEAVE_AFTER_FRAMES
     assert monitor.after_restart(7.0).elsewhere == 0
 
 
@@ -200,7 +199,7 @@ def test_a_bad_second_stays_a_bad_second() -> None:
     assert not monitor.is_far_raised(10.8, SETTINGS)
     assert not TrackMonitor(good_mm=2.0).is_far_raised(5.9, SETTINGS)  # of a hand whose shape is known
     assert not monitor.is_raised(8.5)
-    assert not monitor.is_worse(12.0, SETTINGS)
+    assert not monitor.is_worse(12.0)
 
 
 def test_poor_fits_in_the_beginning_are_no_good_ones_where_the_whole_recording_tells_better() -> None:

@@ -16,7 +16,7 @@ from posetrack_cli.hand.anatomy import ANGLES, HandAnatomy
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.kinematics import joint_positions, joint_set_distance
 from posetrack_cli.hand.model import hand_maker
-from posetrack_cli.hand.monitor import TrackMonitor
+from posetrack_cli.hand.monitor import LEAVE_AFTER_FRAMES, MUCH_BETTER_MM, TrackMonitor
 from posetrack_cli.hand.observation import Observation
 from posetrack_cli.hand.observer import Observer
 from posetrack_cli.hand.shape import random_shape
@@ -36,7 +36,6 @@ ELSEWHERE = rest_pose(HAND.anatomy, np.array([0.0, 0.0, 400.0]))
 TRACKED_MM = 4.0
 """Mean error of a drawn hand's joints: 0.5 to 2 mm, more in the first frames and at hidden fingers."""
 LOST_AFTER = HandConfig().status.lost_after_frames
-LEAVE_AFTER = HandConfig().status.leave_after_frames
 
 
 @pytest.fixture(scope="module")
@@ -306,9 +305,8 @@ def test_fingers_seen_before_do_not_keep_a_track_that_lies_end_for_end_along_its
     there = turned_end_for_end(pose) if turned else relaxed(200.0)
     apart = joint_set_distance(HAND.anatomy, pose, there)
     assert NEAR_MM < apart < SAME_PLACE_MM if turned else apart > SAME_PLACE_MM
-    better_mm = tracking.config.status.better_mm
-    found = Candidate(there, -2.0 * better_mm, doubt=better_mm)
-    frames = frames_of([stage.depth(pose)] * (3 + LEAVE_AFTER))
+    found = Candidate(there, -2.0 * MUCH_BETTER_MM, doubt=MUCH_BETTER_MM)
+    frames = frames_of([stage.depth(pose)] * (3 + LEAVE_AFTER_FRAMES))
     states, _ = run(tracking, frames[:3])
     state = replace(states[-1], monitor=replace(states[-1].monitor, fingers_mm=4.0))
     monkeypatch.setattr(TrackMonitor, "is_doubtful", lambda *_: True)
@@ -318,7 +316,7 @@ def test_fingers_seen_before_do_not_keep_a_track_that_lies_end_for_end_along_its
     for frame in frames[3:]:
         state, _ = tracking.step(state, frame, np.random.default_rng(frame.index))
         cut.append(state.cut)
-    assert cut == [False] * (LEAVE_AFTER - 1) + [turned]
+    assert cut == [False] * (LEAVE_AFTER_FRAMES - 1) + [turned]
 
 
 def turned_end_for_end(pose: FloatArray) -> FloatArray:

@@ -22,7 +22,7 @@ from posetrack_cli.hand.model import average_hand
 from posetrack_cli.hand.observation import Observation
 from posetrack_cli.hand.observer import Observer, Outline
 from posetrack_cli.hand.space import tangent_vector
-from posetrack_cli.hand.start import rest_pose
+from posetrack_cli.hand.start import START_SPREAD, rest_pose
 from posetrack_cli.hand.tracker import (
     FIRST_STEP_NS,
     HandState,
@@ -252,7 +252,7 @@ def test_the_start_is_one_usual_frame_before_the_first(kind: str) -> None:
     )
     assert state.stamp_ns == 5 * SECOND - FIRST_STEP_NS
     np.testing.assert_array_equal(state.pose, START)
-    spread = tangent_vector(configured().init.spread)[:3]
+    spread = tangent_vector(START_SPREAD)[:3]
     four_errors = 4.0 / np.sqrt(2 * 4000)
     np.testing.assert_allclose(state.particles.poses[:, :3].std(axis=0), spread, rtol=four_errors)
 

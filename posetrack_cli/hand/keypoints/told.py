@@ -14,7 +14,7 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray, ImageArray, IntArray
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.acquisition import Acquisition, Candidate, depth_doubt, fingers_bonus
+from posetrack_cli.hand.acquisition import ACCEPT_MM, Acquisition, Candidate, depth_doubt, fingers_bonus
 from posetrack_cli.hand.anatomy import ANGLES, POSE_SIZE, HandAnatomy
 from posetrack_cli.hand.fitting.anatomy_terms import RELAXED
 from posetrack_cli.hand.fitting.fitter import PosePrior
@@ -190,7 +190,7 @@ def _candidate(finder: Acquisition, depth: ImageArray, hand: ToldHand) -> Candid
     if there.target_pixels == 0 or there.reversed:
         return None
     cost = max(float(best.cost[0]), float(fitter.assessed(fitter.tile(there), best.pose).cost[0]))
-    if cost > finder.accept_mm:
+    if cost > ACCEPT_MM:
         return None
     fingers = fingers_bonus(finder.observer.fingers_mm2(observation))
     worth = _worth(hand, is_left=finder.observer.anatomy.is_left)

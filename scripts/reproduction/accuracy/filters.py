@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.evaluation.comparing.paired import paired
-from posetrack_cli.hand.config import SmoothingSettings
+from posetrack_cli.hand.smoothing import SMOOTH_POSE, SMOOTH_VELOCITY
 from reproduction.accuracy.measuring import PAIR_COLUMNS, Measured, Row, mean_and_sd, pair_cells
 from reproduction.accuracy.options import AVERAGE, NO_MESH, Options, seeds, synthetic
 from reproduction.accuracy.tasks import RECORDING, Task
@@ -33,10 +33,9 @@ CONDITIONS = (
     *(Condition("C", 1.0, fps) for fps in (10.0, 20.0, 60.0)),
 )
 PROPOSALS = {"guided": "by the local fits", "paper": "(51) as printed"}
-_SMOOTH = SmoothingSettings()
 SMOOTH = tuple(
     part
-    for name, settings in (("pose", _SMOOTH.pose), ("velocity", _SMOOTH.velocity))
+    for name, settings in (("pose", SMOOTH_POSE), ("velocity", SMOOTH_VELOCITY))
     for key, value in settings
     for part in ("--set", f"motion.{name}.{key}={value}")
 )

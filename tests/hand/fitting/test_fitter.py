@@ -7,6 +7,7 @@ import pytest
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry import rotations
+from posetrack_cli.hand.acquisition import ITERATIONS, SWAPPED
 from posetrack_cli.hand.anatomy import ANGLES, POSE_SIZE, TANGENT_SIZE
 from posetrack_cli.hand.config import AcquisitionSettings
 from posetrack_cli.hand.fitting.anatomy_terms import RELAXED
@@ -418,9 +419,9 @@ def _searched(fitter: HandFitter, tile: Tile, pose: FloatArray, seed: int, ahead
     settings, rng = AcquisitionSettings(), np.random.default_rng(seed)
     none = np.empty((0, POSE_SIZE))
     starts = fit_starts(pose, none, settings.scattered, SPACE, rng, ahead=ahead)
-    fits = descended(fitter, tile, fitter.aligned(tile, starts), settings.iterations)
-    likeliest = sorted(fits, key=lambda fit: float(fit.cost[0]))[: settings.swapped]
-    return best_of(fits + descended(fitter, tile, fitter.swapped(tile, [likeliest]), settings.iterations))
+    fits = descended(fitter, tile, fitter.aligned(tile, starts), ITERATIONS)
+    likeliest = sorted(fits, key=lambda fit: float(fit.cost[0]))[:SWAPPED]
+    return best_of(fits + descended(fitter, tile, fitter.swapped(tile, [likeliest]), ITERATIONS))
 
 
 def test_a_prior_about_another_place_keeps_all_else() -> None:
