@@ -8,7 +8,7 @@ on five signs, each a running mean over some five frames (``tracking.confidence`
 with U the usual cost of the fits, mm; J the innovation, the mean distance of the joints from where they were
 expected, mm; M how many local fits explain the frame about alike; c how clearly the hand stands out
 (``observer.Outline.contrast``); R what the best fit costs over what good fits of the recording do, at
-least 1 (``monitor.TrackMonitor.raised``). A hand that is followed well moves as expected, and one fit
+least 1 (``policy.TrackMonitor.raised``). A hand that is followed well moves as expected, and one fit
 explains it.
 
 The weights were fitted by ``scripts/hand-confidence`` to 6,695 frames of synthetic and of real recordings,

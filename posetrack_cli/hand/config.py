@@ -228,7 +228,7 @@ class AcquisitionSettings(Settings):
 class StatusSettings(Settings):
     """When a track is doubted, and when it counts as lost.
 
-    A hand whose cost D is far above that of well-tracked frames (``hand/monitor.py``), or above ``sure_mm``,
+    A hand whose cost D is far above that of well-tracked frames (``hand/policy.py``), or above ``sure_mm``,
     is reconsidered. A share 1 - D / c_max that stays below ``lost_below`` for ``lost_after_frames`` is a
     loss; the hand is then searched for in the whole image. A fit that costs more than good ones of the
     recording, and more than ``well_mm``, is looked for anew where it is. Confidence falls by what a fit costs

@@ -27,9 +27,9 @@ from posetrack_cli.hand.printed import deviations_from_print
 from posetrack_cli.hand.proposals import PROPOSALS
 from posetrack_cli.hand.protocol import NUMBER_NAMES, HandTrackerProtocol
 from posetrack_cli.hand.smoothing import frame_fits, make_smoother, smoothed_hand
-from posetrack_cli.hand.space import tangent_vector
+from posetrack_cli.hand.space import dynamics, tangent_vector
 from posetrack_cli.hand.start import centre_pose, read_pose
-from posetrack_cli.hand.tracker import HandState, dynamics
+from posetrack_cli.hand.state import HandState
 from posetrack_cli.hand.trackers import make_tracker
 from posetrack_cli.losses import Loss
 from posetrack_cli.outputs import check_output, part_path

@@ -1,10 +1,12 @@
-"""What hand poses have beyond ``BodySpace``: limits, noise, and sums of quaternions."""
+"""What hand poses have beyond ``BodySpace``: limits, motion and its noise, and sums of quaternions."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
+from posetrack_cli.filtering.filters import FILTERS
+from posetrack_cli.filtering.model import Dynamics
 from posetrack_cli.geometry import rotations
 from posetrack_cli.hand.anatomy import (
     ANGLE_LIMITS,
@@ -12,7 +14,7 @@ from posetrack_cli.hand.anatomy import (
     ANGLES,
     POSE_SIZE,
 )
-from posetrack_cli.hand.config import ComponentSettings, FilterSettings
+from posetrack_cli.hand.config import ComponentSettings, FilterSettings, HandConfig
 from posetrack_cli.results.layouts import Layout
 from posetrack_cli.tracking.body_space import BodySpace
 
@@ -82,3 +84,16 @@ def tangent_vector(components: ComponentSettings) -> FloatArray:
 def pose_layout(*shape: int) -> Layout:
     """Return what an array (..., 22) of poses must be."""
     return Layout("float64", (*shape, POSE_SIZE), unit=(3, 7))
+
+
+def dynamics(config: HandConfig) -> Dynamics:
+    """The motion model of eq. (44) with the configuration's noise densities."""
+    settings = config.motion
+    pose = settings.pose if FILTERS.find(config.filter.kind).has_velocity else settings.pose_alone
+    return Dynamics(
+        pose_noise=tangent_vector(pose) ** 2,
+        velocity_noise=tangent_vector(settings.velocity) ** 2,
+        discretisation=config.filter.discretisation,
+        constrain=inside_limits if config.filter.joint_limits else None,
+        gain=config.filter.gain,
+    )

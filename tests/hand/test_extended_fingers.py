@@ -18,7 +18,7 @@ from posetrack_cli.hand.kinematics import (
     mirrored_poses,
 )
 from posetrack_cli.hand.observation import Observation
-from posetrack_cli.hand.tracker import NEAR_MM
+from posetrack_cli.hand.policy import NEAR_MM
 from posetrack_cli.rendering.port import RenderingDevice
 from support.hand import KINECT, random_poses
 from support.hand_scene import HANDS, Stage, acquisition, relaxed, turned_about_its_length

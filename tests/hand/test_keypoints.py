@@ -25,8 +25,8 @@ from posetrack_cli.hand.keypoints.told import (
 )
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.likelihood import RenderedCosts
-from posetrack_cli.hand.monitor import LEAVE_AFTER_FRAMES, TrackMonitor
 from posetrack_cli.hand.observation import Observation
+from posetrack_cli.hand.policy import LEAVE_AFTER_FRAMES, TrackMonitor
 from posetrack_cli.hand.tracker import HandTracker
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.keypoints.sets import KeypointSets

@@ -16,12 +16,22 @@ from posetrack_cli.hand.anatomy import ANGLES, HandAnatomy
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.kinematics import joint_positions, joint_set_distance
 from posetrack_cli.hand.model import hand_maker
-from posetrack_cli.hand.monitor import LEAVE_AFTER_FRAMES, MUCH_BETTER_MM, TrackMonitor
 from posetrack_cli.hand.observation import Observation
 from posetrack_cli.hand.observer import Observer
+from posetrack_cli.hand.policy import (
+    LEAVE_AFTER_FRAMES,
+    MUCH_BETTER_MM,
+    NEAR_MM,
+    SAME_PLACE_MM,
+    Decision,
+    Policy,
+    Sight,
+    TrackMonitor,
+)
 from posetrack_cli.hand.shape import random_shape
 from posetrack_cli.hand.start import rest_pose
-from posetrack_cli.hand.tracker import NEAR_MM, SAME_PLACE_MM, HandState, HandTracker
+from posetrack_cli.hand.state import HandState
+from posetrack_cli.hand.tracker import HandTracker
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.results.estimate import Estimate
@@ -277,15 +287,16 @@ def test_a_fit_that_costs_far_more_is_replaced_by_a_hand_found_in_the_whole_imag
         return Candidate(there, 0.0)
 
     refined: list[Candidate] = []
-    original = HandTracker._refined
+    original = Policy.followed
 
-    def refine(self: HandTracker, finder: Acquisition, found: Candidate, *rest: Any) -> Any:
-        refined.append(found)
-        return original(self, finder, found, *rest)
+    def followed(self: Policy, sight: Sight, told: Any) -> Decision:
+        decision = original(self, sight, told)
+        refined.extend([] if decision.found is None or decision.restart else [decision.found])
+        return decision
 
     monkeypatch.setattr(Acquisition, "search", search)
     monkeypatch.setattr(Acquisition, "reconsider", lambda *_: None)
-    monkeypatch.setattr(HandTracker, "_refined", refine)
+    monkeypatch.setattr(Policy, "followed", followed)
     monkeypatch.setattr(TrackMonitor, "is_raised", lambda *_: True)
     monkeypatch.setattr(TrackMonitor, "is_far_raised", lambda *_: far)
     tracking.step(waiting, frames[3], np.random.default_rng(3))

@@ -16,8 +16,8 @@ from posetrack_cli.hand.inner import NO_INNER, inner_of
 from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.local_fits import INNER
 from posetrack_cli.hand.smoothing import make_smoother, smoothed_hand
+from posetrack_cli.hand.space import dynamics
 from posetrack_cli.hand.start import rest_pose
-from posetrack_cli.hand.tracker import dynamics
 from posetrack_cli.results.estimate import Estimate, Status
 from posetrack_cli.tracking.body_space import BodySpace, pose_rates
 from posetrack_cli.tracking.smoothing import FrameFacts, Kept, SmoothedTrack

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from posetrack_cli.hand.config import StatusSettings
-from posetrack_cli.hand.monitor import LEAVE_AFTER_FRAMES, TrackMonitor
+from posetrack_cli.hand.policy import LEAVE_AFTER_FRAMES, TrackMonitor
 
 SETTINGS = StatusSettings(sure_mm=6.0, lost_below=0.5, lost_after_frames=3)
 costs = st.floats(0.01, 40.0)

@@ -1,0 +1,104 @@
+"""What the hand tracker knows between frames, and how checkpoints keep it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.filtering.filters import FILTERS, FilterState
+from posetrack_cli.filtering.modes import LikelihoodModes
+from posetrack_cli.hand.anatomy import TANGENT_SIZE
+from posetrack_cli.hand.confidence import NO_EVIDENCE, SIGN_NAMES
+from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.inner import INNER_SIZE, NO_INNER
+from posetrack_cli.hand.observation import Observation
+from posetrack_cli.hand.policy import TrackMonitor
+from posetrack_cli.hand.space import pose_layout
+from posetrack_cli.results.layouts import STAMPS_NS, Layout, floats
+from posetrack_cli.tracking.confidence import RunningSigns, signs_codec
+from posetrack_cli.tracking.state_codec import Codec, Fields, Value, flag, real, stamp, whole
+
+
+@dataclass(frozen=True, eq=False)
+class HandState:
+    """Everything the next step needs.
+
+    Attributes:
+        particles: the filter's state.
+        stamp_ns: of the last frame.
+        pose: (22,) last estimate.
+        velocity: (21,) last estimate of the tangent velocity, mm/s and rad/s.
+        monitor: how well frames were fitted.
+        expected: (6,) inner numbers (``hand.inner``) that the next frame is expected to have, but for the
+            forearm's direction, which its image tells.
+        frames, doubtful: how many showed anything to compare with, and how many of them are more probably
+            wrong than right.
+        unseen_ns: time since the last frame in which there was something to compare with.
+        dt: seconds that the filter advanced by to this frame; 0 if it stood still.
+        cut: whether the state does not follow from that of the frame before.
+        evidence: of whether the track is right.
+        modes: local fits to the frame; None without any. No step needs them, and no checkpoint has them.
+        observation: what was seen of the frame; the same holds of it.
+    """
+
+    particles: FilterState
+    stamp_ns: int
+    pose: FloatArray
+    velocity: FloatArray
+    monitor: TrackMonitor = field(default_factory=TrackMonitor)
+    expected: FloatArray = field(default_factory=NO_INNER.copy)
+    frames: int = 0
+    doubtful: int = 0
+    unseen_ns: int = 0
+    dt: float = 0.0
+    cut: bool = False
+    evidence: RunningSigns = NO_EVIDENCE
+    modes: LikelihoodModes | None = None
+    observation: Observation | None = None
+
+
+def state_codec(config: HandConfig) -> Codec[HandState]:
+    """Return how the tracker's states are kept; local fits and what was seen of a frame are not."""
+    kind, count = FILTERS.find(config.filter.kind), config.filter.particles
+    layouts = _particle_layouts(count)
+    particles = Fields(kind, **{name: Value[FloatArray](layouts[name]) for name in kind.shapes})
+    monitor = Fields(
+        TrackMonitor,
+        lost=flag(),
+        found=flag(),
+        misses=whole(),
+        usual_mm=real(floats(least=0.0)),
+        wait=whole(),
+        next_wait=whole(),
+        elsewhere=whole(),
+        fingers_mm=real(floats()),
+        good_mm=real(floats(least=0.0)),
+        look_wait=whole(),
+        next_look_wait=whole(),
+        looked_mm=real(floats(least=0.0)),
+    )
+    return Fields(
+        HandState,
+        particles=particles,
+        stamp_ns=stamp(),
+        pose=Value(pose_layout()),
+        velocity=Value(floats(TANGENT_SIZE)),
+        monitor=monitor,
+        expected=Value(floats(INNER_SIZE)),
+        frames=whole(),
+        doubtful=whole(),
+        unseen_ns=whole((0, STAMPS_NS[1])),
+        evidence=signs_codec(len(SIGN_NAMES)),
+    )
+
+
+def _particle_layouts(count: int) -> dict[str, Layout]:
+    """What the arrays of ``count`` particles must be, for any filter."""
+    return {
+        "poses": pose_layout(count),
+        "velocities": floats(count, TANGENT_SIZE),
+        "velocity_variance": floats(TANGENT_SIZE, least=0.0),
+        "log_weights": floats(count, least=-np.inf),
+    }
