@@ -1,17 +1,35 @@
-"""Laws of doubt, loss and patience."""
+"""The state machine of a track: laws of doubt, loss and patience, and a table of what becomes of a hand."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from posetrack_cli.hand.acquisition import Acquisition, Candidate
+from posetrack_cli.hand.anatomy import make_anatomy
 from posetrack_cli.hand.config import StatusSettings
-from posetrack_cli.hand.policy import LEAVE_AFTER_FRAMES, TrackMonitor
+from posetrack_cli.hand.inner import NO_INNER
+from posetrack_cli.hand.observation import Observation
+from posetrack_cli.hand.policy import (
+    LEAVE_AFTER_FRAMES,
+    Decision,
+    Policy,
+    Sight,
+    TrackMonitor,
+    status_of,
+)
+from posetrack_cli.hand.start import rest_pose
+from posetrack_cli.results.estimate import Status
+from support.hand_scene import turned_about_its_length
 
+ANATOMY = make_anatomy()
 SETTINGS = StatusSettings(sure_mm=6.0, lost_below=0.5, lost_after_frames=3)
 costs = st.floats(0.01, 40.0)
 watches = st.builds(
@@ -228,3 +246,130 @@ def test_looks_that_do_not_help_come_seldom_and_one_is_due_when_fits_get_worse()
         assert not monitor.postpones_look(7.0)
     assert waits == [1, 2, 3, 3]
     assert monitor.after_look(7.0, helped=True).after_look(7.0, helped=False).look_wait == 1
+
+
+class Finder:
+    """Finds what it was given: in a window, and in the whole image."""
+
+    def __init__(self, in_window: Candidate | None = None, in_image: Candidate | None = None) -> None:
+        self._in_window, self._in_image = in_window, in_image
+        self.asked: list[str] = []
+
+    def reconsider(self, observation: object, pose: object) -> Candidate | None:
+        self.asked.append("window")
+        return self._in_window
+
+    def search(self, depth: object, told: object = ()) -> Candidate | None:
+        self.asked.append("image")
+        return self._in_image
+
+
+def placed(aside_mm: float = 0.0, *, faces_away: bool = False) -> np.ndarray:
+    """A pose (22,) 600 mm away."""
+    pose = rest_pose(ANATOMY, np.array([aside_mm, 0.0, 600.0]))
+    return turned_about_its_length(pose, np.pi) if faces_away else pose
+
+
+HERE, BESIDE, AWAY = placed(), placed(10.0), placed(300.0)
+USUAL = TrackMonitor(usual_mm=2.0, good_mm=2.0)
+"""Doubts begin at 1.5 * 2 + 2 = 5 mm, looks at 1.15 * 2 + .5 = 2.8."""
+NEARLY = replace(USUAL, elsewhere=LEAVE_AFTER_FRAMES - 1)
+KEEP, REFINE, RESTART = "keep", "refine", "restart"
+TABLE: dict[str, tuple[TrackMonitor, float, Candidate | None, Candidate | None, str, list[str]]] = {
+    "a usual fit": (USUAL, 2.1, None, None, KEEP, []),
+    "raised, nothing better": (USUAL, 3.0, None, None, KEEP, ["window"]),
+    "raised, a little better and alike": (USUAL, 3.0, Candidate(HERE, 2.5), None, REFINE, ["window"]),
+    "raised, a little better, its back": (
+        USUAL,
+        3.0,
+        Candidate(placed(faces_away=True), 2.5),
+        None,
+        KEEP,
+        ["window"],
+    ),
+    "raised, a look is not due": (replace(USUAL, look_wait=1, looked_mm=3.0), 3.0, None, None, KEEP, []),
+    "doubtful, better in the window": (USUAL, 6.5, Candidate(HERE, 2.0), None, REFINE, ["window"]),
+    "doubtful, nothing anywhere": (USUAL, 6.5, None, None, KEEP, ["window", "image"]),
+    "doubtful, better in the image, here": (
+        USUAL,
+        6.5,
+        None,
+        Candidate(BESIDE, 2.0, doubt=2.0),
+        REFINE,
+        ["window", "image"],
+    ),
+    "doubtful, better elsewhere, once": (
+        USUAL,
+        6.5,
+        None,
+        Candidate(AWAY, 2.0, doubt=2.0),
+        KEEP,
+        ["window", "image"],
+    ),
+    "doubtful, better elsewhere, again": (
+        NEARLY,
+        6.5,
+        None,
+        Candidate(AWAY, 2.0, doubt=2.0),
+        RESTART,
+        ["window", "image"],
+    ),
+    "doubtful, worse elsewhere": (
+        NEARLY,
+        6.5,
+        None,
+        Candidate(AWAY, 6.0, doubt=20.0),
+        KEEP,
+        ["window", "image"],
+    ),
+    "doubtful, a search is not due": (replace(USUAL, wait=2), 5.5, None, None, KEEP, ["window"]),
+}
+
+
+def policy_with(finder: Finder) -> Policy:
+    observer: Any = SimpleNamespace(observe=lambda *_: None)
+    return Policy(SETTINGS, ANATOMY, cast(Acquisition, finder), observer)
+
+
+def kind_of(decision: Decision) -> str:
+    if decision.found is None:
+        return KEEP
+    return RESTART if decision.restart else REFINE
+
+
+@pytest.mark.parametrize("case", TABLE)
+def test_what_becomes_of_a_hand_that_is_followed(case: str) -> None:
+    monitor, cost, in_window, in_image, expected, asked = TABLE[case]
+    finder = Finder(in_window, in_image)
+    fits: Any = SimpleNamespace(cost=cost, modes=SimpleNamespace(poses=HERE[None]))
+    sight = Sight(monitor, np.empty((0, 0), np.float32), cast(Observation, None), fits, NO_INNER)
+    decision = policy_with(finder).followed(sight, None)
+    assert (kind_of(decision), finder.asked) == (expected, asked)
+
+
+@pytest.mark.parametrize(
+    ("wait", "there", "expected", "left"),
+    [(0, None, KEEP, 1), (0, Candidate(AWAY, 2.0), RESTART, 0), (3, Candidate(AWAY, 2.0), KEEP, 2)],
+)
+def test_what_becomes_of_a_hand_that_is_lost(
+    wait: int, there: Candidate | None, expected: str, left: int
+) -> None:
+    """It is searched for unless it has just been; a search that finds nothing is followed by a pause."""
+    finder = Finder(in_image=there)
+    monitor = TrackMonitor(lost=True, wait=wait)
+    decision = policy_with(finder).lost(monitor, np.empty((0, 0), np.float32), ())
+    assert (kind_of(decision), decision.monitor.wait) == (expected, left)
+    assert finder.asked == ([] if wait else ["image"])
+
+
+@pytest.mark.parametrize(
+    ("is_believed", "is_another", "status"),
+    [
+        (False, False, Status.LOST),
+        (False, True, Status.LOST),
+        (True, False, Status.TRACKING),
+        (True, True, Status.REINITIALISED),
+    ],
+)
+def test_what_an_estimate_states(is_believed: bool, is_another: bool, status: Status) -> None:
+    assert status_of(is_believed=is_believed, is_another=is_another) is status
