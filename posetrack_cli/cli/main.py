@@ -6,7 +6,6 @@ import sys
 import traceback
 from collections.abc import Callable
 from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
 import click
@@ -25,9 +24,8 @@ from posetrack_cli.cli.info import info
 from posetrack_cli.cli.process import is_debugging, leave_process, prepare_process, terminate_as_interrupted
 from posetrack_cli.cli.standard_output import discard_output, print_note
 from posetrack_cli.cli.view import view
+from posetrack_cli.damage import error_words
 from posetrack_cli.errors import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED, PosetrackError
-
-_LONGEST_MESSAGE = 300
 
 
 class _Group(click.Group):
@@ -116,24 +114,10 @@ def _memory_line(error: MemoryError) -> str:
 
 def _bug_line(error: Exception) -> str:
     """What happened, and in which line of ours; the rest tells only those who mend it."""
-    kind = type(error)
-    name = kind.__name__ if kind.__module__ == "builtins" else f"{kind.__module__}.{kind.__name__}"
-    words = " ".join(str(error).split())
-    message = f"{name}: {words[:_LONGEST_MESSAGE]}" if words else name
     return (
-        f"internal error: {message} at {_place(error)}; this is a bug, please report it with what "
+        f"internal error: {error_words(error)}; this is a bug, please report it with what "
         "POSETRACK_DEBUG=1 shows"
     )
-
-
-def _place(error: Exception) -> str:
-    """File and line of posetrack that is innermost among those that led to an error."""
-    package, place = Path(__file__).parents[1], "no line of posetrack"
-    for frame, line in traceback.walk_tb(error.__traceback__):
-        path = Path(frame.f_code.co_filename)
-        if path.is_relative_to(package):
-            place = f"{path.relative_to(package.parent)}:{line}"
-    return place
 
 
 def _usage_line(error: click.ClickException) -> str:

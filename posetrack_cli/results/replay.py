@@ -11,6 +11,7 @@ from mcap.records import Attachment, Channel, Metadata, Schema
 
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.mcap.records import (
+    DAMAGE,
     ChunkRecord,
     RecordSpan,
     chunk_records,
@@ -164,7 +165,7 @@ def _damage(part: Path, span: RecordSpan) -> Iterator[None]:
     """Nothing is resumed that is damaged: whatever reading a record raises becomes one line."""
     try:
         yield
-    except Exception as error:  # parser and decompressors raise whatever the damaged bytes lead to
+    except DAMAGE as error:
         raise ResultError(
             f"record at byte {span.start} is damaged",
             where=part,
