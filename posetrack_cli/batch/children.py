@@ -7,7 +7,6 @@ import os
 import selectors
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -19,6 +18,7 @@ from posetrack_cli.batch.jobs import Job, Limits
 from posetrack_cli.compiled import THREADS_VARIABLE
 from posetrack_cli.errors import EXIT_INTERRUPTED
 from posetrack_cli.files import open_output
+from posetrack_cli.interpreter import module_command, module_environment
 from posetrack_cli.text import one_line
 
 _PROGRAM = "posetrack_cli.cli.batch_child"
@@ -89,7 +89,7 @@ def run_child(
     with open_output(job.log) as log, os.fdopen(reading, "rb", buffering=0) as told:
         try:
             child = subprocess.Popen(
-                [sys.executable, "-m", _PROGRAM, str(writing)],
+                module_command(_PROGRAM, str(writing)),
                 stdin=subprocess.PIPE,
                 stdout=log,
                 stderr=subprocess.STDOUT,
@@ -142,7 +142,7 @@ def _task(job: Job, arguments: tuple[str, ...], limits: Limits) -> dict[str, Any
 
 def _environment(threads: int) -> Mapping[str, str]:
     """Ours, with so many threads for everything that has some: cores are shared with other jobs."""
-    return os.environ | dict.fromkeys(_THREADS, str(max(1, threads)))
+    return module_environment() | dict.fromkeys(_THREADS, str(max(1, threads)))
 
 
 @contextmanager

@@ -12,6 +12,7 @@ from pydantic import Field
 
 from posetrack_cli import limits
 from posetrack_cli.bags.ros2_folder import is_ros2_folder
+from posetrack_cli.batch.manifest_files import reachable
 from posetrack_cli.configuration import Settings, validated
 from posetrack_cli.errors import UsageError
 from posetrack_cli.files import read_text
@@ -192,16 +193,11 @@ def _of_manifest(
     truth = None if one.truth is None else path.parent / one.truth
     if truth is not None and not truth.exists():
         raise UsageError("no such truth", where=path, found=one.truth)
-    options = {key: _reachable(path, value) for key, value in {**manifest.options, **one.options}.items()}
+    given = {**manifest.options, **one.options}
+    options = {key: reachable(path, key, value) for key, value in given.items()}
     gates = (*manifest.gates, *one.gates)
     for recording, name in found:
         yield Source(recording, _checked_name(path, one.name or name), options, truth, gates, path)
-
-
-def _reachable(manifest: Path, value: Any) -> Any:
-    """A value of an option; a file that lies where the manifest does is named from here."""
-    is_beside = isinstance(value, str) and value and (manifest.parent / value).exists()
-    return str(manifest.parent / value) if is_beside else value
 
 
 def _checked_name(path: Path, name: str) -> str:

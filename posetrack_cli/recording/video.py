@@ -147,8 +147,8 @@ class VideoImages(Generic[P]):
         """Yield the frames, decoded: a video cannot go back to one that was passed.
 
         Pixels of another format or size than the first frame's are found when an image is used. Behind frames
-        that cannot be decoded those that can are looked for; where frames are numbered as they are stored, those
-        are None.
+        that cannot be decoded those that can are looked for; where frames are numbered as they are stored,
+        those are None.
         """
         index, failed, reached = 0, 0, -1.0
         stamps = VideoStamps(round(self._period_ns))

@@ -45,7 +45,7 @@ told.write(json.dumps({"tracked": 9, "cpu_s": 0.5}) + "\\n{")
 @pytest.fixture(autouse=True)
 def program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "stand_in.py").write_text(PROGRAM)
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(children, "_PROGRAM", "stand_in")
 
 

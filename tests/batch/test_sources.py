@@ -77,6 +77,51 @@ def test_a_manifest_gives_each_recording_its_own(folder: Path) -> None:
     assert second.gates == ("coverage < 0.9", "lost > 3")
 
 
+OUTSIDE = {
+    "model": 'detector-model = "../model.onnx"',
+    "model, by its whole name": 'face-model = "{here}/model.onnx"',
+    "model, relative to where batch runs": 'hand-mesh = "./model.onnx"',
+    "link": 'load-model = "link.onnx"',
+    "one of several configurations": 'config = ["own.toml", "../other.toml"]',
+    "model of a configuration": 'config = "bad.toml"',
+    "assignment": 'set = ["start.detection.model={here}/model.onnx"]',
+    "assignment of a table": """set = ['start={{detection={{model="{here}/model.onnx"}}}}']""",
+}
+
+
+@pytest.mark.parametrize("name", OUTSIDE)
+def test_models_and_configurations_of_a_manifest_lie_in_its_folder(folder: Path, name: str) -> None:
+    here = folder.resolve()
+    (folder / "model.onnx").write_bytes(b"")
+    (folder / "other.toml").write_text("")
+    (folder / "in/own.toml").write_text("")
+    (folder / "in/bad.toml").write_text('[start.detection]\nmodel = "../model.onnx"\n')
+    (folder / "in/link.onnx").symlink_to(here / "model.onnx")
+    line = OUTSIDE[name].format(here=here)
+    (folder / "in/set.toml").write_text(f'[options]\n{line}\n[[recordings]]\npath = "a.mcap"\n')
+    with pytest.raises(
+        UsageError, match=r"in/set.toml: option '.*' names a file outside the manifest's folder"
+    ):
+        find_sources(["in/set.toml"])
+
+
+def test_models_and_configurations_in_a_manifest_s_folder_and_shipped_ones_are_named(folder: Path) -> None:
+    (folder / "in/models").mkdir()
+    (folder / "in/models/m.onnx").write_bytes(b"")
+    (folder / "in/own.toml").write_text('[start.detection]\nmodel = "models/m.onnx"\n')
+    (folder / "in/set.toml").write_text(
+        '[options]\nconfig = ["own.toml", "hand-paper"]\ndetector-model = "models/m.onnx"\nshape = "average"'
+        '\nset = ["filter.particles=8"]\n[[recordings]]\npath = "a.mcap"\n'
+    )
+    (source,) = find_sources(["in/set.toml"])
+    assert source.options == {
+        "config": ["in/own.toml", "hand-paper"],
+        "detector-model": "in/models/m.onnx",
+        "shape": "average",
+        "set": ["filter.particles=8"],
+    }
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [

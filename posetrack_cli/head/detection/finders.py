@@ -13,7 +13,7 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.errors import PosetrackError, UsageError
-from posetrack_cli.files import utf8_name
+from posetrack_cli.head.detection.model_trial import not_yunet, read_model
 
 NO_EYES = (np.zeros((0, 2)), np.zeros((0, 2)))
 
@@ -184,25 +184,34 @@ class YunetFaces:
     def __init__(self, model: Path) -> None:
         if not model.is_file():
             raise UsageError("face detector's model not found", where=model)
+        self._model, data = model, np.frombuffer(read_model(model), np.uint8)
+        nothing = np.zeros(0, np.uint8)
         try:
-            with utf8_name(model) as name:
-                self._network = cv2.FaceDetectorYN.create(name, "", (320, 320), score_threshold=UNSURE)
+            self._network = cv2.FaceDetectorYN.create(
+                "onnx", data, nothing, (320, 320), score_threshold=UNSURE
+            )
         except cv2.error as error:
-            raise UsageError(
-                "not a model of YuNet",
-                where=model,
-                found=error.err,
-                expected="an ONNX file of FaceDetectorYN",
-            ) from None
+            raise not_yunet(model, error.err) from None
 
     def find(self, image: ImageArray) -> tuple[FaceGuess, ...]:
         """Return the faces in a (height, width) uint8 image, the largest first, also unsure ones."""
         scale = min(1.0, LONGEST_SIDE / max(image.shape))
         small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
         self._network.setInputSize((small.shape[1], small.shape[0]))
-        _, rows = self._network.detect(cv2.cvtColor(small, cv2.COLOR_GRAY2BGR))
+        try:
+            _, rows = self._network.detect(cv2.cvtColor(small, cv2.COLOR_GRAY2BGR))
+        except cv2.error as error:
+            raise not_yunet(self._model, error.err) from None
         faces = [_guess(np.asarray(row, float), scale) for row in ([] if rows is None else rows)]
-        return tuple(sorted(faces, key=lambda face: -face.eye_distance))
+        possible = [face for face in faces if _is_possible(face, max(image.shape))]
+        return tuple(sorted(possible, key=lambda face: -face.eye_distance))
+
+
+def _is_possible(face: FaceGuess, longest_px: int) -> bool:
+    """Whether a face could be in an image: a network of damaged weights finds faces of any size."""
+    numbers = np.concatenate([face.middle, [face.roll, face.score], *(eyes.ravel() for eyes in face.eyes)])
+    is_near = np.isfinite(numbers).all() and np.abs(face.middle).max() <= 2.0 * longest_px
+    return bool(is_near and 1.0 <= face.eye_distance <= longest_px)
 
 
 def _guess(row: FloatArray, scale: float) -> FaceGuess:
