@@ -44,6 +44,7 @@ from hostile.values import (
     utf8,
 )
 from support import datasets as layouts
+from support.onnx_file import yunet_like
 from support.rvl import encoded as encoded_rvl
 
 Strategy = st.SearchStrategy[Case]
@@ -918,6 +919,17 @@ def mkv(seeds: Seeds) -> Strategy:
     return made_of("mkv", "r.mkv", changed_matroska(), of_recording("r.mkv"))
 
 
+def detectors(seeds: Seeds) -> Strategy:
+    """Models of the face detector, as ONNX."""
+    kps = [-1.0, 0.0, 1.0, 0.0, 0.0, 0.5, -0.8, 2.0, 0.8, 2.0]
+    content = changed_bytes(yunet_like({"cls": [1.0], "obj": [1.0], "bbox": [0.0] * 4, "kps": kps}))
+    detector = ("--detector", "yunet", "--detector-model", "m.onnx")
+    words = ("head", "mono", "heads.mcap", "-o", "out.mcap", *HEAD, "--cameras", "left", "--passes", "1")
+    return made_of(
+        "detectors", "m.onnx", content, st.just((*words, *detector)), **{"heads.mcap": seeds.heads}
+    )
+
+
 def meshes(seeds: Seeds) -> Strategy:
     """Skinned hands as GLB."""
     words = ("hand", "run", "hand.mcap", "-o", "out.mcap", *HAND[:-1], "1", "--hand-mesh", "m.glb")
@@ -1030,6 +1042,7 @@ TARGETS: dict[str, Callable[[Seeds], Strategy]] = {
     "db3": db3,
     "metadata": metadata,
     "mkv": mkv,
+    "detectors": detectors,
     "meshes": meshes,
     "names": names,
 }

@@ -23,6 +23,7 @@ OUTPUTS = {"cls": 1, "obj": 1, "bbox": 4, "kps": 10}
 """Of each stride, with the numbers of a place; OpenCV reads as many without a look at what there are."""
 SIZES = ((320, 256), (96, 160))
 """Width and height of images that a model is tried with."""
+_LONGEST_FAULT = 200
 
 
 def read_model(path: Path) -> bytes:
@@ -65,7 +66,8 @@ def _fault(data: bytes) -> str:
         return f"a network that takes more than {limits.MODEL_TRIAL_S} s to try"
     if done.returncode < 0:
         return f"a network that ends OpenCV by {signal.Signals(-done.returncode).name}"
-    return done.stdout.decode(errors="replace").strip() or ("" if done.returncode == 0 else "no network")
+    words = " ".join(done.stdout.decode(errors="replace").split())
+    return words[:_LONGEST_FAULT] or ("a network that cannot be tried" if done.returncode else "")
 
 
 def _try(data: bytes) -> str:
@@ -93,7 +95,9 @@ def main() -> None:
     import resource
 
     cv2.setNumThreads(1)
-    resource.setrlimit(resource.RLIMIT_AS, (limits.MODEL_TRIAL_BYTES, limits.MODEL_TRIAL_BYTES))
+    _, allowed = resource.getrlimit(resource.RLIMIT_AS)
+    most = limits.MODEL_TRIAL_BYTES if allowed < 0 else min(allowed, limits.MODEL_TRIAL_BYTES)
+    resource.setrlimit(resource.RLIMIT_AS, (most, allowed))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     print(_try(sys.stdin.buffer.read()))
 
