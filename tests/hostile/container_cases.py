@@ -37,6 +37,8 @@ from support.kinect import calibration, codes
 
 INNER = "inner"
 """Key of a record's own records."""
+MANY_OF = 100
+"""Records of which one may be repeated: repeated within others that are, they would take all memory."""
 
 
 def _every(records: list[Record]) -> list[Record]:
@@ -63,7 +65,7 @@ def _moved(draw: st.DrawFn, records: list[Record]) -> None:
         other.insert(draw(st.integers(0, len(other))), deepcopy(record))
     elif how == "out":
         records.append(record)
-    elif how == "many":
+    elif how == "many" and len(_every(records)) < MANY_OF:
         own[k:k] = [record] * draw(st.sampled_from((10, 300)))
 
 
