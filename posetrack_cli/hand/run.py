@@ -33,6 +33,7 @@ from posetrack_cli.hand.tracker import HandState, dynamics
 from posetrack_cli.hand.trackers import make_tracker
 from posetrack_cli.losses import Loss
 from posetrack_cli.outputs import check_output, part_path
+from posetrack_cli.phases import phase
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.identity import file_digest, shown_name
 from posetrack_cli.recording.keypoints.use import KeypointUse
@@ -201,8 +202,10 @@ class _Smoothing:
 
     def finish(self, writer: ResultWriter) -> None:
         model = self._run.velocity_model
-        for estimate in smoothed_velocities(self._track.backward(), model, backward=True):
-            writer.write_smoothed(estimate, self._run.vertices(estimate))
+        with phase("smoothing", "frame", len(self._track)) as advance:
+            for estimate in smoothed_velocities(self._track.backward(), model, backward=True):
+                writer.write_smoothed(estimate, self._run.vertices(estimate))
+                advance(1)
         self._track.delete()
 
 

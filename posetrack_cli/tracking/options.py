@@ -52,7 +52,8 @@ class RunOutcome:
         frames: estimates in the result, also those of a run that was resumed.
         tracked: frames tracked now.
         lost: estimates in the result with status lost.
-        seconds: wall-clock time.
+        seconds: wall-clock time of its frames, in all passes: without compiling, and without the smoothed
+            track.
         losses: data that could not be used.
         stopped: whether it was interrupted.
         remarks: what else a user should know, one line each.
