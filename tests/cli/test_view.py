@@ -15,8 +15,11 @@ import numpy as np
 import pytest
 
 from posetrack_cli.cli.main import run
+from posetrack_cli.errors import RenderingError
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.recording.recording import Recording
+from posetrack_cli.rendering import devices
+from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.results import ResultWriter, Subject
 from support.viewing import (
     lost_from,
@@ -85,6 +88,24 @@ def test_a_video_of_every_frame_with_the_hand_on_its_joints(
         assert (rendered[inner[:, 1], inner[:, 0]].max(axis=1) > CODEC_LOSS).all()
         assert (rendered[:40] < CODEC_LOSS).all(), "no hand at the upper edge"
     assert cv2.VideoCapture(str(out)).get(cv2.CAP_PROP_FPS) == pytest.approx(30.0, abs=0.1)
+
+
+def test_without_opengl_the_processor_draws(
+    result: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Unless an EGL device is asked for."""
+
+    def missing(index: int | None = None) -> RenderingDevice:
+        raise RenderingError("no headless context", where="OpenGL")
+
+    monkeypatch.setattr(devices, "open_device", missing)
+    chosen = ("--select", "0,3", "--layout", "over")
+    assert view(result, "-o", tmp_path / "a.png", *chosen) == 0
+    assert view(result, "-o", tmp_path / "b.png", *chosen, "--device", "cpu") == 0
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+    capsys.readouterr()
+    assert view(result, "-o", tmp_path / "c.png", *chosen, "--device", "0") == 1
+    assert "no headless context" in one_line(capsys)
 
 
 def test_chosen_frames_as_numbered_pictures(result: Path, tmp_path: Path) -> None:
