@@ -223,7 +223,10 @@ class HandTracker:
         variance = posterior.pose_variance
         if self._is_calibrated:
             variance = with_model_error(variance, monitor.usual_mm)
-        estimate = self._estimate(frame, posterior, inner, evidence, variance, cost, confidence, status)
+        forearm = self._forearm_confidence(frame, pose, inner)
+        estimate = self._estimate(
+            frame, posterior, inner, evidence, forearm, variance, cost, confidence, status
+        )
         return new_state, replace(estimate, evaluations=_evaluations(seen, drawn))
 
     def _observe(
@@ -437,6 +440,12 @@ class HandTracker:
         raised = monitor.raised(seen.fits.cost, self.config.status)
         return before.after(signs_of(usual_mm, innovation, len(seen.fits.modes), outline.contrast, raised))
 
+    def _forearm_confidence(self, frame: Frame, pose: FloatArray, inner: FloatArray) -> float:
+        """How far the frame explains the forearm of an estimate; NaN without one."""
+        if not inner[:3].any():
+            return np.nan
+        return self._observer.forearm_confidence(frame.depth, *self.scorer.forearm(pose, inner))
+
     def _monitored(self, seen: FrameObservation, cost: float | None, quality: float) -> TrackMonitor:
         """The record of the track's quality after a frame."""
         monitor, settings = seen.state.monitor, self.config.status
@@ -480,6 +489,7 @@ class HandTracker:
         posterior: Posterior,
         inner: FloatArray,
         evidence: RunningSigns,
+        forearm_confidence: float,
         pose_variance: FloatArray,
         cost: float | None,
         confidence: float,
@@ -491,6 +501,7 @@ class HandTracker:
             posterior.velocity,
             inner,
             evidence,
+            forearm_confidence,
             frame_index=frame.index,
             stamp_ns=frame.stamp_ns,
             status=status,
