@@ -11,6 +11,7 @@ from posetrack_cli.cli.main import run
 from posetrack_cli.damage import damage_reported, read_from
 from posetrack_cli.errors import EXIT_FAILED, PosetrackError, RecordingError, UsageError
 from posetrack_cli.recording import opening
+from posetrack_cli.recording.conversion import convert_recording
 from posetrack_cli.recording.depth import Depth
 from posetrack_cli.recording.opening import open_recording
 from support.bags import write_bag
@@ -66,6 +67,10 @@ def test_every_way_to_read_a_recording_is_within_the_rule(
             RecordingError, match=r"r\.bag: is damaged here, found ZeroDivisionError: deep at"
         ):
             next(recording.frames())
+        with pytest.raises(
+            RecordingError, match=r"r\.bag: is damaged here, found ZeroDivisionError: deep at"
+        ):
+            convert_recording(recording, tmp_path / "out.mcap")
     recording = open_recording(path)
     monkeypatch.setattr("posetrack_cli.bags.ros1_bag._Reading.record", broken)
     for read in (open_recording, opening.describe):
