@@ -188,16 +188,13 @@ def _typed(word: str | Path) -> str:
 
 
 def next_of_result(recording: Path, result: Path) -> Iterator[Sequence[str | Path]]:
-    """Yield what makes a report, and a video; the recording is named where ``view`` would not find it."""
+    """Yield what makes a report, and a video."""
     page, video = result.with_suffix(".html"), result.with_suffix(".mp4")
     yield ("eval", result, "--html", page, *(["--overwrite"] if page.exists() else []))
-    folders = (result.parent, result.parent.resolve().parent, Path())
-    found = any((folder / recording.name).exists() for folder in folders)
-    given = () if found else ("--recording", recording)
     is_recording = video.exists() and recording.exists() and video.samefile(recording)
     if is_recording:
         video = video.with_stem(f"{video.stem}-tracked")
-    yield ("view", result, *given, "-o", video, *(["--overwrite"] if video.exists() else []))
+    yield ("view", result, "-o", video, *(["--overwrite"] if video.exists() else []))
 
 
 _LEAST_SAID_S = 1.0

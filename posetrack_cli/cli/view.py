@@ -110,7 +110,7 @@ DRAWN = {
     option("--skeleton", is_flag=True, help="Draw joints, bones and the axes of the pose."),
     title="What is drawn",
 )
-@recording_option("Found by itself beside the result, one folder up or in the working folder.")
+@recording_option("Found by itself where it was, or beside the result or above it.")
 @option(
     "--any-recording", is_flag=True, help="Draw on --recording even if it is not that of the run.", group=READ
 )

@@ -106,8 +106,13 @@ def identity_record(path: Path, kind: str, digested: tuple[int, str]) -> dict[st
 
 
 def shown_name(path: Path) -> str:
-    """Return the name of a file or folder as text that every file can hold, whatever its bytes are."""
-    return os.fsencode(path.name).decode(errors="replace")
+    """Return the name of a file or folder as ``shown_path`` does."""
+    return shown_path(Path(path.name))
+
+
+def shown_path(path: Path) -> str:
+    """Return a path as text that every file can hold, whatever its bytes are."""
+    return os.fsencode(path).decode(errors="replace")
 
 
 def _stat(path: Path) -> os.stat_result:

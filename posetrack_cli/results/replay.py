@@ -19,7 +19,7 @@ from posetrack_cli.mcap.records import (
     record_spans,
 )
 from posetrack_cli.mcap.sink import McapSink
-from posetrack_cli.recording.base import TruthMessage
+from posetrack_cli.recording.base import PATH_KEY, TruthMessage
 from posetrack_cli.results.channels import ResultChannels
 from posetrack_cli.results.checkpoint import RESTART_HINT
 from posetrack_cli.results.reader import opened
@@ -134,7 +134,8 @@ def check_same_run(part: Path, expected: Mapping[str, Mapping[str, str]]) -> Non
         then = stored.get(name)
         if then is None:
             raise ResultError(f"holds no {name}", where=part, hint=RESTART_HINT)
-        keys = sorted(key for key in then.keys() | now.keys() if then.get(key) != now.get(key))
+        compared = (then.keys() | now.keys()) - {PATH_KEY}  # the recording may have moved meanwhile
+        keys = sorted(key for key in compared if then.get(key) != now.get(key))
         if keys:
             raise UsageError(
                 "the unfinished result is of another run",

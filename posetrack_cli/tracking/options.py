@@ -11,6 +11,8 @@ from posetrack_cli.configuration import Settings
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.losses import Loss, loss_line
+from posetrack_cli.recording.base import PATH_KEY
+from posetrack_cli.recording.identity import shown_path
 from posetrack_cli.recording.recording import Recording
 
 LEAST_TRACKED = 0.05
@@ -101,7 +103,7 @@ def common_record(
 
     Args:
         tracker: its name.
-        recording: its identity is stated, not its path.
+        recording: its identity is stated, and its path as it was typed.
         camera: that estimates are relative to, with the intrinsics that are used.
         config: resolved, with the defaults.
         options: frames and seed.
@@ -116,5 +118,6 @@ def common_record(
         "stride": str(options.stride),
         "timings": str(options.timings).lower(),
         "camera": json.dumps(camera.values()),
+        PATH_KEY: shown_path(recording.path),
         **{f"input.{key}": value for key, value in recording.identity().items()},
     }

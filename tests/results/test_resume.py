@@ -135,6 +135,15 @@ def test_another_run_record_is_refused_and_named(tmp_path: Path) -> None:
     assert "version" not in str(error)
 
 
+def test_a_recording_that_is_typed_otherwise_is_the_same(tmp_path: Path) -> None:
+    """From another folder, or after it has moved: its SHA-256 counts."""
+    path = killed(tmp_path, 12)
+    for place in ("elsewhere/r.mcap", "r.mcap"):
+        writer, checkpoint = ResultWriter.resume(path, SUBJECT, CAMERA, RUN | {"input.path": place})
+        write_frames(writer, checkpoint.frame_index + 1, FRAMES)
+        writer.abort()
+
+
 def other_subject() -> Subject:
     return replace(SUBJECT, point_names=("a", "b", "c", "d"))
 
