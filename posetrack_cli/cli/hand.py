@@ -150,7 +150,7 @@ hand.add_command(hand_synth)
     device_option("[default: a GPU if there is one, else cpu]"),
     title="Filter",
 )
-@configuration_options("hand (the defaults), hand-paper", "observation.sigma_mm=5")
+@configuration_options("hand (the defaults), hand-fast, hand-paper, hand-pso", "observation.sigma_mm=5")
 @frame_options
 @recording_options
 @volume_options

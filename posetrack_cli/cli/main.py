@@ -41,7 +41,8 @@ class _Group(click.Group):
 @click.group(cls=_Group, context_settings={**HELP_NAMES, "max_content_width": 100})
 @click.version_option(__version__, prog_name="posetrack")
 def cli() -> None:
-    """Track hands in recorded depth: pose, velocity and shape with their uncertainty, from MCAP or folders.
+    """Track hands in recorded depth and heads in recorded video: pose, velocity and shape, with their
+    uncertainty, from MCAP files, bags, videos and folders of images.
 
     Exit codes: 0 done; 1 failed; 2 wrong usage; 3 finished, but some data was lost or skipped; 130 stopped by
     Ctrl-C. Results go to standard output, diagnostics and progress to standard error; POSETRACK_DEBUG=1 also

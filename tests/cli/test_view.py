@@ -267,16 +267,18 @@ def test_what_cannot_be_drawn_is_one_line(
 
 
 def test_a_missing_recording_says_where_it_looked(
-    result: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    alone = tmp_path / "a" / "b" / "r.mcap"
+    alone, gone = tmp_path / "a" / "b" / "r.mcap", tmp_path / "hand.mcap"
     alone.parent.mkdir(parents=True)
-    alone.write_bytes(result.read_bytes())
+    gone.write_bytes(recording.read_bytes())
+    make_result(alone, open_recording(gone))
+    gone.unlink()
     monkeypatch.chdir(tmp_path)
     assert view(alone, "-o", tmp_path / "v.mp4") == 1
     line = one_line(capsys)
     assert "no recording 'hand.mcap'" in line and "--recording" in line
-    assert str(alone.parent) in line and str(alone.parent.parent) in line
+    assert f"at {gone}, beside {alone}, in a folder above it or in the working folder" in line
 
 
 def test_results_of_different_recordings_are_not_drawn_together(
