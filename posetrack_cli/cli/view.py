@@ -106,7 +106,7 @@ DRAWN = {
         metavar="NEAR FAR",
         help="Depths drawn red and blue.  [default: the hand's]",
     ),
-    option("--show-truth", is_flag=True, help="Draw the truth's contour, green."),
+    option("--show-truth", is_flag=True, help="Also draw the truth, green: contour, or points and axes."),
     option("--skeleton", is_flag=True, help="Draw joints, bones and the axes of the pose."),
     title="What is drawn",
 )

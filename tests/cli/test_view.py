@@ -157,6 +157,9 @@ def test_truth_and_skeleton(result: Path, recording: Path, opened: Recording, tm
             (is_colour(picture, GREEN).sum(), is_colour(picture, np.array([60, 60, 255]), 60).sum())
         )
     assert counts[0][0] == 0 < counts[1][0]
+    paper = ["--layout", "paper", "--select", "2", "--show-truth", "--overwrite"]
+    assert view(wrong, "-o", tmp_path / "p", *paper) == 0  # rendered below what was observed: truth, too
+    assert is_colour(cv2.imread(str(tmp_path / "p" / "frame_000002.png"))[:-CAPTION_PX], GREEN).any()
     assert counts[2][1] > counts[0][1] + 20, "the x axis is red"
 
 

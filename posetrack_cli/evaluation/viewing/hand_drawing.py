@@ -76,7 +76,7 @@ class HandDrawer:
         """Paint the hand's contour."""
         depth = self.depth(canvas.camera, shown)
         if depth is None:
-            self._skeleton.outline(canvas, shown, colour)
+            self._skeleton.draw(canvas, shown, colour)  # thin lines, over a hand that is filled
         else:
             canvas.picture[_rim(depth > 0)] = colour
             self._outline_arm(canvas, shown, depth > 0)
