@@ -21,8 +21,9 @@ from posetrack_cli.results.reader import Result
 def hand_of(result: Result) -> HandModel:
     """Return the hand that a run tracked, from the configuration in its record.
 
-    A hand from a file is looked for as ``places_of`` says, by the end of the path that the record states. A
-    result may be a stranger's, so what it states leads only to a file of the digest that it states.
+    A hand from a file is looked for by the end of the path that the record states: beside the result, one
+    folder up, and in the working folder. A result may be a stranger's, so what it states leads nowhere else,
+    and only to a file of the digest that it states.
 
     Raises:
         ResultError: the record holds no configuration of a hand run, or the hand's file is not found.
@@ -62,9 +63,12 @@ def _settings(result: Result) -> HandSettings:
 
 
 def _found_mesh(result: Result, stated: str) -> Path:
-    from posetrack_cli.evaluation.recording_of import places_of  # imports all that opens recordings
+    from posetrack_cli.evaluation.recording_of import (
+        folders_of,
+        places_of,
+    )  # imports all that opens recordings
 
-    files = [path for path in places_of(result, stated) if os.path.isfile(path)]  # noqa: PTH113 never raises
+    files = [path for path in places_of(stated, folders_of(result)) if os.path.isfile(path)]  # noqa: PTH113 never raises
     for path in files:
         if file_digest(path)[1] == result.run.get(MESH_DIGEST):
             return path
@@ -73,7 +77,7 @@ def _found_mesh(result: Result, stated: str) -> Path:
     raise ResultError(
         "the hand that the run tracked is not found",
         where=result.path,
-        found=f"no {PurePath(stated).name} beside it, in a folder above it or in the working folder",
+        found=f"no {PurePath(stated).name} beside it or in the working folder",
         hint="copy the file there",
     )
 

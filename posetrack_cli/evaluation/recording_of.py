@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePath
@@ -155,8 +155,8 @@ def search_recording(
     """Look for the recording that a result was made from.
 
     A result states its input's path as it was typed, size and SHA-256. Without ``given`` it is looked for at
-    that path, then by the path's last parts in the folders of ``folders_of``, so that recordings and results
-    may move together. The result itself, and what has another SHA-256, is not taken.
+    that path, then by the path's last parts in the folders of ``folders_of`` and all above the result:
+    recordings and results may move together. The result itself, and what has another SHA-256, is not taken.
 
     Args:
         result: its run record says what to look for, and how it was opened.
@@ -217,17 +217,17 @@ def pixels_of(result: Result) -> PixelKind:
 
 
 def folders_of(result: Result) -> Iterator[Path]:
-    """Yield where files that a result names are looked for: beside it, folders above, the working folder."""
+    """Yield where files that a result names are looked for: beside it, one folder up, the working folder."""
     beside = result.path.parent
-    above = *placed_path(beside).parents, *real_path(beside).parents  # others where a folder is a link
+    above = placed_path(beside).parent, real_path(beside).parent  # two of them where the folder is a link
     yield from (beside, *dict.fromkeys(above), Path())
 
 
-def places_of(result: Result, stated: str) -> Iterator[Path]:
+def places_of(stated: str, folders: Iterable[Path]) -> Iterator[Path]:
     """Yield where a path that a result states may lead: its last part, its last two ... in each folder."""
     path = PurePath(stated)
     parts = [part for part in path.parts if part not in (path.anchor, "..")][-MOST_PARTS:]
-    for folder in folders_of(result):
+    for folder in folders:
         for first in reversed(range(len(parts))):
             yield folder.joinpath(*parts[first:])
 
@@ -235,7 +235,8 @@ def places_of(result: Result, stated: str) -> Iterator[Path]:
 def _places(result: Result, stated: str) -> Iterator[Path]:
     """Yield what lies where a recording may be, each once, and never the result."""
     seen = {real_path(result.path)}
-    for place in (Path(stated), *places_of(result, stated)):
+    folders = (*folders_of(result), *placed_path(result.path).parents)
+    for place in (Path(stated), *places_of(stated, folders)):
         if os.path.exists(place) and (real := real_path(place)) not in seen:  # noqa: PTH110 never raises
             seen.add(real)
             yield place
