@@ -25,6 +25,7 @@ LIBRARIES = (
     "av",
     "numpy",
     "scipy",
+    "threadpoolctl",
     "numba",
     "fast-simplification",
     "jinja2",
