@@ -8,7 +8,6 @@ that is named after all the sources that go into it.
 from __future__ import annotations
 
 import functools
-import hashlib
 import itertools
 import os
 import pickle
@@ -19,6 +18,7 @@ from threading import Lock
 from time import perf_counter
 from typing import Any, TypeVar
 
+from posetrack_cli.build import source_digest
 from posetrack_cli.cache import cache_folder
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -217,11 +217,5 @@ def thread_count() -> int:
 @functools.cache
 def kernel_folder() -> str | None:
     """Return where compiled code is kept; None where nothing can be kept."""
-    folder = cache_folder(source_digest(Path(__file__).parent))
+    folder = cache_folder(source_digest(KERNEL_SOURCES))
     return None if folder is None else str(folder)
-
-
-def source_digest(root: Path) -> str:
-    """Return a name for the sources of all kernels below a folder: another one after any change."""
-    sources = [path for pattern in KERNEL_SOURCES for path in sorted(root.glob(pattern))]
-    return hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()[:16]

@@ -16,7 +16,8 @@ import pytest
 from numba.core.event import trigger_event
 
 from posetrack_cli import compiled
-from posetrack_cli.compiled import KERNEL_SOURCES, announced, compiling_s, kernel, source_digest, watched
+from posetrack_cli.build import source_digest
+from posetrack_cli.compiled import KERNEL_SOURCES, announced, compiling_s, kernel, watched
 
 PACKAGE = Path(__file__).parents[1] / "posetrack_cli"
 SOURCES = sorted(path for pattern in KERNEL_SOURCES for path in PACKAGE.glob(pattern))
@@ -52,10 +53,11 @@ def test_a_change_of_any_source_is_kept_apart(changed: str, tmp_path: Path) -> N
         copy = tmp_path / path.relative_to(PACKAGE)
         copy.parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(path, copy)
-    assert source_digest(tmp_path) == source_digest(PACKAGE)
+    digest = source_digest.__wrapped__  # of files as they are now
+    assert digest(KERNEL_SOURCES, tmp_path) == digest(KERNEL_SOURCES)
     with (tmp_path / changed).open("a") as file:
         file.write("# changed\n")
-    assert source_digest(tmp_path) != source_digest(PACKAGE)
+    assert digest(KERNEL_SOURCES, tmp_path) != digest(KERNEL_SOURCES)
 
 
 def answer(code: str, **environment: str) -> str:
@@ -86,7 +88,7 @@ def where(monkeypatch: pytest.MonkeyPatch) -> Callable[..., str | None]:
 
 def test_the_folder_is_the_users_choice_first(tmp_path: Path, where: Callable[..., str | None]) -> None:
     numba, xdg, home = (str(tmp_path / name) for name in ("numba", "xdg", "home"))
-    digest = source_digest(PACKAGE)
+    digest = source_digest(KERNEL_SOURCES)
     assert where(NUMBA_CACHE_DIR=numba, XDG_CACHE_HOME=xdg) == f"{numba}/posetrack/{digest}"
     assert where(XDG_CACHE_HOME=xdg, HOME=home) == f"{xdg}/posetrack/{digest}"
     assert where(HOME=home) == f"{home}/.cache/posetrack/{digest}"
@@ -101,7 +103,7 @@ def test_without_a_home_compiled_code_lies_in_a_temporary_folder_of_ones_own(
     temporary.mkdir()
     own = temporary / f"posetrack-{os.getuid()}"
     environment = {"HOME": str(blocked), "TMPDIR": str(temporary)}
-    assert where(**environment) == str(own / source_digest(PACKAGE))
+    assert where(**environment) == str(own / source_digest(KERNEL_SOURCES))
     assert own.stat().st_mode & 0o077 == 0
     right, path = answer(CALL, **environment).split()
     assert right == "True"

@@ -125,6 +125,7 @@ def last_lines(log: Path) -> tuple[str, ...]:
 def _task(job: Job, arguments: tuple[str, ...], limits: Limits) -> dict[str, Any]:
     return {
         "kind": job.kind,
+        "sources": job.sources,
         "command": job.command,
         "recording": os.fspath(job.recording),
         "output": os.fspath(job.output),

@@ -17,9 +17,9 @@ from queue import Empty, SimpleQueue
 from typing import Any
 from uuid import uuid4
 
-from posetrack_cli import __version__
 from posetrack_cli.batch.children import Progress
 from posetrack_cli.batch.jobs import Job, Limits, Outcome, State
+from posetrack_cli.build import source_digest
 from posetrack_cli.errors import PosetrackError, UsageError
 
 try:
@@ -161,7 +161,7 @@ def open_engine(
     """Start workers here, or connect to a cluster.
 
     Raises:
-        EngineError: there is no cluster where one should be, or it has another version of posetrack.
+        EngineError: there is no cluster where one should be, or it has another build of posetrack.
     """
     for name in ("distributed", "distributed.worker", "distributed.scheduler", "distributed.nanny"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
@@ -223,23 +223,31 @@ def _client_of(where: Where) -> Client:
 
 
 def _check_cluster(client: Client, note: Callable[[str], None]) -> None:
-    """Refuse workers with another posetrack; results would depend on which of them a recording meets."""
+    """Refuse workers with another posetrack; results would depend on which of them a recording meets.
+
+    The processes of workers that come later look for themselves (``cli.batch_child``).
+    """
     if not client.nthreads():
         note("the cluster has no workers yet; waiting for some (dask worker ADDRESS)")
         client.wait_for_workers(1)
-    for address, version in client.run(_version_there).items():
-        if version != __version__:
+    try:
+        found = client.run(_sources_there)
+    except Exception as error:  # Dask passes on what a worker raises as it likes
+        hint = "install posetrack there as it is here"
+        raise EngineError("worker has no posetrack, or another build", found=error, hint=hint) from error
+    for address, sources in found.items():
+        if sources != source_digest():
             raise EngineError(
-                "worker has another version of posetrack", where=address, found=version, expected=__version__
+                "worker has another build of posetrack",
+                where=address,
+                found=f"sources {sources}",
+                expected=f"sources {source_digest()}",
+                hint="install the same on client and workers; posetrack --version says which it is",
             )
 
 
-def _version_there() -> str:
-    try:
-        from posetrack_cli import __version__ as version
-    except ModuleNotFoundError:
-        return "none"
-    return version
+def _sources_there() -> str:
+    return source_digest()
 
 
 def _perform_there(perform: Perform, job: Job, limits: Limits, topic: str, stop_name: str) -> Outcome:

@@ -8,6 +8,8 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
+from posetrack_cli.build import source_digest
+
 RECORDS_FOLDER = ".batch"
 """Below the folder of results: what is known of every job, its log, and pieces that are not joined yet."""
 
@@ -71,6 +73,7 @@ class Job:
         chunk_s, overlap_s: of a recording that is split: length of a piece and of what it shares, s.
         pieces: of a recording that is joined.
         digests: of the recording's files, where a process before has computed them (``identity.Digests``).
+        sources: digest of the posetrack that does it (``build.source_digest``).
     """
 
     name: str
@@ -87,6 +90,7 @@ class Job:
     overlap_s: float = 0.0
     pieces: tuple[tuple[Path, Piece], ...] = ()
     digests: Mapping[str, tuple[int, str]] = field(default_factory=dict)
+    sources: str = field(default_factory=source_digest)
 
     @property
     def log(self) -> Path:

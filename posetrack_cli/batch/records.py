@@ -12,8 +12,9 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from posetrack_cli import __version__, limits
+from posetrack_cli import limits
 from posetrack_cli.batch.jobs import Job, Outcome
+from posetrack_cli.build import libraries
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.files import open_input, read_text, write_output
 from posetrack_cli.outputs import whole_or_nothing
@@ -73,7 +74,7 @@ def write_record(path: Path, record: JobRecord) -> None:
 
 def job_key(job: Job, digest: str) -> str:
     """Return what tells jobs apart whose results differ: input, command, options with the files that they
-    name, and version.
+    name, posetrack's sources and libraries. Not the processor, which changes only last digits (``summary``).
 
     Where a recording is split, and how the pieces are tracked, follows from these.
 
@@ -83,14 +84,14 @@ def job_key(job: Job, digest: str) -> str:
     """
     chunks = [job.chunk_s, job.overlap_s]
     files = sorted(_digests_of_options(job.arguments).items())
-    return _digest_of([__version__, job.command, job.arguments, digest, chunks, files])
+    return _digest_of([job.sources, libraries(), job.command, job.arguments, digest, chunks, files])
 
 
 def page_key(job: Job) -> str:
     """Return what tells pages about one result apart; nothing where none is written."""
     if job.page is None:
         return ""
-    return _digest_of([__version__, "" if job.truth is None else input_digest(job.truth, {})["sha256"]])
+    return _digest_of([job.sources, "" if job.truth is None else input_digest(job.truth, {})["sha256"]])
 
 
 def input_digest(path: Path, known: Mapping[str, Any]) -> dict[str, Any]:

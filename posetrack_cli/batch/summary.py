@@ -61,6 +61,12 @@ class Summary:
         return {one.result: one.reason for one in self.found.outcomes if one.title == MEASURED}
 
     @property
+    def processors(self) -> set[str]:
+        """The kinds of processor that the results were made on."""
+        stated = (one.run.get("processor", "") for one in self.found.evaluations)
+        return {kind for kinds in stated for kind in kinds.split("; ") if kind}
+
+    @property
     def missing(self) -> tuple[Outcome, ...]:
         """The recordings without a result."""
         return tuple(one for one in self.outcomes if not one.is_there)

@@ -374,6 +374,7 @@ def _close(folder: Path, summary: Summary) -> None:
         print_note(f"failed: {one.name}: {one.reason}")
     for gate in summary.failed:
         print_note(gate.line)
+    _note_processors(summary)
     if any(one.state is State.STOPPED for one in outcomes):
         print_note("interrupted; the same command goes on")
         code = EXIT_INTERRUPTED
@@ -384,3 +385,17 @@ def _close(folder: Path, summary: Summary) -> None:
     else:
         return
     click.get_current_context().exit(code)
+
+
+def _note_processors(summary: Summary) -> None:
+    """Say where results cannot have the bytes that this machine would give them, as kept ones may not."""
+    from posetrack_cli.batch.jobs import State
+    from posetrack_cli.build import only_in, processor_features
+
+    kinds = set(summary.processors)
+    if any(one.state is State.KEPT for one in summary.outcomes):
+        kinds.add(processor_features())
+    if len(kinds) > 1:
+        first, *others = sorted(kinds)
+        found = "; ".join([only_in(first, others[0]), *(only_in(other, first) for other in others)])
+        print_note(f"results of several kinds of processor differ in their last digits: {found}")

@@ -20,7 +20,7 @@ from posetrack_cli.cli.main import run, run_safely
 from posetrack_cli.cli.process import leave_process, prepare_process, terminate_as_interrupted
 from posetrack_cli.cli.running import Listener, told_to
 from posetrack_cli.cli.standard_output import print_note
-from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_DONE, EXIT_FAILED, PosetrackError
+from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_DONE, EXIT_FAILED, PosetrackError, UsageError
 
 _INPUT, _READ_BYTES = 0, 1 << 16
 _TOLD_EVERY_S = 0.5
@@ -68,8 +68,16 @@ def _peak_bytes() -> int:
 
 def _do(task: dict[str, Any], told: IO[str]) -> int:
     """Do the job, and write a page about what it made; the exit code is the job's own."""
+    from posetrack_cli.build import source_digest
     from posetrack_cli.recording.identity import known_digests, tell_digests
 
+    if task["sources"] != source_digest():
+        raise UsageError(
+            "posetrack's sources are not those that the batch began with",
+            found=source_digest(),
+            expected=task["sources"],
+            hint="run the same command again, on workers with the same posetrack",
+        )
     if task["digests"]:
         tell_digests(task["digests"])
     if task["kind"] == "split":

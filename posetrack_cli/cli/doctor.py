@@ -25,6 +25,7 @@ LIBRARIES = (
     "av",
     "numpy",
     "scipy",
+    "threadpoolctl",
     "numba",
     "fast-simplification",
     "jinja2",
@@ -77,14 +78,15 @@ def _print_versions() -> None:
     import platform
     from importlib import metadata
 
-    from posetrack_cli import __version__
+    from posetrack_cli.build import build_name, processor_features
 
-    print_line(f"posetrack {__version__}, Python {platform.python_version()}, {platform.platform()}")
+    print_line(f"posetrack {build_name()}, Python {platform.python_version()}, {platform.platform()}")
     for name in LIBRARIES:
         try:
             print_line(f"  {name} {metadata.version(name)}")
         except metadata.PackageNotFoundError:
             print_line(f"  {name} is missing: install posetrack again with pip")
+    print_line(f"  {processor_features()}")
 
 
 def _working_devices() -> list[int]:

@@ -10,7 +10,6 @@ from typing import Any
 
 import click
 
-from posetrack_cli import __version__
 from posetrack_cli.cli.batch import batch
 from posetrack_cli.cli.calibrate import calibrate
 from posetrack_cli.cli.command import HELP_NAMES
@@ -22,7 +21,7 @@ from posetrack_cli.cli.hand import hand
 from posetrack_cli.cli.head import head
 from posetrack_cli.cli.info import info
 from posetrack_cli.cli.process import is_debugging, leave_process, prepare_process, terminate_as_interrupted
-from posetrack_cli.cli.standard_output import discard_output, print_note
+from posetrack_cli.cli.standard_output import discard_output, print_line, print_note
 from posetrack_cli.cli.view import view
 from posetrack_cli.damage import error_words
 from posetrack_cli.errors import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED, PosetrackError
@@ -38,8 +37,23 @@ class _Group(click.Group):
             raise click.Abort from interruption
 
 
+def _print_version(context: click.Context, _: click.Parameter, asked: bool) -> None:
+    from posetrack_cli.build import build_name
+
+    if asked:
+        print_line(f"posetrack, version {build_name()}")
+        context.exit()
+
+
 @click.group(cls=_Group, context_settings={**HELP_NAMES, "max_content_width": 100})
-@click.version_option(__version__, prog_name="posetrack")
+@click.option(
+    "--version",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_print_version,
+    help="Show the version and exit.",
+)
 def cli() -> None:
     """Track hands in recorded depth and heads in recorded video: pose, velocity and shape, with their
     uncertainty, from MCAP files, bags, videos and folders of images.

@@ -9,6 +9,7 @@ from pathlib import Path
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema
 
+from posetrack_cli.build import only_in
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.mcap.records import (
     DAMAGE,
@@ -23,6 +24,13 @@ from posetrack_cli.recording.base import PATH_KEY, TruthMessage
 from posetrack_cli.results.channels import ResultChannels
 from posetrack_cli.results.checkpoint import RESTART_HINT
 from posetrack_cli.results.reader import opened
+
+_MADE_WITH = {
+    "sources": "build of posetrack",
+    "libraries": "set of libraries",
+    "processor": "kind of processor",
+}
+"""Entries of the run record that no option brings back (``build``), and what they describe."""
 
 
 class Replay:
@@ -136,6 +144,15 @@ def check_same_run(part: Path, expected: Mapping[str, Mapping[str, str]]) -> Non
             raise ResultError(f"holds no {name}", where=part, hint=RESTART_HINT)
         compared = (then.keys() | now.keys()) - {PATH_KEY}  # the recording may have moved meanwhile
         keys = sorted(key for key in compared if then.get(key) != now.get(key))
+        for stated, what in _MADE_WITH.items():
+            if stated in keys:
+                raise UsageError(
+                    f"the unfinished result is of another {what}, so equal bytes cannot be promised",
+                    where=part,
+                    found=only_in(then.get(stated, "nothing"), now[stated]),
+                    expected=only_in(now[stated], then.get(stated, "")),
+                    hint=RESTART_HINT,
+                )
         if keys:
             raise UsageError(
                 "the unfinished result is of another run",

@@ -6,7 +6,7 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
-from posetrack_cli import __version__
+from posetrack_cli.build import build_record
 from posetrack_cli.configuration import Settings
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.geometry.camera import Camera
@@ -110,7 +110,7 @@ def common_record(
     """
     return {
         "tracker": tracker,
-        "version": __version__,
+        **build_record(),
         "configuration": json.dumps(config.model_dump(mode="json")),
         "seed": str(options.seed),
         "start": str(options.start),

@@ -70,7 +70,7 @@ def test_a_job_is_tracked_once_and_then_kept(job: Job, children: Children) -> No
     assert children.asked == [expected]
 
 
-@pytest.mark.parametrize("change", ["recording", "options", "redo"])
+@pytest.mark.parametrize("change", ["recording", "options", "sources", "redo"])
 def test_a_job_that_differs_is_done_anew(job: Job, children: Children, change: str) -> None:
     done(job)
     limits = REDO if change == "redo" else Limits()
@@ -78,6 +78,8 @@ def test_a_job_that_differs_is_done_anew(job: Job, children: Children, change: s
         job.recording.write_text("another")
     if change == "options":
         job = replace(job, arguments=("--seed=2",))
+    if change == "sources":
+        job = replace(job, sources="of other code")
     assert planned(job, limits) == "replace"
     assert done(job, limits).state is State.DONE
     assert children.ways == ["new", "--overwrite"]

@@ -43,7 +43,8 @@ def test_a_key_depends_on_all_that_changes_a_result(tmp_path: Path, monkeypatch:
     ]
     mesh.write_bytes(b"two")
     keys.append(job_key(with_file, "digest"))
-    monkeypatch.setattr(records, "__version__", "another")
+    keys.append(job_key(make_job(tmp_path, sources="of other code"), "digest"))
+    monkeypatch.setattr(records, "libraries", lambda: "numpy of another version")
     keys.append(job_key(make_job(tmp_path), "digest"))
     assert len(set(keys)) == len(keys)
 

@@ -13,14 +13,18 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
 
-from posetrack_cli.batch.jobs import Outcome
+from posetrack_cli import build
+from posetrack_cli.batch.jobs import Job, Limits, Outcome, State
+from posetrack_cli.batch.performing import perform
+from posetrack_cli.build import PACKAGE, source_digest
 from posetrack_cli.cli.batch import BATCH_OPTIONS
 from posetrack_cli.cli.batch_commands import BATCH_COMMANDS
 from posetrack_cli.cli.main import run
@@ -94,12 +98,22 @@ def hooked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.fixture
 def cluster(tmp_path: Path, hooked: Path) -> Iterator[Path]:
     """A scheduler and two workers as processes; the file that the scheduler writes."""
+    with started_cluster(tmp_path, workers=2) as file:
+        yield file
+
+
+@contextmanager
+def started_cluster(tmp_path: Path, workers: int, **variables: str) -> Iterator[Path]:
+    """Start a scheduler and workers, with environment variables; the file that the scheduler writes."""
     file, dask = tmp_path / "scheduler.json", [sys.executable, "-m", "dask"]
     flags = ["--scheduler-file", str(file), "--no-dashboard"]
     commands = [[*dask, "scheduler", "--port", "0", "--host", "127.0.0.1", *flags]]
-    commands += [[*dask, "worker", "--nthreads", "1", "--no-nanny", "--host", "127.0.0.1", *flags]] * 2
+    commands += [[*dask, "worker", "--nthreads", "1", "--no-nanny", "--host", "127.0.0.1", *flags]] * workers
     with (tmp_path / "cluster.log").open("wb") as log:
-        processes = [subprocess.Popen(one, stdout=log, stderr=log, cwd=tmp_path) for one in commands]
+        processes = [
+            subprocess.Popen(one, stdout=log, stderr=log, cwd=tmp_path, env=os.environ | variables)
+            for one in commands
+        ]
         try:
             yield file
         finally:
@@ -114,10 +128,10 @@ def states(folder: Path) -> dict[str, str]:
         return {row["name"]: row["state"] for row in csv.DictReader(stream)}
 
 
-def run_batch(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    """A batch as a user starts it."""
+def run_batch(*arguments: str | Path, folder: Path | None = None) -> subprocess.CompletedProcess[str]:
+    """A batch as a user starts it, in a folder; the package that lies there is the one that runs."""
     line = [*POSETRACK, "batch", "hand", "run", *map(str, arguments)]
-    return subprocess.run(line, capture_output=True, text=True, check=False)
+    return subprocess.run(line, capture_output=True, text=True, check=False, cwd=folder)
 
 
 @dataclass(frozen=True)
@@ -248,6 +262,60 @@ def test_ctrl_c_stops_and_the_same_command_goes_on(
     assert state_path(out / "long.mcap").is_file()
     assert subprocess.run(line, check=False, capture_output=True).returncode == 0
     assert states(out) == {"long": "done", "a1": "done"}
+
+
+@pytest.fixture(scope="module")
+def another_build(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a copy of the package, of which one default is another one."""
+    folder = tmp_path_factory.mktemp("another")
+    for name in ("posetrack_cli", "configs"):
+        shutil.copytree(PACKAGE.parent / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+    config = folder / "posetrack_cli" / "hand" / "config.py"
+    text = config.read_text()
+    assert text.count("= 256\n") == 1
+    config.write_text(text.replace("= 256\n", "= 8\n"))
+    return folder
+
+
+def test_results_of_another_default_are_not_kept_and_those_of_another_processor_are_told(
+    recordings: Path,
+    tmp_path: Path,
+    another_build: Path,
+    run_here: BatchHere,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    line = [recordings / "a1.mcap", "-o", tmp_path / "out", "--no-reports", *KNOWN]
+    for state in ("done", "kept"):
+        done = run_here(*line)
+        assert (done.returncode, states(tmp_path / "out")) == (0, {"a1": state})
+        assert "kinds of processor" not in done.stderr
+    for folder, way in ((PACKAGE.parent, "keep"), (another_build, "replace")):
+        assert run_batch(*line, "--dry-run", folder=folder).stdout.startswith(f"{way}: ")
+    features = build.processor_features()
+    monkeypatch.setattr(build, "processor_features", lambda: f"{features}, openblas Newest")
+    done = run_here(*line)
+    assert (done.returncode, states(tmp_path / "out")) == (0, {"a1": "kept"})
+    assert "results of several kinds of processor differ in their last digits: " in done.stderr
+    assert "openblas Newest" in done.stderr
+
+
+def test_a_cluster_of_another_build_is_one_line(
+    recordings: Path, tmp_path: Path, another_build: Path, run_here: BatchHere
+) -> None:
+    with started_cluster(tmp_path, workers=1, PYTHONPATH=str(another_build)) as file:
+        done = run_here(recordings / "a1.mcap", "-o", tmp_path / "out", *KNOWN, "--scheduler-file", file)
+    assert done.returncode == 1
+    (line,) = done.stderr.splitlines()[-1:]
+    assert "worker has another build of posetrack" in line and f"expected sources {source_digest()}" in line
+    assert not (tmp_path / "out" / "a1.mcap").exists()
+
+
+def test_code_that_changes_under_a_batch_fails_in_one_line(recordings: Path, tmp_path: Path) -> None:
+    job = Job("a1", ("hand", "run"), recordings / "a1.mcap", (), tmp_path / "a1.mcap", tmp_path / "a1.json")
+    outcome = perform(replace(job, sources="of before"), Limits())
+    assert outcome.state is State.FAILED
+    assert "sources are not those that the batch began with" in outcome.reason
+    assert "expected of before" in outcome.reason and not job.output.exists()
 
 
 def test_a_page_has_a_row_for_each_and_links_to_theirs(

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from posetrack_cli import __version__
+from posetrack_cli.build import version
 from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.comparing.comparison import Comparison
 from posetrack_cli.evaluation.evaluation import STATISTIC_NAMES, Curve, Evaluation, Statistics, Value
@@ -97,7 +97,7 @@ def json_report(
     """
     report = {
         "format": FORMAT,
-        "version": __version__,
+        "version": version(),
         "options": dict(options),
         "layout": "rows" if rows else "columns",
         "results": [_row(one) if rows else _result(one) for one in evaluations],

@@ -102,7 +102,7 @@ def export_source(result: Result, topic: str | None = None, *, lost: bool = True
 
 
 CAMERA_AXES = "x right, y down, z forward"
-_SHORT_RECORDS = ("tracker", "version", "seed", "input.name", "input.sha256")
+_SHORT_RECORDS = ("tracker", "version", "sources", "seed", "input.name", "input.sha256")
 
 
 def header_lines(source: ExportSource) -> Iterator[str]:
