@@ -27,6 +27,9 @@ from posetrack_cli.cli.view import view
 from posetrack_cli.damage import error_words
 from posetrack_cli.errors import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED, PosetrackError
 
+_NO_THREAD = "can't start new thread"
+"""What Python says of any limit that keeps a thread from starting."""
+
 
 class _Group(click.Group):
     """Click would print an empty line when it is interrupted, before ours."""
@@ -87,6 +90,10 @@ def run_safely(work: Callable[[], int]) -> int:
     except MemoryError as error:
         return _failed(_memory_line(error), EXIT_FAILED)
     except Exception as error:
+        if _NO_THREAD in str(error):
+            return _failed(
+                "out of memory or threads: raise ulimit -v and ulimit -u, or set POSETRACK_THREADS=1", EXIT_FAILED
+            )
         # The last net, for users: what gets here is a bug, and the fuzzing harness counts it as a failure.
         return _failed(_bug_line(error), EXIT_FAILED)
 

@@ -13,6 +13,7 @@ import faulthandler
 import gc
 import logging
 import os
+import resource
 import signal
 import sys
 import threading
@@ -22,7 +23,7 @@ from contextlib import contextmanager, suppress
 from io import TextIOWrapper
 from typing import NoReturn
 
-from posetrack_cli.errors import EXIT_INTERRUPTED
+from posetrack_cli.errors import EXIT_INTERRUPTED, UsageError
 
 _DEBUG = "POSETRACK_DEBUG"
 _STANDARD = (0, 1, 2)
@@ -96,6 +97,26 @@ def _silence_python_libraries() -> None:
     if not sys.warnoptions:  # of -W and PYTHONWARNINGS
         warnings.simplefilter("ignore")
     logging.getLogger().addHandler(logging.NullHandler())  # without any, warnings go to standard error
+
+
+LEAST_BYTES = 5 << 28
+"""Of address space: what tracking takes at least with its libraries, which end without a word on less."""
+
+
+def check_memory() -> None:
+    """Refuse to work under a limit of memory that libraries do not survive.
+
+    Raises:
+        UsageError: ``ulimit -v`` is too low.
+    """
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if limit not in (resource.RLIM_INFINITY, -1) and limit < LEAST_BYTES:
+        raise UsageError(
+            "limit of memory (ulimit -v) is too low",
+            found=f"{limit >> 10} KiB",
+            expected=f"{LEAST_BYTES >> 10} or more",
+            hint="ulimit -v unlimited, or limit the memory of the container instead",
+        )
 
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)

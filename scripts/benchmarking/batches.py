@@ -133,7 +133,15 @@ def scheduling(folder: Path, count: int) -> Iterator[Row]:
 
 def _scheduled(folder: Path, file: Path, count: int) -> Iterator[Row]:
     jobs = [
-        Job(str(number), ("hand", "run"), folder / "none.mcap", (), folder / "none", folder / "none.json")
+        Job(
+            str(number),
+            ("hand", "run"),
+            folder / "none.mcap",
+            (),
+            folder / "none",
+            folder / "none.json",
+            folder,
+        )
         for number in range(count)
     ]
     peaks: list[int] = []

@@ -50,7 +50,7 @@ def program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def run(folder: Path, way: str, **options: object) -> Ending:
-    job = Job("a", ("hand", "run"), folder / "a.mcap", (), folder / "out.mcap", folder / "a.json")
+    job = Job("a", ("hand", "run"), folder / "a.mcap", (), folder / "out.mcap", folder / "a.json", folder)
     return run_child(job, (way,), Limits(threads=3, timeout_s=options.pop("timeout_s", None)), **options)  # type: ignore[arg-type]
 
 
