@@ -173,7 +173,8 @@ def open_engine(
     for name in ("distributed", "distributed.worker", "distributed.scheduler", "distributed.nanny"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
     with ExitStack() as stack:
-        stack.enter_context(dask.config.set(_SETTINGS))
+        scratch = {} if where.scratch is None else {"temporary-directory": str(where.scratch)}
+        stack.enter_context(dask.config.set(_SETTINGS | scratch))
         client = stack.enter_context(_connected(where) if where.is_cluster else _started(where))
         if where.is_cluster:
             _check_cluster(client, note)
@@ -196,7 +197,6 @@ def _started(where: Where) -> Iterator[Client]:
             scheduler_kwargs={} if where.dashboard else {"dashboard_address": _NOBODYS_PORT},
             worker_dashboard_address=_NOBODYS_PORT,
             memory_limit=0,
-            local_directory=None if where.scratch is None else str(where.scratch),
         ) as cluster,
         Client(cluster) as client,
     ):

@@ -26,7 +26,7 @@ from posetrack_cli.cli.options import (
     option_group,
     options_of,
 )
-from posetrack_cli.cli.process import stop_signals
+from posetrack_cli.cli.process import LEAST_DATA_BYTES, stop_signals
 from posetrack_cli.cli.standard_output import STANDARD_OUTPUT, print_data, print_line, print_note
 from posetrack_cli.errors import EXIT_DONE, PosetrackError, UsageError
 
@@ -38,7 +38,6 @@ if TYPE_CHECKING:
 
 _UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
 _SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?", re.IGNORECASE)
-_LEAST_BYTES = 1 << 28
 
 
 class Size(click.ParamType[int]):
@@ -58,8 +57,8 @@ class Size(click.ParamType[int]):
         if found is None:
             self.fail(f"{value!r} is no size such as 2G or 1500M.", parameter, context)
         size = round(float(found[1]) * _UNITS[found[2].upper()])
-        if size < _LEAST_BYTES:
-            self.fail(f"{value} is less than any run needs; 256M or more.", parameter, context)
+        if size < LEAST_DATA_BYTES:
+            self.fail(f"{value} is less than any run needs; 512M or more.", parameter, context)
         return size
 
 
@@ -383,16 +382,14 @@ def _run(plan: _Plan, options: dict[str, Any]) -> list[Outcome]:
     from posetrack_cli.batch.jobs import RECORDS_FOLDER
     from posetrack_cli.batch.performing import perform
     from posetrack_cli.batch.running import run_batch
-    from posetrack_cli.outputs import make_folder
 
     scratch = options["results"] / RECORDS_FOLDER / "scratch"
-    make_folder(scratch, options["results"])
     jobs = options["jobs"] or len(os.sched_getaffinity(0))
     if plan.piece_arguments is None:
         jobs = min(jobs, len(plan.jobs))  # so that one alone has all cores
     where = Where(jobs, options["scheduler"], options["scheduler_file"], scratch, options["dashboard"])
     with (
-        _deleted_at_last(scratch),
+        _new_folder(scratch),
         BatchProgress(len(plan.jobs)) as shown,
         stop_signals() as stopped,
         open_engine(where, perform, shown.on_progress, shown.note) as engine,
@@ -401,11 +398,14 @@ def _run(plan: _Plan, options: dict[str, Any]) -> list[Outcome]:
 
 
 @contextmanager
-def _deleted_at_last(scratch: Path) -> Iterator[None]:
+def _new_folder(path: Path) -> Iterator[None]:
+    """Make a folder anew, also where a batch that was killed has left one, and delete it at the end."""
+    shutil.rmtree(path, ignore_errors=True)
+    path.mkdir()
     try:
         yield
     finally:
-        shutil.rmtree(scratch, ignore_errors=True)
+        shutil.rmtree(path, ignore_errors=True)
 
 
 def _close(folder: Path, summary: Summary) -> None:

@@ -92,7 +92,7 @@ def run_safely(work: Callable[[], int]) -> int:
     except Exception as error:
         if _NO_THREAD in str(error):
             return _failed(
-                "out of memory or threads: raise ulimit -v and ulimit -u, or set POSETRACK_THREADS=1", EXIT_FAILED
+                "out of memory or threads: raise ulimit -v or -u, or set POSETRACK_THREADS=1", EXIT_FAILED
             )
         # The last net, for users: what gets here is a bug, and the fuzzing harness counts it as a failure.
         return _failed(_bug_line(error), EXIT_FAILED)

@@ -99,24 +99,30 @@ def _silence_python_libraries() -> None:
     logging.getLogger().addHandler(logging.NullHandler())  # without any, warnings go to standard error
 
 
-LEAST_BYTES = 5 << 28
-"""Of address space: what tracking takes at least with its libraries, which end without a word on less."""
+LEAST_DATA_BYTES = 1 << 29
+_LEAST = {
+    "ulimit -v": (resource.RLIMIT_AS, 5 << 28),
+    "ulimit -d": (resource.RLIMIT_DATA, LEAST_DATA_BYTES),
+}
+"""What tracking takes with its libraries, which abort or hang on less: address space, and data alone."""
 
 
 def check_memory() -> None:
     """Refuse to work under a limit of memory that libraries do not survive.
 
     Raises:
-        UsageError: ``ulimit -v`` is too low.
+        UsageError: ``ulimit -v`` or ``ulimit -d`` is too low.
     """
-    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
-    if limit not in (resource.RLIM_INFINITY, -1) and limit < LEAST_BYTES:
-        raise UsageError(
-            "limit of memory (ulimit -v) is too low",
-            found=f"{limit >> 10} KiB",
-            expected=f"{LEAST_BYTES >> 10} or more",
-            hint="ulimit -v unlimited, or limit the memory of the container instead",
-        )
+    for name, (which, least) in _LEAST.items():
+        limit, _ = resource.getrlimit(which)
+        if limit != resource.RLIM_INFINITY and limit < least:
+            found, expected = f"{limit >> 10} KiB", f"{least >> 10} KiB or more"
+            raise UsageError(
+                f"limit of memory is too low ({name})",
+                found=found,
+                expected=expected,
+                hint=f"type: {name} unlimited",
+            )
 
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
