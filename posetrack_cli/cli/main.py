@@ -21,7 +21,13 @@ from posetrack_cli.cli.export import export
 from posetrack_cli.cli.hand import hand
 from posetrack_cli.cli.head import head
 from posetrack_cli.cli.info import info
-from posetrack_cli.cli.process import is_debugging, leave_process, prepare_process, terminate_as_interrupted
+from posetrack_cli.cli.process import (
+    is_debugging,
+    leave_process,
+    prepare_process,
+    survive_memory_limit,
+    terminate_as_interrupted,
+)
 from posetrack_cli.cli.standard_output import discard_output, print_note
 from posetrack_cli.cli.view import view
 from posetrack_cli.damage import error_words
@@ -60,6 +66,7 @@ def main() -> None:
     """Run the command line and exit."""
     prepare_process()
     terminate_as_interrupted()
+    survive_memory_limit()
     leave_process(run(sys.argv[1:]))
 
 

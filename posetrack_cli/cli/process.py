@@ -9,6 +9,7 @@ Ctrl-C ends a command after the frame at hand, and waits for no compiler.
 
 from __future__ import annotations
 
+import ctypes
 import faulthandler
 import gc
 import logging
@@ -23,7 +24,8 @@ from contextlib import contextmanager, suppress
 from io import TextIOWrapper
 from typing import NoReturn
 
-from posetrack_cli.errors import EXIT_INTERRUPTED, UsageError
+from posetrack_cli.cli.standard_output import print_note
+from posetrack_cli.errors import EXIT_FAILED, EXIT_INTERRUPTED, UsageError
 
 _DEBUG = "POSETRACK_DEBUG"
 _STANDARD = (0, 1, 2)
@@ -124,6 +126,35 @@ def check_memory() -> None:
                 hint=f"type: {name} unlimited",
             )
 
+
+def survive_memory_limit() -> None:
+    """Go on in a process of its own where memory is limited: libraries abort for want of it.
+
+    This process waits for that one, and says in one line that it was aborted.
+    """
+    limited = [
+        name for name, (which, _) in _LEAST.items() if resource.getrlimit(which)[0] != resource.RLIM_INFINITY
+    ]
+    if not limited:
+        return
+    child = os.fork()
+    if child == 0:
+        faulthandler.disable()
+        ctypes.CDLL(None).prctl(_SET_SIGNAL_AT_PARENTS_END, signal.SIGKILL)
+        return
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to both
+    signal.signal(signal.SIGTERM, lambda number, frame: os.kill(child, number))
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    if code in (-signal.SIGABRT, -signal.SIGSEGV, -signal.SIGBUS):
+        print_note(
+            f"posetrack: a library aborted, likely for want of memory ({', '.join(limited)}); raise the limit"
+        )
+        code = EXIT_FAILED
+    os._exit(code if code >= 0 else 128 - code)
+
+
+_SET_SIGNAL_AT_PARENTS_END = 1
+"""``PR_SET_PDEATHSIG`` of Linux."""
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 GRACE_S = 1.0
