@@ -179,7 +179,7 @@ def open_engine(
         if where.is_cluster:
             _check_cluster(client, note)
         if where.dashboard:
-            note(f"dashboard: {client.dashboard_link}")
+            note(f"dashboard: {_dashboard_of(client, where)}")
         yield Engine(client, perform, told)
 
 
@@ -201,6 +201,15 @@ def _started(where: Where) -> Iterator[Client]:
         Client(cluster) as client,
     ):
         yield client
+
+
+def _dashboard_of(client: Client, where: Where) -> str:
+    """The address of Dask's page; of a scheduler here Dask names an address that it does not listen on."""
+    link: str = client.dashboard_link
+    if where.is_cluster:
+        return link
+    port = client.scheduler_info()["services"]["dashboard"]
+    return f"http://{_DASHBOARD.partition(':')[0]}:{port}/status"
 
 
 @contextmanager

@@ -116,6 +116,11 @@ class Job:
         """What the process prints."""
         return self.record.with_suffix(".log")
 
+    @property
+    def pieces_folder(self) -> Path:
+        """Where its pieces lie until they are joined."""
+        return self.record.with_suffix(".pieces")
+
     def as_kind(self, kind: Kind, **changes: Any) -> Job:
         """The job of the same recording that does something else."""
         return replace(self, kind=kind, **changes)

@@ -163,6 +163,7 @@ class _Performance:
     def _kept(self, progress: Progress, stopped: Callable[[], bool]) -> Outcome:
         """The outcome of before; the page is written where it is missing."""
         assert self._known is not None
+        self._delete_pieces()  # of a batch that was killed once they were joined
         known = self._known.outcome or Outcome(self._job.name, State.KEPT)
         outcome = replace(known, name=self._job.name, state=State.KEPT, reason="")
         if not self.has_page:
@@ -175,15 +176,20 @@ class _Performance:
     def _finish(self, ending: Ending) -> Outcome:
         if ending.code not in (EXIT_DONE, EXIT_DATA_LOST) or not self._job.output.exists():
             outcome = _failure(self._job, ending, self._limits)
-            self._remember(outcome.state, outcome)
+            if output_stamp(self._job.output) == self._stamp:
+                self._remember(outcome.state, outcome)
+            # else the process ended once the result had its name, and the next batch keeps that
             return outcome
         reason = f"done again: {self.damage}" if self.damage else ""
         lost = ending.code == EXIT_DATA_LOST
         outcome = replace(_told(self._job, ending), state=State.DONE, reason=reason, lost_data=lost)
         self._remember(State.DONE, outcome)
         if self._job.kind is Kind.JOIN:
-            _delete_pieces(self._job)
+            self._delete_pieces()
         return outcome
+
+    def _delete_pieces(self) -> None:
+        shutil.rmtree(self._job.pieces_folder, ignore_errors=True)
 
     def _remember(self, state: str, outcome: Outcome | None = None) -> None:
         is_made = state == State.DONE
@@ -204,12 +210,6 @@ def _split(job: Job, limits: Limits, stopped: Callable[[], bool]) -> Outcome:
         pieces=tuple(Piece(*piece) for piece in ending.told["pieces"]),
         digests=ending.told["digests"],
     )
-
-
-def _delete_pieces(job: Job) -> None:
-    """Delete what was joined, and the folder that it lay in."""
-    with suppress(OSError):
-        shutil.rmtree(job.pieces[0][0].parent)
 
 
 def _wait_for_writer(job: Job) -> None:

@@ -224,7 +224,9 @@ def test_a_joined_result_is_kept_without_its_pieces(job: Job, children: Children
     joining = job.as_kind(Kind.JOIN, pieces=((pieces / "00000.mcap", None),), chunk_s=1.0)
     assert done(joining).state is State.DONE
     assert not pieces.exists()
+    pieces.mkdir()  # as a batch leaves it that is killed here
     assert done(replace(job, chunk_s=1.0).as_kind(Kind.SPLIT)).state is State.KEPT
+    assert not pieces.exists()
 
 
 def test_a_job_with_a_damaged_record_is_done_again_and_says_so(job: Job, children: Children) -> None:
@@ -263,3 +265,23 @@ def test_no_pieces_are_written_through_a_link(job: Job, children: Children, tmp_
     piece = replace(job, name="a//0", output=pieces / "00000.mcap", record=pieces / "00000.json")
     assert "is a symbolic link" in done(piece).reason
     assert not (tmp_path / "00000.json").exists()
+
+
+@pytest.mark.parametrize("before", ["", "an earlier result"])
+def test_a_result_that_was_finished_before_its_process_was_killed_is_kept(
+    job: Job, children: Children, before: str
+) -> None:
+    """Its process still writes a page then, and frees memory; whoever kills it loses no result by that."""
+    if before:
+        children.text = before
+        done(job)
+        job = replace(job, arguments=("--seed=2",))
+
+    def run(of: Job, arguments: tuple[str, ...], *_: object) -> Ending:
+        of.output.write_text("result")
+        return Ending(code=-9)
+
+    children.run = run  # type: ignore[method-assign]
+    assert done(job).state is State.FAILED
+    assert planned(job, Limits()) == "keep"
+    assert done(job).state is State.KEPT
