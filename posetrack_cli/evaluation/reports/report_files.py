@@ -312,5 +312,5 @@ def curve_report(evaluations: Sequence[Evaluation]) -> str:
         raise UsageError("no curve: no result of a hand has a truth with joints", found=names)
     columns = [next(iter(curves.values())).thresholds_mm]
     columns += [shares for curve in curves.values() for shares in (curve.share, curve.mean_share)]
-    names = ["d_mm", *(f"{name} {kind}" for name in curves for kind in KINDS)]
-    return csv_of([names, *([f"{row[0]:g}", *row[1:]] for row in np.stack(columns, axis=1).tolist())])
+    header = ["d_mm", *(f"{name} {kind}" for name in curves for kind in KINDS)]
+    return csv_of([header, *([f"{row[0]:g}", *row[1:]] for row in np.stack(columns, axis=1).tolist())])
