@@ -145,6 +145,12 @@ TRIANGLES = 1_000_000
 CAMERAS = 1000
 """Of one rig."""
 
+# Folders
+
+SEARCH_ENTRIES = 1_000_000
+"""Files and folders that the patterns of a batch look at, or that one recording's folder holds: nine hours of
+images at 30 frames a second."""
+
 # Lines of text
 
 LINE_BYTES = MIB

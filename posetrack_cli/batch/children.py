@@ -215,17 +215,21 @@ def _take(ending: Ending, line: bytes, progress: Progress) -> None:
         ending.told |= told
 
 
-def way_of(ending: Ending, timeout_s: float | None) -> str:
+def way_of(ending: Ending, limits: Limits) -> str:
     """Say in one line why a process did not do its job; its last line tells it best, where it exited."""
     if ending.timed_out:
-        return f"took longer than --timeout {timeout_s:g} s"
-    if ending.code < 0:
-        with suppress(ValueError):
-            return f"its process was killed by {signal.Signals(-ending.code).name}"
-        return f"its process was killed by signal {-ending.code}"
-    if ending.last_lines:
+        return f"took longer than --timeout {limits.timeout_s:g} s"
+    if ending.code >= 0 and ending.last_lines:
         return ending.last_lines[-1].removeprefix("posetrack: ")
-    return f"its process ended with exit code {ending.code}"
+    memory = limits.memory_bytes
+    likely = "" if memory is None else f", likely as it needs more than --memory-limit {memory >> 20}M"
+    return f"its process {_end_of(ending.code)}{likely}"
+
+
+def _end_of(code: int) -> str:
+    with suppress(ValueError):
+        return f"was killed by {signal.Signals(-code).name}"
+    return f"was killed by signal {-code}" if code < 0 else f"ended with exit code {code}"
 
 
 def was_interrupted(ending: Ending) -> bool:

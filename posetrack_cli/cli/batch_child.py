@@ -7,6 +7,7 @@ command line names, one line of JSON each: progress, and in the end what came of
 
 from __future__ import annotations
 
+import faulthandler
 import json
 import os
 import resource
@@ -59,6 +60,7 @@ def _leave_when_alone() -> None:
 def _limit_memory(most_bytes: int | None) -> None:
     """Have allocations fail beyond a limit, so that this process fails and not another one."""
     if most_bytes is not None:
+        faulthandler.disable()  # a library that cannot do without more memory aborts, which is no fault
         resource.setrlimit(resource.RLIMIT_DATA, (most_bytes, most_bytes))
 
 

@@ -8,6 +8,7 @@ from typing import Any, Protocol, TypeVar
 
 import click
 
+from posetrack_cli.cli.process import check_memory
 from posetrack_cli.cli.progress import phase_shown
 from posetrack_cli.cli.standard_output import QUIET, USUAL, VERBOSE, print_detail, volume
 from posetrack_cli.phases import phases_shown
@@ -53,6 +54,7 @@ class Command(click.Command):
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command, as loud as it was asked to be."""
+        check_memory()
         began_s = time.perf_counter(), time.process_time()
         ctx.meta[_BEGAN] = began_s[0]
         with volume(ctx.meta.get(_VOLUME, USUAL)), phases_shown(phase_shown):

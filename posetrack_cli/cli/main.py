@@ -20,11 +20,20 @@ from posetrack_cli.cli.export import export
 from posetrack_cli.cli.hand import hand
 from posetrack_cli.cli.head import head
 from posetrack_cli.cli.info import info
-from posetrack_cli.cli.process import is_debugging, leave_process, prepare_process, terminate_as_interrupted
+from posetrack_cli.cli.process import (
+    is_debugging,
+    leave_process,
+    prepare_process,
+    survive_memory_limit,
+    terminate_as_interrupted,
+)
 from posetrack_cli.cli.standard_output import discard_output, print_line, print_note
 from posetrack_cli.cli.view import view
 from posetrack_cli.damage import error_words
 from posetrack_cli.errors import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED, PosetrackError
+
+_NO_THREAD = "can't start new thread"
+"""What Python says of any limit that keeps a thread from starting."""
 
 
 class _Group(click.Group):
@@ -72,6 +81,7 @@ def main() -> None:
     """Run the command line and exit."""
     prepare_process()
     terminate_as_interrupted()
+    survive_memory_limit()
     leave_process(run(sys.argv[1:]))
 
 
@@ -102,6 +112,10 @@ def run_safely(work: Callable[[], int]) -> int:
     except MemoryError as error:
         return _failed(_memory_line(error), EXIT_FAILED)
     except Exception as error:
+        if _NO_THREAD in str(error):
+            return _failed(
+                "out of memory or threads: raise ulimit -v or -u, or set POSETRACK_THREADS=1", EXIT_FAILED
+            )
         # The last net, for users: what gets here is a bug, and the fuzzing harness counts it as a failure.
         return _failed(_bug_line(error), EXIT_FAILED)
 

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from io import StringIO
 from pathlib import Path
 
 import numpy as np
 
+from posetrack_cli.csv_rows import csv_of
 from posetrack_cli.errors import UsageError
 from posetrack_cli.files import open_output
 from posetrack_cli.outputs import check_target, whole_or_nothing
@@ -37,9 +36,9 @@ def csv_text(source: ExportSource) -> Iterator[str]:
     come back to the last bit; a value that there is not is an empty cell.
     """
     blocks, groups = source.begun_blocks(), table_of(source.result.subject)
-    yield _csv_rows([[name for group in groups for name in group.names]])
+    yield csv_of([[name for group in groups for name in group.names]])
     for block in blocks:
-        yield _csv_rows(zip(*_cells(groups, block), strict=True))
+        yield csv_of(zip(*_cells(groups, block), strict=True))
 
 
 def tum_text(source: ExportSource) -> Iterator[str]:
@@ -77,12 +76,6 @@ def _comments(lines: Iterable[str]) -> Iterator[str]:
     for line in lines:
         text = line if line == line.rstrip() and line.isprintable() else " ".join(line.split())
         yield f"# {printable(text)}\n"
-
-
-def _csv_rows(rows: Iterable[Iterable[str]]) -> str:
-    text = StringIO()
-    csv.writer(text, lineterminator="\n").writerows(rows)
-    return text.getvalue()
 
 
 def _cells(groups: tuple[ColumnGroup, ...], block: Columns) -> Iterator[list[str]]:
