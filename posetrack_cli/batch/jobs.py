@@ -11,12 +11,11 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from posetrack_cli import limits
+from posetrack_cli.build import source_digest
 
 Finite = Annotated[float, Field(ge=0.0, le=limits.NUMBER, allow_inf_nan=False)]
 Count = Annotated[int, Field(ge=0, le=limits.INTEGER)]
 """What a record of a job, which a stranger may have written, must hold."""
-
-from posetrack_cli.build import source_digest
 
 RECORDS_FOLDER = ".batch"
 """Below the folder of results: what a batch needs besides; others than results have no place elsewhere."""
