@@ -4,7 +4,5 @@ import os
 
 from posetrack_cli.limits import IMAGE_PIXELS
 
-__version__ = "0.1.0"
-
 # OpenCV reads it as it is loaded, which is later; its own bound is 32 times higher.
 os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(IMAGE_PIXELS))

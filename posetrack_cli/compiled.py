@@ -8,15 +8,17 @@ that is named after all the sources that go into it.
 from __future__ import annotations
 
 import functools
-import hashlib
+import itertools
 import os
 import pickle
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from threading import Lock
+from time import perf_counter
 from typing import Any, TypeVar
 
+from posetrack_cli.build import source_digest
 from posetrack_cli.cache import cache_folder
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -129,20 +131,24 @@ def _alone(folder: Path) -> Iterator[None]:
 
 
 @contextmanager
-def announced(report: Callable[[str], None]) -> Iterator[None]:
+def announced(
+    report: Callable[[str], None], each: Callable[[int], None] = lambda count: None
+) -> Iterator[None]:
     """Say so, once, when a kernel is compiled: the first run after a change waits for it.
 
     Nothing is said where the compiled code is loaded from the cache.
 
     Args:
         report: called with a line for people, in the thread that compiles.
+        each: called with the number of each kernel, from 1, in the same thread.
     """
     kept = "once" if kernel_folder() else "in every run, as nothing can be kept"
-    lines = [f"compiling the fits, {kept}: about 20 s"]
+    counts = itertools.count(1)
 
     def say() -> None:
-        if lines:
-            report(lines.pop())
+        if (count := next(counts)) == 1:
+            report(f"compiling the fits, {kept}: about 40 s of processor time")
+        each(count)
 
     with _listening(say, lambda: None):
         yield
@@ -152,14 +158,20 @@ def announced(report: Callable[[str], None]) -> Iterator[None]:
 def watched(start: Callable[[], None]) -> Iterator[Callable[[], bool]]:
     """Yield a function that tells whether any thread compiles a kernel just now.
 
+    The time in which one does is added to ``compiling_s``.
+
     Args:
         start: called before each, in the thread that compiles; may raise.
     """
-    depth, lock = [0], Lock()
+    depth, began_s, lock = [0], [0.0], Lock()
 
     def change(by: int) -> None:
         with lock:
+            if depth[0] == 0:
+                began_s[0] = perf_counter()
             depth[0] += by
+            if depth[0] == 0:
+                _compiling_s[0] += perf_counter() - began_s[0]
 
     def begin() -> None:
         change(1)
@@ -167,6 +179,14 @@ def watched(start: Callable[[], None]) -> Iterator[Callable[[], bool]]:
 
     with _listening(begin, lambda: change(-1)):
         yield lambda: depth[0] > 0
+
+
+_compiling_s = [0.0]
+
+
+def compiling_s() -> float:
+    """Return for how many seconds this process has compiled kernels while that was ``watched``."""
+    return _compiling_s[0]
 
 
 @contextmanager
@@ -197,11 +217,5 @@ def thread_count() -> int:
 @functools.cache
 def kernel_folder() -> str | None:
     """Return where compiled code is kept; None where nothing can be kept."""
-    folder = cache_folder(source_digest(Path(__file__).parent))
+    folder = cache_folder(source_digest(KERNEL_SOURCES))
     return None if folder is None else str(folder)
-
-
-def source_digest(root: Path) -> str:
-    """Return a name for the sources of all kernels below a folder: another one after any change."""
-    sources = [path for pattern in KERNEL_SOURCES for path in sorted(root.glob(pattern))]
-    return hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()[:16]

@@ -1,16 +1,25 @@
-"""Rows of a stranger's CSV file one by one with their lines: a long file takes the memory of a row."""
+"""CSV: rows of a stranger's file one by one with their lines, and rows of ours with a stranger's names.
+
+A long file takes the memory of a row. Spreadsheets run cells that begin as a formula does.
+"""
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator
+import io
+import re
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from posetrack_cli import limits
 from posetrack_cli.errors import PosetrackError
 from posetrack_cli.files import open_input
+from posetrack_cli.text import one_line
 
 COMMENT = "#"
+_FORMULA = tuple("=+-@\uff1d\uff0b\uff0d\uff20")
+"""What begins a formula, also in its full width."""
+_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*(?:e[+-]?\d+)?|inf|nan)", re.ASCII | re.IGNORECASE)
 Row = tuple[int, list[str]]
 """A row of cells and its line."""
 
@@ -72,3 +81,21 @@ def csv_rows(path: Path, kind: type[PosetrackError], expected: str) -> Iterator[
         line_ends = "new-line" in str(error)  # of a Macintosh of old, which csv explains in its own terms
         found, hint = ("a carriage return alone", "end lines with a line feed") if line_ends else (error, "")
         raise kind("is no CSV", where=f"{path} line {latest}", found=found, hint=hint) from error
+
+
+def csv_of(rows: Iterable[Iterable[object]]) -> str:
+    """Return rows as CSV with line feeds.
+
+    Text is printable; a cell that would be a formula begins with an apostrophe. Numbers stay as they are.
+    """
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerows([_written(cell) for cell in row] for row in rows)
+    return text.getvalue()
+
+
+def _written(cell: object) -> object:
+    if not isinstance(cell, str) or _NUMBER.fullmatch(cell):
+        return cell
+    shown = one_line(cell).replace("\t", "\\t")
+    return f"'{shown}" if shown.startswith(_FORMULA) else shown

@@ -98,6 +98,9 @@ MESH_REACH = 1e6
 
 MODEL_BYTES = 256 * MIB
 """Of a file of a face model, or of what was learned of a head: templates of a hundred people take less."""
+MODEL_TRIAL_S = 60
+MODEL_TRIAL_BYTES = 2048 * MIB
+"""Time, and address space, in which a face detector's model is tried: YuNet takes a second and 0.9 GiB."""
 FACE_PARAMETERS = 256
 """Of identity, and of deformation; morphable models have up to 199 and 29."""
 NPZ_FLOOR_BYTES = 256 * MIB
@@ -141,6 +144,12 @@ TRIANGLES = 1_000_000
 """Of a subject's mesh."""
 CAMERAS = 1000
 """Of one rig."""
+
+# Folders
+
+SEARCH_ENTRIES = 1_000_000
+"""Files and folders that the patterns of a batch look at, or that one recording's folder holds: nine hours of
+images at 30 frames a second."""
 
 # Lines of text
 

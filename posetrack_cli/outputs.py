@@ -94,6 +94,19 @@ def link_refused(path: Path) -> UsageError:
     )
 
 
+def make_folder(folder: Path, root: Path) -> None:
+    """Make a folder below another one, with those between them.
+
+    Raises:
+        UsageError: one of them is a symbolic link: what is written would lie elsewhere.
+        OSError: it cannot be made, or is a file.
+    """
+    for one in reversed([folder, *folder.parents][: len(folder.relative_to(root).parts)]):
+        if one.is_symlink():
+            raise link_refused(one)
+        one.mkdir(exist_ok=True)
+
+
 def check_free(out: Path) -> None:
     """Raise UsageError if writing here would replace a file or a run that can be resumed."""
     if is_taken(out):

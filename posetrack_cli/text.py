@@ -12,9 +12,10 @@ from typing import Any
 from posetrack_cli import limits
 
 # C0 but tab and line feed, DEL, C1; marks, embeddings, overrides and isolates of bidirectional text; the
-# line and paragraph separators, which some viewers take for line feeds.
+# line and paragraph separators, which some viewers take for line feeds; surrogates, by which Python holds
+# bytes of names that are not UTF-8.
 _CONTROLS = re.compile(
-    "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028\u2029\u202a-\u202e\u2066-\u2069]"
+    "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]"
 )
 
 

@@ -60,11 +60,13 @@ class Environment:
         return kept | {"PATH": f"{self.folder / 'bin'}{os.pathsep}{kept['PATH']}"}
 
     def install(self, *what: str) -> None:
-        """Install with the pins of the checkout."""
+        """Install what the checkout has locked, and then these, for which nothing else is looked up."""
         line = [str(self.folder / "bin" / "python"), "-m", "pip", "install", "--quiet", "--no-compile"]
-        _run(
-            [*line, "--disable-pip-version-check", "--constraint", str(ROOT / "constraints.txt"), *what], ROOT
-        )
+        line += ["--disable-pip-version-check", "--no-deps"]
+        _run([*line, "--require-hashes", "--requirement", "requirements.txt"], ROOT)
+        if what:
+            _run([*line, "--no-build-isolation", *what], ROOT)
+            _run([str(self.folder / "bin" / "python"), "-m", "pip", "check"], ROOT)
 
     def run(self, command: list[str], folder: Path) -> str:
         """Run a command in a folder, and return what it prints."""
@@ -90,7 +92,7 @@ def _run(command: list[str], folder: Path, variables: dict[str, str] | None = No
 def build(folder: Path) -> Path:
     """Build both packages, and return the folder that they are in."""
     maker = Environment(folder / "maker")
-    maker.install("hatchling")
+    maker.install()
     out = folder / "dist"
     maker.run(["hatchling", "build", "-d", str(out), "-t", "sdist", "-t", "wheel"], ROOT)
     return out

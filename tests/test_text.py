@@ -11,6 +11,7 @@ from posetrack_cli.text import one_line, printable, printable_json
 HOSTILE = [chr(code) for code in (*range(0x20), *range(0x7F, 0xA0)) if chr(code) not in "\t\n"]
 HOSTILE += ["\u061c", "\u200e", "\u200f", "\u2028", "\u2029"]
 HOSTILE += [chr(code) for code in (*range(0x202A, 0x202F), *range(0x2066, 0x206A))]
+HOSTILE += ["\udcff", "\udc80"]  # bytes of names that are no UTF-8
 
 
 @pytest.mark.parametrize("control", HOSTILE, ids=lambda control: f"{ord(control):04x}")

@@ -28,6 +28,7 @@ from posetrack_cli.mcap.chunks import (
 from posetrack_cli.mcap.stream import (
     DAMAGED,
     DAMAGED_CHUNK,
+    DAMAGED_RECORD,
     LARGE_CHUNK,
     TRUNCATED,
     UNKNOWN_CHANNEL,
@@ -42,6 +43,8 @@ MESSAGE, CHUNK, CHUNK_INFO, CONNECTION = 2, 5, 6, 7
 """Kinds of records that are read; others are the bag's head and the index of a chunk."""
 COMPRESSIONS = {b"none": "", b"lz4": "lz4", b"bz2": "bz2"}
 """By what a bag calls them, what ``bounded_content`` does."""
+DAMAGE = (ValueError, LookupError, struct.error, EOFError, RuntimeError, OSError)
+"""Errors of damaged records, the last three of bz2 and LZ4."""
 _LENGTH = struct.Struct("<I")
 _TIME = struct.Struct("<II")
 _PAIR = struct.Struct("<II")
@@ -91,7 +94,7 @@ class Ros1Bag:
     def messages(self, topics: Topics = None) -> Iterator[McapItem]:
         """Yield schema, channel and message of all messages, or of those on some topics, in file order.
 
-        A damaged chunk is left out, and one beyond ``limits``; of one that is cut what is whole is read.
+        A damaged record is left out, and a chunk beyond ``limits``; of one that is cut what is whole is read.
 
         Raises:
             RecordingError: chunks decompress to more than any recording's.
@@ -103,7 +106,7 @@ class Ros1Bag:
             while position < size:
                 try:
                     record = _read_head(stream, position, size)
-                except ValueError:
+                except DAMAGE:
                     self.losses.add(DAMAGED, f"byte {position} of {size}")
                     return
                 if record is None or record.end > size:
@@ -111,7 +114,10 @@ class Ros1Bag:
                         yield from reading.chunk(record, stream.read(limits.CHUNK_BYTES), cut=True)
                     self.losses.add(TRUNCATED, f"byte {size} of {size}")
                     return
-                yield from reading.record(record, stream)
+                try:
+                    yield from reading.record(record, stream)
+                except DAMAGE:
+                    self.losses.add(DAMAGED_RECORD, f"byte {position} of {size}")
                 position = record.end
 
     def counts(self) -> list[tuple[Schema | None, Channel, int]] | None:
@@ -135,7 +141,7 @@ class Ros1Bag:
                         for connection, count in _PAIR.iter_unpack(data):
                             counted[connection] = counted.get(connection, 0) + count
                     position = record.end
-        except (ValueError, KeyError, IndexError, struct.error, ChunkLimitError):
+        except DAMAGE:
             return None
         if sum(counted.values()) > limits.MESSAGES:
             return None
@@ -172,7 +178,7 @@ class _Reading:
             yield from self._content(record, data, where, cut=cut)
         except ChunkLimitError as error:
             self._losses.add(LARGE_CHUNK, f"{error}, {where}")
-        except (ValueError, KeyError, IndexError, struct.error, EOFError, RuntimeError, OSError):
+        except DAMAGE:
             self._losses.add(DAMAGED_CHUNK, where)
 
     def connection(self, record: _Record, data: bytes) -> None:

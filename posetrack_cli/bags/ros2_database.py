@@ -28,6 +28,8 @@ from posetrack_cli.mcap.decoding import NO_DEFINITION
 from posetrack_cli.mcap.stream import DAMAGED, McapItem, Topics, wanted_names
 
 MAGIC = b"SQLite format 3\0"
+DAMAGE = (sqlite3.Error, zstandard.ZstdError, TypeError, ValueError, LookupError)
+"""Errors of damaged databases; Python's sqlite3 decodes names and its own errors as UTF-8, or raises."""
 COLUMNS = {
     "topics": ("id", "name", "type", "serialization_format"),
     "messages": ("topic_id", "timestamp", "data"),
@@ -44,7 +46,7 @@ _STEPS = 1000
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 """How compressed messages begin; others begin with a zero, of CDR's head."""
 WAL = "-wal"
-UNREADABLE = "message of a database that is no bytes with a time, or larger than any"
+UNREADABLE = "message of a database that is not bytes with a time and a topic, or larger than any"
 NOT_MERGED = "the last messages are in a log beside the database, which is not read"
 
 
@@ -84,10 +86,12 @@ class Ros2Database:
             for number, stamp, data in self._rows(database, "messages", wanted):
                 try:
                     message = _message(number, stamp, data, budget)
-                except (TypeError, ValueError, zstandard.ZstdError):
-                    self.losses.add(UNREADABLE, f"on {wanted[number][1].topic}")
+                    schema, channel = wanted[number]
+                except DAMAGE:
+                    where = f"on {wanted[number][1].topic}" if number in wanted else "of no topic"
+                    self.losses.add(UNREADABLE, where)
                     continue
-                yield *wanted[number], message
+                yield schema, channel, message
 
     def counts(self) -> list[tuple[Schema | None, Channel, int]] | None:
         """Return every channel with the number of its messages."""
@@ -108,7 +112,7 @@ class Ros2Database:
             with closing(sqlite3.connect(name, uri=True, check_same_thread=False)) as database:
                 _bound(database, self.path.stat().st_size)
                 yield database
-        except sqlite3.Error as error:
+        except DAMAGE as error:
             what = "is no database that can be read"
             raise RecordingError(what, where=self.path, found=error) from error
 
@@ -160,7 +164,7 @@ class Ros2Database:
             words += f" WHERE topic_id IN ({', '.join(str(number) for number in topics)})"
         try:
             yield from database.execute(words)
-        except sqlite3.Error as error:
+        except DAMAGE as error:
             if table != "messages":
                 raise
             self.losses.add(DAMAGED, f"{table}: {error}")

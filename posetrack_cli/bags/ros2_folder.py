@@ -21,7 +21,13 @@ SUFFIXES = (".mcap", ".db3")
 COMPRESSED = ".zstd"
 MISSING = "file of the recording is missing"
 OTHER = "file of the recording is neither MCAP nor SQLite"
-_NAMED = re.compile(r"[^\s/\\'\",\[\]]+\.(?:mcap|db3)(?:\.zstd)?(?=['\",\]\s]|$)")
+DAMAGE = (OSError, UnicodeDecodeError)
+"""Errors of metadata.yaml, which is not needed."""
+_NAMED = re.compile(
+    r"(?<![^\s/\\'\",\[\]])[^\s/\\'\",\[\]]{1,255}+"
+    r"(?:(?<=\.mcap)|(?<=\.db3)|(?<=\.mcap\.zstd)|(?<=\.db3\.zstd))(?![/\\\[])"
+)
+"""A name of at most 255 characters, tried only where a word begins: a text takes time as it is long."""
 _NUMBER = re.compile(r"(\d+)(?!.*\d)")
 
 
@@ -98,8 +104,8 @@ class Ros2Folder:
     def _tell_missing(self) -> None:
         try:
             text = read_text(self.path / METADATA, limits.TEXT_BYTES)
-        except (OSError, UnicodeDecodeError):
-            return  # it is not needed
+        except DAMAGE:
+            return
         there = {part.name for part in self._parts}
         for name in dict.fromkeys(_NAMED.findall(text)):
             if name not in there:

@@ -7,7 +7,6 @@ import os
 import selectors
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -19,6 +18,7 @@ from posetrack_cli.batch.jobs import Job, Limits
 from posetrack_cli.compiled import THREADS_VARIABLE
 from posetrack_cli.errors import EXIT_INTERRUPTED
 from posetrack_cli.files import open_output
+from posetrack_cli.interpreter import module_command, module_environment
 from posetrack_cli.text import one_line
 
 _PROGRAM = "posetrack_cli.cli.batch_child"
@@ -89,7 +89,7 @@ def run_child(
     with open_output(job.log) as log, os.fdopen(reading, "rb", buffering=0) as told:
         try:
             child = subprocess.Popen(
-                [sys.executable, "-m", _PROGRAM, str(writing)],
+                module_command(_PROGRAM, str(writing)),
                 stdin=subprocess.PIPE,
                 stdout=log,
                 stderr=subprocess.STDOUT,
@@ -125,6 +125,7 @@ def last_lines(log: Path) -> tuple[str, ...]:
 def _task(job: Job, arguments: tuple[str, ...], limits: Limits) -> dict[str, Any]:
     return {
         "kind": job.kind,
+        "sources": job.sources,
         "command": job.command,
         "recording": os.fspath(job.recording),
         "output": os.fspath(job.output),
@@ -142,7 +143,7 @@ def _task(job: Job, arguments: tuple[str, ...], limits: Limits) -> dict[str, Any
 
 def _environment(threads: int) -> Mapping[str, str]:
     """Ours, with so many threads for everything that has some: cores are shared with other jobs."""
-    return os.environ | dict.fromkeys(_THREADS, str(max(1, threads)))
+    return module_environment() | dict.fromkeys(_THREADS, str(max(1, threads)))
 
 
 @contextmanager
@@ -214,17 +215,21 @@ def _take(ending: Ending, line: bytes, progress: Progress) -> None:
         ending.told |= told
 
 
-def way_of(ending: Ending, timeout_s: float | None) -> str:
+def way_of(ending: Ending, limits: Limits) -> str:
     """Say in one line why a process did not do its job; its last line tells it best, where it exited."""
     if ending.timed_out:
-        return f"took longer than --timeout {timeout_s:g} s"
-    if ending.code < 0:
-        with suppress(ValueError):
-            return f"its process was killed by {signal.Signals(-ending.code).name}"
-        return f"its process was killed by signal {-ending.code}"
-    if ending.last_lines:
+        return f"took longer than --timeout {limits.timeout_s:g} s"
+    if ending.code >= 0 and ending.last_lines:
         return ending.last_lines[-1].removeprefix("posetrack: ")
-    return f"its process ended with exit code {ending.code}"
+    memory = limits.memory_bytes
+    likely = "" if memory is None else f", likely as it needs more than --memory-limit {memory >> 20}M"
+    return f"its process {_end_of(ending.code)}{likely}"
+
+
+def _end_of(code: int) -> str:
+    with suppress(ValueError):
+        return f"was killed by {signal.Signals(-code).name}"
+    return f"was killed by signal {-code}" if code < 0 else f"ended with exit code {code}"
 
 
 def was_interrupted(ending: Ending) -> bool:

@@ -12,14 +12,15 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
 from uuid import uuid4
 
-from posetrack_cli import __version__
 from posetrack_cli.batch.children import Progress
 from posetrack_cli.batch.jobs import Job, Limits, Outcome, State
+from posetrack_cli.build import source_digest
 from posetrack_cli.errors import PosetrackError, UsageError
 
 try:
@@ -36,6 +37,7 @@ except ModuleNotFoundError as missing:  # the extra is not installed
 CONNECT_S = 15.0
 _CHECKED_EVERY_S = 1.0
 """So often a job on a worker asks whether it shall stop."""
+_DASHBOARD = "127.0.0.1:8787"
 _NOBODYS_PORT = "127.0.0.1:0"
 """Dask serves its state over HTTP, wanted or not: on any free port, for this machine alone. Left to itself it
 takes the same port for every batch, and any network's."""
@@ -45,6 +47,7 @@ _SETTINGS = {
     "distributed.scheduler.allowed-failures": 1,
     "distributed.admin.log-length": 0,
     "distributed.worker.memory.terminate": False,
+    "distributed.worker.use-file-locking": False,  # a batch's scratch folder is its own
 }
 
 Perform = Callable[[Job, Limits, Progress, Callable[[], bool]], Outcome]
@@ -62,11 +65,15 @@ class Where:
         jobs: how many at a time on this machine.
         scheduler: address of a cluster's scheduler; None for this machine.
         scheduler_file: of a cluster's scheduler; None for this machine.
+        scratch: folder that Dask may write to on this machine; None leaves that to Dask, which leaves files.
+        dashboard: whether Dask's page about its state is served.
     """
 
     jobs: int = 1
     scheduler: str | None = None
     scheduler_file: Path | None = None
+    scratch: Path | None = None
+    dashboard: bool = False
 
     @property
     def is_cluster(self) -> bool:
@@ -161,34 +168,48 @@ def open_engine(
     """Start workers here, or connect to a cluster.
 
     Raises:
-        EngineError: there is no cluster where one should be, or it has another version of posetrack.
+        EngineError: there is no cluster where one should be, or it has another build of posetrack.
     """
     for name in ("distributed", "distributed.worker", "distributed.scheduler", "distributed.nanny"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
     with ExitStack() as stack:
-        stack.enter_context(dask.config.set(_SETTINGS))
-        client = stack.enter_context(_connected(where) if where.is_cluster else _started(where.jobs))
+        scratch = {} if where.scratch is None else {"temporary-directory": str(where.scratch)}
+        stack.enter_context(dask.config.set(_SETTINGS | scratch))
+        client = stack.enter_context(_connected(where) if where.is_cluster else _started(where))
         if where.is_cluster:
             _check_cluster(client, note)
+        if where.dashboard:
+            note(f"dashboard: {_dashboard_of(client, where)}")
         yield Engine(client, perform, told)
 
 
 @contextmanager
-def _started(jobs: int) -> Iterator[Client]:
+def _started(where: Where) -> Iterator[Client]:
     """A client of one worker in this process, whose threads each wait for the process of a job."""
+    if where.dashboard and find_spec("bokeh") is None:
+        raise UsageError("--dashboard needs Bokeh, which is missing", hint="pip install bokeh")
     with (
         LocalCluster(
             n_workers=1,
-            threads_per_worker=jobs,
+            threads_per_worker=where.jobs,
             processes=False,
-            dashboard_address=None,
-            scheduler_kwargs={"dashboard_address": _NOBODYS_PORT},
+            dashboard_address=_DASHBOARD if where.dashboard else None,
+            scheduler_kwargs={} if where.dashboard else {"dashboard_address": _NOBODYS_PORT},
             worker_dashboard_address=_NOBODYS_PORT,
             memory_limit=0,
         ) as cluster,
         Client(cluster) as client,
     ):
         yield client
+
+
+def _dashboard_of(client: Client, where: Where) -> str:
+    """The address of Dask's page; of a scheduler here Dask names an address that it does not listen on."""
+    link: str = client.dashboard_link
+    if where.is_cluster:
+        return link
+    port = client.scheduler_info()["services"]["dashboard"]
+    return f"http://{_DASHBOARD.partition(':')[0]}:{port}/status"
 
 
 @contextmanager
@@ -223,23 +244,31 @@ def _client_of(where: Where) -> Client:
 
 
 def _check_cluster(client: Client, note: Callable[[str], None]) -> None:
-    """Refuse workers with another posetrack; results would depend on which of them a recording meets."""
+    """Refuse workers with another posetrack; results would depend on which of them a recording meets.
+
+    The processes of workers that come later look for themselves (``cli.batch_child``).
+    """
     if not client.nthreads():
         note("the cluster has no workers yet; waiting for some (dask worker ADDRESS)")
         client.wait_for_workers(1)
-    for address, version in client.run(_version_there).items():
-        if version != __version__:
+    try:
+        found = client.run(_sources_there)
+    except Exception as error:  # Dask passes on what a worker raises as it likes
+        hint = "install posetrack there as it is here"
+        raise EngineError("worker has no posetrack, or another build", found=error, hint=hint) from error
+    for address, sources in found.items():
+        if sources != source_digest():
             raise EngineError(
-                "worker has another version of posetrack", where=address, found=version, expected=__version__
+                "worker has another build of posetrack",
+                where=address,
+                found=f"sources {sources}",
+                expected=f"sources {source_digest()}",
+                hint="install the same on client and workers; posetrack --version says which it is",
             )
 
 
-def _version_there() -> str:
-    try:
-        from posetrack_cli import __version__ as version
-    except ModuleNotFoundError:
-        return "none"
-    return version
+def _sources_there() -> str:
+    return source_digest()
 
 
 def _perform_there(perform: Perform, job: Job, limits: Limits, topic: str, stop_name: str) -> Outcome:

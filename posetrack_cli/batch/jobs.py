@@ -6,10 +6,32 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from posetrack_cli import limits
+from posetrack_cli.build import source_digest
+
+Finite = Annotated[float, Field(ge=0.0, le=limits.NUMBER, allow_inf_nan=False)]
+Count = Annotated[int, Field(ge=0, le=limits.INTEGER)]
+"""What a record of a job, which a stranger may have written, must hold."""
 
 RECORDS_FOLDER = ".batch"
-"""Below the folder of results: what is known of every job, its log, and pieces that are not joined yet."""
+"""Below the folder of results: what a batch needs besides; others than results have no place elsewhere."""
+
+
+def record_path(results: Path, name: str) -> Path:
+    """Return the place of what is known of a job; its log and pieces that are not joined yet lie beside it.
+
+    Folders and files end differently, so that no name of a recording or a folder meets another one's.
+
+    Args:
+        results: the folder of results.
+        name: of the job's result below it, without ending.
+    """
+    *folders, last = Path(name).parts
+    return Path(results, RECORDS_FOLDER, "records", *(f"{one}.dir" for one in folders), f"{last}.json")
 
 
 PIECE = "//"
@@ -47,10 +69,10 @@ class Piece:
         first, last: those of them that the joined result has, ``last`` not included.
     """
 
-    start: int
-    end: int
-    first: int
-    last: int
+    start: Count
+    end: Count
+    first: Count
+    last: Count
 
 
 @dataclass(frozen=True)
@@ -58,12 +80,13 @@ class Job:
     """One recording, or a piece of one, and what becomes of it.
 
     Attributes:
-        name: unique within a batch: the result's below the folder of results, without ending.
+        name: unique within a batch: the result's below the folder of results, without ending, printable.
         command: that tracks it, such as ``("hand", "run")``.
         recording: file or folder.
         arguments: the command's options, without recording, output and what to do with an earlier output.
         output: the result.
         record: what is known of the job (``records.JobRecord``); its log lies beside it.
+        results: folder below which output and record lie; no link in it is followed.
         truth: file that the result is compared with; None takes what the result carries.
         gates: conditions under which the result fails.
         page: about the result, to be written; None writes none.
@@ -71,6 +94,7 @@ class Job:
         chunk_s, overlap_s: of a recording that is split: length of a piece and of what it shares, s.
         pieces: of a recording that is joined.
         digests: of the recording's files, where a process before has computed them (``identity.Digests``).
+        sources: digest of the posetrack that does it (``build.source_digest``).
     """
 
     name: str
@@ -79,6 +103,7 @@ class Job:
     arguments: tuple[str, ...]
     output: Path
     record: Path
+    results: Path
     truth: Path | None = None
     gates: tuple[str, ...] = ()
     page: Path | None = None
@@ -87,11 +112,17 @@ class Job:
     overlap_s: float = 0.0
     pieces: tuple[tuple[Path, Piece], ...] = ()
     digests: Mapping[str, tuple[int, str]] = field(default_factory=dict)
+    sources: str = field(default_factory=source_digest)
 
     @property
     def log(self) -> Path:
         """What the process prints."""
         return self.record.with_suffix(".log")
+
+    @property
+    def pieces_folder(self) -> Path:
+        """Where its pieces lie until they are joined."""
+        return self.record.with_suffix(".pieces")
 
     def as_kind(self, kind: Kind, **changes: Any) -> Job:
         """The job of the same recording that does something else."""
@@ -138,15 +169,15 @@ class Outcome:
     state: State
     reason: str = ""
     last_lines: tuple[str, ...] = ()
-    exit_code: int | None = None
-    seconds: float = 0.0
-    cpu_s: float = 0.0
-    peak_bytes: int = 0
-    frames: int = 0
+    exit_code: Annotated[int, Field(ge=-limits.INTEGER, le=limits.INTEGER)] | None = None
+    seconds: Finite = 0.0
+    cpu_s: Finite = 0.0
+    peak_bytes: Count = 0
+    frames: Count = 0
     lost_data: bool = False
     pieces: tuple[Piece, ...] = ()
     remarks: tuple[str, ...] = ()
-    digests: Mapping[str, tuple[int, str]] = field(default_factory=dict)
+    digests: Mapping[str, tuple[Count, str]] = field(default_factory=dict)
 
     @property
     def is_there(self) -> bool:

@@ -18,6 +18,7 @@ from posetrack_cli.batch.children import (
 from posetrack_cli.batch.jobs import Job, Kind, Limits, Outcome, Piece, State
 from posetrack_cli.batch.records import (
     RUNNING,
+    DamagedRecordError,
     JobRecord,
     input_digest,
     job_key,
@@ -27,10 +28,11 @@ from posetrack_cli.batch.records import (
     write_record,
 )
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_DONE, PosetrackError, UsageError
-from posetrack_cli.outputs import check_not_written, part_path, state_path
+from posetrack_cli.outputs import check_not_written, make_folder, part_path, state_path
 from posetrack_cli.recording.identity import tell_digests
+from posetrack_cli.text import one_line
 
-_NOT_OURS = "exists already, and no batch made it"
+_NOT_OURS = "exists already, and no record of a batch says how it was made"
 _WAIT_S = 10.0
 """A process that was left alone ends within a second; until then it holds its file."""
 
@@ -61,7 +63,7 @@ def perform(
         return Outcome(job.name, State.FAILED, str(error))
     except OSError as error:
         where = error.filename or job.output
-        return Outcome(job.name, State.FAILED, f"{where}: {error.strerror or error}")
+        return Outcome(job.name, State.FAILED, one_line(f"{where}: {error.strerror or error}"))
 
 
 def planned(job: Job, limits: Limits) -> str:
@@ -73,7 +75,7 @@ def planned(job: Job, limits: Limits) -> str:
     performance = _Performance(job, limits)
     if performance.is_kept:
         return "keep" if performance.has_page else "keep, and write its page"
-    return performance.way
+    return f"{performance.way} ({performance.damage})" if performance.damage else performance.way
 
 
 class _Performance:
@@ -81,7 +83,11 @@ class _Performance:
 
     def __init__(self, job: Job, limits: Limits) -> None:
         self._job, self._limits = job, limits
-        self._known = read_record(job.record)
+        self._known, self.damage = None, ""
+        try:
+            self._known = read_record(job.record)
+        except DamagedRecordError as error:
+            self.damage = str(error)
         self._input = input_digest(job.recording, {} if self._known is None else self._known.input)
         self._key = job_key(job, self._input["sha256"])
         self._page, self._stamp = page_key(job), output_stamp(job.output)
@@ -114,7 +120,7 @@ class _Performance:
             UsageError: there is a result that no batch made.
         """
         job, known = self._job, self._known
-        if self._limits.redo:
+        if self._limits.redo or self.damage:
             return "replace"
         is_ours = known is not None and (known.output == self._stamp or known.state == RUNNING)
         if self._stamp and not is_ours:
@@ -131,10 +137,11 @@ class _Performance:
 
     def run(self, progress: Progress, stopped: Callable[[], bool]) -> Outcome:
         """Keep the result, or make it."""
+        make_folder(self._job.record.parent, self._job.results)
         if self.is_kept:
             return self._kept(progress, stopped)
         way = self.way
-        self._job.output.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(self._job.output.parent, self._job.results)
         _wait_for_writer(self._job)
         self._remember(RUNNING)
         ending = self._child(way, progress, stopped)
@@ -156,8 +163,9 @@ class _Performance:
     def _kept(self, progress: Progress, stopped: Callable[[], bool]) -> Outcome:
         """The outcome of before; the page is written where it is missing."""
         assert self._known is not None
+        self._delete_pieces()  # of a batch that was killed once they were joined
         known = self._known.outcome or Outcome(self._job.name, State.KEPT)
-        outcome = replace(known, name=self._job.name, state=State.KEPT)
+        outcome = replace(known, name=self._job.name, state=State.KEPT, reason="")
         if not self.has_page:
             ending = run_child(self._job, (), self._limits, progress, stopped)
             if ending.code != EXIT_DONE:
@@ -168,25 +176,31 @@ class _Performance:
     def _finish(self, ending: Ending) -> Outcome:
         if ending.code not in (EXIT_DONE, EXIT_DATA_LOST) or not self._job.output.exists():
             outcome = _failure(self._job, ending, self._limits)
-            self._remember(outcome.state, outcome)
+            if output_stamp(self._job.output) == self._stamp:
+                self._remember(outcome.state, outcome)
+            # else the process ended once the result had its name, and the next batch keeps that
             return outcome
-        outcome = replace(_told(self._job, ending), state=State.DONE, lost_data=ending.code == EXIT_DATA_LOST)
+        reason = f"done again: {self.damage}" if self.damage else ""
+        lost = ending.code == EXIT_DATA_LOST
+        outcome = replace(_told(self._job, ending), state=State.DONE, reason=reason, lost_data=lost)
         self._remember(State.DONE, outcome)
         if self._job.kind is Kind.JOIN:
-            _delete_pieces(self._job)
+            self._delete_pieces()
         return outcome
+
+    def _delete_pieces(self) -> None:
+        shutil.rmtree(self._job.pieces_folder, ignore_errors=True)
 
     def _remember(self, state: str, outcome: Outcome | None = None) -> None:
         is_made = state == State.DONE
         stamp = output_stamp(self._job.output) if is_made else self._stamp
         record = JobRecord(self._key, self._page if is_made else "", self._input, stamp, state, outcome)
-        self._job.record.parent.mkdir(parents=True, exist_ok=True)
         write_record(self._job.record, record)
 
 
 def _split(job: Job, limits: Limits, stopped: Callable[[], bool]) -> Outcome:
     """Find out the pieces of a recording, which nothing is remembered of."""
-    job.record.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(job.record.parent, job.results)
     ending = run_child(job, (), limits, stopped=stopped)
     if ending.code != EXIT_DONE:
         return _failure(job, ending, limits)
@@ -196,12 +210,6 @@ def _split(job: Job, limits: Limits, stopped: Callable[[], bool]) -> Outcome:
         pieces=tuple(Piece(*piece) for piece in ending.told["pieces"]),
         digests=ending.told["digests"],
     )
-
-
-def _delete_pieces(job: Job) -> None:
-    """Delete what was joined, and the folder that it lay in."""
-    with suppress(OSError):
-        shutil.rmtree(job.pieces[0][0].parent)
 
 
 def _wait_for_writer(job: Job) -> None:
@@ -225,7 +233,7 @@ def _failure(job: Job, ending: Ending, limits: Limits) -> Outcome:
         return replace(_told(job, ending), state=State.STOPPED)
     return replace(
         _told(job, ending),
-        reason=way_of(ending, limits.timeout_s),
+        reason=way_of(ending, limits),
         last_lines=ending.last_lines,
     )
 
@@ -241,5 +249,5 @@ def _told(job: Job, ending: Ending) -> Outcome:
         cpu_s=told.get("cpu_s", 0.0),
         peak_bytes=told.get("peak_bytes", 0),
         frames=told.get("tracked", 0),
-        remarks=tuple(ending.remarks),
+        remarks=tuple(map(one_line, ending.remarks)),
     )

@@ -7,19 +7,21 @@ import json
 import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 from pydantic import TypeAdapter
 
-from posetrack_cli import __version__, limits
-from posetrack_cli.batch.jobs import Job, Outcome
-from posetrack_cli.errors import RecordingError
+from posetrack_cli import limits
+from posetrack_cli.batch.jobs import Count, Job, Outcome
+from posetrack_cli.build import libraries
+from posetrack_cli.errors import PosetrackError, RecordingError
 from posetrack_cli.files import open_input, read_text, write_output
 from posetrack_cli.outputs import whole_or_nothing
 from posetrack_cli.recording.identity import file_digest, files_digest, files_state
 
-FORMAT = "posetrack.batch.job/1"
+FORMAT = "posetrack.batch.job/2"
 _STAMPED_BYTES = 1 << 16
 RUNNING = "running"
 """State of a job that nobody has noted the end of."""
@@ -42,8 +44,8 @@ class JobRecord:
 
     key: str
     page: str = ""
-    input: Mapping[str, int | str] = field(default_factory=dict)
-    output: tuple[int, str] | tuple[()] = ()
+    input: Mapping[str, str] = field(default_factory=dict)
+    output: tuple[Count, str] | tuple[()] = ()
     state: str = RUNNING
     outcome: Outcome | None = None
     format: str = FORMAT
@@ -52,13 +54,25 @@ class JobRecord:
 _READER = TypeAdapter(JobRecord)
 
 
+class DamagedRecordError(PosetrackError):
+    """A record that does not say what a record says: nothing of it is believed."""
+
+
 def read_record(path: Path) -> JobRecord | None:
-    """Return what is known of a job; None where nothing is, or nothing that can be read."""
+    """Return what is known of a job; None where there is no record.
+
+    Raises:
+        DamagedRecordError: the record cannot be read, or no batch of this version wrote it.
+    """
     try:
-        record = _READER.validate_json(read_text(path, limits.TEXT_BYTES))
-    except (OSError, ValueError):
+        record = _READER.validate_json(read_text(path, limits.TEXT_BYTES), strict=True)
+    except (FileNotFoundError, NotADirectoryError):
         return None
-    return record if record.format == FORMAT else None
+    except (OSError, ValueError) as error:
+        raise DamagedRecordError("record of a job cannot be read", where=path) from error
+    if record.format != FORMAT:
+        raise DamagedRecordError("record of a job is of another format", where=path)
+    return record
 
 
 def write_record(path: Path, record: JobRecord) -> None:
@@ -73,7 +87,7 @@ def write_record(path: Path, record: JobRecord) -> None:
 
 def job_key(job: Job, digest: str) -> str:
     """Return what tells jobs apart whose results differ: input, command, options with the files that they
-    name, and version.
+    name, posetrack's sources and libraries. Not the processor, which changes only last digits (``summary``).
 
     Where a recording is split, and how the pieces are tracked, follows from these.
 
@@ -83,14 +97,14 @@ def job_key(job: Job, digest: str) -> str:
     """
     chunks = [job.chunk_s, job.overlap_s]
     files = sorted(_digests_of_options(job.arguments).items())
-    return _digest_of([__version__, job.command, job.arguments, digest, chunks, files])
+    return _digest_of([job.sources, libraries(), job.command, job.arguments, digest, chunks, files])
 
 
 def page_key(job: Job) -> str:
     """Return what tells pages about one result apart; nothing where none is written."""
     if job.page is None:
         return ""
-    return _digest_of([__version__, "" if job.truth is None else input_digest(job.truth, {})["sha256"]])
+    return _digest_of([job.sources, "" if job.truth is None else input_digest(job.truth, {})["sha256"]])
 
 
 def input_digest(path: Path, known: Mapping[str, Any]) -> dict[str, Any]:
@@ -104,9 +118,13 @@ def input_digest(path: Path, known: Mapping[str, Any]) -> dict[str, Any]:
         RecordingError: it cannot be read.
     """
     try:
-        files = list(_files_of(path))
+        files = list(islice(_files_of(path), limits.SEARCH_ENTRIES + 1))
     except OSError as error:
         raise RecordingError("cannot be read", where=path, found=error.strerror or error) from error
+    if len(files) > limits.SEARCH_ENTRIES:
+        raise RecordingError(
+            "folder holds too many files", where=path, expected=f"at most {limits.SEARCH_ENTRIES}"
+        )
     state = files_state(files)
     if known.get("state") == state and "sha256" in known:
         return dict(known)

@@ -123,7 +123,7 @@ class _Recording:
 
     def _piece(self, number: int) -> Job:
         assert self.piece_arguments is not None
-        piece, folder = self._split[number], self._folder
+        piece, folder = self._split[number], self.job.pieces_folder
         return replace(
             self.job,
             name=f"{self.job.name}{PIECE}{number}",
@@ -139,12 +139,8 @@ class _Recording:
             overlap_s=0.0,
         )
 
-    @property
-    def _folder(self) -> Path:
-        return self.job.record.with_suffix(".pieces")
-
     def _output(self, number: int) -> Path:
-        return self._folder / f"{number:05d}.mcap"
+        return self.job.pieces_folder / f"{number:05d}.mcap"
 
     def _shares(self) -> tuple[tuple[Path, Piece], ...]:
         return tuple((self._output(number), piece) for number, piece in enumerate(self._split))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import glob
 from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,12 +11,13 @@ from pydantic import Field
 
 from posetrack_cli import limits
 from posetrack_cli.bags.ros2_folder import is_ros2_folder
+from posetrack_cli.batch.manifest_files import reachable
+from posetrack_cli.batch.patterns import MAGIC, Search
 from posetrack_cli.configuration import Settings, validated
 from posetrack_cli.errors import UsageError
 from posetrack_cli.files import read_text
-from posetrack_cli.text import parse_toml
+from posetrack_cli.text import one_line, parse_toml
 
-_MAGIC = "*?["
 _LIST_ENDINGS = (".txt", ".list")
 
 
@@ -85,34 +85,44 @@ def find_sources(given: Sequence[str], results: Path | None = None) -> list[Sour
     Raises:
         UsageError: nothing is there, or what is there cannot be meant.
     """
-    found = [source for one in given for source in _sources_of(one, results)]
+    look = _Look(Search(), results)
+    found = [source for one in given for source in _sources_of(one, look)]
     _check_names(found)
     return found
 
 
-def _sources_of(given: str, results: Path | None) -> list[Source]:
+@dataclass(frozen=True)
+class _Look:
+    """How recordings of one batch are looked for: within the bounds of one search, not among its results."""
+
+    search: Search
+    results: Path | None
+
+
+def _sources_of(given: str, look: _Look) -> list[Source]:
     path = Path(given)
     if path.suffix == ".toml":
-        return read_manifest(path, results)
+        return _read_manifest(path, look)
     if path.suffix in _LIST_ENDINGS and not path.is_dir():
-        return _read_list(path, results)
-    return [Source(path, name) for path, name in _matched(given, None, results)]
+        return _read_list(path, look)
+    return [Source(path, name) for path, name in _matched(given, None, look)]
 
 
-def _matched(pattern: str, base: Path | None, results: Path | None) -> list[tuple[Path, str]]:
+def _matched(pattern: str, base: Path | None, look: _Look) -> list[tuple[Path, str]]:
     """The files and folders of a pattern, with names relative to the part of it without wildcards."""
     path = Path(pattern) if base is None else base / pattern
-    if not any(sign in pattern for sign in _MAGIC) or path.exists():
+    if not any(sign in pattern for sign in MAGIC) or path.exists():
         if not path.exists():
             raise UsageError("no such recording", where=path)
         return [(path, _plain_name(path))]
     fixed = _fixed_part(path)
-    found = [Path(one) for one in sorted(glob.glob(str(path), recursive=True))]  # noqa: PTH207 ** of any root
+    found = look.search.matches(path)
     whole = {one for one in found if is_ros2_folder(one)}
+    above = {folder for one in found for folder in one.parents}
     recordings = [
         one
         for one in found
-        if one != fixed and _may_be_recording(one, found, whole) and not _is_in(one, results)
+        if one != fixed and _may_be_recording(one, above, whole) and not _is_in(one, look.results)
     ]
     if not recordings:
         raise UsageError(
@@ -125,23 +135,23 @@ def _fixed_part(pattern: Path) -> Path:
     """The folders before the first wildcard."""
     parts: list[str] = []
     for part in pattern.parts[:-1]:
-        if any(sign in part for sign in _MAGIC):
+        if any(sign in part for sign in MAGIC):
             break
         parts.append(part)
     return Path(*parts)
 
 
-def _may_be_recording(path: Path, found: Sequence[Path], whole: Set[Path]) -> bool:
+def _may_be_recording(path: Path, above: Set[Path], whole: Set[Path]) -> bool:
     """Whether a path is no folder in which others were found, unless it is one recording, and in none such.
 
     Args:
-        path: one of those found.
-        found: by a pattern; ``**`` finds folders, too.
-        whole: the folders among them that are one recording each, of ROS 2.
+        path: found by a pattern; ``**`` finds folders, too.
+        above: the folders that others were found in.
+        whole: the folders among those found that are one recording each, of ROS 2.
     """
     if path in whole or not whole.isdisjoint(path.parents):
         return path in whole
-    return not path.is_dir() or not any(path in other.parents for other in found)
+    return path not in above or not path.is_dir()
 
 
 def _is_in(path: Path, folder: Path | None) -> bool:
@@ -153,26 +163,22 @@ def _plain_name(path: Path) -> str:
     return Path(name).stem if path.is_file() else name
 
 
-def _read_list(path: Path, results: Path | None) -> list[Source]:
+def _read_list(path: Path, look: _Look) -> list[Source]:
     """The recordings of a file with one name or pattern a line, relative to it; # begins a remark."""
     lines = [line.partition("#")[0].strip() for line in _text_of(path).splitlines()]
     found = [
         Source(recording, name)
         for line in lines
         if line
-        for recording, name in _matched(line, path.parent, results)
+        for recording, name in _matched(line, path.parent, look)
     ]
     if not found:
         raise UsageError("names no recording", where=path)
     return found
 
 
-def read_manifest(path: Path, results: Path | None = None) -> list[Source]:
-    """Return the recordings of a manifest.
-
-    Raises:
-        UsageError: it cannot be read, has unknown keys, or names what is not there.
-    """
+def _read_manifest(path: Path, look: _Look) -> list[Source]:
+    """The recordings of a manifest."""
     try:
         values = parse_toml(_text_of(path))
     except ValueError as error:
@@ -180,28 +186,21 @@ def read_manifest(path: Path, results: Path | None = None) -> list[Source]:
     manifest = validated(Manifest, values, path)
     if not manifest.recordings:
         raise UsageError("names no recording", where=path, expected="tables [[recordings]]")
-    return [source for one in manifest.recordings for source in _of_manifest(path, manifest, one, results)]
+    return [source for one in manifest.recordings for source in _of_manifest(path, manifest, one, look)]
 
 
-def _of_manifest(
-    path: Path, manifest: Manifest, one: ManifestRecording, results: Path | None
-) -> Iterable[Source]:
-    found = _matched(one.path, path.parent, results)
+def _of_manifest(path: Path, manifest: Manifest, one: ManifestRecording, look: _Look) -> Iterable[Source]:
+    found = _matched(one.path, path.parent, look)
     if one.name is not None and len(found) > 1:
         raise UsageError(f"name '{one.name}' of several recordings", where=path, found=one.path)
     truth = None if one.truth is None else path.parent / one.truth
     if truth is not None and not truth.exists():
         raise UsageError("no such truth", where=path, found=one.truth)
-    options = {key: _reachable(path, value) for key, value in {**manifest.options, **one.options}.items()}
+    given = {**manifest.options, **one.options}
+    options = {key: reachable(path, key, value) for key, value in given.items()}
     gates = (*manifest.gates, *one.gates)
     for recording, name in found:
         yield Source(recording, _checked_name(path, one.name or name), options, truth, gates, path)
-
-
-def _reachable(manifest: Path, value: Any) -> Any:
-    """A value of an option; a file that lies where the manifest does is named from here."""
-    is_beside = isinstance(value, str) and value and (manifest.parent / value).exists()
-    return str(manifest.parent / value) if is_beside else value
 
 
 def _checked_name(path: Path, name: str) -> str:
@@ -225,7 +224,7 @@ def _check_names(sources: Sequence[Source]) -> None:
     """Refuse two recordings whose results would be one file."""
     first: dict[str, Source] = {}
     for source in sources:
-        other = first.setdefault(source.name, source)
+        other = first.setdefault(one_line(source.name), source)
         if other is not source:
             raise UsageError(
                 f"two recordings would write one result, {source.name}.mcap",

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
+import os
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,6 +13,8 @@ from urllib.parse import quote
 
 from posetrack_cli.batch.jobs import Job, Outcome, State
 from posetrack_cli.batch.running import states_line
+from posetrack_cli.csv_rows import csv_of
+from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED
 from posetrack_cli.evaluation.assessment import MEASURED, Assessment, Own, Request, assess, stated_options
 from posetrack_cli.evaluation.evaluate import EvalOptions
 from posetrack_cli.evaluation.gates import Gate, GateOutcome, parse_gate
@@ -23,6 +25,7 @@ from posetrack_cli.evaluation.rows import ResultRow, worst_first
 from posetrack_cli.text import printable_json
 
 PAGE, TABLE, REPORT = "index.html", "summary.csv", "summary.json"
+DATA_LOST = "some of the recording could not be used"
 TRACKED = "tracked"
 """What a recording is that has a result: the first of its tests in JUnit."""
 
@@ -48,7 +51,8 @@ class Summary:
 
     Attributes:
         jobs, outcomes: of every recording, in one order.
-        found: what was measured of the results.
+        found: what was measured of the results; its first gates are whether each recording was tracked, so
+            that all reports and the exit code judge alike.
     """
 
     jobs: tuple[Job, ...]
@@ -61,19 +65,29 @@ class Summary:
         return {one.result: one.reason for one in self.found.outcomes if one.title == MEASURED}
 
     @property
+    def processors(self) -> set[str]:
+        """The kinds of processor that the results were made on."""
+        stated = (one.run.get("processor", "") for one in self.found.evaluations)
+        return {kind for kinds in stated for kind in kinds.split("; ") if kind}
+
+    @property
     def missing(self) -> tuple[Outcome, ...]:
         """The recordings without a result."""
         return tuple(one for one in self.outcomes if not one.is_there)
 
     @property
-    def gates(self) -> tuple[GateOutcome, ...]:
-        """Of every recording whether it was tracked, then the gates."""
-        return (*map(_tracked, self.outcomes), *self.found.outcomes)
+    def failed_gates(self) -> tuple[GateOutcome, ...]:
+        """The gates that failed, without recordings that were not tracked."""
+        return tuple(one for one in self.found.failed if one.title != TRACKED)
 
     @property
-    def failed(self) -> tuple[GateOutcome, ...]:
-        """The gates that failed, without recordings that were not tracked."""
-        return tuple(one for one in self.gates if one.failed and one.title != TRACKED)
+    def exit_code(self) -> int:
+        """Of the batch: 0 where no test failed in any report."""
+        if any(one.state is State.STOPPED for one in self.outcomes):
+            return EXIT_INTERRUPTED
+        if self.failed_gates:
+            return EXIT_FAILED
+        return EXIT_DATA_LOST if self.found.failed else EXIT_DONE
 
 
 def summarise(
@@ -100,7 +114,9 @@ def summarise(
         own={job.output: Own(job.name, job.truth, _gates(job)) for job in there},
         lenient=True,
     )
-    return Summary(tuple(jobs), tuple(outcomes), assess(request, report))
+    found = assess(request, report)
+    found = replace(found, outcomes=(*map(_tracked, outcomes), *found.outcomes))
+    return Summary(tuple(jobs), tuple(outcomes), found)
 
 
 def _gates(job: Job) -> tuple[Gate, ...]:
@@ -108,11 +124,13 @@ def _gates(job: Job) -> tuple[Gate, ...]:
 
 
 def _tracked(outcome: Outcome) -> GateOutcome:
-    """Whether a recording was tracked, told as gates are."""
+    """Whether a recording was tracked, all of it, told as gates are."""
     reason = "it was stopped" if outcome.state is State.STOPPED else outcome.reason
-    there = outcome.is_there
+    if outcome.lost_data:
+        reason = "; ".join(outcome.remarks) or DATA_LOST
+    there, failed = outcome.is_there, outcome.lost_data or not outcome.is_there
     return GateOutcome(
-        TRACKED, outcome.name, float(there), not there, "there is a result" if there else reason, TRACKED
+        TRACKED, outcome.name, float(there), failed, reason if failed else "there is a result", TRACKED
     )
 
 
@@ -124,21 +142,16 @@ def write_summary(folder: Path, summary: Summary, judging: Judging) -> None:
     """
     write_report(folder / TABLE, _table(summary))
     write_report(folder / REPORT, _report(summary, judging.request.options))
-    write_rows_html(folder / PAGE, _page(summary))
-    for path, text in _texts(summary, judging, judging.reports):
+    write_rows_html(folder / PAGE, _page(folder, summary))
+    for path, text in report_texts(summary.found, judging.request.options, judging.reports, judging.most):
         write_report(path, text)
 
 
 def markdown_of(summary: Summary, judging: Judging) -> str:
     """Return the summary that ``Reports.markdown`` writes."""
-    ((_, text),) = _texts(summary, judging, Reports(markdown=Path("-")))
+    options, reports = judging.request.options, Reports(markdown=Path("-"))
+    ((_, text),) = report_texts(summary.found, options, reports, judging.most)
     return text
-
-
-def _texts(summary: Summary, judging: Judging, reports: Reports) -> Iterator[tuple[Path, str]]:
-    """Reports of gates: whether a recording was tracked comes before what its result is worth."""
-    found = replace(summary.found, outcomes=summary.gates)
-    return report_texts(found, judging.request.options, reports, judging.most)
 
 
 def _rows(summary: Summary) -> Iterator[tuple[Job, Outcome, ResultRow | None]]:
@@ -156,25 +169,22 @@ def _rows(summary: Summary) -> Iterator[tuple[Job, Outcome, ResultRow | None]]:
 def _table(summary: Summary) -> str:
     """A line for each recording, the worst first."""
     figures = list(dict.fromkeys(name for one in summary.found.sets for name in (*one.figures, *one.further)))
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
     facts = ("name", "recording", "state", "reason")
-    writer.writerow(
-        [*facts, *figures, "gates_failed", "seconds", "cpu_s", "frames_per_s", "peak_mb", "remarks"]
-    )
+    lines = [[*facts, *figures, "gates_failed", "seconds", "cpu_s", "frames_per_s", "peak_mb", "remarks"]]
+    failed = Counter(one.result for one in summary.found.failed)
     for job, outcome, row in _rows(summary):
         values = ["" if row is None or (value := row.value(one)) is None else repr(value) for one in figures]
-        writer.writerow(
+        lines.append(
             [
                 *(outcome.name, str(job.recording), outcome.state.value, _reason(summary, outcome)),
                 *values,
-                "" if row is None else row.failed,
+                str(failed[outcome.name]),
                 *(f"{outcome.seconds:.2f}", f"{outcome.cpu_s:.2f}", _rate(outcome)),
                 f"{outcome.peak_bytes / 1e6:.0f}",
                 "; ".join(outcome.remarks),
             ]
         )
-    return text.getvalue()
+    return csv_of(lines)
 
 
 def _reason(summary: Summary, outcome: Outcome) -> str:
@@ -216,18 +226,18 @@ def _facts(summary: Summary, job: Job, outcome: Outcome) -> dict[str, Any]:
     }
 
 
-def _page(summary: Summary) -> RowsPage:
+def _page(folder: Path, summary: Summary) -> RowsPage:
     found = summary.found
     missing = [(one.name, _failure(one)) for one in summary.missing]
     return RowsPage(
         found.sets,
-        [one for one in summary.gates if one.title != TRACKED],
+        found.outcomes,
         found.notes,
         title=states_line(summary.outcomes),
         missing=missing,
         remarks=[(one.name, remark) for one in summary.outcomes for remark in one.remarks],
         links={
-            job.name: quote(f"./{job.name}.html")
+            job.name: "./" + quote(os.fsencode(job.page.relative_to(folder)))
             for job in summary.jobs
             if job.page is not None and job.page.is_file()
         },

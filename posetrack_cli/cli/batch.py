@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Sequence
+import shutil
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,15 +26,9 @@ from posetrack_cli.cli.options import (
     option_group,
     options_of,
 )
-from posetrack_cli.cli.process import stop_signals
+from posetrack_cli.cli.process import LEAST_DATA_BYTES, stop_signals
 from posetrack_cli.cli.standard_output import STANDARD_OUTPUT, print_data, print_line, print_note
-from posetrack_cli.errors import (
-    EXIT_DATA_LOST,
-    EXIT_FAILED,
-    EXIT_INTERRUPTED,
-    PosetrackError,
-    UsageError,
-)
+from posetrack_cli.errors import EXIT_DONE, PosetrackError, UsageError
 
 if TYPE_CHECKING:
     from posetrack_cli.batch.jobs import Job, Limits, Outcome
@@ -43,7 +38,6 @@ if TYPE_CHECKING:
 
 _UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
 _SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?", re.IGNORECASE)
-_LEAST_BYTES = 1 << 28
 
 
 class Size(click.ParamType[int]):
@@ -63,8 +57,8 @@ class Size(click.ParamType[int]):
         if found is None:
             self.fail(f"{value!r} is no size such as 2G or 1500M.", parameter, context)
         size = round(float(found[1]) * _UNITS[found[2].upper()])
-        if size < _LEAST_BYTES:
-            self.fail(f"{value} is less than any run needs; 256M or more.", parameter, context)
+        if size < LEAST_DATA_BYTES:
+            self.fail(f"{value} is less than any run needs; 512M or more.", parameter, context)
         return size
 
 
@@ -103,6 +97,9 @@ BATCH_OPTIONS = options_of(
                 metavar="FILE",
                 type=FILE,
                 help="The same by the file that its dask scheduler --scheduler-file writes.",
+            ),
+            option(
+                "--dashboard", is_flag=True, help="Serve Dask's page about the jobs, and print its address."
             ),
             option(
                 "--timeout",
@@ -226,6 +223,8 @@ def run_batch_command(
     folder = options["results"]
     _make_folder(folder)
     with _locked(folder):
+        if _folds_case(folder):
+            _check_places(folder, plan.jobs, str.casefold)
         outcomes = _run(plan, options)
         summary = summarise(plan.jobs, outcomes, judging)
         write_summary(folder, summary, judging)
@@ -264,9 +263,9 @@ def _planned(
     command: BatchCommand, sources: Sequence[Source], arguments: tuple[str, ...], options: dict[str, Any]
 ) -> _Plan:
     """The jobs; everything that can be refused is refused here."""
-    from posetrack_cli.batch.jobs import RECORDS_FOLDER, Job, Limits
-    from posetrack_cli.batch.summary import PAGE
+    from posetrack_cli.batch.jobs import Job, Limits, record_path
     from posetrack_cli.evaluation.gates import parse_gate
+    from posetrack_cli.text import one_line
 
     folder, chunk_s = options["results"], options["chunk_s"]
     jobs = []
@@ -276,32 +275,59 @@ def _planned(
         command.check(own, where)
         for gate in source.gates:
             parse_gate(gate)
-        output = folder / f"{source.name}.mcap"
-        page = folder / f"{source.name}.html" if options["reports"] else None
-        if page == folder / PAGE:
-            hint = "give it another name in a manifest, or --no-reports"
-            raise UsageError("its page would be the batch's own", where=source.path, found=PAGE, hint=hint)
         jobs.append(
             Job(
-                source.name,
+                one_line(source.name),
                 command.words,
                 source.path,
                 own,
-                output,
-                folder / RECORDS_FOLDER / f"{source.name}.json",
+                folder / f"{source.name}.mcap",
+                record_path(folder, source.name),
+                folder,
                 source.truth,
                 source.gates,
-                page,
+                folder / f"{source.name}.html" if options["reports"] else None,
                 chunk_s=chunk_s or 0.0,
                 overlap_s=options["overlap_s"] if chunk_s else 0.0,
             )
         )
+    _check_places(folder, jobs)
     limits = Limits(options["memory_limit"], options["timeout_s"], redo=options["redo"])
 
     def piece_arguments(job: Job, number: int, learned: Path) -> tuple[str, ...]:
         return command.of_piece(job.arguments, number, learned)
 
     return _Plan(tuple(jobs), limits, piece_arguments if chunk_s else None)
+
+
+def _check_places(folder: Path, jobs: Sequence[Job], alike: Callable[[str], str] = str) -> None:
+    """Refuse a recording whose result or page has the place of something else.
+
+    Args:
+        folder: of results.
+        jobs: of recordings.
+        alike: returns what names have in common that are one on the file system.
+    """
+    from posetrack_cli.batch.jobs import RECORDS_FOLDER
+    from posetrack_cli.batch.summary import PAGE, REPORT, TABLE
+    from posetrack_cli.outputs import part_path
+
+    taken = {alike(str(folder / one)): "the batch's own" for one in (PAGE, TABLE, REPORT, RECORDS_FOLDER)}
+
+    def check(what: str, path: Path, job: Job) -> None:
+        if (other := taken.get(alike(str(path)))) is not None:
+            hint = "give it another name in a manifest" + (", or --no-reports" if what == "page" else "")
+            found = path.relative_to(folder)
+            raise UsageError(f"its {what} would be {other}", where=job.recording, found=found, hint=hint)
+
+    for job in jobs:
+        for what, path in (("result", job.output), ("page", job.page)):
+            if path is not None:
+                check(what, path, job)
+                taken |= {alike(str(one)): f"that of {job.recording}" for one in (path, part_path(path))}
+    for job in jobs:
+        for above in job.output.relative_to(folder).parents[:-1]:
+            check("folder", folder / above, job)
 
 
 def _show_plan(plan: _Plan) -> None:
@@ -328,10 +354,10 @@ def _locked(folder: Path) -> Iterator[None]:
     """Keep other batches out of a folder of results."""
     from posetrack_cli.batch.jobs import RECORDS_FOLDER
     from posetrack_cli.files import open_output
-    from posetrack_cli.outputs import check_not_written, lock
+    from posetrack_cli.outputs import check_not_written, lock, make_folder
 
     path = folder / RECORDS_FOLDER / "lock"
-    path.parent.mkdir(exist_ok=True)
+    make_folder(path.parent, folder)
     try:
         check_not_written(path)
     except UsageError as error:
@@ -343,17 +369,27 @@ def _locked(folder: Path) -> Iterator[None]:
         yield
 
 
+def _folds_case(folder: Path) -> bool:
+    """Whether the file system of a folder of results takes names for one that differ in capitals alone."""
+    from posetrack_cli.batch.jobs import RECORDS_FOLDER
+
+    return (folder / RECORDS_FOLDER.upper()).exists()
+
+
 def _run(plan: _Plan, options: dict[str, Any]) -> list[Outcome]:
     """Do the jobs, and show how far they are."""
     from posetrack_cli.batch.engine import Where, open_engine
+    from posetrack_cli.batch.jobs import RECORDS_FOLDER
     from posetrack_cli.batch.performing import perform
     from posetrack_cli.batch.running import run_batch
 
+    scratch = options["results"] / RECORDS_FOLDER / "scratch"
     jobs = options["jobs"] or len(os.sched_getaffinity(0))
     if plan.piece_arguments is None:
         jobs = min(jobs, len(plan.jobs))  # so that one alone has all cores
-    where = Where(jobs, options["scheduler"], options["scheduler_file"])
+    where = Where(jobs, options["scheduler"], options["scheduler_file"], scratch, options["dashboard"])
     with (
+        _new_folder(scratch),
         BatchProgress(len(plan.jobs)) as shown,
         stop_signals() as stopped,
         open_engine(where, perform, shown.on_progress, shown.note) as engine,
@@ -361,26 +397,49 @@ def _run(plan: _Plan, options: dict[str, Any]) -> list[Outcome]:
         return run_batch(engine, plan.jobs, plan.limits, plan.piece_arguments, shown.on_outcome, stopped)
 
 
+@contextmanager
+def _new_folder(path: Path) -> Iterator[None]:
+    """Make a folder anew, also where a batch that was killed has left one, and delete it at the end."""
+    shutil.rmtree(path, ignore_errors=True)
+    path.mkdir()
+    try:
+        yield
+    finally:
+        shutil.rmtree(path, ignore_errors=True)
+
+
 def _close(folder: Path, summary: Summary) -> None:
     """Say what came of the batch, and set the exit code."""
     from posetrack_cli.batch.jobs import State
     from posetrack_cli.batch.running import states_line
-    from posetrack_cli.batch.summary import PAGE
+    from posetrack_cli.batch.summary import DATA_LOST, PAGE
 
     outcomes = summary.outcomes
     print_note(f"{states_line(outcomes)}: {folder / PAGE}")
-    failed = [one for one in outcomes if one.state is State.FAILED]
-    for one in failed:
-        print_note(f"failed: {one.name}: {one.reason}")
-    for gate in summary.failed:
+    for one in outcomes:
+        if one.state is State.FAILED:
+            print_note(f"failed: {one.name}: {one.reason}")
+        elif one.lost_data:
+            for remark in one.remarks or (DATA_LOST,):
+                print_note(f"{one.name}: {remark}")
+    for gate in summary.failed_gates:
         print_note(gate.line)
+    _note_processors(summary)
     if any(one.state is State.STOPPED for one in outcomes):
         print_note("interrupted; the same command goes on")
-        code = EXIT_INTERRUPTED
-    elif summary.failed:
-        code = EXIT_FAILED
-    elif failed or any(one.lost_data for one in outcomes):
-        code = EXIT_DATA_LOST
-    else:
-        return
-    click.get_current_context().exit(code)
+    if summary.exit_code != EXIT_DONE:
+        click.get_current_context().exit(summary.exit_code)
+
+
+def _note_processors(summary: Summary) -> None:
+    """Say where results cannot have the bytes that this machine would give them, as kept ones may not."""
+    from posetrack_cli.batch.jobs import State
+    from posetrack_cli.build import only_in, processor_features
+
+    kinds = set(summary.processors)
+    if any(one.state is State.KEPT for one in summary.outcomes):
+        kinds.add(processor_features())
+    if len(kinds) > 1:
+        first, *others = sorted(kinds)
+        found = "; ".join([only_in(first, others[0]), *(only_in(other, first) for other in others)])
+        print_note(f"results of several kinds of processor differ in their last digits: {found}")

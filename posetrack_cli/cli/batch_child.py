@@ -7,6 +7,7 @@ command line names, one line of JSON each: progress, and in the end what came of
 
 from __future__ import annotations
 
+import faulthandler
 import json
 import os
 import resource
@@ -20,7 +21,7 @@ from posetrack_cli.cli.main import run, run_safely
 from posetrack_cli.cli.process import leave_process, prepare_process, terminate_as_interrupted
 from posetrack_cli.cli.running import Listener, told_to
 from posetrack_cli.cli.standard_output import print_note
-from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_DONE, EXIT_FAILED, PosetrackError
+from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_DONE, EXIT_FAILED, PosetrackError, UsageError
 
 _INPUT, _READ_BYTES = 0, 1 << 16
 _TOLD_EVERY_S = 0.5
@@ -59,6 +60,7 @@ def _leave_when_alone() -> None:
 def _limit_memory(most_bytes: int | None) -> None:
     """Have allocations fail beyond a limit, so that this process fails and not another one."""
     if most_bytes is not None:
+        faulthandler.disable()  # a library that cannot do without more memory aborts, which is no fault
         resource.setrlimit(resource.RLIMIT_DATA, (most_bytes, most_bytes))
 
 
@@ -68,8 +70,16 @@ def _peak_bytes() -> int:
 
 def _do(task: dict[str, Any], told: IO[str]) -> int:
     """Do the job, and write a page about what it made; the exit code is the job's own."""
+    from posetrack_cli.build import source_digest
     from posetrack_cli.recording.identity import known_digests, tell_digests
 
+    if task["sources"] != source_digest():
+        raise UsageError(
+            "posetrack's sources are not those that the batch began with",
+            found=source_digest(),
+            expected=task["sources"],
+            hint="run the same command again, on workers with the same posetrack",
+        )
     if task["digests"]:
         tell_digests(task["digests"])
     if task["kind"] == "split":

@@ -56,7 +56,7 @@ class BatchProgress:
             self._done += outcome.frames
             is_failed = outcome.state == "failed"
             self._failed += is_failed
-            if is_failed or not (self._bar.is_drawn or is_quiet()):
+            if is_failed or outcome.reason or not (self._bar.is_drawn or is_quiet()):
                 print_note(f"[{self._over}/{self._total}] {line_of(outcome)}")
             self._show(1)
 
@@ -80,4 +80,5 @@ def line_of(outcome: Outcome) -> str:
         return f"{outcome.name}: kept"
     rate = f" ({outcome.frames / outcome.seconds:.1f} frames/s)" if outcome.seconds and outcome.frames else ""
     done = f"{outcome.frames} frames in {outcome.seconds:.1f} s{rate}"
-    return f"{outcome.name}: {outcome.state.value}, {done}"
+    reason = f"; {outcome.reason}" if outcome.reason else ""
+    return f"{outcome.name}: {outcome.state.value}, {done}{reason}"

@@ -8,13 +8,17 @@ from typing import Any, Protocol, TypeVar
 
 import click
 
+from posetrack_cli.cli.process import check_memory
+from posetrack_cli.cli.progress import phase_shown
 from posetrack_cli.cli.standard_output import QUIET, USUAL, VERBOSE, print_detail, volume
+from posetrack_cli.phases import phases_shown
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 OTHERS = "Other options"
 HELP_NAMES = {"help_option_names": ["-h", "--help"]}
 """Also where a command is called by itself: click keeps the option that it made first."""
 _VOLUME = "posetrack.volume"
+_BEGAN = "posetrack.began_s"
 
 
 class Option(click.Option):
@@ -50,8 +54,10 @@ class Command(click.Command):
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command, as loud as it was asked to be."""
+        check_memory()
         began_s = time.perf_counter(), time.process_time()
-        with volume(ctx.meta.get(_VOLUME, USUAL)):
+        ctx.meta[_BEGAN] = began_s[0]
+        with volume(ctx.meta.get(_VOLUME, USUAL)), phases_shown(phase_shown):
             try:
                 return super().invoke(ctx)
             finally:
@@ -91,6 +97,11 @@ class Command(click.Command):
                 for line in self.examples:
                     formatter.write(f"{'':>{formatter.current_indent}}{line}\n")
         super().format_epilog(ctx, formatter)
+
+
+def seconds_since_start() -> float:
+    """Return how long the command that runs has taken so far."""
+    return time.perf_counter() - float(click.get_current_context().meta[_BEGAN])
 
 
 class Adding(Protocol):

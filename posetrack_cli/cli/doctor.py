@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from contextlib import closing, suppress
 from typing import TYPE_CHECKING
 
@@ -9,8 +10,10 @@ import click
 
 from posetrack_cli.cli.command import Command
 from posetrack_cli.cli.options import device_option, particles_option
+from posetrack_cli.cli.running import compiling_said
 from posetrack_cli.cli.standard_output import print_line, print_note
 from posetrack_cli.errors import EXIT_FAILED, PosetrackError
+from posetrack_cli.phases import phase
 
 if TYPE_CHECKING:
     from posetrack_cli.rendering.port import RenderingDevice
@@ -22,6 +25,7 @@ LIBRARIES = (
     "av",
     "numpy",
     "scipy",
+    "threadpoolctl",
     "numba",
     "fast-simplification",
     "jinja2",
@@ -57,7 +61,8 @@ def doctor(device: int | str | None, particles: int | None) -> None:
     _print_versions()
     particles = particles or PARTICLES
     if device is None or device == CPU:
-        _check_processor(particles)
+        with compiling_said():
+            _check_processor(particles)
     if not (device is None or isinstance(device, int)):
         return
     works = _check("default" if device is None else f"device {device}", device, particles)
@@ -73,14 +78,15 @@ def _print_versions() -> None:
     import platform
     from importlib import metadata
 
-    from posetrack_cli import __version__
+    from posetrack_cli.build import build_name, processor_features
 
-    print_line(f"posetrack {__version__}, Python {platform.python_version()}, {platform.platform()}")
+    print_line(f"posetrack {build_name()}, Python {platform.python_version()}, {platform.platform()}")
     for name in LIBRARIES:
         try:
             print_line(f"  {name} {metadata.version(name)}")
         except metadata.PackageNotFoundError:
             print_line(f"  {name} is missing: install posetrack again with pip")
+    print_line(f"  {processor_features()}")
 
 
 def _working_devices() -> list[int]:
@@ -88,10 +94,12 @@ def _working_devices() -> list[int]:
     from posetrack_cli.rendering.devices import open_device
 
     numbers = []
-    for number in range(MOST_DEVICES):
-        with suppress(PosetrackError):
-            open_device(number).close()
-            numbers.append(number)
+    with phase("looking for further devices", "number", MOST_DEVICES) as advance:
+        for number in range(MOST_DEVICES):
+            with suppress(PosetrackError):
+                open_device(number).close()
+                numbers.append(number)
+            advance(1)
     return numbers
 
 
@@ -100,14 +108,16 @@ def _check(label: str, device: int | None, particles: int) -> bool:
     from posetrack_cli.rendering.devices import open_device
 
     try:
-        with closing(open_device(device)) as drawing:
-            name, times = drawing.info, _scoring_times(drawing, particles)
+        with phase(f"opening OpenGL {label}", "device", 1) as advance:
+            drawing = open_device(device)
+            advance(1)
+        with closing(drawing):
+            print_line(f"OpenGL {label}: {drawing.info}")
+            _print_times(drawing, particles)
     except PosetrackError as error:
         print_line(f"OpenGL {label}: does not work")
         print_note(f"posetrack: {error}")
         return False
-    print_line(f"OpenGL {label}: {name}")
-    _print_times(times, particles)
     return True
 
 
@@ -117,27 +127,30 @@ def _check_processor(particles: int) -> None:
 
     with closing(CpuDevice()) as drawing:
         print_line(f"Processor: {drawing.info}")
-        _print_times(_scoring_times(drawing, particles), particles)
+        _print_times(drawing, particles)
 
 
-def _print_times(times: dict[int, float], particles: int) -> None:
-    for tile, milliseconds in times.items():
+def _print_times(device: RenderingDevice, particles: int) -> None:
+    for tile, milliseconds in _scoring_times(device, particles):
         print_line(f"  {particles} particles, {tile}x{tile} pixels each: {milliseconds:.1f} ms")
 
 
-def _scoring_times(device: RenderingDevice, particles: int) -> dict[int, float]:
-    """Median milliseconds by tile size for open hands around one pose."""
+def _scoring_times(device: RenderingDevice, particles: int) -> Iterator[tuple[int, float]]:
+    """Yield tile sizes, and median milliseconds for open hands around one pose."""
     import numpy as np
 
     from posetrack_cli.hand.anatomy import make_anatomy
     from posetrack_cli.hand.kinematics import skinning_transforms
     from posetrack_cli.hand.mesh import hand_mesh
     from posetrack_cli.hand.start import scattered_poses
-    from posetrack_cli.rendering.devices import scoring_milliseconds
+    from posetrack_cli.rendering.devices import WARM_UP, scoring_milliseconds
 
     anatomy = make_anatomy()
-    transforms = skinning_transforms(anatomy, scattered_poses(anatomy, particles, np.random.default_rng(0)))
-    mesh = hand_mesh(anatomy)
-    return {
-        tile: scoring_milliseconds(device, mesh, transforms, tile, 128 // tile, REPEATS) for tile in (64, 128)
-    }
+    with phase("posing hands", "hand", particles) as advance:
+        poses = scattered_poses(anatomy, particles, np.random.default_rng(0))
+        transforms, mesh = skinning_transforms(anatomy, poses), hand_mesh(anatomy)
+        advance(particles)
+    for tile in (64, 128):
+        with phase(f"measuring {tile}x{tile} pixels", "run", REPEATS + WARM_UP) as advance:
+            took = scoring_milliseconds(device, mesh, transforms, tile, 128 // tile, REPEATS, advance)
+        yield tile, took

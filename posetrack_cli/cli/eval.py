@@ -214,6 +214,7 @@ def evaluate(results: tuple[Path, ...], **options: Any) -> None:
     lost = _write_mcaps(found, request, outputs, options["track"])
     with reader_may_leave():
         _show(found, len(results), options)
+        _show_files(outputs, options)
     _close(found, lost)
 
 
@@ -400,6 +401,15 @@ def _show(found: Assessment, given: int, options: dict[str, Any]) -> None:
         passed = len(found.outcomes) - len(found.failed)
         lines.append(f"gates: {passed} passed, {len(found.failed)} failed")
     print_tables(made, lines, sys.stdout)
+
+
+def _show_files(outputs: dict[Path, Path], options: dict[str, Any]) -> None:
+    """Print which files were written, unless a report goes where that would."""
+    if STANDARD_OUTPUT in [options[name] for name in TEXT_REPORTS]:
+        return
+    written = [(name, options[name]) for name in (*TEXT_REPORTS, "html") if options[name] is not None]
+    for name, path in (*written, *(("mcap", path) for path in outputs.values())):
+        print_line(f"{path}: {name}, {path.stat().st_size} bytes")
 
 
 def _columns(found: Assessment, given: int, options: dict[str, Any]) -> tuple[list[Table], list[str]]:

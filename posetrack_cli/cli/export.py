@@ -39,7 +39,7 @@ _BY_SUFFIX = {f".{name}": name for name in FORMATS}
     "--format",
     "format_name",
     type=click.Choice(FORMATS),
-    help="What to write.  [default: as FILE is named, else csv]",
+    help="What to write.  [default: as FILE is named; without an ending csv]",
 )
 @option(
     "--schemas",
@@ -70,9 +70,9 @@ def export(
     """Write the estimates of RESULT, finished or not, for other tools.
 
     \b
-    csv   a row per frame, columns explained in comments above: mm, rad, deg
+    csv   a header row and a row per frame: mm, rad, deg, as columns are named
     tum   timestamp tx ty tz qx qy qz qw, in s and m, for trajectory tools
-    json  the columns of csv as lists, below units and the run record
+    json  the columns of csv as lists, below their meanings and the run record
     npz   an array per field of an estimate, for numpy; needs -o
     bvh   a hand's skeleton for Blender: m, y up, a fixed frame rate
     c3d   joints or points as markers: mm, a fixed frame rate; needs -o
@@ -118,8 +118,12 @@ def export(
 
 def _chosen_format(format_name: str | None, schemas: str | None, output: Path | None) -> str:
     """What is asked for, else what the output is named as; schemas are of MCAP files only."""
-    named = _BY_SUFFIX.get(output.suffix.lower() if output else "")
-    chosen = format_name or named or ("mcap" if schemas else "csv")
+    suffix = output.suffix.lower() if output else ""
+    chosen = format_name or _BY_SUFFIX.get(suffix) or ("mcap" if schemas else "csv")
+    if suffix and not (format_name or schemas or suffix in _BY_SUFFIX):
+        known = ", ".join(_BY_SUFFIX)
+        hint = "or choose one with --format"
+        raise UsageError("no such format", where=output, found=suffix, expected=known, hint=hint)
     if schemas and chosen != "mcap":
         raise UsageError(
             "--schemas is of MCAP files", found=chosen, expected="--format mcap, or -o NAME.mcap"

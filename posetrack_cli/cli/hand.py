@@ -150,7 +150,7 @@ hand.add_command(hand_synth)
     device_option("[default: a GPU if there is one, else cpu]"),
     title="Filter",
 )
-@configuration_options("hand (the defaults), hand-paper", "observation.sigma_mm=5")
+@configuration_options("hand (the defaults), hand-fast, hand-paper, hand-pso", "observation.sigma_mm=5")
 @frame_options
 @recording_options
 @volume_options
@@ -193,7 +193,7 @@ def _prepare(recording: Path, options: dict[str, Any]) -> tuple[HandRun, int | N
     device = open_fastest_device(options["device"])
     print_detail(f"draws with {device.info}")
     check_run(source, config, run_options)
-    found = find_hand(source, config, options["start"], _say, keypoints)
+    found = find_hand(source, config, options["start"], keypoints)
     tell_settings(found.config)
     run = HandRun(source, found.config, run_options, device)
     return run, frames_ahead(source, run_options), found
@@ -220,10 +220,6 @@ def _keypoints(options: dict[str, Any], source: Recording) -> KeypointFile | Non
     keypoints = replace(keypoints, sets=sets)
     print_aside(f"{path}: {keypoints.line}{words and f'; {words}'}")
     return keypoints
-
-
-def _say(line: str) -> None:
-    print_aside(f"{line} ...")
 
 
 def _configuration(options: dict[str, Any]) -> HandConfig:

@@ -19,7 +19,7 @@ from posetrack_cli.cli.options import (
     recording_options,
 )
 from posetrack_cli.cli.running import compiling_said, open_for_reading, tell_next
-from posetrack_cli.cli.standard_output import print_aside, print_line, print_note
+from posetrack_cli.cli.standard_output import print_line, print_note
 from posetrack_cli.errors import EXIT_DATA_LOST
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ def hand_calibrate(recording: Path, output: Path, **options: Any) -> None:
     source = open_for_reading(recording, options)
     chosen = CalibrationOptions(side, options["fit_frames"])
     with compiling_said():
-        found = calibrate(source, config, chosen, lambda line: print_aside(f"{line} ..."))
+        found = calibrate(source, config, chosen)
     write_hand_file(output, found, config.hand.mesh, recording.name)
     _show(found)
     print_line(

@@ -6,12 +6,10 @@ import sys
 import traceback
 from collections.abc import Callable
 from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
 import click
 
-from posetrack_cli import __version__
 from posetrack_cli.cli.batch import batch
 from posetrack_cli.cli.calibrate import calibrate
 from posetrack_cli.cli.command import HELP_NAMES
@@ -22,12 +20,20 @@ from posetrack_cli.cli.export import export
 from posetrack_cli.cli.hand import hand
 from posetrack_cli.cli.head import head
 from posetrack_cli.cli.info import info
-from posetrack_cli.cli.process import is_debugging, leave_process, prepare_process, terminate_as_interrupted
-from posetrack_cli.cli.standard_output import discard_output, print_note
+from posetrack_cli.cli.process import (
+    is_debugging,
+    leave_process,
+    prepare_process,
+    survive_memory_limit,
+    terminate_as_interrupted,
+)
+from posetrack_cli.cli.standard_output import discard_output, print_line, print_note
 from posetrack_cli.cli.view import view
+from posetrack_cli.damage import error_words
 from posetrack_cli.errors import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED, PosetrackError
 
-_LONGEST_MESSAGE = 300
+_NO_THREAD = "can't start new thread"
+"""What Python says of any limit that keeps a thread from starting."""
 
 
 class _Group(click.Group):
@@ -40,10 +46,26 @@ class _Group(click.Group):
             raise click.Abort from interruption
 
 
+def _print_version(context: click.Context, _: click.Parameter, asked: bool) -> None:
+    from posetrack_cli.build import build_name
+
+    if asked:
+        print_line(f"posetrack, version {build_name()}")
+        context.exit()
+
+
 @click.group(cls=_Group, context_settings={**HELP_NAMES, "max_content_width": 100})
-@click.version_option(__version__, prog_name="posetrack")
+@click.option(
+    "--version",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_print_version,
+    help="Show the version and exit.",
+)
 def cli() -> None:
-    """Track hands in recorded depth: pose, velocity and shape with their uncertainty, from MCAP or folders.
+    """Track hands in recorded depth and heads in recorded video: pose, velocity and shape, with their
+    uncertainty, from MCAP files, bags, videos and folders of images.
 
     Exit codes: 0 done; 1 failed; 2 wrong usage; 3 finished, but some data was lost or skipped; 130 stopped by
     Ctrl-C. Results go to standard output, diagnostics and progress to standard error; POSETRACK_DEBUG=1 also
@@ -59,6 +81,7 @@ def main() -> None:
     """Run the command line and exit."""
     prepare_process()
     terminate_as_interrupted()
+    survive_memory_limit()
     leave_process(run(sys.argv[1:]))
 
 
@@ -89,6 +112,10 @@ def run_safely(work: Callable[[], int]) -> int:
     except MemoryError as error:
         return _failed(_memory_line(error), EXIT_FAILED)
     except Exception as error:
+        if _NO_THREAD in str(error):
+            return _failed(
+                "out of memory or threads: raise ulimit -v or -u, or set POSETRACK_THREADS=1", EXIT_FAILED
+            )
         # The last net, for users: what gets here is a bug, and the fuzzing harness counts it as a failure.
         return _failed(_bug_line(error), EXIT_FAILED)
 
@@ -116,24 +143,10 @@ def _memory_line(error: MemoryError) -> str:
 
 def _bug_line(error: Exception) -> str:
     """What happened, and in which line of ours; the rest tells only those who mend it."""
-    kind = type(error)
-    name = kind.__name__ if kind.__module__ == "builtins" else f"{kind.__module__}.{kind.__name__}"
-    words = " ".join(str(error).split())
-    message = f"{name}: {words[:_LONGEST_MESSAGE]}" if words else name
     return (
-        f"internal error: {message} at {_place(error)}; this is a bug, please report it with what "
+        f"internal error: {error_words(error)}; this is a bug, please report it with what "
         "POSETRACK_DEBUG=1 shows"
     )
-
-
-def _place(error: Exception) -> str:
-    """File and line of posetrack that is innermost among those that led to an error."""
-    package, place = Path(__file__).parents[1], "no line of posetrack"
-    for frame, line in traceback.walk_tb(error.__traceback__):
-        path = Path(frame.f_code.co_filename)
-        if path.is_relative_to(package):
-            place = f"{path.relative_to(package.parent)}:{line}"
-    return place
 
 
 def _usage_line(error: click.ClickException) -> str:

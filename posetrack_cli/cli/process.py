@@ -9,10 +9,12 @@ Ctrl-C ends a command after the frame at hand, and waits for no compiler.
 
 from __future__ import annotations
 
+import ctypes
 import faulthandler
 import gc
 import logging
 import os
+import resource
 import signal
 import sys
 import threading
@@ -22,7 +24,8 @@ from contextlib import contextmanager, suppress
 from io import TextIOWrapper
 from typing import NoReturn
 
-from posetrack_cli.errors import EXIT_INTERRUPTED
+from posetrack_cli.cli.standard_output import print_note
+from posetrack_cli.errors import EXIT_FAILED, EXIT_INTERRUPTED, UsageError
 
 _DEBUG = "POSETRACK_DEBUG"
 _STANDARD = (0, 1, 2)
@@ -97,6 +100,61 @@ def _silence_python_libraries() -> None:
         warnings.simplefilter("ignore")
     logging.getLogger().addHandler(logging.NullHandler())  # without any, warnings go to standard error
 
+
+LEAST_DATA_BYTES = 1 << 29
+_LEAST = {
+    "ulimit -v": (resource.RLIMIT_AS, 5 << 28),
+    "ulimit -d": (resource.RLIMIT_DATA, LEAST_DATA_BYTES),
+}
+"""What tracking takes with its libraries, which abort or hang on less: address space, and data alone."""
+
+
+def check_memory() -> None:
+    """Refuse to work under a limit of memory that libraries do not survive.
+
+    Raises:
+        UsageError: ``ulimit -v`` or ``ulimit -d`` is too low.
+    """
+    for name, (which, least) in _LEAST.items():
+        limit, _ = resource.getrlimit(which)
+        if limit != resource.RLIM_INFINITY and limit < least:
+            found, expected = f"{limit >> 10} KiB", f"{least >> 10} KiB or more"
+            raise UsageError(
+                f"limit of memory is too low ({name})",
+                found=found,
+                expected=expected,
+                hint=f"type: {name} unlimited",
+            )
+
+
+def survive_memory_limit() -> None:
+    """Go on in a process of its own where memory is limited: libraries abort for want of it.
+
+    This process waits for that one, and says in one line that it was aborted.
+    """
+    limited = [
+        name for name, (which, _) in _LEAST.items() if resource.getrlimit(which)[0] != resource.RLIM_INFINITY
+    ]
+    if not limited:
+        return
+    child = os.fork()
+    if child == 0:
+        faulthandler.disable()
+        ctypes.CDLL(None).prctl(_SET_SIGNAL_AT_PARENTS_END, signal.SIGKILL)
+        return
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to both
+    signal.signal(signal.SIGTERM, lambda number, frame: os.kill(child, number))
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    if code in (-signal.SIGABRT, -signal.SIGSEGV, -signal.SIGBUS):
+        print_note(
+            f"posetrack: a library aborted, likely for want of memory ({', '.join(limited)}); raise the limit"
+        )
+        code = EXIT_FAILED
+    os._exit(code if code >= 0 else 128 - code)
+
+
+_SET_SIGNAL_AT_PARENTS_END = 1
+"""``PR_SET_PDEATHSIG`` of Linux."""
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 GRACE_S = 1.0

@@ -6,15 +6,20 @@ import os
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from threading import RLock
+from threading import RLock, Thread
+from time import sleep
 from typing import Any
 
-from posetrack_cli.cli.standard_output import drawn_bars, is_quiet
+from posetrack_cli.cli.standard_output import drawn_bars, is_quiet, print_aside
+from posetrack_cli.phases import Advance
 from posetrack_cli.text import one_line
 
 _USUAL_COLUMNS = 80
 _ECHO_COLUMNS = 3
 """Kept free behind a bar: a terminal shows ^C there, and a longer line would break."""
+
+_REDRAWN_EVERY_S = 1.0
+"""Of a bar whose count stands still for long: its time goes on."""
 
 _LOCK = RLock()
 
@@ -27,7 +32,7 @@ class Bar:
     """
 
     def __init__(self, options: Mapping[str, Any] | None) -> None:
-        self._options, self._done = options, 0
+        self._options, self._done, self._note = options, 0, ""
         self._drawn: Any = None
         if not drawn_bars:
             self._draw()
@@ -66,7 +71,8 @@ class Bar:
         if total is not None:
             self._drawn.total = total
         if note is not None:
-            self._drawn.set_postfix_str(one_line(note), refresh=False)
+            self._note = one_line(note)
+        self._drawn.set_postfix_str(self._note, refresh=False)  # also in place of what was said meanwhile
         self._drawn.update(count)
 
     def _draw(self) -> None:
@@ -76,11 +82,42 @@ class Bar:
         from tqdm import tqdm
 
         close_bars()
-        tqdm.monitor_interval = 0  # a thread that redraws
+        tqdm.monitor_interval = 0  # its thread looks every ten seconds only
         tqdm.set_lock(_LOCK)  # by default it is one of all processes
         sizes = {"ncols": _columns(), "nrows": 2}
         self._drawn = tqdm(**self._options, **sizes, file=sys.stderr, miniters=0)
         drawn_bars.append(self._drawn)
+        Thread(target=_redraw, args=(self._drawn,), daemon=True).start()
+
+
+def _redraw(drawn: Any) -> None:
+    """Draw a bar of tqdm's again and again, as long as it is the one that is drawn."""
+    while True:
+        sleep(_REDRAWN_EVERY_S)
+        with _LOCK:
+            if not _is_drawn(drawn):
+                return
+            drawn.refresh()
+
+
+def _is_drawn(bar_of_tqdm: Any) -> bool:
+    return any(one is bar_of_tqdm for one in drawn_bars)
+
+
+def say_meanwhile(text: str) -> None:
+    """Show a text on the bar that is drawn, if there is one, until it advances."""
+    with _LOCK:
+        for drawn in drawn_bars:
+            drawn.set_postfix_str(one_line(text))
+
+
+@contextmanager
+def phase_shown(name: str, unit: str, total: int | None) -> Iterator[Advance]:
+    """Show a phase (``posetrack_cli.phases``): a bar where a person looks, else a line when it begins."""
+    with bar(name, unit, total) as shown:
+        if not shown.is_drawn:
+            print_aside(f"{name} ...")
+        yield shown.advance
 
 
 @contextmanager
@@ -111,5 +148,6 @@ def _columns() -> int:
 
 def close_bars() -> None:
     """Leave the terminal as it was: also for a process that ends at once, from whichever thread."""
-    while drawn_bars:
-        drawn_bars.pop().close()
+    with _LOCK:
+        while drawn_bars:
+            drawn_bars.pop().close()

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from posetrack_cli.cli.command import seconds_since_start
 from posetrack_cli.cli.options import reading_options
 from posetrack_cli.cli.process import leave_process, signals_watched
-from posetrack_cli.cli.progress import bar, close_bars
+from posetrack_cli.cli.progress import bar, close_bars, say_meanwhile
 from posetrack_cli.cli.standard_output import print_aside, print_detail, print_line, print_note
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_INTERRUPTED, PosetrackError, UsageError
 from posetrack_cli.text import printable
@@ -61,7 +62,9 @@ def compiling_said(resumable: Path | None = None) -> Iterator[Callable[[], bool]
             raise KeyboardInterrupt
 
     with (
-        announced(lambda line: print_aside(f"{line} ...")),
+        announced(
+            lambda line: print_aside(f"{line} ..."), lambda count: say_meanwhile(f"compiling kernel {count}")
+        ),
         watched(lambda: check()) as is_compiling,
         signals_watched(is_compiling, give_up) as asked,
     ):
@@ -185,31 +188,44 @@ def _typed(word: str | Path) -> str:
 
 
 def next_of_result(recording: Path, result: Path) -> Iterator[Sequence[str | Path]]:
-    """Yield what makes a report, and a video; the recording is named where ``view`` would not find it."""
+    """Yield what makes a report, and a video."""
     page, video = result.with_suffix(".html"), result.with_suffix(".mp4")
     yield ("eval", result, "--html", page, *(["--overwrite"] if page.exists() else []))
-    folders = (result.parent, result.parent.resolve().parent, Path())
-    found = any((folder / recording.name).exists() for folder in folders)
-    given = () if found else ("--recording", recording)
     is_recording = video.exists() and recording.exists() and video.samefile(recording)
     if is_recording:
         video = video.with_stem(f"{video.stem}-tracked")
-    yield ("view", result, *given, "-o", video, *(["--overwrite"] if video.exists() else []))
+    yield ("view", result, "-o", video, *(["--overwrite"] if video.exists() else []))
+
+
+_LEAST_SAID_S = 1.0
+"""Time of compiling that is worth a word."""
+
+
+def _rate(frames: int, seconds: float) -> str:
+    """Frames per second, with two digits at least."""
+    rate = frames / seconds if seconds > 0.0 else 0.0
+    return f"{rate:.1f}" if rate >= 1.0 else f"{rate:.2g}"
 
 
 def close(recording: Path, output: Path, outcome: RunOutcome, passes: int = 1) -> None:
     """Print the closing line and what there is to remark, and set the exit code."""
+    from posetrack_cli.compiled import compiling_s
     from posetrack_cli.losses import loss_line
     from posetrack_cli.outputs import part_path
 
     _listener.get().on_end(outcome.tracked)
-    rate = outcome.tracked / outcome.seconds if outcome.seconds else 0.0
-    what = f"{outcome.tracked} frames in {outcome.seconds:.1f} s ({rate:.1f} frames/s)"
+    whole_s, compiled_s = seconds_since_start(), compiling_s()
+    what = (
+        f"{outcome.tracked} frames in {whole_s:.1f} s ({_rate(outcome.tracked, whole_s)} frames/s; "
+        f"tracking alone {_rate(outcome.tracked, outcome.seconds)} frames/s)"
+    )
     if passes > 1:
         what += f" of {passes} passes, {outcome.frames} in the last"
     elif outcome.frames != outcome.tracked:
         what += f", {outcome.frames} with those before"
     what += f", {outcome.lost} lost"
+    if compiled_s >= _LEAST_SAID_S:
+        what += f", {compiled_s:.0f} s spent compiling"
     if outcome.stopped:
         print_note(f"interrupted after {what}: {part_path(output)}; --resume goes on")
         click.get_current_context().exit(EXIT_INTERRUPTED)

@@ -36,7 +36,6 @@ from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_INTERRUPTED, UsageError
 if TYPE_CHECKING:
     from posetrack_cli.evaluation.viewing.outputs import Output
     from posetrack_cli.evaluation.viewing.view import ResultView
-    from posetrack_cli.rendering.port import RenderingDevice
     from posetrack_cli.results.reader import Result
 
 LAYOUTS = ("beside", "over", "paper", "segments", "side-by-side")
@@ -107,16 +106,16 @@ DRAWN = {
         metavar="NEAR FAR",
         help="Depths drawn red and blue.  [default: the hand's]",
     ),
-    option("--show-truth", is_flag=True, help="Draw the truth's contour, green."),
+    option("--show-truth", is_flag=True, help="Also draw the truth, green: contour, or points and axes."),
     option("--skeleton", is_flag=True, help="Draw joints, bones and the axes of the pose."),
     title="What is drawn",
 )
-@recording_option("Found by itself beside the result, one folder up or in the working folder.")
+@recording_option("Found by itself where it was, or beside the result or above it.")
 @option(
     "--any-recording", is_flag=True, help="Draw on --recording even if it is not that of the run.", group=READ
 )
 @recording_options
-@device_option("[default: the driver's]")
+@device_option("[default: the driver's, else cpu]")
 @volume_options
 def view(paths: tuple[Path, ...], output: Path, **options: Any) -> None:
     """Draw RESULT on its recording: depth in false colour (near red, far blue), with the rendered hand.
@@ -148,6 +147,7 @@ def _prepare(results: Sequence[Result], output: Path, options: dict[str, Any]) -
     from posetrack_cli.evaluation.viewing.layers import ViewOptions
     from posetrack_cli.evaluation.viewing.outputs import is_sheet
     from posetrack_cli.evaluation.viewing.view import ResultView, style_of
+    from posetrack_cli.rendering.devices import open_usual_device
 
     tracks = chosen_tracks(options["track"])
     drawn = {name: options[called] for name, called in DRAWN.items()}
@@ -156,13 +156,7 @@ def _prepare(results: Sequence[Result], output: Path, options: dict[str, Any]) -
     style_of(results)
     chosen = {"any_recording": options["any_recording"], "in_colour": True, **reading_options(options)}
     recording = required_recording(results[0], options["recording"], **chosen)
-    return ResultView(results, recording, view_options, cache(lambda: _device(options["device"])))
-
-
-def _device(choice: int | str | None) -> RenderingDevice:
-    from posetrack_cli.rendering.devices import open_device, open_fastest_device
-
-    return open_device() if choice is None else open_fastest_device(choice)
+    return ResultView(results, recording, view_options, cache(lambda: open_usual_device(options["device"])))
 
 
 def _check_one_recording(results: Sequence[Result], options: dict[str, Any]) -> None:

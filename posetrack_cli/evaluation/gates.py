@@ -94,6 +94,14 @@ class GateOutcome:
         return f"{self.result}: gate '{self.gate}' {'failed' if self.failed else 'passed'}: {self.reason}"
 
 
+def gates_line(outcomes: Sequence[GateOutcome]) -> str:
+    """Return how many gates failed, as every report says it: ``1 of 3 gates failed``; empty without any."""
+    failed = sum(one.failed for one in outcomes)
+    if failed:
+        return f"{failed} of {len(outcomes)} gates failed"
+    return f"all {len(outcomes)} gates passed" if outcomes else ""
+
+
 def parse_gate(text: str) -> Gate:
     """Read a condition ``FIGURE OP NUMBER``; where it is true it has failed.
 

@@ -6,6 +6,7 @@ from collections.abc import Collection, Iterator
 from contextlib import closing
 
 from posetrack_cli.arrays import IntArray
+from posetrack_cli.damage import read_from
 from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.base import Frame, StoredFrame, decode_frames
 from posetrack_cli.recording.readahead import read_ahead
@@ -56,5 +57,6 @@ def _frames_at(
                 met.append(index)
                 yield index, stored
 
-    with closing(read_ahead(decode_frames(chosen(), losses))) as frames:
+    decoded = read_from(recording.path, decode_frames(chosen(), losses), "frame")
+    with closing(read_ahead(decoded)) as frames:
         yield from frames

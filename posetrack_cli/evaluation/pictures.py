@@ -50,7 +50,7 @@ def worst_frame_pictures(
         evaluation: what was measured.
         recording: what the result was made from (``search_recording``).
         count: how many at most. They are at least a second apart, so a short recording gives fewer.
-        device: EGL device index, None for the default.
+        device: EGL device index, None for the default, or the processor without OpenGL.
 
     Returns:
         The worst first. Frames that the recording does not give are left out.
@@ -60,7 +60,7 @@ def worst_frame_pictures(
         ResultError, UsageError: the result cannot be drawn on these images.
     """
     from posetrack_cli.evaluation.viewing.frame_choice import worst_rows
-    from posetrack_cli.rendering.devices import open_device
+    from posetrack_cli.rendering.devices import open_usual_device
 
     errors, name = errors_of(evaluation)
     rows = worst_rows(evaluation.track, errors, count)
@@ -68,7 +68,7 @@ def worst_frame_pictures(
         return []
     with ExitStack() as opened:
         drawn = _drawn(
-            evaluation, recording, rows, lambda: opened.enter_context(closing(open_device(device)))
+            evaluation, recording, rows, lambda: opened.enter_context(closing(open_usual_device(device)))
         )
     kept = [int(row) for row in rows if int(row) in drawn]
     return [Picture(*drawn[row], caption_of(evaluation, row, errors, name)) for row in kept]

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+import os
+from collections.abc import Mapping
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -62,7 +63,12 @@ def _settings(result: Result) -> HandSettings:
 
 
 def _found_mesh(result: Result, stated: str) -> Path:
-    files = [path for path in _places(result, stated) if path.is_file()]
+    from posetrack_cli.evaluation.recording_of import (
+        folders_of,
+        places_of,
+    )  # imports all that opens recordings
+
+    files = [path for path in places_of(stated, folders_of(result)) if os.path.isfile(path)]  # noqa: PTH113 never raises
     for path in files:
         if file_digest(path)[1] == result.run.get(MESH_DIGEST):
             return path
@@ -74,17 +80,6 @@ def _found_mesh(result: Result, stated: str) -> Path:
         found=f"no {PurePath(stated).name} beside it or in the working folder",
         hint="copy the file there",
     )
-
-
-def _places(result: Result, stated: str) -> Iterator[Path]:
-    """Where a stated path may lead: its last part, its last two ... below each of the folders."""
-    from posetrack_cli.evaluation.recording_of import folders_of  # imports all that opens recordings
-
-    path = PurePath(stated)
-    parts = [part for part in path.parts if part not in (path.anchor, "..")]
-    for folder in folders_of(result):
-        for first in reversed(range(len(parts))):
-            yield folder.joinpath(*parts[first:])
 
 
 def configuration_of(run: Mapping[str, str]) -> HandConfig:

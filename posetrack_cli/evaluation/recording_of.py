@@ -1,21 +1,23 @@
-"""The recording that a result was made from: found by its name, known by its SHA-256."""
+"""The recording that a result was made from: found by its path or name, known by its SHA-256."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePath
 from tempfile import TemporaryDirectory
 from typing import Any
 
 from posetrack_cli.errors import PosetrackError, RecordingError, ResultError, UsageError
-from posetrack_cli.files import placed_path
+from posetrack_cli.files import placed_path, real_path
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.recording.base import (
     CAMERA_FILE_KEY,
     CAMERA_FILE_NAME,
+    PATH_KEY,
     RECORDING_KEY,
     NotCalibratedError,
 )
@@ -30,6 +32,8 @@ from posetrack_cli.results.records import camera_from_json
 from posetrack_cli.results.subject_kind import kind_of
 
 SHOWN_DIGITS = 12
+MOST_PARTS = 32
+"""Of a stated path, from its end, are looked for: a stranger's may have any number."""
 FOLDER_KINDS = ("folder", "ros2")
 ANY_HINT = "pass the recording of the run with its options; posetrack view --any-recording draws on any"
 
@@ -150,8 +154,9 @@ def search_recording(
 ) -> Search:
     """Look for the recording that a result was made from.
 
-    A result states its input's name, size and SHA-256, no path. Without ``given`` the name is looked for
-    beside the result, in the folder above and in the working folder; one that differs is not taken.
+    A result states its input's path as it was typed, size and SHA-256. Without ``given`` it is looked for at
+    that path, then by the path's last parts in the folders of ``folders_of`` and all above the result:
+    recordings and results may move together. The result itself, and what has another SHA-256, is not taken.
 
     Args:
         result: its run record says what to look for, and how it was opened.
@@ -174,18 +179,19 @@ def search_recording(
 
 
 def _found_beside(result: Result, opening: Mapping[str, Any]) -> Search:
-    """What bears the name that a result states, if it is what the run was made from."""
-    name = Path(result.run.get("input.name", "")).name
-    if name in ("", ".."):
+    """Return what lies where a result states, if it is what the run was made from."""
+    run = result.run
+    stated = run.get(PATH_KEY) or run.get("input.name", "")
+    if Path(stated).name in ("", "..") or not run.get(RECORDING_KEY):  # nothing would tell another from it
         return Search(None, f"{result.path} does not say which recording it was made from")
     reasons = []
-    for place in _places(result, name):
+    for place in _places(result, stated):
         try:
             return Search(_same(place, result, opening))
         except RecordingError as error:
             reasons.append(str(error))
-    looked = ", ".join(dict.fromkeys(str(folder) for folder in folders_of(result)))
-    nowhere = f"no recording '{name}' in {looked}; pass it with --recording"
+    where = f"at {stated}, beside {result.path}, in a folder above it or in the working folder"
+    nowhere = f"no recording '{Path(stated).name}' {where}; pass it with --recording"
     return Search(None, "; ".join(reasons) or nowhere)
 
 
@@ -213,14 +219,27 @@ def pixels_of(result: Result) -> PixelKind:
 def folders_of(result: Result) -> Iterator[Path]:
     """Yield where files that a result names are looked for: beside it, one folder up, the working folder."""
     beside = result.path.parent
-    above = placed_path(beside).parent, beside.resolve().parent  # two of them where the folder is a link
+    above = placed_path(beside).parent, real_path(beside).parent  # two of them where the folder is a link
     yield from (beside, *dict.fromkeys(above), Path())
 
 
-def _places(result: Result, name: str) -> Iterator[Path]:
-    """What bears the name, each once."""
-    places = (folder / name for folder in folders_of(result))
-    yield from {place.resolve(): place for place in places if place.exists()}.values()
+def places_of(stated: str, folders: Iterable[Path]) -> Iterator[Path]:
+    """Yield where a path that a result states may lead: its last part, its last two ... in each folder."""
+    path = PurePath(stated)
+    parts = [part for part in path.parts if part not in (path.anchor, "..")][-MOST_PARTS:]
+    for folder in folders:
+        for first in reversed(range(len(parts))):
+            yield folder.joinpath(*parts[first:])
+
+
+def _places(result: Result, stated: str) -> Iterator[Path]:
+    """Yield what lies where a recording may be, each once, and never the result."""
+    seen = {real_path(result.path)}
+    folders = (*folders_of(result), *placed_path(result.path).parents)
+    for place in (Path(stated), *places_of(stated, folders)):
+        if os.path.exists(place) and (real := real_path(place)) not in seen:  # noqa: PTH110 never raises
+            seen.add(real)
+            yield place
 
 
 def _same(path: Path, result: Result, opening: Mapping[str, Any]) -> Recording:

@@ -51,7 +51,8 @@ class Track:
         resampled: (N,).
         frame_index: (N,) positions of the frames in the recording; None where unknown, of a truth unless it
             is matched by them.
-        numbers: (N, M) further numbers that the tracker names; NaN where unknown.
+        numbers: (N, M) further numbers of the tracker; NaN where unknown.
+        number_names: what it calls them.
         pixels: (N, P, 2) points in the images, of a truth that has nothing else.
     """
 
@@ -78,6 +79,7 @@ class Track:
     resampled: BoolArray | None = None
     frame_index: IntArray | None = None
     numbers: FloatArray | None = None
+    number_names: tuple[str, ...] = ()
     pixels: FloatArray | None = None
 
     def __len__(self) -> int:
@@ -120,6 +122,7 @@ def track_of_result(result: Result, name: str, which: str = FILTERED) -> Track:
         resampled=columns["resampled"],
         frame_index=columns["frame_index"],
         numbers=columns.get(NUMBERS),
+        number_names=result.subject.number_names,
     )
 
 

@@ -18,7 +18,7 @@ from posetrack_cli.rendering.mesh import SkinnedMesh, bound_to, merged
 
 SEEN_MM = 80.0
 """How much of a forearm of scale 1 is looked at, behind the wrist that is expected."""
-_LENGTH_MM = 160.0
+LENGTH_MM = 160.0
 """Of the tube: a wrist that is found farther out still has an arm up to where one is looked at."""
 _WIDTH_PER_MM, _DEPTH_PER_MM = 0.0020, 0.0045
 """By how much of the wrist's a forearm's width and thickness grow per mm towards its belly: from a flat
@@ -56,7 +56,7 @@ def _tube(hand: SkinnedMesh, anatomy: HandAnatomy, sides: int, rings: int) -> Sk
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     end = float(hand.vertices[:, 1].max())
     wrist = min(end, 0.0)
-    beyond_hand = np.linspace(end, end + _LENGTH_MM * anatomy.scale, rings - 2)
+    beyond_hand = np.linspace(end, end + LENGTH_MM * anatomy.scale, rings - 2)
     along = np.concatenate([[wrist - _INTO_HAND_MM * anatomy.scale, wrist], beyond_hand])
     beyond = np.maximum(along - end, 0.0) / anatomy.scale
     size = np.stack([1.0 + _WIDTH_PER_MM * beyond, 1.0 + _DEPTH_PER_MM * beyond], axis=1) * half

@@ -7,15 +7,19 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray
+from posetrack_cli.arrays import Float32Array, FloatArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.config import MixtureSettings, ObservationSettings
 from posetrack_cli.hand.forearm import transforms_with_forearm
+from posetrack_cli.hand.forearm_confidence import forearm_window
+from posetrack_cli.hand.inner import THUMB
+from posetrack_cli.hand.kinematics import joint_positions
 from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.observation import Observation
 from posetrack_cli.rendering.pixel_model import PixelMixture
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.rendering.sums import Comparison, TileSums
+from posetrack_cli.rendering.window import Window
 
 Cost = Callable[[TileSums, ObservationSettings], FloatArray]
 
@@ -132,6 +136,9 @@ class PoseScorer(Protocol):
     def log_likelihood(self, poses: FloatArray, observation: Observation) -> FloatArray:
         """log p(y | x) (N,) of poses (N, 22), up to a constant that no pose changes."""
 
+    def forearm(self, pose: FloatArray, inner: FloatArray) -> tuple[Window, Float32Array]:
+        """A window around the forearm of a pose (22,), and its depth (h, w) there, mm; 0 where hidden."""
+
 
 class RenderedCosts:
     """Costs and likelihoods of hand poses by rendering them.
@@ -186,6 +193,21 @@ class RenderedCosts:
         misfit = union_misfit(sums, self._model, z)
         correlation = self._settings.mixture.correlation_mm
         return Scores(costs, -reading_share(z, observation.window.step, self._camera, correlation) * misfit)
+
+    def forearm(self, pose: FloatArray, inner: FloatArray) -> tuple[Window, Float32Array]:
+        """A window around the forearm of a pose (22,), and its depth (h, w) there, mm; 0 where hidden."""
+        wrist = joint_positions(self._anatomy, pose[None], inner[THUMB])[0, 0]
+        tile = self._settings.tile_px
+        window = forearm_window(wrist, inner[:3], self._anatomy.scale, self._camera, tile)
+        without = inner.copy()
+        without[:3] = 0.0
+        both, hand = (
+            self._one.depth(
+                transforms_with_forearm(self._anatomy, pose[None], numbers), self._camera, window
+            )[0]
+            for numbers in (inner, without)
+        )
+        return window, np.where(hand > 0.0, np.float32(0.0), both)
 
     def _sums(self, poses: FloatArray, observation: Observation, model: PixelMixture | None) -> TileSums:
         renderer = self._one if len(poses) == 1 else self._many

@@ -39,6 +39,8 @@ from posetrack_cli.tracking.confidence import PROBABLY
 
 INNER = "inner"
 """What a smoother's memory of a frame calls its inner numbers."""
+FOREARM_CONFIDENCE = "forearm_confidence"
+"""What it calls that of the filter's forearm; 0 without one."""
 USUAL_STEP_S = 1.0 / 30.0
 NOT_TOLD: FloatArray = np.empty((0, POSE_SIZE))
 TOLD_PRECISION: FloatArray = 1.0 / np.square(np.repeat([20.0, 0.3, 0.4], [3, 3, 15]))

@@ -16,6 +16,7 @@ from posetrack_cli.arrays import BoolArray, Float32Array, FloatArray, ImageArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import HandAnatomy
 from posetrack_cli.hand.config import HandConfig, ObservationSettings
+from posetrack_cli.hand.forearm_confidence import forearm_confidence
 from posetrack_cli.hand.inner import NO_INNER, NO_THUMB, THUMB
 from posetrack_cli.hand.observation import Observation, PixelSampler, everything, window_around
 from posetrack_cli.hand.segmentation import Detection, Label, Segmentation
@@ -216,6 +217,17 @@ class Observer:
             thumb: (2,) its inner angles.
         """
         return outline_of(depth, self.sampler, self._camera, PredictedHand.of(self.anatomy, pose, thumb))
+
+    def forearm_confidence(self, depth: ImageArray, window: Window, drawn: Float32Array) -> float:
+        """How far a frame (height, width), mm, explains a forearm that is drawn (h, w) in a window."""
+        camera, step = self._camera, window.step
+        return forearm_confidence(
+            drawn,
+            self.sampler.sample(depth, window),
+            _in_image(window, camera),
+            drawn * (step / np.sqrt(camera.fx * camera.fy) / self.anatomy.scale),
+            self._config.observation.unread_weight,
+        )
 
     def observe_detection(self, depth: ImageArray, detection: Detection) -> Observation:
         """Cut the window around a detected hand; what lies beyond its wrist is forearm."""

@@ -18,8 +18,9 @@ from posetrack_cli.tracking.body_space import pose_rates
 from posetrack_cli.tracking.confidence import RunningSigns
 from posetrack_cli.tracking.loop import Tracker
 
-NUMBER_NAMES = (*INNER_NUMBERS, *SIGN_NAMES)
-"""Of an estimate's numbers: the inner ones, and what its confidence is made of; NaN where it has none."""
+NUMBER_NAMES = (*INNER_NUMBERS, *SIGN_NAMES, "forearm_confidence")
+"""Of an estimate's numbers: the inner ones, what its confidence is made of, and the forearm's own; NaN where
+it has none."""
 
 State = TypeVar("State")
 
@@ -34,6 +35,14 @@ class HandTrackerProtocol(Tracker[State], Protocol[State]):
         """Return the state before a first frame in which the hand is not found yet, else at a pose (22,)."""
 
 
+def forearm_confidence_of(numbers: FloatArray | None) -> float:
+    """The confidence of the forearm that an estimate's numbers tell; NaN where there is none.
+
+    Results of before it was stated have none either.
+    """
+    return float(numbers[-1]) if numbers is not None and len(numbers) == len(NUMBER_NAMES) else np.nan
+
+
 def found_pose(finder: Acquisition | None, frame: Frame, otherwise: FloatArray) -> FloatArray:
     """Return the pose (22,) of the hand that is found in a frame, else the one given."""
     found = None if finder is None else finder.search(frame.depth)
@@ -46,6 +55,7 @@ def hand_estimate(
     velocity: FloatArray | None,
     inner: FloatArray | None = None,
     evidence: RunningSigns = NO_EVIDENCE,
+    forearm_confidence: float = np.nan,
     **others: Any,
 ) -> Estimate:
     """Return the estimate of a hand at a pose.
@@ -56,10 +66,15 @@ def hand_estimate(
         velocity: (21,) in the tangent space; None where it is not known.
         inner: (6,) inner numbers; None of a tracker that has none.
         evidence: of what its confidence is made; none of a pose that has none of its own.
+        forearm_confidence: of the forearm, if it has one; NaN of a pose of which it is not known.
         others: the estimate's further fields.
     """
     thumb = NO_THUMB if inner is None else inner[THUMB]
     signs = evidence.signs if evidence.frames else NO_SIGNS
+    numbers = None
+    if inner is not None:
+        arm = forearm_confidence if inner[:3].any() else np.nan
+        numbers = np.concatenate([inner_numbers(inner), signs, [arm]])
     return Estimate(
         position=pose[:3],
         quaternion=pose[3:7],
@@ -67,6 +82,6 @@ def hand_estimate(
         pose_rate=None if velocity is None else pose_rates(pose, velocity),
         twist=velocity,
         points=joint_positions(anatomy, pose[None], thumb)[0],
-        numbers=None if inner is None else np.concatenate([inner_numbers(inner), signs]),
+        numbers=numbers,
         **others,
     )

@@ -21,11 +21,11 @@ from posetrack_cli.hand.evidence import DepthEvidence
 from posetrack_cli.hand.inner import NO_INNER, THUMB, inner_of
 from posetrack_cli.hand.keypoints.file import KeypointFile
 from posetrack_cli.hand.kinematics import skinning_transforms
-from posetrack_cli.hand.local_fits import INNER, HandFits
+from posetrack_cli.hand.local_fits import FOREARM_CONFIDENCE, INNER, HandFits
 from posetrack_cli.hand.model import MESH_DIGEST, hand_model
 from posetrack_cli.hand.printed import deviations_from_print
 from posetrack_cli.hand.proposals import PROPOSALS
-from posetrack_cli.hand.protocol import NUMBER_NAMES, HandTrackerProtocol
+from posetrack_cli.hand.protocol import NUMBER_NAMES, HandTrackerProtocol, forearm_confidence_of
 from posetrack_cli.hand.smoothing import frame_fits, make_smoother, smoothed_hand
 from posetrack_cli.hand.space import dynamics, tangent_vector
 from posetrack_cli.hand.start import centre_pose, read_pose
@@ -33,6 +33,7 @@ from posetrack_cli.hand.state import HandState
 from posetrack_cli.hand.trackers import make_tracker
 from posetrack_cli.losses import Loss
 from posetrack_cli.outputs import check_output, part_path
+from posetrack_cli.phases import phase
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.identity import file_digest, shown_name
 from posetrack_cli.recording.keypoints.use import KeypointUse
@@ -149,7 +150,7 @@ class HandRun(Run):
         if writer.frames_written:
             like = self.tracker.start(_REST, 0, np.random.default_rng(0)).particles
             frame = {INNER: NO_INNER} if fits is None else fits.keep(None, None, _REST, 0.0)
-            kept = Kept(writer.frames_written, like, frame)
+            kept = Kept(writer.frames_written, like, frame | {FOREARM_CONFIDENCE: 0.0})
         path = smoothing_path(self._options.output)
         with SmoothedTrack(path, smoother, smoothed_hand(self._anatomy), kept) as track:
             yield _Smoothing(self, track, fits)
@@ -196,6 +197,7 @@ class _Smoothing:
         frame: Memory = {INNER: inner_of(estimate.numbers)}
         if self._fits is not None:
             frame = self._fits.keep(state.observation, state.modes, state.pose, estimate.confidence)
+        frame = {**frame, FOREARM_CONFIDENCE: np.nan_to_num(forearm_confidence_of(estimate.numbers))}
         self._track.remember(state.particles, FrameFacts.of(estimate), state.dt, state.cut, frame)
 
     def flush(self) -> None:
@@ -203,8 +205,10 @@ class _Smoothing:
 
     def finish(self, writer: ResultWriter) -> None:
         model = self._run.velocity_model
-        for estimate in smoothed_velocities(self._track.backward(), model, backward=True):
-            writer.write_smoothed(estimate, self._run.vertices(estimate))
+        with phase("smoothing", "frame", len(self._track)) as advance:
+            for estimate in smoothed_velocities(self._track.backward(), model, backward=True):
+                writer.write_smoothed(estimate, self._run.vertices(estimate))
+                advance(1)
         self._track.delete()
 
 

@@ -12,7 +12,7 @@ from posetrack_cli.filtering.smoothing import Memory, Smoothed, Smoother, noise_
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import HandAnatomy
 from posetrack_cli.hand.config import ComponentSettings, HandConfig
-from posetrack_cli.hand.local_fits import INNER, HandFits
+from posetrack_cli.hand.local_fits import FOREARM_CONFIDENCE, INNER, HandFits
 from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.proposals import PROPOSALS
 from posetrack_cli.hand.protocol import hand_estimate
@@ -34,7 +34,7 @@ _FREEDOM = 4.0
 def smoothed_hand(anatomy: HandAnatomy) -> Describe[Estimate]:
     """Return what makes estimates of a hand's smoothed states.
 
-    Status and confidence are those of the filter, which say whether the frame itself was understood; inner
+    Status and confidences are those of the filter, which say whether the frame itself was understood; inner
     numbers are those that its fits found, with which poses are smoothed.
     """
 
@@ -44,6 +44,7 @@ def smoothed_hand(anatomy: HandAnatomy) -> Describe[Estimate]:
             smoothed.pose,
             smoothed.velocity,
             memory.get(INNER),
+            forearm_confidence=float(memory.get(FOREARM_CONFIDENCE, np.nan)),
             **facts._asdict(),
             pose_variance=smoothed.pose_variance,
             twist_variance=smoothed.velocity_variance,

@@ -183,6 +183,7 @@ class HandTracker:
             posterior.velocity,
             seen.inner,
             judged.evidence,
+            self._forearm_confidence(frame, posterior.pose, seen.inner),
             frame_index=frame.index,
             stamp_ns=frame.stamp_ns,
             status=status_of(
@@ -277,6 +278,12 @@ class HandTracker:
         confidence = probability(evidence) if quality and self._is_calibrated else quality
         is_believed = shown and monitor.is_believed and not (self._is_calibrated and confidence < PROBABLY)
         return Judgement(cost, monitor, evidence, confidence, is_believed)
+
+    def _forearm_confidence(self, frame: Frame, pose: FloatArray, inner: FloatArray) -> float:
+        """How far the frame explains the forearm of an estimate; NaN without one."""
+        if not inner[:3].any():
+            return np.nan
+        return self._observer.forearm_confidence(frame.depth, *self.scorer.forearm(pose, inner))
 
     def predict(self, state: HandState, dt: float) -> FloatArray:
         """Return the expected pose (22,) after dt seconds."""

@@ -21,6 +21,8 @@ from posetrack_cli.mcap.chunks import (
     most_records,
 )
 
+DAMAGE: tuple[type[Exception], ...] = (Exception,)
+"""Errors of damaged records: mcap and the decompressors raise whatever the bytes lead to."""
 MAGIC = b"\x89MCAP0\r\n"
 HEAD = struct.Struct("<BQ")  # opcode, length of the content
 CHUNK_HEAD_BYTES = 64  # what a chunk's record holds besides its data, rounded up

@@ -19,6 +19,7 @@ from posetrack_cli.files import begins_with, open_input
 from posetrack_cli.losses import LossLog
 from posetrack_cli.mcap.chunks import ChunkLimitError, ExpansionBudget
 from posetrack_cli.mcap.records import (
+    DAMAGE,
     HEAD,
     MAGIC,
     ChunkRecord,
@@ -204,7 +205,7 @@ class McapFile:
         """Return a record, or None if it cannot be read, which is a loss and no error."""
         try:
             return read_record(stream, span)
-        except Exception:  # the library raises whatever the damaged bytes lead to
+        except DAMAGE:
             self.losses.add(DAMAGED_RECORD, f"the one before byte {span.end} of {self._size()}")
             return None
 
@@ -217,7 +218,7 @@ class McapFile:
             raise
         except ChunkLimitError as error:
             self.losses.add(LARGE_CHUNK, f"{error}, the one before byte {end} of {self._size()}")
-        except Exception:  # the library raises whatever the damaged bytes lead to
+        except DAMAGE:
             self.losses.add(DAMAGED_CHUNK, f"the one before byte {end} of {self._size()}")
 
     def _check_data(self, stream: IO[bytes], span: RecordSpan) -> None:

@@ -17,7 +17,7 @@ from mcap.summary import Summary
 
 from posetrack_cli import limits
 from posetrack_cli.files import open_input
-from posetrack_cli.mcap.records import HEAD, MAGIC, RecordSpan
+from posetrack_cli.mcap.records import DAMAGE, HEAD, MAGIC, RecordSpan
 
 _FOOTER = struct.Struct("<BQQQI")  # opcode, length, start of the summary, of the offsets, checksum
 _FOOTER_LENGTH = _FOOTER.size - HEAD.size
@@ -41,7 +41,7 @@ def read_summary(path: Path) -> Summary | None:
     with open_input(path) as stream:
         try:
             summary = _parsed(_summary_bytes(stream))
-        except Exception:  # the library raises whatever the damaged bytes lead to
+        except DAMAGE:
             return None
         size = stream.seek(0, 2)
     return summary if summary is not None and _is_usable(summary, size) else None

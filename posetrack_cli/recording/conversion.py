@@ -13,6 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from posetrack_cli.arrays import ImageArray
+from posetrack_cli.damage import read_from
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.losses import Loss, LossLog
 from posetrack_cli.mcap.sink import McapSink, SchemaText, serialised
@@ -80,7 +81,8 @@ def _write(recording: Recording, part: Path, truth: Iterable[TruthMessage]) -> C
     writer = _Writer(recording, _encoding(recording))
     compression: Literal["none", "zstd"] = "none" if writer.encoding == "16UC1" else "zstd"
     with McapSink(part, compression=compression, chunk_bytes=CHUNK_BYTES) as sink:
-        with closing(read_ahead(writer.images(chain([first], stored), losses))) as images:
+        read = read_from(recording.path, writer.images(chain([first], stored), losses), "image")
+        with closing(read_ahead(read)) as images:
             for entry in heapq.merge(images, recording.truth(), truth, key=_time):
                 writer.write(sink, entry)
         if not writer.frames:

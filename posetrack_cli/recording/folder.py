@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -16,12 +16,17 @@ from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.files import placed_path, read_text
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.losses import LossLog
+from posetrack_cli.mcap.stream import McapFile, is_mcap
 from posetrack_cli.recording.base import (
     CAMERA_FILE_NAME,
+    TRUTH_FILE_NAME,
+    TRUTH_PREFIX,
     StoredImage,
+    TruthMessage,
     UnreadableImageError,
     no_intrinsics,
     no_png,
+    truth_message,
 )
 from posetrack_cli.recording.camera_file import (
     TABLE,
@@ -68,6 +73,7 @@ from posetrack_cli.recording.recording import (
     ReadingOptions,
     Recording,
     match_streams,
+    no_truth,
     tolerance_ns,
 )
 
@@ -174,6 +180,7 @@ def open_grey_folder(path: Path, options: ReadingOptions) -> Recording:
         for name, camera in zip(folders, stored, strict=True)
     ]
     count = sum(1 for _ in match_streams(streams, tolerance, LossLog()))
+    mirror = next(iter(windows.values())).mirror
 
     def identity() -> Mapping[str, str]:
         files = [(_label(name, image), image) for name, all_ in folders.items() for image in files_of(all_)]
@@ -184,7 +191,7 @@ def open_grey_folder(path: Path, options: ReadingOptions) -> Recording:
             "frames": str(count),
             "cameras": ",".join(stream.camera.name for stream in streams),
             "stored": ", ".join(dict.fromkeys(kind.words for kind in kinds.values())),
-            "mirror": str(next(iter(windows.values())).mirror).lower(),
+            "mirror": str(mirror).lower(),
             "tolerance_ms": f"{tolerance / NS_PER_MS:g}",
             **_rate(timing.fps),
             **camera_record(options.get("camera_file")),
@@ -195,11 +202,23 @@ def open_grey_folder(path: Path, options: ReadingOptions) -> Recording:
         streams,
         identity=identity,
         frame_count=count,
+        truth=_truth(
+            path, is_usable=not (mirror or timing.fps)
+        ),  # not of a mirrored scene, nor of made stamps
         tolerance_ns=tolerance,
         is_guessed=rig.is_guessed,
         why=[GUESSED if rig.is_guessed else rig.path.name] * len(streams),
         remarks=(*chosen.every_remark, *timing.remarks, *_turned(turns), *rig.remarks(sizes)),
     )
+
+
+def _truth(folder: Path, *, is_usable: bool) -> Callable[[], Iterator[TruthMessage]]:
+    """Return what yields the truth of a folder that has it in a file."""
+    path = folder / TRUTH_FILE_NAME
+    if not (is_usable and path.is_file() and is_mcap(path)):
+        return no_truth
+    file = McapFile(path)
+    return lambda: map(truth_message, file.messages(lambda topic: topic.startswith(TRUTH_PREFIX)))
 
 
 def depth_camera_path(folder: Path, camera_file: Path | None, images: Path, size: tuple[int, int]) -> Path:

@@ -5,12 +5,17 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.files import open_input, placed_path
+from posetrack_cli.phases import Advance, phase
 
 READ_BYTES = 1024 * 1024
+LONG_BYTES = 512 * READ_BYTES
+"""What is read in more than a second or two, and so says how far it is."""
+_SILENT: AbstractContextManager[Advance] = nullcontext(lambda count: None)
 Digests = dict[str, tuple[int, str]]
 """Size and SHA-256 by the state of the files (``files_state``)."""
 _known: Digests = {}
@@ -30,9 +35,9 @@ def tell_digests(digests: Mapping[str, tuple[int, str]]) -> None:
 def file_digest(path: Path) -> tuple[int, str]:
     """Return a file's size and the SHA-256 of its bytes, read in pieces."""
 
-    def compute() -> tuple[int, str]:
+    def compute(advance: Advance) -> tuple[int, str]:
         digest = hashlib.sha256()
-        return _feed(digest, path), digest.hexdigest()
+        return _feed(digest, path, advance), digest.hexdigest()
 
     return _once([("", path)], compute)
 
@@ -45,12 +50,12 @@ def files_digest(files: Iterable[tuple[str, Path]]) -> tuple[int, str]:
     """
     files = list(files)
 
-    def compute() -> tuple[int, str]:
+    def compute(advance: Advance) -> tuple[int, str]:
         digest, total = hashlib.sha256(), 0
         for name, path in files:
             # Sizes are hashed so that bytes cannot move from one file to the next unnoticed.
             digest.update(os.fsencode(name) + f"\0{_stat(path).st_size}\0".encode())
-            total += _feed(digest, path)
+            total += _feed(digest, path, advance)
         return total, digest.hexdigest()
 
     return _once(files, compute)
@@ -73,13 +78,18 @@ def files_state(files: Sequence[tuple[str, Path]]) -> str:
     return f"{len(files)}-{state.hexdigest()}"
 
 
-def _once(files: Sequence[tuple[str, Path]], compute: Callable[[], tuple[int, str]]) -> tuple[int, str]:
+def _once(
+    files: Sequence[tuple[str, Path]], compute: Callable[[Advance], tuple[int, str]]
+) -> tuple[int, str]:
     """Compute what is not known of the files as they are now."""
     state = files_state(files)
     if state not in _known:
         if len(_known) >= _MOST_KNOWN:
             _known.clear()
-        _known[state] = compute()
+        size = sum(_stat(path).st_size for _, path in files)
+        shown = phase("reading for the SHA-256", "MiB", size // READ_BYTES) if size >= LONG_BYTES else _SILENT
+        with shown as advance:
+            _known[state] = compute(advance)
     return _known[state]
 
 
@@ -96,8 +106,13 @@ def identity_record(path: Path, kind: str, digested: tuple[int, str]) -> dict[st
 
 
 def shown_name(path: Path) -> str:
-    """Return the name of a file or folder as text that every file can hold, whatever its bytes are."""
-    return os.fsencode(path.name).decode(errors="replace")
+    """Return the name of a file or folder as ``shown_path`` does."""
+    return shown_path(Path(path.name))
+
+
+def shown_path(path: Path) -> str:
+    """Return a path as text that every file can hold, whatever its bytes are."""
+    return os.fsencode(path).decode(errors="replace")
 
 
 def _stat(path: Path) -> os.stat_result:
@@ -107,13 +122,14 @@ def _stat(path: Path) -> os.stat_result:
         raise RecordingError("cannot be read", where=path, found=error.strerror or error) from error
 
 
-def _feed(digest: hashlib._Hash, path: Path) -> int:
+def _feed(digest: hashlib._Hash, path: Path, advance: Advance) -> int:
     size = 0
     try:
         with open_input(path) as stream:
             while piece := stream.read(READ_BYTES):
                 digest.update(piece)
                 size += len(piece)
+                advance(1)
     except OSError as error:
         raise RecordingError("cannot be read", where=path, found=error.strerror or error) from error
     return size

@@ -14,7 +14,7 @@ from posetrack_cli import limits
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.recording.base import no_intrinsics
+from posetrack_cli.recording.base import UnreadableImageError, no_intrinsics
 from posetrack_cli.recording.camera_file import (
     camera_record,
     image_camera,
@@ -28,7 +28,14 @@ from posetrack_cli.recording.identity import file_digest, identity_record
 from posetrack_cli.recording.pixels import Window
 from posetrack_cli.recording.recording import CameraStream, ReadingOptions, Recording
 from posetrack_cli.recording.video import VideoImages, describe_video
-from posetrack_cli.recording.video_file import depth_stream, is_video, opened_container, opened_depth
+from posetrack_cli.recording.video_file import (
+    SENSOR_FORMAT,
+    depth_stream,
+    frame_pixels,
+    is_video,
+    opened_container,
+    opened_depth,
+)
 
 if TYPE_CHECKING:
     from av.container import InputContainer
@@ -175,7 +182,9 @@ def camera_of_calibration(data: bytes, width: int, height: int, where: object) -
 
 
 def _codes(frame: VideoFrame) -> ImageArray:
-    return np.asarray(frame.to_ndarray(), dtype=np.uint16)
+    if frame.format.name != SENSOR_FORMAT:
+        raise UnreadableImageError(f"it is {frame.format.name}, not {SENSOR_FORMAT} as the others")
+    return np.asarray(frame_pixels(frame), dtype=np.uint16)
 
 
 def _depth(first: ImageArray, unit_mm: float, missing: int) -> Depth:

@@ -9,11 +9,14 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from posetrack_cli import limits
 from posetrack_cli.arrays import ImageArray
+from posetrack_cli.recording.base import UnreadableImageError
 from posetrack_cli.recording.stamps import MOST_BEHIND
+from posetrack_cli.recording.video_file import damage, frame_pixels
 
 if TYPE_CHECKING:
     from av.video.codeccontext import VideoCodecContext
@@ -99,8 +102,9 @@ def _pictures(
         packet.pts = packet.dts = number
     try:
         frames = context.decode(packet)
-    except av.error.FFmpegError:
+    except damage():
         return
     for frame in frames:
         if frame.pts is not None:
-            yield int(frame.pts), frame.to_ndarray(format="bgr24")
+            with suppress(UnreadableImageError):
+                yield int(frame.pts), frame_pixels(frame, "bgr24")

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Unpack
 
 from posetrack_cli.bags.message_file import container_of
+from posetrack_cli.damage import damage_reported
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.files import hint_of_missing
 from posetrack_cli.recording.camera_file import camera_path
@@ -162,7 +163,8 @@ def open_recording(path: Path, pixels: PixelKind = "depth", **options: Unpack[Re
     file = options.get("camera_file")
     if file is not None:
         options["camera_file"] = camera_path(file)
-    return opener.open(path, options)
+    with damage_reported(lambda: path):
+        return opener.open(path, options)
 
 
 def options_for(path: Path, pixels: PixelKind) -> frozenset[str]:
@@ -181,7 +183,9 @@ def describe(path: Path) -> dict[str, Any]:
     Raises:
         RecordingError: if there is nothing that could be described.
     """
-    return _source_of(path).describe(path)
+    source = _source_of(path)
+    with damage_reported(lambda: path):
+        return source.describe(path)
 
 
 def _source_of(path: Path) -> Source:

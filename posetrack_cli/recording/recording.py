@@ -8,6 +8,7 @@ from itertools import islice
 from pathlib import Path
 from typing import TypedDict
 
+from posetrack_cli.damage import read_from
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.losses import Loss, LossLog
@@ -113,7 +114,7 @@ class Recording:
     ) -> None:
         self.path, self.frame_count, self.is_guessed = path, frame_count, is_guessed
         self.why, self.remarks = tuple(why), tuple(remarks)
-        self.identity, self.truth = identity, truth
+        self.identity, self._truth = identity, truth
         self.cameras: tuple[Camera, ...] = tuple(stream.camera for stream in streams)
         self.pixels: tuple[Pixels, ...] = tuple(stream.pixels for stream in streams)
         self._streams, self._tolerance_ns = tuple(streams), tolerance_ns
@@ -156,11 +157,15 @@ class Recording:
 
     def matched(self, losses: LossLog) -> Iterator[StoredFrame | None]:
         """Yield all frames undecoded; None for one that cannot be used and keeps its number all the same."""
-        return match_streams(self._streams, self._tolerance_ns, losses)
+        return read_from(self.path, match_streams(self._streams, self._tolerance_ns, losses), "frame")
+
+    def truth(self) -> Iterator[TruthMessage]:
+        """Yield the messages on ``/truth/...`` topics undecoded, in order of log time where indexed."""
+        return read_from(self.path, self._truth(), "message")
 
     def _decoded(self, stored: Iterator[tuple[int, StoredFrame]], losses: LossLog) -> Iterator[Frame]:
         try:
-            yield from decode_frames(stored, losses)
+            yield from read_from(self.path, decode_frames(stored, losses), "frame")
         except RecordingError as error:
             raise _at(self.path, error) from error
 

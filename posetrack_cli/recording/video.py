@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from dataclasses import replace
 from functools import partial
 from itertools import repeat
@@ -14,7 +14,7 @@ from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.files import placed_path
 from posetrack_cli.losses import LossLog
-from posetrack_cli.recording.base import CAMERA_FILE_NAME, StoredImage
+from posetrack_cli.recording.base import CAMERA_FILE_NAME, StoredImage, UnreadableImageError
 from posetrack_cli.recording.camera_file import Rig, camera_record, found_rig
 from posetrack_cli.recording.depth import Depth
 from posetrack_cli.recording.description import described_cameras, opened
@@ -138,16 +138,17 @@ class VideoImages(Generic[P]):
         self._path, self._fps, self._opened, self._stored = path, fps, opened, stored
         with opened(path) as video:
             self.count, rate = video.frame_count, video.rate_hz
-            first = _first_frame(video, path)
-            self.pixels: P = pixels_of(stored(first))
+            first, image = _first_image(video, path, stored)
+            self.pixels: P = pixels_of(image)
         self.picture = Picture(self.pixels.width, self.pixels.height, orientation_of_frame(first))
         self._period_ns = NS_PER_S / rate if rate > 0 else 0.0  # 0 if it tells no rate
 
     def images(self, window: Window, losses: LossLog) -> Iterator[StoredImage | None]:
         """Yield the frames, decoded: a video cannot go back to one that was passed.
 
-        Behind frames that cannot be decoded those that can are looked for; where frames are numbered as they
-        are stored these are None.
+        Pixels of another format or size than the first frame's are found when an image is used. Behind frames
+        that cannot be decoded those that can are looked for; where frames are numbered as they are stored,
+        those are None.
         """
         index, failed, reached = 0, 0, -1.0
         stamps = VideoStamps(round(self._period_ns))
@@ -166,8 +167,7 @@ class VideoImages(Generic[P]):
                 stamp = stamps.stamp(_told_ns(frame, begin))
                 if self._fps is not None:
                     stamp = stamp_at_rate(index, self._fps)
-                image = self._stored(frame)
-                yield StoredImage(stamp, f"video frame {index}", partial(self._decoded, image, index, window))
+                yield StoredImage(stamp, f"video frame {index}", partial(self._decoded, frame, window))
                 index += 1
         missing = self._end(index, reached) - index
         if missing > 0:
@@ -184,8 +184,8 @@ class VideoImages(Generic[P]):
         is_full = self._period_ns > 0 and reached + 1.5 * self._period_ns >= self.count * self._period_ns
         return index if is_full else self.count
 
-    def _decoded(self, image: ImageArray, index: int, window: Window) -> ImageArray:
-        return window.apply(self.pixels.from_stored(image))
+    def _decoded(self, frame: VideoFrame, window: Window) -> ImageArray:
+        return window.apply(self.pixels.from_stored(self._stored(frame)))
 
 
 def _pixels(path: Path, options: ReadingOptions, first: ImageArray) -> Grey:
@@ -215,7 +215,8 @@ def describe_video(path: Path) -> dict[str, Any]:
         )
     with opened_video(path) as video:
         rate, frames = video.rate_hz, video.frame_count
-        height, width = shown_image(_first_frame(video, path), video.pixel_aspect).shape[:2]
+        _, image = _first_image(video, path, partial(shown_image, pixel_aspect=video.pixel_aspect))
+        height, width = image.shape[:2]
     recording, no_camera = opened(lambda: open_video(path, {}))
     read = recording or opened(lambda: open_video(path, {"guess": Guess()}))[0]
     return {
@@ -232,10 +233,14 @@ def describe_video(path: Path) -> dict[str, Any]:
     }
 
 
-def _first_frame(video: OpenVideo, path: Path) -> VideoFrame:
+def _first_image(
+    video: OpenVideo, path: Path, stored: Callable[[VideoFrame], ImageArray]
+) -> tuple[VideoFrame, ImageArray]:
+    """Return the first frame that can be decoded, and the image that it stores."""
     for frame, _ in zip(video.frames(), range(MOST_FAILURES), strict=False):
         if frame is not None:
-            return frame
+            with suppress(UnreadableImageError):
+                return frame, stored(frame)
     raise RecordingError("video has no frame that can be decoded", where=path)
 
 

@@ -16,6 +16,7 @@ from posetrack_cli import limits
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.files import open_input
+from posetrack_cli.recording.base import UnreadableImageError
 from posetrack_cli.recording.orientation import UPRIGHT, Orientation, orientation_of_matrix
 
 if TYPE_CHECKING:
@@ -46,8 +47,16 @@ CONTAINERS = (
 """How videos begin: from this byte on, one of these."""
 FORMATS = "mov,mp4,m4a,3gp,3g2,mj2,avi,matroska,webm,mpeg,mpegvideo,mpegts,asf,ogg,flv,gif"
 """What FFmpeg may take a file for."""
-OPTIONS = {"format_whitelist": FORMATS, "protocol_whitelist": "none"}
-"""It is handed an open file, so that a protocol would only be for what the file refers to."""
+CODECS = (
+    *("h264", "hevc", "vp8", "vp9", "av1", "mpeg4", "mjpeg", "mpeg1video", "mpeg2video", "h263", "flv1"),
+    *("wmv1", "wmv2", "wmv3", "vc1", "theora", "gif", "ffv1", "png", "rawvideo", "prores", "dnxhd"),
+)
+"""Codecs of recordings, by FFmpeg's names; b16g of an Azure Kinect is one of rawvideo's."""
+DECODERS = ",".join((*CODECS, "flv", "libdav1d"))
+"""FFmpeg's decoders of these, of which only those of flv1 and av1 have other names."""
+OPTIONS = {"format_whitelist": FORMATS, "protocol_whitelist": "none", "codec_whitelist": DECODERS}
+"""FFmpeg also decodes to find out what a file holds. It is handed an open file, so that a protocol would only
+be for what the file refers to."""
 SENSOR_FORMAT = "gray16be"
 DEPTH_TITLE, INFRARED_TITLE = "DEPTH", "IR"
 """Of the streams of an Azure Kinect, whose codec Matroska calls b16g."""
@@ -123,19 +132,17 @@ class OpenVideo:
 
     def frames(self) -> Iterator[VideoFrame | None]:
         """Yield the frames, None for each packet that cannot be decoded."""
-        from av.error import FFmpegError
-
         packets = self.container.demux(self.stream)
         while True:
             try:
                 packet = next(packets, None)
-            except FFmpegError:
+            except damage():
                 return  # the container is damaged from here on
             if packet is None:
                 return
             try:
                 frames = self.stream.codec_context.decode(packet)
-            except FFmpegError:
+            except damage():
                 yield None
                 continue
             yield from frames
@@ -181,10 +188,20 @@ def opened_stream(container: InputContainer, stream: VideoStream | None, path: P
     """Return a stream to be decoded within bounds.
 
     Raises:
-        RecordingError: there is none, or it says that its frames are larger than any that are read.
+        RecordingError: there is none, its codec is none of recordings', or it says that its frames are larger
+            than any that are read.
     """
     if stream is None:
         raise RecordingError("is no video that can be read", where=path, found="no stream of images")
+    codec = stream.codec_context.codec.canonical_name
+    if codec not in CODECS:
+        raise RecordingError(
+            "is a video of a codec that is not read",
+            where=path,
+            found=codec,
+            expected=", ".join(CODECS),
+            hint="convert it first, for example with: ffmpeg -i VIDEO -c:v ffv1 OUT.mkv",
+        )
     if stream.width * stream.height > limits.IMAGE_PIXELS:
         raise RecordingError(
             "video is larger than any that is read",
@@ -196,14 +213,37 @@ def opened_stream(container: InputContainer, stream: VideoStream | None, path: P
     return OpenVideo(container, stream)
 
 
+def damage() -> tuple[type[Exception], ...]:
+    """Return the errors of damaged video."""
+    from av.error import FFmpegError
+
+    return FFmpegError, ValueError
+
+
+def frame_pixels(frame: VideoFrame, form: str | None = None) -> ImageArray:
+    """Return the pixels of a frame in one of FFmpeg's formats, by default its own.
+
+    Raises:
+        UnreadableImageError: they cannot be had.
+    """
+    try:
+        pixels: ImageArray = frame.to_ndarray(format=form)
+    except damage() as error:
+        raise UnreadableImageError(f"pixels of format {frame.format.name} cannot be read") from error
+    return pixels
+
+
 def shown_image(frame: VideoFrame, pixel_aspect: float = 1.0) -> ImageArray:
     """Return a frame (height, width, 3), blue green red, turned and mirrored as the container states.
 
     Args:
         frame: of the video.
         pixel_aspect: width over height of a stored pixel; of others than square ones as many more are made.
+
+    Raises:
+        UnreadableImageError: it has no such pixels.
     """
-    image: ImageArray = frame.to_ndarray(format="bgr24")
+    image = frame_pixels(frame, "bgr24")
     if pixel_aspect != 1.0:
         height, width = image.shape[:2]
         size = (max(round(width * pixel_aspect), width), max(round(height / pixel_aspect), height))
@@ -243,7 +283,7 @@ def _container(file: IO[bytes], path: Path) -> InputContainer:
     av.logging.set_level(av.logging.ERROR)
     try:
         return av.open(file, "r", options=OPTIONS, buffer_size=BUFFER_BYTES, metadata_errors="replace")
-    except av.error.FFmpegError as error:
+    except damage() as error:
         found = "an MP4 file that ends before its index" if NO_INDEX in str(error) else ""
         raise RecordingError("is no video that can be read", where=path, found=found) from error
     finally:

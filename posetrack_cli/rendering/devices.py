@@ -63,6 +63,25 @@ def open_fastest_device(choice: int | str | None = None) -> RenderingDevice:
     return CpuDevice()
 
 
+def open_usual_device(choice: int | str | None = None) -> RenderingDevice:
+    """Return the driver's default device, or the processor where there is no OpenGL; the caller closes it.
+
+    Args:
+        choice: index of an EGL device, or ``CPU``; None for the default.
+
+    Raises:
+        RenderingError: nothing can be drawn with what is chosen.
+    """
+    from posetrack_cli.rendering.cpu.device import CpuDevice
+
+    if isinstance(choice, int):
+        return open_device(choice)
+    if choice is None:
+        with suppress(RenderingError):
+            return open_device()
+    return CpuDevice()
+
+
 def _has_gpu() -> bool:
     """Whether this may be a machine with a GPU; OpenGL takes long to say so."""
     return any(any(Path("/dev").glob(pattern)) for pattern in _GPUS)
@@ -70,35 +89,48 @@ def _has_gpu() -> bool:
 
 @contextmanager
 def device_or_default(device: RenderingDevice | None) -> Iterator[RenderingDevice]:
-    """Yield the device, or without one the default, which is closed at the end."""
+    """Yield the device, or without one the usual, which is closed at the end."""
     if device is not None:
         yield device
         return
-    with closing(open_device()) as opened:
+    with closing(open_usual_device()) as opened:
         yield opened
 
 
 KINECT2 = Camera(512, 424, 365.0, 365.0, 255.5, 211.5, name="kinect2")
 
 
-def median_milliseconds(work: Callable[[], object], repeats: int, warm_up: int = 2) -> float:
-    """The median wall-clock time of some work, ms."""
+WARM_UP = 2
+"""Times that some work is done before it is measured."""
+
+
+def median_milliseconds(
+    work: Callable[[], object], repeats: int, advance: Callable[[int], object] = lambda count: None
+) -> float:
+    """The median wall-clock time of some work, ms; ``advance`` counts how often it is done."""
     times = []
-    for k in range(warm_up + repeats):
+    for k in range(WARM_UP + repeats):
         began = time.perf_counter()
         work()
-        if k >= warm_up:
+        advance(1)
+        if k >= WARM_UP:
             times.append(time.perf_counter() - began)
     return 1e3 * float(np.median(times))
 
 
 def scoring_milliseconds(
-    device: RenderingDevice, mesh: SkinnedMesh, transforms: Float32Array, tile: int, step: int, repeats: int
+    device: RenderingDevice,
+    mesh: SkinnedMesh,
+    transforms: Float32Array,
+    tile: int,
+    step: int,
+    repeats: int,
+    advance: Callable[[int], object] = lambda count: None,
 ) -> float:
     """Median time to draw and reduce all poses (N, B, 3, 4) in a Kinect v2's window, ms."""
     renderer = device.depth_renderer(mesh, (tile, tile), len(transforms))
     window = Window.around(np.array([KINECT2.cx, KINECT2.cy]), tile, step)
     observed = renderer.depth(transforms[:1], KINECT2, window)[0]
     return median_milliseconds(
-        lambda: renderer.sums(transforms, KINECT2, window, Comparison(observed, 40.0)), repeats
+        lambda: renderer.sums(transforms, KINECT2, window, Comparison(observed, 40.0)), repeats, advance
     )

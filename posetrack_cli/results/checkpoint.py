@@ -19,6 +19,7 @@ import numpy as np
 from posetrack_cli.errors import ResultError
 from posetrack_cli.files import open_input, open_output
 from posetrack_cli.npz import read_npz
+from posetrack_cli.recording.base import PATH_KEY
 from posetrack_cli.results.layouts import COUNTS, check_numbers
 
 _ARRAY_PREFIX = "array."
@@ -64,8 +65,12 @@ class Progress:
 
 
 def fingerprint(run: Mapping[str, str]) -> str:
-    """Return the SHA-256 of a run record; it does not depend on the order of the keys."""
-    text = json.dumps(dict(run), sort_keys=True, separators=(",", ":"))
+    """Return the SHA-256 of a run record; it does not depend on the order of the keys.
+
+    Nor on the recording's path: the recording may have moved meanwhile.
+    """
+    kept = {key: value for key, value in run.items() if key != PATH_KEY}
+    text = json.dumps(kept, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
 
 

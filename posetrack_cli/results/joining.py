@@ -61,8 +61,8 @@ def join_results(
 ) -> None:
     """Write one result of several: the frames of each share, in this order, and all that comes with them.
 
-    The record is that of the first with some changes, and so are the attachments. Equal results give equal
-    bytes. One frame of one result is in memory at a time.
+    The record is that of the first with some changes and the processors of all; the attachments are those of
+    the first. Equal results give equal bytes. One frame of one result is in memory at a time.
 
     Args:
         shares: of one recording and subject, one after the other.
@@ -80,6 +80,9 @@ def join_results(
     for result in results:
         _check(result, first)
     run = {**first.run, **changes}
+    processors = dict.fromkeys(result.run.get("processor", "") for result in results)
+    if len(processors) > 1:
+        run["processor"] = "; ".join(processors)
     with ResultWriter(
         output,
         first.subject,

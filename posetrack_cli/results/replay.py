@@ -9,8 +9,10 @@ from pathlib import Path
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema
 
+from posetrack_cli.build import only_in
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.mcap.records import (
+    DAMAGE,
     ChunkRecord,
     RecordSpan,
     chunk_records,
@@ -18,10 +20,17 @@ from posetrack_cli.mcap.records import (
     record_spans,
 )
 from posetrack_cli.mcap.sink import McapSink
-from posetrack_cli.recording.base import TruthMessage
+from posetrack_cli.recording.base import PATH_KEY, TruthMessage
 from posetrack_cli.results.channels import ResultChannels
 from posetrack_cli.results.checkpoint import RESTART_HINT
 from posetrack_cli.results.reader import opened
+
+_MADE_WITH = {
+    "sources": "build of posetrack",
+    "libraries": "set of libraries",
+    "processor": "kind of processor",
+}
+"""Entries of the run record that no option brings back (``build``), and what they describe."""
 
 
 class Replay:
@@ -133,7 +142,17 @@ def check_same_run(part: Path, expected: Mapping[str, Mapping[str, str]]) -> Non
         then = stored.get(name)
         if then is None:
             raise ResultError(f"holds no {name}", where=part, hint=RESTART_HINT)
-        keys = sorted(key for key in then.keys() | now.keys() if then.get(key) != now.get(key))
+        compared = (then.keys() | now.keys()) - {PATH_KEY}  # the recording may have moved meanwhile
+        keys = sorted(key for key in compared if then.get(key) != now.get(key))
+        for stated, what in _MADE_WITH.items():
+            if stated in keys:
+                raise UsageError(
+                    f"the unfinished result is of another {what}, so equal bytes cannot be promised",
+                    where=part,
+                    found=only_in(then.get(stated, "nothing"), now[stated]),
+                    expected=only_in(now[stated], then.get(stated, "")),
+                    hint=RESTART_HINT,
+                )
         if keys:
             raise UsageError(
                 "the unfinished result is of another run",
@@ -164,7 +183,7 @@ def _damage(part: Path, span: RecordSpan) -> Iterator[None]:
     """Nothing is resumed that is damaged: whatever reading a record raises becomes one line."""
     try:
         yield
-    except Exception as error:  # parser and decompressors raise whatever the damaged bytes lead to
+    except DAMAGE as error:
         raise ResultError(
             f"record at byte {span.start} is damaged",
             where=part,

@@ -10,7 +10,7 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
-from posetrack_cli import __version__
+from posetrack_cli.build import version
 from posetrack_cli.errors import UsageError
 from posetrack_cli.mcap.sink import McapSink, serialised
 from posetrack_cli.outputs import whole_or_nothing
@@ -86,7 +86,7 @@ def synth_record(options: Any, facts: Mapping[str, str]) -> dict[str, str]:
     """
     values = {field.name: getattr(options, field.name) for field in fields(options)}
     plain = {name: str(value) for name, value in values.items() if not is_dataclass(value)}
-    return dict(sorted({"version": __version__, **plain, **facts}.items()))
+    return dict(sorted({"version": version(), **plain, **facts}.items()))
 
 
 def numbers_text(values: Any) -> str:

@@ -6,11 +6,13 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
-from posetrack_cli import __version__
+from posetrack_cli.build import build_record
 from posetrack_cli.configuration import Settings
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.losses import Loss, loss_line
+from posetrack_cli.recording.base import PATH_KEY
+from posetrack_cli.recording.identity import shown_path
 from posetrack_cli.recording.recording import Recording
 
 LEAST_TRACKED = 0.05
@@ -52,7 +54,8 @@ class RunOutcome:
         frames: estimates in the result, also those of a run that was resumed.
         tracked: frames tracked now.
         lost: estimates in the result with status lost.
-        seconds: wall-clock time.
+        seconds: wall-clock time of its frames, in all passes: without compiling, and without the smoothed
+            track.
         losses: data that could not be used.
         stopped: whether it was interrupted.
         remarks: what else a user should know, one line each.
@@ -100,14 +103,14 @@ def common_record(
 
     Args:
         tracker: its name.
-        recording: its identity is stated, not its path.
+        recording: its identity is stated, and its path as it was typed.
         camera: that estimates are relative to, with the intrinsics that are used.
         config: resolved, with the defaults.
         options: frames and seed.
     """
     return {
         "tracker": tracker,
-        "version": __version__,
+        **build_record(),
         "configuration": json.dumps(config.model_dump(mode="json")),
         "seed": str(options.seed),
         "start": str(options.start),
@@ -115,5 +118,6 @@ def common_record(
         "stride": str(options.stride),
         "timings": str(options.timings).lower(),
         "camera": json.dumps(camera.values()),
+        PATH_KEY: shown_path(recording.path),
         **{f"input.{key}": value for key, value in recording.identity().items()},
     }

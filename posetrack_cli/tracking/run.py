@@ -13,6 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
+from posetrack_cli.compiled import compiling_s
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.losses import Loss, loss_line
@@ -80,6 +81,7 @@ class Run(ABC):
     def __init__(self, recording: Recording, options: RunOptions, flush_frames: int) -> None:
         self._recording, self._options, self._flush_frames = recording, options, flush_frames
         self._tracked = 0  # frames, by this run alone
+        self._ended_s: float | None = None  # once all frames are tracked
         self._stamps = StampCheck()
         if frames_ahead(recording, options) == 0:
             raise nothing_to_track(recording)
@@ -96,7 +98,7 @@ class Run(ABC):
             UsageError, RecordingError: there is no frame to track; no file is made.
             PosetrackError: the recording or the result fails; what was flushed stays as NAME.part.
         """
-        began = time.perf_counter()
+        began = _clock_s()
         with closing(self._frames()) as frames:
             first = next(frames, None)
             if first is None:
@@ -183,6 +185,7 @@ class Run(ABC):
                     report(step.estimate)
                     if stopped():
                         return self._outcome(writer, began, stopped=True)
+                self._ended_s = _clock_s()
                 if memory is not None:
                     memory.finish(writer)
                 remarks = self._stamps.remarks + self._recording.notes + self.remarks(run_state.state)
@@ -261,9 +264,14 @@ class Run(ABC):
         writer.finish({**said, **{name: line for name, line in more.items() if line}})
 
     def _outcome(self, writer: ResultWriter, began: float, *, stopped: bool) -> RunOutcome:
-        seconds = time.perf_counter() - began
+        seconds = (self._ended_s or _clock_s()) - began
         lost = writer.count(Status.LOST)
         return RunOutcome(writer.frames_written, self._tracked, lost, seconds, self.losses(), stopped)
+
+
+def _clock_s() -> float:
+    """The time, which stands still while kernels are compiled."""
+    return time.perf_counter() - compiling_s()
 
 
 @contextmanager

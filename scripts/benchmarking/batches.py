@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from resource import RUSAGE_SELF, getrusage
 
+from benchmarking.cluster import Cluster
 from benchmarking.commands import POSETRACK, usage_of
 from benchmarking.lengths import Lengths
 from benchmarking.rows import Row
@@ -113,27 +114,24 @@ def scheduling(folder: Path, count: int) -> Iterator[Row]:
         folder: for the scheduler's file.
         count: how many jobs.
     """
-    file = folder / "scheduler.json"
-    dask = [POSETRACK[0], "-m", "dask"]
-    common = ["--scheduler-file", str(file), "--no-dashboard", "--host", "127.0.0.1"]
-    commands = [[*dask, "scheduler", "--port", "0", *common]]
-    commands += [[*dask, "worker", "--nthreads", "1", "--no-nanny", *common]] * WORKERS
-    nowhere = subprocess.DEVNULL
     scripts = Path(__file__).parents[1]  # the workers do what this module says
     paths = [str(scripts), str(scripts.parent), os.environ.get("PYTHONPATH", "")]
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, paths))}
-    processes = [subprocess.Popen(one, stdout=nowhere, stderr=nowhere, env=environment) for one in commands]
-    try:
-        yield from _scheduled(folder, file, count)
-    finally:
-        for one in processes:
-            one.kill()
-            one.wait()
+    environment = {"PYTHONPATH": os.pathsep.join(filter(None, paths))}
+    with Cluster(folder, WORKERS, environment) as cluster:
+        yield from _scheduled(folder, cluster.file, count)
 
 
 def _scheduled(folder: Path, file: Path, count: int) -> Iterator[Row]:
     jobs = [
-        Job(str(number), ("hand", "run"), folder / "none.mcap", (), folder / "none", folder / "none.json")
+        Job(
+            str(number),
+            ("hand", "run"),
+            folder / "none.mcap",
+            (),
+            folder / "none",
+            folder / "none.json",
+            folder,
+        )
         for number in range(count)
     ]
     peaks: list[int] = []

@@ -32,7 +32,7 @@ PARTS = {
     "search": ((Acquisition, ("search", "reconsider")),),
     "local fits": ((LocalFitter, ("fit",)),),
     "GL (kinematics, draw, reduce)": (
-        (RenderedCosts, ("costs", "log_likelihood", "scores")),
+        (RenderedCosts, ("costs", "log_likelihood", "scores", "forearm")),
         (RenderedObjective, ("evaluate",)),
     ),
 }

@@ -22,7 +22,7 @@ LEFT_OUT = frozenset(
     {"version", "run", "configuration", "bytes", "seconds", "cpu_s", "frames_per_s", "peak_mb", "peak_bytes"}
 )
 """Keys of JSON objects and columns of CSV tables that state the run or its cost, not its result."""
-_VERSION = re.compile(r"\bposetrack \d+\.\d+\.\d+\S*")
+_VERSION = re.compile(r"\bposetrack \d+\.\d\S*(?: \(sources \w+\))?")
 _RECORD_TABLE = re.compile(r'<table class="record">.*?</table>', re.DOTALL)
 _PRINTED_RECORD = re.compile(rf"^metadata {re.escape(RUN_RECORD)}:.*\n(?:    .*\n)*", re.MULTILINE)
 _PRINTED_SIZE = re.compile(r"\b[\d.]+ (?:B|kB|MB)\b")

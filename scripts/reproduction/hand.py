@@ -14,7 +14,7 @@ from typing import Any
 
 import click
 
-from posetrack_cli import __version__
+from posetrack_cli.build import version
 from posetrack_cli.cli.main import run as posetrack
 from posetrack_cli.cli.options import recording_options
 from posetrack_cli.errors import EXIT_DATA_LOST
@@ -92,7 +92,7 @@ def _head(renderer: str, seeds: int, frames: int) -> Iterator[str]:
     yield ""
     yield (
         "Kajihara and Tanaka, *3D hand pose tracking with a Rao-Blackwellized particle filter*, section 7, "
-        f"by posetrack {__version__}. PF is the plain particle filter, RBPF the Rao-Blackwellized one. "
+        f"by posetrack {version()}. PF is the plain particle filter, RBPF the Rao-Blackwellized one. "
         f"30 Hz. Study: {seeds} recordings of {frames} frames per condition. Renderer: {renderer}."
     )
     yield ""

@@ -13,7 +13,7 @@ from typing import Any
 
 import click
 
-from posetrack_cli import __version__
+from posetrack_cli.build import version
 from posetrack_cli.rendering.devices import open_fastest_device
 from reproduction.accuracy.filters import Filters
 from reproduction.accuracy.measuring import Measured
@@ -62,7 +62,7 @@ def _head(options: Options) -> Iterable[str]:
     yield "# What the hand tracker reaches"
     yield ""
     yield (
-        f"posetrack {__version__}; seeds {first} to {last}{unused_for_tuning(first)}; "
+        f"posetrack {version()}; seeds {first} to {last}{unused_for_tuning(first)}; "
         f"{os.cpu_count()} cores; renderer: {renderer}."
     )
     yield ""

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import click
 
-from posetrack_cli import __version__
+from posetrack_cli.build import version
 from posetrack_cli.errors import PosetrackError
 from reproduction.processes import run_modules
 from reproduction.running import FOLDER, Study
@@ -71,7 +71,7 @@ def _head(options: Options) -> Iterable[str]:
     yield ""
     people = ", ".join(str(person.number) for person in options.people)
     yield (
-        f"posetrack {__version__}; {len(options.people)} people ({people}), who are drawn by "
+        f"posetrack {version()}; {len(options.people)} people ({people}), who are drawn by "
         f"`{options.tool.name}`, digest {tools.tool_digest(options.tool)[:12]}; {options.frames} frames "
         f"each; {'with' if options.cvar else 'without'} the head-mounted recordings; {os.cpu_count()} cores."
     )

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import click
 
-from posetrack_cli import __version__
+from posetrack_cli.build import version
 from posetrack_cli.errors import PosetrackError
 from reproduction.head_strangers.adjusting import Adjusting
 from reproduction.head_strangers.measuring import Measured
@@ -36,7 +36,7 @@ def _head(options: Options) -> Iterable[str]:
     names = ", ".join(folder.name for folder in options.strangers)
     told = "what is shipped" if options.left_out is None else "what was learned from the others"
     yield (
-        f"posetrack {__version__}; strangers: {names}, with one camera tracked with {told}; "
+        f"posetrack {version()}; strangers: {names}, with one camera tracked with {told}; "
         f"{os.cpu_count()} cores."
     )
     yield ""

@@ -5,18 +5,13 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from functools import cache
 from pathlib import Path
 
-import posetrack_cli
+from posetrack_cli.build import source_digest
 from posetrack_cli.cli.main import run as posetrack
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_DONE, PosetrackError
 from posetrack_cli.head.face.points import MEAN_SHAPE, SHAPE_SD
-from posetrack_cli.recording.identity import files_digest
 
-PACKAGE = Path(posetrack_cli.__file__).parent
-CONFIGURATIONS = PACKAGE.parent / "configs"
-SOURCES = ("**/*.py", "**/*.npz", "**/shaders/*")
 DRAWING = (
     "synthesis/*.py",
     "synthesis/head/*.py",
@@ -61,22 +56,10 @@ def stamp_path(path: Path) -> Path:
     return path.with_name(f"{path.name}.made.json")
 
 
-def code_digest() -> str:
-    """SHA-256 over the package's sources and the shipped configurations."""
-    return _digest(SOURCES, tuple(sorted(CONFIGURATIONS.glob("*.toml"))))
-
-
 def drawing_digest() -> str:
     """SHA-256 over the sources that synthetic heads are drawn by, and the average face."""
     face = json.dumps([MEAN_SHAPE.tolist(), SHAPE_SD.tolist()])
-    return hashlib.sha256(f"{_digest(DRAWING)}{face}".encode()).hexdigest()
-
-
-@cache
-def _digest(patterns: tuple[str, ...], others: tuple[Path, ...] = ()) -> str:
-    files = {str(path.relative_to(PACKAGE)): path for pattern in patterns for path in PACKAGE.glob(pattern)}
-    files |= {path.name: path for path in others}
-    return files_digest([(name, files[name]) for name in sorted(files) if files[name].is_file()])[1]
+    return hashlib.sha256(f"{source_digest(DRAWING)}{face}".encode()).hexdigest()
 
 
 def _text(facts: Mapping[str, object]) -> str:

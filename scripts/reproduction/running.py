@@ -12,7 +12,7 @@ from typing import Any, Generic, Protocol, TypeVar
 
 import click
 
-from posetrack_cli import __version__
+from posetrack_cli.build import version
 from posetrack_cli.errors import EXIT_DATA_LOST
 from posetrack_cli.evaluation.reports.report_files import finite
 
@@ -156,7 +156,7 @@ def thesis_head(title: str, chapter: int, tracker: str, persons: range) -> Itera
     yield ""
     yield (
         "Sugano, *User-independent techniques for real-time estimation of non-rigid 3D head motion* (2007), "
-        f"chapter {chapter}, by posetrack {__version__}. Synthetic persons {persons[0]} to "
+        f"chapter {chapter}, by posetrack {version()}. Synthetic persons {persons[0]} to "
         f"{persons[-1]}{unused_for_tuning(persons[0])}; {os.cpu_count()} cores."
     )
     yield ""

@@ -15,8 +15,9 @@ from pathlib import Path
 
 import click
 
+from posetrack_cli.build import source_digest
 from posetrack_cli.errors import PosetrackError
-from reproduction.made import code_digest, command, drawing_digest, is_made, mark_made, stamp_path
+from reproduction.made import command, drawing_digest, is_made, mark_made, stamp_path
 from reproduction.processes import run_modules
 
 FILE = "@"
@@ -145,7 +146,7 @@ def _facts(step: Step, out: Path) -> dict[str, object]:
     Raises:
         PosetrackError: an input is missing.
     """
-    digest: Callable[[], str] = drawing_digest if step.arguments[: len(DRAWS)] == DRAWS else code_digest
+    digest: Callable[[], str] = drawing_digest if step.arguments[: len(DRAWS)] == DRAWS else source_digest
     inputs = {name: _known(out / name) for name in step.inputs}
     return {"arguments": step.arguments, "inputs": inputs, "code": digest()}
 

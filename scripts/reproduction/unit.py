@@ -18,7 +18,7 @@ from typing import Any
 
 import click
 
-from posetrack_cli import __version__
+from posetrack_cli.build import source_digest
 from posetrack_cli.configuration import find_configuration, load_settings
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.run import HandRun, RunOptions
@@ -110,12 +110,12 @@ def configuration(entrant: str) -> HandConfig:
 
 
 def is_current(result: Path, entrant: str) -> bool:
-    """Whether a finished result of this version and of the entrant's configuration is there."""
+    """Whether a finished result of this posetrack and of the entrant's configuration is there."""
     if not result.exists():
         return False
     run = read_result(result).run
     stated = json.dumps(configuration(entrant).model_dump(mode="json"))
-    return (run["version"], run["configuration"]) == (__version__, stated)
+    return (run.get("sources"), run["configuration"]) == (source_digest(), stated)
 
 
 def track(recording: Path, unit: Unit, entrant: str, result: Path, device: RenderingDevice) -> None:

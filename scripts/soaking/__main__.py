@@ -25,7 +25,7 @@ from soaking.parts import PARTS, describe, soak, workplace
 @click.option("--only", type=click.Choice(PARTS), multiple=True, help="Only this; repeatable.")
 @click.option("--tracker", type=click.Choice(TRACKERS), multiple=True, help="Only this; repeatable.")
 @click.option("--frames", type=click.IntRange(min=60), help="Of each long run.  [default: 20000]")
-@click.option("--kills", type=click.IntRange(min=1), help="In all.  [default: 100]")
+@click.option("--kills", type=click.IntRange(min=1), help="Of runs, and of batches.  [default: 100]")
 @click.option("--disks", type=click.IntRange(min=1), help="Sizes for each tracker.  [default: 10]")
 @click.option("--seed", type=int, default=0, show_default=True, help="Of the moments of the kills.")
 @click.option("--json", "as_json", type=click.Path(path_type=Path), help="Write the figures here.")

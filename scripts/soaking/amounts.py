@@ -11,7 +11,7 @@ class Amounts:
 
     Attributes:
         frames: of each tracker's long run.
-        kills: in all.
+        kills: of runs in all, and of batches.
         disks: sizes of a full disk, for each tracker.
         at_once: runs that begin together on an empty kernel cache.
         recorded: synthetic frames, which long recordings show to and fro.

@@ -20,6 +20,8 @@ from posetrack_cli.synthesis.head.writing import write_synthetic
 from soaking.amounts import FLUSH_FRAMES, Amounts
 
 FPS = 30.0
+PIECES = 3
+"""Of the recording of a batch, each of the second that is the shortest."""
 TRACKERS = ("hand", "stereo", "mono")
 _RECORDINGS = {"hand": "hand", "stereo": "head", "mono": "head"}
 _SHORT = ("--set", f"output.flush_frames={FLUSH_FRAMES}")
@@ -81,6 +83,22 @@ class Recordings:
         passes = () if tracker == "hand" else ("--passes", "2")
         arguments = (*_command(tracker), str(recording), "--fps", str(FPS), *_SHORT, *passes, *more)
         return Case(" ".join(_command(tracker)), arguments, frames, len(passes) or 1, tracker == "hand")
+
+    def batch_case(self) -> Case:
+        """The batch of one recording in pieces, of a known hand: its processes start at once."""
+        recording = self._linked("hand", self._amounts.short)
+        pieces = (
+            "--fps",
+            str(self._amounts.short / PIECES),
+            "--chunk-s",
+            "1",
+            "--overlap-s",
+            ".2",
+            "--no-reports",
+        )
+        known = ("--hand-side", "right", "--shape", "average", "--particles", "32")
+        arguments = ("batch", "hand", "run", str(recording), *pieces, *known, *_SHORT)
+        return Case("batch hand run", arguments, self._amounts.short)
 
     def _linked(self, tracker: str, frames: int) -> Path:
         kind = _RECORDINGS[tracker]

@@ -12,6 +12,7 @@ from benchmarking.machine import describe_machine
 from benchmarking.rows import Row
 from posetrack_cli.rendering.devices import open_fastest_device
 from soaking.amounts import Amounts
+from soaking.batches import soak_batches
 from soaking.cases import Case, Recordings
 from soaking.cold import soak_cold
 from soaking.disks import soak_disk
@@ -20,7 +21,7 @@ from soaking.frames import soak_frames
 from soaking.kills import soak_kills
 from soaking.reference import Reference, reference_of
 
-PARTS = ("frames", "kills", "disk", "cold")
+PARTS = ("frames", "batches", "kills", "disk", "cold")
 References = Mapping[str, tuple[Case, Reference]]
 
 
@@ -67,7 +68,10 @@ def soak(
         with _timed("frames", findings):
             for tracker in trackers:
                 soak_frames(recordings.long_case(tracker), folder / f"frames-{tracker}", findings)
-    if set(parts) == {"frames"}:
+    if "batches" in parts:
+        with _timed("batches", findings):
+            soak_batches(recordings.batch_case(), amounts.kills, seed, folder / "batches", findings)
+    if set(parts) <= {"frames", "batches"}:
         return
     references = _references(recordings, trackers, folder, findings)
     if "kills" in parts:

@@ -127,6 +127,41 @@ def test_what_is_no_record_ends_the_reading(tmp_path: Path, data: bytes) -> None
     assert len(bag.losses.losses) == 1
 
 
+SPOILED = {
+    "a message of no connection": record(2, b"data", time=bytes(8)),
+    "a message of a short time": record(2, b"data", conn=u32(0), time=bytes(4)),
+    "a message of a short connection": record(2, b"data", conn=b"\0", time=bytes(8)),
+    "a connection of no topic": record(
+        7, field("type", b"x") + field("message_definition", b""), conn=u32(1)
+    ),
+    "a connection of no type": record(7, field("message_definition", b""), conn=u32(1), topic=b"/x"),
+    "a connection whose data are no fields": record(7, b"ab", conn=u32(1), topic=b"/x"),
+    "a connection of no number": record(7, field("type", b"x"), topic=b"/x"),
+}
+
+
+@pytest.mark.parametrize("name", SPOILED)
+def test_a_damaged_record_outside_chunks_is_left_out(tmp_path: Path, name: str) -> None:
+    """What is behind it is read: the record's own lengths are right."""
+    path = tmp_path / "r.bag"
+    before = MAGIC + HEAD + CONNECTION + message(0)
+    path.write_bytes(before + SPOILED[name] + message(1))
+    bag = Ros1Bag(path)
+    assert [item.log_time for _, _, item in bag.messages()] == [5_000_000_000, 5_000_000_001]
+    (loss,) = bag.losses.losses
+    size = path.stat().st_size
+    assert (loss.what, loss.first) == ("record is damaged and left out", f"byte {len(before)} of {size}")
+
+
+def test_a_head_that_ends_within_a_field_ends_the_reading(tmp_path: Path) -> None:
+    path = tmp_path / "r.bag"
+    head = field("op", b"\x02") + b"abc"
+    path.write_bytes(MAGIC + u32(len(head)) + head + u32(0) + CONNECTION)
+    bag = Ros1Bag(path)
+    assert list(bag.messages()) == [] and bag.counts() is None
+    assert [loss.what for loss in bag.losses.losses] == ["file is damaged, the rest is lost"]
+
+
 def test_a_bomb_is_not_unpacked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A kilobyte of bz2 makes gigabytes; rosbags unpacks what there is, whatever the chunk says."""
     monkeypatch.setattr(limits, "CHUNK_BYTES", 1 << 20)

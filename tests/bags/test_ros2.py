@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+import time
 from collections import Counter
 from pathlib import Path
 
@@ -182,6 +183,37 @@ def test_values_of_other_types_are_skipped_and_counted(
     assert [message.log_time for _, _, message in reader.messages()] == [1, 7]
     (loss,) = reader.losses.losses
     assert (loss.count, loss.first) == (4, "on /value")
+
+
+def test_messages_whose_topic_is_no_number_are_counted(tmp_path: Path) -> None:
+    """A column of text makes text of the topics' numbers, which SQLite still finds by number."""
+    table = MESSAGES.replace("topic_id INTEGER", "topic_id TEXT")
+    row = f"INSERT INTO messages(topic_id, timestamp, data) VALUES (1, 5, x'{DATA.hex()}')"
+    reader = Ros2Database(database(tmp_path / "r.db3", TOPICS, TOPIC, table, row))
+    assert list(reader.messages()) == []
+    (loss,) = reader.losses.losses
+    assert (loss.count, loss.first) == (1, "of no topic")
+    assert [count for _, _, count in reader.counts() or ()] == [0]
+
+
+def test_a_definition_that_is_not_utf8_is_one_line(tmp_path: Path) -> None:
+    """SQLite's error has the bytes in it, which Python's module decodes."""
+    path = with_messages(tmp_path / "r.db3", (1, 1, DATA))
+    path.write_bytes(path.read_bytes().replace(b"CREATE TABLE topics", b"CREATE \xff\xff\xff\xff\xff topics"))
+    with pytest.raises(RecordingError, match=r"r\.db3: is no database that can be read, found 'utf-8' codec"):
+        list(Ros2Database(path).messages())
+
+
+@pytest.mark.parametrize("text", ["a" * 1_000_000, ".db3" * 250_000, "a.db3/" * 160_000, "a.mcap" * 160_000])
+def test_metadata_takes_time_as_it_is_long(tmp_path: Path, text: str) -> None:
+    """Half an hour, when each character began a search to the end of the word."""
+    (tmp_path / "metadata.yaml").write_text(f"{text}\n- gone_1.db3\n")
+    (tmp_path / "r_0.db3").write_bytes(b"")
+    folder, began = Ros2Folder(tmp_path), time.process_time()
+    assert list(folder.messages()) == []
+    assert time.process_time() - began < 2.0
+    missing = [loss for loss in folder.losses.losses if loss.what == "file of the recording is missing"]
+    assert [(loss.count, loss.first) for loss in missing] == [(1, "gone_1.db3")]
 
 
 def test_pages_that_are_damaged_end_the_reading(tmp_path: Path) -> None:

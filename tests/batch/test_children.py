@@ -45,12 +45,12 @@ told.write(json.dumps({"tracked": 9, "cpu_s": 0.5}) + "\\n{")
 @pytest.fixture(autouse=True)
 def program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "stand_in.py").write_text(PROGRAM)
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(children, "_PROGRAM", "stand_in")
 
 
 def run(folder: Path, way: str, **options: object) -> Ending:
-    job = Job("a", ("hand", "run"), folder / "a.mcap", (), folder / "out.mcap", folder / "a.json")
+    job = Job("a", ("hand", "run"), folder / "a.mcap", (), folder / "out.mcap", folder / "a.json", folder)
     return run_child(job, (way,), Limits(threads=3, timeout_s=options.pop("timeout_s", None)), **options)  # type: ignore[arg-type]
 
 
@@ -65,12 +65,14 @@ def test_a_process_tells_how_far_it_is_and_what_it_did(tmp_path: Path) -> None:
 def test_its_last_lines_are_kept_and_safe_to_print(tmp_path: Path) -> None:
     ending = run(tmp_path, "exit")
     assert ending.last_lines == ("threads 3", "\\x1b[31mred", "posetrack: a.mcap: is no recording")
-    assert way_of(ending, None) == "a.mcap: is no recording"
+    assert way_of(ending, Limits()) == "a.mcap: is no recording"
 
 
 def test_a_process_that_aborts_is_told_by_its_signal(tmp_path: Path) -> None:
     ending = run(tmp_path, "abort")
-    assert way_of(ending, None) == "its process was killed by SIGABRT"
+    assert way_of(ending, Limits()) == "its process was killed by SIGABRT"
+    words = "its process was killed by SIGABRT, likely as it needs more than --memory-limit 512M"
+    assert way_of(ending, Limits(memory_bytes=1 << 29)) == words
     assert not was_interrupted(ending)
 
 
@@ -78,7 +80,7 @@ def test_a_process_is_stopped_when_its_time_is_over(tmp_path: Path) -> None:
     ending = run(tmp_path, "forever", timeout_s=1.5)
     assert (ending.timed_out, ending.stopped) == (True, False)
     assert ending.last_lines[-1] == "stopping"  # it was asked to, and could save what it had
-    assert way_of(ending, 1.5) == "took longer than --timeout 1.5 s"
+    assert way_of(ending, Limits(timeout_s=1.5)) == "took longer than --timeout 1.5 s"
     assert not was_interrupted(ending)
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from posetrack_cli.batch import performing
 from posetrack_cli.batch.children import Ending
-from posetrack_cli.batch.jobs import Job, Kind, Limits, Outcome, State
+from posetrack_cli.batch.jobs import Job, Kind, Limits, Outcome, State, record_path
 from posetrack_cli.batch.performing import perform, planned
 from posetrack_cli.batch.records import read_record, write_record
 from posetrack_cli.outputs import part_path, state_path
@@ -52,8 +52,10 @@ def children(monkeypatch: pytest.MonkeyPatch) -> Children:
 @pytest.fixture
 def job(tmp_path: Path) -> Job:
     (tmp_path / "a.mcap").write_text("recording")
-    record = tmp_path / "out" / ".batch" / "a.json"
-    return Job("a", ("hand", "run"), tmp_path / "a.mcap", ("--seed=1",), tmp_path / "out" / "a.mcap", record)
+    out = tmp_path / "out"
+    out.mkdir()
+    record = record_path(out, "a")
+    return Job("a", ("hand", "run"), tmp_path / "a.mcap", ("--seed=1",), out / "a.mcap", record, out)
 
 
 def done(job: Job, limits: Limits = Limits()) -> Outcome:  # noqa: B008 frozen
@@ -70,7 +72,7 @@ def test_a_job_is_tracked_once_and_then_kept(job: Job, children: Children) -> No
     assert children.asked == [expected]
 
 
-@pytest.mark.parametrize("change", ["recording", "options", "redo"])
+@pytest.mark.parametrize("change", ["recording", "options", "sources", "redo"])
 def test_a_job_that_differs_is_done_anew(job: Job, children: Children, change: str) -> None:
     done(job)
     limits = REDO if change == "redo" else Limits()
@@ -78,17 +80,20 @@ def test_a_job_that_differs_is_done_anew(job: Job, children: Children, change: s
         job.recording.write_text("another")
     if change == "options":
         job = replace(job, arguments=("--seed=2",))
+    if change == "sources":
+        job = replace(job, sources="of other code")
     assert planned(job, limits) == "replace"
     assert done(job, limits).state is State.DONE
     assert children.ways == ["new", "--overwrite"]
 
 
 def test_a_result_that_no_batch_made_is_left_alone(job: Job, children: Children) -> None:
-    job.output.parent.mkdir()
     job.output.write_text("mine")
     outcome = done(job)
     assert (outcome.state, children.asked) == (State.FAILED, [])
-    assert "exists already, and no batch made it; --redo replaces it" in outcome.reason
+    assert (
+        "exists already, and no record of a batch says how it was made; --redo replaces it" in outcome.reason
+    )
     assert job.output.read_text() == "mine"
     assert done(job, REDO).state is State.DONE
 
@@ -102,7 +107,6 @@ def test_a_result_that_was_put_there_since_is_left_alone(job: Job, children: Chi
 
 
 def test_an_interrupted_run_that_no_batch_began_is_left_alone(job: Job, children: Children) -> None:
-    job.output.parent.mkdir()
     state_path(job.output).write_text("state")
     outcome = done(job)
     assert "is of an interrupted run that no batch began" in outcome.reason
@@ -169,7 +173,6 @@ def test_a_batch_that_died_while_it_replaced_a_result_replaces_it(job: Job, chil
 
 def test_lost_data_is_told_of_a_kept_result_too(job: Job, children: Children) -> None:
     children.endings = [Ending(code=3)]
-    job.output.parent.mkdir()
 
     def run(of: Job, arguments: tuple[str, ...], *_: object) -> Ending:
         of.output.write_text("result")
@@ -197,6 +200,7 @@ def test_a_recording_that_cannot_be_read_fails_alone(job: Job, children: Childre
 
 
 def test_a_folder_that_cannot_be_made_fails_alone(job: Job, children: Children) -> None:
+    job = replace(job, output=job.results / "day" / "a.mcap")
     job.output.parent.write_text("a file")
     outcome = done(job)
     assert outcome.state is State.FAILED
@@ -222,4 +226,64 @@ def test_a_joined_result_is_kept_without_its_pieces(job: Job, children: Children
     joining = job.as_kind(Kind.JOIN, pieces=((pieces / "00000.mcap", None),), chunk_s=1.0)
     assert done(joining).state is State.DONE
     assert not pieces.exists()
+    pieces.mkdir()  # as a batch leaves it that is killed here
     assert done(replace(job, chunk_s=1.0).as_kind(Kind.SPLIT)).state is State.KEPT
+    assert not pieces.exists()
+
+
+def test_a_job_with_a_damaged_record_is_done_again_and_says_so(job: Job, children: Children) -> None:
+    done(job)
+    job.record.write_text('{"outcome": {"frames": 1e400}}')
+    assert planned(job, Limits()).startswith(f"replace ({job.record}: record of a job cannot be read")
+    again = done(job)
+    assert again.state is State.DONE
+    assert again.reason == f"done again: {job.record}: record of a job cannot be read"
+    assert children.ways == ["new", "--overwrite"]
+    kept = done(job)
+    assert (kept.state, kept.reason) == (State.KEPT, "")
+
+
+@pytest.mark.parametrize("place", [".batch", ".batch/records", "."])
+def test_nothing_is_written_through_a_link_to_a_folder(
+    job: Job, children: Children, tmp_path: Path, place: str
+) -> None:
+    if place == ".":  # the folder of a result below the batch's
+        job = replace(job, output=job.results / "day" / "a.mcap")
+    link = job.results / "day" if place == "." else job.results / place
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    link.parent.mkdir(exist_ok=True)
+    link.symlink_to(elsewhere)
+    outcome = done(job)
+    assert (outcome.state, children.asked) == (State.FAILED, [])
+    assert f"{link}: is a symbolic link, and nothing is written through it" in outcome.reason
+    assert not list(elsewhere.iterdir())
+
+
+def test_no_pieces_are_written_through_a_link(job: Job, children: Children, tmp_path: Path) -> None:
+    pieces = job.record.with_suffix(".pieces")
+    pieces.parent.mkdir(parents=True)
+    pieces.symlink_to(tmp_path)
+    piece = replace(job, name="a//0", output=pieces / "00000.mcap", record=pieces / "00000.json")
+    assert "is a symbolic link" in done(piece).reason
+    assert not (tmp_path / "00000.json").exists()
+
+
+@pytest.mark.parametrize("before", ["", "an earlier result"])
+def test_a_result_that_was_finished_before_its_process_was_killed_is_kept(
+    job: Job, children: Children, before: str
+) -> None:
+    """Its process still writes a page then, and frees memory; whoever kills it loses no result by that."""
+    if before:
+        children.text = before
+        done(job)
+        job = replace(job, arguments=("--seed=2",))
+
+    def run(of: Job, arguments: tuple[str, ...], *_: object) -> Ending:
+        of.output.write_text("result")
+        return Ending(code=-9)
+
+    children.run = run  # type: ignore[method-assign]
+    assert done(job).state is State.FAILED
+    assert planned(job, Limits()) == "keep"
+    assert done(job).state is State.KEPT

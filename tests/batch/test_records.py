@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 from dataclasses import replace
@@ -9,9 +10,12 @@ from pathlib import Path
 
 import pytest
 
+from posetrack_cli import limits
 from posetrack_cli.batch import records
-from posetrack_cli.batch.jobs import Job, Outcome, Piece, State
+from posetrack_cli.batch.jobs import Job, Outcome, Piece, State, record_path
 from posetrack_cli.batch.records import (
+    FORMAT,
+    DamagedRecordError,
     JobRecord,
     input_digest,
     job_key,
@@ -21,10 +25,12 @@ from posetrack_cli.batch.records import (
     write_record,
 )
 from posetrack_cli.errors import RecordingError
+from posetrack_cli.outputs import part_path
 
 
 def make_job(folder: Path, **changes: object) -> Job:
-    job = Job("a", ("hand", "run"), folder / "a.mcap", ("--seed=1",), folder / "out.mcap", folder / "a.json")
+    out, record = folder / "out.mcap", folder / "a.json"
+    job = Job("a", ("hand", "run"), folder / "a.mcap", ("--seed=1",), out, record, folder)
     return replace(job, **changes)  # type: ignore[arg-type]
 
 
@@ -43,7 +49,8 @@ def test_a_key_depends_on_all_that_changes_a_result(tmp_path: Path, monkeypatch:
     ]
     mesh.write_bytes(b"two")
     keys.append(job_key(with_file, "digest"))
-    monkeypatch.setattr(records, "__version__", "another")
+    keys.append(job_key(make_job(tmp_path, sources="of other code"), "digest"))
+    monkeypatch.setattr(records, "libraries", lambda: "numpy of another version")
     keys.append(job_key(make_job(tmp_path), "digest"))
     assert len(set(keys)) == len(keys)
 
@@ -112,7 +119,7 @@ def test_a_record_reads_back(tmp_path: Path) -> None:
     record = JobRecord(
         "key",
         "page",
-        {"files": 1},
+        {"state": "1", "sha256": "2"},
         (3, "digest"),
         "done",
         Outcome("a", State.DONE, "why", ("last",), 0, 1.5, 0.5, 7, 9, True, (Piece(0, 9, 1, 8),), ("dark",)),
@@ -121,10 +128,77 @@ def test_a_record_reads_back(tmp_path: Path) -> None:
     assert read_record(tmp_path / "a.json") == record
 
 
-@pytest.mark.parametrize(
-    "text", ["", "{", "[]", '{"format": "another"}', '{"format": "posetrack.batch.job/1"}', "[" * 9999]
-)
-def test_a_damaged_record_is_none(tmp_path: Path, text: str) -> None:
-    (tmp_path / "a.json").write_text(text)
-    assert read_record(tmp_path / "a.json") is None
+def test_a_record_that_is_not_there_is_none(tmp_path: Path) -> None:
     assert read_record(tmp_path / "gone.json") is None
+
+
+WRITTEN = {"key": "k", "state": "done", "format": FORMAT, "outcome": {"name": "a", "state": "done"}}
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("", "{", "[]", '{"format": "another"}', "[" * 9999),
+        json.dumps({**WRITTEN, "format": "posetrack.batch.job/1"}),
+        json.dumps({**WRITTEN, "output": [-1, "x"]}),
+        json.dumps({**WRITTEN, "key": "\udcff"}),
+        *(
+            json.dumps({**WRITTEN, "outcome": {**WRITTEN["outcome"], **wrong}})  # type: ignore[dict-item]
+            for wrong in (
+                *({name: 10**400} for name in ("frames", "peak_bytes", "exit_code")),
+                *({"seconds": number} for number in (float("nan"), float("inf"), -1.0, 1e300)),
+                *({"frames": "9"}, {"frames": True}, {"remarks": ["\ud800"]}, {"state": "unknown"}),
+            )
+        ),
+    ],
+)
+def test_nothing_of_a_damaged_record_is_believed(tmp_path: Path, text: str) -> None:
+    (tmp_path / "a.json").write_text(text)
+    with pytest.raises(DamagedRecordError, match=r"a\.json: record of a job"):
+        read_record(tmp_path / "a.json")
+
+
+def test_what_is_damaged_above_is_read_otherwise(tmp_path: Path) -> None:
+    """It is the numbers and texts that are refused, not the rest of the record."""
+    (tmp_path / "a.json").write_text(json.dumps(WRITTEN))
+    record = read_record(tmp_path / "a.json")
+    assert record is not None
+    assert record.outcome == Outcome("a", State.DONE)
+
+
+NAMES = (
+    "a",
+    "a.json",
+    "a.log",
+    "a.pieces",
+    "a.pieces/00000",
+    "a.json.part",
+    "a.dir",
+    "a.dir/b",
+    "a/b",
+    "lock",
+    "lock/a",
+)
+
+
+def test_no_job_has_the_place_of_another_ones_record_or_folder() -> None:
+    records = [record_path(Path("out"), name) for name in NAMES]
+    files = [
+        file
+        for one in records
+        for file in (one, one.with_suffix(".log"), one.with_suffix(".pieces"), part_path(one))
+    ]
+    folders = {folder for one in records for folder in one.parents}
+    pieces = {one.with_suffix(".pieces") for one in records}
+    assert len(set(files)) == len(files)
+    assert folders.isdisjoint(files)
+    assert all(not pieces & set(one.parents) for one in records)
+    assert all(one.is_relative_to("out/.batch/records") for one in records)
+
+
+def test_a_recording_of_too_many_files_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(limits, "SEARCH_ENTRIES", 2)
+    for number in range(3):
+        (tmp_path / f"{number}.png").write_bytes(b"")
+    with pytest.raises(RecordingError, match="folder holds too many files, expected at most 2"):
+        input_digest(tmp_path, {})

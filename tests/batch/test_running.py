@@ -43,6 +43,7 @@ def make_jobs(*names: str) -> list[Job]:
             ("--seed=1",),
             Path(f"out/{name}.mcap"),
             Path(f"r/{name}.json"),
+            Path(),
         )
         for name in names
     ]

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import glob
+import os
 from pathlib import Path
 
 import pytest
 
+from posetrack_cli import limits
+from posetrack_cli.batch.patterns import Search
 from posetrack_cli.batch.sources import find_sources
 from posetrack_cli.errors import UsageError
 
@@ -77,6 +81,51 @@ def test_a_manifest_gives_each_recording_its_own(folder: Path) -> None:
     assert second.gates == ("coverage < 0.9", "lost > 3")
 
 
+OUTSIDE = {
+    "model": 'detector-model = "../model.onnx"',
+    "model, by its whole name": 'face-model = "{here}/model.onnx"',
+    "model, relative to where batch runs": 'hand-mesh = "./model.onnx"',
+    "link": 'load-model = "link.onnx"',
+    "one of several configurations": 'config = ["own.toml", "../other.toml"]',
+    "model of a configuration": 'config = "bad.toml"',
+    "assignment": 'set = ["start.detection.model={here}/model.onnx"]',
+    "assignment of a table": """set = ['start={{detection={{model="{here}/model.onnx"}}}}']""",
+}
+
+
+@pytest.mark.parametrize("name", OUTSIDE)
+def test_models_and_configurations_of_a_manifest_lie_in_its_folder(folder: Path, name: str) -> None:
+    here = folder.resolve()
+    (folder / "model.onnx").write_bytes(b"")
+    (folder / "other.toml").write_text("")
+    (folder / "in/own.toml").write_text("")
+    (folder / "in/bad.toml").write_text('[start.detection]\nmodel = "../model.onnx"\n')
+    (folder / "in/link.onnx").symlink_to(here / "model.onnx")
+    line = OUTSIDE[name].format(here=here)
+    (folder / "in/set.toml").write_text(f'[options]\n{line}\n[[recordings]]\npath = "a.mcap"\n')
+    with pytest.raises(
+        UsageError, match=r"in/set.toml: option '.*' names a file outside the manifest's folder"
+    ):
+        find_sources(["in/set.toml"])
+
+
+def test_models_and_configurations_in_a_manifest_s_folder_and_shipped_ones_are_named(folder: Path) -> None:
+    (folder / "in/models").mkdir()
+    (folder / "in/models/m.onnx").write_bytes(b"")
+    (folder / "in/own.toml").write_text('[start.detection]\nmodel = "models/m.onnx"\n')
+    (folder / "in/set.toml").write_text(
+        '[options]\nconfig = ["own.toml", "hand-paper"]\ndetector-model = "models/m.onnx"\nshape = "average"'
+        '\nset = ["filter.particles=8"]\n[[recordings]]\npath = "a.mcap"\n'
+    )
+    (source,) = find_sources(["in/set.toml"])
+    assert source.options == {
+        "config": ["in/own.toml", "hand-paper"],
+        "detector-model": "in/models/m.onnx",
+        "shape": "average",
+        "set": ["filter.particles=8"],
+    }
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -114,3 +163,51 @@ def test_what_cannot_be_meant_is_refused(folder: Path, given: list[str], words: 
     with pytest.raises(UsageError) as caught:
         find_sources(given)
     assert words in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "pattern",
+    [
+        "**",
+        "in/**",
+        "in/**/*",
+        "**/b.mcap",
+        "in/*/b*",
+        "in/day[12]/*",
+        "**/.h*/*",
+        ".hid*/**",
+        "in/a.mcap/*",
+        "*/day1/b.mcap",
+    ],
+)
+def test_patterns_match_what_they_match_elsewhere(folder: Path, pattern: str) -> None:
+    (folder / ".hidden").mkdir()
+    (folder / ".hidden" / "c.mcap").touch()
+    expected = {one.rstrip("/") for one in glob.glob(pattern, recursive=True)}  # noqa: PTH207 the reference
+    assert {str(one) for one in Search().matches(Path(pattern))} - {"."} == expected - {""}
+
+
+def test_links_that_form_a_ring_end_and_folders_count_once(folder: Path) -> None:
+    for name in ("a", "b"):
+        Path(f"in/{name}").symlink_to(".")
+    Path("in/day0").symlink_to("day1")  # is found first, and keeps no recording from its own name
+    assert names("in/**/*.mcap") == ["a", "day1/b", "day2/b"]
+    assert names("in/day0/*.mcap") == ["b"]  # as it is named
+
+
+def test_a_search_without_end_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(limits, "SEARCH_ENTRIES", 12)
+    assert names("in/day*/*.mcap") == ["day1/b", "day2/b"]
+    words = r"\*\*/\*\.mcap: pattern looks at too many files and folders, expected at most 12; begin it with"
+    with pytest.raises(UsageError, match=words):
+        names("**/*.mcap")
+    Path("in/list.txt").write_text("day*/b.mcap\n" * 9)  # the bound is of all patterns together
+    with pytest.raises(UsageError, match="too many files"):
+        find_sources(["in/list.txt"])
+
+
+def test_names_that_show_alike_are_refused(folder: Path) -> None:
+    for name in (os.fsdecode(b"x\xff.mcap"), "x\\udcff.mcap"):
+        Path("in", name).touch()
+    with pytest.raises(UsageError, match="two recordings would write one result"):
+        names("in/x*.mcap")

@@ -11,19 +11,25 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
 
-from posetrack_cli.batch.jobs import Outcome
+from posetrack_cli import build
+from posetrack_cli.batch.jobs import Job, Limits, Outcome, State
+from posetrack_cli.batch.performing import perform
+from posetrack_cli.build import PACKAGE, source_digest
 from posetrack_cli.cli.batch import BATCH_OPTIONS
 from posetrack_cli.cli.batch_commands import BATCH_COMMANDS
 from posetrack_cli.cli.main import run
+from posetrack_cli.errors import PosetrackError
 from posetrack_cli.evaluation.evaluate import evaluate
 from posetrack_cli.outputs import state_path
 from posetrack_cli.results import load_arrays, read_result
@@ -94,12 +100,22 @@ def hooked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.fixture
 def cluster(tmp_path: Path, hooked: Path) -> Iterator[Path]:
     """A scheduler and two workers as processes; the file that the scheduler writes."""
+    with started_cluster(tmp_path, workers=2) as file:
+        yield file
+
+
+@contextmanager
+def started_cluster(tmp_path: Path, workers: int, **variables: str) -> Iterator[Path]:
+    """Start a scheduler and workers, with environment variables; the file that the scheduler writes."""
     file, dask = tmp_path / "scheduler.json", [sys.executable, "-m", "dask"]
     flags = ["--scheduler-file", str(file), "--no-dashboard"]
     commands = [[*dask, "scheduler", "--port", "0", "--host", "127.0.0.1", *flags]]
-    commands += [[*dask, "worker", "--nthreads", "1", "--no-nanny", "--host", "127.0.0.1", *flags]] * 2
+    commands += [[*dask, "worker", "--nthreads", "1", "--no-nanny", "--host", "127.0.0.1", *flags]] * workers
     with (tmp_path / "cluster.log").open("wb") as log:
-        processes = [subprocess.Popen(one, stdout=log, stderr=log, cwd=tmp_path) for one in commands]
+        processes = [
+            subprocess.Popen(one, stdout=log, stderr=log, cwd=tmp_path, env=os.environ | variables)
+            for one in commands
+        ]
         try:
             yield file
         finally:
@@ -114,10 +130,10 @@ def states(folder: Path) -> dict[str, str]:
         return {row["name"]: row["state"] for row in csv.DictReader(stream)}
 
 
-def run_batch(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    """A batch as a user starts it."""
+def run_batch(*arguments: str | Path, folder: Path | None = None) -> subprocess.CompletedProcess[str]:
+    """A batch as a user starts it, in a folder; the package that lies there is the one that runs."""
     line = [*POSETRACK, "batch", "hand", "run", *map(str, arguments)]
-    return subprocess.run(line, capture_output=True, text=True, check=False)
+    return subprocess.run(line, capture_output=True, text=True, check=False, cwd=folder)
 
 
 @dataclass(frozen=True)
@@ -201,7 +217,7 @@ def test_pieces_give_equal_bytes_for_any_number_of_workers(
         done = run_here(long_recording, "-o", out, "--no-reports", *KNOWN, *pieces)
         assert done.returncode == 0, done.stderr
         results.append(out / "long.mcap")
-        assert not (out / ".batch" / "long.pieces").exists()
+        assert not (out / ".batch" / "records" / "long.pieces").exists()
     assert all(filecmp.cmp(results[0], other, shallow=False) for other in results[1:])
     result = read_result(results[0])
     assert (result.run["pieces"], result.run["chunk_s"]) == ("2", "1")
@@ -250,10 +266,66 @@ def test_ctrl_c_stops_and_the_same_command_goes_on(
     assert states(out) == {"long": "done", "a1": "done"}
 
 
-def test_a_page_has_a_row_for_each_and_links_to_theirs(
-    recordings: Path, tmp_path: Path, run_here: BatchHere
+@pytest.fixture(scope="module")
+def another_build(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a copy of the package, of which one default is another one."""
+    folder = tmp_path_factory.mktemp("another")
+    for name in ("posetrack_cli", "configs"):
+        shutil.copytree(PACKAGE.parent / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+    config = folder / "posetrack_cli" / "hand" / "config.py"
+    text = config.read_text()
+    assert text.count("= 256\n") == 1
+    config.write_text(text.replace("= 256\n", "= 8\n"))
+    return folder
+
+
+def test_results_of_another_default_are_not_kept_and_those_of_another_processor_are_told(
+    recordings: Path,
+    tmp_path: Path,
+    another_build: Path,
+    run_here: BatchHere,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    out = tmp_path / "out"
+    line = [recordings / "a1.mcap", "-o", tmp_path / "out", "--no-reports", *KNOWN]
+    for state in ("done", "kept"):
+        done = run_here(*line)
+        assert (done.returncode, states(tmp_path / "out")) == (0, {"a1": state})
+        assert "kinds of processor" not in done.stderr
+    for folder, way in ((PACKAGE.parent, "keep"), (another_build, "replace")):
+        assert run_batch(*line, "--dry-run", folder=folder).stdout.startswith(f"{way}: ")
+    features = build.processor_features()
+    monkeypatch.setattr(build, "processor_features", lambda: f"{features}, openblas Newest")
+    done = run_here(*line)
+    assert (done.returncode, states(tmp_path / "out")) == (0, {"a1": "kept"})
+    assert "results of several kinds of processor differ in their last digits: " in done.stderr
+    assert "openblas Newest" in done.stderr
+
+
+def test_a_cluster_of_another_build_is_one_line(
+    recordings: Path, tmp_path: Path, another_build: Path, run_here: BatchHere
+) -> None:
+    with started_cluster(tmp_path, workers=1, PYTHONPATH=str(another_build)) as file:
+        done = run_here(recordings / "a1.mcap", "-o", tmp_path / "out", *KNOWN, "--scheduler-file", file)
+    assert done.returncode == 1
+    (line,) = done.stderr.splitlines()[-1:]
+    assert "worker has another build of posetrack" in line and f"expected sources {source_digest()}" in line
+    assert not (tmp_path / "out" / "a1.mcap").exists()
+
+
+def test_code_that_changes_under_a_batch_fails_in_one_line(recordings: Path, tmp_path: Path) -> None:
+    job = Job("a1", ("hand", "run"), recordings / "a1.mcap", (), tmp_path / "a1.mcap", tmp_path / "a1.json")
+    outcome = perform(replace(job, sources="of before"), Limits())
+    assert outcome.state is State.FAILED
+    assert "sources are not those that the batch began with" in outcome.reason
+    assert "expected of before" in outcome.reason and not job.output.exists()
+
+
+def test_a_page_has_a_row_for_each_and_links_to_theirs(
+    recordings: Path, tmp_path: Path, run_here: BatchHere, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, temporary = tmp_path / "out", tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
     done = run_here(
         recordings / "a1.mcap",
         recordings / "damaged.mcap",
@@ -271,6 +343,10 @@ def test_a_page_has_a_row_for_each_and_links_to_theirs(
     assert "Recordings without a result (1)" in page
     report = json.loads((out / "summary.json").read_text())
     assert [one["name"] for one in report["recordings"]] == ["damaged", "a1"]
+    assert [one["gate"] for one in report["gates"]] == ["tracked", "tracked", "joint_error_mm.mean > 0"]
+    assert "2 of 3 gates failed." in page
+    assert not list(temporary.iterdir())  # Dask leaves nothing there
+    assert not (out / ".batch" / "scratch").exists()
     again = run_here(
         recordings / "a1.mcap", "-o", out, *KNOWN, "--baseline", out / "summary.json", "--markdown", "-"
     )
@@ -341,6 +417,83 @@ def test_a_recording_called_index_keeps_its_page_from_the_batchs_own(
     assert f"{tmp_path / 'index.mcap'}: its page would be the batch's own, found index.html" in said
     assert run([*dry, str(tmp_path / "index.mcap"), "--no-reports"]) == 0
     assert run([*dry, f"{tmp_path}/*/index.mcap"]) == 0  # below a folder it is another page
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "words"),
+    [
+        ("a", "a.mcap/b", "its folder would be that of {first}, found a.mcap"),
+        ("a", "a.html/b", "its folder would be that of {first}, found a.html"),
+        ("a", "summary.csv/b", "its folder would be the batch's own, found summary.csv"),
+        ("a", ".batch/b", "its folder would be the batch's own, found .batch"),
+        ("a", "A", "its result would be that of {first}, found A.mcap"),
+        ("lock", "lock/b", ""),
+        ("records", "records/records", ""),
+        ("a", "a.pieces/00000", ""),
+    ],
+)
+def test_results_that_would_meet_are_refused(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    first: str,
+    second: str,
+    words: str,
+) -> None:
+    """Also names that are one where a file system takes capitals for small letters."""
+    from posetrack_cli.cli import batch
+
+    def track(plan: object, options: object) -> list[Outcome]:
+        raise PosetrackError("would be tracked")
+
+    monkeypatch.setattr(batch, "_folds_case", lambda folder: True)
+    monkeypatch.setattr(batch, "_run", track)
+    made = [tmp_path / name for name in ("one.mcap", "two.mcap")]
+    for path in made:
+        path.touch()
+    manifest = tmp_path / "set.toml"
+    tables = [
+        f'[[recordings]]\npath = "{p}"\nname = "{n}"\n' for p, n in zip(made, (first, second), strict=True)
+    ]
+    manifest.write_text("".join(tables))
+    code = run(["batch", "hand", "run", str(manifest), "-o", str(tmp_path / "out")])
+    said = capsys.readouterr().err
+    assert (words.format(first=made[0]) or "would be tracked") in said
+    assert (code, said.count("\n")) == (2 if words else 1, 1)
+
+
+def test_a_file_system_that_keeps_capitals_apart_is_told(tmp_path: Path) -> None:
+    from posetrack_cli.cli.batch import _folds_case
+
+    (tmp_path / ".batch").mkdir()
+    assert not _folds_case(tmp_path)
+    (tmp_path / ".BATCH").mkdir()  # stands in for the other kind, which shows one folder by both names
+    assert _folds_case(tmp_path)
+
+
+def test_a_folder_of_results_that_holds_links_is_refused(
+    recordings: Path, tmp_path: Path, run_here: BatchHere
+) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "out" / ".batch").symlink_to(tmp_path / "elsewhere")
+    done = run_here(recordings / "a1.mcap", "-o", tmp_path / "out", *KNOWN)
+    assert done.returncode == 2
+    assert (
+        f"{tmp_path / 'out' / '.batch'}: is a symbolic link, and nothing is written through it" in done.stderr
+    )
+    assert not list((tmp_path / "elsewhere").iterdir())
+
+
+def test_a_dashboard_needs_bokeh(
+    recordings: Path, tmp_path: Path, run_here: BatchHere, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from posetrack_cli.batch import engine
+
+    monkeypatch.setattr(engine, "find_spec", lambda name: None)
+    done = run_here(recordings / "a1.mcap", "-o", tmp_path / "out", "--dashboard", *KNOWN)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "--dashboard needs Bokeh, which is missing; pip install bokeh" in done.stderr
 
 
 def test_a_scheduler_that_is_not_there_is_one_line(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +42,7 @@ def with_devices(monkeypatch: pytest.MonkeyPatch, numbers: set[int], default: bo
         raise RenderingError("no headless context", where=f"OpenGL device {index}")
 
     monkeypatch.setattr(devices, "open_device", open_fake)
-    monkeypatch.setattr("posetrack_cli.cli.doctor._scoring_times", lambda device, particles: {64: 1.0})
+    monkeypatch.setattr("posetrack_cli.cli.doctor._scoring_times", lambda device, particles: [(64, 1.0)])
 
 
 def drawn_with(capsys: pytest.CaptureFixture[str]) -> list[str]:
@@ -101,11 +102,28 @@ def test_a_device_that_works_is_told_when_the_default_does_not(
 def test_a_device_is_closed_when_measuring_fails(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def fail(device: Any, particles: int) -> dict[int, float]:
+    def fail(device: Any, particles: int) -> Iterator[tuple[int, float]]:
         raise RenderingError("tile is too large for this GL")
 
     with_devices(monkeypatch, {0})
     monkeypatch.setattr("posetrack_cli.cli.doctor._scoring_times", fail)
     assert run([*SMALL, "--device", "0"]) == 1
     assert FakeDevice.opened == 0
-    assert drawn_with(capsys) == ["device 0: does not work"]
+    assert drawn_with(capsys) == ["device 0: card 0, OpenGL 4.5", "device 0: does not work"]
+
+
+def test_each_check_is_told_before_the_next_begins(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    said: list[str] = []
+
+    def times(device: Any, particles: int) -> Iterator[tuple[int, float]]:
+        for tile in (64, 128):
+            said.append(capsys.readouterr().out)
+            yield tile, 1.0
+
+    with_devices(monkeypatch, {0})
+    monkeypatch.setattr("posetrack_cli.cli.doctor._scoring_times", times)
+    assert run([*SMALL, "--device", "0"]) == 0
+    assert said[0].endswith("OpenGL device 0: card 0, OpenGL 4.5\n")
+    assert said[1] == "  16 particles, 64x64 pixels each: 1.0 ms\n"

@@ -48,9 +48,7 @@ def estimated(monkeypatch: pytest.MonkeyPatch) -> list[CalibrationOptions]:
     """How shapes were asked for, which are found at once."""
     asked: list[CalibrationOptions] = []
 
-    def shape_of(
-        recording: Recording, config: HandConfig, options: CalibrationOptions, report: object
-    ) -> Calibration:
+    def shape_of(recording: Recording, config: HandConfig, options: CalibrationOptions) -> Calibration:
         asked.append(options)
         return calibration_of(SHAPE)
 
@@ -93,7 +91,7 @@ def test_a_shape_is_estimated_unless_it_is_told(
     assert track(recording, tmp_path, "--start", "1", "--seed", "7", *options) in (0, 3)
     assert estimated == [CalibrationOptions("right", start=1)]
     said = capsys.readouterr().err.splitlines()
-    assert "estimating the hand's shape ..." in said
+    assert "finding side and size ..." in said
     assert any(line.startswith(f"{recording}: a right hand, 143 mm long") for line in said)
     used = json.loads(read_result(tmp_path / "r.mcap").run["configuration"])["hand"]
     assert used["coefficients"] == pytest.approx(SHAPE.coefficients) and used["scale"] == SHAPE.scale

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from posetrack_cli import __version__
+from posetrack_cli.build import source_digest, version
 from posetrack_cli.cli.main import run
 
 COMMAND = [sys.executable, "-m", "posetrack_cli.cli.main"]
@@ -103,4 +103,4 @@ def test_a_name_that_the_terminal_cannot_show_is_shown_some_way(recording: Path,
 def test_the_package_runs_as_a_module() -> None:
     line = [sys.executable, "-m", "posetrack_cli", "--version"]
     done = subprocess.run(line, capture_output=True, text=True, check=True)
-    assert done.stdout == f"posetrack, version {__version__}\n"
+    assert done.stdout == f"posetrack, version {version()} (sources {source_digest()})\n"

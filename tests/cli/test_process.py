@@ -178,3 +178,53 @@ def test_products_are_rounded_alike_on_any_number_of_cores() -> None:
     environment = os.environ | {"OPENBLAS_NUM_THREADS": "4"}
     done = subprocess.run([sys.executable, "-c", PRODUCT], env=environment, capture_output=True, text=True)
     assert done.stdout.split() == ["1"], done.stderr
+
+
+LIMITED = """
+import os, resource, signal, sys
+from posetrack_cli.cli.main import main
+from posetrack_cli.cli import main as module
+which, size, end = getattr(resource, sys.argv[1]), int(sys.argv[2]), sys.argv[3]
+resource.setrlimit(which, (size, resource.getrlimit(which)[1]))
+def run(arguments):
+    if end == "thread":
+        raise RuntimeError("can't start new thread")
+    os.abort() if end == "abort" else os._exit(int(end))
+if end == "thread":
+    module.cli.main = lambda **options: run(())
+elif end != "command":
+    module.run = run
+sys.argv[1:] = ["info", "gone.mcap"]
+main()
+"""
+
+
+def limited(which: str, size: int, end: str) -> subprocess.CompletedProcess[str]:
+    """A command under a limit of memory that ends in some way."""
+    line = [sys.executable, "-c", LIMITED, which, str(size), end]
+    return subprocess.run(line, capture_output=True, text=True, check=False)
+
+
+@pytest.mark.parametrize(("which", "letter"), [("RLIMIT_AS", "v"), ("RLIMIT_DATA", "d")])
+def test_a_limit_of_memory_that_libraries_do_not_survive_is_refused(which: str, letter: str) -> None:
+    done = limited(which, 500 << 20, "command")
+    assert done.returncode == 2
+    assert done.stderr.startswith(
+        f"posetrack: limit of memory is too low (ulimit -{letter}), found 512000 KiB"
+    )
+    assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(("end", "code"), [("0", 0), ("3", 3), ("130", 130), ("abort", 1)])
+def test_a_library_that_aborts_for_want_of_memory_is_one_line(end: str, code: int) -> None:
+    done = limited("RLIMIT_AS", 4 << 30, end)
+    assert done.returncode == code
+    words = "posetrack: a library aborted, likely for want of memory (ulimit -v); raise the limit\n"
+    assert done.stderr == (words if end == "abort" else "")
+
+
+def test_threads_that_cannot_start_are_one_line() -> None:
+    done = limited("RLIMIT_AS", 4 << 30, "thread")
+    assert done.returncode == 1
+    assert done.stderr.startswith("posetrack: out of memory or threads: raise ulimit -v or -u")
+    assert done.stderr.count("\n") == 1

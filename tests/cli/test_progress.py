@@ -12,7 +12,7 @@ import subprocess
 import sys
 import termios
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
 from threading import Thread
 from types import SimpleNamespace
@@ -22,10 +22,11 @@ import pytest
 from posetrack_cli.batch.engine import Told
 from posetrack_cli.batch.jobs import Outcome, State
 from posetrack_cli.cli.batch_progress import BatchProgress
-from posetrack_cli.cli.progress import bar
+from posetrack_cli.cli.progress import bar, phase_shown, say_meanwhile
 from posetrack_cli.cli.running import progress
 from posetrack_cli.cli.standard_output import QUIET, print_line, print_note, volume
 from posetrack_cli.errors import EXIT_INTERRUPTED
+from posetrack_cli.phases import phase, phases_shown
 from support.terminal import Terminal, screen
 
 
@@ -160,6 +161,75 @@ def test_a_pipe_and_quiet_get_lines_only(quiet: bool, monkeypatch: pytest.Monkey
     assert shown.getvalue() == "what went wrong\n" and one.done == 2
 
 
+def counted(advance: Callable[[int], None]) -> None:
+    advance(2)
+    print_note("a line")
+    advance(1)
+
+
+def test_a_phase_is_a_bar_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = opened_terminal(monkeypatch)
+    with phases_shown(phase_shown):
+        for total in (3, None):
+            with phase("finding", "frame", total) as advance:
+                counted(advance)
+    line, known, again, open_ended = terminal.lines
+    assert line == again == "a line"
+    assert re.fullmatch(r"finding: 100%\|.*\| 3/3 \[.*\]", known), known
+    assert re.fullmatch(r"finding: 3frame \[.*\]", open_ended), open_ended
+
+
+@pytest.mark.parametrize(("quiet", "said"), [(False, "finding ...\na line\n"), (True, "a line\n")])
+def test_a_phase_is_a_line_in_a_pipe_and_nothing_for_quiet(
+    quiet: bool, said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", shown)
+    with ExitStack() as stack:
+        stack.enter_context(volume(QUIET) if quiet else ExitStack())
+        stack.enter_context(phases_shown(phase_shown))
+        counted(stack.enter_context(phase("finding", "frame", 3)))
+    assert shown.getvalue() == said
+
+
+def test_a_phase_that_nobody_shows_says_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    with phase("finding", "frame") as advance:
+        advance(1)
+    assert capsys.readouterr() == ("", "")
+
+
+def test_the_time_of_a_bar_goes_on_while_its_count_stands_still(
+    monkeypatch: pytest.MonkeyPatch, clock: list[float]
+) -> None:
+    monkeypatch.setattr("posetrack_cli.cli.progress._REDRAWN_EVERY_S", 0.02)
+    terminal = opened_terminal(monkeypatch)
+    with bar("hand", "frame", 4) as shown:
+        shown.advance()
+        clock[0] = 83.0
+        until_s = time.monotonic() + 5.0
+        while "[01:23" not in terminal.lines[0] and time.monotonic() < until_s:
+            time.sleep(0.02)
+        assert " 1/4 [01:23" in terminal.lines[0]
+    left = terminal.lines
+    clock[0] = 99.0
+    time.sleep(0.1)
+    assert terminal.lines == left  # one that is over stays as it was
+
+
+def test_what_is_said_meanwhile_stands_on_the_bar_until_it_advances(
+    monkeypatch: pytest.MonkeyPatch, clock: list[float]
+) -> None:
+    say_meanwhile("of no bar")
+    terminal = opened_terminal(monkeypatch)
+    with bar("hand", "frame", 4) as shown:
+        shown.advance(1, "tracking")
+        say_meanwhile("compiling kernel 7")
+        assert terminal.lines[0].endswith(", compiling kernel 7]")
+        clock[0] += 1.0
+        shown.advance()
+        assert terminal.lines[0].endswith(", tracking]")
+
+
 def test_lines_of_several_workers_break_no_bar_of_a_batch(monkeypatch: pytest.MonkeyPatch) -> None:
     terminal = opened_terminal(monkeypatch)
     names = [f"{worker}-{job}" for worker in "abcd" for job in range(25)]
@@ -233,8 +303,10 @@ def test_ctrl_c_leaves_a_clean_terminal(where: str) -> None:
     assert process.returncode == EXIT_INTERRUPTED
     *above, shown, last = screen(written.decode().replace("\r\n", "\n"))
     assert last == "posetrack: interrupted"
-    assert re.fullmatch(r"hand:  50%\|.*\| 2/4 \[.*, tracking\]\^C", shown), shown
-    assert above == ["waiting", "compiling the fits, once: about 20 s ..."][: 1 if where == "python" else 2]
+    note = "tracking" if where == "python" else "compiling kernel 1"
+    assert re.fullmatch(rf"hand:  50%\|.*\| 2/4 \[.*, {note}\]\^C", shown), shown
+    told = ["waiting", "compiling the fits, once: about 40 s of processor time ..."]
+    assert above == told[: 1 if where == "python" else 2]
 
 
 def until(terminal: int, pattern: bytes = rb"\Z.") -> bytes:

@@ -15,8 +15,11 @@ import numpy as np
 import pytest
 
 from posetrack_cli.cli.main import run
+from posetrack_cli.errors import RenderingError
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.recording.recording import Recording
+from posetrack_cli.rendering import devices
+from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.results import ResultWriter, Subject
 from support.viewing import (
     lost_from,
@@ -87,6 +90,24 @@ def test_a_video_of_every_frame_with_the_hand_on_its_joints(
     assert cv2.VideoCapture(str(out)).get(cv2.CAP_PROP_FPS) == pytest.approx(30.0, abs=0.1)
 
 
+def test_without_opengl_the_processor_draws(
+    result: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Unless an EGL device is asked for."""
+
+    def missing(index: int | None = None) -> RenderingDevice:
+        raise RenderingError("no headless context", where="OpenGL")
+
+    monkeypatch.setattr(devices, "open_device", missing)
+    chosen = ("--select", "0,3", "--layout", "over")
+    assert view(result, "-o", tmp_path / "a.png", *chosen) == 0
+    assert view(result, "-o", tmp_path / "b.png", *chosen, "--device", "cpu") == 0
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+    capsys.readouterr()
+    assert view(result, "-o", tmp_path / "c.png", *chosen, "--device", "0") == 1
+    assert "no headless context" in one_line(capsys)
+
+
 def test_chosen_frames_as_numbered_pictures(result: Path, tmp_path: Path) -> None:
     assert view(result, "-o", tmp_path / "p", "--select", "1:6:2,0", "--layout", "over") == 0
     names = sorted(path.name for path in (tmp_path / "p").iterdir())
@@ -136,6 +157,9 @@ def test_truth_and_skeleton(result: Path, recording: Path, opened: Recording, tm
             (is_colour(picture, GREEN).sum(), is_colour(picture, np.array([60, 60, 255]), 60).sum())
         )
     assert counts[0][0] == 0 < counts[1][0]
+    paper = ["--layout", "paper", "--select", "2", "--show-truth", "--overwrite"]
+    assert view(wrong, "-o", tmp_path / "p", *paper) == 0  # rendered below what was observed: truth, too
+    assert is_colour(cv2.imread(str(tmp_path / "p" / "frame_000002.png"))[:-CAPTION_PX], GREEN).any()
     assert counts[2][1] > counts[0][1] + 20, "the x axis is red"
 
 
@@ -246,16 +270,18 @@ def test_what_cannot_be_drawn_is_one_line(
 
 
 def test_a_missing_recording_says_where_it_looked(
-    result: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    alone = tmp_path / "a" / "b" / "r.mcap"
+    alone, gone = tmp_path / "a" / "b" / "r.mcap", tmp_path / "hand.mcap"
     alone.parent.mkdir(parents=True)
-    alone.write_bytes(result.read_bytes())
+    gone.write_bytes(recording.read_bytes())
+    make_result(alone, open_recording(gone))
+    gone.unlink()
     monkeypatch.chdir(tmp_path)
     assert view(alone, "-o", tmp_path / "v.mp4") == 1
     line = one_line(capsys)
     assert "no recording 'hand.mcap'" in line and "--recording" in line
-    assert str(alone.parent) in line and str(alone.parent.parent) in line
+    assert f"at {gone}, beside {alone}, in a folder above it or in the working folder" in line
 
 
 def test_results_of_different_recordings_are_not_drawn_together(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import click
 import pytest
 
@@ -9,12 +11,12 @@ import reference
 from posetrack_cli.cli.command import Command, Option, commands_of
 from posetrack_cli.cli.main import cli
 from posetrack_cli.cli.view import view
+from posetrack_cli.configuration import shipped_files
 from posetrack_cli.hand.config import HandConfig
 from support.markdown import check, invocations, statements
 
 COMMANDS = [one for one, _ in commands_of(cli, "posetrack") if not isinstance(one, click.Group)]
-
-COMMANDS = [one for one, _ in commands_of(cli, "posetrack") if not isinstance(one, click.Group)]
+TRACKERS = ("hand run", "head stereo", "head mono")
 
 
 def test_what_is_committed_is_current() -> None:
@@ -65,6 +67,16 @@ def test_every_command_writes_to_the_same_option() -> None:
     writing = {use.command for use in table["--overwrite"]} | {use.command for use in table["--redo"]}
     assert writing - {"eval", "info"} == {use.command for use in table["--output"]}
     assert all("-o" in use.names for use in table["--output"])
+
+
+def test_every_shipped_configuration_is_named_by_its_command() -> None:
+    page = reference.reference_pages()["cli.md"]
+    sections = {name: page.split(f"\n## `posetrack {name}`\n")[1].split("\n## ")[0] for name in TRACKERS}
+    for name, section in sections.items():
+        line = next(line for line in section.splitlines() if line.startswith("- `--config "))
+        told = set(re.findall(r"[a-z]+(?:-[a-z]+)*", line))
+        prefix = name.removesuffix(" run").replace(" ", "-")
+        assert {one for one in shipped_files() if f"{one}-".startswith(f"{prefix}-")} <= told, name
 
 
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda one: str(one.name))

@@ -231,8 +231,34 @@ def test_a_head_is_shown_with_points_and_axes() -> None:
     result = data_of(page(head_evaluation(frames=40)))["results"][0]
     assert result["scene"]["pointCount"] == 10
     assert result["scene"]["axes"] is True
-    assert {"Head position", "Head rotation", "Shape"} <= {one["group"] for one in result["components"]}
+    groups = list(dict.fromkeys(one["group"] for one in result["components"]))
+    assert groups[:2] == ["Head angles and expressions", "Head position"] and "Shape" in groups
     assert [one["label"] for one in result["scene"]["readings"]] == ["position error", "rotation error"]
+
+
+def test_a_head_s_page_begins_with_angles_and_expressions() -> None:
+    """In words with their ranges over the tracked frames, and as the first plots; a hand's with pictures."""
+    whole = head_evaluation(frames=40)
+    strengths = np.linspace(-0.25, 0.75, 40)
+    numbers = np.stack([strengths, np.full(40, 0.1), np.full(40, 7.0)], axis=1)
+    lost = np.arange(40) >= 20
+    names = ("action_jaw_open", "action_jaw_open_sd", "score")
+    track = dataclasses.replace(whole.track, numbers=numbers, number_names=names, lost=lost)
+    text = page(dataclasses.replace(whole, track=track))
+    assert (
+        f"jaw open <strong>\u22120.25 to {strengths[19]:.2f}</strong>" in text
+        and "score" not in text.split("<main")[0]
+    )
+    order = [text.index(f'<section id="{name}"') for name in ("trajectories", "worst", "summary")]
+    assert order == sorted(order) and text.index("Roll <strong>") < text.index("Coverage <strong>")
+    result = data_of(text)["results"][0]
+    leading = [
+        one["label"] for one in result["components"] if one["group"] == result["components"][0]["group"]
+    ]
+    assert leading == ["roll", "pitch", "yaw", "jaw open"]
+    hand = page(hand_evaluation(frames=40))
+    assert hand.index('<section id="worst"') < hand.index('<section id="trajectories"')
+    assert "roll <strong>" not in hand.lower()
 
 
 def test_a_long_result_is_reduced_and_the_page_says_so() -> None:

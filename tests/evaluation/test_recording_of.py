@@ -88,8 +88,8 @@ def test_where_it_is_nowhere_the_reason_says_where_it_was_looked_for(
     monkeypatch.chdir(tmp_path)
     search = search_recording(result)
     assert search.recording is None
-    looked = f"{tmp_path}/home/results, {tmp_path}/home, ."
-    assert search.reason == f"no recording 'hand.mcap' in {looked}; pass it with --recording"
+    looked = f"at {recording}, beside {result.path}, in a folder above it or in the working folder"
+    assert search.reason == f"no recording 'hand.mcap' {looked}; pass it with --recording"
     with pytest.raises(RecordingError, match="no recording"):
         required_recording(result)
 
@@ -143,10 +143,54 @@ def test_a_folder_for_a_file_is_another(recording: Path, tmp_path: Path) -> None
         search_recording(result, folder)
 
 
-def test_a_name_with_folders_in_it_is_not_followed(recording: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("below", ["", "day1"], ids=["in a folder", "two deep"])
+@pytest.mark.parametrize("typed", ["relative", "absolute"])
+def test_a_result_of_its_recording_s_name_in_a_folder_of_results(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, below: str, typed: str
+) -> None:
+    """``hand run recordings/r.mcap -o results/r.mcap``: found from anywhere, and after both have moved."""
+    project = tmp_path / "project"
+    for name in ("recordings", "results"):
+        (project / name / below).mkdir(parents=True)
+    monkeypatch.chdir(project)
+    place = Path("recordings", below, "r.mcap")
+    place.write_bytes(recording.read_bytes())
+    result = result_of(
+        Path("results", below, "r.mcap"), open_recording(place.absolute() if typed == "absolute" else place)
+    )
+    assert found_at(result) == project / place
+    monkeypatch.chdir(tmp_path)
+    assert found_at(read_result(project / result.path)) == project / place
+    moved = project.rename(tmp_path / "moved")
+    assert found_at(read_result(Path("moved") / result.path)) == moved / place
+    (moved / place).unlink()
+    reason = search_recording(read_result(moved / result.path)).reason
+    assert reason.startswith("no recording 'r.mcap' at ") and "is not the recording" not in reason
+
+
+def test_a_result_that_has_moved_alone_finds_its_recording_at_its_path(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "far").mkdir()
+    result = result_of(tmp_path / "home" / "results" / "r.mcap", open_recording(recording))
+    monkeypatch.chdir(tmp_path)
+    moved = result.path.rename(tmp_path / "far" / "r.mcap")
+    assert found_at(read_result(moved)) == recording
+
+
+def test_a_path_leads_nowhere_without_a_digest(recording: Path, tmp_path: Path) -> None:
+    """A stranger's result must not have files of its reader's opened and drawn."""
     result = result_of(tmp_path / "r.mcap", open_recording(recording))
-    bad = replace(result, run={**result.run, "input.name": "home/hand.mcap"})
-    assert search_recording(bad).recording is None
+    bare = {key: value for key, value in result.run.items() if key not in ("input.sha256", "input.bytes")}
+    assert "does not say which recording" in search_recording(replace(result, run=bare)).reason
+
+
+@pytest.mark.parametrize(
+    "stated", ["x/" * 100_000 + "r", "n" * 5000, "a\0b", "/", "..", "/dev/zero", "/proc/self/mem"]
+)
+def test_no_stated_path_does_harm(recording: Path, tmp_path: Path, stated: str) -> None:
+    result = result_of(tmp_path / "r.mcap", open_recording(recording))
+    assert search_recording(replace(result, run={**result.run, "input.path": stated})).recording is None
 
 
 def test_a_result_that_names_no_input_says_so(recording: Path, tmp_path: Path) -> None:

@@ -110,7 +110,7 @@ def test_csv_has_a_line_for_each_result_and_the_total() -> None:
     header, *lines = csv.reader(csv_rows([result_set(members)]).splitlines(keepends=True))
     assert {len(line) for line in lines} == {len(header)} and len(set(header)) == len(header)
     table = {line[0]: dict(zip(header, line, strict=True)) for line in lines}
-    assert list(table) == ["blind", 'b,"\n', "a", "pooled"]
+    assert list(table) == ["blind", 'b,"\\n', "a", "pooled"]
     assert float(table["a"]["joint_error_mm.mean"]) == 2.0 and table["blind"]["joint_error_mm.mean"] == ""
     assert table["pooled"]["frames"] == "12.0" and table["pooled"]["joint_error_mm.mean"] == ""
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from posetrack_cli import __version__
+from posetrack_cli.build import build_record
 from posetrack_cli.configuration import find_configuration, load_settings
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.geometry.camera import Camera
@@ -75,7 +75,7 @@ def test_the_record_states_camera_renderer_version_input_and_options() -> None:
     assert Camera(**camera | {"distortion": tuple(camera["distortion"])}) == CAMERA
     expected = {
         "tracker": "hand",
-        "version": __version__,
+        **build_record(),
         "renderer": "a renderer",
         "seed": "7",
         "init": "center",

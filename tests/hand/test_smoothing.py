@@ -14,7 +14,8 @@ from posetrack_cli.hand.anatomy import make_anatomy
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.inner import NO_INNER, inner_of
 from posetrack_cli.hand.kinematics import joint_positions
-from posetrack_cli.hand.local_fits import INNER
+from posetrack_cli.hand.local_fits import FOREARM_CONFIDENCE, INNER
+from posetrack_cli.hand.protocol import forearm_confidence_of
 from posetrack_cli.hand.smoothing import make_smoother, smoothed_hand
 from posetrack_cli.hand.space import dynamics
 from posetrack_cli.hand.start import rest_pose
@@ -116,13 +117,15 @@ def test_the_thumb_of_each_frame_is_the_fits(tmp_path: Path) -> None:
     states, inner = tracked(3), np.array([0.0, 1.0, 0.0, 0.1, 0.3, -0.2])
     with SmoothedTrack(tmp_path / "spool", smoother(), HAND) as track:
         for index, state in enumerate(states):
-            kept = {INNER: inner * (1.0 if index == 1 else 0.0)}
+            kept = {INNER: inner * (1.0 if index == 1 else 0.0), FOREARM_CONFIDENCE: 0.25 * index}
             track.remember(state, FrameFacts.of(estimate(index)), DT, cut=index == 0, frame=kept)
         found = list(track.backward())[::-1]
     pose = np.concatenate([found[1].position, found[1].quaternion, found[1].shape])
     np.testing.assert_allclose(inner_of(found[1].numbers), inner)
     np.testing.assert_array_equal(found[1].points, joint_positions(ANATOMY, pose[None], inner[4:])[0])
     np.testing.assert_array_equal(inner_of(found[2].numbers), NO_INNER)
+    assert forearm_confidence_of(found[1].numbers) == 0.25
+    assert np.isnan(forearm_confidence_of(found[2].numbers))  # which has no forearm
 
 
 def test_what_was_found_anew_says_nothing_about_before(tmp_path: Path) -> None:

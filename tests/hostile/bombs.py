@@ -132,9 +132,28 @@ def _record(kind: int, data: bytes, **fields: bytes) -> bytes:
     return struct.pack("<I", len(head)) + head + struct.pack("<I", len(data)) + data
 
 
+def bag_of(record: bytes) -> bytes:
+    """A bag of one record outside chunks."""
+    head = _record(3, b" ", index_pos=bytes(8), conn_count=bytes(4), chunk_count=bytes(4))
+    return b"#ROSBAG V2.0\n" + head + record
+
+
+SPOILED_RECORDS = {
+    "a message of no connection": _record(2, b"data", time=bytes(8)),
+    "a message of a short time": _record(2, b"data", conn=bytes(4), time=bytes(3)),
+    "a connection of no topic": _record(7, b"", conn=bytes(4)),
+    "a connection of junk": _record(7, b"ab", conn=bytes(4), topic=b"/x"),
+    "a head with spare bytes": struct.pack("<I", 11) + b"\4\0\0\0op=\2abc" + bytes(4),
+}
 _TOPICS = "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT)"
 _TOPIC = "INSERT INTO topics VALUES (1, '/a', 'sensor_msgs/msg/Image', 'cdr')"
 _ROWS = "INSERT INTO messages(topic_id, timestamp) VALUES (1, 1), (1, 2), (1, 3)"
+TEXT_TOPICS = (
+    _TOPICS,
+    _TOPIC,
+    "CREATE TABLE messages(topic_id TEXT, timestamp INTEGER, data BLOB)",
+    "INSERT INTO messages VALUES (1, 1, x'00'), (NULL, 1, x'00'), ('x', 'y', 'z')",
+)
 DATABASES = {
     "an endless view": (
         _TOPICS,

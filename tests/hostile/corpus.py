@@ -14,7 +14,9 @@ import numpy as np
 from hostile import bombs
 from hostile import messages as ros
 from hostile import seeds as of
+from hostile.bombs import SPOILED_RECORDS
 from hostile.case import Case, Content, Link, Pipe
+from hostile.container_cases import matroska, matroska_bytes, pictures
 from hostile.file_cases import (
     PLAYLISTS,
     npy_bytes,
@@ -29,6 +31,7 @@ from hostile.mcap_bytes import CHANNEL, CHUNK, MESSAGE, METADATA, SCHEMA, Record
 from hostile.seeds import Seeds
 from hostile.targets import HAND, HEAD, OUT
 from hostile.values import json_text, nested, utf8
+from support.kinect import calibration
 
 Builder = Callable[[Seeds], Case]
 CORPUS: dict[str, Builder] = {}
@@ -663,6 +666,35 @@ def bag_case(name: str, data: Callable[[], bytes], suffix: str) -> None:
 bag_case("bag that is a bomb", bombs.bag, ".bag")
 for _called, _statements in bombs.DATABASES.items():
     bag_case(f"database with {_called}", lambda statements=_statements: bombs.database(statements), ".db3")
+
+
+for _called, _record in SPOILED_RECORDS.items():
+    bag_case(f"bag with {_called} outside chunks", lambda record=_record: bombs.bag_of(record), ".bag")
+bag_case("database whose topics are text", lambda: bombs.database(bombs.TEXT_TOPICS), ".db3")
+bag_case(
+    "database of names that are not UTF-8",
+    lambda: bombs.database(bombs.TEXT_TOPICS).replace(b"CREATE TABLE topics", b"CREATE " + b"\xff" * 12),
+    ".db3",
+)
+for _called, _text in {"one word": "a" * 400_000, "endings": ".db3" * 100_000}.items():
+    add(
+        f"metadata.yaml of {_called}",
+        ("info", "r"),
+        lambda seeds, text=_text: {"r/metadata.yaml": text.encode(), "r/r_0.mcap": seeds.hand},
+    )
+for _number in range(3, len(pictures())):
+    for _name, _command in {"convert": READING["convert"], "hand run": RUN}.items():
+        add(
+            f"Kinect whose second frame is picture {_number}: {_name}",
+            tuple("r.mkv" if word == "r.mcap" else word for word in _command),
+            lambda seeds, number=_number: {
+                "r.mkv": matroska_bytes(
+                    matroska(
+                        (pictures()[0], pictures()[number], pictures()[1]), json.dumps(calibration()).encode()
+                    )
+                )
+            },
+        )
 
 
 # All of them

@@ -261,24 +261,6 @@ PLAYLISTS = (
 )
 
 
-BAG_MARKS = (b"op=", b"conn=", b"size=", b"time=", b"count=", b"index_pos=", b"chunk_pos=", b"compression=")
-PAGE_BYTES = 4096
-"""Of a database of SQLite."""
-
-
-@composite
-def changed_records(draw: st.DrawFn, data: bytes) -> bytes:
-    """A bag whose fields say something else, or a database whose pages lead elsewhere."""
-    out = bytearray(data)
-    marks = [at + len(mark) for mark in BAG_MARKS for at in range(len(out)) if out.startswith(mark, at)]
-    places = marks or list(range(0, len(out), PAGE_BYTES))
-    for _ in range(draw(st.integers(1, 4))):
-        place = draw(st.sampled_from(places)) + draw(st.sampled_from((0, 0, -8, 4, 8, 12, 100)))
-        new = draw(packed_numbers())
-        out[place : place + len(new)] = new
-    return bytes(out)
-
-
 @composite
 def changed_video(draw: st.DrawFn, data: bytes) -> bytes:
     """A video whose boxes, tables and frames are changed, or a text that leads players to other files."""

@@ -26,6 +26,7 @@ from hostile.invariant import violations
 from hostile.running import Harness, Outcome, Pool
 from hostile.seeds import Seeds, make_seeds
 from hostile.targets import TARGETS
+from posetrack_cli.damage import DAMAGED_HERE
 
 BATCH = 40
 """Cases of one target before it is the next one's turn."""
@@ -84,7 +85,8 @@ def failure_class(broken: list[str], outcome: Outcome) -> str:
     where = ":".join(places[-1]) if places and "Traceback" in text else ""
     if not where and outcome.stacks:
         where = ":".join(places[0]) if places else ""
-    bug = re.search(r"internal error: (\S+?):? .* at (posetrack_cli/\S+:\d+);", text)
+    said = f"(?:internal error:|{DAMAGED_HERE}, found)"
+    bug = re.search(said + r" (\S+?):? .* at (posetrack_cli/\S+:\d+);", text)
     if bug:
         return f"{bug.group(1)} {bug.group(2)}"
     error = re.findall(r"^(\w+(?:\.\w+)*(?:Error|Exception|Interrupt))\b", text, re.MULTILINE)

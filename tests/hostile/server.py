@@ -25,6 +25,8 @@ from contextlib import contextmanager, redirect_stdout, suppress
 from pathlib import Path
 from typing import Any
 
+from posetrack_cli.interpreter import module_command
+
 GIB = 1 << 30
 ADDRESS_BYTES = 6 * GIB
 """Of address space, beyond that of the idle process: threads and drivers reserve much that they never use."""
@@ -240,7 +242,7 @@ def _audited(folder: str, temporary: str) -> list[str]:
     def heard(event: str, arguments: tuple[Any, ...]) -> None:
         if events[-1:] == ["end"]:
             return
-        if event in REACHING or (event in SPAWNING and not _looks_for_libraries(arguments)):
+        if event in REACHING or (event in SPAWNING and not _is_own_process(arguments)):
             events.append(f"{event} {arguments!r}"[:500])
         elif (
             event == "open"
@@ -254,9 +256,12 @@ def _audited(folder: str, temporary: str) -> list[str]:
     return events
 
 
-def _looks_for_libraries(arguments: tuple[Any, ...]) -> bool:
-    """Whether a process is what ``ctypes.util.find_library`` starts: libGL and libEGL are found by it."""
-    return bool(arguments) and os.path.basename(str(arguments[0])) == "ldconfig"  # noqa: PTH119
+def _is_own_process(arguments: tuple[Any, ...]) -> bool:
+    """Whether a process is what tries a detector's model, or what finds libGL for ``ctypes.util``."""
+    if not arguments:
+        return False
+    is_trial = list(arguments[1:2]) == [module_command("posetrack_cli.head.detection.model_trial")]
+    return is_trial or os.path.basename(str(arguments[0])) == "ldconfig"  # noqa: PTH119
 
 
 def _check_written(events: list[str], event: str, path: Any, own: tuple[str, ...]) -> None:

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from hostile import messages as ros
 from hostile import seeds as of
 from hostile.case import Case, Content, Link, Pipe
+from hostile.container_cases import changed_bag, changed_database, changed_matroska, changed_metadata
 from hostile.file_cases import (
     changed_glb,
     changed_image,
     changed_npz,
-    changed_records,
     changed_stack,
     changed_video,
     resigned,
@@ -44,6 +44,7 @@ from hostile.values import (
     utf8,
 )
 from support import datasets as layouts
+from support.onnx_file import yunet_like
 from support.rvl import encoded as encoded_rvl
 
 Strategy = st.SearchStrategy[Case]
@@ -883,11 +884,50 @@ def bags(seeds: Seeds) -> Strategy:
     }.items():
         data = of.bag(kind)
         cases.append(made_of("bags", name, changed_bytes(data), of_recording(name)))
-        if kind in ("none", "db3"):
-            cases.append(made_of("bags", name, changed_records(data), of_recording(name)))
     folder: dict[str, Content] = {"r/metadata.yaml": b"relative_file_paths:\n  - r_0.db3\n  - r_1.db3\n"}
     cases.append(made_of("bags", "r/r_0.db3", changed_bytes(of.bag("db3")), of_recording("r"), **folder))
     return st.one_of(*cases)
+
+
+def bag(seeds: Seeds) -> Strategy:
+    """Records of bags of ROS 1."""
+    del seeds
+    return made_of("bag", "r.bag", changed_bag(), of_recording("r.bag"))
+
+
+def db3(seeds: Seeds) -> Strategy:
+    """Tables and rows of databases of ROS 2."""
+    del seeds
+    return made_of("db3", "r.db3", changed_database(), of_recording("r.db3"))
+
+
+def metadata(seeds: Seeds) -> Strategy:
+    """metadata.yaml of folders of ROS 2."""
+    own: dict[str, Content] = {"r/r_0.db3": of.bag("db3")}
+    mcap: dict[str, Content] = {"r/r_0.mcap": seeds.hand}
+    return st.one_of(
+        *(
+            made_of("metadata", "r/metadata.yaml", changed_metadata(), of_recording("r"), **parts)
+            for parts in (own, mcap)
+        )
+    )
+
+
+def mkv(seeds: Seeds) -> Strategy:
+    """Elements of an Azure Kinect's Matroska."""
+    del seeds
+    return made_of("mkv", "r.mkv", changed_matroska(), of_recording("r.mkv"))
+
+
+def detectors(seeds: Seeds) -> Strategy:
+    """Models of the face detector, as ONNX."""
+    kps = [-1.0, 0.0, 1.0, 0.0, 0.0, 0.5, -0.8, 2.0, 0.8, 2.0]
+    content = changed_bytes(yunet_like({"cls": [1.0], "obj": [1.0], "bbox": [0.0] * 4, "kps": kps}))
+    detector = ("--detector", "yunet", "--detector-model", "m.onnx")
+    words = ("head", "mono", "heads.mcap", "-o", "out.mcap", *HEAD, "--cameras", "left", "--passes", "1")
+    return made_of(
+        "detectors", "m.onnx", content, st.just((*words, *detector)), **{"heads.mcap": seeds.heads}
+    )
 
 
 def meshes(seeds: Seeds) -> Strategy:
@@ -998,6 +1038,11 @@ TARGETS: dict[str, Callable[[Seeds], Strategy]] = {
     "datasets": datasets,
     "videos": videos,
     "bags": bags,
+    "bag": bag,
+    "db3": db3,
+    "metadata": metadata,
+    "mkv": mkv,
+    "detectors": detectors,
     "meshes": meshes,
     "names": names,
 }

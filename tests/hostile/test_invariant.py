@@ -33,6 +33,10 @@ BROKEN = {
     "two lines": (replace(FAILED, error=2 * FAILED.error), "2 lines"),
     "a line without a failure": (replace(DONE, error=FAILED.error), "without a failure"),
     "internal error": (replace(FAILED, error=b"posetrack: internal error: ValueError\n"), "'internal error'"),
+    "damage that no adapter declares": (
+        replace(FAILED, error=b"posetrack: r.bag: is damaged here, found KeyError\n"),
+        "'is damaged here' is said",
+    ),
     "a warning": (replace(DONE, error=b"x.py:3: RuntimeWarning: overflow\n"), "foreign line"),
     "a library's line": (replace(FAILED, error=b"libpng error: bad\n" + FAILED.error), "foreign line"),
     "out of memory": (

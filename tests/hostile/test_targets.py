@@ -11,7 +11,7 @@ from hostile.running import Pool
 from hostile.seeds import Seeds
 from hostile.targets import TARGETS
 
-EXAMPLES = {"states": 8, "models": 10, "configurations": 8, "meshes": 3}
+EXAMPLES = {"states": 8, "models": 10, "configurations": 8, "meshes": 3, "detectors": 4}
 USUAL = 16
 """Cases of a target; those that track take longer, so they are fewer."""
 SLACK = 3.0

@@ -5,11 +5,13 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Iterator
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
 import pytest
 
 from posetrack_cli.errors import RecordingError
+from posetrack_cli.phases import Advance, phases_shown
 from posetrack_cli.recording import identity
 from posetrack_cli.recording.identity import file_digest, files_digest, known_digests, tell_digests
 
@@ -61,3 +63,22 @@ def test_names_and_order_of_files_count(tmp_path: Path) -> None:
 def test_what_is_missing_is_told(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="gone: cannot be read, found No such file"):
         file_digest(tmp_path / "gone")
+
+
+def test_long_reading_says_how_far_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In pieces of all files together; a short one says nothing."""
+    said: list[tuple[str, str, int | None]] = []
+    read: list[int] = []
+
+    def shows(name: str, unit: str, total: int | None) -> AbstractContextManager[Advance]:
+        said.append((name, unit, total))
+        return nullcontext(read.append)
+
+    monkeypatch.setattr(identity, "READ_BYTES", 4)
+    monkeypatch.setattr(identity, "LONG_BYTES", 12)
+    files = [(name, changed(tmp_path / name, b"12345678", 1)) for name in "ab"]
+    with phases_shown(shows):
+        file_digest(files[0][1])
+        assert said == read == []
+        files_digest(files)
+    assert said == [("reading for the SHA-256", "MiB", 4)] and sum(read) == 4

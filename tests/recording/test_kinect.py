@@ -6,11 +6,14 @@ import json
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
+from hostile.container_cases import matroska, matroska_bytes
 from posetrack_cli.cli.info import report_lines
 from posetrack_cli.errors import PosetrackError, RecordingError
+from posetrack_cli.recording.conversion import convert_recording
 from posetrack_cli.recording.guess import Guess
 from posetrack_cli.recording.kinect import camera_of_calibration
 from posetrack_cli.recording.opening import describe, open_recording
@@ -56,6 +59,35 @@ def test_depth_is_the_depth_track_s(tmp_path: Path) -> None:
     assert (recording.cameras[0].width, recording.cameras[0].distortion_model) == (320, "rational_polynomial")
     mirrored = next(open_recording(path, mirror=True).frames())
     np.testing.assert_array_equal(mirrored.depth, codes(0, (320, 288))[:, ::-1])
+
+
+FIRST = codes(0, (320, 288))
+OTHERS = {
+    "gray": FIRST.astype(np.uint8),
+    "rgb24": np.full((*FIRST.shape, 3), 90, np.uint8),
+    "rgba": np.full((*FIRST.shape, 4), 90, np.uint8),
+    "rgb48be": np.full((*FIRST.shape, 3), 900, np.uint16),
+    "rgba64be": np.full((*FIRST.shape, 4), 900, np.uint16),
+}
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_a_later_frame_of_another_format_is_left_out(tmp_path: Path, name: str) -> None:
+    """Also by ``convert``, whose result posetrack then reads."""
+    images = [FIRST, OTHERS[name], codes(2, (320, 288)), codes(3, (320, 288))[:100]]
+    frames = tuple(bytes(cv2.imencode(".png", image)[1]) for image in images)
+    path, out = tmp_path / "r.mkv", tmp_path / "out.mcap"
+    path.write_bytes(matroska_bytes(matroska(frames, json.dumps(calibration()).encode())))
+    recording = open_recording(path)
+    found = [(frame.index, frame.depth) for frame in recording.frames()]
+    assert [index for index, _ in found] == [0, 2]
+    np.testing.assert_array_equal([depth for _, depth in found], [images[0], images[2]])
+    assert [(loss.what, loss.first) for loss in recording.losses] == [
+        (f"image skipped, it is {name}, not gray16be as the others", "frame 1, video frame 1"),
+        ("image skipped, its size is 320x100, not 320x288 as of the others", "frame 3, video frame 3"),
+    ]
+    assert convert_recording(recording, out).frames == 2
+    assert len(list(open_recording(out).frames())) == 2
 
 
 def test_heads_are_tracked_in_its_colour(tmp_path: Path) -> None:

@@ -16,8 +16,9 @@ import pytest
 
 from posetrack_cli import limits
 from posetrack_cli.errors import RecordingError, UsageError
+from posetrack_cli.recording.guess import Guess
 from posetrack_cli.recording.opening import describe, open_recording
-from posetrack_cli.recording.video_file import opened_video
+from posetrack_cli.recording.video_file import CODECS, DECODERS, opened_container, opened_video
 
 COUNT, RATE = 12, 25.0
 CAMERA = "fx = 70.0\nfy = 71.0\ncx = 31.0\ncy = 24.0\n"
@@ -328,6 +329,41 @@ def test_frames_that_a_video_only_claims_cost_nothing(video: Path) -> None:
     recording = open_recording(video, "grey")
     assert len(list(recording.frames())) == COUNT
     assert all(loss.what == "video frame missing" for loss in recording.losses)
+
+
+@pytest.mark.parametrize("codec", ["magicyuv", "huffyuv", "snow", "flashsv", "cinepak", "utvideo"])
+def test_codecs_that_no_recording_uses_are_refused_by_name(
+    tmp_path: Path, codec: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Before their decoders are opened: FFmpeg would open one to find out what the pixels are."""
+    path = tmp_path / "v.avi"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream(codec, rate=10, options={"strict": "experimental"})
+        stream.width, stream.height = 64, 48
+        stream.pix_fmt = stream.codec.video_formats[0].name
+        for _ in range(3):
+            image = av.VideoFrame.from_ndarray(np.full((48, 64, 3), 90, np.uint8), format="rgb24")
+            container.mux(stream.encode(image.reformat(format=stream.pix_fmt)))
+        container.mux(stream.encode(None))
+    for read in (describe, lambda path: open_recording(path, "grey", guess=Guess())):
+        with pytest.raises(
+            RecordingError, match=rf"v\.avi: is a video of a codec .* found {codec}, expected h264"
+        ):
+            read(path)
+    with opened_container(path) as container:
+        (stream,) = container.streams.video
+        assert stream.codec_context.is_open is False and stream.pix_fmt is None
+    with av.open(str(path)) as container:  # what FFmpeg finds out where it may decode
+        assert container.streams.video[0].pix_fmt is not None
+
+
+def test_every_codec_of_the_list_has_a_decoder() -> None:
+    """As FFmpeg finds it by the number of the codec, which is how a container names it."""
+    for name in CODECS:
+        decoder = av.Codec(name, "r")
+        assert decoder.canonical_name == name and decoder.type == "video"
+        assert decoder.name in DECODERS.split(",")
+    assert {av.Codec(name, "r").canonical_name for name in DECODERS.split(",")} == set(CODECS)
 
 
 def test_a_video_that_grows_within_is_not_decoded_beyond_the_bound(

@@ -9,7 +9,7 @@ import pytest
 from posetrack_cli.errors import RenderingError
 from posetrack_cli.rendering import devices
 from posetrack_cli.rendering.cpu.device import CpuDevice
-from posetrack_cli.rendering.devices import CPU, open_fastest_device
+from posetrack_cli.rendering.devices import CPU, open_fastest_device, open_usual_device
 from posetrack_cli.rendering.port import RendererInfo
 
 
@@ -64,6 +64,19 @@ def test_what_is_chosen_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     with_machine(monkeypatch, True, None)
     with pytest.raises(RenderingError, match="no headless context"):
         open_fastest_device(0)
+
+
+def test_pictures_are_drawn_by_the_driver_and_without_one_by_the_processor(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    opened = with_machine(monkeypatch, False, "llvmpipe")
+    assert open_usual_device() is opened[0] and not opened[0].closed
+    assert isinstance(open_usual_device(CPU), CpuDevice)
+    assert open_usual_device(3).info.renderer == "card 3"
+    with_machine(monkeypatch, False, None)
+    assert isinstance(open_usual_device(), CpuDevice)
+    with pytest.raises(RenderingError, match="no headless context"):
+        open_usual_device(0)
 
 
 def test_the_processor_opens_opengl_once_for_textured_surfaces(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -70,6 +70,16 @@ def test_shares_of_one_result_join_to_it(whole: Path, cuts: set[int]) -> None:
     }
 
 
+def test_processors_of_all_pieces_are_stated(tmp_path: Path) -> None:
+    kinds = ("openblas Zen", "openblas Haswell", "openblas Zen")
+    pieces = [tmp_path / f"{k}.mcap" for k in range(3)]
+    for piece, kind in zip(pieces, kinds, strict=True):
+        write_result(piece, FRAMES, run=RUN | {"processor": kind})
+    shares = [Share(piece, k, k + 1) for k, piece in enumerate(pieces)]
+    join_results(shares, tmp_path / "joined.mcap", CHANGES)
+    assert read_result(tmp_path / "joined.mcap").run["processor"] == "openblas Zen; openblas Haswell"
+
+
 def test_frames_come_from_their_own_share(tmp_path: Path) -> None:
     """Pieces overlap, and each frame is that of the piece whose own it is."""
     first, second = write_result(tmp_path / "first.mcap", FRAMES), tmp_path / "second.mcap"

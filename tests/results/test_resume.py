@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import re
 import shutil
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -33,10 +35,10 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     return write_result(tmp_path_factory.mktemp("whole") / "r.mcap", FRAMES).read_bytes()
 
 
-def killed(folder: Path, frames: int) -> Path:
+def killed(folder: Path, frames: int, run: Mapping[str, str] = RUN) -> Path:
     """Return a result in the state in which a kill after so many frames leaves the disk."""
     (folder / "live").mkdir()
-    writer = begin(folder / "live" / "r.mcap")
+    writer = begin(folder / "live" / "r.mcap", run=run)
     write_frames(writer, 0, frames)
     for path in (folder / "live").iterdir():
         shutil.copy(path, folder)  # what is in the process's buffers stays behind
@@ -133,6 +135,34 @@ def test_another_run_record_is_refused_and_named(tmp_path: Path) -> None:
     assert isinstance(error, UsageError)
     assert "found extra=nothing seed=1, expected extra=x seed=2; resume with the options" in str(error)
     assert "version" not in str(error)
+
+
+def test_a_recording_that_is_typed_otherwise_is_the_same(tmp_path: Path) -> None:
+    """From another folder, or after it has moved: its SHA-256 counts."""
+    path = killed(tmp_path, 12)
+    for place in ("elsewhere/r.mcap", "r.mcap"):
+        writer, checkpoint = ResultWriter.resume(path, SUBJECT, CAMERA, RUN | {"input.path": place})
+        write_frames(writer, checkpoint.frame_index + 1, FRAMES)
+        writer.abort()
+
+
+@pytest.mark.parametrize(
+    ("key", "then", "now", "words"),
+    [
+        ("sources", "0123", "4567", "build of posetrack, so .* found 0123, expected 4567"),
+        ("libraries", "numpy 2.4, scipy 1.1", "numpy 2.5, scipy 1.1", "found numpy 2.4, expected numpy 2.5"),
+        ("processor", "x86_64, openblas A", "x86_64, openblas B", "found openblas A, expected openblas B"),
+        ("sources", None, "4567", "found nothing, expected 4567"),
+    ],
+)
+def test_what_another_posetrack_began_is_refused(
+    tmp_path: Path, key: str, then: str | None, now: str, words: str
+) -> None:
+    begun = RUN if then is None else RUN | {key: then}
+    path = killed(tmp_path, 12, run=begun)
+    error = refused(path, run=RUN | {key: now, "configuration": "of another default"})
+    assert re.search(f"the unfinished result is of another .*{words}", str(error))
+    assert "start again with --overwrite" in str(error) and "configuration" not in str(error)
 
 
 def other_subject() -> Subject:

@@ -28,6 +28,7 @@ from posetrack_cli.tracking.state_codec import whole
 from posetrack_cli.tracking.two_pass import within_first_pass, within_second_pass
 from soaking import disks
 from soaking.__main__ import main
+from soaking.batches import BatchKilling, WholeBatch
 from soaking.cases import Case, Recordings
 from soaking.disks import sizes_of
 from soaking.findings import Findings
@@ -220,3 +221,42 @@ def test_a_folder_of_depth_images_goes_to_and_fro(tmp_path: Path) -> None:
     frames = list(open_recording(tmp_path / "long", fps=30.0).frames())
     assert [int(frame.images[0][0, 0]) for frame in frames] == [600, 601, 602, 601, 600, 601]
     assert len({frame.stamp_ns for frame in frames}) == 6
+
+
+BATCH = """
+import os, pathlib, sys, time
+flaw, folder = sys.argv[1], pathlib.Path(sys.argv[3])
+folder.mkdir(exist_ok=True)
+if not (begun := folder / "begun").exists():
+    begun.touch()
+    time.sleep(60)
+(folder / "a.mcap").write_bytes(b"other" if flaw == "resumes wrongly" else b"result")
+if flaw == "leaves pieces":
+    (folder / "a.pieces").mkdir()
+if flaw == "crashes":
+    sys.exit("Traceback")
+"""
+
+
+def killed_batch(folder: Path, flaw: str) -> list[str]:
+    case = Case("batch", (flaw,), 1, program=(sys.executable, "-c", BATCH))
+    killing = BatchKilling(case, WholeBatch({"a.mcap": b"result"}, 2.0), folder, random.Random(0))
+    told = list(killing.run(["batch"]))
+    assert killing.killed == {"batch": 1}
+    return told
+
+
+def test_a_killed_batch_that_comes_to_the_same_bytes_is_fine(tmp_path: Path) -> None:
+    assert killed_batch(tmp_path / "run", "none") == []
+
+
+@pytest.mark.parametrize(
+    ("flaw", "words"),
+    [
+        ("resumes wrongly", ["results differ from an uninterrupted batch's after 1 kills"]),
+        ("leaves pieces", ["left behind: a.pieces"]),
+        ("crashes", ["exit code 1, expected 0; said: Traceback", "a traceback; said: Traceback"]),
+    ],
+)
+def test_what_is_wrong_with_a_killed_batch_is_told(tmp_path: Path, flaw: str, words: list[str]) -> None:
+    assert killed_batch(tmp_path / "run", flaw) == words

@@ -40,7 +40,7 @@ class Commands:
 def commands(monkeypatch: pytest.MonkeyPatch) -> Commands:
     made = Commands()
     monkeypatch.setattr(steps, "command", made)
-    monkeypatch.setattr(steps, "code_digest", lambda: "a tracker")
+    monkeypatch.setattr(steps, "source_digest", lambda: "a tracker")
     monkeypatch.setattr(steps, "drawing_digest", lambda: "faces")
     return made
 
@@ -60,7 +60,7 @@ def test_other_code_makes_again_what_depends_on_it(
     tmp_path: Path, commands: Commands, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run_chain(CHAIN, tmp_path)
-    monkeypatch.setattr(steps, "code_digest", lambda: "another tracker")
+    monkeypatch.setattr(steps, "source_digest", lambda: "another tracker")
     run_chain(CHAIN, tmp_path)
     monkeypatch.setattr(steps, "drawing_digest", lambda: "other faces")
     run_chain(CHAIN, tmp_path)
@@ -88,11 +88,11 @@ def test_an_output_that_could_not_be_made_again_is_not_taken_for_the_new_one(
     tmp_path: Path, commands: Commands, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run_chain(CHAIN, tmp_path)
-    monkeypatch.setattr(steps, "code_digest", lambda: "another tracker")
+    monkeypatch.setattr(steps, "source_digest", lambda: "another tracker")
     commands.fails = "stereo"
     with pytest.raises(PosetrackError):
         run_chain(CHAIN, tmp_path)
-    monkeypatch.setattr(steps, "code_digest", lambda: "a tracker")
+    monkeypatch.setattr(steps, "source_digest", lambda: "a tracker")
     assert not is_current(TRACKED, tmp_path)
 
 

@@ -109,12 +109,12 @@ def test_what_has_changed_is_made_again(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr(tasks, "command", fake_command(done))
     task = Task("a", ("--frames", "3"), entrants=("rigid",))
     task.run(tmp_path)
-    monkeypatch.setattr(tasks, "code_digest", lambda: "of another tracker")
+    monkeypatch.setattr(tasks, "source_digest", lambda: "of another tracker")
     assert not task.is_current(tmp_path, "rigid")
     task.run(tmp_path)
     assert [arguments[1] for arguments in done] == ["synth", "stereo", "stereo"]  # the recording was kept
     monkeypatch.setattr(tasks, "drawing_digest", lambda: "of other faces")
-    monkeypatch.setattr(tasks, "code_digest", lambda: "of all of that")
+    monkeypatch.setattr(tasks, "source_digest", lambda: "of all of that")
     task.run(tmp_path)
     assert [arguments[1] for arguments in done[3:]] == ["synth", "stereo"]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -86,9 +87,9 @@ def write_frames(writer: ResultWriter, start: int, end: int) -> None:
             writer.save_checkpoint(checkpoint_at(writer, index))
 
 
-def begin(path: Path, **options: object) -> ResultWriter:
+def begin(path: Path, run: Mapping[str, str] = RUN, **options: object) -> ResultWriter:
     """Return a writer that has saved the checkpoint of no frame and attached its model."""
-    writer = ResultWriter(path, SUBJECT, CAMERA, RUN, **options)
+    writer = ResultWriter(path, SUBJECT, CAMERA, run, **options)
     writer.save_checkpoint(checkpoint_at(writer, -1))
     writer.attach("model.txt", "text/plain", b"a model")
     return writer

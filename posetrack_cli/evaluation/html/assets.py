@@ -9,7 +9,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from posetrack_cli import __version__
+from posetrack_cli.build import version
 from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.html.components import readable
 from posetrack_cli.evaluation.html.summary import described
@@ -64,7 +64,7 @@ def rendered(template: str, title: str, names: Iterable[str], /, **context: Any)
     from markupsafe import Markup
 
     style, script = asset("report.css"), scripts(names)
-    shared = {"title": title, "version": __version__, "policy": policy(style, script)}
+    shared = {"title": title, "version": version(), "policy": policy(style, script)}
     return (
         _environment()
         .get_template(template)

@@ -53,10 +53,22 @@ class Component:
 def components(evaluation: Evaluation) -> Iterator[Component]:
     """Yield the components that the track has, in the order in which the page lists them."""
     body = KINDS[evaluation.subject].body
+    yield from leading_components(evaluation)
     yield from _positions(evaluation, f"{body} position")
-    yield from _rotations(evaluation, f"{body} rotation")
+    if not KINDS[evaluation.subject].expressions:
+        yield from _angles(evaluation, f"{body} rotation")
+    yield from _quaternions(evaluation, f"{body} rotation, quaternion")
     yield from _shapes(evaluation)
     yield from _velocities(evaluation, body)
+
+
+def leading_components(evaluation: Evaluation) -> Iterator[Component]:
+    """Yield what a page of a subject with expressions begins with: how it is turned, and what it does."""
+    kind = KINDS[evaluation.subject]
+    if kind.expressions:
+        group = f"{kind.body} angles and expressions"
+        yield from _angles(evaluation, group)
+        yield from _expressions(evaluation, group, kind.expressions)
 
 
 def matched_truth(
@@ -105,7 +117,7 @@ def _positions(evaluation: Evaluation, group: str) -> Iterator[Component]:
         yield from _columns(group, AXES, "mm", track.position, truth, variance)
 
 
-def _rotations(evaluation: Evaluation, group: str) -> Iterator[Component]:
+def _angles(evaluation: Evaluation, group: str) -> Iterator[Component]:
     track = evaluation.track
     if track.quaternion is None:
         return
@@ -120,9 +132,27 @@ def _rotations(evaluation: Evaluation, group: str) -> Iterator[Component]:
     spread = None if track.pose_variance is None else track.pose_variance[:, 3:6]
     variance = None if spread is None else euler_variance(track.quaternion, spread, angles_of) * DEG**2
     yield from _columns(group, EULER, "deg", angles, true_angles, variance)
-    q = _continuous(track.quaternion)
-    variance = None if spread is None else quaternion_variance(q, spread)
-    yield from _columns(f"{group}, quaternion", (*AXES, "w"), "", q, _same_sign(truth, q), variance)
+
+
+def _quaternions(evaluation: Evaluation, group: str) -> Iterator[Component]:
+    track = evaluation.track
+    if track.quaternion is None:
+        return
+    truth, q = matched_truth(evaluation, lambda other: other.quaternion), _continuous(track.quaternion)
+    variance = None if track.pose_variance is None else quaternion_variance(q, track.pose_variance[:, 3:6])
+    yield from _columns(group, (*AXES, "w"), "", q, _same_sign(truth, q), variance)
+
+
+def _expressions(evaluation: Evaluation, group: str, names: tuple[str, ...]) -> Iterator[Component]:
+    """Expressions in shares of the full one; ``action_jaw_open`` is called ``jaw open``."""
+    track = evaluation.track
+    columns = {} if track.numbers is None else dict(zip(track.number_names, track.numbers.T, strict=True))
+    for name in names:
+        if name in columns:
+            deviation = columns.get(f"{name}_sd")
+            label = readable(name.partition("_")[2])
+            half = None if deviation is None else INSIDE_90 * deviation
+            yield Component(group, label, "", columns[name], None, half)
 
 
 def _shapes(evaluation: Evaluation) -> Iterator[Component]:

@@ -131,7 +131,8 @@ def chosen_by(evaluation: Evaluation) -> str:
         if error
         else "Without truth: lost frames first, then the least confidence"
     )
-    return f"{what}; at least {APART_NS / NS_PER_S:g} s apart."
+    truth = "" if evaluation.truth is None else " The truth is green."
+    return f"{what}; at least {APART_NS / NS_PER_S:g} s apart.{truth}"
 
 
 def _figure(picture: Picture) -> Figure:

@@ -12,6 +12,7 @@ from posetrack_cli.geometry.euler import EULER_ORDER
 
 FIRST = (
     "version",
+    "sources",
     "tracker",
     "input.name",
     "input.sha256",

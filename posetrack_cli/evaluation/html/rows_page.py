@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 
 from posetrack_cli.evaluation.comparing.comparison import Comparison
-from posetrack_cli.evaluation.gates import GateOutcome
+from posetrack_cli.evaluation.gates import GateOutcome, gates_line
 from posetrack_cli.evaluation.html.assets import rendered, write_page
 from posetrack_cli.evaluation.html.summary import Notice, described, differences
 from posetrack_cli.evaluation.metrics.catalogue import metric_of
@@ -69,7 +69,7 @@ def rows_page(page: RowsPage) -> str:
         page.title or f"{len(evaluations)} results",
         SCRIPTS,
         most_unfolded=MOST_UNFOLDED,
-        lead=_lead(page, failed),
+        lead=f"{said[:1].upper()}{said[1:]}." if (said := gates_line(page.outcomes)) else "",
         notices=[Notice(f"Baseline: {note}") for note in page.notes],
         missing=page.missing,
         failed=[("", one.line) for one in failed],
@@ -78,12 +78,6 @@ def rows_page(page: RowsPage) -> str:
         remarks=page.remarks,
         notes=closing_lines(evaluations),
     )
-
-
-def _lead(page: RowsPage, failed: Sequence[GateOutcome]) -> str:
-    if not page.outcomes:
-        return ""
-    return f"{len(failed)} of {len(page.outcomes)} gates failed." if failed else "All gates passed."
 
 
 @dataclass(frozen=True)

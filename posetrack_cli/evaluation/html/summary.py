@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from posetrack_cli.evaluation.comparing.comparison import Comparison
 from posetrack_cli.evaluation.evaluation import Evaluation, Statistics
 from posetrack_cli.evaluation.figures import figure_of, key_figures
+from posetrack_cli.evaluation.html.components import leading_components
 from posetrack_cli.evaluation.metrics.catalogue import label_and_unit, metric_of, split_address
 from posetrack_cli.evaluation.pooling import Pool
 from posetrack_cli.evaluation.reports.comparison_table import comparison_lines, comparison_tables
@@ -103,9 +106,26 @@ class LeadError:
 
 
 @dataclass(frozen=True)
-class Lead:
-    """The sentence that a page of one result begins with: coverage and the main errors, as text."""
+class LeadRange:
+    """The least and largest value of a component while it was tracked, as text."""
 
+    label: str
+    unit: str
+    low: str
+    high: str
+
+
+@dataclass(frozen=True)
+class Lead:
+    """What a page of one result begins with, as text.
+
+    Attributes:
+        ranges: how a head is turned and what its face does; empty of other subjects.
+        share, due, lost: coverage.
+        errors: the main ones; angles come first where the page begins with them.
+    """
+
+    ranges: tuple[LeadRange, ...]
     share: str
     due: int
     lost: int
@@ -119,11 +139,24 @@ def lead(evaluations: Sequence[Evaluation]) -> Lead | None:
     (evaluation,) = evaluations
     coverage = evaluation.coverage
     errors = []
-    for name in KINDS[evaluation.subject].lead:
+    kind = KINDS[evaluation.subject]
+    for name in sorted(kind.lead, key=lambda name: bool(kind.expressions) and not name.endswith("_deg")):
         value = evaluation.metrics.get(name)
         if isinstance(value, Statistics) and value.count:
             errors.append(LeadError(*label_and_unit(name), shown(value.mean), shown(value.p95)))
-    return Lead(shown(coverage.share), coverage.frames + coverage.missed, coverage.lost, tuple(errors))
+    due, ranges = coverage.frames + coverage.missed, tuple(_ranges(evaluation))
+    return Lead(ranges, shown(coverage.share), due, coverage.lost, tuple(errors))
+
+
+def _ranges(evaluation: Evaluation) -> Iterator[LeadRange]:
+    """Yield the ranges of the leading components over the frames that are not lost."""
+    lost = evaluation.track.lost
+    for one in leading_components(evaluation):
+        values = one.estimate if lost is None else one.estimate[~lost]
+        values = values[np.isfinite(values)]
+        if values.size:
+            low, high = (f"{value:z.{1 if one.unit else 2}f}" for value in (values.min(), values.max()))
+            yield LeadRange(one.label, one.unit, low, high)
 
 
 def decisive_rows(evaluations: Sequence[Evaluation]) -> list[Row]:

@@ -24,6 +24,7 @@ from posetrack_cli.evaluation.html.summary import (
     unmeasured,
 )
 from posetrack_cli.evaluation.pooling import Pool
+from posetrack_cli.evaluation.subjects import KINDS
 
 SCRIPTS = (
     "format",
@@ -93,6 +94,7 @@ def html_page(page: ReportPage) -> str:
         SCRIPTS,
         names=[one.name for one in evaluations],
         lead=lead(evaluations),
+        begins_with_angles=any(KINDS[one.subject].expressions for one in evaluations),
         notices=notices(evaluations),
         gallery={"groups": groups(evaluations, chosen), "dropped": chosen.dropped},
         key=decisive_rows(evaluations),

@@ -27,7 +27,7 @@ from posetrack_cli.hand.segmentation import PredictedHand, segment
 from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.recording import Recording
-from posetrack_cli.rendering.devices import open_device
+from posetrack_cli.rendering.devices import open_usual_device
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.rendering.sums import Comparison, TileSums
 from posetrack_cli.results.reader import Result
@@ -111,7 +111,7 @@ def image_consistency(
     Args:
         result: of a hand.
         recording: what it was made from (``search_recording``); every frame is read once.
-        device: EGL device index, None for the default.
+        device: EGL device index, None for the default, or the processor without OpenGL.
         which: of its tracks.
 
     Returns:
@@ -126,7 +126,7 @@ def image_consistency(
     if not len(track):
         return {}
     (camera,) = cameras_of(result, recording)
-    with closing(open_device(device)) as drawing:
+    with closing(open_usual_device(device)) as drawing:
         residual, overlap = _compared(track, recording, HandConsistency(drawing, hand, camera)).T
     return {} if np.isnan(overlap).all() else {"residual_mm": residual, "region_overlap": overlap}
 

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 
 from posetrack_cli.evaluation.evaluation import Evaluation
-from posetrack_cli.evaluation.gates import GateOutcome
+from posetrack_cli.evaluation.gates import GateOutcome, gates_line
 from posetrack_cli.evaluation.reports.row_table import MOST_SHOWN, NEW, shown_change, total_lines
 from posetrack_cli.evaluation.reports.table import ABSENT, shown
 from posetrack_cli.evaluation.rows import ResultRow, ResultSet, heading
@@ -34,7 +34,7 @@ def markdown_report(
         most: how many results are listed, the worst; 0 for all.
     """
     failed = [one for one in outcomes if one.failed]
-    lines = [f"## {_verdict(sets, outcomes, failed)}", ""]
+    lines = [f"## {_heading_of(sets, outcomes, failed)}", ""]
     if failed:
         rows = [_failure(one) for one in failed[:MOST_FAILED]]
         lines += _table(("failed gate", "result", "why"), rows, numbers=False)
@@ -51,16 +51,15 @@ def markdown_report(
     return "\n".join(lines).rstrip("\n") + "\n"
 
 
-def _verdict(
+def _heading_of(
     sets: Sequence[ResultSet], outcomes: Sequence[GateOutcome], failed: Sequence[GateOutcome]
 ) -> str:
     count = sum(len(one.rows) for one in sets)
     of = f"{count} result{'' if count == 1 else 's'}"
     if not outcomes:
         return f"posetrack eval: {of}"
-    if failed:
-        return f"\u274c posetrack eval: {len(failed)} of {len(outcomes)} gates failed, {of}"
-    return f"\u2705 posetrack eval: all {len(outcomes)} gates passed, {of}"
+    sign = "\u274c" if failed else "\u2705"
+    return f"{sign} posetrack eval: {gates_line(outcomes)}, {of}"
 
 
 def _failure(one: GateOutcome) -> tuple[str, ...]:

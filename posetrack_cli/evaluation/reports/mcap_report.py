@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 from mcap.records import Attachment, Channel, Schema
 
-from posetrack_cli import __version__, limits
+from posetrack_cli import limits
 from posetrack_cli.arrays import FloatArray
+from posetrack_cli.build import version
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.evaluation.assessment import Assessment, Request, stated_options
 from posetrack_cli.evaluation.evaluate import evaluate
@@ -246,7 +247,7 @@ def _record(
         "gates": [vars(outcome) for outcome in found.outcomes if outcome.result in names],
     }
     stated = {key: json.dumps(finite(value), allow_nan=False) for key, value in values.items()}
-    return {"format": FORMAT, "version": __version__, **stated, **_truth(path, request, evaluations)}
+    return {"format": FORMAT, "version": version(), **stated, **_truth(path, request, evaluations)}
 
 
 def _truth(path: Path, request: Request, evaluations: Sequence[Evaluation]) -> dict[str, str]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -13,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from posetrack_cli import __version__
+from posetrack_cli.build import version
+from posetrack_cli.csv_rows import csv_of
 from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.comparing.comparison import Comparison
 from posetrack_cli.evaluation.evaluation import STATISTIC_NAMES, Curve, Evaluation, Statistics, Value
@@ -97,7 +96,7 @@ def json_report(
     """
     report = {
         "format": FORMAT,
-        "version": __version__,
+        "version": version(),
         "options": dict(options),
         "layout": "rows" if rows else "columns",
         "results": [_row(one) if rows else _result(one) for one in evaluations],
@@ -240,16 +239,11 @@ def csv_report(
     ``p_value`` or ``pairs``; of results that are pooled ``result`` is the pool's name. Values have all their
     digits; those that are not finite are ``nan`` or ``inf``.
     """
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(HEADER)
     every: list[Evaluation | Pool] = [*evaluations, *(pool for pool in pools if pool.says_more)]
-    for one in every:
-        for base, value in one.metrics.items():
-            writer.writerows(_lines(one.name, base, value))
-    if comparison is not None:
-        writer.writerows(_differences(comparison))
-    return text.getvalue()
+    lines = [
+        line for one in every for base, value in one.metrics.items() for line in _lines(one.name, base, value)
+    ]
+    return csv_of([HEADER, *lines, *(() if comparison is None else _differences(comparison))])
 
 
 def csv_rows(sets: Sequence[ResultSet]) -> str:
@@ -261,14 +255,12 @@ def csv_rows(sets: Sequence[ResultSet]) -> str:
     rows = [row for one in sets for row in (*one.rows, one.total)]
     bases = sorted(dict.fromkeys(base for row in rows for base in row.measured.metrics), key=place_of)
     figures = [f"{base}{ending}" for base in bases for ending in _endings(base)]
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["result", "subject", "track", "gates_failed", *figures])
+    lines: list[list[float | str]] = [["result", "subject", "track", "gates_failed", *figures]]
     for row in rows:
         one = row.measured
         values = [figure for base in bases for figure in _values(base, one.metrics.get(base))]
-        writer.writerow([one.name, one.subject, one.which, row.failed, *values])
-    return text.getvalue()
+        lines.append([one.name, one.subject, one.which, row.failed, *values])
+    return csv_of(lines)
 
 
 def _endings(base: str) -> Sequence[str]:
@@ -320,9 +312,5 @@ def curve_report(evaluations: Sequence[Evaluation]) -> str:
         raise UsageError("no curve: no result of a hand has a truth with joints", found=names)
     columns = [next(iter(curves.values())).thresholds_mm]
     columns += [shares for curve in curves.values() for shares in (curve.share, curve.mean_share)]
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["d_mm", *(f"{name} {kind}" for name in curves for kind in KINDS)])
-    for row in np.stack(columns, axis=1).tolist():
-        writer.writerow([f"{row[0]:g}", *row[1:]])
-    return text.getvalue()
+    header = ["d_mm", *(f"{name} {kind}" for name in curves for kind in KINDS)]
+    return csv_of([header, *([f"{row[0]:g}", *row[1:]] for row in np.stack(columns, axis=1).tolist())])

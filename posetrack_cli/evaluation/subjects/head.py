@@ -7,6 +7,7 @@ from posetrack_cli.evaluation.metrics.landmark_metrics import landmark_metrics
 from posetrack_cli.evaluation.metrics.measures import Matched, Measures
 from posetrack_cli.evaluation.metrics.metric import Metric
 from posetrack_cli.evaluation.subjects.kind import SubjectKind
+from posetrack_cli.head.actions import ACTION_NAMES
 from posetrack_cli.head.subject import RIGHT_DEG, RIGHT_MM
 from posetrack_cli.results.reader import Result
 
@@ -83,4 +84,5 @@ HEAD = SubjectKind(
     right={"rotation_deg": RIGHT_DEG, "point_error_mm": RIGHT_MM},
     far={"rotation_deg": FAR_DEG},
     measure_of_result=_landmarks,
+    expressions=tuple(name for name in ACTION_NAMES if not name.endswith("_sd")),
 )

@@ -48,6 +48,8 @@ class SubjectKind:
         worst_by: those of its metrics that say how bad a frame is; the first counts that an evaluation has.
         measure_of_result: adds metrics that need more of the result than its track, such as its camera; None
             where there are none.
+        expressions: those of a result's numbers that say what it does, in shares; each has its deviation as
+            ``NAME_sd``. A page of such a subject begins with them, and with how it is turned.
         remove_offsets: takes a constant offset of each point out of an estimate; None where none is meant.
         compare_images: measures against depth images; None where there are none.
     """
@@ -68,6 +70,7 @@ class SubjectKind:
     right: Mapping[str, float] = field(default_factory=dict)
     far: Mapping[str, float] = field(default_factory=dict)
     measure_of_result: MeasureOfResult | None = None
+    expressions: tuple[str, ...] = ()
     remove_offsets: RemoveOffsets | None = None
     compare_images: CompareImages | None = None
 

@@ -138,10 +138,11 @@ class DepthScene:
         return self.viewport.cut(self.whole)
 
     def rendered(self, drawn: DrawnEstimate) -> ImageArray:
-        """The estimate alone."""
+        """The estimate, and the truth's contour, on black."""
         width, height = self.viewport.size
         picture = np.zeros((height, width, 3), dtype=np.uint8)
         self._draw(picture, drawn)
+        self._outline_truth(picture)
         return marked(picture, drawn.mark)
 
     def segments(self, drawn: DrawnEstimate) -> ImageArray:
@@ -151,6 +152,7 @@ class DepthScene:
             drawn.of.segments.paint(ground, self.instant.frame.depth, drawn.shown)
         picture = np.ascontiguousarray(self.viewport.cut(ground))
         drawn.outline(self._canvas(picture), _BONE)
+        self._outline_truth(picture)
         return marked(picture, drawn.mark)
 
     def over(self, *estimates: DrawnEstimate) -> ImageArray:
@@ -160,8 +162,7 @@ class DepthScene:
         for drawn in estimates:
             self._draw(painted, drawn)
         picture: ImageArray = cv2.addWeighted(painted, _OPACITY, ground, 1.0 - _OPACITY, 0.0)
-        if self.instant.truth is not None:
-            self.instant.truth.outline(self._canvas(picture), TRUTH)
+        self._outline_truth(picture)
         marks = [drawn.mark for drawn in estimates if drawn.mark is not None]
         return marked(picture, marks[0] if marks else None)
 
@@ -180,6 +181,10 @@ class DepthScene:
         drawn.draw(canvas)
         if self.skeleton is not None:
             self.skeleton.draw(canvas, drawn.shown, _BONE)
+
+    def _outline_truth(self, picture: ImageArray) -> None:
+        if self.instant.truth is not None:
+            self.instant.truth.outline(self._canvas(picture), TRUTH)
 
     def _ink(self, drawn: DrawnEstimate) -> Colour:
         return drawn.mark or (drawn.of.colour if len(self.instant.estimates) > 1 else TEXT)

@@ -93,7 +93,7 @@ class Drawer(Protocol):
         """Paint what is shown; ``colour`` is of what has none of its own."""
 
     def outline(self, canvas: Canvas, shown: Shown, colour: Colour) -> None:
-        """Paint a line drawing that leaves what is below it visible."""
+        """Paint a line drawing in this colour, such as the truth's: an estimate is seen over or below it."""
 
 
 class Segments(Protocol):
@@ -119,21 +119,25 @@ class SkeletonDrawer:
 
     def draw(self, canvas: Canvas, shown: Shown, colour: Colour) -> None:
         """Paint bones, points and axes; see ``Drawer``."""
-        self.outline(canvas, shown, colour)
+        self._paint(canvas, shown, colour, AXIS_COLOURS, 0)
+
+    def outline(self, canvas: Canvas, shown: Shown, colour: Colour) -> None:
+        """Paint the same in one colour and so wide that an estimate over it is seen with a rim."""
+        self._paint(canvas, shown, colour, (colour,) * 3, 2 * canvas.thickness)
+
+    def _paint(
+        self, canvas: Canvas, shown: Shown, colour: Colour, of_axes: Sequence[Colour], wider: int
+    ) -> None:
+        if shown.points is not None:
+            bones = [(parent, child) for child, parent in enumerate(self.parents) if parent >= 0]
+            for line in (*bones, *self.lines):
+                canvas.draw_line(shown.points[list(line)], colour, canvas.thickness + wider)
+            canvas.draw_dots(shown.points, colour, 2 * canvas.thickness + wider // 2)
         if not self.axes or shown.position is None or shown.quaternion is None:
             return
         ends = shown.position + AXIS_MM * rotations.matrices_from_quaternions(shown.quaternion).T
-        for end, axis_colour in zip(ends, AXIS_COLOURS, strict=True):
-            canvas.draw_line(np.stack([shown.position, end]), axis_colour, 2 * canvas.thickness)
-
-    def outline(self, canvas: Canvas, shown: Shown, colour: Colour) -> None:
-        """Paint bones, lines and points."""
-        if shown.points is None:
-            return
-        bones = [(parent, child) for child, parent in enumerate(self.parents) if parent >= 0]
-        for line in (*bones, *self.lines):
-            canvas.draw_line(shown.points[list(line)], colour, canvas.thickness)
-        canvas.draw_dots(shown.points, colour, 2 * canvas.thickness)
+        for end, axis_colour in zip(ends, of_axes, strict=True):
+            canvas.draw_line(np.stack([shown.position, end]), axis_colour, 2 * canvas.thickness + wider)
 
 
 def _fixed_point(pixels: FloatArray) -> Sequence[tuple[int, int]]:

@@ -13,10 +13,12 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.anatomy import JOINT_PARENTS, HandAnatomy
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.forearm import transforms_with_forearm
+from posetrack_cli.hand.forearm_confidence import LEAST_CONFIDENCE
 from posetrack_cli.hand.inner import THUMB, inner_of
 from posetrack_cli.hand.kinematics import skinning_transforms
 from posetrack_cli.hand.model import HandModel
 from posetrack_cli.hand.observation import PixelSampler, window_around
+from posetrack_cli.hand.protocol import forearm_confidence_of
 from posetrack_cli.hand.segmentation import Label, PredictedHand, Segmentation, segment
 from posetrack_cli.rendering.port import DepthRenderer, RenderingDevice
 from posetrack_cli.rendering.window import Window
@@ -74,15 +76,15 @@ class HandDrawer:
         """Paint the hand's contour."""
         depth = self.depth(canvas.camera, shown)
         if depth is None:
-            self._skeleton.outline(canvas, shown, colour)
+            self._skeleton.draw(canvas, shown, colour)  # thin lines, over a hand that is filled
         else:
             canvas.picture[_rim(depth > 0)] = colour
             self._outline_arm(canvas, shown, depth > 0)
 
     def _outline_arm(self, canvas: Canvas, shown: Shown, hand: BoolArray) -> None:
-        """Paint the forearm's contour, where one was explained behind a hand that covers (h, w) pixels."""
+        """Paint the forearm's contour, where one is known well behind a hand that covers (h, w) pixels."""
         inner, camera = inner_of(shown.numbers), canvas.camera
-        if not inner[:3].any():
+        if not inner[:3].any() or forearm_confidence_of(shown.numbers) < LEAST_CONFIDENCE:
             return
         bones = transforms_with_forearm(self._hand.anatomy, _pose_of(shown)[None], inner)
         depth = self._renderer(camera, with_arm=True).depth(bones, camera, Window.whole(camera))[0]

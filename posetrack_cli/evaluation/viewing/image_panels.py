@@ -141,9 +141,9 @@ class ImagePanels:
         pictures = []
         for panel, image in zip(self._panels, instant.frame.images, strict=True):
             canvas = panel.canvas(image, instant.points)
-            seen_from(canvas.camera, drawn).draw(canvas)
             if instant.truth is not None:
                 seen_from(canvas.camera, instant.truth).outline(canvas, TRUTH)
+            seen_from(canvas.camera, drawn).draw(canvas)
             pictures.append(marked(canvas.picture, drawn.mark))
         return np.hstack(_equally_high(pictures))
 

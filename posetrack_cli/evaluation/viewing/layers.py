@@ -28,6 +28,7 @@ TOLERANCE_NS = 5_000_000
 
 CONFIDENCE_WORDS, ERROR_WORDS = "confidence {:.2f}", "error {:.1f} mm"
 STATUS_WORDS = ("tracking", "reinitialised", "LOST", "NO ESTIMATE")
+TRUTH_WORDS = "truth green"
 MOST_OF_NAME = 41
 MOST_RESULTS = len(TONES)
 MOST_IN_SHEET = 120
@@ -139,7 +140,7 @@ class Instant:
 
     Attributes:
         frame: what the cameras saw.
-        when: what a caption says of the time.
+        when: what a caption says of the time, and of the truth's colour.
         estimates: of each track.
         truth: drawn over them, None for none.
     """
@@ -182,7 +183,7 @@ class ViewOptions:
         crop: ``full``, or ``hand`` or ``head`` for where it goes; None for full, or hand in the layout paper.
         scale: picture pixels per image pixel; None enlarges small images.
         range_mm: depths that are red and blue; None takes them from the hand's.
-        truth: whether the truth's contour is drawn.
+        truth: whether the truth is drawn.
         skeleton: whether joints, bones and axes are drawn.
         sheet: whether all pictures go onto one, each cut out around the hand by itself.
         tracks: of each result; both tracks of one result are drawn beside each other.
@@ -235,7 +236,8 @@ class Drawing:
         return self._when(last, int(track.stamp_ns[-1]))
 
     def _when(self, index: int, stamp_ns: int) -> list[str]:
-        return [f"frame {index}", f"{(stamp_ns - self.start_ns) / NS_PER_S:.3f} s"]
+        words = [f"frame {index}", f"{(stamp_ns - self.start_ns) / NS_PER_S:.3f} s"]
+        return words if self.truth is None else [*words, TRUTH_WORDS]
 
     def at(self, frame: Frame, stamp_ns: int) -> Instant:
         """Return what is drawn of a frame, given the stamp of its estimates."""

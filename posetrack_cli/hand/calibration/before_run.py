@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from itertools import islice
 
 from posetrack_cli.errors import RecordingError
-from posetrack_cli.hand.calibration.calibrate import Calibration, CalibrationOptions, Report, shape_of
+from posetrack_cli.hand.calibration.calibrate import Calibration, CalibrationOptions, shape_of
 from posetrack_cli.hand.calibration.doubts import doubts_of
 from posetrack_cli.hand.calibration.sides import decide_side
 from posetrack_cli.hand.calibration.trial import (
@@ -59,7 +59,6 @@ def find_hand(
     recording: Recording,
     config: HandConfig,
     start: int,
-    report: Callable[[str], None] = lambda line: None,
     keypoints: KeypointFile | None = None,
 ) -> HandFound:
     """Decide what a configuration leaves open about the hand: its side, its size, its shape.
@@ -71,7 +70,6 @@ def find_hand(
         recording: depth frames.
         config: its ``hand.side`` may be ``auto``, its ``init.shape``, too.
         start: the run's first frame.
-        report: called with what is being done.
         keypoints: from elsewhere: further places, and evidence of the side.
 
     Raises:
@@ -93,8 +91,6 @@ def find_hand(
         return found if found is not None and _is_usable(found) else None
 
     is_unknown = is_open and trial.cost > WELL_KNOWN_MM
-    if is_unknown:
-        report("estimating the hand's shape")
     likelier = decide_side(trial, estimate_usable if is_unknown else lambda side: None)
     sized, found = _sized(config, trial, likelier.side), likelier.found
     told = f"a {likelier.side} hand"
@@ -124,26 +120,22 @@ def _nothing_found(recording: Recording, config: HandConfig, start: int, side: s
     return f"{line}{later if seen.is_in_range else ''}"
 
 
-def calibrate(
-    recording: Recording, config: HandConfig, options: CalibrationOptions, report: Report = lambda line: None
-) -> Calibration:
+def calibrate(recording: Recording, config: HandConfig, options: CalibrationOptions) -> Calibration:
     """Estimate side, size and shape of the hand in a recording, whatever is configured of them.
 
     Args:
         recording: depth frames.
         config: of window, segmentation and fits; of its hand only the mesh is read.
         options: the rest.
-        report: called with what is being done.
 
     Raises:
         RecordingError: no frame, or no hand that can be found in at least four frames.
         UsageError: the configuration's mesh is no hand that can be used.
     """
-    report("which hand, and about how large")
     sides = (options.side,) if options.side else SIDES
     bare = config.model_copy(update={"hand": HandSettings(mesh=config.hand.mesh)})
     trial = tried_all_over(recording, bare, options.start, sides)
-    likelier = decide_side(trial, _shapes(recording, bare, trial, options, report))
+    likelier = decide_side(trial, _shapes(recording, bare, trial, options))
     # what is wrong where there is none is said by trying again
     return likelier.found or shape_of(recording, _sized(bare, trial, likelier.side), options)
 
@@ -153,14 +145,13 @@ def _shapes(
     config: HandConfig,
     trial: Trial,
     options: CalibrationOptions,
-    report: Report = lambda line: None,
 ) -> Callable[[str], Calibration | None]:
     """Return what estimates the shape of a side's hand, begun in the size that is known best by then."""
     scales = {side: trial.scale(side) for side in trial.sides}
 
     def estimate(side: str) -> Calibration | None:
         sized = _with_hand(config, {"side": side, "scale": scales[side]})
-        found = _shape_in_its_size(recording, sized, replace(options, side=side), report)
+        found = _shape_in_its_size(recording, sized, replace(options, side=side))
         if found is not None and found.begun_scale != scales[side]:
             scales.update(dict.fromkeys(scales, found.begun_scale))  # which hand it is changes no size
         return found
@@ -169,27 +160,25 @@ def _shapes(
 
 
 def _shape_in_its_size(
-    recording: Recording, config: HandConfig, options: CalibrationOptions, report: Report
+    recording: Recording, config: HandConfig, options: CalibrationOptions
 ) -> Calibration | None:
     """The hand's shape; one that leaves the size that fitted best is begun once more from its own.
 
     Sizes are tried in few frames and by short searches, which small hands before a forearm may mislead.
     """
-    found = _shape(recording, config, options, report)
+    found = _shape(recording, config, options)
     if found is None or not found.is_of_another_size:
         return found
-    again = _shape(recording, _with_hand(config, {"scale": found.likely_scale}), options, report)
+    again = _shape(recording, _with_hand(config, {"scale": found.likely_scale}), options)
     if again is None or again.is_of_another_size:
         return found
     return again if again.costs_mm[1] < _FAR_CHEAPER * found.costs_mm[0] else found
 
 
-def _shape(
-    recording: Recording, config: HandConfig, options: CalibrationOptions, report: Report
-) -> Calibration | None:
+def _shape(recording: Recording, config: HandConfig, options: CalibrationOptions) -> Calibration | None:
     """The hand's shape, where enough frames show it."""
     try:
-        return shape_of(recording, config, options, report)
+        return shape_of(recording, config, options)
     except RecordingError:
         return None
 

@@ -9,7 +9,7 @@ found, in more frames; a third time if that one fits no better.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -32,6 +32,7 @@ from posetrack_cli.hand.observer import Observer
 from posetrack_cli.hand.shape import HandShape, shape_space
 from posetrack_cli.hand.space import inside_limits
 from posetrack_cli.outputs import whole_or_nothing
+from posetrack_cli.phases import Advance, phase
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.recording import Recording
 
@@ -53,7 +54,6 @@ _ANOTHER_SIZE = 1.25
 _GOOD_PERCENT = 20.0
 """Of the frames' costs: what good fits cost."""
 
-Report = Callable[[str], None]
 _DECIMALS = 4  # of the numbers in a hand file
 
 
@@ -124,9 +124,7 @@ class Calibration:
         return {name: _rounded(value) for name, value in named.items()}
 
 
-def shape_of(
-    recording: Recording, config: HandConfig, options: CalibrationOptions, report: Report = lambda line: None
-) -> Calibration:
+def shape_of(recording: Recording, config: HandConfig, options: CalibrationOptions) -> Calibration:
     """Estimate the shape of a hand whose side and size are known roughly: those of the configuration.
 
     Raises:
@@ -137,16 +135,14 @@ def shape_of(
     medians: list[float] = []
     while len(medians) < ROUNDS or (len(medians) < MOST_ROUNDS and medians[-1] >= medians[0]):
         again = f"{len(medians) + 1} of {ROUNDS}" if len(medians) < ROUNDS else "once more"
-        report(f"finding the {side} hand, {again}")
-        poses, thumbs, costs = calibrator.find(shape, options.frames if medians else FIRST_FRAMES)
+        most = options.frames if medians else FIRST_FRAMES
+        poses, thumbs, costs = calibrator.find(shape, most, again)
         chosen = calibrator.chosen(costs)
         medians.append(float(np.median(costs[:FIRST_FRAMES])))
-        report(f"adjusting its shape to {len(chosen)} frames")
         found = calibrator.adjust(chosen, poses[chosen], thumbs[chosen], shape)
         shape = found.shape
     if medians[-1] >= medians[0]:  # which tells of the shape before the last adjustment
-        report(f"finding the {side} hand, with its last shape")
-        medians.append(float(np.median(calibrator.find(shape, FIRST_FRAMES)[2])))
+        medians.append(float(np.median(calibrator.find(shape, FIRST_FRAMES, "with its last shape")[2])))
     assert found is not None
     numbers = measured(calibrator.maker, calibrator.space, side, shape, found.covariance)
     cost, good = (medians[0], medians[-1]), good_cost(costs)
@@ -191,9 +187,11 @@ class _Calibrator:
         ahead = _UNKNOWN_COUNT if count is None else count - options.start
         stride = max(1, ahead // LOOKED_AT)
         finder, shown = self._finder(shape), ShownFingers(options.frames, -(-ahead // stride))
-        for frame in self._recording.frames(start=options.start, end=None, stride=stride):
-            area = max((place.fingers_mm2 for place in finder.detect(frame.depth)), default=0.0)
-            shown.add(frame, area)
+        with phase("choosing frames", "frame", -(-ahead // stride)) as advance:
+            for frame in self._recording.frames(start=options.start, end=None, stride=stride):
+                area = max((place.fingers_mm2 for place in finder.detect(frame.depth)), default=0.0)
+                shown.add(frame, area)
+                advance(1)
         if not shown.seen:
             raise RecordingError("holds no frame", where=self._recording.path)
         return shown
@@ -201,7 +199,7 @@ class _Calibrator:
     def _finder(self, shape: HandShape) -> Acquisition:
         return Acquisition(self._config, self.maker(self._side, shape), self._camera)
 
-    def find(self, shape: HandShape, most: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def find(self, shape: HandShape, most: int, again: str) -> tuple[FloatArray, FloatArray, FloatArray]:
         """The poses (F, 22) of a hand in the frames, its thumb's inner angles (F, 2), and costs (F,), mm.
 
         A cost is infinite where there is none.
@@ -209,15 +207,18 @@ class _Calibrator:
         Args:
             shape: of the hand.
             most: how many of the frames, those of the first round first.
+            again: for people: which time it is.
         """
         finder, frames = self._finder(shape), self._frames[:most]
         poses, costs = np.zeros((len(frames), POSE_SIZE)), np.full(len(frames), np.inf)
         poses[:, 6], thumbs = 1.0, np.zeros((len(frames), len(NO_THUMB)))
-        for k, frame in enumerate(frames):
-            found = finder.search(frame.depth)
-            if found is not None:
-                poses[k], costs[k] = inside_limits(found.pose[None])[0], found.cost
-                thumbs[k] = found.inner[THUMB]
+        with phase(f"finding the {self._side} hand, {again}", "frame", len(frames)) as advance:
+            for k, frame in enumerate(frames):
+                found = finder.search(frame.depth)
+                if found is not None:
+                    poses[k], costs[k] = inside_limits(found.pose[None])[0], found.cost
+                    thumbs[k] = found.inner[THUMB]
+                advance(1)
         return poses, thumbs, costs
 
     def chosen(self, costs: FloatArray) -> IntArray:
@@ -240,21 +241,23 @@ class _Calibrator:
 
     def adjust(self, chosen: IntArray, poses: FloatArray, thumbs: FloatArray, shape: HandShape) -> Bundle:
         """The shape and the poses that fit the frames best."""
-        return adjusted(
-            self.maker,
-            self.space,
-            self._side,
-            shape,
-            poses,
-            thumbs,
-            self._observing([self._frames[k] for k in chosen]),
-            self._config.observation.tile_px,
-            iterations=_ITERATIONS,
-            terms=_terms(self._config),
-        )
+        with phase(f"adjusting its shape to {len(chosen)} frames", "view") as advance:
+            return adjusted(
+                self.maker,
+                self.space,
+                self._side,
+                shape,
+                poses,
+                thumbs,
+                self._observing([self._frames[k] for k in chosen], advance),
+                self._config.observation.tile_px,
+                iterations=_ITERATIONS,
+                terms=_terms(self._config),
+            )
 
-    def _observing(self, frames: Sequence[Frame]) -> Observe:
+    def _observing(self, frames: Sequence[Frame], advance: Advance) -> Observe:
         def observe(f: int, pose: FloatArray, thumb: FloatArray, hand: HandModel) -> Tile:
+            advance(1)
             observer = Observer(self._config, hand.anatomy, self._camera, segment=True)
             expected = np.append(NO_INNER[FOREARM], thumb)
             return tile_of(observer.observe(frames[f].depth, pose, expected), self._camera)

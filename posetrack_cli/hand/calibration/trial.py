@@ -20,6 +20,7 @@ from posetrack_cli.hand.keypoints.told import ToldSide, told_candidates
 from posetrack_cli.hand.model import hand_maker
 from posetrack_cli.hand.proposals import PROPOSALS
 from posetrack_cli.hand.segmentation import Detection
+from posetrack_cli.phases import Advance, phase
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.recording import Recording
 
@@ -100,10 +101,11 @@ def tried_all_over(recording: Recording, config: HandConfig, start: int, sides: 
 
 def _asked(trial: Trial, frames: Iterator[Frame]) -> Trial:
     """The trial after frames have been asked, until they agree."""
-    for frame in frames:
-        trial.ask(frame)
-        if trial.is_clear:
-            break
+    with phase("finding side and size", "search") as advance:
+        for frame in frames:
+            trial.ask(frame, advance)
+            if trial.is_clear:
+                break
     return trial
 
 
@@ -152,8 +154,8 @@ class Trial:
         self._costs = np.zeros((len(sides), len(self._scales)))
         self._finders: dict[tuple[int, int, bool], Acquisition] = {}
 
-    def ask(self, frame: Frame) -> None:
-        """Add what a frame costs, if there may be a hand in it."""
+    def ask(self, frame: Frame, advance: Advance = lambda count: None) -> None:
+        """Add what a frame costs, if there may be a hand in it; ``advance`` counts the searches."""
         own = len(self._scales) // 2
         places = self._finder(0, own).detect(frame.depth)
         if not places and not told_candidates(self._keypoints, self._camera, self._finder(0, own), frame):
@@ -163,6 +165,7 @@ class Trial:
         def of(side: int, k: int, places: Sequence[Detection]) -> tuple[float, list[Detection]]:
             finder = self._finder(side, k, quick=k != own or costs.min() <= WELL_KNOWN_MM)
             told = told_candidates(self._keypoints, self._camera, finder, frame)
+            advance(1)
             return finder.appraise(frame.depth, places, told)
 
         costs = np.full(self._costs.shape, self._config.observation.clamp_mm)

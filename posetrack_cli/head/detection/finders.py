@@ -13,7 +13,7 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.errors import PosetrackError, UsageError
-from posetrack_cli.files import utf8_name
+from posetrack_cli.head.detection.model_trial import not_yunet, read_model
 
 NO_EYES = (np.zeros((0, 2)), np.zeros((0, 2)))
 
@@ -169,6 +169,8 @@ UNSURE = 0.3
 MOUTH_BELOW_EYES = 1.09
 # In larger images nothing is gained, and time grows with the area.
 LONGEST_SIDE = 640
+FARTHEST_PX = 4.0 * LONGEST_SIDE
+"""Of a box and its points: a network of damaged weights finds faces of any size, of none, or of NaN."""
 
 
 class YunetFaces:
@@ -184,24 +186,28 @@ class YunetFaces:
     def __init__(self, model: Path) -> None:
         if not model.is_file():
             raise UsageError("face detector's model not found", where=model)
+        self._model, data = model, np.frombuffer(read_model(model), np.uint8)
+        nothing = np.zeros(0, np.uint8)
         try:
-            with utf8_name(model) as name:
-                self._network = cv2.FaceDetectorYN.create(name, "", (320, 320), score_threshold=UNSURE)
+            self._network = cv2.FaceDetectorYN.create(
+                "onnx", data, nothing, (320, 320), score_threshold=UNSURE
+            )
         except cv2.error as error:
-            raise UsageError(
-                "not a model of YuNet",
-                where=model,
-                found=error.err,
-                expected="an ONNX file of FaceDetectorYN",
-            ) from None
+            raise not_yunet(model, error.err) from None
 
     def find(self, image: ImageArray) -> tuple[FaceGuess, ...]:
         """Return the faces in a (height, width) uint8 image, the largest first, also unsure ones."""
         scale = min(1.0, LONGEST_SIDE / max(image.shape))
         small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
         self._network.setInputSize((small.shape[1], small.shape[0]))
-        _, rows = self._network.detect(cv2.cvtColor(small, cv2.COLOR_GRAY2BGR))
-        faces = [_guess(np.asarray(row, float), scale) for row in ([] if rows is None else rows)]
+        try:
+            _, rows = self._network.detect(cv2.cvtColor(small, cv2.COLOR_GRAY2BGR))
+        except cv2.error as error:
+            raise not_yunet(self._model, error.err) from None
+        found = (
+            [] if rows is None else [row for row in rows.astype(float) if np.all(np.abs(row) <= FARTHEST_PX)]
+        )
+        faces = [face for face in (_guess(row, scale) for row in found) if face.eye_distance >= 1.0]
         return tuple(sorted(faces, key=lambda face: -face.eye_distance))
 
 

@@ -17,6 +17,7 @@ from posetrack_cli.head.smoothing.fits import HeadFits, make_head_smoother
 from posetrack_cli.head.smoothing.frames import FrameKeeper, HeadFrame, Link, Reach, chained, with_speeds
 from posetrack_cli.head.smoothing.places import PosedFrame, posed_frame, with_places
 from posetrack_cli.head.velocity import velocity_model
+from posetrack_cli.phases import phase
 from posetrack_cli.results.checkpoint import RESTART_HINT
 from posetrack_cli.results.estimate import Estimate, Subject
 from posetrack_cli.results.layouts import LayoutError, check_arrays
@@ -78,12 +79,16 @@ class HeadMemory:
         describe = partial(posed_frame, cameras=self._cameras)
         smoother = make_head_smoother(self._settings, self._fits)
         with SmoothedTrack[PosedFrame](path, smoother, describe) as track:
-            for link, chain, dt, end in self._linked():
-                memory = _memory(link, end, chain)
-                track.remember(self._fits.belief(memory), link.frame.facts, dt, link.begins, memory)
+            with phase("smoothing, way back", "frame", len(self._spool)) as advance:
+                for link, chain, dt, end in self._linked():
+                    memory = _memory(link, end, chain)
+                    track.remember(self._fits.belief(memory), link.frame.facts, dt, link.begins, memory)
+                    advance(1)
             placed = with_places(track.backward(), self._settings, self._origin)
-            for estimate in smoothed_velocities(placed, self._velocity):
-                writer.write_smoothed(estimate)
+            with phase("smoothing, way on", "frame", len(track)) as advance:
+                for estimate in smoothed_velocities(placed, self._velocity):
+                    writer.write_smoothed(estimate)
+                    advance(1)
             track.delete()
         self._spool.delete()
 

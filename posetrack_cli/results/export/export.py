@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from io import StringIO
 from pathlib import Path
 
 import numpy as np
 
+from posetrack_cli.csv_rows import csv_of
 from posetrack_cli.errors import UsageError
 from posetrack_cli.files import open_output
 from posetrack_cli.outputs import check_target, whole_or_nothing
@@ -19,7 +18,6 @@ from posetrack_cli.results.export.source import (
     ExportSource,
     header_lines,
     header_values,
-    point_axes,
 )
 from posetrack_cli.results.export.table import ColumnGroup, Values, table_of
 from posetrack_cli.results.fields import BY_NAME
@@ -31,21 +29,16 @@ TUM_FIELDS = ("stamp_ns", "position", "quaternion")
 
 
 def csv_text(source: ExportSource) -> Iterator[str]:
-    """Yield a table with one row per frame, 1000 frames at a time.
+    """Yield a header row and one row per frame, 1000 frames at a time.
 
-    Comments (``# ``) say what it is and what every column means; then comes one header row. Numbers are
-    written so that they come back to the last bit; a value that there is not is an empty cell.
+    There are no comments, which spreadsheets and ``pandas.read_csv`` would take for rows: names of columns
+    end in their units, and the header of ``json_text`` has their meanings. Numbers are written so that they
+    come back to the last bit; a value that there is not is an empty cell.
     """
-    subject, blocks = source.result.subject.name, source.begun_blocks()
-    groups = table_of(source.result.subject)
-    yield from _comments(header_lines(source))
-    yield from _comments(
-        [f"Euler angles: {kind_of(subject).euler_order}", f"points: {point_axes(subject)}", "columns:"]
-    )
-    yield from _comments(f"  {group.description}" for group in groups)
-    yield _csv_rows([[name for group in groups for name in group.names]])
+    blocks, groups = source.begun_blocks(), table_of(source.result.subject)
+    yield csv_of([[name for group in groups for name in group.names]])
     for block in blocks:
-        yield _csv_rows(zip(*_cells(groups, block), strict=True))
+        yield csv_of(zip(*_cells(groups, block), strict=True))
 
 
 def tum_text(source: ExportSource) -> Iterator[str]:
@@ -83,12 +76,6 @@ def _comments(lines: Iterable[str]) -> Iterator[str]:
     for line in lines:
         text = line if line == line.rstrip() and line.isprintable() else " ".join(line.split())
         yield f"# {printable(text)}\n"
-
-
-def _csv_rows(rows: Iterable[Iterable[str]]) -> str:
-    text = StringIO()
-    csv.writer(text, lineterminator="\n").writerows(rows)
-    return text.getvalue()
 
 
 def _cells(groups: tuple[ColumnGroup, ...], block: Columns) -> Iterator[list[str]]:

@@ -102,16 +102,11 @@ def export_source(result: Result, topic: str | None = None, *, lost: bool = True
 
 
 CAMERA_AXES = "x right, y down, z forward"
-_SHORT_RECORDS = ("tracker", "version", "seed", "input.name", "input.sha256")
-
-
-def point_axes(subject: str) -> str:
-    """Return the axes that a subject's points are tabulated in."""
-    return f"{subject if kind_of(subject).rigid else 'camera'} axes"
+_SHORT_RECORDS = ("tracker", "version", "sources", "seed", "input.name", "input.sha256")
 
 
 def header_lines(source: ExportSource) -> Iterator[str]:
-    """Yield what a text file says above its table, line by line, without the columns."""
+    """Yield what a trajectory says above its rows, line by line."""
     result = source.result
     yield f"posetrack export of {result.path.name}, topic {source.topic}"
     yield (

@@ -60,11 +60,6 @@ class ColumnGroup:
     meaning: str
     values: Callable[[Columns], Values]
 
-    @property
-    def description(self) -> str:
-        """Names, meaning and unit on one line."""
-        return f"{' '.join(self.names)}: {self.meaning}{', ' if self.unit else ''}{self.unit}"
-
 
 def table_of(subject: Subject) -> tuple[ColumnGroup, ...]:
     """Return the columns of a subject's table, in order; groups without columns are left out."""

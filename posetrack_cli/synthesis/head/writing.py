@@ -18,7 +18,7 @@ from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.mcap.sink import McapSink, serialised
 from posetrack_cli.outputs import check_output, check_place, is_taken, part_path
-from posetrack_cli.recording.base import CAMERA_FILE_NAME
+from posetrack_cli.recording.base import CAMERA_FILE_NAME, TRUTH_FILE_NAME
 from posetrack_cli.recording.camera_file import camera_file_text
 from posetrack_cli.recording.message_calibration import calibration_message
 from posetrack_cli.recording.stamps import STAMPS_FILE_NAME
@@ -43,7 +43,6 @@ JPEG_QUALITY = 95
 PNG_LEVEL = 1
 """Noise does not compress: level 9 takes ten times as long for some per cent."""
 TRANSFORMS_TOPIC = "/tf"
-TRUTH_FILE_NAME = "truth.mcap"
 OWN_NAMES = {CAMERA_FILE_NAME, STAMPS_FILE_NAME, TRUTH_FILE_NAME, "left", "right", "camera"}
 
 Report = Callable[[SyntheticHeadFrame], None]

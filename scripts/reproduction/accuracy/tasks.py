@@ -14,7 +14,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from reproduction.made import code_digest, command
+from posetrack_cli.build import source_digest
+from reproduction.made import command
 from reproduction.task import EntrantsTask
 
 RECORDING = "{recording}"
@@ -41,7 +42,7 @@ class Task(EntrantsTask):
 
     def facts(self, entrant: str) -> dict[str, object]:
         """What a result depends on."""
-        return {"recording": self.recording, "arguments": self.entrants[entrant], "code": code_digest()}
+        return {"recording": self.recording, "arguments": self.entrants[entrant], "code": source_digest()}
 
     @contextmanager
     def prepared(self, out: Path) -> Iterator[Callable[[str], None]]:

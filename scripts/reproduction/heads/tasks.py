@@ -14,8 +14,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from posetrack_cli.build import source_digest
 from reproduction.heads_data import TRUTH, reading_arguments
-from reproduction.made import code_digest, command, drawing_digest, is_made, mark_made
+from reproduction.made import command, drawing_digest, is_made, mark_made
 from reproduction.task import EntrantsTask
 
 ENTRANTS: dict[str, tuple[str, ...]] = {
@@ -62,7 +63,7 @@ class Task(EntrantsTask):
     def facts(self, entrant: str) -> dict[str, object]:
         """What a result depends on."""
         source = {"folder": self.folder} if self.folder else {"recording": self.synthetic}
-        return {**source, "arguments": ENTRANTS[entrant], "code": code_digest()}
+        return {**source, "arguments": ENTRANTS[entrant], "code": source_digest()}
 
     @contextmanager
     def prepared(self, out: Path) -> Iterator[Callable[[str], None]]:

@@ -15,8 +15,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TypeVar
 
+from posetrack_cli.build import source_digest
 from reproduction.accuracy.tasks import Task as AccuracyTask
-from reproduction.made import code_digest, command
+from reproduction.made import command
 from reproduction.strangers.tool import draw, tool_digest
 from reproduction.task import EntrantsTask
 
@@ -58,7 +59,7 @@ class Task(EntrantsTask):
         arguments = self.entrants[entrant]
         of = _source(arguments)
         facts: dict[str, object] = {"recording": self.recording, "tool": tool_digest(Path(self.tool))}
-        facts |= {"arguments": arguments, "code": code_digest()}
+        facts |= {"arguments": arguments, "code": source_digest()}
         return facts | ({"of": self.entrants[of]} if of else {})
 
     @contextmanager

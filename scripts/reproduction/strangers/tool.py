@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
+from posetrack_cli.build import PACKAGE
 from posetrack_cli.errors import PosetrackError, UsageError
 from posetrack_cli.recording.identity import files_digest
-from reproduction.made import PACKAGE
 
 SHARED = PACKAGE.parent.parent / "shared"
 """Beside the project's root: what it does not contain."""

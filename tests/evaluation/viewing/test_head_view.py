@@ -12,13 +12,15 @@ import pytest
 
 from posetrack_cli.cli.main import run
 from posetrack_cli.evaluation.recording_of import required_recording
-from posetrack_cli.evaluation.viewing.colours import LOST, SKIN
+from posetrack_cli.evaluation.viewing.colours import LOST, SKIN, TRUTH
 from posetrack_cli.evaluation.viewing.drawing import AXIS_COLOURS, AXIS_MM
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.subject import head_subject
+from posetrack_cli.recording.base import TruthMessage
 from posetrack_cli.recording.camera_file import camera_file_text
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results import Estimate, ResultWriter, Status, read_result
+from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA_NAME, estimate_to_json
 
 FPS, FRAMES = 25.0, 3
 TURNED = cv2.Rodrigues(np.array([0.02, 0.17, 0.03]))[0]
@@ -77,7 +79,9 @@ def estimate(index: int, status: Status) -> Estimate:
 
 @pytest.fixture
 def result(recording: Path, tmp_path: Path) -> Callable[..., Path]:
-    def write(name: str = "r.mcap", cameras: tuple[Camera, ...] = CAMERAS) -> Path:
+    def write(
+        name: str = "r.mcap", cameras: tuple[Camera, ...] = CAMERAS, true_points: np.ndarray | None = None
+    ) -> Path:
         opened = open_recording(recording, "grey", fps=FPS)
         record = {f"input.{key}": value for key, value in opened.identity().items()}
         record |= {"tracker": "head-stereo", "configuration": "{}"}
@@ -85,7 +89,12 @@ def result(recording: Path, tmp_path: Path) -> Callable[..., Path]:
         subject = head_subject("left", 0)
         with ResultWriter(tmp_path / name, subject, cameras[0], record, others=cameras[1:]) as writer:
             for index, status in enumerate(statuses):
-                writer.write(estimate(index, status))
+                made = estimate(index, status)
+                if true_points is not None:
+                    data, topic = estimate_to_json(replace(made, points=true_points)), "/truth/head/estimate"
+                    kind = (ESTIMATE_SCHEMA_NAME, "jsonschema", b"{}", "json")
+                    writer.add_truth(TruthMessage(topic, *kind, made.stamp_ns, data))
+                writer.write(made)
             writer.finish({})
         return tmp_path / name
 
@@ -108,6 +117,22 @@ def test_what_is_drawn_lies_on_what_was_seen(
             assert np.abs(half[y, x].astype(int) - SKIN).max() <= 30, "a dot of the estimate"
             around = [half[y, x - 3], half[y, x + 3], half[y - 3, x], half[y + 3, x]]
             assert np.min(np.max(around, axis=1)) > 120, "amid what the camera saw"
+
+
+@pytest.mark.parametrize("apart_mm", [0.0, 20.0])
+def test_truth_and_estimate_are_both_seen(
+    result: Callable[..., Path], recording: Path, tmp_path: Path, apart_mm: float
+) -> None:
+    """Also where they are the same: the estimate lies on the truth, which has a rim around it."""
+    true_points = POINTS + np.array([0.0, apart_mm, 0.0])
+    path = result(true_points=true_points)
+    options = ("--recording", recording, "--zoom", 4, "--select", "0", "--show-truth")
+    assert view(path, "-o", tmp_path / "p", *options) == 0
+    picture = cv2.imread(str(tmp_path / "p" / "frame_000000.png"))
+    for points, colour, off_px in ((POINTS, SKIN, 0), (true_points, TRUTH, 5)):
+        for x, y in np.rint(4 * (seen(CAMERAS[0], points, bent=False) + 0.5)).astype(int):
+            around = picture[y - 1 : y + 2, x - off_px - 1 : x - off_px + 2].reshape(-1, 3)
+            assert np.abs(around.astype(int) - colour).max(axis=1).min() <= 30
 
 
 def test_axes_point_where_the_head_does(result: Callable[..., Path], recording: Path, tmp_path: Path) -> None:

@@ -104,6 +104,15 @@ def test_truth_and_record_of_folder_and_file_are_the_same(stereo: Made) -> None:
     assert contents[0][0]["identity"] == "1" and contents[0][0]["turn_s"] == ""
 
 
+def test_the_truth_of_a_folder_is_that_of_the_file(stereo: Made) -> None:
+    """So that a run carries it over; not where images are mirrored or their stamps are made."""
+    file, folder = (open_recording(path, "grey") for path in (stereo.file, stereo.folder))
+    truth = list(folder.truth())
+    assert truth == list(file.truth()) and {message.topic for message in truth} == TOPICS
+    for options in ({"mirror": True}, {"fps": 30.0}):
+        assert list(open_recording(stereo.folder, "grey", **options).truth()) == []
+
+
 def test_the_same_options_give_the_same_bytes(stereo: Made, tmp_path: Path) -> None:
     again = tmp_path / "again.mcap"
     write_synthetic(SMALL, again, image_format="png")
