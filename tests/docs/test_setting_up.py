@@ -21,7 +21,7 @@ from support.markdown import ROOT, blocks, statements
 
 ENVIRONMENT = Path(sys.prefix)
 REASON = "prepares a checkout"
-OF_SETUP = ("pyproject.toml", "constraints.txt", "scripts/setup")
+OF_SETUP = ("pyproject.toml", "requirements.txt", "requirements-dev.txt", "scripts/setup")
 """The files whose state says for ``scripts/setup`` whether an environment is up to date."""
 
 
