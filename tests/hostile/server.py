@@ -24,6 +24,7 @@ import warnings
 from contextlib import contextmanager, redirect_stdout, suppress
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 from posetrack_cli.interpreter import module_command
 
@@ -191,12 +192,13 @@ def _be_child(request: dict[str, Any], report: int) -> None:
 
 def _called(argv: list[str], instead: str) -> int:
     """Call ``main()``, or run some Python instead, and return the exit code, as the interpreter does it."""
-    from posetrack_cli.cli.main import main
+    from posetrack_cli.cli import main as command
 
     sys.argv = argv
     code: Any = 0
     try:
-        exec(instead, {}) if instead else main()
+        with patch.object(command, "survive_memory_limit"):  # who limits and watches this process does it
+            exec(instead, {}) if instead else command.main()
     except SystemExit as error:
         code = error.code
         if code is None:
