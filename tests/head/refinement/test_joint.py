@@ -11,6 +11,7 @@ from posetrack_cli.head.config import PointSettings, RefinementSettings
 from posetrack_cli.head.face.pose import ShapeModel, rigid_model
 from posetrack_cli.head.face.rig_images import RigImages
 from posetrack_cli.head.face.templates import take_templates
+from posetrack_cli.head.refinement import refine as refinement
 from posetrack_cli.head.refinement.evidence import gather_evidence, make_evidence, make_workspace
 from posetrack_cli.head.refinement.joint import (
     Face,
@@ -34,6 +35,12 @@ LENSES = {
     "plumb bob": {"distortion": (-0.25, 0.1, 0.002, -0.003, 0.02)},
     "fisheye": {"distortion": (0.05, -0.02, 0.01, 0.003), "distortion_model": "equidistant"},
 }
+
+
+@pytest.fixture(autouse=True)
+def _to_the_end(monkeypatch):
+    """What is found is looked at, not how soon."""
+    monkeypatch.setattr(refinement, "ITERATIONS", 15)
 
 
 def deforming(seed=5):
