@@ -321,7 +321,7 @@ def test_a_mouth_that_moves_is_followed_and_its_noise_is_not(tmp_path) -> None:
     basis = np.zeros((POINT_COUNT, 3, COMPONENTS))
     basis[4, 0, 0], basis[5, 0, 0] = -np.sqrt(0.5), np.sqrt(0.5)
     frames = [replace(one, basis=basis, deviations=np.array([5.0, 0.0])) for one in frames]
-    found = smoothed(tmp_path, frames, places_s=0.06)
+    found = smoothed(tmp_path, frames)
     mouths = np.array([one.points[5, 0] - one.points[4, 0] for one in found]) / 2.0
     np.testing.assert_allclose(mouths[3:-3], MEAN_SHAPE[5, 0] + opened[3:-3], atol=1.0)
     coefficients = np.array([one.shape for one in found])
