@@ -488,15 +488,15 @@ def test_landmarks_from_elsewhere_begin_a_run_at_the_features_near_them(
     assert table(output)["rotation_deg"] < 3.0
 
 
-def test_the_tracker_goes_on_from_its_checkpoints_to_the_same_bytes(made: Path, tmp_path: Path) -> None:
+def test_the_tracker_goes_on_from_its_checkpoints_to_the_same_bytes(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Stopped while the face is collected, later in the first pass, and in the second: one run.
 
     The skin is kept so often that there is a map of it, though of its frames some went.
     """
-    skin = {"every_s": 0.03, "views": 5, "least_points": 6}
-    config = HeadMonoConfig.model_validate(
-        {"particles": {"count": 50}, "output": {"flush_frames": 2}, "skin": skin}
-    )
+    map_skin_soon(monkeypatch, 30_000_000, most=5)
+    config = HeadMonoConfig.model_validate({"particles": {"count": 50}, "output": {"flush_frames": 2}})
     begun = []
     source = open_recording(made, "grey")
     (camera,) = source.cameras

@@ -44,9 +44,10 @@ def drawn_model() -> FaceModel:
 MODEL = drawn_model()
 
 
-def map_skin_soon(patched: pytest.MonkeyPatch, every_ns: int = 100_000_000) -> None:
+def map_skin_soon(patched: pytest.MonkeyPatch, every_ns: int = 100_000_000, most: int = 120) -> None:
     """Make maps of a face with skin about its points only, which is seen for less than a second."""
     patched.setattr(person, "EVERY_NS", every_ns)
+    patched.setattr(person, "MOST_VIEWS", most)
     patched.setattr(skin_map, "LEAST_POINTS", 6)
     patched.setattr(skin_map, "ENOUGH_POINTS", 20)
 

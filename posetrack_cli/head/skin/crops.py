@@ -77,7 +77,7 @@ class SkinAlbum:
         turned = np.degrees(angle_between(last.pose.quaternion, pose.quaternion)) >= turned_deg
         return stamp_ns - last.stamp_ns >= (SOONEST if turned else 1.0) * self.every_ns
 
-    def with_view(self, view: SkinView, most: int = MOST_VIEWS) -> SkinAlbum:
+    def with_view(self, view: SkinView, most: int) -> SkinAlbum:
         """Return the album with a frame; of more than ``most`` every second goes, and stays away."""
         views = (*self.views, view)
         if len(views) <= most:

@@ -24,7 +24,7 @@ from posetrack_cli.head.refinement.refine import (
     KEYFRAME_NEUTRAL_MM,
     LEAST_DEVIATION_MM,
 )
-from posetrack_cli.head.skin.crops import EVERY_NS, SkinAlbum
+from posetrack_cli.head.skin.crops import EVERY_NS, MOST_VIEWS, SkinAlbum
 from posetrack_cli.head.skin.map import SkinMap, cut_view, make_map, pose_on_map
 from posetrack_cli.head.tracker.face_learning import off_axis_deg
 from posetrack_cli.head.tracker.frame_tracker import (
@@ -350,7 +350,7 @@ class PersonFitter:
             return person
         album = person.skin if person.skin.views else SkinAlbum(every_ns=EVERY_NS)
         shown = cut_view(image, self._camera, self._view(person, frame, fit))
-        return replace(person, skin=album.with_view(shown))
+        return replace(person, skin=album.with_view(shown, MOST_VIEWS))
 
     def fit_on_skin(self, person: KnownPerson, frame: SeededFrame, fit: FrameFit) -> FrameFit:
         """Return what a frame says with a pose between its feature points' and its skin's **[ours]**.
