@@ -191,14 +191,13 @@ def _run(
     clicked = None if options.init is None else Path(options.init)
     model = load_face_model(file)
     given = _given_person(options, config, model)
-    if given is not None:
-        config = config.model_copy(update={"accuracy": given.accuracy(config.accuracy)})
+    person = {} if given is None else {"systematic_sd": given.systematic_sd}
 
     def make_tracker(known: Learned | None) -> LearningTracker[Any]:
         if known is None and given is not None:
             known = given.learned
         return make_mono_tracker(
-            config, camera, known, face=face - 1, clicked=clicked, landmarks=options.landmarks
+            config, camera, known, face=face - 1, clicked=clicked, landmarks=options.landmarks, **person
         )
 
     return HeadRun(

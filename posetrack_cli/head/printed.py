@@ -66,7 +66,7 @@ ALWAYS_BOTH = (
 ALWAYS_STEREO = (
     Deviation("3.2.2", "OpenCV's detector finds face and points, not OKAO Vision"),
     Deviation("(3.18), (3.19)", "the factor 2 of (3.16) is kept"),
-    Deviation("3.2.4", "a shape far from a face's (model.most_mm) is not learnt from"),
+    Deviation("3.2.4", "a shape far from a face's is not learnt from"),
     Deviation("(3.24)", "the basis is made orthogonal after every update"),
     Deviation("3.2.3, 3.2.4", "angle and distances of the gates are ours; none are printed"),
 )

@@ -20,7 +20,7 @@ from posetrack_cli.head.landmarks.file import LandmarkFile
 from posetrack_cli.head.model_file import ATTACHMENT, MEDIA_TYPE, load_model, model_bytes
 from posetrack_cli.head.printed import deviations_from_print
 from posetrack_cli.head.smoothing.track import HeadMemory
-from posetrack_cli.head.velocity import velocity_model
+from posetrack_cli.head.tracks import track_model
 from posetrack_cli.outputs import check_output, check_target, part_path, state_path, whole_or_nothing
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.grey import PLAIN_BITS, Grey
@@ -100,7 +100,7 @@ class HeadRun(TwoPassRun):
     ) -> None:
         check_head_run(recording, options)
         super().__init__(recording, options, flush_frames, config.run.passes, make_tracker, first_pass)
-        self._config, self.velocity_model = config, velocity_model(config.velocity)
+        self._config, self.velocity_model = config, track_model(config).velocity
         told = options.landmarks
         self._use = None if told is None else KeypointUse(told.name, told.sets, "landmarks")
         self._origin = np.zeros(len(subject.shape_names)) if origin is None else origin

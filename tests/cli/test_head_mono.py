@@ -26,6 +26,7 @@ from posetrack_cli.recording.camera_file import camera_file_text
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results import load_arrays, read_result
 from posetrack_cli.tracking.options import RunOutcome
+from support.mono_scene import map_skin_soon
 
 FRAMES = 12
 SEED = ("--frames", str(FRAMES), "--seed", "3", "--camera-count", "1")
@@ -379,11 +380,13 @@ def test_two_passes_are_the_default_and_equal_a_run_with_the_saved_model(made: P
     np.testing.assert_array_equal(load_arrays(made.with_name("r.mcap"))["position"], mine["position"][:4])
 
 
-def test_the_skin_tells_in_a_second_pass_alone(made: Path, tracked: Path, tmp_path: Path) -> None:
-    """Asked for often enough that these few frames make a map."""
-    often = ("--set", "skin.every_s=0.05", "--set", "skin.least_points=6")
+def test_the_skin_tells_in_a_second_pass_alone(
+    made: Path, tracked: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Kept often enough that these few frames make a map."""
+    map_skin_soon(monkeypatch, 50_000_000)
     for name, more in (("once", ("--passes", "1")), ("skin", ()), ("points", ("--set", "skin.use=false"))):
-        assert mono(made, tmp_path / f"{name}.mcap", *often, *more) == 0
+        assert mono(made, tmp_path / f"{name}.mcap", *more) == 0
     once, skin, points = (load_arrays(tmp_path / f"{name}.mcap") for name in ("once", "skin", "points"))
     np.testing.assert_array_equal(once["position"], load_arrays(tracked)["position"])
     for name in ("status", "stamp_ns"):
@@ -485,15 +488,15 @@ def test_landmarks_from_elsewhere_begin_a_run_at_the_features_near_them(
     assert table(output)["rotation_deg"] < 3.0
 
 
-def test_the_tracker_goes_on_from_its_checkpoints_to_the_same_bytes(made: Path, tmp_path: Path) -> None:
+def test_the_tracker_goes_on_from_its_checkpoints_to_the_same_bytes(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Stopped while the face is collected, later in the first pass, and in the second: one run.
 
     The skin is kept so often that there is a map of it, though of its frames some went.
     """
-    skin = {"every_s": 0.03, "views": 5, "least_points": 6}
-    config = HeadMonoConfig.model_validate(
-        {"particles": {"count": 50}, "output": {"flush_frames": 2}, "skin": skin}
-    )
+    map_skin_soon(monkeypatch, 30_000_000, most=5)
+    config = HeadMonoConfig.model_validate({"particles": {"count": 50}, "output": {"flush_frames": 2}})
     begun = []
     source = open_recording(made, "grey")
     (camera,) = source.cameras

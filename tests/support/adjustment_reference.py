@@ -9,12 +9,11 @@ import numpy as np
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.distortion import distortion_jacobian
 from posetrack_cli.geometry.projection import normalised_from_pixels
-from posetrack_cli.head.adjustment.adjuster import Adjuster, offset_deviations
+from posetrack_cli.head.adjustment.adjuster import OFFSET_SD_MM, Adjuster
 from posetrack_cli.head.adjustment.solver.problem import Part, Problem, Unknowns
 from posetrack_cli.head.adjustment.views import PersonParameters, PointView
 from posetrack_cli.head.config import AdjustmentSettings
 from posetrack_cli.head.multilinear.face_model import FaceModel
-from posetrack_cli.head.refinement.refine import point_values
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +63,7 @@ def whitened_errors(case: Case, unknowns: Unknowns) -> np.ndarray:
     model, camera = case.model, case.camera
     u, q = unknowns.shared[: model.identity_size], unknowns.shared[model.identity_size :]
     identity = model.identity_mean + u * model.identity_deviations
-    offsets = q.reshape(10, 3) * offset_deviations(case.settings.offset_mm)
+    offsets = q.reshape(10, 3) * OFFSET_SD_MM
     errors = []
     for view, local in zip(case.views, unknowns.local, strict=True):
         deformation = model.deformation_mean + local[6:] * model.deformation_deviations
@@ -72,7 +71,7 @@ def whitened_errors(case: Case, unknowns: Unknowns) -> np.ndarray:
         ray = normalised_from_pixels(camera, view.pixels)
         lens = np.stack(distortion_jacobian(camera, ray[:, 0], ray[:, 1]), axis=-1).reshape(10, 2, 2)
         error = np.einsum("kij,kj->ki", lens, points[:, :2] / points[:, 2:] - ray) * [camera.fx, camera.fy]
-        errors.append(error / point_values(case.settings.pixel_sd)[:, None])
+        errors.append(error / case.settings.pixel_sd.values[:, None])
     return np.array(errors)
 
 

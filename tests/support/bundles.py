@@ -22,10 +22,8 @@ LENSES = {
     "fisheye": replace(CAMERA, distortion=(0.05, -0.02, 0.01, 0.003), distortion_model="equidistant"),
 }
 UNIT_SD = PointSettings(eyes=1.0, mouth=1.0, nostrils=1.0, brows=1.0)
-FREE = AdjustmentSettings(
-    prior=0.0, offsets=False, huber=1e6, bound=1e6, identity=1e6, deformation=1e6, pixel_sd=UNIT_SD
-)
-"""Least squares without priors, robustness, offsets or bounds on the face."""
+FREE = AdjustmentSettings(prior=0.0, offsets=False, huber=1e6, bound=1e6, pixel_sd=UNIT_SD)
+"""Least squares without priors, robustness, offsets or bounds about the mean face."""
 
 
 def random_model(seed: int, identities: int = 10, deformations: int = 5) -> FaceModel:

@@ -7,6 +7,7 @@ from pathlib import Path
 from unittest.mock import patch
 
 import numpy as np
+import pytest
 
 from posetrack_cli.head.config import HeadMonoConfig
 from posetrack_cli.head.detection.detector import Detection
@@ -16,8 +17,9 @@ from posetrack_cli.head.face.points import POINT_COUNT
 from posetrack_cli.head.face.rig_images import project
 from posetrack_cli.head.initialisation.clicked import ClickedPoints
 from posetrack_cli.head.multilinear.face_model import FaceModel, load_face_model
+from posetrack_cli.head.skin import map as skin_map
 from posetrack_cli.head.subject import mono_subject
-from posetrack_cli.head.tracker import mono
+from posetrack_cli.head.tracker import mono, person
 from posetrack_cli.head.tracker.mono_state import MonoState
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Subject
@@ -40,6 +42,14 @@ def drawn_model() -> FaceModel:
 
 
 MODEL = drawn_model()
+
+
+def map_skin_soon(patched: pytest.MonkeyPatch, every_ns: int = 100_000_000, most: int = 120) -> None:
+    """Make maps of a face with skin about its points only, which is seen for less than a second."""
+    patched.setattr(person, "EVERY_NS", every_ns)
+    patched.setattr(person, "MOST_VIEWS", most)
+    patched.setattr(skin_map, "LEAST_POINTS", 6)
+    patched.setattr(skin_map, "ENOUGH_POINTS", 20)
 
 
 @dataclass

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 
@@ -19,12 +19,20 @@ from posetrack_cli.geometry.rotations import canonical, exponential, matrices_fr
 from posetrack_cli.head.adjustment.solver.descent import adjust_in_stages, all_lengths, identity_variances
 from posetrack_cli.head.adjustment.solver.problem import POSE, Boxes, Part, Problem, Unknowns, cost
 from posetrack_cli.head.adjustment.views import Adjusted, PersonParameters, PointView
-from posetrack_cli.head.config import AdjustmentSettings, OffsetSettings, PointSettings
-from posetrack_cli.head.face.points import BROWS, EYES, MOUTH, NOSTRILS, POINT_COUNT
+from posetrack_cli.head.config import AdjustmentSettings, PointSettings
+from posetrack_cli.head.face.points import of_kinds
 from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.multilinear.face_model import FaceModel
-from posetrack_cli.head.refinement.refine import point_values
 
+OFFSET_SD_MM = of_kinds(
+    eyes=(1.8, 1.4, 2.0), mouth=(2.5, 1.4, 2.0), nostrils=(2.8, 1.4, 5.0), brows=(2.1, 1.4, 3.5)
+)
+"""(K, 3) standard deviations, in the head's frame, of how far what the camera sees of a point lies from the
+model's vertex, always alike."""
+STEP = np.array([20.0, 20.0, 60.0, 0.2, 0.2, 0.1])
+"""(6,) lambda_p, how far one adjustment moves a pose: mm along camera x, y, z; rad about them."""
+DEFORMATION_STEP, IDENTITY_STEP = 1.0, 0.5
+"""lambda_a and lambda_s, the same in standard deviations; the latter is less, as a person does not change."""
 UNDISTORTED_PX = 1e-3
 """A pixel whose ray the lens does not put back there to within this has no ray."""
 
@@ -115,7 +123,7 @@ class Adjuster:
             np.ascontiguousarray(model.core * (identity[:, None] * deformation)),
             model.identity_mean / identity,
             model.deformation_mean / deformation,
-            offset_deviations(settings.offset_mm),
+            OFFSET_SD_MM,
             np.ascontiguousarray(matrices_from_quaternions(quaternions)),
             np.array([view.pose.position for view in views], dtype=np.float64).reshape(-1, 3),
             np.ascontiguousarray(np.where(used[..., None], rays, 0.0)),
@@ -127,7 +135,7 @@ class Adjuster:
 
     def start(self, views: Sequence[PointView], person: PersonParameters) -> Unknowns:
         """Return the start: the views' own poses, deformations and the person, whitened."""
-        model, offsets = self.model, person.offsets / offset_deviations(self.settings.offset_mm)
+        model, offsets = self.model, person.offsets / OFFSET_SD_MM
         local = np.zeros((len(views), POSE + model.deformation_size))
         for row, view in zip(local, views, strict=True):
             row[POSE:] = view.deformation
@@ -143,18 +151,17 @@ class Adjuster:
         A start farther out than ``bound`` is taken for one at the bound. ``wide`` drops the bounds about the
         start.
         """
-        settings, who = self.settings, slice(self.model.identity_size)
-        pose = np.array([*settings.pose_mm, *settings.pose_rad])
+        bound, who = self.settings.bound, slice(self.model.identity_size)
         local, shared = np.full_like(start.local, np.inf), np.full_like(start.shared, np.inf)
         boxes = Boxes(-local, local, -shared, shared)
         if not wide:
-            boxes.local_lower[:, :POSE], boxes.local_upper[:, :POSE] = -pose, pose
+            boxes.local_lower[:, :POSE], boxes.local_upper[:, :POSE] = -STEP, STEP
         lower, upper = boxes.local_lower[:, POSE:], boxes.local_upper[:, POSE:]
         for values, around, lowest, highest in (
-            (start.local[:, POSE:], settings.deformation, lower, upper),
-            (start.shared[who], settings.identity, boxes.shared_lower[who], boxes.shared_upper[who]),
+            (start.local[:, POSE:], DEFORMATION_STEP, lower, upper),
+            (start.shared[who], IDENTITY_STEP, boxes.shared_lower[who], boxes.shared_upper[who]),
         ):
-            bound, reach = settings.bound, np.inf if wide else around
+            reach = np.inf if wide else around
             inside = np.clip(values, -bound, bound)  # the start must lie within its bounds
             np.clip(inside - reach, -bound, bound, out=lowest)
             np.clip(inside + reach, -bound, bound, out=highest)
@@ -189,7 +196,7 @@ class Adjuster:
             scales[:] = lens.reshape(*used.shape, 2, 2) * focal
         else:
             scales[:] = np.eye(2) * focal
-        scales /= point_values(self.settings.pixel_sd)[:, None, None]
+        scales /= self.settings.pixel_sd.values[:, None, None]
         return scales
 
     def _views(
@@ -216,7 +223,7 @@ class Adjuster:
 
     def _residuals(self, problem: Problem, unknowns: Unknowns) -> FloatArray:
         """Return (n, K) lengths of errors, recorded pixels."""
-        lengths, sd = np.empty(problem.weights.shape), point_values(self.settings.pixel_sd)
+        lengths, sd = np.empty(problem.weights.shape), self.settings.pixel_sd.values
         all_lengths(problem, unknowns, lengths)
         pixels: FloatArray = np.where(problem.weights > 0.0, lengths * sd, np.nan)
         return pixels
@@ -229,15 +236,6 @@ class Adjuster:
         identity_variances(problem, unknowns, part, variances)
         deviations: FloatArray = np.sqrt(variances) * self.model.identity_deviations
         return deviations
-
-
-@lru_cache(maxsize=16)
-def offset_deviations(settings: OffsetSettings) -> FloatArray:
-    """Return (K, 3) mm, each point's deviations of its offset; not to be written to."""
-    deviations = np.empty((POINT_COUNT, 3))
-    deviations[EYES], deviations[MOUTH] = settings.eyes, settings.mouth
-    deviations[NOSTRILS], deviations[BROWS] = settings.nostrils, settings.brows
-    return deviations
 
 
 def clipped(start: Unknowns, boxes: Boxes) -> Unknowns:

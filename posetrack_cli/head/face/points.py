@@ -10,6 +10,9 @@ for Creative Technologies, MIT licence).
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
+
+from posetrack_cli.arrays import FloatArray
 
 POINT_NAMES = (
     "right_eye_outer",
@@ -94,5 +97,12 @@ FITTED = np.vstack([FEATURES, NOSE_BASE])
 
 FEATURE_SD = np.array([3.5, 3.0, 3.0, 3.5, 6.0, 6.0, 5.0, 5.0, 6.0, 6.0])
 """(K,) mm: identity, expression and the detector's error of one coordinate together **[ours]**."""
+
+
+def of_kinds(*, eyes: ArrayLike, mouth: ArrayLike, nostrils: ArrayLike, brows: ArrayLike) -> FloatArray:
+    """Return (K, ...) the value of each point's kind."""
+    return np.array([eyes] * 4 + [mouth] * 2 + [nostrils] * 2 + [brows] * 2, dtype=np.float64)
+
+
 for _figures in (MEAN_SHAPE, SHAPE_SD, POINT_NORMALS, FEATURES, FITTED, FEATURE_SD):
     _figures.setflags(write=False)

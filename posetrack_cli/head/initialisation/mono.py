@@ -23,7 +23,6 @@ from posetrack_cli.head.face.templates import TemplateSet, take_templates, tange
 from posetrack_cli.head.initialisation.search import NO_FACE, InitFailure
 from posetrack_cli.head.initialisation.single_view import NEAREST_MM, pose_of
 from posetrack_cli.head.landmarks.faces import Landmarks, ToldFace
-from posetrack_cli.head.refinement.refine import point_values
 from posetrack_cli.recording.base import Frame
 
 Face = TypeVar("Face", FacePoints, ToldFace)
@@ -32,6 +31,10 @@ SAME_FACE = 1.0
 """A face that moved farther from one frame to the next, in eye distances, is another one."""
 MEAN_FACE_WEIGHTS = (FEATURE_SD.min() / FEATURE_SD) ** 2
 """(K,) how well an average face's points tell where a face is: eyes best."""
+SLOPE_DEG = 4.0
+"""The lines between left and right points differ by no more in slope (standard deviation)."""
+MOST_RESIDUAL = 0.12
+"""Points lie so near an average face's, and once adjusted the person's: root mean square, eye distances."""
 DISTANCES_MM = (100.0, 5000.0)
 """Between them lie heads that a camera sees well; others come of a wrong focal length or of no head."""
 CLICKED = np.ones(POINT_COUNT)
@@ -142,7 +145,7 @@ class MonoInitialiser:
         if isinstance(face, str):
             return InitFailure(face, detection.best_score)
         deviation = np.rad2deg(slope_deviation(face.pixels, self._camera))
-        if deviation > self._config.start.slope_deg:
+        if deviation > SLOPE_DEG:
             reason = f"left and right points at slopes that differ by {deviation:.0f} deg"
             return InitFailure(reason, face.score)
         return face_at(face.pixels, frame.stamp_ns, self._camera, face.responses)
@@ -180,10 +183,10 @@ class MonoInitialiser:
         """
         if not detected:
             return InitFailure(NO_FACE)
-        settings, most = self._config.adjustment, self._config.start.residual
+        settings = self._config.adjustment
         score = float(np.mean([face.score for face in detected]))
         misfit = float(np.median([face.misfit for face in detected]))
-        if misfit > most:
+        if misfit > MOST_RESIDUAL:
             return InitFailure(_unlike(misfit), score)
         adjusted = self._adjuster.adjust(
             [self._view(face) for face in detected],
@@ -193,7 +196,7 @@ class MonoInitialiser:
             wide=True,
         )
         residual = _residual(adjusted, detected)
-        reason = _implausible([view.pose for view in adjusted.views], residual, most)
+        reason = _implausible([view.pose for view in adjusted.views], residual)
         if reason:
             return InitFailure(reason, score)
         return MonoInitialisation(
@@ -218,7 +221,7 @@ class MonoInitialiser:
         """Return a frame as the adjustment takes it: points count by their noise beside tracked ones'."""
         noise = np.full(POINT_COUNT, self._config.start.pixel_sd)
         if self._landmarks is not None:
-            told = self._landmarks.noise_px / point_values(self._config.adjustment.pixel_sd)
+            told = self._landmarks.noise_px / self._config.adjustment.pixel_sd.values
             noise = np.maximum(noise, told)
         weights = np.minimum(noise**-2, 1.0) * (face.responses > 0.0)
         return PointView(face.stamp_ns, face.pixels, weights, face.pose, self._model.deformation_mean)
@@ -273,7 +276,7 @@ def _residual(adjusted: Adjusted, detected: Sequence[DetectedFace]) -> float:
     return float(np.sqrt(np.nanmean((adjusted.residuals / distances[:, None]) ** 2)))
 
 
-def _implausible(poses: Sequence[HeadPose], residual: float, most: float) -> str:
+def _implausible(poses: Sequence[HeadPose], residual: float) -> str:
     """Say what about adjusted poses is not a head's before a camera; empty if nothing is."""
     nearest, farthest = DISTANCES_MM
     for pose in poses:
@@ -282,7 +285,7 @@ def _implausible(poses: Sequence[HeadPose], residual: float, most: float) -> str
             return f"a face {distance / 1000.0:.2g} m before the camera"
         if pose.facing @ pose.position >= 0.0:
             return "a face that looks away from the camera"
-    if not residual <= most:
+    if not residual <= MOST_RESIDUAL:
         return _unlike(residual)
     return ""
 

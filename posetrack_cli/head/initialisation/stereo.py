@@ -27,6 +27,16 @@ from posetrack_cli.head.initialisation.single_view import weak_perspective
 from posetrack_cli.head.landmarks.faces import Landmarks
 from posetrack_cli.recording.base import Frame
 
+CORRELATION, RETURN_MM = 0.5, 4.0
+"""A point is matched in another image from this correlation on, if on the way back it is found again within
+this distance."""
+MATCHED_POINTS = 7
+"""So many of the ten must be."""
+DEVIATION = 1.1
+"""Root mean square distance from an average face, in its standard deviations, at most."""
+LEAST_SIZE, MOST_SIZE = 0.7, 1.3
+"""Of a face, as factors of the average's."""
+
 
 @dataclass(frozen=True, eq=False)
 class StereoInitialisation:
@@ -173,16 +183,16 @@ class StereoAttempt:
             pixels: (C, K, 2).
             correlations: (K,) how well the points were matched, for the score.
         """
-        views, settings = self.views, self.settings
+        views, most_px = self.views, self.settings.reprojection_px
         used = [c for c, view in enumerate(views) if view is not None]
         cameras = [required(views[c]).camera for c in used]
         points, known = triangulate(cameras, pixels[used])
         errors = reprojection_errors(cameras, points, pixels[used])
-        known &= np.where(np.isnan(pixels[used, :, 0]), 0.0, errors).max(axis=0) <= settings.reprojection_px
+        known &= np.where(np.isnan(pixels[used, :, 0]), 0.0, errors).max(axis=0) <= most_px
         score, face = float(correlations.mean()), MeasuredFace(points, known)
-        if face.known.sum() >= settings.matched_points:
+        if face.known.sum() >= MATCHED_POINTS:
             face = face.without_outliers()
-        if face.known.sum() < settings.matched_points:
+        if face.known.sum() < MATCHED_POINTS:
             reason = f"{face.known.sum()} of {POINT_COUNT} points matched between the images"
             return InitFailure(reason, score)
         reason = self._implausible(face)
@@ -213,7 +223,7 @@ class StereoAttempt:
         Returns:
             (C, K, 2) pixels, NaN where a point was not matched, and (K,) each point's best correlation.
         """
-        views, settings = self.views, self.settings
+        views = self.views
         first = required(views[camera])
         found = np.full((len(views), POINT_COUNT, 2), np.nan)
         found[camera] = pixels
@@ -221,17 +231,17 @@ class StereoAttempt:
         for other, second in enumerate(views):
             if other != camera and second is not None:
                 matches = match_points(first, second, pixels, relief, pixels_per_mm)
-                good = matches.correlations >= settings.correlation
-                good &= matches.returns_px <= settings.return_mm * pixels_per_mm
+                good = matches.correlations >= CORRELATION
+                good &= matches.returns_px <= RETURN_MM * pixels_per_mm
                 found[other, good], correlations[other] = matches.pixels[good], matches.correlations
         return found, correlations.max(axis=0)
 
     def _implausible(self, face: MeasuredFace) -> str:
         """Say what about the known points is not a face's; empty if nothing is."""
-        settings, size, deviation = self.settings, face.size, face.deviation
-        if not settings.least_size <= size <= settings.most_size:
+        size, deviation = face.size, face.deviation
+        if not LEAST_SIZE <= size <= MOST_SIZE:
             return f"points {size:.2f} times as far apart as a face's"
-        if deviation > settings.deviation:
+        if deviation > DEVIATION:
             return f"points {deviation:.1f} standard deviations from a face's"
         return ""
 

@@ -1,7 +1,7 @@
 """The ten points of a face in files of landmarks: which of other programs' points each is.
 
-The programs' nostrils and brows are not quite ours; each point's constant offset (``adjustment.offset_mm``)
-takes that up. ``docs/landmarks.md`` shows the same table.
+The programs' nostrils and brows are not quite ours; each point's constant offset
+(``adjustment.adjuster.OFFSET_SD_MM``) takes that up. ``docs/landmarks.md`` shows the same table.
 """
 
 from __future__ import annotations

@@ -19,6 +19,10 @@ from posetrack_cli.head.particles.scores import ParticleScores, PatchObservation
 
 LEAST_DEVIATION_MM = 1e-3
 """mu of a deformation that hardly takes place: nothing is divided by less."""
+PATCH_NOISE = 0.35
+"""s: of patches of zero mean and unit norm; larger than their white noise, see ``_log_weights``."""
+LOCAL_RADIUS = 6.0
+"""d of (3.29), in units of the diffusion's standard deviations; none is printed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +101,7 @@ class HeadFilter:
         """Return the local mean, and the particles about it."""
         weights = particles.weights
         scale = np.maximum(sd, LEAST_DEVIATION_MM * self._settings.kappa)
-        mean = local_mean(particles.deviations, weights, scale, self._settings.local_radius)
+        mean = local_mean(particles.deviations, weights, scale, LOCAL_RADIUS)
         return Filtered(particles.about(mean), effective_count(weights))
 
     def _log_weights(self, particles: HeadParticles, deviations: FloatArray) -> FloatArray:
@@ -119,7 +123,7 @@ class HeadFilter:
         if self._settings.weighting == "printed":
             missing = 0.5 * np.square(missing / self._settings.sigma)
         else:
-            missing = missing / self._settings.patch_noise**2
+            missing = missing / PATCH_NOISE**2
         log_weights: FloatArray = -missing - 0.5 * prior
         return log_weights
 

@@ -1,9 +1,9 @@
 """Hypotheses of a head's pose and deformation, and how they move between two frames (thesis, 3.3.1).
 
     s_t = s_{t-1} + tau v_{t-1} + omega                                                           (3.26)
-    sd(omega) = max(floor, gain |v| tau0) sqrt(tau / tau0),    tau0 = 1/30 s
+    sd(omega) = max(FLOOR, GAIN |v| tau0) sqrt(tau / tau0),    tau0 = 1/30 s
 
-The thesis has the diffusion grow with the velocity (Oka et al. 2005) and gives no constants; floor and gain
+The thesis has the diffusion grow with the velocity (Oka et al. 2005) and gives no constants; FLOOR and GAIN
 are ours, and so is that noise is a density: one step of 2 tau spreads as two of tau do **[ours]**.
 
 Particles are held as deviations from one pose and one deformation: moving the head that they stand for, by
@@ -24,7 +24,13 @@ from posetrack_cli.head.face.pose import POSE_SIZE, HeadPose, ShapeModel
 from posetrack_cli.head.particles.kernels import recentre
 
 FRAME_S = 1.0 / 30.0
-"""tau0, the thesis's time between frames, that floors and gain belong to."""
+"""tau0, the thesis's time between frames, that FLOOR and GAIN belong to."""
+FLOOR = np.array([0.8, 0.8, 1.5, 0.008, 0.010, 0.006])
+"""(6,) least diffusion, of a head at rest: mm along camera x, y, z; rad about them (pitch, yaw, roll)."""
+GAIN = 0.4
+"""The diffusion is this share of the way that the velocity goes, where that is more."""
+SPEED_LIMITS = np.repeat([2000.0, 12.0], 3)
+"""(6,) mm/s and rad/s: no head is predicted faster, so that one wild frame is not followed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +102,7 @@ class HeadMotion:
         velocity: (6,) tangent vector per second, camera axes; its components count for no larger than those
             of any head **[ours]**.
         dt: s until that frame; long gaps count for shorter ones.
-        settings: floors, gain and limits.
+        settings: the longest gap, and the deformation's diffusion.
 
     Raises:
         FilterError: dt is not > 0.
@@ -104,8 +110,7 @@ class HeadMotion:
 
     def __init__(self, velocity: FloatArray, dt: float, settings: ParticleSettings) -> None:
         check_time_step(dt)
-        limits = np.repeat([settings.speed_mm_s, settings.speed_rad_s], 3)
-        self._velocity = np.clip(velocity, -limits, limits)
+        self._velocity = np.clip(velocity, -SPEED_LIMITS, SPEED_LIMITS)
         self._seconds, self._settings = min(dt, settings.gap_max_s), settings
 
     def predicted(self, pose: HeadPose) -> HeadPose:
@@ -115,9 +120,7 @@ class HeadMotion:
     @property
     def pose_diffusion(self) -> FloatArray:
         """(6,) standard deviations of omega's pose part, mm and rad."""
-        settings = self._settings
-        floor = np.array([*settings.floor_mm, *settings.floor_rad])
-        frame: FloatArray = np.maximum(floor, settings.gain * FRAME_S * np.abs(self._velocity))
+        frame: FloatArray = np.maximum(FLOOR, GAIN * FRAME_S * np.abs(self._velocity))
         return frame * math.sqrt(self._seconds / FRAME_S)
 
     def deformation_diffusion(self, deviations: FloatArray) -> FloatArray:

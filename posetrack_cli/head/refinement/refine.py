@@ -8,8 +8,8 @@ import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.geometry.rotations import quaternions_from_matrices
-from posetrack_cli.head.config import PointSettings, RefinementSettings
-from posetrack_cli.head.face.points import BROWS, EYES, MOUTH, NOSTRILS, POINT_COUNT
+from posetrack_cli.head.config import RefinementSettings, StereoRefinementSettings
+from posetrack_cli.head.face.points import of_kinds
 from posetrack_cli.head.face.pose import HeadPose, ShapeModel
 from posetrack_cli.head.face.rig_images import RigImages
 from posetrack_cli.head.face.templates import take_templates
@@ -26,6 +26,16 @@ from posetrack_cli.head.refinement.scene import ComparedFrame, Scene
 WIDE_PRIOR = np.array([50.0] * 3 + [0.5] * 3)
 """(6,) standard deviations about the predicted pose, mm and rad: keep what no patch tells."""
 LEAST_DEVIATION_MM = 1e-3
+ITERATIONS = 3
+"""Of Gauss-Newton over pose, deformation and a residual per point."""
+RESIDUAL_MM = of_kinds(eyes=0.8, mouth=2.5, nostrils=3.0, brows=0.9)
+"""(K,) standard deviations of what the model does not explain."""
+RECALCULATION_MM = of_kinds(eyes=1.0, mouth=12.0, nostrils=2.5, brows=2.0)
+"""(K,) the same for the points' own places, with the pose held."""
+DEGREES_OF_FREEDOM = 4.0
+"""Of the Student-t density of the points' residuals."""
+KEYFRAME_NEUTRAL_MM, KEYFRAME_CORRELATION = 3.0, 0.7
+"""A keyframe's face is deformed by less (length of 3K numbers), and looks more like itself."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +118,7 @@ def recalculate(
         printed = Printed(settings.rho, settings.epsilon)
         recalculate_as_printed(scene, R, t, shape, printed, most, points, correlations, pixels)
     else:
-        prior = make_prior(point_values(settings.recalculation_mm), settings)
+        prior = make_prior(RECALCULATION_MM)
         recalculate_points(scene, R, t, shape, prior, most, points, correlations, pixels)
     return Recalculated(points, correlations, pixels)
 
@@ -154,13 +164,7 @@ def _descended(
     )
     precisions = np.maximum(model.deviations, LEAST_DEVIATION_MM) ** -2
     face = Face(np.array(model.mean), np.ascontiguousarray(model.basis), precisions)
-    descend(
-        scene,
-        face,
-        make_prior(point_values(settings.residual_mm), settings),
-        settings.iterations if settings.joint else 0,
-        state,
-    )
+    descend(scene, face, make_prior(RESIDUAL_MM), ITERATIONS if settings.joint else 0, state)
     return state
 
 
@@ -168,17 +172,9 @@ def _pose(state: FaceUnknowns) -> HeadPose:
     return HeadPose(state.position, quaternions_from_matrices(state.rotation))
 
 
-def make_prior(scales: FloatArray, settings: RefinementSettings) -> Prior:
+def make_prior(scales: FloatArray) -> Prior:
     """Return the prior of points that lie off their model by standard deviations (K,), mm."""
-    return Prior(scales, settings.degrees_of_freedom, WIDE_PRIOR**-2)
-
-
-def point_values(settings: PointSettings) -> FloatArray:
-    """Return (K,) the number of each point's kind."""
-    values = np.empty(POINT_COUNT)
-    values[EYES], values[MOUTH] = settings.eyes, settings.mouth
-    values[NOSTRILS], values[BROWS] = settings.nostrils, settings.brows
-    return values
+    return Prior(scales, DEGREES_OF_FREEDOM, WIDE_PRIOR**-2)
 
 
 ROUNDS, STEPS = 3, 5
@@ -186,7 +182,7 @@ ROUNDS, STEPS = 3, 5
 
 
 def refine_initial_depth(
-    images: RigImages, pose: HeadPose, shape: FloatArray, settings: RefinementSettings
+    images: RigImages, pose: HeadPose, shape: FloatArray, settings: StereoRefinementSettings
 ) -> FloatArray:
     """Return the shape (K, 3), mm, at which the patches of all cameras agree best **[ours]**.
 
@@ -201,7 +197,7 @@ def refine_initial_depth(
         shape: (K, 3) as found, mm.
         settings: weights, steps.
     """
-    prior = make_prior(np.full(len(shape), settings.settling_mm), settings)
+    prior = make_prior(np.full(len(shape), settings.settling_mm))
     points = np.array(shape, dtype=np.float64)
     for _ in range(ROUNDS):
         templates = take_templates(images, pose, points)

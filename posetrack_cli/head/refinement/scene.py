@@ -23,6 +23,17 @@ from posetrack_cli.head.face.templates import (
     warps_between,
 )
 
+REFERENCE, KEYFRAME, PREVIOUS = 1.0, 2.0, 1.0
+"""Weights of comparisons: with the first frame, with that in which the face looked nearest the same way, and
+with the frame before."""
+BETWEEN_CAMERAS = 4.3
+"""The same of one camera with another."""
+VISIBILITY_POWER = 0.3
+"""Of the cosine of skin normal and view, which a comparison's weight is multiplied by."""
+PATCH_SD = 0.4
+"""Of the difference of two patches, as vectors of zero mean and unit norm, per unit of weight."""
+CORRELATION_FLOOR, CORRELATION_POWER = 0.2, 6.0
+"""A comparison is believed as ((ncc - floor) / (1 - floor)) ^ power."""
 MARGIN = 48
 """Pixels kept around the predicted points: half a patch and how far a point may be refined."""
 
@@ -123,7 +134,7 @@ class ComparedFrame:
         projection = project(self.images.cameras, pose.points(shape))
         there = np.array([image is not None for image in self.images.images])
         seen = visibility(projection, pose) * there[:, None]
-        weights = seen**self.settings.visibility_power
+        weights = seen**VISIBILITY_POWER
         return Scene(
             _cut_images(self.images.images, projection.pixels),
             _optics(self.images.cameras, projection),
@@ -133,11 +144,10 @@ class ComparedFrame:
         ), seen
 
     def _targets(self, now: FloatArray, seen: FloatArray) -> Targets:
-        settings = self.settings
-        weights = [settings.reference, *[settings.keyframe] * (len(self.templates) - 1)]
+        weights = [REFERENCE, *[KEYFRAME] * (len(self.templates) - 1)]
         found = [warped(one, now) for one in self.templates]
         if self.previous is not None:
-            weights.append(settings.previous)
+            weights.append(PREVIOUS)
             found.append(warped(self.previous, now))
         patches = np.stack([one[0] for one in found])
         known = np.stack([one[1] for one in found])
@@ -145,18 +155,13 @@ class ComparedFrame:
             patches,
             len(self.templates),
             np.array(weights)[:, None, None] * seen * known,
-            *_pairs(now, seen, settings.between_cameras),
+            *_pairs(now, seen),
         )
 
     @property
     def _robustness(self) -> Robustness:
-        settings = self.settings
-        return Robustness(
-            settings.patch_sd**-2,
-            settings.correlation_floor,
-            settings.correlation_power,
-            settings.previous_likeness,
-        )
+        likeness = self.settings.previous_likeness
+        return Robustness(PATCH_SD**-2, CORRELATION_FLOOR, CORRELATION_POWER, likeness)
 
     @property
     def _raw(self) -> FloatArray:
@@ -192,10 +197,10 @@ def _optics(cameras: Sequence[Camera], projection: Projection) -> Optics:
     return Optics(transforms, intrinsics, projection.lenses)
 
 
-def _pairs(now: FloatArray, seen: FloatArray, weight: float) -> tuple[IntArray, FloatArray, FloatArray]:
+def _pairs(now: FloatArray, seen: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
     """Compare each camera with the first that gave an image."""
     there = np.flatnonzero(seen.any(axis=1))
     pairs = np.array([(c, there[0]) for c in there[1:]], dtype=np.int64).reshape(-1, 2)
     warps = warps_between(now[pairs[:, 0]], now[pairs[:, 1]])
-    weights = weight * np.minimum(seen[pairs[:, 0]], seen[pairs[:, 1]])
+    weights = BETWEEN_CAMERAS * np.minimum(seen[pairs[:, 0]], seen[pairs[:, 1]])
     return pairs, warps, np.where(np.isnan(warps[..., 0, 0]), 0.0, weights)

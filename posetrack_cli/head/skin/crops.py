@@ -28,7 +28,12 @@ MIDDLE = np.array([0.0, -20.0, 15.0])
 FINE_PX, GREY, CONTRAST = 4.0, 128.0, 2.0
 """Deviation of the blur that is taken away, and how the rest is kept in eight bits."""
 
-SOONEST = 0.25
+EVERY_NS = 250_000_000
+"""Between two frames kept, at first ..."""
+SOONEST, TURNED_DEG = 0.25, 10.0
+"""... and this share of it where the head turned by so much."""
+MOST_VIEWS = 120
+"""Of more frames kept every second goes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +69,7 @@ class SkinAlbum:
     views: tuple[SkinView, ...] = ()
     every_ns: int = 0
 
-    def wants(self, stamp_ns: int, pose: HeadPose, turned_deg: float) -> bool:
+    def wants(self, stamp_ns: int, pose: HeadPose, turned_deg: float = TURNED_DEG) -> bool:
         """Whether a frame is late enough after the last one kept: sooner if the head turned by so much."""
         if not self.views:
             return True

@@ -21,7 +21,6 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.projection import normalised_from_pixels, pixels_wherever
 from posetrack_cli.geometry.rotations import canonical, conjugate, mean_quaternion, multiply, rotate
 from posetrack_cli.head.adjustment.views import PointView
-from posetrack_cli.head.config import SkinSettings
 from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.skin.adjustment import adjust_pose, adjust_skin, observations
 from posetrack_cli.head.skin.crops import PX_PER_MM, SkinView, cut, place_crop, to_crop, to_image
@@ -32,6 +31,18 @@ from posetrack_cli.opencv import in_one_thread
 
 LEAST_VIEWS = 4
 """A map of fewer says nothing that is not in the frame."""
+POINTS, DISTANCE_MM = 40, 9.0
+"""Corners of skin in a view, at most, and how far they are apart."""
+LINKED = 6
+"""They are looked for in so many views near in time, and in as many turned alike."""
+ROUNDS, STEPS = 2, 8
+"""Poses and points are adjusted to what was found so many times, in so many steps."""
+NEAR, ALIKE = 2, 1
+"""A frame is compared with so many views near in time, and so many turned alike."""
+ERROR_DEG = 1.5
+"""The skin's poses err by about so much, on all faces: how far they are believed."""
+LEAST_POINTS, ENOUGH_POINTS = 15, 60
+"""Points found: so few say nothing, and so many say all that skin can."""
 POSE_STEPS = 5
 
 
@@ -82,30 +93,27 @@ class OnMap(NamedTuple):
 
 
 @in_one_thread()
-def make_map(
-    views: Sequence[SkinView], shape: FloatArray, camera: Camera, settings: SkinSettings
-) -> SkinMap | None:
+def make_map(views: Sequence[SkinView], shape: FloatArray, camera: Camera) -> SkinMap | None:
     """Return the map of views whose poses are those of one person's points; None of too few.
 
     Args:
         views: in the order of their time.
         shape: (K, 3) the person's neutral face, mm.
         camera: that took them.
-        settings: how many points, and with which views they are matched.
     """
     if len(views) < LEAST_VIEWS:
         return None
-    begun = _with_points(views, shape, camera, settings)
+    begun = _with_points(views, shape, camera)
     if not len(begun.points):
         return None
     told, surface = begun.poses, begun.points
     focal, found = np.array([camera.fx, camera.fy]), begun
-    for _ in range(settings.rounds):
-        observed = _observe(found, views, camera, settings)
-        poses, points = adjust_skin(observed, told, surface, focal, settings.steps)
+    for _ in range(ROUNDS):
+        observed = _observe(found, views, camera)
+        poses, points = adjust_skin(observed, told, surface, focal, STEPS)
         poses, points = _in_told_frame(*_of_told_size(poses, points, told), told)
         found = replace(found, points=points, poses=poses)
-    return replace(found, share=_share(told.difference(found.poses), settings))
+    return replace(found, share=_share(told.difference(found.poses)))
 
 
 def _of_told_size(poses: HeadPose, points: FloatArray, told: HeadPose) -> tuple[HeadPose, FloatArray]:
@@ -133,15 +141,13 @@ def _in_told_frame(poses: HeadPose, points: FloatArray, told: HeadPose) -> tuple
     return HeadPose(poses.position - rotate(turned, shift), canonical(turned)), rotate(turn, points) + shift
 
 
-def _with_points(
-    views: Sequence[SkinView], shape: FloatArray, camera: Camera, settings: SkinSettings
-) -> SkinMap:
+def _with_points(views: Sequence[SkinView], shape: FloatArray, camera: Camera) -> SkinMap:
     """The map with its points on the surface, and the poses as the feature points tell them."""
     surface, owners, places, points = surface_of(shape), [], [], []
     for index, one in enumerate(views):
         pixels = pixels_wherever(camera, one.view.pose.points(surface.points))
         there = to_crop(one.placement, pixels)
-        chosen = surface.corners(one.crop, there, settings.points, settings.distance_mm * PX_PER_MM)
+        chosen = surface.corners(one.crop, there, POINTS, DISTANCE_MM * PX_PER_MM)
         owners += [index] * len(chosen)
         places.append(there[chosen])
         points.append(surface.points[chosen])
@@ -156,9 +162,7 @@ def _with_points(
     )
 
 
-def _observe(
-    found: SkinMap, views: Sequence[SkinView], camera: Camera, settings: SkinSettings
-) -> Observations:
+def _observe(found: SkinMap, views: Sequence[SkinView], camera: Camera) -> Observations:
     """Find the points of all views in those that are near in time or turned alike."""
     in_views, of_points, pixels = [], [], []
     for index, one in enumerate(views):
@@ -167,9 +171,7 @@ def _observe(
         away = np.abs(found.stamps - found.stamps[index]).astype(np.float64)
         away[index] = np.inf
         pose = found.poses.of_frame(index)
-        for other in views_for(
-            pose.quaternion, away, found.poses.quaternion, settings.linked, settings.linked
-        ):
+        for other in views_for(pose.quaternion, away, found.poses.quaternion, LINKED, LINKED):
             matches.append(_matched(found, other, one.crop, one.placement, pose, camera))
         for which, places in matches:
             in_views.append(np.full(len(which), index))
@@ -191,20 +193,18 @@ def _matched(
     return which.start + np.flatnonzero(there), places[there]
 
 
-def _share(apart: FloatArray, settings: SkinSettings) -> float:
+def _share(apart: FloatArray) -> float:
     """How far the skin is believed: d^2 / (d^2 + s^2), d how far the two poses of views (n, 6) are apart.
 
-    Both err; the skin by about s, ``error_deg``, on all faces, the feature points the more the more d is.
+    Both err; the skin by about s, ``ERROR_DEG``, on all faces, the feature points the more the more d is.
     """
     turns = apart[:, 3:] - np.median(apart[:, 3:], axis=0)
     squared = float(np.mean(np.sum(np.degrees(turns) ** 2, axis=1)))
-    return squared / (squared + settings.error_deg**2)
+    return squared / (squared + ERROR_DEG**2)
 
 
 @in_one_thread()
-def pose_on_map(
-    found: SkinMap, image: ImageArray, stamp_ns: int, told: HeadPose, camera: Camera, settings: SkinSettings
-) -> OnMap:
+def pose_on_map(found: SkinMap, image: ImageArray, stamp_ns: int, told: HeadPose, camera: Camera) -> OnMap:
     """Return the pose of a head, between what its feature points tell and where its skin lies on a map.
 
     Args:
@@ -213,22 +213,21 @@ def pose_on_map(
         stamp_ns: of the frame.
         told: pose by feature points.
         camera: that took it.
-        settings: with how many views it is compared.
     """
     placement = place_crop(camera, told)
     crop, away = cut(image, placement), np.abs(found.stamps - stamp_ns).astype(np.float64)
-    chosen = views_for(told.quaternion, away, found.poses.quaternion, settings.near, settings.alike)
+    chosen = views_for(told.quaternion, away, found.poses.quaternion, NEAR, ALIKE)
     matches = [_matched(found, view, crop, placement, told, camera) for view in chosen]
     count = sum(len(which) for which, _ in matches)
     looked_for = sum(len(found.places[found.of_view(view)]) for view in chosen)
     unmatched = 1.0 - count / max(looked_for, 1)
-    if count <= settings.least_points:
+    if count <= LEAST_POINTS:
         return OnMap(told, 0.0, unmatched)
     which = np.concatenate([one for one, _ in matches])
     pixels = to_image(placement, np.concatenate([places for _, places in matches]))
     rays, focal = normalised_from_pixels(camera, pixels), np.array([camera.fx, camera.fy])
     pose = adjust_pose(rays, found.points[which], told, told, focal, POSE_STEPS)
-    sure = min((count - settings.least_points) / max(settings.enough_points - settings.least_points, 1), 1.0)
+    sure = min((count - LEAST_POINTS) / (ENOUGH_POINTS - LEAST_POINTS), 1.0)
     share = found.share * sure
     return OnMap(told.moved(share * told.difference(pose)), share, unmatched)
 

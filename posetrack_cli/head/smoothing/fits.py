@@ -18,7 +18,7 @@ w_k = (nu + D) / (nu + e^T P e), D = 3, or 2 of one camera. m is the face as the
 the end: a face that is still being learnt would turn the head a little at each step.
 
 Errors of neighbouring frames are alike, as expressions last and templates slide; so a frame's say is
-lowered to ``share``.
+lowered to ``SHARE``.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ from posetrack_cli.filtering.smoothing import Memory
 from posetrack_cli.geometry.rotations import cross_matrices, matrices_from_quaternions
 from posetrack_cli.head.config import HeadSmoothingSettings
 from posetrack_cli.head.face.pose import POSE_SIZE, HeadPose
-from posetrack_cli.head.refinement.refine import point_values
 from posetrack_cli.head.tracker.estimates import UNKNOWN_SD
+from posetrack_cli.head.tracks import TrackModel
 from posetrack_cli.tracking.body_space import BodySpace
 
 SPACE = BodySpace()
@@ -53,6 +53,12 @@ LEAST_DEVIATION_MM = 1e-6
 SKIN_SD = np.array([2.0, 2.0, 8.0, *np.radians([1.0, 1.0, 1.0])])
 """(6,) mm and rad, by how much a pose by the skin errs otherwise than those about it; chosen on twelve
 rendered heads and three real ones. What all err by alike no smoothing takes away."""
+NOISE_MM, DEPTH_NOISE_MM = 0.25, 0.5
+"""n and l: of the points found, across the ray and, where several cameras see them, along it."""
+FREEDOM = 4.0
+"""nu, of the Student-t density of errors: the smaller, the more outliers."""
+SHARE = 0.1
+"""What a frame says counts by so much: errors of its neighbours are like its own."""
 LEAST_WEIGHT = 0.02
 """Of a point that is hardly seen: ten of them still say where the head is."""
 
@@ -96,14 +102,14 @@ class HeadFits:
     the skin's, and whether the head was ``seen``; where not, it says hardly more than nothing.
 
     Args:
-        settings: noise and movements.
+        model: how faces move.
         cameras: how many see the head.
     """
 
-    def __init__(self, settings: HeadSmoothingSettings, cameras: int) -> None:
-        self._settings = settings
+    def __init__(self, model: TrackModel, cameras: int) -> None:
+        self._deformation = model.deformation
         self._directions = 2 if cameras == 1 else 3
-        self._moved = np.square(point_values(settings.expression_mm))
+        self._moved = np.square(model.expression_mm)
 
     def known(self, frame: Memory) -> LikelihoodModes:
         """Return the fit that is found from the tracker's pose."""
@@ -136,7 +142,7 @@ class HeadFits:
                 break
             pose = SPACE.retract(pose[None], step[None])[0]
         posed = _with_skin(pose, frame)
-        by_points = scaled(_mode(posed, gradient, information + vague), self._settings.share)
+        by_points = scaled(_mode(posed, gradient, information + vague), SHARE)
         by_skin = frame["skin_share"] * np.diag(SKIN_SD**-2)
         return replace(by_points, information=by_points.information + by_skin)
 
@@ -151,24 +157,23 @@ class HeadFits:
         jacobian[:, :, POSE_SIZE:] = rotation @ directions
         precision = self._precisions(frame["points"])
         squared = np.einsum("ki,kij,kj->k", left, precision, left)
-        freedom = self._settings.freedom
         weights = np.maximum(frame["weights"], LEAST_WEIGHT)
-        weights = weights * (freedom + self._directions) / (freedom + squared)
+        weights = weights * (FREEDOM + self._directions) / (FREEDOM + squared)
         says = np.einsum("k,kji,kjl->kil", weights, jacobian, precision)
         gradient, information = np.einsum("kij,kj->i", says, left), np.einsum("kij,kjl->il", says, jacobian)
-        usual = np.maximum(self._settings.deformation * frame["deviations"], LEAST_DEVIATION_MM) ** -2
+        usual = np.maximum(self._deformation * frame["deviations"], LEAST_DEVIATION_MM) ** -2
         gradient[POSE_SIZE:] -= usual * deformation
         information[POSE_SIZE:, POSE_SIZE:] += np.diag(usual)
         return NormalEquations(gradient, information)
 
     def _precisions(self, points: FloatArray) -> FloatArray:
         """Return P_k, (K, 3, 3), of points (K, 3)."""
-        rays, settings = points / np.linalg.norm(points, axis=1, keepdims=True), self._settings
+        rays = points / np.linalg.norm(points, axis=1, keepdims=True)
         along = rays[:, :, None] * rays[:, None, :]
-        across = (np.eye(3) - along) / (self._moved + settings.noise_mm**2)[:, None, None]
+        across = (np.eye(3) - along) / (self._moved + NOISE_MM**2)[:, None, None]
         if self._directions == 2:
             return np.asarray(across)
-        precisions: FloatArray = across + along / (self._moved + settings.depth_noise_mm**2)[:, None, None]
+        precisions: FloatArray = across + along / (self._moved + DEPTH_NOISE_MM**2)[:, None, None]
         return precisions
 
 
@@ -177,15 +182,15 @@ def make_head_smoother(settings: HeadSmoothingSettings, fits: HeadFits) -> FitSm
 
     A head that moves fast also changes its velocity fast: with the frame's ``speed`` (2,), mm/s and rad/s,
 
-        sd(velocity) = sqrt(least^2 + (gain speed)^2)    per square root of a second
+        sd(velocity) = sqrt(least^2 + speed^2)    per square root of a second
     """
     least = np.array([settings.velocity_mm, settings.velocity_rad])
 
     def dynamics(frame: Memory) -> Dynamics:
-        wandering = np.square(least) + np.square(settings.gain * frame["speed"])
+        wandering = np.square(least) + np.square(frame["speed"])
         return Dynamics(np.zeros(POSE_SIZE), np.repeat(wandering, 3))
 
-    return FitSmoother(dynamics, SPACE, fits, GROUPS, settings.freedom)
+    return FitSmoother(dynamics, SPACE, fits, GROUPS, FREEDOM)
 
 
 def _with_skin(pose: FloatArray, frame: Memory) -> FloatArray:

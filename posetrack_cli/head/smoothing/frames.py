@@ -9,10 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.head.config import HeadSmoothingSettings, ParticleSettings
 from posetrack_cli.head.face.points import MEAN_SHAPE, POINT_COUNT
 from posetrack_cli.head.face.pose import POSE_SIZE, HeadPose, rigid_model
-from posetrack_cli.head.particles.particles import velocity_between
+from posetrack_cli.head.particles.particles import SPEED_LIMITS, velocity_between
 from posetrack_cli.head.subject import SKIN_SHARE, WEIGHT
 from posetrack_cli.head.tracker.estimates import in_body_axes
 from posetrack_cli.head.tracker.frame_tracker import HeadState
@@ -205,13 +204,11 @@ class Reach:
     """How far a head may have moved while it was not seen, and how long it may have been away.
 
     Args:
-        smoothing: says how long.
-        motion: of the tracker, says how fast.
+        bridge_s: a head that is lost for no longer is bridged.
     """
 
-    def __init__(self, smoothing: HeadSmoothingSettings, motion: ParticleSettings) -> None:
-        self._longest_ns = round(smoothing.bridge_s * NS_PER_S)
-        self._limits = np.repeat([motion.speed_mm_s, motion.speed_rad_s], 3)
+    def __init__(self, bridge_s: float) -> None:
+        self._longest_ns = round(bridge_s * NS_PER_S)
 
     def in_time(self, earlier: HeadFrame, later: HeadFrame) -> bool:
         """Whether no more time lies between two frames."""
@@ -222,7 +219,7 @@ class Reach:
         if earlier.person != later.person or not self.in_time(earlier, later):
             return False
         dt = (later.stamp_ns - earlier.stamp_ns) / NS_PER_S
-        return bool(np.all(np.abs(velocity_between(earlier.pose, later.pose, dt)) <= self._limits))
+        return bool(np.all(np.abs(velocity_between(earlier.pose, later.pose, dt)) <= SPEED_LIMITS))
 
 
 def chained(frames: Iterable[HeadFrame], reach: Reach) -> Iterator[Link]:

@@ -21,13 +21,14 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.filtering.smoothing import Memory, Smoothed
 from posetrack_cli.geometry.rigid import in_camera, in_object
-from posetrack_cli.head.config import HeadSmoothingSettings
-from posetrack_cli.head.smoothing.fits import LEAST_DEVIATION_MM
+from posetrack_cli.head.smoothing.fits import LEAST_DEVIATION_MM, NOISE_MM
 from posetrack_cli.results.estimate import Estimate
 from posetrack_cli.tracking.body_space import pose_rates
 from posetrack_cli.tracking.smoothing import FrameFacts
 from posetrack_cli.units import NS_PER_S
 
+PLACES_S = 0.05
+"""Standard deviation of the Gaussian: places in the face are smoothed over so long."""
 REACH = 3.0
 """Times the Gaussian's standard deviation: frames farther away do not count."""
 LEAST_SHARE = 1e-3
@@ -80,47 +81,42 @@ def posed_frame(smoothed: Smoothed, facts: FrameFacts, memory: Memory, cameras: 
     )
 
 
-def with_places(
-    frames: Iterable[PosedFrame], settings: HeadSmoothingSettings, origin: FloatArray
-) -> Iterator[Estimate]:
+def with_places(frames: Iterable[PosedFrame], origin: FloatArray) -> Iterator[Estimate]:
     """Yield the estimates of frames whose points are smoothed.
 
     Args:
         frames: in the order of time; those of other chains are no neighbours.
-        settings: how far neighbours count.
         origin: (B,) what the coefficients of the neutral face are called in results.
     """
     window, done = list[PosedFrame](), 0
-    reach = REACH * settings.places_s
+    reach = REACH * PLACES_S
     for frame in frames:
         if window and window[-1].memory["chain"] != frame.memory["chain"]:
-            yield from (_estimate(window, index, settings, origin) for index in range(done, len(window)))
+            yield from (_estimate(window, index, origin) for index in range(done, len(window)))
             window, done = [], 0
         window.append(frame)
         while _seconds(window[done], frame) > reach:
-            yield _estimate(window, done, settings, origin)
+            yield _estimate(window, done, origin)
             done += 1
         while _seconds(window[0], window[done]) > reach:
             window, done = window[1:], done - 1
-    yield from (_estimate(window, index, settings, origin) for index in range(done, len(window)))
+    yield from (_estimate(window, index, origin) for index in range(done, len(window)))
 
 
 def _seconds(earlier: PosedFrame, later: PosedFrame) -> float:
     return (later.facts.stamp_ns - earlier.facts.stamp_ns) / NS_PER_S
 
 
-def _estimate(
-    window: list[PosedFrame], index: int, settings: HeadSmoothingSettings, origin: FloatArray
-) -> Estimate:
+def _estimate(window: list[PosedFrame], index: int, origin: FloatArray) -> Estimate:
     """The estimate of one frame among its neighbours."""
     frame = window[index]
     displacements, rates = local_line(
         np.array([_seconds(frame, one) for one in window]),
         np.array([one.displacements for one in window]),
         np.array([one.weights for one in window]),
-        settings.places_s,
+        PLACES_S,
     )
-    coefficients, coefficient_rates, variance = _deformation(frame.memory, displacements, rates, settings)
+    coefficients, coefficient_rates, variance = _deformation(frame.memory, displacements, rates)
     twist = np.concatenate([frame.velocity, coefficient_rates])
     pose = np.concatenate([frame.pose, origin + coefficients])
     places = frame.memory["neutral"] + displacements
@@ -132,7 +128,7 @@ def _estimate(
         pose_rate=pose_rates(pose, twist),
         twist=twist,
         pose_variance=np.concatenate([frame.variance, variance]),
-        twist_variance=np.concatenate([frame.velocity_variance, variance / settings.places_s**2]),
+        twist_variance=np.concatenate([frame.velocity_variance, variance / PLACES_S**2]),
         points=in_camera(places, pose[:3], pose[3:7]),
         effective_sample_size=None,
         resampled=False,
@@ -160,12 +156,12 @@ def local_line(
 
 
 def _deformation(
-    memory: Memory, displacements: FloatArray, rates: FloatArray, settings: HeadSmoothingSettings
+    memory: Memory, displacements: FloatArray, rates: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the coefficients (B,) of displacements (K, 3), their rates and their variances."""
     basis = memory["basis"].reshape(displacements.size, -1)
     precision = np.maximum(memory["deviations"], LEAST_DEVIATION_MM) ** -2
-    information = basis.T @ basis / settings.noise_mm**2 + np.diag(precision)
+    information = basis.T @ basis / NOISE_MM**2 + np.diag(precision)
     covariance = np.linalg.inv(information)
-    onto = covariance @ basis.T / settings.noise_mm**2
+    onto = covariance @ basis.T / NOISE_MM**2
     return onto @ displacements.ravel(), onto @ rates.ravel(), np.diag(covariance).copy()

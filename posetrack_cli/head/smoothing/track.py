@@ -16,7 +16,7 @@ from posetrack_cli.head.config import HeadMonoConfig, HeadStereoConfig
 from posetrack_cli.head.smoothing.fits import HeadFits, make_head_smoother
 from posetrack_cli.head.smoothing.frames import FrameKeeper, HeadFrame, Link, Reach, chained, with_speeds
 from posetrack_cli.head.smoothing.places import PosedFrame, posed_frame, with_places
-from posetrack_cli.head.velocity import velocity_model
+from posetrack_cli.head.tracks import track_model
 from posetrack_cli.phases import phase
 from posetrack_cli.results.checkpoint import RESTART_HINT
 from posetrack_cli.results.estimate import Estimate, Subject
@@ -59,9 +59,9 @@ class HeadMemory:
         kept: int = 0,
     ) -> None:
         self._path, self._cameras, self._origin = path, cameras, origin
-        self._settings, self._velocity = config.smoothing, velocity_model(config.velocity)
-        self._fits = HeadFits(self._settings, cameras)
-        self._reach = Reach(self._settings, config.particles)
+        self._settings, self._model = config.smoothing, track_model(config)
+        self._fits = HeadFits(self._model, cameras)
+        self._reach = Reach(self._settings.bridge_s)
         self._keeper = FrameKeeper(subject)
         self._spool = RecordSpool(path, kept, self._keeper.blank())
 
@@ -84,9 +84,9 @@ class HeadMemory:
                     memory = _memory(link, end, chain)
                     track.remember(self._fits.belief(memory), link.frame.facts, dt, link.begins, memory)
                     advance(1)
-            placed = with_places(track.backward(), self._settings, self._origin)
+            placed = with_places(track.backward(), self._origin)
             with phase("smoothing, way on", "frame", len(track)) as advance:
-                for estimate in smoothed_velocities(placed, self._velocity):
+                for estimate in smoothed_velocities(placed, self._model.velocity):
                     writer.write_smoothed(estimate)
                     advance(1)
             track.delete()

@@ -8,7 +8,6 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.rotations import quaternion_rate
-from posetrack_cli.head.config import AccuracySettings
 from posetrack_cli.head.face.points import MEAN_SHAPE
 from posetrack_cli.head.face.pose import POSE_SIZE, HeadPose
 from posetrack_cli.head.tracker.confidence import NO_SIGNS
@@ -103,14 +102,6 @@ def lost_estimate(frame: Frame, track: TrackState | None, face: Description) -> 
         resampled=False,
         numbers=np.concatenate([face.diagnostics, NO_SIGNS]),
     )
-
-
-def systematic_variance(settings: AccuracySettings) -> FloatArray:
-    """Return (6,) what a whole track is wrong by, mm^2 in camera axes and rad^2 in the head's."""
-    variance: FloatArray = np.square(
-        np.concatenate([settings.position_mm, np.radians(settings.rotation_deg)])
-    )
-    return variance
 
 
 def padded(values: FloatArray, count: int) -> FloatArray:

@@ -23,6 +23,13 @@ from posetrack_cli.head.config import ModelSettings
 from posetrack_cli.head.face.pose import HeadPose, ShapeModel, rigid_model
 from posetrack_cli.head.face.templates import angle_deg
 
+MEAN_RATE = 0.02
+"""Of the mean shape per frame while it is refined; a running average at first."""
+FACING_DEG = 25.0
+"""Learnt from are frames whose face is turned from the camera by less ..."""
+LEAST_MM, MOST_MM = 3.0, 40.0
+"""... and whose shape is so far from the mean (length of 3K numbers): farther, a point left its feature."""
+
 
 @dataclass(frozen=True, eq=False)
 class FaceLearning:
@@ -73,7 +80,7 @@ class FaceLearning:
         """
         settings = self.settings
         later = replace(self, frames=self.frames + 1)
-        if off_axis_deg(pose) > settings.facing_deg or not np.all(correlations > settings.correlation):
+        if off_axis_deg(pose) > FACING_DEG or not np.all(correlations > settings.correlation):
             return later
         shape = places
         if np.linalg.norm(places - expected) >= settings.align_above_mm:
@@ -82,15 +89,15 @@ class FaceLearning:
         if self.found is None and self.frames < settings.rigid_frames:
             return replace(later, statistics=replace(self.statistics, mean=self._refined_mean(shape)))
         distance = float(np.linalg.norm(shape - self.statistics.mean))
-        if settings.kind != "rigid" and settings.least_mm < distance < settings.most_mm:
+        if settings.kind != "rigid" and LEAST_MM < distance < MOST_MM:
             return replace(later, statistics=self.statistics.updated(shape))
         if self.found is not None:
             return replace(later, statistics=self.statistics.averaged(shape))
         return later
 
     def _refined_mean(self, shape: FloatArray) -> FloatArray:
-        """A running average first, which forgets once ``mean_rate`` is more than its own weight."""
-        rate = max(self.settings.mean_rate, 1.0 / (self.frames + 1))
+        """A running average first, which forgets once ``MEAN_RATE`` is more than its own weight."""
+        rate = max(MEAN_RATE, 1.0 / (self.frames + 1))
         mean: FloatArray = self.statistics.mean + rate * (shape - self.statistics.mean)
         return mean
 

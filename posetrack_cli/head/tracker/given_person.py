@@ -19,15 +19,11 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.geometry.rigid import rigid_alignment
+from posetrack_cli.head import tracks
 from posetrack_cli.head.actions import MEAN_DISPLACEMENTS
-from posetrack_cli.head.adjustment.adjuster import offset_deviations
+from posetrack_cli.head.adjustment.adjuster import OFFSET_SD_MM
 from posetrack_cli.head.adjustment.views import Album, PersonParameters
-from posetrack_cli.head.config import (
-    AccuracySettings,
-    AdjustmentSettings,
-    ModelSettings,
-    OneCameraAccuracySettings,
-)
+from posetrack_cli.head.config import AdjustmentSettings, ModelSettings
 from posetrack_cli.head.face.templates import TemplateSet
 from posetrack_cli.head.model_file import read_model
 from posetrack_cli.head.multilinear.face_model import FaceModel
@@ -62,14 +58,10 @@ class GivenPerson:
     size: Size | None
     is_measured: bool = False
 
-    def accuracy(self, configured: OneCameraAccuracySettings) -> OneCameraAccuracySettings:
-        """Return what a track of the person is wrong by: the head's frame sits where that run laid it.
-
-        What a user configured stays as it is.
-        """
-        if not self.is_measured or configured != OneCameraAccuracySettings():
-            return configured
-        return configured.model_copy(update=AccuracySettings().model_dump())
+    @property
+    def systematic_sd(self) -> FloatArray:
+        """(6,) what a track of the person is wrong by: the head's frame sits where that run laid it."""
+        return (tracks.STEREO if self.is_measured else tracks.MONO).systematic_sd
 
 
 def read_person(path: Path, model: FaceModel, settings: AdjustmentSettings) -> GivenPerson:
@@ -128,11 +120,10 @@ def _measured(state: StereoState, model: FaceModel, settings: AdjustmentSettings
 def person_like(shape: FloatArray, model: FaceModel, settings: AdjustmentSettings) -> PersonParameters:
     """Return the person whose neutral face is a shape (K, 3), mm."""
     deformed, usual = shape + MEAN_DISPLACEMENTS, model.of_person(model.identity_mean).mean
-    D = offset_deviations(settings.offset_mm)
-    R, t = rigid_alignment(deformed, usual, 1.0 / np.square(D).mean(axis=1))
+    R, t = rigid_alignment(deformed, usual, 1.0 / np.square(OFFSET_SD_MM).mean(axis=1))
     basis = np.einsum("kisa,a->kis", model.core, model.deformation_mean) * model.identity_deviations
-    A = (basis / D[..., None]).reshape(-1, model.identity_size)
-    b = ((deformed @ R.T + t - usual) / D).ravel()
+    A = (basis / OFFSET_SD_MM[..., None]).reshape(-1, model.identity_size)
+    b = ((deformed @ R.T + t - usual) / OFFSET_SD_MM).ravel()
     precision = A.T @ A + max(settings.prior, LEAST_PRIOR) * np.eye(A.shape[1])
     u = np.linalg.solve(precision, A.T @ b)
     identity = model.identity_mean + np.clip(u, -settings.bound, settings.bound) * model.identity_deviations

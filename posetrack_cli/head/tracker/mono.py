@@ -14,7 +14,7 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.actions import MEAN_DISPLACEMENTS
 from posetrack_cli.head.adjustment.adjuster import Adjuster
 from posetrack_cli.head.adjustment.focal_length import focal_length_check
-from posetrack_cli.head.config import HeadMonoConfig, OneCameraAccuracySettings, PersonSettings
+from posetrack_cli.head.config import HeadMonoConfig, PersonSettings
 from posetrack_cli.head.detection.detector import FaceDetector
 from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.face.rig_images import project
@@ -43,14 +43,15 @@ from posetrack_cli.head.particles.particles import velocity_between
 from posetrack_cli.head.subject import MonoDiagnostics
 from posetrack_cli.head.tracker.codecs import FOCAL_PX, known_people, people_codec, unusable_people
 from posetrack_cli.head.tracker.confidence import MONO, MONO_WITH_SKIN
-from posetrack_cli.head.tracker.estimates import Description, systematic_variance
+from posetrack_cli.head.tracker.estimates import Description
 from posetrack_cli.head.tracker.face_learning import off_axis_deg
 from posetrack_cli.head.tracker.frame_tracker import FrameFit, SeededFrame, TrackState
 from posetrack_cli.head.tracker.head_tracker import HeadTracker
 from posetrack_cli.head.tracker.mono_state import MonoState, Stated, is_cut, mono_codec, thumbnail
 from posetrack_cli.head.tracker.person import KnownPerson, PersonFitter, new_person, person_shape
-from posetrack_cli.head.tracker.size import PupilDistance, Size
+from posetrack_cli.head.tracker.size import CORNERS_SD_MM, PRIOR_SD, PupilDistance, Size
 from posetrack_cli.head.tracker.whole_face import shift_of
+from posetrack_cli.head.tracks import MONO as TRACK
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.layouts import Arrays
 from posetrack_cli.tracking.confidence import Regression
@@ -79,6 +80,10 @@ KEPT, THE_SAME = 0.98, 0.8
 which on the two look the same: between sharp and blurred it is no more."""
 CLEARLY_BETTER = 0.03
 """Minimum score gain for a new detection to replace the track."""
+SPAN_S = 2.0
+"""Frames that a face is found in lie no farther apart, so that a face seen now and then is not made one."""
+CHECK_EVERY_S = 0.5
+"""A face is detected again, where the fit is poor, no more often than this."""
 FORGOTTEN_S = 1.0
 """A face that was gone for so long may come back elsewhere in the image."""
 
@@ -106,6 +111,7 @@ class MonoPeople:
         clicked: points of the first frame; without them the face is found there, too.
         known: what another tracker has exported: people and templates to begin with.
         landmarks: of the recorded images, from elsewhere.
+        systematic_sd: (6,) what a track of the person is wrong by.
 
     Raises:
         UsageError: a face detector without its model.
@@ -122,9 +128,11 @@ class MonoPeople:
         clicked: ClickedPoints | None = None,
         known: Arrays | None = None,
         landmarks: LandmarkFile | None = None,
+        systematic_sd: FloatArray = TRACK.systematic_sd,
     ) -> None:
         self._config, self._recorded, self._model = config, camera, model
-        self._landmarks, self._told = landmarks, told_distance(config.person, config.accuracy)
+        self._systematic_sd = systematic_sd
+        self._landmarks, self._told = landmarks, told_distance(config.person)
         self.cameras, self.status = (camera,), config.status
         self._detector, self._choice, self._clicked = FaceDetector(config.start.detection), choice, clicked
         self._scaling = Scaling(config.start.eye_distance_px, config.start.largest_scale, camera)
@@ -182,7 +190,7 @@ class MonoPeople:
         fitter, settings = self._at(state).fitter, self._config.status
         here = self._enlarged(state, frame, self._pixels_of(state, track))
         fit = self._or_followed(state, track, here, fitter.fit(state.person, track, here))
-        recent = frame.stamp_ns - state.checked_ns < settings.check_every_s * 1e9
+        recent = frame.stamp_ns - state.checked_ns < CHECK_EVERY_S * 1e9
         if recent or (fit.score >= settings.check_below and not self._has_slid(state, frame, fit)):
             return state, fit
         state = replace(state, checked_ns=frame.stamp_ns)
@@ -338,17 +346,15 @@ class MonoPeople:
             mean if fit is None else fit.coefficients + mean,
             self._model.deformation_deviations,
             self._diagnostics(state, fit).numbers(),
-            None
-            if fit is None
-            else size_and_systematic_variance(fit.track.pose, self._config.accuracy, size),
+            None if fit is None else size_and_systematic_variance(fit.track.pose, self._systematic_sd, size),
         )
 
     def export_model(self, state: MonoState, *, for_second_pass: bool) -> Learned:
         """Return what was learned of the people seen, and how large they were seen."""
-        adjuster, skin = self._at(state).adjuster, self._config.skin
+        adjuster = self._at(state).adjuster
         people = tuple(one.over_album(adjuster) for one in state.people)
         people = tuple(
-            (one.with_skin_map(adjuster, skin) if for_second_pass else one.without_skin()).with_size(
+            (one.with_skin_map(adjuster) if for_second_pass else one.without_skin()).with_size(
                 self._told_of(index), self._model
             )
             for index, one in enumerate(people)
@@ -376,7 +382,7 @@ class MonoPeople:
         if self._clicked is not None and frame.stamp_ns == state.first_ns:
             return self._begin_with_clicks(self._clicked, state, frame)
         initialiser = self._at(state).initialiser
-        state = state.drop_before(frame.stamp_ns - round(self._config.start.span_s * 1e9))
+        state = state.drop_before(frame.stamp_ns - round(SPAN_S * 1e9))
         found = self._detect_near(state, frame, state.candidates[-1].pixels if state.candidates else None)
         if isinstance(found, InitFailure):
             return state, found
@@ -470,7 +476,7 @@ class MonoPeople:
             known.history.spread,
             state.current,
             known.factor,
-            self._config.accuracy.scale if known.size is None else known.size.sd,
+            PRIOR_SD if known.size is None else known.size.sd,
             known.adjusted_frames,
             known.rms_px / (state.scale or WHOLE),
             np.nan if fit is None else fit.skin_share,
@@ -529,23 +535,21 @@ class MonoPeople:
         return self._told if who == 0 else None
 
 
-def told_distance(person: PersonSettings, accuracy: OneCameraAccuracySettings) -> PupilDistance | None:
+def told_distance(person: PersonSettings) -> PupilDistance | None:
     """Return the distance of the pupils that a configuration tells; None where it tells none."""
     if person.interpupillary_mm is None:
         return None
-    sd = float(np.hypot(person.interpupillary_sd_mm, person.corners_sd_mm))
-    return PupilDistance(person.interpupillary_mm, sd, accuracy.scale)
+    sd = float(np.hypot(person.interpupillary_sd_mm, CORNERS_SD_MM))
+    return PupilDistance(person.interpupillary_mm, sd)
 
 
-def size_and_systematic_variance(
-    pose: HeadPose, settings: OneCameraAccuracySettings, size: Size | None
-) -> FloatArray:
+def size_and_systematic_variance(pose: HeadPose, systematic_sd: FloatArray, size: Size | None) -> FloatArray:
     """Return (6,) what a track is wrong by in all frames alike, its size included.
 
     Another size moves a head along its ray: t' = c t has the variance (sd(log c) t)^2, with the deviation of
-    the size that was told or, without, ``scale``.
+    the size that was told or, without, ``PRIOR_SD``.
     """
-    sd, variance = settings.scale if size is None else size.sd, systematic_variance(settings)
+    sd, variance = PRIOR_SD if size is None else size.sd, np.square(systematic_sd)
     variance[:3] += np.square(sd * pose.position)
     return variance
 
@@ -561,6 +565,7 @@ def make_mono_tracker(
     face: int = 0,
     clicked: Path | None = None,
     landmarks: LandmarkFile | None = None,
+    systematic_sd: FloatArray = TRACK.systematic_sd,
 ) -> MonoTracker:
     """Return the tracker that a run uses.
 
@@ -571,6 +576,7 @@ def make_mono_tracker(
         face: which one to begin with, 0 the largest.
         clicked: table of points in the first frame; without it the face is found there, too.
         landmarks: of the recorded images, from elsewhere.
+        systematic_sd: (6,) what a track of the person is wrong by.
 
     Raises:
         UsageError, ResultError: a file that is missing or cannot be used.
@@ -578,7 +584,16 @@ def make_mono_tracker(
     """
     model = load_face_model(None if config.model.file is None else Path(config.model.file))
     points = None if clicked is None else ClickedPoints.read(clicked, (camera,))
-    people = MonoPeople(config, camera, model, choice=face, clicked=points, known=known, landmarks=landmarks)
+    people = MonoPeople(
+        config,
+        camera,
+        model,
+        choice=face,
+        clicked=points,
+        known=known,
+        landmarks=landmarks,
+        systematic_sd=systematic_sd,
+    )
     return HeadTracker(people)
 
 

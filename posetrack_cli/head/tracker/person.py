@@ -11,7 +11,7 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.projection import normalised_from_pixels, pixels_and_jacobian
 from posetrack_cli.head.adjustment.adjuster import Adjuster
 from posetrack_cli.head.adjustment.views import Adjusted, Album, PersonParameters, PointView, choose_views
-from posetrack_cli.head.config import HeadMonoConfig, SkinSettings
+from posetrack_cli.head.config import HeadMonoConfig
 from posetrack_cli.head.face.pose import HeadPose, ShapeModel
 from posetrack_cli.head.face.rig_images import RigImages
 from posetrack_cli.head.face.templates import TemplateSet, is_new_direction, take_templates
@@ -19,8 +19,12 @@ from posetrack_cli.head.initialisation.mono import DetectedFace, MonoInitialisat
 from posetrack_cli.head.initialisation.single_view import pose_of
 from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.head.particles.particles import velocity_between
-from posetrack_cli.head.refinement.refine import LEAST_DEVIATION_MM, point_values
-from posetrack_cli.head.skin.crops import SkinAlbum
+from posetrack_cli.head.refinement.refine import (
+    KEYFRAME_CORRELATION,
+    KEYFRAME_NEUTRAL_MM,
+    LEAST_DEVIATION_MM,
+)
+from posetrack_cli.head.skin.crops import EVERY_NS, MOST_VIEWS, SkinAlbum
 from posetrack_cli.head.skin.map import SkinMap, cut_view, make_map, pose_on_map
 from posetrack_cli.head.tracker.face_learning import off_axis_deg
 from posetrack_cli.head.tracker.frame_tracker import (
@@ -147,7 +151,7 @@ class KnownPerson:
             views, self.person, iterations=iterations, hold_person=True, wide=True, deviations=False
         )
 
-    def with_skin_map(self, adjuster: Adjuster, settings: SkinSettings) -> KnownPerson:
+    def with_skin_map(self, adjuster: Adjuster) -> KnownPerson:
         """Return the person with a map of the skin, for a second pass over these images **[ours]**.
 
         The frames' poses are those that the person's points, as they are now known, have there.
@@ -159,7 +163,7 @@ class KnownPerson:
         adjusted = self._adjusted_views(views, adjuster, adjuster.settings.start_iterations)
         posed = [replace(one, view=view) for one, view in zip(shown, adjusted.views, strict=True)]
         shape = person_shape(adjuster.model, self.person).mean
-        return replace(bare, skin_map=make_map(posed, shape, adjuster.camera, settings))
+        return replace(bare, skin_map=make_map(posed, shape, adjuster.camera))
 
     def without_skin(self) -> KnownPerson:
         """Return the person without what holds for images of one recording alone."""
@@ -330,9 +334,8 @@ class PersonFitter:
 
     def wants_skin(self, person: KnownPerson, frame: SeededFrame, fit: FrameFit) -> bool:
         """Whether a frame of a first pass is to be kept for what it shows of the skin."""
-        settings = self._config.skin
-        wanted = settings.use and person.skin_map is None
-        return wanted and person.skin.wants(frame.stamp_ns, fit.track.pose, settings.turned_deg)
+        wanted = self._config.skin.use and person.skin_map is None
+        return wanted and person.skin.wants(frame.stamp_ns, fit.track.pose)
 
     def keep_skin(self, person: KnownPerson, frame: SeededFrame, fit: FrameFit) -> KnownPerson:
         """Return the person with what a frame shows of the skin **[ours]**.
@@ -342,12 +345,12 @@ class PersonFitter:
             frame: its image as large as the face's points are in it.
             fit: of the frame.
         """
-        settings, (image,) = self._config.skin, frame.frame.images
+        (image,) = frame.frame.images
         if image is None:
             return person
-        album = person.skin if person.skin.views else SkinAlbum(every_ns=round(settings.every_s * 1e9))
+        album = person.skin if person.skin.views else SkinAlbum(every_ns=EVERY_NS)
         shown = cut_view(image, self._camera, self._view(person, frame, fit))
-        return replace(person, skin=album.with_view(shown, settings.views))
+        return replace(person, skin=album.with_view(shown, MOST_VIEWS))
 
     def fit_on_skin(self, person: KnownPerson, frame: SeededFrame, fit: FrameFit) -> FrameFit:
         """Return what a frame says with a pose between its feature points' and its skin's **[ours]**.
@@ -359,7 +362,7 @@ class PersonFitter:
             return fit
         by_points, factor = fit.track.pose, person.factor
         told = farther(by_points, 1.0 / factor)
-        found = pose_on_map(person.skin_map, image, frame.stamp_ns, told, self._camera, self._config.skin)
+        found = pose_on_map(person.skin_map, image, frame.stamp_ns, told, self._camera)
         pose, pixels = farther(found.pose, factor), fit.pixels[0]
         coefficients = self._deformation_at(pose, person.shape, pixels, fit.weights)
         shape = self._on_rays(pose, person.shape.shapes(coefficients), pixels)
@@ -372,7 +375,7 @@ class PersonFitter:
         """The likeliest coefficients (B,) of a face at a pose whose points are seen at pixels (K, 2)."""
         expected, slopes = pixels_and_jacobian(self._camera, pose.points(face.mean))
         seen = np.isfinite(pixels).all(axis=1) & (weights > 0.0)
-        scale = np.sqrt(weights[seen]) / point_values(self._adjuster.over_recording.settings.pixel_sd)[seen]
+        scale = np.sqrt(weights[seen]) / self._adjuster.over_recording.settings.pixel_sd.values[seen]
         J = scale[:, None, None] * (slopes[seen] @ (pose.rotation @ face.basis[seen]))
         rest = scale[:, None] * (pixels[seen] - expected[seen])
         precision = np.diag(np.maximum(face.deviations, LEAST_DEVIATION_MM) ** -2)
@@ -423,14 +426,14 @@ class PersonFitter:
 
     def _is_keyframe(self, person: KnownPerson, fit: FrameFit) -> bool:
         """Whether a frame shows the nearly neutral face from a direction of which nothing is kept."""
-        settings = self._config.refinement
-        neutral = _deformed_mm(person, fit) < settings.keyframe_neutral_mm
-        clear = neutral and fit.score > settings.keyframe_correlation
-        return clear and is_new_direction(person.templates, fit.track.pose.facing, settings.keyframe_deg)
+        neutral = _deformed_mm(person, fit) < KEYFRAME_NEUTRAL_MM
+        clear = neutral and fit.score > KEYFRAME_CORRELATION
+        apart_deg = self._config.refinement.keyframe_deg
+        return clear and is_new_direction(person.templates, fit.track.pose.facing, apart_deg)
 
     def _keyframe(self, templates: TemplateSet, correlations: FloatArray) -> TemplateSet:
         """A frame's templates without the points that do not look like themselves: they may have left."""
-        alike = np.nan_to_num(correlations) > self._config.refinement.keyframe_correlation
+        alike = np.nan_to_num(correlations) > KEYFRAME_CORRELATION
         return replace(templates, seen=templates.seen & alike)
 
 

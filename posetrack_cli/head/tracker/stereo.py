@@ -23,11 +23,15 @@ from posetrack_cli.head.initialisation.stereo import StereoInitialisation, Stere
 from posetrack_cli.head.landmarks.faces import Landmarks
 from posetrack_cli.head.landmarks.file import LandmarkFile
 from posetrack_cli.head.model_file import unusable
-from posetrack_cli.head.refinement.refine import point_values, refine_initial_depth
+from posetrack_cli.head.refinement.refine import (
+    KEYFRAME_CORRELATION,
+    KEYFRAME_NEUTRAL_MM,
+    refine_initial_depth,
+)
 from posetrack_cli.head.subject import StereoDiagnostics
 from posetrack_cli.head.tracker.codecs import history_codecs, search_codec, template_codec, track_codec
 from posetrack_cli.head.tracker.confidence import STEREO
-from posetrack_cli.head.tracker.estimates import Description, padded, systematic_variance
+from posetrack_cli.head.tracker.estimates import Description, padded
 from posetrack_cli.head.tracker.face_learning import Ccipca, FaceLearning, new_face
 from posetrack_cli.head.tracker.frame_tracker import (
     FrameFit,
@@ -38,6 +42,7 @@ from posetrack_cli.head.tracker.frame_tracker import (
     initial_fit,
 )
 from posetrack_cli.head.tracker.head_tracker import HeadTracker
+from posetrack_cli.head.tracks import STEREO as TRACK
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.layouts import Arrays, LayoutError, counts, floats
 from posetrack_cli.tracking.confidence import Regression
@@ -98,7 +103,7 @@ class StereoFace:
         self._config, self._initialiser = config, initialiser
         self.cameras, self.status = tuple(cameras), config.status
         self._frame_tracker = FrameTracker(config, self.cameras)
-        self._steadiness = point_values(config.model.expression_mm) ** -2
+        self._steadiness = config.model.expression_mm.values**-2
         self._codecs = StereoCodecs(len(self.cameras), config.model)
         self._first = StereoState() if known is None else self._codecs.from_model(known)
 
@@ -187,7 +192,7 @@ class StereoFace:
             padded(nothing if fit is None else fit.coefficients, count),
             padded(nothing if face is None else face.model.deviations, count),
             _diagnostics(face, fit).numbers(count),
-            None if fit is None else systematic_variance(self._config.accuracy),
+            None if fit is None else np.square(TRACK.systematic_sd),
         )
 
     def export_model(self, state: StereoState, *, for_second_pass: bool) -> Learned:
@@ -207,10 +212,10 @@ class StereoFace:
 
     def _is_keyframe(self, templates: Sequence[TemplateSet], fit: FrameFit) -> bool:
         """Whether a frame shows the nearly neutral face from a direction of which nothing is kept."""
-        settings = self._config.refinement
-        neutral = float(np.linalg.norm(fit.coefficients)) < settings.keyframe_neutral_mm
-        clear = fit.score > settings.keyframe_correlation
-        return neutral and clear and is_new_direction(templates, fit.track.pose.facing, settings.keyframe_deg)
+        neutral = float(np.linalg.norm(fit.coefficients)) < KEYFRAME_NEUTRAL_MM
+        clear = fit.score > KEYFRAME_CORRELATION
+        apart_deg = self._config.refinement.keyframe_deg
+        return neutral and clear and is_new_direction(templates, fit.track.pose.facing, apart_deg)
 
     def _from_points(
         self, state: StereoState, found: StereoInitialisation, frame: SeededFrame, last_ns: int

@@ -14,7 +14,14 @@ from scipy.optimize import least_squares
 from posetrack_cli.geometry.euler import head_roll_pitch_yaw
 from posetrack_cli.geometry.projection import pixels_from_points
 from posetrack_cli.head.actions import displacement
-from posetrack_cli.head.adjustment.adjuster import Adjuster, clipped
+from posetrack_cli.head.adjustment import adjuster
+from posetrack_cli.head.adjustment.adjuster import (
+    DEFORMATION_STEP,
+    IDENTITY_STEP,
+    STEP,
+    Adjuster,
+    clipped,
+)
 from posetrack_cli.head.adjustment.solver.problem import cost
 from posetrack_cli.head.adjustment.views import PersonParameters, PointView
 from posetrack_cli.head.config import AdjustmentSettings
@@ -110,9 +117,9 @@ def test_bounds_are_never_broken(seed, away, wide, hold):
         assert np.abs(v).max() <= settings.bound + tiny
         if not wide:
             moved = np.abs(start.pose.difference(one.pose))
-            assert np.all(moved <= np.array([*settings.pose_mm, *settings.pose_rad]) + tiny)
+            assert np.all(moved <= STEP + tiny)
             inside = np.clip(v0, -settings.bound, settings.bound)
-            assert np.abs(v - inside).max() <= settings.deformation + tiny
+            assert np.abs(v - inside).max() <= DEFORMATION_STEP + tiny
     if hold:
         return
     u = (found.person.identity - model.identity_mean) / model.identity_deviations
@@ -120,25 +127,26 @@ def test_bounds_are_never_broken(seed, away, wide, hold):
     assert np.abs(u).max() <= settings.bound + tiny
     if not wide:
         inside = np.clip(u0, -settings.bound, settings.bound)
-        assert np.abs(u - inside).max() <= settings.identity + tiny
+        assert np.abs(u - inside).max() <= IDENTITY_STEP + tiny
 
 
 LINEAR = AdjustmentSettings(huber=1e6)
-TIGHT = AdjustmentSettings(
-    identity=0.1, deformation=0.2, pose_mm=(2.0, 2.0, 5.0), pose_rad=(0.03, 0.03, 0.03)
-)
+TIGHT = {"IDENTITY_STEP": 0.1, "DEFORMATION_STEP": 0.2, "STEP": np.array([2.0, 2.0, 5.0, 0.03, 0.03, 0.03])}
+"""Boxes that the way to the optimum leads out of."""
 
 
 @pytest.mark.parametrize(
-    "seed, settings, lens",
+    "seed, settings, lens, boxes",
     [
-        (0, LINEAR, "no lens"),
-        (1, AdjustmentSettings(), "no lens"),
-        (1, TIGHT, "plumb bob"),
+        (0, LINEAR, "no lens", {}),
+        (1, AdjustmentSettings(), "no lens", {}),
+        (1, AdjustmentSettings(), "plumb bob", TIGHT),
     ],
     ids=["linear", "huber", "tight with a lens"],
 )
-def test_agrees_with_scipys_bounded_least_squares(seed, settings, lens):
+def test_agrees_with_scipys_bounded_least_squares(monkeypatch, seed, settings, lens, boxes):
+    for name, reach in boxes.items():
+        monkeypatch.setattr(adjuster, name, reach)
     case = case_of(seed, settings, count=2, lens=lens)
     if settings is not LINEAR:
         case = with_outliers(case, np.random.default_rng(seed), 0.1, 10.0)

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from posetrack_cli.head.config import StereoInitialisationSettings
 from posetrack_cli.head.face.rig_images import CameraImage
 from posetrack_cli.head.initialisation.matching import match_points
+from posetrack_cli.head.initialisation.stereo import MATCHED_POINTS
 from support.rig import LEFT, right_camera
 
 DEPTH = 700.0
@@ -55,7 +55,7 @@ def test_points_of_another_scene_do_not_come_back() -> None:
     other = CameraImage(right.camera, texture(99))
     matches = match_points(left, other, PLACES, np.zeros(len(PLACES)), PIXELS_PER_MM)
     good = (matches.correlations > 0.5) & (matches.returns_px < 4.0 * PIXELS_PER_MM)
-    assert good.sum() < StereoInitialisationSettings().matched_points
+    assert good.sum() < MATCHED_POINTS
 
 
 def test_points_that_the_other_camera_cannot_see_have_no_correlation() -> None:

@@ -94,18 +94,16 @@ def test_a_map_that_is_too_small_for_the_second_weighing_is_made_anew():
 
 @pytest.mark.parametrize("weighting", ["printed", "patches"])
 def test_weights_are_as_printed_or_of_patches_with_noise(weighting):
-    """exp(-(2K - c)^2 / (2 3^2)), (3.27), or exp(-(2K - c) / 0.4^2), times the prior of the deformation."""
+    """exp(-(2K - c)^2 / (2 3^2)), (3.27), or exp(-(2K - c) / 0.35^2), times the prior of the deformation."""
     face = model()
-    settings = ParticleSettings(
-        count=200, weighting=weighting, patch_noise=0.4, lookup="nearest", sampling="printed"
-    )
+    settings = ParticleSettings(count=200, weighting=weighting, lookup="nearest", sampling="printed")
     used, head, particles = started(settings, face)
     seen = observation(FACING, face.mean, used)
     filtered = head.step(particles, HeadMotion(AT_REST, FRAME_S, SETTINGS), seen, np.random.default_rng(1))
     after = filtered.particles
     missing = scores(used, seen, after, after.deviations)
     a = after.coefficients + after.deviations[:, 6:]
-    misfit = np.square(missing) / 18.0 if weighting == "printed" else missing / 0.16
+    misfit = np.square(missing) / 18.0 if weighting == "printed" else missing / 0.35**2
     expected = np.exp(-misfit - 0.5 * np.square(a / face.deviations).sum(axis=1))
     # The reference has moved, and float32 pixels with it: a place between two may be rounded to the other.
     ratio = after.weights / (expected / expected.sum())

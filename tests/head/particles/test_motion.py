@@ -12,6 +12,7 @@ from posetrack_cli.head.config import ParticleSettings
 from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.particles.particles import (
     FRAME_S,
+    SPEED_LIMITS,
     HeadMotion,
     velocity_between,
 )
@@ -61,7 +62,7 @@ def test_long_gaps_and_wild_velocities_are_limited():
     limit, wild = SETTINGS.gap_max_s, np.array([1e6, 0.0, 0.0, 0.0, 0.0, -1e6])
     long, longest = (HeadMotion(VELOCITY, dt, SETTINGS).predicted(POSE) for dt in (limit, 100.0))
     assert long.difference(longest) == pytest.approx(np.zeros(6))
-    speeds = np.array([SETTINGS.speed_mm_s, 0.0, 0.0, 0.0, 0.0, -SETTINGS.speed_rad_s])
+    speeds = SPEED_LIMITS * np.sign(wild)
     moved = POSE.difference(HeadMotion(wild, 0.1, SETTINGS).predicted(POSE))
     assert moved == pytest.approx(0.1 * speeds)
     expected = HeadMotion(speeds, 0.1, SETTINGS).pose_diffusion

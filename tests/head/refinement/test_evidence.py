@@ -16,7 +16,7 @@ from posetrack_cli.head.refinement.evidence import (
     make_workspace,
     project_point,
 )
-from posetrack_cli.head.refinement.scene import ComparedFrame
+from posetrack_cli.head.refinement.scene import BETWEEN_CAMERAS, PREVIOUS, REFERENCE, ComparedFrame
 from support.textured_face import FACING, SHAPE, stereo, textured_face
 
 ONLY = {"reference": 0.0, "previous": 0.0, "between_cameras": 0.0}
@@ -25,13 +25,18 @@ HARDLY = 1e-12
 """Weight of the stored templates beside that of the frame before, 1: for what they say of likeness alone."""
 
 
-def scene_of(**weights):
+def scene_of(previous_likeness=0.0, **weights):
+    """A scene whose comparisons have other weights, and are believed with a precision of 1."""
     cameras = stereo()
     images = textured_face().render(cameras, FACING, SHAPE)
     seen = RigImages(cameras, images)
     templates = take_templates(seen, FACING, SHAPE)
-    settings = RefinementSettings(**{"patch_sd": 1.0, **ONLY, **weights})
-    return ComparedFrame(seen, [templates], templates, settings).scene(FACING, SHAPE)[0]
+    settings, weights = RefinementSettings(previous_likeness=previous_likeness), ONLY | weights
+    scene, _ = ComparedFrame(seen, [templates], templates, settings).scene(FACING, SHAPE)
+    scene.targets.weights[0] *= weights["reference"] / REFERENCE
+    scene.targets.weights[1] *= weights["previous"] / PREVIOUS
+    scene.targets.pair_weights[:] *= weights["between_cameras"] / BETWEEN_CAMERAS
+    return scene._replace(robustness=scene.robustness._replace(precision=1.0))
 
 
 def evidence_at(scene, k, X):

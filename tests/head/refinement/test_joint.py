@@ -11,6 +11,7 @@ from posetrack_cli.head.config import PointSettings, RefinementSettings
 from posetrack_cli.head.face.pose import ShapeModel, rigid_model
 from posetrack_cli.head.face.rig_images import RigImages
 from posetrack_cli.head.face.templates import take_templates
+from posetrack_cli.head.refinement import refine as refinement
 from posetrack_cli.head.refinement.evidence import gather_evidence, make_evidence, make_workspace
 from posetrack_cli.head.refinement.joint import (
     Face,
@@ -21,19 +22,25 @@ from posetrack_cli.head.refinement.joint import (
     point_in_camera,
     tail_precision,
 )
-from posetrack_cli.head.refinement.refine import point_values, refine
+from posetrack_cli.head.refinement.refine import RESIDUAL_MM, refine
 from posetrack_cli.head.refinement.scene import ComparedFrame
 from support.textured_face import FACING, SHAPE, stereo, textured_face
 
 MOTION = np.array([1.5, -1.0, 3.0, 0.015, -0.02, 0.01])
 FINE_MM, FINE_RAD = 0.1, 0.002
 """A twentieth of a pixel, 700 mm away, is 0.035 mm across and 0.3 mm in depth, shared by ten points."""
-STEPS = RefinementSettings(iterations=15)
+SETTINGS = RefinementSettings()
 LENSES = {
     "no lens": {},
     "plumb bob": {"distortion": (-0.25, 0.1, 0.002, -0.003, 0.02)},
     "fisheye": {"distortion": (0.05, -0.02, 0.01, 0.003), "distortion_model": "equidistant"},
 }
+
+
+@pytest.fixture(autouse=True)
+def _to_the_end(monkeypatch):
+    """What is found is looked at, not how soon."""
+    monkeypatch.setattr(refinement, "ITERATIONS", 15)
 
 
 def deforming(seed=5):
@@ -44,7 +51,7 @@ def deforming(seed=5):
     return ShapeModel(SHAPE, basis, np.array([8.0, 5.0]))
 
 
-def moved_and_refined(cameras, model, coefficients, shape=None, settings=STEPS, hide=(), **light):
+def moved_and_refined(cameras, model, coefficients, shape=None, settings=SETTINGS, hide=(), **light):
     face = textured_face()
     templates = take_templates(RigImages(cameras, face.render(cameras, FACING, SHAPE)), FACING, SHAPE)
     pose = FACING.moved(MOTION)
@@ -103,7 +110,7 @@ def test_a_point_off_the_model_becomes_a_residual_and_pulls_little():
 
 
 def test_without_joint_the_pose_stays_and_its_look_is_told():
-    settings = STEPS.model_copy(update={"joint": False})
+    settings = SETTINGS.model_copy(update={"joint": False})
     _, refined = moved_and_refined(stereo(), rigid_model(SHAPE), np.zeros(0), settings=settings)
     np.testing.assert_array_equal(refined.pose.position, FACING.position)
     assert 0.0 < np.nanmean(refined.correlations) < 0.95
@@ -114,7 +121,7 @@ def test_images_that_show_nothing_leave_everything_where_it_was():
     images = textured_face().render(cameras, FACING, SHAPE)
     templates = take_templates(RigImages(cameras, images), FACING, SHAPE)
     blank = [np.full_like(image, 90) for image in images]
-    frame = ComparedFrame(RigImages(cameras, blank), [templates], None, STEPS)
+    frame = ComparedFrame(RigImages(cameras, blank), [templates], None, SETTINGS)
     refined = refine(frame, deforming(), FACING, np.zeros(2))
     np.testing.assert_allclose(refined.pose.position, FACING.position)
     np.testing.assert_array_equal(refined.coefficients, 0.0)
@@ -131,11 +138,10 @@ def problem():
     cameras, model = stereo(), deforming()
     images = textured_face().render(cameras, FACING, SHAPE)
     templates = take_templates(RigImages(cameras, images), FACING, SHAPE)
-    settings = RefinementSettings()
-    frame = ComparedFrame(RigImages(cameras, images), [templates], templates, settings)
+    frame = ComparedFrame(RigImages(cameras, images), [templates], templates, SETTINGS)
     scene, _ = frame.scene(FACING, SHAPE)
     face = Face(model.mean, np.ascontiguousarray(model.basis), model.deviations**-2)
-    prior = Prior(point_values(settings.residual_mm), 4.0, np.array([50.0] * 3 + [0.5] * 3) ** -2)
+    prior = Prior(RESIDUAL_MM, 4.0, np.array([50.0] * 3 + [0.5] * 3) ** -2)
     residuals = np.random.default_rng(2).normal(size=(10, 3))
     pose = FACING.moved(0.5 * MOTION)
     return scene, face, prior, pose, np.array([1.0, -0.5]), residuals
@@ -206,7 +212,7 @@ def test_tail_precision_is_the_weight_of_a_student_t():
 
 
 def test_each_kind_of_point_has_its_number():
-    values = point_values(PointSettings(eyes=1.0, mouth=2.0, nostrils=3.0, brows=4.0))
+    values = PointSettings(eyes=1.0, mouth=2.0, nostrils=3.0, brows=4.0).values
     assert values.tolist() == [1.0] * 4 + [2.0] * 2 + [3.0] * 2 + [4.0] * 2
 
 
@@ -216,6 +222,6 @@ def test_an_unknown_previous_frame_is_no_template():
     templates = take_templates(RigImages(cameras, face.render(cameras, FACING, SHAPE)), FACING, SHAPE)
     blind = replace(templates, seen=np.zeros_like(templates.seen))
     images = RigImages(cameras, face.render(cameras, FACING.moved(MOTION), SHAPE))
-    frames = [ComparedFrame(images, [templates], one, STEPS) for one in (None, blind)]
+    frames = [ComparedFrame(images, [templates], one, SETTINGS) for one in (None, blind)]
     a, b = (refine(frame, rigid_model(SHAPE), FACING, np.zeros(0)) for frame in frames)
     np.testing.assert_array_equal(a.pose.position, b.pose.position)

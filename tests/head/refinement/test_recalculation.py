@@ -7,11 +7,12 @@ from itertools import product
 import numpy as np
 import pytest
 
-from posetrack_cli.head.config import PointSettings, RefinementSettings
+from posetrack_cli.head.config import RefinementSettings, StereoRefinementSettings
 from posetrack_cli.head.face.patches import GRID, SIZE, normalise, sample_grid
 from posetrack_cli.head.face.rig_images import RigImages, project
 from posetrack_cli.head.face.templates import take_templates
-from posetrack_cli.head.refinement.refine import recalculate, refine_initial_depth
+from posetrack_cli.head.refinement.recalculation import recalculate_points
+from posetrack_cli.head.refinement.refine import make_prior, recalculate, refine_initial_depth
 from posetrack_cli.head.refinement.scene import ComparedFrame
 from support.textured_face import FACING, SHAPE, stereo, textured_face
 
@@ -29,6 +30,19 @@ def drawn(shape=SHAPE + OFFSETS):
     templates = take_templates(RigImages(cameras, face.render(cameras, FACING, SHAPE)), FACING, SHAPE)
     images = face.render(cameras, FACING, shape, noise=3.0)
     return cameras, images, templates
+
+
+def scattered(sd_mm, power, between_cameras, most):
+    """Points found within ``sd_mm``; comparisons count by that power, and those between cameras so much."""
+    cameras, images, templates = drawn()
+    frame = ComparedFrame(RigImages(cameras, images), [templates], None, RefinementSettings())
+    scene, _ = frame.scene(FACING, SHAPE)
+    scene.targets.pair_weights[:] *= between_cameras
+    scene = scene._replace(robustness=scene.robustness._replace(power=power))
+    points, correlations, pixels = SHAPE.copy(), np.empty((2, 10)), np.empty((2, 10, 2))
+    at = FACING.rotation, FACING.position
+    recalculate_points(scene, *at, SHAPE, make_prior(np.full(10, sd_mm)), most, points, correlations, pixels)
+    return scene, points, correlations, pixels
 
 
 def found(settings, previous=False, start=SHAPE):
@@ -74,31 +88,23 @@ def joint_cost(scene, cameras, images, k, point_in_camera):
 
 
 def test_no_place_around_costs_less():
-    kinds = PointSettings(eyes=SD, mouth=SD, nostrils=SD, brows=SD)
-    settings = RefinementSettings(
-        between_cameras=0.0, correlation_power=0.0, recalculation_mm=kinds, recalculation_iterations=30
-    )
-    scene, result = found(settings)
+    scene, shape, _, _ = scattered(SD, power=0.0, between_cameras=0.0, most=30)
     cameras, images, _ = drawn()
     for k in range(10):
         wanted = search(
             lambda point_in_camera, k=k: joint_cost(scene, cameras, images, k, point_in_camera), SHAPE[k]
         )
-        away = np.abs(result.shape[k] - wanted)
+        away = np.abs(shape[k] - wanted)
         assert np.all(away <= [2 * AROUND, 2 * AROUND, 8 * AROUND]), (k, away)
 
 
 def test_points_are_found_where_they_were_drawn():
-    free = PointSettings(eyes=10.0, mouth=10.0, nostrils=10.0, brows=10.0)
-    settings = RefinementSettings(correlation_power=1.0, recalculation_mm=free, recalculation_iterations=15)
-    _, result = found(settings)
-    away = np.abs(result.shape - SHAPE - OFFSETS)
+    _, shape, correlations, pixels = scattered(10.0, power=1.0, between_cameras=1.0, most=15)
+    away = np.abs(shape - SHAPE - OFFSETS)
     assert away[:, :2].max() < 0.3  # noise of 3 levels in 20
     assert away[4:6, 2].max() < 1.0
-    assert result.correlations.min() > 0.95
-    np.testing.assert_allclose(
-        result.pixels, project(stereo(), FACING.points(result.shape)).pixels, atol=0.02
-    )
+    assert correlations.min() > 0.95
+    np.testing.assert_allclose(pixels, project(stereo(), FACING.points(shape)).pixels, atol=0.02)
 
 
 def printed_cost(cameras, images, first, settings, k, point_in_camera):
@@ -141,7 +147,7 @@ def test_a_shape_is_settled_at_the_depth_that_both_cameras_see():
     points = FACING.points(SHAPE)
     wrong = points * (1.0 + np.linspace(-6.0, 6.0, 10)[:, None] / 700.0)  # along the reference's rays
     shape = (wrong - FACING.position) @ FACING.rotation
-    settled = refine_initial_depth(RigImages(cameras, images), FACING, shape, RefinementSettings())
+    settled = refine_initial_depth(RigImages(cameras, images), FACING, shape, StereoRefinementSettings())
     away = np.abs(settled - SHAPE)
     assert away[:, :2].max() < 0.3
     assert away[:, 2].max() < 1.0  # a sixth of a pixel; 6 mm before
@@ -150,5 +156,7 @@ def test_a_shape_is_settled_at_the_depth_that_both_cameras_see():
 def test_settling_with_one_image_changes_nothing():
     cameras = stereo()
     images = textured_face().render(cameras, FACING, SHAPE)
-    settled = refine_initial_depth(RigImages(cameras, [images[0], None]), FACING, SHAPE, RefinementSettings())
+    settled = refine_initial_depth(
+        RigImages(cameras, [images[0], None]), FACING, SHAPE, StereoRefinementSettings()
+    )
     np.testing.assert_allclose(settled, SHAPE, atol=1e-6)

@@ -8,17 +8,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given
-from hypothesis import settings as examples
 from hypothesis import strategies as st
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.rigid import in_camera
 from posetrack_cli.geometry.rotations import canonical, exponential, multiply
-from posetrack_cli.head.config import SkinSettings
 from posetrack_cli.head.face.pose import POSE_SIZE, HeadPose
 from posetrack_cli.head.skin.crops import HEIGHT, WIDTH, place_crop, to_image
 from posetrack_cli.head.skin.map import (
+    ALIKE,
     LEAST_VIEWS,
+    NEAR,
+    POINTS,
     SkinMap,
     _in_told_frame,
     _of_told_size,
@@ -26,11 +27,12 @@ from posetrack_cli.head.skin.map import (
     make_map,
     pose_on_map,
 )
+from posetrack_cli.head.skin.map import ERROR_DEG as SKIN_ERROR_DEG
+from posetrack_cli.head.skin.matching import views_for
 from posetrack_cli.head.skin.surface import surface_of
 from support.mono_cases import assert_same
 from support.skin_scene import CAMERA, FRAME_NS, SHAPE, depths, drawn, even, pose_at, shown
 
-SETTINGS = SkinSettings(points=30)
 VIEWS, ERROR_DEG = 16, 4.0
 LEFT_DEG = 0.5
 """Of rotations, less what all are turned by. The 480 places are found to .1 px; what counts is that they lie
@@ -51,8 +53,8 @@ def spread(errors: FloatArray) -> float:
     return float(np.sqrt(np.mean(np.sum((errors - errors.mean(axis=0)) ** 2, axis=1))))
 
 
-def made(error_deg: float = ERROR_DEG, settings: SkinSettings = SETTINGS) -> SkinMap:
-    found = make_map(shown(VIEWS, error_deg).views, SHAPE, CAMERA, settings)
+def made(error_deg: float = ERROR_DEG) -> SkinMap:
+    found = make_map(shown(VIEWS, error_deg).views, SHAPE, CAMERA)
     assert found is not None
     return found
 
@@ -97,7 +99,7 @@ def test_a_map_holds_its_views_and_each_point_once(known: SkinMap) -> None:
     np.testing.assert_array_equal(known.crops, [one.crop for one in views])
     assert len(known.views) == len(known.places) == len(known.points)
     counts = [known.of_view(index).stop - known.of_view(index).start for index in range(VIEWS)]
-    assert sum(counts) == len(known.points) and 0 < min(counts) <= max(counts) <= SETTINGS.points
+    assert sum(counts) == len(known.points) and 0 < min(counts) <= max(counts) <= POINTS
     for index in range(VIEWS):
         assert set(known.views[known.of_view(index)]) == {index}
     assert np.all(known.places >= 0.0) and np.all(known.places < [WIDTH, HEIGHT])
@@ -168,21 +170,21 @@ def test_points_of_a_view_are_found_by_their_bounds(views: list[int], more: int)
 
 def test_too_few_views_make_none() -> None:
     views = shown(VIEWS, 0.0).views
-    assert make_map(views[: LEAST_VIEWS - 1], SHAPE, CAMERA, SETTINGS) is None
-    assert make_map(views[:LEAST_VIEWS], SHAPE, CAMERA, SETTINGS) is not None
-    assert make_map([], SHAPE, CAMERA, SETTINGS) is None
+    assert make_map(views[: LEAST_VIEWS - 1], SHAPE, CAMERA) is None
+    assert make_map(views[:LEAST_VIEWS], SHAPE, CAMERA) is not None
+    assert make_map([], SHAPE, CAMERA) is None
 
 
 def test_even_views_make_none() -> None:
     views = [replace(one, crop=np.full((HEIGHT, WIDTH), 128, np.uint8)) for one in shown(VIEWS, 0.0).views]
-    assert make_map(views, SHAPE, CAMERA, SETTINGS) is None
+    assert make_map(views, SHAPE, CAMERA) is None
 
 
 def test_a_view_in_which_nothing_is_seen_stays_as_it_is_told() -> None:
     """But for what all heads are turned and moved by to lie, on average, as they are told to."""
     views = list(shown(VIEWS, 0.0).views)
     views[5] = replace(views[5], crop=np.full((HEIGHT, WIDTH), 128, np.uint8))
-    found = make_map(views, SHAPE, CAMERA, SETTINGS)
+    found = make_map(views, SHAPE, CAMERA)
     assert found is not None and found.of_view(5).start == found.of_view(5).stop
     told, there = views[5].view.pose, found.poses.of_frame(5)
     assert np.degrees(np.linalg.norm(told.difference(there)[3:])) < TOGETHER_DEG
@@ -196,16 +198,14 @@ def test_equal_views_make_equal_maps(known: SkinMap) -> None:
 # How far it is believed
 
 
-@given(st.integers(0, 2**32 - 1), st.floats(0.0, 3.0), st.integers(1, 30), st.floats(0.1, 10.0))
+@given(st.integers(0, 2**32 - 1), st.floats(0.0, 3.0), st.integers(1, 30))
 def test_it_is_believed_the_more_the_two_are_apart_and_never_alone(
-    seed: int, size: float, count: int, error_deg: float
+    seed: int, size: float, count: int
 ) -> None:
     apart = size * np.random.default_rng(seed).normal(size=(count, POSE_SIZE))
-    settings = SkinSettings(error_deg=error_deg)
-    share = _share(apart, settings)
+    share = _share(apart)
     assert 0.0 <= share < 1.0
-    assert share <= _share(1.5 * apart, settings)
-    assert share >= _share(apart, SkinSettings(error_deg=1.5 * error_deg))
+    assert share <= _share(1.5 * apart)
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 30))
@@ -213,28 +213,28 @@ def test_where_both_agree_but_for_a_turn_of_all_it_is_not_believed(seed: int, co
     """Which of them is turned nothing tells; and where heads are, the share does not ask."""
     rng = np.random.default_rng(seed)
     apart = np.hstack([rng.normal(size=(count, 3)), np.tile(rng.normal(size=3), (count, 1))])
-    assert _share(apart, SETTINGS) == 0.0
+    assert _share(apart) == 0.0
 
 
 def test_half_is_believed_where_they_are_apart_by_its_own_error() -> None:
     apart = np.zeros((4, POSE_SIZE))
-    apart[:, 4] = np.radians(SETTINGS.error_deg) * np.array([1.0, -1.0, 1.0, -1.0])
-    assert _share(apart, SETTINGS) == pytest.approx(0.5)
+    apart[:, 4] = np.radians(SKIN_ERROR_DEG) * np.array([1.0, -1.0, 1.0, -1.0])
+    assert _share(apart) == pytest.approx(0.5)
 
 
 def test_a_map_of_poses_told_wrongly_is_believed(known: SkinMap) -> None:
     """Yaw errs by 4 sin, 2.8 degrees root mean square: as the share says of that."""
     squared = 0.5 * ERROR_DEG**2
-    assert known.share == pytest.approx(squared / (squared + SETTINGS.error_deg**2), abs=0.1)
+    assert known.share == pytest.approx(squared / (squared + SKIN_ERROR_DEG**2), abs=0.1)
 
 
 # A pose on it
 
 
-def located(known: SkinMap, index: float, told: HeadPose, settings: SkinSettings = SETTINGS) -> HeadPose:
+def located(known: SkinMap, index: float, told: HeadPose) -> HeadPose:
     """Where a frame's head is that is not one of the map's."""
     image = drawn(pose_at(index), seed=1000 + round(10 * index))
-    return pose_on_map(known, image, round(index * FRAME_NS), told, CAMERA, settings).pose
+    return pose_on_map(known, image, round(index * FRAME_NS), told, CAMERA).pose
 
 
 def disturbed(index: float, yaw_deg: float = 2.5) -> HeadPose:
@@ -264,35 +264,25 @@ def test_a_pose_goes_as_far_as_the_map_is_believed(known: SkinMap, share: float)
     assert share == 0.0 or nearer[1] < nearer[0]
 
 
-@examples(max_examples=10)
-@given(st.integers(200, 5000))
-def test_few_points_count_the_more_of_them_there_are(known: SkinMap, enough: int) -> None:
-    """In proportion: so twice the wish for points beyond the least is half as far."""
-    told, least = disturbed(7.3), 6
-    once = SETTINGS.model_copy(update={"least_points": least, "enough_points": least + enough})
-    twice = SETTINGS.model_copy(update={"least_points": least, "enough_points": least + 2 * enough})
-    far, half = (told.difference(located(known, 7.3, told, one)) for one in (once, twice))
-    np.testing.assert_allclose(half, 0.5 * far, atol=1e-9)
-
-
-@pytest.mark.parametrize("enough", [7, 40])
-def test_who_has_enough_with_the_least_believes_the_skin_from_there_on(known: SkinMap, enough: int) -> None:
-    """Not less than nothing, and not without end, where fewer are enough than count at all."""
-    told, usual = disturbed(7.3), SETTINGS.model_copy(update={"least_points": 6, "enough_points": 7})
-    settings = SETTINGS.model_copy(update={"least_points": 40, "enough_points": enough})
-    assert_same(located(known, 7.3, told, settings), located(known, 7.3, told, usual))
-
-
-def test_too_few_points_leave_what_is_told(known: SkinMap) -> None:
-    """To the bit."""
-    told = disturbed(7.3)
-    few = SETTINGS.model_copy(update={"least_points": 10_000, "enough_points": 20_000})
-    assert located(known, 7.3, told, few) is told
+@pytest.mark.parametrize("every", [1, 3, 4, 6, 30])
+def test_few_points_count_the_more_of_them_there_are(known: SkinMap, every: int) -> None:
+    """In proportion, from none of those that say nothing to all of those that say all; else to the bit."""
+    told, index = disturbed(7.3), 7.3
+    parts = {name: getattr(known, name)[::every] for name in ("views", "places", "points")}
+    thin, stamp_ns = replace(known, **parts), round(index * FRAME_NS)
+    pose, share, unmatched = pose_on_map(thin, drawn(pose_at(index), seed=1073), stamp_ns, told, CAMERA)
+    away = np.abs(known.stamps - stamp_ns).astype(np.float64)
+    chosen = views_for(told.quaternion, away, known.poses.quaternion, NEAR, ALIKE)
+    looked_for = sum(len(thin.places[thin.of_view(view)]) for view in chosen)
+    count = round((1.0 - unmatched) * looked_for)
+    assert share == pytest.approx(known.share * np.clip((count - 15) / 45, 0.0, 1.0))
+    assert (pose is told) == (count <= 15)
+    assert (count > 60, count <= 15) == (every == 1, every == 30)
 
 
 def test_an_even_image_leaves_what_is_told(known: SkinMap) -> None:
     told = disturbed(7.3)
-    pose, share, unmatched = pose_on_map(known, even(), 0, told, CAMERA, SETTINGS)
+    pose, share, unmatched = pose_on_map(known, even(), 0, told, CAMERA)
     assert pose is told and (share, unmatched) == (0.0, 1.0)
 
 
@@ -304,26 +294,19 @@ def test_skin_that_is_covered_is_not_found(known: SkinMap) -> None:
     covered = image.copy()
     covered[below:] = 128
     unmatched = [
-        pose_on_map(known, one, round(index * FRAME_NS), told, CAMERA, SETTINGS).unmatched
-        for one in (image, covered)
+        pose_on_map(known, one, round(index * FRAME_NS), told, CAMERA).unmatched for one in (image, covered)
     ]
     assert unmatched[0] < 0.15 and 0.3 < unmatched[1] < 0.8
 
 
 def test_a_face_outside_the_image_is_where_it_is_told(known: SkinMap) -> None:
     told = disturbed(7.3).moved(np.array([2000.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
-    pose, share, unmatched = pose_on_map(known, drawn(pose_at(7.3)), 0, told, CAMERA, SETTINGS)
+    pose, share, unmatched = pose_on_map(known, drawn(pose_at(7.3)), 0, told, CAMERA)
     assert pose is told and (share, unmatched) == (0.0, 1.0)
 
 
 def test_a_map_without_views_that_look_alike_leaves_what_is_told(known: SkinMap) -> None:
     """Turned away by 60 degrees."""
     told = disturbed(7.3, 60.0)
-    pose, share, unmatched = pose_on_map(known, drawn(told), 0, told, CAMERA, SETTINGS)
+    pose, share, unmatched = pose_on_map(known, drawn(told), 0, told, CAMERA)
     assert pose is told and (share, unmatched) == (0.0, 1.0)
-
-
-def test_who_asks_for_no_views_gets_what_is_told(known: SkinMap) -> None:
-    told = disturbed(7.3)
-    none = SETTINGS.model_copy(update={"near": 0, "alike": 0})
-    assert located(known, 7.3, told, none) is told

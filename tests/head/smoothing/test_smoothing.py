@@ -20,20 +20,18 @@ from posetrack_cli.filtering.kalman import (
 from posetrack_cli.filtering.model import Dynamics
 from posetrack_cli.geometry.rotations import angle_between, conjugate, exponential, logarithm, multiply
 from posetrack_cli.head.actions import displacement
-from posetrack_cli.head.config import (
-    HeadMonoConfig,
-    HeadSmoothingSettings,
-    HeadStereoConfig,
-    ParticleSettings,
-)
+from posetrack_cli.head.config import HeadSmoothingSettings, HeadStereoConfig
 from posetrack_cli.head.face.points import BROWS, MEAN_SHAPE, POINT_COUNT
 from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.multilinear.face_model import load_face_model
+from posetrack_cli.head.smoothing import fits as head_fits
+from posetrack_cli.head.smoothing import track
 from posetrack_cli.head.smoothing.fits import SKIN_SD, UNKNOWN_SPEED, HeadFits
 from posetrack_cli.head.smoothing.frames import HeadFrame, Link, Reach, chained, with_speeds
 from posetrack_cli.head.smoothing.places import FLAT, local_line
 from posetrack_cli.head.smoothing.track import HeadMemory
 from posetrack_cli.head.subject import head_subject
+from posetrack_cli.head.tracks import MONO, STEREO
 from posetrack_cli.results.estimate import Estimate, Status
 from posetrack_cli.tracking.smoothing import STATUSES
 
@@ -41,7 +39,7 @@ UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
 """A head that looks at the camera: y up is the camera's -y."""
 FRAME_NS, COMPONENTS = 40_000_000, 2
 SUBJECT = head_subject("left", COMPONENTS)
-REACH = Reach(HeadSmoothingSettings(bridge_s=0.2), ParticleSettings())
+REACH = Reach(0.2)
 
 
 def frame(index: int, position: FloatArray, lost: bool = False, **changes: object) -> HeadFrame:
@@ -73,10 +71,9 @@ class Written:
         self.estimates.append(estimate)
 
 
-def smoothed(tmp_path, frames: Iterable[HeadFrame], **settings: object) -> list[Estimate]:
-    config = HeadStereoConfig(smoothing=HeadSmoothingSettings.model_validate(settings))
+def smoothed(tmp_path, frames: Iterable[HeadFrame]) -> list[Estimate]:
     written = Written()
-    with HeadMemory(tmp_path / "frames", config, SUBJECT, 2, np.zeros(COMPONENTS)) as memory:
+    with HeadMemory(tmp_path / "frames", HeadStereoConfig(), SUBJECT, 2, np.zeros(COMPONENTS)) as memory:
         for one in frames:
             memory._spool.append(one.record)
         memory.finish(written)
@@ -87,8 +84,6 @@ def smoothed(tmp_path, frames: Iterable[HeadFrame], **settings: object) -> list[
 # Where heads move linearly, against Rauch, Tung and Striebel
 
 
-LINEAR = {"freedom": 1e6, "gain": 0.0}
-"""Nothing is doubted, and the noise is the same everywhere."""
 CLOSE = 1e-4
 """mm, and radians: turns are held near 0 by points that only move along, to the square of what is left."""
 
@@ -101,9 +96,9 @@ def memory_of(one: HeadFrame) -> dict[str, object]:
     return {**tracked, "points": one.points, "weights": one.weights, **seen}
 
 
-def exactly(frames: list[HeadFrame], settings: HeadSmoothingSettings) -> list[Gaussian]:
+def exactly(frames: list[HeadFrame]) -> list[Gaussian]:
     """Positions, turns from upright and their velocities, backwards in time as the smoother goes."""
-    fits = HeadFits(settings, 2)
+    fits, settings = HeadFits(STEREO, 2), HeadSmoothingSettings()
     wandering = np.square(np.repeat([settings.velocity_mm, settings.velocity_rad], 3))
     dt = FRAME_NS * 1e-9
     F, Q = constant_velocity(Dynamics(np.zeros(6), wandering).over(dt), dt)
@@ -124,13 +119,15 @@ def exactly(frames: list[HeadFrame], settings: HeadSmoothingSettings) -> list[Ga
     return way
 
 
-def test_heads_that_move_along_are_smoothed_exactly(tmp_path) -> None:
+def test_heads_that_move_along_are_smoothed_exactly(tmp_path, monkeypatch) -> None:
+    """Where nothing is doubted, and the noise is the same everywhere."""
+    monkeypatch.setattr(head_fits, "FREEDOM", 1e6)
+    monkeypatch.setattr(track, "with_speeds", lambda links: links)
     rng = np.random.default_rng(2)
     places = np.array([3.0, -2.0, 700.0]) + np.cumsum(rng.normal(0.0, 1.0, (12, 3)), axis=0)
     frames = [frame(index, place, lost=index in (5, 6)) for index, place in enumerate(places)]
-    settings = HeadSmoothingSettings.model_validate(LINEAR)
-    found = smoothed(tmp_path, frames, **LINEAR)
-    for one, expected in zip(found, exactly(frames, settings), strict=True):
+    found = smoothed(tmp_path, frames)
+    for one, expected in zip(found, exactly(frames), strict=True):
         np.testing.assert_allclose(one.position, expected.mean[:3], atol=CLOSE)
         np.testing.assert_allclose(one.pose_variance[:6], np.diag(expected.covariance)[:6], rtol=0.01)
         turned = logarithm(multiply(conjugate(UPRIGHT), one.quaternion))
@@ -142,19 +139,18 @@ def test_heads_that_move_along_are_smoothed_exactly(tmp_path) -> None:
 # What is robust
 
 
-def test_a_raised_brow_does_not_turn_the_head() -> None:
+def test_a_raised_brow_does_not_turn_the_head(monkeypatch) -> None:
     """As the filter's model would have it: the brows weigh as much as the eyes, and a turn explains them."""
-    settings = HeadSmoothingSettings()
     moved = MEAN_SHAPE.copy()
     moved[BROWS, 1] += 5.0
     pose = HeadPose(np.array([0.0, 0.0, 700.0]), UPRIGHT)
     raised = frame(0, pose.position, points=pose.points(moved))
-    stiff = settings.model_copy(
-        update={"expression_mm": settings.expression_mm.model_copy(update={"brows": 0.3}), "freedom": 1e6}
-    )
+    stiff = STEREO.expression_mm.copy()
+    stiff[BROWS] = 0.3
     turns = []
-    for one in (settings, stiff):
-        fit = HeadFits(one, 1).known(memory_of(raised))
+    for model, freedom in ((STEREO, head_fits.FREEDOM), (replace(STEREO, expression_mm=stiff), 1e6)):
+        monkeypatch.setattr(head_fits, "FREEDOM", freedom)
+        fit = HeadFits(model, 1).known(memory_of(raised))
         turns.append(float(np.degrees(angle_between(UPRIGHT, fit.poses[0][3:7]))))
     assert turns[0] < 1.0
     assert turns[1] > 3.0 * turns[0]
@@ -165,7 +161,7 @@ def test_points_of_a_rigid_face_give_their_pose(cameras: int) -> None:
     turned = multiply(exponential(np.array([0.1, 0.3, -0.2])), UPRIGHT)
     true = HeadPose(np.array([20.0, -10.0, 650.0]), turned)
     one = frame(0, true.position + 5.0, points=true.points(MEAN_SHAPE))
-    fit = HeadFits(HeadSmoothingSettings(), cameras).known(memory_of(one))
+    fit = HeadFits(STEREO, cameras).known(memory_of(one))
     np.testing.assert_allclose(fit.poses[0][:3], true.position, atol=0.01)
     assert np.degrees(angle_between(true.quaternion, fit.poses[0][3:7])) < 0.01
 
@@ -174,7 +170,7 @@ def test_points_of_a_rigid_face_give_their_pose(cameras: int) -> None:
 def test_a_fit_lies_between_points_and_skin_as_what_was_stated_did(share: float) -> None:
     """The filter had the points elsewhere; where the skin is both say alike. All turns are about one axis."""
     one = frame(0, np.array([20.0, -10.0, 650.0]))
-    fits = HeadFits(HeadMonoConfig().smoothing, 1)
+    fits = HeadFits(MONO, 1)
     fit = HeadPose(*np.split(fits.known(memory_of(one)).poses[0], [3]))
     by_filter = fit.moved(np.array([0.5, 0.2, -3.0, 0.0, 0.02, 0.0]))
     by_skin = fit.moved(np.array([1.0, -2.0, 4.0, 0.0, -0.05, 0.0]))
@@ -189,7 +185,7 @@ def test_a_fit_lies_between_points_and_skin_as_what_was_stated_did(share: float)
 def test_what_the_skin_tells_counts_beside_the_points() -> None:
     """In full where the pose is the skin's alone, in proportion where it is in part."""
     one = frame(0, np.array([20.0, -10.0, 650.0]))
-    fits = HeadFits(HeadMonoConfig().smoothing, 1)
+    fits = HeadFits(MONO, 1)
     alone, part, whole = (
         fits.known(memory_of(replace(one, skin_share=share))).information[0] for share in (0.0, 0.25, 1.0)
     )
@@ -246,11 +242,8 @@ def test_a_mouth_that_goes_aside_turns_no_head() -> None:
     face = {"mean": person.mean, "basis": person.basis, "deviations": person.deviations}
     aside = frame(0, HERE, points=HeadPose(HERE, UPRIGHT).points(moved), **face)
     turned = []
-    for settings in (
-        HeadMonoConfig().smoothing,
-        HeadMonoConfig().smoothing.model_copy(update={"deformation": 0.0}),
-    ):
-        fit = HeadFits(settings, 1).known(memory_of(aside))
+    for tracker in (MONO, replace(MONO, deformation=0.0)):
+        fit = HeadFits(tracker, 1).known(memory_of(aside))
         best = exponential(np.linalg.solve(fit.information[0], fit.gradients[0])[3:])
         turned.append(float(np.degrees(angle_between(multiply(best, fit.poses[0, 3:7]), UPRIGHT))))
     assert turned[0] < 1.0 < 3.0 < turned[1]
@@ -328,7 +321,7 @@ def test_a_mouth_that_moves_is_followed_and_its_noise_is_not(tmp_path) -> None:
     basis = np.zeros((POINT_COUNT, 3, COMPONENTS))
     basis[4, 0, 0], basis[5, 0, 0] = -np.sqrt(0.5), np.sqrt(0.5)
     frames = [replace(one, basis=basis, deviations=np.array([5.0, 0.0])) for one in frames]
-    found = smoothed(tmp_path, frames, places_s=0.06)
+    found = smoothed(tmp_path, frames)
     mouths = np.array([one.points[5, 0] - one.points[4, 0] for one in found]) / 2.0
     np.testing.assert_allclose(mouths[3:-3], MEAN_SHAPE[5, 0] + opened[3:-3], atol=1.0)
     coefficients = np.array([one.shape for one in found])

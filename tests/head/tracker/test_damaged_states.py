@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -11,16 +11,21 @@ import pytest
 from posetrack_cli.errors import PosetrackError
 from posetrack_cli.results.layouts import LayoutError
 from support.damage import Arrays, damaged_arrays, wild_numbers
-from support.mono_scene import FEW
 from support.mono_scene import Scene as MonoScene
+from support.mono_scene import map_skin_soon
 from support.stereo_scene import Scene as StereoScene
 from support.stereo_scene import Told
 
-OFTEN = FEW.model_copy(update={"skin": FEW.skin.model_copy(update={"every_s": 0.1, "least_points": 6})})
-"""Frames of the skin are kept so often that there are some in a few steps."""
 Put = Callable[[Arrays], object]
 Saved = tuple[Put, Callable[[Any], object], Arrays]
 """What puts a state together, a step from it, and a real state's arrays."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _soon() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patched:
+        map_skin_soon(patched)
+        yield
 
 
 def stereo(frames: int = 5) -> Saved:
@@ -47,7 +52,7 @@ def searching() -> Saved:
 
 def mono(frames: int, known: Arrays | None = None) -> Saved:
     """In the middle of collecting faces, or following one."""
-    scene = MonoScene(config=OFTEN, known=known)
+    scene = MonoScene(known=known)
     for index in range(frames):
         scene.step(index)
     tracker = scene.tracker
@@ -60,7 +65,7 @@ def mono(frames: int, known: Arrays | None = None) -> Saved:
 
 def on_skin() -> Saved:
     """In a second pass, with a map of the skin."""
-    scene = MonoScene(config=OFTEN)
+    scene = MonoScene()
     for index in range(20):
         scene.step(index)
     known = scene.tracker.learned(scene.state, for_second_pass=True)

@@ -11,13 +11,12 @@ from hypothesis import strategies as st
 
 from posetrack_cli.errors import ResultError
 from posetrack_cli.head.actions import ACTION_NAMES
-from posetrack_cli.head.config import OneCameraAccuracySettings
 from posetrack_cli.head.face.points import POINT_NAMES
 from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.subject import MonoDiagnostics, mono_diagnostic_names, mono_subject
 from posetrack_cli.head.tracker.estimates import Description, lost_estimate
 from posetrack_cli.head.tracker.mono import size_and_systematic_variance
-from posetrack_cli.head.tracker.size import Size
+from posetrack_cli.head.tracker.size import PRIOR_SD, Size
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.fields import check_estimate
 from support.bundles import random_model
@@ -73,10 +72,12 @@ def test_a_subject_fits_what_the_tracker_says(identities: int, deformations: int
 
 
 def test_what_a_whole_track_is_wrong_by_grows_with_the_distance() -> None:
-    settings = OneCameraAccuracySettings(scale=0.1, position_mm=(1.0, 2.0, 3.0), rotation_deg=(2.0, 1.0, 0.5))
+    own = np.concatenate([[1.0, 2.0, 3.0], np.radians([2.0, 1.0, 0.5])])
     pose = HeadPose(np.array([10.0, -20.0, 700.0]), np.array([1.0, 0.0, 0.0, 0.0]))
-    variance = size_and_systematic_variance(pose, settings, None)
-    np.testing.assert_allclose(np.sqrt(variance[:3]), np.hypot([1.0, 2.0, 70.0], [1.0, 2.0, 3.0]))
+    variance = size_and_systematic_variance(pose, own, None)
+    np.testing.assert_allclose(
+        np.sqrt(variance[:3]), np.hypot(PRIOR_SD * np.array([10.0, 20.0, 700.0]), [1.0, 2.0, 3.0])
+    )
     np.testing.assert_allclose(np.degrees(np.sqrt(variance[3:])), [2.0, 1.0, 0.5])
-    told = size_and_systematic_variance(pose, settings, Size(1.2, 0.01))
+    told = size_and_systematic_variance(pose, own, Size(1.2, 0.01))
     np.testing.assert_allclose(np.sqrt(told[:3]), np.hypot([0.1, 0.2, 7.0], [1.0, 2.0, 3.0]))

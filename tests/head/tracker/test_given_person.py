@@ -9,18 +9,14 @@ import pytest
 
 from posetrack_cli.errors import PosetrackError, ResultError, UsageError
 from posetrack_cli.head.actions import MEAN_DISPLACEMENTS
-from posetrack_cli.head.config import (
-    AccuracySettings,
-    AdjustmentSettings,
-    ModelSettings,
-    OneCameraAccuracySettings,
-)
+from posetrack_cli.head.config import AdjustmentSettings, ModelSettings
 from posetrack_cli.head.model_file import model_bytes
 from posetrack_cli.head.multilinear.face_model import load_face_model
 from posetrack_cli.head.tracker.codecs import FOCAL_PX, people_codec
 from posetrack_cli.head.tracker.face_learning import new_face
 from posetrack_cli.head.tracker.given_person import GivenPerson, person_like, read_person
 from posetrack_cli.head.tracker.stereo import StereoCodecs, StereoState
+from posetrack_cli.head.tracks import MONO, STEREO
 from support.mono_cases import random_known, random_templates
 from support.mono_scene import CAMERA
 
@@ -93,11 +89,6 @@ def test_what_says_of_nobody_is_one_line(tmp_path: Path) -> None:
 
 
 def test_whom_several_cameras_measured_has_the_frame_that_they_laid() -> None:
-    """It errs as theirs does, unless a user says otherwise; of size only what one camera does not see."""
-    usual, own = OneCameraAccuracySettings(), OneCameraAccuracySettings(scale=0.05)
+    """It errs as theirs does."""
     seen, measured = GivenPerson({}, None), GivenPerson({}, None, is_measured=True)
-    assert seen.accuracy(usual) == usual and measured.accuracy(own) == own
-    stated = measured.accuracy(usual)
-    several = AccuracySettings()
-    assert (stated.position_mm, stated.rotation_deg) == (several.position_mm, several.rotation_deg)
-    assert stated.scale == usual.scale
+    assert seen.systematic_sd is MONO.systematic_sd and measured.systematic_sd is STEREO.systematic_sd

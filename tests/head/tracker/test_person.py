@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from posetrack_cli.geometry.euler import head_quaternion_from_roll_pitch_yaw
+from posetrack_cli.head.adjustment import adjuster as adjusting
 from posetrack_cli.head.adjustment.adjuster import Adjuster
 from posetrack_cli.head.adjustment.views import PersonParameters, PointView
 from posetrack_cli.head.config import AdjustmentSettings
@@ -127,12 +128,14 @@ def test_the_history_holds_the_last_identities(average: int) -> None:
     np.testing.assert_array_equal(people[-1].history.identities, wanted)
 
 
-def test_the_mean_of_the_last_identities_is_where_an_adjustment_begins() -> None:
+def test_the_mean_of_the_last_identities_is_where_an_adjustment_begins(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """(4.36): with a box about the start that is as good as closed, it stays there."""
     bundle, history = at_rest(1), USUAL.model_copy(update={"average": 4})
     known = after(bundle, history, 7)[-1]
-    closed = history.model_copy(update={"identity": 1e-6})
-    last = known.after(as_tracked(bundle, 7), 0.9, adjuster(bundle, closed))
+    monkeypatch.setattr(adjusting, "IDENTITY_STEP", 1e-6)
+    last = known.after(as_tracked(bundle, 7), 0.9, adjuster(bundle, history))
     box = 1e-6 * bundle.model.identity_deviations
     assert np.all(np.abs(last.person.identity - known.history.mean) <= 1.001 * box)
     assert np.any(np.abs(known.person.identity - known.history.mean) > 10.0 * box)

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from posetrack_cli.head.config import OneCameraAccuracySettings, PersonSettings
+from posetrack_cli.head.config import PersonSettings
 from posetrack_cli.head.face.points import MEAN_SHAPE
 from posetrack_cli.head.face.pose import HeadPose
 from posetrack_cli.head.face.rig_images import project
@@ -36,7 +36,7 @@ def test_the_size_is_the_posterior_of_prior_and_measurement(told: float, sd: flo
 
 
 def test_an_exact_distance_is_taken_and_a_size_known_before_stays() -> None:
-    exact = PupilDistance(1.1 * SEEN, 1e-9, 0.035).size_of(MEAN_SHAPE)
+    exact = PupilDistance(1.1 * SEEN, 1e-9).size_of(MEAN_SHAPE)
     assert exact == pytest.approx((1.1, 0.0), abs=1e-9)
     assert PupilDistance(1.1 * SEEN, 1.0, 0.0).size_of(MEAN_SHAPE) == (1.0, 0.0)
 
@@ -57,13 +57,10 @@ def test_a_larger_head_farther_away_looks_the_same() -> None:
 
 
 def test_what_is_told_must_be_somebodys() -> None:
-    accuracy = OneCameraAccuracySettings(scale=0.04)
-    assert told_distance(PersonSettings(), accuracy) is None
-    told = told_distance(
-        PersonSettings(interpupillary_mm=61.0, interpupillary_sd_mm=3.0, corners_sd_mm=4.0), accuracy
-    )
-    assert told == PupilDistance(61.0, 5.0, 0.04)
-    likely = PupilDistance(SEEN, 1.0, 0.035)
+    assert told_distance(PersonSettings()) is None
+    told = told_distance(PersonSettings(interpupillary_mm=61.0, interpupillary_sd_mm=3.0))
+    assert told == PupilDistance(61.0, float(np.hypot(3.0, 1.1)), 0.035)
+    likely = PupilDistance(SEEN, 1.0)
     assert likely.doubt(MEAN_SHAPE) == ()
     (line,) = replace(likely, distance_mm=1.15 * SEEN).doubt(MEAN_SHAPE)
     assert "pupils 70 mm apart are told, but those of the likeliest such face are 61 mm apart" in line
@@ -72,21 +69,19 @@ def test_what_is_told_must_be_somebodys() -> None:
 def test_a_told_distance_scales_a_track_and_narrows_its_depth() -> None:
     """Everything but the length of things is as without: pixels, angles, coefficients."""
     mean = MODEL.of_person(MODEL.identity_mean).mean
-    told = {
-        "interpupillary_mm": 1.08 * pupil_distance(mean),
-        "interpupillary_sd_mm": 0.0,
-        "corners_sd_mm": 1e-3,
-    }
-    config = FEW.model_copy(update={"person": PersonSettings(**told)})
+    told = PersonSettings(interpupillary_mm=1.1 * pupil_distance(mean), interpupillary_sd_mm=0.0)
+    config, size = FEW.model_copy(update={"person": told}), told_distance(told).size_of(mean)
     plain, sized = Scene(), Scene(config=config)
     for index in range(FEW.start.frames + 6):
         one, other = plain.step(index), sized.step(index)
         seen = [project((CAMERA,), estimate.points).pixels[0] for estimate in (one, other)]
         np.testing.assert_allclose(*seen, atol=0.3)  # particles spread by millimetres, of either size
-        shape = sized.state.person.shape.mean if sized.state.people else 1.08 * mean
-        assert pupil_distance(shape) == pytest.approx(1.08 * pupil_distance(mean), abs=0.2)
-        assert other.position[2] / one.position[2] == pytest.approx(1.08, abs=0.01)
+        shape = sized.state.person.shape.mean if sized.state.people else size.factor * mean
+        assert pupil_distance(shape) == pytest.approx(size.factor * pupil_distance(mean), abs=0.2)
+        assert other.position[2] / one.position[2] == pytest.approx(size.factor, abs=0.01)
     sds = [np.sqrt(estimate.pose_variance[2]) for estimate in (one, other)]
-    assert sds[0] > 0.035 * one.position[2] and sds[1] < 5.0  # 24 mm; 3 mm are of the points
+    assert sds[0] > 0.035 * one.position[2] and sds[1] < 0.6 * sds[0]  # 24 mm
     names = dict(zip(sized.subject.number_names, other.numbers, strict=True))
-    assert names["size"] == pytest.approx(sized.state.person.factor) and names["size_sd"] < 1e-3
+    assert names["size"] == pytest.approx(sized.state.person.factor) and names["size_sd"] == pytest.approx(
+        size.sd
+    )

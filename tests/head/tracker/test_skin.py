@@ -31,13 +31,11 @@ from posetrack_cli.tracking.confidence import RunningSigns
 from support.codecs import assert_lawful, assert_same_arrays
 from support.damage import Arrays
 from support.mono_cases import assert_same
-from support.mono_scene import CAMERA, FEW, FRAME_NS, Scene
+from support.mono_scene import CAMERA, FEW, FRAME_NS, Scene, map_skin_soon
 
-OFTEN = {"every_s": 0.1, "least_points": 6, "enough_points": 20}
-"""The drawn face has skin about its points only, and is seen for less than a second."""
-ON_SKIN = HeadMonoConfig.model_validate(FEW.model_dump() | {"skin": OFTEN})
-WITHOUT = HeadMonoConfig.model_validate(FEW.model_dump() | {"skin": OFTEN | {"use": False}})
-LARGE = HeadMonoConfig.model_validate(ON_SKIN.model_dump() | {"person": {"interpupillary_mm": 72.0}})
+EVERY_NS = 100_000_000
+WITHOUT = HeadMonoConfig.model_validate(FEW.model_dump() | {"skin": {"use": False}})
+LARGE = HeadMonoConfig.model_validate(FEW.model_dump() | {"person": {"interpupillary_mm": 72.0}})
 """Somebody who is known to be larger than heads usually are."""
 FIRST, SECOND = 25, 8
 """Frames of the passes."""
@@ -52,24 +50,31 @@ ROUNDING = 1e-9
 """mm, rad and pixels, of numbers below 1000."""
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _soon() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patched:
+        map_skin_soon(patched, EVERY_NS)
+        yield
+
+
 @cache
-def first_pass(config: HeadMonoConfig = ON_SKIN) -> Scene:
+def first_pass(config: HeadMonoConfig = FEW) -> Scene:
     scene = Scene(config=config)
     for index in range(FIRST):
         scene.step(index)
     return scene
 
 
-def learned(config: HeadMonoConfig = ON_SKIN) -> Arrays:
+def learned(config: HeadMonoConfig = FEW) -> Arrays:
     scene = first_pass(config)
     return scene.tracker.learned(scene.state, for_second_pass=True)
 
 
-def believed(config: HeadMonoConfig = ON_SKIN) -> Arrays:
+def believed(config: HeadMonoConfig = FEW) -> Arrays:
     return learned(config) | {SHARED: np.array(SHARE)}
 
 
-def second_pass(known: Arrays, config: HeadMonoConfig = ON_SKIN) -> Iterator[tuple[Estimate, MonoState]]:
+def second_pass(known: Arrays, config: HeadMonoConfig = FEW) -> Iterator[tuple[Estimate, MonoState]]:
     scene = Scene(config=config, known=known)
     for index in range(SECOND):
         estimate = scene.step(index)
@@ -92,8 +97,8 @@ def test_a_first_pass_keeps_a_frame_now_and_then() -> None:
     state = first_pass().state
     assert state is not None
     stamps = [one.view.stamp_ns for one in state.person.skin.views]
-    assert len(stamps) >= LEAST_VIEWS and np.all(np.diff(stamps) >= ON_SKIN.skin.every_s * 1e9)
-    assert np.all(np.diff(stamps) < ON_SKIN.skin.every_s * 1e9 + FRAME_NS)
+    assert len(stamps) >= LEAST_VIEWS and np.all(np.diff(stamps) >= EVERY_NS)
+    assert np.all(np.diff(stamps) < EVERY_NS + FRAME_NS)
     assert state.person.skin_map is None and state.stated is None
 
 
@@ -119,7 +124,7 @@ def test_without_its_use_no_skin_is_kept_and_nothing_else_changes() -> None:
 
 
 def test_too_few_frames_are_no_map() -> None:
-    scene = Scene(config=ON_SKIN)
+    scene = Scene()
     for index in range(FEW.start.frames + 3):
         scene.step(index)
     assert scene.state is not None and 0 < len(scene.state.person.skin.views) < LEAST_VIEWS
@@ -128,7 +133,7 @@ def test_too_few_frames_are_no_map() -> None:
 
 
 def test_a_frame_without_an_image_is_not_kept() -> None:
-    scene, state = Scene(config=ON_SKIN), first_pass().state
+    scene, state = Scene(), first_pass().state
     assert state is not None
     frame = replace(scene.frame(FIRST), images=(None,))
     after, _ = scene.tracker.step(state, frame, np.random.default_rng(0))
@@ -151,7 +156,7 @@ def test_without_skin_there_is_none_to_look_for() -> None:
         assert signs[-1] == 0.0 and estimate.confidence == MONO.probability(signs)
 
 
-@pytest.mark.parametrize("config", [ON_SKIN, LARGE], ids=["of any size", "of a size that was told"])
+@pytest.mark.parametrize("config", [FEW, LARGE], ids=["of any size", "of a size that was told"])
 def test_a_pose_between_track_and_skin_is_stated(config: HeadMonoConfig) -> None:
     """As far from the track as the map is believed; the track goes on from its points. A map is as large as
     heads usually are."""
@@ -167,7 +172,7 @@ def test_a_pose_between_track_and_skin_is_stated(config: HeadMonoConfig) -> None
         factor, (image,) = state.person.factor, scene.frame(index).images
         assert (factor > 1.05) == (config is LARGE)
         usual, whole = farther(told, 1.0 / factor), replace(found, share=1.0)
-        on_skin = pose_on_map(whole, image, estimate.stamp_ns, usual, CAMERA, config.skin)
+        on_skin = pose_on_map(whole, image, estimate.stamp_ns, usual, CAMERA)
         apart.append(usual.difference(farther(pose_of(estimate), 1.0 / factor)))
         np.testing.assert_allclose(apart[-1], SHARE * usual.difference(on_skin.pose), atol=ROUNDING)
         assert_same(pose_of(estimate), state.stated.pose)
@@ -191,7 +196,7 @@ def anchor(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_frames_whose_points_are_found_anew_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = Scene(config=ON_SKIN)
+    scene = Scene()
     for index in range(10):
         scene.step(index)
     assert scene.state is not None
@@ -206,7 +211,7 @@ def test_frames_whose_points_are_found_anew_are_compared_too(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     anchor(monkeypatch)
-    scene = Scene(config=ON_SKIN, known=believed())
+    scene = Scene(known=believed())
     for index in range(SECOND):
         estimate = scene.step(index)
         assert scene.state is not None and scene.state.track is not None
@@ -276,7 +281,7 @@ def test_a_second_pass_keeps_no_frames() -> None:
 
 def test_a_velocity_over_a_gap_is_that_of_what_was_stated_before_and_after_it() -> None:
     """Divided by how long it took; and the next one is that of the next two."""
-    scene = Scene(config=ON_SKIN, known=believed())
+    scene = Scene(known=believed())
     before = [scene.step(index) for index in range(6)][-1]
     scene.told.there = False
     for index in range(6, 12):
@@ -292,7 +297,7 @@ def test_a_velocity_over_a_gap_is_that_of_what_was_stated_before_and_after_it() 
 @pytest.mark.parametrize("eyes_px", [130.0, 176.0])
 def test_a_small_face_is_compared_in_enlarged_images(eyes_px: float) -> None:
     """Skin and points say about the same there, too; at another scale they would be far apart."""
-    config = HeadMonoConfig.model_validate(ON_SKIN.model_dump() | {"start": {"eye_distance_px": eyes_px}})
+    config = HeadMonoConfig.model_validate(FEW.model_dump() | {"start": {"eye_distance_px": eyes_px}})
     scene = first_pass(config)
     assert scene.state is not None and scene.state.scale is not None and scene.state.scale > 1.0
     known = learned(config) | {SHARED: np.array(1.0)}
@@ -307,7 +312,7 @@ def test_a_small_face_is_compared_in_enlarged_images(eyes_px: float) -> None:
 
 @pytest.mark.parametrize("frames", [1, 4], ids=["begun", "followed"])
 def test_a_state_on_the_skin_comes_back_and_goes_on_alike(frames: int) -> None:
-    scene, other = Scene(config=ON_SKIN, known=believed()), Scene(config=ON_SKIN, known=believed())
+    scene, other = Scene(known=believed()), Scene(known=believed())
     for index in range(frames):
         scene.step(index)
     assert scene.state is not None and scene.state.stated is not None
@@ -369,7 +374,7 @@ def test_frames_that_no_camera_took_make_no_harm(name: str) -> None:
             continue
         known = scene.tracker.learned(state, for_second_pass=True)
         try:
-            Scene(config=ON_SKIN, known=known).step(0)
+            Scene(known=known).step(0)
         except PosetrackError as error:
             assert name == "positions" and "\n" not in str(error)  # farther than any
 
@@ -388,7 +393,7 @@ WILD_MAPS = {
 def test_maps_that_no_pass_made_make_no_harm(name: str) -> None:
     known, full = believed(), f"person0.skin_map.{name}"
     for value in WILD_MAPS[name]:
-        scene = Scene(config=ON_SKIN, known=known | {full: np.full_like(known[full], value)})
+        scene = Scene(known=known | {full: np.full_like(known[full], value)})
         try:
             assert np.isfinite(scene.step(0).position).all()
         except PosetrackError as error:

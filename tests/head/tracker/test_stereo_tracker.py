@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.rotations import angle_between
-from posetrack_cli.head.config import AccuracySettings
 from posetrack_cli.head.initialisation.search import InitFailure
+from posetrack_cli.head.tracker import stereo
 from posetrack_cli.head.tracker.estimates import UNSEEN
 from posetrack_cli.head.tracker.head_tracker import HeadTracker
 from posetrack_cli.head.tracker.stereo import StereoFace
+from posetrack_cli.head.tracks import STEREO
 from posetrack_cli.results.estimate import Estimate, Status
 from support.codecs import assert_lawful
 from support.stereo_scene import CAMERAS, FEW, Scene, Told
@@ -88,16 +91,17 @@ def test_a_saved_state_goes_on_alike() -> None:
         np.testing.assert_array_equal(first.pose_variance, second.pose_variance)
 
 
-def test_a_result_states_what_the_whole_track_is_wrong_by_too() -> None:
+def test_a_result_states_what_the_whole_track_is_wrong_by_too(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where a head's frame sits in it no frame tells; velocities do not know of it."""
-    accuracy = AccuracySettings(position_mm=(1.0, 2.0, 3.0), rotation_deg=(4.0, 5.0, 6.0))
-    nothing = AccuracySettings(position_mm=(1e-6,) * 3, rotation_deg=(1e-6,) * 3)
-    scenes = [Scene(config=FEW.model_copy(update={"accuracy": one})) for one in (accuracy, nothing)]
+    scenes = Scene(), Scene()
     for index in range(3):
-        stated, particles = (scene.step(index) for scene in scenes)
+        stated = scenes[0].step(index)
+        with monkeypatch.context() as patch:
+            patch.setattr(stereo, "TRACK", replace(STEREO, systematic_sd=np.zeros(6)))
+            particles = scenes[1].step(index)
     more = stated.pose_variance - particles.pose_variance
-    np.testing.assert_allclose(more[:3], [1.0, 4.0, 9.0], rtol=1e-9)
-    np.testing.assert_allclose(np.degrees(np.sqrt(more[3:6])), [4.0, 5.0, 6.0])
+    np.testing.assert_allclose(more[:3], np.square([2.6, 2.3, 3.3]), rtol=1e-9)
+    np.testing.assert_allclose(np.degrees(np.sqrt(more[3:6])), [2.3, 1.8, 1.4])
     np.testing.assert_array_equal(more[6:], 0.0)
     np.testing.assert_array_equal(stated.twist_variance, particles.twist_variance)
 
