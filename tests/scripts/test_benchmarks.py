@@ -6,7 +6,6 @@ import json
 import subprocess
 import sys
 from dataclasses import replace
-from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,6 @@ from click.testing import CliRunner
 
 import benchmarks
 from benchmarking import commands, one_camera
-from benchmarking.clocks import Clocks, clocked
 from benchmarking.commands import peak_memory, usage_of
 from benchmarking.heads import deformations_of
 from benchmarking.recordings import link_recording, there_and_back, write_hand_recording
@@ -48,42 +46,6 @@ def test_a_ratio_is_of_pairs_and_not_of_medians() -> None:
     """A clock that slows down threefold halfway changes no pair."""
     assert median_of_pairs([2.0, 2.0, 6.0], [1.0, 1.0, 3.0]) == 2.0
     assert median_of_pairs([4.0, 1.0, 9.0], [2.0, 1.0, 1.0]) == 2.0  # of the medians: 4
-
-
-class Worker:
-    """Work of which one part calls the other."""
-
-    def outer(self) -> str:
-        return self.inner()
-
-    def inner(self) -> str:
-        return "done"
-
-    def fail(self) -> None:
-        raise ValueError
-
-
-def test_the_outermost_call_counts_alone() -> None:
-    ticks = count()
-    clocks = Clocks(["in", "out"], lambda: float(next(ticks)))
-    inner = clocks.timed("in", lambda: None)
-    clocks.timed("out", inner)()
-    assert clocks.seconds == {"in": 0.0, "out": 1.0}
-    inner()
-    assert clocks.seconds == {"in": 1.0, "out": 1.0}
-
-
-def test_clocks_are_taken_off_again_and_survive_a_failure() -> None:
-    plain = Worker.outer, Worker.inner, Worker.fail
-    with clocked({"a": [(Worker, ("outer", "fail"))], "b": [(Worker, ("inner",))]}) as clocks:
-        assert Worker().outer() == "done"
-        assert clocks.seconds["a"] > 0.0
-        assert clocks.seconds["b"] == 0.0
-        with pytest.raises(ValueError):
-            Worker().fail()
-        assert Worker().inner() == "done"
-        assert clocks.seconds["b"] > 0.0  # the failure left no clock running
-    assert (Worker.outer, Worker.inner, Worker.fail) == plain
 
 
 class Pacer:
