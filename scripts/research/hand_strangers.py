@@ -45,7 +45,7 @@ from research.hands import (
     start_of,
     without_offsets,
 )
-from research.report import Column, Figures, Report, number, pairs_of, values_of
+from research.report import Column, Figures, Report, number, over, pairs_of, values_of
 from research.runner import FILE, SHARED, TOOL, Files, Job, Step, tool_digest
 from research.study import FOLDER, Part, Study, integer
 
@@ -192,17 +192,6 @@ def _groups(rows: Rows) -> dict[str, list[str]]:
     return groups
 
 
-def _mean(rows: Rows, name: str) -> float | None:
-    values = values_of(rows.values(), name)
-    return float(values.mean()) if len(values) else None
-
-
-def _worst(rows: Rows, name: str) -> float | None:
-    return (
-        float(values_of(rows.values(), name).max(initial=-np.inf)) if _mean(rows, name) is not None else None
-    )
-
-
 # The person's own mesh, and smoothing
 
 MESH_COLUMNS = (
@@ -257,9 +246,9 @@ def _tell_mesh(options: Options, files: Files, report: Report) -> None:
     )
     rows = _mesh_figures(options, files)
     report.figures("mesh", MESH_COLUMNS, _titled(rows))
-    report.judge("exact mesh: mean joint error, mm", _mean(rows, "error_mm"), most=4.0)
-    report.judge("exact mesh: error with arm over without", _mean(rows, "arm_ratio"), most=1.25)
-    fast = _mean(rows, "double_speed_error_mm")
+    report.judge("exact mesh: mean joint error, mm", over(rows.values(), "error_mm"), most=4.0)
+    report.judge("exact mesh: error with arm over without", over(rows.values(), "arm_ratio"), most=1.25)
+    fast = over(rows.values(), "double_speed_error_mm")
     report.judge("exact mesh, double speed: mean joint error, mm", fast, most=6.0)
 
 
@@ -273,7 +262,7 @@ def _tell_smooth(options: Options, files: Files, report: Report) -> None:
     ratios = values_of(rows.values(), "smooth_ratio")
     better = float((ratios < 1.0).sum()) if len(ratios) else None
     report.judge(f"smoothing: better, of {len(ratios)}", better, least=math.ceil(0.9 * len(ratios)), digits=0)
-    report.judge("smoothing: worst ratio", _worst(rows, "smooth_ratio"), most=1.02, digits=3)
+    report.judge("smoothing: worst ratio", over(rows.values(), "smooth_ratio", "max"), most=1.02, digits=3)
 
 
 # By default, nothing given
@@ -339,8 +328,8 @@ def _tell_default(options: Options, files: Files, report: Report) -> None:
         ("fast error_without_offsets_mm", "double speed, offsets removed: mean joint error, mm", 4.5),
         ("fast tip_error_mm", "double speed: fingertips, mm", 8.0),
     ):
-        report.judge(f"defaults, {what}", _mean(rows, name), most=most)
-    worst = _worst(rows, "error_without_offsets_mm")
+        report.judge(f"defaults, {what}", over(rows.values(), name), most=most)
+    worst = over(rows.values(), "error_without_offsets_mm", "max")
     report.judge("defaults, offsets removed: worst recording, mm", worst, most=4.5)
 
 

@@ -34,7 +34,7 @@ from research.heads import (
     persons_in,
     reading_arguments,
 )
-from research.report import Column, Figures, Report, pairs_of, values_of, whole
+from research.report import Column, Figures, Report, over, pairs_of, values_of, whole
 from research.runner import FILE, Files, Job, Step
 from research.study import FOLDER, Part, Study
 
@@ -178,9 +178,7 @@ def _tell_people(part: str, options: Options, files: Files, report: Report) -> l
 
 def _judge_median(report: Report, what: str, rows: Sequence[Figures], limits: Mapping[str, float]) -> None:
     for name, most in limits.items():
-        values = values_of(rows, name)
-        value = float(np.median(values)) if len(values) else None
-        report.judge(f"{what}: {name.replace('_', ', ')}, median", value, most=most)
+        report.judge(f"{what}: {name.replace('_', ', ')}, median", over(rows, name, "median"), most=most)
 
 
 def _judge_honesty(people: Mapping[str, Judged], report: Report, what: str) -> None:
@@ -230,8 +228,7 @@ def _tell_mono(options: Options, files: Files, report: Report) -> None:
     report.judge("one camera: depth factors outside 0.95 to 1.05", outside, most=1, digits=0)
     _judge_median(report, "one camera", rows, MEDIAN)
     for name, most in WORST.items():
-        worst = float(values_of(rows, name).max()) if rows else None
-        report.judge(f"one camera: {name.replace('_', ', ')}, worst", worst, most=most)
+        report.judge(f"one camera: {name.replace('_', ', ')}, worst", over(rows, name, "max"), most=most)
     people = judged_people(options.strangers, "mono", files)
     left = without_others([one.first_px for one in people.values()]) if people else np.full((1, 1), np.nan)
     report.judge("one camera: first points, px, mean", float(left.mean()), most=2.5)

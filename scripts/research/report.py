@@ -66,6 +66,12 @@ def values_of(rows: Iterable[Figures], name: str) -> FloatArray:
     return np.array([row[name] for row in rows if row.get(name, np.nan) == row.get(name, np.nan)])
 
 
+def over(rows: Iterable[Figures], name: str, how: str = "mean") -> float | None:
+    """Return a figure's summary over recordings or people by a NumPy function; None if nobody has it."""
+    values = values_of(rows, name)
+    return float(getattr(np, how)(values)) if len(values) else None
+
+
 def whole(columns: Iterable[Column], rows: Sequence[Figures]) -> dict[str, float]:
     """Return the columns' summaries over recordings or people."""
     found: dict[str, float] = {}

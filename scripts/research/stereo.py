@@ -36,7 +36,7 @@ from research.heads import (
     persons_in,
     reading_arguments,
 )
-from research.report import Column, Figures, Report, pairs_of, values_of
+from research.report import Column, Figures, Report, over, pairs_of
 from research.runner import FILE, Files, Job, Step, command
 from research.study import FIRST_SEED, FOLDER, Part, Study, integer, unused_for_tuning
 
@@ -280,14 +280,12 @@ def _tell_conditions(options: Options, files: Files, report: Report) -> None:
             rows[title] = [{**one, "longest_s": one["recovery_s"]} for one in known]
         report.text(f"### Found again: {condition}")
         report.entrants(f"found again, {condition}", again, rows)
-        longest = values_of(rows[ENTRANTS["deformable"][0]], "longest_s")
-        most = float(longest.max()) if len(longest) else None
-        report.judge(f"{condition}: found again, s, longest", most, most=0.5)
+        longest = over(rows[ENTRANTS["deformable"][0]], "longest_s", "max")
+        report.judge(f"{condition}: found again, s, longest", longest, most=0.5)
     for entrant in ("deformable", "deformable-2"):
         of_entrant = [one[entrant] for of in found.values() for one in of if entrant in one]
-        count = float(values_of(of_entrant, "wrong").sum()) if of_entrant else None
-        total = values_of(of_entrant, "frames").sum()
-        report.judge(f"{entrant}: wrong poses reported as tracking, of {total:.0f}", count, most=0, digits=0)
+        count, total = (over(of_entrant, name, "sum") for name in ("wrong", "frames"))
+        report.judge(f"{entrant}: wrong poses reported as tracking, of {total}", count, most=0, digits=0)
 
 
 # Deformable against rigid, second pass against first
