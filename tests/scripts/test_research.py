@@ -183,10 +183,10 @@ def commands_of(jobs: Iterable[Job]) -> set[tuple[str, ...]]:
     return {step.arguments for job in jobs for step in job.steps if step.arguments[0] != TOOL}
 
 
-def every_job(tmp_path: Path) -> list[Job]:
+def every_study(tmp_path: Path) -> list[tuple[Any, Any]]:
     heads, people = heads_folder(tmp_path, "person-c", "person-d"), people_of("800,803", final=False)
     (tmp_path / "clip.mp4").touch()
-    options: list[tuple[Any, Any]] = [
+    return [
         (hand.STUDY, hand.Options(tmp_path, 1, kinect=tmp_path)),
         (hand_accuracy.STUDY, hand_accuracy.Options(tmp_path, 1, kinect=tmp_path)),
         (hand_strangers.STUDY, hand_strangers.Options(tmp_path, Path("tool.py"), people, 30)),
@@ -194,7 +194,10 @@ def every_job(tmp_path: Path) -> list[Job]:
         (stereo.STUDY, stereo.Options(tmp_path, heads)),
         (mono.STUDY, mono.Options(tmp_path, heads, tmp_path)),
     ]
-    return [job for study, of in options for part in study.parts for job in part.jobs(of)]
+
+
+def every_job(tmp_path: Path) -> list[Job]:
+    return [job for study, of in every_study(tmp_path) for part in study.parts for job in part.jobs(of)]
 
 
 def test_every_step_is_a_command_that_is_understood(tmp_path: Path) -> None:
@@ -205,6 +208,16 @@ def test_every_step_is_a_command_that_is_understood(tmp_path: Path) -> None:
         command.make_context(
             "x", [*(one.removeprefix(FILE) for one in names), "-o", "out.mcap", "--overwrite"]
         )
+
+
+def test_what_was_not_measured_is_said_to_be_so(tmp_path: Path) -> None:
+    report = Report()
+    for study, options in every_study(tmp_path):
+        for part in study.parts:
+            if part.name != "time":  # which is measured while it is told
+                part.tell(options, Files(tmp_path, []), report)
+    assert {said for _, _, _, said in report.targets} == {"not measured"}
+    assert "nan" not in "\n".join(report.lines)
 
 
 def test_synthetic_recordings_are_of_seeds_that_are_kept_for_reports(tmp_path: Path) -> None:
