@@ -26,6 +26,7 @@ from posetrack_cli.results import load_arrays, read_result
 from posetrack_cli.synthesis.recording import SYNTH_RECORD
 from research import plots
 from research.heads import (
+    AXES,
     POSE_COLUMNS,
     TRACKED_COLUMNS,
     TRUTH,
@@ -466,7 +467,7 @@ def draw_poses(path: Path, courses: Mapping[str, Compared], ratio: FloatArray, m
     numbers = {name: np.arange(len(one.pose)) for name, one in courses.items()}
     first = courses["deformable"]
     panels = []
-    for column, label in enumerate(HEAD_POSE):
+    for column, label in enumerate(AXES):
         values = {"truth": (numbers["deformable"], first.true_columns[:, column])}
         values |= {name: (numbers[name], one.columns[:, column]) for name, one in courses.items()}
         errors = {name: (numbers[name], one.pose[:, column]) for name, one in courses.items()}
