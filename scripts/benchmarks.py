@@ -21,7 +21,7 @@ from benchmarking.hands import hands
 from benchmarking.heads import heads
 from benchmarking.lengths import FULL, QUICK, Lengths
 from benchmarking.machine import describe_machine
-from benchmarking.rendering import against_particles, scoring
+from benchmarking.rendering import scoring
 from benchmarking.results import evaluation
 from benchmarking.rows import Row
 from posetrack_cli.cli.options import DrawingDevice
@@ -38,14 +38,9 @@ def _depths(device: RenderingDevice, frames: int) -> list[Any]:
     return [frame.depth.astype(np.float32) for frame in synthesise(options, device=device)]
 
 
-def _rendering(device: RenderingDevice, lengths: Lengths) -> Iterator[Row]:
-    yield from scoring(device, lengths.repeats)
-    yield from against_particles(device, _depths(device, 1)[0], lengths.repeats)
-
-
 PARTS: Mapping[str, Part] = {
     "commands": lambda device, lengths: start_up(),
-    "rendering": _rendering,
+    "rendering": lambda device, lengths: scoring(device, lengths.repeats),
     "hand": lambda device, lengths: hands(device, _depths(device, lengths.hand_frames), lengths),
     "head": lambda device, lengths: heads(lengths),
     "eval": lambda device, lengths: evaluation(lengths.eval_frames),

@@ -11,7 +11,7 @@ expected, mm; M how many local fits explain the frame about alike; c how clearly
 least 1 (``policy.TrackMonitor.raised``). A hand that is followed well moves as expected, and one fit
 explains it.
 
-The weights were fitted by ``scripts/hand-confidence`` to 6,695 frames of synthetic and of real recordings,
+The weights were fitted by ``scripts/build confidence`` to 6,695 frames of synthetic and of real recordings,
 which count alike, for rendered hands alone make one doubt real ones: 14 people of the synthetic strangers
 (600-605, 610-617, motions alike, a quarter at double speed, a third from the back), each by default, with the
 average hand and with the person's own; CVAR's P1, P4 and P7, offsets removed; and 24 frames of a Kinect v2's

@@ -1,7 +1,7 @@
 """What hands are like: the mean hand and the ways in which hands differ, learned from people.
 
-``population.npz`` is built by ``scripts/build-hand-model`` from the skins and joints of hundreds of drawn
-people (CONTRIBUTING, "The hands that are shipped"). A hand is the mean plus modes times coefficients, all of
+``population.npz`` is built by ``scripts/build hand-model`` from the skins and joints of hundreds of drawn
+people (`scripts/research/README.md`). A hand is the mean plus modes times coefficients, all of
 them in lengths of a hand of 179 mm from the wrist to the middle finger's tip. Coefficients are in standard
 deviations: among people each is normal, of mean 0 and variance 1, and independent of the others.
 """

@@ -25,7 +25,7 @@ class DetectionSettings(Settings):
     """How faces are found in an image.
 
     ``model`` is YuNet's ONNX file. ``points = "learned"`` chooses the ten points together by what they look
-    like in many faces, ``features`` is what ``scripts/build-face-features`` wrote of that, none the shipped
+    like in many faces, ``features`` is what ``scripts/build face-features`` wrote of that, none the shipped
     file **[ours]**; ``"corners"`` takes the strongest corner near each point's place, for several cameras,
     which measure where it is. A face counts from ``least_face_score`` on (0.5 is the detector's own
     threshold), its points from a mean response of ``least_point_score`` **[ours]**; ``least_face_px`` is the

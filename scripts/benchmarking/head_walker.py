@@ -1,8 +1,9 @@
-"""A head tracker that is timed step by step."""
+"""A head tracker that is timed step by step, and a clock for whole runs."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -44,3 +45,25 @@ class HeadWalker:
     def learned(self) -> Learned:
         """Return what another tracker can begin with."""
         return self._tracker.learned(self._state)
+
+
+class FrameClock:
+    """CPU time of a run's frames, of all threads, from one of its first estimates to its last.
+
+    Args:
+        settling: so many estimates are the start; no more than half of those that come.
+    """
+
+    def __init__(self, settling: int, now: Callable[[], float] = time.process_time) -> None:
+        self._settling, self._now = settling, now
+        self._times: list[float] = []
+
+    def note(self, estimate: object) -> None:
+        """See an estimate that was written."""
+        self._times.append(self._now())
+
+    @property
+    def seconds_a_frame(self) -> float:
+        """Seconds; NaN of fewer than two estimates."""
+        times = self._times[min(self._settling, len(self._times) // 2) :]
+        return (times[-1] - times[0]) / (len(times) - 1) if len(times) > 1 else float("nan")

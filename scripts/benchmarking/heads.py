@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarking.clocks import FrameClock
 from benchmarking.commands import peak_memory
-from benchmarking.head_walker import SETTLING, HeadWalker
+from benchmarking.head_walker import SETTLING, FrameClock, HeadWalker
 from benchmarking.lengths import Lengths
 from benchmarking.one_camera import one_camera
 from benchmarking.recordings import link_recording, there_and_back

@@ -10,9 +10,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from benchmarking.clocks import FrameClock
 from benchmarking.commands import peak_memory
-from benchmarking.head_walker import SETTLING, HeadWalker
+from benchmarking.head_walker import SETTLING, FrameClock, HeadWalker
 from benchmarking.lengths import Lengths
 from benchmarking.recordings import there_and_back
 from benchmarking.rendering import fitted_line

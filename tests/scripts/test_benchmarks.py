@@ -6,7 +6,6 @@ import json
 import subprocess
 import sys
 from dataclasses import replace
-from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +16,8 @@ from click.testing import CliRunner
 
 import benchmarks
 from benchmarking import commands, one_camera
-from benchmarking.clocks import Clocks, FrameClock, clocked
 from benchmarking.commands import peak_memory, usage_of
-from benchmarking.head_walker import HeadWalker
-from benchmarking.heads import FEW, MANY, deformations_of, tracking_rows
+from benchmarking.heads import deformations_of
 from benchmarking.recordings import link_recording, there_and_back, write_hand_recording
 from benchmarking.rendering import fitted_line
 from benchmarking.rows import Row, median_of_pairs
@@ -30,9 +27,7 @@ from posetrack_cli.head.adjustment.views import PersonParameters
 from posetrack_cli.head.config import HeadMonoConfig
 from posetrack_cli.head.multilinear.face_model import load_face_model
 from posetrack_cli.head.subject import StereoDiagnostics
-from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.camera_file import camera_file_text
-from posetrack_cli.recording.guess import Guess
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results import Estimate, Status
 from posetrack_cli.synthesis.hand.sensor import CAMERA
@@ -51,51 +46,6 @@ def test_a_ratio_is_of_pairs_and_not_of_medians() -> None:
     """A clock that slows down threefold halfway changes no pair."""
     assert median_of_pairs([2.0, 2.0, 6.0], [1.0, 1.0, 3.0]) == 2.0
     assert median_of_pairs([4.0, 1.0, 9.0], [2.0, 1.0, 1.0]) == 2.0  # of the medians: 4
-
-
-class Worker:
-    """Work of which one part calls the other."""
-
-    def outer(self) -> str:
-        return self.inner()
-
-    def inner(self) -> str:
-        return "done"
-
-    def fail(self) -> None:
-        raise ValueError
-
-
-def test_a_frame_costs_what_it_does_after_the_start() -> None:
-    ticks = iter([5.0, 7.0, 7.5, 8.0, 8.5])
-    clock = FrameClock(2, lambda: next(ticks))
-    assert np.isnan(clock.seconds_a_frame)
-    for _ in range(5):
-        clock.note(None)
-    assert clock.seconds_a_frame == pytest.approx(0.5)
-
-
-def test_the_outermost_call_counts_alone() -> None:
-    ticks = count()
-    clocks = Clocks(["in", "out"], lambda: float(next(ticks)))
-    inner = clocks.timed("in", lambda: None)
-    clocks.timed("out", inner)()
-    assert clocks.seconds == {"in": 0.0, "out": 1.0}
-    inner()
-    assert clocks.seconds == {"in": 1.0, "out": 1.0}
-
-
-def test_clocks_are_taken_off_again_and_survive_a_failure() -> None:
-    plain = Worker.outer, Worker.inner, Worker.fail
-    with clocked({"a": [(Worker, ("outer", "fail"))], "b": [(Worker, ("inner",))]}) as clocks:
-        assert Worker().outer() == "done"
-        assert clocks.seconds["a"] > 0.0
-        assert clocks.seconds["b"] == 0.0
-        with pytest.raises(ValueError):
-            Worker().fail()
-        assert Worker().inner() == "done"
-        assert clocks.seconds["b"] > 0.0  # the failure left no clock running
-    assert (Worker.outer, Worker.inner, Worker.fail) == plain
 
 
 class Pacer:
@@ -181,30 +131,6 @@ def test_peak_memory_is_of_a_tenth_and_of_all(monkeypatch: pytest.MonkeyPatch, t
     assert [row.verdict for row in rows] == ["ok", "MISSED", "MISSED"]
 
 
-def test_rows_of_heads_are_of_the_right_trackers() -> None:
-    times = {(FEW, False): [0.004], (FEW, True): [0.005], (MANY, False): [0.1], (MANY, True): [0.006]}
-    rigid, rigid_rate, learnt, learnt_rate, ratio = tracking_rows(times)
-    assert [row.value for row in (rigid, learnt)] == pytest.approx([4.0, 5.0])
-    assert [row.value for row in (rigid_rate, learnt_rate)] == pytest.approx([250.0, 200.0])
-    assert ratio.value == pytest.approx(1.2)
-
-
-def test_rows_of_one_camera_are_of_the_right_trackers() -> None:
-    times = {"start": [0.002, 0.002, 0.006], "always": [0.003, 0.003, 0.009]}
-    alone, rate, adjusting, _, ratio = one_camera.tracking_rows(times)
-    assert (alone.value, rate.value, adjusting.value) == pytest.approx((2.0, 500.0, 3.0))
-    assert (alone.target, adjusting.target) == (3.0, 6.0)
-    assert ratio.value == pytest.approx(1.5)
-
-
-def test_adjustments_are_held_against_a_line_over_n() -> None:
-    *rows, worst = one_camera.adjusting_rows({5: [1.2e-4], 20: [2.7e-4], 40: [4.7e-4]}, 10)
-    assert [row.value for row in rows] == pytest.approx([1.2, 2.7, 4.7])
-    assert worst.value == pytest.approx(0.0, abs=1e-6)
-    *_, worst = one_camera.adjusting_rows({5: [1e-4], 20: [4e-4], 40: [64e-4]}, 10)
-    assert worst.verdict == "MISSED"
-
-
 def test_views_to_adjust_are_of_one_person_whom_an_adjustment_finds() -> None:
     """After ten steps of each stage most of what the start is off by has gone."""
     model, settings = load_face_model(None), HeadMonoConfig().adjustment
@@ -218,14 +144,6 @@ def test_views_to_adjust_are_of_one_person_whom_an_adjustment_finds() -> None:
         for v in views
     ]
     assert np.sqrt(np.mean(np.square(start))) > 4.0 * one_camera.NOISE_PX
-
-
-def test_a_video_shows_the_images(tmp_path: Path) -> None:
-    images = [np.full((48, 64), value, np.uint8) for value in (40, 90, 140)]
-    one_camera.write_video(tmp_path / "v.mp4", images)
-    frames = list(open_recording(tmp_path / "v.mp4", "grey", guess=Guess()).frames())
-    means = [float(image.mean()) for frame in frames for image in frame.images if image is not None]
-    assert means == pytest.approx([40.0, 90.0, 140.0], abs=4.0)  # what MPEG-4 leaves of an even grey
 
 
 def nothing_seen() -> Estimate:
@@ -247,23 +165,6 @@ def nothing_seen() -> Estimate:
         resampled=True,
         cost=None,
     )
-
-
-class Looking:
-    """A head tracker that loses every third frame."""
-
-    def start(self, frame: Frame, rng: np.random.Generator) -> int:
-        return 10
-
-    def step(self, state: int, frame: Frame, rng: np.random.Generator) -> tuple[int, Any]:
-        status = Status.LOST if frame.index % 3 == 2 else Status.TRACKING
-        return state + 1, replace(nothing_seen(), frame_index=state, status=status)
-
-
-def test_a_walker_steps_and_counts_lost_frames() -> None:
-    walker = HeadWalker(Looking())  # type: ignore[arg-type]
-    assert all(walker.step(index, (None,)) >= 0.0 for index in range(7))
-    assert walker.lost == 2 and walker.last is not None and walker.last.frame_index == 16
 
 
 @pytest.mark.parametrize("learnt", [0, 2, 5])

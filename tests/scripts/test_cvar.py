@@ -14,7 +14,7 @@ from posetrack_cli.hand.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS
 from posetrack_cli.mcap.stream import McapFile
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results.estimate import Subject
-from reproduction import cvar
+from research import cvar
 from support.cvar import annotated, make_folder
 
 HAND = Subject("hand", "camera", ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS)

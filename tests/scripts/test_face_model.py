@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from face_model import NEUTRAL, SIDEWAYS, VERTICAL, build, main, motion, read_statistics
 from posetrack_cli.head.face.points import EYES, MEAN_SHAPE, POINT_NAMES
 from posetrack_cli.head.multilinear.build import cumulative_contribution, distances_by_kind, mirrored
 from posetrack_cli.head.multilinear.face_model import SHIPPED, load_face_model
+from research.face_model import NEUTRAL, SIDEWAYS, VERTICAL, build, main, motion, read_statistics
 
 MODES_MM = (6.0, 4.0, 3.0)
 

@@ -9,12 +9,6 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from hand_model import build
-from hand_model.build import BONE_WEIGHT, modes_of, with_tips_in_the_skin
-from hand_model.joints import ANATOMY_SHARE, _thumb, anatomical_joints
-from hand_model.people import RIG_LENGTH_MM, rows
-from hand_model.registration import Skin, Template, vertex_normals
-from hand_model.template import SEGMENTS, adult, cage_of, with_wrist
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry import rotations
 from posetrack_cli.hand.anatomy import HandAnatomy, make_anatomy
@@ -24,6 +18,12 @@ from posetrack_cli.hand.population import Population, population
 from posetrack_cli.hand.shape import HandShape, reshaped_anatomy, reshaped_skin
 from posetrack_cli.npz import read_npz
 from posetrack_cli.rendering.mesh import SkinnedMesh, closest_points, is_closed, smoothing
+from research.hand_model import build
+from research.hand_model.build import BONE_WEIGHT, modes_of, with_tips_in_the_skin
+from research.hand_model.joints import ANATOMY_SHARE, _thumb, anatomical_joints
+from research.hand_model.people import RIG_LENGTH_MM, rows
+from research.hand_model.registration import Skin, Template, vertex_normals
+from research.hand_model.template import SEGMENTS, adult, cage_of, with_wrist
 from support.glb import write_hand
 from support.hand import REST, enclosed_volume
 
@@ -112,7 +112,7 @@ def test_a_knuckle_at_the_web_is_moved_back_and_the_rest_divided() -> None:
 
 
 def test_nothing_of_anatomy_leaves_the_rig_s_joints(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hand_model.joints.ANATOMY_SHARE", (0.0, 0.5))
+    monkeypatch.setattr("research.hand_model.joints.ANATOMY_SHARE", (0.0, 0.5))
     joints = rig(reshaped_anatomy(adult(), "right", HandShape(1.1, (1.0, 1.2, 0.9, 1.1, 1.0))))
     np.testing.assert_allclose(anatomical_joints(joints, None), joints, atol=1e-9)
     assert ANATOMY_SHARE[0] == 1.0  # what is shipped lies where anatomy says, on average

@@ -1,4 +1,4 @@
-"""Small recordings with annotated joints, as ``reproduction.cvar`` reads them."""
+"""Small recordings with annotated joints, as ``research.cvar`` reads them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from reproduction import cvar
+from research import cvar
 
 
 def annotated(names: list[str]) -> str:

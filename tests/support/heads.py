@@ -1,4 +1,4 @@
-"""What tests of the studies of heads share: cameras, poses, folders of recordings, judgements."""
+"""What tests of the studies of heads share: cameras, poses, folders of recordings."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.euler import head_quaternion_from_roll_pitch_yaw
 from posetrack_cli.head.face.points import MEAN_SHAPE, POINT_NAMES
 from posetrack_cli.head.face.pose import HeadPose
-from reproduction.running import Targets
 
 FRAME_NS = 33_333_333
 CAMERAS = (
@@ -39,10 +38,6 @@ TRUTH = "\n".join([",".join(_COLUMNS), ",".join(map(str, _FIRST)), ""])
 def pose(index: int) -> HeadPose:
     turn = np.radians([3.0 * np.sin(index), 5.0 * np.cos(2 * index), 10.0 * np.sin(0.5 * index)])
     return HeadPose(np.array([2.0 * index, -index, 700.0 + index]), head_quaternion_from_roll_pitch_yaw(turn))
-
-
-def judged(targets: Targets) -> dict[str, tuple[str, str]]:
-    return {what: (measured, said) for what, _, measured, said in targets.rows}
 
 
 def heads_folder(tmp_path: Path, *names: str) -> Path:

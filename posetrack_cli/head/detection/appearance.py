@@ -7,7 +7,7 @@ apart. How much more likely such a histogram h is at a point than near it is tak
     log p(h | point) / p(h | near it) = w . h + b,    w = C^-1 (mean at the point - mean near it)
 
 (linear discriminant analysis of gradient histograms: Hariharan, Malik and Ramanan 2012). The figures come
-from ``scripts/build-face-features``: they are means and covariances over people, and hold nobody's picture.
+from ``scripts/build face-features``: they are means and covariances over people, and hold nobody's picture.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ def _correlate(
 
 @lru_cache(maxsize=4)
 def load_appearance(path: Path = SHIPPED) -> Appearance:
-    """Read what ``scripts/build-face-features`` wrote.
+    """Read what ``scripts/build face-features`` wrote.
 
     Raises:
         UsageError: the file does not exist.
@@ -116,7 +116,7 @@ def load_appearance(path: Path = SHIPPED) -> Appearance:
             "does not say what faces look like",
             where=path,
             found=error,
-            expected="what scripts/build-face-features wrote",
+            expected="what scripts/build face-features wrote",
         ) from error
 
 

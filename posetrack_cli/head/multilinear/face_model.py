@@ -77,7 +77,7 @@ class FaceModel:
 
 FORMAT, VERSION = "posetrack.face_model", 1
 SHIPPED = Path(__file__).with_name("default.npz")
-"""Built by ``scripts/build-face-model`` from statistics of ICT-FaceKit (USC ICT, MIT licence)."""
+"""Built by ``scripts/build face-model`` from statistics of ICT-FaceKit (USC ICT, MIT licence)."""
 _HEADER = "header"
 _LARGEST = 1e9
 """Of coordinates, mm, and of parameters; no deviation is smaller than its reciprocal."""

@@ -13,7 +13,7 @@ running means (``tracking.confidence``) of
     unmatched       1 - M           M how much of the skin looked for was found again; in the second pass of
                                     one camera, else 0 with a weight of 0
 
-The weights were fitted (``scripts/head-confidence``) to twelve rendered heads (person-a to person-l of the
+The weights were fitted (``scripts/build confidence``) to twelve rendered heads (person-a to person-l of the
 study) and five drawn ones, as they are, which count four times, and the rendered ones also at .3 of their
 size and with their eyes 44, 31 and 22 pixels apart, blurred and three times as fast, with something passing
 before the face, and dark and noisy, for as they are few frames are wrong: none with one camera that knows the

@@ -8,8 +8,6 @@ import cv2
 import numpy as np
 import pytest
 
-import face_features
-from face_features import PointMoments, Seen, described, learn, moments, moments_of
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.head.detection.appearance import (
     BINS,
@@ -22,6 +20,8 @@ from posetrack_cli.head.detection.appearance import (
 from posetrack_cli.head.detection.joint_places import find_jointly
 from posetrack_cli.head.detection.responses import HEIGHT, WIDTH
 from posetrack_cli.head.face.points import FEATURES, MIRRORED, POINT_COUNT
+from research import face_features
+from research.face_features import PointMoments, Seen, described, learn, moments, moments_of
 
 ROUNDED = 1e-3
 """Sums of 392 products in float32, of order 10."""

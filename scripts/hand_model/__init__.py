@@ -1,1 +1,0 @@
-"""The hands that are shipped, learned from people: run by scripts/build-hand-model."""

@@ -1,1 +1,0 @@
-"""The papers' experiments, redone: run by scripts/reproduce."""

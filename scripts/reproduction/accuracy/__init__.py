@@ -1,1 +1,0 @@
-"""What the hand tracker reaches: accuracy, intervals, recovery and speed, per configuration."""

@@ -1,1 +1,0 @@
-"""How the head trackers do on people that nothing was tuned on."""

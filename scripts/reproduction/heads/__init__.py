@@ -1,1 +1,0 @@
-"""What the stereo head tracker reaches, part by part."""

@@ -1,0 +1,273 @@
+"""What a face's ten points look like, learned from recordings of people with known points.
+
+Of every person some frames are taken, each also in a mirror, upright and of one size but for what a start
+does not know: gradients about the points, and near them. Means and covariances of these, people counting
+alike, make a linear discriminant for each point (``head.detection.appearance``). Shapes vary as ICT-FaceKit's
+statistics say (USC Institute for Creative Technologies, MIT licence).
+
+A recording is an MCAP file with truth, such as ``posetrack head synth`` makes, or a folder with left/,
+right/, calibration.json and truth.csv, whose points are a mesh's vertices; what is learned lies beside them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+
+import click
+import cv2
+import numpy as np
+
+from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray
+from posetrack_cli.evaluation.truth.csv_track import load_csv_track
+from posetrack_cli.evaluation.truth.loading import topics_truth
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.geometry.projection import in_camera_axes, pixels_from_points
+from posetrack_cli.geometry.rigid import in_camera
+from posetrack_cli.head.detection.appearance import (
+    BINS,
+    RIGHT_SIDE,
+    SHIPPED,
+    SPACING,
+    TAPS,
+    histograms,
+    mirrored_weights,
+)
+from posetrack_cli.head.detection.responses import WIDTH, cut_patch
+from posetrack_cli.head.face.points import EYES, MEAN_SHAPE, MIRRORED
+from posetrack_cli.head.subject import head_subject
+from posetrack_cli.losses import LossLog
+from posetrack_cli.mcap.stream import McapFile
+from posetrack_cli.outputs import whole_or_nothing
+from posetrack_cli.recording.opening import open_recording
+from research.face_model import SEEN_BESIDE, Statistics, read_statistics
+from research.heads import CALIBRATION, TRUTH, cameras_of
+
+FRAMES, DRAWS, SEED = 24, 4, 1
+"""Frames of a person and camera, patches of each, and the random generator's seed.
+
+So many that other draws give nearly the same weights (correlated by 0.94)."""
+SIZE_SD, ROLL_SD, SHIFT_SD_MM = 0.08, np.radians(6.0), 4.0
+"""How far a start knows a face's size, roll and place."""
+NEAR_PX, REACH_PX, NEIGHBOURS = 3.5, 14.0, 30
+"""Places near a point that are not it: at least so far, at most, in each frame."""
+SHRINKAGE = 0.025
+"""Share of the mean variance that is added to every variance: covariances of few people are poor."""
+IDENTITY_MODES, EXPRESSION_MODES, EXPRESSION_STRENGTH = 10, 8, 0.25
+"""Of the shape; how strong each of the published expressions is, root mean square."""
+DRAWN_SHARE = 0.25
+"""What a drawn person counts beside a rendered one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """A patch, and its ten points (K, 2)."""
+
+    grey: ImageArray
+    points: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """An image, where its points are (K, 2), and the size of the face, pixels per mm."""
+
+    image: ImageArray
+    pixels: FloatArray
+    scale: float
+
+
+def seen_in(path: Path) -> Iterator[Seen]:
+    """Yield some frames of a recording, of each camera."""
+    yield from (_seen_in_folder(path) if path.is_dir() else _seen_in_file(path))
+
+
+def _seen_in_folder(path: Path) -> Iterator[Seen]:
+    cameras = cameras_of(path / CALIBRATION)
+    truth = load_csv_track(path / TRUTH, head_subject(cameras[0].name, 0))
+    points, position, quaternion = truth.points, truth.position, truth.quaternion
+    assert points is not None and position is not None and quaternion is not None
+    for camera in cameras:
+        images = sorted((path / camera.name).iterdir())
+        for row in np.linspace(0, len(points) - 1, FRAMES).astype(int):
+            image = cv2.imread(str(images[row]), cv2.IMREAD_GRAYSCALE)
+            if image is None:
+                raise click.ClickException(f"{images[row]}: no image")
+            shift = in_camera(SEEN_BESIDE, np.zeros(3), quaternion[row])
+            yield _seen(image, camera, points[row] + shift)
+
+
+def _seen_in_file(path: Path) -> Iterator[Seen]:
+    recording = open_recording(path, "grey")
+    truth = topics_truth(McapFile(path, LossLog()), head_subject(recording.cameras[0].name, 0), path.name)
+    assert truth is not None and truth.points is not None
+    wanted = set(np.linspace(0, len(truth.points) - 1, FRAMES).astype(int).tolist())
+    for frame in recording.frames():
+        row = int(np.searchsorted(truth.stamp_ns, frame.stamp_ns))
+        if row not in wanted or truth.stamp_ns[row] != frame.stamp_ns:
+            continue
+        for camera, image in zip(recording.cameras, frame.images, strict=True):
+            if image is not None:
+                yield _seen(image, camera, truth.points[row])
+
+
+def _seen(image: ImageArray, camera: Camera, points: FloatArray) -> Seen:
+    depth = float(in_camera_axes(camera, points)[EYES, 2].mean())
+    return Seen(image, pixels_from_points(camera, points)[0], float(np.sqrt(camera.fx * camera.fy)) / depth)
+
+
+def samples_of(seen: Seen, rng: np.random.Generator) -> Iterator[Sample]:
+    """Yield the upright patch and its mirror image, each as roughly upright as a start makes it."""
+    right, left = seen.pixels[:2].mean(axis=0), seen.pixels[2:4].mean(axis=0)
+    roll = float(np.arctan2(*(left - right)[::-1]))
+    for is_mirrored in (False, True) * DRAWS:
+        size, turn = float(np.exp(SIZE_SD * rng.standard_normal())), ROLL_SD * rng.standard_normal()
+        middle = seen.pixels[EYES].mean(axis=0) + SHIFT_SD_MM * seen.scale * rng.standard_normal(2)
+        patch = cut_patch(seen.image, middle, seen.scale * size, roll + turn)
+        points, grey = patch.from_image(seen.pixels), patch.grey
+        if is_mirrored:
+            points = np.column_stack([WIDTH - 1.0 - points[:, 0], points[:, 1]])[list(MIRRORED)]
+            grey = np.ascontiguousarray(grey[:, ::-1])
+        yield Sample(grey, points)
+
+
+TAPS_AT = SPACING * (np.arange(TAPS) - TAPS // 2)
+
+
+def described(picture: Float32Array, places: FloatArray) -> FloatArray:
+    """Return the histograms (n, BINS * TAPS * TAPS) about pixels (n, 2)."""
+    x, y = np.rint(places).astype(int).T
+    rows = np.clip(y[:, None] + TAPS_AT, 0, picture.shape[1] - 1)[:, :, None]
+    columns = np.clip(x[:, None] + TAPS_AT, 0, picture.shape[2] - 1)[:, None, :]
+    found: FloatArray = np.moveaxis(picture[:, rows, columns], 0, 1).astype(np.float64)
+    return found.reshape(len(places), -1)
+
+
+@dataclass(frozen=True, eq=False)
+class Moments:
+    """Of histograms: their mean (D,) and the mean of their squares (D, D)."""
+
+    mean: FloatArray
+    square: FloatArray
+
+    @property
+    def covariance(self) -> FloatArray:
+        """(D, D)."""
+        covariance: FloatArray = self.square - np.outer(self.mean, self.mean)
+        return covariance
+
+
+@dataclass(frozen=True, eq=False)
+class PointMoments:
+    """What a point looks like, and what the places near it do."""
+
+    at: Moments
+    near: Moments
+
+    def discriminant(self) -> tuple[FloatArray, float]:
+        """Return w (D,) and b of the log-odds.
+
+        Both kinds' scores are taken as normal: their log-odds, made linear between the means.
+        """
+        covariance = 0.5 * (self.at.covariance + self.near.covariance)
+        shrunk = covariance + SHRINKAGE * np.trace(covariance) / len(covariance) * np.eye(len(covariance))
+        w = np.linalg.solve(shrunk, self.at.mean - self.near.mean)
+        at, near = float(self.at.mean @ w), float(self.near.mean @ w)
+        gain = (at - near) / float(w @ covariance @ w)
+        return gain * w, -gain * 0.5 * (at + near)
+
+
+def moments_of(path: Path) -> tuple[PointMoments, ...]:
+    """Return what the right side's points of a person look like.
+
+    What is drawn at random is the same whoever else is learned from: a person who is left out changes
+    nothing of the others.
+    """
+    rng = np.random.default_rng(SEED)
+    at: list[list[FloatArray]] = [[] for _ in RIGHT_SIDE]
+    near: list[list[FloatArray]] = [[] for _ in RIGHT_SIDE]
+    for sample in (sample for seen in seen_in(path) for sample in samples_of(seen, rng)):
+        picture = histograms(sample.grey)
+        for k, seen_at, seen_near in zip(RIGHT_SIDE, at, near, strict=True):
+            seen_at.append(described(picture, sample.points[k : k + 1]))
+            seen_near.append(described(picture, sample.points[k] + _neighbours(rng)))
+    return tuple(PointMoments(moments(one), moments(other)) for one, other in zip(at, near, strict=True))
+
+
+def pooled(people: Sequence[Moments], counts: Sequence[float]) -> Moments:
+    """Return the moments of people, each of whom counts so much."""
+    shares = np.array(counts) / np.sum(counts)
+    return Moments(
+        np.tensordot(shares, np.stack([one.mean for one in people]), axes=1),
+        np.tensordot(shares, np.stack([one.square for one in people]), axes=1),
+    )
+
+
+def learn(people: Sequence[tuple[tuple[PointMoments, ...], float]]) -> tuple[Float32Array, FloatArray]:
+    """Return weights (K / 2, BINS, TAPS, TAPS) and constants (K / 2,) of the right side's points.
+
+    Args:
+        people: the moments of each, and what a person counts.
+    """
+    weights, constants, counts = [], [], [counts for _, counts in people]
+    for k in range(len(RIGHT_SIDE)):
+        at = pooled([points[k].at for points, _ in people], counts)
+        near = pooled([points[k].near for points, _ in people], counts)
+        w, b = PointMoments(at, near).discriminant()
+        weights.append(w.reshape(BINS, TAPS, TAPS).astype(np.float32))
+        constants.append(b)
+    return np.stack(weights), np.array(constants)
+
+
+def moments(values: Sequence[FloatArray]) -> Moments:
+    """Return the moments of histograms (n, D), several such arrays together."""
+    rows = np.concatenate(values)
+    return Moments(rows.mean(axis=0), rows.T @ rows / len(rows))
+
+
+def _neighbours(rng: np.random.Generator) -> FloatArray:
+    places = rng.uniform(-REACH_PX, REACH_PX, (3 * NEIGHBOURS, 2))
+    chosen: FloatArray = places[np.linalg.norm(places, axis=1) > NEAR_PX][:NEIGHBOURS]
+    return chosen
+
+
+def shape_modes(statistics: Statistics) -> FloatArray:
+    """Return (M, K, 3) mm: identity modes, then the principal ones of all expressions at random."""
+    moved = []
+    for name, displacement in statistics.expressions.items():
+        one = EXPRESSION_STRENGTH * displacement
+        if name in ("mouthLeft", "mouthRight"):  # the vertices of the nostrils follow, their openings do not
+            one[6:8] = 0.0
+        moved.append(one.ravel())
+    values, vectors = np.linalg.eigh(np.array(moved).T @ np.array(moved))
+    best = np.argsort(-values)[:EXPRESSION_MODES]
+    expressions = (vectors[:, best] * np.sqrt(values[best])).T.reshape(-1, *MEAN_SHAPE.shape)
+    modes: FloatArray = np.concatenate([statistics.modes[:IDENTITY_MODES], expressions])
+    return modes
+
+
+@click.command(help=__doc__)
+@click.argument("statistics", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.argument("recordings", nargs=-1, required=True, type=click.Path(exists=True, path_type=Path))
+@click.option("--without", multiple=True, help="Leave a recording of this name out; repeatable.")
+@click.option("--out", default=SHIPPED, type=click.Path(dir_okay=False, path_type=Path))
+def main(statistics: Path, recordings: tuple[Path, ...], without: tuple[str, ...], out: Path) -> None:
+    """Write the file, and say how many people it is from."""
+    used = [path for path in recordings if path.name not in without]
+    weights, constants = learn([(moments_of(path), 1.0 if path.is_dir() else DRAWN_SHARE) for path in used])
+    arrays = {
+        "constants": constants.round(4),
+        "shape_modes": shape_modes(read_statistics(statistics)).round(3),
+        "weights": weights.round(4),
+    }
+    stream = BytesIO()
+    np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
+    with whole_or_nothing(out) as part:
+        part.write_bytes(stream.getvalue())
+    mirror = float(np.abs(mirrored_weights(mirrored_weights(weights[0])) - weights[0]).max())
+    print(f"{out}: {len(used)} people, mirror {mirror:g}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,209 @@
+"""The face model that is shipped: faces and expressions drawn from statistics of ICT-FaceKit.
+
+ICT-FaceKit is a model of faces of the USC Institute for Creative Technologies (MIT licence). The
+statistics are mean, identity modes and expressions of the ten feature points, mm in the head's frame.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import click
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.evaluation.truth.csv_track import load_csv_track
+from posetrack_cli.geometry.rigid import in_object
+from posetrack_cli.head.actions import USUAL, displacement
+from posetrack_cli.head.face.points import EYES, POINT_NAMES
+from posetrack_cli.head.multilinear.build import BuiltModel, add_deformation, build_model, mirrored
+from posetrack_cli.head.multilinear.face_model import SHIPPED, FaceModel, save_face_model
+from posetrack_cli.head.subject import head_subject
+from research.heads import TRUTH
+
+SOURCE = "statistics of ICT-FaceKit (USC Institute for Creative Technologies, MIT licence)"
+PEOPLE, SEED = 60, 1
+"""How many identities are drawn; each one's negative is another."""
+DECIMALS = 9
+"""To which the arrays are rounded, so that the last bits of a machine's arithmetic do not show."""
+Expression = Mapping[str, float]
+
+FEATURE_OFFSETS = np.array(
+    [
+        [-2.2, 0.0, 1.9],
+        [-1.6, 0.2, 2.3],
+        [1.6, 0.2, 2.3],
+        [2.2, 0.0, 1.9],
+        [-1.7, 0.2, -0.2],
+        [1.7, 0.2, -0.2],
+        [-3.1, 2.3, 3.8],
+        [3.1, 2.3, 3.8],
+        [-4.9, -10.1, 6.5],
+        [4.9, -10.1, 6.5],
+    ]
+)
+"""(K, 3) mm, how far the features that a tracker follows lie from the statistics' landmarks, on average of
+people **[ours]**: what ``measured_offsets`` finds of the ten recordings person-c to person-l of the study.
+
+They are that far larger than the statistics' mean face, and a tracker sees a nostril's opening and a brow's
+dark inner end beside the vertices. A model built from results of tracking needs none.
+"""
+
+SEEN_BESIDE = np.array(
+    [
+        [-0.5, 0.3, 2.2],
+        [-0.8, -0.1, 2.0],
+        [0.8, -0.1, 2.0],
+        [0.5, 0.3, 2.2],
+        [0.1, -0.3, 0.9],
+        [-0.1, -0.3, 0.9],
+        [-2.1, 2.8, 3.8],
+        [2.1, 2.8, 3.8],
+        [-3.7, -6.2, -2.1],
+        [3.7, -6.2, -2.1],
+    ]
+)
+"""(K, 3) mm in the head's frame: how far from a mesh's vertices the learned points are followed.
+
+Medians over the same ten people of the constant offsets that explain, with the true poses and vertices, where
+points were followed in the left images, made symmetric. They are of all ten also where a person is left out
+of the rest: these figures a stranger of the study has helped to make."""
+
+NEUTRAL: Expression = {}
+SIDEWAYS: Mapping[float, Expression] = {
+    0.0: {"mouthPucker": 1.0},
+    0.5: NEUTRAL,
+    1.0: {"mouthSmile": 0.7, "mouthStretch": 0.3},
+}
+VERTICAL: Mapping[float, Expression] = {
+    0.0: {"browDown": 1.0},
+    0.25: NEUTRAL,
+    0.5: {"browInnerUp": 1.0},
+    1.0: {"browInnerUp": 1.0, "jawOpen": 1.0},
+}
+"""Strengths of the published expressions at some rates of a motion; between them they change linearly.
+
+The brows go before the jaw, so that the model can tell one from the other."""
+RATES = np.linspace(0.0, 1.0, 5)
+
+
+@dataclass(frozen=True, eq=False)
+class Statistics:
+    """What is published of the ten points.
+
+    Attributes:
+        mean: (K, 3) mean neutral face, mm, made symmetric.
+        modes: (M, K, 3) of identity, one standard deviation each, mm.
+        expressions: displacements (K, 3) at full strength by name, mm.
+    """
+
+    mean: FloatArray
+    modes: FloatArray
+    expressions: Mapping[str, FloatArray]
+
+    def people(self, count: int, rng: np.random.Generator) -> FloatArray:
+        """Draw neutral faces and their negatives (2 count, K, 3), mm, about the mean of the eye corners."""
+        drawn = rng.standard_normal((count, len(self.modes)))
+        people = self.mean + np.tensordot(np.concatenate([drawn, -drawn]), self.modes, axes=1)
+        centred: FloatArray = people - people[:, EYES].mean(axis=1, keepdims=True)
+        return centred
+
+    def face(self, expression: Expression) -> FloatArray:
+        """Return the displacement (K, 3) of several expressions, mm; those of one side are used on both."""
+        total = np.zeros_like(self.mean)
+        for name, strength in expression.items():
+            sides = [name] if name in self.expressions else [f"{name}_L", f"{name}_R"]
+            total = total + strength * sum(self.expressions[side] for side in sides)
+        return total
+
+
+def read_statistics(path: Path) -> Statistics:
+    """Read the file of statistics."""
+    contents = json.loads(path.read_text(encoding="utf-8"))
+    if tuple(contents["points"]) != POINT_NAMES:
+        raise click.ClickException(f"{path}: other feature points, expected {', '.join(POINT_NAMES)}")
+    mean, modes = np.array(contents["mean"]), contents["identity_modes"]
+    deviations = np.array(modes["standard_deviation"])
+    expressions = {name: np.array(moved) for name, moved in contents["expressions"].items()}
+    return Statistics(
+        0.5 * (mean + mirrored(mean)), np.array(modes["direction"]) * deviations[:, None, None], expressions
+    )
+
+
+def measured_offsets(statistics: Statistics, people: Sequence[Path]) -> FloatArray:
+    """Return (K, 3) mm: the mean neutral face of people, made symmetric, less that of the statistics.
+
+    Args:
+        statistics: whose mean it is compared with.
+        people: folders of recordings with truth.csv, neutral in the first frame.
+    """
+    faces = []
+    for folder in people:
+        truth = load_csv_track(folder / TRUTH, head_subject("left", 0))
+        assert truth.points is not None and truth.position is not None and truth.quaternion is not None
+        repeated = (
+            np.repeat(one[:1], len(POINT_NAMES), axis=0) for one in (truth.position, truth.quaternion)
+        )
+        face = in_object(truth.points[0], *repeated)
+        faces.append(face - face[EYES].mean(axis=0) + SEEN_BESIDE)
+    mean = np.mean(faces, axis=0)
+    offsets: FloatArray = 0.5 * (mean + mirrored(mean)) - statistics.mean
+    return offsets
+
+
+def build(statistics: Statistics, offsets: FloatArray = FEATURE_OFFSETS) -> BuiltModel:
+    """Build the model of people who each do everything; expressions grow with the width of the face.
+
+    Halves of faces make symmetric ones, which move their mouths to neither side: that is added. Without it a
+    mouth that goes aside, and the nose with it, is taken for a head that turns.
+    """
+    people = statistics.people(PEOPLE, np.random.default_rng(SEED))
+    actions = [motion(statistics, knots, rate) for knots in (SIDEWAYS, VERTICAL) for rate in RATES]
+    widths = _width(people) / _width(statistics.mean)
+    features = people + offsets
+    built = build_model(features[:, None] + widths[:, None, None, None] * np.stack(actions))
+    sizes = np.tile(widths, 2)  # of the right halves, then of the left
+    return add_deformation(built, displacement("mouth_left"), sizes, USUAL)
+
+
+def motion(statistics: Statistics, knots: Mapping[float, Expression], rate: float) -> FloatArray:
+    """Return the displacement (K, 3) of a motion at a rate from 0 to 1, mm."""
+    shares = [np.interp(rate, list(knots), row) for row in np.eye(len(knots))]
+    moved = [share * statistics.face(knot) for share, knot in zip(shares, knots.values(), strict=True)]
+    total: FloatArray = np.sum(moved, axis=0)
+    return total
+
+
+def _width(faces: FloatArray) -> FloatArray:
+    """Distance (...) of the outer eye corners."""
+    width: FloatArray = np.linalg.norm(faces[..., EYES.stop - 1, :] - faces[..., EYES.start, :], axis=-1)
+    return width
+
+
+def _rounded(model: FaceModel) -> FaceModel:
+    return FaceModel(**{part.name: np.round(getattr(model, part.name), DECIMALS) for part in fields(model)})
+
+
+@click.command(help=__doc__)
+@click.argument("statistics", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.argument("people", nargs=-1, type=click.Path(exists=True, file_okay=False, path_type=Path))
+@click.option("--without", multiple=True, help="Leave the person of this name out; repeatable.")
+@click.option("--out", default=SHIPPED, type=click.Path(dir_okay=False, path_type=Path))
+def main(statistics: Path, people: tuple[Path, ...], without: tuple[str, ...], out: Path) -> None:
+    """Write the model, and say how near it comes to the faces that it was built from.
+
+    Features lie where they do on average of PEOPLE, folders of recordings with truth.csv; without any, where
+    ``FEATURE_OFFSETS`` says.
+    """
+    read, used = read_statistics(statistics), [one for one in people if one.name not in without]
+    built = build(read, measured_offsets(read, used) if used else FEATURE_OFFSETS)
+    save_face_model(out, _rounded(built.model), SOURCE)
+    errors = np.linalg.norm(built.approximations() - built.samples, axis=-1)
+    print(f"{out}: rms {np.sqrt(np.mean(errors**2)):.3f} mm over {len(built.samples)} half faces")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,283 @@
+"""What the hand tracker reaches on its own model, on seeds that were never used for tuning.
+
+Usage: scripts/reproduce hand-accuracy [-o out/hand-accuracy] [--seeds 20] [--kinect FOLDER]
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from posetrack_cli.build import version
+from posetrack_cli.evaluation.evaluate import EvalOptions
+from posetrack_cli.hand.smoothing import SMOOTH_POSE, SMOOTH_VELOCITY
+from posetrack_cli.results.tracks import FILTERED, SMOOTHED
+from research.hands import evaluated, figures_of
+from research.report import Column, Figures, Report, number, pairs_of
+from research.runner import FILE, Files, Job, Step
+from research.study import FIRST_SEED, FOLDER, Part, Study, integer, unused_for_tuning
+
+NO_MESH = ("--set", "output.mesh=none")
+AVERAGE = ("--shape", "average")
+"""The hand that is drawn is known to be the average one: no time goes into finding that out."""
+QUICK_SEEDS, QUICK_FRAMES = 2, 20
+
+
+@dataclass(frozen=True)
+class Options:
+    """How much is done.
+
+    Attributes:
+        output: folder of everything.
+        seeds: recordings per condition.
+        frames: per recording.
+        kinect: folder of the real Kinect v2 recording; None leaves it out.
+        first_seed: of the recordings; smaller ones than the default are for trials.
+        entrants: ways to track that are run; empty for all.
+    """
+
+    output: Path
+    seeds: int = 20
+    frames: int = 300
+    kinect: Path | None = None
+    first_seed: int = FIRST_SEED
+    entrants: tuple[str, ...] = ()
+
+
+def recorded(
+    options: Options, name: str, made: tuple[str, ...], entrants: Mapping[str, tuple[str, ...]]
+) -> Job:
+    """Return the job of a recording that every chosen entrant tracks; the recording is deleted."""
+    recording = Step(f"recordings/{name}.mcap", made, scratch=True)
+    tracked = (
+        Step(f"runs/{name}-{entrant}.mcap", ("hand", "run", FILE + recording.output, *arguments))
+        for entrant, arguments in entrants.items()
+        if not options.entrants or entrant in options.entrants
+    )
+    return Job(name, (recording, *tracked))
+
+
+def synthetic(options: Options, motion: str, speed: float, seed: int, *more: str) -> tuple[str, ...]:
+    """Return the arguments that make a synthetic recording, with the default effects of its motion."""
+    made = ("hand", "synth", "--motion", motion, "--speed", f"{speed:g}", "--seed", str(seed))
+    return (*made, "--frames", str(options.frames), *more)
+
+
+def measured(
+    options: Options, files: Files, begin: str, end: str, track: str = FILTERED
+) -> dict[str, Figures]:
+    """Return the figures of each seed's result that is there, by the seed."""
+    names = {str(seed): f"runs/{begin}-{seed}-{options.frames}{end}.mcap" for seed in _seeds(options)}
+    found = {seed: figures_of(files.made(name), track) for seed, name in names.items()}
+    return {seed: figures for seed, figures in found.items() if figures}
+
+
+def _seeds(options: Options) -> range:
+    return range(options.first_seed, options.first_seed + options.seeds)
+
+
+# Own model: every configuration, smoothing, the swarm
+
+SPEEDS = (1.0, 2.0)
+OWN = {
+    "hand": ("--config", "hand", "--smooth", *AVERAGE, *NO_MESH),
+    "hand-fast": ("--config", "hand-fast", *AVERAGE, *NO_MESH),
+    "hand-pso": ("--config", "hand-pso", *AVERAGE, *NO_MESH),
+    "hand-paper": ("--config", "hand-paper", *AVERAGE, *NO_MESH),
+}
+OWN_ROWS = {
+    "`hand` (default)": ("hand", FILTERED),
+    "`hand --smooth`, smoothed": ("hand", SMOOTHED),
+    **{f"`{name}`": (name, FILTERED) for name in ("hand-fast", "hand-pso", "hand-paper")},
+}
+OWN_PAIRS = {
+    "filtered → smoothed": ("`hand` (default)", "`hand --smooth`, smoothed"),
+    "PSO (64 x 25) → `hand`": ("`hand-pso`", "`hand` (default)"),
+}
+OWN_COLUMNS = (
+    Column("error_mm", "mean error, mm", spread=True),
+    Column("worst_mm", "worst", whole="max"),
+    Column("p95_mm", "p95, mm"),
+    Column("lost_share", "lost", percent=True),
+    Column("astray", "astray", percent=True),
+    Column("inside_90", "inside 90 %"),
+    Column("evaluations", "poses a frame", digits=0),
+)
+
+
+def _own_jobs(options: Options) -> Iterator[Job]:
+    for speed in SPEEDS:
+        for seed in _seeds(options):
+            name = f"C-{speed:g}x-{seed}-{options.frames}"
+            yield recorded(options, name, synthetic(options, "C", speed, seed), OWN)
+
+
+def _tell_own(options: Options, files: Files, report: Report) -> None:
+    report.text(
+        "## Own model, all Kinect effects, automatic start",
+        "Motion C with noise, edges, background, body, forearm, dropped and late frames. Errors are of the "
+        "21 joints over all frames, lost ones included; worst: largest mean of a recording; p95: mean over "
+        "recordings of each one's 95th percentile. Astray: frames whose mean joint error is 20 mm or more, "
+        "whatever their status. Inside 90 %: share of the 21 pose entries within their stated interval.",
+    )
+    for speed in SPEEDS:
+        rows = {
+            title: measured(options, files, f"C-{speed:g}x", f"-{entrant}", track)
+            for title, (entrant, track) in OWN_ROWS.items()
+        }
+        report.text(f"### Speed {speed:g}")
+        found = {
+            title: [dict(one, worst_mm=one["error_mm"]) for one in of.values()] for title, of in rows.items()
+        }
+        report.entrants(f"own, speed {speed:g}", OWN_COLUMNS, found)
+        pairs = {(what,): pairs_of(rows[a], rows[b], "error_mm") for what, (a, b) in OWN_PAIRS.items()}
+        report.pairs(f"own, speed {speed:g}, paired", ("error, mm",), pairs)
+
+
+# RBPF against the plain filter
+
+
+CONDITIONS = (*((motion, speed, 30) for motion in "BC" for speed in (1.0, 2.0)), ("C", 3.0, 30))
+CONDITIONS += tuple(("C", 1.0, fps) for fps in (10, 20, 60))
+"""Motion, speed and frame rate."""
+PROPOSALS = {"guided": "local fits", "paper": "(51) as printed"}
+SMOOTH = tuple(
+    part
+    for name, settings in (("pose", SMOOTH_POSE), ("velocity", SMOOTH_VELOCITY))
+    for key, value in settings
+    for part in ("--set", f"motion.{name}.{key}={value}")
+)
+"""The noise densities of the smoothed track: nearly all motion is velocity, and the filter's follows it."""
+FILTERS = {"pf": ("pf", ()), "rbpf": ("rbpf", ()), "smooth": ("rbpf", SMOOTH)}
+
+
+def _filters_name(condition: tuple[str, float, int], seed: object = "") -> str:
+    motion, speed, fps = condition
+    return f"{motion}-{speed:g}x-{fps}Hz" + (f"-{seed}" if seed else "")
+
+
+def _filters_jobs(options: Options) -> Iterator[Job]:
+    for condition in CONDITIONS:
+        motion, speed, fps = condition
+        for seed in _seeds(options):
+            name = f"{_filters_name(condition, seed)}-{options.frames}-filters"
+            # both filters begin at the true pose: they are compared, not their starts
+            common = ("--init", f"{FILE}recordings/{name}.mcap", *AVERAGE, *NO_MESH)
+            entrants = {
+                f"{filter_}-{proposal}": (
+                    *("--config", "hand", "--filter", kind, "--set", f"filter.proposal={proposal}"),
+                    *densities,
+                    *common,
+                )
+                for filter_, (kind, densities) in FILTERS.items()
+                for proposal in PROPOSALS
+            }
+            yield recorded(
+                options, name, synthetic(options, motion, speed, seed, "--fps", str(fps)), entrants
+            )
+
+
+def _tell_filters(options: Options, files: Files, report: Report) -> None:
+    report.text(
+        "## RBPF against the plain filter, same budget",
+        "All filters on the same recordings with the same seed, from the true pose, all else as in `hand`. "
+        "B is a random walk of pose and velocity with a bare hand, C natural motion with all effects. "
+        "Smooth: the RBPF with the noise densities of the smoothed track. Mean joint errors, mm; first is "
+        "the plain filter.",
+    )
+    pairs = {}
+    for proposal, drawn in PROPOSALS.items():
+        for condition in CONDITIONS:
+            found = {
+                kind: measured(options, files, _filters_name(condition), f"-filters-{kind}-{proposal}")
+                for kind in FILTERS
+            }
+            for kind, densities in (("rbpf", "default"), ("smooth", "smooth")):
+                row = (_filters_name(condition), drawn, densities)
+                pairs[row] = pairs_of(found["pf"], found[kind], "error_mm")
+    report.pairs("filters", ("motion, speed, frame rate", "proposal", "densities"), pairs)
+
+
+# A real hand
+
+KINECT_CAMERA = "fx = 363.9\nfy = 363.9\ncx = 255.4\ncy = 206.3\n"
+
+
+def _kinect_jobs(options: Options) -> Iterator[Job]:
+    if options.kinect is None:
+        return
+    camera = options.output / "kinect2.camera.toml"
+    camera.write_text(KINECT_CAMERA, encoding="utf-8")
+    made = Step("kinect2.mcap", ("convert", str(options.kinect), "--camera", str(camera), "--fps", "30"))
+    run = ("hand", "run", FILE + made.output, "--hand-side", "left", "--config", "hand")
+    yield Job("kinect", (made, Step("runs/kinect2-hand.mcap", run)))
+
+
+def _tell_kinect(options: Options, files: Files, report: Report) -> None:
+    report.text("## Real Kinect v2, a left hand")
+    result, recording = (files.made(name) for name in ("runs/kinect2-hand.mcap", "kinect2.mcap"))
+    if result is None or recording is None:
+        report.text("Not measured: no such recording was given (`--kinect`), or it failed.")
+        return
+    found = evaluated(result, EvalOptions(recording=recording))
+    overlap, lost = found.series["region_overlap"], found.track.lost
+    assert lost is not None
+    median, low = (float(np.nanpercentile(overlap, percent)) for percent in (50.0, 5.0))
+    report.text(
+        f"{int(lost.sum())} of {len(lost)} frames are lost, the first tracked one is "
+        f"{int(np.argmin(lost)) + 1}. Region overlap: median {number(median, 3)}, 5th percentile "
+        f"{number(low, 3)}."
+    )
+    report.judge("Kinect: region overlap, median", median, least=0.85, digits=3)
+    report.judge("Kinect: region overlap in 95 % of frames", low, least=0.72, digits=3)
+
+
+def _head(options: Options) -> Iterator[str]:
+    last = options.first_seed + options.seeds - 1
+    yield "# What the hand tracker reaches"
+    yield (
+        f"posetrack {version()}; seeds {options.first_seed} to "
+        f"{last}{unused_for_tuning(options.first_seed)}, {options.frames} frames each; {os.cpu_count()} "
+        "cores."
+    )
+
+
+STUDY = Study(
+    "hand-accuracy",
+    (
+        Part("own", _own_jobs, _tell_own),
+        Part("filters", _filters_jobs, _tell_filters),
+        Part("kinect", _kinect_jobs, _tell_kinect),
+    ),
+    _head,
+)
+
+
+@STUDY.command(
+    integer("--seeds", 20, "Recordings per condition."),
+    integer("--frames", 300, "Frames per recording.", 2),
+    integer("--first-seed", FIRST_SEED, "Of the recordings; smaller ones are for trials.", 0),
+    click.option("--kinect", type=FOLDER, help="Folder of the real Kinect v2 recording."),
+    click.option(
+        "--entrant", "entrants", multiple=True, help="Run this way to track alone, such as hand; repeatable."
+    ),
+    click.option("--quick", is_flag=True, help=f"Try it: {QUICK_SEEDS} recordings of {QUICK_FRAMES} frames."),
+)
+def main(jobs: int, chosen: tuple[str, ...], quick: bool, **values: Any) -> None:
+    """Measure accuracy, intervals, smoothing and filters; hand-accuracy.md in the output folder has it all.
+
+    Finished tracks of the same code and arguments are reused.
+    """
+    if quick:
+        values |= {"seeds": QUICK_SEEDS, "frames": QUICK_FRAMES}
+    STUDY.run(Options(**values), chosen, jobs)
+
+
+if __name__ == "__main__":
+    main()

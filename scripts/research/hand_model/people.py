@@ -1,0 +1,106 @@
+"""People's hands as rows: the template laid on the skin of each, and its bones, in lengths of a hand."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.hand.anatomy import BONE_COUNT, HandAnatomy
+from posetrack_cli.hand.calibration.measures import MEASURES, measures_of
+from posetrack_cli.hand.shape import HandShape, reshaped_anatomy, reshaped_skin
+from posetrack_cli.hand.webxr import PER_METRE, FileHand, joint_places, straightened
+from posetrack_cli.rendering.gltf import read_glb
+from posetrack_cli.rendering.gltf_skin import read_skin
+from posetrack_cli.rendering.mesh import SkinnedMesh, smoothing
+from research.hand_model.joints import anatomical_joints
+from research.hand_model.registration import Skin, Template
+from research.hand_model.template import adult, cage_of, with_wrist
+
+FURTHER_SD: FloatArray = np.array([0.0, *[0.03] * 5, *[0.05] * 5, 0.035, 0.025, 0.05, 0.06, 0.03])
+"""(16,) of the logarithms of a shape's factors: what further differs from hand to hand, as other people's and
+other artists' hands do from those that are learned from."""
+RIG_LENGTH_MM = 181.0
+"""From the wrist to the middle finger's tip as the people's rigs have it, the mean of women and men; the
+skin that is laid on theirs ends 2 mm before."""
+_MEAN_OF, _SEED = 120, 5
+_WRIST_MM = 4.0
+
+
+def rows(files: Sequence[Path]) -> Iterator[FloatArray]:
+    """Yield for each file what ``population.RestHand`` holds, flattened (D,)."""
+    surface = smoothing(cage_of(adult()).triangles, 1)
+    template = Template(surface.triangles, surface.through)
+    weights = np.asarray(surface.blend @ cage_of(adult()).weights)
+    mean = _mean_hand([person_hand(path, None) for path in files[:_MEAN_OF]])
+    start = surface.through @ cage_of(mean.anatomy).vertices
+    laid = template.laid_coarsely(start, Skin(mean.skin), _WRIST_MM)
+    reference = SkinnedMesh(laid, weights, surface.triangles)
+    rng = np.random.default_rng(_SEED)
+    for path in files:
+        hand = _reshaped(person_hand(path, rng), rng)
+        vertices = reference.posed(_stretches(mean.anatomy, hand.anatomy)[None])[0]
+        cage = template.cage(template.laid(vertices, Skin(hand.skin)))
+        a, size = hand.anatomy, RIG_LENGTH_MM / _length(hand.anatomy)
+        parts = (with_wrist(size * cage), *(size * one for one in (a.base_positions, a.segments, a.radii)))
+        yield np.concatenate([part.ravel() for part in parts])
+
+
+def person_hand(path: Path, rng: np.random.Generator | None) -> FileHand:
+    """A person's hand with joints as they may lie in it, at zero angles."""
+    skin = read_skin(read_glb(path))
+    places, joints = joint_places(skin, path), skin.joint_positions.copy()
+    joints[places] = anatomical_joints(PER_METRE * joints[places], rng) / PER_METRE
+    return straightened(replace(skin, joint_positions=joints), path, adult())
+
+
+def _mean_hand(hands: Sequence[FileHand]) -> FileHand:
+    """The mean of hands of the same triangles, in lengths of a hand."""
+    sizes = [RIG_LENGTH_MM / _length(hand.anatomy) for hand in hands]
+
+    def mean(parts: Sequence[FloatArray]) -> FloatArray:
+        return np.asarray(np.mean([size * part for size, part in zip(sizes, parts, strict=True)], axis=0))
+
+    skin = replace(hands[0].skin, vertices=mean([hand.skin.vertices for hand in hands]))
+    bones = [hand.anatomy for hand in hands]
+    anatomy = replace(
+        adult(),
+        base_positions=mean([one.base_positions for one in bones]),
+        segments=mean([one.segments for one in bones]),
+        radii=mean([one.radii for one in bones]),
+    )
+    return FileHand(anatomy, skin)
+
+
+def _reshaped(hand: FileHand, rng: np.random.Generator) -> FileHand:
+    """The hand with further factors drawn."""
+    shape = HandShape.of_factors(np.exp(rng.normal(0.0, FURTHER_SD)))
+    skin = reshaped_skin(hand.skin, hand.anatomy, "right", shape)
+    return FileHand(replace(reshaped_anatomy(hand.anatomy, "right", shape), palm=(1.0, 1.0, 1.0)), skin)
+
+
+def _stretches(start: HandAnatomy, end: HandAnatomy) -> FloatArray:
+    """Affine maps (16, 3, 4) that take the bones of one hand to those of another, girths along."""
+    maps = np.zeros((BONE_COUNT, 3, 4))
+    knuckles, others = start.base_positions[1:], end.base_positions[1:]
+    wide = np.ptp(others[:, 0]) / np.ptp(knuckles[:, 0])
+    long = np.linalg.norm(others, axis=1).mean() / np.linalg.norm(knuckles, axis=1).mean()
+    thick = float(np.median(end.radii[1:, 0] / start.radii[1:, 0]))
+    maps[0, :, :3] = np.diag([wide, long, 0.5 * (long + thick)])
+    for finger, frame in enumerate(start.base_rotations):
+        girth = float(np.median(end.radii[finger] / start.radii[finger]))
+        for bone in range(3):
+            length = end.segments[finger, bone] / start.segments[finger, bone]
+            stretch = frame @ np.diag([girth, length, girth]) @ frame.T
+            at = maps[1 + 3 * finger + bone]
+            at[:, :3] = stretch
+            at[:, 3] = end.rest_origins[finger, bone] - stretch @ start.rest_origins[finger, bone]
+    return maps
+
+
+def _length(anatomy: HandAnatomy) -> float:
+    """From the wrist to the tip of the straight middle finger, mm."""
+    return float(measures_of(anatomy)[MEASURES.index("hand_length")])

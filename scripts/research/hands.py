@@ -1,0 +1,119 @@
+"""Measure a hand's result against its truth: figures of ``posetrack eval``, and where the wrist is."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from posetrack_cli.arrays import BoolArray, FloatArray
+from posetrack_cli.evaluation.evaluate import EvalOptions, evaluate
+from posetrack_cli.evaluation.evaluation import Evaluation
+from posetrack_cli.evaluation.figures import figure_of
+from posetrack_cli.evaluation.metrics.hand_metrics import joint_errors
+from posetrack_cli.evaluation.metrics.measures import Matched, common_columns, rows_of
+from posetrack_cli.hand.anatomy import JOINT_NAMES
+from posetrack_cli.results.reader import read_result
+from posetrack_cli.results.tracks import FILTERED
+
+WRIST = JOINT_NAMES[0]
+RAW, WITHOUT_OFFSETS = EvalOptions(), EvalOptions(joint_offsets="bone")
+OFF_MM = 60.0
+"""A wrist that is farther from the true one is not on it."""
+ASTRAY_MM = 20
+"""A frame whose mean joint error is not below this does not follow the hand, whatever its status."""
+ADDRESSES = {
+    "error_mm": "joint_error_mm.mean",
+    "tip_error_mm": "fingertip_error_mm.mean",
+    "p95_mm": "joint_error_mm.p95",
+    "velocity_error_mm_s": "velocity_error_mm_s.mean",
+    "inside_90": "inside_90",
+    "nees": "nees.mean",
+    "evaluations": "evaluations.mean",
+    "coverage": "coverage",
+    "lost": "lost",
+    "frames": "frames",
+}
+"""Figures of studies, and their addresses in ``posetrack eval``."""
+
+
+@dataclass(frozen=True, eq=False)
+class Frames:
+    """The frames (M,) of a track that have a truth, lost ones among them, in the order of time.
+
+    Attributes:
+        error: mean over the joints of the distance to the true one, mm.
+        wrist: distance between estimated and true wrist, mm.
+        lost: frames whose status is lost.
+    """
+
+    error: FloatArray
+    wrist: FloatArray
+    lost: BoolArray
+
+
+@cache
+def evaluated(result: Path, options: EvalOptions = RAW) -> Evaluation:
+    """Return a result, measured once."""
+    return evaluate(result, options)
+
+
+def frames_of(evaluation: Evaluation) -> Frames | None:
+    """Return the frames of an evaluation; None if no frame has a truth with a wrist."""
+    track, truth, pairs = evaluation.track, evaluation.truth, evaluation.pairs
+    joints = common_columns(track.point_names, () if truth is None else truth.point_names)
+    if truth is None or pairs is None or not len(pairs.estimate) or WRIST not in joints.names:
+        return None
+    assert track.lost is not None
+    errors = joint_errors(Matched(track, truth, pairs), joints)
+    wrist = errors[:, joints.names.index(WRIST)]
+    return Frames(errors.mean(axis=1), wrist, rows_of(track.lost, pairs.estimate))
+
+
+def figures_of(result: Path | None, track: str = FILTERED) -> dict[str, float]:
+    """Return the figures of a result's track; none of a result, or a track, that is missing."""
+    if result is None or track not in read_result(result).tracks:
+        return {}
+    raw = evaluated(result, replace(RAW, track=track))
+    found = {name: figure_of(raw, address).value for name, address in ADDRESSES.items()}
+    figures = {name: value for name, value in found.items() if value is not None}
+    figures["lost_share"] = figures.get("lost", np.nan) / figures.get("frames", np.nan)
+    within = figure_of(raw, f"frames_mean_within_{ASTRAY_MM}mm").value
+    if within is not None:
+        figures["astray"] = 1.0 - within
+    return figures
+
+
+def without_offsets(result: Path | None) -> dict[str, float]:
+    """Return the mean joint error after one constant offset per joint, in the axes of its bone."""
+    if result is None:
+        return {}
+    value = figure_of(evaluated(result, WITHOUT_OFFSETS), ADDRESSES["error_mm"]).value
+    return {} if value is None else {"error_without_offsets_mm": value}
+
+
+def found_within(frames: Frames) -> float:
+    """Return the number, from 1, of the first frame on the wrist that is not lost; infinity if none is."""
+    found = np.flatnonzero((frames.wrist <= OFF_MM) & ~frames.lost)
+    return float(found[0]) + 1.0 if len(found) else np.inf
+
+
+def start_of(result: Path | None) -> dict[str, float]:
+    """Return when the hand is found, and how long it is kept.
+
+    ``found_within``: see there. ``off``: frames that are not on the wrist and not lost. ``kept``: share of
+    frames on the wrist, whatever their status.
+    """
+    frames = None if result is None else frames_of(evaluated(result))
+    if frames is None:
+        return {}
+    off = float(((frames.wrist > OFF_MM) & ~frames.lost).sum())
+    return {"found_within": found_within(frames), "off": off, "kept": float((frames.wrist < OFF_MM).mean())}
+
+
+def side_of(result: Path) -> str:
+    """Return which hand was tracked, from the run record."""
+    return str(json.loads(evaluated(result).run["configuration"])["hand"]["side"])

@@ -1,0 +1,266 @@
+"""Recordings of heads with truth, and what a head's result is worth against the truth or another result.
+
+Where a head's frame sits is a convention, so one constant rigid offset of it is removed, as by ``eval --align
+rigid``. As it brings the positions nearest, it absorbs what is constant of an error in depth.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
+from posetrack_cli.errors import ResultError
+from posetrack_cli.evaluation.alignment import tracked_pairs
+from posetrack_cli.evaluation.evaluate import Alignment, EvalOptions, evaluate
+from posetrack_cli.evaluation.evaluation import Evaluation
+from posetrack_cli.evaluation.metrics.head_metrics import HEAD_POSE
+from posetrack_cli.evaluation.metrics.pose_errors import distances
+from posetrack_cli.evaluation.track import Track
+from posetrack_cli.geometry import rotations
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.geometry.euler import head_roll_pitch_yaw
+from posetrack_cli.geometry.rigid import in_object, placed, rigid_alignment
+from posetrack_cli.recording import camera_file
+from research.report import Column
+
+CALIBRATION, TRUTH = "calibration.json", "truth.csv"
+LEFT = "left"
+"""The camera that is used alone."""
+AXES = ("x, mm", "y", "z", "roll, deg", "pitch", "yaw")
+POSE_COLUMNS = tuple(Column(name, title) for name, title in zip(HEAD_POSE, AXES, strict=True))
+TRACKED_COLUMNS = (
+    Column("tracked", "tracked", 1, percent=True),
+    Column("first", "first frame", 0, whole="max"),
+    Column("wrong", "wrong", 0, whole="sum"),
+)
+
+
+def cameras_of(calibration_json: Path) -> list[Camera]:
+    """Return the cameras of a calibration.json, the reference first."""
+    cameras = []
+    for name, values in json.loads(calibration_json.read_text())["cameras"].items():
+        matrix = np.array(values["K"])
+        camera = Camera(
+            values["width"],
+            values["height"],
+            fx=matrix[0, 0],
+            fy=matrix[1, 1],
+            cx=matrix[0, 2],
+            cy=matrix[1, 2],
+            distortion=tuple(map(float, values["distortion"])),
+            name=name,
+        )
+        cameras.append(placed(camera, np.column_stack([values["R_from_left"], values["t_from_left_mm"]])))
+    return cameras
+
+
+def reading_arguments(folder: Path, cameras: Path) -> tuple[str, ...]:
+    """Return the arguments that read a recording; write its camera file into the folder ``cameras``."""
+    camera = cameras / f"{folder.name}.camera.toml"
+    camera.parent.mkdir(parents=True, exist_ok=True)
+    camera.write_text(camera_file.camera_file_text(cameras_of(folder / CALIBRATION)), encoding="utf-8")
+    fps = float(json.loads((folder / CALIBRATION).read_text())["fps"])
+    return (str(folder), "--camera", str(camera), "--fps", f"{fps:g}")
+
+
+def persons_in(folder: Path | None) -> list[Path]:
+    """Return the folders in a folder that hold a recording with calibration and truth."""
+    found = [] if folder is None else sorted(folder.iterdir())
+    return [one.resolve() for one in found if all((one / name).is_file() for name in (CALIBRATION, TRUTH))]
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """A result against a reference, in M frames.
+
+    Attributes:
+        seconds: (M,) since the first frame.
+        followed: (M,) whether the head was followed, also where the tracker doubts itself: a doubt must not
+            make errors small.
+        believed: (M,) whether the tracker says that it has the head.
+        pose: (M, 6) absolute errors, mm and deg, in the order of ``HEAD_POSE``.
+        position_mm, rotation_deg: (M,) lengths of the whole errors.
+        columns, true_columns: (M, 6) x, y, z (mm), roll, pitch, yaw (deg) of result and reference.
+        shape, true_shape: (M, K, 3) points in head coordinates, mm.
+        neutral: (K, 3) of the reference's first frame.
+        points, true_points: (M, K, 3) in camera axes, mm.
+        milliseconds: (M,) per frame, NaN where not timed.
+        confidence: (M,) NaN where not stated.
+        stamp_ns: (M,).
+    """
+
+    seconds: FloatArray
+    followed: BoolArray
+    believed: BoolArray
+    pose: FloatArray
+    position_mm: FloatArray
+    rotation_deg: FloatArray
+    columns: FloatArray
+    true_columns: FloatArray
+    shape: FloatArray
+    true_shape: FloatArray
+    neutral: FloatArray
+    points: FloatArray
+    true_points: FloatArray
+    milliseconds: FloatArray
+    confidence: FloatArray
+    stamp_ns: IntArray
+
+    @property
+    def moved_mm(self) -> FloatArray:
+        """(M, K) how far the true points are from their neutral places."""
+        return distances(self.true_shape, self.neutral)
+
+    def points_mm(self) -> tuple[FloatArray, FloatArray]:
+        """Return distances (M, K) of the points in head coordinates after one constant rigid movement.
+
+        The movement minimises them over the followed frames. The second array is after each point's own
+        constant offset, too.
+        """
+        counted = self.followed if self.followed.any() else ~self.followed
+        weights = np.repeat(counted.astype(np.float64), self.shape.shape[1])
+        flat, true = (points.reshape(-1, 3) for points in (self.shape, self.true_shape))
+        rotation, translation = rigid_alignment(flat, true, weights)
+        moved = self.shape @ rotation.T + translation
+        offsets = (self.true_shape - moved)[counted].mean(axis=0)
+        return distances(moved, self.true_shape), distances(moved + offsets, self.true_shape)
+
+
+@cache
+def evaluated(result: Path, reference: Path | None, align: Alignment) -> Evaluation:
+    """Return a result, measured once."""
+    return evaluate(result, EvalOptions(truth=reference, align=align))
+
+
+def compare(result: Path, reference: Path | None, align: Alignment = "rigid") -> Compared:
+    """Compare a result with a reference.
+
+    Args:
+        result: of ``posetrack head``.
+        reference: a result, whose estimates are taken, or a file of truth; None for the truth in the result.
+        align: as of ``posetrack eval``.
+
+    Raises:
+        PosetrackError: a file cannot be read, or they have no frame in common.
+    """
+    found = evaluated(result, reference, align)
+    track, truth, pairs = found.track, found.truth, found.pairs
+    if truth is None or pairs is None or not len(pairs.estimate):
+        raise ResultError("has no truth in common with what it is compared with", where=result)
+    mine, theirs = pairs.estimate, pairs.truth
+    nothing = np.full(len(track), np.nan)
+    believed = np.ones(len(mine), dtype=np.bool_) if track.lost is None else ~track.lost[mine]
+    confidence = (nothing if track.confidence is None else track.confidence)[mine]
+    # a result without confidence is followed where it is not lost
+    followed = believed if track.confidence is None else believed | (np.nan_to_num(confidence) > 0.0)
+    true_shape = in_head(truth)
+    return Compared(
+        seconds=(track.stamp_ns[mine] - track.stamp_ns[0]) * 1e-9,
+        followed=followed,
+        believed=believed,
+        pose=np.stack([found.series[name] for name in HEAD_POSE], axis=1),
+        position_mm=found.series["position_mm"],
+        rotation_deg=found.series["rotation_deg"],
+        columns=pose_columns(track)[mine],
+        true_columns=pose_columns(truth)[theirs],
+        shape=in_head(track)[mine],
+        true_shape=true_shape[theirs],
+        neutral=true_shape[0],
+        points=_known(track.points)[mine],
+        true_points=_known(truth.points)[theirs],
+        milliseconds=(nothing if track.milliseconds is None else track.milliseconds)[mine],
+        confidence=confidence,
+        stamp_ns=track.stamp_ns[mine],
+    )
+
+
+def depth_factor(result: Path, reference: Path | None) -> float:
+    """Return the factor s on all lengths of a result that brings it nearest to a reference.
+
+    Over the tracked pairs s and the head's constant offset x minimise sum |s t_i + R_i x - t_ref,i|^2, a
+    linear least-squares problem in four unknowns.
+    """
+    found = evaluated(result, reference, "none")
+    assert found.truth is not None and found.pairs is not None
+    mine, theirs = tracked_pairs(found.track, found.pairs)
+    turns = rotations.matrices_from_quaternions(_known(found.track.quaternion)[mine])
+    design = np.concatenate([_known(found.track.position)[mine][:, :, None], turns], axis=2).reshape(-1, 4)
+    (factor, *_), *_ = np.linalg.lstsq(design, _known(found.truth.position)[theirs].ravel())
+    return float(factor)
+
+
+def figures_of(one: Compared, rows: BoolArray, wrong: tuple[float, float]) -> dict[str, float]:
+    """Return means and, with ``sd``, deviations of errors over some frames.
+
+    Args:
+        one: a result against its reference.
+        rows: (M,) frames that count.
+        wrong: mm and deg above which a pose is not of the head that is tracked.
+    """
+    is_wrong = (one.position_mm > wrong[0]) | (one.rotation_deg > wrong[1])
+    found = {
+        "frames": float(len(rows)),
+        "tracked": float(one.believed.mean()),
+        "wrong": float((rows & is_wrong).sum()),
+        "first": float(np.argmax(rows)) if rows.any() else np.inf,
+    }
+    if not rows.any():
+        return found
+    series = {name: one.pose[:, column] for column, name in enumerate(HEAD_POSE)}
+    for name, values in (series | {"position_mm": one.position_mm, "rotation_deg": one.rotation_deg}).items():
+        found |= {name: float(values[rows].mean()), f"{name} sd": float(values[rows].std())}
+    if np.isfinite(one.milliseconds).any():
+        found["ms"] = float(np.nanmedian(one.milliseconds))
+    return found
+
+
+def mono_figures(result: Path | None, reference: Path | None, align: Alignment = "rigid") -> dict[str, float]:
+    """Return the figures of one camera's result, over the frames in which the head was followed.
+
+    A pose that is off by more than 60 mm or 15 deg is wrong: one and a half times the greatest errors of the
+    thesis's experiment B, mean and two standard deviations. ``points_mm`` and ``shapes_mm``: see
+    ``Compared.points_mm``.
+    """
+    if result is None or (reference is not None and not reference.exists()):
+        return {}
+    one = compare(result, reference, align)
+    found = figures_of(one, one.followed, (60.0, 15.0))
+    for name, errors in zip(("points_mm", "shapes_mm"), one.points_mm(), strict=True):
+        if one.followed.any():
+            found[name] = float(errors[one.followed].mean())
+    found["factor"] = depth_factor(result, reference)
+    return found
+
+
+def pose_columns(track: Track) -> FloatArray:
+    """Return x, y, z (mm), roll, pitch, yaw (deg), (N, 6), in camera axes."""
+    angles = np.degrees(np.unwrap(head_roll_pitch_yaw(_known(track.quaternion)), axis=0))
+    return np.hstack([_known(track.position), angles])
+
+
+def in_head(track: Track) -> FloatArray:
+    """Return points (N, K, 3) in head coordinates, mm."""
+    points = _known(track.points)
+    position, quaternion = (
+        np.repeat(values, points.shape[1], axis=0)
+        for values in (_known(track.position), _known(track.quaternion))
+    )
+    flat: FloatArray = in_object(points.reshape(-1, 3), position, quaternion)
+    return flat.reshape(points.shape)
+
+
+def greatest(values: FloatArray, rows: Sequence[Any]) -> list[int]:
+    """Return of each group of rows that has some the one with the greatest value."""
+    return [int(of[np.argmax(values[of])]) for of in rows if of.size]
+
+
+def _known(array: FloatArray | None) -> Any:
+    """Return an array that every track of a head has."""
+    return array

@@ -1,0 +1,401 @@
+"""What the head trackers do on people that nothing was tuned on: with one camera, and with two.
+
+Usage: scripts/reproduce heads-strangers --heads FOLDER [--tuned FOLDER] [--part mono] [--jobs N]
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+import numpy as np
+
+from posetrack_cli.arrays import BoolArray, FloatArray
+from posetrack_cli.build import version
+from posetrack_cli.evaluation.figures import figure_of
+from posetrack_cli.evaluation.honesty import roc_area
+from posetrack_cli.evaluation.truth.csv_track import load_csv_track
+from posetrack_cli.geometry.projection import pixels_from_points
+from posetrack_cli.head.subject import head_subject
+from research.heads import (
+    CALIBRATION,
+    LEFT,
+    POSE_COLUMNS,
+    TRUTH,
+    Compared,
+    cameras_of,
+    compare,
+    evaluated,
+    in_head,
+    mono_figures,
+    persons_in,
+    reading_arguments,
+)
+from research.report import Column, Figures, Report, over, pairs_of, values_of, whole
+from research.runner import FILE, Files, Job, Step
+from research.study import FOLDER, Part, Study
+
+WRONG_DEG = 3.0
+"""A rotation that is off by more is wrong."""
+COLUMNS = (
+    *POSE_COLUMNS,
+    Column("factor", "right depth factor", 3, whole="median"),
+    Column("points_px", "first points, px"),
+    Column("tracked", "tracked", 1, percent=True),
+    Column("off", "off", 1, percent=True),
+    Column("position_inside", "position inside"),
+    Column("rotation_inside", "rotation inside"),
+    Column("ms", "ms", 1),
+)
+
+
+@dataclass(frozen=True)
+class Options:
+    """How much is done.
+
+    Attributes:
+        output: folder of everything.
+        heads: folder of strangers' recordings: left, right, calibration.json and truth.csv each.
+        tuned: folder of recordings on which the defaults were tuned; None leaves them out.
+        only: names of those that are tracked; empty for all.
+        left_out: folder of what was learned without each stranger, NAME-features.npz and NAME-model.npz; None
+            tracks with what is shipped.
+    """
+
+    output: Path
+    heads: Path
+    tuned: Path | None = None
+    only: Sequence[str] = ()
+    left_out: Path | None = None
+
+    @property
+    def strangers(self) -> list[Path]:
+        """Folders of the people whom nothing was tuned on."""
+        return [one for one in persons_in(self.heads) if not self.only or one.name in self.only]
+
+    @property
+    def everybody(self) -> list[Path]:
+        """Folders of all."""
+        return [
+            *self.strangers,
+            *(one for one in persons_in(self.tuned) if not self.only or one.name in self.only),
+        ]
+
+    def mono(self, person: Path, *arguments: str) -> tuple[str, ...]:
+        """Return the command that tracks a person's left camera with what was learned without the person."""
+        learned: tuple[str, ...] = ()
+        if self.left_out is not None and person.parent == self.heads:
+            features, model = (self.left_out / f"{person.name}-{what}.npz" for what in ("features", "model"))
+            learned = ("--set", f"start.detection.features={features}", "--face-model", str(model))
+        reading = reading_arguments(person, self.output / "recordings")
+        return ("head", "mono", *reading, "--cameras", LEFT, "--timings", *learned, *arguments)
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """A result against its truth.
+
+    Attributes:
+        figures: means over the followed frames.
+        first_px: (K, 2) errors of the points of the first followed frame on the image, pixels.
+        confidence: (M,) of the frames with a truth.
+        wrong: (M,) whether their rotation is off by more than ``WRONG_DEG`` after the offset.
+    """
+
+    figures: Mapping[str, float]
+    first_px: FloatArray
+    confidence: FloatArray
+    wrong: BoolArray
+
+
+def judge(result: Path, person: Path) -> Judged:
+    """Measure a result against a person's truth.
+
+    Raises:
+        PosetrackError: a file cannot be read, or they have no frame in common.
+    """
+    truth = person / TRUTH
+    one, raw = compare(result, truth), evaluated(result, truth, "none")
+    found = mono_figures(result, truth)
+    wrong = one.rotation_deg > WRONG_DEG
+    found["off"] = float(wrong[one.followed].mean()) if one.followed.any() else np.nan
+    for part in ("position", "rotation"):
+        found[f"{part}_inside"] = figure_of(raw, f"inside_90.{part}").value or 0.0
+    return Judged(found, first_points(one, person), np.nan_to_num(one.confidence), wrong)
+
+
+def first_points(one: Compared, person: Path) -> FloatArray:
+    """Return (K, 2) how far off the points of the first followed frame are on the image, pixels."""
+    camera, row = cameras_of(person / CALIBRATION)[0], int(np.argmax(one.followed))
+    mine, theirs = (pixels_from_points(camera, points[row])[0] for points in (one.points, one.true_points))
+    off: FloatArray = mine - theirs
+    return off
+
+
+def without_others(offsets: Sequence[FloatArray]) -> FloatArray:
+    """Return (P, K) lengths of P people's point errors (K, 2), less the mean offset of the other people.
+
+    Where a detector's point sits relative to a mesh's vertex is a convention; that it does so for the person
+    who is measured is not. Of one person nothing is removed.
+    """
+    every = np.array(offsets)
+    others = (every.sum(axis=0) - every) / max(len(every) - 1, 1) if len(every) > 1 else np.zeros_like(every)
+    lengths: FloatArray = np.linalg.norm(every - others, axis=-1)
+    return lengths
+
+
+def judged_people(folders: Sequence[Path], kind: str, files: Files) -> dict[str, Judged]:
+    """Return the people who have a result of a kind, by name."""
+    found = {folder: files.made(f"runs/{folder.name}-{kind}.mcap") for folder in folders}
+    return {folder.name: judge(path, folder) for folder, path in found.items() if path is not None}
+
+
+def rows_of(people: Mapping[str, Judged]) -> dict[str, Figures]:
+    """Return the figures of people, with the one that needs the others."""
+    left = without_others([one.first_px for one in people.values()]) if people else ()
+    return {
+        name: {**one.figures, "points_px": float(lengths.mean())}
+        for (name, one), lengths in zip(people.items(), left, strict=True)
+    }
+
+
+def _tell_people(part: str, options: Options, files: Files, report: Report) -> list[Figures]:
+    """Add the table of a part: strangers with their median and worst, then those that were tuned on."""
+    strangers = rows_of(judged_people(options.strangers, part, files))
+    others = [one for one in options.everybody if one not in options.strangers]
+    familiar = rows_of(judged_people(others, part, files))
+    rows = {**strangers, **{f"{name} (tuned on)": figures for name, figures in familiar.items()}}
+    if strangers:
+        for title in ("median", "max"):
+            columns = [Column(column.name, column.title, whole=title) for column in COLUMNS]
+            rows[f"**strangers, {title}**"] = whole(columns, list(strangers.values()))
+    report.figures(part, COLUMNS, rows, {})
+    return list(strangers.values())
+
+
+def _judge_median(report: Report, what: str, rows: Sequence[Figures], limits: Mapping[str, float]) -> None:
+    for name, most in limits.items():
+        report.judge(f"{what}: {name.replace('_', ', ')}, median", over(rows, name, "median"), most=most)
+
+
+def _judge_honesty(people: Mapping[str, Judged], report: Report, what: str) -> None:
+    """Compare intervals and confidence of all people, pooled, with what was asked for."""
+    frames = [one.figures["frames"] for one in people.values()]
+    for part in ("position", "rotation"):
+        shares = [one.figures[f"{part}_inside"] for one in people.values()]
+        share = float(np.average(shares, weights=frames)) if people else None
+        report.judge(
+            f"{what}: 90 % intervals hold, {part}", share, least=0.75, most=0.97, digits=1, percent=True
+        )
+    area = None
+    if people:
+        confidence, wrong = (
+            np.concatenate([getattr(one, name) for one in people.values()])
+            for name in ("confidence", "wrong")
+        )
+        area = roc_area(confidence, ~wrong)
+    title = f"{what}: confidence against rotation > {WRONG_DEG:g} deg, ROC area"
+    report.judge(title, area, least=0.85, digits=3)
+
+
+# One camera
+
+EXPLAINED = (
+    "Means of absolute errors over all frames in which the head was followed, after one constant rigid "
+    "offset of the head's frame. Right depth factor: what all lengths must be multiplied by to be nearest. "
+    "First points: of the first followed frame on the image, less the mean offset of the other people. "
+    "Tracked: share of frames that are not lost. Off: share of frames whose rotation is off by more than "
+    f"{WRONG_DEG:g} deg. Inside: share of entries within the stated 90 % intervals, nothing removed."
+)
+MEDIAN = {"x_mm": 3.0, "y_mm": 3.0, "z_mm": 6.0, "roll_deg": 0.35, "pitch_deg": 1.0, "yaw_deg": 1.0}
+WORST = {"x_mm": 6.0, "y_mm": 6.0, "z_mm": 10.0, "yaw_deg": 1.8}
+
+
+def _mono_jobs(options: Options) -> Iterator[Job]:
+    for person in options.everybody:
+        name = f"{person.name}-mono"
+        yield Job(name, (Step(f"runs/{name}.mcap", options.mono(person)),))
+
+
+def _tell_mono(options: Options, files: Files, report: Report) -> None:
+    report.text("## One camera", EXPLAINED)
+    rows = _tell_people("mono", options, files, report)
+    factors = values_of(rows, "factor")
+    outside = float((np.abs(factors - 1.0) > 0.05).sum()) if len(factors) else None
+    report.judge("one camera: depth factors outside 0.95 to 1.05", outside, most=1, digits=0)
+    _judge_median(report, "one camera", rows, MEDIAN)
+    for name, most in WORST.items():
+        report.judge(f"one camera: {name.replace('_', ', ')}, worst", over(rows, name, "max"), most=most)
+    people = judged_people(options.strangers, "mono", files)
+    left = without_others([one.first_px for one in people.values()]) if people else np.full((1, 1), np.nan)
+    report.judge("one camera: first points, px, mean", float(left.mean()), most=2.5)
+    report.judge("one camera: first points, px, 95 %", float(np.quantile(left, 0.95)), most=7.0)
+    _judge_honesty(judged_people(options.everybody, "mono", files), report, "one camera")
+
+
+# Given the size
+
+DISTANCE, PERSON = "told-distance", "told-person"
+STEREO_FROM = 60
+"""The first frame of two cameras whose result is given to one camera."""
+
+
+def pupil_distance_mm(truth: Path) -> float:
+    """Return how far apart the middles between the eyes' corners are in the first frame of a truth, mm."""
+    eyes = in_head(load_csv_track(truth, head_subject(LEFT, 0)))[0, :4]
+    return float(np.linalg.norm(eyes[2:].mean(axis=0) - eyes[:2].mean(axis=0)))
+
+
+def _told_jobs(options: Options) -> Iterator[Job]:
+    for person in options.strangers:
+        name, told = f"{person.name}-{DISTANCE}", f"{pupil_distance_mm(person / TRUTH):.2f}"
+        yield Job(name, (Step(f"runs/{name}.mcap", options.mono(person, "--interpupillary-mm", told)),))
+        name = f"{person.name}-{PERSON}"
+        reading = reading_arguments(person, options.output / "recordings")
+        stereo = Step(f"runs/{name}-stereo.mcap", ("head", "stereo", *reading, "--start", str(STEREO_FROM)))
+        mono = Step(f"runs/{name}.mcap", options.mono(person, "--person", FILE + stereo.output))
+        yield Job(name, (stereo, mono))
+
+
+def _tell_told(options: Options, files: Files, report: Report) -> None:
+    report.text("## One camera, the size of the head given", "With `--interpupillary-mm` from the truth:")
+    rows = _tell_people(DISTANCE, options, files, report)
+    _judge_median(report, "given the distance of pupils", rows, {"x_mm": 1.0, "y_mm": 1.0, "z_mm": 4.0})
+    report.text(f"With `--person`, the result of two cameras that saw the frames from {STEREO_FROM} on:")
+    _tell_people(PERSON, options, files, report)
+
+
+# When the person is adjusted, and in how many passes
+
+FIRST, SECOND = ("--passes", "1"), ("--passes", "2")
+WAYS = {
+    "never-1": ("never, one pass", ("--adjust", "never", *FIRST)),
+    "never-2": ("never, two passes", ("--adjust", "never", *SECOND)),
+    "start-1": ("at the start, one pass", ("--adjust", "start", *FIRST)),
+    "start-2": ("at the start, two passes", ("--adjust", "start", *SECOND)),
+    "always-1": ("always, one pass", ("--adjust", "always", *FIRST)),
+    "always-2": ("always, two passes", ("--adjust", "always", *SECOND, "--set", "adjustment.whole=false")),
+    "whole": ("always, then over the whole recording (default)", SECOND),
+}
+PAIRS = (
+    ("never-1", "start-1"),
+    ("start-1", "always-1"),
+    ("never-2", "start-2"),
+    ("start-2", "always-2"),
+    ("always-1", "always-2"),
+    ("always-2", "whole"),
+    ("start-2", "whole"),
+    ("always-1", "whole"),
+)
+PAIRED = {"position_mm": "position, mm", "z_mm": "z, mm", "rotation_deg": "rotation, deg"}
+PAIRED |= {"pitch_deg": "pitch, deg", "yaw_deg": "yaw, deg"}
+WAY_COLUMNS = tuple(
+    Column(column.name, column.title, whole="median")
+    for column in (*POSE_COLUMNS, Column("rotation_deg", "rotation"), Column("position_mm", "position, mm"))
+)
+
+
+def _adjusting_jobs(options: Options) -> Iterator[Job]:
+    for person in options.strangers:
+        for way, (_, arguments) in WAYS.items():
+            name = f"{person.name}-{way}"
+            yield Job(name, (Step(f"runs/{name}.mcap", options.mono(person, *arguments)),))
+
+
+def _tell_adjusting(options: Options, files: Files, report: Report) -> None:
+    report.text(
+        "## When the person is adjusted, and in how many passes", "Medians over the people, then pairs."
+    )
+    rows: dict[str, dict[str, Figures]] = {}
+    for way in WAYS:
+        found = {one: files.made(f"runs/{one.name}-{way}.mcap") for one in options.strangers}
+        rows[way] = {
+            one.name: mono_figures(path, one / TRUTH) for one, path in found.items() if path is not None
+        }
+    titled = {title: list(rows[way].values()) for way, (title, _) in WAYS.items()}
+    report.entrants("adjusting", WAY_COLUMNS, titled)
+    asked = {
+        (f"{WAYS[first][0]} → {WAYS[second][0]}", title): pairs_of(rows[first], rows[second], name)
+        for first, second in PAIRS
+        for name, title in PAIRED.items()
+    }
+    report.pairs("adjusting, paired", ("", ""), asked)
+
+
+# Two cameras
+
+STEREO_MEDIAN = {"x_mm": 0.25, "y_mm": 0.25, "z_mm": 0.5, "roll_deg": 0.3, "pitch_deg": 0.6, "yaw_deg": 0.6}
+
+
+def _stereo_jobs(options: Options) -> Iterator[Job]:
+    for person in options.everybody:
+        reading, name = reading_arguments(person, options.output / "recordings"), f"{person.name}-stereo"
+        run = ("head", "stereo", *reading, "--passes", "2", "--timings")
+        yield Job(name, (Step(f"runs/{name}.mcap", run),))
+
+
+def _tell_stereo(options: Options, files: Files, report: Report) -> None:
+    report.text("## Two cameras, two passes")
+    rows = _tell_people("stereo", options, files, report)
+    _judge_median(report, "two cameras", rows, STEREO_MEDIAN)
+    _judge_honesty(judged_people(options.everybody, "stereo", files), report, "two cameras")
+
+
+def _head(options: Options) -> Iterator[str]:
+    yield "# What the head trackers do on strangers"
+    names = ", ".join(folder.name for folder in options.strangers)
+    told = "what is shipped" if options.left_out is None else "what was learned from the others"
+    yield f"posetrack {version()}; strangers: {names}; one camera with {told}; {os.cpu_count()} cores."
+
+
+STUDY = Study(
+    "heads-strangers",
+    (
+        Part("mono", _mono_jobs, _tell_mono),
+        Part("told", _told_jobs, _tell_told),
+        Part("adjusting", _adjusting_jobs, _tell_adjusting),
+        Part("stereo", _stereo_jobs, _tell_stereo),
+    ),
+    _head,
+)
+
+
+@STUDY.command(
+    click.option(
+        "--heads",
+        type=FOLDER,
+        required=True,
+        help="Folder of recordings: left/, right/, calibration.json and truth.csv in each.",
+    ),
+    click.option("--tuned", type=FOLDER, help="Folder of recordings of people that defaults were tuned on."),
+    click.option(
+        "--left-out",
+        type=FOLDER,
+        help="Folder of what was learned without each stranger: NAME-features.npz of build face-features "
+        "--without NAME, NAME-model.npz of build face-model --without NAME.  [default: what is "
+        "shipped]",
+    ),
+    click.option("--person", "only", multiple=True, metavar="NAME", help="Only this person; repeatable."),
+)
+def main(
+    output: Path,
+    heads: Path,
+    tuned: Path | None,
+    left_out: Path | None,
+    only: tuple[str, ...],
+    jobs: int,
+    chosen: tuple[str, ...],
+) -> None:
+    """Measure the head trackers, with defaults, on people that nothing was tuned on.
+
+    Finished results of the same code and arguments are reused. Figures go to heads-strangers.md in the
+    output folder.
+    """
+    STUDY.run(Options(output, heads, tuned, only, left_out), chosen, jobs)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,240 @@
+"""The report of a study: Markdown tables, paired tests, what was asked for, and all figures as JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.evaluation.comparing.paired import SIGNIFICANCE, Paired, paired
+from posetrack_cli.evaluation.reports.report_files import finite
+
+NOTHING = "-"
+Figures = Mapping[str, float]
+PAIR_COLUMNS = ("n", "first", "second", "difference [95 %]", "p", "p adjusted", "second lower on")
+
+
+@dataclass(frozen=True)
+class Column:
+    """A figure as tables show it.
+
+    Attributes:
+        name: of the figure.
+        title: of the column, with its unit.
+        digits: after the point.
+        percent: whether a share is shown in percent.
+        whole: name of the NumPy function that summarises recordings or people; empty for none.
+        spread: whether a mean is shown with the standard deviation.
+    """
+
+    name: str
+    title: str
+    digits: int = 2
+    percent: bool = False
+    whole: str = "mean"
+    spread: bool = False
+
+    def cell(self, figures: Figures) -> str:
+        """Return the cell of a figure."""
+        sd = figures.get(f"{self.name} sd") if self.spread else None
+        shown = number(figures.get(self.name), self.digits, self.percent)
+        return shown if sd is None else f"{shown} ± {number(sd, self.digits, self.percent)}"
+
+
+def number(value: float | None, digits: int = 2, percent: bool = False) -> str:
+    """Return a number as a cell shows it; ``NOTHING`` for None and NaN."""
+    if value is None or value != value:
+        return NOTHING
+    return f"{100.0 * value:.{digits}f} %" if percent else f"{value:.{digits}f}"
+
+
+def mean_sd(values: FloatArray, digits: int = 2) -> str:
+    """Return mean and standard deviation over recordings as a cell shows them."""
+    if not len(values):
+        return NOTHING
+    sd = f" ± {values.std(ddof=1):.{digits}f}" if len(values) > 1 else ""
+    return f"{values.mean():.{digits}f}{sd}"
+
+
+def values_of(rows: Iterable[Figures], name: str) -> FloatArray:
+    """Return a figure of all who have it, (n,)."""
+    return np.array([row[name] for row in rows if row.get(name, np.nan) == row.get(name, np.nan)])
+
+
+def over(rows: Iterable[Figures], name: str, how: str = "mean") -> float | None:
+    """Return a figure's summary over recordings or people by a NumPy function; None if nobody has it."""
+    values = values_of(rows, name)
+    return float(getattr(np, how)(values)) if len(values) else None
+
+
+def whole(columns: Iterable[Column], rows: Sequence[Figures]) -> dict[str, float]:
+    """Return the columns' summaries over recordings or people."""
+    found: dict[str, float] = {}
+    for column in columns:
+        values = values_of(rows, column.name)
+        if column.whole and len(values):
+            found[column.name] = float(getattr(np, column.whole)(values))
+        if column.spread and len(values) > 1:
+            found[f"{column.name} sd"] = float(values.std(ddof=1))
+    return found
+
+
+def pairs_of(first: Mapping[str, Figures], second: Mapping[str, Figures], name: str) -> FloatArray:
+    """Return a figure of two ways to track, (n, 2), of all recordings in which both have it."""
+    both = ((first[key], second[key]) for key in first if key in second)
+    return np.array(
+        [[row[name] for row in pair] for pair in both if all(name in row for row in pair)]
+    ).reshape(-1, 2)
+
+
+def adjusted(p_values: Sequence[float]) -> FloatArray:
+    """Return p-values (n,) adjusted for their number (Benjamini and Hochberg 1995); NaN is left out."""
+    from scipy.stats import false_discovery_control
+
+    found = np.array(p_values, dtype=np.float64)
+    known = np.isfinite(found)
+    if known.any():
+        found[known] = false_discovery_control(found[known])
+    return found
+
+
+@dataclass
+class Report:
+    """What a study found, filled in part by part.
+
+    Attributes:
+        lines: of Markdown.
+        targets: rows: what, asked for, measured, whether it was reached.
+        notes: figures for the JSON file by part and row.
+    """
+
+    lines: list[str] = field(default_factory=list)
+    targets: list[tuple[str, str, str, str]] = field(default_factory=list)
+    notes: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+    def text(self, *paragraphs: str) -> None:
+        """Add paragraphs."""
+        for one in paragraphs:
+            self.lines += [one, ""]
+
+    def picture(self, path: Path, caption: str) -> None:
+        """Add a picture of the output folder."""
+        self.text(f"![{caption}]({path.name})")
+
+    def table(self, header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+        """Add a table."""
+        self.lines += [f"| {' | '.join(header)} |", "|---" * len(header) + "|"]
+        self.lines += [f"| {' | '.join(row)} |" for row in rows]
+        self.lines.append("")
+
+    def figures(
+        self,
+        part: str,
+        columns: Sequence[Column],
+        rows: Mapping[str, Figures],
+        groups: Mapping[str, Sequence[str]] | None = None,
+    ) -> None:
+        """Add a table of recordings or people, then a summary of all or of groups of them; note all figures.
+
+        Args:
+            part: what the figures are noted under.
+            columns: what is shown.
+            rows: figures by name.
+            groups: by title the names of those that are summarised; None for all together.
+        """
+        titles = {"**all**": tuple(rows)} if groups is None else groups
+        summaries = {title: whole(columns, [rows[name] for name in of]) for title, of in titles.items() if of}
+        cells = {**rows, **(summaries if rows else {})}
+        self.table(
+            ("", *(c.title for c in columns)),
+            ([name, *(c.cell(found) for c in columns)] for name, found in cells.items()),
+        )
+        for name, found in cells.items():
+            self.note(part, name.strip("*"), found)
+
+    def entrants(self, part: str, columns: Sequence[Column], rows: Mapping[str, Sequence[Figures]]) -> None:
+        """Add a table with a row for each way to track, summarised over its recordings."""
+        found = {title: whole(columns, of) for title, of in rows.items() if any(of)}
+        self.figures(part, columns, found, {})
+
+    def pairs(self, part: str, titles: Sequence[str], rows: Mapping[Any, FloatArray]) -> list[Paired]:
+        """Add a table of paired comparisons, with bootstrap intervals and Wilcoxon's signed-rank test.
+
+        Args:
+            part: what the figures are noted under.
+            titles: of the first columns.
+            rows: by the first columns' cells figures (n, 2) of two ways to track.
+
+        Returns:
+            What each row's pairs say.
+        """
+        found = [paired(*values.T) for values in rows.values()]
+        cells = []
+        ps = adjusted([one.p_value for one in found])
+        for (first, values), said, p in zip(rows.items(), found, ps, strict=True):
+            self.note(part, ", ".join(first), asdict(said))
+            interval = f" [{said.low:+.2f}, {said.high:+.2f}]" if said.count > 1 else ""
+            told = (
+                [f"{said.difference:+.2f}{interval}", f"{said.p_value:.2g}", f"{p:.2g}"] if said.count else []
+            )
+            lower = f"{int((values[:, 1] < values[:, 0]).sum())} of {said.count}"
+            cells.append([*first, str(said.count), *map(mean_sd, values.T), *(told or [NOTHING] * 3), lower])
+        self.table((*titles, *PAIR_COLUMNS), cells)
+        return found
+
+    def judge(
+        self,
+        what: str,
+        value: float | None,
+        *,
+        most: float | None = None,
+        least: float | None = None,
+        digits: int = 2,
+        percent: bool = False,
+    ) -> None:
+        """Compare a figure with what was asked for; None and NaN were not measured."""
+        factor = 100.0 if percent else 1.0
+        limits = [
+            f"{sign} {factor * limit:g}" for sign, limit in ((">=", least), ("<=", most)) if limit is not None
+        ]
+        asked = ", ".join(limits) + (" %" if percent else "")
+        if value is None or value != value:
+            self.targets.append((what, asked, NOTHING, "not measured"))
+            return
+        reached = (most is None or value <= most) and (least is None or value >= least)
+        said = "reached" if reached else "**missed**"
+        self.targets.append((what, asked, number(value, digits, percent), said))
+
+    def judge_better(self, what: str, said: Paired, level: float = SIGNIFICANCE) -> None:
+        """Ask that the second of a pair is lower, and that the pairs can tell."""
+        shown = f"{said.difference:+.3f}, p = {said.p_value:.2g}" if said.count else NOTHING
+        reached = said.difference < 0.0 and said.p_value < level
+        judged = ("reached" if reached else "**missed**") if said.count else "not measured"
+        self.targets.append((what, f"lower, p < {level:g}", shown, judged))
+
+    def note(self, part: str, row: str, figures: Mapping[str, Any]) -> None:
+        """Keep figures for the JSON file."""
+        self.notes.setdefault(part, {})[row] = dict(figures)
+
+    def write(self, folder: Path, name: str, head: Iterable[str], failures: Sequence[str]) -> Path:
+        """Write ``NAME.md`` and ``NAME.json``; return the former's path."""
+        whole_report = Report()
+        whole_report.text(*head)
+        if self.targets:
+            whole_report.text("## Asked for and reached")
+            whole_report.table(("", "asked for", "measured", ""), self.targets)
+        whole_report.lines += self.lines
+        if failures:
+            whole_report.text(f"{len(failures)} recordings failed and are left out:")
+            whole_report.lines += [f"- {failure}" for failure in failures]
+        path = folder / f"{name}.md"
+        path.write_text("\n".join(whole_report.lines) + "\n", encoding="utf-8")
+        found = {"targets": self.targets, "figures": self.notes, "failures": list(failures)}
+        text = json.dumps(finite(found), indent=1, ensure_ascii=False) + "\n"
+        (folder / f"{name}.json").write_text(text, encoding="utf-8")
+        return path
