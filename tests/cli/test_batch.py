@@ -313,7 +313,8 @@ def test_a_cluster_of_another_build_is_one_line(
 
 
 def test_code_that_changes_under_a_batch_fails_in_one_line(recordings: Path, tmp_path: Path) -> None:
-    job = Job("a1", ("hand", "run"), recordings / "a1.mcap", (), tmp_path / "a1.mcap", tmp_path / "a1.json")
+    output, record = tmp_path / "a1.mcap", tmp_path / "a1.json"
+    job = Job("a1", ("hand", "run"), recordings / "a1.mcap", (), output, record, tmp_path)
     outcome = perform(replace(job, sources="of before"), Limits())
     assert outcome.state is State.FAILED
     assert "sources are not those that the batch began with" in outcome.reason

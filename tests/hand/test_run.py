@@ -84,6 +84,7 @@ def test_the_record_states_camera_renderer_version_input_and_options() -> None:
         "stride": "3",
         "timings": "true",
         "input.name": "memory.mcap",
+        "input.path": "/somewhere/secret/memory.mcap",
         "input.sha256": "0" * 64,
     }
     assert {key: record[key] for key in expected} == expected
@@ -98,7 +99,7 @@ def test_the_record_knows_no_clock_no_folder_and_no_output() -> None:
         Memory(), CAMERA, CONFIG, RunOptions(Path("x.mcap"), init="pose.toml", overwrite=True), "a renderer"
     )
     assert first == second
-    assert not [value for value in first.values() if "/" in value]
+    assert not [key for key, value in first.items() if "/" in value and key != "input.path"]
 
 
 def test_a_start_pose_from_a_file_is_in_the_record(track: Callable[..., RunOutcome], tmp_path: Path) -> None:

@@ -26,6 +26,7 @@ NOT_RUN = {
     "--scheduler": "needs a cluster; the bytes are those of --jobs",
     "--scheduler-file": "needs a cluster; the bytes are those of --jobs",
     "--detector-model": "needs a model that is not shipped",
+    "--dashboard": "opens a port; the bytes are those of --jobs",
 }
 """Options that no step has, and why."""
 MACHINE = {"doctor": "reports the machine"}

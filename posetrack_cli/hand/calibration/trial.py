@@ -144,6 +144,7 @@ class Trial:
         never = config.status.model_copy(update={"sure_mm": config.observation.clamp_mm})
         self._quick = config.model_copy(update={"acquisition": quick, "status": never})
         self._config, self._camera = config, camera
+        self._make_hand = hand_maker(config.hand.mesh)
         self.sides, self.asked, self._log_odds = sides, 0, 0.0
         own = config.hand.scale
         self._scales = tuple(own * _RATIO**k for k in _STEPS) if has_sizes else (own,)
@@ -280,7 +281,7 @@ class Trial:
         """
         if (side, k, quick) not in self._finders:
             shape = replace(self._config.hand.shape, scale=self._scales[k])
-            hand = hand_maker(self._config.hand.mesh)(self.sides[side], shape)
+            hand = self._make_hand(self.sides[side], shape)
             config = self._quick if quick else self._config
             self._finders[side, k, quick] = Acquisition(config, hand, self._camera, STIFF_THUMB)
         return self._finders[side, k, quick]
