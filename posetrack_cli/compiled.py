@@ -147,7 +147,7 @@ def announced(
 
     def say() -> None:
         if (count := next(counts)) == 1:
-            report(f"compiling the fits, {kept}: about 40 s of processor time")
+            report(f"compiling the fits, {kept}: about 75 s of processor time")
         each(count)
 
     with _listening(say, lambda: None):

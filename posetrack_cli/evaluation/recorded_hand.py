@@ -63,10 +63,8 @@ def _settings(result: Result) -> HandSettings:
 
 
 def _found_mesh(result: Result, stated: str) -> Path:
-    from posetrack_cli.evaluation.recording_of import (
-        folders_of,
-        places_of,
-    )  # imports all that opens recordings
+    # imports all that opens recordings
+    from posetrack_cli.evaluation.recording_of import folders_of, places_of
 
     files = [path for path in places_of(stated, folders_of(result)) if os.path.isfile(path)]  # noqa: PTH113 never raises
     for path in files:

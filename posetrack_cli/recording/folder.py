@@ -202,9 +202,8 @@ def open_grey_folder(path: Path, options: ReadingOptions) -> Recording:
         streams,
         identity=identity,
         frame_count=count,
-        truth=_truth(
-            path, is_usable=not (mirror or timing.fps)
-        ),  # not of a mirrored scene, nor of made stamps
+        # not that of a scene that is mirrored, or whose stamps are made
+        truth=no_truth if mirror or timing.fps else _truth(path),
         tolerance_ns=tolerance,
         is_guessed=rig.is_guessed,
         why=[GUESSED if rig.is_guessed else rig.path.name] * len(streams),
@@ -212,10 +211,10 @@ def open_grey_folder(path: Path, options: ReadingOptions) -> Recording:
     )
 
 
-def _truth(folder: Path, *, is_usable: bool) -> Callable[[], Iterator[TruthMessage]]:
+def _truth(folder: Path) -> Callable[[], Iterator[TruthMessage]]:
     """Return what yields the truth of a folder that has it in a file."""
     path = folder / TRUTH_FILE_NAME
-    if not (is_usable and path.is_file() and is_mcap(path)):
+    if not (path.is_file() and is_mcap(path)):
         return no_truth
     file = McapFile(path)
     return lambda: map(truth_message, file.messages(lambda topic: topic.startswith(TRUTH_PREFIX)))

@@ -50,17 +50,7 @@ def open_fastest_device(choice: int | str | None = None) -> RenderingDevice:
     Raises:
         RenderingError: nothing can be drawn with what is chosen.
     """
-    from posetrack_cli.rendering.cpu.device import CpuDevice
-
-    if isinstance(choice, int):
-        return open_device(choice)
-    if choice is None and _has_gpu():
-        with suppress(RenderingError):
-            device = open_device()
-            if not any(name in device.info.renderer for name in _SOFTWARE):
-                return device
-            device.close()
-    return CpuDevice()
+    return _opened(choice, is_fast=True)
 
 
 def open_usual_device(choice: int | str | None = None) -> RenderingDevice:
@@ -72,13 +62,21 @@ def open_usual_device(choice: int | str | None = None) -> RenderingDevice:
     Raises:
         RenderingError: nothing can be drawn with what is chosen.
     """
+    return _opened(choice, is_fast=False)
+
+
+def _opened(choice: int | str | None, *, is_fast: bool) -> RenderingDevice:
+    """The chosen device; else the default, if it works (and is a GPU, if it must be fast); else the CPU."""
     from posetrack_cli.rendering.cpu.device import CpuDevice
 
     if isinstance(choice, int):
         return open_device(choice)
-    if choice is None:
+    if choice is None and (_has_gpu() or not is_fast):
         with suppress(RenderingError):
-            return open_device()
+            device = open_device()
+            if not (is_fast and any(name in device.info.renderer for name in _SOFTWARE)):
+                return device
+            device.close()
     return CpuDevice()
 
 

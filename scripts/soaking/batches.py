@@ -14,18 +14,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarking.cluster import Cluster
-from benchmarking.rows import Row
-from posetrack_cli.cli.progress import bar
 from soaking.cases import Case
 from soaking.findings import Findings
+from soaking.kills import Attempt, kill_until_enough
 from soaking.processes import DATA_LOST, DONE, FAILED, Ended, Started, started
 
 HERE, ON_CLUSTER = ("batch", "process of a job"), ("client of a cluster", "worker", "scheduler")
 VICTIMS = (*HERE, *ON_CLUSTER)
 WORKERS = 2
 KILLS_A_BATCH = 6
-MISSES = 3
-"""So many times as many kills may come too late before the rest is given up."""
 ENDS_WITHIN_S = 900.0
 _LEFT = (".part", ".state", ".frames", ".pieces", "scratch")
 _JOB = b"posetrack_cli.cli.batch_child"
@@ -187,21 +184,13 @@ def soak_batches(case: Case, kills: int, seed: int, folder: Path, findings: Find
     if whole is None:
         return
     rng = random.Random(seed)
-    killed, missed, batches, wrong = Counter[str](), 0, 0, 0
-    with bar("batches", "kill", kills) as shown:
-        while (done := killed.total()) < kills and missed <= MISSES * kills:
-            kind = ON_CLUSTER if batches % 3 else HERE  # of five victims three are of a cluster
-            victims = rng.choices(kind, k=min(KILLS_A_BATCH, kills - done))
-            killing = BatchKilling(case, whole, folder / f"batch-{batches}", rng)
-            fine = findings.troubles_of(f"{case.name}, killed batch {batches}", killing.run(victims))
-            wrong, batches = wrong + (not fine), batches + 1
-            missed += len(victims) - killing.killed.total()
-            killed += killing.killed
-            shown.advance(killing.killed.total())
-    for victim in VICTIMS:
-        findings.add(Row(f"batches, {victim} killed", killed[victim], ""))
-    findings.add(Row("batches, kills", killed.total(), ""))
-    findings.add(Row("killed batches, all resumed to their end", batches, ""))
-    findings.add(Row("killed batches that came to other bytes or were not as they must be", wrong, "", 0.0))
-    if killed.total() < kills:
-        findings.trouble(f"{killed.total()} kills of batches, {kills} wanted: the others came too late")
+
+    def attempt(number: int, most: int) -> Attempt:
+        kind = ON_CLUSTER if number % 3 else HERE  # of five victims three are of a cluster
+        victims = rng.choices(kind, k=min(KILLS_A_BATCH, most))
+        killing = BatchKilling(case, whole, folder / f"batch-{number}", rng)
+        name = f"{case.name}, killed batch {number}"
+        return Attempt(name, len(victims), killing.killed, killing.run(victims))
+
+    names = {victim: f"batches, {victim} killed" for victim in VICTIMS}
+    kill_until_enough("batches", "batches, kills", names, kills, attempt, findings)

@@ -6,9 +6,10 @@ import random
 import signal
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from benchmarking.rows import Row
 from posetrack_cli.cli.progress import bar
@@ -174,22 +175,66 @@ def soak_kills(
     """Kill runs of all cases in turn, so many times in all, and note how many came to other bytes."""
     folder.mkdir()
     rng, cases = random.Random(seed), list(references.values())
-    killed, missed, runs, wrong = Counter[str](), 0, 0, 0
-    with bar("kills", "kill", kills) as shown:
+
+    def attempt(number: int, most: int) -> Attempt:
+        case, reference = cases[number % len(cases)]
+        moments = plan(rng, most, cold=number % COLD_EVERY == 1)
+        cold = any(moment.phase == "compiling" for moment in moments)
+        killing = Killing(case, reference, folder / f"run-{number}", cold=cold)
+        name = f"{case.name}, killed run {number}"
+        return Attempt(name, len(moments), killing.killed, killing.run(moments))
+
+    names = {phase: f"kills in {phase}" for phase in PHASES}
+    kill_until_enough("runs", "kills", names, kills, attempt, findings)
+
+
+class Attempt(NamedTuple):
+    """Something that is killed and resumed until it is done.
+
+    Attributes:
+        name: for people.
+        planned: kills.
+        killed: those that did not come too late, by what or when, once it is done.
+        troubles: does it, and yields what is not as it must be.
+    """
+
+    name: str
+    planned: int
+    killed: Counter[str]
+    troubles: Iterator[str]
+
+
+def kill_until_enough(
+    what: str,
+    total: str,
+    names: Mapping[str, str],
+    kills: int,
+    attempt: Callable[[int, int], Attempt],
+    findings: Findings,
+) -> None:
+    """Make one attempt after another until there were so many kills, and note what came of them.
+
+    Args:
+        what: is killed, in the plural.
+        total: what the number of all kills is called.
+        names: what the numbers of kills of each kind are called.
+        kills: wanted.
+        attempt: begins the attempt of a number, with so many kills at most.
+        findings: to add to.
+    """
+    killed, missed, attempts, wrong = Counter[str](), 0, 0, 0
+    with bar(total, "kill", kills) as shown:
         while (done := killed.total()) < kills and missed <= MISSES * kills:
-            case, reference = cases[runs % len(cases)]
-            moments = plan(rng, kills - done, cold=runs % COLD_EVERY == 1)
-            cold = any(moment.phase == "compiling" for moment in moments)
-            killing = Killing(case, reference, folder / f"run-{runs}", cold=cold)
-            fine = findings.troubles_of(f"{case.name}, killed run {runs}", killing.run(moments))
-            wrong, runs = wrong + (not fine), runs + 1
-            missed += len(moments) - killing.killed.total()
-            killed += killing.killed
-            shown.advance(killing.killed.total())
-    for phase in PHASES:
-        findings.add(Row(f"kills in {phase}", killed[phase], ""))
-    findings.add(Row("kills", killed.total(), ""))
-    findings.add(Row("killed runs, all resumed to their end", runs, ""))
-    findings.add(Row("killed runs that came to other bytes or were not as they must be", wrong, "", 0.0))
+            one = attempt(attempts, kills - done)
+            fine = findings.troubles_of(one.name, one.troubles)
+            wrong, attempts = wrong + (not fine), attempts + 1
+            missed += one.planned - one.killed.total()
+            killed += one.killed
+            shown.advance(one.killed.total())
+    for kind, name in names.items():
+        findings.add(Row(name, killed[kind], ""))
+    findings.add(Row(total, killed.total(), ""))
+    findings.add(Row(f"killed {what}, all resumed to their end", attempts, ""))
+    findings.add(Row(f"killed {what} that came to other bytes or were not as they must be", wrong, "", 0.0))
     if killed.total() < kills:
-        findings.trouble(f"{killed.total()} kills, {kills} wanted: {missed} came too late")
+        findings.trouble(f"{total}: {killed.total()} of {kills}, as {missed} came too late")

@@ -78,17 +78,11 @@ def _comments(lines: Iterable[str]) -> Iterator[str]:
         yield f"# {printable(text)}\n"
 
 
-def _cells(groups: tuple[ColumnGroup, ...], block: Columns) -> Iterator[list[str]]:
-    """Yield the cells of each column."""
+def _cells(groups: tuple[ColumnGroup, ...], block: Columns) -> Iterator[list[object]]:
+    """Yield the cells of each column; truth values are 1 and 0."""
     for group in groups:
         for values in group.values(block).T:
-            yield [_cell(value) for value in _plain(values)]
-
-
-def _cell(value: object) -> str:
-    if value is None:
-        return ""
-    return str(int(value)) if isinstance(value, bool) else str(value)
+            yield _plain(values.astype(np.int64) if values.dtype.kind == "b" else values)
 
 
 def _plain(values: Values) -> list[object]:
