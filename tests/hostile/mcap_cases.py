@@ -22,6 +22,7 @@ from hostile.mcap_bytes import (
     MAGIC,
     MESSAGE,
     METADATA,
+    NUMBERS,
     SCHEMA,
     STATISTICS,
     Record,
@@ -241,7 +242,8 @@ def _lie(draw: st.DrawFn, summary: list[Record], end: int) -> None:
     else:
         record = summary[k] = dict(summary[k])
         name, kind = draw(st.sampled_from(FIELDS[record["op"]]))
-        place = st.integers(0, end) if "offset" in name or "start" in name else st.nothing()
+        is_place = kind in NUMBERS and ("offset" in name or "start" in name)
+        place = st.integers(0, end) if is_place else st.nothing()
         record[name] = draw(st.one_of(field_value(kind, record.get(name)), place))
 
 
