@@ -9,9 +9,9 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry import rotations
-from posetrack_cli.hand.anatomy import ANGLE_NAMES, ANGLES, JOINT_NAMES, JOINT_PARENTS, make_anatomy
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.kinematics import joint_positions
+from posetrack_cli.hand.model.anatomy import ANGLE_NAMES, ANGLES, JOINT_NAMES, JOINT_PARENTS, make_anatomy
+from posetrack_cli.hand.model.kinematics import joint_positions
 from posetrack_cli.recording.base import TruthMessage
 from posetrack_cli.results import (
     ESTIMATE_SCHEMA,
@@ -22,9 +22,9 @@ from posetrack_cli.results import (
     Subject,
     estimate_to_json,
 )
-from posetrack_cli.synthesis.hand.natural import natural_motion
-from posetrack_cli.synthesis.hand.sensor import CAMERA
-from posetrack_cli.tracking.body_space import BodySpace, pose_rates
+from posetrack_cli.synthesis.hand.frames import CAMERA
+from posetrack_cli.synthesis.hand.motion import natural_motion
+from posetrack_cli.tracking.velocity import BodySpace, pose_rates
 
 SUBJECT = Subject("hand", CAMERA.name, ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS)
 SD = np.r_[np.full(3, 5.0), np.full(3, 0.06), np.full(15, 0.12)]

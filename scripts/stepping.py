@@ -9,12 +9,12 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.model import average_hand
+from posetrack_cli.hand.model.hand import average_hand
+from posetrack_cli.hand.run import make_tracker
 from posetrack_cli.hand.start import centre_pose
-from posetrack_cli.hand.trackers import make_tracker
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.rendering.port import RenderingDevice
-from posetrack_cli.synthesis.hand.sensor import CAMERA
+from posetrack_cli.synthesis.hand.frames import CAMERA
 
 Name = TypeVar("Name")
 FRAME_NS = 33_333_333

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import settings
 
 from posetrack_cli.errors import RenderingError
-from posetrack_cli.rendering.cpu.device import CpuDevice
+from posetrack_cli.rendering.cpu import CpuDevice
 from posetrack_cli.rendering.gl.device import GlDevice
 from posetrack_cli.rendering.port import RenderingDevice
 from support.numpy_renderer import NumpyDevice

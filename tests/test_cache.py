@@ -52,7 +52,7 @@ def test_other_arguments_are_another_computation(folder: Path) -> None:
     for arguments in ((np.eye(2), 3), (np.eye(2), 4), (np.eye(3), 3), (np.eye(2, dtype=np.float32), 3)):
         kept(counted, *arguments)
     assert counted.calls == 4
-    kept_arrays("numbers", ("rendering/window.py",), (np.eye(2), 3), counted)
+    kept_arrays("numbers", ("rendering/port.py",), (np.eye(2), 3), counted)
     assert counted.calls == 5  # and so is another source
 
 

@@ -8,8 +8,14 @@ from pathlib import Path
 import pytest
 
 from posetrack_cli.cli.main import run
-from posetrack_cli.damage import damage_reported, read_from
-from posetrack_cli.errors import EXIT_FAILED, PosetrackError, RecordingError, UsageError
+from posetrack_cli.errors import (
+    EXIT_FAILED,
+    PosetrackError,
+    RecordingError,
+    UsageError,
+    damage_reported,
+    read_from,
+)
 from posetrack_cli.recording import opening
 from posetrack_cli.recording.conversion import convert_recording
 from posetrack_cli.recording.depth import Depth

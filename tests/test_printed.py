@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 
 from posetrack_cli.configuration import Settings, find_configuration, load_settings
-from posetrack_cli.hand import printed as hand
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.head import printed as head
+from posetrack_cli.hand.model.hand import kinematics as hand
+from posetrack_cli.head import subject as head
 from posetrack_cli.head.config import HeadMonoConfig, HeadStereoConfig
-from posetrack_cli.tracking.printed import Deviation, PrintedSetting, deviations
+from posetrack_cli.tracking.options import Deviation, PrintedSetting, deviations
 
 PAPERS: dict[str, tuple[type[Settings], Sequence[PrintedSetting], Sequence[Deviation]]] = {
     "hand-paper": (HandConfig, hand.SETTINGS, hand.ALWAYS),

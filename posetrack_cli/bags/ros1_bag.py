@@ -17,8 +17,7 @@ from mcap.records import Channel, Message, Schema
 
 from posetrack_cli import limits
 from posetrack_cli.files import begins_with, open_input
-from posetrack_cli.losses import LossLog
-from posetrack_cli.mcap.chunks import (
+from posetrack_cli.mcap.records import (
     ChunkLimitError,
     ExpansionBudget,
     bounded_begin,
@@ -36,6 +35,7 @@ from posetrack_cli.mcap.stream import (
     Topics,
     wanted_names,
 )
+from posetrack_cli.phases import LossLog
 from posetrack_cli.units import NS_PER_S
 
 MAGIC = b"#ROSBAG V2.0\n"

@@ -18,8 +18,8 @@ from queue import Empty, SimpleQueue
 from typing import Any
 from uuid import uuid4
 
-from posetrack_cli.batch.children import Progress
 from posetrack_cli.batch.jobs import Job, Limits, Outcome, State
+from posetrack_cli.batch.performing import Progress
 from posetrack_cli.build import source_digest
 from posetrack_cli.errors import PosetrackError, UsageError
 

@@ -1,8 +1,14 @@
-"""Which recordings a batch is of: patterns, a list of names, or a manifest with options of each."""
+"""Recordings of a batch: patterns, lists, manifests."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence, Set
+import fnmatch
+import os
+import re
+import stat
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -10,13 +16,174 @@ from typing import Any
 from pydantic import Field
 
 from posetrack_cli import limits
-from posetrack_cli.bags.ros2_folder import is_ros2_folder
-from posetrack_cli.batch.manifest_files import reachable
-from posetrack_cli.batch.patterns import MAGIC, Search
+from posetrack_cli.bags.ros2 import is_ros2_folder
 from posetrack_cli.configuration import Settings, validated
 from posetrack_cli.errors import UsageError
-from posetrack_cli.files import read_text
+from posetrack_cli.files import read_text, real_path
 from posetrack_cli.text import one_line, parse_toml
+
+# Paths that match a pattern, found within bounds: a stranger's list may hold the pattern ``/**``
+
+
+MAGIC = "*?["
+"""Signs that make a name a pattern."""
+_ANY_DEPTH = "**"
+
+
+class Search:
+    """Looks for the recordings of one batch, at no more than ``limits.SEARCH_ENTRIES`` files and folders."""
+
+    def __init__(self) -> None:
+        self._left = limits.SEARCH_ENTRIES
+
+    def matches(self, pattern: Path) -> list[Path]:
+        """Return the sorted paths that match, as ``glob.glob`` with ``**`` does, but for links.
+
+        Folders below ``**`` count once by where they lie, so that links which form a ring end.
+
+        Raises:
+            UsageError: there is too much to look at.
+        """
+        try:
+            found = set(self._expanded("", pattern.parts))
+        except RecursionError:
+            raise UsageError("pattern of too many parts", where=pattern) from None
+        except _TooMuchError:
+            raise UsageError(
+                "pattern looks at too many files and folders",
+                where=pattern,
+                expected=f"at most {limits.SEARCH_ENTRIES}",
+                hint="begin it with the folder that holds the recordings",
+            ) from None
+        return [Path(one) for one in sorted(found)]
+
+    def _expanded(self, base: str, parts: Sequence[str]) -> Iterator[str]:
+        """The paths below a folder that match the parts of a pattern."""
+        if not parts:
+            yield base
+            return
+        part, rest = parts[0], parts[1:]
+        if part == _ANY_DEPTH:
+            while rest and rest[0] == _ANY_DEPTH:
+                rest = rest[1:]
+            for folder in self._folders_below(base):
+                yield from self._expanded(folder, rest)
+                if not rest:
+                    yield from (path for path, one in self._entries(folder) if not _is_hidden(one, part))
+        elif any(sign in part for sign in MAGIC):
+            fits = re.compile(fnmatch.translate(part)).match
+            for path, entry in self._entries(base):
+                if fits(entry.name) and not _is_hidden(entry, part) and (not rest or _is_folder(entry)):
+                    yield from self._expanded(path, rest)
+        else:
+            path = os.path.join(base, part)  # noqa: PTH118 as Path it would lose nothing but time
+            if os.path.isdir(path) if rest else os.path.lexists(path):  # noqa: PTH112 the same
+                yield from self._expanded(path, rest)
+
+    def _folders_below(self, base: str) -> Iterator[str]:
+        """A folder and those below it; links come last, so that folders keep their own names."""
+        folders, links, seen = [base], deque[str](), set[tuple[int, int]]()
+        while folders or links:
+            folder = folders.pop() if folders else links.popleft()
+            try:
+                state = os.stat(folder or os.curdir)  # noqa: PTH116 the same
+            except (OSError, ValueError):
+                continue
+            place = state.st_dev, state.st_ino
+            if place in seen or not stat.S_ISDIR(state.st_mode):
+                continue
+            seen.add(place)
+            yield folder
+            for path, entry in self._entries(folder):
+                if _is_folder(entry) and not _is_hidden(entry, _ANY_DEPTH):
+                    (links if entry.is_symlink() else folders).append(path)
+
+    def _entries(self, folder: str) -> Iterator[tuple[str, os.DirEntry[str]]]:
+        """What lies in a folder, with its path; nothing where the folder cannot be read."""
+        self._count()
+        try:
+            with os.scandir(folder or os.curdir) as entries:
+                for entry in entries:
+                    self._count()
+                    yield os.path.join(folder, entry.name), entry  # noqa: PTH118 the same
+        except (OSError, ValueError):
+            return
+
+    def _count(self) -> None:
+        self._left -= 1
+        if self._left < 0:
+            raise _TooMuchError
+
+
+class _TooMuchError(Exception):
+    """A search that comes to its bound."""
+
+
+def _is_hidden(entry: os.DirEntry[str], part: str) -> bool:
+    return entry.name.startswith(".") and not part.startswith(".")
+
+
+def _is_folder(entry: os.DirEntry[str]) -> bool:
+    try:
+        return entry.is_dir()
+    except OSError:  # links that form a ring
+        return False
+
+
+# Files that options of a manifest name: models and configurations have to lie in its folder
+
+
+_CONFIGURATION, _ASSIGNMENT = "config", "set"
+_MODELS = ("detector-model", "face-model", "hand-mesh", "load-model", "person", "shape")
+
+
+def reachable(manifest: Path, option: str, value: Any) -> Any:
+    """Return the value of an option; a file that lies where the manifest does is named from here.
+
+    Raises:
+        UsageError: it names a model or a configuration that lies outside the manifest's folder.
+    """
+    if isinstance(value, list):
+        return [reachable(manifest, option, one) for one in value]
+    if not isinstance(value, str) or not value:
+        return value
+    path = manifest.parent / value
+    value = str(path) if path.exists() else value
+    for file in _read_by(option, value):
+        if file.is_file() and not real_path(file).is_relative_to(real_path(manifest.parent)):
+            raise UsageError(
+                f"option '{option}' names a file outside the manifest's folder",
+                where=manifest,
+                found=file,
+                hint="copy it into that folder, or give it to posetrack batch as an option",
+            )
+    return value
+
+
+def _read_by(option: str, value: str) -> Iterator[Path]:
+    """Yield files that a tracker may read because of an option, also those that a configuration names."""
+    if option in _MODELS or option == _CONFIGURATION:
+        yield Path(value)
+    with suppress(OSError, ValueError):  # what it is instead is refused when it is read
+        if option == _CONFIGURATION:
+            texts = _texts(parse_toml(read_text(Path(value), limits.TEXT_BYTES)))
+            yield from (Path(value).parent / text for text in texts)
+        elif option == _ASSIGNMENT:
+            text = value.partition("=")[2].strip()
+            yield Path(text)
+            yield from map(Path, _texts(parse_toml(f"value = {text}")))
+
+
+def _texts(value: Any) -> Iterator[str]:
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, dict | list):
+        for one in value.values() if isinstance(value, dict) else value:
+            yield from _texts(one)
+
+
+# Which recordings a batch is of: patterns, a list of names, or a manifest with options of each
+
 
 _LIST_ENDINGS = (".txt", ".list")
 

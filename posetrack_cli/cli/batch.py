@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from posetrack_cli.cli.batch_commands import BATCH_COMMANDS, BatchCommand
-from posetrack_cli.cli.batch_progress import BatchProgress
+from posetrack_cli.cli.batch_commands import BATCH_COMMANDS, BatchCommand, BatchProgress
 from posetrack_cli.cli.command import Command, option, volume_options
 from posetrack_cli.cli.options import (
     FILE,
@@ -27,7 +26,7 @@ from posetrack_cli.cli.options import (
     options_of,
 )
 from posetrack_cli.cli.process import LEAST_DATA_BYTES, stop_signals
-from posetrack_cli.cli.standard_output import STANDARD_OUTPUT, print_data, print_line, print_note
+from posetrack_cli.cli.terminal import STANDARD_OUTPUT, print_data, print_line, print_note
 from posetrack_cli.errors import EXIT_DONE, PosetrackError, UsageError
 
 if TYPE_CHECKING:
@@ -236,11 +235,11 @@ def run_batch_command(
 def _judging(options: dict[str, Any]) -> Judging:
     """How results are judged; what cannot be meant is refused before the first is made."""
     from posetrack_cli.batch.summary import Judging
-    from posetrack_cli.evaluation.assessment import Request
-    from posetrack_cli.evaluation.baseline import read_baseline
-    from posetrack_cli.evaluation.gates import all_gates
+    from posetrack_cli.evaluation.judging.assessment import Request
+    from posetrack_cli.evaluation.judging.baseline import read_baseline
+    from posetrack_cli.evaluation.judging.gates import all_gates
     from posetrack_cli.evaluation.reports.report_files import check_reports
-    from posetrack_cli.evaluation.reports.row_table import MOST_SHOWN
+    from posetrack_cli.evaluation.reports.table import MOST_SHOWN
     from posetrack_cli.evaluation.reports.writing import Reports
 
     baseline = options["baseline"]
@@ -264,7 +263,7 @@ def _planned(
 ) -> _Plan:
     """The jobs; everything that can be refused is refused here."""
     from posetrack_cli.batch.jobs import Job, Limits, record_path
-    from posetrack_cli.evaluation.gates import parse_gate
+    from posetrack_cli.evaluation.judging.gates import parse_gate
     from posetrack_cli.text import one_line
 
     folder, chunk_s = options["results"], options["chunk_s"]

@@ -20,7 +20,7 @@ from typing import IO, Any
 from posetrack_cli.cli.main import run, run_safely
 from posetrack_cli.cli.process import leave_process, prepare_process, terminate_as_interrupted
 from posetrack_cli.cli.running import Listener, told_to
-from posetrack_cli.cli.standard_output import print_note
+from posetrack_cli.cli.terminal import print_note
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_DONE, EXIT_FAILED, PosetrackError, UsageError
 
 _INPUT, _READ_BYTES = 0, 1 << 16
@@ -123,7 +123,7 @@ def _tracked(task: dict[str, Any], told: IO[str]) -> int:
 
 
 def _split(task: dict[str, Any]) -> list[list[int]]:
-    from posetrack_cli.batch.pieces import split_frames
+    from posetrack_cli.batch.jobs import split_frames
     from posetrack_cli.cli.batch_commands import BATCH_COMMANDS
 
     command = BATCH_COMMANDS[tuple(task["command"])]
@@ -142,8 +142,7 @@ def _split(task: dict[str, Any]) -> list[list[int]]:
 
 
 def _joined(task: dict[str, Any]) -> int:
-    from posetrack_cli.batch.jobs import Piece
-    from posetrack_cli.batch.pieces import join_results
+    from posetrack_cli.batch.jobs import Piece, join_results
 
     pieces = [(Path(path), Piece(**piece)) for path, piece in task["pieces"]]
     has_losses = join_results(pieces, Path(task["output"]), task["chunk_s"], task["overlap_s"])
@@ -153,8 +152,8 @@ def _joined(task: dict[str, Any]) -> int:
 def _write_page(task: dict[str, Any]) -> None:
     """Measure the result, and write the page about it; where that fails the result is there all the same."""
     from posetrack_cli.cli.eval import write_page
-    from posetrack_cli.evaluation.assessment import Request, assess
-    from posetrack_cli.evaluation.evaluate import EvalOptions
+    from posetrack_cli.evaluation.judging.assessment import Request, assess
+    from posetrack_cli.evaluation.measuring.evaluate import EvalOptions
 
     truth = None if task["truth"] is None else Path(task["truth"])
     request = Request((Path(task["output"]),), options=EvalOptions(truth=truth), keep_tracks=True, page=True)

@@ -1,22 +1,103 @@
-"""The commands that a batch runs: their options as arguments, and how they open a recording."""
+"""The commands that a batch runs, and the progress of it."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Lock
+from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
 
 from posetrack_cli.cli.hand import hand_run, open_hand_recording
-from posetrack_cli.cli.head_mono import head_mono, open_mono_recording
-from posetrack_cli.cli.head_stereo import head_stereo, open_stereo_recording
+from posetrack_cli.cli.head_run import head_mono, head_stereo, open_mono_recording, open_stereo_recording
+from posetrack_cli.cli.terminal import bar, is_quiet, print_note
 from posetrack_cli.errors import UsageError, nearest_name
 
 if TYPE_CHECKING:
+    from posetrack_cli.batch.engine import Told
+    from posetrack_cli.batch.jobs import Outcome
     from posetrack_cli.recording.recording import Recording
+
+
+# How far a batch is: a bar and failures where a person looks, else a line for each recording
+
+
+class BatchProgress:
+    """Shows recordings that are over, frames, frames per second, what is left, and failures.
+
+    Args:
+        total: how many recordings there are.
+    """
+
+    def __init__(self, total: int) -> None:
+        self._total, self._over, self._failed = total, 0, 0
+        self._frames: dict[str, int] = {}  # that are being tracked, by job
+        self._done, self._began_s = 0, time.monotonic()
+        self._lock = Lock()
+        self._stack = ExitStack()
+        self._bar = self._stack.enter_context(bar("batch", "recording", total))
+
+    def __enter__(self) -> BatchProgress:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stack.close()
+
+    def on_progress(self, told: Told) -> None:
+        """A job is so far."""
+        with self._lock:
+            self._frames[told.job] = told.frames
+            self._show()
+
+    def on_outcome(self, outcome: Outcome) -> None:
+        """A recording is over."""
+        from posetrack_cli.batch.jobs import recording_of
+
+        with self._lock:
+            others = {name: n for name, n in self._frames.items() if recording_of(name) != outcome.name}
+            self._frames = others
+            self._over += 1
+            self._done += outcome.frames
+            is_failed = outcome.state == "failed"
+            self._failed += is_failed
+            if is_failed or outcome.reason or not (self._bar.is_drawn or is_quiet()):
+                print_note(f"[{self._over}/{self._total}] {line_of(outcome)}")
+            self._show(1)
+
+    def note(self, line: str) -> None:
+        """Say what a user should know meanwhile."""
+        with self._lock:
+            print_note(line)
+
+    def _show(self, over: int = 0) -> None:
+        frames = self._done + sum(self._frames.values())
+        rate = frames / max(1e-9, time.monotonic() - self._began_s)
+        failed = f"{self._failed} failed, " if self._failed else ""
+        self._bar.advance(over, f"{failed}{frames} frames, {rate:.1f}/s")
+
+
+def line_of(outcome: Outcome) -> str:
+    """What came of a recording, in one line."""
+    if outcome.state == "failed":
+        return f"{outcome.name}: failed: {outcome.reason}"
+    if outcome.state == "kept":
+        return f"{outcome.name}: kept"
+    rate = f" ({outcome.frames / outcome.seconds:.1f} frames/s)" if outcome.seconds and outcome.frames else ""
+    done = f"{outcome.frames} frames in {outcome.seconds:.1f} s{rate}"
+    reason = f"; {outcome.reason}" if outcome.reason else ""
+    return f"{outcome.name}: {outcome.state.value}, {done}{reason}"
+
+
+# The commands that a batch runs: their options as arguments, and how they open a recording
+
 
 _OWN = ("recording", "output", "resume", "overwrite", "save_model", "quiet", "verbose")
 """Parameters that a batch sets for each recording, or that name one file to write."""

@@ -9,8 +9,7 @@ from typing import Any, Protocol, TypeVar
 import click
 
 from posetrack_cli.cli.process import check_memory
-from posetrack_cli.cli.progress import phase_shown
-from posetrack_cli.cli.standard_output import QUIET, USUAL, VERBOSE, print_detail, volume
+from posetrack_cli.cli.terminal import QUIET, USUAL, VERBOSE, phase_shown, print_detail, volume
 from posetrack_cli.phases import phases_shown
 
 Function = TypeVar("Function", bound=Callable[..., Any])

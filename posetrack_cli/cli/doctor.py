@@ -11,7 +11,7 @@ import click
 from posetrack_cli.cli.command import Command
 from posetrack_cli.cli.options import device_option, particles_option
 from posetrack_cli.cli.running import compiling_said
-from posetrack_cli.cli.standard_output import print_line, print_note
+from posetrack_cli.cli.terminal import print_line, print_note
 from posetrack_cli.errors import EXIT_FAILED, PosetrackError
 from posetrack_cli.phases import phase
 
@@ -123,7 +123,7 @@ def _check(label: str, device: int | None, particles: int) -> bool:
 
 def _check_processor(particles: int) -> None:
     """Print how fast the processor draws."""
-    from posetrack_cli.rendering.cpu.device import CpuDevice
+    from posetrack_cli.rendering.cpu import CpuDevice
 
     with closing(CpuDevice()) as drawing:
         print_line(f"Processor: {drawing.info}")
@@ -139,9 +139,9 @@ def _scoring_times(device: RenderingDevice, particles: int) -> Iterator[tuple[in
     """Yield tile sizes, and median milliseconds for open hands around one pose."""
     import numpy as np
 
-    from posetrack_cli.hand.anatomy import make_anatomy
-    from posetrack_cli.hand.kinematics import skinning_transforms
-    from posetrack_cli.hand.mesh import hand_mesh
+    from posetrack_cli.hand.model.anatomy import make_anatomy
+    from posetrack_cli.hand.model.hand import hand_mesh
+    from posetrack_cli.hand.model.kinematics import skinning_transforms
     from posetrack_cli.hand.start import scattered_poses
     from posetrack_cli.rendering.devices import WARM_UP, scoring_milliseconds
 

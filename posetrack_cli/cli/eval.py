@@ -27,9 +27,9 @@ from posetrack_cli.cli.options import (
     track_option,
     truth_option,
 )
-from posetrack_cli.cli.progress import bar
-from posetrack_cli.cli.standard_output import (
+from posetrack_cli.cli.terminal import (
     STANDARD_OUTPUT,
+    bar,
     is_quiet,
     print_data,
     print_line,
@@ -39,11 +39,11 @@ from posetrack_cli.cli.standard_output import (
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_FAILED, UsageError
 
 if TYPE_CHECKING:
-    from posetrack_cli.evaluation.assessment import Assessment, Layout, Request
-    from posetrack_cli.evaluation.evaluation import Evaluation
-    from posetrack_cli.evaluation.pictures import Picture
+    from posetrack_cli.evaluation.judging.assessment import Assessment, Layout, Request
+    from posetrack_cli.evaluation.measuring.evaluation import Evaluation
     from posetrack_cli.evaluation.reports.table import Table
-    from posetrack_cli.losses import Loss
+    from posetrack_cli.evaluation.viewing.pictures import Picture
+    from posetrack_cli.phases import Loss
 
 TEXT_REPORTS = ("json", "csv", "curve", "junit", "markdown")
 """Reports that are text, by the names of their options."""
@@ -204,7 +204,7 @@ def evaluate(results: tuple[Path, ...], **options: Any) -> None:
     Exit code 3: a result is unfinished or damaged and was measured over what it holds. A failed gate comes
     first.
     """
-    from posetrack_cli.evaluation.assessment import assess
+    from posetrack_cli.evaluation.judging.assessment import assess
 
     request = _request(results, options)
     outputs = _check_reports(request, options)
@@ -220,11 +220,11 @@ def evaluate(results: tuple[Path, ...], **options: Any) -> None:
 
 def _request(results: tuple[Path, ...], options: dict[str, Any]) -> Request:
     """Everything that can be refused is refused here, before the first result is read."""
-    from posetrack_cli.evaluation.assessment import Request
-    from posetrack_cli.evaluation.baseline import read_baseline
-    from posetrack_cli.evaluation.comparing.groups import expand_groups
-    from posetrack_cli.evaluation.evaluate import EvalOptions
-    from posetrack_cli.evaluation.gates import all_gates
+    from posetrack_cli.evaluation.judging.assessment import Request
+    from posetrack_cli.evaluation.judging.baseline import read_baseline
+    from posetrack_cli.evaluation.judging.comparing import expand_groups
+    from posetrack_cli.evaluation.judging.gates import all_gates
+    from posetrack_cli.evaluation.measuring.evaluate import EvalOptions
 
     groups = expand_groups(options["groups"])
     if not (results or groups):
@@ -358,8 +358,8 @@ def _pictures(evaluation: Evaluation, given: Path | None) -> list[Picture] | str
 
 def _worst_frames(evaluation: Evaluation, given: Path | None) -> tuple[list[Picture] | None, str]:
     """The worst frames on the recording, None without one and why there is none."""
-    from posetrack_cli.evaluation.pictures import worst_frame_pictures
-    from posetrack_cli.evaluation.recording_of import search_recording
+    from posetrack_cli.evaluation.reading.recording_of import search_recording
+    from posetrack_cli.evaluation.viewing.pictures import worst_frame_pictures
     from posetrack_cli.results.reader import read_result
 
     result = read_result(evaluation.path)
@@ -371,18 +371,16 @@ def _worst_frames(evaluation: Evaluation, given: Path | None) -> tuple[list[Pict
 
 def _show(found: Assessment, given: int, options: dict[str, Any]) -> None:
     """Print the tables, unless a report goes where they would, or that is closed."""
-    from posetrack_cli.evaluation.reports.comparison_table import (
+    from posetrack_cli.evaluation.reports.table import (
         NOT_COMPARED,
         comparison_lines,
         comparison_tables,
-    )
-    from posetrack_cli.evaluation.reports.table import (
         criterion_lines,
         pool_lines,
         pooled_table,
         reliability_table,
     )
-    from posetrack_cli.evaluation.reports.terminal import print_tables
+    from posetrack_cli.evaluation.reports.writing import print_tables
 
     if is_quiet() or sys.stdout is None or STANDARD_OUTPUT in [options[name] for name in TEXT_REPORTS]:
         return
@@ -422,8 +420,7 @@ def _columns(found: Assessment, given: int, options: dict[str, Any]) -> tuple[li
 
 def _rows(found: Assessment, options: dict[str, Any]) -> tuple[list[Table], list[str]]:
     """The tables of results below each other, and what belongs below them."""
-    from posetrack_cli.evaluation.reports.row_table import fewer, row_lines, row_table
-    from posetrack_cli.evaluation.reports.table import closing_lines
+    from posetrack_cli.evaluation.reports.table import closing_lines, fewer, row_lines, row_table
 
     most = options["worst"]
     sets = [one for one in found.sets if not one.pool.grouped]  # groups have a table that compares them
@@ -438,7 +435,7 @@ def _close(found: Assessment, lost: dict[str, tuple[Loss, ...]]) -> None:
         found: what was found out.
         lost: what results that were written with their metrics lack, by name.
     """
-    from posetrack_cli.losses import loss_line
+    from posetrack_cli.phases import loss_line
 
     for note in found.notes:
         print_note(f"baseline: {note}")

@@ -1,21 +1,90 @@
-"""``posetrack export``: write a result for other tools."""
+"""``convert`` and ``export``."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from posetrack_cli.cli.command import Command, option, volume_options
-from posetrack_cli.cli.options import FILE, FILTERED, TRACKS, output_option, overwrite_option, track_option
-from posetrack_cli.cli.standard_output import STANDARD_OUTPUT, print_data, print_line, print_note
+from posetrack_cli.cli.options import (
+    FILE,
+    FILTERED,
+    TRACKS,
+    option_group,
+    output_option,
+    overwrite_option,
+    recording_options,
+    track_option,
+    truth_option,
+)
+from posetrack_cli.cli.running import open_for_reading
+from posetrack_cli.cli.terminal import STANDARD_OUTPUT, print_data, print_line, print_note
 from posetrack_cli.errors import EXIT_DATA_LOST, UsageError
 
 if TYPE_CHECKING:
+    from posetrack_cli.recording.base import TruthMessage
+    from posetrack_cli.recording.recording import Recording
     from posetrack_cli.results.export.source import ExportSource
+
+
+# ``posetrack convert``: write a recording as one MCAP file
+
+
+@click.command(
+    cls=Command,
+    examples=(
+        "posetrack convert depth/ --fps 30 -o recording.mcap",
+        "posetrack convert depth/ --truth joints.csv -o recording.mcap",
+    ),
+    short_help="Write a recording as one MCAP file, without loss.",
+)
+@click.argument("recording", metavar="IN", type=FILE)
+@output_option("The recording, an MCAP file.", "OUT.mcap")
+@overwrite_option("The recording")
+@option_group(
+    truth_option("Joints of a hand, CSV: stamp_ns or t_s, and <joint>_x_mm, _y_mm, _z_mm in camera axes."),
+    title="Truth",
+)
+@recording_options
+@volume_options
+def convert(recording: Path, output: Path, truth: Path | None, overwrite: bool, **options: Any) -> None:
+    """Write IN, whatever recording of depth it is, as Foxglove MCAP without loss.
+
+    Depth in whole millimetres is stored as 16-bit PNG, copied unchanged where IN has just that; other
+    depth as 32-bit metres. Truth that IN carries goes along; --truth adds joints as /truth/hand/points, which
+    eval measures results by. Exit code 3 means that frames were lost.
+    """
+    from posetrack_cli.phases import loss_line
+    from posetrack_cli.recording.conversion import convert_recording
+
+    source = open_for_reading(recording, options)
+    joints = [] if truth is None else _joints(truth, source)
+    conversion = convert_recording(source, output, overwrite=overwrite, truth=joints)
+    print_line(f"{output}: {conversion.frames} frames, {output.stat().st_size} bytes")
+    if conversion.losses:
+        print_note(f"{recording}: {loss_line(conversion.losses)}")
+        click.get_current_context().exit(EXIT_DATA_LOST)
+
+
+def _joints(path: Path, source: Recording) -> list[TruthMessage]:
+    """The joints of a CSV file as messages of truth, for a recording that has none on their topic."""
+    from posetrack_cli.evaluation.reading.truth_tables import load_csv_track
+    from posetrack_cli.evaluation.reading.truth_topics import points_messages, points_topic
+    from posetrack_cli.hand.model.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS
+    from posetrack_cli.results.estimate import Subject
+
+    subject = Subject("hand", source.cameras[0].name, ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS)
+    if any(message.topic == points_topic(subject.name) for message in source.truth()):
+        raise UsageError("has true joints already", where=source.path, hint="leave --truth out")
+    return list(points_messages(load_csv_track(path, subject)))
+
+
+# ``posetrack export``: write a result for other tools
+
 
 FORMATS = ("csv", "tum", "npz", "json", "bvh", "c3d", "mcap")
 SCHEMAS = ("ros2",)
@@ -83,7 +152,7 @@ def export(
     markers that are not seen. Exit code 3 means that RESULT is truncated or damaged; what can be read is
     written all the same.
     """
-    from posetrack_cli.losses import loss_line
+    from posetrack_cli.phases import loss_line
     from posetrack_cli.results.export.export import export_file, save_text, text_pieces
     from posetrack_cli.results.export.source import export_source
     from posetrack_cli.results.reader import read_result
@@ -133,7 +202,7 @@ def _chosen_format(format_name: str | None, schemas: str | None, output: Path | 
 
 def _bvh(source: ExportSource) -> tuple[Iterable[str], tuple[str, ...]]:
     """The text of a hand's animation, and what there is to say of its frames."""
-    from posetrack_cli.evaluation.recorded_hand import anatomy_of
+    from posetrack_cli.evaluation.reading.recording_of import anatomy_of
     from posetrack_cli.hand.bvh import bvh_text, check_hand
 
     check_hand(source)

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from posetrack_cli.cli.calibrate import hand_calibrate
 from posetrack_cli.cli.command import Command, option, volume_options
-from posetrack_cli.cli.hand_calibrate import hand_calibrate
-from posetrack_cli.cli.hand_synth import hand_synth
 from posetrack_cli.cli.options import (
     FILE,
     RUN_OPTIONS,
@@ -38,11 +37,12 @@ from posetrack_cli.cli.running import (
     progress,
     tell_settings,
 )
-from posetrack_cli.cli.standard_output import print_aside, print_detail
+from posetrack_cli.cli.synth import hand_synth
+from posetrack_cli.cli.terminal import print_aside, print_detail
 from posetrack_cli.errors import UsageError
 
 if TYPE_CHECKING:
-    from posetrack_cli.hand.calibration.before_run import HandFound
+    from posetrack_cli.hand.autodetect import HandFound
     from posetrack_cli.hand.config import HandConfig
     from posetrack_cli.hand.keypoints.file import KeypointFile
     from posetrack_cli.hand.run import HandRun
@@ -180,7 +180,7 @@ def hand_run(recording: Path, **options: Any) -> None:
 
 def _prepare(recording: Path, options: dict[str, Any]) -> tuple[HandRun, int | None, HandFound]:
     """Refuse what can be refused before the first frame, and settle what is left open."""
-    from posetrack_cli.hand.calibration.before_run import find_hand
+    from posetrack_cli.hand.autodetect import find_hand
     from posetrack_cli.hand.run import HandRun, RunOptions, check_run
     from posetrack_cli.rendering.devices import open_fastest_device
     from posetrack_cli.tracking.options import frames_ahead
@@ -213,7 +213,7 @@ def _keypoints(options: dict[str, Any], source: Recording) -> KeypointFile | Non
             raise UsageError(f"{option} is about keypoints, and none are given", hint="--keypoints FILE")
         return None
     from posetrack_cli.hand.keypoints.file import read_keypoints
-    from posetrack_cli.recording.keypoints.use import fitted_to
+    from posetrack_cli.recording.keypoints.reading import fitted_to
 
     keypoints = read_keypoints(path, source.cameras[0], unit, swap)
     sets, words = fitted_to(keypoints.sets, source)
@@ -241,7 +241,7 @@ def _with_shape(options: dict[str, Any]) -> dict[str, Any]:
     if shape in (None, "auto", "average"):
         return options | {"shape": {"auto": "auto", "average": "given"}.get(shape)}
     if Path(shape).suffix == ".mcap":
-        from posetrack_cli.hand.calibration.of_result import hand_assignments
+        from posetrack_cli.hand.shape_fit import hand_assignments
 
         told = hand_assignments(Path(shape))
         return options | {"shape": "given", "settings": (*told, *options["settings"])}

@@ -11,7 +11,7 @@ import click
 
 from posetrack_cli.cli.command import Command
 from posetrack_cli.cli.options import FILE, WRITTEN, json_option, option_group, overwrite_option
-from posetrack_cli.cli.standard_output import STANDARD_OUTPUT, print_data, print_line, print_note
+from posetrack_cli.cli.terminal import STANDARD_OUTPUT, print_data, print_line, print_note
 from posetrack_cli.errors import EXIT_DATA_LOST
 from posetrack_cli.text import printable_json
 

@@ -13,10 +13,9 @@ import click
 from posetrack_cli.cli.batch import batch
 from posetrack_cli.cli.calibrate import calibrate
 from posetrack_cli.cli.command import HELP_NAMES
-from posetrack_cli.cli.convert import convert
 from posetrack_cli.cli.doctor import doctor
 from posetrack_cli.cli.eval import evaluate
-from posetrack_cli.cli.export import export
+from posetrack_cli.cli.export import convert, export
 from posetrack_cli.cli.hand import hand
 from posetrack_cli.cli.head import head
 from posetrack_cli.cli.info import info
@@ -27,10 +26,9 @@ from posetrack_cli.cli.process import (
     survive_memory_limit,
     terminate_as_interrupted,
 )
-from posetrack_cli.cli.standard_output import discard_output, print_line, print_note
+from posetrack_cli.cli.terminal import discard_output, print_line, print_note
 from posetrack_cli.cli.view import view
-from posetrack_cli.damage import error_words
-from posetrack_cli.errors import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED, PosetrackError
+from posetrack_cli.errors import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED, PosetrackError, error_words
 
 _NO_THREAD = "can't start new thread"
 """What Python says of any limit that keeps a thread from starting."""

@@ -123,7 +123,7 @@ def only_once(context: click.Context, parameter: click.Parameter, values: tuple[
 
 FILTERED, SMOOTHED = "filtered", "smoothed"
 TRACKS = (FILTERED, SMOOTHED)
-"""As ``results.tracks`` has them, which would take long to load for the help."""
+"""As ``results.channels`` has them, which would take long to load for the help."""
 BOTH = "both"
 
 

@@ -24,7 +24,7 @@ from contextlib import contextmanager, suppress
 from io import TextIOWrapper
 from typing import NoReturn
 
-from posetrack_cli.cli.standard_output import print_note
+from posetrack_cli.cli.terminal import print_note
 from posetrack_cli.errors import EXIT_FAILED, EXIT_INTERRUPTED, UsageError
 
 _DEBUG = "POSETRACK_DEBUG"

@@ -14,8 +14,15 @@ import click
 from posetrack_cli.cli.command import seconds_since_start
 from posetrack_cli.cli.options import reading_options
 from posetrack_cli.cli.process import leave_process, signals_watched
-from posetrack_cli.cli.progress import bar, close_bars, say_meanwhile
-from posetrack_cli.cli.standard_output import print_aside, print_detail, print_line, print_note
+from posetrack_cli.cli.terminal import (
+    bar,
+    close_bars,
+    print_aside,
+    print_detail,
+    print_line,
+    print_note,
+    say_meanwhile,
+)
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_INTERRUPTED, PosetrackError, UsageError
 from posetrack_cli.text import printable
 
@@ -210,8 +217,8 @@ def _rate(frames: int, seconds: float) -> str:
 def close(recording: Path, output: Path, outcome: RunOutcome, passes: int = 1) -> None:
     """Print the closing line and what there is to remark, and set the exit code."""
     from posetrack_cli.compiled import compiling_s
-    from posetrack_cli.losses import loss_line
     from posetrack_cli.outputs import part_path
+    from posetrack_cli.phases import loss_line
 
     _listener.get().on_end(outcome.tracked)
     whole_s, compiled_s = seconds_since_start(), compiling_s()

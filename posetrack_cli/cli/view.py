@@ -29,8 +29,7 @@ from posetrack_cli.cli.options import (
     track_option,
 )
 from posetrack_cli.cli.process import stop_signals
-from posetrack_cli.cli.progress import bar
-from posetrack_cli.cli.standard_output import print_line, print_note
+from posetrack_cli.cli.terminal import bar, print_line, print_note
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_INTERRUPTED, UsageError
 
 if TYPE_CHECKING:
@@ -143,7 +142,7 @@ def view(paths: tuple[Path, ...], output: Path, **options: Any) -> None:
 
 def _prepare(results: Sequence[Result], output: Path, options: dict[str, Any]) -> ResultView:
     """Everything that can be refused is refused here, before the first frame."""
-    from posetrack_cli.evaluation.recording_of import required_recording
+    from posetrack_cli.evaluation.reading.recording_of import required_recording
     from posetrack_cli.evaluation.viewing.layers import ViewOptions
     from posetrack_cli.evaluation.viewing.outputs import is_sheet
     from posetrack_cli.evaluation.viewing.view import ResultView, style_of
@@ -202,7 +201,7 @@ def _close(
     output: Path, count: int, drawn: ResultView, results: Sequence[Result], *, interrupted: bool
 ) -> None:
     """The closing line, and the exit code."""
-    from posetrack_cli.losses import loss_line
+    from posetrack_cli.phases import loss_line
 
     context, asked = click.get_current_context(), len(drawn.rows)
     if interrupted:
@@ -224,6 +223,6 @@ def _close(
 
 def _nothing(drawn: ResultView) -> Exception:
     from posetrack_cli.errors import RecordingError
-    from posetrack_cli.losses import loss_line
+    from posetrack_cli.phases import loss_line
 
     return RecordingError("no frame can be drawn", where=drawn.recording_path, found=loss_line(drawn.losses))

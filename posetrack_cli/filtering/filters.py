@@ -21,8 +21,14 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.filtering.errors import FilterError, Registry, check_time_step
 from posetrack_cli.filtering.guided import Guide
-from posetrack_cli.filtering.kalman import VelocityGain, velocity_gain
-from posetrack_cli.filtering.model import FilterModel, LogLikelihood, StateSpace, checked_variance
+from posetrack_cli.filtering.model import (
+    FilterModel,
+    LogLikelihood,
+    StateSpace,
+    VelocityGain,
+    checked_variance,
+    velocity_gain,
+)
 from posetrack_cli.filtering.resampling import truncated
 from posetrack_cli.filtering.step import (
     Posterior,

@@ -26,9 +26,15 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.filtering.errors import FilterError, check_time_step
 from posetrack_cli.filtering.filters import FilterState
-from posetrack_cli.filtering.gaussian_smoothing import (
+from posetrack_cli.filtering.model import Dynamics, StateSpace, constant_velocity
+from posetrack_cli.filtering.modes import LikelihoodModes
+from posetrack_cli.filtering.resampling import normalise, truncated
+from posetrack_cli.filtering.smoothing import (
     BackwardMessage,
+    Memory,
+    Smoothed,
     StateGaussian,
+    Step,
     earlier_message,
     joined,
     no_message,
@@ -36,11 +42,6 @@ from posetrack_cli.filtering.gaussian_smoothing import (
     state_gaussian,
     with_fit,
 )
-from posetrack_cli.filtering.kalman import constant_velocity
-from posetrack_cli.filtering.model import Dynamics, StateSpace
-from posetrack_cli.filtering.modes import LikelihoodModes
-from posetrack_cli.filtering.resampling import normalise, truncated
-from posetrack_cli.filtering.smoothing import Memory, Smoothed, Step
 
 BELIEF = ("pose", "velocity", "covariance")
 _RIDGE = 1e-9

@@ -1,4 +1,4 @@
-"""What a backward pass over a filter's states yields, and what a run expects of any smoother."""
+"""Smoothing of a filtered track by its moments."""
 
 from __future__ import annotations
 
@@ -9,9 +9,216 @@ from typing import Any, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray
-from posetrack_cli.filtering.filters import FilterState
-from posetrack_cli.filtering.model import Dynamics
+from posetrack_cli.arrays import BoolArray, FloatArray
+from posetrack_cli.filtering.errors import FilterError
+from posetrack_cli.filtering.filters import FilterState, MarginalState
+from posetrack_cli.filtering.model import Dynamics, Gaussian, StateSpace, constant_velocity, kalman_smooth
+from posetrack_cli.filtering.modes import LikelihoodModes
+from posetrack_cli.filtering.resampling import effective_count, normalise
+
+# The Gaussian smoother: each frame's particles as one Gaussian of pose and velocity, and one pass backward.
+#
+# Rauch, Tung and Striebel's smoother (1965) over the filter's moments. For a linear-Gaussian model it is
+# exact as the number of particles grows. Of several modes it keeps the mean and the spread: where the filter
+# doubted, the spread is wide, the gain close to 1, and the mean follows the frames that knew.
+#
+# What later frames say about a state is also to be had without the state's own prior and likelihood, in
+# information form, as the backward half of a two-filter smoother (Mayne 1966; Fraser and Potter 1969):
+#
+#     log p(y_t+1, .. | x_t (+) e)  =  b . e - e^T L e / 2  + const.
+#
+# L may be singular: one later frame says nothing about velocities. The product with the prediction from the
+# past is what Rauch, Tung and Striebel's smoother yields; but here what all *other* frames expect of a frame
+# is at hand before its own likelihood is taken in, which may then be expanded again about that.
+
+
+@dataclass(frozen=True, eq=False)
+class StateGaussian:
+    """Mean pose (S,) and velocity (D,), and the covariance (2D, 2D) of both in the mean's tangent space."""
+
+    pose: FloatArray
+    velocity: FloatArray
+    covariance: FloatArray
+
+    @property
+    def smoothed(self) -> Smoothed:
+        """Means and variances."""
+        pose_variance, velocity_variance = np.split(np.diag(self.covariance), 2)
+        return Smoothed(self.pose, pose_variance, self.velocity, velocity_variance)
+
+
+class GaussianSmoother:
+    """The backward pass as a `Smoother`; it remembers the moments of each frame.
+
+    Args:
+        dynamics: the noise that the filter had, see `noise_of`.
+        space: the poses' space.
+    """
+
+    def __init__(self, dynamics: Dynamics, space: StateSpace) -> None:
+        self._dynamics, self._space = dynamics, space
+        self._later: StateGaussian | None = None
+
+    def remember(self, state: FilterState, step: Step | None = None) -> Memory:
+        """Return the moments; see `Smoother`."""
+        weights = normalise(state.log_weights)[0]
+        moving = state.with_velocity(self._dynamics.pose_noise.size)
+        return vars(state_gaussian(moving, weights, self._space))
+
+    def resume(self, last: Memory) -> None:
+        """Nothing is needed of what was remembered before; see `Smoother`."""
+
+    def begin(self, last: Memory) -> Smoothed:
+        """Start from a chain's last frame; see `Smoother`."""
+        self._later = StateGaussian(**last)
+        return self._later.smoothed
+
+    def back(self, memory: Memory, dt: float) -> Smoothed:
+        """Go on to the frame before; see `Smoother`."""
+        if self._later is None:
+            raise FilterError("a backward pass begins with the last frame")
+        self._later = smooth_gaussian(StateGaussian(**memory), self._later, dt, self._dynamics, self._space)
+        return self._later.smoothed
+
+    def stay(self, memory: Memory, later: Smoothed) -> Smoothed:
+        """Return what came of the later frame; see `Smoother`."""
+        return later
+
+
+def state_gaussian(state: MarginalState, weights: FloatArray, space: StateSpace) -> StateGaussian:
+    """Return the moments of particles with weights (N,), the covariance shrunk as `shrunk` says."""
+    pose, velocity = space.mean(state.poses, weights), weights @ state.velocities
+    away = np.hstack([space.local(pose, state.poses), state.velocities - velocity])
+    covariance = shrunk((weights[:, None] * away).T @ away, effective_count(weights))
+    own = np.concatenate([np.zeros_like(velocity), state.velocity_variance])
+    return StateGaussian(pose, velocity, covariance + np.diag(own))
+
+
+def shrunk(covariance: FloatArray, count: float) -> FloatArray:
+    """Return a sample covariance (2D, 2D) with less of what so few samples show by chance.
+
+    Correlations r between different components are multiplied by 1 - rho, those of a component with its own
+    velocity are kept; rho = sum (1 - r^2)^2 / (count - 1) / sum r^2, at most 1 (Schaefer and Strimmer 2005,
+    with the variance that a correlation has in a Gaussian sample).
+
+    Args:
+        covariance: of a weighted sample.
+        count: its effective size.
+    """
+    sd = np.sqrt(np.diag(covariance))
+    scale = np.where(sd > 0.0, sd, 1.0)
+    others = _between_components(len(covariance))
+    squares = np.square(covariance / np.outer(scale, scale))[others]
+    by_chance, found = np.square(1.0 - squares).sum(), max(count - 1.0, 0.0) * squares.sum()
+    rho = 1.0 if found <= by_chance else by_chance / found
+    return np.where(others, (1.0 - rho) * covariance, covariance)
+
+
+def smooth_gaussian(
+    filtered: StateGaussian, later: StateGaussian, dt: float, dynamics: Dynamics, space: StateSpace
+) -> StateGaussian:
+    """Smooth one frame, in the tangent space of its filtered mean.
+
+    The smoothed covariance is taken for that in the tangent space of the smoothed mean, which neglects terms
+    of the order of the angle between the two.
+
+    Args:
+        filtered: the filter's belief after the frame.
+        later: the smoothed belief of the next one.
+        dt: time between the two, s.
+        dynamics: those of the filter.
+        space: the poses' space.
+
+    Raises:
+        FilterError: dt is not > 0.
+    """
+    F, Q = constant_velocity(dynamics.over(dt), dt)
+    here = Gaussian(
+        np.concatenate([np.zeros_like(filtered.velocity), filtered.velocity]), filtered.covariance
+    )
+    offset = np.concatenate([space.local(filtered.pose, later.pose), later.velocity])
+    smoothed = kalman_smooth(here, Gaussian(offset, later.covariance), F, Q)
+    moved, velocity = np.split(smoothed.mean, 2)
+    return StateGaussian(space.retract(filtered.pose[None], moved[None])[0], velocity, smoothed.covariance)
+
+
+def _between_components(size: int) -> BoolArray:
+    """Return (2D, 2D): whether an entry of the covariance is of two different components."""
+    component = np.arange(size) % (size // 2)
+    different: BoolArray = component[:, None] != component
+    return different
+
+
+@dataclass(frozen=True, eq=False)
+class BackwardMessage:
+    """A quadratic in (pose, velocity), the pose in the tangent space of a reference.
+
+    Attributes:
+        reference: (S,) pose.
+        information: (2D, 2D) L, symmetric, positive semi-definite.
+        vector: (2D,) b.
+    """
+
+    reference: FloatArray
+    information: FloatArray
+    vector: FloatArray
+
+
+def no_message(reference: FloatArray, dimension: int) -> BackwardMessage:
+    """Return what no later frame says about a state of D pose components."""
+    return BackwardMessage(reference, np.zeros((2 * dimension, 2 * dimension)), np.zeros(2 * dimension))
+
+
+def recentred(message: BackwardMessage, reference: FloatArray, space: StateSpace) -> BackwardMessage:
+    """Return the message in another pose's tangent space.
+
+    The spaces are taken to differ by a shift, which neglects terms of the order of the angle between them.
+    """
+    shift = np.zeros_like(message.vector)
+    shift[: len(shift) // 2] = space.local(message.reference, reference)
+    return BackwardMessage(reference, message.information, message.vector - message.information @ shift)
+
+
+def earlier_message(message: BackwardMessage, dt: float, dynamics: Dynamics) -> BackwardMessage:
+    """Return what the message says about the state dt seconds earlier; at dt = 0 the same.
+
+    F^T (1 + L Q)^-1 L F and F^T (1 + L Q)^-1 b.
+    """
+    if dt <= 0.0:
+        return message
+    F, Q = constant_velocity(dynamics.over(dt), dt)
+    L = message.information
+    back = np.linalg.solve((np.eye(len(L)) + L @ Q).T, F).T
+    information = back @ L @ F
+    symmetric = 0.5 * (information + information.T)
+    return BackwardMessage(message.reference, symmetric, back @ message.vector)
+
+
+def with_fit(message: BackwardMessage, modes: LikelihoodModes, k: int, space: StateSpace) -> BackwardMessage:
+    """Return the message times the k-th fit of the likelihood."""
+    size, H = modes.gradients.shape[1], modes.information[k]
+    away = space.local(message.reference, modes.poses[k])
+    information, vector = message.information.copy(), message.vector.copy()
+    information[:size, :size] += H
+    vector[:size] += modes.gradients[k] + H @ away
+    return BackwardMessage(message.reference, information, vector)
+
+
+def joined(belief: StateGaussian, message: BackwardMessage, space: StateSpace) -> StateGaussian:
+    """Return the belief times what later frames say: C' = (1 + C L)^-1 C, moved by C' (b - L m).
+
+    m is the belief's mean in the message's tangent space; the covariance is taken for that in the belief's.
+    """
+    size, C, L = belief.velocity.size, belief.covariance, message.information
+    mean = np.concatenate([space.local(message.reference, belief.pose), belief.velocity])
+    joint = np.linalg.solve(np.eye(2 * size) + C @ L, C)
+    moved, quicker = np.split(joint @ (message.vector - L @ mean), 2)
+    pose = space.retract(belief.pose[None], moved[None])[0]
+    return StateGaussian(pose, belief.velocity + quicker, 0.5 * (joint + joint.T))
+
+
+# What a backward pass over a filter's states yields, and what a run expects of any smoother
+
 
 Memory: TypeAlias = Mapping[str, Any]
 """What a smoother keeps of one frame: arrays and numbers of the same names and shapes at every frame."""

@@ -1,17 +1,21 @@
-"""Pinhole cameras with lens distortion.
-
-Pixel coordinates follow OpenCV: the centre of the first pixel is (0, 0).
-"""
+"""Cameras: pinholes, lenses, projection with them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import lru_cache
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
-from posetrack_cli.arrays import BoolArray, FloatArray
+from posetrack_cli.arrays import BoolArray, Float32Array, FloatArray
 from posetrack_cli.errors import PosetrackError
+
+# Pinhole cameras with lens distortion.
+#
+# Pixel coordinates follow OpenCV: the centre of the first pixel is (0, 0).
+
 
 DISTORTION_LENGTHS = {
     "plumb_bob": (0, 4, 5),
@@ -147,3 +151,350 @@ class Camera:
         x = (pixels[..., 0] - self.cx) / self.fx * depth
         y = (pixels[..., 1] - self.cy) / self.fy * depth
         return np.stack([x, y, np.broadcast_to(depth, x.shape)], axis=-1)
+
+
+# Lens distortion: from points to distorted pixels and back, in OpenCV's models.
+#
+# Normalised coordinates are x = X/Z, y = Y/Z of a point in the camera's axes, without unit. ``distort`` takes
+# them to where the lens puts them; pixels follow from the intrinsics, u = fx x' + cx.
+#
+# Component functions take x and y apart, keep their shape and float type, and cost nothing for a camera
+# without distortion: what a particle filter projects with.
+
+
+NEWTON_STEPS = 20
+CONVERGED = 1e-12
+"""Change of a normalised coordinate below which undistortion has arrived: 1e-9 px at fx = 1000."""
+SMALL_ANGLE = 1e-8
+
+F: TypeAlias = NDArray[Any]
+"""One component of many coordinates, of any floating type."""
+Jacobian: TypeAlias = tuple[F, F, F, F]
+"""dx'/dx, dx'/dy, dy'/dx, dy'/dy."""
+
+
+def distort(camera: Camera, x: F, y: F) -> tuple[F, F]:
+    """Return where the lens puts normalised coordinates.
+
+    plumb_bob, rational_polynomial: x' = x f(r) + 2 p1 x y + p2 (r^2 + 2 x^2) + s1 r^2 + s2 r^4, y' alike,
+    f = (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6), then the sensor's tilt.
+    equidistant: x' = x/r theta (1 + k1 theta^2 + ... + k4 theta^8), theta = atan r.
+    inverse_brown_conrady (librealsense, rsutil.h): the x' whose plumb_bob distortion is x.
+
+    Args:
+        camera: whose distortion it is.
+        x, y: normalised, one shape; float32 stays float32.
+    """
+    return _lens(camera).distort(x, y) if camera.is_distorted else (x, y)
+
+
+def distortion_jacobian(camera: Camera, x: F, y: F) -> Jacobian:
+    """Return the derivatives of ``distort`` at normalised coordinates."""
+    if not camera.is_distorted:
+        one, zero = np.ones_like(x), np.zeros_like(x)
+        return one, zero, zero, one
+    return _lens(camera).jacobian(x, y)
+
+
+def undistort(camera: Camera, x: F, y: F) -> tuple[F, F]:
+    """Return the normalised coordinates that the lens puts at x, y.
+
+    By Newton's method on ``distort``; of inverse_brown_conrady by its polynomial.
+
+    Coordinates that no point in front of the lens is put at come back as whatever Newton's method ends with.
+    """
+    if not camera.is_distorted:
+        return x, y
+    return _lens(camera).undistort(x, y)
+
+
+def _lens(camera: Camera) -> _Polynomial | _Equidistant | _Inverse:
+    """The lens of a camera with distortion; of fourteen coefficients those not given are 0."""
+    if camera.distortion_model == "equidistant":
+        return _Equidistant(*camera.distortion)
+    polynomial = _Polynomial(*camera.distortion, *(0.0,) * (14 - len(camera.distortion)))
+    return _Inverse(polynomial) if camera.distortion_model == "inverse_brown_conrady" else polynomial
+
+
+def _inverted(lens: _Polynomial | _Equidistant, x: F, y: F) -> tuple[F, F]:
+    """Return the coordinates that a lens puts at x, y, by Newton's method."""
+    found_x, found_y = x, y
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # coefficients of no lens diverge
+        for _ in range(NEWTON_STEPS):
+            seen_x, seen_y = lens.distort(found_x, found_y)
+            step_x, step_y = _solved(lens.jacobian(found_x, found_y), x - seen_x, y - seen_y)
+            found_x, found_y = found_x + step_x, found_y + step_y
+            if max(np.max(np.abs(step_x), initial=0.0), np.max(np.abs(step_y), initial=0.0)) < CONVERGED:
+                break
+    return found_x, found_y
+
+
+class _Polynomial(NamedTuple):
+    """Radial and tangential distortion, thin prism and a tilted sensor, as OpenCV has them."""
+
+    k1: float
+    k2: float
+    p1: float
+    p2: float
+    k3: float
+    k4: float
+    k5: float
+    k6: float
+    s1: float
+    s2: float
+    s3: float
+    s4: float
+    tx: float
+    ty: float
+
+    def distort(self, x: F, y: F) -> tuple[F, F]:
+        xd, yd = self._straight(x, y)
+        tilt = self._tilt
+        if tilt is None:
+            return xd, yd
+        (a, b, c), (d, e, f), (g, h, i) = tilt.tolist()
+        under = g * xd + h * yd + i
+        return (a * xd + b * yd + c) / under, (d * xd + e * yd + f) / under
+
+    def jacobian(self, x: F, y: F) -> Jacobian:
+        inner, tilt = self._straight_jacobian(x, y), self._tilt
+        if tilt is None:
+            return inner
+        (a, b, _), (d, e, _), (g, h, i) = tilt.tolist()
+        xd, yd = self._straight(x, y)
+        xt, yt = self.distort(x, y)
+        under = g * xd + h * yd + i
+        outer = ((a - g * xt) / under, (b - h * xt) / under, (d - g * yt) / under, (e - h * yt) / under)
+        return _product(outer, inner)
+
+    def undistort(self, x: F, y: F) -> tuple[F, F]:
+        return _inverted(self, x, y)
+
+    def _radial(self, r2: F) -> tuple[F, F]:
+        """Return f(r) and its derivative with respect to r^2."""
+        k1, k2, _, _, k3, k4, k5, k6 = self[:8]
+        over = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        slope = k1 + r2 * (2.0 * k2 + r2 * (3.0 * k3))
+        if not (k4 or k5 or k6):
+            return over, slope
+        under = 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6))
+        under_slope = k4 + r2 * (2.0 * k5 + r2 * (3.0 * k6))
+        return over / under, (slope - over / under * under_slope) / under
+
+    def _straight(self, x: F, y: F) -> tuple[F, F]:
+        """Where coordinates were put if the sensor were not tilted."""
+        p1, p2, s1, s2, s3, s4 = self.p1, self.p2, self.s1, self.s2, self.s3, self.s4
+        r2 = x * x + y * y
+        f = self._radial(r2)[0]
+        xd = x * f + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x) + r2 * (s1 + s2 * r2)
+        yd = y * f + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y + r2 * (s3 + s4 * r2)
+        return xd, yd
+
+    def _straight_jacobian(self, x: F, y: F) -> Jacobian:
+        p1, p2, s1, s2, s3, s4 = self.p1, self.p2, self.s1, self.s2, self.s3, self.s4
+        r2 = x * x + y * y
+        f, slope = self._radial(r2)
+        in_x, in_y = 2.0 * (s1 + 2.0 * s2 * r2), 2.0 * (s3 + 2.0 * s4 * r2)
+        cross = 2.0 * x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y
+        return (
+            f + 2.0 * x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x + in_x * x,
+            cross + in_x * y,
+            cross + in_y * x,
+            f + 2.0 * y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x + in_y * y,
+        )
+
+    @property
+    def _tilt(self) -> FloatArray | None:
+        """The (3, 3) homography of a tilted sensor as in OpenCV; None if it is not tilted."""
+        if not (self.tx or self.ty):
+            return None
+        cx, sx, cy, sy = np.cos(self.tx), np.sin(self.tx), np.cos(self.ty), np.sin(self.ty)
+        turn_x = np.array([[1.0, 0.0, 0.0], [0.0, cx, sx], [0.0, -sx, cx]])
+        turn_y = np.array([[cy, 0.0, -sy], [0.0, 1.0, 0.0], [sy, 0.0, cy]])
+        turn = turn_y @ turn_x
+        onto_plane = np.array(
+            [[turn[2, 2], 0.0, -turn[0, 2]], [0.0, turn[2, 2], -turn[1, 2]], [0.0, 0.0, 1.0]]
+        )
+        tilt: FloatArray = onto_plane @ turn
+        return tilt
+
+
+class _Equidistant(NamedTuple):
+    """A fisheye, whose radius in the image is a polynomial of the angle."""
+
+    k1: float
+    k2: float
+    k3: float
+    k4: float
+
+    def distort(self, x: F, y: F) -> tuple[F, F]:
+        scale = self._scale(x * x + y * y)
+        return x * scale, y * scale
+
+    def jacobian(self, x: F, y: F) -> Jacobian:
+        k1, k2, k3, k4 = self
+        r2 = x * x + y * y
+        scale = self._scale(r2)
+        t2 = np.arctan(np.sqrt(r2)) ** 2
+        rate = (1.0 + t2 * (3 * k1 + t2 * (5 * k2 + t2 * (7 * k3 + t2 * (9 * k4))))) / (1.0 + r2)
+        # outwards the scale is ``rate``, across ``scale``
+        along = (rate - scale) / np.maximum(r2, SMALL_ANGLE**2)
+        return scale + along * x * x, along * x * y, along * x * y, scale + along * y * y
+
+    def undistort(self, x: F, y: F) -> tuple[F, F]:
+        return _inverted(self, x, y)
+
+    def _scale(self, r2: F) -> F:
+        """Return distorted over undistorted radius; 1 on the axis."""
+        k1, k2, k3, k4 = self
+        r = np.sqrt(r2)
+        theta = np.arctan(r)
+        t2 = theta * theta
+        distorted = theta * (1.0 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))))
+        scale: F = np.where(r > SMALL_ANGLE, distorted / np.maximum(r, SMALL_ANGLE), r * 0 + 1)
+        return scale
+
+
+class _Inverse(NamedTuple):
+    """A lens whose polynomial leads from distorted to undistorted coordinates."""
+
+    polynomial: _Polynomial
+
+    def distort(self, x: F, y: F) -> tuple[F, F]:
+        return _inverted(self.polynomial, x, y)
+
+    def jacobian(self, x: F, y: F) -> Jacobian:
+        a, b, c, d = self.polynomial.jacobian(*self.distort(x, y))
+        determinant = a * d - b * c
+        return d / determinant, -b / determinant, -c / determinant, a / determinant
+
+    def undistort(self, x: F, y: F) -> tuple[F, F]:
+        return self.polynomial.distort(x, y)
+
+
+def _product(first: Jacobian, second: Jacobian) -> Jacobian:
+    a, b, c, d = first
+    e, f, g, h = second
+    return a * e + b * g, a * f + b * h, c * e + d * g, c * f + d * h
+
+
+def _solved(matrix: Jacobian, right_x: F, right_y: F) -> tuple[F, F]:
+    """Solve 2x2 systems; where one is singular no step is taken."""
+    a, b, c, d = matrix
+    determinant = a * d - b * c
+    safe = np.where(np.abs(determinant) > 1e-9, determinant, np.inf).astype(determinant.dtype)
+    return (d * right_x - b * right_y) / safe, (a * right_y - c * right_x) / safe
+
+
+# Projection into cameras with lens distortion, and back.
+#
+# ``Camera.pixels_from_points`` is the same without distortion. Points of several cameras are in the axes of
+# the recording's reference camera; ``in_camera_axes`` takes them into another's.
+
+
+WIDEST_TAN, RADII = 4.0, 4001
+"""Distortion is looked at up to 76 degrees off the axis, in steps of 0.001 of the tangent."""
+
+
+def in_camera_axes(camera: Camera, points: FloatArray) -> FloatArray:
+    """Return points (..., 3) mm given in the reference camera's axes in this camera's: R p + t."""
+    transform = np.array(camera.camera_T_reference)
+    moved: FloatArray = points @ transform[:, :3].T + transform[:, 3]
+    return moved
+
+
+def pixels_from_points(camera: Camera, points: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Project with lens distortion.
+
+    Args:
+        camera: that sees them.
+        points: (..., 3) in the camera's own axes, mm.
+
+    Returns:
+        (..., 2) pixels, and (...) whether the point lies in front of the camera and within the angle up to
+        which the distortion grows outwards; beyond it polynomials fold back into the image.
+    """
+    normalised = _normalised(points)
+    radius = np.hypot(normalised[..., 0], normalised[..., 1])
+    valid = (points[..., 2] > 0.0) & (radius < largest_radius(camera))
+    return pixels_from_normalised(camera, normalised), valid
+
+
+def pixels_wherever(camera: Camera, points: FloatArray) -> FloatArray:
+    """Return the pixels (..., 2) of ``pixels_from_points``, not asking whether the camera can see them.
+
+    For many cameras: how far the distortion of each grows takes longer than to project a few points.
+    """
+    return pixels_from_normalised(camera, _normalised(points))
+
+
+def _normalised(points: FloatArray) -> FloatArray:
+    """Normalised coordinates (..., 2) of points (..., 3); finite behind the camera, too."""
+    z = np.where(points[..., 2] > 0.0, points[..., 2], 1.0)
+    return np.stack([points[..., 0] / z, points[..., 1] / z], axis=-1)
+
+
+def pixels_and_jacobian(camera: Camera, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the distorted pixels (..., 2) of points (..., 3) in the camera's axes and their derivatives.
+
+    Returns:
+        Pixels, and (..., 2, 3) their derivatives with respect to the points, pixels per mm. Points must lie
+        in front of the camera.
+    """
+    x, y = points[..., 0] / points[..., 2], points[..., 1] / points[..., 2]
+    lens = np.array(distortion_jacobian(camera, x, y)).reshape(2, 2, *x.shape)
+    lens *= np.array([camera.fx, camera.fy]).reshape(2, 1, *[1] * x.ndim)
+    by_x, by_y = lens[:, 0] / points[..., 2], lens[:, 1] / points[..., 2]
+    jacobian = np.stack([by_x, by_y, -(by_x * x + by_y * y)], axis=1)
+    pixels = pixels_from_normalised(camera, np.stack([x, y], axis=-1))
+    return pixels, np.moveaxis(jacobian, (0, 1), (-2, -1))
+
+
+def pixels_from_normalised(camera: Camera, normalised: FloatArray) -> FloatArray:
+    """Return distorted pixels (..., 2) of normalised coordinates (..., 2)."""
+    x, y = distort(camera, normalised[..., 0], normalised[..., 1])
+    return np.stack([camera.fx * x + camera.cx, camera.fy * y + camera.cy], axis=-1)
+
+
+def normalised_from_pixels(camera: Camera, pixels: FloatArray) -> FloatArray:
+    """Return the normalised coordinates (..., 2) of distorted pixels (..., 2): rays (x, y, 1)."""
+    x = (pixels[..., 0] - camera.cx) / camera.fx
+    y = (pixels[..., 1] - camera.cy) / camera.fy
+    return np.stack(undistort(camera, x, y), axis=-1)
+
+
+def undistorted_pixels(camera: Camera, pixels: FloatArray) -> FloatArray:
+    """Return where pixels (..., 2) would be without distortion: straight lines are straight there."""
+    if not camera.is_distorted:
+        return pixels
+    flat: FloatArray = normalised_from_pixels(camera, pixels) * [camera.fx, camera.fy]
+    flat += [camera.cx, camera.cy]
+    return flat
+
+
+def pixel_map(target: Camera, source: Camera) -> tuple[Float32Array, Float32Array]:
+    """Return u and v (height, width) in a source camera's image of every pixel of a target camera's.
+
+    Both cameras are in one place with the same axes, and differ in intrinsics, distortion and size.
+    """
+    v, u = np.mgrid[: target.height, : target.width].astype(float)
+    rays = normalised_from_pixels(target, np.stack([u, v], axis=-1))
+    pixels = pixels_from_normalised(source, rays).astype(np.float32)
+    return np.ascontiguousarray(pixels[..., 0]), np.ascontiguousarray(pixels[..., 1])
+
+
+@lru_cache(maxsize=64)
+def largest_radius(camera: Camera) -> float:
+    """Return the largest sqrt(x^2 + y^2) up to which distorted radii grow; inf if they always do.
+
+    Looked at along the axes of x and y in both directions, up to ``WIDEST_TAN``.
+    """
+    if not camera.is_distorted:
+        return float("inf")
+    radii = np.linspace(0.0, WIDEST_TAN, RADII)
+    zero = np.zeros_like(radii)
+    with np.errstate(all="ignore"):
+        along_x = [distortion_jacobian(camera, sign * radii, zero)[0] for sign in (1.0, -1.0)]
+        along_y = [distortion_jacobian(camera, zero, sign * radii)[3] for sign in (1.0, -1.0)]
+    grows = np.all(np.array(along_x + along_y) > 0.0, axis=0)
+    return float("inf") if grows.all() else float(radii[np.argmin(grows)])

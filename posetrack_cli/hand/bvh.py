@@ -7,7 +7,7 @@ times but a fixed step, and not that a track may be lost. What is written:
 
 - metres, Blender's unit, and axes with y up, as its importer expects: camera axes after half a turn about x;
 - a skeleton at rest, all angles 0: a flat hand, fingers up, palm to the viewer;
-- frames of a fixed rate (``results.export.fixed_rate``). One without an estimate lies between its neighbours.
+- frames of a fixed rate (``results.export.table``). One without an estimate lies between its neighbours.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import ResultError, UsageError
-from posetrack_cli.hand.anatomy import (
+from posetrack_cli.hand.fit.skeleton import thumbs_of
+from posetrack_cli.hand.model.anatomy import (
     ANGLE_NAMES,
     ANGLES,
     BONE_COUNT,
@@ -28,11 +29,10 @@ from posetrack_cli.hand.anatomy import (
     POSE_SIZE,
     HandAnatomy,
 )
-from posetrack_cli.hand.inner import thumbs_of
-from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
+from posetrack_cli.hand.model.kinematics import joint_positions, skinning_transforms
 from posetrack_cli.results.columns import Columns
-from posetrack_cli.results.export.fixed_rate import FixedRate, fixed_rate
 from posetrack_cli.results.export.source import ExportSource
+from posetrack_cli.results.export.table import FixedRate, fixed_rate
 from posetrack_cli.results.fields import NUMBERS
 from posetrack_cli.units import METRES_PER_MM
 

@@ -8,8 +8,7 @@ from pydantic import Field, ValidationInfo, field_validator
 from pydantic_core import PydanticCustomError
 
 from posetrack_cli.configuration import Settings
-from posetrack_cli.hand.population import COEFFICIENTS
-from posetrack_cli.hand.shape import MOST_COEFFICIENT, MOST_PADDING_MM, HandShape
+from posetrack_cli.hand.model.anatomy import COEFFICIENTS, MOST_COEFFICIENT, MOST_PADDING_MM, HandShape
 
 # Wider than any hand, camera or time, and narrow enough that no arithmetic on them overflows.
 Positive = Annotated[float, Field(ge=1e-6, le=1e6)]
@@ -25,7 +24,7 @@ Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 class HandSettings(Settings):
     """Which hand, how large, and of what proportions; with ``mesh``, those of the file's hand.
 
-    A side ``auto`` is determined before a run begins (``calibration.before_run``).
+    A side ``auto`` is determined before a run begins (``hand.autodetect``).
     """
 
     side: Literal["auto", "right", "left"] = "auto"
@@ -69,9 +68,9 @@ class HandSettings(Settings):
 class FilterSettings(Settings):
     """The Bayesian filter (method: paper, section 6; hand.md).
 
-    As printed, ``gain`` is P / N without dt, which few noise densities allow (``filtering.kalman``),
-    quaternions add like all other numbers (``hand.space``), and there are no ``joint_limits``. The last two
-    hold for poses drawn from the motion; local fits stay on the manifold and within the limits.
+    As printed, ``gain`` is P / N without dt, which few noise densities allow (``filtering.model``),
+    quaternions add like all other numbers (``hand.model.hand``), and there are no ``joint_limits``. The last
+    two hold for poses drawn from the motion; local fits stay on the manifold and within the limits.
     """
 
     kind: Literal["rbpf", "pf", "pso"] = "rbpf"

@@ -24,14 +24,14 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.geometry import rotations
-from posetrack_cli.hand.acquisition import Acquisition, Candidate, better_of, depth_doubt
-from posetrack_cli.hand.anatomy import HandAnatomy
 from posetrack_cli.hand.config import StatusSettings
+from posetrack_cli.hand.fit.local_fits import LocalFits
 from posetrack_cli.hand.keypoints.told import ToldHand, candidates, likeliest
-from posetrack_cli.hand.kinematics import joint_set_distance
-from posetrack_cli.hand.local_fits import LocalFits
-from posetrack_cli.hand.observation import Observation
-from posetrack_cli.hand.observer import Observer
+from posetrack_cli.hand.model.anatomy import HandAnatomy
+from posetrack_cli.hand.model.kinematics import joint_set_distance
+from posetrack_cli.hand.observe.observation import Observation
+from posetrack_cli.hand.observe.observer import Observer
+from posetrack_cli.hand.search import Acquisition, Candidate, better_of, depth_doubt
 from posetrack_cli.results.estimate import Status
 
 NEAR_MM = 35.0  # distance of two sets of joints, up to which a better fit is of the hand that is tracked

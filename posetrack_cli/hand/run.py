@@ -1,4 +1,4 @@
-"""A hand run: every frame of a recording through the tracker into a result."""
+"""One run of a hand tracker over a recording."""
 
 from __future__ import annotations
 
@@ -15,39 +15,86 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import UsageError
 from posetrack_cli.filtering.smoothing import Memory
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS, POSE_SIZE
+from posetrack_cli.hand.confidence import DepthEvidence
 from posetrack_cli.hand.config import ComponentSettings, HandConfig
-from posetrack_cli.hand.evidence import DepthEvidence
-from posetrack_cli.hand.inner import NO_INNER, THUMB, inner_of
+from posetrack_cli.hand.fit.likelihood import PROPOSALS, RenderedCosts
+from posetrack_cli.hand.fit.local_fits import FOREARM_CONFIDENCE, INNER, HandFits
+from posetrack_cli.hand.fit.skeleton import NO_INNER, THUMB, inner_of
 from posetrack_cli.hand.keypoints.file import KeypointFile
-from posetrack_cli.hand.kinematics import skinning_transforms
-from posetrack_cli.hand.local_fits import FOREARM_CONFIDENCE, INNER, HandFits
-from posetrack_cli.hand.model import MESH_DIGEST, hand_model
-from posetrack_cli.hand.printed import deviations_from_print
-from posetrack_cli.hand.proposals import PROPOSALS
-from posetrack_cli.hand.protocol import NUMBER_NAMES, HandTrackerProtocol, forearm_confidence_of
+from posetrack_cli.hand.keypoints.told import ToldHands
+from posetrack_cli.hand.model.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS, POSE_SIZE
+from posetrack_cli.hand.model.hand import MESH_DIGEST, HandModel, dynamics, hand_model, tangent_vector
+from posetrack_cli.hand.model.kinematics import deviations_from_print, skinning_transforms
+from posetrack_cli.hand.observe.observer import Observer
+from posetrack_cli.hand.search import Acquisition
 from posetrack_cli.hand.smoothing import frame_fits, make_smoother, smoothed_hand
-from posetrack_cli.hand.space import dynamics, tangent_vector
-from posetrack_cli.hand.start import centre_pose, read_pose
+from posetrack_cli.hand.start import (
+    NUMBER_NAMES,
+    HandTrackerProtocol,
+    centre_pose,
+    forearm_confidence_of,
+    read_pose,
+)
 from posetrack_cli.hand.state import HandState
-from posetrack_cli.hand.trackers import make_tracker
-from posetrack_cli.losses import Loss
+from posetrack_cli.hand.swarm import RenderedObjective, SwarmTracker
+from posetrack_cli.hand.tracker import HandTracker
 from posetrack_cli.outputs import check_output, part_path
-from posetrack_cli.phases import phase
+from posetrack_cli.phases import Loss, phase
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.identity import file_digest, shown_name
-from posetrack_cli.recording.keypoints.use import KeypointUse
+from posetrack_cli.recording.keypoints.reading import KeypointUse
 from posetrack_cli.recording.recording import Recording
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.results.estimate import Estimate, Subject
 from posetrack_cli.results.replay import check_unfinished
 from posetrack_cli.results.writer import ResultWriter
 from posetrack_cli.tracking import options as tracking_options
-from posetrack_cli.tracking.options import common_record, frames_ahead, nothing_to_track
-from posetrack_cli.tracking.printed import deviations_record
+from posetrack_cli.tracking.options import common_record, deviations_record, frames_ahead, nothing_to_track
 from posetrack_cli.tracking.run import Run
 from posetrack_cli.tracking.smoothing import FrameFacts, Kept, SmoothedTrack, smoothing_path
 from posetrack_cli.tracking.velocity import VelocityModel, smoothed_velocities
+
+# Which hand tracker a configuration asks for
+
+
+def make_tracker(
+    config: HandConfig,
+    hand: HandModel,
+    camera: Camera,
+    device: RenderingDevice,
+    keypoints: KeypointFile | None = None,
+) -> HandTrackerProtocol[Any]:
+    """Return the tracker of ``filter.kind``.
+
+    Args:
+        config: parameters.
+        hand: whose motion is tracked.
+        camera: of the depth images.
+        device: draws the poses.
+        keypoints: from elsewhere, for a proposal that fits frames.
+
+    Raises:
+        RenderingError: a window that the device cannot draw.
+        FilterError: a swarm that would not converge.
+    """
+    scorer = RenderedCosts(device, hand, camera, config.observation, config.filter.particles)
+    finder, proposal = None, PROPOSALS[config.filter.proposal]
+    if proposal.fits_frames or config.init.method == "auto":
+        finder = Acquisition(config, hand, camera)
+    is_swarm = config.filter.kind == "pso"
+    # the paper's cost takes all readings for the hand's; fits, and a swarm, have to know which are
+    segment = is_swarm or proposal.fits_frames or config.observation.cost != "paper"
+    with_arm = segment and not is_swarm
+    observer = Observer(config, hand.anatomy, camera, segment=segment, with_arm=with_arm, follows=True)
+    if is_swarm:
+        objective = RenderedObjective(device, hand, camera, config)
+        return SwarmTracker(config, hand.anatomy, objective, observer, finder)
+    told = None if keypoints is None else ToldHands(keypoints, camera, hand.anatomy)
+    return HandTracker(config, hand.anatomy, scorer, observer, finder, told)
+
+
+# A hand run: every frame of a recording through the tracker into a result
+
 
 INIT_METHODS = ("auto", "center")
 _REST: FloatArray = np.eye(1, POSE_SIZE, 6)[0]

@@ -6,17 +6,15 @@ import numpy as np
 
 from posetrack_cli.filtering.filters import FILTERS
 from posetrack_cli.filtering.fit_smoothing import FitSmoother
-from posetrack_cli.filtering.gaussian_smoothing import GaussianSmoother
 from posetrack_cli.filtering.model import Dynamics
-from posetrack_cli.filtering.smoothing import Memory, Smoothed, Smoother, noise_of
+from posetrack_cli.filtering.smoothing import GaussianSmoother, Memory, Smoothed, Smoother, noise_of
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.anatomy import HandAnatomy
 from posetrack_cli.hand.config import ComponentSettings, HandConfig
-from posetrack_cli.hand.local_fits import FOREARM_CONFIDENCE, INNER, HandFits
-from posetrack_cli.hand.model import HandModel
-from posetrack_cli.hand.proposals import PROPOSALS
-from posetrack_cli.hand.protocol import hand_estimate
-from posetrack_cli.hand.space import space_of, tangent_vector
+from posetrack_cli.hand.fit.likelihood import PROPOSALS
+from posetrack_cli.hand.fit.local_fits import FOREARM_CONFIDENCE, INNER, HandFits
+from posetrack_cli.hand.model.anatomy import HandAnatomy
+from posetrack_cli.hand.model.hand import HandModel, space_of, tangent_vector
+from posetrack_cli.hand.start import hand_estimate
 from posetrack_cli.results.estimate import Estimate
 from posetrack_cli.tracking.smoothing import Describe, FrameFacts
 

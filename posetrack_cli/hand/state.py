@@ -9,14 +9,14 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.filtering.filters import FILTERS, FilterState
 from posetrack_cli.filtering.modes import LikelihoodModes
-from posetrack_cli.hand.anatomy import TANGENT_SIZE
 from posetrack_cli.hand.confidence import NO_EVIDENCE, SIGN_NAMES
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.inner import INNER_SIZE, NO_INNER
-from posetrack_cli.hand.observation import Observation
+from posetrack_cli.hand.fit.skeleton import INNER_SIZE, NO_INNER
+from posetrack_cli.hand.model.anatomy import TANGENT_SIZE
+from posetrack_cli.hand.model.hand import pose_layout
+from posetrack_cli.hand.observe.observation import Observation
 from posetrack_cli.hand.policy import TrackMonitor
-from posetrack_cli.hand.space import pose_layout
-from posetrack_cli.results.layouts import STAMPS_NS, Layout, floats
+from posetrack_cli.results.columns import STAMPS_NS, Layout, floats
 from posetrack_cli.tracking.confidence import RunningSigns, signs_codec
 from posetrack_cli.tracking.state_codec import Codec, Fields, Value, flag, real, stamp, whole
 
@@ -31,8 +31,8 @@ class HandState:
         pose: (22,) last estimate.
         velocity: (21,) last estimate of the tangent velocity, mm/s and rad/s.
         monitor: how well frames were fitted.
-        expected: (6,) inner numbers (``hand.inner``) that the next frame is expected to have, but for the
-            forearm's direction, which its image tells.
+        expected: (6,) inner numbers (``hand.fit.skeleton``) that the next frame is expected to have, but for
+            the forearm's direction, which its image tells.
         frames, doubtful: how many showed anything to compare with, and how many of them are more probably
             wrong than right.
         unseen_ns: time since the last frame in which there was something to compare with.

@@ -38,8 +38,8 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.filtering.errors import check_time_step
 from posetrack_cli.filtering.swarm import Box, Optimum, SwarmRules, minimise, scattered
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.acquisition import Acquisition
-from posetrack_cli.hand.anatomy import (
+from posetrack_cli.hand.config import HandConfig, PsoSettings
+from posetrack_cli.hand.model.anatomy import (
     ANGLE_LIMITS,
     ANGLE_NAMES,
     ANGLES,
@@ -48,19 +48,17 @@ from posetrack_cli.hand.anatomy import (
     TANGENT_SIZE,
     HandAnatomy,
 )
-from posetrack_cli.hand.config import HandConfig, PsoSettings
-from posetrack_cli.hand.kinematics import skinning_transforms
-from posetrack_cli.hand.model import HandModel
-from posetrack_cli.hand.observation import Observation
-from posetrack_cli.hand.observer import Observer
-from posetrack_cli.hand.protocol import found_pose, hand_estimate
-from posetrack_cli.hand.space import inside_limits, pose_layout, tangent_vector
+from posetrack_cli.hand.model.hand import HandModel, inside_limits, pose_layout, tangent_vector
+from posetrack_cli.hand.model.kinematics import skinning_transforms
+from posetrack_cli.hand.observe.observation import Observation
+from posetrack_cli.hand.observe.observer import Observer
+from posetrack_cli.hand.search import Acquisition
+from posetrack_cli.hand.start import found_pose, hand_estimate
 from posetrack_cli.recording.base import Frame
-from posetrack_cli.rendering.port import RenderingDevice
-from posetrack_cli.rendering.sums import Comparison, TileSums
+from posetrack_cli.rendering.port import Comparison, RenderingDevice, TileSums
 from posetrack_cli.results.estimate import Estimate, Status
-from posetrack_cli.tracking.body_space import BodySpace
 from posetrack_cli.tracking.state_codec import Fields, Value, stamp, whole
+from posetrack_cli.tracking.velocity import BodySpace
 
 _ABDUCTIONS = [ANGLE_NAMES.index(f"{finger}_mcp_abduction") for finger in FINGERS[1:]]
 

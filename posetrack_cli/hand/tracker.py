@@ -14,22 +14,20 @@ from posetrack_cli.filtering.guided import Guide
 from posetrack_cli.filtering.model import FilterModel, LogLikelihood
 from posetrack_cli.filtering.resampling import Resampling
 from posetrack_cli.filtering.step import Posterior
-from posetrack_cli.hand.acquisition import Acquisition, fingers_bonus
-from posetrack_cli.hand.anatomy import POSE_SIZE, TANGENT_SIZE, HandAnatomy
 from posetrack_cli.hand.confidence import probability, signs_of, with_model_error
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.inner import LOG_GIRTH, NO_INNER, RELAXED_INNER, THUMB
+from posetrack_cli.hand.fit.likelihood import PROPOSALS, PoseScorer
+from posetrack_cli.hand.fit.local_fits import LocalFits
+from posetrack_cli.hand.fit.skeleton import LOG_GIRTH, NO_INNER, RELAXED_INNER, THUMB
 from posetrack_cli.hand.keypoints.told import ToldHands, split
-from posetrack_cli.hand.kinematics import mean_joint_distances
-from posetrack_cli.hand.likelihood import PoseScorer
-from posetrack_cli.hand.local_fits import LocalFits
-from posetrack_cli.hand.observation import Observation
-from posetrack_cli.hand.observer import Observer
+from posetrack_cli.hand.model.anatomy import POSE_SIZE, TANGENT_SIZE, HandAnatomy
+from posetrack_cli.hand.model.hand import dynamics, inside_limits, space_of, tangent_vector
+from posetrack_cli.hand.model.kinematics import mean_joint_distances
+from posetrack_cli.hand.observe.observation import Observation
+from posetrack_cli.hand.observe.observer import Observer
 from posetrack_cli.hand.policy import Decision, Policy, Sight, TrackMonitor, status_of
-from posetrack_cli.hand.proposals import PROPOSALS
-from posetrack_cli.hand.protocol import found_pose, hand_estimate
-from posetrack_cli.hand.space import dynamics, inside_limits, space_of, tangent_vector
-from posetrack_cli.hand.start import START_SPREAD
+from posetrack_cli.hand.search import Acquisition, fingers_bonus
+from posetrack_cli.hand.start import START_SPREAD, found_pose, hand_estimate
 from posetrack_cli.hand.state import HandState, state_codec
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate

@@ -280,7 +280,7 @@ class PersonSettings(Settings):
     """What is known of the person before anything is seen; of the first, if there are several **[ours]**.
 
     ``interpupillary_mm`` is the distance of the pupils of somebody who looks far away, measured with the
-    standard deviation ``interpupillary_sd_mm``. See ``head.tracker.size``.
+    standard deviation ``interpupillary_sd_mm``. See ``head.tracker.person``.
     """
 
     interpupillary_mm: Annotated[float, Field(ge=40.0, le=90.0)] | None = None

@@ -16,30 +16,28 @@ from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.files import real_path, write_output
 from posetrack_cli.head.config import HeadMonoConfig, HeadStereoConfig
 from posetrack_cli.head.evidence import FaceEvidence
-from posetrack_cli.head.landmarks.file import LandmarkFile
+from posetrack_cli.head.landmarks.faces import LandmarkFile
 from posetrack_cli.head.model_file import ATTACHMENT, MEDIA_TYPE, load_model, model_bytes
-from posetrack_cli.head.printed import deviations_from_print
-from posetrack_cli.head.smoothing.track import HeadMemory
-from posetrack_cli.head.tracks import track_model
+from posetrack_cli.head.smoothing.frames import HeadMemory
+from posetrack_cli.head.subject import deviations_from_print, track_model
 from posetrack_cli.outputs import check_output, check_target, part_path, state_path, whole_or_nothing
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.grey import PLAIN_BITS, Grey
 from posetrack_cli.recording.identity import file_digest, shown_name
-from posetrack_cli.recording.keypoints.use import KeypointUse
+from posetrack_cli.recording.keypoints.reading import KeypointUse
 from posetrack_cli.recording.recording import Recording
 from posetrack_cli.results.estimate import Subject
 from posetrack_cli.results.writer import ResultWriter
 from posetrack_cli.tracking import options as tracking_options
-from posetrack_cli.tracking.options import common_record
-from posetrack_cli.tracking.printed import deviations_record
+from posetrack_cli.tracking.options import common_record, deviations_record
 from posetrack_cli.tracking.run import Report
-from posetrack_cli.tracking.smoothing import smoothing_path
-from posetrack_cli.tracking.two_pass import (
+from posetrack_cli.tracking.smoothing import (
     Learned,
     LearningTracker,
     MakeTracker,
     NothingTrackedError,
     TwoPassRun,
+    smoothing_path,
 )
 
 

@@ -22,7 +22,7 @@ from posetrack_cli.mcap.records import DAMAGE, HEAD, MAGIC, RecordSpan
 _FOOTER = struct.Struct("<BQQQI")  # opcode, length, start of the summary, of the offsets, checksum
 _FOOTER_LENGTH = _FOOTER.size - HEAD.size
 _CRC_SIZE = 4
-_KINDS: dict[int, Any] = {
+_SUMMARY_KINDS: dict[int, Any] = {
     Opcode.SCHEMA: Schema,
     Opcode.CHANNEL: Channel,
     Opcode.CHUNK_INDEX: ChunkIndex,
@@ -97,8 +97,8 @@ def _parsed(records: bytes) -> Summary | None:
         start, position = position + HEAD.size, position + HEAD.size + length
         if position > len(records):
             return None
-        if opcode in _KINDS:
-            _keep(summary, _KINDS[opcode].read(ReadDataStream(BytesIO(records[start:position]))))
+        if opcode in _SUMMARY_KINDS:
+            _keep(summary, _SUMMARY_KINDS[opcode].read(ReadDataStream(BytesIO(records[start:position]))))
     return summary
 
 

@@ -26,6 +26,7 @@ from posetrack_cli.recording.base import (
 )
 from posetrack_cli.recording.camera_of import (
     OUTSIDE,
+    Guess,
     ImageCamera,
     at_size,
     is_off_centre,
@@ -35,7 +36,6 @@ from posetrack_cli.recording.camera_of import (
     off_centre_remark,
     principal_point_fault,
 )
-from posetrack_cli.recording.guess import Guess
 from posetrack_cli.recording.orientation import UPRIGHT, Orientation, Picture
 from posetrack_cli.recording.pixels import Window
 from posetrack_cli.text import one_line, parse_toml, printable_json

@@ -1,24 +1,191 @@
-"""Decide which camera model the pixels of an image follow.
-
-A calibration is about one grid of pixels: the raw or the rectified image of a sensor, at one resolution, of
-all of it or a part. The images of a recording may be on another. Every source of images comes here: messages
-with ``camera_of_message``, camera files with ``at_size`` and ``check_principal_point``.
-"""
+"""Which camera model an image has."""
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
+import cv2
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray
-from posetrack_cli.errors import PosetrackError, RecordingError
-from posetrack_cli.geometry.camera import DISTORTION_LENGTHS, Camera
-from posetrack_cli.geometry.projection import pixels_from_normalised
+from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray
+from posetrack_cli.errors import PosetrackError, RecordingError, UsageError
+from posetrack_cli.geometry.camera import (
+    DISTORTION_LENGTHS,
+    IN_PLACE,
+    Camera,
+    pixel_map,
+    pixels_from_normalised,
+)
 from posetrack_cli.recording.base import NotCalibratedError
+from posetrack_cli.recording.orientation import Picture
+
+# Intrinsics that are guessed, for images of one camera of which nothing tells them
+
+
+GUESSED = "guessed"
+"""Where the model of such a camera comes from, in run records and descriptions."""
+LIKELY_FOCAL = 1.0
+"""Focal length over the image's longer side: a field of view of 53 degrees.
+
+Webcams and telephones have 50 to 70 degrees as they film, videos of one face are often cut to less.
+"""
+NARROWEST_DEG, WIDEST_DEG = 1.0, 170.0
+"""Of lenses whose images are those of a pinhole."""
+
+
+@dataclass(frozen=True)
+class Guess:
+    """A camera that was not calibrated: square pixels, its axis through the middle, no distortion.
+
+    Attributes:
+        focal: focal length over the image's longer side.
+    """
+
+    focal: float = LIKELY_FOCAL
+
+    # as of cameras in a camera file
+    fps: ClassVar[None] = None
+    picture: ClassVar[None] = None
+    crop: ClassVar[None] = None
+    bits: ClassVar[None] = None
+
+    def stored_camera(
+        self, width: int, height: int, name: str = "camera", *, picture: Picture | None = None
+    ) -> Camera:
+        """Return the camera of images of this size; how they are shown does not matter to their middle."""
+        focal_px = self.focal * max(width, height)
+        return Camera(width, height, focal_px, focal_px, (width - 1) / 2, (height - 1) / 2, name=name)
+
+
+def guess_of_field(fov_deg: float) -> Guess:
+    """Return the guess for a field of view along the image's longer side, degrees.
+
+    Raises:
+        UsageError: it is that of no lens.
+    """
+    if not NARROWEST_DEG <= fov_deg <= WIDEST_DEG:
+        expected = f"degrees from {NARROWEST_DEG:g} to {WIDEST_DEG:g}"
+        raise UsageError("--fov cannot be used", found=f"{fov_deg:g}", expected=expected)
+    return Guess(0.5 / math.tan(math.radians(fov_deg) / 2))
+
+
+def guess_of_camera(camera: Camera) -> Guess:
+    """Return the guess that a guessed camera was made by."""
+    return Guess(camera.fx / max(camera.width, camera.height))
+
+
+def check_one_camera(where: object, names: Iterable[str]) -> None:
+    """Refuse several cameras where one is to be used.
+
+    Raises:
+        UsageError: listing them.
+    """
+    known = list(names)
+    if len(known) > 1:
+        raise UsageError(
+            "several cameras, one can be used",
+            where=where,
+            found=", ".join(known),
+            hint="choose one with --cameras",
+        )
+
+
+# Apply a calibration that changes during a recording, frame by frame.
+#
+# A recording has one camera model per camera. Images taken under another calibration of the same camera are
+# resampled to the pixels of the first, which is exact up to a pixel: both see the same rays from one place.
+
+
+Dated = tuple[int, Any]
+"""Stamp, ns, and decoded message."""
+
+
+class CurrentCamera:
+    """The calibration that holds for an image.
+
+    Args:
+        first: camera of the recording's images as they are stored.
+        camera_of: makes a camera of a decoded calibration.
+    """
+
+    def __init__(self, first: Camera, camera_of: Callable[[Any], Camera]) -> None:
+        self._first = replace(first, camera_T_reference=IN_PLACE)
+        self._camera_of = camera_of
+        self._latest: Any = None
+        self._known: Camera | None = None
+        self._map: Resampling | None = None
+
+    def resampling(self, calibration: Any) -> Resampling | None:
+        """Return how images under a calibration become those of the first; None if they are.
+
+        Raises:
+            PosetrackError: the calibration is of another image size or cannot be used.
+        """
+        if calibration is None or calibration is self._latest:
+            return self._map
+        try:
+            camera = self._camera_of(calibration)
+        except NotCalibratedError:  # an empty calibration says nothing new
+            return self._map
+        self._latest = calibration
+        if camera != self._known:
+            self._known = camera
+            self._map = None if is_same(self._first, camera) else Resampling(self._first, camera)
+        return self._map
+
+
+class Resampling:
+    """Resamples images of one camera to the pixels of another in the same place."""
+
+    def __init__(self, target: Camera, source: Camera) -> None:
+        self._u, self._v = pixel_map(target, source)
+        self._nearest: tuple[Float32Array, Float32Array] = (np.rint(self._u), np.rint(self._v))
+
+    def apply(self, image: ImageArray) -> ImageArray:
+        """Return the image at the target's pixels, 0 where the source has none.
+
+        Depth is never interpolated: a value between hand and wall exists nowhere.
+        """
+        is_depth = image.dtype == np.float32
+        u, v = self._nearest if is_depth else (self._u, self._v)
+        how = cv2.INTER_NEAREST if is_depth else cv2.INTER_LINEAR
+        return np.asarray(cv2.remap(image, u, v, how, borderMode=cv2.BORDER_CONSTANT, borderValue=0))
+
+
+def with_calibration(items: Iterable[tuple[bool, int, Any]]) -> Iterator[tuple[Any, Any]]:
+    """Yield each image with the calibration that holds for it, None before the first.
+
+    That is the one of the same stamp, which drivers write before or after the image, else the latest before.
+
+    Args:
+        items: in order of the file, whether it is a calibration, its stamp in ns, and what it is.
+    """
+    current: Any = None
+    waiting: Dated | None = None
+    for is_calibration, stamp, item in items:
+        if not is_calibration:
+            if waiting is not None:
+                yield waiting[1], current
+            waiting = (stamp, item)
+            continue
+        if waiting is not None and stamp != waiting[0]:
+            yield waiting[1], current
+            waiting = None
+        current = item
+    if waiting is not None:
+        yield waiting[1], current
+
+
+# Decide which camera model the pixels of an image follow.
+#
+# A calibration is about one grid of pixels: the raw or the rectified image of a sensor, at one resolution, of
+# all of it or a part. The images of a recording may be on another. Every source of images comes here:
+# messages with ``camera_of_message``, camera files with ``at_size`` and ``check_principal_point``.
+
 
 MODEL_NAMES = {
     "Brown Conrady": "plumb_bob",  # as RealSense names it

@@ -13,17 +13,15 @@ from typing import Any, Literal
 import numpy as np
 
 from posetrack_cli.arrays import ImageArray
-from posetrack_cli.damage import read_from
-from posetrack_cli.errors import RecordingError
-from posetrack_cli.losses import Loss, LossLog
+from posetrack_cli.errors import RecordingError, read_from
 from posetrack_cli.mcap.sink import McapSink, SchemaText, serialised
 from posetrack_cli.outputs import check_output, whole_or_nothing
+from posetrack_cli.phases import Loss, LossLog
 from posetrack_cli.recording.base import StoredFrame, StoredImage, TruthMessage, UnreadableImageError
 from posetrack_cli.recording.depth import MM_PER_M, Depth, DepthEncoding
 from posetrack_cli.recording.image_files import encode_png
-from posetrack_cli.recording.message_calibration import calibration_message
-from posetrack_cli.recording.readahead import read_ahead
-from posetrack_cli.recording.recording import Recording
+from posetrack_cli.recording.message_cameras import calibration_message
+from posetrack_cli.recording.recording import Recording, read_ahead
 
 IMAGE_TOPIC = "/camera/depth/image"
 CALIBRATION_TOPIC = "/camera/depth/calibration"

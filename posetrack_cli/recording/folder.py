@@ -15,8 +15,8 @@ from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.files import placed_path, read_text
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.losses import LossLog
 from posetrack_cli.mcap.stream import McapFile, is_mcap
+from posetrack_cli.phases import LossLog
 from posetrack_cli.recording.base import (
     CAMERA_FILE_NAME,
     TRUTH_FILE_NAME,
@@ -39,16 +39,17 @@ from posetrack_cli.recording.camera_file import (
     load_rig,
     nominal_hint,
 )
-from posetrack_cli.recording.depth import Depth, DepthEncoding
-from posetrack_cli.recording.depth_content import (
+from posetrack_cli.recording.camera_of import GUESSED, check_one_camera
+from posetrack_cli.recording.depth import (
+    Depth,
     DepthContent,
+    DepthEncoding,
     content_of,
     decide_unit,
     early,
     other_content,
 )
 from posetrack_cli.recording.grey import PLAIN_BITS, Grey, decode_shown, grey_like, with_bits_of
-from posetrack_cli.recording.guess import GUESSED, check_one_camera
 from posetrack_cli.recording.identity import files_digest, identity_record
 from posetrack_cli.recording.image_files import (
     PNG_SIGNATURE,

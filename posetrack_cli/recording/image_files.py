@@ -17,10 +17,9 @@ from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.files import read_input
 from posetrack_cli.recording.base import UnreadableImageError
-from posetrack_cli.recording.file_names import order_remark
-from posetrack_cli.recording.name_stamps import order_of_names
 from posetrack_cli.recording.orientation import TIFF_BEGIN
-from posetrack_cli.recording.tiff_pages import Page, find_pages, page_bytes
+from posetrack_cli.recording.stamps import order_of_names, order_remark
+from posetrack_cli.recording.tiff import Page, find_pages, page_bytes
 
 Decoded = TypeVar("Decoded")
 

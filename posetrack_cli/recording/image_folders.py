@@ -11,16 +11,8 @@ from typing import Any, NoReturn
 import numpy as np
 
 from posetrack_cli.errors import RecordingError
-from posetrack_cli.losses import LossLog
+from posetrack_cli.phases import LossLog
 from posetrack_cli.recording.base import CAMERA_FILE_NAME, StoredImage, UnreadableImageError
-from posetrack_cli.recording.file_names import (
-    DIGITS,
-    layouts_of_one_sequence,
-    natural_order,
-    number,
-    numbered_sequence,
-    varying_numbers,
-)
 from posetrack_cli.recording.image_files import (
     DEPTH_SUFFIXES,
     GREY_SUFFIXES,
@@ -41,9 +33,21 @@ from posetrack_cli.recording.image_lists import (
     load_times,
 )
 from posetrack_cli.recording.matching import NS_PER_MS, match_images
-from posetrack_cli.recording.name_stamps import NameStamps, stamps_in_names
 from posetrack_cli.recording.recording import DEFAULT_TOLERANCE_MS
-from posetrack_cli.recording.stamps import STAMPS_FILE_NAME, load_stamps, stamp_at_rate, stamps_at_rate
+from posetrack_cli.recording.stamps import (
+    DIGITS,
+    STAMPS_FILE_NAME,
+    NameStamps,
+    layouts_of_one_sequence,
+    load_stamps,
+    natural_order,
+    number,
+    numbered_sequence,
+    stamp_at_rate,
+    stamps_at_rate,
+    stamps_in_names,
+    varying_numbers,
+)
 
 Stamped = list[tuple[int, ImageFile]]
 """Stamp, ns, and image."""

@@ -17,7 +17,7 @@ from posetrack_cli.csv_rows import text_lines
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.recording.image_files import GREY_SUFFIXES, ImageFile, list_images
 from posetrack_cli.recording.matching import LATEST_NS
-from posetrack_cli.recording.name_stamps import NameStamps, stamps_in_names
+from posetrack_cli.recording.stamps import NameStamps, stamps_in_names
 from posetrack_cli.units import NS_PER_S
 
 DEPTH_LISTS, COLOUR_LISTS = ("depth.txt",), ("rgb.txt", "color.txt", "colour.txt")

@@ -1,7 +1,9 @@
-"""Azure Kinect recordings (``.mkv`` of k4arecorder): their depth, and the camera of their attachment."""
+"""Recordings of Kinects and RealSense cameras."""
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
@@ -14,17 +16,14 @@ from posetrack_cli import limits
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.mcap.decoding import VALUE_TYPES, MessageDecoder, UndecodableMessageError
 from posetrack_cli.recording.base import UnreadableImageError, no_intrinsics
-from posetrack_cli.recording.camera_file import (
-    camera_record,
-    image_camera,
-    load_depth_camera,
-    stated_depth,
-)
+from posetrack_cli.recording.camera_file import camera_record, image_camera, load_depth_camera, stated_depth
 from posetrack_cli.recording.camera_of import ImageCamera
-from posetrack_cli.recording.depth import Depth
+from posetrack_cli.recording.depth import MM_PER_M, Depth
 from posetrack_cli.recording.description import described_cameras, opened
 from posetrack_cli.recording.identity import file_digest, identity_record
+from posetrack_cli.recording.message_topics import FileTopics, Topic
 from posetrack_cli.recording.pixels import Window
 from posetrack_cli.recording.recording import CameraStream, ReadingOptions, Recording
 from posetrack_cli.recording.video import VideoImages, describe_video
@@ -40,6 +39,10 @@ from posetrack_cli.recording.video_file import (
 if TYPE_CHECKING:
     from av.container import InputContainer
     from av.video.frame import VideoFrame
+
+
+# Azure Kinect recordings (``.mkv`` of k4arecorder): their depth, and the camera of their attachment
+
 
 CALIBRATION = "calibration.json"
 DEPTH_CAMERA = "CALIBRATION_CameraLocationD0"
@@ -204,4 +207,38 @@ def _attachment(container: InputContainer) -> bytes | None:
     for stream in container.streams.attachments:
         if stream.name == CALIBRATION:
             return bytes(stream.data or b"")
+    return None
+
+
+# What RealSense cameras say of themselves in recordings: how long a unit of depth is
+
+
+_SENSOR = re.compile(r"/device_\d+/sensor_\d+(?=/)")
+UNIT = "/option/Depth_Units/value"
+"""Of a sensor's topics: metres per code, a number or its digits."""
+SHORTEST_MM, LONGEST_MM = 1e-3, 100.0
+"""Cameras have from 0.025 mm, of a close-up, to 1 mm."""
+
+
+def depth_unit_mm(topics: FileTopics, images: Topic) -> float | None:
+    """Return how many millimetres a code of integer depth is, None if the sensor does not state it.
+
+    Raises:
+        RecordingError: what it tells is no unit.
+    """
+    sensor = _SENSOR.match(images.name)
+    name = "" if sensor is None else sensor.group() + UNIT
+    if name not in topics.by_name or topics.by_name[name].type_name not in VALUE_TYPES:
+        return None
+    for item in topics.file.messages([name]):
+        try:
+            # Stored as float32, whose nearest value to 0.001 is not it
+            unit = float(f"{float(MessageDecoder().decode(*item).data) * MM_PER_M:.6g}")
+        except (UndecodableMessageError, ValueError):
+            unit = math.nan
+        if SHORTEST_MM <= unit <= LONGEST_MM:
+            return unit
+        raise RecordingError(
+            "depth unit cannot be used", where=f"{topics.path}, {name}", found=f"{unit:g} mm"
+        )
     return None

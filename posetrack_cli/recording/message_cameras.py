@@ -1,8 +1,9 @@
-"""Which topics of an MCAP file are its cameras' grey images, and the calibrated cameras of topics."""
+"""Cameras of messages: calibration, extrinsics, which belongs to which images."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -11,12 +12,21 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
+from posetrack_cli import limits
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.errors import PosetrackError, RecordingError, UsageError
+from posetrack_cli.errors import PosetrackError, RecordingError, UsageError, nearest_name
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.rigid import placed, relative_to, rotation_from_rows
-from posetrack_cli.mcap.decoding import VIDEO_IMAGE, MessageDecoder, UndecodableMessageError, frame_id_of
-from posetrack_cli.recording.base import TRUTH_PREFIX, NotCalibratedError, UnreadableImageError
+from posetrack_cli.geometry.rigid import composed, inverse, placed, relative_to, rotation_from_rows
+from posetrack_cli.geometry.rotations import canonical, matrices_from_quaternions
+from posetrack_cli.mcap.decoding import (
+    TRANSFORM_TYPES,
+    VIDEO_IMAGE,
+    MessageDecoder,
+    UndecodableMessageError,
+    frame_id_of,
+)
+from posetrack_cli.mcap.stream import McapItem
+from posetrack_cli.recording.base import TRUTH_PREFIX, NotCalibratedError, UnreadableImageError, no_intrinsics
 from posetrack_cli.recording.camera_file import Rig, check_apart
 from posetrack_cli.recording.camera_of import (
     ImageCamera,
@@ -25,14 +35,268 @@ from posetrack_cli.recording.camera_of import (
     is_empty,
     is_rectified,
     is_same_frame,
+    matrix_of,
+    namespace_of,
+    reprojected_to,
 )
-from posetrack_cli.recording.depth import DISPARITY
+from posetrack_cli.recording.depth import DISPARITY, MM_PER_M
 from posetrack_cli.recording.grey import Grey, grey_like, grey_like_message, holds_grey
-from posetrack_cli.recording.message_calibration import choose_calibration
-from posetrack_cli.recording.message_extrinsics import camera_places, is_placed, place_of_calibration
 from posetrack_cli.recording.message_topics import TRIES, FileTopics, Topic
 from posetrack_cli.recording.message_video import first_picture
 from posetrack_cli.recording.pixels import Pixels
+
+# Cameras from CameraCalibration and CameraInfo messages, and back
+
+
+MESSAGE_NAMES = {"equidistant": "kannala_brandt", "inverse_brown_conrady": "Inverse Brown Conrady"}
+"""How messages name models that are not named as OpenCV does."""
+
+
+def camera_from_message(decoded: Any, name: str, topic: str) -> Camera:
+    """Return the camera of the raw image of a foxglove.CameraCalibration or a ROS CameraInfo.
+
+    Raises:
+        NotCalibratedError: if it is uncalibrated, which both mark by K[0] = 0.
+        RecordingError: if its values cannot be used.
+    """
+    raw = calibration_of(decoded, topic).raw
+    if raw is None:
+        raise NotCalibratedError("camera is not calibrated", where=topic, found="K of zeros")
+    return replace(raw, name=name or "camera")
+
+
+def calibration_message(camera: Camera, stamp_ns: int, frame_id: str) -> Any:
+    """Return the foxglove.CameraCalibration of a camera."""
+    from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+
+    message = CameraCalibration(
+        frame_id=frame_id,
+        width=camera.width,
+        height=camera.height,
+        distortion_model=MESSAGE_NAMES.get(camera.distortion_model, camera.distortion_model),
+        D=camera.distortion or (0.0,) * 5,
+        K=camera.matrix.ravel().tolist(),
+        R=(1, 0, 0, 0, 1, 0, 0, 0, 1),
+        P=(camera.fx, 0, camera.cx, 0, 0, camera.fy, camera.cy, 0, 0, 0, 1, 0),
+    )
+    message.timestamp.FromNanoseconds(stamp_ns)
+    return message
+
+
+def choose_calibration(
+    image_topic: str,
+    frame_id: str,
+    calibrations: Mapping[str, str],
+    wanted: str | None = None,
+    otherwise: str = "",
+) -> str:
+    """Return the topic of the calibration that belongs to an image topic.
+
+    That is the one asked for; else the one with the image's frame id; else the one in the same
+    namespace, nearest first. Depth that was reprojected to another camera has that camera's calibration.
+
+    Args:
+        image_topic, frame_id: of the images.
+        calibrations: frame id by topic.
+        wanted: the --camera-topic option.
+        otherwise: what else to do where there is none, for the error.
+
+    Raises:
+        RecordingError: if there is none, several fit equally well, or the only one is of another frame and
+            namespace.
+    """
+    if wanted is not None:
+        return _calibration_asked_for(wanted, calibrations)
+    if not calibrations:
+        raise no_intrinsics(f"no camera calibration for {image_topic}", otherwise)
+    candidates = _nearest_namespace(image_topic, _of_same_camera(image_topic, frame_id, calibrations))
+    if len(candidates) > 1:
+        listed = ", ".join(f"{topic} (frame '{calibrations[topic]}')" for topic in sorted(candidates))
+        raise RecordingError(
+            "several calibrations fit", where=image_topic, found=listed, hint="choose one with --camera-topic"
+        )
+    (topic,) = candidates
+    if _is_elsewhere(image_topic, frame_id, topic, calibrations[topic]):
+        raise RecordingError(
+            "the only calibration is of another camera",
+            where=image_topic,
+            found=f"{topic} of frame '{calibrations[topic]}'",
+            expected=f"frame '{frame_id}' or namespace {namespace_of(image_topic) or '/'}",
+            hint=f"--camera-topic {topic} uses it all the same; or pass --camera",
+        )
+    return topic
+
+
+def _of_same_camera(image_topic: str, frame_id: str, calibrations: Mapping[str, str]) -> list[str]:
+    """Return the calibrations of the camera whose pixels the images have, as far as names tell."""
+    words = reprojected_to(image_topic)
+    if not words:
+        same_frame = [topic for topic, frame in calibrations.items() if is_same_frame(frame, frame_id)]
+        return same_frame or list(calibrations)
+    own = [topic for topic in calibrations if namespace_of(topic) == namespace_of(image_topic)]
+    named = [t for t, frame in calibrations.items() if any(word in f"{t} {frame}".lower() for word in words)]
+    if own or named:
+        return own or named
+    raise RecordingError(
+        "no calibration of the camera that depth was reprojected to",
+        where=image_topic,
+        found=", ".join(sorted(calibrations)),
+        expected=f"one named {' or '.join(words)}",
+        hint="pass --camera-topic or --camera",
+    )
+
+
+def _is_elsewhere(image_topic: str, frame_id: str, calibration: str, frame: str) -> bool:
+    """Whether a calibration shares neither frame id nor namespace with the images, and has both."""
+    differs = bool(frame_id and frame) and not is_same_frame(frame, frame_id)
+    return (
+        differs
+        and not reprojected_to(image_topic)
+        and not calibration.startswith(namespace_of(image_topic) + "/")
+    )
+
+
+def _calibration_asked_for(wanted: str, calibrations: Mapping[str, str]) -> str:
+    if wanted in calibrations:
+        return wanted
+    raise RecordingError(
+        "no such calibration topic",
+        where=wanted,
+        found=", ".join(sorted(calibrations)) or "no calibration at all",
+        hint=nearest_name(wanted, calibrations) if calibrations else "pass --camera",
+    )
+
+
+def _nearest_namespace(image_topic: str, topics: list[str]) -> list[str]:
+    """Return the topics in the image's longest namespace that has any, else all.
+
+    What lies directly in it comes before what lies in one within: RealSense has both, .../image/data and
+    .../info/camera_info.
+    """
+    namespace = image_topic
+    while len(topics) > 1 and "/" in namespace.strip("/"):
+        namespace = namespace.rpartition("/")[0]
+        inside = [topic for topic in topics if topic.startswith(f"{namespace}/")]
+        directly = [topic for topic in inside if topic.rpartition("/")[0] == namespace]
+        if inside:
+            return directly or inside
+    return topics
+
+
+# Where cameras of an MCAP file are: from their calibration messages, or from transforms between frames
+
+
+MESSAGES = 1000
+"""How many messages of transforms are looked at; static ones come first or again and again."""
+Edges = dict[tuple[str, str], FloatArray]
+"""Transform (3, 4), mm, from the axes of the second frame to those of the first."""
+
+
+def place_of_calibration(decoded: Any, *, rectified: bool) -> FloatArray | None:
+    """Return camera_T_common (3, 4), mm, by P and R of a calibration.
+
+    Common are the rectified axes of all cameras of a stereo set; P = K' [I | t], so that a point X there is
+    at R^T (X + t) in the camera's own axes, and at X + t in its rectified image. t is 0 for the first camera.
+
+    Args:
+        decoded: a foxglove.CameraCalibration or ROS CameraInfo.
+        rectified: whether the image was rectified.
+
+    Returns:
+        None if it has no P.
+    """
+    projection, turn = matrix_of(decoded, "P", (3, 4)), matrix_of(decoded, "R", (3, 3))
+    if projection is None or projection[0, 0] == 0.0 or projection[1, 1] == 0.0:
+        return None
+    intrinsics = projection[:, :3]
+    t = np.linalg.solve(intrinsics, projection[:, 3]) * MM_PER_M
+    rotation = np.eye(3) if rectified or turn is None else turn.T
+    if rectified:
+        return np.column_stack([rotation, t])
+    return np.column_stack([rotation, rotation @ t])
+
+
+def is_placed(places: Sequence[FloatArray | None]) -> bool:
+    """Whether calibrations tell where the cameras are: all have a place, and not all the same."""
+    known = [place for place in places if place is not None]
+    return len(known) == len(places) and any(not np.allclose(p[:, 3], known[0][:, 3]) for p in known)
+
+
+def camera_places(topics: FileTopics, frames: Sequence[str]) -> Sequence[FloatArray | None]:
+    """Return camera_T_first (3, 4), mm, of each camera's frame from the file's transforms.
+
+    The first transform between two frames counts: cameras do not move against each other.
+
+    Returns:
+        None for a frame that no transforms connect with the first.
+    """
+    names = [name for name, topic in topics.by_name.items() if topic.type_name in TRANSFORM_TYPES]
+    reached = _reached(_edges(topics.file.messages(names)) if names else {}, frames[0])
+    return [reached.get(frame.lstrip("/")) for frame in frames]
+
+
+def _edges(messages: Iterator[McapItem]) -> Edges:
+    """Return the transforms of the first messages, both ways."""
+    edges: Edges = {}
+    decoder, left, left_bytes = MessageDecoder(), limits.TRANSFORMS, limits.TRANSFORM_BYTES
+    for item in islice(messages, MESSAGES):
+        left_bytes -= len(item[2].data)
+        if left_bytes < 0:
+            break
+        try:
+            transforms = _transforms(decoder.decode(*item))
+        except UndecodableMessageError:
+            continue
+        for transform in islice(transforms, left):
+            _learn(edges, transform)
+        left -= min(left, len(transforms))
+    return edges
+
+
+def _transforms(decoded: Any) -> Sequence[Any]:
+    transforms: Sequence[Any] = getattr(decoded, "transforms", (decoded,))
+    return transforms
+
+
+def _learn(edges: Edges, transform: Any) -> None:
+    """Keep a transform if none is known between its frames."""
+    header = getattr(transform, "header", None)
+    parent = str(header.frame_id if header is not None else transform.parent_frame_id).lstrip("/")
+    child = str(transform.child_frame_id).lstrip("/")
+    body = getattr(transform, "transform", transform)
+    if (parent, child) not in edges and parent != child:
+        matrix = _rigid(body.translation, body.rotation)
+        if matrix is not None:
+            edges[parent, child], edges[child, parent] = matrix, inverse(matrix)
+
+
+def _rigid(translation: Any, rotation: Any) -> FloatArray | None:
+    quaternion = np.array([rotation.x, rotation.y, rotation.z, rotation.w])
+    t = np.array([translation.x, translation.y, translation.z]) * MM_PER_M
+    if not (np.isfinite(t).all() and np.isfinite(quaternion).all() and np.any(quaternion)):
+        return None
+    return np.column_stack([matrices_from_quaternions(canonical(quaternion)), t])
+
+
+def _reached(edges: Edges, start: str) -> dict[str, FloatArray]:
+    """Return frame_T_start of every frame that transforms connect with one, breadth first."""
+    leading: dict[str, list[str]] = {}
+    for to, source in edges:
+        leading.setdefault(source, []).append(to)
+    start = start.lstrip("/")
+    reached = {start: np.eye(3, 4)}
+    waiting = deque([start])
+    while waiting:
+        here = waiting.popleft()
+        for to in leading.get(here, ()):
+            if to not in reached:
+                reached[to] = composed(edges[to, here], reached[here])
+                waiting.append(to)
+    return reached
+
+
+# Which topics of an MCAP file are its cameras' grey images, and the calibrated cameras of topics
+
 
 COMPRESSED = "/compressed"
 SIDES = {"left": 0, "right": 1}

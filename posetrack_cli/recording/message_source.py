@@ -18,10 +18,9 @@ import numpy as np
 
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.bags.message_file import MessageFile, message_file, required_container
-from posetrack_cli.bags.ros2_folder import parts_of
+from posetrack_cli.bags.ros2 import parts_of
 from posetrack_cli.errors import PosetrackError, RecordingError
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.losses import LossLog
 from posetrack_cli.mcap.decoding import (
     DISPARITY_IMAGE,
     VIDEO_IMAGE,
@@ -30,6 +29,7 @@ from posetrack_cli.mcap.decoding import (
     frame_id_of,
     own_stamp_of,
 )
+from posetrack_cli.phases import LossLog
 from posetrack_cli.recording.base import (
     TRUTH_PREFIX,
     NotCalibratedError,
@@ -49,29 +49,40 @@ from posetrack_cli.recording.camera_file import (
     nominal_hint,
     stated_depth,
 )
-from posetrack_cli.recording.camera_of import ImageCamera, is_same_frame
-from posetrack_cli.recording.changing_camera import CurrentCamera, Resampling, with_calibration
-from posetrack_cli.recording.clock import Clock, Shifts, Timed
-from posetrack_cli.recording.depth import DISPARITY, MM_PER_M, Depth, DepthEncoding, stored_depth
-from posetrack_cli.recording.depth_content import (
+from posetrack_cli.recording.camera_of import (
+    GUESSED,
+    CurrentCamera,
+    Guess,
+    ImageCamera,
+    Resampling,
+    check_one_camera,
+    is_same_frame,
+    with_calibration,
+)
+from posetrack_cli.recording.depth import (
+    DISPARITY,
+    MM_PER_M,
     Decision,
+    Depth,
     DepthContent,
+    DepthEncoding,
     content_of,
     decide_unit,
     early,
+    stored_depth,
 )
 from posetrack_cli.recording.disparity import disparity_px_m
 from posetrack_cli.recording.grey import PLAIN_BITS, stored_grey, with_bits_of
-from posetrack_cli.recording.guess import GUESSED, Guess, check_one_camera
 from posetrack_cli.recording.identity import file_digest, files_digest, identity_record
+from posetrack_cli.recording.kinect import depth_unit_mm
 from posetrack_cli.recording.matching import NS_PER_MS
-from posetrack_cli.recording.message_calibration import choose_calibration
 from posetrack_cli.recording.message_cameras import (
     CameraTopic,
     GreyTopic,
     camera_by,
     camera_of_topic,
     cameras_of_messages,
+    choose_calibration,
     distinct_names,
     find_sources,
     sources_of_rig,
@@ -79,8 +90,8 @@ from posetrack_cli.recording.message_cameras import (
 from posetrack_cli.recording.message_topics import FileTopics, Topic, scan_topics
 from posetrack_cli.recording.message_video import decoded_video
 from posetrack_cli.recording.pixels import Pixels, Window
-from posetrack_cli.recording.realsense import depth_unit_mm
 from posetrack_cli.recording.recording import CameraStream, ReadingOptions, Recording, no_truth, tolerance_ns
+from posetrack_cli.recording.timeline import Clock, Shifts, Timed
 
 FROM_FILE, FROM_MESSAGES = "camera file", "messages"
 """Where cameras are from."""

@@ -20,8 +20,7 @@ from posetrack_cli.mcap.decoding import (
 )
 from posetrack_cli.mcap.stream import McapItem
 from posetrack_cli.recording.camera_of import is_empty
-from posetrack_cli.recording.depth import DISPARITY, ImageDescription, describe_image
-from posetrack_cli.recording.depth_content import other_content
+from posetrack_cli.recording.depth import DISPARITY, ImageDescription, describe_image, other_content
 
 DEPTH = "depth"
 TRANSPORTS = ("/compressed", "/compressedDepth")

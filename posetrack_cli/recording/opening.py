@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any, Unpack
 
 from posetrack_cli.bags.message_file import container_of
-from posetrack_cli.damage import damage_reported
-from posetrack_cli.errors import RecordingError, UsageError
+from posetrack_cli.errors import RecordingError, UsageError, damage_reported
 from posetrack_cli.files import hint_of_missing
 from posetrack_cli.recording.camera_file import camera_path
 from posetrack_cli.recording.datasets.biwi import describe_biwi, is_biwi, open_biwi_colour, open_biwi_depth
@@ -27,10 +26,9 @@ from posetrack_cli.recording.datasets.stray_scanner import (
     open_stray_depth,
     open_stray_video,
 )
+from posetrack_cli.recording.describing import describe_folder, describe_messages
 from posetrack_cli.recording.folder import open_depth_folder, open_grey_folder
-from posetrack_cli.recording.folder_description import describe_folder
 from posetrack_cli.recording.kinect import describe_kinect, open_kinect
-from posetrack_cli.recording.message_description import describe_messages
 from posetrack_cli.recording.message_source import open_depth_messages, open_grey_messages
 from posetrack_cli.recording.pixels import PixelKind
 from posetrack_cli.recording.recording import ReadingOptions, Recording

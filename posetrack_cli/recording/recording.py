@@ -1,22 +1,25 @@
-"""A recording: the images of its cameras, put together to frames, selected and decoded."""
+"""A recording: its frames in order, read ahead."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import queue
+import threading
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import TypedDict
+from typing import Generic, TypedDict, TypeVar
 
-from posetrack_cli.damage import read_from
-from posetrack_cli.errors import RecordingError, UsageError
+from posetrack_cli.errors import RecordingError, UsageError, read_from
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.losses import Loss, LossLog
+from posetrack_cli.phases import Loss, LossLog
 from posetrack_cli.recording.base import Frame, StoredFrame, StoredImage, TruthMessage, decode_frames
-from posetrack_cli.recording.guess import Guess
+from posetrack_cli.recording.camera_of import Guess
 from posetrack_cli.recording.matching import NS_PER_MS, check_range, match_images, select_frames, unmatched
 from posetrack_cli.recording.pixels import Pixels
-from posetrack_cli.recording.readahead import read_ahead
+
+# A recording: the images of its cameras, put together to frames, selected and decoded
+
 
 DEFAULT_TOLERANCE_MS, LONGEST_TOLERANCE_MS = 10.0, 1000.0
 
@@ -185,3 +188,85 @@ def _at(path: Path, error: RecordingError) -> RecordingError:
     """Return the error with the recording's path, if it does not tell it."""
     text = str(error)
     return error if text.startswith(str(path)) else RecordingError(text, where=path)
+
+
+# Read frames in a thread, a few ahead of whoever uses them
+
+
+T = TypeVar("T")
+
+FRAMES_AHEAD = 4
+JOIN_SECONDS = 5.0
+
+
+@dataclass(frozen=True)
+class _End:
+    """The last item in the queue: how reading ended."""
+
+    error: BaseException | None
+
+
+class _Reader(Generic[T]):
+    """A thread that moves items from an iterator into a bounded queue."""
+
+    def __init__(self, items: Iterator[T], ahead: int) -> None:
+        self.queue: queue.Queue[T | _End] = queue.Queue(maxsize=ahead)
+        self._items = items
+        self._stopped = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="read-ahead", daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread: it finishes the item at hand at most.
+
+        After the queue is emptied the thread puts at most one more item, so it cannot block again.
+        """
+        self._stopped.set()
+        self._make_room()
+        self._thread.join(JOIN_SECONDS)
+
+    def _make_room(self) -> None:
+        """Empty the queue, so that a thread blocked on a full one goes on and sees that it is to stop."""
+        while True:
+            try:
+                self.queue.get_nowait()
+            except queue.Empty:
+                return
+
+    def _run(self) -> None:
+        error: BaseException | None = None
+        try:
+            for item in self._items:
+                self.queue.put(item)
+                if self._stopped.is_set():
+                    break
+        except BaseException as caught:  # handed to the consumer, whatever it is
+            error = caught
+        finally:
+            self._close_items()
+        if not self._stopped.is_set():
+            self.queue.put(_End(error))
+
+    def _close_items(self) -> None:
+        close = getattr(self._items, "close", None)
+        if close is not None:
+            close()  # in this thread: a generator that holds files closes them now
+
+
+def read_ahead(items: Iterator[T], ahead: int = FRAMES_AHEAD) -> Generator[T]:
+    """Yield the items of an iterator that runs in a thread, at most ``ahead`` + 1 items in front.
+
+    An exception of the iterator is raised here, after the items before it. Closing the generator, or
+    an exception such as KeyboardInterrupt while it waits, stops the thread.
+    """
+    reader = _Reader(items, ahead)
+    try:
+        while True:
+            item = reader.queue.get()
+            if isinstance(item, _End):
+                if item.error is not None:
+                    raise item.error
+                return
+            yield item
+    finally:
+        reader.stop()

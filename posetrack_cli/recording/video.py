@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.files import placed_path
-from posetrack_cli.losses import LossLog
+from posetrack_cli.phases import LossLog
 from posetrack_cli.recording.base import CAMERA_FILE_NAME, StoredImage, UnreadableImageError
 from posetrack_cli.recording.camera_file import Rig, camera_record, found_rig
+from posetrack_cli.recording.camera_of import GUESSED, Guess
 from posetrack_cli.recording.depth import Depth
 from posetrack_cli.recording.description import described_cameras, opened
 from posetrack_cli.recording.grey import Grey, grey_like
-from posetrack_cli.recording.guess import GUESSED, Guess
 from posetrack_cli.recording.identity import file_digest, identity_record, shown_name
 from posetrack_cli.recording.orientation import Picture
 from posetrack_cli.recording.pixels import Window

@@ -13,9 +13,7 @@ from posetrack_cli.arrays import Float32Array
 from posetrack_cli.errors import RenderingError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.rendering.mesh import SkinnedMesh
-from posetrack_cli.rendering.port import RenderingDevice
-from posetrack_cli.rendering.sums import Comparison
-from posetrack_cli.rendering.window import Window
+from posetrack_cli.rendering.port import Comparison, RenderingDevice, Window
 
 
 def open_device(index: int | None = None) -> RenderingDevice:
@@ -67,7 +65,7 @@ def open_usual_device(choice: int | str | None = None) -> RenderingDevice:
 
 def _opened(choice: int | str | None, *, is_fast: bool) -> RenderingDevice:
     """The chosen device; else the default, if it works (and is a GPU, if it must be fast); else the CPU."""
-    from posetrack_cli.rendering.cpu.device import CpuDevice
+    from posetrack_cli.rendering.cpu import CpuDevice
 
     if isinstance(choice, int):
         return open_device(choice)

@@ -1,8 +1,4 @@
-"""Binary glTF 2.0 (GLB): the container and its numbers.
-
-Khronos Group, glTF 2.0 specification, sections 3.6 (accessors) and 4 (GLB). Read is what skinned meshes
-need: one JSON and one BIN chunk; no sparse accessors, no compression, no buffers in other files.
-"""
+"""Skinned meshes in glTF files."""
 
 from __future__ import annotations
 
@@ -18,9 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from posetrack_cli import limits
-from posetrack_cli.arrays import FloatArray
+from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.errors import UsageError
 from posetrack_cli.files import read_input
+from posetrack_cli.geometry import rotations
+
+# Binary glTF 2.0 (GLB): the container and its numbers.
+#
+# Khronos Group, glTF 2.0 specification, sections 3.6 (accessors) and 4 (GLB). Read is what skinned meshes
+# need: one JSON and one BIN chunk; no sparse accessors, no compression, no buffers in other files.
+
 
 _MAGIC, _JSON, _BIN = b"glTF", b"JSON", b"BIN\0"
 _HARMLESS = {"KHR_mesh_quantization", "KHR_texture_transform", "KHR_materials_unlit", "EXT_texture_webp"}
@@ -211,3 +214,219 @@ def _check_needs(gltf: Gltf) -> None:
     if any("uri" in buffer for buffer in gltf.items("buffers")):
         what = "GLB file with its numbers in another file"
         raise UsageError(what, where=gltf.path, hint="export it as one binary file")
+
+
+# The skinned mesh in a glTF file, as the file shows it at rest
+
+
+_TRIANGLES = 4
+_MOST_WEIGHT = 1e3
+"""Of one joint; weights add up to 1, or nearly."""
+_LEAST_LENGTH = 1e-9
+"""Of a rotation, and of a point's weights, whose length is 1, or nearly."""
+
+
+@dataclass(frozen=True)
+class GltfSkin:
+    """A skin with all that is bound to it, in the scene's axes and units.
+
+    Attributes:
+        joint_names: (J) of the joints' nodes.
+        joint_parents: (J) the nearest joint above each joint, -1 where there is none.
+        joint_positions: (J, 3).
+        vertices: (V, 3) as skinned by the nodes' transforms.
+        weights: (V, J), each row sums to 1.
+        triangles: (T, 3).
+    """
+
+    joint_names: tuple[str, ...]
+    joint_parents: tuple[int, ...]
+    joint_positions: FloatArray
+    vertices: FloatArray
+    weights: FloatArray
+    triangles: IntArray
+
+
+def read_skin(gltf: Gltf) -> GltfSkin:
+    """Return the first skin that triangles are bound to.
+
+    A vertex is shown at sum_j w_j G_j B_j v with G_j the joint's transform in the scene and B_j its inverse
+    bind matrix; the mesh's own node does not count (glTF 2.0, section 3.7.3.1).
+
+    Raises:
+        UsageError: there is no skin, or parts of the file do not fit each other.
+    """
+    with damage_named(gltf.path):
+        nodes, skins = gltf.items("nodes"), gltf.items("skins")
+        _check_count(gltf, "nodes", len(nodes), limits.MESH_NODES)
+        bound = [node for node in nodes if "mesh" in node and "skin" in node]
+        if not skins or not bound:
+            raise UsageError(
+                "no skinned mesh in the glTF file", where=gltf.path, expected="a mesh bound to joints"
+            )
+        chosen = bound[0]["skin"]
+        meshes = [gltf.item("meshes", node["mesh"]) for node in bound if node["skin"] == chosen]
+        primitives = [primitive for mesh in meshes for primitive in mesh["primitives"]]
+        return _assembled(gltf, gltf.item("skins", chosen), primitives)
+
+
+def _assembled(gltf: Gltf, skin: dict[str, Any], primitives: list[dict[str, Any]]) -> GltfSkin:
+    joints = _joints(gltf, skin)
+    _check_sizes(gltf, primitives, len(joints))
+    parents = _parents(gltf)
+    scene = _scene_transforms(gltf, parents, joints)
+    parts = [_primitive(gltf, primitive, len(joints)) for primitive in primitives]
+    starts = np.cumsum([0, *(len(points) for points, _, _ in parts[:-1])])
+    bind = np.tile(np.eye(4), (len(joints), 1, 1))
+    if "inverseBindMatrices" in skin:  # stored column by column
+        bind = gltf.numbers(skin["inverseBindMatrices"]).reshape(-1, 4, 4)[: len(joints)].swapaxes(1, 2)
+    _check_reach(gltf, bind, scene)
+    vertices = np.concatenate([points for points, _, _ in parts])
+    weights = np.concatenate([shares for _, shares, _ in parts])
+    homogeneous = np.hstack([vertices, np.ones((len(vertices), 1))])
+    shown = np.einsum("vj,jik,vk->vi", weights, (scene @ bind)[:, :3], homogeneous, optimize=True)
+    _check_reach(gltf, shown)
+    return GltfSkin(
+        tuple(str(gltf.items("nodes")[node].get("name", f"node {node}")) for node in joints),
+        _joints_above(joints, parents),
+        scene[:, :3, 3],
+        shown,
+        weights,
+        np.concatenate([faces + start for (_, _, faces), start in zip(parts, starts, strict=True)]),
+    )
+
+
+def _joints(gltf: Gltf, skin: dict[str, Any]) -> list[int]:
+    """The nodes of a skin's joints, each of which is there once."""
+    nodes = len(gltf.items("nodes"))
+    joints = [whole(joint, "joint", nodes - 1) for joint in skin["joints"]]
+    _check_count(gltf, "joints", len(joints), limits.MESH_JOINTS)
+    if len(set(joints)) < len(joints):
+        raise ValueError("a joint that is listed twice")
+    return joints
+
+
+def _check_sizes(gltf: Gltf, primitives: list[dict[str, Any]], joints: int) -> None:
+    """Refuse a mesh that is too large, before any of it is read."""
+    points = [gltf.count(primitive["attributes"]["POSITION"]) for primitive in primitives]
+    corners = [
+        gltf.count(primitive["indices"]) if "indices" in primitive else count
+        for primitive, count in zip(primitives, points, strict=True)
+    ]
+    _check_count(gltf, "points", sum(points), limits.MESH_POINTS)
+    _check_count(gltf, "triangles", sum(corners) // 3, limits.MESH_TRIANGLES)
+    _check_count(gltf, "weights", sum(points) * joints, limits.MESH_WEIGHTS)
+
+
+def _check_count(gltf: Gltf, what: str, count: int, most: int) -> None:
+    if count > most:
+        raise UsageError(
+            f"glTF file has too many {what}", where=gltf.path, found=count, expected=f"at most {most}"
+        )
+
+
+def _check_reach(gltf: Gltf, *numbers: FloatArray) -> None:
+    """Refuse coordinates of no mesh; where they are not finite, too."""
+    if not all(np.all(np.abs(values) <= limits.MESH_REACH) for values in numbers):
+        what = "glTF mesh has points that are no numbers, or too far away"
+        raise UsageError(what, where=gltf.path, expected=f"at most {limits.MESH_REACH:g}")
+
+
+def _parents(gltf: Gltf) -> list[int]:
+    nodes = gltf.items("nodes")
+    parents = [-1] * len(nodes)
+    for index, node in enumerate(nodes):
+        for child in node.get("children", []):
+            if parents[whole(child, "child", len(nodes) - 1)] >= 0:
+                raise ValueError(f"node {child} with two parents")
+            parents[child] = index
+    return parents
+
+
+def _joints_above(joints: list[int], parents: list[int]) -> tuple[int, ...]:
+    """(J) the nearest joint above each joint, -1 where there is none."""
+    places = {node: place for place, node in enumerate(joints)}
+    above: dict[int, int] = {-1: -1}  # by node: itself if it is a joint, else the nearest above it
+    for joint in joints:
+        way = [joint]
+        while parents[way[-1]] not in above:
+            way.append(parents[way[-1]])
+        nearest = above[parents[way[-1]]]
+        for node in reversed(way):
+            nearest = above[node] = places.get(node, nearest)
+    return tuple(above[parents[joint]] for joint in joints)
+
+
+def _scene_transforms(gltf: Gltf, parents: list[int], joints: list[int]) -> FloatArray:
+    """(J, 4, 4) scene_T_node of the joints' nodes."""
+    nodes, found = gltf.items("nodes"), {-1: np.eye(4)}
+    for joint in joints:
+        way, node = [], joint
+        while node not in found:
+            way.append(node)
+            node = parents[node]
+            if len(way) > len(parents):
+                raise UsageError("nodes of the glTF file form a ring", where=gltf.path)
+        for below in reversed(way):
+            found[below] = found[parents[below]] @ _local_transform(nodes[below])
+    return np.array([found[joint] for joint in joints])
+
+
+def _local_transform(node: dict[str, Any]) -> FloatArray:
+    if "matrix" in node:
+        return _numbers(node, "matrix", np.eye(4).ravel()).reshape(4, 4).T
+    transform = np.eye(4)
+    quaternion = _numbers(node, "rotation", np.array([0.0, 0.0, 0.0, 1.0]))
+    length = float(np.linalg.norm(quaternion))
+    if length < _LEAST_LENGTH:
+        raise ValueError("a rotation of length 0")
+    rotation = rotations.matrices_from_quaternions((quaternion / length)[None])[0]
+    transform[:3, :3] = rotation * _numbers(node, "scale", np.ones(3))
+    transform[:3, 3] = _numbers(node, "translation", np.zeros(3))
+    return transform
+
+
+def _numbers(node: dict[str, Any], name: str, default: FloatArray) -> FloatArray:
+    """The numbers of a node's property; as many as of its default."""
+    values = np.array(node.get(name, default), dtype=np.float64)
+    if values.shape != default.shape or not np.all(np.abs(values) <= limits.MESH_REACH):
+        raise ValueError(f"a {name} that is none")
+    return values
+
+
+def _primitive(gltf: Gltf, primitive: dict[str, Any], joints: int) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Points (V, 3), weights (V, J) and triangles (T, 3) of one part of a mesh."""
+    if primitive.get("mode", _TRIANGLES) != _TRIANGLES:
+        raise UsageError(
+            "glTF mesh of other things than triangles", where=gltf.path, hint="export it as triangles"
+        )
+    attributes = primitive["attributes"]
+    points = gltf.numbers(attributes["POSITION"])
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise ValueError(f"points of shape {points.shape}")
+    _check_reach(gltf, points)
+    weights = np.zeros((len(points), joints))
+    rows, count = np.arange(len(points))[:, None], 0
+    while f"JOINTS_{count}" in attributes:
+        bones = gltf.integers(attributes[f"JOINTS_{count}"])
+        shares = gltf.numbers(attributes[f"WEIGHTS_{count}"])
+        if not bones.shape == shares.shape == (len(points), 4):
+            raise ValueError(f"joints of shape {bones.shape} and weights of {shares.shape}")
+        if not np.all((np.abs(shares) <= _MOST_WEIGHT) & (bones >= 0)):
+            raise ValueError("weights that are none")
+        np.add.at(weights, (rows, bones), shares)
+        count += 1
+    total = weights.sum(axis=1, keepdims=True)
+    if not (total > _LEAST_LENGTH).all():
+        found = f"{np.count_nonzero(~(total > _LEAST_LENGTH))} of {len(points)} points without a weight"
+        raise UsageError("glTF mesh is not wholly bound to its joints", where=gltf.path, found=found)
+    if "indices" in primitive:
+        corners = gltf.integers(primitive["indices"])
+        if corners.ndim != 1:
+            raise ValueError(f"indices of shape {corners.shape}")
+        faces = corners.reshape(-1, 3)
+    else:
+        faces = np.arange(len(points)).reshape(-1, 3)
+    if faces.size and not 0 <= faces.min() <= faces.max() < len(points):
+        raise UsageError("glTF mesh has triangles of points that it lacks", where=gltf.path)
+    return points, weights / total, faces

@@ -1,7 +1,7 @@
 """A small depth rasteriser for one skinned mesh in one pose; compiled.
 
-It draws what ``gl.tiled`` draws, without a device and with the triangle behind every pixel, which derivatives
-need.
+It draws what ``rendering.gl.device`` draws, without a device and with the triangle behind every pixel, which
+derivatives need.
 """
 
 from __future__ import annotations

@@ -9,7 +9,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from posetrack_cli.results.checkpoint import Checkpoint
     from posetrack_cli.results.estimate import Estimate, Status, Subject
     from posetrack_cli.results.estimate_json import (
         ESTIMATE_SCHEMA,
@@ -18,6 +17,7 @@ if TYPE_CHECKING:
         estimate_to_json,
     )
     from posetrack_cli.results.reader import Result, ResultWarning, load_arrays, read_result
+    from posetrack_cli.results.spool import Checkpoint
     from posetrack_cli.results.writer import ResultWriter
 
 __all__ = [
@@ -37,7 +37,7 @@ __all__ = [
 ]
 
 _MODULES = {
-    "checkpoint": ("Checkpoint",),
+    "spool": ("Checkpoint",),
     "estimate": ("Estimate", "Status", "Subject"),
     "estimate_json": ("ESTIMATE_SCHEMA", "ESTIMATE_SCHEMA_NAME", "estimate_from_json", "estimate_to_json"),
     "reader": ("Result", "ResultWarning", "load_arrays", "read_result"),

@@ -18,7 +18,6 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import PosetrackError, ResultError, nearest_name
 from posetrack_cli.files import hint_of_missing, open_input
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.losses import Loss, LossLog, loss_line
 from posetrack_cli.mcap.records import MAGIC
 from posetrack_cli.mcap.stream import (
     DAMAGED,
@@ -29,9 +28,17 @@ from posetrack_cli.mcap.stream import (
 )
 from posetrack_cli.mcap.summary import read_summary
 from posetrack_cli.outputs import part_path
+from posetrack_cli.phases import Loss, LossLog, loss_line
 from posetrack_cli.recording.base import RUN_RECORD, TRUTH_PREFIX, TruthMessage, truth_message
-from posetrack_cli.recording.message_calibration import camera_from_message
-from posetrack_cli.results.channels import CALIBRATION_TOPIC
+from posetrack_cli.recording.message_cameras import camera_from_message
+from posetrack_cli.results.channels import (
+    CALIBRATION_TOPIC,
+    FILTERED,
+    SMOOTHED,
+    SMOOTHED_PREFIX,
+    TRACKS,
+    estimate_topic,
+)
 from posetrack_cli.results.columns import Columns, column_blocks, empty_columns, joined
 from posetrack_cli.results.estimate import Estimate, Subject
 from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA_NAME, estimate_from_json
@@ -45,7 +52,6 @@ from posetrack_cli.results.records import (
     check_run_record,
     subject_from_record,
 )
-from posetrack_cli.results.tracks import FILTERED, SMOOTHED, SMOOTHED_PREFIX, TRACKS, estimate_topic
 
 PATTERN = "a shell fills in patterns that are not quoted"
 NO_SCHEMA = Schema(id=0, name="", encoding="", data=b"")

@@ -1,4 +1,4 @@
-"""The metadata records of a result: what was tracked, by which cameras, and in which run."""
+"""Run records, and the JSON that they are read from strictly."""
 
 from __future__ import annotations
 
@@ -9,25 +9,98 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from pydantic_core import CoreSchema
+from pydantic import ValidationError
+from pydantic_core import CoreConfig, CoreSchema, SchemaValidator
 from pydantic_core import core_schema as schemas
 
 from posetrack_cli import limits
+from posetrack_cli.configuration import expected_words
 from posetrack_cli.errors import PosetrackError, ResultError
 from posetrack_cli.geometry.camera import DISTORTION_LENGTHS, IN_PLACE, Camera
 from posetrack_cli.recording.base import RUN_RECORD
 from posetrack_cli.results.estimate import Subject
-from posetrack_cli.results.strict_json import (
-    LENGTH_MM,
-    NAME,
-    NUMBER,
-    integer_from,
-    list_of,
-    number_from,
-    object_of,
-    reader_of,
-    text_of,
-)
+
+# JSON that files hold, taken only if it is what we write: types, ranges and lengths, in one pass
+
+
+_CONFIG = CoreConfig(allow_inf_nan=False)
+_SHOWN_CHARACTERS = 60
+
+
+def number_from(least: float, most: float) -> schemas.FloatSchema:
+    """The schema of a finite number in a range."""
+    return schemas.float_schema(ge=least, le=most, strict=True)
+
+
+def integer_from(least: int, most: int) -> schemas.IntSchema:
+    """The schema of a whole number in a range."""
+    return schemas.int_schema(ge=least, le=most, strict=True)
+
+
+def text_of(least: int, most: int = limits.NAME_CHARACTERS) -> schemas.StringSchema:
+    """The schema of text of so many characters."""
+    return schemas.str_schema(min_length=least, max_length=most, strict=True)
+
+
+NAME = text_of(1)
+LENGTH_MM = number_from(-limits.LENGTH_MM, limits.LENGTH_MM)
+NUMBER = number_from(-limits.NUMBER, limits.NUMBER)
+NOT_NEGATIVE = number_from(0.0, limits.NUMBER)
+COUNT = integer_from(0, limits.INTEGER)
+TRUTH_VALUE = schemas.bool_schema(strict=True)
+
+
+def list_of(
+    item: CoreSchema, length: int | None = None, most: int = limits.LIST_ENTRIES
+) -> schemas.ListSchema:
+    """The schema of a list of so many entries, or at most so many."""
+    return schemas.list_schema(item, min_length=length, max_length=most if length is None else length)
+
+
+def object_of(
+    required: Mapping[str, CoreSchema], optional: Mapping[str, CoreSchema] | None = None
+) -> schemas.TypedDictSchema:
+    """The schema of an object with these keys; an optional one may be missing or null, others are ignored."""
+    fields = {name: schemas.typed_dict_field(schema) for name, schema in required.items()}
+    for name, schema in (optional or {}).items():
+        fields[name] = schemas.typed_dict_field(schemas.nullable_schema(schema), required=False)
+    return schemas.typed_dict_schema(fields, extra_behavior="ignore")
+
+
+def reader_of(schema: CoreSchema, most: int | None = None) -> Callable[[bytes | str], Any]:
+    """Return a function that reads JSON of a schema, exact to the last bit; of a message, of ``most`` bytes.
+
+    It raises ValueError, in one line of printable length, for anything else: NaN, infinity, true for 1,
+    numbers as text, nesting without end.
+    """
+    validate = SchemaValidator(schema, _CONFIG).validate_json
+
+    def read(text: bytes | str) -> Any:
+        if most is not None and len(text) > most:
+            raise ValueError(f"{len(text)} bytes, at most {most} are read")
+        try:
+            return validate(text)
+        except ValidationError as error:
+            raise ValueError(_first_problem(error)) from None
+
+    return read
+
+
+def _first_problem(error: ValidationError) -> str:
+    """The first problem in one line: where it is, what is there, what should be."""
+    problem = error.errors(include_url=False)[0]
+    if problem["type"] == "json_invalid":
+        return str(problem["msg"])
+    where = ".".join(str(part) for part in problem["loc"]) or "all of it"
+    if problem["type"] == "missing":
+        return f"no '{where}'"
+    found = repr(problem["input"])
+    found = found if len(found) <= _SHOWN_CHARACTERS else f"{found[:_SHOWN_CHARACTERS]}..."
+    return f"'{where}' is {found}, not {expected_words(problem)}"
+
+
+# The metadata records of a result: what was tracked, by which cameras, and in which run
+
 
 SUBJECT_RECORD = "posetrack.subject"
 SUMMARY_RECORD = "posetrack.summary"

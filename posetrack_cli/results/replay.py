@@ -22,8 +22,8 @@ from posetrack_cli.mcap.records import (
 from posetrack_cli.mcap.sink import McapSink
 from posetrack_cli.recording.base import PATH_KEY, TruthMessage
 from posetrack_cli.results.channels import ResultChannels
-from posetrack_cli.results.checkpoint import RESTART_HINT
 from posetrack_cli.results.reader import opened
+from posetrack_cli.results.spool import RESTART_HINT
 
 _MADE_WITH = {
     "sources": "build of posetrack",

@@ -14,8 +14,7 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from foxglove_schemas_protobuf.TriangleListPrimitive_pb2 import TriangleListPrimitive
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.projection import in_camera_axes, pixels_from_points
+from posetrack_cli.geometry.camera import Camera, in_camera_axes, pixels_from_points
 from posetrack_cli.geometry.rotations import matrices_from_quaternions
 from posetrack_cli.results.estimate import Estimate, Status, Subject
 from posetrack_cli.results.fields import check_array

@@ -15,11 +15,10 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.mcap.sink import McapSink
 from posetrack_cli.outputs import check_free, check_not_written, check_place, part_path, state_path
 from posetrack_cli.recording.base import RUN_RECORD, TruthMessage
-from posetrack_cli.results import checkpoint as checkpoints
-from posetrack_cli.results.channels import ResultChannels
-from posetrack_cli.results.checkpoint import Checkpoint, Progress
+from posetrack_cli.results import spool as checkpoints
+from posetrack_cli.results.channels import SMOOTHED, ResultChannels, StampOrder
+from posetrack_cli.results.columns import COUNTS, LayoutError, check_numbers
 from posetrack_cli.results.estimate import Estimate, Status, Subject
-from posetrack_cli.results.layouts import COUNTS, LayoutError, check_numbers
 from posetrack_cli.results.records import (
     CAMERAS_RECORD,
     SUBJECT_RECORD,
@@ -28,7 +27,7 @@ from posetrack_cli.results.records import (
     subject_to_record,
 )
 from posetrack_cli.results.replay import Replay, check_same_run
-from posetrack_cli.results.tracks import SMOOTHED, StampOrder
+from posetrack_cli.results.spool import Checkpoint, Progress
 
 
 class ResultWriter:

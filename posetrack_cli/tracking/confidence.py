@@ -2,7 +2,7 @@
 
     logit p = w_0 + sum_j w_j s_j
 
-The signs s, and the weights, are a subject's own (``hand.confidence``, ``head.tracker.confidence``). Signs
+The signs s, and the weights, are a subject's own (``hand.confidence``, ``head.tracker.frame_tracker``). Signs
 that are noisy in single frames count as running means: each new frame by ``MEMORY``, the first ones alike.
 """
 
@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.results.layouts import floats
+from posetrack_cli.results.columns import floats
 from posetrack_cli.tracking.state_codec import Codec, Fields, Value, whole
 
 SIGN = "sign_"

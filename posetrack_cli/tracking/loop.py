@@ -11,9 +11,9 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.recording.base import Frame
-from posetrack_cli.results.checkpoint import Checkpoint
+from posetrack_cli.results.columns import FLAGS, LayoutError, check_numbers, floats
 from posetrack_cli.results.estimate import Estimate
-from posetrack_cli.results.layouts import FLAGS, LayoutError, check_numbers, floats
+from posetrack_cli.results.spool import Checkpoint
 from posetrack_cli.tracking.state_codec import Codec, Fields, Maybe, Value, joined, part_of, stamp
 
 State = TypeVar("State")

@@ -16,12 +16,12 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.compiled import compiling_s
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.losses import Loss, loss_line
+from posetrack_cli.phases import Loss, loss_line
 from posetrack_cli.recording.base import Frame, TruthMessage
 from posetrack_cli.recording.recording import Recording
 from posetrack_cli.recording.timeline import StampCheck
-from posetrack_cli.results.checkpoint import Checkpoint
 from posetrack_cli.results.estimate import Estimate, Status, Subject
+from posetrack_cli.results.spool import Checkpoint
 from posetrack_cli.results.writer import ResultWriter
 from posetrack_cli.tracking.loop import RunState, Step, Tracker, checkpoint_of, run_state_at, track_frames
 from posetrack_cli.tracking.options import (

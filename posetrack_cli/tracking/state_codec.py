@@ -18,7 +18,7 @@ from typing import Any, Generic, TypeAlias, TypeVar
 
 import numpy as np
 
-from posetrack_cli.results.layouts import (
+from posetrack_cli.results.columns import (
     COUNTS,
     FLAGS,
     STAMPS_NS,

@@ -10,7 +10,7 @@ import numpy as np
 
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
-from posetrack_cli.tracking.two_pass import Learned, LearningTracker
+from posetrack_cli.tracking.smoothing import Learned, LearningTracker
 from stepping import FRAME_NS
 
 SETTLING = 10

@@ -25,7 +25,7 @@ from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results.estimate import Estimate
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
 from posetrack_cli.synthesis.head.writing import write_synthetic
-from posetrack_cli.tracking.two_pass import Learned
+from posetrack_cli.tracking.smoothing import Learned
 from stepping import in_turn
 
 FEW, MANY = 1000, 5000

@@ -17,21 +17,19 @@ from benchmarking.recordings import there_and_back
 from benchmarking.rendering import fitted_line
 from benchmarking.rows import Row, median_ms, median_of_pairs
 from posetrack_cli.configuration import load_settings
-from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.euler import head_quaternion_from_roll_pitch_yaw
-from posetrack_cli.geometry.projection import pixels_from_points
-from posetrack_cli.head.adjustment.adjuster import Adjuster
-from posetrack_cli.head.adjustment.views import PersonParameters, PointView
+from posetrack_cli.geometry.camera import Camera, pixels_from_points
+from posetrack_cli.geometry.rotations import head_quaternion_from_roll_pitch_yaw
+from posetrack_cli.head.adjustment.adjuster import Adjuster, PersonParameters, PointView
 from posetrack_cli.head.config import HeadMonoConfig, RunSettings
 from posetrack_cli.head.detection.detector import FaceDetector
-from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.head.face.points import HeadPose
 from posetrack_cli.head.initialisation.mono import DetectedFace, MonoInitialiser
 from posetrack_cli.head.multilinear.face_model import FaceModel, load_face_model
 from posetrack_cli.head.run import HeadRun, HeadRunOptions
 from posetrack_cli.head.subject import mono_subject
 from posetrack_cli.head.tracker.mono import make_mono_tracker
 from posetrack_cli.recording.base import Frame
-from posetrack_cli.recording.guess import Guess
+from posetrack_cli.recording.camera_of import Guess
 from posetrack_cli.recording.opening import open_recording
 from stepping import in_turn
 

@@ -12,8 +12,8 @@ import numpy as np
 from posetrack_cli.mcap.sink import McapSink
 from posetrack_cli.recording.base import CAMERA_FILE_NAME
 from posetrack_cli.recording.image_files import GREY_SUFFIXES, list_images
-from posetrack_cli.recording.message_calibration import calibration_message
-from posetrack_cli.synthesis.hand.sensor import CAMERA
+from posetrack_cli.recording.message_cameras import calibration_message
+from posetrack_cli.synthesis.hand.frames import CAMERA
 from stepping import FRAME_NS
 
 

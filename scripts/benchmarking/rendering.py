@@ -8,9 +8,9 @@ import numpy as np
 
 from benchmarking.rows import Row
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.hand.anatomy import make_anatomy
-from posetrack_cli.hand.kinematics import skinning_transforms
-from posetrack_cli.hand.mesh import hand_mesh
+from posetrack_cli.hand.model.anatomy import make_anatomy
+from posetrack_cli.hand.model.hand import hand_mesh
+from posetrack_cli.hand.model.kinematics import skinning_transforms
 from posetrack_cli.hand.start import scattered_poses
 from posetrack_cli.rendering.devices import scoring_milliseconds
 from posetrack_cli.rendering.port import RenderingDevice

@@ -171,7 +171,7 @@ def write_keypoints(folder: Path) -> None:
 
 def _write_table(path: Path, truth: Sequence[tuple[dict[str, Any], Any]]) -> None:
     """Write joints in millimetres as ``eval`` and ``--keypoints`` read them."""
-    from posetrack_cli.hand.anatomy import JOINT_NAMES
+    from posetrack_cli.hand.model.anatomy import JOINT_NAMES
 
     with path.open("w", newline="") as stream:
         rows = csv.writer(stream, lineterminator="\n")
@@ -198,7 +198,7 @@ def write_landmarks(folder: Path) -> None:
 
 def write_mesh(folder: Path) -> None:
     """Write a hand as glTF with WebXR joint names."""
-    from posetrack_cli.hand.anatomy import make_anatomy
+    from posetrack_cli.hand.model.anatomy import make_anatomy
 
     helper("glb").write_hand(folder / "hand.glb", make_anatomy("right", 1.02), np.eye(22)[6])
 

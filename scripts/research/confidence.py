@@ -1,8 +1,8 @@
 """Fit the confidence of hands and heads to results with truth, and make recordings of heads harder for it.
 
 Confidence is made from a result's ``sign_...`` numbers. Printed are the weights of ``hand.confidence`` or
-``head.tracker.confidence`` that fit them best, and what these are worth on people that they were not fitted
-to: each person, in all recordings, is left out in turn.
+``head.tracker.frame_tracker`` that fit them best, and what these are worth on people that they were not
+fitted to: each person, in all recordings, is left out in turn.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ import numpy as np
 from scipy.optimize import minimize
 
 from posetrack_cli.arrays import BoolArray, FloatArray, ImageArray
-from posetrack_cli.evaluation.evaluate import EvalOptions
-from posetrack_cli.evaluation.honesty import calibration_error, reliability, roc_area
-from posetrack_cli.evaluation.subjects.hand import FAR_MM
-from posetrack_cli.evaluation.subjects.head import FAR_DEG
+from posetrack_cli.evaluation.measuring.evaluate import EvalOptions
+from posetrack_cli.evaluation.measuring.honesty import calibration_error, reliability, roc_area
+from posetrack_cli.evaluation.measuring.subjects.hand import FAR_MM
+from posetrack_cli.evaluation.measuring.subjects.head import FAR_DEG
 from posetrack_cli.hand import confidence as of_hands
 from posetrack_cli.head import subject as of_heads
 from posetrack_cli.results import load_arrays, read_result

@@ -18,7 +18,7 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.cli.main import run as posetrack
 from posetrack_cli.errors import PosetrackError, RecordingError
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.anatomy import JOINT_NAMES
+from posetrack_cli.hand.model.anatomy import JOINT_NAMES
 from posetrack_cli.recording.stamps import stamps_at_rate
 from posetrack_cli.results.export.table import point_columns
 

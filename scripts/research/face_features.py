@@ -21,10 +21,9 @@ import cv2
 import numpy as np
 
 from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray
-from posetrack_cli.evaluation.truth.csv_track import load_csv_track
-from posetrack_cli.evaluation.truth.loading import topics_truth
-from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.projection import in_camera_axes, pixels_from_points
+from posetrack_cli.evaluation.reading.truth import topics_truth
+from posetrack_cli.evaluation.reading.truth_tables import load_csv_track
+from posetrack_cli.geometry.camera import Camera, in_camera_axes, pixels_from_points
 from posetrack_cli.geometry.rigid import in_camera
 from posetrack_cli.head.detection.appearance import (
     BINS,
@@ -38,9 +37,9 @@ from posetrack_cli.head.detection.appearance import (
 from posetrack_cli.head.detection.responses import WIDTH, cut_patch
 from posetrack_cli.head.face.points import EYES, MEAN_SHAPE, MIRRORED
 from posetrack_cli.head.subject import head_subject
-from posetrack_cli.losses import LossLog
 from posetrack_cli.mcap.stream import McapFile
 from posetrack_cli.outputs import whole_or_nothing
+from posetrack_cli.phases import LossLog
 from posetrack_cli.recording.opening import open_recording
 from research.face_model import SEEN_BESIDE, Statistics, read_statistics
 from research.heads import CALIBRATION, TRUTH, cameras_of

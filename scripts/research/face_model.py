@@ -15,7 +15,7 @@ import click
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.evaluation.truth.csv_track import load_csv_track
+from posetrack_cli.evaluation.reading.truth_tables import load_csv_track
 from posetrack_cli.geometry.rigid import in_object
 from posetrack_cli.head.actions import USUAL, displacement
 from posetrack_cli.head.face.points import EYES, POINT_NAMES

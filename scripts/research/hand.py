@@ -17,10 +17,10 @@ import numpy as np
 from posetrack_cli.build import version
 from posetrack_cli.cli.options import recording_options
 from posetrack_cli.configuration import find_configuration, load_settings
-from posetrack_cli.evaluation.association import associate
-from posetrack_cli.evaluation.comparing.paired import SIGNIFICANCE
-from posetrack_cli.hand.anatomy import ANGLE_NAMES
+from posetrack_cli.evaluation.judging.comparing import SIGNIFICANCE
+from posetrack_cli.evaluation.reading.tracks import associate
 from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.model.anatomy import ANGLE_NAMES
 from posetrack_cli.rendering.devices import open_fastest_device
 from posetrack_cli.results import load_arrays
 from posetrack_cli.synthesis.hand.frames import synthesise

@@ -15,9 +15,9 @@ import click
 import numpy as np
 
 from posetrack_cli.build import version
-from posetrack_cli.evaluation.evaluate import EvalOptions
+from posetrack_cli.evaluation.measuring.evaluate import EvalOptions
 from posetrack_cli.hand.smoothing import SMOOTH_POSE, SMOOTH_VELOCITY
-from posetrack_cli.results.tracks import FILTERED, SMOOTHED
+from posetrack_cli.results.channels import FILTERED, SMOOTHED
 from research.hands import evaluated, figures_of
 from research.report import Column, Figures, Report, number, pairs_of
 from research.runner import FILE, Files, Job, Step

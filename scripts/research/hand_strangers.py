@@ -18,18 +18,18 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.build import version
 from posetrack_cli.errors import UsageError
-from posetrack_cli.evaluation.evaluate import EvalOptions
-from posetrack_cli.evaluation.figures import figure_of
-from posetrack_cli.evaluation.honesty import JudgedFrames, pooled_frames
-from posetrack_cli.evaluation.metrics.honesty_metrics import honesty_metrics
-from posetrack_cli.evaluation.metrics.measures import Measures
-from posetrack_cli.evaluation.metrics.pose_errors import INSIDE_90
-from posetrack_cli.evaluation.pooling import pool
-from posetrack_cli.evaluation.subjects.hand import FAR_MM
-from posetrack_cli.hand.calibration.measures import MEASURES, measures_of
+from posetrack_cli.evaluation.measuring.catalogue import figure_of
+from posetrack_cli.evaluation.measuring.evaluate import EvalOptions
+from posetrack_cli.evaluation.measuring.honesty import JudgedFrames, pooled_frames
+from posetrack_cli.evaluation.measuring.measures import Measures
+from posetrack_cli.evaluation.measuring.pooling import pool
+from posetrack_cli.evaluation.measuring.pose_metrics import INSIDE_90
+from posetrack_cli.evaluation.measuring.subjects.hand import FAR_MM
+from posetrack_cli.evaluation.measuring.without_truth import honesty_metrics
 from posetrack_cli.hand.confidence import RIGHT_MM
-from posetrack_cli.hand.webxr import load_hand
-from posetrack_cli.results.tracks import SMOOTHED
+from posetrack_cli.hand.model.webxr import load_hand
+from posetrack_cli.hand.shape_fit import MEASURES, measures_of
+from posetrack_cli.results.channels import SMOOTHED
 from research import cvar
 from research.hand_accuracy import AVERAGE, NO_MESH
 from research.hand_model.people import person_hand

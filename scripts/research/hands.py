@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray
-from posetrack_cli.evaluation.evaluate import EvalOptions, evaluate
-from posetrack_cli.evaluation.evaluation import Evaluation
-from posetrack_cli.evaluation.figures import figure_of
-from posetrack_cli.evaluation.metrics.hand_metrics import joint_errors
-from posetrack_cli.evaluation.metrics.measures import Matched, common_columns, rows_of
-from posetrack_cli.hand.anatomy import JOINT_NAMES
+from posetrack_cli.evaluation.measuring.catalogue import figure_of
+from posetrack_cli.evaluation.measuring.evaluate import EvalOptions, evaluate
+from posetrack_cli.evaluation.measuring.evaluation import Evaluation
+from posetrack_cli.evaluation.measuring.hand_metrics import joint_errors
+from posetrack_cli.evaluation.measuring.measures import Matched, common_columns, rows_of
+from posetrack_cli.hand.model.anatomy import JOINT_NAMES
+from posetrack_cli.results.channels import FILTERED
 from posetrack_cli.results.reader import read_result
-from posetrack_cli.results.tracks import FILTERED
 
 WRIST = JOINT_NAMES[0]
 RAW, WITHOUT_OFFSETS = EvalOptions(), EvalOptions(joint_offsets="bone")

@@ -17,16 +17,16 @@ import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
 from posetrack_cli.errors import ResultError
-from posetrack_cli.evaluation.alignment import tracked_pairs
-from posetrack_cli.evaluation.evaluate import Alignment, EvalOptions, evaluate
-from posetrack_cli.evaluation.evaluation import Evaluation
-from posetrack_cli.evaluation.metrics.head_metrics import HEAD_POSE
-from posetrack_cli.evaluation.metrics.pose_errors import distances
-from posetrack_cli.evaluation.track import Track
+from posetrack_cli.evaluation.measuring.evaluate import Alignment, EvalOptions, evaluate
+from posetrack_cli.evaluation.measuring.evaluation import Evaluation
+from posetrack_cli.evaluation.measuring.head_metrics import HEAD_POSE
+from posetrack_cli.evaluation.measuring.pose_metrics import distances
+from posetrack_cli.evaluation.reading.alignment import tracked_pairs
+from posetrack_cli.evaluation.reading.tracks import Track
 from posetrack_cli.geometry import rotations
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.euler import head_roll_pitch_yaw
 from posetrack_cli.geometry.rigid import in_object, placed, rigid_alignment
+from posetrack_cli.geometry.rotations import head_roll_pitch_yaw
 from posetrack_cli.recording import camera_file
 from research.report import Column
 

@@ -15,10 +15,10 @@ import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.build import version
-from posetrack_cli.evaluation.figures import figure_of
-from posetrack_cli.evaluation.honesty import roc_area
-from posetrack_cli.evaluation.truth.csv_track import load_csv_track
-from posetrack_cli.geometry.projection import pixels_from_points
+from posetrack_cli.evaluation.measuring.catalogue import figure_of
+from posetrack_cli.evaluation.measuring.honesty import roc_area
+from posetrack_cli.evaluation.reading.truth_tables import load_csv_track
+from posetrack_cli.geometry.camera import pixels_from_points
 from posetrack_cli.head.subject import head_subject
 from research.heads import (
     CALIBRATION,

@@ -14,9 +14,9 @@ import click
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.evaluation.evaluate import Alignment
-from posetrack_cli.evaluation.metrics.head_metrics import HEAD_POSE
-from posetrack_cli.evaluation.track import Track, track_of_result
+from posetrack_cli.evaluation.measuring.evaluate import Alignment
+from posetrack_cli.evaluation.measuring.head_metrics import HEAD_POSE
+from posetrack_cli.evaluation.reading.tracks import Track, track_of_result
 from posetrack_cli.geometry import rotations
 from posetrack_cli.results.reader import read_result
 from research import plots

@@ -10,7 +10,7 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 
-from posetrack_cli.evaluation.comparing.paired import Paired
+from posetrack_cli.evaluation.judging.comparing import Paired
 
 mpl.use("agg")
 

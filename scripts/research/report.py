@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.evaluation.comparing.paired import SIGNIFICANCE, Paired, paired
+from posetrack_cli.evaluation.judging.comparing import SIGNIFICANCE, Paired, paired
 from posetrack_cli.evaluation.reports.report_files import finite
 
 NOTHING = "-"

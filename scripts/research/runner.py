@@ -24,7 +24,7 @@ import click
 
 from posetrack_cli.build import PACKAGE, source_digest
 from posetrack_cli.cli.main import run as posetrack
-from posetrack_cli.cli.progress import bar
+from posetrack_cli.cli.terminal import bar
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_DONE, PosetrackError
 from posetrack_cli.head.face.points import MEAN_SHAPE, SHAPE_SD
 from posetrack_cli.recording.identity import files_digest
@@ -37,15 +37,13 @@ TOOL = "tool"
 DRAWING = (
     "synthesis/*.py",
     "synthesis/head/*.py",
-    "head/face/pose.py",
+    "head/face/points.py",
     "geometry/camera.py",
-    "geometry/distortion.py",
     "geometry/kernels.py",
     "geometry/rigid.py",
     "geometry/rotations.py",
     "rendering/port.py",
     "rendering/gl/device.py",
-    "rendering/gl/textured.py",
     "rendering/gl/shaders/textured.*",
 )
 """Sources of a synthetic head's images and truth, in addition to the average face."""

@@ -17,8 +17,8 @@ from mcap.records import Metadata
 
 from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.build import version
-from posetrack_cli.evaluation.metrics.head_metrics import HEAD_POSE
-from posetrack_cli.evaluation.metrics.pose_errors import distances
+from posetrack_cli.evaluation.measuring.head_metrics import HEAD_POSE
+from posetrack_cli.evaluation.measuring.pose_metrics import distances
 from posetrack_cli.head.config import HeadStereoConfig
 from posetrack_cli.head.face.points import MOUTH, NOSTRILS, POINT_COUNT
 from posetrack_cli.mcap.stream import McapFile

@@ -12,9 +12,8 @@ from benchmarking.commands import POSETRACK
 from benchmarking.recordings import link_recording
 from posetrack_cli.recording.base import CAMERA_FILE_NAME
 from posetrack_cli.rendering.devices import open_device
-from posetrack_cli.synthesis.hand.frames import synthesise
+from posetrack_cli.synthesis.hand.frames import CAMERA, synthesise
 from posetrack_cli.synthesis.hand.options import SynthOptions
-from posetrack_cli.synthesis.hand.sensor import CAMERA
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
 from posetrack_cli.synthesis.head.writing import write_synthetic
 from soaking.amounts import FLUSH_FRAMES, Amounts

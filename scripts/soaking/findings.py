@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 
 from benchmarking.rows import Row
-from posetrack_cli.cli.standard_output import print_note
+from posetrack_cli.cli.terminal import print_note
 
 
 class Findings:

@@ -13,7 +13,7 @@ import numpy as np
 
 from benchmarking.rows import Row
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.cli.progress import bar
+from posetrack_cli.cli.terminal import bar
 from posetrack_cli.results import load_arrays
 from soaking.cases import Case
 from soaking.findings import Findings

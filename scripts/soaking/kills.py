@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from benchmarking.rows import Row
-from posetrack_cli.cli.progress import bar
+from posetrack_cli.cli.terminal import bar
 from posetrack_cli.outputs import part_path, state_path
 from soaking.cases import Case
 from soaking.findings import Findings

@@ -13,8 +13,8 @@ from pathlib import Path
 
 from benchmarking.commands import POSETRACK
 from posetrack_cli.recording.base import TRUTH_PREFIX
+from posetrack_cli.results.channels import SMOOTHED_PREFIX
 from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA_NAME
-from posetrack_cli.results.tracks import SMOOTHED_PREFIX
 
 DONE, FAILED, DATA_LOST = 0, 1, 3
 LINE = "posetrack: "

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from posetrack_cli.errors import ResultError
 from posetrack_cli.outputs import state_path
-from posetrack_cli.results.checkpoint import load
-from posetrack_cli.tracking.two_pass import learned_before
+from posetrack_cli.results.spool import load
+from posetrack_cli.tracking.smoothing import learned_before
 from soaking.cases import Case
 
 

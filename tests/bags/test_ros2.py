@@ -13,8 +13,7 @@ from rosbags.rosbag2 import Reader
 
 from posetrack_cli import limits
 from posetrack_cli.bags.message_file import container_of, message_file
-from posetrack_cli.bags.ros2_database import Ros2Database
-from posetrack_cli.bags.ros2_folder import Ros2Folder, parts_of
+from posetrack_cli.bags.ros2 import Ros2Database, Ros2Folder, parts_of
 from posetrack_cli.errors import RecordingError
 from support.bags import COLOUR, COUNT, DEPTH, START_NS, write_folder
 

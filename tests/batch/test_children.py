@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from posetrack_cli.batch import children
-from posetrack_cli.batch.children import Ending, run_child, was_interrupted, way_of
+from posetrack_cli.batch import performing as children
 from posetrack_cli.batch.jobs import Job, Limits
+from posetrack_cli.batch.performing import Ending, run_child, was_interrupted, way_of
 
 PROGRAM = """
 import json, os, signal, sys, time

@@ -8,9 +8,8 @@ from pathlib import Path
 import pytest
 
 from posetrack_cli.batch import performing
-from posetrack_cli.batch.children import Ending
 from posetrack_cli.batch.jobs import Job, Kind, Limits, Outcome, State, record_path
-from posetrack_cli.batch.performing import perform, planned
+from posetrack_cli.batch.performing import Ending, perform, planned
 from posetrack_cli.batch.records import read_record, write_record
 from posetrack_cli.outputs import part_path, state_path
 

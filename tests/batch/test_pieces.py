@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from posetrack_cli.batch.jobs import Piece
-from posetrack_cli.batch.pieces import join_results, meeting_frame, pieces_of
+from posetrack_cli.batch.jobs import Piece, join_results, meeting_frame, pieces_of
 from posetrack_cli.results import ResultWriter, load_arrays
 from support.results import CAMERA, RUN, SUBJECT, make_estimate, with_fields
 

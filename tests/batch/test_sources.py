@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from posetrack_cli import limits
-from posetrack_cli.batch.patterns import Search
-from posetrack_cli.batch.sources import find_sources
+from posetrack_cli.batch.sources import Search, find_sources
 from posetrack_cli.errors import UsageError
 
 

@@ -13,8 +13,8 @@ import pytest
 
 from posetrack_cli.batch.jobs import Job, Outcome, State, record_path
 from posetrack_cli.batch.summary import Judging, Summary, markdown_of, summarise, write_summary
-from posetrack_cli.evaluation.assessment import Request
-from posetrack_cli.evaluation.gates import parse_gate
+from posetrack_cli.evaluation.judging.assessment import Request
+from posetrack_cli.evaluation.judging.gates import parse_gate
 from posetrack_cli.evaluation.reports.writing import Reports
 from posetrack_cli.text import one_line
 from support.results import write_result

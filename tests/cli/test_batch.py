@@ -30,7 +30,7 @@ from posetrack_cli.cli.batch import BATCH_OPTIONS
 from posetrack_cli.cli.batch_commands import BATCH_COMMANDS
 from posetrack_cli.cli.main import run
 from posetrack_cli.errors import PosetrackError
-from posetrack_cli.evaluation.evaluate import evaluate
+from posetrack_cli.evaluation.measuring.evaluate import evaluate
 from posetrack_cli.outputs import state_path
 from posetrack_cli.results import load_arrays, read_result
 

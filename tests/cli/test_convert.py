@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from posetrack_cli.cli.convert import convert
+from posetrack_cli.cli.export import convert
 from posetrack_cli.cli.main import run
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_DONE, EXIT_USAGE, UsageError
-from posetrack_cli.evaluation.truth.topics import points_topic
-from posetrack_cli.hand.anatomy import JOINT_NAMES
+from posetrack_cli.evaluation.reading.truth_topics import points_topic
+from posetrack_cli.hand.model.anatomy import JOINT_NAMES
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results.export.table import point_columns
 

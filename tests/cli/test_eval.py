@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from posetrack_cli.cli.main import run
-from posetrack_cli.evaluation.metrics.catalogue import CATALOGUE
+from posetrack_cli.evaluation.measuring.catalogue import CATALOGUE
 from posetrack_cli.outputs import part_path
 from posetrack_cli.results import Estimate, ResultWriter, Status, Subject
 from support.eval_command import CAMERA, damaged, killed_run, truth_message, write_result

@@ -18,8 +18,8 @@ from mcap_protobuf.decoder import DecoderFactory
 from mcap_ros2.decoder import DecoderFactory as Ros2DecoderFactory
 
 from posetrack_cli.cli.main import run
-from posetrack_cli.evaluation.evaluation import Evaluation
-from posetrack_cli.evaluation.metrics.catalogue import catalogue
+from posetrack_cli.evaluation.measuring.catalogue import catalogue
+from posetrack_cli.evaluation.measuring.evaluation import Evaluation
 from posetrack_cli.evaluation.reports import mcap_report
 from posetrack_cli.mcap.stream import McapFile
 from posetrack_cli.outputs import part_path

@@ -14,7 +14,7 @@ import pytest
 from posetrack_cli.cli.export import FORMATS
 from posetrack_cli.cli.main import run
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_DONE, EXIT_FAILED, EXIT_USAGE
-from posetrack_cli.evaluation.truth.csv_track import load_csv_track
+from posetrack_cli.evaluation.reading.truth_tables import load_csv_track
 from posetrack_cli.results import ResultWriter, Status, load_arrays
 from posetrack_cli.results.export import export as library
 from support.results import CAMERA, RUN, SUBJECT, make_estimate, write_result

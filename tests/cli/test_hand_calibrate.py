@@ -11,19 +11,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from posetrack_cli.cli.hand_calibrate import hand_calibrate
+from posetrack_cli.cli.calibrate import hand_calibrate
 from posetrack_cli.cli.main import run
 from posetrack_cli.configuration import load_settings
-from posetrack_cli.hand.calibration import before_run
-from posetrack_cli.hand.calibration.calibrate import CalibrationOptions
-from posetrack_cli.hand.calibration.measures import MEASURES, measures_of
+from posetrack_cli.hand import autodetect as before_run
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.model import hand_model
-from posetrack_cli.hand.population import COEFFICIENTS
-from posetrack_cli.hand.shape import HandShape
+from posetrack_cli.hand.model.anatomy import COEFFICIENTS, HandShape
+from posetrack_cli.hand.model.hand import hand_model
+from posetrack_cli.hand.shape_fit import MEASURES, CalibrationOptions, measures_of
 from posetrack_cli.results import load_arrays
+from posetrack_cli.synthesis.hand.frames import write_synthetic
 from posetrack_cli.synthesis.hand.options import SynthOptions, hand_of_seed
-from posetrack_cli.synthesis.hand.writing import write_synthetic
 from support.calibrations import calibration_of
 
 QUICK = ("--hand-side", "right", "--fit-frames", "8")

@@ -13,8 +13,8 @@ import pytest
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.cli.main import run
-from posetrack_cli.hand.anatomy import JOINT_NAMES
-from posetrack_cli.hand.kinematics import joint_positions
+from posetrack_cli.hand.model.anatomy import JOINT_NAMES
+from posetrack_cli.hand.model.kinematics import joint_positions
 from posetrack_cli.outputs import part_path
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.rendering.port import RenderingDevice

@@ -13,8 +13,8 @@ import pytest
 
 from posetrack_cli.cli.main import run
 from posetrack_cli.cli.running import progress
-from posetrack_cli.evaluation.evaluate import evaluate
-from posetrack_cli.evaluation.evaluation import Statistics
+from posetrack_cli.evaluation.measuring.evaluate import evaluate
+from posetrack_cli.evaluation.measuring.evaluation import Statistics
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.run import HandRun, RunOptions
 from posetrack_cli.recording.opening import open_recording

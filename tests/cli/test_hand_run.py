@@ -24,12 +24,12 @@ from numba.core.event import trigger_event
 from posetrack_cli.cli.main import run
 from posetrack_cli.cli.running import progress
 from posetrack_cli.errors import EXIT_DATA_LOST
-from posetrack_cli.evaluation.evaluate import evaluate
-from posetrack_cli.evaluation.evaluation import Statistics
+from posetrack_cli.evaluation.measuring.evaluate import evaluate
+from posetrack_cli.evaluation.measuring.evaluation import Statistics
 from posetrack_cli.hand.tracker import HandTracker
 from posetrack_cli.mcap.sink import McapSink
 from posetrack_cli.outputs import part_path, state_path
-from posetrack_cli.recording.message_calibration import calibration_message
+from posetrack_cli.recording.message_cameras import calibration_message
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results import load_arrays, read_result
 from support.terminal import Terminal

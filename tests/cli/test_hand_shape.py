@@ -9,16 +9,15 @@ import numpy as np
 import pytest
 
 from posetrack_cli.cli.main import run
+from posetrack_cli.hand import autodetect as before_run
 from posetrack_cli.hand import run as hand_run_module
-from posetrack_cli.hand.anatomy import make_anatomy
-from posetrack_cli.hand.calibration import before_run
-from posetrack_cli.hand.calibration.calibrate import Calibration, CalibrationOptions, write_hand_file
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.shape import HandShape
+from posetrack_cli.hand.model.anatomy import HandShape, make_anatomy
+from posetrack_cli.hand.shape_fit import Calibration, CalibrationOptions, write_hand_file
 from posetrack_cli.recording.recording import Recording
 from posetrack_cli.results import load_arrays, read_result
+from posetrack_cli.synthesis.hand.frames import write_synthetic
 from posetrack_cli.synthesis.hand.options import SynthOptions
-from posetrack_cli.synthesis.hand.writing import write_synthetic
 from support.calibrations import calibration_of
 from support.glb import write_hand
 from support.hand import REST

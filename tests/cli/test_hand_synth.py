@@ -7,9 +7,9 @@ import pytest
 from click.testing import CliRunner
 from mcap.reader import make_reader
 
-from posetrack_cli.cli.hand_synth import SWITCHES, hand_synth, synth_options
+from posetrack_cli.cli.synth import SWITCHES, hand_synth, synth_options
 from posetrack_cli.errors import PosetrackError, UsageError
-from posetrack_cli.hand.model import average_hand
+from posetrack_cli.hand.model.hand import average_hand
 from posetrack_cli.synthesis.hand.frames import make_plan
 from posetrack_cli.synthesis.hand.options import SWITCH_NAMES, Switches, hand_of_seed
 from posetrack_cli.synthesis.recording import SYNTH_RECORD

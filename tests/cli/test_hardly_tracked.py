@@ -116,7 +116,7 @@ def test_the_line_of_the_start_names_depths(
     players: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Nothing is said of the side where no hand can be."""
-    from posetrack_cli.hand.calibration.before_run import find_hand
+    from posetrack_cli.hand.autodetect import find_hand
     from posetrack_cli.hand.config import HandConfig
 
     found = find_hand(open_recording(players, depth_unit_mm=1.0), HandConfig(), 0)

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from posetrack_cli.cli.head_synth import head_synth, head_synth_options
+from posetrack_cli.cli.synth import head_synth, head_synth_options
 from posetrack_cli.errors import UsageError
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
 

@@ -156,7 +156,7 @@ def test_folder(tmp_path: Path) -> None:
 
 def test_commands_import_nothing_heavy() -> None:
     code = (
-        "import sys, posetrack_cli.cli.info, posetrack_cli.cli.convert;"
+        "import sys, posetrack_cli.cli.info, posetrack_cli.cli.export;"
         "print([m for m in ('numpy', 'cv2', 'mcap', 'pydantic', 'google.protobuf') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

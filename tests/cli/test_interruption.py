@@ -22,7 +22,7 @@ from numba.core.event import trigger_event
 from posetrack_cli.cli.running import compiling_said
 from posetrack_cli.cli.main import cli, main
 from posetrack_cli.cli.process import stop_signals
-from posetrack_cli.cli.standard_output import print_note
+from posetrack_cli.cli.terminal import print_note
 
 def kernel(kind):
     with trigger_event("numba:compile"):

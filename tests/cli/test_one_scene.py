@@ -17,8 +17,7 @@ import numpy as np
 import pytest
 
 from posetrack_cli.cli.main import run
-from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.projection import pixel_map
+from posetrack_cli.geometry.camera import Camera, pixel_map
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results import load_arrays
 

@@ -21,10 +21,9 @@ import pytest
 
 from posetrack_cli.batch.engine import Told
 from posetrack_cli.batch.jobs import Outcome, State
-from posetrack_cli.cli.batch_progress import BatchProgress
-from posetrack_cli.cli.progress import bar, phase_shown, say_meanwhile
+from posetrack_cli.cli.batch_commands import BatchProgress
 from posetrack_cli.cli.running import progress
-from posetrack_cli.cli.standard_output import QUIET, print_line, print_note, volume
+from posetrack_cli.cli.terminal import QUIET, bar, phase_shown, print_line, print_note, say_meanwhile, volume
 from posetrack_cli.errors import EXIT_INTERRUPTED
 from posetrack_cli.phases import phase, phases_shown
 from support.terminal import Terminal, screen
@@ -201,7 +200,7 @@ def test_a_phase_that_nobody_shows_says_nothing(capsys: pytest.CaptureFixture[st
 def test_the_time_of_a_bar_goes_on_while_its_count_stands_still(
     monkeypatch: pytest.MonkeyPatch, clock: list[float]
 ) -> None:
-    monkeypatch.setattr("posetrack_cli.cli.progress._REDRAWN_EVERY_S", 0.02)
+    monkeypatch.setattr("posetrack_cli.cli.terminal._REDRAWN_EVERY_S", 0.02)
     terminal = opened_terminal(monkeypatch)
     with bar("hand", "frame", 4) as shown:
         shown.advance()
@@ -260,9 +259,9 @@ import ctypes, fcntl, signal, termios, time
 import click
 from numba.core.event import trigger_event
 from posetrack_cli.cli.main import cli, main
-from posetrack_cli.cli.progress import bar
+from posetrack_cli.cli.terminal import bar
 from posetrack_cli.cli.running import compiling_said
-from posetrack_cli.cli.standard_output import print_note
+from posetrack_cli.cli.terminal import print_note
 
 @cli.command()
 @click.argument("where")

@@ -21,10 +21,10 @@ import numpy as np
 import pytest
 
 from posetrack_cli.cli.main import run
-from posetrack_cli.evaluation.gates import read_gates
+from posetrack_cli.evaluation.judging.gates import read_gates
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.keypoints.file import read_keypoints
-from posetrack_cli.head.landmarks.file import read_landmarks
+from posetrack_cli.head.landmarks.faces import read_landmarks
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results import load_arrays
 from support.command_server import Warm, served_command

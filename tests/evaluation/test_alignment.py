@@ -14,9 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import UsageError
-from posetrack_cli.evaluation.alignment import common_factor, remove_constant_offset
-from posetrack_cli.evaluation.association import Pairs
-from posetrack_cli.evaluation.track import Track
+from posetrack_cli.evaluation.reading.alignment import common_factor, remove_constant_offset
+from posetrack_cli.evaluation.reading.tracks import Pairs, Track
 from posetrack_cli.geometry import rotations
 from support.metrics import all_pairs
 from support.tracks import random_hand, random_head

@@ -9,12 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from posetrack_cli.evaluation import assessment
-from posetrack_cli.evaluation.assessment import Request, assess, stated_options
-from posetrack_cli.evaluation.distribution import STEP
-from posetrack_cli.evaluation.evaluate import EvalOptions
-from posetrack_cli.evaluation.evaluation import Evaluation, Statistics, statistics
-from posetrack_cli.evaluation.gates import parse_gate
+from posetrack_cli.evaluation.judging import assessment
+from posetrack_cli.evaluation.judging.assessment import Request, assess, stated_options
+from posetrack_cli.evaluation.judging.gates import parse_gate
+from posetrack_cli.evaluation.measuring.evaluate import EvalOptions
+from posetrack_cli.evaluation.measuring.evaluation import STEP, Evaluation, Statistics, statistics
 from support.evaluation import hand_evaluation
 
 A, B, C = Path("a.mcap"), Path("b.mcap"), Path("c.mcap")
@@ -132,7 +131,7 @@ PEAK = """
 import sys, tracemalloc
 from pathlib import Path
 from posetrack_cli.evaluation import assessment
-from posetrack_cli.evaluation.assessment import Request, assess
+from posetrack_cli.evaluation.judging.assessment import Request, assess
 from support.evaluation import hand_evaluation
 
 def made(path, options, name):

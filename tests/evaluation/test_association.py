@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from posetrack_cli.arrays import IntArray
 from posetrack_cli.errors import ResultError
-from posetrack_cli.evaluation.association import associate, check_stamps, nearest_rows
+from posetrack_cli.evaluation.reading.tracks import associate, check_stamps, nearest_rows
 
 NS_PER_MS = 1_000_000
 FRAME_NS = 33_333_333

@@ -11,11 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from posetrack_cli.errors import UsageError
-from posetrack_cli.evaluation.baseline import FLOOR, check_baseline, read_baseline
-from posetrack_cli.evaluation.coverage import Coverage
-from posetrack_cli.evaluation.distribution import distribution
-from posetrack_cli.evaluation.evaluation import Statistics, statistics
-from posetrack_cli.evaluation.pooling import make_pools
+from posetrack_cli.evaluation.judging.baseline import FLOOR, check_baseline, read_baseline
+from posetrack_cli.evaluation.measuring.evaluation import Statistics, distribution, statistics
+from posetrack_cli.evaluation.measuring.pooling import make_pools
+from posetrack_cli.evaluation.reading.tracks import Coverage
 from posetrack_cli.evaluation.reports.report_files import json_report
 from support.evaluation import hand_evaluation
 from support.rows import result
@@ -83,7 +82,7 @@ def test_a_figure_fails_exactly_beyond_its_limit(error: float, tolerance: float,
 
 
 def read_baseline_of(*evaluations):
-    from posetrack_cli.evaluation.baseline import StoredReport
+    from posetrack_cli.evaluation.judging.baseline import StoredReport
 
     return StoredReport.model_validate_json(json_report(evaluations, OPTIONS))
 

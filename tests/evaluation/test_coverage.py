@@ -7,9 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from posetrack_cli.evaluation.association import associate
-from posetrack_cli.evaluation.coverage import Coverage, measure_coverage
-from posetrack_cli.evaluation.track import Track
+from posetrack_cli.evaluation.reading.tracks import Coverage, Track, associate, measure_coverage
 
 MS = 1_000_000
 FRAME_NS = 33_333_333

@@ -7,15 +7,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from posetrack_cli.evaluation.distribution import (
+from posetrack_cli.evaluation.measuring.evaluation import (
     FEWEST_TO_MERGE,
     SMALLEST,
     STEP,
     Collected,
+    Distribution,
+    Statistics,
     distribution,
     merged,
+    statistics,
 )
-from posetrack_cli.evaluation.evaluation import Distribution, Statistics, statistics
 
 WIDTH = float(np.expm1(STEP))
 """How far two values of one bin may be apart, a share."""

@@ -13,10 +13,16 @@ import numpy as np
 import pytest
 
 from posetrack_cli.errors import PosetrackError, ResultError, TruthError, UsageError
-from posetrack_cli.evaluation.evaluate import DEFAULT_OPTIONS, NO_RECORDING, NO_TRUTH, EvalOptions, evaluate
-from posetrack_cli.evaluation.evaluation import Evaluation, Statistics
-from posetrack_cli.evaluation.metrics.catalogue import CATALOGUE, addresses, is_measured, metric_of
-from posetrack_cli.evaluation.subjects import KINDS
+from posetrack_cli.evaluation.measuring.catalogue import CATALOGUE, addresses, is_measured, metric_of
+from posetrack_cli.evaluation.measuring.evaluate import (
+    DEFAULT_OPTIONS,
+    NO_RECORDING,
+    NO_TRUTH,
+    EvalOptions,
+    evaluate,
+)
+from posetrack_cli.evaluation.measuring.evaluation import Evaluation, Statistics
+from posetrack_cli.evaluation.measuring.subjects import KINDS
 from posetrack_cli.recording.base import TruthMessage
 from posetrack_cli.results import (
     ESTIMATE_SCHEMA_NAME,
@@ -177,10 +183,11 @@ def test_images_are_looked_at_when_the_recording_is_given(
         return answers[len(asked) - 1]
 
     monkeypatch.setattr(
-        "posetrack_cli.evaluation.metrics.image_consistency.image_consistency", image_consistency
+        "posetrack_cli.evaluation.measuring.without_truth.image_consistency", image_consistency
     )
     monkeypatch.setattr(
-        "posetrack_cli.evaluation.recording_of.required_recording", lambda result, given: ("opened", given)
+        "posetrack_cli.evaluation.reading.recording_of.required_recording",
+        lambda result, given: ("opened", given),
     )
     options = EvalOptions(recording=tmp_path / "recording.mcap")
     found, nothing, apart = (evaluate(path, options) for _ in answers)
@@ -384,8 +391,8 @@ def test_a_tolerance_is_exact_in_nanoseconds() -> None:
 
 def test_measuring_imports_no_drawing() -> None:
     code = (
-        "import sys; import posetrack_cli.evaluation.evaluate; "
-        "import posetrack_cli.evaluation.metrics.image_consistency; "
+        "import sys; import posetrack_cli.evaluation.measuring.evaluate; "
+        "import posetrack_cli.evaluation.measuring.without_truth; "
         "print([name for name in sys.modules if 'evaluation.viewing' in name or 'evaluation.html' in name])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

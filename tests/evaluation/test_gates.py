@@ -14,13 +14,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from posetrack_cli.errors import UsageError
-from posetrack_cli.evaluation.coverage import Coverage
-from posetrack_cli.evaluation.evaluation import STATISTIC_NAMES, Evaluation, Statistics
-from posetrack_cli.evaluation.figures import figure_of
-from posetrack_cli.evaluation.gates import OPERATORS, check_gate, check_gates, parse_gate, read_gates
-from posetrack_cli.evaluation.honesty import JudgedFrames
-from posetrack_cli.evaluation.metrics.catalogue import CATALOGUE
-from posetrack_cli.evaluation.pooling import make_pools
+from posetrack_cli.evaluation.judging.gates import OPERATORS, check_gate, check_gates, parse_gate, read_gates
+from posetrack_cli.evaluation.measuring.catalogue import CATALOGUE, figure_of
+from posetrack_cli.evaluation.measuring.evaluation import STATISTIC_NAMES, Evaluation, Statistics
+from posetrack_cli.evaluation.measuring.honesty import JudgedFrames
+from posetrack_cli.evaluation.measuring.pooling import make_pools
+from posetrack_cli.evaluation.reading.tracks import Coverage
 from support.evaluation import hand_evaluation
 
 FIGURES = Statistics(mean=8.0, sd=2.0, median=7.5, p95=12.0, max=30.0, p5=4.0, count=600)

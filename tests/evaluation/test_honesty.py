@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from posetrack_cli.arrays import BoolArray, FloatArray
-from posetrack_cli.evaluation.honesty import (
+from posetrack_cli.evaluation.measuring.honesty import (
     MOST_THRESHOLDS,
     JudgedFrames,
     brier_score,

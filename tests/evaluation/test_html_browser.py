@@ -12,14 +12,14 @@ import cv2
 import numpy as np
 import pytest
 
-from posetrack_cli.evaluation.coverage import Coverage
-from posetrack_cli.evaluation.evaluation import Curve, Evaluation
-from posetrack_cli.evaluation.gates import check_gates, parse_gate
 from posetrack_cli.evaluation.html import write_html, write_rows_html
 from posetrack_cli.evaluation.html.packing import step_for
 from posetrack_cli.evaluation.html.page_data import budget_for
 from posetrack_cli.evaluation.html.rows_page import RowsPage
 from posetrack_cli.evaluation.html.writer import ReportPage
+from posetrack_cli.evaluation.judging.gates import check_gates, parse_gate
+from posetrack_cli.evaluation.measuring.evaluation import Curve, Evaluation
+from posetrack_cli.evaluation.reading.tracks import Coverage
 from support.axe import serious_violations
 from support.browser import console_lines, open_browser, requested, set_features, set_width
 from support.evaluation import hand_evaluation

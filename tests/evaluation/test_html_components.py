@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from posetrack_cli.evaluation.association import Pairs
-from posetrack_cli.evaluation.evaluation import Evaluation
 from posetrack_cli.evaluation.html.components import (
     Component,
     components,
     euler_variance,
     quaternion_variance,
 )
-from posetrack_cli.evaluation.metrics.pose_errors import INSIDE_90
+from posetrack_cli.evaluation.measuring.evaluation import Evaluation
+from posetrack_cli.evaluation.measuring.pose_metrics import INSIDE_90
+from posetrack_cli.evaluation.reading.tracks import Pairs
 from posetrack_cli.geometry import rotations
-from posetrack_cli.geometry.euler import quaternion_from_roll_pitch_yaw, roll_pitch_yaw
+from posetrack_cli.geometry.rotations import quaternion_from_roll_pitch_yaw, roll_pitch_yaw
 from support.evaluation import hand_evaluation
 
 DEG = np.pi / 180.0

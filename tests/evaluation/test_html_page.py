@@ -16,13 +16,15 @@ import numpy as np
 import pytest
 
 from posetrack_cli.errors import ResultError, UsageError
-from posetrack_cli.evaluation.comparing.comparison import compare
-from posetrack_cli.evaluation.coverage import Coverage
-from posetrack_cli.evaluation.evaluation import Evaluation
-from posetrack_cli.evaluation.html import assets, gallery, rows_page, write_html, writer
+from posetrack_cli.evaluation.html import components as gallery
+from posetrack_cli.evaluation.html import packing as assets
+from posetrack_cli.evaluation.html import rows_page, write_html, writer
 from posetrack_cli.evaluation.html.page_data import budget_for
 from posetrack_cli.evaluation.html.writer import ReportPage, html_page
-from posetrack_cli.losses import Loss
+from posetrack_cli.evaluation.judging.comparing import compare
+from posetrack_cli.evaluation.measuring.evaluation import Evaluation
+from posetrack_cli.evaluation.reading.tracks import Coverage
+from posetrack_cli.phases import Loss
 from support.evaluation import hand_evaluation
 from support.html import NASTY, PNG, head_evaluation, picture, shortened, without_truth
 

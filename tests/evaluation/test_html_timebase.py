@@ -9,16 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from posetrack_cli.evaluation.html.timebase import (
-    MOST_SPANS,
-    TICK_NS,
-    gap_spans,
-    state_spans,
-    timebases,
-)
-from posetrack_cli.evaluation.metrics.measures import Measures
-from posetrack_cli.evaluation.metrics.without_truth import consistency_metrics
-from posetrack_cli.evaluation.track import Track
+from posetrack_cli.evaluation.html.page_data import MOST_SPANS, TICK_NS, gap_spans, state_spans, timebases
+from posetrack_cli.evaluation.measuring.measures import Measures
+from posetrack_cli.evaluation.measuring.without_truth import consistency_metrics
+from posetrack_cli.evaluation.reading.tracks import Track
 from support.tracks import hand_track
 
 SECOND = 1_000_000_000

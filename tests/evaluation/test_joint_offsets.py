@@ -11,9 +11,8 @@ import pytest
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import UsageError
-from posetrack_cli.evaluation.association import Pairs
-from posetrack_cli.evaluation.evaluate import EvalOptions
-from posetrack_cli.evaluation.joint_offsets import (
+from posetrack_cli.evaluation.measuring.evaluate import EvalOptions
+from posetrack_cli.evaluation.reading.alignment import (
     AXES,
     MOST_MM,
     JointOffsets,
@@ -21,10 +20,10 @@ from posetrack_cli.evaluation.joint_offsets import (
     bone_of_joints,
     remove_joint_offsets,
 )
-from posetrack_cli.evaluation.track import Track
+from posetrack_cli.evaluation.reading.tracks import Pairs, Track
 from posetrack_cli.geometry import rotations
-from posetrack_cli.hand.anatomy import JOINT_NAMES, JOINT_PARENTS, make_anatomy
-from posetrack_cli.hand.kinematics import skinning_transforms
+from posetrack_cli.hand.model.anatomy import JOINT_NAMES, JOINT_PARENTS, make_anatomy
+from posetrack_cli.hand.model.kinematics import skinning_transforms
 from support.metrics import all_pairs
 from support.tracks import random_hand
 
@@ -141,7 +140,7 @@ def test_long_tracks_are_moved_block_by_block(monkeypatch: pytest.MonkeyPatch) -
     track, offsets = random_hand(23), offsets_of()
     truth = marked(track, offsets, "bone")
     whole, _ = remove_joint_offsets(track, truth, all_pairs(23), ANATOMY)
-    monkeypatch.setattr("posetrack_cli.evaluation.joint_offsets.BLOCK_FRAMES", 5)
+    monkeypatch.setattr("posetrack_cli.evaluation.reading.alignment.BLOCK_FRAMES", 5)
     blocks, _ = remove_joint_offsets(track, truth, all_pairs(23), ANATOMY)
     np.testing.assert_array_equal(points_of(blocks), points_of(whole))
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from posetrack_cli.evaluation.recording_of import search_recording
+from posetrack_cli.evaluation.reading.recording_of import search_recording
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results.reader import read_result
 from support.bags import write_bag, write_folder

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from posetrack_cli.errors import RenderingError
-from posetrack_cli.evaluation.evaluate import evaluate
-from posetrack_cli.evaluation.pictures import worst_frame_pictures
-from posetrack_cli.evaluation.viewing.colours import TRUTH
+from posetrack_cli.evaluation.measuring.evaluate import evaluate
+from posetrack_cli.evaluation.viewing.drawing import TRUTH
+from posetrack_cli.evaluation.viewing.pictures import worst_frame_pictures
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.recording.recording import Recording
 from posetrack_cli.results import Estimate

@@ -7,12 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from posetrack_cli.evaluation.coverage import Coverage
-from posetrack_cli.evaluation.distribution import STEP, distribution
-from posetrack_cli.evaluation.evaluation import Count, Evaluation, statistics
-from posetrack_cli.evaluation.honesty import JudgedFrames
-from posetrack_cli.evaluation.metrics.catalogue import is_pooled, place_of
-from posetrack_cli.evaluation.pooling import make_pools, pool
+from posetrack_cli.evaluation.measuring.catalogue import is_pooled, place_of
+from posetrack_cli.evaluation.measuring.evaluation import STEP, Count, Evaluation, distribution, statistics
+from posetrack_cli.evaluation.measuring.honesty import JudgedFrames
+from posetrack_cli.evaluation.measuring.pooling import make_pools, pool
+from posetrack_cli.evaluation.reading.tracks import Coverage
 from support.evaluation import hand_evaluation
 
 

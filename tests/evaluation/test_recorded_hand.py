@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from posetrack_cli.errors import ResultError
-from posetrack_cli.evaluation.recorded_hand import anatomy_of, hand_of
-from posetrack_cli.hand.anatomy import make_anatomy
-from posetrack_cli.hand.kinematics import joint_positions
-from posetrack_cli.hand.model import MESH_DIGEST
+from posetrack_cli.evaluation.reading.recording_of import anatomy_of, hand_of
+from posetrack_cli.hand.model.anatomy import make_anatomy
+from posetrack_cli.hand.model.hand import MESH_DIGEST
+from posetrack_cli.hand.model.kinematics import joint_positions
 from posetrack_cli.recording.identity import file_digest
 from posetrack_cli.results.estimate import Subject
 from posetrack_cli.results.reader import Result
@@ -47,7 +47,7 @@ def test_a_record_without_a_hand_is_one_line(text: str | None) -> None:
 @pytest.fixture
 def mesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A file that is named as a hand, and stands for one; two folders below the working one."""
-    from posetrack_cli.evaluation import recorded_hand
+    from posetrack_cli.evaluation.reading import recording_of as recorded_hand
 
     monkeypatch.setattr(recorded_hand, "hand_model", lambda settings: settings.mesh)
     monkeypatch.chdir(tmp_path)

@@ -12,16 +12,12 @@ import numpy as np
 import pytest
 
 from posetrack_cli.errors import RecordingError, ResultError, UsageError
-from posetrack_cli.evaluation.recording_of import (
-    camera_of,
-    required_recording,
-    search_recording,
-)
+from posetrack_cli.evaluation.reading.recording_of import camera_of, required_recording, search_recording
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.run import RunOptions, run_record
 from posetrack_cli.recording.camera_file import LONE_NAME
-from posetrack_cli.recording.guess import Guess
+from posetrack_cli.recording.camera_of import Guess
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.recording.pixels import PixelKind
 from posetrack_cli.recording.recording import Recording

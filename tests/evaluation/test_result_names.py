@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from posetrack_cli.evaluation.track import plain_name, unique_names
+from posetrack_cli.evaluation.reading.tracks import plain_name, unique_names
 from support.metrics import relaxed
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from posetrack_cli.errors import ResultError
-from posetrack_cli.evaluation.track import Track, track_of_result
+from posetrack_cli.evaluation.reading.tracks import Track, track_of_result
 from posetrack_cli.results.estimate import Estimate, Status, Subject
 from posetrack_cli.results.reader import read_result
 from support.truth import FRAME_NS, HAND, HEAD, estimates, write_result

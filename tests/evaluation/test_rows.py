@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from posetrack_cli.evaluation.coverage import Coverage
-from posetrack_cli.evaluation.gates import check_gates, parse_gate
-from posetrack_cli.evaluation.pooling import make_pools
+from posetrack_cli.evaluation.judging.gates import check_gates, parse_gate
+from posetrack_cli.evaluation.judging.rows import Verdict, heading, result_sets, worst_first
+from posetrack_cli.evaluation.measuring.pooling import make_pools
+from posetrack_cli.evaluation.reading.tracks import Coverage
 from posetrack_cli.evaluation.reports.report_files import csv_rows
-from posetrack_cli.evaluation.reports.row_table import MOST_LINES, fewer, row_lines, row_table, total_lines
-from posetrack_cli.evaluation.rows import Verdict, heading, result_sets, worst_first
+from posetrack_cli.evaluation.reports.table import MOST_LINES, fewer, row_lines, row_table, total_lines
 from support.html import head_evaluation
 from support.rows import Before, result, result_set
 

@@ -10,10 +10,11 @@ from pathlib import Path
 import pytest
 
 from posetrack_cli.errors import UsageError
-from posetrack_cli.evaluation.evaluation import Evaluation
-from posetrack_cli.evaluation.gates import GateOutcome, check_gates, parse_gate
-from posetrack_cli.evaluation.html import assets, rows_page
+from posetrack_cli.evaluation.html import packing as assets
+from posetrack_cli.evaluation.html import rows_page
 from posetrack_cli.evaluation.html.rows_page import RowsPage, write_rows_html
+from posetrack_cli.evaluation.judging.gates import GateOutcome, check_gates, parse_gate
+from posetrack_cli.evaluation.measuring.evaluation import Evaluation
 from support.html import NASTY
 from support.rows import Before, many_results, result, result_set
 

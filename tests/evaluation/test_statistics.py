@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from posetrack_cli.evaluation.evaluation import statistics
+from posetrack_cli.evaluation.measuring.evaluation import statistics
 from support.metrics import relaxed
 
 VALUES = st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=40)

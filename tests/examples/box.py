@@ -19,11 +19,10 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.configuration import Settings
-from posetrack_cli.evaluation.evaluation import Curve
-from posetrack_cli.evaluation.metrics import pose_errors
-from posetrack_cli.evaluation.metrics.measures import Matched, Measures
-from posetrack_cli.evaluation.metrics.metric import Metric
-from posetrack_cli.evaluation.subjects.kind import SubjectKind
+from posetrack_cli.evaluation.measuring import pose_metrics as pose_errors
+from posetrack_cli.evaluation.measuring.evaluation import Curve
+from posetrack_cli.evaluation.measuring.measures import Matched, Measures, Metric
+from posetrack_cli.evaluation.measuring.subjects.kind import SubjectKind
 from posetrack_cli.filtering.filters import MarginalState, Prior
 from posetrack_cli.filtering.model import Dynamics, FilterModel
 from posetrack_cli.filtering.resampling import Resampling
@@ -33,14 +32,12 @@ from posetrack_cli.mcap.sink import McapSink, serialised
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.conversion import CALIBRATION_TOPIC, IMAGE_TOPIC
 from posetrack_cli.recording.image_files import encode_png
-from posetrack_cli.recording.message_calibration import calibration_message
+from posetrack_cli.recording.message_cameras import calibration_message
 from posetrack_cli.recording.recording import Recording
 from posetrack_cli.rendering.mesh import SkinnedMesh
-from posetrack_cli.rendering.port import RenderingDevice
-from posetrack_cli.rendering.sums import Comparison
-from posetrack_cli.rendering.window import Window
+from posetrack_cli.rendering.port import Comparison, RenderingDevice, Window
+from posetrack_cli.results.columns import Layout, floats
 from posetrack_cli.results.estimate import Estimate, Status, Subject
-from posetrack_cli.results.layouts import Layout, floats
 from posetrack_cli.results.messages import JointStates
 from posetrack_cli.synthesis.recording import TruthChannels, recording_file, write_all
 from posetrack_cli.tracking.options import RunOptions, common_record

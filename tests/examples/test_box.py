@@ -13,7 +13,7 @@ import pytest
 
 from examples.box import BOX, CAMERA, BoxRun, BoxSettings, true_pose, write_boxes
 from posetrack_cli.cli.main import run
-from posetrack_cli.evaluation.subjects import KINDS
+from posetrack_cli.evaluation.measuring.subjects import KINDS
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.results import read_result

@@ -14,7 +14,10 @@ import pytest
 
 from posetrack_cli.filtering.filters import MarginalState, ParticleState, Prior
 from posetrack_cli.filtering.guided import Guide
-from posetrack_cli.filtering.kalman import (
+from posetrack_cli.filtering.model import (
+    Dynamics,
+    Euclidean,
+    FilterModel,
     Gaussian,
     constant_velocity,
     kalman_predict,
@@ -22,7 +25,6 @@ from posetrack_cli.filtering.kalman import (
     step_noise,
     velocity_gain,
 )
-from posetrack_cli.filtering.model import Dynamics, Euclidean, FilterModel
 from posetrack_cli.filtering.modes import LikelihoodModes
 from posetrack_cli.filtering.resampling import Resampling
 from posetrack_cli.filtering.step import Posterior

@@ -7,10 +7,9 @@ import pytest
 from scipy.integrate import quad
 
 from posetrack_cli.filtering.fit_smoothing import doubted, likeliest, log_evidence, only
-from posetrack_cli.filtering.gaussian_smoothing import StateGaussian
-from posetrack_cli.filtering.kalman import Gaussian, kalman_update
-from posetrack_cli.filtering.model import Euclidean
+from posetrack_cli.filtering.model import Euclidean, Gaussian, kalman_update
 from posetrack_cli.filtering.modes import LikelihoodModes
+from posetrack_cli.filtering.smoothing import StateGaussian
 
 SPACE = Euclidean()
 

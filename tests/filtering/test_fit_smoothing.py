@@ -11,14 +11,19 @@ from scipy.optimize import minimize_scalar
 from posetrack_cli.filtering.errors import FilterError
 from posetrack_cli.filtering.filters import MarginalState
 from posetrack_cli.filtering.fit_smoothing import FitSmoother, fitted, predicted
-from posetrack_cli.filtering.gaussian_smoothing import StateGaussian
-from posetrack_cli.filtering.kalman import Gaussian, kalman_predict, kalman_smooth, kalman_update
-from posetrack_cli.filtering.model import Dynamics, Euclidean
+from posetrack_cli.filtering.model import (
+    Dynamics,
+    Euclidean,
+    Gaussian,
+    kalman_predict,
+    kalman_smooth,
+    kalman_update,
+)
 from posetrack_cli.filtering.modes import LikelihoodModes
-from posetrack_cli.filtering.smoothing import NOTHING, Memory, Smoothed, Step
-from posetrack_cli.hand.anatomy import make_anatomy
+from posetrack_cli.filtering.smoothing import NOTHING, Memory, Smoothed, StateGaussian, Step
+from posetrack_cli.hand.model.anatomy import make_anatomy
 from posetrack_cli.hand.start import rest_pose
-from posetrack_cli.tracking.body_space import BodySpace
+from posetrack_cli.tracking.velocity import BodySpace
 
 SPACE, HANDS = Euclidean(), BodySpace()
 START = rest_pose(make_anatomy(), np.array([10.0, -20.0, 650.0]))

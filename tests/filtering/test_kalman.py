@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from posetrack_cli.filtering.errors import FilterError
-from posetrack_cli.filtering.kalman import (
+from posetrack_cli.filtering.model import (
     DISCRETISATIONS,
     Gaussian,
     constant_velocity,

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from posetrack_cli.filtering.errors import FilterError
-from posetrack_cli.filtering.kalman import Gaussian, kalman_predict, kalman_update
+from posetrack_cli.filtering.model import Gaussian, kalman_predict, kalman_update
 from posetrack_cli.filtering.partitioned import Motion, local_mean, partitioned_step
 from posetrack_cli.filtering.resampling import resampling_schemes
 

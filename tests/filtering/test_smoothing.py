@@ -7,12 +7,17 @@ import pytest
 
 from posetrack_cli.filtering.errors import FilterError
 from posetrack_cli.filtering.filters import FILTERS, MarginalState, ParticleState, Prior
-from posetrack_cli.filtering.gaussian_smoothing import GaussianSmoother, shrunk
 from posetrack_cli.filtering.guided import Guide
-from posetrack_cli.filtering.kalman import Gaussian, kalman_predict, kalman_smooth
-from posetrack_cli.filtering.model import Dynamics, Euclidean, FilterModel
+from posetrack_cli.filtering.model import (
+    Dynamics,
+    Euclidean,
+    FilterModel,
+    Gaussian,
+    kalman_predict,
+    kalman_smooth,
+)
 from posetrack_cli.filtering.resampling import Resampling
-from posetrack_cli.filtering.smoothing import Smoothed, Smoother, noise_of
+from posetrack_cli.filtering.smoothing import GaussianSmoother, Smoothed, Smoother, noise_of, shrunk
 from posetrack_cli.filtering.step import Posterior
 from posetrack_cli.geometry import rotations as rot
 

@@ -7,8 +7,14 @@ import pytest
 
 from posetrack_cli.filtering.errors import FilterError
 from posetrack_cli.filtering.filters import MarginalState, ParticleState, Prior
-from posetrack_cli.filtering.kalman import Gaussian, constant_velocity, kalman_predict
-from posetrack_cli.filtering.model import Dynamics, Euclidean, FilterModel
+from posetrack_cli.filtering.model import (
+    Dynamics,
+    Euclidean,
+    FilterModel,
+    Gaussian,
+    constant_velocity,
+    kalman_predict,
+)
 from posetrack_cli.filtering.resampling import Resampling
 
 COUNT = 40_000

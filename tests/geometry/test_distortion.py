@@ -8,15 +8,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.distortion import distort, distortion_jacobian, undistort
-from posetrack_cli.geometry.projection import (
+from posetrack_cli.geometry.camera import (
+    Camera,
+    distort,
+    distortion_jacobian,
     in_camera_axes,
     largest_radius,
     normalised_from_pixels,
     pixels_and_jacobian,
     pixels_from_normalised,
     pixels_from_points,
+    undistort,
     undistorted_pixels,
 )
 

@@ -9,14 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.epipolar import (
-    CameraPair,
-    better_order,
-    order_fit,
-    sampson_distance,
-)
-from posetrack_cli.geometry.projection import in_camera_axes, pixels_from_points
+from posetrack_cli.geometry.camera import Camera, in_camera_axes, pixels_from_points
+from posetrack_cli.geometry.rigid import CameraPair, better_order, order_fit, sampson_distance
 
 ROUNDING_PX = 1e-8
 

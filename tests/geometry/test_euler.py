@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
-from posetrack_cli.geometry import euler
+from posetrack_cli.geometry import rotations as euler
 from posetrack_cli.geometry import rotations as rot
 
 ROUNDING = 64 * np.finfo(np.float64).eps

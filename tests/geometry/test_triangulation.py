@@ -10,10 +10,8 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.epipolar import CameraPair
-from posetrack_cli.geometry.projection import in_camera_axes, pixels_from_points
-from posetrack_cli.geometry.triangulation import reprojection_errors, triangulate
+from posetrack_cli.geometry.camera import Camera, in_camera_axes, pixels_from_points
+from posetrack_cli.geometry.rigid import CameraPair, reprojection_errors, triangulate
 
 EXACT_MM = 1e-7
 """Pixels to 1e-10 px at 700 mm and a baseline of 120 mm: 1e-10 * 700^2 / (900 * 120)."""

@@ -7,15 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from posetrack_cli.hand.acquisition import Acquisition, Candidate, better_of, distinct
-from posetrack_cli.hand.anatomy import ANGLES
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.kinematics import joint_positions
-from posetrack_cli.hand.observer import Observer
+from posetrack_cli.hand.model.anatomy import ANGLES
+from posetrack_cli.hand.model.kinematics import joint_positions
+from posetrack_cli.hand.observe.observer import Observer
+from posetrack_cli.hand.search import Acquisition, Candidate, better_of, distinct
 from posetrack_cli.rendering.port import RenderingDevice
-from posetrack_cli.synthesis.hand.frames import synthesise
+from posetrack_cli.synthesis.hand.frames import CAMERA, synthesise
 from posetrack_cli.synthesis.hand.options import SynthOptions
-from posetrack_cli.synthesis.hand.sensor import CAMERA
 from support.hand import KINECT, random_poses
 from support.hand_scene import HANDS, WALL_MM, Stage, acquisition, relaxed, turned_about_its_length
 
@@ -81,7 +80,7 @@ def test_what_fits_badly_is_no_find(stage: Stage, monkeypatch: pytest.MonkeyPatc
     noise = np.random.default_rng(0).normal(scale=2.0, size=(KINECT.height, KINECT.width))
     noisy = (stage.depth(relaxed()) + noise).astype(np.float32)
     for accept_mm, found in ((0.5, False), (5.0, True)):
-        monkeypatch.setattr("posetrack_cli.hand.acquisition.ACCEPT_MM", accept_mm)
+        monkeypatch.setattr("posetrack_cli.hand.search.ACCEPT_MM", accept_mm)
         assert (acquisition(HANDS["right"]).search(noisy) is not None) == found
 
 

@@ -7,16 +7,16 @@ import itertools
 import numpy as np
 import pytest
 
-from posetrack_cli.hand.anatomy import (
+from posetrack_cli.hand.model.anatomy import (
     ANGLE_LIMITS,
     ANGLE_NAMES,
     FINGERS,
+    HAND_LENGTH_MM,
     JOINT_NAMES,
     JOINT_PARENTS,
     make_anatomy,
 )
-from posetrack_cli.hand.kinematics import joint_positions
-from posetrack_cli.hand.population import HAND_LENGTH_MM
+from posetrack_cli.hand.model.kinematics import joint_positions
 from support.hand import BONE_LENGTHS_MM, REST, bent
 
 ROUNDING_MM = 1e-9

@@ -8,18 +8,18 @@ from pathlib import Path
 import pytest
 
 from posetrack_cli.errors import RecordingError
-from posetrack_cli.hand.acquisition import Acquisition
-from posetrack_cli.hand.calibration import before_run, trial
-from posetrack_cli.hand.calibration.before_run import WELL_KNOWN_MM, find_hand
-from posetrack_cli.hand.calibration.calibrate import Calibration, CalibrationOptions
-from posetrack_cli.hand.calibration.trial import MOST_ASKED, is_size_open
+from posetrack_cli.hand import autodetect as before_run
+from posetrack_cli.hand import autodetect as trial
+from posetrack_cli.hand.autodetect import MOST_ASKED, WELL_KNOWN_MM, find_hand, is_size_open
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.segmentation import Detection
-from posetrack_cli.hand.shape import HandShape
+from posetrack_cli.hand.model.anatomy import HandShape
+from posetrack_cli.hand.observe.detection import Detection
+from posetrack_cli.hand.search import Acquisition
+from posetrack_cli.hand.shape_fit import Calibration, CalibrationOptions
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.recording.recording import Recording
+from posetrack_cli.synthesis.hand.frames import write_synthetic
 from posetrack_cli.synthesis.hand.options import SynthOptions
-from posetrack_cli.synthesis.hand.writing import write_synthetic
 from support.calibrations import GOOD_MM, calibration_of
 
 FRAMES = 24

@@ -13,19 +13,20 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from posetrack_cli.cli.main import run
 from posetrack_cli.errors import EXIT_DONE, EXIT_FAILED, ResultError
-from posetrack_cli.hand.anatomy import (
+from posetrack_cli.hand.bvh import bvh_text
+from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.fit.skeleton import FOREARM, INNER_NUMBERS, NO_INNER, NO_THUMB, inner_numbers
+from posetrack_cli.hand.model.anatomy import (
     ANGLE_LIMITS,
     ANGLE_NAMES,
     JOINT_NAMES,
     JOINT_PARENTS,
     HandAnatomy,
+    HandShape,
     make_anatomy,
+    reshaped_anatomy,
 )
-from posetrack_cli.hand.bvh import bvh_text
-from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.inner import FOREARM, INNER_NUMBERS, NO_INNER, NO_THUMB, inner_numbers
-from posetrack_cli.hand.kinematics import joint_positions
-from posetrack_cli.hand.shape import HandShape, reshaped_anatomy
+from posetrack_cli.hand.model.kinematics import joint_positions
 from posetrack_cli.results import Estimate, ResultWriter, Status, Subject, load_arrays, read_result
 from posetrack_cli.results.export.source import export_source
 from support.results import CAMERA, make_estimate, with_fields

@@ -15,25 +15,26 @@ import pytest
 from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.configuration import load_settings
 from posetrack_cli.errors import RecordingError
-from posetrack_cli.hand.acquisition import Acquisition
-from posetrack_cli.hand.anatomy import make_anatomy
-from posetrack_cli.hand.calibration import bundle
-from posetrack_cli.hand.calibration.before_run import calibrate
-from posetrack_cli.hand.calibration.calibrate import (
-    FIRST_FRAMES,
-    LOOKED_AT,
-    MOST_ROUNDS,
-    ROUNDS,
-    Calibration,
-    CalibrationOptions,
-    _Calibrator,
-    good_cost,
-    hand_text,
-    shape_of,
-    write_hand_file,
+from posetrack_cli.hand import shape_bundle as bundle
+from posetrack_cli.hand.autodetect import ASKED_EVERY, SIDES, Trial, calibrate, tried_all_over
+from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.fit.fitter import nearest_pixels
+from posetrack_cli.hand.fit.skeleton import NO_THUMB
+from posetrack_cli.hand.fit.terms import Terms, Tile
+from posetrack_cli.hand.model.anatomy import (
+    HAND_LENGTH_MM,
+    POPULATION_SD,
+    SHAPE_NAMES,
+    FactorSpace,
+    HandShape,
+    PopulationSpace,
+    make_anatomy,
+    random_shape,
 )
-from posetrack_cli.hand.calibration.measures import MEASURES, measured, measures_of
-from posetrack_cli.hand.calibration.residuals import (
+from posetrack_cli.hand.model.hand import HandModel, average_hand
+from posetrack_cli.hand.model.kinematics import joint_positions, skinning_transforms
+from posetrack_cli.hand.search import Acquisition
+from posetrack_cli.hand.shape_bundle import (
     FRAME_SIZE,
     FRAME_STEPS,
     LEAST_SHARE,
@@ -42,33 +43,32 @@ from posetrack_cli.hand.calibration.residuals import (
     vertex_moves,
     wrist_shares,
 )
-from posetrack_cli.hand.calibration.trial import ASKED_EVERY, SIDES, Trial, tried_all_over
-from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.fitting.fitter import nearest_pixels
-from posetrack_cli.hand.fitting.terms import Terms, Tile
-from posetrack_cli.hand.inner import NO_THUMB
-from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
-from posetrack_cli.hand.model import HandModel, average_hand
-from posetrack_cli.hand.population import HAND_LENGTH_MM
-from posetrack_cli.hand.shape import (
-    POPULATION_SD,
-    SHAPE_NAMES,
-    FactorSpace,
-    HandShape,
-    PopulationSpace,
-    random_shape,
+from posetrack_cli.hand.shape_fit import (
+    FIRST_FRAMES,
+    LOOKED_AT,
+    MEASURES,
+    MOST_ROUNDS,
+    ROUNDS,
+    Calibration,
+    CalibrationOptions,
+    _Calibrator,
+    good_cost,
+    hand_text,
+    measured,
+    measures_of,
+    shape_of,
+    write_hand_file,
 )
 from posetrack_cli.hand.start import rest_pose
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.recording.recording import Recording
-from posetrack_cli.rendering.port import RenderingDevice
+from posetrack_cli.rendering.port import RenderingDevice, Window
 from posetrack_cli.rendering.raster import View
-from posetrack_cli.rendering.window import Window
+from posetrack_cli.synthesis.hand.frames import write_synthetic
 from posetrack_cli.synthesis.hand.options import SynthOptions, hand_of_seed
-from posetrack_cli.synthesis.hand.shapes import SHAPES
-from posetrack_cli.synthesis.hand.writing import write_synthetic
-from posetrack_cli.tracking.body_space import BodySpace
+from posetrack_cli.synthesis.hand.person import SHAPES
+from posetrack_cli.tracking.velocity import BodySpace
 from support.calibrations import calibration_of
 from support.hand import KINECT
 

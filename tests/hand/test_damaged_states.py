@@ -16,7 +16,7 @@ from posetrack_cli.hand.run import HandRun, RunOptions
 from posetrack_cli.npz import read_npz
 from posetrack_cli.outputs import part_path, state_path
 from posetrack_cli.rendering.port import RenderingDevice
-from posetrack_cli.results.layouts import LayoutError
+from posetrack_cli.results.columns import LayoutError
 from posetrack_cli.tracking.smoothing import smoothing_path
 from support.damage import damaged_arrays, sealed, wild_numbers
 from support.flat_recording import CONFIG, Memory, after

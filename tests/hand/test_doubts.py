@@ -7,15 +7,14 @@ from dataclasses import replace
 
 import pytest
 
-from posetrack_cli.hand.calibration.calibrate import Calibration
-from posetrack_cli.hand.calibration.doubts import (
+from posetrack_cli.hand.model.anatomy import HAND_LENGTH_MM, HandShape
+from posetrack_cli.hand.shape_fit import (
     HAND_LENGTHS_MM,
     HARDLY_LEARNT,
     LARGEST_COEFFICIENT,
+    Calibration,
     doubts_of,
 )
-from posetrack_cli.hand.population import HAND_LENGTH_MM
-from posetrack_cli.hand.shape import HandShape
 from support.calibrations import calibration_of
 
 USUAL = calibration_of(HandShape(coefficients=(1.0, -1.0)))

@@ -9,16 +9,15 @@ import pytest
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry import rotations
-from posetrack_cli.hand.acquisition import Acquisition
-from posetrack_cli.hand.extended_fingers import extended_fingers, poses_of_fingers
-from posetrack_cli.hand.kinematics import (
+from posetrack_cli.hand.model.kinematics import (
     joint_positions,
     joint_set_distance,
     mean_joint_distances,
     mirrored_poses,
 )
-from posetrack_cli.hand.observation import Observation
+from posetrack_cli.hand.observe.observation import Observation
 from posetrack_cli.hand.policy import NEAR_MM
+from posetrack_cli.hand.search import Acquisition, extended_fingers, poses_of_fingers
 from posetrack_cli.rendering.port import RenderingDevice
 from support.hand import KINECT, random_poses
 from support.hand_scene import HANDS, Stage, acquisition, relaxed, turned_about_its_length

@@ -9,10 +9,9 @@ import pytest
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry import rotations
-from posetrack_cli.hand.anatomy import ARM_BONE
 from posetrack_cli.hand.config import ObservationSettings
-from posetrack_cli.hand.fitting.fitter import HandFitter, PosePrior
-from posetrack_cli.hand.fitting.gauss_newton import (
+from posetrack_cli.hand.fit.fitter import HandFitter, PosePrior
+from posetrack_cli.hand.fit.gauss_newton import (
     ABDUCTION_SD,
     FREE_BEND,
     FREE_THUMB,
@@ -22,19 +21,17 @@ from posetrack_cli.hand.fitting.gauss_newton import (
     add_inner_prior,
     empty_fit,
 )
-from posetrack_cli.hand.fitting.normal_equations import ROW, UNKNOWNS, add_row, empty_equations, gather
-from posetrack_cli.hand.fitting.skeleton import ARM, Posed, empty_posed, point_row, pose_bones
-from posetrack_cli.hand.fitting.skin import skin_of
-from posetrack_cli.hand.forearm import SEEN_MM, transforms_with_forearm
-from posetrack_cli.hand.inner import NO_THUMB
-from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
-from posetrack_cli.hand.local_fits import THUMB_LEFT, without_inner
-from posetrack_cli.hand.model import HandModel, average_hand, hand_maker
-from posetrack_cli.hand.observation import IGNORED, Observation, window_around
-from posetrack_cli.hand.shape import random_shape
+from posetrack_cli.hand.fit.local_fits import THUMB_LEFT, without_inner
+from posetrack_cli.hand.fit.normal_equations import ROW, UNKNOWNS, add_row, empty_equations, gather
+from posetrack_cli.hand.fit.skeleton import ARM, NO_THUMB, Posed, empty_posed, point_row, pose_bones, skin_of
+from posetrack_cli.hand.model.anatomy import ARM_BONE, random_shape
+from posetrack_cli.hand.model.forearm import SEEN_MM, transforms_with_forearm
+from posetrack_cli.hand.model.hand import HandModel, average_hand, hand_maker
+from posetrack_cli.hand.model.kinematics import joint_positions, skinning_transforms
+from posetrack_cli.hand.observe.observation import IGNORED, Observation, window_around
 from posetrack_cli.rendering.mesh import SkinnedMesh, is_closed
 from posetrack_cli.rendering.raster import View, draw, empty_drawing
-from posetrack_cli.tracking.body_space import BodySpace
+from posetrack_cli.tracking.velocity import BodySpace
 from support.fitting import HANDS, RIGHT, TILE_PX, WALL_MM
 from support.hand import KINECT, bent, random_poses
 

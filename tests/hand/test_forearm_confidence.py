@@ -12,24 +12,23 @@ from posetrack_cli.evaluation.viewing.drawing import Canvas, Shown
 from posetrack_cli.evaluation.viewing.hand_drawing import LABEL_COLOURS, HandDrawer
 from posetrack_cli.geometry import rotations
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.forearm import transforms_with_forearm
-from posetrack_cli.hand.forearm_confidence import (
+from posetrack_cli.hand.fit.likelihood import RenderedCosts
+from posetrack_cli.hand.fit.local_fits import FOREARM_CONFIDENCE
+from posetrack_cli.hand.fit.skeleton import INNER_NUMBERS, inner_numbers, inner_of
+from posetrack_cli.hand.model.forearm import (
     LEAST_CONFIDENCE,
     NEAR_MM,
     forearm_confidence,
     forearm_window,
+    transforms_with_forearm,
 )
-from posetrack_cli.hand.inner import INNER_NUMBERS, inner_numbers, inner_of
-from posetrack_cli.hand.kinematics import joint_positions
-from posetrack_cli.hand.likelihood import RenderedCosts
-from posetrack_cli.hand.local_fits import FOREARM_CONFIDENCE
-from posetrack_cli.hand.model import average_hand
-from posetrack_cli.hand.observer import Observer
-from posetrack_cli.hand.protocol import NUMBER_NAMES, forearm_confidence_of
-from posetrack_cli.hand.segmentation import Label
+from posetrack_cli.hand.model.hand import average_hand
+from posetrack_cli.hand.model.kinematics import joint_positions
+from posetrack_cli.hand.observe.observer import Observer
+from posetrack_cli.hand.observe.segmentation import Label
+from posetrack_cli.hand.start import NUMBER_NAMES, forearm_confidence_of
 from posetrack_cli.recording.base import Frame
-from posetrack_cli.rendering.port import RenderingDevice
-from posetrack_cli.rendering.window import Window
+from posetrack_cli.rendering.port import RenderingDevice, Window
 from support.fitting import RIGHT
 from support.hand import KINECT, random_poses
 from support.hand_scene import WALL_MM, relaxed, tracker

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.filtering.gaussian_smoothing import StateGaussian
 from posetrack_cli.filtering.modes import LikelihoodModes
-from posetrack_cli.hand import local_fits
+from posetrack_cli.filtering.smoothing import StateGaussian
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.local_fits import HandFits
-from posetrack_cli.hand.observation import Observation
-from posetrack_cli.hand.observer import Observer
+from posetrack_cli.hand.fit import local_fits
+from posetrack_cli.hand.fit.local_fits import HandFits
+from posetrack_cli.hand.observe.observation import Observation
+from posetrack_cli.hand.observe.observer import Observer
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.results.spool import RecordSpool
-from posetrack_cli.tracking.body_space import BodySpace
+from posetrack_cli.tracking.velocity import BodySpace
 from support.hand import KINECT
 from support.hand_scene import HANDS, Stage, relaxed
 

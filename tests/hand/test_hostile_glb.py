@@ -14,10 +14,9 @@ import pytest
 
 from posetrack_cli import limits
 from posetrack_cli.errors import UsageError
-from posetrack_cli.hand.anatomy import make_anatomy
-from posetrack_cli.hand.webxr import load_hand
-from posetrack_cli.rendering.gltf import read_glb
-from posetrack_cli.rendering.gltf_skin import read_skin
+from posetrack_cli.hand.model.anatomy import make_anatomy
+from posetrack_cli.hand.model.webxr import load_hand
+from posetrack_cli.rendering.gltf import read_glb, read_skin
 from support.glb import GlbWriter, hand_glb
 from support.hand import posed_from
 
@@ -161,7 +160,7 @@ def chained(count: int) -> Change:
 
 def test_a_chain_of_nodes_costs_one_step_each(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """All 25 joints hang on its end; each node's own transform is made once."""
-    from posetrack_cli.rendering import gltf_skin
+    from posetrack_cli.rendering import gltf as gltf_skin
 
     made, local = [0], gltf_skin._local_transform
 

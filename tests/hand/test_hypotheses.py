@@ -7,11 +7,11 @@ import pytest
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry import rotations
-from posetrack_cli.hand.acquisition import detected_poses, turned_poses
-from posetrack_cli.hand.anatomy import ANGLE_LIMITS, ANGLES, HandAnatomy, make_anatomy
-from posetrack_cli.hand.kinematics import joint_positions, mirrored_poses
-from posetrack_cli.hand.segmentation import Detection
-from posetrack_cli.rendering.window import Window
+from posetrack_cli.hand.model.anatomy import ANGLE_LIMITS, ANGLES, HandAnatomy, make_anatomy
+from posetrack_cli.hand.model.kinematics import joint_positions, mirrored_poses
+from posetrack_cli.hand.observe.detection import Detection
+from posetrack_cli.hand.search import detected_poses, turned_poses
+from posetrack_cli.rendering.port import Window
 from support.hand import random_poses
 
 ANATOMIES = {"right": make_anatomy(), "left": make_anatomy("left")}

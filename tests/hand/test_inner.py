@@ -8,11 +8,10 @@ import pytest
 from posetrack_cli.arrays import Float32Array, FloatArray
 from posetrack_cli.evaluation.viewing.drawing import Shown
 from posetrack_cli.evaluation.viewing.hand_drawing import HandDrawer
-from posetrack_cli.hand.anatomy import JOINT_NAMES
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.fitting.fitter import HandFitter, PosePrior
-from posetrack_cli.hand.fitting.gauss_newton import STIFF_THUMB, ThumbPrior
-from posetrack_cli.hand.inner import (
+from posetrack_cli.hand.fit.fitter import HandFitter, PosePrior
+from posetrack_cli.hand.fit.gauss_newton import STIFF_THUMB, ThumbPrior
+from posetrack_cli.hand.fit.skeleton import (
     NO_INNER,
     NO_THUMB,
     RELAXED_INNER,
@@ -21,13 +20,13 @@ from posetrack_cli.hand.inner import (
     inner_of,
     thumbs_of,
 )
-from posetrack_cli.hand.kinematics import joint_positions, mirrored_poses, skinning_transforms
-from posetrack_cli.hand.protocol import NUMBER_NAMES
+from posetrack_cli.hand.model.anatomy import JOINT_NAMES
+from posetrack_cli.hand.model.kinematics import joint_positions, mirrored_poses, skinning_transforms
+from posetrack_cli.hand.run import make_tracker
+from posetrack_cli.hand.start import NUMBER_NAMES
 from posetrack_cli.hand.tracker import THUMB_MEMORY
-from posetrack_cli.hand.trackers import make_tracker
 from posetrack_cli.recording.base import Frame
-from posetrack_cli.rendering.port import RenderingDevice
-from posetrack_cli.rendering.window import Window
+from posetrack_cli.rendering.port import RenderingDevice, Window
 from support.fitting import HANDS, TILE_PX, observed
 from support.hand import KINECT, random_poses
 from support.hand_scene import WALL_MM, relaxed

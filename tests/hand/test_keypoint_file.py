@@ -15,14 +15,12 @@ from hypothesis import strategies as st
 from posetrack_cli import limits
 from posetrack_cli.errors import UsageError
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.anatomy import JOINT_NAMES
 from posetrack_cli.hand.keypoints.file import KeypointFile, read_keypoints
-from posetrack_cli.hand.keypoints.joints import HAND_POINTS
+from posetrack_cli.hand.keypoints.places import HAND_POINTS
+from posetrack_cli.hand.model.anatomy import JOINT_NAMES
 from posetrack_cli.recording.base import StoredFrame
-from posetrack_cli.recording.keypoints.layout import point_column
-from posetrack_cli.recording.keypoints.reading import parse_keypoints
-from posetrack_cli.recording.keypoints.sets import SetCollector
-from posetrack_cli.recording.keypoints.use import KeypointUse, fitted_to
+from posetrack_cli.recording.keypoints.layout import SetCollector, point_column
+from posetrack_cli.recording.keypoints.reading import KeypointUse, fitted_to, parse_keypoints
 
 CAMERA = Camera(512, 424, 365.0, 365.0, 255.5, 211.5)
 FRAMES = (0, 1, 4)

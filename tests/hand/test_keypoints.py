@@ -10,8 +10,9 @@ import pytest
 
 from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.calibration.trial import CLEAR_LOG_ODDS
+from posetrack_cli.hand.autodetect import CLEAR_LOG_ODDS
 from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.fit.likelihood import RenderedCosts
 from posetrack_cli.hand.keypoints.file import UNSURE, KeypointFile
 from posetrack_cli.hand.keypoints.places import FEWEST, places_in_image, places_in_space, skin_depths
 from posetrack_cli.hand.keypoints.told import (
@@ -23,13 +24,12 @@ from posetrack_cli.hand.keypoints.told import (
     pose_of_places,
     split,
 )
-from posetrack_cli.hand.kinematics import joint_positions
-from posetrack_cli.hand.likelihood import RenderedCosts
-from posetrack_cli.hand.observation import Observation
+from posetrack_cli.hand.model.kinematics import joint_positions
+from posetrack_cli.hand.observe.observation import Observation
 from posetrack_cli.hand.policy import LEAVE_AFTER_FRAMES, TrackMonitor
 from posetrack_cli.hand.tracker import HandTracker
 from posetrack_cli.recording.base import Frame
-from posetrack_cli.recording.keypoints.sets import KeypointSets
+from posetrack_cli.recording.keypoints.layout import KeypointSets
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.results.estimate import Estimate, Status
 from support.hand import KINECT, random_poses

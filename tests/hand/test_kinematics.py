@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given, settings
 from scipy.spatial.transform import Rotation
 
-from posetrack_cli.hand.anatomy import FINGERS, JOINT_NAMES, MIRROR, HandAnatomy, make_anatomy
-from posetrack_cli.hand.kinematics import (
+from posetrack_cli.hand.model.anatomy import FINGERS, JOINT_NAMES, MIRROR, HandAnatomy, make_anatomy
+from posetrack_cli.hand.model.kinematics import (
     joint_jacobian,
     joint_positions,
     mirrored_poses,
     skinning_transforms,
 )
-from posetrack_cli.tracking.body_space import BodySpace
+from posetrack_cli.tracking.velocity import BodySpace
 from support.hand import REST, bent, pose_strategy, random_poses
 
 ROUNDING_MM = 1e-9

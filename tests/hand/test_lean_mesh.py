@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.hand.anatomy import MIRROR, HandAnatomy, make_anatomy
-from posetrack_cli.hand.kinematics import skinning_transforms
-from posetrack_cli.hand.mesh import hand_mesh
-from posetrack_cli.hand.model import LEAN_TRIANGLES, bent_hands, lean_mesh
+from posetrack_cli.hand.model.anatomy import MIRROR, HandAnatomy, make_anatomy
+from posetrack_cli.hand.model.hand import LEAN_TRIANGLES, bent_hands, hand_mesh, lean_mesh
+from posetrack_cli.hand.model.kinematics import skinning_transforms
 from posetrack_cli.rendering.mesh import SkinnedMesh, closest_points, is_closed
 from support.hand import random_poses
 

@@ -8,14 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from posetrack_cli.hand.anatomy import make_anatomy
 from posetrack_cli.hand.config import ObservationSettings
-from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
-from posetrack_cli.hand.likelihood import RenderedCosts, log_gibbs, paper_cost, union_cost
-from posetrack_cli.hand.model import average_hand
-from posetrack_cli.hand.observation import Observation, window_around
-from posetrack_cli.rendering.port import RenderingDevice
-from posetrack_cli.rendering.sums import Comparison, sums_in_numpy
+from posetrack_cli.hand.fit.likelihood import RenderedCosts, log_gibbs, paper_cost, union_cost
+from posetrack_cli.hand.model.anatomy import make_anatomy
+from posetrack_cli.hand.model.hand import average_hand
+from posetrack_cli.hand.model.kinematics import joint_positions, skinning_transforms
+from posetrack_cli.hand.observe.observation import Observation, window_around
+from posetrack_cli.rendering.port import Comparison, RenderingDevice, sums_in_numpy
 from support.hand import KINECT, REST, bent
 
 ROUNDING = 1e-9

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.hand import local_fits
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.fitting.gauss_newton import ABDUCTION_SD, IP_SD
-from posetrack_cli.hand.kinematics import joint_positions
-from posetrack_cli.hand.likelihood import RenderedCosts
-from posetrack_cli.hand.local_fits import (
+from posetrack_cli.hand.fit import local_fits
+from posetrack_cli.hand.fit.gauss_newton import ABDUCTION_SD, IP_SD
+from posetrack_cli.hand.fit.likelihood import RenderedCosts
+from posetrack_cli.hand.fit.local_fits import (
     MOST_MODES,
     SHARPENING,
     THUMB_LEFT,
@@ -20,10 +19,11 @@ from posetrack_cli.hand.local_fits import (
     LocalFitter,
     motion_precision,
 )
-from posetrack_cli.hand.observation import Observation
-from posetrack_cli.hand.observer import Observer
+from posetrack_cli.hand.model.kinematics import joint_positions
+from posetrack_cli.hand.observe.observation import Observation
+from posetrack_cli.hand.observe.observer import Observer
 from posetrack_cli.rendering.port import RenderingDevice
-from posetrack_cli.tracking.body_space import BodySpace
+from posetrack_cli.tracking.velocity import BodySpace
 from support.hand import KINECT
 from support.hand_scene import HANDS, Stage, relaxed, turned_about_its_length
 

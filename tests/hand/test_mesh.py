@@ -8,10 +8,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from posetrack_cli.geometry import rotations
-from posetrack_cli.hand.anatomy import FINGERS, JOINT_PARENTS, MIRROR, make_anatomy
-from posetrack_cli.hand.kinematics import joint_positions, mirrored_poses, skinning_transforms
-from posetrack_cli.hand.mesh import LEVELS, hand_mesh
-from posetrack_cli.hand.shape import random_shape
+from posetrack_cli.hand.model.anatomy import FINGERS, JOINT_PARENTS, MIRROR, make_anatomy, random_shape
+from posetrack_cli.hand.model.hand import LEVELS, hand_mesh
+from posetrack_cli.hand.model.kinematics import joint_positions, mirrored_poses, skinning_transforms
 from posetrack_cli.rendering.mesh import SkinnedMesh
 from support.hand import REST, bent, enclosed_volume, posed_from, random_poses
 

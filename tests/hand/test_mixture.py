@@ -7,10 +7,10 @@ import pytest
 
 from posetrack_cli.arrays import Float32Array, FloatArray
 from posetrack_cli.hand.config import MixtureSettings, ObservationSettings
-from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
-from posetrack_cli.hand.likelihood import RenderedCosts, log_gibbs, reading_share
-from posetrack_cli.hand.model import average_hand
-from posetrack_cli.hand.observation import Observation, window_around
+from posetrack_cli.hand.fit.likelihood import RenderedCosts, log_gibbs, reading_share
+from posetrack_cli.hand.model.hand import average_hand
+from posetrack_cli.hand.model.kinematics import joint_positions, skinning_transforms
+from posetrack_cli.hand.observe.observation import Observation, window_around
 from posetrack_cli.rendering.port import RenderingDevice
 from support.hand import KINECT, REST, bent
 from support.rendering import moved_a_subpixel

@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.anatomy import make_anatomy
 from posetrack_cli.hand.config import ObservationSettings
-from posetrack_cli.hand.kinematics import joint_positions
-from posetrack_cli.hand.observation import PixelSampler, everything, window_around
-from posetrack_cli.rendering.window import Window
+from posetrack_cli.hand.model.anatomy import make_anatomy
+from posetrack_cli.hand.model.kinematics import joint_positions
+from posetrack_cli.hand.observe.observation import PixelSampler, everything, window_around
+from posetrack_cli.rendering.port import Window
 from support.hand import KINECT, REST
 
 ANATOMY = make_anatomy()

@@ -7,13 +7,12 @@ import pytest
 
 from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.forearm import SEEN_MM
-from posetrack_cli.hand.kinematics import joint_positions
-from posetrack_cli.hand.observation import IGNORED, Observation
-from posetrack_cli.hand.observer import Observer
-from posetrack_cli.hand.segmentation import Detection, detect
-from posetrack_cli.rendering.port import RenderingDevice
-from posetrack_cli.rendering.window import Window
+from posetrack_cli.hand.model.forearm import SEEN_MM
+from posetrack_cli.hand.model.kinematics import joint_positions
+from posetrack_cli.hand.observe.detection import Detection, detect
+from posetrack_cli.hand.observe.observation import IGNORED, Observation
+from posetrack_cli.hand.observe.observer import Observer
+from posetrack_cli.rendering.port import RenderingDevice, Window
 from support.hand import KINECT
 from support.hand_scene import HANDS, WALL_MM, Stage, relaxed
 

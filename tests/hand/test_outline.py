@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.observer import Observer
+from posetrack_cli.hand.observe.observer import Observer
+from posetrack_cli.hand.run import make_tracker
 from posetrack_cli.hand.start import centre_pose
-from posetrack_cli.hand.trackers import make_tracker
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.results.estimate import Status

@@ -12,11 +12,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from posetrack_cli.hand.acquisition import Acquisition, Candidate
-from posetrack_cli.hand.anatomy import make_anatomy
 from posetrack_cli.hand.config import StatusSettings
-from posetrack_cli.hand.inner import NO_INNER
-from posetrack_cli.hand.observation import Observation
+from posetrack_cli.hand.fit.skeleton import NO_INNER
+from posetrack_cli.hand.model.anatomy import make_anatomy
+from posetrack_cli.hand.observe.observation import Observation
 from posetrack_cli.hand.policy import (
     LEAVE_AFTER_FRAMES,
     Decision,
@@ -25,6 +24,7 @@ from posetrack_cli.hand.policy import (
     TrackMonitor,
     status_of,
 )
+from posetrack_cli.hand.search import Acquisition, Candidate
 from posetrack_cli.hand.start import rest_pose
 from posetrack_cli.results.estimate import Status
 from support.hand_scene import turned_about_its_length

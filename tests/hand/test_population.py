@@ -6,11 +6,16 @@ import numpy as np
 import pytest
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.hand.anatomy import make_anatomy
-from posetrack_cli.hand.mesh import LEVELS, hand_mesh
-from posetrack_cli.hand.model import average_hand
-from posetrack_cli.hand.population import COEFFICIENTS, HAND_LENGTH_MM, RestHand, population
-from posetrack_cli.hand.shape import HandShape, random_shape
+from posetrack_cli.hand.model.anatomy import (
+    COEFFICIENTS,
+    HAND_LENGTH_MM,
+    HandShape,
+    RestHand,
+    make_anatomy,
+    population,
+    random_shape,
+)
+from posetrack_cli.hand.model.hand import LEVELS, average_hand, hand_mesh
 from posetrack_cli.rendering.mesh import is_closed
 from support.hand import enclosed_volume
 

@@ -11,7 +11,7 @@ from posetrack_cli.cli.hand import hand_run
 from posetrack_cli.filtering.filters import FILTERS
 from posetrack_cli.filtering.resampling import resampling_schemes
 from posetrack_cli.hand.config import FilterSettings
-from posetrack_cli.hand.proposals import PROPOSALS
+from posetrack_cli.hand.fit.likelihood import PROPOSALS
 
 NAMES = {
     "kind": ("filter_kind", {*FILTERS, "pso"}),

@@ -11,13 +11,12 @@ import pytest
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry import rotations
-from posetrack_cli.hand.acquisition import Acquisition, Candidate
-from posetrack_cli.hand.anatomy import ANGLES, HandAnatomy
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.kinematics import joint_positions, joint_set_distance
-from posetrack_cli.hand.model import hand_maker
-from posetrack_cli.hand.observation import Observation
-from posetrack_cli.hand.observer import Observer
+from posetrack_cli.hand.model.anatomy import ANGLES, HandAnatomy, random_shape
+from posetrack_cli.hand.model.hand import hand_maker
+from posetrack_cli.hand.model.kinematics import joint_positions, joint_set_distance
+from posetrack_cli.hand.observe.observation import Observation
+from posetrack_cli.hand.observe.observer import Observer
 from posetrack_cli.hand.policy import (
     LEAVE_AFTER_FRAMES,
     MUCH_BETTER_MM,
@@ -28,7 +27,7 @@ from posetrack_cli.hand.policy import (
     Sight,
     TrackMonitor,
 )
-from posetrack_cli.hand.shape import random_shape
+from posetrack_cli.hand.search import Acquisition, Candidate
 from posetrack_cli.hand.start import rest_pose
 from posetrack_cli.hand.state import HandState
 from posetrack_cli.hand.tracker import HandTracker

@@ -9,13 +9,11 @@ from hypothesis import strategies as st
 
 from posetrack_cli.configuration import validated
 from posetrack_cli.errors import UsageError
-from posetrack_cli.hand.anatomy import FINGERS, MIRROR, make_anatomy
 from posetrack_cli.hand.config import HandSettings
-from posetrack_cli.hand.kinematics import joint_positions
-from posetrack_cli.hand.mesh import hand_mesh
-from posetrack_cli.hand.model import average_hand, hand_model
-from posetrack_cli.hand.population import COEFFICIENTS
-from posetrack_cli.hand.shape import (
+from posetrack_cli.hand.model.anatomy import (
+    COEFFICIENTS,
+    FINGERS,
+    MIRROR,
     MOST_COEFFICIENT,
     MOST_DRAWN,
     POPULATION_SD,
@@ -25,11 +23,14 @@ from posetrack_cli.hand.shape import (
     HandShape,
     PopulationSpace,
     ShapeSpace,
+    make_anatomy,
     random_shape,
     reshaped_anatomy,
     shape_between,
     shape_space,
 )
+from posetrack_cli.hand.model.hand import average_hand, hand_mesh, hand_model
+from posetrack_cli.hand.model.kinematics import joint_positions
 from posetrack_cli.rendering.mesh import is_closed
 from support.hand import REST, enclosed_volume
 

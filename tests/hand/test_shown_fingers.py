@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from posetrack_cli.hand.calibration.shown_fingers import FIRST_FRAMES, ShownFingers
+from posetrack_cli.hand.shape_fit import FIRST_FRAMES, ShownFingers
 from posetrack_cli.recording.base import Frame
 
 AREAS = st.lists(st.sampled_from([0.0, 100.0, 200.0, 300.0, 400.0]), min_size=1, max_size=90)

@@ -7,10 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from posetrack_cli.hand.calibration.calibrate import Calibration
-from posetrack_cli.hand.calibration.sides import decide_side
-from posetrack_cli.hand.calibration.trial import CLEAR_LOG_ODDS, SIDES, Trial, log_odds_of
-from posetrack_cli.hand.shape import HandShape
+from posetrack_cli.hand.autodetect import CLEAR_LOG_ODDS, SIDES, Trial, decide_side, log_odds_of
+from posetrack_cli.hand.model.anatomy import HandShape
+from posetrack_cli.hand.shape_fit import Calibration
 from support.calibrations import calibration_of
 
 

@@ -10,18 +10,17 @@ from posetrack_cli.filtering.filters import MarginalState, ParticleState, Prior
 from posetrack_cli.filtering.model import FilterModel
 from posetrack_cli.filtering.resampling import Resampling
 from posetrack_cli.filtering.smoothing import Smoothed
-from posetrack_cli.hand.anatomy import make_anatomy
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.inner import NO_INNER, inner_of
-from posetrack_cli.hand.kinematics import joint_positions
-from posetrack_cli.hand.local_fits import FOREARM_CONFIDENCE, INNER
-from posetrack_cli.hand.protocol import forearm_confidence_of
+from posetrack_cli.hand.fit.local_fits import FOREARM_CONFIDENCE, INNER
+from posetrack_cli.hand.fit.skeleton import NO_INNER, inner_of
+from posetrack_cli.hand.model.anatomy import make_anatomy
+from posetrack_cli.hand.model.hand import dynamics
+from posetrack_cli.hand.model.kinematics import joint_positions
 from posetrack_cli.hand.smoothing import make_smoother, smoothed_hand
-from posetrack_cli.hand.space import dynamics
-from posetrack_cli.hand.start import rest_pose
+from posetrack_cli.hand.start import forearm_confidence_of, rest_pose
 from posetrack_cli.results.estimate import Estimate, Status
-from posetrack_cli.tracking.body_space import BodySpace, pose_rates
 from posetrack_cli.tracking.smoothing import FrameFacts, Kept, SmoothedTrack
+from posetrack_cli.tracking.velocity import BodySpace, pose_rates
 
 ANATOMY, SPACE = make_anatomy(), BodySpace()
 HAND = smoothed_hand(ANATOMY)

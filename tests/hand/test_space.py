@@ -10,10 +10,10 @@ from hypothesis.extra.numpy import arrays
 
 from posetrack_cli.errors import PosetrackError
 from posetrack_cli.geometry import rotations
-from posetrack_cli.hand.anatomy import ANGLE_LIMITS, ANGLE_NAMES
 from posetrack_cli.hand.config import ComponentSettings
-from posetrack_cli.hand.space import AdditiveSpace, inside_limits, tangent_vector
-from posetrack_cli.tracking.body_space import BodySpace, pose_rates
+from posetrack_cli.hand.model.anatomy import ANGLE_LIMITS, ANGLE_NAMES
+from posetrack_cli.hand.model.hand import AdditiveSpace, inside_limits, tangent_vector
+from posetrack_cli.tracking.velocity import BodySpace, pose_rates
 from support.hand import pose_strategy, random_poses
 
 SPACE = BodySpace()

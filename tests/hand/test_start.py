@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from posetrack_cli.errors import UsageError
-from posetrack_cli.hand.anatomy import ANGLE_LIMITS, make_anatomy
-from posetrack_cli.hand.kinematics import joint_positions
+from posetrack_cli.hand.model.anatomy import ANGLE_LIMITS, make_anatomy
+from posetrack_cli.hand.model.kinematics import joint_positions
 from posetrack_cli.hand.start import USUAL_DEPTH_MM, centre_pose, read_pose, rest_pose, scattered_poses
 from support.hand import KINECT
 

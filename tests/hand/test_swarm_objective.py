@@ -8,15 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from posetrack_cli.hand.anatomy import make_anatomy
 from posetrack_cli.hand.config import HandConfig, ObservationSettings, PsoSettings
-from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
-from posetrack_cli.hand.likelihood import union_cost
-from posetrack_cli.hand.model import average_hand
-from posetrack_cli.hand.observation import Observation, window_around
+from posetrack_cli.hand.fit.likelihood import union_cost
+from posetrack_cli.hand.model.anatomy import make_anatomy
+from posetrack_cli.hand.model.hand import average_hand
+from posetrack_cli.hand.model.kinematics import joint_positions, skinning_transforms
+from posetrack_cli.hand.observe.observation import Observation, window_around
 from posetrack_cli.hand.swarm import RenderedObjective, crossing, discrepancy
-from posetrack_cli.rendering.port import RenderingDevice
-from posetrack_cli.rendering.sums import Comparison, sums_in_numpy
+from posetrack_cli.rendering.port import Comparison, RenderingDevice, sums_in_numpy
 from support.hand import KINECT, REST, bent
 
 ROUNDING = 1e-9

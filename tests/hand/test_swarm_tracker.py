@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from posetrack_cli.filtering.errors import FilterError
-from posetrack_cli.hand.anatomy import ANGLE_LIMITS, ANGLES, make_anatomy
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.kinematics import joint_positions
-from posetrack_cli.hand.observation import Observation
-from posetrack_cli.hand.observer import Observer, Outline
+from posetrack_cli.hand.model.anatomy import ANGLE_LIMITS, ANGLES, make_anatomy
+from posetrack_cli.hand.model.kinematics import joint_positions
+from posetrack_cli.hand.observe.observation import Observation
+from posetrack_cli.hand.observe.observer import Observer, Outline
 from posetrack_cli.hand.start import rest_pose
 from posetrack_cli.hand.swarm import Objective, SwarmState, SwarmTracker, search_box
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
-from posetrack_cli.tracking.body_space import BodySpace
+from posetrack_cli.tracking.velocity import BodySpace
 from support.codecs import assert_lawful
 from support.hand import KINECT
 

@@ -11,17 +11,15 @@ import pytest
 
 from posetrack_cli.configuration import find_configuration, load_settings
 from posetrack_cli.filtering.errors import FilterError
-from posetrack_cli.filtering.kalman import velocity_gain
-from posetrack_cli.hand.anatomy import ANGLE_LIMITS, ANGLES, make_anatomy
+from posetrack_cli.filtering.model import velocity_gain
 from posetrack_cli.hand.config import HandConfig, ObservationSettings
-from posetrack_cli.hand.inner import NO_THUMB
-from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
-from posetrack_cli.hand.likelihood import RenderedCosts, log_gibbs
-from posetrack_cli.hand.mesh import hand_mesh
-from posetrack_cli.hand.model import average_hand
-from posetrack_cli.hand.observation import Observation
-from posetrack_cli.hand.observer import Observer, Outline
-from posetrack_cli.hand.space import tangent_vector
+from posetrack_cli.hand.fit.likelihood import RenderedCosts, log_gibbs
+from posetrack_cli.hand.fit.skeleton import NO_THUMB
+from posetrack_cli.hand.model.anatomy import ANGLE_LIMITS, ANGLES, make_anatomy
+from posetrack_cli.hand.model.hand import average_hand, hand_mesh, tangent_vector
+from posetrack_cli.hand.model.kinematics import joint_positions, skinning_transforms
+from posetrack_cli.hand.observe.observation import Observation
+from posetrack_cli.hand.observe.observer import Observer, Outline
 from posetrack_cli.hand.start import START_SPREAD, rest_pose
 from posetrack_cli.hand.tracker import (
     FIRST_STEP_NS,
@@ -30,8 +28,7 @@ from posetrack_cli.hand.tracker import (
     dynamics,
 )
 from posetrack_cli.recording.base import Frame
-from posetrack_cli.rendering.port import RenderingDevice
-from posetrack_cli.rendering.window import Window
+from posetrack_cli.rendering.port import RenderingDevice, Window
 from posetrack_cli.results.estimate import Estimate, Status
 from support.codecs import assert_lawful
 from support.hand import KINECT

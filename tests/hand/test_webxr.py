@@ -13,13 +13,11 @@ import pytest
 from scipy.spatial import cKDTree
 
 from posetrack_cli.errors import UsageError
-from posetrack_cli.hand.anatomy import HandAnatomy, make_anatomy
 from posetrack_cli.hand.config import HandSettings
-from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
-from posetrack_cli.hand.mesh import hand_mesh
-from posetrack_cli.hand.model import HandModel, hand_maker, hand_model
-from posetrack_cli.hand.shape import HandShape
-from posetrack_cli.hand.webxr import load_hand
+from posetrack_cli.hand.model.anatomy import HandAnatomy, HandShape, make_anatomy
+from posetrack_cli.hand.model.hand import HandModel, hand_maker, hand_mesh, hand_model
+from posetrack_cli.hand.model.kinematics import joint_positions, skinning_transforms
+from posetrack_cli.hand.model.webxr import load_hand
 from posetrack_cli.rendering.gltf import read_glb
 from posetrack_cli.rendering.mesh import closest_points, is_closed
 from support.glb import GlbWriter, hand_glb, joint_names, write_hand

@@ -26,7 +26,7 @@ from hostile.invariant import violations
 from hostile.running import Harness, Outcome, Pool
 from hostile.seeds import Seeds, make_seeds
 from hostile.targets import TARGETS
-from posetrack_cli.damage import DAMAGED_HERE
+from posetrack_cli.errors import DAMAGED_HERE
 
 BATCH = 40
 """Cases of one target before it is the next one's turn."""

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from hostile.case import Case
 from hostile.running import CPU_S, Outcome, work_s
-from posetrack_cli.damage import DAMAGED_HERE
+from posetrack_cli.errors import DAMAGED_HERE
 from posetrack_cli.text import printable
 
 MEMORY_BYTES = 1 << 30

@@ -360,7 +360,7 @@ def landmarks_tree() -> list[dict[str, Any]]:
 
 
 def truth_csv() -> str:
-    from posetrack_cli.hand.anatomy import JOINT_NAMES
+    from posetrack_cli.hand.model.anatomy import JOINT_NAMES
 
     header = ",".join(["stamp_ns", *(f"{name}_{axis}_mm" for name in JOINT_NAMES for axis in "xyz")])
     rows = [
@@ -447,8 +447,8 @@ def bag(kind: str) -> bytes:
 @cache
 def glb() -> bytes:
     """Return our own hand as GLB, of few vertices."""
-    from posetrack_cli.hand.anatomy import make_anatomy
-    from posetrack_cli.hand.mesh import hand_mesh
+    from posetrack_cli.hand.model.anatomy import make_anatomy
+    from posetrack_cli.hand.model.hand import hand_mesh
     from support.glb import hand_glb
 
     anatomy = make_anatomy()

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from posetrack_cli.errors import RecordingError, UsageError
+from posetrack_cli.recording.camera_of import Guess
 from posetrack_cli.recording.conversion import convert_recording
-from posetrack_cli.recording.guess import Guess
 from posetrack_cli.recording.opening import describe, open_recording
 from support.bags import (
     COLOUR,

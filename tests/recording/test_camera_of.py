@@ -15,11 +15,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from posetrack_cli.errors import PosetrackError, RecordingError
-from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.projection import normalised_from_pixels, pixels_from_points
+from posetrack_cli.geometry.camera import Camera, normalised_from_pixels, pixels_from_points
 from posetrack_cli.recording.camera_file import camera_path, load_depth_camera, nominal_names
 from posetrack_cli.recording.camera_of import (
     Calibration,
+    Guess,
+    Resampling,
     at_size,
     camera_of_message,
     is_rectified,
@@ -27,9 +28,8 @@ from posetrack_cli.recording.camera_of import (
     namespace_of,
     principal_point_fault,
     reprojected_to,
+    with_calibration,
 )
-from posetrack_cli.recording.changing_camera import Resampling, with_calibration
-from posetrack_cli.recording.guess import Guess
 from posetrack_cli.recording.opening import describe, open_recording
 
 RAW = Camera(640, 480, 500.0, 505.0, 322.0, 236.0, (0.1, -0.2, 0.001, -0.002, 0.03))

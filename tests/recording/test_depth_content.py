@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.recording.depth_content import (
+from posetrack_cli.recording.depth import (
     DepthContent,
     content_of,
     decide_unit,

@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from posetrack_cli.recording.file_names import natural_order, numbered_sequence, order_remark
-from posetrack_cli.recording.name_stamps import stamps_in_names
+from posetrack_cli.recording.stamps import natural_order, numbered_sequence, order_remark, stamps_in_names
 
 EPOCH_US = 1_305_031_102_160_407
 PERIOD_US = 33_333

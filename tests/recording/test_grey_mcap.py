@@ -13,7 +13,7 @@ import pytest
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.recording.camera_file import camera_file_text
-from posetrack_cli.recording.message_extrinsics import camera_places
+from posetrack_cli.recording.message_cameras import camera_places
 from posetrack_cli.recording.message_topics import scan_topics
 from posetrack_cli.recording.opening import open_recording
 from support import images as support

@@ -14,7 +14,7 @@ import pytest
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.recording.camera_file import camera_file_text
-from posetrack_cli.recording.guess import Guess, guess_of_camera, guess_of_field
+from posetrack_cli.recording.camera_of import Guess, guess_of_camera, guess_of_field
 from posetrack_cli.recording.opening import open_recording
 from support.images import HEIGHT, WIDTH, grey_images, rig, stamps, write_images, write_rig, write_stamps
 

@@ -13,8 +13,8 @@ import pytest
 from hostile.container_cases import matroska, matroska_bytes
 from posetrack_cli.cli.info import report_lines
 from posetrack_cli.errors import PosetrackError, RecordingError
+from posetrack_cli.recording.camera_of import Guess
 from posetrack_cli.recording.conversion import convert_recording
-from posetrack_cli.recording.guess import Guess
 from posetrack_cli.recording.kinect import camera_of_calibration
 from posetrack_cli.recording.opening import describe, open_recording
 from support.kinect import COUNT, DEPTH_640X576, DEPTH_PARAMETERS, calibration, codes, write_kinect

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from posetrack_cli.recording.base import UnreadableImageError
-from posetrack_cli.recording.lzfse import decode_lzfse
+from posetrack_cli.recording.compression import decode_lzfse
 from support.datasets import LZFSE_DEPTH, LZFSE_LEVELS, lzfse_as_stored, r3d_depth, r3d_levels
 
 

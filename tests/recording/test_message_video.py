@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from posetrack_cli.mcap.sink import McapSink
-from posetrack_cli.recording.guess import Guess
+from posetrack_cli.recording.camera_of import Guess
 from posetrack_cli.recording.message_video import decoded_video
 from posetrack_cli.recording.opening import describe, open_recording
 

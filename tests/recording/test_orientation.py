@@ -15,11 +15,10 @@ from hypothesis import strategies as st
 
 from posetrack_cli.cli.info import report_lines
 from posetrack_cli.errors import PosetrackError, RecordingError
-from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.projection import pixels_from_points
+from posetrack_cli.geometry.camera import Camera, pixels_from_points
 from posetrack_cli.recording.camera_file import Intrinsics
+from posetrack_cli.recording.camera_of import Guess
 from posetrack_cli.recording.grey import decode_shown, grey_like
-from posetrack_cli.recording.guess import Guess
 from posetrack_cli.recording.opening import describe, open_recording
 from posetrack_cli.recording.orientation import (
     OF_EXIF,

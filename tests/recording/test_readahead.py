@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from posetrack_cli.recording.readahead import read_ahead
+from posetrack_cli.recording.recording import read_ahead
 
 
 def reader_threads() -> list[threading.Thread]:

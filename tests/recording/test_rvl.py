@@ -12,8 +12,8 @@ import pytest
 
 from posetrack_cli import limits
 from posetrack_cli.recording.base import UnreadableImageError
+from posetrack_cli.recording.compression import decode_rvl
 from posetrack_cli.recording.opening import describe, open_recording
-from posetrack_cli.recording.rvl import decode_rvl
 from support.rvl import encoded
 
 

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 import pytest
 
+from posetrack_cli.recording.camera_of import Guess
 from posetrack_cli.recording.grey import decode_shown, grey_like
-from posetrack_cli.recording.guess import Guess
 from posetrack_cli.recording.opening import describe, open_recording
 
 Array = np.ndarray[Any, Any]

@@ -17,7 +17,7 @@ from posetrack_cli.recording.base import UnreadableImageError
 from posetrack_cli.recording.camera_file import camera_file_text
 from posetrack_cli.recording.image_files import decode_any, list_images, read_image
 from posetrack_cli.recording.opening import open_recording
-from posetrack_cli.recording.tiff_pages import find_pages
+from posetrack_cli.recording.tiff import find_pages
 from support import images as support
 
 THUMBNAIL, MASK = 1, 4

@@ -16,7 +16,7 @@ import pytest
 
 from posetrack_cli import limits
 from posetrack_cli.errors import RecordingError, UsageError
-from posetrack_cli.recording.guess import Guess
+from posetrack_cli.recording.camera_of import Guess
 from posetrack_cli.recording.opening import describe, open_recording
 from posetrack_cli.recording.video_file import CODECS, DECODERS, opened_container, opened_video
 

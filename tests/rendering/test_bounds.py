@@ -6,15 +6,13 @@ import numpy as np
 import pytest
 
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.anatomy import make_anatomy
-from posetrack_cli.hand.kinematics import skinning_transforms
-from posetrack_cli.hand.mesh import hand_mesh
-from posetrack_cli.hand.space import inside_limits
+from posetrack_cli.hand.model.anatomy import make_anatomy
+from posetrack_cli.hand.model.hand import hand_mesh, inside_limits
+from posetrack_cli.hand.model.kinematics import skinning_transforms
 from posetrack_cli.hand.start import rest_pose
-from posetrack_cli.rendering.gl.tiled import NEAR_MM, BoneSpheres
-from posetrack_cli.rendering.port import RenderingDevice
-from posetrack_cli.rendering.window import Window
-from posetrack_cli.tracking.body_space import BodySpace
+from posetrack_cli.rendering.gl.device import NEAR_MM, BoneSpheres
+from posetrack_cli.rendering.port import RenderingDevice, Window
+from posetrack_cli.tracking.velocity import BodySpace
 
 CAMERA = Camera(512, 424, 365.0, 365.0, 255.5, 211.5)
 TILE = 48

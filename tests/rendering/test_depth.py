@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.rendering.cpu.device import CpuDevice
-from posetrack_cli.rendering.gl.tiled import NEAR_MM
+from posetrack_cli.rendering.cpu import CpuDevice
+from posetrack_cli.rendering.gl.device import NEAR_MM
 from posetrack_cli.rendering.mesh import SkinnedMesh, joined
 from posetrack_cli.rendering.pixel_model import PixelMixture
-from posetrack_cli.rendering.port import RenderingDevice
-from posetrack_cli.rendering.sums import Comparison
-from posetrack_cli.rendering.window import Window
+from posetrack_cli.rendering.port import Comparison, RenderingDevice, Window
 from support.rendering import (
     CAMERA,
     SUBPIXEL_PX,

@@ -8,7 +8,7 @@ import pytest
 
 from posetrack_cli.errors import RenderingError
 from posetrack_cli.rendering import devices
-from posetrack_cli.rendering.cpu.device import CpuDevice
+from posetrack_cli.rendering.cpu import CpuDevice
 from posetrack_cli.rendering.devices import CPU, open_fastest_device, open_usual_device
 from posetrack_cli.rendering.port import RendererInfo
 

@@ -9,14 +9,12 @@ from hypothesis import strategies as st
 from scipy.stats import norm
 
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.anatomy import make_anatomy
-from posetrack_cli.hand.kinematics import skinning_transforms
-from posetrack_cli.hand.mesh import hand_mesh
+from posetrack_cli.hand.model.anatomy import make_anatomy
+from posetrack_cli.hand.model.hand import hand_mesh
+from posetrack_cli.hand.model.kinematics import skinning_transforms
 from posetrack_cli.hand.start import scattered_poses
 from posetrack_cli.rendering.pixel_model import PixelMixture, misfits_in_numpy, outline_distances
-from posetrack_cli.rendering.port import RenderingDevice
-from posetrack_cli.rendering.sums import Comparison, sums_in_numpy
-from posetrack_cli.rendering.window import Window
+from posetrack_cli.rendering.port import Comparison, RenderingDevice, Window, sums_in_numpy
 from support.rendering import CAMERA, STILL, moved_a_subpixel, plane, rays
 
 MODEL = PixelMixture()

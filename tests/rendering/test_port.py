@@ -9,18 +9,16 @@ import numpy as np
 import pytest
 
 from posetrack_cli.errors import RenderingError
-from posetrack_cli.hand.anatomy import make_anatomy
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.kinematics import skinning_transforms
-from posetrack_cli.hand.mesh import hand_mesh
+from posetrack_cli.hand.model.anatomy import make_anatomy
+from posetrack_cli.hand.model.hand import hand_mesh
+from posetrack_cli.hand.model.kinematics import skinning_transforms
 from posetrack_cli.hand.run import HandRun, RunOptions
 from posetrack_cli.hand.start import scattered_poses
-from posetrack_cli.rendering.cpu import tiled as cpu_tiled
-from posetrack_cli.rendering.cpu.device import CpuDevice
+from posetrack_cli.rendering import cpu as cpu_tiled
+from posetrack_cli.rendering.cpu import CpuDevice
 from posetrack_cli.rendering.pixel_model import PixelMixture
-from posetrack_cli.rendering.port import RenderingDevice
-from posetrack_cli.rendering.sums import Comparison, TileSums, sums_in_numpy
-from posetrack_cli.rendering.window import Window
+from posetrack_cli.rendering.port import Comparison, RenderingDevice, TileSums, Window, sums_in_numpy
 from posetrack_cli.results.reader import read_result
 from support.hand import KINECT
 from support.hand_scene import HANDS, Drawn, Stage, pose_file, relaxed

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from posetrack_cli.rendering.decimation import closed, rims, simplified, welded
 from posetrack_cli.rendering.mesh import SkinnedMesh, is_closed
-from posetrack_cli.rendering.simplify import closed, rims, simplified, welded
 from support.rendering import octahedron
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.rendering.gl.textured import SAMPLES
+from posetrack_cli.rendering.gl.device import SAMPLES
 from posetrack_cli.rendering.port import Lighting, RenderingDevice, Surface
 
 CAMERA = Camera(64, 48, 100.0, 100.0, 31.5, 23.5)

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from posetrack_cli.rendering.cpu import tile_sums
+from posetrack_cli.rendering import cpu as tile_sums
 from posetrack_cli.rendering.pixel_model import PixelMixture, misfits_in_numpy, outline_distances
+from posetrack_cli.rendering.port import Comparison
 from posetrack_cli.rendering.raster import Drawing
-from posetrack_cli.rendering.sums import Comparison
 
 EXACT = 1e-9
 """Of a misfit: exp by a polynomial is exact to 2e-11, and sums of some thousand terms to 1e-12."""

@@ -8,15 +8,13 @@ import pytest
 
 from posetrack_cli.errors import RenderingError
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.anatomy import make_anatomy
-from posetrack_cli.hand.kinematics import skinning_transforms
-from posetrack_cli.hand.mesh import hand_mesh
+from posetrack_cli.hand.model.anatomy import make_anatomy
+from posetrack_cli.hand.model.hand import hand_mesh
+from posetrack_cli.hand.model.kinematics import skinning_transforms
 from posetrack_cli.hand.start import scattered_poses
-from posetrack_cli.rendering.gl import tiled
-from posetrack_cli.rendering.gl.tiled import TiledDepthRenderer
-from posetrack_cli.rendering.port import RenderingDevice
-from posetrack_cli.rendering.sums import Comparison, TileSums, sums_in_numpy
-from posetrack_cli.rendering.window import Window
+from posetrack_cli.rendering.gl import device as tiled
+from posetrack_cli.rendering.gl.device import TiledDepthRenderer
+from posetrack_cli.rendering.port import Comparison, RenderingDevice, TileSums, Window, sums_in_numpy
 from support.rendering import CAMERA, STILL, moved, moved_a_subpixel, rigid, sphere
 
 KINECT = Camera(512, 424, 365.0, 365.0, 255.5, 211.5)

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from posetrack_cli.rendering.window import Window
+from posetrack_cli.rendering.port import Window
 from support.rendering import CAMERA
 
 windows = st.builds(

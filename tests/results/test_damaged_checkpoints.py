@@ -15,9 +15,9 @@ from posetrack_cli.errors import PosetrackError, ResultError
 from posetrack_cli.npz import read_npz
 from posetrack_cli.outputs import part_path, state_path
 from posetrack_cli.results import ResultWriter
-from posetrack_cli.results import checkpoint as checkpoints
-from posetrack_cli.results.checkpoint import FORMAT_VERSION, Checkpoint, Progress
-from posetrack_cli.results.layouts import floats
+from posetrack_cli.results import spool as checkpoints
+from posetrack_cli.results.columns import floats
+from posetrack_cli.results.spool import FORMAT_VERSION, Checkpoint, Progress
 from posetrack_cli.tracking.loop import RunState, Tracker, checkpoint_of, run_state_at
 from posetrack_cli.tracking.state_codec import Fields, Value, stamp, whole
 from support.damage import Arrays, changed_json, damaged_arrays, damaged_fields, sealed

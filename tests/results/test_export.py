@@ -15,7 +15,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from posetrack_cli.errors import ResultError, UsageError
-from posetrack_cli.geometry.euler import EULER_ORDER, FACING
+from posetrack_cli.geometry.rotations import EULER_ORDER, FACING
 from posetrack_cli.recording.base import TruthMessage
 from posetrack_cli.results import (
     ESTIMATE_SCHEMA_NAME,

@@ -7,7 +7,7 @@ import pytest
 
 from posetrack_cli import limits
 from posetrack_cli.errors import ResultError
-from posetrack_cli.results.export.fixed_rate import SINGLE_HZ, fixed_rate
+from posetrack_cli.results.export.table import SINGLE_HZ, fixed_rate
 
 START = 1_500_000_000_000_000_000
 

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.mcap.stream import McapFile
 from posetrack_cli.results import ResultWriter, load_arrays, read_result
+from posetrack_cli.results.channels import SMOOTHED
 from posetrack_cli.results.joining import Share, join_results
-from posetrack_cli.results.tracks import SMOOTHED
 from support.results import (
     CAMERA,
     RUN,

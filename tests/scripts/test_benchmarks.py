@@ -21,18 +21,17 @@ from benchmarking.heads import deformations_of
 from benchmarking.recordings import link_recording, there_and_back, write_hand_recording
 from benchmarking.rendering import fitted_line
 from benchmarking.rows import Row, median_of_pairs
-from posetrack_cli.geometry.projection import pixels_from_points
-from posetrack_cli.head.adjustment.adjuster import Adjuster
-from posetrack_cli.head.adjustment.views import PersonParameters
+from posetrack_cli.geometry.camera import pixels_from_points
+from posetrack_cli.head.adjustment.adjuster import Adjuster, PersonParameters
 from posetrack_cli.head.config import HeadMonoConfig
 from posetrack_cli.head.multilinear.face_model import load_face_model
 from posetrack_cli.head.subject import StereoDiagnostics
 from posetrack_cli.recording.camera_file import camera_file_text
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results import Estimate, Status
-from posetrack_cli.synthesis.hand.sensor import CAMERA
+from posetrack_cli.synthesis.hand.frames import CAMERA
+from posetrack_cli.synthesis.head.frames import make_cameras
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
-from posetrack_cli.synthesis.head.sensor import make_cameras
 from stepping import in_turn
 
 

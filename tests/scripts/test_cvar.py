@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from posetrack_cli.errors import RecordingError
-from posetrack_cli.evaluation.truth.topics import points_topic, points_track
-from posetrack_cli.hand.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS
+from posetrack_cli.evaluation.reading.truth_topics import points_topic, points_track
+from posetrack_cli.hand.model.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS
 from posetrack_cli.mcap.stream import McapFile
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results.estimate import Subject

@@ -11,11 +11,17 @@ from click.testing import CliRunner
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry import rotations
-from posetrack_cli.hand.anatomy import HandAnatomy, make_anatomy
-from posetrack_cli.hand.kinematics import joint_positions
-from posetrack_cli.hand.mesh import hand_mesh
-from posetrack_cli.hand.population import Population, population
-from posetrack_cli.hand.shape import HandShape, reshaped_anatomy, reshaped_skin
+from posetrack_cli.hand.model.anatomy import (
+    HandAnatomy,
+    HandShape,
+    Population,
+    make_anatomy,
+    population,
+    reshaped_anatomy,
+    reshaped_skin,
+)
+from posetrack_cli.hand.model.hand import hand_mesh
+from posetrack_cli.hand.model.kinematics import joint_positions
 from posetrack_cli.npz import read_npz
 from posetrack_cli.rendering.mesh import SkinnedMesh, closest_points, is_closed, smoothing
 from research.hand_model import build

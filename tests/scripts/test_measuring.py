@@ -11,14 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from posetrack_cli.evaluation.metrics.pose_errors import INSIDE_90
-from posetrack_cli.evaluation.track import Track
+from posetrack_cli.evaluation.measuring.pose_metrics import INSIDE_90
+from posetrack_cli.evaluation.reading.tracks import Track
 from posetrack_cli.geometry import rotations
-from posetrack_cli.hand.calibration.measures import MEASURES, measures_of
-from posetrack_cli.head.face.points import MEAN_SHAPE, MOUTH
-from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.hand.shape_fit import MEASURES, measures_of
+from posetrack_cli.head.face.points import MEAN_SHAPE, MOUTH, HeadPose
 from posetrack_cli.head.subject import StereoDiagnostics, head_subject
-from posetrack_cli.head.tracker.confidence import NO_SIGNS
+from posetrack_cli.head.tracker.frame_tracker import NO_SIGNS
 from posetrack_cli.mcap.sink import McapSink
 from posetrack_cli.recording.camera_file import camera_file_text, load_rig
 from posetrack_cli.results import Estimate, ResultWriter, Status

@@ -21,11 +21,11 @@ from benchmarking.recordings import link_recording
 from benchmarking.rows import Row
 from posetrack_cli.outputs import state_path
 from posetrack_cli.recording.opening import open_recording
-from posetrack_cli.results import checkpoint as checkpoints
-from posetrack_cli.results.checkpoint import Progress
+from posetrack_cli.results import spool as checkpoints
+from posetrack_cli.results.spool import Progress
 from posetrack_cli.tracking.loop import RunState, checkpoint_of
+from posetrack_cli.tracking.smoothing import within_first_pass, within_second_pass
 from posetrack_cli.tracking.state_codec import whole
-from posetrack_cli.tracking.two_pass import within_first_pass, within_second_pass
 from soaking import disks
 from soaking.__main__ import main
 from soaking.batches import BatchKilling, WholeBatch

@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from posetrack_cli.head.adjustment.solver.equations import linearise, make_equations, make_rows
-from posetrack_cli.head.adjustment.solver.problem import deformation_basis
+from posetrack_cli.head.adjustment.problem import deformation_basis, linearise, make_equations, make_rows
 from posetrack_cli.head.config import AdjustmentSettings
 from support.adjustment_reference import Case
 from support.bundles import LENSES, moved_away, noisy, random_bundle

@@ -6,12 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.distortion import distortion_jacobian
-from posetrack_cli.geometry.projection import normalised_from_pixels
-from posetrack_cli.head.adjustment.adjuster import OFFSET_SD_MM, Adjuster
-from posetrack_cli.head.adjustment.solver.problem import Part, Problem, Unknowns
-from posetrack_cli.head.adjustment.views import PersonParameters, PointView
+from posetrack_cli.geometry.camera import Camera, distortion_jacobian, normalised_from_pixels
+from posetrack_cli.head.adjustment.adjuster import OFFSET_SD_MM, Adjuster, PersonParameters, PointView
+from posetrack_cli.head.adjustment.problem import Part, Problem, Unknowns
 from posetrack_cli.head.config import AdjustmentSettings
 from posetrack_cli.head.multilinear.face_model import FaceModel
 

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.rigid import placed
-from posetrack_cli.recording.calibration.boards import Board
+from posetrack_cli.recording.calibration.views import Board
 
 FINE = 3
 """Rays per pixel and direction: edges are grey as a sensor sees them."""

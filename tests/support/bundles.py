@@ -6,13 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.euler import head_quaternion_from_roll_pitch_yaw
-from posetrack_cli.geometry.projection import pixels_from_points
-from posetrack_cli.head.adjustment.views import PersonParameters, PointView
+from posetrack_cli.geometry.camera import Camera, pixels_from_points
+from posetrack_cli.geometry.rotations import head_quaternion_from_roll_pitch_yaw
+from posetrack_cli.head.adjustment.adjuster import PersonParameters, PointView
 from posetrack_cli.head.config import AdjustmentSettings, PointSettings
-from posetrack_cli.head.face.points import MEAN_SHAPE, SHAPE_SD
-from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.head.face.points import MEAN_SHAPE, SHAPE_SD, HeadPose
 from posetrack_cli.head.multilinear.face_model import FaceModel
 
 CAMERA = Camera(640, 480, 700.0, 702.0, 321.0, 238.0)

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from posetrack_cli.hand.calibration.calibrate import Calibration
-from posetrack_cli.hand.calibration.measures import measured, measures_of
-from posetrack_cli.hand.model import average_hand
-from posetrack_cli.hand.shape import HandShape, PopulationSpace
+from posetrack_cli.hand.model.anatomy import HandShape, PopulationSpace
+from posetrack_cli.hand.model.hand import average_hand
+from posetrack_cli.hand.shape_fit import Calibration, measured, measures_of
 
 GOOD_MM = 1.8
 

@@ -7,7 +7,7 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from posetrack_cli.results.layouts import floats
+from posetrack_cli.results.columns import floats
 from posetrack_cli.tracking.loop import Tracker
 from posetrack_cli.tracking.state_codec import Codec, Fields, Value, whole
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from posetrack_cli.npz import read_npz
-from posetrack_cli.results import checkpoint as checkpoints
+from posetrack_cli.results import spool as checkpoints
 
 Arrays = dict[str, np.ndarray[Any, Any]]
 OTHER_VALUES = (-7, 2**130, 1e300, float("nan"), None, "text", [], {}, True)

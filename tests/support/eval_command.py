@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 from mcap.opcode import Opcode
 
-from posetrack_cli.evaluation.track import Track
+from posetrack_cli.evaluation.reading.tracks import Track
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS
+from posetrack_cli.hand.model.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS
 from posetrack_cli.outputs import part_path
 from posetrack_cli.recording.base import TruthMessage
 from posetrack_cli.results import (

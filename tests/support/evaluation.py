@@ -7,12 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from posetrack_cli.evaluation.association import Pairs
-from posetrack_cli.evaluation.coverage import Coverage
-from posetrack_cli.evaluation.distribution import distribution
-from posetrack_cli.evaluation.evaluation import Count, Curve, Evaluation, statistics
-from posetrack_cli.evaluation.honesty import JudgedFrames
-from posetrack_cli.hand.anatomy import JOINT_NAMES
+from posetrack_cli.evaluation.measuring.evaluation import Count, Curve, Evaluation, distribution, statistics
+from posetrack_cli.evaluation.measuring.honesty import JudgedFrames
+from posetrack_cli.evaluation.reading.tracks import Coverage, Pairs
+from posetrack_cli.hand.model.anatomy import JOINT_NAMES
 from support.tracks import hand_track
 
 

@@ -8,14 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.head.face.points import POINT_NAMES
-from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.head.face.points import POINT_NAMES, HeadPose
 from posetrack_cli.head.multilinear.build import mirrored
 from posetrack_cli.head.subject import StereoDiagnostics, head_subject
-from posetrack_cli.head.tracker.confidence import NO_SIGNS
+from posetrack_cli.head.tracker.frame_tracker import NO_SIGNS
 from posetrack_cli.results.estimate import Estimate, Status
 from posetrack_cli.results.writer import ResultWriter
-from posetrack_cli.synthesis.head.identity import random_points
+from posetrack_cli.synthesis.head.person import random_points
 
 CAMERA = Camera(640, 480, 700.0, 700.0, 319.5, 239.5, name="left")
 ROW = {name: row for row, name in enumerate(POINT_NAMES)}

@@ -5,15 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.hand.anatomy import TANGENT_SIZE
 from posetrack_cli.hand.config import ObservationSettings
-from posetrack_cli.hand.fitting.fitter import HandFitter
-from posetrack_cli.hand.fitting.skeleton import Skeleton, empty_posed, pose_bones
-from posetrack_cli.hand.fitting.skin import Skin
-from posetrack_cli.hand.inner import NO_INNER, THUMB
-from posetrack_cli.hand.kinematics import joint_positions
-from posetrack_cli.hand.model import HandModel, average_hand
-from posetrack_cli.hand.observation import Observation, window_around
+from posetrack_cli.hand.fit.fitter import HandFitter
+from posetrack_cli.hand.fit.skeleton import NO_INNER, THUMB, Skeleton, Skin, empty_posed, pose_bones
+from posetrack_cli.hand.model.anatomy import TANGENT_SIZE
+from posetrack_cli.hand.model.hand import HandModel, average_hand
+from posetrack_cli.hand.model.kinematics import joint_positions
+from posetrack_cli.hand.observe.observation import Observation, window_around
 from posetrack_cli.rendering.raster import View, draw, empty_drawing
 from support.hand import KINECT
 

@@ -11,9 +11,9 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry import rotations
-from posetrack_cli.hand.anatomy import FINGERS, HandAnatomy
-from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
-from posetrack_cli.hand.mesh import hand_mesh
+from posetrack_cli.hand.model.anatomy import FINGERS, HandAnatomy
+from posetrack_cli.hand.model.hand import hand_mesh
+from posetrack_cli.hand.model.kinematics import joint_positions, skinning_transforms
 from posetrack_cli.rendering.mesh import SkinnedMesh
 
 NAMES = {"thumb": "thumb", "index": "index-finger", "middle": "middle-finger", "ring": "ring-finger"} | {

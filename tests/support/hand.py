@@ -9,7 +9,7 @@ from hypothesis.extra.numpy import arrays
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry import rotations
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.anatomy import ANGLE_LIMITS, ANGLE_NAMES
+from posetrack_cli.hand.model.anatomy import ANGLE_LIMITS, ANGLE_NAMES
 
 KINECT = Camera(512, 424, 365.0, 365.0, 255.5, 211.5)
 REST = np.concatenate([np.zeros(6), [1.0], np.zeros(15)])

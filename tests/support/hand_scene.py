@@ -12,20 +12,19 @@ import numpy as np
 from posetrack_cli.arrays import Float32Array, FloatArray
 from posetrack_cli.geometry import rotations
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.acquisition import Acquisition
-from posetrack_cli.hand.anatomy import ANGLES, POSE_SIZE
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.fitting.anatomy_terms import RELAXED
-from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
-from posetrack_cli.hand.likelihood import RenderedCosts
-from posetrack_cli.hand.model import HandModel, average_hand
+from posetrack_cli.hand.fit.anatomy_terms import RELAXED
+from posetrack_cli.hand.fit.likelihood import RenderedCosts
+from posetrack_cli.hand.model.anatomy import ANGLES, POSE_SIZE
+from posetrack_cli.hand.model.hand import HandModel, average_hand
+from posetrack_cli.hand.model.kinematics import joint_positions, skinning_transforms
+from posetrack_cli.hand.search import Acquisition
 from posetrack_cli.hand.tracker import HandTracker
-from posetrack_cli.losses import Loss
+from posetrack_cli.phases import Loss
 from posetrack_cli.recording.base import Frame, TruthMessage
 from posetrack_cli.recording.depth import Depth
 from posetrack_cli.recording.pixels import Pixels
-from posetrack_cli.rendering.port import RenderingDevice
-from posetrack_cli.rendering.window import Window
+from posetrack_cli.rendering.port import RenderingDevice, Window
 from support.hand import KINECT
 
 WALL_MM = 1500.0

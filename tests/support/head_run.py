@@ -10,15 +10,14 @@ from typing import Any
 import numpy as np
 
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.head.face.points import MEAN_SHAPE, POINT_COUNT
-from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.head.face.points import MEAN_SHAPE, POINT_COUNT, HeadPose
 from posetrack_cli.head.subject import StereoDiagnostics
-from posetrack_cli.head.tracker.confidence import NO_SIGNS
-from posetrack_cli.losses import Loss
+from posetrack_cli.head.tracker.frame_tracker import NO_SIGNS
+from posetrack_cli.phases import Loss
 from posetrack_cli.recording.base import Frame, TruthMessage
 from posetrack_cli.recording.pixels import Pixels
+from posetrack_cli.results.columns import floats
 from posetrack_cli.results.estimate import Estimate, Status
-from posetrack_cli.results.layouts import floats
 from posetrack_cli.tracking.state_codec import Fields, Value, whole
 
 FRAME_NS = 33_333_333

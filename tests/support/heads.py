@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.euler import head_quaternion_from_roll_pitch_yaw
-from posetrack_cli.head.face.points import MEAN_SHAPE, POINT_NAMES
-from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.geometry.rotations import head_quaternion_from_roll_pitch_yaw
+from posetrack_cli.head.face.points import MEAN_SHAPE, POINT_NAMES, HeadPose
 
 FRAME_NS = 33_333_333
 CAMERAS = (

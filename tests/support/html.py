@@ -9,13 +9,11 @@ from typing import Any
 import cv2
 import numpy as np
 
-from posetrack_cli.evaluation.association import Pairs
-from posetrack_cli.evaluation.coverage import Coverage
-from posetrack_cli.evaluation.evaluation import Evaluation, statistics
-from posetrack_cli.evaluation.pictures import Picture
-from posetrack_cli.evaluation.track import Track
+from posetrack_cli.evaluation.measuring.evaluation import Evaluation, statistics
+from posetrack_cli.evaluation.reading.tracks import Coverage, Pairs, Track
+from posetrack_cli.evaluation.viewing.pictures import Picture
 from posetrack_cli.geometry import rotations
-from posetrack_cli.geometry.euler import FACING
+from posetrack_cli.geometry.rotations import FACING
 
 PNG = cv2.imencode(".png", np.full((4, 8), 128, dtype=np.uint8))[1].tobytes()
 HEAD_POINTS = tuple(f"point_{i}" for i in range(10))

@@ -6,14 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.euler import head_quaternion_from_roll_pitch_yaw
-from posetrack_cli.geometry.projection import pixels_from_points
+from posetrack_cli.geometry.camera import Camera, pixels_from_points
+from posetrack_cli.geometry.rotations import head_quaternion_from_roll_pitch_yaw
 from posetrack_cli.head.detection.detector import Detection
 from posetrack_cli.head.detection.finders import FaceGuess
 from posetrack_cli.head.detection.points import FacePoints
-from posetrack_cli.head.face.points import FEATURES
-from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.head.face.points import FEATURES, HeadPose
 
 PLAIN = Camera(640, 480, 900.0, 900.0, 320.0, 240.0, name="plain")
 BENT = Camera(640, 480, 600.0, 610.0, 330.0, 230.0, (-0.3, 0.1, 0.001, -0.002, 0.0), name="bent")

@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import settings
 
-from posetrack_cli.evaluation.association import Pairs
-from posetrack_cli.evaluation.evaluation import Curve, Statistics
-from posetrack_cli.evaluation.metrics.hand_metrics import hand_metrics
-from posetrack_cli.evaluation.metrics.head_metrics import head_metrics
-from posetrack_cli.evaluation.metrics.measures import Matched, Measures
-from posetrack_cli.evaluation.track import Track
+from posetrack_cli.evaluation.measuring.evaluation import Curve, Statistics
+from posetrack_cli.evaluation.measuring.hand_metrics import hand_metrics
+from posetrack_cli.evaluation.measuring.head_metrics import head_metrics
+from posetrack_cli.evaluation.measuring.measures import Matched, Measures
+from posetrack_cli.evaluation.reading.tracks import Pairs, Track
 
 NOTHING = "nothing to compare"
 relaxed = settings(deadline=None)

@@ -7,19 +7,17 @@ from dataclasses import fields, is_dataclass
 
 import numpy as np
 
-from posetrack_cli.geometry.euler import head_quaternion_from_roll_pitch_yaw
-from posetrack_cli.head.adjustment.views import Album, PersonParameters, PointView
-from posetrack_cli.head.face.points import POINT_COUNT
-from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.geometry.rotations import head_quaternion_from_roll_pitch_yaw
+from posetrack_cli.head.adjustment.adjuster import Album, PersonParameters, PointView
+from posetrack_cli.head.face.points import POINT_COUNT, HeadPose
 from posetrack_cli.head.face.templates import WINDOW, TemplateSet
 from posetrack_cli.head.initialisation.mono import DetectedFace
 from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.head.particles.filter import HeadParticles
-from posetrack_cli.head.skin.crops import HEIGHT, WIDTH, SkinAlbum, SkinView
 from posetrack_cli.head.skin.map import SkinMap
+from posetrack_cli.head.skin.matching import HEIGHT, WIDTH, SkinAlbum, SkinView
 from posetrack_cli.head.tracker.frame_tracker import TrackState
-from posetrack_cli.head.tracker.person import IdentityHistory, KnownPerson, person_shape
-from posetrack_cli.head.tracker.size import Size
+from posetrack_cli.head.tracker.person import IdentityHistory, KnownPerson, Size, person_shape
 
 
 def assert_same(first: object, second: object, where: str = "it") -> None:

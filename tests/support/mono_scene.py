@@ -20,7 +20,7 @@ from posetrack_cli.head.multilinear.face_model import FaceModel, load_face_model
 from posetrack_cli.head.skin import map as skin_map
 from posetrack_cli.head.subject import mono_subject
 from posetrack_cli.head.tracker import mono, person
-from posetrack_cli.head.tracker.mono_state import MonoState
+from posetrack_cli.head.tracker.codecs import MonoState
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Subject
 from posetrack_cli.results.fields import check_estimate

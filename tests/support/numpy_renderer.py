@@ -15,14 +15,16 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.rendering.mesh import SkinnedMesh
 from posetrack_cli.rendering.port import (
     MOST_TILES,
+    Comparison,
     Lighting,
     RendererInfo,
     Surface,
+    TileSums,
+    Window,
     check_observed,
     check_poses,
+    sums_in_numpy,
 )
-from posetrack_cli.rendering.sums import Comparison, TileSums, sums_in_numpy
-from posetrack_cli.rendering.window import Window
 from support.rendering import rays
 
 NEAR_MM = 50.0

@@ -5,10 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.projection import in_camera_axes, pixels_from_points
-from posetrack_cli.head.face.points import MEAN_SHAPE, POINT_COUNT
-from posetrack_cli.head.face.pose import HeadPose, ShapeModel
+from posetrack_cli.geometry.camera import Camera, in_camera_axes, pixels_from_points
+from posetrack_cli.head.face.points import MEAN_SHAPE, POINT_COUNT, HeadPose, ShapeModel
 from posetrack_cli.head.particles.scores import PatchObservation
 
 SPOT = 48

@@ -6,7 +6,7 @@ import numpy as np
 
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.rendering.mesh import SkinnedMesh
-from posetrack_cli.rendering.window import Window
+from posetrack_cli.rendering.port import Window
 
 CAMERA = Camera(64, 48, 90.0, 95.0, 31.2, 24.7)
 STILL = np.eye(3, 4)

@@ -7,8 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.rotations import canonical
-from posetrack_cli.head.face.points import FEATURES
-from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.head.face.points import FEATURES, HeadPose
 from posetrack_cli.head.face.rig_images import CameraImage
 
 LEFT = Camera(640, 480, 900.0, 900.0, 320.0, 240.0, name="left")

@@ -9,12 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from posetrack_cli.evaluation.distribution import distribution
-from posetrack_cli.evaluation.evaluation import Evaluation, statistics
-from posetrack_cli.evaluation.gates import GateOutcome
-from posetrack_cli.evaluation.metrics.catalogue import Address
-from posetrack_cli.evaluation.pooling import make_pools
-from posetrack_cli.evaluation.rows import Earlier, ResultSet, Verdict, result_sets
+from posetrack_cli.evaluation.judging.gates import GateOutcome
+from posetrack_cli.evaluation.judging.rows import Earlier, ResultSet, Verdict, result_sets
+from posetrack_cli.evaluation.measuring.catalogue import Address
+from posetrack_cli.evaluation.measuring.evaluation import Evaluation, distribution, statistics
+from posetrack_cli.evaluation.measuring.pooling import make_pools
 from support.evaluation import hand_evaluation
 
 

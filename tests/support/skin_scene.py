@@ -8,13 +8,11 @@ from functools import lru_cache
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray, ImageArray
-from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.projection import pixels_wherever
-from posetrack_cli.head.adjustment.views import PointView
-from posetrack_cli.head.face.points import MEAN_SHAPE, POINT_COUNT
-from posetrack_cli.head.face.pose import HeadPose
-from posetrack_cli.head.skin.crops import SkinView
+from posetrack_cli.geometry.camera import Camera, pixels_wherever
+from posetrack_cli.head.adjustment.adjuster import PointView
+from posetrack_cli.head.face.points import MEAN_SHAPE, POINT_COUNT, HeadPose
 from posetrack_cli.head.skin.map import cut_view
+from posetrack_cli.head.skin.matching import SkinView
 
 CAMERA = Camera(480, 400, 800.0, 800.0, 240.0, 200.0)
 FRAME_NS = 250_000_000

@@ -18,9 +18,8 @@ import numpy as np
 import yaml
 
 from posetrack_cli.evaluation.viewing.outputs import VideoFile
-from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.projection import pixels_from_points
-from posetrack_cli.hand.anatomy import JOINT_NAMES
+from posetrack_cli.geometry.camera import Camera, pixels_from_points
+from posetrack_cli.hand.model.anatomy import JOINT_NAMES
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results import load_arrays, read_result
 from support.command_server import TIMEOUT_S

@@ -8,10 +8,8 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.distortion import undistort
-from posetrack_cli.head.face.points import MEAN_SHAPE, POINT_NORMALS
-from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.geometry.camera import Camera, undistort
+from posetrack_cli.head.face.points import MEAN_SHAPE, POINT_NORMALS, HeadPose
 
 SHAPE = MEAN_SHAPE.copy()
 SHAPE[6:8, 0] *= 2.2

@@ -8,10 +8,16 @@ from typing import Any
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.evaluation.track import Track
+from posetrack_cli.evaluation.reading.tracks import Track
 from posetrack_cli.geometry import rotations
-from posetrack_cli.hand.anatomy import ANGLE_LIMITS, ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS, make_anatomy
-from posetrack_cli.hand.kinematics import joint_positions
+from posetrack_cli.hand.model.anatomy import (
+    ANGLE_LIMITS,
+    ANGLE_NAMES,
+    JOINT_NAMES,
+    JOINT_PARENTS,
+    make_anatomy,
+)
+from posetrack_cli.hand.model.kinematics import joint_positions
 
 HEAD_POINTS = ("left_eye_inner", "left_mouth_corner", "right_nostril", "right_brow_inner")
 FRAME_NS = 33_333_333

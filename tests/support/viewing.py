@@ -11,17 +11,23 @@ import numpy as np
 
 from posetrack_cli.evaluation.viewing.drawing import Shown
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS, HandAnatomy, make_anatomy
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.kinematics import joint_positions
+from posetrack_cli.hand.model.anatomy import (
+    ANGLE_NAMES,
+    JOINT_NAMES,
+    JOINT_PARENTS,
+    HandAnatomy,
+    make_anatomy,
+)
+from posetrack_cli.hand.model.kinematics import joint_positions
 from posetrack_cli.hand.run import RunOptions, run_record
 from posetrack_cli.hand.start import rest_pose
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.recording.recording import Recording
 from posetrack_cli.results import Estimate, ResultWriter, Status, Subject, estimate_from_json
+from posetrack_cli.synthesis.hand.frames import write_synthetic
 from posetrack_cli.synthesis.hand.options import Switches, SynthOptions
-from posetrack_cli.synthesis.hand.writing import write_synthetic
 
 KINECT = Camera(512, 424, 365.0, 365.0, 255.5, 211.5)
 TRUTH_TOPIC = "/truth/hand/estimate"

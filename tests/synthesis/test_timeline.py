@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from posetrack_cli.synthesis.timeline import (
+from posetrack_cli.synthesis.recording import (
     DROP_PROBABILITY,
     LATE_PROBABILITY,
     LATE_S,

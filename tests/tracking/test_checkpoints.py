@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from posetrack_cli.results import checkpoint as checkpoints
-from posetrack_cli.results.checkpoint import Progress
+from posetrack_cli.results import spool as checkpoints
+from posetrack_cli.results.spool import Progress
 from posetrack_cli.tracking.loop import RunState, checkpoint_of, run_state_at
 from support.codecs import TRACKER
 

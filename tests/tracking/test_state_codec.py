@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from posetrack_cli.results.layouts import Layout, LayoutError, counts, floats, units
+from posetrack_cli.results.columns import Layout, LayoutError, counts, floats, units
 from posetrack_cli.tracking.state_codec import (
     Codec,
     Fields,

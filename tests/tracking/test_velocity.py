@@ -13,13 +13,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.filtering.kalman import constant_velocity, step_noise
+from posetrack_cli.filtering.model import constant_velocity, step_noise
 from posetrack_cli.geometry import rotations
 from posetrack_cli.recording.base import Frame
-from posetrack_cli.results import checkpoint as checkpoints
-from posetrack_cli.results.checkpoint import Progress
+from posetrack_cli.results import spool as checkpoints
+from posetrack_cli.results.columns import LayoutError
 from posetrack_cli.results.estimate import Estimate, Status
-from posetrack_cli.results.layouts import LayoutError
+from posetrack_cli.results.spool import Progress
 from posetrack_cli.tracking.loop import RunState, Step, VelocityBelief, checkpoint_of, run_state_at
 from posetrack_cli.tracking.velocity import (
     FREEDOM,

@@ -6,7 +6,7 @@ which escapes every value), ``report.css`` and ``scripts/*.js`` are the page its
 written (``assets``). ``rows_page`` with ``rows.html`` is the page of many results: one table, a row for each.
 """
 
-from posetrack_cli.evaluation.html.assets import check_page
+from posetrack_cli.evaluation.html.packing import check_page
 from posetrack_cli.evaluation.html.rows_page import write_rows_html
 from posetrack_cli.evaluation.html.writer import write_html
 

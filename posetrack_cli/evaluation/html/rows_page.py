@@ -7,14 +7,13 @@ from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 
-from posetrack_cli.evaluation.comparing.comparison import Comparison
-from posetrack_cli.evaluation.gates import GateOutcome, gates_line
-from posetrack_cli.evaluation.html.assets import rendered, write_page
+from posetrack_cli.evaluation.html.packing import rendered, write_page
 from posetrack_cli.evaluation.html.summary import Notice, described, differences
-from posetrack_cli.evaluation.metrics.catalogue import metric_of
-from posetrack_cli.evaluation.reports.row_table import shown_change, total_lines
-from posetrack_cli.evaluation.reports.table import ABSENT, closing_lines, shown
-from posetrack_cli.evaluation.rows import ResultRow, ResultSet, worst_first
+from posetrack_cli.evaluation.judging.comparing import Comparison
+from posetrack_cli.evaluation.judging.gates import GateOutcome, gates_line
+from posetrack_cli.evaluation.judging.rows import ResultRow, ResultSet, worst_first
+from posetrack_cli.evaluation.measuring.catalogue import metric_of
+from posetrack_cli.evaluation.reports.table import ABSENT, closing_lines, shown, shown_change, total_lines
 
 SCRIPTS = ("rows",)
 MOST_UNFOLDED = 20

@@ -6,14 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from posetrack_cli.evaluation.comparing.comparison import Comparison
-from posetrack_cli.evaluation.evaluation import Evaluation
-from posetrack_cli.evaluation.html.assets import rendered, write_page
-from posetrack_cli.evaluation.html.gallery import Pictures, fitting, groups
-from posetrack_cli.evaluation.html.packing import json_text
+from posetrack_cli.evaluation.html.components import Pictures, fitting, groups
+from posetrack_cli.evaluation.html.packing import json_text, rendered, write_page
 from posetrack_cli.evaluation.html.page_data import page_data
-from posetrack_cli.evaluation.html.provenance import about, component_remark, plot_remark, provenance
 from posetrack_cli.evaluation.html.summary import (
+    about,
+    component_remark,
     decisive_rows,
     differences,
     folded_tables,
@@ -21,10 +19,14 @@ from posetrack_cli.evaluation.html.summary import (
     lead,
     meanings,
     notices,
+    plot_remark,
+    provenance,
     unmeasured,
 )
-from posetrack_cli.evaluation.pooling import Pool
-from posetrack_cli.evaluation.subjects import KINDS
+from posetrack_cli.evaluation.judging.comparing import Comparison
+from posetrack_cli.evaluation.measuring.evaluation import Evaluation
+from posetrack_cli.evaluation.measuring.pooling import Pool
+from posetrack_cli.evaluation.measuring.subjects import KINDS
 
 SCRIPTS = (
     "format",

@@ -16,21 +16,21 @@ from posetrack_cli import limits
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.build import version
 from posetrack_cli.errors import ResultError, UsageError
-from posetrack_cli.evaluation.assessment import Assessment, Request, stated_options
-from posetrack_cli.evaluation.evaluate import evaluate
-from posetrack_cli.evaluation.evaluation import Evaluation
-from posetrack_cli.evaluation.metrics.catalogue import metric_of, place_of
-from posetrack_cli.evaluation.metrics.without_truth import run_series
+from posetrack_cli.evaluation.judging.assessment import Assessment, Request, stated_options
+from posetrack_cli.evaluation.measuring.catalogue import metric_of, place_of
+from posetrack_cli.evaluation.measuring.evaluate import evaluate
+from posetrack_cli.evaluation.measuring.evaluation import Evaluation
+from posetrack_cli.evaluation.measuring.without_truth import run_series
+from posetrack_cli.evaluation.reading.tracks import track_name, unique_names
 from posetrack_cli.evaluation.reports.report_files import FORMAT, finite, result_values
-from posetrack_cli.evaluation.track import track_name, unique_names
-from posetrack_cli.losses import Loss
 from posetrack_cli.mcap.sink import McapSink, SchemaText
 from posetrack_cli.mcap.stream import McapFile
 from posetrack_cli.outputs import check_output, whole_or_nothing
+from posetrack_cli.phases import Loss
 from posetrack_cli.recording.identity import file_digest, identity_record, shown_name
+from posetrack_cli.results.channels import topics_prefix
 from posetrack_cli.results.reader import read_result
 from posetrack_cli.results.records import SUMMARY_RECORD
-from posetrack_cli.results.tracks import topics_prefix
 
 EVAL_PREFIX = "/eval/"
 EVAL_RECORD = "posetrack.eval"

@@ -14,14 +14,20 @@ import numpy as np
 from posetrack_cli.build import version
 from posetrack_cli.csv_rows import csv_of
 from posetrack_cli.errors import UsageError
-from posetrack_cli.evaluation.comparing.comparison import Comparison
-from posetrack_cli.evaluation.evaluation import STATISTIC_NAMES, Curve, Evaluation, Statistics, Value
-from posetrack_cli.evaluation.gates import GateOutcome
-from posetrack_cli.evaluation.honesty import JudgedFrames, reliability, roc_curve
-from posetrack_cli.evaluation.joint_offsets import JointOffsets
-from posetrack_cli.evaluation.metrics.catalogue import metric_of, place_of, split_address
-from posetrack_cli.evaluation.pooling import Pool
-from posetrack_cli.evaluation.rows import ResultSet
+from posetrack_cli.evaluation.judging.comparing import Comparison
+from posetrack_cli.evaluation.judging.gates import GateOutcome
+from posetrack_cli.evaluation.judging.rows import ResultSet
+from posetrack_cli.evaluation.measuring.catalogue import metric_of, place_of, split_address
+from posetrack_cli.evaluation.measuring.evaluation import (
+    STATISTIC_NAMES,
+    Curve,
+    Evaluation,
+    Statistics,
+    Value,
+)
+from posetrack_cli.evaluation.measuring.honesty import JudgedFrames, reliability, roc_curve
+from posetrack_cli.evaluation.measuring.pooling import Pool
+from posetrack_cli.evaluation.reading.alignment import JointOffsets
 from posetrack_cli.files import real_path, write_output
 from posetrack_cli.outputs import check_free, check_place, whole_or_nothing
 from posetrack_cli.recording.base import RECORDING_KEY

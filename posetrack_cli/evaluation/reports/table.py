@@ -1,23 +1,36 @@
-"""Evaluations as tables of text, for the terminal and the HTML report alike."""
+"""The tables of reports: metrics, rows of results, comparisons."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from math import isnan
 from typing import TypeAlias
 
 import numpy as np
 
-from posetrack_cli.evaluation.evaluation import STATISTIC_NAMES, Evaluation, Statistics, Value
-from posetrack_cli.evaluation.figures import Measured
-from posetrack_cli.evaluation.honesty import Bin, reliability
-from posetrack_cli.evaluation.joint_offsets import JointOffsets
-from posetrack_cli.evaluation.metrics.catalogue import CATALOGUE, is_pooled, metric_of, place_of
-from posetrack_cli.evaluation.metrics.head_metrics import HEAD_POSE
-from posetrack_cli.evaluation.metrics.metric import GROUP_TITLES, Group
-from posetrack_cli.evaluation.pooling import Pool
-from posetrack_cli.losses import loss_line
+from posetrack_cli.evaluation.judging.comparing import Comparison, Difference
+from posetrack_cli.evaluation.judging.rows import ResultRow, ResultSet, heading
+from posetrack_cli.evaluation.measuring.catalogue import (
+    CATALOGUE,
+    Measured,
+    figure_of,
+    is_pooled,
+    metric_of,
+    place_of,
+    split_address,
+)
+from posetrack_cli.evaluation.measuring.evaluation import STATISTIC_NAMES, Evaluation, Statistics, Value
+from posetrack_cli.evaluation.measuring.head_metrics import HEAD_POSE
+from posetrack_cli.evaluation.measuring.honesty import Bin, reliability
+from posetrack_cli.evaluation.measuring.measures import GROUP_TITLES, Group
+from posetrack_cli.evaluation.measuring.pooling import Pool
+from posetrack_cli.evaluation.reading.alignment import JointOffsets
+from posetrack_cli.phases import loss_line
+
+# Evaluations as tables of text, for the terminal and the HTML report alike
+
 
 ABSENT = "-"
 SHOWN = ("mean", "sd", "median", "p95", "max", "p5")
@@ -319,3 +332,177 @@ def _absent_lines(absent: Mapping[str, str]) -> Iterator[str]:
     for reason in dict.fromkeys(absent[base] for base in wholes):
         names = ", ".join(base for base in wholes if absent[base] == reason)
         yield f"not measured ({reason}): {names}"
+
+
+# Many results as a table of text: a row for each, the worst first, and one for all
+
+
+MOST_SHOWN = 50
+"""Rows that are shown unless more are asked for."""
+MOST_LINES = 20
+"""Lines below the tables: every result may have some of its own."""
+NEW = "new"
+"""Of a result that the baseline has not."""
+
+
+def row_table(results: ResultSet, most: int = MOST_SHOWN) -> Table:
+    """Make the table of a set; headings take two lines, the second as the first row.
+
+    Args:
+        results: the set.
+        most: how many results are shown, the worst; 0 for all.
+    """
+    headings = [heading(figure) for figure in results.figures]
+    if results.compared and results.worst_by in results.figures:
+        unit = heading(results.worst_by)[1].rpartition(", ")[2]
+        headings.insert(results.figures.index(results.worst_by) + 1, ("change", unit))
+    if results.judged:
+        headings.append(("gates", "failed"))
+    kept = results.rows[:most] if most else results.rows
+    body = [Row("", tuple(below for _, below in headings))]
+    body += [Row(one.name, _row_cells(one, results)) for one in kept]
+    total = Row(f"TOTAL of {len(results.rows)}", _row_cells(results.total, results))
+    title = f"Worst first{f': {results.title}' if results.title else ''}"
+    return Table(title, tuple(above for above, _ in headings), (Section("", (*body, total)),))
+
+
+def _row_cells(row: ResultRow, results: ResultSet) -> tuple[str, ...]:
+    cells: list[str] = []
+    for figure in results.figures:
+        value = row.value(figure)
+        cells.append(ABSENT if value is None else shown(value))
+        if results.compared and figure == results.worst_by:
+            cells.append(shown_change(row, figure))
+    return (*cells, *([str(row.failed)] if results.judged else []))
+
+
+def shown_change(row: ResultRow, figure: str) -> str:
+    """Show by how much a figure changed, with its sign; a result that the baseline has not is new."""
+    change = row.change(figure)
+    if change is None:
+        return NEW if row.earlier is None and not isinstance(row.measured, Pool) else ABSENT
+    text = shown(abs(change))
+    return "0" if text == "0" else f"{'-' if change < 0 else '+'}{text}"
+
+
+def row_lines(sets: Sequence[ResultSet], most: int = MOST_SHOWN) -> list[str]:
+    """What belongs under the tables: names of columns, what is not shown, why there is no total."""
+    lines: list[str] = []
+    for one in sets:
+        names = ", ".join(dict.fromkeys(figure for figure in one.figures))
+        what = f"{one.title}: " if one.title else ""
+        lines.append(f"{what}columns: {names}; worst by {one.worst_by}; TOTAL: every frame counts alike")
+        if most and len(one.rows) > most:
+            lines.append(
+                f"{what}{most} of {len(one.rows)} results are shown, the worst: --worst 0 shows all, "
+                "--json, --csv and --html have them"
+            )
+        lines += [f"{what}{line}" for line in total_lines(one)]
+    return lines
+
+
+def total_lines(results: ResultSet) -> list[str]:
+    """Why there is no total of some columns, one line a reason."""
+    reasons: dict[str, list[str]] = {}
+    for figure in results.figures:
+        reason = figure_of(results.pool, figure).reason
+        if reason:
+            reasons.setdefault(reason, []).append(figure)
+    return [f"no total of {', '.join(figures)}: {reason}" for reason, figures in reasons.items()]
+
+
+def fewer(lines: Sequence[str]) -> list[str]:
+    """Return the first lines, and how many more there are."""
+    if len(lines) <= MOST_LINES:
+        return list(lines)
+    return [*lines[: MOST_LINES - 1], f"{len(lines) - MOST_LINES + 1} more notes: --json has those of all"]
+
+
+# Comparisons as tables of text
+
+
+NOT_COMPARED = (
+    "not compared: no two results are of the same recording with figures in common; "
+    "--group compares groups, recording by recording"
+)
+COLUMNS = ("difference", "95 % from", "to", "p", "pairs")
+
+
+def comparison_tables(comparison: Comparison, *, parts: bool = False) -> list[Table]:
+    """Make a table of the groups' figures, where there are groups, and one of each pair's differences.
+
+    Args:
+        comparison: what to show.
+        parts: also figures of single fingers, joints, angles or points.
+    """
+    pairs = dict.fromkeys((one.first, one.second) for one in comparison.differences)
+    differences = [_differences(_shown(comparison, *pair, parts=parts), *pair) for pair in pairs]
+    return [_groups(comparison), *differences] if comparison.groups else differences
+
+
+def comparison_lines(comparison: Comparison, *, parts: bool = False) -> list[str]:
+    """What belongs under the tables: the unit of the test, and its notes; arguments as of the tables."""
+    lines = [
+        f"a pair is {comparison.unit}; p: Wilcoxon's signed-rank test, two-sided; interval: bootstrap, BCa"
+    ]
+    for first, second in dict.fromkeys((one.first, one.second) for one in comparison.differences):
+        shown = _shown(comparison, first, second, parts=parts)
+        for note in dict.fromkeys(one.note for one in shown if one.note):
+            figures = [one.figure for one in shown if one.note == note]
+            about = "" if len(figures) == len(shown) else f": {', '.join(figures)}"
+            lines.append(f"{_name(first, second)}: {note}{about}")
+    return [*lines, *comparison.notes]
+
+
+def _shown(comparison: Comparison, first: str, second: str, *, parts: bool) -> list[Difference]:
+    """The differences of a pair, with or without those of parts."""
+    return [
+        one
+        for one in comparison.differences
+        if (one.first, one.second) == (first, second) and (parts or split_address(one.figure).part is None)
+    ]
+
+
+def _groups(comparison: Comparison) -> Table:
+    """Mean and sd of each figure over the results of a group."""
+    groups = comparison.groups
+    figures = list(dict.fromkeys(figure for summary in groups.values() for figure in summary))
+    counts = Row("results", tuple(_largest_count(summary.values()) for summary in groups.values()))
+    rows = [
+        Row(figure, tuple(_cell(summary.get(figure)) for summary in groups.values()), figure)
+        for figure in figures
+    ]
+    return Table("Groups, mean \u00b1 sd over results", tuple(groups), (Section("", (counts, *rows)),))
+
+
+def _largest_count(summaries: Iterable[Statistics]) -> str:
+    return str(max((one.count for one in summaries), default=0))
+
+
+def _cell(summary: Statistics | None) -> str:
+    return mean_and_sd(summary.mean, summary.sd) if summary is not None and summary.count else ABSENT
+
+
+def _differences(found: list[Difference], first: str, second: str) -> Table:
+    rows = tuple(Row(one.figure, _difference_cells(one), one.figure) for one in found)
+    return Table(_name(first, second), COLUMNS, (Section("", rows),))
+
+
+def _difference_cells(one: Difference) -> tuple[str, ...]:
+    if not one.paired.count:
+        return (*[ABSENT] * 4, "0")
+    numbers = (one.paired.difference, one.paired.low, one.paired.high)
+    return (
+        *(ABSENT if isnan(number) else shown(number) for number in numbers),
+        shown_p(one.paired.p_value),
+        str(one.paired.count),
+    )
+
+
+def shown_p(p_value: float) -> str:
+    """Show a p-value in two digits, and those below 0.0001 as such."""
+    return "<0.0001" if p_value < 1e-4 else f"{p_value:.2g}"
+
+
+def _name(first: str, second: str) -> str:
+    return f"{second} - {first}"

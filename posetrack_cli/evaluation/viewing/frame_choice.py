@@ -9,7 +9,7 @@ import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
 from posetrack_cli.errors import UsageError
-from posetrack_cli.evaluation.track import Track
+from posetrack_cli.evaluation.reading.tracks import Track
 
 EXPECTED = "all, numbers and ranges such as 0:300:5,420 or 7, spread:6, or worst:8"
 APART_NS = 1_000_000_000

@@ -6,22 +6,20 @@ import cv2
 import numpy as np
 
 from posetrack_cli.arrays import BoolArray, Float32Array, FloatArray, ImageArray
-from posetrack_cli.evaluation.metrics.image_consistency import MESH_LEVEL
-from posetrack_cli.evaluation.viewing.colours import Colour, lit, shaded
-from posetrack_cli.evaluation.viewing.drawing import Canvas, Shown, SkeletonDrawer
+from posetrack_cli.evaluation.measuring.without_truth import MESH_LEVEL
+from posetrack_cli.evaluation.viewing.drawing import Canvas, Colour, Shown, SkeletonDrawer, lit, shaded
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.anatomy import JOINT_PARENTS, HandAnatomy
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.forearm import transforms_with_forearm
-from posetrack_cli.hand.forearm_confidence import LEAST_CONFIDENCE
-from posetrack_cli.hand.inner import THUMB, inner_of
-from posetrack_cli.hand.kinematics import skinning_transforms
-from posetrack_cli.hand.model import HandModel
-from posetrack_cli.hand.observation import PixelSampler, window_around
-from posetrack_cli.hand.protocol import forearm_confidence_of
-from posetrack_cli.hand.segmentation import Label, PredictedHand, Segmentation, segment
-from posetrack_cli.rendering.port import DepthRenderer, RenderingDevice
-from posetrack_cli.rendering.window import Window
+from posetrack_cli.hand.fit.skeleton import THUMB, inner_of
+from posetrack_cli.hand.model.anatomy import JOINT_PARENTS, HandAnatomy
+from posetrack_cli.hand.model.forearm import LEAST_CONFIDENCE, transforms_with_forearm
+from posetrack_cli.hand.model.hand import HandModel
+from posetrack_cli.hand.model.kinematics import skinning_transforms
+from posetrack_cli.hand.observe.observation import PixelSampler, window_around
+from posetrack_cli.hand.observe.prediction import PredictedHand
+from posetrack_cli.hand.observe.segmentation import Label, Segmentation, segment
+from posetrack_cli.hand.start import forearm_confidence_of
+from posetrack_cli.rendering.port import DepthRenderer, RenderingDevice, Window
 
 _RIM = np.ones((3, 3), np.uint8)
 

@@ -9,17 +9,31 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.errors import PosetrackError, ResultError, UsageError
-from posetrack_cli.evaluation.association import associate, nearest_rows
-from posetrack_cli.evaluation.metrics.pose_errors import distances
-from posetrack_cli.evaluation.track import Track, track_of_result, unique_names
-from posetrack_cli.evaluation.truth.loading import load_truth
-from posetrack_cli.evaluation.viewing.captions import widest
-from posetrack_cli.evaluation.viewing.colours import FOUND_ANEW, LOST, SKIN, TONES, Colour
-from posetrack_cli.evaluation.viewing.drawing import Canvas, Drawer, Segments, Shown
+from posetrack_cli.evaluation.measuring.pose_metrics import distances
+from posetrack_cli.evaluation.reading.tracks import (
+    Track,
+    associate,
+    nearest_rows,
+    track_of_result,
+    unique_names,
+)
+from posetrack_cli.evaluation.reading.truth import load_truth
+from posetrack_cli.evaluation.viewing.drawing import (
+    FOUND_ANEW,
+    LOST,
+    SKIN,
+    TONES,
+    Canvas,
+    Colour,
+    Drawer,
+    Segments,
+    Shown,
+    widest,
+)
 from posetrack_cli.evaluation.viewing.frame_choice import chosen_rows
 from posetrack_cli.recording.base import Frame
+from posetrack_cli.results.channels import FILTERED
 from posetrack_cli.results.reader import Result
-from posetrack_cli.results.tracks import FILTERED
 from posetrack_cli.units import NS_PER_S
 
 TOLERANCE_NS = 5_000_000

@@ -9,15 +9,11 @@ from typing import Protocol, TypeAlias
 
 from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.errors import UsageError
-from posetrack_cli.evaluation.matched_frames import matched_frames
-from posetrack_cli.evaluation.recorded_hand import hand_of
-from posetrack_cli.evaluation.recording_of import cameras_of, pixels_of
-from posetrack_cli.evaluation.viewing.colours import TRUTH
-from posetrack_cli.evaluation.viewing.depth_panels import depth_layout, depth_panels
-from posetrack_cli.evaluation.viewing.drawing import Drawer, SkeletonDrawer
+from posetrack_cli.evaluation.reading.recording_of import cameras_of, hand_of, pixels_of
+from posetrack_cli.evaluation.reading.tracks import matched_frames
+from posetrack_cli.evaluation.viewing.drawing import TRUTH, Drawer, SkeletonDrawer
 from posetrack_cli.evaluation.viewing.frame_choice import fewer_said
 from posetrack_cli.evaluation.viewing.hand_drawing import HandDrawer
-from posetrack_cli.evaluation.viewing.image_panels import ImagePanels, image_layout
 from posetrack_cli.evaluation.viewing.layers import (
     Drawing,
     DrawnTrack,
@@ -30,8 +26,9 @@ from posetrack_cli.evaluation.viewing.layers import (
     truth_of,
 )
 from posetrack_cli.evaluation.viewing.outputs import fitting_sheet
+from posetrack_cli.evaluation.viewing.panels import ImagePanels, depth_layout, depth_panels, image_layout
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.losses import Loss, LossLog
+from posetrack_cli.phases import Loss, LossLog
 from posetrack_cli.recording.pixels import PixelKind
 from posetrack_cli.recording.recording import Recording
 from posetrack_cli.rendering.port import RenderingDevice

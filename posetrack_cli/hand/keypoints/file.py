@@ -10,7 +10,7 @@ import numpy as np
 from posetrack_cli import limits
 from posetrack_cli.errors import UsageError
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.keypoints.joints import HAND_POINTS
+from posetrack_cli.hand.keypoints.places import HAND_POINTS
 from posetrack_cli.recording.identity import shown_name
 from posetrack_cli.recording.keypoints.layout import (
     HANDEDNESS,
@@ -20,6 +20,7 @@ from posetrack_cli.recording.keypoints.layout import (
     NORMALISED,
     PIXELS,
     UNITS,
+    KeypointSets,
 )
 from posetrack_cli.recording.keypoints.reading import (
     MOST_OF,
@@ -29,7 +30,6 @@ from posetrack_cli.recording.keypoints.reading import (
     known_scores,
     parse_keypoints,
 )
-from posetrack_cli.recording.keypoints.sets import KeypointSets
 from posetrack_cli.units import METRES_PER_MM
 
 UNSURE = "unsure"

@@ -1,21 +1,67 @@
-"""Where in the camera's axes a set of keypoints is, and how surely: pixels get their depth from the image.
-
-The readings in a small patch about a pixel, without what is not near the set's median depth, tell the skin's
-depth there; the joint lies a finger's radius behind it along the line of sight. Where the skin at that pixel
-is another finger's or the palm's, the joint lies farther behind, so a joint behind its place is hardly off
-it.
-"""
+"""Where keypoints are in the camera's axes."""
 
 from __future__ import annotations
+
+import re
 
 import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray, ImageArray
-from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.distortion import undistort
-from posetrack_cli.hand.anatomy import HandAnatomy
-from posetrack_cli.hand.fitting.points import PlacesToFit
-from posetrack_cli.hand.keypoints.joints import POINTS
+from posetrack_cli.geometry.camera import Camera, undistort
+from posetrack_cli.hand.fit.points import PlacesToFit
+from posetrack_cli.hand.model.anatomy import JOINT_NAMES, HandAnatomy
+from posetrack_cli.recording.keypoints.layout import PointKind, same_order
+
+# The 21 points of a hand in files of keypoints: ours, which are MediaPipe's in its order
+
+
+POINTS = len(JOINT_NAMES)
+
+
+_THEIRS = re.compile(
+    r"(?:(?:left|right|l|r)_)?(?:hand_)?(thumb|index|middle|ring|little)_?(cmc|mcp|ip|pip|dip|tip|[1-4])"
+)
+_THUMB, _FINGER = ("cmc", "mcp", "ip", "tip"), ("mcp", "pip", "dip", "tip")
+
+
+def _plain(name: str) -> str:
+    """Return another program's name as ours.
+
+    MediaPipe has ``HandLandmark.INDEX_FINGER_TIP`` and ``PINKY_MCP``, COCO ``forefinger1`` and ``thumb4``;
+    annotators write ``IndexMCP``.
+    """
+    plain = name.removeprefix("handlandmark.").replace("forefinger", "index").replace("pinky", "little")
+    plain = plain.replace("_finger", "")
+    if plain.endswith("hand_root"):
+        return "wrist"
+    found = _THEIRS.fullmatch(plain)
+    if found is None:
+        return plain
+    finger, joint = found.groups()
+    number = int(joint) - 1 if joint.isdecimal() else -1
+    return f"{finger}_{(_THUMB if finger == 'thumb' else _FINGER)[number] if number >= 0 else joint}"
+
+
+HAND_POINTS = PointKind(
+    subject="hand",
+    names=JOINT_NAMES,
+    counted={POINTS: same_order(POINTS)},
+    several=("hands", "multi_hand_landmarks", "hand_landmarks", "handLandmarks"),
+    command="posetrack hand run --help",
+    plain=_plain,
+    flat={"hand_left_keypoints_2d": "left", "hand_right_keypoints_2d": "right"},
+    parts={"left": slice(91, 112), "right": slice(112, 133)},
+    ends=("wrist", "tip of the little finger"),
+)
+
+
+# Where in the camera's axes a set of keypoints is, and how surely: pixels get their depth from the image.
+#
+# The readings in a small patch about a pixel, without what is not near the set's median depth, tell the
+# skin's depth there; the joint lies a finger's radius behind it along the line of sight. Where the skin at
+# that pixel is another finger's or the palm's, the joint lies farther behind, so a joint behind its place is
+# hardly off it.
+
 
 PIXEL_SD, CONVENTION_SD_MM = 3.0, 6.0
 """Of a good detector's points, pixels, and of where programs put a joint, mm."""

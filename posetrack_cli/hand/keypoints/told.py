@@ -14,15 +14,15 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray, ImageArray, IntArray
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.acquisition import ACCEPT_MM, Acquisition, Candidate, depth_doubt, fingers_bonus
-from posetrack_cli.hand.anatomy import ANGLES, POSE_SIZE, HandAnatomy
-from posetrack_cli.hand.fitting.anatomy_terms import RELAXED
-from posetrack_cli.hand.fitting.fitter import PosePrior
-from posetrack_cli.hand.fitting.points import PlaceFitter, PlacesToFit, lay_on
+from posetrack_cli.hand.fit.anatomy_terms import RELAXED
+from posetrack_cli.hand.fit.fitter import PosePrior
+from posetrack_cli.hand.fit.local_fits import NOT_TOLD, TOLD_PRECISION
+from posetrack_cli.hand.fit.points import PlaceFitter, PlacesToFit, lay_on
 from posetrack_cli.hand.keypoints.file import UNSURE, KeypointFile
 from posetrack_cli.hand.keypoints.places import places_in_image, places_in_space
-from posetrack_cli.hand.kinematics import joint_positions, mean_joint_distances
-from posetrack_cli.hand.local_fits import NOT_TOLD, TOLD_PRECISION
+from posetrack_cli.hand.model.anatomy import ANGLES, POSE_SIZE, HandAnatomy
+from posetrack_cli.hand.model.kinematics import joint_positions, mean_joint_distances
+from posetrack_cli.hand.search import ACCEPT_MM, Acquisition, Candidate, depth_doubt, fingers_bonus
 from posetrack_cli.recording.base import Frame
 
 MOST_HANDS = 4

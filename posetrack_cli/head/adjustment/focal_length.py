@@ -18,9 +18,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from posetrack_cli.head.adjustment.adjuster import Adjuster
-from posetrack_cli.head.adjustment.views import Adjusted, PersonParameters, PointView
-from posetrack_cli.head.face.pose import POSE_SIZE, HeadPose
+from posetrack_cli.head.adjustment.adjuster import Adjusted, Adjuster, PersonParameters, PointView
+from posetrack_cli.head.face.points import POSE_SIZE, HeadPose
 from posetrack_cli.head.tracker.person import KnownPerson
 
 WIDEST = 2.0

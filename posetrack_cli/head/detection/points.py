@@ -9,9 +9,8 @@ import numpy as np
 from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray, IntArray
 from posetrack_cli.head.detection.appearance import Appearance
 from posetrack_cli.head.detection.finders import NO_EYES, FaceGuess
-from posetrack_cli.head.detection.fit import fit_face, projected
-from posetrack_cli.head.detection.joint_places import POSE_SIZE as JOINT_POSE
-from posetrack_cli.head.detection.joint_places import find_jointly
+from posetrack_cli.head.detection.fit import JOINT_POSE_SIZE as JOINT_POSE
+from posetrack_cli.head.detection.fit import find_jointly, fit_face, projected
 from posetrack_cli.head.detection.responses import FacePatch, cut_patch, response_maps
 from posetrack_cli.head.face.points import NOSTRILS, POINT_COUNT
 

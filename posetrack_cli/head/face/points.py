@@ -1,18 +1,36 @@
-"""Ten feature points of a face: their names, their order, and what faces have in common.
-
-The head's frame: x to the subject's left, y up, z out of the face, mm; the origin is the mean of the four eye
-corners of the neutral face. A shape is (K, 3), K = 10 rows in the order of ``POINT_NAMES``.
-
-The figures are statistics of ten landmarks over 4000 samples of ICT-FaceKit's identity model (USC Institute
-for Creative Technologies, MIT licence).
-"""
+"""A face's points, their pose, and the scale of its images."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from posetrack_cli.arrays import FloatArray
+from posetrack_cli.arrays import FloatArray, ImageArray
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.geometry.rotations import (
+    canonical,
+    conjugate,
+    exponential,
+    logarithm,
+    matrices_from_quaternions,
+    multiply,
+)
+from posetrack_cli.recording.base import Frame
+
+# Ten feature points of a face: their names, their order, and what faces have in common.
+#
+# The head's frame: x to the subject's left, y up, z out of the face, mm; the origin is the mean of the four
+# eye corners of the neutral face. A shape is (K, 3), K = 10 rows in the order of ``POINT_NAMES``.
+#
+# The figures are statistics of ten landmarks over 4000 samples of ICT-FaceKit's identity model (USC Institute
+# for Creative Technologies, MIT licence).
+
 
 POINT_NAMES = (
     "right_eye_outer",
@@ -106,3 +124,209 @@ def of_kinds(*, eyes: ArrayLike, mouth: ArrayLike, nostrils: ArrayLike, brows: A
 
 for _figures in (MEAN_SHAPE, SHAPE_SD, POINT_NORMALS, FEATURES, FITTED, FEATURE_SD):
     _figures.setflags(write=False)
+
+
+# A head's pose ``camera_T_head``, how small changes of it are counted, and how its face deforms.
+#
+# The camera is the recording's reference camera (x right, y down, z forward). A tangent vector has six
+# entries: translation in camera axes, mm, then a rotation vector w in camera axes, rad, about the head's
+# origin: t' = t + d[:3], R' = exp(w) R. For a head that looks at the camera w is (pitch, yaw, roll) to first
+# order.
+
+
+POSE_SIZE = 6
+
+
+@dataclass(frozen=True, eq=False)
+class HeadPose:
+    """Where one head is, or, with n before each shape, where it is in n frames.
+
+    Attributes:
+        position: (3,) of the head's origin in the reference camera's axes, mm.
+        quaternion: (4,) x y z w, w >= 0, rotation of ``camera_T_head``.
+    """
+
+    position: FloatArray
+    quaternion: FloatArray
+
+    @classmethod
+    def stacked(cls, poses: Sequence[HeadPose]) -> HeadPose:
+        """Return the poses of some frames as one."""
+        return cls(np.array([one.position for one in poses]), np.array([one.quaternion for one in poses]))
+
+    def of_frame(self, index: int) -> HeadPose:
+        """Return the pose in one of several frames."""
+        return HeadPose(self.position[index], self.quaternion[index])
+
+    @cached_property
+    def rotation(self) -> FloatArray:
+        """The (3, 3) rotation matrix R."""
+        return matrices_from_quaternions(self.quaternion)
+
+    @cached_property
+    def facing(self) -> FloatArray:
+        """(3,) unit vector out of the face, in camera axes."""
+        return self.rotation[:, 2]
+
+    def points(self, shape: FloatArray) -> FloatArray:
+        """Return R m + t, (..., 3) mm in camera axes, of points m (..., 3) in the frame of one head."""
+        points: FloatArray = shape @ self.rotation.T + self.position
+        return points
+
+    def moved(self, tangent: FloatArray) -> HeadPose:
+        """Return the pose after a tangent vector (6,)."""
+        turned = multiply(exponential(tangent[..., 3:]), self.quaternion)
+        return HeadPose(self.position + tangent[..., :3], canonical(turned))
+
+    def difference(self, other: HeadPose) -> FloatArray:
+        """Return the tangent vector (6,) that takes this pose to the other."""
+        turn = logarithm(multiply(other.quaternion, conjugate(self.quaternion)))
+        return np.concatenate([other.position - self.position, turn], axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class ShapeModel:
+    """Mean shape and deformation directions of one face.
+
+    Attributes:
+        mean: (K, 3) neutral shape in the head's frame, mm.
+        basis: (K, 3, B) orthonormal directions of deformation; B = 0 is a rigid face.
+        deviations: (B,) mu, standard deviation of each coefficient, mm, descending.
+    """
+
+    mean: FloatArray
+    basis: FloatArray
+    deviations: FloatArray
+
+    @property
+    def size(self) -> int:
+        """B, the number of deformation coefficients."""
+        return len(self.deviations)
+
+    def shapes(self, coefficients: FloatArray) -> FloatArray:
+        """Return the shapes (..., K, 3), mm, of deformation coefficients (..., B), mm."""
+        moved = coefficients @ self.basis.reshape(self.mean.size, -1).T
+        return self.mean + moved.reshape(*moved.shape[:-1], *self.mean.shape)
+
+
+def rigid_model(mean: FloatArray) -> ShapeModel:
+    """Return the model of a face (K, 3) that does not deform."""
+    return ShapeModel(mean, np.zeros((*mean.shape, 0)), np.zeros(0))
+
+
+# Images scaled to the size that patches are made for **[ours]**.
+#
+# Patches have 16 x 16 pixels, which the thesis chose for faces whose eyes are some 60 to 90 pixels apart. Of
+# a face that fills a large image they show a piece of a lid: a blink or a smile changes all of it. Of a small
+# one they show half of the face, so that points which lie at different depths are found to move alike, and a
+# turn is lost. Images are reduced, or the face's part of them is enlarged, once it was first found, and anew
+# where it comes much nearer or goes away. Poses are in millimetres and do not change.
+
+
+WHOLE = 1.0
+"""The scale of images as recorded."""
+LEAST_REDUCTION = 0.8
+"""Images that would become hardly smaller, or hardly larger, stay as they are."""
+STEP = 0.25
+"""Images are enlarged by multiples: then every fourth pixel's edge falls on one of the enlarged image."""
+LARGEST_SIDE_PX = 8192
+"""No image is enlarged beyond."""
+TOO_FAR = 1.6
+"""A face is looked at at another scale where its eyes are so many times farther apart than wanted, or as much
+less: from thence back it is a long way, so that no head at one place is looked at now so, now so."""
+MARGIN_PX = 160
+"""Enlarged is what lies no farther from a face's points: twice the eyes' distance, farther than patches and
+windows reach in a frame."""
+_EVERY = round(1.0 / STEP)
+
+
+class Scaling(NamedTuple):
+    """How a camera's images are scaled.
+
+    Attributes:
+        wanted_px: between the eyes of a face.
+        largest: no image is enlarged by more; 1 leaves small faces as they are.
+        camera: as recorded.
+    """
+
+    wanted_px: float
+    largest: float
+    camera: Camera
+
+    def of_face(self, eye_distance_px: float) -> float:
+        """Return the scale that brings a face's eyes, as recorded, to the distance wanted, or nearly so."""
+        scale = self.wanted_px / eye_distance_px
+        return WHOLE if LEAST_REDUCTION < scale <= 1.0 / LEAST_REDUCTION else self.usable(scale)
+
+    def usable(self, scale: float) -> float:
+        """Return the nearest scale that images are looked at at."""
+        if scale <= WHOLE:
+            return scale
+        largest = min(self.largest, LARGEST_SIDE_PX / max(self.camera.width, self.camera.height))
+        return max(min(round(scale / STEP), int(largest / STEP)) * STEP, WHOLE)
+
+    def fitting(self, scale: float, eye_distance_px: float) -> float:
+        """Return the scale to go on with: the same unless eyes so far apart, as recorded, ask for another."""
+        fits = 1.0 / TOO_FAR <= scale * eye_distance_px / self.wanted_px <= TOO_FAR
+        return scale if fits else self.of_face(eye_distance_px)
+
+
+def reduced(frame: Frame, scale: float) -> Frame:
+    """Return a frame with its image reduced; as it is for a scale of 1 or more."""
+    (image,) = frame.images
+    if scale >= WHOLE or image is None:
+        return frame
+    height, width = (_length(side, scale) for side in image.shape)
+    return replace(frame, images=(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA),))
+
+
+def enlarged(frame: Frame, scale: float, pixels: FloatArray) -> Frame:
+    """Return a frame with its image enlarged about a face, and black elsewhere.
+
+    Args:
+        frame: as recorded.
+        scale: above 1, a multiple of ``STEP``.
+        pixels: (K, 2) of the face, about, in the enlarged image.
+    """
+    (image,) = frame.images
+    if image is None:
+        return frame
+    height, width = (_length(side, scale) for side in image.shape)
+    canvas: ImageArray = np.zeros((height, width), dtype=image.dtype)
+    low, high = (np.nan_to_num(end) for end in (np.nanmin(pixels, axis=0), np.nanmax(pixels, axis=0)))
+    sides = np.array(image.shape[::-1])
+    first = np.clip((low - MARGIN_PX) / scale, 0, sides).astype(int) // _EVERY * _EVERY
+    behind = np.clip(-(-(high + MARGIN_PX) // scale), 0, sides).astype(int)
+    if np.all(behind > first):
+        part = image[first[1] : behind[1], first[0] : behind[0]]
+        large = cv2.resize(part, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
+        left, top = np.rint(first * scale).astype(int)
+        there = canvas[top : top + large.shape[0], left : left + large.shape[1]]
+        there[:] = large[: there.shape[0], : there.shape[1]]
+    return replace(frame, images=(canvas,))
+
+
+def scaled_camera(camera: Camera, scale: float) -> Camera:
+    """Return the camera of scaled images: pixel u is at (u + 1/2) w'/w - 1/2, of enlarged ones exactly."""
+    if scale == WHOLE:
+        return camera
+    width, height = _length(camera.width, scale), _length(camera.height, scale)
+    across, down = (scale, scale) if scale > WHOLE else (width / camera.width, height / camera.height)
+    return replace(
+        camera,
+        width=width,
+        height=height,
+        fx=camera.fx * across,
+        fy=camera.fy * down,
+        cx=(camera.cx + 0.5) * across - 0.5,
+        cy=(camera.cy + 0.5) * down - 0.5,
+    )
+
+
+def scaled_pixels(pixels: FloatArray, scale: float) -> FloatArray:
+    """Return where pixels (..., 2) are after scaling; after a reduction to a thousandth of the image."""
+    return pixels if scale == WHOLE else (pixels + 0.5) * scale - 0.5
+
+
+def _length(side: int, scale: float) -> int:
+    return max(round(side * scale), 1)

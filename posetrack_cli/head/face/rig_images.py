@@ -1,6 +1,6 @@
 """The images that the cameras of a rig took at one time, and where its cameras see points.
 
-``geometry.projection`` projects for one camera and points in its own axes; ``project`` here takes points in
+``geometry.camera`` projects for one camera and points in its own axes; ``project`` here takes points in
 the reference's, and keeps the lens as a matrix at each point, as the refinement's compiled kernels use it.
 """
 
@@ -13,9 +13,14 @@ import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray, ImageArray
 from posetrack_cli.compiled import kernel
-from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.distortion import distort, distortion_jacobian
-from posetrack_cli.geometry.projection import in_camera_axes, normalised_from_pixels, pixels_from_points
+from posetrack_cli.geometry.camera import (
+    Camera,
+    distort,
+    distortion_jacobian,
+    in_camera_axes,
+    normalised_from_pixels,
+    pixels_from_points,
+)
 from posetrack_cli.geometry.rigid import inverse
 
 

@@ -14,11 +14,8 @@ from itertools import permutations
 import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray
-from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.epipolar import better_order
-from posetrack_cli.geometry.projection import in_camera_axes
-from posetrack_cli.geometry.rigid import rigid_alignment
-from posetrack_cli.geometry.triangulation import triangulate
+from posetrack_cli.geometry.camera import Camera, in_camera_axes
+from posetrack_cli.geometry.rigid import better_order, rigid_alignment, triangulate
 from posetrack_cli.head.face.points import FEATURE_SD, FEATURES
 from posetrack_cli.head.face.rig_images import CameraImage
 

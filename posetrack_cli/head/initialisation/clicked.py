@@ -17,7 +17,7 @@ from posetrack_cli.files import read_text
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.config import StereoInitialisationSettings
 from posetrack_cli.head.face.points import POINT_COUNT, POINT_NAMES
-from posetrack_cli.head.initialisation.search import InitFailure
+from posetrack_cli.head.initialisation.matching import InitFailure
 from posetrack_cli.head.initialisation.stereo import (
     StereoInitialisation,
     StereoInitialiser,
@@ -25,7 +25,7 @@ from posetrack_cli.head.initialisation.stereo import (
 )
 from posetrack_cli.head.landmarks.faces import Landmarks
 from posetrack_cli.recording.base import Frame
-from posetrack_cli.tracking.two_pass import NothingFoundError
+from posetrack_cli.tracking.smoothing import NothingFoundError
 
 COLUMNS = ("camera", "point", "x", "y")
 

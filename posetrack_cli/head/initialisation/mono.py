@@ -9,18 +9,15 @@ from typing import TypeVar
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray, ImageArray
-from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.projection import undistorted_pixels
-from posetrack_cli.head.adjustment.adjuster import Adjuster
-from posetrack_cli.head.adjustment.views import Adjusted, PersonParameters, PointView
+from posetrack_cli.geometry.camera import Camera, undistorted_pixels
+from posetrack_cli.head.adjustment.adjuster import Adjusted, Adjuster, PersonParameters, PointView
 from posetrack_cli.head.config import HeadMonoConfig
 from posetrack_cli.head.detection.detector import FaceDetector
 from posetrack_cli.head.detection.points import FacePoints
-from posetrack_cli.head.face.points import FEATURE_SD, FEATURES, MIRRORED, POINT_COUNT
-from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.head.face.points import FEATURE_SD, FEATURES, MIRRORED, POINT_COUNT, HeadPose
 from posetrack_cli.head.face.rig_images import RigImages, project
 from posetrack_cli.head.face.templates import TemplateSet, take_templates, tangents
-from posetrack_cli.head.initialisation.search import NO_FACE, InitFailure
+from posetrack_cli.head.initialisation.matching import NO_FACE, InitFailure
 from posetrack_cli.head.initialisation.single_view import NEAREST_MM, pose_of
 from posetrack_cli.head.landmarks.faces import Landmarks, ToldFace
 from posetrack_cli.recording.base import Frame

@@ -15,11 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray
-from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.distortion import distortion_jacobian
-from posetrack_cli.geometry.projection import normalised_from_pixels
+from posetrack_cli.geometry.camera import Camera, distortion_jacobian, normalised_from_pixels
 from posetrack_cli.geometry.rotations import quaternions_from_matrices
-from posetrack_cli.head.face.pose import POSE_SIZE, HeadPose
+from posetrack_cli.head.face.points import POSE_SIZE, HeadPose
 
 LEAST_POINTS = 4
 MOST_STEPS = 30

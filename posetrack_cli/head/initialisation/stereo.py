@@ -10,19 +10,16 @@ import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.rigid import rigid_alignment
+from posetrack_cli.geometry.rigid import reprojection_errors, rigid_alignment, triangulate
 from posetrack_cli.geometry.rotations import quaternions_from_matrices
-from posetrack_cli.geometry.triangulation import reprojection_errors, triangulate
 from posetrack_cli.head.config import StereoInitialisationSettings
 from posetrack_cli.head.detection.detector import Detection, FaceDetector
 from posetrack_cli.head.detection.fit import relief_of
 from posetrack_cli.head.detection.points import FacePoints
-from posetrack_cli.head.face.points import EYES, FEATURE_SD, FEATURES, POINT_COUNT
-from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.head.face.points import EYES, FEATURE_SD, FEATURES, POINT_COUNT, HeadPose
 from posetrack_cli.head.face.rig_images import CameraImage, RigImages, is_reference, required
 from posetrack_cli.head.initialisation.average_face import MeasuredFace, exchanged_order
-from posetrack_cli.head.initialisation.matching import match_points
-from posetrack_cli.head.initialisation.search import NO_FACE, InitFailure
+from posetrack_cli.head.initialisation.matching import NO_FACE, InitFailure, match_points
 from posetrack_cli.head.initialisation.single_view import weak_perspective
 from posetrack_cli.head.landmarks.faces import Landmarks
 from posetrack_cli.recording.base import Frame

@@ -15,8 +15,7 @@ from posetrack_cli import limits
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.files import read_input, write_output
-from posetrack_cli.head.face.points import POINT_COUNT, POINT_NAMES
-from posetrack_cli.head.face.pose import ShapeModel
+from posetrack_cli.head.face.points import POINT_COUNT, POINT_NAMES, ShapeModel
 from posetrack_cli.npz import read_npz
 from posetrack_cli.outputs import whole_or_nothing
 

@@ -13,7 +13,7 @@ from posetrack_cli.filtering.partitioned import Motion, local_mean, partitioned_
 from posetrack_cli.filtering.resampling import effective_count
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.config import ParticleSettings
-from posetrack_cli.head.face.pose import POSE_SIZE, HeadPose, ShapeModel
+from posetrack_cli.head.face.points import POSE_SIZE, HeadPose, ShapeModel
 from posetrack_cli.head.particles.particles import FRAME_S, HeadMotion, HeadParticles
 from posetrack_cli.head.particles.scores import ParticleScores, PatchObservation
 

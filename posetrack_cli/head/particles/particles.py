@@ -20,8 +20,8 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.filtering.errors import check_time_step
 from posetrack_cli.head.config import ParticleSettings
-from posetrack_cli.head.face.pose import POSE_SIZE, HeadPose, ShapeModel
-from posetrack_cli.head.particles.kernels import recentre
+from posetrack_cli.head.face.points import POSE_SIZE, HeadPose, ShapeModel
+from posetrack_cli.head.particles.score_maps import recentre
 
 FRAME_S = 1.0 / 30.0
 """tau0, the thesis's time between frames, that FLOOR and GAIN belong to."""

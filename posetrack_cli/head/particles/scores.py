@@ -8,17 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray
-from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.distortion import distort
-from posetrack_cli.head.face.pose import POSE_SIZE
-from posetrack_cli.head.particles.kernels import (
+from posetrack_cli.geometry.camera import Camera, distort
+from posetrack_cli.head.face.points import POSE_SIZE
+from posetrack_cli.head.particles.particles import HeadParticles
+from posetrack_cli.head.particles.score_maps import (
+    ScoreMaps,
+    add_all_scores,
     write_pixels,
     write_rotations,
     write_shapes,
     write_transforms,
 )
-from posetrack_cli.head.particles.particles import HeadParticles
-from posetrack_cli.head.particles.score_maps import ScoreMaps, add_all_scores
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,8 +18,13 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.compiled import inlined, kernel
 from posetrack_cli.geometry.kernels import invert_symmetric, rotate_in_place
-from posetrack_cli.head.refinement.evidence import Evidence, gather_evidence, make_evidence, make_workspace
-from posetrack_cli.head.refinement.scene import Scene
+from posetrack_cli.head.refinement.evidence import (
+    Evidence,
+    Scene,
+    gather_evidence,
+    make_evidence,
+    make_workspace,
+)
 
 POSE = 6
 CONVERGED_PX = 0.01

@@ -1,27 +1,300 @@
-"""One frame's refinement: the calls that a tracker makes."""
+"""Points found again in the image, and the pose that they give."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray
+from posetrack_cli.compiled import inlined, kernel
+from posetrack_cli.geometry.kernels import invert_symmetric
 from posetrack_cli.geometry.rotations import quaternions_from_matrices
 from posetrack_cli.head.config import RefinementSettings, StereoRefinementSettings
-from posetrack_cli.head.face.points import of_kinds
-from posetrack_cli.head.face.pose import HeadPose, ShapeModel
+from posetrack_cli.head.face.points import HeadPose, ShapeModel, of_kinds
 from posetrack_cli.head.face.rig_images import RigImages
-from posetrack_cli.head.face.templates import take_templates
-from posetrack_cli.head.refinement.evidence import project_point
-from posetrack_cli.head.refinement.joint import Face, FaceUnknowns, Prior, descend
-from posetrack_cli.head.refinement.recalculation import (
-    Printed,
-    recalculate_2d_as_printed,
-    recalculate_as_printed,
-    recalculate_points,
+from posetrack_cli.head.face.templates import (
+    GRID,
+    PATCH,
+    SIZE,
+    normalise,
+    product,
+    sample_grid,
+    take_templates,
 )
-from posetrack_cli.head.refinement.scene import ComparedFrame, Scene
+from posetrack_cli.head.refinement.evidence import (
+    ComparedFrame,
+    Evidence,
+    Scene,
+    Workspace,
+    gather_evidence,
+    make_evidence,
+    make_workspace,
+    project_point,
+)
+from posetrack_cli.head.refinement.joint import (
+    CONVERGED_PX,
+    Face,
+    FaceUnknowns,
+    Prior,
+    descend,
+    tail_precision,
+)
+
+# The feature points' own places, with the pose held (thesis, 3.2.3); compiled.
+#
+# ``recalculate_points`` minimises E = sum_k E_k(R M'_k + t) + Student-t of M'_k - M_k, which stands for eps
+# |M' - M|^2 of (3.3): with patches of zero mean and unit norm, warped, and between cameras, too **[ours]**.
+# As in (3.9) the start is the result of the frame before. Each point is a system of three unknowns (3.17).
+#
+# ``recalculate_as_printed`` is the thesis's, (3.3)-(3.19), and ``recalculate_2d_as_printed`` that of one
+# camera's image, (4.42)-(4.52):
+#
+#     E = sum over cameras and 16 x 16 regions of  rho |I_t(m_t) - I_t-1(m_t-1)|^2 + |I_t(m_t) - I_1(m_1)|^2
+#         + eps |M'_t - M_t|^2,                                     m = P(p_t, M')
+#     E = sum over 16 x 16 regions of  rho |I_t(m_t) - I_t-1(m_t-1)|^2 + |I_t(m_t) - I_1(m_1)|^2
+#         + eps |m_t - m'_t|^2,                              m'_t where the filter's estimate projects to
+#
+# by dM = -D^-1 d, or dm = -D^-1 d, repeated (the second until it is small). **[fix]** (3.16) has the factor 2
+# of the derivative of eps |.|^2, (3.18) and (3.19) lost it; (4.51) and (4.52) have the factor 2 of the
+# derivative of E_I and not that of eps |.|^2: as E is defined, D = (rho + 1) sum K^T K + eps 1 and d = sum
+# K^T (rho dI + dI_0) + eps (M'_t-1 - M_t), in the image eps (m_t-1 - m'_t). No point shares an entry of D
+# with another, so it is solved in blocks of three, or of two.
+
+
+@kernel
+def recalculate_points(
+    scene: Scene,
+    rotation: FloatArray,
+    position: FloatArray,
+    shape: FloatArray,
+    prior: Prior,
+    iterations: int,
+    points: FloatArray,
+    correlations: FloatArray,
+    pixels: FloatArray,
+) -> None:
+    """Descend from points (K, 3), which are written over.
+
+    Args:
+        scene: the frame.
+        rotation, position: R (3, 3) and t (3,), held.
+        shape: (K, 3) M, the filter's estimate, in the head's frame, mm.
+        prior: of M' - M.
+        iterations: steps at most.
+        points: (K, 3) M' of the frame before; out: of this one.
+        correlations: (C, K) out.
+        pixels: (C, K, 2) out.
+    """
+    cameras = len(scene.images.sizes)
+    evidence, work = make_evidence(cameras), make_workspace(cameras)
+    inverse, X, d, e = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
+    small = CONVERGED_PX * position[2] / scene.optics.intrinsics[0, 0]
+    for k in range(len(points)):
+        for n in range(iterations + 1):
+            transform(rotation, points[k], position, X)
+            gather_evidence(scene, k, X, work, evidence)
+            if n == iterations:
+                break
+            transform(rotation, points[k] - shape[k], np.zeros(3), d)
+            weight = tail_precision(prior, k, d[0] ** 2 + d[1] ** 2 + d[2] ** 2)
+            invert_symmetric(evidence.hessian, weight, inverse)
+            squared = 0.0
+            for i in range(3):
+                e[i] = 0.0
+                for j in range(3):
+                    e[i] -= inverse[i, j] * (evidence.gradient[j] + weight * d[j])
+                squared += e[i] ** 2
+            for i in range(3):
+                for j in range(3):
+                    points[k, i] += rotation[j, i] * e[j]
+            if squared < small * small:
+                break
+        write_place(evidence, k, correlations, pixels)
+
+
+@inlined
+def write_place(evidence: Evidence, k: int, correlations: FloatArray, pixels: FloatArray) -> None:
+    """Write where a point is seen, and how well; number by number, as slices compile for seconds."""
+    for c in range(len(correlations)):
+        correlations[c, k] = evidence.correlations[c]
+        for i in range(2):
+            pixels[c, k, i] = evidence.pixels[c, i]
+
+
+@kernel
+def transform(R: FloatArray, v: FloatArray, t: FloatArray, out: FloatArray) -> None:
+    """Write R v + t (3,)."""
+    for i in range(3):
+        out[i] = t[i] + R[i, 0] * v[0] + R[i, 1] * v[1] + R[i, 2] * v[2]
+
+
+class Printed(NamedTuple):
+    """The two constants, which belong to 8-bit intensities and mm."""
+
+    rho: float
+    epsilon: float
+
+
+@kernel
+def recalculate_as_printed(
+    scene: Scene,
+    rotation: FloatArray,
+    position: FloatArray,
+    shape: FloatArray,
+    printed: Printed,
+    iterations: int,
+    points: FloatArray,
+    correlations: FloatArray,
+    pixels: FloatArray,
+) -> None:
+    """Descend from points (K, 3), which are written over; arguments as of ``recalculate_points``."""
+    cameras = len(scene.images.sizes)
+    evidence, work = make_evidence(cameras), make_workspace(cameras)
+    inverse, X, d = np.empty((3, 3)), np.empty(3), np.empty(3)
+    for k in range(len(points)):
+        for _ in range(iterations):
+            transform(rotation, points[k], position, X)
+            _gather_raw(scene, k, X, printed.rho, work, evidence)
+            transform(rotation, points[k] - shape[k], np.zeros(3), d)
+            invert_symmetric(evidence.hessian, printed.epsilon, inverse)
+            for i in range(3):
+                for j in range(3):
+                    step = 0.0
+                    for m in range(3):
+                        step -= inverse[j, m] * (evidence.gradient[m] + printed.epsilon * d[m])
+                    points[k, i] += rotation[j, i] * step
+        transform(rotation, points[k], position, X)
+        gather_evidence(scene, k, X, work, evidence)
+        write_place(evidence, k, correlations, pixels)
+
+
+@kernel
+def _gather_raw(scene: Scene, k: int, X: FloatArray, rho: float, work: Workspace, out: Evidence) -> None:
+    """Write half the derivatives of the regions' part of E at X (3,), in camera axes."""
+    images, upright = scene.images, np.eye(2)
+    out.hessian[:] = 0.0
+    out.gradient[:] = 0.0
+    for c in range(len(images.sizes)):
+        if not project_point(scene.optics, c, k, X, out.pixels[c], work.jacobians[c]):
+            continue
+        u, v = out.pixels[c, 0] - images.corners[c, 0], out.pixels[c, 1] - images.corners[c, 1]
+        width, height = images.sizes[c, 0], images.sizes[c, 1]
+        if not sample_grid(images.windows[c], width, height, u, v, upright, work.grid):
+            continue
+        for s in range(2):
+            if not np.isnan(scene.raw[s, c, k, 0, 0]):
+                _add_region(work.grid, scene.raw[s, c, k], work.jacobians[c], 1.0 if s == 0 else rho, out)
+
+
+@kernel
+def _add_region(grid: FloatArray, target: FloatArray, J: FloatArray, weight: float, out: Evidence) -> None:
+    """Add weight |I - target|^2 / 2 over a region's pixels: K = (dI/dm) J is one row for each."""
+    row = np.empty(3)
+    for j in range(1, PATCH + 1):
+        for i in range(1, PATCH + 1):
+            along = 0.5 * (grid[j, i + 1] - grid[j, i - 1])
+            down = 0.5 * (grid[j + 1, i] - grid[j - 1, i])
+            difference = grid[j, i] - target[j, i]
+            for n in range(3):
+                row[n] = along * J[0, n] + down * J[1, n]
+            for n in range(3):
+                out.gradient[n] += weight * row[n] * difference
+                for m in range(3):
+                    out.hessian[n, m] += weight * row[n] * row[m]
+
+
+REFERENCE, BEFORE = 0, 1
+"""Which of ``Scene.raw`` is what."""
+
+
+@kernel
+def recalculate_2d_as_printed(
+    scene: Scene,
+    expected: FloatArray,
+    printed: Printed,
+    iterations: int,
+    pixels: FloatArray,
+    correlations: FloatArray,
+) -> None:
+    """Descend from pixels (K, 2), which are written over.
+
+    Where a region leaves the image, the point stays where the last step took it.
+
+    Args:
+        scene: the frame, of one camera, made for the printed recalculation.
+        expected: (K, 2) m'_t, pixels.
+        printed: rho and eps, which belong to 8-bit intensities and pixels.
+        iterations: steps at most.
+        pixels: (K, 2) m of the frame before; out: of this one.
+        correlations: (K,) out: the best with a template that is not of the frame before; NaN without one.
+    """
+    grid, upright, patch = np.empty((GRID, GRID)), np.eye(2), np.empty(SIZE)
+    sums = np.empty(5)
+    for k in range(len(pixels)):
+        for _ in range(iterations):
+            if not _sample(scene, pixels[k], upright, grid):
+                break
+            _regions(scene, k, grid, printed.rho, sums)
+            e, f = pixels[k, 0] - expected[k, 0], pixels[k, 1] - expected[k, 1]
+            a, b, c = sums[0] + printed.epsilon, sums[1], sums[2] + printed.epsilon
+            g, h = sums[3] + printed.epsilon * e, sums[4] + printed.epsilon * f
+            determinant = a * c - b * b
+            if determinant <= 0.0:
+                break
+            right, down = (b * h - c * g) / determinant, (b * g - a * h) / determinant
+            pixels[k, 0] += right
+            pixels[k, 1] += down
+            if right * right + down * down < CONVERGED_PX * CONVERGED_PX:
+                break
+        correlations[k] = np.nan
+        if _sample(scene, pixels[k], upright, grid) and normalise(grid, patch) > 0.0:
+            correlations[k] = _best(scene, k, patch)
+
+
+@kernel
+def _sample(scene: Scene, pixel: FloatArray, upright: FloatArray, grid: FloatArray) -> bool:
+    images = scene.images
+    u, v = pixel[0] - images.corners[0, 0], pixel[1] - images.corners[0, 1]
+    return sample_grid(images.windows[0], images.sizes[0, 0], images.sizes[0, 1], u, v, upright, grid)
+
+
+@kernel
+def _regions(scene: Scene, k: int, grid: FloatArray, rho: float, sums: FloatArray) -> None:
+    """Write what both comparisons add to D (xx, xy, yy) and d (x, y): half the derivatives of E_I."""
+    sums[:] = 0.0
+    for s in range(2):
+        target = scene.raw[s, 0, k]
+        if np.isnan(target[0, 0]):
+            continue
+        weight = 1.0 if s == REFERENCE else rho
+        for j in range(1, PATCH + 1):
+            for i in range(1, PATCH + 1):
+                along = 0.5 * (grid[j, i + 1] - grid[j, i - 1])
+                down = 0.5 * (grid[j + 1, i] - grid[j - 1, i])
+                difference = grid[j, i] - target[j, i]
+                sums[0] += weight * along * along
+                sums[1] += weight * along * down
+                sums[2] += weight * down * down
+                sums[3] += weight * along * difference
+                sums[4] += weight * down * difference
+
+
+@kernel
+def _best(scene: Scene, k: int, patch: FloatArray) -> float:
+    """Return the best correlation with a template of the sets; NaN where there is none."""
+    targets, best = scene.targets, np.nan
+    for s in range(targets.stored):
+        if targets.weights[s, 0, k] > 0.0:
+            ncc = product(patch, targets.patches[s, 0, k])
+            if not best > ncc:
+                best = ncc
+    return best
+
+
+# One frame's refinement: the calls that a tracker makes
+
 
 WIDE_PRIOR = np.array([50.0] * 3 + [0.5] * 3)
 """(6,) standard deviations about the predicted pose, mm and rad: keep what no patch tells."""

@@ -17,16 +17,22 @@ from typing import NamedTuple
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray, ImageArray, IntArray
-from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.projection import normalised_from_pixels, pixels_wherever
+from posetrack_cli.geometry.camera import Camera, normalised_from_pixels, pixels_wherever
 from posetrack_cli.geometry.rotations import canonical, conjugate, mean_quaternion, multiply, rotate
-from posetrack_cli.head.adjustment.views import PointView
-from posetrack_cli.head.face.pose import HeadPose
-from posetrack_cli.head.skin.adjustment import adjust_pose, adjust_skin, observations
-from posetrack_cli.head.skin.crops import PX_PER_MM, SkinView, cut, place_crop, to_crop, to_image
-from posetrack_cli.head.skin.equations import Observations
-from posetrack_cli.head.skin.matching import find_again, views_for
-from posetrack_cli.head.skin.surface import surface_of
+from posetrack_cli.head.adjustment.adjuster import PointView
+from posetrack_cli.head.face.points import HeadPose
+from posetrack_cli.head.skin.equations import Observations, adjust_pose, adjust_skin, observations
+from posetrack_cli.head.skin.matching import (
+    PX_PER_MM,
+    SkinView,
+    cut,
+    find_again,
+    place_crop,
+    surface_of,
+    to_crop,
+    to_image,
+    views_for,
+)
 from posetrack_cli.opencv import in_one_thread
 
 LEAST_VIEWS = 4

@@ -1,28 +1,8 @@
-"""What the points of one frame say of a head's pose, for a smoother **[ours]**.
-
-The tracker's own fit takes what a face does for what its model knows, and what the model does not know for a
-turn of the head. Here each point lies about the neutral face beside that,
-
-    p_k = R (m_k + V_k a + d_k) + t + e_k,    a ~ N(0, mu^2),    d_k ~ N(0, s_k^2),
-    e_k ~ N(0, n^2 (1 - r r^T) + l^2 r r^T)
-
-with s_k as far as points of its kind move in expressions, r the ray to the point, n the noise across it and l
-that along it; of one camera l is without end. The deformation is integrated out of the pose's normal
-equations; of several cameras, where it was learned from few frames, mu is 0 and s_k larger: measured, that is
-nearer. Integrated over d_k the precision of a point is
-
-    P_k = (1 - r r^T) / (s_k^2 + n^2) + r r^T / (s_k^2 + l^2)
-
-and what it leaves is Student-t, so that a raised brow or a closed eye counts less the farther it goes:
-w_k = (nu + D) / (nu + e^T P e), D = 3, or 2 of one camera. m is the face as the whole recording knows it in
-the end: a face that is still being learnt would turn the head a little at each step.
-
-Errors of neighbouring frames are alike, as expressions last and templates slide; so a frame's say is
-lowered to ``SHARE``.
-"""
+"""Poses of a whole recording fitted together."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -30,16 +10,195 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.filtering.fit_smoothing import FitSmoother
-from posetrack_cli.filtering.gaussian_smoothing import StateGaussian
 from posetrack_cli.filtering.model import Dynamics
 from posetrack_cli.filtering.modes import LikelihoodModes, scaled
-from posetrack_cli.filtering.smoothing import Memory
+from posetrack_cli.filtering.smoothing import Memory, Smoothed, StateGaussian
+from posetrack_cli.geometry.rigid import in_camera, in_object
 from posetrack_cli.geometry.rotations import cross_matrices, matrices_from_quaternions
 from posetrack_cli.head.config import HeadSmoothingSettings
-from posetrack_cli.head.face.pose import POSE_SIZE, HeadPose
-from posetrack_cli.head.tracker.estimates import UNKNOWN_SD
-from posetrack_cli.head.tracks import TrackModel
-from posetrack_cli.tracking.body_space import BodySpace
+from posetrack_cli.head.face.points import POSE_SIZE, HeadPose
+from posetrack_cli.head.subject import TrackModel
+from posetrack_cli.head.tracker.head_tracker import UNKNOWN_SD
+from posetrack_cli.results.estimate import Estimate
+from posetrack_cli.tracking.smoothing import FrameFacts
+from posetrack_cli.tracking.velocity import BodySpace, pose_rates
+from posetrack_cli.units import NS_PER_S
+
+# Where a face's points are in a smoothed head, and which deformation that is **[ours]**.
+#
+# A point that was found in a frame is where it was found, whatever pose the head had: in the smoothed head it
+# has another place, m_k + d_k. Of one camera it lies on its ray, as deep as the neutral face has it. These
+# displacements move faster than the head, so each is smoothed by itself: at a frame it is the value of the
+# line, by weighted least squares, through its neighbours (local linear regression; Cleveland 1979), weighted
+# by how well the point was seen and by a Gaussian of the time between. Its slope is the displacement's rate.
+#
+# The deformation's coefficients are those that come nearest to the places:
+#
+#     a = argmin |V a - d|^2 / n^2 + sum_b (a_b / mu_b)^2
+
+
+PLACES_S = 0.05
+"""Standard deviation of the Gaussian: places in the face are smoothed over so long."""
+REACH = 3.0
+"""Times the Gaussian's standard deviation: frames farther away do not count."""
+LEAST_SHARE = 1e-3
+"""Of the weight of a point that is not seen: alone it stays where the tracker left it."""
+FLAT = 0.01
+"""Of the Gaussian's variance, added to that of the times: a frame without neighbours has a flat line."""
+
+
+class PosedFrame(NamedTuple):
+    """A frame whose pose is smoothed, and whose points are yet to be.
+
+    Attributes:
+        facts: what its estimate says of it.
+        pose: (7,), with
+        variance: (6,), and
+        velocity: (6,), with
+        velocity_variance: (6,).
+        displacements: (K, 3) mm, d in the head's frame.
+        weights: (K,) how much each counts.
+        memory: the frame's, with the face.
+    """
+
+    facts: FrameFacts
+    pose: FloatArray
+    variance: FloatArray
+    velocity: FloatArray
+    velocity_variance: FloatArray
+    displacements: FloatArray
+    weights: FloatArray
+    memory: Memory
+
+
+def posed_frame(smoothed: Smoothed, facts: FrameFacts, memory: Memory, cameras: int) -> PosedFrame:
+    """Return a frame with its smoothed pose; as its chain was gone through backwards, so are velocities."""
+    pose, neutral = smoothed.pose, memory["neutral"]
+    points = memory["points"]
+    if cameras == 1:
+        depths = in_camera(neutral, pose[:3], pose[3:7])[:, 2:]
+        points = points * (depths / points[:, 2:])
+    weights = np.maximum(memory["weights"] if memory["seen"] else 0.0, LEAST_SHARE) * np.ones(len(neutral))
+    return PosedFrame(
+        facts,
+        pose,
+        smoothed.pose_variance + memory["systematic"],
+        -smoothed.velocity,
+        smoothed.velocity_variance,
+        in_object(points, pose[:3], pose[3:7]) - neutral,
+        weights,
+        memory,
+    )
+
+
+def with_places(frames: Iterable[PosedFrame], origin: FloatArray) -> Iterator[Estimate]:
+    """Yield the estimates of frames whose points are smoothed.
+
+    Args:
+        frames: in the order of time; those of other chains are no neighbours.
+        origin: (B,) what the coefficients of the neutral face are called in results.
+    """
+    window, done = list[PosedFrame](), 0
+    reach = REACH * PLACES_S
+    for frame in frames:
+        if window and window[-1].memory["chain"] != frame.memory["chain"]:
+            yield from (_estimate(window, index, origin) for index in range(done, len(window)))
+            window, done = [], 0
+        window.append(frame)
+        while _seconds(window[done], frame) > reach:
+            yield _estimate(window, done, origin)
+            done += 1
+        while _seconds(window[0], window[done]) > reach:
+            window, done = window[1:], done - 1
+    yield from (_estimate(window, index, origin) for index in range(done, len(window)))
+
+
+def _seconds(earlier: PosedFrame, later: PosedFrame) -> float:
+    return (later.facts.stamp_ns - earlier.facts.stamp_ns) / NS_PER_S
+
+
+def _estimate(window: list[PosedFrame], index: int, origin: FloatArray) -> Estimate:
+    """The estimate of one frame among its neighbours."""
+    frame = window[index]
+    displacements, rates = local_line(
+        np.array([_seconds(frame, one) for one in window]),
+        np.array([one.displacements for one in window]),
+        np.array([one.weights for one in window]),
+        PLACES_S,
+    )
+    coefficients, coefficient_rates, variance = _deformation(frame.memory, displacements, rates)
+    twist = np.concatenate([frame.velocity, coefficient_rates])
+    pose = np.concatenate([frame.pose, origin + coefficients])
+    places = frame.memory["neutral"] + displacements
+    return Estimate(
+        **frame.facts._asdict(),
+        position=pose[:3],
+        quaternion=pose[3:7],
+        shape=pose[7:],
+        pose_rate=pose_rates(pose, twist),
+        twist=twist,
+        pose_variance=np.concatenate([frame.variance, variance]),
+        twist_variance=np.concatenate([frame.velocity_variance, variance / PLACES_S**2]),
+        points=in_camera(places, pose[:3], pose[3:7]),
+        effective_sample_size=None,
+        resampled=False,
+    )
+
+
+def local_line(
+    times: FloatArray, values: FloatArray, weights: FloatArray, width: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return value and slope at time 0 of the lines through K points' values, each (K, D).
+
+    Args:
+        times: (N,) s.
+        values: (N, K, D).
+        weights: (N, K), above 0 for some frame of each point.
+        width: of the Gaussian of times, s, one standard deviation.
+    """
+    shares = weights * np.exp(-0.5 * np.square(times / width))[:, None]
+    zeroth, first = shares.sum(axis=0)[:, None], (times @ shares)[:, None]
+    second = (np.square(times) @ shares)[:, None] + FLAT * width**2 * zeroth
+    sums = np.einsum("nk,nkd->kd", shares, values)
+    moments = np.einsum("n,nk,nkd->kd", times, shares, values)
+    determinant = zeroth * second - first**2
+    return (second * sums - first * moments) / determinant, (zeroth * moments - first * sums) / determinant
+
+
+def _deformation(
+    memory: Memory, displacements: FloatArray, rates: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the coefficients (B,) of displacements (K, 3), their rates and their variances."""
+    basis = memory["basis"].reshape(displacements.size, -1)
+    precision = np.maximum(memory["deviations"], LEAST_DEVIATION_MM) ** -2
+    information = basis.T @ basis / NOISE_MM**2 + np.diag(precision)
+    covariance = np.linalg.inv(information)
+    onto = covariance @ basis.T / NOISE_MM**2
+    return onto @ displacements.ravel(), onto @ rates.ravel(), np.diag(covariance).copy()
+
+
+# What the points of one frame say of a head's pose, for a smoother **[ours]**.
+#
+# The tracker's own fit takes what a face does for what its model knows, and what the model does not know for
+# a turn of the head. Here each point lies about the neutral face beside that,
+#
+#     p_k = R (m_k + V_k a + d_k) + t + e_k,    a ~ N(0, mu^2),    d_k ~ N(0, s_k^2),
+#     e_k ~ N(0, n^2 (1 - r r^T) + l^2 r r^T)
+#
+# with s_k as far as points of its kind move in expressions, r the ray to the point, n the noise across it and
+# l that along it; of one camera l is without end. The deformation is integrated out of the pose's normal
+# equations; of several cameras, where it was learned from few frames, mu is 0 and s_k larger: measured, that
+# is nearer. Integrated over d_k the precision of a point is
+#
+#     P_k = (1 - r r^T) / (s_k^2 + n^2) + r r^T / (s_k^2 + l^2)
+#
+# and what it leaves is Student-t, so that a raised brow or a closed eye counts less the farther it goes: w_k
+# = (nu + D) / (nu + e^T P e), D = 3, or 2 of one camera. m is the face as the whole recording knows it in the
+# end: a face that is still being learnt would turn the head a little at each step.
+#
+# Errors of neighbouring frames are alike, as expressions last and templates slide; so a frame's say is
+# lowered to ``SHARE``.
+
 
 SPACE = BodySpace()
 GROUPS = (np.arange(3), np.arange(3, POSE_SIZE))

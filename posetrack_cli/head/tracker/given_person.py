@@ -19,22 +19,20 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.geometry.rigid import rigid_alignment
-from posetrack_cli.head import tracks
+from posetrack_cli.head import subject as tracks
 from posetrack_cli.head.actions import MEAN_DISPLACEMENTS
-from posetrack_cli.head.adjustment.adjuster import OFFSET_SD_MM
-from posetrack_cli.head.adjustment.views import Album, PersonParameters
+from posetrack_cli.head.adjustment.adjuster import OFFSET_SD_MM, Album, PersonParameters
 from posetrack_cli.head.config import AdjustmentSettings, ModelSettings
 from posetrack_cli.head.face.templates import TemplateSet
 from posetrack_cli.head.model_file import read_model
 from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.head.tracker.codecs import FOCAL_PX, known_people, people_codec
-from posetrack_cli.head.tracker.person import IdentityHistory, KnownPerson, person_shape
-from posetrack_cli.head.tracker.size import Size
+from posetrack_cli.head.tracker.person import IdentityHistory, KnownPerson, Size, person_shape
 from posetrack_cli.head.tracker.stereo import StereoCodecs, StereoState
 from posetrack_cli.mcap.stream import is_mcap
-from posetrack_cli.results.layouts import Arrays
+from posetrack_cli.results.columns import Arrays
 from posetrack_cli.results.reader import read_result
-from posetrack_cli.tracking.two_pass import Learned
+from posetrack_cli.tracking.smoothing import Learned
 
 STEREO_SIZE_SD = 0.005
 """Of the logarithm of what several cameras measure: boards and calibrations are right to some tenths of a per

@@ -16,17 +16,18 @@ from posetrack_cli.head.adjustment.adjuster import Adjuster
 from posetrack_cli.head.adjustment.focal_length import focal_length_check
 from posetrack_cli.head.config import HeadMonoConfig, PersonSettings
 from posetrack_cli.head.detection.detector import FaceDetector
-from posetrack_cli.head.face.pose import HeadPose
-from posetrack_cli.head.face.rig_images import project
-from posetrack_cli.head.face.scaling import (
+from posetrack_cli.head.face.points import (
     WHOLE,
+    HeadPose,
     Scaling,
     enlarged,
     reduced,
     scaled_camera,
     scaled_pixels,
 )
+from posetrack_cli.head.face.rig_images import project
 from posetrack_cli.head.initialisation.clicked import ClickedPoints
+from posetrack_cli.head.initialisation.matching import InitFailure
 from posetrack_cli.head.initialisation.mono import (
     DetectedFace,
     MonoInitialisation,
@@ -34,29 +35,41 @@ from posetrack_cli.head.initialisation.mono import (
     eye_distance_px,
     face_at,
 )
-from posetrack_cli.head.initialisation.search import InitFailure
 from posetrack_cli.head.initialisation.single_view import pose_near
-from posetrack_cli.head.landmarks.faces import Landmarks
-from posetrack_cli.head.landmarks.file import LandmarkFile
+from posetrack_cli.head.landmarks.faces import LandmarkFile, Landmarks
 from posetrack_cli.head.multilinear.face_model import FaceModel, load_face_model
 from posetrack_cli.head.particles.particles import velocity_between
+from posetrack_cli.head.subject import MONO as TRACK
 from posetrack_cli.head.subject import MonoDiagnostics
-from posetrack_cli.head.tracker.codecs import FOCAL_PX, known_people, people_codec, unusable_people
-from posetrack_cli.head.tracker.confidence import MONO, MONO_WITH_SKIN
-from posetrack_cli.head.tracker.estimates import Description
-from posetrack_cli.head.tracker.face_learning import off_axis_deg
-from posetrack_cli.head.tracker.frame_tracker import FrameFit, SeededFrame, TrackState
-from posetrack_cli.head.tracker.head_tracker import HeadTracker
-from posetrack_cli.head.tracker.mono_state import MonoState, Stated, is_cut, mono_codec, thumbnail
-from posetrack_cli.head.tracker.person import KnownPerson, PersonFitter, new_person, person_shape
-from posetrack_cli.head.tracker.size import CORNERS_SD_MM, PRIOR_SD, PupilDistance, Size
-from posetrack_cli.head.tracker.whole_face import shift_of
-from posetrack_cli.head.tracks import MONO as TRACK
+from posetrack_cli.head.tracker.codecs import (
+    FOCAL_PX,
+    MonoState,
+    Stated,
+    is_cut,
+    known_people,
+    mono_codec,
+    people_codec,
+    thumbnail,
+    unusable_people,
+)
+from posetrack_cli.head.tracker.face_learning import off_axis_deg, shift_of
+from posetrack_cli.head.tracker.frame_tracker import MONO, MONO_WITH_SKIN, FrameFit, SeededFrame, TrackState
+from posetrack_cli.head.tracker.head_tracker import Description, HeadTracker
+from posetrack_cli.head.tracker.person import (
+    CORNERS_SD_MM,
+    PRIOR_SD,
+    KnownPerson,
+    PersonFitter,
+    PupilDistance,
+    Size,
+    new_person,
+    person_shape,
+)
 from posetrack_cli.recording.base import Frame
-from posetrack_cli.results.layouts import Arrays
+from posetrack_cli.results.columns import Arrays
 from posetrack_cli.tracking.confidence import Regression
+from posetrack_cli.tracking.smoothing import Learned
 from posetrack_cli.tracking.state_codec import Codec
-from posetrack_cli.tracking.two_pass import Learned
 
 STRANGER_FRAMES = 45
 """A face that looks like none of the known ones in so many frames is another person's **[ours]**."""

@@ -14,26 +14,24 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.rigid import rigid_alignment
 from posetrack_cli.geometry.rotations import quaternions_from_matrices
 from posetrack_cli.head.config import HeadStereoConfig, ModelSettings
-from posetrack_cli.head.face.points import POINT_COUNT
-from posetrack_cli.head.face.pose import HeadPose, rigid_model
+from posetrack_cli.head.face.points import POINT_COUNT, HeadPose, rigid_model
 from posetrack_cli.head.face.templates import TemplateSet, is_new_direction, take_templates
 from posetrack_cli.head.initialisation.clicked import ClickedInitialiser, ClickedPoints
-from posetrack_cli.head.initialisation.search import InitFailure
+from posetrack_cli.head.initialisation.matching import InitFailure
 from posetrack_cli.head.initialisation.stereo import StereoInitialisation, StereoInitialiser
-from posetrack_cli.head.landmarks.faces import Landmarks
-from posetrack_cli.head.landmarks.file import LandmarkFile
+from posetrack_cli.head.landmarks.faces import LandmarkFile, Landmarks
 from posetrack_cli.head.model_file import unusable
 from posetrack_cli.head.refinement.refine import (
     KEYFRAME_CORRELATION,
     KEYFRAME_NEUTRAL_MM,
     refine_initial_depth,
 )
+from posetrack_cli.head.subject import STEREO as TRACK
 from posetrack_cli.head.subject import StereoDiagnostics
 from posetrack_cli.head.tracker.codecs import history_codecs, search_codec, template_codec, track_codec
-from posetrack_cli.head.tracker.confidence import STEREO
-from posetrack_cli.head.tracker.estimates import Description, padded
 from posetrack_cli.head.tracker.face_learning import Ccipca, FaceLearning, new_face
 from posetrack_cli.head.tracker.frame_tracker import (
+    STEREO,
     FrameFit,
     FrameTracker,
     HeadState,
@@ -41,11 +39,11 @@ from posetrack_cli.head.tracker.frame_tracker import (
     TrackState,
     initial_fit,
 )
-from posetrack_cli.head.tracker.head_tracker import HeadTracker
-from posetrack_cli.head.tracks import STEREO as TRACK
+from posetrack_cli.head.tracker.head_tracker import Description, HeadTracker, padded
 from posetrack_cli.recording.base import Frame
-from posetrack_cli.results.layouts import Arrays, LayoutError, counts, floats
+from posetrack_cli.results.columns import Arrays, LayoutError, counts, floats
 from posetrack_cli.tracking.confidence import Regression
+from posetrack_cli.tracking.smoothing import Learned
 from posetrack_cli.tracking.state_codec import (
     Array,
     Codec,
@@ -57,7 +55,6 @@ from posetrack_cli.tracking.state_codec import (
     stamp,
     whole,
 )
-from posetrack_cli.tracking.two_pass import Learned
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,21 +1,196 @@
-"""Intrinsics, distortion and places of cameras from views of a board, by OpenCV's calibration."""
+"""Calibration of one camera and of two."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import combinations
+from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 
-from posetrack_cli.arrays import BoolArray, FloatArray
+from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
 from posetrack_cli.errors import RecordingError
-from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.rigid import composed, placed
+from posetrack_cli.files import placed_path
+from posetrack_cli.geometry.camera import Camera, in_camera_axes, pixels_wherever
+from posetrack_cli.geometry.rigid import CameraPair, composed, inverse, placed, triangulate
 from posetrack_cli.opencv import in_one_thread
-from posetrack_cli.recording.calibration.boards import FEWEST_CORNERS
-from posetrack_cli.recording.calibration.views import CameraViews
+from posetrack_cli.recording.calibration.views import FEWEST_CORNERS, Board, CameraViews
+from posetrack_cli.recording.camera_file import camera_file_text
+from posetrack_cli.recording.identity import shown_name
+
+# All cameras and all views of a board adjusted together: maximum likelihood for equal noise in every corner.
+#
+# Cameras that see the same board share its pose, which ties their focal lengths together: alone, each trades
+# focal length for distance.
+
+
+POSE = 6
+STEP = 1e-6
+"""Relative step of central differences: half of float64's digits and a bit."""
+TOLERANCE = 1e-9
+MOST_STEPS = 60
+"""Views that belong together need about ten; for others no number of steps is enough."""
+
+
+@dataclass(frozen=True, eq=False)
+class JointFit:
+    """Cameras after adjustment.
+
+    Attributes:
+        cameras: the reference first.
+        rms_px: (C,) root mean square distance of each camera's corners to where they should be.
+        focal_sd_px: (C,) standard deviation of the larger focal length, from the scatter of the corners.
+    """
+
+    cameras: tuple[Camera, ...]
+    rms_px: FloatArray
+    focal_sd_px: FloatArray
+
+
+def adjust(cameras: Sequence[Camera], views: Sequence[CameraViews]) -> JointFit:
+    """Adjust intrinsics, distortion and places of the cameras and the poses of the board together.
+
+    Ends after ``MOST_STEPS`` if nothing fits, which the errors then tell.
+
+    Args:
+        cameras: to start from, the reference first.
+        views: of each camera, those that count.
+    """
+    from scipy.optimize import least_squares
+
+    problem = _Problem(cameras, views)
+    found = least_squares(
+        problem.residuals,
+        problem.start(),
+        problem.jacobian,
+        method="lm",
+        x_scale="jac",
+        ftol=TOLERANCE,
+        xtol=TOLERANCE,
+        gtol=TOLERANCE,
+        max_nfev=MOST_STEPS,
+    )
+    adjusted = problem.cameras(found.x)
+    squares = np.sum(found.fun.reshape(-1, 2) ** 2, axis=1)
+    rms = np.array([np.sqrt(np.mean(squares[problem.camera == c])) for c in range(len(cameras))])
+    return JointFit(tuple(adjusted), rms, problem.focal_deviations(found.x, found.fun))
+
+
+class _Problem:
+    """The corners of all views in one list, and what their residuals depend on.
+
+    Parameters: of each camera fx fy cx cy, distortion, rotation vector and translation of camera_T_reference
+    (the reference's are held); then of each board rotation vector and translation of reference_T_board.
+    """
+
+    def __init__(self, cameras: Sequence[Camera], views: Sequence[CameraViews]) -> None:
+        self._cameras, self._board = list(cameras), views[0].board
+        self._lens = len(cameras[0].distortion)
+        self._size = 4 + self._lens + POSE
+        every = zip(*(own.boards for own in views), strict=True)
+        instants = [index for index, boards in enumerate(every) if any(boards)]
+        seen = [
+            (c, number, found)
+            for c, own in enumerate(views)
+            for number, index in enumerate(instants)
+            if (found := own.boards[index]) is not None
+        ]
+        self.camera: IntArray = np.concatenate([np.full(len(f.ids), c) for c, _, f in seen])
+        self._view = np.concatenate([np.full(len(f.ids), number) for _, number, f in seen])
+        self._points = np.concatenate([self._board.points[f.ids] for _, _, f in seen])
+        self._pixels = np.concatenate([f.pixels for _, _, f in seen])
+        self._first = {number: (c, f) for c, number, f in reversed(seen)}
+        self._views = len(instants)
+
+    def start(self) -> FloatArray:
+        """Return the parameters of the cameras, and of boards as the first camera to see each has them."""
+        parts = [self._packed(camera) for camera in self._cameras]
+        for number in range(self._views):
+            c, found = self._first[number]
+            camera = self._cameras[c]
+            lens = np.array(camera.distortion or (0.0,) * 4)
+            _, turn, t = cv2.solvePnP(self._board.points[found.ids], found.pixels, camera.matrix, lens)
+            own = np.column_stack([cv2.Rodrigues(turn)[0], t])
+            parts.append(_vector(composed(inverse(np.array(camera.camera_T_reference)), own)))
+        return np.concatenate(parts)
+
+    def cameras(self, x: FloatArray) -> list[Camera]:
+        """Return the cameras that parameters stand for."""
+        return [
+            self._unpacked(camera, own) for camera, own in zip(self._cameras, self._split(x)[0], strict=True)
+        ]
+
+    def residuals(self, x: FloatArray) -> FloatArray:
+        """Return (2 M,) where corners are projected to minus where they were found, pixels."""
+        boards = self._split(x)[1]
+        turns = np.array([cv2.Rodrigues(board[:3])[0] for board in boards])
+        points = np.einsum("mij,mj->mi", turns[self._view], self._points) + boards[self._view, 3:]
+        projected = np.empty_like(self._pixels)
+        for c, camera in enumerate(self.cameras(x)):
+            own = self.camera == c
+            projected[own] = pixels_wherever(camera, in_camera_axes(camera, points[own]))
+        residuals: FloatArray = (projected - self._pixels).ravel()
+        return residuals
+
+    def jacobian(self, x: FloatArray) -> FloatArray:
+        """Return (2 M, parameters) derivatives by central differences.
+
+        A residual depends on one camera and one board only, so the same parameter of all cameras, or of all
+        boards, is moved at once.
+        """
+        jacobian = np.zeros((2 * len(self._pixels), len(x)))
+        rows = np.arange(len(jacobian))
+        count = len(self._cameras) * self._size
+        of_camera, of_board = np.repeat(self.camera * self._size, 2), np.repeat(count + self._view * POSE, 2)
+        for columns, offsets, begin, end in (
+            (of_camera, range(self._size), 0, count),
+            (of_board, range(POSE), count, len(x)),
+        ):
+            period = len(offsets)
+            for k in offsets:
+                step = np.zeros_like(x)
+                step[begin + k : end : period] = STEP * np.maximum(1.0, np.abs(x[begin + k : end : period]))
+                change = self.residuals(x + step) - self.residuals(x - step)
+                jacobian[rows, columns + k] = change / (2.0 * step[columns + k])
+        jacobian[:, self._size - POSE : self._size] = 0.0  # the reference stays where it is
+        return jacobian
+
+    def focal_deviations(self, x: FloatArray, residuals: FloatArray) -> FloatArray:
+        """Return (C,) standard deviation of the larger of fx and fy: sigma^2 (J^T J)^-1."""
+        jacobian = self.jacobian(x)
+        free = np.flatnonzero(np.any(jacobian != 0.0, axis=0))
+        variance = np.sum(residuals**2) / max(len(residuals) - len(free), 1)
+        scale = np.linalg.norm(jacobian[:, free], axis=0)
+        inverse_matrix = np.linalg.pinv((jacobian[:, free] / scale).T @ (jacobian[:, free] / scale))
+        deviations = np.zeros(len(x))
+        deviations[free] = np.sqrt(variance * np.diag(inverse_matrix)) / scale
+        return np.array([own[:2].max() for own in self._split(deviations)[0]])
+
+    def _split(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        count = len(self._cameras) * self._size
+        return x[:count].reshape(-1, self._size), x[count:].reshape(-1, POSE)
+
+    def _packed(self, camera: Camera) -> FloatArray:
+        intrinsics = [camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion]
+        return np.concatenate([intrinsics, _vector(np.array(camera.camera_T_reference))])
+
+    def _unpacked(self, camera: Camera, values: FloatArray) -> Camera:
+        fx, fy, cx, cy, *lens = values[:-POSE].tolist()
+        own = replace(camera, fx=fx, fy=fy, cx=cx, cy=cy, distortion=tuple(lens))
+        turn = cv2.Rodrigues(values[-POSE:-3])[0]
+        return placed(own, np.column_stack([turn, values[-3:]]))
+
+
+def _vector(transform: FloatArray) -> FloatArray:
+    """Return rotation vector and translation (6,) of a transform (3, 4)."""
+    return np.concatenate([cv2.Rodrigues(transform[:, :3])[0].ravel(), transform[:, 3]])
+
+
+# Intrinsics, distortion and places of cameras from views of a board, by OpenCV's calibration
+
 
 FEWEST_VIEWS = 5
 """Of one camera, or shared by two; good calibrations have 20 and more."""
@@ -185,4 +360,175 @@ def _too_few(views: CameraViews, count: int) -> RecordingError:
         found=f"{count} of {views.images}",
         expected=f"{FEWEST_VIEWS} at least, of a {views.board.words}",
         hint="--squares counts squares, one more than inner corners in each direction",
+    )
+
+
+# Calibration of several cameras from folders of board images, and how good it is
+
+
+DOUBTFUL_PX = 1.0
+"""Errors above are no calibration to rely on."""
+MISFIT = 3.0
+"""Cameras do not fit together if one's error is this many times that of its views alone, and doubtful."""
+DOUBTFUL_FOCAL = 0.02
+"""Standard deviation of a focal length, as a fraction, that comes of views that are all alike."""
+
+
+@dataclass(frozen=True)
+class PairError:
+    """How well two cameras fit together.
+
+    Attributes:
+        first, second: names.
+        views: instants at which both saw the board.
+        epipolar_rms_px, epipolar_p95_px: Sampson distance of corners, root mean square and 95th percentile.
+        square_mm: mean side of a square, triangulated.
+        baseline_mm: distance of the cameras.
+    """
+
+    first: str
+    second: str
+    views: int
+    epipolar_rms_px: float
+    epipolar_p95_px: float
+    square_mm: float
+    baseline_mm: float
+
+
+@dataclass(frozen=True)
+class StereoCalibration:
+    """Cameras and their errors.
+
+    Attributes:
+        board: that was seen.
+        cameras: the reference first.
+        fits: of each camera.
+        pairs: of every two cameras that saw the board at once.
+        fits_together: whether one place of the cameras explains their views. If not, intrinsics are those of
+            each camera's own views.
+    """
+
+    board: Board
+    cameras: tuple[Camera, ...]
+    fits: tuple[CameraFit, ...]
+    pairs: tuple[PairError, ...]
+    fits_together: bool = True
+
+    def lines(self) -> list[str]:
+        """Return what was measured and how well, for people and as comments of the camera file."""
+        return [*map(_camera_line, self.fits), *(_pair_line(pair, self.board) for pair in self.pairs)]
+
+    @property
+    def is_inaccurate(self) -> bool:
+        """Whether an error of a camera or of two together is large."""
+        errors = [*(fit.rms_px for fit in self.fits), *(pair.epipolar_rms_px for pair in self.pairs)]
+        return max(errors) > DOUBTFUL_PX
+
+    def doubts(self) -> list[str]:
+        """Return what speaks against using it; nothing if nothing does."""
+        found = []
+        for fit in self.fits:
+            if fit.rms_px > DOUBTFUL_PX:
+                found.append(
+                    f"camera '{fit.camera.name}': reprojection error of {fit.rms_px:.2f} px is large"
+                )
+            if fit.focal_sd_px > DOUBTFUL_FOCAL * fit.camera.fx:
+                found.append(
+                    f"camera '{fit.camera.name}': focal length is uncertain by {fit.focal_sd_px:.0f} px; "
+                    "show the board tilted, and in every part of the image"
+                )
+        for pair in self.pairs:
+            if pair.epipolar_rms_px > DOUBTFUL_PX:
+                found.append(
+                    f"'{pair.first}' and '{pair.second}': epipolar error of {pair.epipolar_rms_px:.2f} px is "
+                    "large; were the images taken at the same instants, and the board still?"
+                )
+        return found
+
+    def file_text(self, source: Path) -> str:
+        """Return the camera file, with the errors as comments."""
+        title = (
+            f"measured by posetrack calibrate stereo on {shown_name(placed_path(source))}, {self.board.words}"
+        )
+        return camera_file_text(self.cameras, [title, *self.lines()])
+
+
+def calibrate_stereo(views: Sequence[CameraViews], distortion: str = "four") -> StereoCalibration:
+    """Calibrate the cameras that saw a board.
+
+    Every camera's intrinsics come from all its views, the places then from the views that two cameras share;
+    with these to start from everything is adjusted together. Views that were not taken at once fit no place:
+    then intrinsics stay as they are.
+
+    Args:
+        views: of each camera (``find_views``), the reference first.
+        distortion: ``none``, ``four`` (k1 k2 p1 p2), ``five`` (and k3) or ``eight`` (rational) coefficients.
+
+    Raises:
+        RecordingError: there are too few views of the board.
+    """
+    fitted = [fit_camera(own, distortion) for own in views]
+    fits, used = [fit for fit, _ in fitted], [own for _, own in fitted]
+    start = place_cameras([fit.camera for fit in fits], used)
+    joint = adjust(start, used)
+    fits_together = all(
+        rms <= max(MISFIT * fit.rms_px, DOUBTFUL_PX) for fit, rms in zip(fits, joint.rms_px, strict=True)
+    )
+    cameras = joint.cameras if fits_together else tuple(start)
+    if fits_together:
+        fits = [
+            replace(fit, camera=camera, rms_px=float(rms), focal_sd_px=float(sd))
+            for fit, camera, rms, sd in zip(fits, cameras, joint.rms_px, joint.focal_sd_px, strict=True)
+        ]
+    pairs = [
+        error
+        for i, j in combinations(range(len(cameras)), 2)
+        if (error := _pair_error(cameras[i], cameras[j], used[i], used[j]))
+    ]
+    return StereoCalibration(views[0].board, cameras, tuple(fits), tuple(pairs), fits_together)
+
+
+def _pair_error(first: Camera, second: Camera, views: CameraViews, others: CameraViews) -> PairError | None:
+    shared = shared_views(views, others)
+    if not shared:
+        return None
+    errors = np.concatenate([CameraPair(first, second).epipolar_errors(one, two) for one, two, _ in shared])
+    sides = np.concatenate(
+        [
+            _sides(triangulate([first, second], np.stack([one, two]))[0], ids, views.board)
+            for one, two, ids in shared
+        ]
+    )
+    return PairError(
+        first.name,
+        second.name,
+        len(shared),
+        float(np.sqrt(np.mean(errors**2))),
+        float(np.percentile(errors, 95)),
+        float(np.mean(sides)),
+        float(np.linalg.norm(CameraPair(first, second).transform[1])),
+    )
+
+
+def _sides(points: FloatArray, ids: FloatArray, board: Board) -> FloatArray:
+    """Return the distances, mm, of corners that are neighbours in a row."""
+    neighbours = (np.diff(ids) == 1) & (ids[1:] % board.across != 0)
+    sides: FloatArray = np.linalg.norm(np.diff(points, axis=0), axis=-1)[neighbours]
+    return sides
+
+
+def _camera_line(fit: CameraFit) -> str:
+    camera = fit.camera
+    return (
+        f"camera {camera.name}: reprojection error {fit.rms_px:.3f} px (rms) in {fit.used} views; board "
+        f"found in {fit.found} of {fit.images} images; fx {camera.fx:.1f} fy {camera.fy:.1f} "
+        f"+- {fit.focal_sd_px:.1f} px"
+    )
+
+
+def _pair_line(pair: PairError, board: Board) -> str:
+    return (
+        f"{pair.first} - {pair.second}: epipolar error {pair.epipolar_rms_px:.3f} px (rms), "
+        f"{pair.epipolar_p95_px:.3f} px (95 %) in {pair.views} views; baseline {pair.baseline_mm:.2f} mm; "
+        f"a square of {board.square_mm:g} mm measures {pair.square_mm:.3f} mm"
     )

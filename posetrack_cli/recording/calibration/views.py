@@ -1,19 +1,198 @@
-"""Images of a board in one folder per camera, and the corners found in them."""
+"""Views of a calibration board."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
-from posetrack_cli.arrays import BoolArray
-from posetrack_cli.errors import RecordingError, nearest_name
-from posetrack_cli.losses import LossLog
+import cv2
+import numpy as np
+
+from posetrack_cli.arrays import BoolArray, FloatArray, ImageArray, IntArray
+from posetrack_cli.errors import RecordingError, UsageError, nearest_name
+from posetrack_cli.phases import LossLog
 from posetrack_cli.recording.base import UnreadableImageError
-from posetrack_cli.recording.calibration.boards import Board, BoardFinder, FoundBoard
 from posetrack_cli.recording.grey import Grey, decode_shown, grey_like
 from posetrack_cli.recording.image_files import ImageFile, read_image
 from posetrack_cli.recording.image_folders import CameraFolders, Instants, find_folders
+
+# Boards with known corners, and where an image shows them: chessboards and ChArUco boards
+
+
+FEWEST_CORNERS = 6
+"""Fewer determine no pose of the board."""
+FEWEST_SQUARES, MOST_SQUARES = 3, 100
+DICTIONARY_PREFIX = "DICT_"
+CHESSBOARD_FLAGS = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY | cv2.CALIB_CB_NORMALIZE_IMAGE
+
+REFINEMENT = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 100, 1e-4)
+WINDOW, SMALLEST_WINDOW = 0.3, 2
+"""Half the side of what is looked at around a corner, as a part of the smallest square; pixels at least."""
+
+
+@dataclass(frozen=True, eq=False)
+class FoundBoard:
+    """The corners of a board in one image.
+
+    Attributes:
+        ids: (n,) which corners, ascending: row times corners in a row plus column.
+        pixels: (n, 2) where they are.
+    """
+
+    ids: IntArray
+    pixels: FloatArray
+
+
+@dataclass(frozen=True)
+class Board:
+    """A printed board: a chessboard, or with markers in its white squares a ChArUco board.
+
+    Attributes:
+        columns, rows: squares, not inner corners.
+        square_mm: side of a square.
+        marker_mm: side of a marker; None for a chessboard.
+        dictionary: of the markers, OpenCV's name without DICT_: 4X4_50, ...
+    """
+
+    columns: int
+    rows: int
+    square_mm: float
+    marker_mm: float | None = None
+    dictionary: str = "4X4_50"
+
+    def __post_init__(self) -> None:
+        size = f"{self.columns}x{self.rows}"
+        if not FEWEST_SQUARES <= min(self.columns, self.rows) <= max(self.columns, self.rows) <= MOST_SQUARES:
+            raise UsageError(
+                "board cannot be used",
+                found=f"{size} squares",
+                expected=f"{FEWEST_SQUARES} to {MOST_SQUARES} across and down",
+            )
+        if not 0.0 < self.square_mm < 1e5:
+            raise UsageError("board cannot be used", found=f"squares of {self.square_mm:g} mm")
+        if self.marker_mm is not None:
+            if not 0.0 < self.marker_mm < self.square_mm:
+                raise UsageError(
+                    "markers do not fit the squares",
+                    found=f"{self.marker_mm:g} mm",
+                    expected=f"more than 0 and less than {self.square_mm:g}",
+                )
+            _dictionary(self.dictionary)
+
+    @property
+    def across(self) -> int:
+        """Inner corners in a row."""
+        return self.columns - 1
+
+    @cached_property
+    def points(self) -> FloatArray:
+        """(N, 3) corners in the board's axes, mm: x along a row, y down the columns, z = 0."""
+        v, u = np.divmod(np.arange((self.columns - 1) * (self.rows - 1)), self.across)
+        return np.column_stack([u, v, np.zeros_like(u)]) * self.square_mm
+
+    @property
+    def words(self) -> str:
+        """For people: ``chessboard of 10x7 squares of 25 mm``."""
+        kind = "chessboard" if self.marker_mm is None else f"ChArUco board ({self.dictionary})"
+        return f"{kind} of {self.columns}x{self.rows} squares of {self.square_mm:g} mm"
+
+
+class BoardFinder:
+    """Finds a board in images; ChArUco boards also as OpenCV before 4.6 printed them."""
+
+    def __init__(self, board: Board) -> None:
+        self._board = board
+        self._detectors = (
+            []
+            if board.marker_mm is None
+            else [_charuco(board, board.marker_mm, old) for old in (False, True)]
+        )
+
+    def find(self, image: ImageArray) -> FoundBoard | None:
+        """Return the corners that a grey image shows, None if it does not show the board.
+
+        A chessboard is found whole or not at all, a ChArUco board from six corners on.
+        """
+        return self._find_chessboard(image) if not self._detectors else self._find_charuco(image)
+
+    def _find_chessboard(self, image: ImageArray) -> FoundBoard | None:
+        board = self._board
+        size = (board.across, board.rows - 1)
+        found, corners = cv2.findChessboardCornersSB(image, size, flags=CHESSBOARD_FLAGS)
+        if not found:
+            return None
+        grid = _refined(corners.reshape(board.rows - 1, board.across, 2), image)
+        pixels = _oriented(grid, image).reshape(-1, 2)
+        return FoundBoard(np.arange(len(pixels)), pixels)
+
+    def _find_charuco(self, image: ImageArray) -> FoundBoard | None:
+        found = [(detector, *detector.detectBoard(image)[:2]) for detector in self._detectors]
+        best, corners, ids = max(found, key=lambda one: 0 if one[2] is None else len(one[2]))
+        if ids is None or len(ids) < FEWEST_CORNERS:
+            return None
+        self._detectors = [best]  # the other kind of print loses corners, and is not tried again
+        order = np.argsort(ids.ravel())
+        pixels = corners.reshape(-1, 2)[order].astype(np.float64)
+        return FoundBoard(ids.ravel()[order].astype(np.int64), pixels)
+
+
+def _charuco(board: Board, marker_mm: float, is_old: bool) -> cv2.aruco.CharucoDetector:
+    size = (board.columns, board.rows)
+    layout = cv2.aruco.CharucoBoard(size, board.square_mm, marker_mm, _dictionary(board.dictionary))
+    layout.setLegacyPattern(is_old)
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+    return cv2.aruco.CharucoDetector(layout, detectorParams=parameters)
+
+
+def _dictionary(name: str) -> cv2.aruco.Dictionary:
+    known = [
+        key.removeprefix(DICTIONARY_PREFIX) for key in dir(cv2.aruco) if key.startswith(DICTIONARY_PREFIX)
+    ]
+    if name not in known:
+        raise UsageError(f"no dictionary '{name}'", hint=nearest_name(name, known))
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, DICTIONARY_PREFIX + name))
+
+
+def _refined(grid: ImageArray, image: ImageArray) -> FloatArray:
+    """Return a chessboard's corners at saddle points of the image, looked at within their squares.
+
+    The detector alone places them up to a tenth of a pixel too far from the middle of the board, which a
+    focal length follows.
+    """
+    sides = [np.linalg.norm(np.diff(grid, axis=axis), axis=-1).min() for axis in (0, 1)]
+    half = max(SMALLEST_WINDOW, int(WINDOW * min(sides)))
+    start = grid.reshape(-1, 1, 2).astype(np.float32)
+    refined = cv2.cornerSubPix(image, start, (half, half), (-1, -1), REFINEMENT)
+    return refined.reshape(grid.shape).astype(np.float64)
+
+
+def _oriented(grid: FloatArray, image: ImageArray) -> FloatArray:
+    """Return a chessboard's corners (rows, columns, 2) in an order that does not depend on the view.
+
+    The board is seen from its front, so rows and columns turn clockwise. Turned by half a turn it looks the
+    same but for the colours of its corner squares: where they differ the first is the dark one, else the
+    order that begins further up and left counts.
+    """
+    along, down = grid[0, 1] - grid[0, 0], grid[1, 0] - grid[0, 0]
+    if along[0] * down[1] - along[1] * down[0] < 0.0:
+        grid = grid[:, ::-1]
+    turned = grid[::-1, ::-1]
+    if sum(grid.shape[:2]) % 2:
+        return grid if _corner_square(grid, image) <= _corner_square(turned, image) else turned
+    return grid if grid[0, 0].sum() <= turned[0, 0].sum() else turned
+
+
+def _corner_square(grid: FloatArray, image: ImageArray) -> float:
+    """Return the grey value amid the square beyond the first corner."""
+    centre = 2.0 * grid[0, 0] - 0.5 * (grid[0, 1] + grid[1, 0])
+    u, v = np.clip(np.rint(centre).astype(int), 0, np.array(image.shape[::-1]) - 1)
+    return float(image[max(v - 1, 0) : v + 2, max(u - 1, 0) : u + 2].mean())
+
+
+# Images of a board in one folder per camera, and the corners found in them
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.files import placed_path, read_text
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.losses import LossLog
+from posetrack_cli.phases import LossLog
 from posetrack_cli.recording.base import StoredImage, UnreadableImageError
 from posetrack_cli.recording.camera_file import (
     LoneCamera,
@@ -28,8 +28,7 @@ from posetrack_cli.recording.camera_file import (
     load_rig,
     stated_depth,
 )
-from posetrack_cli.recording.camera_of import ImageCamera, at_size, is_same
-from posetrack_cli.recording.changing_camera import Resampling
+from posetrack_cli.recording.camera_of import ImageCamera, Resampling, at_size, is_same
 from posetrack_cli.recording.depth import Depth
 from posetrack_cli.recording.description import described_stamps, described_use
 from posetrack_cli.recording.grey import Grey, grey_like

@@ -312,7 +312,7 @@ def _unzipped(path: Path, entry: zipfile.ZipInfo) -> bytes:
 
 def _depth(member: _Member, level: _Member | None, size: tuple[int, int]) -> ImageArray:
     """Return depth, m, without the readings that are not trusted."""
-    from posetrack_cli.recording.lzfse import decode_lzfse  # loads numba
+    from posetrack_cli.recording.compression import decode_lzfse  # loads numba
 
     width, height = size
     data = decode_lzfse(member.read(), 4 * width * height)

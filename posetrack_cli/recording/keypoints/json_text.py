@@ -13,7 +13,6 @@ from posetrack_cli import limits
 from posetrack_cli.csv_rows import text_lines
 from posetrack_cli.errors import UsageError
 from posetrack_cli.files import read_text
-from posetrack_cli.recording.keypoints.kind import PointKind
 from posetrack_cli.recording.keypoints.layout import (
     FRAME_FIELDS,
     HANDEDNESS,
@@ -24,6 +23,8 @@ from posetrack_cli.recording.keypoints.layout import (
     SCORE_FIELDS,
     SIDE,
     Parsed,
+    PointKind,
+    SetCollector,
     key_of,
     number_of,
     point_of,
@@ -31,7 +32,6 @@ from posetrack_cli.recording.keypoints.layout import (
     score_of,
     unit_of,
 )
-from posetrack_cli.recording.keypoints.sets import SetCollector
 from posetrack_cli.recording.keypoints.tables import KIND, parse_table
 
 _ONE = ("landmarks", "keypoints", "points", "landmark")

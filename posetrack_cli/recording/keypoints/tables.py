@@ -13,19 +13,24 @@ from textwrap import shorten
 from posetrack_cli import limits
 from posetrack_cli.csv_rows import Row, csv_rows
 from posetrack_cli.errors import UsageError
-from posetrack_cli.recording.keypoints.kind import PointKind
 from posetrack_cli.recording.keypoints.layout import (
     FRAME_FIELDS,
     KEYS,
     LOST,
     NS_PER_UNIT,
     POINT_FIELDS,
+    SCORE,
     SCORE_FIELDS,
     SIDE_FIELDS,
     STATUS,
     UNIT_NAMES,
     Parsed,
     PointColumn,
+    PointKind,
+    SetCollector,
+    X,
+    Y,
+    Z,
     key_of,
     number_of,
     point_column,
@@ -33,7 +38,6 @@ from posetrack_cli.recording.keypoints.layout import (
     right_of,
     score_of,
 )
-from posetrack_cli.recording.keypoints.sets import SCORE, SetCollector, X, Y, Z
 
 KIND = "keypoints are a CSV or JSON file in UTF-8"
 EXPECTED = (

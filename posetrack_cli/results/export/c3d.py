@@ -19,8 +19,8 @@ from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.files import open_output
 from posetrack_cli.results.columns import Columns
 from posetrack_cli.results.estimate import Status
-from posetrack_cli.results.export.fixed_rate import FixedRate, fixed_rate
 from posetrack_cli.results.export.source import ExportSource
+from posetrack_cli.results.export.table import FixedRate, fixed_rate
 
 FIELDS = ("stamp_ns", "status", "points")
 NOT_SEEN = -1.0

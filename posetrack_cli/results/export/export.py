@@ -14,6 +14,7 @@ from posetrack_cli.errors import UsageError
 from posetrack_cli.files import open_output
 from posetrack_cli.outputs import check_target, whole_or_nothing
 from posetrack_cli.results.columns import Columns
+from posetrack_cli.results.estimate import kind_of
 from posetrack_cli.results.export.source import (
     ExportSource,
     header_lines,
@@ -21,7 +22,6 @@ from posetrack_cli.results.export.source import (
 )
 from posetrack_cli.results.export.table import ColumnGroup, Values, table_of
 from posetrack_cli.results.fields import BY_NAME
-from posetrack_cli.results.subject_kind import kind_of
 from posetrack_cli.text import printable, printable_json
 from posetrack_cli.units import METRES_PER_MM, NS_PER_S
 

@@ -9,13 +9,12 @@ from itertools import chain, islice
 from typing import Any
 
 from posetrack_cli.errors import ResultError
-from posetrack_cli.losses import loss_line
+from posetrack_cli.phases import loss_line
 from posetrack_cli.results.columns import Columns, empty_columns, joined
-from posetrack_cli.results.estimate import Estimate, Status
+from posetrack_cli.results.estimate import Estimate, Status, kind_of
 from posetrack_cli.results.export.table import table_of
 from posetrack_cli.results.fields import BY_NAME, Sizes
 from posetrack_cli.results.reader import Result
-from posetrack_cli.results.subject_kind import kind_of
 
 
 @dataclass(frozen=True)

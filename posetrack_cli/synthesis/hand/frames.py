@@ -1,35 +1,329 @@
-"""The frames of a synthetic recording, one after the other."""
+"""Frames of a synthetic hand, and their file."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+import functools
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
 
 import numpy as np
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 
 from posetrack_cli.arrays import BoolArray, Float32Array, FloatArray, ImageArray
-from posetrack_cli.hand.anatomy import (
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.hand.model.anatomy import (
     ANGLE_NAMES,
     ANGLES,
+    BONE_COUNT,
     JOINT_NAMES,
     JOINT_PARENTS,
+    MIRROR,
     TANGENT_SIZE,
     HandAnatomy,
 )
-from posetrack_cli.hand.kinematics import joint_positions
-from posetrack_cli.hand.model import HandModel
+from posetrack_cli.hand.model.hand import MESH_DIGEST, HandModel
+from posetrack_cli.hand.model.kinematics import joint_positions, mirrored_poses, skinning_transforms
+from posetrack_cli.mcap.sink import McapSink, serialised
+from posetrack_cli.outputs import check_output
+from posetrack_cli.recording.conversion import CALIBRATION_TOPIC, IMAGE_TOPIC
+from posetrack_cli.recording.identity import file_digest
+from posetrack_cli.recording.image_files import encode_png
+from posetrack_cli.recording.message_cameras import calibration_message
 from posetrack_cli.rendering.devices import device_or_default
-from posetrack_cli.rendering.port import RenderingDevice
-from posetrack_cli.rendering.window import Window
+from posetrack_cli.rendering.mesh import SkinnedMesh, joined
+from posetrack_cli.rendering.port import RenderingDevice, Window
 from posetrack_cli.results import messages
 from posetrack_cli.results.estimate import Estimate, Status, Subject
-from posetrack_cli.synthesis.hand.motion import Motion, make_motion
-from posetrack_cli.synthesis.hand.options import SynthOptions
-from posetrack_cli.synthesis.hand.scene import Scene, room_depth
-from posetrack_cli.synthesis.hand.sensor import CAMERA, missing_beside_edges, noisy, quantised
-from posetrack_cli.synthesis.hand.walk import WalkNoise
-from posetrack_cli.synthesis.timeline import Timeline, make_timeline
-from posetrack_cli.tracking.body_space import pose_rates
+from posetrack_cli.synthesis.hand import person
+from posetrack_cli.synthesis.hand.motion import Motion, WalkNoise, make_motion
+from posetrack_cli.synthesis.hand.options import Switches, SynthOptions
+from posetrack_cli.synthesis.recording import (
+    Synthesis,
+    Timeline,
+    TruthChannels,
+    make_timeline,
+    numbers_text,
+    recording_file,
+    reported,
+    synth_record,
+    write_all,
+)
+from posetrack_cli.tracking.velocity import pose_rates
+
+# What the synthetic sensor looks at: one skinned mesh of hand and person, and the room behind
+
+
+_MIRRORED_TRANSFORM = np.outer(MIRROR, [*MIRROR, 1.0])  # M T M, entry by entry
+
+# Normals n and offsets c of planes n . p = c, mm: a wall slightly tilted, ceiling, floor.
+PLANES = (
+    (np.array([0.05, 0.03, 1.0]), 2750.0),
+    (np.array([0.0, 1.0, 0.06]), -1050.0),
+    (np.array([0.0, 1.0, 0.0]), 1250.0),
+)
+# Corners of furniture, mm: a cabinet on the left, a seat on the right.
+BOXES = (
+    (np.array([-1600.0, 250.0, 2150.0]), np.array([-850.0, 1250.0, 2600.0])),
+    (np.array([650.0, 560.0, 2000.0]), np.array([1500.0, 1250.0, 2600.0])),
+)
+
+
+class Scene:
+    """A hand and as much of its owner as the switches ask for.
+
+    Args:
+        hand: bones and skin. A left hand has the mirror image of a right hand's owner.
+        switches: ``body`` and ``forearm`` are read.
+    """
+
+    def __init__(self, hand: HandModel, switches: Switches) -> None:
+        self._anatomy = hand.anatomy
+        self._switches = switches
+        self.mesh = joined([hand.skin("fine"), *self._person_meshes()])
+
+    def transforms(self, pose: FloatArray, seconds: float) -> Float32Array:
+        """camera_T_rest (1, B, 3, 4) of every bone, for a pose (22,) at a time, s."""
+        out = np.empty((1, self.mesh.weights.shape[1], 3, 4), dtype=np.float32)
+        out[0, :BONE_COUNT] = skinning_transforms(self._anatomy, pose[None])[0]
+        first = BONE_COUNT
+        for bones in self._person_bones(pose, seconds):
+            out[0, first : first + len(bones)] = bones
+            first += len(bones)
+        return out
+
+    def _person_meshes(self) -> Iterator[SkinnedMesh]:
+        scale = self._anatomy.scale
+        if self._switches.forearm:
+            yield person.forearm_mesh(scale)
+        if self._switches.forearm and self._switches.body:
+            yield person.upper_arm_mesh(scale)
+        if self._switches.body:
+            yield person.trunk_mesh()
+            yield person.head_mesh()
+
+    def _person_bones(self, pose: FloatArray, seconds: float) -> Iterator[FloatArray]:
+        """Transforms in the order of the meshes, which look the same in the mirror x -> -x."""
+        left = self._anatomy.is_left
+        right_pose = mirrored_poses(pose[None])[0] if left else pose
+        for bones in self._right_bones(right_pose, seconds):
+            yield bones * _MIRRORED_TRANSFORM if left else bones
+
+    def _right_bones(self, pose: FloatArray, seconds: float) -> Iterator[FloatArray]:
+        if self._switches.forearm:
+            forearm = person.forearm_bones(pose, self._anatomy.scale)
+            yield forearm
+            if self._switches.body:
+                yield person.upper_arm_bones(forearm[1, :, 3], seconds)
+        if self._switches.body:
+            yield person.body_bones(seconds)
+
+
+def room_depth(camera: Camera) -> Float32Array:
+    """Return the depth z of the room, (height, width), mm: the nearest of all planes and boxes."""
+    u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    pixels = np.stack([u, v], axis=-1).astype(np.float64)
+    rays = camera.points_from_pixels(pixels, np.ones(u.shape))
+    depths = [_plane_depth(rays, *plane) for plane in PLANES] + [_box_depth(rays, *box) for box in BOXES]
+    return np.asarray(np.min(depths, axis=0), dtype=np.float32)
+
+
+def _plane_depth(rays: FloatArray, normal: FloatArray, offset: float) -> FloatArray:
+    """Depth of a plane along rays (..., 3) with z = 1, infinite where it is not met."""
+    slope = rays @ normal
+    safe = np.where(slope == 0.0, 1.0, slope)
+    depth = np.where(slope == 0.0, np.inf, offset / safe)
+    return np.where(depth > 0.0, depth, np.inf)
+
+
+def _box_depth(rays: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+    """Depth of a box along rays with z = 1 by the slab method, infinite where it is missed."""
+    with np.errstate(divide="ignore"):
+        first, second = low / rays, high / rays
+    enters = np.minimum(first, second).max(axis=-1)
+    leaves = np.maximum(first, second).min(axis=-1)
+    return np.where((enters <= leaves) & (enters > 0.0), enters, np.inf)
+
+
+# The synthetic sensor: a Kinect v2's camera, range, noise, and missing readings beside edges of depth.
+#
+# Beside an edge, on the farther side, light of both surfaces mixes and the projector's is shaded, so the
+# reading is given up. What was measured is the missing fraction 1 to 8 px outside a hand's edge
+# (``MISSING_FRACTIONS``, hand.md). The fractions hold on average over all directions of an edge; where the
+# holes are is correlated: they come in patches, and more of them on the side where the projector casts its
+# shadow.
+
+
+CAMERA = Camera(width=512, height=424, fx=365.0, fy=365.0, cx=255.5, cy=211.5, name="camera")
+"""A Kinect v2 with its principal point in the middle, so that a mirrored scene gives a mirrored image."""
+
+RANGE_MM = (500.0, 4500.0)
+"""Nearest and farthest reading."""
+
+NEAR_SD_MM, SD_PER_M2 = 0.96, 0.086
+CORNER_FACTOR = 2.5
+
+MISSING_FRACTIONS = (0.82, 0.65, 0.37, 0.30, 0.24, 0.21, 0.18, 0.16)
+REACH_PX = 12.0
+"""[ours]: beyond the measured 8 px the fraction falls linearly, to none at this distance."""
+
+JUMP_MM = 40.0
+"""Smallest step of depth that is an edge."""
+
+FULL_JUMP_MM = 200.0
+"""[ours]: the measured edges were steps of 300 mm and more. Beside a smaller step than this the holes reach
+less far: the distance counts FULL_JUMP_MM / step times. So fingers before the palm keep their rim."""
+
+PATCH_PX = 2.5
+SHADOW_SHARE = 0.55
+"""Share of the variance that depends on the side of the edge; the rest is in patches."""
+SHADOW_SIDE = -1.0
+"""Sign of the image's x direction in which the projector's shadow falls: to the left."""
+
+
+def noise_sd(depth: Float32Array, camera: Camera) -> Float32Array:
+    """Return the standard deviation of the readings of a depth image (height, width), mm.
+
+    sd(z, r) = (0.96 + 0.086 z^2) (1 + 1.5 r^2), z in metres, r the distance from the principal point
+    relative to the farthest corner's. [ours], fitted to what was measured on a Kinect v2 (hand.md): 1.5 mm
+    at the centre and 3 to 4.5 mm in the corners at 2.2 to 3 m. At 0.65 m it is 1 mm.
+    """
+    metres = depth * np.float32(1e-3)
+    near = np.float32(NEAR_SD_MM) + np.float32(SD_PER_M2) * metres * metres
+    sd: Float32Array = near * _radial_factor(camera)
+    return sd
+
+
+def noisy(depth: Float32Array, camera: Camera, rng: np.random.Generator) -> Float32Array:
+    """Return the readings (height, width) of a depth image: noise added, out of range missing, mm.
+
+    Args:
+        depth: mm, 0 where there is nothing.
+        camera: whose image it is.
+        rng: draws one number a pixel.
+    """
+    noise = rng.standard_normal(depth.shape, dtype=np.float32)
+    readings = depth + noise * noise_sd(depth, camera)
+    low, high = RANGE_MM
+    readings[(depth < low) | (readings < low) | (readings > high)] = 0.0
+    return readings
+
+
+def quantised(depth: Float32Array) -> ImageArray:
+    """Return the depth as the sensor stores it: (height, width) uint16, whole millimetres."""
+    return np.rint(depth).astype(np.uint16)
+
+
+def _radial_factor(camera: Camera) -> Float32Array:
+    x = np.arange(camera.width) - camera.cx
+    y = np.arange(camera.height) - camera.cy
+    corner = np.max(np.abs(x)) ** 2 + np.max(np.abs(y)) ** 2
+    r2 = (x[None, :] ** 2 + y[:, None] ** 2) / corner
+    return np.asarray(1.0 + (CORNER_FACTOR - 1.0) * r2, dtype=np.float32)
+
+
+def missing_beside_edges(
+    depth: Float32Array, rng: np.random.Generator, *, mirrored: bool = False
+) -> BoolArray:
+    """Return which readings (height, width) of a depth image are missing beside its edges.
+
+    A pixel at distance x from the nearest edge is missing where U < f(x): f interpolates the measured
+    fractions and U is uniform, U = F(g), with g = a sqrt(2) s cos(direction) + sqrt(1 - a^2) n, n a smooth
+    Gaussian field of patches, the direction that from the edge to the pixel and F the distribution of g
+    over all directions.
+
+    Args:
+        depth: mm, 0 where there is nothing.
+        rng: draws one number a pixel.
+        mirrored: whether the sensor's projector is on the other side.
+    """
+    patches = _patches(depth.shape, rng)
+    rows, columns, distance, cosine = _band(depth)
+    side = -SHADOW_SIDE if mirrored else SHADOW_SIDE
+    field = np.sqrt(1.0 - SHADOW_SHARE) * patches[rows, columns] + (
+        np.sqrt(2.0 * SHADOW_SHARE) * side * cosine
+    )
+    missing = np.zeros(depth.shape, dtype=np.bool_)
+    missing[rows, columns] = _uniform_of(-field) < missing_fraction(distance)
+    return missing
+
+
+def missing_fraction(distance: FloatArray) -> FloatArray:
+    """Return the fraction of missing readings at a distance from an edge, px; 1 is the first pixel."""
+    count = len(MISSING_FRACTIONS)
+    return np.interp(distance, [*range(1, count + 1), REACH_PX], [*MISSING_FRACTIONS, 0.0])
+
+
+def _band(depth: Float32Array) -> tuple[ImageArray, ImageArray, FloatArray, FloatArray]:
+    """The pixels on the farther side of edges, as far as holes may reach.
+
+    Returns:
+        (P,) rows, columns, distance from the nearest edge as far as it counts, px, and the cosine of the
+        direction from that edge to the pixel with the image's x axis.
+    """
+    import cv2
+
+    edge = _nearer_side(depth)
+    if not edge.any():
+        return np.zeros(0, int), np.zeros(0, int), np.zeros(0), np.zeros(0)
+    distance, labels = cv2.distanceTransformWithLabels(
+        (~edge).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    rows, columns = np.nonzero((distance > 0.0) & (distance < REACH_PX) & (depth > 0.0))
+    edge_rows, edge_columns = np.nonzero(edge)
+    pixel_of_label = np.zeros(len(edge_rows) + 1, dtype=np.int64)
+    pixel_of_label[labels[edge_rows, edge_columns]] = np.arange(len(edge_rows))
+    nearest = pixel_of_label[labels[rows, columns]]
+    jump = depth[rows, columns] - depth[edge_rows[nearest], edge_columns[nearest]]
+    offset_x, offset_y = columns - edge_columns[nearest], rows - edge_rows[nearest]
+    far = jump > JUMP_MM
+    pixels = np.hypot(offset_x, offset_y)
+    counted = pixels * np.maximum(1.0, FULL_JUMP_MM / np.maximum(jump, JUMP_MM))
+    return rows[far], columns[far], counted[far], (offset_x / pixels)[far]
+
+
+def _nearer_side(depth: Float32Array) -> BoolArray:
+    """The pixels (height, width) with a neighbour that is farther by a jump."""
+    edge = np.zeros(depth.shape, dtype=np.bool_)
+    across, down = np.diff(depth, axis=1), np.diff(depth, axis=0)
+    edge[:, :-1] |= across > JUMP_MM
+    edge[:, 1:] |= across < -JUMP_MM
+    edge[:-1] |= down > JUMP_MM
+    edge[1:] |= down < -JUMP_MM
+    return edge & (depth > 0.0)
+
+
+def _patches(shape: tuple[int, ...], rng: np.random.Generator) -> Float32Array:
+    """A Gaussian field of unit variance, smooth over some pixels."""
+    import cv2
+
+    size = 2 * round(3.0 * PATCH_PX) + 1
+    kernel = cv2.getGaussianKernel(size, PATCH_PX)
+    noise = rng.standard_normal(shape, dtype=np.float32)
+    smooth = cv2.sepFilter2D(noise, cv2.CV_32F, kernel, kernel)
+    unit: Float32Array = smooth / np.float32(np.sum(kernel**2))  # sd after both passes is sum k^2
+    return unit
+
+
+def _uniform_of(field: FloatArray) -> FloatArray:
+    grid, probability = _distribution()
+    return np.interp(field, grid, probability)
+
+
+@functools.cache
+def _distribution() -> tuple[FloatArray, FloatArray]:
+    """F(g) of the field over all directions and patches, tabulated: F(g) = mean of Phi over the circle."""
+    from scipy.special import ndtr
+
+    grid = np.linspace(-6.0, 6.0, 601)
+    cosines = np.cos((np.arange(64) + 0.5) * (2.0 * np.pi / 64))
+    shift = np.sqrt(2.0 * SHADOW_SHARE) * cosines
+    probability = ndtr((grid[:, None] - shift) / np.sqrt(1.0 - SHADOW_SHARE)).mean(axis=1)
+    return grid, probability
+
+
+# The frames of a synthetic recording, one after the other
+
 
 SUBJECT = Subject("hand", CAMERA.name, ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS)
 
@@ -196,3 +490,89 @@ class _Sensor:
         if not self._switches.background:
             return drawn
         return np.where(drawn > 0.0, np.minimum(drawn, self._room), self._room)
+
+
+# Write a synthetic recording of a hand with its truth to an MCAP file
+
+
+PNG_LEVEL = 1
+"""Noise does not compress: level 9 takes ten times as long for some per cent."""
+
+Report = Callable[[SyntheticHandFrame], None]
+
+
+def write_synthetic(
+    options: SynthOptions,
+    out: Path,
+    *,
+    overwrite: bool = False,
+    noise: WalkNoise | None = None,
+    report: Report = lambda frame: None,
+) -> Synthesis:
+    """Write a synthetic recording; the same options give the same bytes on the same machine.
+
+    The depth is 16-bit PNG (foxglove.CompressedImage) on ``/camera/depth/image``, the truth lies on
+    ``/truth/hand/...``, the options are in the metadata ``posetrack.synth``. The file is written as
+    ``out`` + ``.part`` and renamed when it is complete.
+
+    Args:
+        options: of the recording.
+        out: the file, named ``*.mcap``.
+        overwrite: whether ``out`` may be replaced.
+        noise: of the random walks A and B.
+        report: called with every frame that is written.
+
+    Raises:
+        UsageError: ``out`` exists and may not be replaced, or is not named as an MCAP file.
+        ResultError: the file cannot be written.
+        RenderingError: there is no working GL.
+    """
+    check_output(out, overwrite=overwrite)
+    noise = noise or WalkNoise()
+    plan = make_plan(options, noise)
+    stamps = plan.timeline.stamps_ns[plan.written]
+    record = synth_record(options, _facts(plan, noise))
+    frames = reported(render_plan(plan), report)
+    with recording_file(out) as sink:
+        write_all(sink, record, frames, lambda sink: _Channels(sink, int(stamps[0])))
+    return Synthesis(len(stamps), int(plan.timeline.dropped.sum()), float(stamps[-1] - stamps[0]) * 1e-9)
+
+
+def _facts(plan: Plan, noise: WalkNoise) -> dict[str, str]:
+    """What the metadata tells beside the options."""
+    options = plan.options
+    facts = {
+        "frames_written": str(int(plan.written.sum())),
+        "velocity": "none" if plan.motion.twists is None else "exact",
+        **{f"switch.{name}": str(value).lower() for name, value in asdict(options.switches).items()},
+        "anatomy.segments_mm": numbers_text(plan.anatomy.segments),
+        "anatomy.base_positions_mm": numbers_text(plan.anatomy.base_positions),
+    }
+    if options.mesh is not None:
+        facts[MESH_DIGEST] = file_digest(Path(options.mesh))[1]
+    if options.motion == "A":
+        facts["noise.pose_sd"] = numbers_text(options.speed * noise.walk.vector())
+    if options.motion == "B":
+        facts["noise.pose_sd"] = numbers_text(options.speed * noise.pose.vector())
+        facts["noise.velocity_sd"] = numbers_text(options.speed * noise.velocity.vector())
+    return facts
+
+
+class _Channels:
+    """Puts a recording's calibration, images and truth on their topics."""
+
+    def __init__(self, sink: McapSink, first_ns: int) -> None:
+        self._sink = sink
+        calibration = calibration_message(CAMERA, first_ns, CAMERA.name)
+        calibrations = sink.channel(CALIBRATION_TOPIC, type(calibration))
+        self._images = sink.channel(IMAGE_TOPIC, CompressedImage)
+        self._truth = TruthChannels(sink, SUBJECT, "joint_states")
+        sink.write(calibrations, first_ns, serialised(calibration))
+
+    def write(self, frame: SyntheticHandFrame) -> None:
+        """Write one frame and the truth about it."""
+        image = encode_png(frame.depth, PNG_LEVEL)
+        message = CompressedImage(frame_id=CAMERA.name, format="png", data=image)
+        message.timestamp.FromNanoseconds(frame.stamp_ns)
+        self._sink.write(self._images, frame.stamp_ns, serialised(message))
+        self._truth.write(frame)

@@ -6,10 +6,9 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 
-from posetrack_cli.hand.anatomy import FINGERS
-from posetrack_cli.hand.model import HandModel, hand_maker
-from posetrack_cli.hand.population import COEFFICIENTS
-from posetrack_cli.hand.shape import (
+from posetrack_cli.hand.model.anatomy import (
+    COEFFICIENTS,
+    FINGERS,
     MOST_COEFFICIENT,
     MOST_PADDING_MM,
     SHAPE_NAMES,
@@ -17,6 +16,7 @@ from posetrack_cli.hand.shape import (
     PerFinger,
     random_shape,
 )
+from posetrack_cli.hand.model.hand import HandModel, hand_maker
 from posetrack_cli.synthesis.recording import check_option
 
 MOTIONS = ("A", "B", "C")

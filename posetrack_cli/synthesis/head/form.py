@@ -1,19 +1,141 @@
-"""The form of an average head of our own making, its face and eyelids, in coordinates that every head shares.
-
-A place on it is an angle phi about the vertical axis (0 in front, positive to the subject's left) and a
-level, which is the height y up to the forehead and goes on along the skull to its top. What is painted or
-moved is said in the average head's own x and y, as seen from in front.
-"""
+"""The head's form: a grid of vertices, its relief."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray
+from posetrack_cli.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from posetrack_cli.head.face.points import MEAN_SHAPE
+
+# Smooth steps, curves and fields: what a head, its motion and its light are made of
+
+
+def smooth_step(s: FloatArray) -> FloatArray:
+    """Return 3 s^2 - 2 s^3 of s (...) clipped to [0, 1]: from 0 to 1, level at both ends."""
+    t = np.clip(s, 0.0, 1.0)
+    step: FloatArray = t * t * (3.0 - 2.0 * t)
+    return step
+
+
+def smooth_field(
+    shape: tuple[int, int], grain_px: float | tuple[float, float], rng: np.random.Generator
+) -> Float32Array:
+    """Return a field (height, width) of mean 0 and deviation 1 whose blobs are about ``grain_px`` in size.
+
+    Args:
+        shape: height and width.
+        grain_px: distance of the independent values between which the field is interpolated; of rows and
+            columns, where two are given.
+        rng: draws one number a grain.
+    """
+    down, across = grain_px if isinstance(grain_px, tuple) else (grain_px, grain_px)
+    coarse = (int(np.ceil(shape[0] / down)) + 3, int(np.ceil(shape[1] / across)) + 3)
+    values = rng.standard_normal(coarse, dtype=np.float32)
+    size = (round(coarse[1] * across), round(coarse[0] * down))
+    fine = cv2.resize(values, size, interpolation=cv2.INTER_CUBIC)[: shape[0], : shape[1]]
+    fine -= fine.mean()
+    field: Float32Array = fine / np.float32(max(float(fine.std()), 1e-6))
+    return field
+
+
+def layered_field(
+    shape: tuple[int, int], grains_px: tuple[float, ...], rng: np.random.Generator
+) -> Float32Array:
+    """Return the mean-free sum of smooth fields of several grains, deviation 1; coarse grains weigh most."""
+    total = np.zeros(shape, dtype=np.float32)
+    for grain in grains_px:
+        total += np.sqrt(np.float32(grain)) * smooth_field(shape, grain, rng)
+    scaled: Float32Array = total / np.float32(max(float(total.std()), 1e-6))
+    return scaled
+
+
+class Displacements:
+    """The field d(x) = sum_i w_i k(|x - x_i|) that takes given values at given places, and fades elsewhere.
+
+    k(r) = (1 + s) exp(-s), s = sqrt(3) r / reach: Matern's kernel of smoothness 3/2. It overshoots less
+    than a Gaussian where two places lie close together.
+
+    Args:
+        places: (n, D) all different.
+        values: (n, C) of the field there.
+        reach: length over which it fades.
+    """
+
+    def __init__(self, places: FloatArray, values: FloatArray, reach: float) -> None:
+        self._places, self._reach = places, reach
+        self._weights = np.linalg.solve(self._kernel(places), values)
+
+    def __call__(self, at: FloatArray) -> FloatArray:
+        """The field (..., C) at places (..., D)."""
+        flat = at.reshape(-1, at.shape[-1])
+        values: FloatArray = self._kernel(flat) @ self._weights
+        return values.reshape(*at.shape[:-1], -1)
+
+    def _kernel(self, at: FloatArray) -> FloatArray:
+        distance = np.linalg.norm(at[:, None, :] - self._places[None, :, :], axis=-1)
+        s = np.sqrt(3.0) / self._reach * distance
+        kernel: FloatArray = (1.0 + s) * np.exp(-s)
+        return kernel
+
+
+MINIMUM_JERK_PEAK = 1.875
+"""Greatest speed of a minimum-jerk move of length 1 in time 1."""
+
+
+def minimum_jerk(s: FloatArray) -> FloatArray:
+    """Return 10 s^3 - 15 s^4 + 6 s^5 of s (...) clipped to [0, 1]: from 0 to 1, at rest at both ends."""
+    s = np.clip(s, 0.0, 1.0)
+    # Hands have the same polynomial, whose cube is s s s: it differs in the last bit in one case of four, and
+    # so would the bytes of recordings that are made again of the same seed.
+    step: FloatArray = s**3 * (10.0 + s * (6.0 * s - 15.0))
+    return step
+
+
+def pulse(times: FloatArray, start: float, rise: float, hold: float, fall: float) -> FloatArray:
+    """Return a pulse (T,) of height 1 that begins at ``start``: it rises, is held and falls, s each."""
+    down = minimum_jerk((times - start - rise - hold) / fall)
+    return minimum_jerk((times - start) / rise) - down
+
+
+@dataclass(frozen=True, eq=False)
+class Sway:
+    """D sums of sines: x_d(t) = sum_k a_dk sin(2 pi f_dk t + p_dk).
+
+    Attributes:
+        amplitude, frequency, phase: (D, n), the frequency in Hz.
+    """
+
+    amplitude: FloatArray
+    frequency: FloatArray
+    phase: FloatArray
+
+    def __call__(self, times: FloatArray) -> FloatArray:
+        """The values (T, D) at times (T,), s."""
+        angle = 2.0 * np.pi * self.frequency * times[:, None, None] + self.phase
+        values: FloatArray = np.sum(self.amplitude * np.sin(angle), axis=-1)
+        return values
+
+
+def random_sway(
+    most: FloatArray, frequencies: tuple[float, float], rng: np.random.Generator, sines: int = 2
+) -> Sway:
+    """Draw sums of sines that stay within ``most`` (D,), with frequencies from an interval, Hz."""
+    size = (len(most), sines)
+    share = rng.uniform(0.5, 1.0, size)
+    share /= share.sum(axis=1, keepdims=True)
+    return Sway(most[:, None] * share, rng.uniform(*frequencies, size), rng.uniform(0.0, 2.0 * np.pi, size))
+
+
+# The form of an average head of our own making, its face and eyelids, in coordinates that every head shares.
+#
+# A place on it is an angle phi about the vertical axis (0 in front, positive to the subject's left) and a
+# level, which is the height y up to the forehead and goes on along the skull to its top. What is painted or
+# moved is said in the average head's own x and y, as seen from in front.
+
 
 AXIS_Z = -82.0
 """Depth of the vertical axis, mm: between the ears."""
@@ -201,3 +323,130 @@ def _lips(x: FloatArray, y: FloatArray) -> FloatArray:
     hollow = -1.2 * np.exp(-0.5 * (x / 2.6) ** 2 - 0.5 * ((up - 11.0) / 6.0) ** 2)
     lips: FloatArray = along * (upper + lower + crease) + hollow
     return lips
+
+
+# The grid of vertices that a head's skin is made of, and where each lies in the texture.
+#
+# Rows go down from the skull's top to the neck, columns around the head from behind to behind. Between the
+# lips further rows lead into the mouth and back: a pocket that opens when the lips part.
+
+
+POCKET_MM = 16.0
+"""Depth of the pocket behind the lips."""
+POCKET_ROWS = 9
+POCKET_BAND = 20.0
+"""Height of the pocket's part of the texture, in the texture's millimetres."""
+TEXTURE_SIZE = (1536, 2048)
+FRONT_DEG, FRONT_COLUMNS, BACK_COLUMNS = 82.0, 125, 30
+# from level to level, mm, with a step
+_LEVELS = (
+    (TOP, 60.0, 6.0),
+    (60.0, 40.0, 3.0),
+    (40.0, -36.0, 1.6),
+    (-36.0, -52.0, 1.0),
+    (-52.0, MOUTH_Y, 1.4),
+    (MOUTH_Y, -86.0, 1.4),
+    (-86.0, -126.0, 2.2),
+    (-126.0, BOTTOM, 8.0),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class SkinGrid:
+    """R x C vertices.
+
+    Attributes:
+        places: (R, C, 3) on the smooth average head, mm.
+        pocket: (R,) 0 outside the mouth; inside from 0 at the upper lip's edge to 1 at the lower's.
+        inside: (R,) whether a row belongs to the pocket, its two edges left out.
+        texcoords: (R, C, 2) in the texture, 0 to 1.
+    """
+
+    places: FloatArray
+    pocket: FloatArray
+    inside: BoolArray
+    texcoords: FloatArray
+
+    @property
+    def triangles(self) -> IntArray:
+        """(T, 3) vertex indices; vertices are counted row by row."""
+        return grid_triangles(*self.places.shape[:2])
+
+
+def skin_grid() -> SkinGrid:
+    """Return the grid, the same for every head."""
+    above, beneath = _levels(_LEVELS[:5]), _levels(_LEVELS[5:])
+    pocket_rows = np.full(POCKET_ROWS, MOUTH_Y)
+    levels = np.concatenate([above, pocket_rows, beneath])
+    inside = np.zeros(len(levels), dtype=np.bool_)
+    inside[len(above) : len(above) + POCKET_ROWS] = True
+    pocket = np.zeros(len(levels))
+    pocket[inside] = (np.arange(POCKET_ROWS) + 1.0) / (POCKET_ROWS + 1.0)
+    pocket[len(above) + POCKET_ROWS :] = 1.0
+    phi = _angles()
+    places = smooth_head(phi[None, :], levels[:, None])
+    texture_level = levels - POCKET_BAND * pocket
+    span = TOP - BOTTOM + POCKET_BAND
+    texcoords = np.stack(
+        np.broadcast_arrays((phi[None, :] + np.pi) / (2.0 * np.pi), (TOP - texture_level[:, None]) / span),
+        axis=-1,
+    )
+    return SkinGrid(places, pocket, inside, texcoords)
+
+
+def texel_levels(rows: int) -> tuple[FloatArray, FloatArray]:
+    """Return the level and the place in the pocket of every texture row: (rows,) twice."""
+    span = TOP - BOTTOM + POCKET_BAND
+    along = TOP - (np.arange(rows) + 0.5) / rows * span
+    pocket = np.clip((MOUTH_Y - along) / POCKET_BAND, 0.0, 1.0)
+    return along + POCKET_BAND * pocket, pocket
+
+
+def texel_angles(columns: int) -> FloatArray:
+    """Return the angle phi (columns,) of every texture column."""
+    angles: FloatArray = ((np.arange(columns) + 0.5) / columns * 2.0 - 1.0) * np.pi
+    return angles
+
+
+def grid_triangles(rows: int, columns: int) -> IntArray:
+    """Return two triangles (T, 3) a cell of a grid whose vertices are counted row by row."""
+    index = np.arange(rows * columns).reshape(rows, columns)
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
+    first = np.stack([a, c, b], axis=-1).reshape(-1, 3)
+    second = np.stack([b, c, d], axis=-1).reshape(-1, 3)
+    return np.concatenate([first, second]).astype(np.int64)
+
+
+def grid_normals(vertices: FloatArray) -> FloatArray:
+    """Return normals (R, C, 3) of a closed grid (R, C, 3), of any length: across times down.
+
+    The first and the last column are the same line.
+    """
+    across = np.empty_like(vertices)
+    across[:, 1:-1] = vertices[:, 2:] - vertices[:, :-2]
+    across[:, 0] = across[:, -1] = vertices[:, 1] - vertices[:, -2]
+    down = np.empty_like(vertices)
+    down[1:-1] = vertices[2:] - vertices[:-2]
+    down[0], down[-1] = vertices[1] - vertices[0], vertices[-1] - vertices[-2]
+    normals: FloatArray = np.cross(down, across)
+    return normals
+
+
+def _levels(parts: tuple[tuple[float, float, float], ...]) -> FloatArray:
+    """Levels from part to part, each beginning and end taken once, both ends of the whole included."""
+    pieces = [
+        np.linspace(start, end, max(round((start - end) / step), 1), endpoint=False)
+        for start, end, step in parts
+    ]
+    return np.concatenate([*pieces, [parts[-1][1]]])
+
+
+def _angles() -> FloatArray:
+    """Columns from -pi to pi, dense in front; two of them run through the mouth's corners."""
+    edge = np.radians(FRONT_DEG)
+    front = np.linspace(-edge, edge, FRONT_COLUMNS)
+    corner = float(angle_of(np.array(MOUTH_X), np.array(MOUTH_Y)))
+    for wanted in (-corner, corner):
+        front[np.argmin(np.abs(front - wanted))] = wanted
+    back = np.linspace(edge, np.pi, BACK_COLUMNS // 2 + 1)[1:]
+    return np.concatenate([-back[::-1], front, back])

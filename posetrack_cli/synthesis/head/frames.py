@@ -1,32 +1,398 @@
-"""The frames of a synthetic recording of a head, one after the other."""
+"""Frames of a synthetic head."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray, ImageArray
+from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray
+from posetrack_cli.geometry import rotations
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.geometry.rigid import in_camera
 from posetrack_cli.geometry.rotations import quaternion_rate
-from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.head.face.points import HeadPose
 from posetrack_cli.head.subject import head_subject
 from posetrack_cli.rendering.devices import device_or_default
-from posetrack_cli.rendering.port import RenderingDevice
+from posetrack_cli.rendering.port import Lighting, RenderingDevice, Surface
 from posetrack_cli.results import messages
 from posetrack_cli.results.estimate import Estimate, Status, Subject
-from posetrack_cli.synthesis.head.expression_script import ExpressionScript, make_script
-from posetrack_cli.synthesis.head.expressions import EXPRESSIONS
-from posetrack_cli.synthesis.head.identity import Identity, identity_of_seed
-from posetrack_cli.synthesis.head.illumination import Illumination, make_illumination
-from posetrack_cli.synthesis.head.movement import Movement, Occluder, make_movement, make_occluder
+from posetrack_cli.synthesis.head.form import (
+    SkinGrid,
+    Sway,
+    grid_normals,
+    grid_triangles,
+    layered_field,
+    minimum_jerk,
+    random_sway,
+    skin_grid,
+    smooth_field,
+    smooth_step,
+)
+from posetrack_cli.synthesis.head.movement import FACING, Movement, Occluder, make_movement, make_occluder
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
-from posetrack_cli.synthesis.head.person import Person, make_person
-from posetrack_cli.synthesis.head.scene import Scene
-from posetrack_cli.synthesis.head.sensor import Sensor, make_cameras
-from posetrack_cli.synthesis.head.skin_grid import SkinGrid, skin_grid
-from posetrack_cli.synthesis.timeline import Timeline, dropped_images, nominal_stamps
+from posetrack_cli.synthesis.head.painting import head_texture
+from posetrack_cli.synthesis.head.person import (
+    EXPRESSIONS,
+    ExpressionScript,
+    Identity,
+    Looks,
+    Person,
+    identity_of_seed,
+    make_person,
+    make_script,
+)
+from posetrack_cli.synthesis.recording import Timeline, dropped_images, nominal_stamps
+
+# The grey cameras of a synthetic recording: where they stand, their lenses and sensors.
+#
+# One, or two that are toed in; blur, distortion, exposure, noise.
+
+
+EXPOSURE = 245.0
+"""Grey value of light 1."""
+BLUR_PX = 0.5
+READ_SD, SHOT = 1.1, 0.022
+"""Noise of a grey value g: variance READ_SD^2 + SHOT g; 2.2 at g = 170."""
+BORDER = 0.12
+"""Part of the image by which what a distorting lens sees may lie beyond the undistorted image."""
+
+FOCAL_WIDTHS = 1000.0 / 640.0
+"""Focal length in image widths: a field of view of 35.5 degrees."""
+DISTORTION = (-0.14, 0.06, 0.0006, -0.0004, 0.0)
+"""Of the left or only lens; the right one's first two are a tenth smaller."""
+NAMES = ("left", "right")
+
+
+class Sensor:
+    """Makes the 8-bit image of a camera from the light that falls through an ideal lens.
+
+    Args:
+        camera: with its distortion.
+        noise: factor on the noise's deviation.
+    """
+
+    def __init__(self, camera: Camera, noise: float) -> None:
+        self.camera = camera
+        self._noise = noise
+        self.drawn = _drawn_camera(camera) if camera.is_distorted else camera
+        self._maps = _distortion_maps(camera, self.drawn) if camera.is_distorted else None
+
+    def image(self, light: Float32Array, rng: np.random.Generator) -> ImageArray:
+        """Return the image (height, width) uint8.
+
+        Args:
+            light: as ``drawn``, the camera without distortion, sees it.
+            rng: draws one number a pixel, whatever the noise.
+        """
+        import cv2
+
+        if self._maps is not None:
+            light = np.asarray(cv2.remap(light, *self._maps, cv2.INTER_LINEAR), dtype=np.float32)
+        grey = EXPOSURE * cv2.GaussianBlur(light, (0, 0), BLUR_PX)
+        noise = rng.standard_normal(grey.shape, dtype=np.float32)
+        sd = np.float32(self._noise) * np.sqrt(np.float32(READ_SD**2) + np.float32(SHOT) * grey)
+        codes: ImageArray = np.rint(np.clip(grey + sd * noise, 0.0, 255.0)).astype(np.uint8)
+        return codes
+
+
+def _drawn_camera(camera: Camera) -> Camera:
+    """The camera without distortion, with a border."""
+    border = round(BORDER * camera.width)
+    return replace(
+        camera,
+        width=camera.width + 2 * border,
+        height=camera.height + 2 * border,
+        cx=camera.cx + border,
+        cy=camera.cy + border,
+        distortion=(),
+    )
+
+
+def _distortion_maps(camera: Camera, drawn: Camera) -> tuple[Float32Array, Float32Array]:
+    """Where each pixel of the distorted image lies in the drawn one: columns and rows (height, width)."""
+    import cv2
+
+    u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    pixels = np.stack([u, v], axis=-1).reshape(-1, 1, 2).astype(np.float64)
+    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-10)
+    ideal = cv2.undistortPointsIter(
+        pixels, camera.matrix, np.array(camera.distortion), np.eye(3), drawn.matrix, criteria
+    )
+    maps = ideal.reshape(camera.height, camera.width, 2).astype(np.float32)
+    return np.ascontiguousarray(maps[..., 0]), np.ascontiguousarray(maps[..., 1])
+
+
+def make_cameras(options: HeadSynthOptions) -> tuple[Camera, ...]:
+    """Return the cameras, the reference camera first.
+
+    The second one stands ``baseline_mm`` to the right and looks at the place ``distance_mm`` straight ahead
+    of the first.
+    """
+    reference = _camera(options, NAMES[0] if options.cameras == 2 else "camera", DISTORTION)
+    if options.cameras == 1:
+        return (reference,)
+    toe_in = float(np.arctan2(options.baseline_mm, options.distance_mm))
+    c, s = np.cos(toe_in), np.sin(toe_in)
+    rotation = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+    translation = -rotation @ [options.baseline_mm, 0.0, 0.0]
+    rows = np.column_stack([rotation, translation]).tolist()
+    other = tuple(0.9 * value for value in DISTORTION[:2]) + DISTORTION[2:]
+    return reference, _camera(options, NAMES[1], other, tuple(tuple(row) for row in rows))
+
+
+def _camera(
+    options: HeadSynthOptions,
+    name: str,
+    distortion: tuple[float, ...],
+    transform: tuple[tuple[float, ...], ...] | None = None,
+) -> Camera:
+    focal = FOCAL_WIDTHS * options.width
+    camera = Camera(
+        width=options.width,
+        height=options.height,
+        fx=focal,
+        fy=focal,
+        cx=(options.width - 1) / 2.0,
+        cy=(options.height - 1) / 2.0,
+        distortion=distortion if options.distortion else (),
+        name=name,
+    )
+    if transform is None:
+        return camera
+    from dataclasses import replace
+
+    return replace(camera, camera_T_reference=transform)
+
+
+# The light of a synthetic recording: two lamps and the light of the room, drifting slowly
+
+
+LAMPS = 2
+STRENGTHS = np.array([0.52, 0.26])
+AMBIENT, FROM_ABOVE = 0.46, np.array([0.0, -0.12, 0.0])
+DRIFT = np.array([0.22, 0.3, 0.08, 0.25, 0.12])
+"""How far lamps' strengths and the room's light (relative) and the first lamp's direction (rad) drift."""
+DRIFT_HZ = (0.03, 0.12)
+SWITCH_S, SWITCH_PART = 0.04, 0.5
+SWITCHED = np.array([0.45, 1.9])
+"""Factors on the lamps' strengths after the switch."""
+
+
+@dataclass(frozen=True, eq=False)
+class Illumination:
+    """Light as a function of time.
+
+    Attributes:
+        directions: (L, 3) towards the lamps, reference axes.
+        drift: of the lamps' strengths, the room's light, and the first lamp's two angles; None for none.
+        switch_s: when the lamps' strengths change suddenly; None for never.
+    """
+
+    directions: FloatArray
+    drift: Sway | None
+    switch_s: float | None
+
+    def at(self, seconds: float) -> Lighting:
+        """The light at a time, s."""
+        time = np.array([seconds])
+        drift = np.zeros(5) if self.drift is None else self.drift(time)[0]
+        strengths = STRENGTHS * (1.0 + drift[:2])
+        if self.switch_s is not None:
+            step = float(minimum_jerk((time - self.switch_s) / SWITCH_S)[0])
+            strengths = strengths * (1.0 + step * (SWITCHED - 1.0))
+        directions = self.directions.copy()
+        directions[0, :2] += drift[3:]
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        return Lighting(directions, strengths, AMBIENT * (1.0 + float(drift[2])), FROM_ABOVE)
+
+
+def make_illumination(options: HeadSynthOptions, rng: np.random.Generator) -> Illumination:
+    """Draw where the lamps are and how they drift."""
+    side = 1.0 if rng.random() < 0.5 else -1.0
+    main = [side * rng.uniform(0.15, 0.6), -rng.uniform(0.4, 0.8), -1.0]
+    fill = [-side * rng.uniform(0.5, 0.9), -rng.uniform(0.0, 0.4), -1.0]
+    drift = random_sway(DRIFT, DRIFT_HZ, rng)
+    return Illumination(
+        np.array([main, fill]),
+        None if options.light == "steady" else drift,
+        SWITCH_PART * options.duration_s if options.light == "sudden" else None,
+    )
+
+
+# What synthetic cameras look at: head, trunk, the wall behind and an occluder, and how all that moves
+
+
+NECK_FROM_Y, NECK_TO_Y = -116.0, -160.0
+"""Between these heights the neck passes from the head's motion to the trunk's."""
+TRUNK_FOLLOWS, TRUNK_TURNS = 0.4, 0.15
+"""Parts of the head's way and turn that the trunk goes along with."""
+SKIN, RIGHT_EAR, LEFT_EAR, TRUNK, WALL, OCCLUDER = range(6)
+
+TRUNK_TOP_Y = -150.0
+# height, half width, half depth, mm
+_TRUNK = np.array(
+    [
+        (TRUNK_TOP_Y, 52.0, 46.0),
+        (-160.0, 62.0, 54.0),
+        (-170.0, 88.0, 64.0),
+        (-185.0, 132.0, 76.0),
+        (-212.0, 180.0, 90.0),
+        (-265.0, 203.0, 104.0),
+        (-420.0, 205.0, 112.0),
+    ]
+)
+TRUNK_Z = -95.0
+WALL_MM, WALL_BEHIND_MM = (4200.0, 3200.0), 1100.0
+
+
+class Scene:
+    """Head, trunk, wall and an occluder; ``renderer`` draws them as cameras without distortion see them.
+
+    Args:
+        device: draws it.
+        person, looks: who is seen.
+        grid: of the skin.
+        size: (width, height) of the images drawn.
+        origin: the head's first place (3,), mm.
+        rng: of cloth, wall and object.
+    """
+
+    def __init__(
+        self,
+        device: RenderingDevice,
+        person: Person,
+        looks: Looks,
+        grid: SkinGrid,
+        size: tuple[int, int],
+        origin: FloatArray,
+        rng: np.random.Generator,
+    ) -> None:
+        self._person, self._origin = person, origin
+        self._trunk = trunk_vertices()
+        ears, cloth, wall, board = rng.spawn(4)
+        ear = ear_surface(looks, ears)
+        skin = Surface(grid.triangles, grid.texcoords.reshape(-1, 2), head_texture(looks))
+        others = (trunk_surface(cloth), wall_surface(wall))
+        surfaces = [skin, ear, ear, *others, occluder_surface(board)]
+        self.renderer = device.surface_renderer(size, surfaces, LAMPS)
+        self._place(WALL, wall_vertices(float(origin[2])), facing=True)
+
+    def set(self, pose: HeadPose, strengths: FloatArray, occluder: FloatArray | None) -> None:
+        """Move everything: the head's pose, strengths (J,) of its expressions, the occluder's middle (3,)."""
+        trunk = self._trunk_pose(pose)
+        skin = self._person.skin(strengths)
+        self._place(SKIN, _between(skin, pose, trunk))
+        for index, ear in zip((RIGHT_EAR, LEFT_EAR), self._person.ears, strict=True):
+            self._place(index, pose.points(ear))
+        self._place(TRUNK, trunk.points(self._trunk))
+        away = np.array([0.0, 0.0, -1e6])  # behind the cameras
+        middle = away if occluder is None else occluder
+        self._place(OCCLUDER, occluder_vertices() + middle, facing=True)
+
+    def release(self) -> None:
+        """Give the device's memory back."""
+        self.renderer.release()
+
+    def _place(self, index: int, vertices: FloatArray, *, facing: bool = False) -> None:
+        to_camera = np.broadcast_to([0.0, 0.0, -1.0], vertices.shape)
+        normals = to_camera if facing else grid_normals(vertices)
+        self.renderer.place(index, vertices.reshape(-1, 3), normals.reshape(-1, 3))
+
+    def _trunk_pose(self, pose: HeadPose) -> HeadPose:
+        turn = rotations.logarithm(rotations.multiply(pose.quaternion, rotations.conjugate(FACING)))
+        quaternion = rotations.multiply(rotations.exponential(TRUNK_TURNS * turn), FACING)
+        position = self._origin + TRUNK_FOLLOWS * (pose.position - self._origin)
+        return HeadPose(position, rotations.canonical(quaternion))
+
+
+def _between(skin: FloatArray, head: HeadPose, trunk: HeadPose) -> FloatArray:
+    """Vertices (R, C, 3) in camera axes: of the head with it, of the neck's end with the trunk."""
+    share = smooth_step((NECK_FROM_Y - skin[..., 1:2]) / (NECK_FROM_Y - NECK_TO_Y))
+    placed: FloatArray = head.points(skin)
+    return placed + share * (in_camera(skin, trunk.position, trunk.quaternion) - placed)
+
+
+def ear_surface(looks: Looks, rng: np.random.Generator) -> Surface:
+    """Return the texture of an ear: skin, darker in the middle."""
+    rows, columns = 96, 192
+    v, u = np.mgrid[0:rows, 0:columns]
+    down, across = (v + 0.5) / rows * 2.0 - 1.0, (u + 0.5) / columns * 2.0 - 1.0
+    outer = np.exp(-0.5 * ((np.abs(across) - 0.5) / 0.13) ** 2 - 0.5 * (down / 0.38) ** 2)
+    tone = looks.skin * 0.9 * (1.0 - 0.45 * outer) * (1.0 + 0.06 * smooth_field((rows, columns), 6.0, rng))
+    return grid_surface((13, 25), _two_channels(tone, 0.05))
+
+
+def trunk_vertices() -> FloatArray:
+    """Return the grid (20, 61, 3) of neck's base, shoulders and chest, mm, in the head's frame at rest."""
+    heights = [*np.linspace(_TRUNK[0, 0], -250.0, 16).tolist(), -300.0, -340.0, -380.0, -420.0]
+    profile = [np.interp(heights, _TRUNK[::-1, 0], _TRUNK[::-1, k]) for k in (1, 2)]
+    phi = np.linspace(-np.pi, np.pi, 61)
+    x = profile[0][:, None] * np.sin(phi)
+    z = TRUNK_Z + profile[1][:, None] * np.cos(phi)
+    y = np.broadcast_to(np.array(heights)[:, None], x.shape)
+    return np.stack([x, y, z], axis=-1)
+
+
+def trunk_surface(rng: np.random.Generator) -> Surface:
+    """Return the cloth: woven, with stripes on some, a collar at its upper edge."""
+    rows, columns = 512, 1024
+    tone = rng.uniform(0.12, 0.6) * np.ones((rows, columns))
+    tone *= 1.0 + 0.12 * layered_field((rows, columns), (40.0, 12.0, 4.0), rng)
+    if rng.random() < 0.5:
+        tone *= 1.0 + 0.25 * np.sign(np.sin(np.arange(rows) / rng.uniform(3.0, 7.0)))[:, None]
+    tone *= 1.0 + 0.1 * rng.standard_normal((rows, columns))
+    tone[: rows // 24] *= 0.6
+    return grid_surface((20, 61), _two_channels(tone, 0.02))
+
+
+def wall_vertices(distance_mm: float) -> FloatArray:
+    """Return the grid (2, 2, 3) of a wall behind the head, mm, reference camera's axes."""
+    half_x, half_y = WALL_MM[0] / 2.0, WALL_MM[1] / 2.0
+    x, y = np.meshgrid([-half_x, half_x], [-half_y, half_y])
+    return np.stack([x, y, np.full((2, 2), distance_mm + WALL_BEHIND_MM)], axis=-1)
+
+
+def wall_surface(rng: np.random.Generator) -> Surface:
+    """Return the wall: plaster, and pictures or shelves on it."""
+    rows, columns = 768, 1024
+    tone = rng.uniform(0.28, 0.6) * (1.0 + 0.10 * layered_field((rows, columns), (200.0, 60.0, 15.0), rng))
+    for _ in range(int(rng.integers(5, 12))):
+        row, column = int(rng.integers(0, rows - 60)), int(rng.integers(0, columns - 60))
+        high, wide = int(rng.integers(30, 220)), int(rng.integers(25, 160))
+        part = tone[row : row + high, column : column + wide]
+        part[...] = rng.uniform(0.1, 0.75) * (1.0 + 0.15 * smooth_field(part.shape, 12.0, rng))
+    return grid_surface((2, 2), _two_channels(tone, 0.0))
+
+
+def occluder_vertices() -> FloatArray:
+    """Return the grid (2, 2, 3) of the object that passes, a board, mm, about its own middle."""
+    x, y = np.meshgrid([-48.0, 48.0], [-170.0, 170.0])
+    return np.stack([x, y, np.zeros((2, 2))], axis=-1)
+
+
+def occluder_surface(rng: np.random.Generator) -> Surface:
+    """Return the object: printed in patches."""
+    tone = 0.45 * (1.0 + 0.35 * layered_field((512, 160), (50.0, 15.0, 5.0), rng))
+    return grid_surface((2, 2), _two_channels(tone, 0.05))
+
+
+def grid_surface(shape: tuple[int, int], texture: ImageArray) -> Surface:
+    """Return the surface of a grid of vertices that a texture covers from edge to edge."""
+    rows, columns = shape
+    v, u = np.meshgrid(np.linspace(0.0, 1.0, rows), np.linspace(0.0, 1.0, columns), indexing="ij")
+    return Surface(grid_triangles(rows, columns), np.stack([u, v], axis=-1).reshape(-1, 2), texture)
+
+
+def _two_channels(tone: FloatArray | Float32Array, gloss: float) -> ImageArray:
+    both = np.stack([np.clip(tone, 0.0, 1.0), np.full(tone.shape, gloss)], axis=-1)
+    codes: ImageArray = np.rint(both * 255.0).astype(np.uint8)
+    return codes
+
+
+# The frames of a synthetic recording of a head, one after the other
+
 
 COMPONENTS = 0
 """A model's deformation coefficients are its own: the truth has none. Its points tell the deformation."""

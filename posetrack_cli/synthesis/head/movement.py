@@ -8,8 +8,8 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry import rotations
+from posetrack_cli.synthesis.head.form import MINIMUM_JERK_PEAK, Sway, minimum_jerk, pulse, random_sway
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
-from posetrack_cli.synthesis.head.smooth import MINIMUM_JERK_PEAK, Sway, minimum_jerk, pulse, random_sway
 
 _D = float(np.pi / 180.0)
 MOST = np.array([45.0, 28.0, 55.0, 26.0 * _D, 11.0 * _D, 10.0 * _D])

@@ -1,24 +1,263 @@
-"""A head's texture: what is painted on its skin, from lips and eyes to hair."""
+"""The head's texture."""
 
 from __future__ import annotations
 
 import functools
-from functools import partial
+from collections.abc import Callable
+from functools import cached_property, partial
 
 import numpy as np
 
 from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray
 from posetrack_cli.head.face.points import MEAN_SHAPE
-from posetrack_cli.synthesis.head.canvas import Box, Canvas, blob, inside
 from posetrack_cli.synthesis.head.form import (
+    BOTTOM,
     LENGTH,
     MOUTH_X,
     MOUTH_Y,
+    POCKET_BAND,
+    TEXTURE_SIZE,
+    TOP,
     LidPlaces,
+    angle_of,
+    half_width,
+    height,
+    layered_field,
+    smooth_field,
+    smooth_head,
+    smooth_step,
+    texel_angles,
+    texel_levels,
 )
-from posetrack_cli.synthesis.head.identity import Looks, hair_share
-from posetrack_cli.synthesis.head.paint_skin import paint_skin, shade_folds
-from posetrack_cli.synthesis.head.smooth import smooth_field
+from posetrack_cli.synthesis.head.person import Looks, hair_share
+
+# The texture that a head is painted on, and the strokes that everything on it is painted with
+
+
+MARGIN_MM = 2.0
+Box = tuple[float, float, float, float]
+"""Smallest and largest x, smallest and largest y, mm, of the average head."""
+
+
+class Canvas:
+    """Reflectance and gloss of a head's skin.
+
+    Attributes:
+        reflectance, gloss: (rows, columns) float32, 0 to 1.
+        texel_mm: about the size of a texel.
+    """
+
+    def __init__(self, reflectance: float, size: tuple[int, int] = TEXTURE_SIZE) -> None:
+        self.reflectance: Float32Array = np.full(size, reflectance, dtype=np.float32)
+        self.gloss: Float32Array = np.zeros(size, dtype=np.float32)
+        self._levels, self._pocket = texel_levels(size[0])
+        self._angles = texel_angles(size[1])
+        self.texel_mm = (TOP - BOTTOM + POCKET_BAND) / size[0]
+
+    @cached_property
+    def places(self) -> FloatArray:
+        """(rows, columns, 3) of every texel on the smooth average head, mm."""
+        return smooth_head(self._angles[None, :], self._levels[:, None])
+
+    @property
+    def pocket(self) -> FloatArray:
+        """(rows,) place in the pocket behind the lips, 0 above and 1 below it."""
+        return self._pocket
+
+    def paint(self, box: Box, tone: float, cover: Callable[[FloatArray, FloatArray], FloatArray]) -> None:
+        """Blend a tone in: cover(x, y) is its opacity, 0 to 1."""
+        self.change(box, lambda x, y, old: old + cover(x, y) * (tone - old))
+
+    def shade(self, box: Box, factor: Callable[[FloatArray, FloatArray], FloatArray]) -> None:
+        """Multiply the reflectance by factor(x, y)."""
+        self.change(box, lambda x, y, old: old * factor(x, y))
+
+    def polish(self, box: Box, gloss: float, cover: Callable[[FloatArray, FloatArray], FloatArray]) -> None:
+        """Blend a gloss in: cover(x, y) is its opacity."""
+        window = self.window(box)
+        x, y = self._seen(window)
+        part = self.gloss[window]
+        part += cover(x, y) * (gloss - part)
+
+    def change(
+        self, box: Box, new: Callable[[FloatArray, FloatArray, Float32Array], FloatArray | Float32Array]
+    ) -> None:
+        """Replace the reflectance in a box by new(x, y, old)."""
+        window = self.window(box)
+        x, y = self._seen(window)
+        self.reflectance[window] = new(x, y, self.reflectance[window])
+
+    def texture(self) -> ImageArray:
+        """The canvas (rows, columns, 2) as 8-bit texture."""
+        both = np.stack([self.reflectance, self.gloss], axis=-1)
+        codes: ImageArray = np.rint(np.clip(both, 0.0, 1.0) * 255.0).astype(np.uint8)
+        return codes
+
+    def window(self, box: Box) -> tuple[slice, slice]:
+        """The texels that a box in front may cover."""
+        low_x, high_x, low_y, high_y = box
+        levels = np.linspace(low_y, high_y, 9)
+        columns = self._columns(low_x, levels, min), self._columns(high_x, levels, max)
+        heights = height(self._levels)
+        rows = np.flatnonzero((heights <= high_y + MARGIN_MM) & (heights >= low_y - MARGIN_MM))
+        return slice(rows[0], rows[-1] + 1), slice(max(columns[0] - 2, 0), columns[1] + 3)
+
+    def _columns(self, x: float, levels: FloatArray, pick: Callable[..., float]) -> int:
+        angle = float(pick(angle_of(np.full(len(levels), x), levels).tolist()))
+        return int((angle / np.pi + 1.0) / 2.0 * len(self._angles))
+
+    def _seen(self, window: tuple[slice, slice]) -> tuple[FloatArray, FloatArray]:
+        """x and y, mm, (rows, columns) of a window's texels as seen from in front."""
+        levels, angles = self._levels[window[0]], self._angles[window[1]]
+        x = half_width(levels)[:, None] * np.sin(angles)[None, :]
+        return x, np.broadcast_to(height(levels)[:, None], x.shape)
+
+
+def blob(
+    x: FloatArray, y: FloatArray, middle: tuple[float, float], spread: tuple[float, float]
+) -> FloatArray:
+    """Return a Gaussian spot (...) of height 1."""
+    spot: FloatArray = np.exp(
+        -0.5 * ((x - middle[0]) / spread[0]) ** 2 - 0.5 * ((y - middle[1]) / spread[1]) ** 2
+    )
+    return spot
+
+
+def inside(distance: FloatArray, soft: float) -> FloatArray:
+    """Return 1 where a signed distance (...), mm, is positive, 0 where negative; soft over ``soft`` mm."""
+    return smooth_step(distance / soft + 0.5)
+
+
+# Skin: tone, blotches, pores, freckles, lines, a beard's shadow, and the shade in a face's folds
+
+
+FACE: Box = (-66.0, 66.0, -118.0, 75.0)
+GLOSS = 0.07
+BLOTCHES, PORES = 0.05, 0.04
+# depth; x (both sides) and y of the middle; spreads, mm: less light comes there
+_SHADES = (
+    (0.30, 30.0, 8.5, 13.0, 6.5),  # under the brows
+    (0.22, 16.5, 4.0, 4.5, 9.0),  # beside the nose's root
+    (0.12, 33.0, -10.0, 11.0, 5.0),  # under the eyes
+    (0.22, 0.0, -50.5, 8.0, 3.0),  # under the nose
+    (0.26, 15.0, -41.5, 1.8, 4.0),  # behind the wings
+    (0.24, 0.0, -85.0, 14.0, 3.4),  # under the lower lip
+    (0.10, 0.0, -57.0, 2.0, 5.0),  # philtrum
+)
+
+
+def paint_skin(canvas: Canvas, looks: Looks, rng: np.random.Generator) -> None:
+    """Paint all of the canvas with skin, gloss most on forehead and nose."""
+    size, texel = canvas.reflectance.shape, canvas.texel_mm
+    grains = tuple(mm / texel for mm in (18.0, 7.0, 3.0))
+    relative = BLOTCHES * layered_field(size, grains, rng) + PORES * _pores(size, texel, rng)
+    canvas.reflectance *= 1.0 + relative
+    canvas.gloss += GLOSS * (1.0 + 0.3 * smooth_field(size, 2.0 / texel, rng))
+    canvas.polish(FACE, 2.0 * GLOSS, _shining)
+    for _ in range(looks.freckles):
+        _paint_freckle(canvas, rng)
+    _paint_lines(canvas, looks, rng)
+    _paint_stubble(canvas, looks, rng)
+
+
+def shade_folds(canvas: Canvas, looks: Looks) -> None:
+    """Darken where less light comes: under brows, nose and lip, beside the mouth, on the neck."""
+    for depth, side, up, across, down in _SHADES:
+        canvas.shade(
+            FACE, partial(_shaded, depth=depth, middle=(side, up), spread=(across, down), mirrored=True)
+        )
+    canvas.shade(FACE, lambda x, y: 1.0 - 0.22 * looks.wrinkles * _fold(x, y))
+    neck = np.clip((-108.0 - canvas.places[:, :1, 1]) / 30.0, 0.0, 1.0)
+    canvas.reflectance *= (1.0 - 0.35 * neck).astype(np.float32)
+
+
+def _pores(size: tuple[int, int], texel: float, rng: np.random.Generator) -> Float32Array:
+    """Fine structure at 0.7 and 1.6 mm, with more dark than bright spots."""
+    fine = smooth_field(size, 0.7 / texel, rng) + 1.2 * smooth_field(size, 1.6 / texel, rng)
+    return np.asarray(0.75 * fine - 0.07 * (fine * fine - 1.0), dtype=np.float32)
+
+
+def _shining(x: FloatArray, y: FloatArray) -> FloatArray:
+    """Where skin is greasy: on the forehead and along the nose."""
+    return 0.7 * np.maximum(blob(x, y, (0.0, 45.0), (30.0, 14.0)), blob(x, y, (0.0, -25.0), (6.0, 18.0)))
+
+
+def _shaded(
+    x: FloatArray,
+    y: FloatArray,
+    depth: float,
+    middle: tuple[float, float],
+    spread: tuple[float, float],
+    mirrored: bool = False,
+) -> FloatArray:
+    """What is left of the light in a soft spot, on both sides of the face where ``mirrored``."""
+    return 1.0 - depth * blob(np.abs(x) if mirrored else x, y, middle, spread)
+
+
+def _fold(x: FloatArray, y: FloatArray) -> FloatArray:
+    """The folds from the wings of the nose to beside the mouth."""
+    along = np.clip((-43.0 - y) / 27.0, 0.0, 1.0)
+    middle = 16.0 + 17.0 * along**0.8
+    width = 1.3 + 1.5 * along
+    ends = inside(-43.0 - y, 6.0) * inside(y + 76.0, 10.0)
+    line: FloatArray = ends * np.exp(-0.5 * ((np.abs(x) - middle) / width) ** 2)
+    return line
+
+
+def _paint_freckle(canvas: Canvas, rng: np.random.Generator) -> None:
+    """A small spot somewhere; few are as big and dark as moles."""
+    x, y = rng.uniform(-60.0, 60.0), rng.uniform(-110.0, 62.0)
+    size = 0.35 + 0.5 * rng.random() ** 3
+    depth = rng.uniform(0.12, 0.35) if size < 0.7 else 0.5
+    box = (x - 4.0 * size, x + 4.0 * size, y - 4.0 * size, y + 4.0 * size)
+    canvas.shade(box, partial(_shaded, depth=depth, middle=(x, y), spread=(size, size)))
+
+
+def _paint_lines(canvas: Canvas, looks: Looks, rng: np.random.Generator) -> None:
+    """Lines across the forehead and beside the eyes."""
+    for k in range(3):
+        height, bend = 38.0 + 8.5 * k + rng.uniform(-1.5, 1.5), rng.uniform(-2.0, 3.0)
+        wave, reach = rng.uniform(0.0, 6.0), rng.uniform(20.0, 38.0)
+        line = partial(_forehead_line, height=height, bend=bend, wave=wave, reach=reach, depth=looks.wrinkles)
+        canvas.shade((-55.0, 55.0, height - 8.0, height + 8.0), line)
+    for box in ((-66.0, -44.0, -14.0, 14.0), (44.0, 66.0, -14.0, 14.0)):
+        for k in range(3):
+            slope, start = (k - 1.0) * 0.35 + rng.uniform(-0.08, 0.08), 48.5 + rng.uniform(0.0, 1.5)
+            canvas.shade(box, partial(_crows_foot, slope=slope, start=start, depth=looks.wrinkles))
+
+
+def _forehead_line(
+    x: FloatArray, y: FloatArray, height: float, bend: float, wave: float, reach: float, depth: float
+) -> FloatArray:
+    """What is left of the light in a wavy line across the forehead."""
+    off = y - height - bend * (x / 35.0) ** 2 - 0.6 * np.sin(x / 5.0 + wave)
+    left: FloatArray = 1.0 - 0.16 * depth * np.exp(-0.5 * (off / 0.7) ** 2 - (x / reach) ** 4)
+    return left
+
+
+def _crows_foot(x: FloatArray, y: FloatArray, slope: float, start: float, depth: float) -> FloatArray:
+    """What is left of the light in a line that goes outwards from beside an eye."""
+    along = np.abs(x) - start
+    ends = inside(along, 1.5) * inside(9.0 - along, 5.0)
+    left: FloatArray = 1.0 - 0.14 * depth * ends * np.exp(-0.5 * ((y - slope * along) / 0.6) ** 2)
+    return left
+
+
+def _paint_stubble(canvas: Canvas, looks: Looks, rng: np.random.Generator) -> None:
+    """A beard's shadow, of single hairs."""
+    if looks.stubble <= 0.0:
+        return
+    size = canvas.reflectance.shape
+    hairs = np.clip(0.5 + 0.5 * smooth_field(size, 0.6 / canvas.texel_mm, rng), 0.0, 1.3)
+    places = canvas.places
+    x, y = np.abs(places[..., 0]), places[..., 1]
+    beard = inside(-52.0 - y + 0.35 * np.maximum(x - 30.0, 0.0), 10.0) * inside(y + 120.0, 20.0)
+    beard = beard * (1.0 - 0.8 * np.exp(-0.5 * ((x - 8.0) / 14.0) ** 2 - 0.5 * ((y - MOUTH_Y) / 9.0) ** 2))
+    canvas.reflectance *= (1.0 - looks.stubble * beard * hairs * (places[..., 2] > -90.0)).astype(np.float32)
+
+
+# A head's texture: what is painted on its skin, from lips and eyes to hair
+
 
 EYES: tuple[Box, Box] = ((-54.0, -12.0, -14.0, 18.0), (12.0, 54.0, -14.0, 18.0))
 IRIS_MM, PUPIL_MM = 5.9, 2.1

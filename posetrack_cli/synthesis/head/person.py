@@ -1,18 +1,523 @@
-"""A person's head as it can be drawn: neutral skin, what expressions move, and the ten true points."""
+"""Who is drawn, and what the face shows when."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.head.face.points import MEAN_SHAPE
-from posetrack_cli.synthesis.head.expressions import belongs_below, displacements
-from posetrack_cli.synthesis.head.form import MOUTH_X, MOUTH_Y, angle_of, forward, smooth_head
-from posetrack_cli.synthesis.head.identity import Identity, hair_share
-from posetrack_cli.synthesis.head.skin_grid import POCKET_MM, SkinGrid
-from posetrack_cli.synthesis.head.smooth import Displacements, smooth_step
+from posetrack_cli.head.face.points import EYES, MEAN_SHAPE, MIRRORED, SHAPE_SD
+from posetrack_cli.synthesis.head.form import (
+    AXIS_Z,
+    MOUTH_X,
+    MOUTH_Y,
+    POCKET_MM,
+    Displacements,
+    LidPlaces,
+    Relief,
+    SkinGrid,
+    along_and_above,
+    angle_of,
+    forward,
+    lower_edge,
+    minimum_jerk,
+    pulse,
+    smooth_head,
+    smooth_step,
+    upper_edge,
+)
+from posetrack_cli.synthesis.head.options import TWO_MOTIONS, HeadSynthOptions
+
+# Who is seen: proportions and looks of a head, drawn from a seed
+
+
+LIKENESS_MM = 35.0
+"""[ours] Distance over which neighbouring points of a face deviate alike."""
+ASYMMETRY = 0.15
+"""[ours] Share of the deviation that the two halves of a face do not have in common."""
+MOST_DEVIATION = 2.0
+"""Deviations are drawn within so many standard deviations, all together: no face is a freak."""
+
+# angle from the front, deg: the hairline's height, mm, relative to its height in the middle
+_ANGLES = np.radians([0.0, 20.0, 38.0, 52.0, 62.0, 72.0, 82.0, 92.0, 105.0, 120.0, 180.0])
+_DROP = np.array([0.0, 1.0, 4.0, 12.0, 38.0, 62.0, 92.0, 84.0, 96.0, 150.0, 165.0])
+
+
+@dataclass(frozen=True)
+class Looks:
+    """What a face looks like where no feature point says so; lengths mm, tones are reflectances 0 to 1.
+
+    Attributes:
+        skin, hair, lips, iris: tones.
+        brow_thickness: of the brow at its inner end.
+        brow_arch: how far the brow rises above the line between its ends.
+        brow_density: opacity 0 to 1.
+        upper_lid, lower_lid: greatest distance of a lid's edge from the line between the eye's corners.
+        upper_lip, lower_lip: thickness in the middle.
+        hairline: height of the hair's edge above the eyes.
+        hair_volume: how far the hair stands off.
+        stubble: darkness 0 to 1 of the beard's shadow.
+        freckles: number of spots.
+        wrinkles: depth 0 to 1 of the lines of the skin.
+        texture_seed: of everything else that is random about the skin.
+    """
+
+    skin: float = 0.62
+    hair: float = 0.16
+    lips: float = 0.40
+    iris: float = 0.16
+    brow_thickness: float = 8.0
+    brow_arch: float = 4.0
+    brow_density: float = 0.8
+    upper_lid: float = 5.6
+    lower_lid: float = 3.8
+    upper_lip: float = 7.0
+    lower_lip: float = 9.0
+    hairline: float = 74.0
+    hair_volume: float = 7.0
+    stubble: float = 0.1
+    freckles: int = 60
+    wrinkles: float = 0.5
+    texture_seed: int = 0
+
+    def lids(self, x: FloatArray, y: FloatArray) -> LidPlaces:
+        """Return where places (...), mm, of the average head lie at the lids of this face."""
+        s, above = along_and_above(x, y)
+        return LidPlaces(s, above, upper_edge(s, self.upper_lid), lower_edge(s, self.lower_lid))
+
+
+@dataclass(frozen=True, eq=False)
+class Identity:
+    """A person.
+
+    Attributes:
+        points: (K, 3) the ten feature points of the neutral face, mm, head's frame.
+        relief: of the face between them.
+        looks: of the skin.
+    """
+
+    points: FloatArray = field(default_factory=MEAN_SHAPE.copy)
+    relief: Relief = field(default_factory=Relief)
+    looks: Looks = field(default_factory=Looks)
+
+
+def identity_of_seed(seed: int) -> Identity:
+    """Return the person of a seed; the same seed is the same person in every recording."""
+    shape, looks = np.random.default_rng([seed, 0x68656164]).spawn(2)
+    return Identity(random_points(shape), _random_relief(shape), _random_looks(looks))
+
+
+def random_points(rng: np.random.Generator) -> FloatArray:
+    """Draw the ten points (K, 3) of a neutral face, mm, with the origin at the mean of the eye corners.
+
+    Deviations from ``MEAN_SHAPE`` are Gaussian with the standard deviations ``SHAPE_SD``, measured on
+    ICT-FaceKit's identities. How they hang together is **[ours]**: exp(-d^2 / (2 l^2)) between points at
+    distance d, and nearly the same on both sides.
+    """
+    while True:
+        common, apart = (_smooth_deviation(rng) for _ in range(2))
+        common = _symmetric(common)
+        deviation = np.sqrt(1.0 - ASYMMETRY**2) * common + ASYMMETRY * apart
+        if float(np.sqrt(np.mean(deviation**2))) < MOST_DEVIATION:
+            break
+    points: FloatArray = MEAN_SHAPE + SHAPE_SD * deviation
+    centred: FloatArray = points - points[EYES].mean(axis=0)
+    return centred
+
+
+def _smooth_deviation(rng: np.random.Generator) -> FloatArray:
+    """(K, 3) of unit variance, alike where points are close together."""
+    apart = np.linalg.norm(MEAN_SHAPE[:, None] - MEAN_SHAPE[None], axis=-1)
+    covariance = np.exp(-0.5 * (apart / LIKENESS_MM) ** 2) + 1e-9 * np.eye(len(MEAN_SHAPE))
+    deviation: FloatArray = np.linalg.cholesky(covariance) @ rng.standard_normal(MEAN_SHAPE.shape)
+    return deviation
+
+
+def _symmetric(deviation: FloatArray) -> FloatArray:
+    """The right half's deviation, and its mirror image on the left."""
+    mirrored = deviation[list(MIRRORED)] * [-1.0, 1.0, 1.0]
+    right = MEAN_SHAPE[:, 0] < 0.0
+    both: FloatArray = np.where(right[:, None], deviation, mirrored)
+    return both
+
+
+def _random_relief(rng: np.random.Generator) -> Relief:
+    return Relief(
+        nose=rng.uniform(0.8, 1.15),
+        nose_width=rng.uniform(0.9, 1.2),
+        lips=rng.uniform(0.7, 1.25),
+        bones=rng.uniform(0.8, 1.2),
+    )
+
+
+def _random_looks(rng: np.random.Generator) -> Looks:
+    skin = rng.uniform(0.42, 0.70)
+    return Looks(
+        skin=skin,
+        hair=rng.uniform(0.07, 0.26),
+        lips=skin * rng.uniform(0.55, 0.72),
+        iris=rng.uniform(0.06, 0.22),
+        brow_thickness=rng.uniform(6.5, 9.5),
+        brow_arch=rng.uniform(2.0, 5.5),
+        brow_density=rng.uniform(0.65, 0.9),
+        upper_lid=rng.uniform(4.8, 6.2),
+        lower_lid=rng.uniform(3.3, 4.3),
+        upper_lip=rng.uniform(5.0, 8.0),
+        lower_lip=rng.uniform(7.0, 10.0),
+        hairline=rng.uniform(66.0, 80.0),
+        hair_volume=rng.uniform(3.0, 12.0),
+        stubble=max(0.0, rng.uniform(-0.5, 0.45)),
+        freckles=int(rng.integers(10, 160)),
+        wrinkles=rng.uniform(0.2, 0.9),
+        texture_seed=int(rng.integers(2**31)),
+    )
+
+
+def hair_share(places: FloatArray, looks: Looks, *, soft_mm: float = 8.0) -> FloatArray:
+    """Return how much hair (...) grows at places (..., 3) of the average head: 0 none, 1 full."""
+    angle = np.abs(np.arctan2(places[..., 0], (places[..., 2] + 82.0)))
+    line = looks.hairline - np.interp(angle, _ANGLES, _DROP)
+    return smooth_step((places[..., 1] - line) / soft_mm)
+
+
+# When a synthetic face makes which expression: the pattern of the thesis's experiment 3.4, or another.
+#
+# After a neutral beginning it deforms until two thirds of the recording are over, then only the head moves;
+# or it makes the two motions that models of faces are built from: the mouth grows wide and narrow, then the
+# whole face long and short, brows and jaw together, each swept through its range several times, slowly.
+# Blinks and small movements of the eyes go on throughout.
+
+
+NEUTRAL_S, NEUTRAL_PART = 2.0, 0.15
+"""The neutral beginning: so long, but at most this part of the recording."""
+DEFORMING_PART = 2.0 / 3.0
+RISE_S, HOLD_S, FALL_S, REST_S = (0.25, 0.6), (0.2, 1.0), (0.25, 0.6), (0.0, 0.4)
+BLINK_EVERY_S, BLINK_S = (2.5, 6.0), (0.06, 0.02, 0.10)
+GAZE_EVERY_S, GAZE_MOVE_S, GAZE = (0.8, 3.0), 0.06, 0.5
+# what is made together, with the least and greatest strength
+_FACES: tuple[dict[str, tuple[float, float]], ...] = (
+    {"jaw_open": (0.4, 0.9)},
+    {"jaw_open": (0.3, 0.6), "brows_up": (0.5, 1.0)},
+    {"smile_right": (0.5, 0.9), "smile_left": (0.5, 0.9)},
+    {"smile_right": (0.4, 0.8), "smile_left": (0.4, 0.8), "jaw_open": (0.1, 0.3)},
+    {"smile_left": (0.5, 0.9)},
+    {"smile_right": (0.5, 0.9)},
+    {"mouth_sideways": (0.5, 0.9)},
+    {"mouth_sideways": (-0.9, -0.5)},
+    {"pucker": (0.5, 1.0)},
+    {"brows_up": (0.6, 1.0)},
+    {"brows_down": (0.6, 1.0), "pucker": (0.0, 0.4)},
+)
+
+# The two motions that models of faces are built from (thesis, 4.2 and figure 4.4)
+STILL_S, STILL_PART = 4.5, 0.3
+"""The neutral beginning, in which a tracker takes the face for rigid: so long, but at most this part."""
+SWEEP_S, LEAST_SWEEPS = 3.0, 2
+"""[ours] Each motion is swept through in about this time, so many times at least."""
+HOLD_PART = 0.1
+"""Of a sweep, in which either end of the range is held."""
+STRENGTH = (0.8, 1.0)
+# what is made together, the one way and the other
+_WIDTH = (("smile_right", "smile_left"), ("pucker",))
+_LENGTH = (("jaw_open", "brows_up"), ("brows_down",))
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One expression: its name, greatest strength, begin, and how long it rises, stays and falls, s."""
+
+    name: str
+    strength: float
+    start: float
+    rise: float
+    hold: float
+    fall: float
+
+    @property
+    def end(self) -> float:
+        """When it is over, s."""
+        return self.start + self.rise + self.hold + self.fall
+
+
+@dataclass(frozen=True, eq=False)
+class ExpressionScript:
+    """All expressions of a recording.
+
+    Attributes:
+        episodes: in any order; strengths of the same name add up.
+        gazes: (G, 2) when the eyes move, s, and where to, -1 to 1.
+    """
+
+    episodes: tuple[Episode, ...]
+    gazes: FloatArray
+
+    def strengths(self, times: FloatArray) -> FloatArray:
+        """Strengths (T, J) of ``EXPRESSIONS`` at times (T,), s."""
+        values = np.zeros((len(times), len(EXPRESSIONS)))
+        for one in self.episodes:
+            shape = pulse(times, one.start, one.rise, one.hold, one.fall)
+            values[:, EXPRESSIONS.index(one.name)] += one.strength * shape
+        values[:, EXPRESSIONS.index("gaze")] = self._gaze(times)
+        return values
+
+    def _gaze(self, times: FloatArray) -> FloatArray:
+        gaze, before = np.zeros(len(times)), 0.0
+        for start, target in self.gazes:
+            gaze += (target - before) * minimum_jerk((times - start) / GAZE_MOVE_S)
+            before = target
+        return gaze
+
+
+def make_script(options: HeadSynthOptions, rng: np.random.Generator) -> ExpressionScript:
+    """Draw the expressions of a recording; without expressions the face keeps quite still."""
+    if not options.expressions:
+        return ExpressionScript((), np.zeros((0, 2)))
+    deforming, blinking, looking = rng.spawn(3)
+    duration_s = options.duration_s
+    drawn = two_motions if options.script == TWO_MOTIONS else _deformations
+    episodes = [*drawn(duration_s, deforming), *_blinks(duration_s, blinking)]
+    return ExpressionScript(tuple(episodes), _gazes(duration_s, looking))
+
+
+def deforming_interval(options: HeadSynthOptions) -> tuple[float, float] | None:
+    """Return from when until when a face deforms, s; None for never."""
+    if not options.expressions:
+        return None
+    of_script = motions_interval if options.script == TWO_MOTIONS else _free_interval
+    return of_script(options.duration_s)
+
+
+def _free_interval(duration_s: float) -> tuple[float, float]:
+    return min(NEUTRAL_S, NEUTRAL_PART * duration_s), DEFORMING_PART * duration_s
+
+
+def _deformations(duration_s: float, rng: np.random.Generator) -> list[Episode]:
+    time, end = _free_interval(duration_s)
+    order: list[int] = []
+    episodes: list[Episode] = []
+    while True:
+        order = order or rng.permutation(len(_FACES)).tolist()
+        rise, hold, fall = (float(rng.uniform(*limits)) for limits in (RISE_S, HOLD_S, FALL_S))
+        if time + rise + hold + fall > end:
+            return episodes
+        for name, limits in _FACES[order.pop()].items():
+            episodes.append(Episode(name, float(rng.uniform(*limits)), time, rise, hold, fall))
+        time += rise + hold + fall + float(rng.uniform(*REST_S))
+
+
+def _blinks(duration_s: float, rng: np.random.Generator) -> list[Episode]:
+    time, episodes = float(rng.uniform(*BLINK_EVERY_S)), []
+    while time < duration_s:
+        episodes.append(Episode("blink", 1.0, time, *BLINK_S))
+        time += float(rng.uniform(*BLINK_EVERY_S))
+    return episodes
+
+
+def _gazes(duration_s: float, rng: np.random.Generator) -> FloatArray:
+    time, gazes = float(rng.uniform(*GAZE_EVERY_S)), []
+    while time < duration_s:
+        gazes.append((time, float(rng.uniform(-GAZE, GAZE))))
+        time += float(rng.uniform(*GAZE_EVERY_S))
+    return np.array(gazes, dtype=np.float64).reshape(-1, 2)
+
+
+def two_motions(duration_s: float, rng: np.random.Generator) -> tuple[Episode, ...]:
+    """Return the expressions of a recording of so many seconds."""
+    start, end = motions_interval(duration_s)
+    half = 0.5 * (end - start)
+    return (*_sweeps(_WIDTH, start, half, rng), *_sweeps(_LENGTH, start + half, half, rng))
+
+
+def motions_interval(duration_s: float) -> tuple[float, float]:
+    """Return from when until when the face moves, s."""
+    return min(STILL_S, STILL_PART * duration_s), duration_s
+
+
+def _sweeps(
+    motion: tuple[tuple[str, ...], ...], start: float, length: float, rng: np.random.Generator
+) -> Iterator[Episode]:
+    """One motion to and fro in a time: a sweep goes one way and back, then the other way and back."""
+    count = max(LEAST_SWEEPS, round(length / SWEEP_S))
+    time, part = start, length / (count * len(motion))
+    hold = HOLD_PART * part
+    way = 0.5 * (part - hold)
+    for _ in range(count):
+        for together in motion:
+            strength = float(rng.uniform(*STRENGTH))
+            for name in together:
+                yield Episode(name, strength, time, way, hold, way)
+            time += part
+
+
+# How a face deforms: expressions as displacements of the skin, linear in their strengths
+
+
+EXPRESSIONS = (
+    "jaw_open",
+    "smile_right",
+    "smile_left",
+    "mouth_sideways",
+    "pucker",
+    "brows_up",
+    "brows_down",
+    "blink",
+    "gaze",
+)
+"""Names of the strengths: 0 is neutral and 1 the most; ``BOTH_WAYS`` go from -1 to 1, positive to the
+subject's left."""
+BOTH_WAYS = ("mouth_sideways", "gaze")
+
+MOTION_REACH_MM = 26.0
+HINGE = np.array([-14.0, AXIS_Z])  # y, z of the jaw's axis, mm
+JAW_RAD = float(np.radians(16.4))
+GAZE_MM = 3.0
+Anchors = list[tuple[float, float, float, float, float]]
+
+# x, y of a place; its displacement in x, y, z at full strength, mm. Sizes as measured on ICT-FaceKit's
+# expressions: corners of the mouth 17.5 when the jaw opens, 15.6 in a smile, 18 sideways, 11 in a pucker;
+# brows 4.5.
+_STILL: Anchors = [
+    (0.0, -36.0, 0, 0, 0),
+    (0.0, -10.0, 0, 0, 0),
+    (-62.0, 5.0, 0, 0, 0),
+    (62.0, 5.0, 0, 0, 0),
+    (-68.0, -45.0, 0, 0, 0),
+    (68.0, -45.0, 0, 0, 0),
+]
+_SMILE: Anchors = [
+    (MOUTH_X, MOUTH_Y, 7.5, 10.0, -9.0),
+    (9.0, MOUTH_Y, 1.5, 1.5, -1.5),
+    (-MOUTH_X, MOUTH_Y, 0, 0, 0),
+    (38.0, -34.0, 0.8, 4.0, 1.5),
+    (0.0, -105.0, 0, 0, 0),
+]
+_SIDEWAYS: Anchors = [
+    (MOUTH_X, MOUTH_Y, 11.0, 4.0, -5.0),
+    (-MOUTH_X, MOUTH_Y, 15.5, 1.0, 8.5),
+    (0.0, MOUTH_Y, 13.5, 0.5, 1.0),
+    (0.0, -105.0, 6.0, 0.0, 0.5),
+]
+_PUCKER: Anchors = [
+    (MOUTH_X, MOUTH_Y, -5.0, 2.0, 9.5),
+    (-MOUTH_X, MOUTH_Y, 5.0, 2.0, 9.5),
+    (0.0, MOUTH_Y, 0.0, 0.5, 7.0),
+    (0.0, -105.0, 0.0, 1.0, 1.0),
+]
+_BROWS_UP: Anchors = [
+    (11.7, 25.7, 0.2, 4.5, -0.3),
+    (-11.7, 25.7, -0.2, 4.5, -0.3),
+    (38.0, 27.0, 0.0, 5.0, -0.5),
+    (-38.0, 27.0, 0.0, 5.0, -0.5),
+    (0.0, 75.0, 0, 0, 0),
+    (31.0, 11.0, 0.0, 1.2, 0.0),
+    (-31.0, 11.0, 0.0, 1.2, 0.0),
+]
+_BROWS_DOWN: Anchors = [
+    (11.7, 25.7, -2.2, -2.6, 1.2),
+    (-11.7, 25.7, 2.2, -2.6, 1.2),
+    (38.0, 27.0, -1.0, -2.0, 0.5),
+    (-38.0, 27.0, 1.0, -2.0, 0.5),
+    (0.0, 70.0, 0, 0, 0),
+]
+
+
+def displacements(places: FloatArray, below: FloatArray, looks: Looks) -> FloatArray:
+    """Return what every expression moves (J, ..., 3), mm at full strength.
+
+    Args:
+        places: (..., 3) on the average head, mm.
+        below: (...) 1 where the skin moves with the lower jaw's side of the mouth, 0 with the upper.
+        looks: of the face; its lids' edges are read.
+    """
+    xy = places[..., :2]
+    front = np.clip((places[..., 2] - AXIS_Z) / 40.0, 0.0, 1.0)[..., None]
+    fields = [
+        _jaw(places, below),
+        _mirrored(_field(_SMILE), xy),
+        _field(_SMILE)(xy),
+        _field(_SIDEWAYS)(xy),
+        _field(_PUCKER)(xy),
+        _field(_BROWS_UP)(xy),
+        _field(_BROWS_DOWN)(xy),
+        _blink(xy, looks),
+        _gaze(xy, looks),
+    ]
+    return np.stack([front * field for field in fields])
+
+
+def belongs_below(x: FloatArray, y: FloatArray) -> FloatArray:
+    """Return which share (...) of a place moves with the lower side of the mouth.
+
+    A step at the lips; beyond the corners of the mouth a slope that widens.
+    """
+    beyond = np.maximum(np.abs(x) - MOUTH_X, 0.0)
+    return smooth_step((MOUTH_Y - y) / np.maximum(1.1 * beyond, 1e-9) * 0.5 + 0.5)
+
+
+def _field(anchors: Anchors) -> Displacements:
+    """The field of anchors, the eyes, nostrils and the places that never move."""
+    fixed: Anchors = [(float(x), float(y), 0, 0, 0) for x, y, _ in [*MEAN_SHAPE[EYES], *MEAN_SHAPE[6:8]]]
+    named = {(x, y) for x, y, *_ in anchors}
+    table = np.array([*anchors, *(a for a in [*_STILL, *fixed] if a[:2] not in named)])
+    return Displacements(table[:, :2], table[:, 2:], MOTION_REACH_MM)
+
+
+def _mirrored(field: Displacements, xy: FloatArray) -> FloatArray:
+    mirrored: FloatArray = field(xy * [-1.0, 1.0]) * [-1.0, 1.0, 1.0]
+    return mirrored
+
+
+def _jaw(places: FloatArray, below: FloatArray) -> FloatArray:
+    """The lower face turns about the jaw's axis, the mouth's corners and cheeks follow in part."""
+    hung = places[..., 1:] - HINGE
+    sine, cosine = np.sin(JAW_RAD), np.cos(JAW_RAD)
+    turned = np.stack([np.zeros_like(hung[..., 0]), *_turned(hung, sine, cosine)], axis=-1)
+    x, y = places[..., 0], places[..., 1]
+    corner = np.exp(-0.5 * ((np.abs(x) - MOUTH_X) / 12.0) ** 2 - 0.5 * ((y - MOUTH_Y) / 14.0) ** 2)
+    full = smooth_step((-20.0 - y) / 60.0) * smooth_step((y + 150.0) / 26.0)
+    middle = 1.0 - smooth_step((np.abs(x) - 0.55 * MOUTH_X) / (0.45 * MOUTH_X))
+    lower = np.where(np.abs(x) < MOUTH_X, 0.62 + 0.38 * middle, 0.62)
+    lower = np.where(
+        y < MOUTH_Y - 8.0, np.maximum(lower, 0.62 + 0.38 * smooth_step((MOUTH_Y - 8.0 - y) / 25.0)), lower
+    )
+    upper = 0.62 * corner
+    share = full * ((1.0 - below) * upper + below * np.maximum(lower, upper))
+    inward = np.stack([-0.16 * np.clip(x, -MOUTH_X, MOUTH_X), np.zeros_like(x), np.zeros_like(x)], axis=-1)
+    field: FloatArray = share[..., None] * turned + corner[..., None] * inward
+    return field
+
+
+def _turned(hung: FloatArray, sine: float, cosine: float) -> tuple[FloatArray, FloatArray]:
+    """Displacement in y and z of points (..., 2) that hang in y and z before an axis, turned down."""
+    y, z = hung[..., 0], hung[..., 1]
+    return (cosine - 1.0) * y - sine * z, sine * y + (cosine - 1.0) * z
+
+
+def _blink(xy: FloatArray, looks: Looks) -> FloatArray:
+    """The upper lid comes down to the lower: what the opening shows is pressed together behind its edge."""
+    s, above, top, bottom = looks.lids(xy[..., 0], xy[..., 1])
+    within = smooth_step((s + 0.12) / 0.12) * smooth_step((1.12 - s) / 0.12)
+    opening = np.maximum(top - bottom, 1e-6)
+    part = np.clip((above - bottom) / opening, 0.0, 1.0)
+    lid = smooth_step((top + 9.0 - above) / 9.0)
+    down = np.where(above < top, part, lid) * opening * within * 0.96
+    down = np.where(above < bottom, 0.0, down)
+    return np.stack([np.zeros_like(down), -down, 0.1 * down], axis=-1)
+
+
+def _gaze(xy: FloatArray, looks: Looks) -> FloatArray:
+    """What the openings show moves to the subject's left, not at all at their edges."""
+    s, above, top, bottom = looks.lids(xy[..., 0], xy[..., 1])
+    height = np.clip((above - bottom) / np.maximum(top - bottom, 1e-6), 0.0, 1.0)
+    inside = np.clip(4.0 * s * (1.0 - s), 0.0, 1.0) * np.minimum(1.0, 6.0 * height * (1.0 - height))
+    aside = GAZE_MM * inside * (xy[..., 1] < 12.0)
+    return np.stack([aside, np.zeros_like(aside), np.zeros_like(aside)], axis=-1)
+
+
+# A person's head as it can be drawn: neutral skin, what expressions move, and the ten true points
+
 
 REACH_MM = 30.0
 EAR_MIDDLE = np.array([72.0, -16.0, -88.0])

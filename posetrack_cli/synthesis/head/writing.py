@@ -20,12 +20,12 @@ from posetrack_cli.mcap.sink import McapSink, serialised
 from posetrack_cli.outputs import check_output, check_place, is_taken, part_path
 from posetrack_cli.recording.base import CAMERA_FILE_NAME, TRUTH_FILE_NAME
 from posetrack_cli.recording.camera_file import camera_file_text
-from posetrack_cli.recording.message_calibration import calibration_message
+from posetrack_cli.recording.message_cameras import calibration_message
 from posetrack_cli.recording.stamps import STAMPS_FILE_NAME
 from posetrack_cli.results import messages
-from posetrack_cli.synthesis.head.expression_script import deforming_interval
 from posetrack_cli.synthesis.head.frames import Plan, SyntheticHeadFrame, make_plan, render_plan
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
+from posetrack_cli.synthesis.head.person import deforming_interval
 from posetrack_cli.synthesis.recording import (
     Synthesis,
     TruthChannels,

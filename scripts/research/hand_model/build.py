@@ -13,9 +13,8 @@ import click
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.cli.progress import bar
-from posetrack_cli.hand.anatomy import rest_rotations
-from posetrack_cli.hand.population import COEFFICIENTS, SHIPPED, Population, RestHand
+from posetrack_cli.cli.terminal import bar
+from posetrack_cli.hand.model.anatomy import COEFFICIENTS, SHIPPED, Population, RestHand, rest_rotations
 from posetrack_cli.outputs import whole_or_nothing
 from posetrack_cli.rendering.mesh import smoothing
 from research.hand_model.people import rows

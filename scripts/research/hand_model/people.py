@@ -9,12 +9,16 @@ from pathlib import Path
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.hand.anatomy import BONE_COUNT, HandAnatomy
-from posetrack_cli.hand.calibration.measures import MEASURES, measures_of
-from posetrack_cli.hand.shape import HandShape, reshaped_anatomy, reshaped_skin
-from posetrack_cli.hand.webxr import PER_METRE, FileHand, joint_places, straightened
-from posetrack_cli.rendering.gltf import read_glb
-from posetrack_cli.rendering.gltf_skin import read_skin
+from posetrack_cli.hand.model.anatomy import (
+    BONE_COUNT,
+    HandAnatomy,
+    HandShape,
+    reshaped_anatomy,
+    reshaped_skin,
+)
+from posetrack_cli.hand.model.webxr import PER_METRE, FileHand, joint_places, straightened
+from posetrack_cli.hand.shape_fit import MEASURES, measures_of
+from posetrack_cli.rendering.gltf import read_glb, read_skin
 from posetrack_cli.rendering.mesh import SkinnedMesh, smoothing
 from research.hand_model.joints import anatomical_joints
 from research.hand_model.registration import Skin, Template

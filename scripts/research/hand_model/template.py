@@ -13,7 +13,7 @@ import itertools
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray, IntArray
-from posetrack_cli.hand.anatomy import BONE_COUNT, HandAnatomy, rest_rotations
+from posetrack_cli.hand.model.anatomy import BONE_COUNT, HandAnatomy, rest_rotations
 from posetrack_cli.rendering.mesh import SkinnedMesh
 
 # Buryanov and Kotiuk 2010, mm: metacarpal, then the three moving segments out to the tip of the skin.

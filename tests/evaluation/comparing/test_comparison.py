@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import norm
 
-import posetrack_cli.evaluation.comparing.paired as paired_module
-from posetrack_cli.evaluation.comparing.comparison import compare
-from posetrack_cli.evaluation.comparing.paired import (
+import posetrack_cli.evaluation.judging.comparing as paired_module
+from posetrack_cli.evaluation.judging.comparing import (
     block_means,
+    compare,
     neighbour_correlation,
     paired,
     paired_blocks,

@@ -10,11 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from posetrack_cli.errors import UsageError
-from posetrack_cli.evaluation.comparing.comparison import UNCORRECTED
-from posetrack_cli.evaluation.comparing.groups import compare_groups, pair_by_recording
-from posetrack_cli.evaluation.comparing.paired import paired
-from posetrack_cli.evaluation.coverage import Coverage
-from posetrack_cli.evaluation.evaluation import statistics
+from posetrack_cli.evaluation.judging.comparing import UNCORRECTED, compare_groups, pair_by_recording, paired
+from posetrack_cli.evaluation.measuring.evaluation import statistics
+from posetrack_cli.evaluation.reading.tracks import Coverage
 from support.evaluation import hand_evaluation
 
 KEYS = st.lists(st.tuples(st.sampled_from("pqrst"), st.sampled_from("123")), unique=True, max_size=9)

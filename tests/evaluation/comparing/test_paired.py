@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from posetrack_cli.evaluation.comparing.paired import paired
+from posetrack_cli.evaluation.judging.comparing import paired
 
 WHOLE = st.integers(-6, 6).map(float)  # ties and zeros happen; sums of them are exact
 

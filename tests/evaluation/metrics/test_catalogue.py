@@ -5,17 +5,17 @@ from __future__ import annotations
 import pytest
 
 from posetrack_cli.errors import UsageError
-from posetrack_cli.evaluation.evaluation import STATISTIC_NAMES
-from posetrack_cli.evaluation.metrics.catalogue import (
+from posetrack_cli.evaluation.measuring.catalogue import (
     CATALOGUE,
     addresses,
     is_measured,
     metric_of,
     split_address,
 )
-from posetrack_cli.evaluation.metrics.metric import GROUP_TITLES
-from posetrack_cli.evaluation.subjects import KINDS
-from posetrack_cli.hand.anatomy import ANGLE_NAMES, FINGERS, JOINT_NAMES
+from posetrack_cli.evaluation.measuring.evaluation import STATISTIC_NAMES
+from posetrack_cli.evaluation.measuring.measures import GROUP_TITLES
+from posetrack_cli.evaluation.measuring.subjects import KINDS
+from posetrack_cli.hand.model.anatomy import ANGLE_NAMES, FINGERS, JOINT_NAMES
 
 HEAD_POINTS = ("left_eye_outer", "left_nostril")
 

@@ -11,11 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.evaluation.evaluation import Statistics, Value
-from posetrack_cli.evaluation.metrics import without_truth
-from posetrack_cli.evaluation.metrics.measures import Measures
-from posetrack_cli.evaluation.metrics.without_truth import jitter
-from posetrack_cli.evaluation.track import Track
+from posetrack_cli.evaluation.measuring import without_truth
+from posetrack_cli.evaluation.measuring.evaluation import Statistics, Value
+from posetrack_cli.evaluation.measuring.measures import Measures
+from posetrack_cli.evaluation.measuring.without_truth import jitter
+from posetrack_cli.evaluation.reading.tracks import Track
 from support.tracks import hand_track
 
 FRAME_NS = 33_333_333

@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.evaluation.track import Track
+from posetrack_cli.evaluation.reading.tracks import Track
 from posetrack_cli.geometry import rotations
-from posetrack_cli.tracking.body_space import BodySpace
+from posetrack_cli.tracking.velocity import BodySpace
 from support.metrics import figures, measure, number, relaxed
 from support.tracks import random_hand, random_head
 

@@ -12,13 +12,12 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.evaluation.association import Pairs
-from posetrack_cli.evaluation.evaluation import Statistics, statistics
-from posetrack_cli.evaluation.metrics.catalogue import addresses
-from posetrack_cli.evaluation.metrics.hand_metrics import WITHIN_MM
-from posetrack_cli.evaluation.track import Track
+from posetrack_cli.evaluation.measuring.catalogue import addresses
+from posetrack_cli.evaluation.measuring.evaluation import Statistics, statistics
+from posetrack_cli.evaluation.measuring.hand_metrics import WITHIN_MM
+from posetrack_cli.evaluation.reading.tracks import Pairs, Track
 from posetrack_cli.geometry import rotations
-from posetrack_cli.hand.anatomy import ANGLE_NAMES, FINGERS, JOINT_NAMES
+from posetrack_cli.hand.model.anatomy import ANGLE_NAMES, FINGERS, JOINT_NAMES
 from support.metrics import NOTHING, figures, measure, number, relaxed
 from support.tracks import moved, random_hand
 

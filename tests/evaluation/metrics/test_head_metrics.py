@@ -10,12 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from posetrack_cli.evaluation.evaluation import Statistics
-from posetrack_cli.evaluation.metrics.catalogue import addresses
-from posetrack_cli.evaluation.metrics.head_metrics import HEAD_POSE
-from posetrack_cli.evaluation.track import Track
+from posetrack_cli.evaluation.measuring.catalogue import addresses
+from posetrack_cli.evaluation.measuring.evaluation import Statistics
+from posetrack_cli.evaluation.measuring.head_metrics import HEAD_POSE
+from posetrack_cli.evaluation.reading.tracks import Track
 from posetrack_cli.geometry import rotations
-from posetrack_cli.geometry.euler import head_quaternion_from_roll_pitch_yaw
+from posetrack_cli.geometry.rotations import head_quaternion_from_roll_pitch_yaw
 from support.metrics import figures, measure, relaxed
 from support.tracks import HEAD_POINTS, moved, random_head
 

@@ -7,8 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from posetrack_cli.evaluation.honesty import JudgedFrames
-from posetrack_cli.evaluation.metrics.honesty_metrics import (
+from posetrack_cli.evaluation.measuring.honesty import JudgedFrames
+from posetrack_cli.evaluation.measuring.measures import Matched, Measures
+from posetrack_cli.evaluation.measuring.subjects import KINDS
+from posetrack_cli.evaluation.measuring.without_truth import (
     ALL_RIGHT,
     ALL_WRONG,
     HONESTY,
@@ -17,9 +19,7 @@ from posetrack_cli.evaluation.metrics.honesty_metrics import (
     honesty_metrics,
     judged_frames,
 )
-from posetrack_cli.evaluation.metrics.measures import Matched, Measures
-from posetrack_cli.evaluation.subjects import KINDS
-from posetrack_cli.evaluation.track import Track
+from posetrack_cli.evaluation.reading.tracks import Track
 from posetrack_cli.geometry import rotations
 from support.metrics import NOTHING, all_pairs, measure, number
 from support.tracks import hand_track, random_head

@@ -11,15 +11,14 @@ import numpy as np
 import pytest
 
 from posetrack_cli.errors import ResultError
-from posetrack_cli.evaluation.evaluation import Statistics, Value, statistics
-from posetrack_cli.evaluation.metrics.image_consistency import image_consistency, region_overlap, residual_mm
+from posetrack_cli.evaluation.measuring.evaluation import Statistics, Value, statistics
+from posetrack_cli.evaluation.measuring.without_truth import image_consistency, region_overlap, residual_mm
 from posetrack_cli.evaluation.viewing.drawing import Shown
 from posetrack_cli.evaluation.viewing.hand_drawing import HandDrawer
-from posetrack_cli.hand.model import average_hand
+from posetrack_cli.hand.model.hand import average_hand
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.recording.recording import Recording
-from posetrack_cli.rendering.port import RenderingDevice
-from posetrack_cli.rendering.sums import Comparison, TileSums, sums_in_numpy
+from posetrack_cli.rendering.port import Comparison, RenderingDevice, TileSums, sums_in_numpy
 from posetrack_cli.results import ResultWriter, Subject, read_result
 from posetrack_cli.synthesis.hand.options import Switches
 from support.viewing import lost_from, make_recording, make_result, moved, truth_of

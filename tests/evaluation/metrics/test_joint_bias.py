@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from posetrack_cli.evaluation.track import Track
+from posetrack_cli.evaluation.reading.tracks import Track
 from posetrack_cli.geometry import rotations
-from posetrack_cli.hand.anatomy import JOINT_NAMES
+from posetrack_cli.hand.model.anatomy import JOINT_NAMES
 from support.metrics import measure, number
 from support.tracks import random_hand
 

@@ -9,12 +9,12 @@ import pytest
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import ResultError
-from posetrack_cli.evaluation.metrics import joint_intervals as module
-from posetrack_cli.evaluation.metrics.joint_intervals import METRICS, joint_intervals, joint_variances
-from posetrack_cli.evaluation.metrics.measures import Matched, Measures
-from posetrack_cli.evaluation.track import Track
-from posetrack_cli.hand.anatomy import JOINT_NAMES, HandAnatomy, make_anatomy
-from posetrack_cli.hand.kinematics import joint_positions
+from posetrack_cli.evaluation.measuring import hand_metrics as module
+from posetrack_cli.evaluation.measuring.hand_metrics import METRICS, joint_intervals, joint_variances
+from posetrack_cli.evaluation.measuring.measures import Matched, Measures
+from posetrack_cli.evaluation.reading.tracks import Track
+from posetrack_cli.hand.model.anatomy import JOINT_NAMES, HandAnatomy, make_anatomy
+from posetrack_cli.hand.model.kinematics import joint_positions
 from support.metrics import NOTHING, all_pairs, number
 from support.tracks import hand_track, random_hand
 

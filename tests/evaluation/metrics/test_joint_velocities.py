@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.evaluation.evaluation import Statistics
-from posetrack_cli.evaluation.metrics.joint_velocities import (
+from posetrack_cli.evaluation.measuring.evaluation import Statistics
+from posetrack_cli.evaluation.measuring.hand_metrics import (
     ERROR,
     INTERVALS,
     central_differences,
     joint_velocities,
 )
-from posetrack_cli.evaluation.metrics.measures import Matched, Measures
-from posetrack_cli.evaluation.track import Track
-from posetrack_cli.hand.anatomy import JOINT_NAMES, make_anatomy
-from posetrack_cli.hand.kinematics import joint_positions
-from posetrack_cli.tracking.body_space import BodySpace
+from posetrack_cli.evaluation.measuring.measures import Matched, Measures
+from posetrack_cli.evaluation.reading.tracks import Track
+from posetrack_cli.hand.model.anatomy import JOINT_NAMES, make_anatomy
+from posetrack_cli.hand.model.kinematics import joint_positions
+from posetrack_cli.tracking.velocity import BodySpace
 from support.metrics import NOTHING, all_pairs, number
 from support.tracks import hand_track
 

@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import norm
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.evaluation.metrics import pose_errors
+from posetrack_cli.evaluation.measuring import pose_metrics as pose_errors
 from posetrack_cli.geometry import rotations
-from posetrack_cli.geometry.euler import head_quaternion_from_roll_pitch_yaw
+from posetrack_cli.geometry.rotations import head_quaternion_from_roll_pitch_yaw
 from support.metrics import relaxed
 
 FEW_ULPS_DEG = 1e-10

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from posetrack_cli.evaluation.metrics.measures import Measures
-from posetrack_cli.evaluation.metrics.without_truth import (
+from posetrack_cli.evaluation.measuring.measures import Measures
+from posetrack_cli.evaluation.measuring.without_truth import (
     EMPTY,
     NO_TIMINGS,
     NO_WEIGHTS,
@@ -17,7 +17,7 @@ from posetrack_cli.evaluation.metrics.without_truth import (
     particle_count,
     run_metrics,
 )
-from posetrack_cli.evaluation.track import Track
+from posetrack_cli.evaluation.reading.tracks import Track
 from support.metrics import figures, number
 from support.tracks import hand_track
 

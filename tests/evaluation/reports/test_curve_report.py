@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from posetrack_cli.errors import UsageError
-from posetrack_cli.evaluation.evaluation import Curve
+from posetrack_cli.evaluation.measuring.evaluation import Curve
 from posetrack_cli.evaluation.reports.report_files import curve_report
 from support.evaluation import hand_evaluation
 

@@ -11,14 +11,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from posetrack_cli.evaluation.comparing.comparison import compare
-from posetrack_cli.evaluation.comparing.groups import compare_groups
-from posetrack_cli.evaluation.evaluation import Statistics, statistics
-from posetrack_cli.evaluation.gates import check_gates, parse_gate
-from posetrack_cli.evaluation.pooling import make_pools
-from posetrack_cli.evaluation.reports.comparison_table import comparison_lines, comparison_tables, shown_p
+from posetrack_cli.evaluation.judging.comparing import compare, compare_groups
+from posetrack_cli.evaluation.judging.gates import check_gates, parse_gate
+from posetrack_cli.evaluation.measuring.evaluation import Statistics, statistics
+from posetrack_cli.evaluation.measuring.pooling import make_pools
 from posetrack_cli.evaluation.reports.report_files import FORMAT, HEADER, csv_report, json_report
-from posetrack_cli.losses import Loss
+from posetrack_cli.evaluation.reports.table import comparison_lines, comparison_tables, shown_p
+from posetrack_cli.phases import Loss
 from support.evaluation import hand_evaluation
 
 NAN = float("nan")

@@ -7,8 +7,8 @@ from xml.etree import ElementTree as ET
 from hypothesis import given
 from hypothesis import strategies as st
 
-from posetrack_cli.evaluation.gates import GateOutcome
-from posetrack_cli.evaluation.reports.junit import junit_report
+from posetrack_cli.evaluation.judging.gates import GateOutcome
+from posetrack_cli.evaluation.reports.writing import junit_report
 from support.html import NASTY
 
 PASSED = GateOutcome("coverage < 0.9", "a", 1.0, False, "coverage is 1", "coverage < 0.9")

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from markdown_it import MarkdownIt
 from markdown_it.token import Token
 
-from posetrack_cli.evaluation.gates import check_gates, parse_gate
-from posetrack_cli.evaluation.reports.markdown import MOST_FAILED, code, markdown_report
+from posetrack_cli.evaluation.judging.gates import check_gates, parse_gate
+from posetrack_cli.evaluation.reports.writing import MOST_FAILED, code, markdown_report
 from posetrack_cli.text import one_line
 from support.html import NASTY
 from support.rows import Before, result, result_set

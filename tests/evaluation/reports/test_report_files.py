@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from posetrack_cli.errors import ResultError, UsageError
-from posetrack_cli.evaluation.comparing.groups import expand_groups
+from posetrack_cli.evaluation.judging.comparing import expand_groups
 from posetrack_cli.evaluation.reports.report_files import check_reports, write_report
 
 

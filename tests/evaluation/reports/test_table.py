@@ -11,13 +11,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from posetrack_cli.evaluation.evaluation import Statistics
-from posetrack_cli.evaluation.joint_offsets import JointOffsets
-from posetrack_cli.evaluation.metrics.catalogue import CATALOGUE
-from posetrack_cli.evaluation.metrics.metric import Metric
+from posetrack_cli.evaluation.measuring.catalogue import CATALOGUE
+from posetrack_cli.evaluation.measuring.evaluation import Statistics
+from posetrack_cli.evaluation.measuring.measures import Metric
+from posetrack_cli.evaluation.reading.alignment import JointOffsets
 from posetrack_cli.evaluation.reports.table import Table, closing_lines, shown, tables
-from posetrack_cli.evaluation.reports.terminal import print_tables
-from posetrack_cli.losses import Loss
+from posetrack_cli.evaluation.reports.writing import print_tables
+from posetrack_cli.phases import Loss
 from support.evaluation import hand_evaluation
 from support.terminal import Terminal
 

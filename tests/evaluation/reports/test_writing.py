@@ -9,12 +9,12 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
-from posetrack_cli.evaluation import assessment
-from posetrack_cli.evaluation.assessment import Request, assess
-from posetrack_cli.evaluation.evaluate import EvalOptions
-from posetrack_cli.evaluation.evaluation import Evaluation
-from posetrack_cli.evaluation.gates import parse_gate
 from posetrack_cli.evaluation.html import write_rows_html
+from posetrack_cli.evaluation.judging import assessment
+from posetrack_cli.evaluation.judging.assessment import Request, assess
+from posetrack_cli.evaluation.judging.gates import parse_gate
+from posetrack_cli.evaluation.measuring.evaluate import EvalOptions
+from posetrack_cli.evaluation.measuring.evaluation import Evaluation
 from posetrack_cli.evaluation.reports.report_files import write_report
 from posetrack_cli.evaluation.reports.writing import Reports, report_texts, rows_page_of
 from support.rows import result

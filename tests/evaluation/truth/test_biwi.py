@@ -9,8 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from posetrack_cli.errors import TruthError
-from posetrack_cli.evaluation.truth.biwi import load_biwi_poses
-from posetrack_cli.evaluation.truth.loading import load_truth
+from posetrack_cli.evaluation.reading.truth import load_biwi_poses, load_truth
 from posetrack_cli.results.reader import read_result
 from support.truth import HEAD, estimates, write_result
 

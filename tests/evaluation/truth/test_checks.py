@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from posetrack_cli.evaluation.evaluate import EvalOptions, evaluate
-from posetrack_cli.evaluation.track import Track
-from posetrack_cli.evaluation.truth.checks import truth_warnings
+from posetrack_cli.evaluation.measuring.evaluate import EvalOptions, evaluate
+from posetrack_cli.evaluation.reading.tracks import Track
+from posetrack_cli.evaluation.reading.truth_tables import truth_warnings
 from posetrack_cli.results.reader import read_result
 from posetrack_cli.results.writer import ResultWriter
 from support.tracks import hand_track

@@ -14,9 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import TruthError
-from posetrack_cli.evaluation.track import Track
-from posetrack_cli.evaluation.truth.csv_table import BLOCK_ROWS
-from posetrack_cli.evaluation.truth.csv_track import load_csv_track
+from posetrack_cli.evaluation.reading.tracks import Track
+from posetrack_cli.evaluation.reading.truth_tables import BLOCK_ROWS, load_csv_track
 from posetrack_cli.results.estimate import Status, Subject
 from posetrack_cli.results.export.export import export_file
 from posetrack_cli.results.export.source import ExportSource

@@ -11,11 +11,11 @@ import pytest
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import PosetrackError, TruthError, UsageError
-from posetrack_cli.evaluation.evaluate import EvalOptions, evaluate
-from posetrack_cli.evaluation.evaluation import Evaluation, Statistics
-from posetrack_cli.evaluation.truth import image_points
-from posetrack_cli.evaluation.truth.image_points import load_image_points
-from posetrack_cli.evaluation.truth.loading import load_truth
+from posetrack_cli.evaluation.measuring.evaluate import EvalOptions, evaluate
+from posetrack_cli.evaluation.measuring.evaluation import Evaluation, Statistics
+from posetrack_cli.evaluation.reading import image_points
+from posetrack_cli.evaluation.reading.image_points import load_image_points
+from posetrack_cli.evaluation.reading.truth import load_truth
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.face.points import MEAN_SHAPE, POINT_NAMES
 from posetrack_cli.results.estimate import Subject

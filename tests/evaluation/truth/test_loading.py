@@ -14,15 +14,14 @@ from scipy.spatial.transform import Rotation
 from posetrack_cli import csv_rows
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import ResultError, TruthError, UsageError
-from posetrack_cli.evaluation.evaluate import EvalOptions, evaluate
-from posetrack_cli.evaluation.evaluation import Statistics
-from posetrack_cli.evaluation.track import Track
-from posetrack_cli.evaluation.truth import csv_table
-from posetrack_cli.evaluation.truth.csv_table import read_header
-from posetrack_cli.evaluation.truth.csv_track import load_csv_track
-from posetrack_cli.evaluation.truth.loading import load_truth
-from posetrack_cli.losses import LossLog
+from posetrack_cli.evaluation.measuring.evaluate import EvalOptions, evaluate
+from posetrack_cli.evaluation.measuring.evaluation import Statistics
+from posetrack_cli.evaluation.reading import truth_tables as csv_table
+from posetrack_cli.evaluation.reading.tracks import Track
+from posetrack_cli.evaluation.reading.truth import load_truth
+from posetrack_cli.evaluation.reading.truth_tables import load_csv_track, read_header
 from posetrack_cli.mcap.sink import McapSink
+from posetrack_cli.phases import LossLog
 from posetrack_cli.recording.base import TruthMessage
 from posetrack_cli.results import messages
 from posetrack_cli.results.estimate import Estimate, Subject

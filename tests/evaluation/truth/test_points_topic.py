@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from posetrack_cli.errors import TruthError
-from posetrack_cli.evaluation.evaluate import evaluate
-from posetrack_cli.evaluation.track import Track, track_of_result
-from posetrack_cli.evaluation.truth.loading import load_truth
-from posetrack_cli.evaluation.truth.topics import points_messages, points_topic
+from posetrack_cli.evaluation.measuring.evaluate import evaluate
+from posetrack_cli.evaluation.reading.tracks import Track, track_of_result
+from posetrack_cli.evaluation.reading.truth import load_truth
+from posetrack_cli.evaluation.reading.truth_topics import points_messages, points_topic
 from posetrack_cli.recording.base import TruthMessage
 from posetrack_cli.results.reader import read_result
 from support.truth import HAND, HEAD, estimates, write_result

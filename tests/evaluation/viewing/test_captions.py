@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from posetrack_cli.evaluation.viewing.captions import Captions, widest
+from posetrack_cli.evaluation.viewing.drawing import Captions, widest
 
 WHITE = (255, 255, 255)
 ROW_PX = 18

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from posetrack_cli.evaluation.viewing.colours import DepthRange, false_colour, lit, shaded
+from posetrack_cli.evaluation.viewing.drawing import DepthRange, false_colour, lit, shaded
 
 DEPTHS = DepthRange(500.0, 1000.0)
 

@@ -9,14 +9,13 @@ import cv2
 import numpy as np
 import pytest
 
-from posetrack_cli.evaluation.track import Track
-from posetrack_cli.evaluation.viewing.colours import LOST, SECOND, SKIN, TRUTH, DepthRange
-from posetrack_cli.evaluation.viewing.depth_panels import LAYOUTS, DepthPanels, DepthScene
-from posetrack_cli.evaluation.viewing.drawing import Shown
+from posetrack_cli.evaluation.reading.tracks import Track
+from posetrack_cli.evaluation.viewing.drawing import LOST, SECOND, SKIN, TRUTH, DepthRange, Shown
 from posetrack_cli.evaluation.viewing.hand_drawing import HandDrawer
 from posetrack_cli.evaluation.viewing.layers import Drawing, DrawnTrack, point_errors
+from posetrack_cli.evaluation.viewing.panels import DEPTH_LAYOUTS, DepthPanels, DepthScene
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.model import average_hand
+from posetrack_cli.hand.model.hand import average_hand
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.rendering.port import RenderingDevice
 from support.tracks import FRAME_NS, hand_track
@@ -159,7 +158,7 @@ def test_sizes_of_layouts(
     assert width == KINECT.width * across
     assert (height - KINECT.height * down) in (CAPTION_PX, 2 * CAPTION_PX, 3 * CAPTION_PX)
     assert {picture.shape for picture in pictures} == {pictures[0].shape}, "a video needs one size"
-    assert layout in LAYOUTS
+    assert layout in DEPTH_LAYOUTS
 
 
 def test_two_results_differ_in_colour(drawer: HandDrawer, track: Track) -> None:

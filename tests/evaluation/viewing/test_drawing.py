@@ -13,7 +13,7 @@ from posetrack_cli.evaluation.viewing.drawing import (
     SkeletonDrawer,
 )
 from posetrack_cli.geometry import rotations
-from posetrack_cli.hand.anatomy import JOINT_PARENTS
+from posetrack_cli.hand.model.anatomy import JOINT_PARENTS
 from support.viewing import KINECT, open_hand, shown_pose
 
 WHITE = (255, 255, 255)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from posetrack_cli.errors import UsageError
-from posetrack_cli.evaluation.track import Track
+from posetrack_cli.evaluation.reading.tracks import Track
 from posetrack_cli.evaluation.viewing.frame_choice import APART_NS, chosen_rows, fewer_said, worst_rows
 from support.tracks import FRAME_NS, hand_track
 

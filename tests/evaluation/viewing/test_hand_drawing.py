@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from posetrack_cli.evaluation.viewing.drawing import Canvas, Shown
+from posetrack_cli.evaluation.viewing.drawing import Canvas, Shown, Viewport, around_points
 from posetrack_cli.evaluation.viewing.hand_drawing import HandDrawer
-from posetrack_cli.evaluation.viewing.viewport import Viewport, around_points
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.anatomy import JOINT_NAMES, make_anatomy
-from posetrack_cli.hand.kinematics import mirrored_poses
-from posetrack_cli.hand.model import average_hand
+from posetrack_cli.hand.model.anatomy import JOINT_NAMES, make_anatomy
+from posetrack_cli.hand.model.hand import average_hand
+from posetrack_cli.hand.model.kinematics import mirrored_poses
 from posetrack_cli.rendering.port import RenderingDevice
 from support.viewing import KINECT, open_hand, shown_pose
 

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 from posetrack_cli.cli.main import run
-from posetrack_cli.evaluation.recording_of import required_recording
-from posetrack_cli.evaluation.viewing.colours import LOST, SKIN, TRUTH
-from posetrack_cli.evaluation.viewing.drawing import AXIS_COLOURS, AXIS_MM
+from posetrack_cli.evaluation.reading.recording_of import required_recording
+from posetrack_cli.evaluation.viewing.drawing import AXIS_COLOURS, AXIS_MM, LOST, SKIN, TRUTH
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.subject import head_subject
 from posetrack_cli.recording.base import TruthMessage

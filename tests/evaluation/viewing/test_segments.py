@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from posetrack_cli.errors import ResultError
-from posetrack_cli.evaluation.recorded_hand import configuration_of
+from posetrack_cli.evaluation.reading.recording_of import configuration_of
 from posetrack_cli.evaluation.viewing.drawing import Shown
 from posetrack_cli.evaluation.viewing.hand_drawing import LABEL_COLOURS, HandSegments
 from posetrack_cli.evaluation.viewing.layers import ViewOptions
 from posetrack_cli.evaluation.viewing.view import ResultView
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.anatomy import make_anatomy
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.segmentation import Label
+from posetrack_cli.hand.model.anatomy import make_anatomy
+from posetrack_cli.hand.observe.segmentation import Label
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.results.reader import read_result

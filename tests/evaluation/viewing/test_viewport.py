@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from posetrack_cli.evaluation.viewing.viewport import (
+from posetrack_cli.evaluation.viewing.drawing import (
     LEAST_ROWS,
     Viewport,
     around_points,

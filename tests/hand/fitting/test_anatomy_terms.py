@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.hand.anatomy import ANGLE_LIMITS, ANGLE_NAMES, FINGERS, JOINT_NAMES
-from posetrack_cli.hand.fitting.anatomy_terms import (
+from posetrack_cli.hand.fit.anatomy_terms import (
     FREE_BEND,
     RELAXED,
     STIFF_BEND,
@@ -16,13 +15,13 @@ from posetrack_cli.hand.fitting.anatomy_terms import (
     place_spheres,
     plausibility_of,
 )
-from posetrack_cli.hand.fitting.fitter import HandFitter
-from posetrack_cli.hand.fitting.gauss_newton import empty_fit
-from posetrack_cli.hand.fitting.normal_equations import THUMB_PLACE, NormalEquations, empty_equations
-from posetrack_cli.hand.fitting.skeleton import empty_posed, pose_bones, skeleton_of
-from posetrack_cli.hand.inner import NO_INNER, THUMB
-from posetrack_cli.hand.kinematics import joint_positions, mirrored_poses
-from posetrack_cli.tracking.body_space import BodySpace
+from posetrack_cli.hand.fit.fitter import HandFitter
+from posetrack_cli.hand.fit.gauss_newton import empty_fit
+from posetrack_cli.hand.fit.normal_equations import THUMB_PLACE, NormalEquations, empty_equations
+from posetrack_cli.hand.fit.skeleton import NO_INNER, THUMB, empty_posed, pose_bones, skeleton_of
+from posetrack_cli.hand.model.anatomy import ANGLE_LIMITS, ANGLE_NAMES, FINGERS, JOINT_NAMES
+from posetrack_cli.hand.model.kinematics import joint_positions, mirrored_poses
+from posetrack_cli.tracking.velocity import BodySpace
 from support.fitting import HANDS, RIGHT, TILE_PX, numerical_gradient
 from support.hand import KINECT, REST, bent, random_poses
 

@@ -7,23 +7,16 @@ import pytest
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry import rotations
-from posetrack_cli.hand.acquisition import ITERATIONS, SWAPPED
-from posetrack_cli.hand.anatomy import ANGLES, POSE_SIZE, TANGENT_SIZE
 from posetrack_cli.hand.config import AcquisitionSettings
-from posetrack_cli.hand.fitting.anatomy_terms import RELAXED
-from posetrack_cli.hand.fitting.fitter import (
-    FINGER_ANGLES,
-    SCATTER,
-    HandFitter,
-    PosePrior,
-    fit_starts,
-    refolds,
-)
-from posetrack_cli.hand.fitting.gauss_newton import Fit, Steps
-from posetrack_cli.hand.fitting.terms import Terms, Tile
-from posetrack_cli.hand.kinematics import joint_positions
-from posetrack_cli.hand.observation import Observation
-from posetrack_cli.tracking.body_space import BodySpace
+from posetrack_cli.hand.fit.anatomy_terms import RELAXED
+from posetrack_cli.hand.fit.fitter import FINGER_ANGLES, SCATTER, HandFitter, PosePrior, fit_starts, refolds
+from posetrack_cli.hand.fit.gauss_newton import Fit, Steps
+from posetrack_cli.hand.fit.terms import Terms, Tile
+from posetrack_cli.hand.model.anatomy import ANGLES, POSE_SIZE, TANGENT_SIZE
+from posetrack_cli.hand.model.kinematics import joint_positions
+from posetrack_cli.hand.observe.observation import Observation
+from posetrack_cli.hand.search import ITERATIONS, SWAPPED
+from posetrack_cli.tracking.velocity import BodySpace
 from support.fitting import HANDS, RIGHT, TILE_PX, observed
 from support.hand import KINECT
 

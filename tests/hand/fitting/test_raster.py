@@ -8,13 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from posetrack_cli.arrays import FloatArray, IntArray
-from posetrack_cli.hand.anatomy import BONE_COUNT
 from posetrack_cli.hand.config import ObservationSettings
-from posetrack_cli.hand.fitting.skeleton import PALM, empty_posed, pose_bones, skeleton_of
-from posetrack_cli.hand.fitting.skin import skin_of
-from posetrack_cli.hand.inner import NO_INNER
-from posetrack_cli.hand.kinematics import joint_positions, skinning_transforms
-from posetrack_cli.hand.observation import window_around
+from posetrack_cli.hand.fit.skeleton import NO_INNER, PALM, empty_posed, pose_bones, skeleton_of, skin_of
+from posetrack_cli.hand.model.anatomy import BONE_COUNT
+from posetrack_cli.hand.model.kinematics import joint_positions, skinning_transforms
+from posetrack_cli.hand.observe.observation import window_around
 from posetrack_cli.rendering.mesh import SkinnedMesh
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.rendering.raster import NEAR_MM, NOTHING, Drawing, View, draw, empty_drawing

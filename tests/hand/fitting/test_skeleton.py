@@ -1,4 +1,4 @@
-"""The compiled bones against ``hand.kinematics``, and a skin point's motion against differences."""
+"""The compiled bones against ``hand.model.kinematics``, and a skin point's motion against differences."""
 
 from __future__ import annotations
 
@@ -8,21 +8,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.hand.anatomy import BONE_COUNT, HandAnatomy, make_anatomy
-from posetrack_cli.hand.fitting.normal_equations import RESIDUAL, ROW, THUMB_PART
-from posetrack_cli.hand.fitting.skeleton import (
+from posetrack_cli.hand.fit.normal_equations import RESIDUAL, ROW, THUMB_PART
+from posetrack_cli.hand.fit.skeleton import (
+    NO_INNER,
+    NO_THUMB,
     PALM,
-    THUMB,
+    THUMB_ROW,
     Posed,
     empty_posed,
     point_row,
     pose_bones,
     skeleton_of,
 )
-from posetrack_cli.hand.inner import NO_INNER, NO_THUMB
-from posetrack_cli.hand.inner import THUMB as THUMB_ANGLES
-from posetrack_cli.hand.kinematics import joint_jacobian, joint_positions, skinning_transforms
-from posetrack_cli.tracking.body_space import BodySpace
+from posetrack_cli.hand.fit.skeleton import THUMB_ROW as THUMB_ANGLES
+from posetrack_cli.hand.model.anatomy import BONE_COUNT, HandAnatomy, make_anatomy
+from posetrack_cli.hand.model.kinematics import joint_jacobian, joint_positions, skinning_transforms
+from posetrack_cli.tracking.velocity import BodySpace
 from support.fitting import HANDS, RIGHT
 from support.hand import bent, pose_strategy, random_poses
 
@@ -78,7 +79,7 @@ def whole_row(row: FloatArray, finger: int) -> FloatArray:
     out[:6] = row[:6]
     if finger != PALM:
         out[6 + 3 * finger : 9 + 3 * finger] = row[6:9]
-    if finger == THUMB:
+    if finger == THUMB_ROW:
         out[21:] = row[THUMB_PART:]
     return out
 

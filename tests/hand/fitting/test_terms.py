@@ -9,8 +9,9 @@ import pytest
 
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.hand.config import ObservationSettings
-from posetrack_cli.hand.fitting.fitter import HandFitter, nearest_pixels
-from posetrack_cli.hand.fitting.normal_equations import (
+from posetrack_cli.hand.fit.fitter import HandFitter, nearest_pixels
+from posetrack_cli.hand.fit.likelihood import RenderedCosts
+from posetrack_cli.hand.fit.normal_equations import (
     RESIDUAL,
     ROW,
     THUMB_PART,
@@ -22,28 +23,27 @@ from posetrack_cli.hand.fitting.normal_equations import (
     empty_equations,
     gather,
 )
-from posetrack_cli.hand.fitting.skeleton import (
+from posetrack_cli.hand.fit.skeleton import (
     ARM,
+    NO_INNER,
     PALM,
-    THUMB,
+    THUMB_ROW,
     Skeleton,
+    Skin,
     empty_posed,
     pose_bones,
     skeleton_of,
+    skin_of,
 )
-from posetrack_cli.hand.fitting.skin import Skin, skin_of
-from posetrack_cli.hand.fitting.terms import Terms, Tile, add_terms, empty_buffers, union_cost
-from posetrack_cli.hand.inner import NO_INNER
-from posetrack_cli.hand.inner import THUMB as THUMB_ANGLES
-from posetrack_cli.hand.kinematics import joint_positions
-from posetrack_cli.hand.likelihood import RenderedCosts
-from posetrack_cli.hand.model import HandModel
-from posetrack_cli.hand.observation import Observation, window_around
-from posetrack_cli.hand.space import inside_limits
+from posetrack_cli.hand.fit.skeleton import THUMB_ROW as THUMB_ANGLES
+from posetrack_cli.hand.fit.terms import Terms, Tile, add_terms, empty_buffers, union_cost
+from posetrack_cli.hand.model.hand import HandModel, inside_limits
+from posetrack_cli.hand.model.kinematics import joint_positions
+from posetrack_cli.hand.observe.observation import Observation, window_around
 from posetrack_cli.rendering.mesh import SkinnedMesh
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.rendering.raster import View, draw, empty_drawing
-from posetrack_cli.tracking.body_space import BodySpace
+from posetrack_cli.tracking.velocity import BodySpace
 from support.fitting import HANDS, TILE_PX, WALL_MM, drawn_depth
 from support.hand import KINECT, random_poses
 
@@ -63,7 +63,7 @@ def test_blocks_are_gathered_like_whole_rows() -> None:
             row[6:9] = 0.0
         else:
             rows[k, 6 + 3 * finger : 9 + 3 * finger] = row[6:9]
-        if finger == THUMB:
+        if finger == THUMB_ROW:
             rows[k, THUMB_PLACE:UNKNOWNS] = row[THUMB_PART:]
         rows[k, :6], rows[k, UNKNOWNS] = row[:6], row[RESIDUAL]
         add_row(equations, finger, row, weights[k])

@@ -10,17 +10,15 @@ import pytest
 from posetrack_cli.arrays import BoolArray, FloatArray, ImageArray
 from posetrack_cli.geometry import rotations
 from posetrack_cli.hand.config import ObservationSettings
-from posetrack_cli.hand.kinematics import skinning_transforms
-from posetrack_cli.hand.model import average_hand
-from posetrack_cli.hand.observation import PixelSampler, window_around
-from posetrack_cli.hand.segmentation import Label, PredictedHand, Segmentation, segment
-from posetrack_cli.rendering.port import RenderingDevice
-from posetrack_cli.rendering.window import Window
-from posetrack_cli.synthesis.hand.frames import synthesise
+from posetrack_cli.hand.model.hand import average_hand
+from posetrack_cli.hand.model.kinematics import skinning_transforms
+from posetrack_cli.hand.observe.observation import PixelSampler, window_around
+from posetrack_cli.hand.observe.prediction import PredictedHand
+from posetrack_cli.hand.observe.segmentation import Label, Segmentation, segment
+from posetrack_cli.rendering.port import RenderingDevice, Window
+from posetrack_cli.synthesis.hand.frames import CAMERA, Scene, synthesise
 from posetrack_cli.synthesis.hand.options import Switches, SynthOptions
-from posetrack_cli.synthesis.hand.scene import Scene
-from posetrack_cli.synthesis.hand.sensor import CAMERA
-from posetrack_cli.tracking.body_space import BodySpace
+from posetrack_cli.tracking.velocity import BodySpace
 
 HAND = average_hand()
 ANATOMY, SAMPLER = HAND.anatomy, PixelSampler(CAMERA)

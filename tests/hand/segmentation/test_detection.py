@@ -13,15 +13,12 @@ from hypothesis import strategies as st
 
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.config import DetectionSettings
-from posetrack_cli.hand.observation import PixelSampler
-from posetrack_cli.hand.segmentation import Detection, detect
-from posetrack_cli.hand.segmentation.detection import coarse_window
-from posetrack_cli.hand.segmentation.palms import surfaces_of
-from posetrack_cli.hand.segmentation.region import region_around
+from posetrack_cli.hand.observe.detection import Detection, coarse_window, detect
+from posetrack_cli.hand.observe.observation import PixelSampler
+from posetrack_cli.hand.observe.region import region_around, surfaces_of
 from posetrack_cli.rendering.port import RenderingDevice
-from posetrack_cli.synthesis.hand.frames import synthesise
+from posetrack_cli.synthesis.hand.frames import CAMERA, synthesise
 from posetrack_cli.synthesis.hand.options import SynthOptions
-from posetrack_cli.synthesis.hand.sensor import CAMERA
 from support.hand import KINECT
 
 SETTINGS = DetectionSettings()

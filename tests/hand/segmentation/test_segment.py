@@ -8,15 +8,16 @@ import cv2
 import numpy as np
 import pytest
 
-from posetrack_cli.hand.anatomy import JOINT_NAMES, make_anatomy
 from posetrack_cli.hand.config import ObservationSettings
-from posetrack_cli.hand.kinematics import mirrored_poses, skinning_transforms
-from posetrack_cli.hand.mesh import hand_mesh
-from posetrack_cli.hand.observation import PixelSampler, window_around
-from posetrack_cli.hand.segmentation import Label, PredictedHand, Segmentation, around_prediction, segment
-from posetrack_cli.rendering.port import RenderingDevice
-from posetrack_cli.rendering.window import Window
-from posetrack_cli.synthesis.hand.shapes import SHAPES
+from posetrack_cli.hand.model.anatomy import JOINT_NAMES, make_anatomy
+from posetrack_cli.hand.model.hand import hand_mesh
+from posetrack_cli.hand.model.kinematics import mirrored_poses, skinning_transforms
+from posetrack_cli.hand.observe import segmentation as around_prediction
+from posetrack_cli.hand.observe.observation import PixelSampler, window_around
+from posetrack_cli.hand.observe.prediction import PredictedHand
+from posetrack_cli.hand.observe.segmentation import Label, Segmentation, segment
+from posetrack_cli.rendering.port import RenderingDevice, Window
+from posetrack_cli.synthesis.hand.person import SHAPES
 from support.hand import KINECT, REST
 
 ANATOMY, LEFT = make_anatomy(), make_anatomy("left")

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from posetrack_cli.hand.segmentation.arm import BIN_MM, best_shift, extents, slice_areas
+from posetrack_cli.hand.observe.arm import BIN_MM, best_shift, extents, slice_areas
 
 HAND = np.r_[np.zeros(15), np.repeat(45.0, 10), np.repeat(80.0, 12), np.repeat(60.0, 3), np.zeros(10)]
 LAST = 40

@@ -11,8 +11,8 @@ from hypothesis import settings as examples
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
-from posetrack_cli.geometry.euler import head_roll_pitch_yaw
-from posetrack_cli.geometry.projection import pixels_from_points
+from posetrack_cli.geometry.camera import pixels_from_points
+from posetrack_cli.geometry.rotations import head_roll_pitch_yaw
 from posetrack_cli.head.actions import displacement
 from posetrack_cli.head.adjustment import adjuster
 from posetrack_cli.head.adjustment.adjuster import (
@@ -20,12 +20,13 @@ from posetrack_cli.head.adjustment.adjuster import (
     IDENTITY_STEP,
     STEP,
     Adjuster,
+    PersonParameters,
+    PointView,
     clipped,
 )
-from posetrack_cli.head.adjustment.solver.problem import cost
-from posetrack_cli.head.adjustment.views import PersonParameters, PointView
+from posetrack_cli.head.adjustment.problem import cost
 from posetrack_cli.head.config import AdjustmentSettings
-from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.head.face.points import HeadPose
 from posetrack_cli.head.multilinear.face_model import load_face_model
 from support.adjustment_reference import Case, joined, numeric_jacobian, residual_vector, split
 from support.bundles import FREE, LENSES, moved_away, noisy, random_bundle

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from posetrack_cli.head.adjustment.solver.elimination import (
+from posetrack_cli.head.adjustment.descent import (
     Held,
     eliminate_views,
     factorise,
@@ -13,7 +13,7 @@ from posetrack_cli.head.adjustment.solver.elimination import (
     make_elimination,
     solve,
 )
-from posetrack_cli.head.adjustment.solver.problem import Part
+from posetrack_cli.head.adjustment.problem import Part
 from support.adjustment_cases import case_of, dense, equations_at, somewhere
 
 ROUNDING = 1e-9

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from posetrack_cli.head.adjustment.solver.elimination import make_elimination
-from posetrack_cli.head.adjustment.solver.equations import make_equations
-from posetrack_cli.head.adjustment.solver.problem import Part, cost
+from posetrack_cli.head.adjustment.descent import make_elimination
+from posetrack_cli.head.adjustment.problem import Part, cost, make_equations
 from support.adjustment_cases import QUADRATIC, ROBUST, case_of, dense, equations_at, somewhere
 from support.adjustment_reference import joined, numeric_jacobian, residual_vector, split, whitened_errors
 from support.bundles import LENSES

@@ -7,11 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from posetrack_cli.head.adjustment.adjuster import Adjuster
+from posetrack_cli.head.adjustment.adjuster import Adjuster, PersonParameters
 from posetrack_cli.head.adjustment.focal_length import ENDS, STEP, FocalCheck, fit_focal_length
-from posetrack_cli.head.adjustment.views import PersonParameters
 from posetrack_cli.head.config import AdjustmentSettings
-from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.head.face.points import HeadPose
 from support.bundles import CAMERA, moved_away, noisy, random_bundle
 
 SETTINGS = AdjustmentSettings()

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.head.adjustment.adjuster import Adjuster
+from posetrack_cli.head.adjustment.adjuster import Adjuster, Album, PersonParameters
 from posetrack_cli.head.adjustment.focal_length import VIEWS, focal_length_check
-from posetrack_cli.head.adjustment.views import Album, PersonParameters
 from posetrack_cli.head.config import AdjustmentSettings
-from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.head.face.points import HeadPose
 from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.head.tracker.person import KnownPerson, new_person
 from support.bundles import CAMERA, noisy, random_bundle

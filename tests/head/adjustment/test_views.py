@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from posetrack_cli.geometry.euler import head_quaternion_from_roll_pitch_yaw
-from posetrack_cli.head.adjustment.views import (
+from posetrack_cli.geometry.rotations import head_quaternion_from_roll_pitch_yaw
+from posetrack_cli.head.adjustment.adjuster import (
     CELL_DEG,
     PER_CELL,
     Album,
@@ -19,7 +19,7 @@ from posetrack_cli.head.adjustment.views import (
     spread,
     spreads_without,
 )
-from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.head.face.points import HeadPose
 from support.bundles import random_pose
 
 WITHIN = 0.45

@@ -17,7 +17,7 @@ from posetrack_cli.head.detection.appearance import (
     histograms,
     load_appearance,
 )
-from posetrack_cli.head.detection.joint_places import find_jointly
+from posetrack_cli.head.detection.fit import find_jointly
 from posetrack_cli.head.detection.responses import HEIGHT, WIDTH
 from posetrack_cli.head.face.points import FEATURES, MIRRORED, POINT_COUNT
 from research import face_features

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from posetrack_cli.head.face.patches import (
+from posetrack_cli.head.face.templates import (
     CENTRE,
     GRID,
     LEAST_CONTRAST,

@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from posetrack_cli.geometry.euler import head_quaternion_from_roll_pitch_yaw, head_roll_pitch_yaw
-from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.geometry.rotations import head_quaternion_from_roll_pitch_yaw, head_roll_pitch_yaw
+from posetrack_cli.head.face.points import HeadPose
 
 ROUNDING = 1e-9  # mm and rad: far above double precision's for numbers below 1000, far below any pixel
 numbers = st.floats(-1.0, 1.0)

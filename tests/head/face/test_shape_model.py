@@ -2,8 +2,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from posetrack_cli.head.face.points import MEAN_SHAPE, MIRRORED, POINT_COUNT, POINT_NAMES, SHAPE_SD
-from posetrack_cli.head.face.pose import ShapeModel, rigid_model
+from posetrack_cli.head.face.points import (
+    MEAN_SHAPE,
+    MIRRORED,
+    POINT_COUNT,
+    POINT_NAMES,
+    SHAPE_SD,
+    ShapeModel,
+    rigid_model,
+)
 
 
 def test_shapes_are_the_mean_and_what_each_coefficient_adds() -> None:

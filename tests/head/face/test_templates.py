@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from posetrack_cli.head.face.patches import PATCH
 from posetrack_cli.head.face.points import POINT_NORMALS
 from posetrack_cli.head.face.rig_images import RigImages, project
 from posetrack_cli.head.face.templates import (
+    PATCH,
     WINDOW,
     TemplateSet,
     angle_deg,

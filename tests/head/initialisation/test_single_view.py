@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from posetrack_cli.geometry.projection import pixels_and_jacobian
+from posetrack_cli.geometry.camera import pixels_and_jacobian
 from posetrack_cli.head.face.points import FEATURES
 from posetrack_cli.head.initialisation.single_view import pose_near, pose_of
 from support.initialisation_scenes import BENT, FISHEYE, PLAIN, head, pixels_of

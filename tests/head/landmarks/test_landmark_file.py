@@ -15,11 +15,8 @@ from posetrack_cli.errors import UsageError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.detection.finders import FaceGuess
 from posetrack_cli.head.detection.points import EYE_DISTANCE_MM, FacePoints
-from posetrack_cli.head.face.points import FEATURES, POINT_COUNT, POINT_NAMES
-from posetrack_cli.head.face.pose import HeadPose
-from posetrack_cli.head.landmarks.faces import Landmarks
-from posetrack_cli.head.landmarks.file import LandmarkFile, read_landmarks
-from posetrack_cli.head.landmarks.points import OF_68, OF_478
+from posetrack_cli.head.face.points import FEATURES, POINT_COUNT, POINT_NAMES, HeadPose
+from posetrack_cli.head.landmarks.faces import OF_68, OF_478, LandmarkFile, Landmarks, read_landmarks
 from posetrack_cli.recording.base import Frame
 
 CAMERA = Camera(640, 480, 900.0, 900.0, 319.5, 239.5, name="left")

@@ -9,7 +9,7 @@ import pytest
 
 from posetrack_cli.filtering.errors import FilterError
 from posetrack_cli.head.config import ParticleSettings
-from posetrack_cli.head.face.pose import rigid_model
+from posetrack_cli.head.face.points import rigid_model
 from posetrack_cli.head.particles.filter import HeadFilter
 from posetrack_cli.head.particles.particles import FRAME_S, HeadMotion, velocity_between
 from posetrack_cli.head.particles.scores import ParticleScores

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from posetrack_cli.filtering.errors import FilterError
 from posetrack_cli.head.config import ParticleSettings
-from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.head.face.points import HeadPose
 from posetrack_cli.head.particles.particles import (
     FRAME_S,
     SPEED_LIMITS,

@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
-from posetrack_cli.geometry.projection import in_camera_axes
-from posetrack_cli.head.face.pose import HeadPose
-from posetrack_cli.head.particles.kernels import BEHIND, recentre
+from posetrack_cli.geometry.camera import in_camera_axes
+from posetrack_cli.head.face.points import HeadPose
 from posetrack_cli.head.particles.particles import HeadParticles
+from posetrack_cli.head.particles.score_maps import BEHIND, recentre
 from posetrack_cli.head.particles.scores import ParticleProjection
 from support.particle_scenes import FACING, LENS, cameras, model
 

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from posetrack_cli.head.face.patches import PATCH
-from posetrack_cli.head.particles.kernels import BEHIND
+from posetrack_cli.head.face.templates import PATCH
 from posetrack_cli.head.particles.score_maps import (
+    BEHIND,
     HALF,
     LARGEST_BOX,
     ScoreMaps,

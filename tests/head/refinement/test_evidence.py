@@ -6,17 +6,19 @@ import numpy as np
 import pytest
 
 from posetrack_cli.head.config import RefinementSettings
-from posetrack_cli.head.face.patches import GRID, SIZE, normalise, sample_grid
 from posetrack_cli.head.face.rig_images import RigImages
-from posetrack_cli.head.face.templates import take_templates
+from posetrack_cli.head.face.templates import GRID, SIZE, normalise, sample_grid, take_templates
 from posetrack_cli.head.refinement.evidence import (
+    BETWEEN_CAMERAS,
+    PREVIOUS,
+    REFERENCE,
+    ComparedFrame,
     comparison_weight,
     gather_evidence,
     make_evidence,
     make_workspace,
     project_point,
 )
-from posetrack_cli.head.refinement.scene import BETWEEN_CAMERAS, PREVIOUS, REFERENCE, ComparedFrame
 from support.textured_face import FACING, SHAPE, stereo, textured_face
 
 ONLY = {"reference": 0.0, "previous": 0.0, "between_cameras": 0.0}

@@ -8,11 +8,16 @@ import numpy as np
 import pytest
 
 from posetrack_cli.head.config import PointSettings, RefinementSettings
-from posetrack_cli.head.face.pose import ShapeModel, rigid_model
+from posetrack_cli.head.face.points import ShapeModel, rigid_model
 from posetrack_cli.head.face.rig_images import RigImages
 from posetrack_cli.head.face.templates import take_templates
 from posetrack_cli.head.refinement import refine as refinement
-from posetrack_cli.head.refinement.evidence import gather_evidence, make_evidence, make_workspace
+from posetrack_cli.head.refinement.evidence import (
+    ComparedFrame,
+    gather_evidence,
+    make_evidence,
+    make_workspace,
+)
 from posetrack_cli.head.refinement.joint import (
     Face,
     FaceUnknowns,
@@ -23,7 +28,6 @@ from posetrack_cli.head.refinement.joint import (
     tail_precision,
 )
 from posetrack_cli.head.refinement.refine import RESIDUAL_MM, refine
-from posetrack_cli.head.refinement.scene import ComparedFrame
 from support.textured_face import FACING, SHAPE, stereo, textured_face
 
 MOTION = np.array([1.5, -1.0, 3.0, 0.015, -0.02, 0.01])

@@ -7,11 +7,10 @@ import pytest
 from scipy.optimize import minimize
 
 from posetrack_cli.head.config import RefinementSettings
-from posetrack_cli.head.face.patches import GRID, SIZE, normalise, sample_grid
 from posetrack_cli.head.face.rig_images import RigImages, project
-from posetrack_cli.head.face.templates import take_templates
-from posetrack_cli.head.refinement.recalculation import Printed, recalculate_2d_as_printed
-from posetrack_cli.head.refinement.scene import ComparedFrame
+from posetrack_cli.head.face.templates import GRID, SIZE, normalise, sample_grid, take_templates
+from posetrack_cli.head.refinement.evidence import ComparedFrame
+from posetrack_cli.head.refinement.refine import Printed, recalculate_2d_as_printed
 from support.textured_face import FACING, SHAPE, stereo, textured_face
 
 CAMERAS = stereo(1)

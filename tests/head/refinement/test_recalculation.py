@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 
 from posetrack_cli.head.config import RefinementSettings, StereoRefinementSettings
-from posetrack_cli.head.face.patches import GRID, SIZE, normalise, sample_grid
 from posetrack_cli.head.face.rig_images import RigImages, project
-from posetrack_cli.head.face.templates import take_templates
-from posetrack_cli.head.refinement.recalculation import recalculate_points
-from posetrack_cli.head.refinement.refine import make_prior, recalculate, refine_initial_depth
-from posetrack_cli.head.refinement.scene import ComparedFrame
+from posetrack_cli.head.face.templates import GRID, SIZE, normalise, sample_grid, take_templates
+from posetrack_cli.head.refinement.evidence import ComparedFrame
+from posetrack_cli.head.refinement.refine import (
+    make_prior,
+    recalculate,
+    recalculate_points,
+    refine_initial_depth,
+)
 from support.textured_face import FACING, SHAPE, stereo, textured_face
 
 OFFSETS = np.random.default_rng(8).uniform(-1.2, 1.2, (10, 3))

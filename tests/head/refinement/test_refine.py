@@ -7,13 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from posetrack_cli.geometry.projection import pixels_from_points
+from posetrack_cli.geometry.camera import pixels_from_points
 from posetrack_cli.head.config import RefinementSettings
 from posetrack_cli.head.face.rig_images import RigImages, project
 from posetrack_cli.head.face.templates import take_templates
-from posetrack_cli.head.refinement.recalculation import Printed, recalculate_2d_as_printed
-from posetrack_cli.head.refinement.refine import recalculate
-from posetrack_cli.head.refinement.scene import ComparedFrame
+from posetrack_cli.head.refinement.evidence import ComparedFrame
+from posetrack_cli.head.refinement.refine import Printed, recalculate, recalculate_2d_as_printed
 from support.textured_face import FACING, SHAPE, stereo, textured_face
 
 (CAMERA,) = stereo(1)

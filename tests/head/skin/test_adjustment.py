@@ -12,22 +12,20 @@ from hypothesis import settings as examples
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
-from posetrack_cli.head.face.pose import POSE_SIZE, HeadPose
-from posetrack_cli.head.skin.adjustment import (
+from posetrack_cli.head.face.points import POSE_SIZE, HeadPose
+from posetrack_cli.head.skin.equations import (
+    NOISE_PX,
     POINT_SD,
     POSE_SD,
+    TAIL,
+    Observations,
     _solve,
     adjust_pose,
     adjust_skin,
-    observations,
-)
-from posetrack_cli.head.skin.equations import (
-    NOISE_PX,
-    TAIL,
-    Observations,
     linearise,
     make_equations,
     move_points,
+    observations,
 )
 
 F = np.array([1000.0, 990.0])

@@ -9,14 +9,11 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.euler import head_quaternion_from_roll_pitch_yaw
-from posetrack_cli.geometry.projection import pixels_from_points
-from posetrack_cli.head.adjustment.views import PointView
-from posetrack_cli.head.face.points import POINT_COUNT
-from posetrack_cli.head.face.pose import HeadPose
-from posetrack_cli.head.face.scaling import scaled_pixels
-from posetrack_cli.head.skin.crops import (
+from posetrack_cli.geometry.camera import Camera, pixels_from_points
+from posetrack_cli.geometry.rotations import head_quaternion_from_roll_pitch_yaw
+from posetrack_cli.head.adjustment.adjuster import PointView
+from posetrack_cli.head.face.points import POINT_COUNT, HeadPose, scaled_pixels
+from posetrack_cli.head.skin.matching import (
     CONTRAST,
     FINE_PX,
     GREY,

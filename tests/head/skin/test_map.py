@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.rigid import in_camera
 from posetrack_cli.geometry.rotations import canonical, exponential, multiply
-from posetrack_cli.head.face.pose import POSE_SIZE, HeadPose
-from posetrack_cli.head.skin.crops import HEIGHT, WIDTH, place_crop, to_image
+from posetrack_cli.head.face.points import POSE_SIZE, HeadPose
 from posetrack_cli.head.skin.map import (
     ALIKE,
     LEAST_VIEWS,
@@ -28,8 +27,7 @@ from posetrack_cli.head.skin.map import (
     pose_on_map,
 )
 from posetrack_cli.head.skin.map import ERROR_DEG as SKIN_ERROR_DEG
-from posetrack_cli.head.skin.matching import views_for
-from posetrack_cli.head.skin.surface import surface_of
+from posetrack_cli.head.skin.matching import HEIGHT, WIDTH, place_crop, surface_of, to_image, views_for
 from support.mono_cases import assert_same
 from support.skin_scene import CAMERA, FRAME_NS, SHAPE, depths, drawn, even, pose_at, shown
 

@@ -11,8 +11,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from posetrack_cli.geometry.rotations import angle_between, exponential
-from posetrack_cli.head.skin.crops import GREY, HEIGHT, WIDTH
-from posetrack_cli.head.skin.matching import ALIKE_DEG, FAR_PX, SEEN_DEG, WINDOW, find_again, views_for
+from posetrack_cli.head.skin.matching import (
+    ALIKE_DEG,
+    FAR_PX,
+    GREY,
+    HEIGHT,
+    SEEN_DEG,
+    WIDTH,
+    WINDOW,
+    find_again,
+    views_for,
+)
 
 FOUND_PX = 0.05
 """The search ends with a step below .02 px, and each was less than half of the one before. Rounding to grey

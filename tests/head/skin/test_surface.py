@@ -12,14 +12,18 @@ from scipy.spatial.distance import cdist, pdist
 
 from posetrack_cli.head.face.points import EYES, MEAN_SHAPE, MOUTH
 from posetrack_cli.head.multilinear.face_model import load_face_model
-from posetrack_cli.head.skin import surface
-from posetrack_cli.head.skin.crops import GREY, HEIGHT, MIDDLE, PX_PER_MM, WIDTH
-from posetrack_cli.head.skin.surface import (
+from posetrack_cli.head.skin import matching as surface
+from posetrack_cli.head.skin.matching import (
     BORDER_PX,
+    GREY,
+    HEIGHT,
     LIDS_MM,
     LIPS_MM,
+    MIDDLE,
     MOST_STEPS,
+    PX_PER_MM,
     STEP_MM,
+    WIDTH,
     Surface,
     surface_of,
 )

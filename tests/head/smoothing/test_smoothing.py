@@ -10,28 +10,24 @@ import pytest
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import ResultError
-from posetrack_cli.filtering.kalman import (
+from posetrack_cli.filtering.model import (
+    Dynamics,
     Gaussian,
     constant_velocity,
     kalman_predict,
     kalman_smooth,
     kalman_update,
 )
-from posetrack_cli.filtering.model import Dynamics
 from posetrack_cli.geometry.rotations import angle_between, conjugate, exponential, logarithm, multiply
 from posetrack_cli.head.actions import displacement
 from posetrack_cli.head.config import HeadSmoothingSettings, HeadStereoConfig
-from posetrack_cli.head.face.points import BROWS, MEAN_SHAPE, POINT_COUNT
-from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.head.face.points import BROWS, MEAN_SHAPE, POINT_COUNT, HeadPose
 from posetrack_cli.head.multilinear.face_model import load_face_model
 from posetrack_cli.head.smoothing import fits as head_fits
-from posetrack_cli.head.smoothing import track
-from posetrack_cli.head.smoothing.fits import SKIN_SD, UNKNOWN_SPEED, HeadFits
-from posetrack_cli.head.smoothing.frames import HeadFrame, Link, Reach, chained, with_speeds
-from posetrack_cli.head.smoothing.places import FLAT, local_line
-from posetrack_cli.head.smoothing.track import HeadMemory
-from posetrack_cli.head.subject import head_subject
-from posetrack_cli.head.tracks import MONO, STEREO
+from posetrack_cli.head.smoothing import frames as track
+from posetrack_cli.head.smoothing.fits import FLAT, SKIN_SD, UNKNOWN_SPEED, HeadFits, local_line
+from posetrack_cli.head.smoothing.frames import HeadFrame, HeadMemory, Link, Reach, chained, with_speeds
+from posetrack_cli.head.subject import MONO, STEREO, head_subject
 from posetrack_cli.results.estimate import Estimate, Status
 from posetrack_cli.tracking.smoothing import STATUSES
 

@@ -11,11 +11,11 @@ from hypothesis import settings as examples
 from hypothesis import strategies as st
 
 from posetrack_cli.errors import ResultError
-from posetrack_cli.head.adjustment.views import PER_CELL
+from posetrack_cli.head.adjustment.adjuster import PER_CELL
 from posetrack_cli.head.config import AdjustmentSettings
 from posetrack_cli.head.tracker.codecs import PEOPLE, known_people, people_codec
 from posetrack_cli.head.tracker.person import KnownPerson
-from posetrack_cli.results.layouts import LayoutError
+from posetrack_cli.results.columns import LayoutError
 from support.bundles import random_model
 from support.codecs import assert_lawful
 from support.mono_cases import assert_same, random_known, random_map, random_skin

@@ -8,20 +8,23 @@ import numpy as np
 import pytest
 
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.head.face.points import MEAN_SHAPE, POINT_COUNT
-from posetrack_cli.head.face.pose import HeadPose, rigid_model
+from posetrack_cli.head.face.points import MEAN_SHAPE, POINT_COUNT, HeadPose, rigid_model
 from posetrack_cli.head.particles.particles import HeadParticles
 from posetrack_cli.head.subject import SIGN_NAMES
 from posetrack_cli.head.tracker import mono
-from posetrack_cli.head.tracker.confidence import (
+from posetrack_cli.head.tracker.frame_tracker import (
     MONO,
     MONO_WITH_SKIN,
+    NO_RECORD,
     NO_SIGNS,
     STEREO,
+    FrameFit,
+    TrackRecord,
+    TrackState,
     doubts,
+    initial_fit,
     signs_of,
 )
-from posetrack_cli.head.tracker.frame_tracker import NO_RECORD, FrameFit, TrackRecord, TrackState, initial_fit
 from posetrack_cli.results.estimate import Status
 from posetrack_cli.tracking.confidence import Regression
 from support.mono_scene import FEW, Scene

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from posetrack_cli.errors import PosetrackError
-from posetrack_cli.results.layouts import LayoutError
+from posetrack_cli.results.columns import LayoutError
 from support.damage import Arrays, damaged_arrays, wild_numbers
 from support.mono_scene import Scene as MonoScene
 from support.mono_scene import map_skin_soon

@@ -11,12 +11,11 @@ from hypothesis import strategies as st
 
 from posetrack_cli.errors import ResultError
 from posetrack_cli.head.actions import ACTION_NAMES
-from posetrack_cli.head.face.points import POINT_NAMES
-from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.head.face.points import POINT_NAMES, HeadPose
 from posetrack_cli.head.subject import MonoDiagnostics, mono_diagnostic_names, mono_subject
-from posetrack_cli.head.tracker.estimates import Description, lost_estimate
+from posetrack_cli.head.tracker.head_tracker import Description, lost_estimate
 from posetrack_cli.head.tracker.mono import size_and_systematic_variance
-from posetrack_cli.head.tracker.size import PRIOR_SD, Size
+from posetrack_cli.head.tracker.person import PRIOR_SD, Size
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.fields import check_estimate
 from support.bundles import random_model

@@ -9,10 +9,9 @@ import pytest
 from scipy.linalg import subspace_angles
 from scipy.spatial.transform import Rotation
 
-from posetrack_cli.geometry.euler import head_quaternion_from_roll_pitch_yaw
+from posetrack_cli.geometry.rotations import head_quaternion_from_roll_pitch_yaw
 from posetrack_cli.head.config import ModelSettings
-from posetrack_cli.head.face.points import MEAN_SHAPE, POINT_COUNT
-from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.head.face.points import MEAN_SHAPE, POINT_COUNT, HeadPose
 from posetrack_cli.head.tracker.face_learning import (
     FaceLearning,
     new_face,

@@ -12,11 +12,11 @@ from posetrack_cli.head.actions import MEAN_DISPLACEMENTS
 from posetrack_cli.head.config import AdjustmentSettings, ModelSettings
 from posetrack_cli.head.model_file import model_bytes
 from posetrack_cli.head.multilinear.face_model import load_face_model
+from posetrack_cli.head.subject import MONO, STEREO
 from posetrack_cli.head.tracker.codecs import FOCAL_PX, people_codec
 from posetrack_cli.head.tracker.face_learning import new_face
 from posetrack_cli.head.tracker.given_person import GivenPerson, person_like, read_person
 from posetrack_cli.head.tracker.stereo import StereoCodecs, StereoState
-from posetrack_cli.head.tracks import MONO, STEREO
 from support.mono_cases import random_known, random_templates
 from support.mono_scene import CAMERA
 

@@ -12,21 +12,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from posetrack_cli.head.config import AdjustmentSettings
-from posetrack_cli.head.initialisation.search import Search
+from posetrack_cli.head.initialisation.matching import Search
 from posetrack_cli.head.subject import SIGNS
-from posetrack_cli.head.tracker.codecs import people_codec
-from posetrack_cli.head.tracker.frame_tracker import TrackRecord
-from posetrack_cli.head.tracker.mono_state import (
-    HEIGHT,
-    WIDTH,
+from posetrack_cli.head.tracker.codecs import (
+    SCENE_HEIGHT,
+    SCENE_WIDTH,
     MonoState,
     Stated,
     is_cut,
     mono_codec,
+    people_codec,
     thumbnail,
 )
+from posetrack_cli.head.tracker.frame_tracker import TrackRecord
 from posetrack_cli.recording.base import Frame
-from posetrack_cli.results.layouts import LayoutError
+from posetrack_cli.results.columns import LayoutError
 from posetrack_cli.tracking.confidence import RunningSigns
 from support.bundles import random_model
 from support.codecs import assert_lawful
@@ -59,7 +59,11 @@ STATES = {
         KNOWN, people=(ONE, TWO, random_known(7, MODEL)), current=2, track=TRACK, changes=((7, 1), (16, 2))
     ),
     "after a cut": replace(
-        KNOWN, track=TRACK, scene=np.random.default_rng(11).random(WIDTH * HEIGHT), cut=True, elsewhere=True
+        KNOWN,
+        track=TRACK,
+        scene=np.random.default_rng(11).random(SCENE_WIDTH * SCENE_HEIGHT),
+        cut=True,
+        elsewhere=True,
     ),
     "lost, a stranger comes": replace(
         KNOWN,

@@ -16,13 +16,13 @@ from posetrack_cli.geometry.rotations import angle_between
 from posetrack_cli.head.face.rig_images import RigImages, project
 from posetrack_cli.head.face.templates import take_templates, tangents
 from posetrack_cli.head.initialisation.mono import MonoInitialiser
-from posetrack_cli.head.tracker.estimates import UNSEEN
+from posetrack_cli.head.tracker.codecs import MonoState
 from posetrack_cli.head.tracker.frame_tracker import FrameFit
-from posetrack_cli.head.tracker.mono_state import MonoState
+from posetrack_cli.head.tracker.head_tracker import UNSEEN
 from posetrack_cli.head.tracker.person import PersonFitter
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
-from posetrack_cli.tracking.two_pass import NothingFoundError
+from posetrack_cli.tracking.smoothing import NothingFoundError
 from support.codecs import assert_lawful
 from support.mono_cases import assert_same
 from support.mono_scene import CAMERA, FACE, FEW, FRAME_NS, MODEL, NOISE, Scene, Told

@@ -10,12 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from posetrack_cli.geometry.euler import head_quaternion_from_roll_pitch_yaw
+from posetrack_cli.geometry.rotations import head_quaternion_from_roll_pitch_yaw
 from posetrack_cli.head.adjustment import adjuster as adjusting
-from posetrack_cli.head.adjustment.adjuster import Adjuster
-from posetrack_cli.head.adjustment.views import PersonParameters, PointView
+from posetrack_cli.head.adjustment.adjuster import Adjuster, PersonParameters, PointView
 from posetrack_cli.head.config import AdjustmentSettings
-from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.head.face.points import HeadPose
 from posetrack_cli.head.tracker.person import IdentityHistory, KnownPerson, new_person, rms
 from support.bundles import CAMERA, UNIT_SD, Bundle, random_bundle, random_model
 from support.mono_cases import assert_same, random_templates

@@ -13,33 +13,32 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from posetrack_cli.errors import ResultError
-from posetrack_cli.evaluation.metrics.pose_errors import rotation_errors_deg
-from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.projection import pixels_from_points
+from posetrack_cli.evaluation.measuring.pose_metrics import rotation_errors_deg
+from posetrack_cli.geometry.camera import Camera, pixels_from_points
 from posetrack_cli.head.config import LARGEST_SCALE, HeadMonoConfig
 from posetrack_cli.head.detection.detector import Detection
 from posetrack_cli.head.detection.finders import FaceGuess
 from posetrack_cli.head.detection.points import FacePoints
-from posetrack_cli.head.face.points import POINT_COUNT
-from posetrack_cli.head.face.pose import HeadPose
-from posetrack_cli.head.face.rig_images import project
-from posetrack_cli.head.face.scaling import (
+from posetrack_cli.head.face.points import (
     LARGEST_SIDE_PX,
     LEAST_REDUCTION,
     MARGIN_PX,
+    POINT_COUNT,
     STEP,
     TOO_FAR,
     WHOLE,
+    HeadPose,
     Scaling,
     enlarged,
     reduced,
     scaled_camera,
     scaled_pixels,
 )
+from posetrack_cli.head.face.rig_images import project
 from posetrack_cli.head.initialisation.clicked import ClickedPoints
 from posetrack_cli.head.tracker import mono
+from posetrack_cli.head.tracker.codecs import MonoState
 from posetrack_cli.head.tracker.frame_tracker import SeededFrame
-from posetrack_cli.head.tracker.mono_state import MonoState
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
 from support.codecs import assert_lawful

@@ -10,12 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from posetrack_cli.head.config import PersonSettings
-from posetrack_cli.head.face.points import MEAN_SHAPE
-from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.head.face.points import MEAN_SHAPE, HeadPose
 from posetrack_cli.head.face.rig_images import project
 from posetrack_cli.head.tracker.mono import told_distance
-from posetrack_cli.head.tracker.person import farther
-from posetrack_cli.head.tracker.size import CORNERS_OUTSIDE_MM, PupilDistance, Size, pupil_distance
+from posetrack_cli.head.tracker.person import CORNERS_OUTSIDE_MM, PupilDistance, Size, farther, pupil_distance
 from support.mono_scene import CAMERA, FEW, MODEL, Scene
 
 SEEN = pupil_distance(MEAN_SHAPE)

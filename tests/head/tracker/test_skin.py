@@ -14,19 +14,17 @@ import pytest
 from posetrack_cli.errors import PosetrackError
 from posetrack_cli.geometry.rotations import angle_between
 from posetrack_cli.head.config import HeadMonoConfig
-from posetrack_cli.head.face.pose import HeadPose
+from posetrack_cli.head.face.points import HeadPose
 from posetrack_cli.head.face.rig_images import project
 from posetrack_cli.head.particles.particles import velocity_between
 from posetrack_cli.head.skin.map import LEAST_VIEWS, pose_on_map
 from posetrack_cli.head.subject import SIGN_NAMES
-from posetrack_cli.head.tracker.codecs import track_codec
-from posetrack_cli.head.tracker.confidence import MONO, MONO_WITH_SKIN
-from posetrack_cli.head.tracker.frame_tracker import FrameFit, SeededFrame, TrackState
+from posetrack_cli.head.tracker.codecs import MonoState, track_codec
+from posetrack_cli.head.tracker.frame_tracker import MONO, MONO_WITH_SKIN, FrameFit, SeededFrame, TrackState
 from posetrack_cli.head.tracker.mono import MonoPeople
-from posetrack_cli.head.tracker.mono_state import MonoState
 from posetrack_cli.head.tracker.person import farther
+from posetrack_cli.results.columns import LayoutError
 from posetrack_cli.results.estimate import Estimate, Status
-from posetrack_cli.results.layouts import LayoutError
 from posetrack_cli.tracking.confidence import RunningSigns
 from support.codecs import assert_lawful, assert_same_arrays
 from support.damage import Arrays

@@ -9,12 +9,11 @@ import pytest
 
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.rotations import angle_between
-from posetrack_cli.head.initialisation.search import InitFailure
+from posetrack_cli.head.initialisation.matching import InitFailure
+from posetrack_cli.head.subject import STEREO
 from posetrack_cli.head.tracker import stereo
-from posetrack_cli.head.tracker.estimates import UNSEEN
-from posetrack_cli.head.tracker.head_tracker import HeadTracker
+from posetrack_cli.head.tracker.head_tracker import UNSEEN, HeadTracker
 from posetrack_cli.head.tracker.stereo import StereoFace
-from posetrack_cli.head.tracks import STEREO
 from posetrack_cli.results.estimate import Estimate, Status
 from support.codecs import assert_lawful
 from support.stereo_scene import CAMERAS, FEW, Scene, Told

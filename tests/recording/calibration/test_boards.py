@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from posetrack_cli.errors import UsageError
-from posetrack_cli.recording.calibration.boards import Board, BoardFinder
+from posetrack_cli.recording.calibration.views import Board, BoardFinder
 from support import boards as support
 
 CORNER_PX = 0.15

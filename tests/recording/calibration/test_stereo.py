@@ -10,14 +10,16 @@ import numpy as np
 import pytest
 
 from posetrack_cli.errors import RecordingError
-from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.epipolar import CameraPair
-from posetrack_cli.geometry.projection import pixels_from_points
-from posetrack_cli.recording.calibration.boards import Board, FoundBoard
-from posetrack_cli.recording.calibration.joint import adjust
-from posetrack_cli.recording.calibration.solve import fit_camera, place_cameras
-from posetrack_cli.recording.calibration.stereo import StereoCalibration, calibrate_stereo
-from posetrack_cli.recording.calibration.views import CameraViews, find_views
+from posetrack_cli.geometry.camera import Camera, pixels_from_points
+from posetrack_cli.geometry.rigid import CameraPair
+from posetrack_cli.recording.calibration.solve import (
+    StereoCalibration,
+    adjust,
+    calibrate_stereo,
+    fit_camera,
+    place_cameras,
+)
+from posetrack_cli.recording.calibration.views import Board, CameraViews, FoundBoard, find_views
 from posetrack_cli.recording.camera_file import load_rig
 from support import boards as support
 

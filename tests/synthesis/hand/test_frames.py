@@ -6,11 +6,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from posetrack_cli.hand.anatomy import make_anatomy
+from posetrack_cli.hand.model.anatomy import make_anatomy
 from posetrack_cli.rendering.port import RenderingDevice
-from posetrack_cli.synthesis.hand.frames import SyntheticHandFrame, make_plan, synthesise
+from posetrack_cli.synthesis.hand.frames import (
+    CAMERA,
+    MISSING_FRACTIONS,
+    SyntheticHandFrame,
+    make_plan,
+    synthesise,
+)
 from posetrack_cli.synthesis.hand.options import Switches, SynthOptions
-from posetrack_cli.synthesis.hand.sensor import CAMERA, MISSING_FRACTIONS
 
 BARE = Switches()
 

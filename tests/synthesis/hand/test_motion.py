@@ -5,23 +5,25 @@ import pytest
 from scipy.stats import chi2
 
 from posetrack_cli.geometry.rotations import angle_between, exponential
-from posetrack_cli.hand.anatomy import ANGLES, JOINT_NAMES, TANGENT_SIZE, make_anatomy
-from posetrack_cli.hand.kinematics import joint_positions
-from posetrack_cli.synthesis.hand.motion import Motion, make_motion
-from posetrack_cli.synthesis.hand.natural import difference, natural_motion
-from posetrack_cli.synthesis.hand.options import SynthOptions
-from posetrack_cli.synthesis.hand.sensor import CAMERA
-from posetrack_cli.synthesis.hand.shapes import SHAPES, coupled, inside_limits, minimum_jerk
-from posetrack_cli.synthesis.hand.walk import (
+from posetrack_cli.hand.model.anatomy import ANGLES, JOINT_NAMES, TANGENT_SIZE, make_anatomy
+from posetrack_cli.hand.model.kinematics import joint_positions
+from posetrack_cli.synthesis.hand.frames import CAMERA
+from posetrack_cli.synthesis.hand.motion import (
+    Motion,
     Region,
     WalkNoise,
+    difference,
     folded,
+    make_motion,
+    natural_motion,
     pose_walk,
     reflected,
     start_pose,
     velocity_walk,
     walk_region,
 )
+from posetrack_cli.synthesis.hand.options import SynthOptions
+from posetrack_cli.synthesis.hand.person import SHAPES, coupled, inside_limits, minimum_jerk
 
 FRAME_S = 1.0 / 30.0
 IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from posetrack_cli.synthesis.hand.sensor import (
+from posetrack_cli.synthesis.hand.frames import (
     CAMERA,
     MISSING_FRACTIONS,
     missing_beside_edges,

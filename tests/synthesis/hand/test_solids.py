@@ -5,10 +5,9 @@ import pytest
 
 from posetrack_cli.rendering.mesh import SkinnedMesh, is_closed
 from posetrack_cli.synthesis.hand import person
+from posetrack_cli.synthesis.hand.frames import CAMERA, room_depth
+from posetrack_cli.synthesis.hand.motion import WalkNoise, pose_walk, start_pose, walk_region
 from posetrack_cli.synthesis.hand.person import ellipsoid
-from posetrack_cli.synthesis.hand.scene import room_depth
-from posetrack_cli.synthesis.hand.sensor import CAMERA
-from posetrack_cli.synthesis.hand.walk import WalkNoise, pose_walk, start_pose, walk_region
 
 STRETCH = np.stack([np.hstack([np.eye(3), [[0.0], [y], [0.0]]]) for y in (0.0, 250.0)])
 

@@ -13,9 +13,8 @@ from posetrack_cli.geometry.rotations import quaternion_rate
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results.estimate_json import estimate_from_json
 from posetrack_cli.results.fields import check_estimate
-from posetrack_cli.synthesis.hand.frames import SUBJECT, synthesise
+from posetrack_cli.synthesis.hand.frames import SUBJECT, synthesise, write_synthetic
 from posetrack_cli.synthesis.hand.options import Switches, SynthOptions
-from posetrack_cli.synthesis.hand.writing import write_synthetic
 from posetrack_cli.synthesis.recording import SYNTH_RECORD
 
 TRUTH_TOPICS = {f"/truth/hand/{name}" for name in ("odometry", "joint_states", "estimate")}

@@ -14,9 +14,18 @@ import pytest
 from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.rendering.port import RenderingDevice
-from posetrack_cli.synthesis.head.frames import SyntheticHeadFrame, make_plan, render_plan, synthesise
+from posetrack_cli.synthesis.head.frames import (
+    EXPOSURE,
+    READ_SD,
+    SHOT,
+    Sensor,
+    SyntheticHeadFrame,
+    make_cameras,
+    make_plan,
+    render_plan,
+    synthesise,
+)
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
-from posetrack_cli.synthesis.head.sensor import EXPOSURE, READ_SD, SHOT, Sensor, make_cameras
 
 SHORT = HeadSynthOptions(frames=3, identity=1, seed=1)
 BRIEF = replace(SHORT, frames=2, width=320, height=240)

@@ -9,10 +9,8 @@ import pytest
 
 from posetrack_cli.geometry import rotations
 from posetrack_cli.head.face.points import BROWS, MOUTH
-from posetrack_cli.synthesis.head.expression_script import deforming_interval, make_script
-from posetrack_cli.synthesis.head.expressions import BOTH_WAYS, EXPRESSIONS
-from posetrack_cli.synthesis.head.identity import Identity
-from posetrack_cli.synthesis.head.illumination import make_illumination
+from posetrack_cli.synthesis.head.form import minimum_jerk, pulse, random_sway, skin_grid
+from posetrack_cli.synthesis.head.frames import make_illumination
 from posetrack_cli.synthesis.head.movement import (
     BEFORE_MM,
     FACING,
@@ -22,9 +20,14 @@ from posetrack_cli.synthesis.head.movement import (
     make_occluder,
 )
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
-from posetrack_cli.synthesis.head.person import make_person
-from posetrack_cli.synthesis.head.skin_grid import skin_grid
-from posetrack_cli.synthesis.head.smooth import minimum_jerk, pulse, random_sway
+from posetrack_cli.synthesis.head.person import (
+    BOTH_WAYS,
+    EXPRESSIONS,
+    Identity,
+    deforming_interval,
+    make_person,
+    make_script,
+)
 
 MINUTE = HeadSynthOptions(frames=1800)
 seconds = np.arange(1800) / 30.0

@@ -8,11 +8,15 @@ import pytest
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.head.face.points import EYES, MEAN_SHAPE, MIRRORED, SHAPE_SD
 from posetrack_cli.rendering.mesh import closest_points
-from posetrack_cli.synthesis.head.expressions import EXPRESSIONS
-from posetrack_cli.synthesis.head.form import MOUTH_X
-from posetrack_cli.synthesis.head.identity import Identity, identity_of_seed, random_points
-from posetrack_cli.synthesis.head.person import Person, make_person
-from posetrack_cli.synthesis.head.skin_grid import grid_normals, skin_grid
+from posetrack_cli.synthesis.head.form import MOUTH_X, grid_normals, skin_grid
+from posetrack_cli.synthesis.head.person import (
+    EXPRESSIONS,
+    Identity,
+    Person,
+    identity_of_seed,
+    make_person,
+    random_points,
+)
 
 GRID = skin_grid()
 SOLVED = 1e-9

@@ -19,10 +19,15 @@ from posetrack_cli.head.subject import head_subject
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results.estimate_json import estimate_from_json
 from posetrack_cli.results.fields import check_estimate
-from posetrack_cli.synthesis.head.expressions import EXPRESSIONS
-from posetrack_cli.synthesis.head.frames import COMPONENTS, SyntheticHeadFrame, make_plan, synthesise
+from posetrack_cli.synthesis.head.frames import (
+    COMPONENTS,
+    SyntheticHeadFrame,
+    make_cameras,
+    make_plan,
+    synthesise,
+)
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
-from posetrack_cli.synthesis.head.sensor import make_cameras
+from posetrack_cli.synthesis.head.person import EXPRESSIONS
 from posetrack_cli.synthesis.head.writing import write_synthetic
 from posetrack_cli.synthesis.recording import SYNTH_RECORD
 

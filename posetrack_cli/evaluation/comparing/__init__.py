@@ -1,1 +1,0 @@
-"""Results beside each other: paired differences and their statistics."""

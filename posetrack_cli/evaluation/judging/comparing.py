@@ -1,0 +1,436 @@
+"""Results compared: in pairs, by groups, with intervals and tests."""
+
+from __future__ import annotations
+
+import glob
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from posetrack_cli.arrays import FloatArray, IntArray
+from posetrack_cli.errors import UsageError
+from posetrack_cli.evaluation.measuring.catalogue import figure_of, place_of, studied_figures
+from posetrack_cli.evaluation.measuring.evaluation import Evaluation, Statistics, statistics
+from posetrack_cli.files import real_path
+from posetrack_cli.recording.base import RECORDING_KEY
+
+# Paired differences: blocks of one second as independent samples, Wilcoxon's test, a bootstrap interval
+
+
+BLOCK_NS = 1_000_000_000
+FEWEST_FOR_CORRELATION = 8
+
+
+CONFIDENCE = 0.95
+SIGNIFICANCE = 0.05
+RESAMPLES = 9999
+BATCH_VALUES = 1_000_000
+"""How many numbers the bootstrap draws at a time: bounds its memory."""
+
+
+@dataclass(frozen=True, eq=False)
+class PairedBlocks:
+    """Two series over the frames they share, averaged second by second.
+
+    Attributes:
+        first, second: (B,) block means, in time's order.
+        frames: frames they share, with a figure in both.
+        left_out: frames of either that are not among them.
+    """
+
+    first: FloatArray
+    second: FloatArray
+    frames: int
+    left_out: int
+
+
+def paired_blocks(
+    first_ns: IntArray, first: FloatArray, second_ns: IntArray, second: FloatArray
+) -> PairedBlocks:
+    """Average two series of the same recording over the same seconds of the frames that both have.
+
+    The blocks begin at the first common frame; each counts once, also one with few frames.
+
+    Args:
+        first_ns, second_ns: (M1,), (M2,) stamps, strictly increasing.
+        first, second: (M1,), (M2,) values; frames where one is not finite are left out.
+    """
+    stamps, mine, theirs = np.intersect1d(first_ns, second_ns, assume_unique=True, return_indices=True)
+    a, b = first[mine], second[theirs]
+    usable = np.isfinite(a) & np.isfinite(b)
+    stamps, a, b = stamps[usable], a[usable], b[usable]
+    left_out = len(first_ns) + len(second_ns) - len(mine) - len(stamps)
+    return PairedBlocks(block_means(stamps, a), block_means(stamps, b), len(stamps), left_out)
+
+
+def block_means(stamp_ns: IntArray, values: FloatArray) -> FloatArray:
+    """Return the mean of the values in each second that has any, counted from the first stamp.
+
+    Args:
+        stamp_ns: (M,) strictly increasing.
+        values: (M,).
+    """
+    if not len(stamp_ns):
+        return np.empty(0)
+    _, block = np.unique((stamp_ns - stamp_ns[0]) // BLOCK_NS, return_inverse=True)
+    means: FloatArray = np.bincount(block, values) / np.bincount(block)
+    return means
+
+
+def neighbour_correlation(differences: FloatArray) -> float:
+    """Return the correlation of a series with itself one step later, 0 where it says nothing.
+
+    r = sum_i (d_i - m) (d_{i+1} - m) / sum_i (d_i - m)^2. Independent values have |r| below 2 / sqrt(n) in
+    95 % of cases (Bartlett 1946); anything not above that, or of fewer than eight values, is returned as 0.
+    """
+    centred = differences - differences.mean() if len(differences) else differences
+    power = float(centred @ centred)
+    if len(differences) < FEWEST_FOR_CORRELATION or power == 0:
+        return 0.0
+    r = float(centred[:-1] @ centred[1:]) / power
+    return r if r > 2 / np.sqrt(len(differences)) else 0.0
+
+
+@dataclass(frozen=True)
+class Paired:
+    """What two paired samples say about their difference, second minus first.
+
+    Attributes:
+        count: pairs.
+        mean_first, mean_second: means over the pairs; NaN without pairs.
+        difference: mean of (second - first).
+        low, high: 95 % bootstrap interval of the mean difference; NaN with fewer than two pairs.
+        p_value: two-sided, of Wilcoxon's signed-rank test; 1 if no pair differs, NaN without pairs.
+        note: what a reader must know about the test, or empty.
+    """
+
+    count: int
+    mean_first: float
+    mean_second: float
+    difference: float
+    low: float
+    high: float
+    p_value: float
+    note: str = ""
+
+
+def paired(first: ArrayLike, second: ArrayLike, rng_seed: int = 0) -> Paired:
+    """Compare two samples whose entries belong together, such as two trackers' errors per recording.
+
+    The test is Wilcoxon's signed-rank test (Wilcoxon 1945), two-sided, pairs without difference left out;
+    exact for up to 50 pairs without ties, or up to 13 with ties, else by the normal approximation. The
+    interval is Efron's bias-corrected and accelerated bootstrap interval (1987) of the mean difference.
+    Both take the pairs as independent: frames of one recording are not, see ``evaluation.comparing.blocks``.
+
+    Args:
+        first, second: (n,) each, any unit, the same for both.
+        rng_seed: of the bootstrap; the same seed gives the same interval.
+
+    Raises:
+        ValueError: the lengths differ, or a value is not finite.
+    """
+    a, b = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
+    if a.shape != b.shape or a.ndim != 1:
+        raise ValueError(f"paired samples of shapes {a.shape} and {b.shape}")
+    if not (np.isfinite(a).all() and np.isfinite(b).all()):
+        raise ValueError("paired samples must be finite")
+    if not len(a):
+        nan = float("nan")
+        return Paired(0, nan, nan, nan, nan, nan, nan, "no pairs")
+    differences = b - a
+    p_value, note = _signed_rank(differences)
+    low, high = _interval(differences, rng_seed)
+    means = (float(a.mean()), float(b.mean()), float(differences.mean()))
+    return Paired(len(a), *means, low, high, p_value, note)
+
+
+def _signed_rank(differences: FloatArray) -> tuple[float, str]:
+    """Return p and what limits it."""
+    from scipy.stats import wilcoxon
+
+    different = differences[differences != 0]
+    if not len(different):
+        return 1.0, "no pair differs"
+    smallest = 2.0 ** (1 - len(different))  # all signs equal, either way, of 2^n equally likely ones
+    pairs = "pair" if len(different) == 1 else "pairs"
+    note = f"p cannot be below {smallest:g} with {len(different)} different {pairs}"
+    return float(wilcoxon(different).pvalue), note if smallest > SIGNIFICANCE else ""
+
+
+def _interval(differences: FloatArray, rng_seed: int) -> tuple[float, float]:
+    from scipy.stats import bootstrap
+
+    count = len(differences)
+    if count < 2:
+        return float("nan"), float("nan")
+    if np.ptp(differences) == 0:  # every resample is the sample; the method has nothing to correct
+        return float(differences[0]), float(differences[0])
+    interval = bootstrap(
+        (differences,),
+        np.mean,
+        n_resamples=RESAMPLES,
+        batch=max(1, BATCH_VALUES // count),
+        vectorized=True,
+        confidence_level=CONFIDENCE,
+        method="BCa",
+        rng=np.random.default_rng(rng_seed),
+    ).confidence_interval
+    return float(interval.low), float(interval.high)
+
+
+# Groups of results, such as two trackers over the same recordings: paired recording by recording
+
+
+EXAMPLE = "such as rbpf='out/rbpf-*.mcap'"
+
+
+RECORDINGS = "one recording"
+Pair = tuple[Evaluation, Evaluation]
+
+
+def expand_groups(texts: Iterable[str]) -> dict[str, tuple[Path, ...]]:
+    """Return the files of each ``NAME=PATTERN``, sorted; a name may come more than once.
+
+    Raises:
+        UsageError: it is no such text, no file fits, or a file is in two groups.
+    """
+    groups: dict[str, tuple[Path, ...]] = {}
+    for text in texts:
+        name, pattern = _split(text)
+        found = _matching(pattern)
+        if not found:
+            hint = f"files of a folder are {pattern.rstrip('/')}/*.mcap" if Path(pattern).is_dir() else ""
+            raise UsageError(f"no file fits the pattern of group '{name}'", found=pattern, hint=hint)
+        groups[name] = tuple(dict.fromkeys((*groups.get(name, ()), *found)))
+    _check_disjoint(groups)
+    return groups
+
+
+def _split(text: str) -> tuple[str, str]:
+    name, sign, pattern = (part.strip() for part in text.partition("="))
+    if not (name and sign and pattern):
+        raise UsageError(f"'{text}' is no group", expected="NAME=PATTERN", hint=EXAMPLE)
+    return name, pattern
+
+
+def _matching(pattern: str) -> Sequence[Path]:
+    """Files that fit; a file whose very name has brackets is found by it."""
+    if Path(pattern).is_file():
+        return [Path(pattern)]
+    return [Path(name) for name in sorted(glob.glob(pattern, recursive=True)) if Path(name).is_file()]  # noqa: PTH207
+
+
+def _check_disjoint(groups: dict[str, tuple[Path, ...]]) -> None:
+    home: dict[Path, str] = {}
+    for name, paths in groups.items():
+        for path in paths:
+            other = home.setdefault(real_path(path), name)
+            if other != name:
+                raise UsageError("file is in two groups", where=path, found=f"{other} and {name}")
+
+
+@dataclass(frozen=True, eq=False)
+class Pairing:
+    """Which results of two groups belong together, and the names of those that do not."""
+
+    pairs: tuple[Pair, ...]
+    unpaired: tuple[str, ...]
+
+
+def compare_groups(groups: Mapping[str, Sequence[Evaluation]]) -> Comparison:
+    """Compare each group with the first: one figure of each result, paired by recording.
+
+    Args:
+        groups: at least two, by name, none of them empty.
+
+    Raises:
+        UsageError: the groups are of different subjects, or one has a recording twice with the same seed.
+    """
+    figures = _figures(groups)
+    summaries = {name: _summary(members, figures) for name, members in groups.items()}
+    (first, members), *others = groups.items()
+    differences: list[Difference] = []
+    notes: list[str] = []
+    for second, rest in others:
+        pairing = pair_by_recording(members, rest, names=(first, second))
+        differences += _group_differences((first, second), pairing, figures)
+        notes += _notes((first, second), pairing)
+    return Comparison(RECORDINGS, tuple(differences), (*notes, UNCORRECTED), summaries)
+
+
+def pair_by_recording(
+    first: Sequence[Evaluation], second: Sequence[Evaluation], names: tuple[str, str] = ("first", "second")
+) -> Pairing:
+    """Pair the results of the same recording and seed; by recording alone where each group has one of it.
+
+    Raises:
+        UsageError: a group has two results of the same recording and seed.
+    """
+    mine, theirs = (_by_recording(of, name) for of, name in zip((first, second), names, strict=True))
+    pairs: list[Pair] = []
+    for recording in mine:
+        a, b = mine[recording], theirs.get(recording, {})
+        if len(a) == len(b) == 1:
+            pairs += zip(a.values(), b.values(), strict=True)
+        else:
+            pairs += [(a[seed], b[seed]) for seed in a if seed in b]
+    paired_already = {id(one) for pair in pairs for one in pair}
+    unpaired = (one.name for one in (*first, *second) if id(one) not in paired_already)
+    return Pairing(tuple(pairs), tuple(unpaired))
+
+
+def _by_recording(members: Iterable[Evaluation], group: str) -> dict[str, dict[str, Evaluation]]:
+    """Results by recording, then seed; those whose run record names no recording are left out."""
+    found: dict[str, dict[str, Evaluation]] = {}
+    for one in members:
+        recording, seed = one.run.get(RECORDING_KEY, ""), one.run.get("seed", "")
+        if not recording:
+            continue
+        of_recording = found.setdefault(recording, {})
+        if seed in of_recording:
+            both = f"{of_recording[seed].name} and {one.name}"
+            raise UsageError(
+                f"group '{group}' has two results of the same recording and seed",
+                found=both,
+                hint="give each its own group",
+            )
+        of_recording[seed] = one
+    return found
+
+
+def _figures(groups: Mapping[str, Sequence[Evaluation]]) -> tuple[str, ...]:
+    """The figures of the subject that at least one result has."""
+    members = [one for group in groups.values() for one in group]
+    subjects = sorted({one.subject for one in members})
+    if len(subjects) > 1:
+        raise UsageError("groups of different subjects cannot be compared", found=" and ".join(subjects))
+    figures = studied_figures(subjects[0])
+    return tuple(f for f in figures if any(figure_of(one, f).value is not None for one in members))
+
+
+def _summary(members: Sequence[Evaluation], figures: Iterable[str]) -> dict[str, Statistics]:
+    found = {figure: [figure_of(one, figure).value for one in members] for figure in figures}
+    return {figure: statistics([v for v in values if v is not None]) for figure, values in found.items()}
+
+
+def _group_differences(
+    names: tuple[str, str], pairing: Pairing, figures: Iterable[str]
+) -> Iterator[Difference]:
+    for figure in figures:
+        values = [(figure_of(a, figure), figure_of(b, figure)) for a, b in pairing.pairs]
+        whole = [(a.value, b.value) for a, b in values if a.value is not None and b.value is not None]
+        result = paired([a for a, _ in whole], [b for _, b in whole])
+        notes = [result.note, *_left_out(pairing.pairs, figure)]
+        yield Difference(figure, *names, result, "; ".join(filter(None, notes)))
+
+
+def _left_out(pairs: Iterable[Pair], figure: str) -> Iterator[str]:
+    for one in (one for pair in pairs for one in pair):
+        reason = figure_of(one, figure).reason
+        if reason:
+            yield f"without {one.name} ({reason})"
+
+
+def _notes(names: tuple[str, str], pairing: Pairing) -> Iterator[str]:
+    between = f"{names[1]} - {names[0]}"
+    if pairing.unpaired:
+        yield f"{between}: no partner of the same recording and seed: {', '.join(pairing.unpaired)}"
+    seeds = [(a.run.get("seed"), b.run.get("seed")) for a, b in pairing.pairs]
+    if any(a != b for a, b in seeds):
+        yield f"{between}: seeds differ, so pairs are of the same recording alone"
+    recordings = len({a.run[RECORDING_KEY] for a, _ in pairing.pairs})
+    if 0 < recordings < len(pairing.pairs):
+        yield f"{between}: {len(pairing.pairs)} pairs are of {recordings} recordings: not all independent"
+
+
+# Results of the same recording beside each other: paired differences, second by second
+
+
+SECONDS = "one second of a recording"
+UNCORRECTED = "p-values are of single tests: with many figures some are small by chance"
+
+
+@dataclass(frozen=True)
+class Difference:
+    """How much a figure differs between two results or two groups.
+
+    Attributes:
+        figure: address, such as ``joint_error_mm`` or ``joint_error_mm.mean``.
+        first, second: names; the difference is second minus first.
+        paired: means, difference, interval and test; ``paired.count`` units.
+        note: what a reader must know, or empty.
+    """
+
+    figure: str
+    first: str
+    second: str
+    paired: Paired
+    note: str
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Paired differences, ready to be shown.
+
+    Attributes:
+        unit: what one of the pairs is: a second of a recording, or a recording.
+        differences: by pair of names, then figure by figure.
+        notes: what holds for all of them.
+        groups: of groups of results, by group and figure: statistics over its results.
+    """
+
+    unit: str
+    differences: tuple[Difference, ...]
+    notes: tuple[str, ...]
+    groups: Mapping[str, Mapping[str, Statistics]] = field(default_factory=dict)
+
+
+def compare(evaluations: Sequence[Evaluation]) -> Comparison | None:
+    """Compare each result with the first one of the same recording, over every figure both have by frame.
+
+    Errors of neighbouring frames are alike, so the unit is a block of one second
+    (``evaluation.comparing.blocks``).
+
+    Returns:
+        None if no two results are of the same recording.
+    """
+    by_recording: dict[str, list[Evaluation]] = {}
+    for one in evaluations:
+        by_recording.setdefault(one.run.get(RECORDING_KEY, ""), []).append(one)
+    alone = [name for name, of in by_recording.items() if len(of) < 2 or not name]
+    differences = [
+        difference
+        for recording, (first, *others) in by_recording.items()
+        if recording not in alone
+        for second in others
+        for difference in _differences(first, second)
+    ]
+    if not differences:
+        return None
+    names = ", ".join(one.name for recording in alone for one in by_recording[recording])
+    notes = [f"no other result of the same recording: {names}"] if names else []
+    return Comparison(SECONDS, tuple(differences), (*notes, UNCORRECTED))
+
+
+def _differences(first: Evaluation, second: Evaluation) -> Iterator[Difference]:
+    """Every series that both have, in the catalogue's order."""
+    common = [name for name in first.series if name in second.series]
+    for figure in sorted(common, key=place_of):
+        yield _difference(figure, first, second)
+
+
+def _difference(figure: str, first: Evaluation, second: Evaluation) -> Difference:
+    blocks = paired_blocks(
+        first.series_stamp_ns, first.series[figure], second.series_stamp_ns, second.series[figure]
+    )
+    result = paired(blocks.first, blocks.second)
+    notes = [result.note]
+    if blocks.left_out:
+        notes.append(f"{blocks.left_out} frames without a figure in both are not compared")
+    alike = neighbour_correlation(blocks.second - blocks.first)
+    if alike:
+        notes.append(f"neighbouring seconds are alike (correlation {alike:.2f}): p is too small")
+    return Difference(figure, first.name, second.name, result, "; ".join(filter(None, notes)))

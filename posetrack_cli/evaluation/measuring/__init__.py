@@ -1,0 +1,1 @@
+"""From arrays to figures: metrics of frames, of recordings, of many recordings."""

@@ -1,0 +1,409 @@
+"""Errors of a hand's joints: places, their stated intervals, velocities."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.errors import PosetrackError
+from posetrack_cli.evaluation.measuring import pose_metrics as pose_errors
+from posetrack_cli.evaluation.measuring.evaluation import Count, Curve
+from posetrack_cli.evaluation.measuring.measures import (
+    Common,
+    Matched,
+    Measures,
+    common_columns,
+    rows_of,
+    shape_columns,
+)
+from posetrack_cli.evaluation.measuring.pose_metrics import (
+    NO_VELOCITY,
+    POSE_AXES,
+    covariance_metrics,
+    estimates_no_velocity,
+    known_frames,
+    velocity_metrics,
+)
+from posetrack_cli.evaluation.reading.alignment import tracked_pairs
+from posetrack_cli.evaluation.reading.tracks import Track, usual_interval
+from posetrack_cli.geometry.rotations import conjugate, rotate
+from posetrack_cli.hand.fit.skeleton import thumbs_of
+from posetrack_cli.hand.model.anatomy import ANGLE_NAMES, FINGERS, JOINT_NAMES, HandAnatomy
+from posetrack_cli.hand.model.kinematics import joint_jacobian
+from posetrack_cli.units import NS_PER_S
+
+# Metrics of a hand against truth
+
+
+WITHIN_MM = (10, 20, 30, 40, 50, 80)
+"""Thresholds D of the metrics ``frames_within_<D>mm`` and ``frames_mean_within_<D>mm``."""
+BIAS = "joint_bias_mm"
+COMPONENTS = tuple(f"joint_bias_{axis}_mm" for axis in "xyz")
+BIAS_METRICS = (BIAS, *COMPONENTS)
+
+
+CURVE_MM: FloatArray = np.arange(0.0, 101.0)
+"""Thresholds of the curve, mm."""
+OTHER_JOINTS = "the truth has other joints"
+_WRIST = JOINT_NAMES[0]
+_WITHIN = tuple(f"frames_within_{threshold}mm" for threshold in WITHIN_MM)
+_MEAN_WITHIN = tuple(f"frames_mean_within_{threshold}mm" for threshold in WITHIN_MM)
+STATE_PARTS = ("position", "rotation", "angles", *POSE_AXES, *ANGLE_NAMES)
+"""Parts of the state that the covariance metrics tell apart, down to its single entries."""
+_JOINT_METRICS = (
+    "joint_error_mm",
+    "joint_error_tracked_mm",
+    "finger_error_mm",
+    "fingertip_error_mm",
+    "largest_joint_error_mm",
+)
+
+
+def joint_bias(measures: Measures, matched: Matched, joints: Common) -> None:
+    """Add the mean error vector of each joint in the palm's axes, over the frames that are not lost.
+
+    With R_i the estimated rotation of the hand: b_j = mean_i R_i^T (p_ij - p_true,ij), mm, estimate minus
+    truth. Of a right hand x points to the thumb, y to the wrist, z out of the back of the hand. The whole's
+    length is the mean of |b_j| over the joints, its components are those of the mean of b_j.
+    """
+    if matched.estimate.quaternion is None:
+        return measures.lack("the result has no rotation", *BIAS_METRICS)
+    if not len(matched):
+        return measures.lack(measures.nothing, *BIAS_METRICS)
+    biases = _biases(matched, joints)
+    _add(measures, BIAS, np.linalg.norm(biases, axis=1), joints.names)
+    for component, values in zip(COMPONENTS, biases.T, strict=True):
+        _add(measures, component, values, joints.names)
+
+
+def _biases(matched: Matched, joints: Common) -> FloatArray:
+    """(P, 3), one joint at a time: a long track's points are most of its memory."""
+    track, truth = matched.estimate, matched.truth
+    rows, true_rows = tracked_pairs(track, matched.pairs)
+    assert track.quaternion is not None and track.points is not None and truth.points is not None
+    back = conjugate(track.quaternion[rows])
+    return np.array(
+        [
+            rotate(back, track.points[rows, mine] - truth.points[true_rows, theirs]).mean(axis=0)
+            for mine, theirs in zip(joints.estimate, joints.truth, strict=True)
+        ]
+    )
+
+
+def _add(measures: Measures, address: str, values: FloatArray, names: tuple[str, ...]) -> None:
+    measures.metrics[address] = float(values.mean())
+    measures.metrics |= {f"{address}.{name}": float(v) for name, v in zip(names, values, strict=True)}
+
+
+def hand_metrics(measures: Measures, matched: Matched, missed: int) -> Curve | None:
+    """Add every metric of a hand; return the curve if there are joints to compare.
+
+    The error of a joint is the Euclidean distance |p_est - p_true|, mm. ``joint_error_mm`` summarises it
+    over frames and joints, ``largest_joint_error_mm`` the largest of each frame. Joints are matched by name.
+
+    Args:
+        measures: where to.
+        matched: the M frames with a truth; lost ones count like all others.
+        missed: truths that the result has no estimate for.
+    """
+    curve = _joints(measures, matched, missed)
+    _wrist(measures, matched)
+    _angles(measures, matched)
+    velocity_metrics(measures, matched, angles=True)
+    covariance_metrics(measures, matched, STATE_PARTS)
+    return curve
+
+
+def _joints(measures: Measures, matched: Matched, missed: int) -> Curve | None:
+    joints = common_columns(matched.estimate.point_names, matched.truth.point_names)
+    reason = matched.lacks("points") or ("" if joints.names else OTHER_JOINTS)
+    if reason:
+        measures.lack(reason, *_JOINT_METRICS, *_WITHIN, *_MEAN_WITHIN, *BIAS_METRICS)
+        return None
+    if joints.lacking:
+        total = len(joints.names) + len(joints.lacking)
+        lacking = ", ".join(joints.lacking)
+        measures.notes.append(
+            f"joint errors over {len(joints.names)} of {total} joints: the truth has no {lacking}"
+        )
+    errors = joint_errors(matched, joints)
+    measures.add_parts("joint_error_mm", errors, joints.names)
+    _tracked(measures, matched, errors)
+    _fingers(measures, errors, joints.names)
+    joint_bias(measures, matched, joints)
+    return _largest(measures, errors, missed)
+
+
+def joint_errors(matched: Matched, joints: Common) -> FloatArray:
+    """Return the distances (M, P) between estimated and true joints, mm."""
+    pairs = (
+        (matched.of_estimate("points", mine), matched.of_truth("points", theirs))
+        for mine, theirs in zip(joints.estimate, joints.truth, strict=True)
+    )
+    return pose_errors.distances_by_point(pairs, len(matched))
+
+
+def _tracked(measures: Measures, matched: Matched, errors: FloatArray) -> None:
+    """Joint errors where the track is not lost; a result that does not say is taken as not lost."""
+    lost = matched.estimate.lost
+    kept = errors if lost is None else errors[~rows_of(lost, matched.pairs.estimate)]
+    nothing = "every frame with truth is lost" if len(matched) else ""
+    measures.summarise("joint_error_tracked_mm", kept, nothing)
+
+
+def _fingers(measures: Measures, errors: FloatArray, names: tuple[str, ...]) -> None:
+    """Joint errors of the fingers together, of each finger, and of the fingertips."""
+    columns = {
+        finger: [i for i, name in enumerate(names) if name.startswith(f"{finger}_")] for finger in FINGERS
+    }
+    of_fingers = [i for own in columns.values() for i in own]
+    tips = [i for i in of_fingers if names[i].endswith("_tip")]
+    for address, own in (("finger_error_mm", of_fingers), ("fingertip_error_mm", tips)):
+        if own:
+            measures.add(address, errors[:, own])
+        else:
+            measures.lack(OTHER_JOINTS, address)
+    for finger, own in columns.items():
+        measures.summarise(f"finger_error_mm.{finger}", errors[:, own], "" if own else OTHER_JOINTS)
+
+
+def _largest(measures: Measures, errors: FloatArray, missed: int) -> Curve | None:
+    """The largest error of each frame, and the curve: share of frames due that stay below D.
+
+    Due are the frames with a truth: those matched and those that the result missed, which count as not
+    below. An estimate without truth cannot be judged and is not among them; coverage counts it.
+    """
+    largest, mean = errors.max(axis=1), errors.mean(axis=1)
+    measures.add("largest_joint_error_mm", largest)
+    due = len(errors) + missed
+    if not due:
+        measures.lack(measures.nothing, *_WITHIN, *_MEAN_WITHIN)
+        return None
+    for names, values in ((_WITHIN, largest), (_MEAN_WITHIN, mean)):
+        shares = pose_errors.share_below(values, np.array(WITHIN_MM), due)
+        measures.metrics |= {name: float(share) for name, share in zip(names, shares, strict=True)}
+        measures.counts |= {
+            name: Count(round(float(share) * due), due) for name, share in zip(names, shares, strict=True)
+        }
+    return Curve(CURVE_MM, *(pose_errors.share_below(values, CURVE_MM, due) for values in (largest, mean)))
+
+
+def _wrist(measures: Measures, matched: Matched) -> None:
+    """Position and rotation of the wrist, which is the origin of hand coordinates.
+
+    A truth of joints alone has its wrist among them.
+    """
+    reason = matched.lacks("position")
+    joints = common_columns(matched.estimate.point_names, matched.truth.point_names)
+    if not reason:
+        measures.add(
+            "wrist_position_mm",
+            pose_errors.distances(matched.of_estimate("position"), matched.of_truth("position")),
+        )
+    elif _WRIST in joints.names and not matched.lacks("points"):
+        at = joints.names.index(_WRIST)
+        only = Common((_WRIST,), (joints.estimate[at],), (joints.truth[at],), ())
+        measures.add("wrist_position_mm", joint_errors(matched, only)[:, 0])
+    else:
+        measures.lack(reason, "wrist_position_mm")
+    if reason := matched.lacks("quaternion"):
+        measures.lack(reason, "wrist_rotation_deg")
+    else:
+        measures.add(
+            "wrist_rotation_deg",
+            pose_errors.rotation_errors_deg(
+                matched.of_estimate("quaternion"), matched.of_truth("quaternion")
+            ),
+        )
+
+
+def _angles(measures: Measures, matched: Matched) -> None:
+    """Absolute errors |angle_est - angle_true|; joint limits keep angles far from a full turn."""
+    common = common_columns(matched.estimate.shape_names, matched.truth.shape_names)
+    if reason := matched.lacks("shape") or ("" if common.names else "the truth has other finger angles"):
+        return measures.lack(reason, "angle_error_deg")
+    mine, theirs = shape_columns(matched, "shape", common)
+    measures.add_parts("angle_error_deg", np.degrees(np.abs(mine - theirs)), common.names)
+
+
+# Whether true joints lie within the intervals that a result states of its pose.
+#
+# A result states variances of the pose's entries, not of joints. With J the derivative of a joint's
+# coordinates by the tangent vector and P the stated, diagonal covariance, to first order::
+#
+#     var = diag(J diag(P) J^T) = sum_k J_k^2 P_kk
+#
+# Of the wrist, which is the pose's position, that is what is stated; for other joints it leaves out how
+# errors of the entries hang together, which no result states. A truth of joints alone has no other intervals.
+
+
+METRICS = {f"joint_{name}": half_width for name, half_width in pose_errors.INTERVALS.items()}
+BLOCK_FRAMES = 512
+"""Derivatives are many times the size of a long track: so many frames at a time."""
+
+
+def joint_variances(
+    anatomy: HandAnatomy, poses: FloatArray, thumbs: FloatArray, variances: FloatArray
+) -> FloatArray:
+    """Return the variances (N, 21, 3), mm^2, camera axes, of the joints of poses.
+
+    Args:
+        anatomy: of the hand.
+        poses: (N, 22) position, mm, quaternion and angles, rad.
+        thumbs: (N, 2) their inner angles (``hand.fit.skeleton``), rad.
+        variances: (N, 21) of the tangent vector's entries, mm^2 and rad^2.
+    """
+    found: FloatArray = np.empty((len(poses), len(JOINT_NAMES), 3))
+    with np.errstate(all="ignore"):  # a stranger's poses may be too large for any derivative
+        for rows, jacobian in jacobians(anatomy, poses, thumbs):
+            found[rows] = np.einsum("njck,nk->njc", jacobian**2, variances[rows])
+    return found
+
+
+def jacobians(
+    anatomy: HandAnatomy, poses: FloatArray, thumbs: FloatArray
+) -> Iterator[tuple[slice, FloatArray]]:
+    """Yield blocks of rows, and J (n, 21, 3, 21) of their poses; see ``joint_variances``."""
+    for rows in (slice(first, first + BLOCK_FRAMES) for first in range(0, len(poses), BLOCK_FRAMES)):
+        yield rows, joint_jacobian(anatomy, poses[rows], thumbs[rows])
+
+
+def poses_of(matched: Matched) -> tuple[FloatArray, FloatArray]:
+    """Return the estimated poses (M, 22), and the inner angles (M, 2) of their thumbs."""
+    poses = np.hstack([matched.of_estimate(name) for name in ("position", "quaternion", "shape")])
+    numbers = None if matched.estimate.numbers is None else matched.of_estimate("numbers")
+    return poses, thumbs_of(numbers, len(poses))
+
+
+def joint_intervals(measures: Measures, matched: Matched, anatomy: Callable[[], HandAnatomy]) -> None:
+    """Add the shares of true joint coordinates inside the 50 % and 90 % intervals, also joint by joint.
+
+    Args:
+        measures: where to.
+        matched: the frames with a truth.
+        anatomy: makes the bones of the hand that was tracked; is asked where everything else is there, and
+            raises PosetrackError where they are not known.
+    """
+    joints = common_columns(matched.estimate.point_names, matched.truth.point_names)
+    reason = hand_lacks(matched, joints) or ("" if len(matched) else measures.nothing)
+    if reason:
+        return measures.lack(reason, *METRICS)
+    try:
+        normalised = dict(_normalised(matched, joints, anatomy()))
+    except PosetrackError as error:
+        return measures.lack(f"bones of the hand are not known: {error}", *METRICS)
+    together = np.stack(list(normalised.values()), axis=1)
+    for metric, half_width in METRICS.items():
+        measures.share(metric, pose_errors.inside_interval(together, half_width))
+        for name, own in normalised.items():
+            measures.share(f"{metric}.{name}", pose_errors.inside_interval(own, half_width))
+
+
+def hand_lacks(matched: Matched, joints: Common) -> str:
+    """Return why a pose tells nothing of joints that could be compared; empty where it does."""
+    track = matched.estimate
+    if track.position is None or track.quaternion is None or track.pose_variance is None:
+        return "the result has no pose with covariance"
+    if track.point_names != JOINT_NAMES or track.shape_names != ANGLE_NAMES:
+        return "the result has other joints or angles than the hand's"
+    return matched.lacks("points") or ("" if joints.names else "the truth has other joints")
+
+
+def _normalised(matched: Matched, joints: Common, anatomy: HandAnatomy) -> Iterator[tuple[str, FloatArray]]:
+    """The squares (M, 3) of each joint's errors over their variances."""
+    variances = joint_variances(anatomy, *poses_of(matched), matched.of_estimate("pose_variance"))
+    for name, mine, theirs in zip(joints.names, joints.estimate, joints.truth, strict=True):
+        errors = matched.of_truth("points", theirs) - matched.of_estimate("points", mine)
+        yield name, pose_errors.normalised_squares(errors, variances[:, mine])
+
+
+# Velocities of a hand's joints against central differences of the true ones.
+#
+# A truth of joints alone has no velocity of a pose. With J the derivative of a joint's coordinates by the
+# tangent vector, u the stated twist and P the stated, diagonal covariance of it, the estimated velocity of a
+# joint is J u, and to first order its variance is sum_k J_k^2 P_kk. The true one is::
+#
+#     (p_t+1 - p_t-1) / (stamp_t+1 - stamp_t-1)
+#
+# of frames whose two neighbours are at most ``FARTHEST`` usual intervals apart.
+
+
+ERROR = "joint_velocity_error_mm_s"
+INTERVALS = {f"joint_velocity_{name}": half_width for name, half_width in pose_errors.INTERVALS.items()}
+_SAME_MM = 0.01
+FARTHEST = 3.0
+"""Two neighbours lie two intervals apart; where more than one frame is missing they are not neighbours."""
+
+
+def joint_velocities(measures: Measures, matched: Matched, anatomy: Callable[[], HandAnatomy]) -> None:
+    """Add |J u - v_true| of joints, and the shares of true velocities inside the 50 % and 90 % intervals.
+
+    Args:
+        measures: where to.
+        matched: the frames with a truth.
+        anatomy: makes the bones of the hand that was tracked; is asked where everything else is there, and
+            raises PosetrackError where they are not known.
+    """
+    joints = common_columns(matched.estimate.point_names, matched.truth.point_names)
+    reason = hand_lacks(matched, joints) or matched.lacks("points") or _lacks(matched.estimate)
+    if reason or not len(matched):
+        return measures.lack(reason or measures.nothing, ERROR, *INTERVALS)
+    true = rows_of(central_differences(matched.truth), matched.pairs.truth)[:, joints.truth]
+    if not known_frames(true).any():
+        return measures.lack(NO_VELOCITY, ERROR, *INTERVALS)
+    try:
+        velocity, variance = _of_joints(matched, anatomy())
+    except PosetrackError as error:
+        return measures.lack(f"bones of the hand are not known: {error}", ERROR, *INTERVALS)
+    off = true - velocity[:, joints.estimate]
+    known = known_frames(off)
+    distances: FloatArray = np.linalg.norm(off, axis=-1)
+    measures.add(ERROR, distances, known)
+    measures.summarise_parts(ERROR, distances[known], joints.names)
+    normalised = pose_errors.normalised_squares(off, variance[:, joints.estimate])[known]
+    for metric, half_width in INTERVALS.items():
+        inside = pose_errors.inside_interval(normalised, half_width)
+        measures.share(metric, inside)
+        for column, name in enumerate(joints.names):
+            measures.share(f"{metric}.{name}", inside[:, column])
+
+
+def central_differences(truth: Track) -> FloatArray:
+    """Return the velocities (N, P, 3), mm/s, of a truth's points; NaN without two near neighbours."""
+    assert truth.points is not None
+    velocities: FloatArray = np.full(truth.points.shape, np.nan)
+    if len(truth) < 3:
+        return velocities
+    spans = (truth.stamp_ns[2:] - truth.stamp_ns[:-2]) / NS_PER_S
+    near = spans <= FARTHEST * usual_interval(truth.stamp_ns) / NS_PER_S
+    rows = 1 + np.flatnonzero(near)
+    velocities[rows] = (truth.points[rows + 1] - truth.points[rows - 1]) / spans[near][:, None, None]
+    return velocities
+
+
+def _lacks(track: Track) -> str:
+    """Why a result has no velocity of joints; empty where it has one."""
+    if len(track) and _is_moved(track):
+        return "poses are aligned, and no longer those of the joints"
+    if track.twist is None or track.twist_variance is None or estimates_no_velocity(track):
+        return "the run estimates no velocity"
+    return ""
+
+
+def _is_moved(track: Track) -> bool:
+    """Whether an alignment has moved the poses, whose origin is the wrist."""
+    assert track.position is not None and track.points is not None
+    return not np.allclose(track.position, track.points[:, 0], rtol=0.0, atol=_SAME_MM)
+
+
+def _of_joints(matched: Matched, anatomy: HandAnatomy) -> tuple[FloatArray, FloatArray]:
+    """The estimated velocities (M, 21, 3) of joints, mm/s, and their variances."""
+    twist, variance = matched.of_estimate("twist"), matched.of_estimate("twist_variance")
+    found: FloatArray = np.empty((2, len(matched), len(JOINT_NAMES), 3))
+    with np.errstate(all="ignore"):  # a stranger's poses may be too large for any derivative
+        for rows, jacobian in jacobians(anatomy, *poses_of(matched)):
+            found[0, rows] = np.einsum("njck,nk->njc", jacobian, twist[rows])
+            found[1, rows] = np.einsum("njck,nk->njc", jacobian**2, variance[rows])
+    return found[0], found[1]

@@ -1,0 +1,118 @@
+"""Errors of a head's points, in space and in images."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from posetrack_cli.arrays import BoolArray, FloatArray
+from posetrack_cli.evaluation.measuring import pose_metrics as pose_errors
+from posetrack_cli.evaluation.measuring.measures import Matched, Measures, common_columns
+from posetrack_cli.evaluation.measuring.pose_metrics import (
+    POSE_AXES,
+    covariance_metrics,
+    distances,
+    velocity_metrics,
+)
+from posetrack_cli.evaluation.reading.image_points import OUTER_EYES
+from posetrack_cli.geometry.camera import Camera, pixels_from_points
+from posetrack_cli.geometry.rigid import in_object
+
+# Metrics of a head against truth: the thesis's x, y, z, roll, pitch, yaw (tables 4.1-4.3) and its points
+
+
+HEAD_POSE = ("x_mm", "y_mm", "z_mm", "roll_deg", "pitch_deg", "yaw_deg")
+"""Columns of the thesis's tables 4.1-4.3, each as mean and standard deviation."""
+STATE_PARTS = ("position", "rotation", *POSE_AXES)
+"""Parts of the state that the covariance metrics tell apart; deformations are left out.
+
+Their axes belong to the model, and a truth's is another.
+"""
+_POSITION, _ROTATION = (*HEAD_POSE[:3], "position_mm"), (*HEAD_POSE[3:], "rotation_deg")
+
+
+def head_metrics(measures: Measures, matched: Matched, missed: int = 0) -> None:
+    """Add every metric of a head over the M frames with a truth; lost ones count like all others."""
+    _position(measures, matched)
+    _rotation(measures, matched)
+    _points(measures, matched)
+    velocity_metrics(measures, matched)
+    covariance_metrics(measures, matched, STATE_PARTS)
+
+
+def _position(measures: Measures, matched: Matched) -> None:
+    """|x|, |y|, |z| of t_est - t_true in camera axes, and its length."""
+    if reason := matched.lacks("position"):
+        return measures.lack(reason, *_POSITION)
+    mine, theirs = matched.of_estimate("position"), matched.of_truth("position")
+    for column, name in enumerate(HEAD_POSE[:3]):
+        measures.add(name, np.abs(mine[:, column] - theirs[:, column]))
+    measures.add("position_mm", pose_errors.distances(mine, theirs))
+
+
+def _rotation(measures: Measures, matched: Matched) -> None:
+    """Absolute differences of roll, pitch and yaw (``geometry.rotations``), and q_est^-1 q_true's angle."""
+    if reason := matched.lacks("quaternion"):
+        return measures.lack(reason, *_ROTATION)
+    mine, theirs = matched.of_estimate("quaternion"), matched.of_truth("quaternion")
+    errors = pose_errors.euler_errors_deg(mine, theirs)
+    for column, name in enumerate(HEAD_POSE[3:]):
+        measures.add(name, errors[:, column])
+    measures.add("rotation_deg", pose_errors.rotation_errors_deg(mine, theirs))
+
+
+def _points(measures: Measures, matched: Matched) -> None:
+    """Distances of points in head coordinates, m = R^T (p - t), each side by its own pose (figure 4.11).
+
+    The pose's error is so kept out: what remains is the error of the shape.
+    """
+    points = common_columns(matched.estimate.point_names, matched.truth.point_names)
+    reason = matched.lacks("points", "position", "quaternion")
+    if reason := reason or ("" if points.names else "the truth has other points"):
+        return measures.lack(reason, "point_error_mm")
+    if points.lacking:
+        measures.notes.append(f"point errors without {', '.join(points.lacking)}: the truth has none")
+    pairs = (
+        (_in_head(matched.of_estimate, mine), _in_head(matched.of_truth, theirs))
+        for mine, theirs in zip(points.estimate, points.truth, strict=True)
+    )
+    errors = pose_errors.distances_by_point(pairs, len(matched))
+    measures.add_parts("point_error_mm", errors, points.names)
+
+
+def _in_head(side: Callable[..., FloatArray], point: int) -> FloatArray:
+    """A point (M, 3) in head coordinates, of the estimate or of the truth."""
+    return in_object(side("points", point), side("position"), side("quaternion"))
+
+
+# Metrics of a head against points that were annotated in images
+
+
+ERROR, NORMALISED = "landmark_error_px", "landmark_nme"
+
+
+def landmark_metrics(measures: Measures, matched: Matched, camera: Camera) -> None:
+    """Add the distances between projected and annotated points, in pixels and in distances of the eyes.
+
+    Args:
+        measures: where to.
+        matched: the frames with a truth.
+        camera: of the estimates, with its distortion.
+    """
+    estimate, truth = matched.estimate, matched.truth
+    if truth.pixels is None:
+        return measures.lack("the truth has no image points", ERROR, NORMALISED)
+    points = common_columns(estimate.point_names, truth.point_names)
+    if estimate.points is None or not points.names:
+        return measures.lack("the result has other points", ERROR, NORMALISED)
+    projected, visible = pixels_from_points(camera, matched.of_estimate("points")[:, points.estimate])
+    pixels = matched.of_truth("pixels")
+    errors = distances(projected, pixels[:, points.truth])
+    known: BoolArray = np.logical_and.reduce(visible, axis=1)
+    if not known.all():
+        measures.notes.append(f"image errors without {(~known).sum()} frames with points outside the view")
+    measures.add(ERROR, errors, known)
+    measures.summarise_parts(ERROR, errors[known], points.names)
+    right, left = (pixels[:, truth.point_names.index(name)] for name in OUTER_EYES)
+    measures.add(NORMALISED, 100.0 * np.mean(errors, axis=1) / distances(right, left), known)

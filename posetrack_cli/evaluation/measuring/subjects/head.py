@@ -1,0 +1,91 @@
+"""Heads: points of a face, grey images of one or more cameras."""
+
+from __future__ import annotations
+
+from posetrack_cli.evaluation.measuring.head_metrics import (
+    HEAD_POSE,
+    STATE_PARTS,
+    head_metrics,
+    landmark_metrics,
+)
+from posetrack_cli.evaluation.measuring.measures import Matched, Measures, Metric
+from posetrack_cli.evaluation.measuring.subjects.kind import SubjectKind
+from posetrack_cli.head.actions import ACTION_NAMES
+from posetrack_cli.head.subject import RIGHT_DEG, RIGHT_MM
+from posetrack_cli.results.reader import Result
+
+FAR_DEG = 10.0
+_METRICS = (
+    Metric("x_mm", "mm", "Absolute error of the head's position along x, right.", spoken="x error"),
+    Metric("y_mm", "mm", "Absolute error of the head's position along y, down.", spoken="y error"),
+    Metric("z_mm", "mm", "Absolute error of the head's position along z, the depth.", spoken="z error"),
+    Metric("roll_deg", "deg", "Absolute error of the head's roll, about z.", spoken="roll error"),
+    Metric("pitch_deg", "deg", "Absolute error of the head's pitch, about x.", spoken="pitch error"),
+    Metric("yaw_deg", "deg", "Absolute error of the head's yaw, about y.", spoken="yaw error"),
+    Metric(
+        "position_mm",
+        "mm",
+        "Distance between the estimated and the true origin of the head.",
+        spoken="position error",
+    ),
+    Metric(
+        "rotation_deg",
+        "deg",
+        "Angle of the rotation between the estimated and the true head, 0 to 180.",
+        spoken="rotation error",
+    ),
+    Metric(
+        "point_error_mm",
+        "mm",
+        "Distance between an estimated and the true feature point in head coordinates, each by its own pose.",
+        "point",
+    ),
+    Metric(
+        "landmark_error_px",
+        "px",
+        "Image distance between a projected and the annotated feature point, in which constant offsets are "
+        "expected as nostrils and brows are not quite those of annotations.",
+        "point",
+    ),
+    Metric(
+        "landmark_nme",
+        "%",
+        "Landmark error over the points of a frame, in percent of the distance of the annotated outer eye "
+        "corners.",
+        spoken="normalised landmark error",
+    ),
+)
+
+
+def _landmarks(measures: Measures, result: Result, matched: Matched) -> None:
+    landmark_metrics(measures, matched, result.camera())
+
+
+HEAD = SubjectKind(
+    name="head",
+    body="Head",
+    metrics=_METRICS,
+    measure=head_metrics,
+    parts={"state": STATE_PARTS},
+    point_part="point",
+    shape_part="",
+    point_metric="point_error_mm",
+    key_figures=(
+        "coverage",
+        *(f"{name}.mean" for name in (*HEAD_POSE, "position_mm", "rotation_deg", "point_error_mm")),
+    ),
+    studied_figures=(
+        "velocity_error_mm_s.mean",
+        "angular_velocity_error_deg_s.mean",
+        "inside_90",
+        "jitter_mm.mean",
+        "ms_per_frame.median",
+    ),
+    lead=("position_mm", "rotation_deg"),
+    readings=("position_mm", "rotation_deg", "point_error_mm"),
+    worst_by=("point_error_mm", "position_mm", "landmark_error_px"),
+    right={"rotation_deg": RIGHT_DEG, "point_error_mm": RIGHT_MM},
+    far={"rotation_deg": FAR_DEG},
+    measure_of_result=_landmarks,
+    expressions=tuple(name for name in ACTION_NAMES if not name.endswith("_sd")),
+)

@@ -1,1 +1,0 @@
-"""What is measured of a result, and what it is called."""

@@ -1,0 +1,263 @@
+"""Truth from a file or a topic: which reader takes it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from posetrack_cli import limits
+from posetrack_cli.errors import PosetrackError, TruthError, UsageError
+from posetrack_cli.evaluation.reading.image_points import load_image_points
+from posetrack_cli.evaluation.reading.tracks import MOTION_FIELDS, Track, truth_of_columns
+from posetrack_cli.evaluation.reading.truth_tables import check_point_names, load_csv_track
+from posetrack_cli.evaluation.reading.truth_topics import (
+    ODOMETRY_SCHEMA,
+    POINTS_SCHEMA_NAME,
+    odometry_topic,
+    odometry_track,
+    points_topic,
+    points_track,
+)
+from posetrack_cli.geometry.rigid import rotation_from_rows
+from posetrack_cli.geometry.rotations import canonical, quaternions_from_matrices
+from posetrack_cli.head.subject import HEAD
+from posetrack_cli.mcap.stream import McapFile, is_mcap
+from posetrack_cli.phases import LossLog
+from posetrack_cli.recording.base import TRUTH_PREFIX
+from posetrack_cli.recording.datasets.biwi import SENSOR
+from posetrack_cli.recording.datasets.layout import nominal_stamps, numbered, numbers_of
+from posetrack_cli.recording.matching import LATEST_NS
+from posetrack_cli.results.columns import column_blocks, empty_columns, joined
+from posetrack_cli.results.estimate import Subject
+from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA_NAME
+from posetrack_cli.results.fields import Sizes
+from posetrack_cli.results.reader import Result, is_result, read_result
+from posetrack_cli.units import NS_PER_S
+
+# Poses of the Biwi Kinect head pose data as truth: a folder of ``frame_NNNNN_pose.txt``.
+#
+# A file has the head's rotation, row by row, and its centre in mm, in the axes of the data's camera. Which
+# camera that is, and where its head's origin lies, the data do not state next to the files: ``--align rigid``
+# removes both constants.
+
+
+POSE_FILE = re.compile(r"frame_([0-9]{1,9})_pose\.txt")
+NUMBERS = 12
+"""In a file: the rotation's rows, and the centre."""
+
+
+def holds_poses(folder: Path) -> bool:
+    """Return whether a folder has files of poses."""
+    try:
+        return any(POSE_FILE.fullmatch(file.name) for file in folder.iterdir())
+    except OSError:
+        return False
+
+
+def load_biwi_poses(folder: Path, run: Mapping[str, str]) -> Track:
+    """Read the poses of a sequence, with the stamps that its images have.
+
+    Args:
+        folder: of the sequence.
+        run: record of the result that is measured, whose frame rate counts.
+
+    Raises:
+        TruthError: a file cannot be used.
+    """
+    try:
+        files = numbered(folder, POSE_FILE)
+        if len(files) > limits.KEYPOINT_SETS:
+            raise TruthError("too many poses", where=folder, found=len(files), expected=limits.KEYPOINT_SETS)
+        fps = run.get("input.fps")
+        stamps, _, _ = nominal_stamps(files, float(fps) if fps else None, SENSOR)
+        values = [_numbers(file) for file in files.values()]
+        rotations = [rotation_from_rows(v[:9], str(f)) for v, f in zip(values, files.values(), strict=True)]
+    except TruthError:
+        raise
+    except (PosetrackError, ValueError) as error:
+        raise TruthError(str(error)) from error
+    return Track(
+        folder.name,
+        HEAD,
+        shape_names=(),
+        point_names=(),
+        point_parents=(),
+        stamp_ns=np.array(stamps),
+        position=np.array([v[9:] for v in values]),
+        quaternion=canonical(quaternions_from_matrices(np.array(rotations))),
+    )
+
+
+def _numbers(file: Path) -> list[float]:
+    values = numbers_of(file)
+    if len(values) != NUMBERS or not np.isfinite(values).all() or np.abs(values).max() > limits.LENGTH_MM:
+        expected = "a rotation of nine numbers and a centre of three, mm"
+        raise TruthError("is not a pose", where=file, found=f"{len(values)} numbers", expected=expected)
+    return values
+
+
+# Find the truth of a result: what it carries itself, or a file that is given
+
+
+def load_truth(
+    result: Result, path: Path | None = None, *, time_offset_s: float = 0.0, losses: LossLog | None = None
+) -> Track | None:
+    """Return what a result is to be measured against, its points in the result's order.
+
+    Without a path it is what the result carries on its topics ``/truth/<subject>/...``: complete estimates,
+    or else Odometry with or without JointStates (``odometry_track``), or else points alone
+    (``points_track``). With a path it is
+
+    - of another result its **own estimates**, such as a stereo track as the truth for a mono one, without
+      those that are lost; not the truth that it carries;
+    - of any other MCAP file, such as the recording, the ``/truth`` topics;
+    - of any other file what it has as CSV (``csv_track``);
+    - of a folder, for a head, points of its face in images (``image_points``).
+
+    Args:
+        result: to be measured.
+        path: a file or folder; None for what the result carries.
+        time_offset_s: added to the stamps of the truth.
+        losses: gets what of an MCAP file given as ``path`` cannot be read; what is lost of the result itself
+            is in ``result.losses``.
+
+    Returns:
+        None if the result carries no truth and no path is given.
+
+    Raises:
+        UsageError: the path is the result itself, or the offset leads beyond 64 bits.
+        TruthError: the file cannot be used, or is of another subject or other points.
+        ResultError, RecordingError: an MCAP file cannot be read, or its stamps do not increase strictly.
+    """
+    log = LossLog() if losses is None else losses
+    if path is None:
+        truth = topics_truth(McapFile(result.path), result.subject, "truth")
+    else:
+        truth = _given(result, path, log)
+    if truth is None:
+        return None
+    truth = _shifted(truth, time_offset_s)
+    # points and, if it has the same entries, its shape in the subject's order
+    truth = _with_points_of(truth, result.subject, path or result.path)
+    return _with_shape_of(truth, result.subject)
+
+
+def _given(result: Result, path: Path, losses: LossLog) -> Track:
+    if path.is_dir() and result.subject.name == HEAD and holds_poses(path):
+        return load_biwi_poses(path, result.run)
+    if path.is_dir() and result.subject.name == HEAD:
+        return load_image_points(path, result)
+    if not path.is_file():
+        raise TruthError("is no file" if path.exists() else "does not exist", where=path)
+    if path.samefile(result.path):
+        raise UsageError(
+            "a result cannot be its own truth",
+            where=path,
+            hint="leave --truth out to use the truth that it carries",
+        )
+    if not is_mcap(path):
+        return load_csv_track(path, result.subject)
+    if is_result(path):
+        return _estimates_of(path, result.subject, losses)
+    truth = topics_truth(McapFile(path, losses), result.subject, path.name)
+    if truth is None:
+        raise TruthError(
+            f"holds no truth of a {result.subject.name}",
+            where=path,
+            found=", ".join(_truth_topics(path)) or "no topic of truth",
+            expected=", ".join(
+                topic(result.subject.name) for topic in (_estimate_topic, odometry_topic, points_topic)
+            ),
+        )
+    return truth
+
+
+def _estimates_of(path: Path, subject: Subject, losses: LossLog) -> Track:
+    """Return the estimates of another result as truth."""
+    other = read_result(path)
+    if other.subject.name != subject.name:
+        raise TruthError("is of another subject", where=path, found=other.subject.name, expected=subject.name)
+    truth = truth_of_columns(other.columns(fields=MOTION_FIELDS), path.name, other.subject)
+    losses.include(other.losses)
+    return truth
+
+
+def topics_truth(file: McapFile, subject: Subject, name: str) -> Track | None:
+    """Return the truth on an MCAP file's topics, None if there is none of this subject."""
+    schemas = {c.topic: s.name for s, c in McapFile(file.path).channels() if s is not None}
+    if schemas.get(_estimate_topic(subject.name)) == ESTIMATE_SCHEMA_NAME:
+        return _estimates_truth(file, subject, name)
+    if schemas.get(odometry_topic(subject.name)) == ODOMETRY_SCHEMA:
+        return odometry_track(file, subject.name, schemas, name)
+    if schemas.get(points_topic(subject.name)) == POINTS_SCHEMA_NAME:
+        return points_track(file, subject, name)
+    return None
+
+
+def _estimates_truth(file: McapFile, subject: Subject, name: str) -> Track:
+    """Return the truth of a topic of ``posetrack.Estimate``, which is of the result's subject."""
+    messages = file.messages([_estimate_topic(subject.name)])
+    columns = joined(column_blocks((message.data for _, _, message in messages), MOTION_FIELDS))
+    sizes = Sizes.of(subject)
+    columns = columns or empty_columns(MOTION_FIELDS, sizes)
+    found = columns["shape"].shape[1], columns["points"].shape[1]
+    if found == (0, sizes.points):  # such as a head's, whose deformation only its points tell
+        subject = replace(subject, shape_names=())
+    elif found != sizes[:2]:
+        raise TruthError(
+            "truth has other shape entries or points than the result",
+            where=f"{file.path}, {_estimate_topic(subject.name)}",
+            found=f"{found[0]} and {found[1]}",
+            expected=f"{sizes.shape} and {sizes.points}",
+        )
+    return truth_of_columns(columns, name, subject)
+
+
+def _estimate_topic(subject: str) -> str:
+    return f"{TRUTH_PREFIX}{subject}/estimate"
+
+
+def _truth_topics(path: Path) -> Sequence[str]:
+    topics = (channel.topic for _, channel in McapFile(path).channels())
+    return sorted(topic for topic in topics if topic.startswith(TRUTH_PREFIX))
+
+
+def _shifted(truth: Track, offset_s: float) -> Track:
+    """Return the truth with the offset added to its stamps."""
+    if offset_s == 0.0 or not len(truth):
+        return truth
+    if truth.frame_index is not None:
+        raise UsageError(
+            "frames of image points are matched by their numbers", hint="leave --time-offset-s out"
+        )
+    offset = round(offset_s * NS_PER_S)
+    if max(abs(int(truth.stamp_ns[0]) + offset), abs(int(truth.stamp_ns[-1]) + offset)) > LATEST_NS:
+        raise UsageError("time offset leads beyond 64-bit stamps", found=f"{offset_s} s")
+    return replace(truth, stamp_ns=truth.stamp_ns + offset)
+
+
+def _with_points_of(truth: Track, subject: Subject, where: Path) -> Track:
+    if truth.points is None or truth.point_names == subject.point_names:
+        return truth
+    check_point_names(subject.point_names, truth.point_names, where)
+    columns = [truth.point_names.index(name) for name in subject.point_names]
+    points = truth.points[:, columns] if columns else None
+    return replace(truth, point_names=subject.point_names, point_parents=subject.point_parents, points=points)
+
+
+def _with_shape_of(truth: Track, subject: Subject) -> Track:
+    if (
+        truth.shape is None
+        or truth.shape_names == subject.shape_names
+        or sorted(truth.shape_names) != sorted(subject.shape_names)
+    ):
+        return truth
+    columns = np.array([truth.shape_names.index(name) for name in subject.shape_names], dtype=np.int64)
+    twist = truth.twist
+    if twist is not None:
+        twist = np.hstack([twist[:, :6], twist[:, 6 + columns]])
+    return replace(truth, shape_names=subject.shape_names, shape=truth.shape[:, columns], twist=twist)

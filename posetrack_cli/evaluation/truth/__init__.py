@@ -1,1 +1,0 @@
-"""What a result is measured against: found, read and checked."""

@@ -1,0 +1,1 @@
+"""How well a pose explains a frame, and the pose that does so best."""

@@ -1,0 +1,538 @@
+"""Gauss-Newton on a hand's pose: draw, compare, solve, step; compiled."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.compiled import inlined, kernel
+from posetrack_cli.geometry.kernels import quaternion_product
+from posetrack_cli.hand.fit.anatomy_terms import SPHERES, Plausibility, add_anatomy
+from posetrack_cli.hand.fit.normal_equations import (
+    ARM_PLACE,
+    THUMB_PLACE,
+    UNKNOWNS,
+    NormalEquations,
+    clear,
+    copy,
+    empty_equations,
+    gather,
+)
+from posetrack_cli.hand.fit.skeleton import (
+    ARM,
+    INNER_SIZE,
+    IP_OFFSET,
+    Posed,
+    Skeleton,
+    Skin,
+    empty_posed,
+    pose_bones,
+)
+from posetrack_cli.hand.fit.terms import TermBuffers, Terms, Tile, add_terms, empty_buffers, union_cost
+from posetrack_cli.hand.model.anatomy import POSE_SIZE, TANGENT_SIZE
+from posetrack_cli.hand.observe.observation import IGNORED
+from posetrack_cli.rendering.raster import Drawing, View, draw, draw_depth, empty_drawing
+
+STRIDE_FROM_AFAR, LAST_STEPS = 2, 2  # all pixels of the surface count in the last steps alone
+WIDENING = 1.3  # factor on the robust scales per iteration left
+SWING_SD, GIRTH_SD = 0.25, 0.1
+"""Of the forearm about what is expected of it: rad, and of the girth's logarithm."""
+IP_SD, ABDUCTION_SD = np.deg2rad(8.0), np.deg2rad(8.0)
+"""Of the thumb's inner angles about what is expected of them, rad."""
+MOST_GIRTH, MOST_THUMB = 0.5, np.deg2rad(40.0)
+FREE_BEND, STIFF_BEND = np.deg2rad(60.0), 30.0
+"""Up to where a wrist bends freely, rad, and the weight beyond, 1 / rad^2."""
+
+
+class ThumbPrior(NamedTuple):
+    """What is expected of a thumb.
+
+    Attributes:
+        precision: (2,) of its inner angles about what is expected of them, 1 / rad^2.
+        rests: whether it probably rests.
+    """
+
+    precision: FloatArray
+    rests: bool
+
+
+FREE_THUMB = ThumbPrior(1.0 / np.square([IP_SD, ABDUCTION_SD]), rests=True)
+STIFF_THUMB = ThumbPrior(np.full(2, 1e9), rests=False)
+"""Of a thumb that is followed, and of one without inner angles, which is not expected to rest either."""
+
+
+class Hand(NamedTuple):
+    """A hand as the kernels read it.
+
+    Attributes:
+        skeleton, skin, plausibility: its parts.
+        thumb: (2,) precisions of its thumb's inner angles about what is expected of them, 1 / rad^2.
+    """
+
+    skeleton: Skeleton
+    skin: Skin
+    plausibility: Plausibility
+    thumb: FloatArray
+
+
+class Steps(NamedTuple):
+    """How far one iteration goes at most: mm, rad of the rotation, rad of an angle."""
+
+    translation_mm: float = 30.0
+    rotation_rad: float = 0.4
+    angle_rad: float = 0.5
+
+
+class Workspace(NamedTuple):
+    """What one fit at a time writes to."""
+
+    posed: Posed
+    drawing: Drawing
+    buffers: TermBuffers
+    spheres: FloatArray
+    data: NormalEquations
+    whole: NormalEquations
+
+
+class Fit(NamedTuple):
+    """The best pose of one descent; written by ``descend``.
+
+    Attributes:
+        pose: (22,).
+        inner: (6,) inner numbers (``hand.fit.skeleton``).
+        data: of the image's residuals at the pose.
+        cost: (1,) union cost D, mm.
+    """
+
+    pose: FloatArray
+    inner: FloatArray
+    data: NormalEquations
+    cost: FloatArray
+
+
+def make_workspace(hand: Hand, height: int, width: int) -> Workspace:
+    """Return the workspace of fits to images of one size."""
+    return Workspace(
+        empty_posed(),
+        empty_drawing(hand.skin.mesh, height, width),
+        empty_buffers(hand.skin, height, width),
+        np.zeros((5, SPHERES, 3)),
+        empty_equations(),
+        empty_equations(),
+    )
+
+
+def empty_fit() -> Fit:
+    """Return a fit to be filled in."""
+    return Fit(np.zeros(POSE_SIZE), np.zeros(INNER_SIZE), empty_equations(), np.zeros(1))
+
+
+def empty_fits(count: int) -> Fit:
+    """Return so many fits to be filled in, as one whose arrays have an axis more, the first."""
+    one = empty_fit()
+    data = NormalEquations(*(np.zeros((count, *array.shape)) for array in one.data))
+    shapes = one.pose.shape, one.inner.shape, one.cost.shape
+    pose, inner, cost = (np.zeros((count, *shape)) for shape in shapes)
+    return Fit(pose, inner, data, cost)
+
+
+def taken_apart(fits: Fit) -> list[Fit]:
+    """Return the single ones of several fits, which share their memory."""
+    data = [NormalEquations(*arrays) for arrays in zip(*fits.data, strict=True)]
+    return [Fit(*parts) for parts in zip(fits.pose, fits.inner, data, fits.cost, strict=True)]
+
+
+@inlined
+def _fit_at(fits: Fit, k: int) -> Fit:
+    data = fits.data
+    one = NormalEquations(data.matrix[k], data.vector[k], data.blocks[k], data.thumb[k])
+    return Fit(fits.pose[k], fits.inner[k], one, fits.cost[k])
+
+
+@kernel
+def _difference(mean: FloatArray, pose: FloatArray, out: FloatArray) -> None:
+    """Write mean (-) pose (21,), in the pose's body frame."""
+    for i in range(3):
+        out[i] = mean[i] - pose[i]
+    x, y, z, w = quaternion_product(-pose[3], -pose[4], -pose[5], pose[6], mean[3], mean[4], mean[5], mean[6])
+    if w < 0.0:
+        x, y, z, w = -x, -y, -z, -w
+    sine = np.sqrt(x * x + y * y + z * z)
+    factor = 2.0 if sine < 1e-12 else 2.0 * np.arctan2(sine, w) / sine
+    out[3], out[4], out[5] = factor * x, factor * y, factor * z
+    for i in range(15):
+        out[6 + i] = mean[7 + i] - pose[7 + i]
+
+
+@kernel
+def step_pose(pose: FloatArray, delta: FloatArray, most: Steps) -> None:
+    """Move a pose by a tangent vector, no farther than ``most``."""
+    length = np.sqrt(delta[0] ** 2 + delta[1] ** 2 + delta[2] ** 2)
+    shrink = min(1.0, most.translation_mm / (length + 1e-30))
+    for i in range(3):
+        pose[i] += shrink * delta[i]
+    angle = np.sqrt(delta[3] ** 2 + delta[4] ** 2 + delta[5] ** 2)
+    half = 0.5 * min(angle, most.rotation_rad)
+    factor = 0.5 if angle < 1e-12 else np.sin(half) / angle
+    bx, by, bz, bw = factor * delta[3], factor * delta[4], factor * delta[5], np.cos(half)
+    x, y, z, w = quaternion_product(pose[3], pose[4], pose[5], pose[6], bx, by, bz, bw)
+    scale = 1.0 / np.sqrt(x * x + y * y + z * z + w * w)
+    if w < 0.0:
+        scale = -scale
+    pose[3], pose[4], pose[5], pose[6] = scale * x, scale * y, scale * z, scale * w
+    for i in range(15):
+        pose[7 + i] += min(max(delta[6 + i], -most.angle_rad), most.angle_rad)
+
+
+@kernel
+def add_inner_prior(
+    expected: FloatArray, inner: FloatArray, thumb: FloatArray, posed: Posed, equations: NormalEquations
+) -> None:
+    """Pull inner numbers (6,) to what is expected, and the wrist back from where it cannot bend to."""
+    for k in range(2):
+        i, precision = THUMB_PLACE + k, thumb[k]
+        equations.matrix[i, i] += precision
+        equations.vector[i] += precision * (expected[IP_OFFSET + k] - inner[IP_OFFSET + k])
+    _add_arm_prior(expected, inner, posed, equations)
+
+
+@kernel
+def _add_arm_prior(expected: FloatArray, arm: FloatArray, posed: Posed, equations: NormalEquations) -> None:
+    """Pull the forearm to what is expected of it, and the wrist back from where it cannot bend to."""
+    H, g, axes = equations.matrix, equations.vector, posed.axes
+    swing, girth = 1.0 / (SWING_SD * SWING_SD), 1.0 / (GIRTH_SD * GIRTH_SD)
+    x = arm[1] * expected[2] - arm[2] * expected[1]
+    y = arm[2] * expected[0] - arm[0] * expected[2]
+    z = arm[0] * expected[1] - arm[1] * expected[0]
+    for k in range(2):
+        off = x * axes[ARM, k, 0] + y * axes[ARM, k, 1] + z * axes[ARM, k, 2]
+        H[ARM_PLACE + k, ARM_PLACE + k] += swing
+        g[ARM_PLACE + k] += swing * off
+    H[ARM_PLACE + 2, ARM_PLACE + 2] += girth
+    g[ARM_PLACE + 2] += girth * (expected[3] - arm[3])
+    palm = posed.bones[0]  # its y points towards the elbow where the wrist is straight
+    x = palm[1, 1] * arm[2] - palm[2, 1] * arm[1]
+    y = palm[2, 1] * arm[0] - palm[0, 1] * arm[2]
+    z = palm[0, 1] * arm[1] - palm[1, 1] * arm[0]
+    sine = np.sqrt(x * x + y * y + z * z)
+    cosine = palm[0, 1] * arm[0] + palm[1, 1] * arm[1] + palm[2, 1] * arm[2]
+    excess = np.arctan2(sine, cosine) - FREE_BEND
+    if excess <= 0.0 or sine < 1e-9:
+        return
+    row = np.zeros(UNKNOWNS)
+    for k in range(3):
+        row[3 + k] = (x * palm[0, k] + y * palm[1, k] + z * palm[2, k]) / sine
+    for k in range(2):
+        row[ARM_PLACE + k] = -(x * axes[ARM, k, 0] + y * axes[ARM, k, 1] + z * axes[ARM, k, 2]) / sine
+    for i in range(UNKNOWNS):
+        g[i] += STIFF_BEND * excess * row[i]
+        for j in range(UNKNOWNS):
+            H[i, j] += STIFF_BEND * row[i] * row[j]
+
+
+@kernel
+def _move_inner(inner: FloatArray, delta: FloatArray, posed: Posed, most: Steps) -> None:
+    """Move inner numbers by the last of a step (26,): bend the thumb, swing the forearm and widen it."""
+    for k in range(2):
+        angle = inner[IP_OFFSET + k] + min(max(delta[THUMB_PLACE + k], -most.angle_rad), most.angle_rad)
+        inner[IP_OFFSET + k] = min(max(angle, -MOST_THUMB), MOST_THUMB)
+    _move_arm(inner, delta[ARM_PLACE:THUMB_PLACE], posed, most)
+
+
+@kernel
+def _move_arm(arm: FloatArray, delta: FloatArray, posed: Posed, most: Steps) -> None:
+    """Swing the forearm by two angles about its axes, and widen it by the third of ``delta``."""
+    axes, x, y, z = posed.axes, arm[0], arm[1], arm[2]
+    if x == 0.0 and y == 0.0 and z == 0.0:
+        return
+    a = min(max(delta[0], -most.rotation_rad), most.rotation_rad)
+    b = min(max(delta[1], -most.rotation_rad), most.rotation_rad)
+    u = a * axes[ARM, 0, 0] + b * axes[ARM, 1, 0]
+    v = a * axes[ARM, 0, 1] + b * axes[ARM, 1, 1]
+    w = a * axes[ARM, 0, 2] + b * axes[ARM, 1, 2]
+    arm[0], arm[1], arm[2] = x + v * z - w * y, y + w * x - u * z, z + u * y - v * x
+    share = 1.0 / np.sqrt(arm[0] * arm[0] + arm[1] * arm[1] + arm[2] * arm[2])
+    for i in range(3):
+        arm[i] *= share
+    arm[3] = min(max(arm[3] + delta[2], -MOST_GIRTH), MOST_GIRTH)
+
+
+@kernel
+def _solve(
+    hand: Hand,
+    tile: Tile,
+    inner: FloatArray,
+    workspace: Workspace,
+    delta: FloatArray,
+) -> None:
+    """Write the Gauss-Newton step (26,) for what was added up of a pose, and the prior of inner numbers."""
+    whole = workspace.whole
+    add_inner_prior(tile.expected, inner, hand.thumb, workspace.posed, whole)
+    step = np.linalg.solve(whole.matrix, whole.vector)
+    for i in range(UNKNOWNS):
+        delta[i] = step[i]
+
+
+@kernel
+def _keep(pose: FloatArray, inner: FloatArray, data: NormalEquations, cost: float, out: Fit) -> None:
+    out.cost[0] = cost
+    out.inner[:] = inner
+    for i in range(POSE_SIZE):
+        out.pose[i] = pose[i]
+    copy(data, out.data)
+
+
+@kernel
+def _add_doubt(
+    hand: Hand,
+    pose: FloatArray,
+    mean: FloatArray,
+    precision: FloatArray,
+    workspace: Workspace,
+    off: FloatArray,
+) -> float:
+    """Add prior (mean, precision) and anatomy to the workspace's ``whole``, and return what they have against
+    a pose that is posed there, nats.
+
+    Writes the mean's distance from the pose (21,) to ``off``.
+    """
+    whole = workspace.whole
+    _difference(mean, pose, off)
+    for i in range(TANGENT_SIZE):
+        whole.matrix[i, i] += precision[i]
+        whole.vector[i] += precision[i] * off[i]
+    doubt = add_anatomy(hand.plausibility, pose, workspace.posed, workspace.spheres, whole)
+    for i in range(TANGENT_SIZE):
+        doubt += 0.5 * precision[i] * off[i] * off[i]
+    return doubt
+
+
+@kernel
+def descend(
+    hand: Hand,
+    tile: Tile,
+    start: FloatArray,
+    mean: FloatArray,
+    precision: FloatArray,
+    terms: Terms,
+    most: Steps,
+    iterations: int,
+    workspace: Workspace,
+    out: Fit,
+) -> None:
+    """Descend from a start pose and keep the best pose on the way.
+
+    The best is what the step is towards, the most probable one: of D + u (U + e^T P e / 2) the least, with D
+    the union cost, U the anatomy's potential, e the pose's distance from the prior's mean, P its precision
+    and u the tile's ``mm_per_nat``. D alone is least where noise happens to fit, the more so the more poses
+    are tried: a finger that nothing shows would be taken from anywhere for a tenth of a millimetre.
+
+    Args:
+        hand: the model.
+        tile: the observation.
+        start: (22,).
+        mean, precision: (22,), (21,) prior of the pose, in the tangent space.
+        terms, most: weights, step sizes.
+        iterations: Gauss-Newton steps; one more pose is drawn.
+        workspace: is written to.
+        out: the fit. Its cost is c_max if the hand cannot be drawn.
+    """
+    pose, inner, delta = start.copy(), tile.inner.copy(), np.empty(UNKNOWNS)
+    _keep(pose, inner, workspace.data, np.inf, out)
+    least = np.inf
+    for k in range(iterations + 1):
+        pose_bones(hand.skeleton, pose, inner, workspace.posed)
+        clear(workspace.data)
+        cost = terms.clamp_mm
+        if draw(hand.skin.mesh, workspace.posed.bones, tile.projection, workspace.drawing):
+            widening = WIDENING ** (iterations - k)
+            cost = add_terms(
+                tile,
+                workspace.posed,
+                hand.skin,
+                workspace.drawing,
+                terms,
+                widening,
+                STRIDE_FROM_AFAR if k < iterations - LAST_STEPS else 1,
+                workspace.buffers,
+                workspace.data,
+            )
+            gather(workspace.data)
+        copy(workspace.data, workspace.whole)
+        objective = cost + tile.mm_per_nat * _add_doubt(hand, pose, mean, precision, workspace, delta)
+        if objective < least:
+            least = objective
+            _keep(pose, inner, workspace.data, cost, out)
+        if k < iterations:
+            _solve(hand, tile, inner, workspace, delta)
+            step_pose(pose, delta, most)
+            _move_inner(inner, delta, workspace.posed, most)
+
+
+@kernel
+def descend_each(
+    hand: Hand,
+    tile: Tile,
+    starts: FloatArray,
+    means: FloatArray,
+    precisions: FloatArray,
+    first: int,
+    stride: int,
+    terms: Terms,
+    most: Steps,
+    iterations: int,
+    workspace: Workspace,
+    out: Fit,
+) -> None:
+    """Descend from every ``stride``-th of starts (K, 22) with priors (K, 22), (K, 21), and write K fits."""
+    for k in range(first, len(starts), stride):
+        fit, mean, precision = _fit_at(out, k), means[k], precisions[k]
+        descend(hand, tile, starts[k], mean, precision, terms, most, iterations, workspace, fit)
+
+
+@kernel
+def write_costs(
+    hand: Hand,
+    tile: Tile,
+    poses: FloatArray,
+    first: int,
+    stride: int,
+    terms: Terms,
+    workspace: Workspace,
+    out: FloatArray,
+) -> None:
+    """Write ``cost_of`` of every ``stride``-th of poses (N, 22) to (N,)."""
+    for n in range(first, len(poses), stride):
+        out[n] = cost_of(hand, tile, poses[n], terms, workspace)
+
+
+@kernel
+def swap_fingers_each(
+    hand: Hand,
+    tile: Tile,
+    poses: FloatArray,
+    objectives: FloatArray,
+    mean: FloatArray,
+    precision: FloatArray,
+    first: int,
+    stride: int,
+    terms: Terms,
+    workspace: Workspace,
+    out: FloatArray,
+) -> None:
+    """Write the best pose of each group (G, 22) with every finger taken from the pose where it fits best.
+
+    A finger after the other, the thumb first, each with those before it as they were chosen.
+
+    Args:
+        hand, tile, terms, workspace: as in ``cost_of``.
+        poses: (G, K, 22) the best of each group first.
+        objectives: (G,) of these, as in ``descend``.
+        mean, precision: (22,), (21,) prior of all.
+        first, stride: which groups.
+        out: is written to.
+    """
+    trial, off = np.empty(POSE_SIZE), np.empty(TANGENT_SIZE)
+    for g in range(first, len(poses), stride):
+        best, least = out[g], objectives[g]
+        best[:] = poses[g, 0]
+        for f in range(5):
+            place, chosen = 7 + 3 * f, 0
+            trial[:] = best
+            for k in range(1, poses.shape[1]):
+                trial[place : place + 3] = poses[g, k, place : place + 3]
+                other = cost_of(hand, tile, trial, terms, workspace)
+                if tile.mm_per_nat > 0.0:
+                    clear(workspace.whole)
+                    other += tile.mm_per_nat * _add_doubt(hand, trial, mean, precision, workspace, off)
+                if other < least:
+                    chosen, least = k, other
+            if chosen > 0:
+                best[place : place + 3] = poses[g, chosen, place : place + 3]
+
+
+@kernel
+def align_each(
+    hand: Hand, tile: Tile, poses: FloatArray, first: int, stride: int, workspace: Workspace
+) -> None:
+    """``align`` every ``stride``-th of poses (N, 22)."""
+    for n in range(first, len(poses), stride):
+        align(hand, tile, poses[n], workspace)
+
+
+@kernel
+def cost_of(hand: Hand, tile: Tile, pose: FloatArray, terms: Terms, workspace: Workspace) -> float:
+    """The union cost D, mm, of a pose (22,)."""
+    pose_bones(hand.skeleton, pose, tile.inner, workspace.posed)
+    if not draw_depth(hand.skin.mesh, workspace.posed.bones, tile.projection, workspace.drawing):
+        return terms.clamp_mm
+    return union_cost(tile, workspace.drawing, terms)
+
+
+@kernel
+def assess(hand: Hand, tile: Tile, pose: FloatArray, terms: Terms, workspace: Workspace, out: Fit) -> None:
+    """Make the fit of a pose as it is, without a step."""
+    pose_bones(hand.skeleton, pose, tile.inner, workspace.posed)
+    clear(workspace.data)
+    cost = terms.clamp_mm
+    if draw(hand.skin.mesh, workspace.posed.bones, tile.projection, workspace.drawing):
+        cost = add_terms(
+            tile,
+            workspace.posed,
+            hand.skin,
+            workspace.drawing,
+            terms,
+            1.0,
+            1,
+            workspace.buffers,
+            workspace.data,
+        )
+        gather(workspace.data)
+    _keep(pose, tile.inner, workspace.data, cost, out)
+
+
+@kernel
+def align(hand: Hand, tile: Tile, pose: FloatArray, workspace: Workspace) -> bool:
+    """Shift a pose (22,) so that the middle of what is drawn meets the middle of the hand's pixels.
+
+    The middles are means of column, row and depth. False, and nothing moved, if either shows nothing.
+    """
+    pose_bones(hand.skeleton, pose, tile.inner, workspace.posed)
+    bones, drawing = workspace.posed.bones, workspace.drawing
+    if tile.observed == 0 or not draw_depth(hand.skin.mesh, bones, tile.projection, drawing):
+        return False
+    drawn, target = np.zeros(3), np.zeros(3)
+    count = _add_middle(drawing.inverse, tile.image, True, drawn)
+    if count == 0:
+        return False
+    _place_middle(drawn, count, tile.projection)
+    _place_middle(target, _add_middle(tile.image, tile.image, False, target), tile.projection)
+    for i in range(3):
+        pose[i] += target[i] - drawn[i]
+    return True
+
+
+@kernel
+def _add_middle(image: FloatArray, seen: FloatArray, inverted: bool, total: FloatArray) -> int:
+    """Add up column, row and depth of the pixels above 0, but where what is seen is ignored; count them."""
+    count = 0
+    for j in range(image.shape[0]):
+        for i in range(image.shape[1]):
+            value = image[j, i]
+            if value > 0.0 and seen[j, i] != IGNORED:
+                count += 1
+                total[0] += i + 0.5
+                total[1] += j + 0.5
+                total[2] += 1.0 / value if inverted else value
+    return count
+
+
+@kernel
+def _place_middle(total: FloatArray, count: int, view: View) -> None:
+    """Turn sums over pixels into the point, mm, on which their mean falls."""
+    z = total[2] / count
+    total[0] = (total[0] / count - view.b) / view.a * z
+    total[1] = (total[1] / count - view.d) / view.c * z
+    total[2] = z

@@ -1,0 +1,245 @@
+"""How well a pose explains a frame; which proposals there are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from posetrack_cli.arrays import Float32Array, FloatArray
+from posetrack_cli.filtering.model import Sampling
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.hand.config import MixtureSettings, ObservationSettings
+from posetrack_cli.hand.fit.skeleton import THUMB
+from posetrack_cli.hand.model.forearm import forearm_window, transforms_with_forearm
+from posetrack_cli.hand.model.hand import HandModel
+from posetrack_cli.hand.model.kinematics import joint_positions
+from posetrack_cli.hand.observe.observation import Observation
+from posetrack_cli.rendering.pixel_model import PixelMixture
+from posetrack_cli.rendering.port import Comparison, RenderingDevice, TileSums, Window
+
+# How well a depth image fits a hand pose: costs over image regions, and likelihoods
+
+
+Cost = Callable[[TileSums, ObservationSettings], FloatArray]
+
+
+def paper_cost(sums: TileSums, settings: ObservationSettings) -> FloatArray:
+    """D of eq. (4): mean of min(|d - y|, c_max) over the rendered pixels of the window, mm.
+
+    A rendered pixel without a reading counts c_max; a hand that falls on no pixel at all costs c_max
+    too **[fix]** (the mean over nothing is not defined).
+
+    Returns:
+        (N,) costs in 0..c_max.
+    """
+    missed = sums.rendered_only + sums.unread
+    rendered = sums.both + missed
+    total = sums.error + settings.clamp_mm * missed
+    return np.divide(total, rendered, out=np.full_like(total, settings.clamp_mm), where=rendered > 0)
+
+
+def union_cost(sums: TileSums, settings: ObservationSettings) -> FloatArray:
+    """D over the union of rendered r and observed o **[ours]**, mm; disagreeing regions count c_max.
+
+        D = ( sum over r and o of min(|d - y|, c_max) + c_max (|r \\ o| + |o \\ r|) ) / |r or o|
+
+    A rendered pixel that the sensor has no reading of counts as ``unread_weight`` of a pixel: at a hand's
+    edge most readings are missing, and a missing reading is not background.
+
+    Returns:
+        (N,) costs in 0..c_max.
+    """
+    disagree = (
+        sums.rendered_only
+        - sums.occluded
+        + settings.unread_weight * sums.unread
+        + (sums.observed - sums.both)
+    )
+    union = sums.both + disagree
+    total = sums.error + settings.clamp_mm * disagree
+    return np.divide(total, union, out=np.full_like(total, settings.clamp_mm), where=union > 0)
+
+
+COSTS: dict[str, Cost] = {"paper": paper_cost, "union": union_cost, "mixture": union_cost}
+
+
+def log_gibbs(costs: FloatArray, settings: ObservationSettings) -> FloatArray:
+    """log p(y | x) (N,) of costs D (N,), mm, up to a constant: -D^2 / (2 sigma^2) (47) or -D / sigma (3)."""
+    scaled = costs / settings.sigma_mm
+    return -0.5 * scaled**2 if settings.likelihood == "gaussian" else -scaled
+
+
+def pixel_mixture(settings: MixtureSettings, unread_weight: float) -> PixelMixture:
+    """The pixel's model with the configuration's numbers."""
+    return PixelMixture(
+        near_sd_mm=settings.near_sd_mm,
+        sd_mm_per_m2=settings.sd_mm_per_m2,
+        occluded=settings.occluded_share,
+        outlier=settings.outlier_share,
+        outline_sd_mm=settings.outline_sd_mm,
+        unread_weight=unread_weight,
+    )
+
+
+def union_misfit(sums: TileSums, model: PixelMixture, depth_mm: float) -> FloatArray:
+    """The sum of misfits over the union of rendered r and observed o **[ours]**, 0 where all agrees.
+
+        R = sum over r of rho(y, d) + m |o \\ r| - relief
+
+    with m the misfit of a reading that nothing explains: a target pixel on which no hand is rendered; the
+    relief is what those beside a rendered pixel cost less.
+
+    Args:
+        sums: with misfits of ``model``.
+        model: of a pixel.
+        depth_mm: of the target.
+
+    Returns:
+        (N,) sums.
+    """
+    missed = sums.observed - sums.both
+    total: FloatArray = sums.misfit + model.unexplained(np.array(depth_mm)) * missed - sums.relief
+    return total
+
+
+def reading_share(depth_mm: float, step: int, camera: Camera, correlation_mm: float) -> float:
+    """How much of an independent reading one pixel of a window is: n_eff / n, at most 1 **[ours]**.
+
+    A pixel stands for a = z^2 step^2 / (fx fy) of the surface. Errors, the hand model's above all, are
+    alike over patches of area A = correlation_mm^2, the integral of their correlation over the plane, so n
+    pixels are worth n_eff = n a / A independent ones. Sampling the same image twice as finely changes
+    nothing.
+    """
+    pixel_mm2 = depth_mm**2 * step**2 / (camera.fx * camera.fy)
+    return min(1.0, pixel_mm2 / correlation_mm**2)
+
+
+class Scores(NamedTuple):
+    """What the rendering of N poses tells.
+
+    Attributes:
+        costs: (N,) D, mm.
+        log_likelihood: (N,) log p(y | x), up to a constant.
+    """
+
+    costs: FloatArray
+    log_likelihood: FloatArray
+
+
+class PoseScorer(Protocol):
+    """What the tracker asks of a likelihood."""
+
+    def costs(self, poses: FloatArray, observation: Observation) -> FloatArray:
+        """Costs D (N,), mm, of poses (N, 22)."""
+
+    def log_likelihood(self, poses: FloatArray, observation: Observation) -> FloatArray:
+        """log p(y | x) (N,) of poses (N, 22), up to a constant that no pose changes."""
+
+    def forearm(self, pose: FloatArray, inner: FloatArray) -> tuple[Window, Float32Array]:
+        """A window around the forearm of a pose (22,), and its depth (h, w) there, mm; 0 where hidden."""
+
+
+class RenderedCosts:
+    """Costs and likelihoods of hand poses by rendering them.
+
+    Args:
+        device: draws the poses.
+        hand: its bones, and its lean skin, which is drawn.
+        camera: pinhole intrinsics of the depth images.
+        settings: cost and window.
+        particles: how many poses a call has at most.
+    """
+
+    def __init__(
+        self,
+        device: RenderingDevice,
+        hand: HandModel,
+        camera: Camera,
+        settings: ObservationSettings,
+        particles: int,
+    ) -> None:
+        tile = (settings.tile_px, settings.tile_px)
+        self._anatomy, self._camera, self._settings = hand.anatomy, camera, settings
+        self._cost = COSTS[settings.cost]
+        self._model = (
+            pixel_mixture(settings.mixture, settings.unread_weight) if settings.models_pixels else None
+        )
+        self._many = device.depth_renderer(hand.lean_with_arm, tile, particles)
+        self._one = device.depth_renderer(hand.lean_with_arm, tile, 1)
+
+    def costs(self, poses: FloatArray, observation: Observation) -> FloatArray:
+        """Costs D (N,), mm, of poses (N, 22)."""
+        return self._cost(self._sums(poses, observation, None), self._settings)
+
+    def log_likelihood(self, poses: FloatArray, observation: Observation) -> FloatArray:
+        """log p(y | x) (N,) of poses (N, 22), up to a constant that no pose changes."""
+        return self.scores(poses, observation).log_likelihood
+
+    def scores(self, poses: FloatArray, observation: Observation) -> Scores:
+        """Costs and likelihoods of poses (N, 22), drawn once.
+
+        The mixture's likelihood is -(n_eff / n) R with R of ``union_misfit`` and n_eff / n of
+        ``reading_share``; that of other costs is ``log_gibbs``.
+        """
+        sums = self._sums(poses, observation, self._model)
+        costs = self._cost(sums, self._settings)
+        if self._model is None:
+            return Scores(costs, log_gibbs(costs, self._settings))
+        targets = observation.image[observation.image > 0]
+        if not targets.size:
+            return Scores(costs, np.zeros_like(costs))
+        z = float(np.median(targets))
+        misfit = union_misfit(sums, self._model, z)
+        correlation = self._settings.mixture.correlation_mm
+        return Scores(costs, -reading_share(z, observation.window.step, self._camera, correlation) * misfit)
+
+    def forearm(self, pose: FloatArray, inner: FloatArray) -> tuple[Window, Float32Array]:
+        """A window around the forearm of a pose (22,), and its depth (h, w) there, mm; 0 where hidden."""
+        wrist = joint_positions(self._anatomy, pose[None], inner[THUMB])[0, 0]
+        tile = self._settings.tile_px
+        window = forearm_window(wrist, inner[:3], self._anatomy.scale, self._camera, tile)
+        without = inner.copy()
+        without[:3] = 0.0
+        both, hand = (
+            self._one.depth(
+                transforms_with_forearm(self._anatomy, pose[None], numbers), self._camera, window
+            )[0]
+            for numbers in (inner, without)
+        )
+        return window, np.where(hand > 0.0, np.float32(0.0), both)
+
+    def _sums(self, poses: FloatArray, observation: Observation, model: PixelMixture | None) -> TileSums:
+        renderer = self._one if len(poses) == 1 else self._many
+        transforms = transforms_with_forearm(self._anatomy, poses, observation.inner)
+        clamp = self._settings.clamp_mm
+        return renderer.sums(
+            transforms, self._camera, observation.window, Comparison(observation.image, clamp, model)
+        )
+
+
+# Where a filter's particles are drawn, by the names that configurations call it
+
+
+class Proposal(NamedTuple):
+    """A way to draw particles.
+
+    Attributes:
+        fits_frames: whether local fits are made of every frame, particles are drawn about them, and the whole
+            image is searched for a hand that was lost; else the motion alone proposes.
+        sampling: where no fits are there.
+    """
+
+    fits_frames: bool
+    sampling: Sampling
+
+
+PROPOSALS: Mapping[str, Proposal] = MappingProxyType(
+    {
+        "guided": Proposal(fits_frames=True, sampling="marginal"),
+        "marginal": Proposal(fits_frames=False, sampling="marginal"),
+        "paper": Proposal(fits_frames=False, sampling="paper"),
+    }
+)

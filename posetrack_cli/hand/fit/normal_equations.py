@@ -1,0 +1,101 @@
+"""Weighted normal equations of a pose's tangent vector; compiled.
+
+A skin point moves with the palm's six numbers and with the three of one finger, or of the forearm, so
+residuals are summed in seven blocks of nine unknowns, one per finger, one for the forearm and one for the
+palm alone, and put together once. The thumb has two more, its inner angles, whose products are summed apart.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.compiled import inlined, kernel
+from posetrack_cli.hand.fit.skeleton import THUMB_ROW
+from posetrack_cli.hand.model.anatomy import TANGENT_SIZE
+
+ROW = 12  # palm's six unknowns, a finger's or the forearm's three, the residual, the thumb's inner two
+RESIDUAL, THUMB_PART = 9, 10  # places in a row
+ARM_PLACE, THUMB_PLACE = TANGENT_SIZE, TANGENT_SIZE + 3  # where the unknowns of both begin
+UNKNOWNS = THUMB_PLACE + 2
+_BLOCKS = 7
+
+
+class NormalEquations(NamedTuple):
+    """Of residuals r_i(x (+) e) ~ r_i - J_i e with weights w_i.
+
+    Attributes:
+        matrix: (26, 26) sum w J^T J; last the forearm's three unknowns, then the thumb's inner two.
+        vector: (26,) sum w J^T r.
+        blocks: (7, 9, 10) the same per finger, of the forearm, of the palm alone, on and above the diagonal;
+            ``gather`` adds them up.
+        thumb: (2, 12) of the thumb's inner angles, with all of a row.
+    """
+
+    matrix: FloatArray
+    vector: FloatArray
+    blocks: FloatArray
+    thumb: FloatArray
+
+
+def empty_equations() -> NormalEquations:
+    """Return equations of no residual."""
+    size, blocks = UNKNOWNS, np.zeros((_BLOCKS, RESIDUAL, RESIDUAL + 1))
+    return NormalEquations(np.zeros((size, size)), np.zeros(size), blocks, np.zeros((2, ROW)))
+
+
+@kernel
+def clear(equations: NormalEquations) -> None:
+    """Forget all residuals."""
+    equations.matrix[:] = 0.0
+    equations.vector[:] = 0.0
+    equations.blocks[:] = 0.0
+    equations.thumb[:] = 0.0
+
+
+@kernel
+def copy(equations: NormalEquations, out: NormalEquations) -> None:
+    """Write matrix and vector into other equations."""
+    for i in range(UNKNOWNS):
+        out.vector[i] = equations.vector[i]
+        for j in range(UNKNOWNS):
+            out.matrix[i, j] = equations.matrix[i, j]
+
+
+@inlined
+def add_row(equations: NormalEquations, finger: int, row: FloatArray, weight: float) -> None:
+    """Add one residual with its row (12,) of ``point_row``; finger PALM = -1 is the last block."""
+    block = equations.blocks
+    f = finger if finger >= 0 else _BLOCKS - 1
+    for i in range(RESIDUAL):
+        scaled = weight * row[i]
+        for j in range(i, RESIDUAL + 1):
+            block[f, i, j] += scaled * row[j]
+    if finger == THUMB_ROW:
+        for i in range(2):
+            scaled = weight * row[THUMB_PART + i]
+            for j in range(ROW):
+                equations.thumb[i, j] += scaled * row[j]
+
+
+@kernel
+def gather(equations: NormalEquations) -> None:
+    """Add the blocks to matrix and vector, and empty them."""
+    H, g, blocks, thumb = equations.matrix, equations.vector, equations.blocks, equations.thumb
+    for f in range(_BLOCKS):
+        for i in range(6 if f == _BLOCKS - 1 else 9):
+            row = i if i < 6 else 3 * f + i
+            g[row] += blocks[f, i, RESIDUAL]
+            for j in range(6 if f == _BLOCKS - 1 else 9):
+                H[row, j if j < 6 else 3 * f + j] += blocks[f, min(i, j), max(i, j)]
+    for i in range(2):
+        row = THUMB_PLACE + i
+        g[row] += thumb[i, RESIDUAL]
+        for j in range(RESIDUAL):
+            H[row, j] += thumb[i, j]
+            H[j, row] += thumb[i, j]
+        for j in range(2):
+            H[row, THUMB_PLACE + j] += thumb[i, THUMB_PART + j]
+    blocks[:], thumb[:] = 0.0, 0.0

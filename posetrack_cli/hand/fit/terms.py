@@ -1,0 +1,302 @@
+"""What pulls a pose towards a depth image: residuals of pixels and their derivatives; compiled.
+
+With r the pixels on which the model is drawn and o the hand's observed pixels (hand-findings.md):
+
+    r and o, |dz| < gate     projective point-to-plane: n . (observed - drawn)
+    r and o, drawn far in front of the reading     a weak push along z
+    r, a reading behind it   pull in the image plane to the nearest hand pixel
+    o, not explained         the nearest point of the skin that faces the camera is pulled there
+
+A reading that is no hand's and in front of the model hides it; where there is none, nothing is known.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray, IntArray
+from posetrack_cli.compiled import inlined, kernel
+from posetrack_cli.hand.fit.normal_equations import RESIDUAL, ROW, NormalEquations, add_row
+from posetrack_cli.hand.fit.skeleton import NO_INNER, Posed, Skin, point_row
+from posetrack_cli.rendering.raster import Drawing, View
+
+
+class Tile(NamedTuple):
+    """What was observed, as the kernels read it.
+
+    Attributes:
+        image: (h, w) depth of the pixels of hand and forearm, mm; negative: other readings; 0: none.
+        nearest: (2, h, w) column and row of the nearest hand pixel.
+        observed: number of the target pixels.
+        projection: how points fall on it.
+        inner: (6,) where fits begin, and what poses are drawn with (``hand.fit.skeleton``).
+        expected: (6,) the mean of their prior.
+        mm_per_nat: how much cost D a nat that anatomy or prior has against a pose is worth where poses are
+            compared; 0 where the image alone counts.
+    """
+
+    image: FloatArray
+    nearest: FloatArray
+    observed: int
+    projection: View
+    inner: FloatArray = NO_INNER
+    expected: FloatArray = NO_INNER
+    mm_per_nat: float = 0.0
+
+
+class Terms(NamedTuple):
+    """Weights of the terms.
+
+    Attributes:
+        sigma_mm: of a point-to-plane residual, and of a pull in the image plane.
+        closest_mm: of an unexplained pixel's distance from the skin.
+        push: weight of the push along z, 1 / mm^2.
+        gate_mm: up to here a depth difference is one of corresponding points.
+        explained_mm: beyond it an observed pixel looks for another part of the skin.
+        surface_tau_mm, silhouette_tau_mm, closest_tau_mm: scales of the robust factor.
+        clamp_mm, unread_weight: of the union cost.
+        most_unexplained: unexplained pixels that are used at most, evenly chosen.
+    """
+
+    sigma_mm: float = 4.0
+    closest_mm: float = 5.0
+    push: float = 0.01
+    gate_mm: float = 30.0
+    explained_mm: float = 12.0
+    surface_tau_mm: float = 15.0
+    silhouette_tau_mm: float = 15.0
+    closest_tau_mm: float = 20.0
+    clamp_mm: float = 40.0
+    unread_weight: float = 0.2
+    most_unexplained: int = 96
+
+
+Pull: TypeAlias = tuple[float, float, float, float, float]
+"""Of a residual: the direction of the point (3), mm that it is off, the weight, 1 / mm^2 (0 for none)."""
+
+
+class TermBuffers(NamedTuple):
+    """Buffers of ``add_terms``.
+
+    Attributes:
+        points: (h w, 3) unexplained.
+        vertices: (V,) that face the camera.
+        places: (3, V) where these lie, a coordinate after the other.
+        squares: (V,) of their distances from a point.
+    """
+
+    points: FloatArray
+    vertices: IntArray
+    places: FloatArray
+    squares: FloatArray
+
+
+def empty_buffers(skin: Skin, height: int, width: int) -> TermBuffers:
+    """Return the buffers for one image."""
+    count = len(skin.mesh.vertices)
+    points, vertices = np.zeros((height * width, 3)), np.zeros(count, dtype=np.int64)
+    return TermBuffers(points, vertices, np.zeros((3, count)), np.zeros(count))
+
+
+@inlined
+def _robust(e: float, tau: float) -> float:
+    """The factor 1 / (1 + (e / tau)^2)^2 of Geman and McClure."""
+    s = 1.0 + (e / tau) * (e / tau)
+    return 1.0 / (s * s)
+
+
+@kernel
+def add_terms(
+    tile: Tile,
+    posed: Posed,
+    skin: Skin,
+    drawing: Drawing,
+    terms: Terms,
+    widening: float,
+    stride: int,
+    buffers: TermBuffers,
+    equations: NormalEquations,
+) -> float:
+    """Add all residuals of a drawn pose, and return its union cost D, mm (hand.md, observation model).
+
+    Args:
+        tile: the observation.
+        posed, drawing: of the pose.
+        skin: the mesh.
+        terms: weights.
+        widening: factor on the robust scales.
+        stride: of the surface's pixels, which one in so many stands for; 2 is a chequerboard. Neighbours
+            err alike, so a step loses little; the cost is of all pixels.
+        buffers: are written to.
+        equations: residuals are added to its blocks.
+    """
+    view, row, (image, inverses) = tile.projection, np.empty(ROW), (tile.image, drawing.inverse)
+    fingers, reaches, normals = skin.triangle_fingers, skin.triangle_reaches, drawing.normals
+    error, both, missed, unexplained = 0.0, 0, 0.0, 0
+    for j in range(image.shape[0]):
+        y = (j + 0.5 - view.d) / view.c
+        for i in range(image.shape[1]):
+            observed, inverse = image[j, i], inverses[j, i]
+            if not inverse > 0.0:
+                if observed > 0.0:
+                    x = (i + 0.5 - view.b) / view.a
+                    unexplained = _note(buffers.points, unexplained, x, y, observed)
+                continue
+            x, z, t = (i + 0.5 - view.b) / view.a, 1.0 / inverse, drawing.triangle[j, i]
+            if observed > 0.0:
+                both, offset = both + 1, observed - z
+                error += min(abs(offset), terms.clamp_mm)
+                if abs(offset) > terms.explained_mm:
+                    unexplained = _note(buffers.points, unexplained, x, y, observed)
+                if (i + j) % stride != 0:
+                    continue
+                normal = (normals[t, 0], normals[t, 1], normals[t, 2])
+                pull = _depth_pull(offset, x, y, normal, widening, terms)
+            else:
+                share = _missed(observed, z, terms)
+                missed += share
+                aside = (tile.nearest[0, j, i] - i) / view.a, (tile.nearest[1, j, i] - j) / view.c
+                pull = _outline_pull(share if observed < 0.0 else 0.0, aside, x, y, z, widening, terms)
+            dx, dy, dz, row[RESIDUAL], weight = pull
+            if observed > 0.0:
+                weight *= stride
+            if weight > 0.0:
+                point_row(posed, fingers[t], reaches, t, x * z, y * z, z, dx, dy, dz, row)
+                add_row(equations, fingers[t], row, weight)
+    _add_closest(posed, skin, drawing, terms, widening, buffers, unexplained, equations)
+    return _union(error, both, missed, tile.observed, terms.clamp_mm)
+
+
+@inlined
+def _note(points: FloatArray, count: int, x: float, y: float, z: float) -> int:
+    """Write the point (x, y, 1) z behind the first ``count``, and return how many there are."""
+    points[count, 0], points[count, 1], points[count, 2] = x * z, y * z, z
+    return count + 1
+
+
+@inlined
+def _missed(observed: float, z: float, terms: Terms) -> float:
+    """How much a pixel without the hand counts that it is drawn on at z: 0 where something hides it."""
+    if observed == 0.0:
+        return terms.unread_weight
+    return 1.0 if -observed > z - terms.explained_mm else 0.0
+
+
+@inlined
+def _union(error: float, both: int, missed: float, observed: int, clamp_mm: float) -> float:
+    """The union cost of pixels drawn and observed, drawn only, and all that are observed."""
+    disagree = missed + (observed - both)
+    union = both + disagree
+    return (error + clamp_mm * disagree) / union if union > 0.0 else clamp_mm
+
+
+@inlined
+def _depth_pull(
+    offset: float, x: float, y: float, normal: tuple[float, float, float], widening: float, terms: Terms
+) -> Pull:
+    """Where it is drawn on the ray (x, y, 1) and observed ``offset`` behind: to its plane, or a push."""
+    nx, ny, nz = normal
+    if abs(offset) < terms.gate_mm:
+        residual = offset * (nx * x + ny * y + nz)
+        weight = _robust(residual, widening * terms.surface_tau_mm) / (terms.sigma_mm * terms.sigma_mm)
+        return nx, ny, nz, residual, weight
+    return 0.0, 0.0, 1.0, terms.gate_mm, terms.push if offset > 0.0 else 0.0
+
+
+@inlined
+def _outline_pull(
+    share: float, aside: tuple[float, float], x: float, y: float, z: float, widening: float, terms: Terms
+) -> Pull:
+    """Where the hand is drawn at (x, y, 1) z and is not: in the image plane, by ``aside`` on the ray."""
+    px, py = aside[0] * z, aside[1] * z
+    distance = np.sqrt(px * px + py * py)
+    if share == 0.0 or distance == 0.0:
+        return 0.0, 0.0, 0.0, 0.0, 0.0
+    dx, dy = px / distance, py / distance
+    weight = _robust(distance, widening * terms.silhouette_tau_mm) / (terms.sigma_mm * terms.sigma_mm)
+    return dx, dy, -(dx * x + dy * y), distance, share * weight  # how fast z (x, y) moves on the image
+
+
+@kernel
+def _add_closest(
+    posed: Posed,
+    skin: Skin,
+    drawing: Drawing,
+    terms: Terms,
+    widening: float,
+    buffers: TermBuffers,
+    count: int,
+    equations: NormalEquations,
+) -> None:
+    """Pull the nearest vertices that face the camera to the unexplained points."""
+    if count == 0:
+        return
+    facing = _note_facing(drawing, buffers)
+    if facing == 0:
+        return
+    stride = (count + terms.most_unexplained - 1) // terms.most_unexplained
+    row, vertices = np.empty(ROW), drawing.vertices
+    for k in range(0, count, stride):
+        x, y, z = buffers.points[k, 0], buffers.points[k, 1], buffers.points[k, 2]
+        v = buffers.vertices[_nearest(buffers.places, buffers.squares, facing, x, y, z)]
+        px, py, pz = vertices[v, 0], vertices[v, 1], vertices[v, 2]
+        dx, dy, dz = x - px, y - py, z - pz
+        distance = np.sqrt(dx * dx + dy * dy + dz * dz)
+        if distance < 1e-9:
+            continue
+        share, row[RESIDUAL] = 1.0 / distance, distance
+        weight = stride * _robust(distance, widening * terms.closest_tau_mm) / (terms.closest_mm**2)
+        dx, dy, dz = share * dx, share * dy, share * dz
+        point_row(posed, skin.fingers[v], skin.reaches, v, px, py, pz, dx, dy, dz, row)
+        add_row(equations, skin.fingers[v], row, weight)
+
+
+@inlined
+def _note_facing(drawing: Drawing, buffers: TermBuffers) -> int:
+    """Write which vertices face the camera and where they lie, and return how many do."""
+    count = 0
+    for v in range(len(drawing.facing)):
+        if drawing.facing[v]:
+            buffers.vertices[count] = v
+            for i in range(3):
+                buffers.places[i, count] = drawing.vertices[v, i]
+            count += 1
+    return count
+
+
+@kernel
+def _nearest(places: FloatArray, squares: FloatArray, count: int, x: float, y: float, z: float) -> int:
+    """The first of the ``count`` first places (3, V) that none is nearer to a point than.
+
+    Numbers of 0 and above are in the order of their bits, and the least whole number is found many at a time.
+    """
+    for m in range(count):
+        ex, ey, ez = x - places[0, m], y - places[1, m], z - places[2, m]
+        squares[m] = ex * ex + ey * ey + ez * ez
+    bits = squares.view(np.int64)
+    least = bits[0]
+    for m in range(1, count):
+        least = min(least, bits[m])
+    first = 0
+    while bits[first] != least:
+        first += 1
+    return first
+
+
+@kernel
+def union_cost(tile: Tile, drawing: Drawing, terms: Terms) -> float:
+    """The union cost D of a drawn pose, mm."""
+    error, both, missed = 0.0, 0, 0.0
+    for j in range(tile.image.shape[0]):
+        for i in range(tile.image.shape[1]):
+            inverse, observed = drawing.inverse[j, i], tile.image[j, i]
+            if inverse == 0.0:
+                continue
+            if observed > 0.0:
+                both += 1
+                error += min(abs(observed - 1.0 / inverse), terms.clamp_mm)
+            else:
+                missed += _missed(observed, 1.0 / inverse, terms)
+    return _union(error, both, missed, tile.observed, terms.clamp_mm)

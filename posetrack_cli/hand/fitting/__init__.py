@@ -1,1 +1,0 @@
-"""Local fits of a hand's pose to a depth image: a software rasteriser and Gauss-Newton, compiled."""

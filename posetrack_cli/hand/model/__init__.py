@@ -1,0 +1,1 @@
+"""What a hand is; nothing here knows an image."""

@@ -1,0 +1,203 @@
+"""Forward kinematics of the hand: joints, skinning transforms, the axis as printed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from posetrack_cli.arrays import Float32Array, FloatArray
+from posetrack_cli.geometry import rotations
+from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.fit.skeleton import (
+    HALF,
+    INNER_SIZE,
+    NO_THUMB,
+    THUMB,
+    empty_posed,
+    place_joints,
+    pose_many,
+    skeleton_of,
+)
+from posetrack_cli.hand.model.anatomy import BONE_COUNT, JOINT_NAMES, HandAnatomy
+from posetrack_cli.tracking.options import Deviation, PrintedSetting, deviations
+
+# Forward kinematics of the 22-D hand for many poses at once, and its derivative.
+#
+# A pose is (position mm, unit quaternion xyzw, 15 angles rad); a tangent vector is (position mm, body-frame
+# rotation vector rad, 15 angles rad), 21 numbers (hand.md, "State").
+
+
+def _spread_and_bend(a: FloatArray, t: FloatArray) -> FloatArray:
+    """Rz(a) Rx(t), flattened by rows: (...) -> (..., 9)."""
+    ca, sa, ct, st = np.cos(a), np.sin(a), np.cos(t), np.sin(t)
+    turn = np.empty((*a.shape, 9))
+    turn[..., 0], turn[..., 1], turn[..., 2] = ca, -sa * ct, sa * st
+    turn[..., 3], turn[..., 4], turn[..., 5] = sa, ca * ct, -ca * st
+    turn[..., 6], turn[..., 7], turn[..., 8] = 0.0, st, ct
+    return turn
+
+
+def _bend_base(turns: FloatArray, s: FloatArray) -> None:
+    """Premultiply flattened turns (..., N, 9) by Rx(s), s (N,), in place."""
+    cs, ss = np.cos(s)[:, None], np.sin(s)[:, None]
+    middle, last = turns[..., 3:6].copy(), turns[..., 6:9].copy()
+    turns[..., 3:6] = cs * middle - ss * last
+    turns[..., 6:9] = ss * middle + cs * last
+
+
+def skinning_transforms(
+    anatomy: HandAnatomy, poses: FloatArray, thumb: FloatArray = NO_THUMB
+) -> Float32Array:
+    """camera_T_rest of every bone: takes a vertex of the rest mesh to camera coordinates.
+
+    Args:
+        anatomy: the hand.
+        poses: (N, 22).
+        thumb: (2,) or (N, 2) its inner angles (``hand.fit.skeleton``), rad.
+
+    Returns:
+        (N, 16, 3, 4), translations in mm: the palm, then three bones a finger, thumb first.
+    """
+    bones = np.empty((len(poses), BONE_COUNT, 3, 4), dtype=np.float32)
+    pose_many(skeleton_of(anatomy), _own(poses), _inner_with(thumb, len(poses)), empty_posed(), bones)
+    return bones
+
+
+def joint_positions(anatomy: HandAnatomy, poses: FloatArray, thumb: FloatArray = NO_THUMB) -> FloatArray:
+    """The 21 joints in camera coordinates, mm: (N, 22) -> (N, 21, 3), in the order of JOINT_NAMES.
+
+    The thumb's inner angles (``hand.fit.skeleton``) are (2,) or (N, 2), rad.
+    """
+    joints = np.empty((len(poses), len(JOINT_NAMES), 3))
+    place_joints(skeleton_of(anatomy), _own(poses), _inner_with(thumb, len(poses)), empty_posed(), joints)
+    return joints
+
+
+def _own(poses: FloatArray) -> FloatArray:
+    """A copy as kernels are compiled for: what is handed on may be read-only, or a part of something."""
+    return np.array(poses, dtype=np.float64, order="C")
+
+
+def _inner_with(thumb: FloatArray, count: int) -> FloatArray:
+    """Inner numbers (N, 6) without a forearm."""
+    inner = np.zeros((count, INNER_SIZE))
+    inner[:, THUMB] = thumb
+    return inner
+
+
+def mean_joint_distances(anatomy: HandAnatomy, pose: FloatArray, others: FloatArray) -> FloatArray:
+    """How far the joints of other poses (N, 22) are from those of a pose (22,), on average, mm: (N,)."""
+    joints = joint_positions(anatomy, np.concatenate([pose[None], others]))
+    distances: FloatArray = np.linalg.norm(joints[1:] - joints[0], axis=2).mean(axis=1)
+    return distances
+
+
+def joint_set_distance(anatomy: HandAnatomy, pose: FloatArray, other: FloatArray) -> float:
+    """How far apart the joints of two poses (22,) lie, whichever joints these are, mm.
+
+    The mean distance from a joint of one to the nearest of the other, the larger one of both ways. A hand
+    that is explained with its palm pulled back to the elbow and its fingers open, or with another finger
+    than the one that points, lies where it does; its joints do not.
+    """
+    first, second = joint_positions(anatomy, np.stack([pose, other]))
+    apart = np.linalg.norm(first[:, None] - second, axis=2)
+    return float(max(apart.min(axis=0).mean(), apart.min(axis=1).mean()))
+
+
+def joint_jacobian(anatomy: HandAnatomy, poses: FloatArray, thumb: FloatArray = NO_THUMB) -> FloatArray:
+    """Derivative of the joints by the tangent vector, (N, 22) -> (N, 21, 3, 21).
+
+    Translation moves every joint alike; a body rotation w moves R p by R (w x p); an angle about the
+    camera-frame axis u through the joint at c moves a point p beyond it by u x (p - c). The thumb's inner
+    angles are (2,) or (N, 2), rad.
+    """
+    n = poses.shape[0]
+    palm = rotations.matrices_from_quaternions(poses[:, 3:7])
+    joints = joint_positions(anatomy, poses, thumb)
+    jacobian = np.zeros((n, 21, 3, 21))
+    jacobian[..., 0:3] = np.eye(3)
+    lever = joints - poses[:, None, :3]
+    for k in range(3):
+        jacobian[..., 3 + k] = np.cross(palm[:, None, :, k], lever)
+    for column, axis, finger, joint, rate in _hinges(anatomy, poses[:, 7:], thumb):
+        first = 1 + 4 * finger + joint
+        beyond = slice(first + 1, 5 + 4 * finger)
+        turned = np.einsum("nij,nj->ni", palm, axis)
+        reach = joints[:, beyond] - joints[:, first : first + 1]
+        jacobian[:, beyond, :, 6 + column] += rate * np.cross(turned[:, None], reach)
+    return jacobian
+
+
+def _hinges(
+    anatomy: HandAnatomy, angles: FloatArray, thumb: FloatArray
+) -> list[tuple[int, FloatArray, int, int, float]]:
+    """All hinges: (angle index, axis in hand coordinates (N, 3), finger, joint 0..2, rate)."""
+    sign = -1.0 if anatomy.is_left else 1.0
+    base = anatomy.base_rotations
+    zero = np.zeros(angles.shape[0])
+    hinges = []
+    for f in range(5):
+        k = 3 * f
+        cmc, abduction = (angles[:, 0], angles[:, 2]) if f == 0 else (zero, angles[:, k + 1])
+        spread_here = abduction + thumb[..., 1] if f == 0 else abduction  # where it flexes: at the MCP
+        turn = _spread_and_bend(np.stack([sign * spread_here, zero]), np.zeros((2, len(zero))))
+        _bend_base(turn, cmc)
+        flexion = turn[0, :, 0::3] @ base[f].T  # the x axis after the abduction
+        spread = sign * (turn[1, :, 2::3] @ base[f].T)  # the z axis before it
+        if f == 0:
+            first = np.broadcast_to(base[0][:, 0], flexion.shape)
+            hinges += [(0, first, 0, 0, 1.0), (1, flexion, 0, 1, 1.0), (1, flexion, 0, 2, HALF)]
+            hinges += [(2, spread, 0, 0, 1.0)]
+        else:
+            hinges += [(k, flexion, f, 0, 1.0), (k + 1, spread, f, 0, 1.0)]
+            hinges += [(k + 2, flexion, f, 1, 1.0), (k + 2, flexion, f, 2, HALF)]
+    return hinges
+
+
+def mirrored_poses(poses: FloatArray) -> FloatArray:
+    """The poses of the other hand seen in a mirror x -> -x: (N, 22) -> (N, 22)."""
+    out = poses.copy()
+    out[:, 0] *= -1.0
+    out[:, 4:6] *= -1.0  # reflecting a rotation negates the components of its axis along the mirror
+    return out
+
+
+# Where a run differs from the hand paper (Kajihara and Tanaka)
+
+
+SETTINGS = (
+    PrintedSetting("7.2.1", "filter.particles", 512),
+    PrintedSetting("(51)", "filter.proposal", "paper"),
+    PrintedSetting("(44)", "filter.discretisation", "euler"),
+    PrintedSetting("(56)", "filter.gain", "printed"),
+    PrintedSetting("(44), (62)", "filter.rotations", "additive"),
+    PrintedSetting("A.1", "filter.joint_limits", False),
+    PrintedSetting("6 (7)", "filter.resampling", "multinomial"),
+    PrintedSetting("6 (7)", "filter.ess_threshold", 1.0),
+    PrintedSetting("(4)", "observation.cost", "paper"),
+    PrintedSetting("(47)", "observation.likelihood", "gaussian"),
+    PrintedSetting("(64)", "observation.sigma_mm", 20.0),
+    PrintedSetting("(65)", "observation.clamp_mm", 100.0),
+    PrintedSetting("7.1", "observation.window_px", 128),
+    PrintedSetting("7.1", "observation.tile_px", 128),
+    PrintedSetting("7.3", "init.method", "center"),
+    PrintedSetting("(63)", "velocity.method", "filter"),
+)
+ALWAYS = (
+    Deviation("A.1", "the thumb turns about z at joint 3 (CMC), not at joint 2"),
+    Deviation("(44)", "quaternions are scaled to length 1, and noise along them is left out"),
+    Deviation("4.2", "R lies about the predicted hand, not about the last estimate"),
+    Deviation("5.3", "a frame without readings moves particles by the motion alone"),
+    Deviation("(45)", "a step counts as motion.gap_max_s at most"),
+    Deviation("7.3", "a frame may be lost (status)"),
+    Deviation("(45), (46)", "noise densities are ours; none are printed"),
+)
+
+
+def deviations_from_print(config: HandConfig) -> list[str] | None:
+    """Return where a configuration that follows the paper differs from it; None of any other.
+
+    It follows the paper where cost (4) and proposal (51) are the paper's.
+    """
+    if config.observation.cost != "paper" or config.filter.proposal != "paper":
+        return None
+    return deviations(config, SETTINGS, ALWAYS)

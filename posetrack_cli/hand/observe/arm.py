@@ -1,0 +1,256 @@
+"""The forearm behind a hand: its direction, and where the hand ends, found from widths along it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from posetrack_cli.arrays import BoolArray, FloatArray
+from posetrack_cli.hand.model.forearm import SEEN_MM
+from posetrack_cli.hand.observe.prediction import PredictedHand, Silhouette
+from posetrack_cli.hand.observe.surfaces import View
+
+BIN_MM = 4.0
+"""Length of a slice."""
+_WRIST_SD_MM = 40.0
+"""How far along the arm a prediction may be off."""
+_MOST_FORESHORTENED = 0.33
+"""An arm that points more at the camera is sliced as if it pointed no more."""
+
+
+def slice_areas(
+    along: FloatArray, areas: FloatArray, extent_mm: FloatArray, first_mm: float, count: int
+) -> FloatArray:
+    """Area per length (count,), mm, that is the width seen, of slices across an arm.
+
+    A pixel's area is spread over what the pixel covers: slices about as long as pixels are apart would else
+    hold now one row of them, now two, and courses of widths would fit where the rows do, not the hands.
+
+    Args:
+        along: (P,) where pixels lie along the arm, mm.
+        areas: (P,) what each covers, mm^2.
+        extent_mm: (P,) over what length of the arm each does (``extents``), > 0.
+        first_mm: where the first slice begins; each is ``BIN_MM`` long.
+        count: how many slices.
+    """
+    half = 0.5 * extent_mm
+    begin, end = (along - half - first_mm) / BIN_MM, (along + half - first_mm) / BIN_MM
+    first = np.floor(begin)
+    density = areas / (end - begin)
+    total = np.zeros(count)
+    for k in range(int(np.ceil((end - begin).max(initial=0.0))) + 1):
+        number = first + k
+        covered = np.minimum(end, number + 1.0) - np.maximum(begin, number)
+        valid = (covered > 0.0) & (number >= 0) & (number < count)
+        weights = (density * covered)[valid]
+        total += np.bincount(number[valid].astype(np.int64), weights=weights, minlength=count)
+    return total / BIN_MM
+
+
+def extents(apart: FloatArray, axis: FloatArray) -> FloatArray:
+    """Over what length of an arm each of its pixels reaches, mm (P,).
+
+    Rows or columns of the image, ``apart`` where the arm lies across the view, are farther apart on one that
+    does not, and closer together on one that lies between them.
+
+    Args:
+        apart: (P,) distance of neighbouring pixels that face the camera, mm.
+        axis: (3,) unit vector along the arm, camera axes.
+    """
+    x, y = np.abs(axis[:2])
+    length = max(float(np.hypot(x, y)), _MOST_FORESHORTENED)
+    across = max(x, y, np.sqrt(0.5) * _MOST_FORESHORTENED)
+    return np.asarray(apart * (across / length**2), dtype=np.float64)
+
+
+def best_shift(observed: FloatArray, expected: FloatArray, last: int, most: int, stiffness: float) -> float:
+    """The shift t of an expected course of widths that an observed one shows, in slices.
+
+        E(t) = sum over slices k < last + t of |observed_k - expected_(k - t)| + stiffness t^2 / 2
+
+    ``expected`` counts up to ``last`` only; what is observed beyond ``last + t`` is not compared. Between
+    whole slices the minimum is that of the parabola through the smallest E and its neighbours.
+
+    Args:
+        observed, expected: (K,) widths, mm.
+        last: the slice before which the hand ends where it is expected.
+        most: largest shift, in slices; at most K - ``last``.
+        stiffness: of the prior about t = 0.
+    """
+    padded = np.pad(expected[:last], most)
+    errors = np.empty(2 * most + 1)
+    for k, shift in enumerate(range(-most, most + 1)):
+        compared = last + shift
+        moved = padded[most - shift : most - shift + compared]
+        errors[k] = np.abs(observed[:compared] - moved).sum() + 0.5 * stiffness * shift**2
+    return _vertex(errors) - most
+
+
+def _vertex(errors: FloatArray) -> float:
+    """Index of the smallest error, refined by the parabola through it and its neighbours."""
+    k = int(np.argmin(errors))
+    if k in (0, len(errors) - 1):
+        return float(k)
+    before, here, after = (float(e) for e in errors[k - 1 : k + 2])
+    curvature = before - 2.0 * here + after
+    return k + (0.5 * (before - after) / curvature if curvature > 0.0 else 0.0)
+
+
+# Lengths are of a hand of scale 1.
+_ARM_MM = (20.0, 120.0)
+"""The part of the forearm, from the wrist, that tells its direction."""
+_HALF_WIDTH_MM, _OPENING = 55.0, 0.5
+"""It is searched for in a cone: its half-width at the wrist, and how much it widens per length."""
+_WIDEST_MM, _LEAST_MM2 = 125.0, 900.0
+"""What is wider is a body; what is less is nothing."""
+_SKIN_MM = 25.0
+"""Distance of the forearm's skin before its axis."""
+_PASSES = 2
+_MOST_BENT = float(np.cos(np.deg2rad(75.0)))
+_FINGERS_MM, _BEYOND_MM = 240.0, 80.0
+"""How far slices reach from the wrist towards the fingers and towards the elbow."""
+_COMPARED_MM = 8.0
+"""Where the drawn hand ends beyond its wrist joint; widths are compared up to there."""
+_MOST_SHIFT_MM = 40.0
+_AREA_PER_SD_MM2 = 1000.0
+"""Area of disagreement that is worth one standard deviation of the wrist's place."""
+
+
+@dataclass(frozen=True, eq=False)
+class Arm:
+    """A forearm.
+
+    Attributes:
+        wrist: (3,) where it begins, mm.
+        cut: (3,) unit normal, towards the elbow, of the plane that parts hand and forearm there: midway
+            between palm and forearm, as the wrist's crease is.
+        direction: (3,) unit vector from the elbow to the wrist; None where no forearm is seen.
+    """
+
+    wrist: FloatArray
+    cut: FloatArray
+    direction: FloatArray | None
+
+
+def arm_of(
+    view: View,
+    limb: BoolArray,
+    hand: BoolArray,
+    silhouette: Silhouette,
+    predicted: PredictedHand,
+) -> Arm:
+    """Find the forearm of a hand.
+
+    Its direction is that of the surface that continues beyond the wrist. Across it, widths of the
+    observed limb and of the predicted hand are compared for every shift of the wrist (``best_shift``):
+    fingertips, palm and the narrowing behind it all say where the hand is, and the forearm, which is not
+    compared, says nothing.
+
+    Args:
+        view: the window.
+        limb: (h, w) the surfaces of the hand and of what they are connected to.
+        hand: (h, w) what of them lies beside the prediction.
+        silhouette: the predicted hand.
+        predicted: the hand as expected.
+    """
+    offset = view.points[limb].astype(np.float64) - predicted.wrist
+    apart = view.apart[limb].astype(np.float64)
+    area = apart**2
+    towards_elbow = _direction(offset, area, predicted)
+    if towards_elbow is None:
+        return Arm(predicted.wrist, predicted.towards_elbow, None)
+    cut = predicted.towards_elbow + towards_elbow
+    cut /= np.linalg.norm(cut)
+    along = offset @ cut
+    counted = hand[limb] | ((along > 0.0) & _beside_axis(offset, towards_elbow, predicted.scale))
+    observed = _widths(along[counted], apart[counted], cut, predicted.scale)
+    expected = _expected_widths(view, silhouette, cut, predicted)
+    shift = _shift_mm(observed, expected, predicted.scale)
+    return Arm(predicted.wrist + shift * cut, cut, -towards_elbow)
+
+
+def _direction(offset: FloatArray, area: FloatArray, predicted: PredictedHand) -> FloatArray | None:
+    """Unit vector (3,) from wrist to elbow: to the middle of what the limb is beyond the wrist.
+
+    None where there is no limb beyond it, or one that is no arm but a body.
+
+    Args:
+        offset: (P, 3) the limb's points from the wrist, mm.
+        area: (P,) what each covers, mm^2.
+        predicted: the hand.
+    """
+    scale, direction = predicted.scale, predicted.towards_elbow
+    to_axis = np.array([0.0, 0.0, scale * _SKIN_MM])
+    for _ in range(_PASSES):
+        chosen, length = _in_cone(offset, direction, scale)
+        total = float(area[chosen].sum())
+        if not scale**2 * _LEAST_MM2 <= total <= scale * _WIDEST_MM * length:
+            return None
+        middle = (area[chosen] / total) @ offset[chosen] + to_axis
+        direction = _towards(middle / max(float(np.linalg.norm(middle)), 1e-9), predicted.towards_elbow)
+    return direction
+
+
+def _in_cone(offset: FloatArray, direction: FloatArray, scale: float) -> tuple[BoolArray, float]:
+    """Which points (P, 3) may be the forearm's, and over what length they go along it, mm."""
+    along = offset @ direction
+    first, last = _ARM_MM
+    in_length = (along > scale * first) & (along < scale * last)
+    chosen = in_length & _beside_axis(offset, direction, scale)
+    return chosen, float(np.ptp(along[chosen])) if chosen.any() else 0.0
+
+
+def is_forearm(offset: FloatArray, towards_elbow: FloatArray, scale: float) -> BoolArray:
+    """Which points (P, 3) of a limb, from the wrist, a forearm explains: near its axis and the wrist."""
+    seen: BoolArray = offset @ towards_elbow < scale * SEEN_MM
+    return seen & _beside_axis(offset, towards_elbow, scale)
+
+
+def _beside_axis(offset: FloatArray, direction: FloatArray, scale: float) -> BoolArray:
+    """Which points (P, 3) lie in the cone, and are not the body's that a hand lies before."""
+    along = offset @ direction
+    squared_aside = np.einsum("ij,ij->i", offset, offset) - along**2
+    most = scale * _HALF_WIDTH_MM + _OPENING * np.maximum(along, 0.0)
+    within: BoolArray = squared_aside < most**2
+    return within
+
+
+def _towards(direction: FloatArray, palm: FloatArray) -> FloatArray:
+    """A direction, turned back towards the palm's by as much as a wrist cannot bend."""
+    cosine = float(direction @ palm)
+    aside = direction - cosine * palm
+    length = float(np.linalg.norm(aside))
+    if cosine >= _MOST_BENT:
+        return direction
+    if length < 1e-9:
+        return palm
+    turned: FloatArray = _MOST_BENT * palm + np.sqrt(1.0 - _MOST_BENT**2) * aside / length
+    return turned
+
+
+def _expected_widths(
+    view: View, silhouette: Silhouette, cut: FloatArray, predicted: PredictedHand
+) -> FloatArray:
+    """Widths of the predicted hand, as the window sees it."""
+    depth = np.where(silhouette.mask, silhouette.depth, np.float32(0.0))
+    drawn = View.of(depth, view.window, view.camera)
+    points, apart = (part[silhouette.mask].astype(np.float64) for part in (drawn.points, drawn.apart))
+    return _widths((points - predicted.wrist) @ cut, apart, cut, predicted.scale)
+
+
+def _widths(along: FloatArray, apart: FloatArray, cut: FloatArray, scale: float) -> FloatArray:
+    before, beyond = _slices(_FINGERS_MM, scale), _slices(_BEYOND_MM, scale)
+    return slice_areas(along, apart**2, extents(apart, cut), -before * BIN_MM, before + beyond)
+
+
+def _shift_mm(observed: FloatArray, expected: FloatArray, scale: float) -> float:
+    last = _slices(_FINGERS_MM, scale) + _slices(_COMPARED_MM, scale)
+    most = max(0, min(_slices(_MOST_SHIFT_MM, scale), last, len(observed) - last))
+    sd = _WRIST_SD_MM * scale / BIN_MM
+    stiffness = scale**2 * _AREA_PER_SD_MM2 / BIN_MM / sd**2
+    return BIN_MM * best_shift(observed, expected, max(last, 0), most, stiffness)
+
+
+def _slices(mm: float, scale: float) -> int:
+    return round(scale * mm / BIN_MM)

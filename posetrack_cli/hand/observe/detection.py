@@ -1,0 +1,236 @@
+"""Hands in a whole depth image, without any prediction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from posetrack_cli.arrays import BoolArray, FloatArray, ImageArray
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.hand.config import DetectionSettings
+from posetrack_cli.hand.observe.arm import BIN_MM, extents, slice_areas
+from posetrack_cli.hand.observe.observation import PixelSampler
+from posetrack_cli.hand.observe.region import (
+    Region,
+    Surfaces,
+    arm_exit,
+    likeness,
+    palm_pixels,
+    region_around,
+    surfaces_of,
+    thin_mask,
+)
+from posetrack_cli.rendering.port import Window
+
+_APART_MM, _MOST_ACROSS = 3.5, 240
+"""Least distance of pixels on the nearest surface, and the most pixels across the shorter side."""
+_NEAREST_PERCENT, _SPARSE = 10.0, 4
+_MOST_SHARED = 0.2
+_REACH_MM = 170.0
+"""So far from its palm a hand does not reach: only the arm goes on."""
+_TWO_PALMS_MM = 110.0
+_MOST_HANDS, _LEAST_SCORE = 4, 0.4
+"""How many are told; a score of 1 is all like a hand at the end of an arm."""
+_AS_LIKELY = 0.85
+_STEPS_OUTWARDS = 3
+_SURE, _SAME_PALM_MM = 0.9, 60.0
+_REACH_OF_RADIUS = 3.4
+"""The reach of a large hand, in radii of its palm."""
+_SHORTEST_FROM_PALM_MM, _LONGEST_FROM_PALM_MM = 60.0, 130.0
+"""From the palm's middle to the end of a fist, and of an outstretched hand."""
+_WRIST_FROM_PALM_MM, _USUAL_WRIST_MM = (20.0, 100.0), 52.0
+_OFF_USUAL = 0.01
+"""Millimetres of the arm's width per mm^2 of the wrist's distance from its usual place."""
+
+
+@dataclass(frozen=True, eq=False)
+class Detection:
+    """A surface that may be a hand.
+
+    Attributes:
+        window: the pixels that the mask is of: the whole image in steps.
+        mask: (h, w) the hand's pixels, without the forearm.
+        palm: (3,) middle of the palm on the surface that is seen, camera axes, mm.
+        palm_radius_mm: of the largest disc around it.
+        wrist: (3,) where the forearm begins, on the surface that is seen, mm; None where none is seen.
+        arm: (3,) unit vector from the elbow to the wrist, camera axes; None where no forearm is seen.
+        extent_mm: how far the hand reaches from the palm.
+        score: 0 to 1: how much it is like a hand at the end of an arm.
+        fingers_mm2: how much of the mask is as thin as fingers are; an elbow's rim alone.
+    """
+
+    window: Window
+    mask: BoolArray
+    palm: FloatArray
+    palm_radius_mm: float
+    wrist: FloatArray | None
+    arm: FloatArray | None
+    extent_mm: float
+    score: float
+    fingers_mm2: float
+
+    def enlarged(self, factor: float) -> Detection:
+        """The same where all lengths are larger; areas of fingers stay those of a hand of usual size."""
+        return replace(
+            self,
+            palm=factor * self.palm,
+            palm_radius_mm=factor * self.palm_radius_mm,
+            wrist=None if self.wrist is None else factor * self.wrist,
+            extent_mm=factor * self.extent_mm,
+        )
+
+
+def detect(
+    depth: ImageArray, camera: Camera, settings: DetectionSettings, sampler: PixelSampler | None = None
+) -> list[Detection]:
+    """Find hands, the nearest first.
+
+    A hand is the end of an arm: a surface as wide as a palm, within whose reach it goes on at one place at
+    most, which is as wide as an arm (after the extremities of Plagemann et al. 2010, told by width instead of
+    geodesic distance) **[ours]**. No direction is preferred and no body expected.
+
+    Args:
+        depth: (height, width) mm, 0 = no reading.
+        camera: its camera; lens distortion is taken out.
+        settings: the depths at which hands are searched for.
+        sampler: of the camera, kept by callers that look at many images.
+    """
+    window = coarse_window(depth, camera, settings)
+    tile = (sampler or PixelSampler(camera)).sample(depth, window)
+    tile[tile > settings.farthest_mm + _REACH_MM] = 0.0
+    surfaces = surfaces_of(tile, window, camera)
+    found: list[_Candidate] = []
+    for place in palm_pixels(surfaces, settings).tolist():
+        if not any(_is_of(surfaces, place, candidate) for candidate in found):
+            found.append(_better(surfaces, place))
+    likely = [candidate for candidate in found if candidate.score >= _LEAST_SCORE]
+    kept: list[Detection] = []
+    for candidate in sorted(likely, key=_rank, reverse=True):
+        detection = _detection(surfaces, candidate)
+        if all(_are_two(detection, other) for other in kept):
+            kept.append(detection)
+        if len(kept) == _MOST_HANDS:
+            break
+    return sorted(kept, key=lambda d: float(d.palm[2]))
+
+
+def coarse_window(depth: ImageArray, camera: Camera, settings: DetectionSettings) -> Window:
+    """The whole image in whole steps of pixels, as fine as a hand where the nearest things are needs."""
+    few = depth[::_SPARSE, ::_SPARSE]
+    in_range = few[(few >= settings.nearest_mm) & (few <= settings.farthest_mm)]
+    near = float(np.percentile(in_range, _NEAREST_PERCENT)) if in_range.size else settings.farthest_mm
+    least = -(-min(camera.width, camera.height) // _MOST_ACROSS)
+    step = max(least, round(_APART_MM * float(np.sqrt(camera.fx * camera.fy)) / near))
+    return Window(0, 0, step, -(-camera.width // step), -(-camera.height // step))
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    """A place that may be a palm, and how likely."""
+
+    region: Region
+    score: float
+    arm: FloatArray | None  # from elbow to wrist
+
+
+def _is_of(surfaces: Surfaces, place: list[int], candidate: _Candidate) -> bool:
+    """Whether a place is on the palm of a hand that is already certain."""
+    if candidate.score < _SURE:
+        return False
+    return float(np.linalg.norm(surfaces.points[*place] - candidate.region.palm)) < _SAME_PALM_MM
+
+
+def _rank(candidate: _Candidate) -> float:
+    """Of places on one limb the palm comes first: likely, wide, and held out towards the camera."""
+    region = candidate.region
+    return candidate.score * region.radius_mm / max(float(region.palm[2]), 1.0)
+
+
+def _better(surfaces: Surfaces, place: list[int]) -> _Candidate:
+    """The hand at a place, or farther out on the same limb if that is about as much like one."""
+    here = _candidate(surfaces, place)
+    for _ in range(_STEPS_OUTWARDS):
+        outwards = None if here.score == 0.0 else _farther_out(surfaces, here)
+        if outwards is None:
+            break
+        there = _candidate(surfaces, outwards)
+        if there.score < _AS_LIKELY * here.score:
+            break
+        here = there
+    return here
+
+
+def _candidate(surfaces: Surfaces, place: list[int]) -> _Candidate:
+    row, column = place
+    reach = max(_REACH_MM, _REACH_OF_RADIUS * float(surfaces.radius[row, column]))
+    region = region_around(surfaces, row, column, reach)
+    way = arm_exit(region)
+    if way is None:
+        return _Candidate(region, likeness(region), None)
+    arm = region.palm - way.middle
+    return _Candidate(region, likeness(region), arm / max(float(np.linalg.norm(arm)), 1e-9))
+
+
+def _farther_out(surfaces: Surfaces, candidate: _Candidate) -> list[int] | None:
+    """Where the palm is if a region reaches farther from the arm than a hand does from its palm."""
+    region, arm = candidate.region, candidate.arm
+    if arm is None:
+        return None
+    outwards = (region.points - region.palm) @ arm
+    end = float(np.percentile(outwards[region.mask], 99.0))
+    if end <= _LONGEST_FROM_PALM_MM:
+        return None
+    from_end = end - outwards
+    there = region.mask & (from_end > _SHORTEST_FROM_PALM_MM) & (from_end < _LONGEST_FROM_PALM_MM)
+    radius = np.where(there, surfaces.radius[region.rows, region.columns], 0.0)
+    if not radius.any():
+        return None
+    row, column = np.unravel_index(int(np.argmax(radius)), radius.shape)
+    return [region.rows.start + int(row), region.columns.start + int(column)]
+
+
+def _detection(surfaces: Surfaces, candidate: _Candidate) -> Detection:
+    region = candidate.region
+    hand, wrist = region.mask, None
+    if candidate.arm is not None:
+        hand, wrist = _without_arm(region, surfaces, candidate.arm)
+    mask = np.zeros(surfaces.depth.shape, dtype=np.bool_)
+    mask[region.rows, region.columns] = hand
+    extent = float(np.linalg.norm(region.points[hand] - region.palm, axis=1).max(initial=0.0))
+    apart = float(np.median(surfaces.pixel_mm[region.rows, region.columns][hand])) if hand.any() else 1.0
+    return Detection(
+        surfaces.window,
+        mask,
+        region.palm,
+        region.radius_mm,
+        wrist,
+        candidate.arm,
+        extent,
+        candidate.score,
+        float(np.count_nonzero(thin_mask(hand, apart))) * apart**2,
+    )
+
+
+def _without_arm(region: Region, surfaces: Surfaces, arm: FloatArray) -> tuple[BoolArray, FloatArray]:
+    """Cut the forearm off at the wrist: the narrowest place about where a palm ends.
+
+    Returns:
+        The rest of the region's mask, and the wrist (3,), mm.
+    """
+    along = (region.palm - region.points) @ arm
+    apart = surfaces.pixel_mm[region.rows, region.columns][region.mask].astype(np.float64)
+    first, last = _WRIST_FROM_PALM_MM
+    count = round((last - first) / BIN_MM)
+    widths = slice_areas(along[region.mask], apart**2, extents(apart, arm), first, count)
+    middles = first + BIN_MM * (np.arange(len(widths)) + 0.5)
+    wrist = float(middles[int(np.argmin(widths + _OFF_USUAL * (middles - _USUAL_WRIST_MM) ** 2))])
+    return region.mask & (along < wrist), region.palm - wrist * arm
+
+
+def _are_two(first: Detection, second: Detection) -> bool:
+    """Whether two detections are of two hands."""
+    apart = float(np.linalg.norm(first.palm - second.palm))
+    shared = int(np.count_nonzero(first.mask & second.mask))
+    least = min(int(np.count_nonzero(d.mask)) for d in (first, second))
+    return apart > _TWO_PALMS_MM and shared < _MOST_SHARED * least

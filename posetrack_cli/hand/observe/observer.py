@@ -1,0 +1,268 @@
+"""What a tracker observes of a frame, given where it expects the hand.
+
+A cost alone cannot tell a hand from a wall: the pixels that it compares a hand with are cut out around the
+hand's own prediction, from a wall as readily as from a body that the hand touches. What a wall lacks is an
+outline, which is measured here, too.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from posetrack_cli.arrays import BoolArray, Float32Array, FloatArray, ImageArray
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.hand.config import HandConfig, ObservationSettings
+from posetrack_cli.hand.fit.skeleton import NO_INNER, NO_THUMB, THUMB
+from posetrack_cli.hand.model.anatomy import HandAnatomy
+from posetrack_cli.hand.model.forearm import forearm_confidence
+from posetrack_cli.hand.observe.arm import is_forearm
+from posetrack_cli.hand.observe.detection import Detection
+from posetrack_cli.hand.observe.observation import Observation, PixelSampler, everything, window_around
+from posetrack_cli.hand.observe.prediction import PredictedHand, Silhouette, silhouette_of
+from posetrack_cli.hand.observe.region import thin_mask
+from posetrack_cli.hand.observe.segmentation import Label, Segmentation
+from posetrack_cli.hand.observe.segmentation import segment as segment_hand
+from posetrack_cli.hand.observe.surfaces import pixel_mm, points_of, without_pinholes
+from posetrack_cli.rendering.port import Window
+
+LEAST_CONTRAST, LEAST_BROKEN = 0.25, 0.15
+"""What a frame must have to show a hand: the first where none was known, the second where one was.
+
+Contrast: a bare wall has 0.0, a noisy one 0.1 at most, a step in a wall 0.15; hands that are tracked have 0.3
+to 1.0, and less where the estimate lies beside them. Broken: walls and steps have 0.05 at most.
+"""
+_VIEW = ObservationSettings(window_mm=300.0)
+"""The window of a hand and its surroundings, independent of the likelihood's own."""
+_BESIDE_MM = (8.0, 20.0)
+"""The surroundings: distances outside the drawn bones that no skin reaches."""
+_CLEAR_STEP_MM, _BREAK_MM = 10.0, 15.0
+"""A step in depth that is as good as any larger one, a finger's height above what it lies on; and one that is
+no noise."""
+_FAR_MM = np.float32(1e9)
+_BLOCK = np.ones((3, 3), np.uint8)
+
+
+class Outline(NamedTuple):
+    """How a frame continues beside a hand **[ours]**.
+
+    With y_out the readings beside the hand and y_in that of the nearest pixel well on the hand, each; a
+    missing reading counts as far away.
+
+    Attributes:
+        contrast: -1 to 1, the mean of clip((y_out - y_in) / 10 mm, -1, 1): how clearly the hand stands out.
+            Exchanging y_out and y_in changes its sign: on a surface that is alike on both sides of the
+            outline, be it bare, tilted, noisy or full of holes, it is 0.
+        broken: the share at which y_out and y_in differ by more than 15 mm, whichever is nearer: also of an
+            estimate that lies beside the hand, whose fingers may be where the gaps are.
+    """
+
+    contrast: float
+    broken: float
+
+    def shows_hand(self, *, is_known: bool) -> bool:
+        """Whether there is the outline of a hand, however well its surface fits.
+
+        Args:
+            is_known: whether frames before showed one: this then shows none only if nothing is left of it.
+        """
+        return self.contrast >= LEAST_CONTRAST or (is_known and self.broken >= LEAST_BROKEN)
+
+
+def outline_of(depth: ImageArray, sampler: PixelSampler, camera: Camera, hand: PredictedHand) -> Outline:
+    """Look at the outline of a hand in a frame.
+
+    Args:
+        depth: (height, width) the frame, mm, 0 = no reading.
+        sampler: of the camera.
+        camera: its camera.
+        hand: as estimated.
+
+    Returns:
+        The outline; all of it is broken where nothing around the hand lies in the image: that tells nothing.
+    """
+    window = window_around(hand.joints, camera, _VIEW)
+    silhouette = silhouette_of(hand.joints, hand.scale, window, camera)
+    if silhouette is None:
+        return Outline(0.0, 0.0)
+    sampled = sampler.sample(depth, window)
+    readings = np.asarray(cv2.medianBlur(np.where(sampled > 0, sampled, _FAR_MM), 3), dtype=np.float32)
+    distance_px, inside = _nearest_inside(readings, silhouette)
+    distance_mm = distance_px * pixel_mm(float(hand.joints[:, 2].mean()), window, camera) / hand.scale
+    beside = (distance_mm > _BESIDE_MM[0]) & (distance_mm < _BESIDE_MM[1]) & _in_image(window, camera)
+    if not beside.any():
+        return Outline(1.0, 1.0)
+    steps = (readings - inside)[beside]
+    contrast = float(np.clip(steps / _CLEAR_STEP_MM, -1.0, 1.0).mean())
+    return Outline(contrast, float((np.abs(steps) > _BREAK_MM).mean()))
+
+
+def _nearest_inside(readings: Float32Array, silhouette: Silhouette) -> tuple[Float32Array, Float32Array]:
+    """Distance (h, w), pixels, to the nearest pixel well inside a silhouette, and its reading (h, w), mm."""
+    core = cv2.erode(silhouette.mask.astype(np.uint8), _BLOCK) > 0
+    core = core if core.any() else silhouette.mask
+    distance, nearest = cv2.distanceTransformWithLabels(
+        (~core).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    of_label = np.zeros(int(nearest.max()) + 1, dtype=np.float32)
+    of_label[nearest[core]] = readings[core]
+    return distance.astype(np.float32, copy=False), of_label[nearest]
+
+
+def _in_image(window: Window, camera: Camera) -> ImageArray:
+    """(h, w) which pixels of a window lie in the image."""
+    rows, columns = window.rows(), window.columns()
+    return np.outer((rows >= 0) & (rows < camera.height), (columns >= 0) & (columns < camera.width))
+
+
+class ThinPart(NamedTuple):
+    """What of an observed hand is as thin as fingers are.
+
+    Attributes:
+        points: (h, w, 3) of all pixels, camera axes, mm.
+        apart: distance of neighbouring pixels at the hand's depth, mm.
+        hand: (h, w) target pixels before the forearm; all of them where none is seen.
+        thin: (h, w) those of them that are thin.
+    """
+
+    points: FloatArray
+    apart: float
+    hand: BoolArray
+    thin: BoolArray
+
+
+def thin_part(observation: Observation, camera: Camera, scale: float = 1.0) -> ThinPart:
+    """Look for what no disc inside a hand covers that is thicker than a finger (``region.thin_mask``).
+
+    Args:
+        observation: with at least one target pixel.
+        camera: of the depth image.
+        scale: of the hand.
+    """
+    image, window = observation.image, observation.window
+    target = image > 0
+    apart = float(pixel_mm(float(np.median(image[target])), window, camera))
+    points = points_of(image, window, camera).astype(np.float64)
+    hand = target & ((points - observation.wrist) @ observation.inner[:3] <= 0.0)
+    return ThinPart(points, apart, hand, thin_mask(target, apart / scale) & hand)
+
+
+_FOREARM_MM = 160.0
+"""Length of a detected arm behind the wrist that is ignored, besides what lies beyond the window."""
+_STEP_MM = 25.0
+"""A reading farther from the nearest pixel of a detection's coarse mask is of another surface."""
+
+
+class Observer:
+    """Cuts windows out of depth images and finds the target pixels in them.
+
+    Args:
+        config: window and segmentation.
+        anatomy: the hand.
+        camera: of the depth images.
+        segment: whether the hand is separated from its surroundings; else all readings are targets.
+        with_arm: whether the forearm is a target, too, for a likelihood that explains it; else it is cut off.
+        follows: whether predictions are of a hand that is followed, not of one that may be there.
+    """
+
+    def __init__(
+        self,
+        config: HandConfig,
+        anatomy: HandAnatomy,
+        camera: Camera,
+        *,
+        segment: bool,
+        with_arm: bool = False,
+        follows: bool = False,
+    ) -> None:
+        self._config, self.anatomy, self._camera = config, anatomy, camera
+        self._segment, self._with_arm, self._follows = segment, with_arm, follows
+        self.sampler = PixelSampler(camera)
+
+    def observe(
+        self, depth: ImageArray, predicted: FloatArray, expected: FloatArray = NO_INNER
+    ) -> Observation:
+        """Cut the window around a predicted pose (22,) and find the target pixels in it.
+
+        Args:
+            depth: (height, width) the frame, mm.
+            predicted: (22,).
+            expected: (6,) inner numbers, as far as they are known; the forearm's direction is not asked for.
+        """
+        hand = PredictedHand.of(self.anatomy, predicted, expected[THUMB])
+        window = window_around(hand.joints, self._camera, self._config.observation)
+        if not self._segment:
+            return everything(self.sampler.sample(depth, window), window)
+        found = segment_hand(depth, self.sampler, window, self._camera, hand, is_followed=self._follows)
+        return self._observation(found, expected)
+
+    def _observation(self, found: Segmentation, expected: FloatArray) -> Observation:
+        return found.observation_with_inner(expected) if self._with_arm else found.observation
+
+    def fingers_mm2(self, observation: Observation) -> float:
+        """How much of the hand before its forearm is as thin as fingers, mm^2 (``Detection.fingers_mm2``)."""
+        if not observation.target_pixels:
+            return 0.0
+        thin = thin_part(observation, self._camera).thin
+        apart = pixel_mm(observation.image[thin], observation.window, self._camera)
+        return float(np.square(apart).sum())
+
+    def outline(self, depth: ImageArray, pose: FloatArray, thumb: FloatArray = NO_THUMB) -> Outline:
+        """Look at the outline of a hand in a pose (22,) in a frame (height, width), mm.
+
+        Args:
+            depth: the frame.
+            pose: of the hand.
+            thumb: (2,) its inner angles.
+        """
+        return outline_of(depth, self.sampler, self._camera, PredictedHand.of(self.anatomy, pose, thumb))
+
+    def forearm_confidence(self, depth: ImageArray, window: Window, drawn: Float32Array) -> float:
+        """How far a frame (height, width), mm, explains a forearm that is drawn (h, w) in a window."""
+        camera, step = self._camera, window.step
+        return forearm_confidence(
+            drawn,
+            self.sampler.sample(depth, window),
+            _in_image(window, camera),
+            drawn * (step / np.sqrt(camera.fx * camera.fy) / self.anatomy.scale),
+            self._config.observation.unread_weight,
+        )
+
+    def observe_detection(self, depth: ImageArray, detection: Detection) -> Observation:
+        """Cut the window around a detected hand; what lies beyond its wrist is forearm."""
+        corners = _corners_of(detection, self._camera)
+        window = window_around(corners, self._camera, self._config.observation)
+        tile = self.sampler.sample(depth, window)
+        labels = np.where(tile > 0, np.uint8(Label.OTHER), np.uint8(Label.UNREAD))
+        read = without_pinholes(self.sampler.sample(depth, detection.window), _STEP_MM)
+        surface = _nearest_in(np.where(detection.mask, read, 0.0), detection.window, window)
+        labels[(surface > 0) & (tile > 0) & (np.abs(tile - surface) < _STEP_MM)] = Label.HAND
+        if detection.wrist is not None and detection.arm is not None:
+            offset = points_of(tile, window, self._camera) - detection.wrist
+            beyond = (offset @ detection.arm < 0.0) & (np.linalg.norm(offset, axis=2) < _FOREARM_MM)
+            beyond &= labels == Label.OTHER
+            near = is_forearm(offset[beyond], -detection.arm, self.anatomy.scale)
+            labels[beyond] = np.where(near, Label.FOREARM, Label.BEYOND)
+        wrist = detection.palm if detection.wrist is None else detection.wrist
+        return self._observation(Segmentation(window, tile, labels, wrist, detection.arm), NO_INNER)
+
+
+def _corners_of(detection: Detection, camera: Camera) -> FloatArray:
+    """Opposite corners (2, 3) of a detection's mask in the image, at the palm's depth, mm."""
+    rows, columns = np.nonzero(detection.mask)
+    us, vs = detection.window.columns()[columns], detection.window.rows()[rows]
+    pixels = np.array([[us.min(), vs.min()], [us.max(), vs.max()]], dtype=np.float64)
+    return camera.points_from_pixels(pixels, np.full(2, detection.palm[2]))
+
+
+def _nearest_in(image: ImageArray, coarse: Window, window: Window) -> ImageArray:
+    """Values of an image over one window at the nearest pixels of another; 0 outside."""
+    rows = np.rint((window.rows() - coarse.top) / coarse.step).astype(np.int64)
+    columns = np.rint((window.columns() - coarse.left) / coarse.step).astype(np.int64)
+    inside = np.ix_((rows >= 0) & (rows < coarse.height), (columns >= 0) & (columns < coarse.width))
+    clipped = np.ix_(np.clip(rows, 0, coarse.height - 1), np.clip(columns, 0, coarse.width - 1))
+    out = np.zeros((window.height, window.width), dtype=image.dtype)
+    out[inside] = image[clipped][inside]
+    return out

@@ -1,0 +1,323 @@
+"""The region of a hand in a depth image, and its palm."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from posetrack_cli.arrays import BoolArray, Float32Array, FloatArray, ImageArray, IntArray
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.hand.config import DetectionSettings
+from posetrack_cli.hand.observe.surfaces import (
+    behind_others,
+    extent_mm,
+    jump_mm,
+    pixel_mm,
+    points_of,
+    rims,
+    surface_labels,
+    without_pinholes,
+)
+from posetrack_cli.rendering.port import Window
+
+# Where a palm may be: the middles of the widest discs that fit into the surfaces of an image
+
+
+_BEHIND_JUMPS = 3.0
+_SPREAD_MM = 25.0
+_APART_MM = 12.0
+"""Discs closer together than this are one place."""
+PALM_RADIUS_MM = (11.0, 85.0)
+"""Of the largest disc on a palm; of a hand seen edge-on the smallest."""
+_MOST_PLACES = 24
+"""Looked at, the nearest first."""
+
+
+@dataclass(frozen=True, eq=False)
+class Surfaces:
+    """A depth image taken apart.
+
+    Attributes:
+        window: its pixels.
+        depth: (h, w) mm, 0 = no reading; single missing readings bridged.
+        points: (h, w, 3) mm, camera axes.
+        numbers: (h, w) of the surface, 0 = none.
+        sizes: (S,) pixels of each surface, by number.
+        behind: (h, w) which readings have a nearer surface beside them.
+        radius: (h, w) of the largest disc around a pixel that stays on its surface, mm.
+        pixel_mm: (h, w) distance of neighbouring pixels that face the camera.
+    """
+
+    window: Window
+    depth: Float32Array
+    points: Float32Array
+    numbers: ImageArray
+    sizes: IntArray
+    behind: BoolArray
+    radius: Float32Array
+    pixel_mm: Float32Array
+
+
+def surfaces_of(depth: Float32Array, window: Window, camera: Camera) -> Surfaces:
+    """Take a depth image apart into surfaces.
+
+    Args:
+        depth: (h, w) the window's readings, mm, 0 = none.
+        window: its pixels.
+        camera: its camera.
+    """
+    unbridged = pixel_mm(depth, window, camera).astype(np.float32)
+    whole = without_pinholes(depth, jump_mm(unbridged))
+    apart = pixel_mm(whole, window, camera).astype(np.float32)
+    jump = jump_mm(apart)
+    count, numbers = surface_labels(whole, jump)
+    sizes = np.bincount(numbers.ravel(), minlength=count)
+    inside = ((whole > 0) & ~rims(whole, jump)).astype(np.uint8)
+    # without any rim the distance to one is as large as floats can be
+    to_rim = np.minimum(cv2.distanceTransform(inside, cv2.DIST_L2, 3), max(depth.shape))
+    radius = (to_rim + 0.5) * apart  # a rim belongs half to its surface
+    radius[whole <= 0] = 0.0
+    behind = behind_others(whole, _BEHIND_JUMPS * jump)
+    return Surfaces(window, whole, points_of(whole, window, camera), numbers, sizes, behind, radius, apart)
+
+
+def palm_pixels(surfaces: Surfaces, settings: DetectionSettings) -> IntArray:
+    """Rows and columns (K, 2) of places where a palm may be, the nearest first.
+
+    They are local maxima of the disc's radius that a palm can have, at a depth where hands are searched for.
+    """
+    depth, radius = surfaces.depth, surfaces.radius
+    low, high = PALM_RADIUS_MM
+    in_range = (depth >= settings.nearest_mm) & (depth <= settings.farthest_mm)
+    fits = in_range & (radius >= low) & (radius <= high)
+    if not fits.any():
+        return np.empty((0, 2), dtype=np.int64)
+    size = 2 * max(1, round(_APART_MM / float(np.median(surfaces.pixel_mm[fits])))) + 1
+    around = cv2.dilate(radius, np.ones((size, size), np.uint8))
+    maxima = np.argwhere(fits & (radius >= around))
+    places = _spread_out(maxima, surfaces)
+    order = np.argsort(depth[places[:, 0], places[:, 1]], kind="stable")
+    return np.asarray(places[order][:_MOST_PLACES], dtype=np.int64)
+
+
+def _spread_out(maxima: IntArray, surfaces: Surfaces) -> IntArray:
+    """Of places (K, 2) closer together than a palm's parts the one with the widest disc.
+
+    The middle of an arm as wide everywhere is one maximum beside the other.
+    """
+    rows, columns = maxima.T
+    points = surfaces.points[rows, columns]
+    left = np.argsort(-surfaces.radius[rows, columns], kind="stable")
+    chosen = []
+    while left.size:
+        chosen.append(left[0])
+        offset = points[left] - points[left[0]]
+        left = left[np.einsum("ij,ij->i", offset, offset) >= _SPREAD_MM**2]
+    return maxima[chosen]
+
+
+# The part of a surface within reach of a palm: where it continues beyond, and how hand-like it is
+
+
+_RING_MM = 14.0
+"""Thickness of the shell in which a region's exits are searched for."""
+_LEAST_PIXELS = 3
+_NEAR_PALM_MM = 80.0
+"""A palm is the widest part of what is so near to it; a finger is not."""
+_MOST_BEHIND = 0.25
+_ARM_MM = 150.0
+"""No arm is wider."""
+
+
+@dataclass(frozen=True, eq=False)
+class Exit:
+    """Where a surface leaves the reach of a palm, or the image.
+
+    Attributes:
+        middle: (3,) mm.
+        width_mm: its largest extent.
+    """
+
+    middle: FloatArray
+    width_mm: float
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """What is connected to a palm within its reach.
+
+    Attributes:
+        rows, columns: of the part of the image that it lies in.
+        mask: (h, w) its pixels in that part.
+        points: (h, w, 3) of that part, mm.
+        palm: (3,) the point on the surface that reach is counted from, mm.
+        radius_mm: of the largest disc around the palm.
+        widest_mm: the largest such disc near the palm.
+        area_mm2: seen from the front.
+        behind: share of its rim that lies behind something nearer.
+        exits: where it continues.
+    """
+
+    rows: slice
+    columns: slice
+    mask: BoolArray
+    points: Float32Array
+    palm: FloatArray
+    radius_mm: float
+    widest_mm: float
+    area_mm2: float
+    behind: float
+    exits: tuple[Exit, ...]
+
+
+def region_around(surfaces: Surfaces, row: int, column: int, reach_mm: float) -> Region:
+    """The region of the surface that a pixel shows.
+
+    Args:
+        surfaces: of the image.
+        row, column: of the palm.
+        reach_mm: straight distance from the palm within which pixels belong to the region.
+    """
+    rows, columns = _part(surfaces, row, column, reach_mm)
+    points = surfaces.points[rows, columns]
+    numbers = surfaces.numbers[rows, columns]
+    palm = surfaces.points[row, column]
+    offset = points - palm
+    squared = np.einsum("ijk,ijk->ij", offset, offset)
+    within = (numbers > 0) & (squared < reach_mm**2)
+    at = (row - rows.start, column - columns.start)
+    own = _connected(within & (numbers == numbers[at]), at)
+    exits = _exits(own, squared > (reach_mm - _RING_MM) ** 2, surfaces, rows, columns)
+    mask = own | _islands(within, numbers, surfaces, rows, columns)
+    area = float(np.sum(surfaces.pixel_mm[rows, columns][mask] ** 2))
+    radius = float(surfaces.radius[row, column])
+    widest = float(surfaces.radius[rows, columns][own & (squared < _NEAR_PALM_MM**2)].max(initial=radius))
+    rim = own & (surfaces.radius[rows, columns] <= surfaces.pixel_mm[rows, columns])
+    hidden = int(np.count_nonzero(rim & surfaces.behind[rows, columns]))
+    behind = hidden / max(1, int(np.count_nonzero(rim)))
+    return Region(rows, columns, mask, points, palm.astype(np.float64), radius, widest, area, behind, exits)
+
+
+def _part(surfaces: Surfaces, row: int, column: int, reach_mm: float) -> tuple[slice, slice]:
+    """Rows and columns that the reach may cover; nearer things look larger."""
+    z, apart = float(surfaces.depth[row, column]), float(surfaces.pixel_mm[row, column])
+    half = int(np.ceil(reach_mm / apart * z / max(z - 0.5 * reach_mm, 0.5 * z)))
+    height, width = surfaces.depth.shape
+    return slice(max(0, row - half), min(height, row + half + 1)), slice(
+        max(0, column - half), min(width, column + half + 1)
+    )
+
+
+def _connected(mask: BoolArray, at: tuple[int, int]) -> BoolArray:
+    _, labels = cv2.connectedComponents(mask.astype(np.uint8), connectivity=4, ltype=cv2.CV_32S)
+    own: BoolArray = labels == labels[at]
+    return own
+
+
+def _islands(
+    within: BoolArray, numbers: ImageArray, surfaces: Surfaces, rows: slice, columns: slice
+) -> BoolArray:
+    """Surfaces wholly within reach, and not behind others: fingers before the palm are such."""
+    inside = np.bincount(numbers[within], minlength=int(numbers.max()) + 1)
+    in_all = surfaces.sizes[: len(inside)]
+    behind = np.bincount(numbers[within & surfaces.behind[rows, columns]], minlength=len(inside))
+    whole = (inside == in_all) & (inside >= _LEAST_PIXELS) & (behind <= _MOST_BEHIND * inside)
+    whole[0] = False
+    islands: BoolArray = within & whole[numbers]
+    return islands
+
+
+def _exits(
+    own: BoolArray, far: BoolArray, surfaces: Surfaces, rows: slice, columns: slice
+) -> tuple[Exit, ...]:
+    """Where a region touches the end of its reach or the image's border."""
+    height, width = surfaces.depth.shape
+    leaving = own & far
+    for at_border, edge in (
+        (rows.start == 0, np.s_[0, :]),
+        (rows.stop == height, np.s_[-1, :]),
+        (columns.start == 0, np.s_[:, 0]),
+        (columns.stop == width, np.s_[:, -1]),
+    ):
+        if at_border:
+            leaving[edge] |= own[edge]
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(leaving.astype(np.uint8), connectivity=8)
+    points, apart = surfaces.points[rows, columns], surfaces.pixel_mm[rows, columns]
+    exits = []
+    for number in range(1, count):
+        if stats[number, cv2.CC_STAT_AREA] >= _LEAST_PIXELS:
+            part = labels == number
+            width = extent_mm(points[part].astype(np.float64), float(apart[part].mean()))
+            exits.append(Exit(points[part].mean(axis=0, dtype=np.float64), width))
+    return tuple(exits)
+
+
+_THICK_MM = 16.0
+"""No finger takes in a disc of this radius, all arms do."""
+
+
+def thin_mask(mask: BoolArray, pixel_mm: float) -> BoolArray:
+    """What of a mask (h, w) no disc of ``_THICK_MM`` inside it covers: fingers, and the rim."""
+    radius = _THICK_MM / pixel_mm
+    reach = int(np.ceil(radius))
+    rows, columns = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    disc = (rows**2 + columns**2 <= radius**2 + 0.5).astype(np.uint8)
+    whole = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
+    thick = cv2.morphologyEx(whole, cv2.MORPH_OPEN, disc)
+    thin: BoolArray = whole > thick
+    return thin
+
+
+_FINGER_MM, _OF_DISC = 36.0, 0.8
+"""What is narrower than two fingers side by side, where it leads out of a hand's reach, is no arm, unless it
+is about as wide as the disc: a thin arm goes on as wide as it is, a finger is narrower than its palm."""
+_AREAS_MM2 = (800.0, 2500.0, 42000.0, 65000.0)
+"""Of a hand with the part of its arm within reach: as small and as large as can be, usual in between."""
+_NO_ARM, _MORE_ARMS, _LONG_FINGER = 0.75, 0.2, 0.9
+"""Factors for a hand alone, for each further arm, for each finger that reaches too far."""
+_OF_WIDEST, _NARROW = (0.1, 0.6), 0.2
+"""A palm is the widest part of its surroundings: shares of the widest that count least and fully."""
+_BEHIND = (0.3, 0.8)
+"""Shares of the rim behind something nearer: usual ones, and those of no hand."""
+_LARGER_FIRST = 0.1
+
+
+def arm_exit(region: Region) -> Exit | None:
+    """Where the arm leads out of a region: the widest way, if it is no finger; None without one."""
+    return max(_arms(region), key=lambda way: way.width_mm, default=None)
+
+
+def likeness(region: Region) -> float:
+    """0 to 1, the product of what speaks for a hand: disc, area, one arm, and nothing before it.
+
+    Nothing as wide as a body leads out of a hand's reach; the end of a finger is not the widest part of its
+    surroundings; what is seen between things nearer is background.
+    """
+    low, high = PALM_RADIUS_MM
+    disc = _plateau(region.radius_mm, 0.8 * low, 1.3 * low, 0.8 * high, 1.1 * high)
+    widest = float(np.interp(region.radius_mm / region.widest_mm, _OF_WIDEST, [_NARROW, 1.0]))
+    area = _plateau(region.area_mm2, *_AREAS_MM2)
+    before = float(np.interp(region.behind, _BEHIND, [1.0, 0.0]))
+    larger = 1.0 - _LARGER_FIRST * (1.0 - min(1.0, region.radius_mm / high))
+    return disc * widest * area * before * larger * _of_exits(region)
+
+
+def _of_exits(region: Region) -> float:
+    arms = [way.width_mm for way in _arms(region)]
+    fingers = _LONG_FINGER ** (len(region.exits) - len(arms))
+    if not arms:
+        return fingers * _NO_ARM
+    too_wide = float(np.interp(max(arms), [_ARM_MM, 1.5 * _ARM_MM], [1.0, 0.0]))
+    return fingers * too_wide * _MORE_ARMS ** (len(arms) - 1)
+
+
+def _arms(region: Region) -> list[Exit]:
+    narrowest = min(_FINGER_MM, _OF_DISC * 2.0 * region.radius_mm)
+    return [way for way in region.exits if way.width_mm >= narrowest]
+
+
+def _plateau(value: float, low: float, first: float, last: float, high: float) -> float:
+    """1 from ``first`` to ``last``, falling linearly to 0 at ``low`` and ``high``."""
+    return float(np.interp(value, [low, first, last, high], [0.0, 1.0, 1.0, 0.0]))

@@ -1,0 +1,293 @@
+"""The hand in a window around a prediction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import IntEnum
+
+import cv2
+import numpy as np
+
+from posetrack_cli.arrays import BoolArray, Float32Array, FloatArray, ImageArray, IntArray
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.hand.fit.skeleton import FOREARM
+from posetrack_cli.hand.observe.arm import Arm, arm_of, is_forearm
+from posetrack_cli.hand.observe.observation import IGNORED, Observation, PixelSampler
+from posetrack_cli.hand.observe.prediction import PredictedHand, Silhouette, silhouette_of
+from posetrack_cli.hand.observe.surfaces import (
+    View,
+    along,
+    behind_others,
+    extent_mm,
+    jump_mm,
+    pixel_mm,
+    surface_labels,
+    without_pinholes,
+)
+from posetrack_cli.rendering.port import Window
+
+# Lengths are of a hand of scale 1, mm.
+_IN_FRONT_MM, _BEHIND_MM, _ASIDE_MM = 70.0, 70.0, 60.0
+"""What lies so near to the predicted skin, in depth and in the image, may be the hand's."""
+_REACH_MM, _LEAST_SHARE = 140.0, 0.5
+"""Of a surface what is so near to the joints' centre counts, and so much of it lies at the prediction ..."""
+_VOTE_ASIDE_MM, _VOTE_MM = 15.0, 45.0
+"""... so near to it in the image, and in depth."""
+_MARGIN_MM = 60.0
+"""Looked at around the window, where the arm goes."""
+
+
+class Label(IntEnum):
+    """What a pixel shows.
+
+    No reading, the hand, its forearm beyond the wrist, another surface, or limb that is not looked at.
+    """
+
+    UNREAD = 0
+    HAND = 1
+    FOREARM = 2
+    OTHER = 3
+    BEYOND = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Segmentation:
+    """The pixels of a window, classified.
+
+    Attributes:
+        window: which pixels.
+        depth: (h, w) readings, mm, 0 = none.
+        labels: (h, w) uint8, of ``Label``.
+        wrist: (3,) where the forearm begins, on its axis, camera axes, mm.
+        arm: (3,) unit vector from the elbow to the wrist, camera axes; None where no forearm is seen.
+        reversed: whether the limb goes on where fingers are expected, and ends where the forearm is.
+    """
+
+    window: Window
+    depth: Float32Array
+    labels: ImageArray
+    wrist: FloatArray
+    arm: FloatArray | None
+    reversed: bool = False
+
+    def is_labelled(self, label: Label) -> BoolArray:
+        """(h, w) which pixels carry a label."""
+        mask: BoolArray = self.labels == label
+        return mask
+
+    @property
+    def observation(self) -> Observation:
+        """The window as a likelihood reads it that knows hands alone: their depths, minus the others'."""
+        hand = self.is_labelled(Label.HAND)
+        image = np.where(hand, self.depth, -self.depth)
+        image[self.is_labelled(Label.FOREARM) | self.is_labelled(Label.BEYOND)] = 0.0
+        return Observation(self.window, image, int(np.count_nonzero(hand)))
+
+    def observation_with_inner(self, expected: FloatArray) -> Observation:
+        """The window as a likelihood reads it that knows inner numbers, too, and what is expected of them.
+
+        Args:
+            expected: (6,) but for the forearm's direction.
+        """
+        inner = expected.copy()
+        if self.arm is None:
+            inner[FOREARM] = 0.0
+            return replace(self.observation, inner=inner)
+        target = self.is_labelled(Label.HAND) | self.is_labelled(Label.FOREARM)
+        image = np.where(target, self.depth, -self.depth)
+        image[self.is_labelled(Label.BEYOND)] = IGNORED
+        inner[:3], count = -self.arm, int(np.count_nonzero(target))
+        return Observation(self.window, image, count, inner, self.wrist, self.reversed)
+
+
+def segment(
+    depth: ImageArray,
+    sampler: PixelSampler,
+    window: Window,
+    camera: Camera,
+    predicted: PredictedHand,
+    *,
+    is_followed: bool = True,
+) -> Segmentation:
+    """Tell the hand's pixels from its forearm, from other surfaces and from missing readings **[ours]**.
+
+    A surface is the hand's if most of what lies within the hand's reach lies at the prediction; of such a
+    surface what lies beside it. The forearm is cut off at a wrist that the image tells (``arm_of``), with the
+    prediction as a prior only: a cut that followed the prediction would let the palm slide along the arm.
+
+    Args:
+        depth: (height, width) the frame, mm, 0 = no reading.
+        sampler: of the camera.
+        window: the pixels asked for; a margin around them is used too, for the arm.
+        camera: its camera.
+        predicted: the hand as expected.
+        is_followed: whether the prediction is of a hand that is followed, not of one that may be there: only
+            such a hand has fingers where none are expected.
+    """
+    margin = round(_MARGIN_MM / max(float(pixel_mm(predicted.wrist[2], window, camera)), 1e-3))
+    margin = min(max(margin, 0), window.width)
+    wide = _widened(window, margin)
+    tile = sampler.sample(depth, wide)
+    labels, arm, is_reversed = _labels(View.of(tile, wide, camera), predicted, is_followed)
+    inner = np.s_[margin : margin + window.height, margin : margin + window.width]
+    return Segmentation(window, tile[inner], labels[inner], arm.wrist, arm.direction, is_reversed)
+
+
+def _widened(window: Window, margin: int) -> Window:
+    """The window, larger by a margin in tile pixels on every side."""
+    return replace(
+        window,
+        left=window.left - margin * window.step,
+        top=window.top - margin * window.step,
+        width=window.width + 2 * margin,
+        height=window.height + 2 * margin,
+    )
+
+
+_WAY_OUT_MM, _PAST_WRIST_MM = 25.0, 40.0
+"""What leads out of a view is an arm if it is as wide, and so far beyond the wrist; of a hand of scale 1."""
+
+
+def _goes_on(view: View, limb: BoolArray, arm: Arm, scale: float) -> bool:
+    """Whether a limb leads out of the view, or of the image, on the fingers' side alone."""
+    assert arm.direction is not None
+    window, camera = view.window, view.camera
+    rows, columns = window.rows(), window.columns()
+    inside = np.zeros(limb.shape, dtype=np.bool_)
+    inner_rows = (rows >= window.step) & (rows < camera.height - window.step)
+    inner_columns = (columns >= window.step) & (columns < camera.width - window.step)
+    inside[1:-1, 1:-1] = np.outer(inner_rows, inner_columns)[1:-1, 1:-1]
+    leaves = limb & ~inside
+    along = (view.points[leaves].astype(np.float64) - arm.wrist) @ arm.direction
+    width = view.apart[leaves]
+    towards_fingers = float(width[along > _PAST_WRIST_MM * scale].sum())
+    towards_elbow = float(width[along < 0.0].sum())
+    return towards_fingers > _WAY_OUT_MM * scale and towards_elbow == 0.0
+
+
+def _labels(view: View, predicted: PredictedHand, is_followed: bool) -> tuple[ImageArray, Arm, bool]:
+    labels = np.where(view.depth > 0, np.uint8(Label.OTHER), np.uint8(Label.UNREAD))
+    silhouette = silhouette_of(predicted.joints, predicted.scale, view.window, view.camera)
+    if silhouette is None:
+        return labels, Arm(predicted.wrist, predicted.towards_elbow, None), False
+    limb, hand = _limb(view, silhouette, predicted, is_followed)
+    arm = arm_of(view, limb, hand, silhouette, predicted)
+    labels[hand] = Label.HAND
+    if arm.direction is not None:
+        beyond = limb & (along(view.points, arm.wrist, arm.cut) > 0.0)
+        offset = view.points[beyond].astype(np.float64) - predicted.wrist
+        near = is_forearm(offset, -arm.direction, predicted.scale)
+        labels[beyond] = np.where(near, Label.FOREARM, Label.BEYOND)
+    return labels, arm, arm.direction is not None and _goes_on(view, limb, arm, predicted.scale)
+
+
+def _limb(
+    view: View,
+    silhouette: Silhouette,
+    predicted: PredictedHand,
+    is_followed: bool,
+) -> tuple[BoolArray, BoolArray]:
+    """The surfaces connected to the hand, and what of them is the hand or forearm.
+
+    A surface is the hand's if most of what lies within the hand's reach lies at the prediction, or if it is a
+    finger of a hand that is followed (``_fingers``). The one with most pixels there is in any case: a hand
+    that touches a body is one with it, and is cut out closely.
+    """
+    jump = jump_mm(view.apart)
+    count, numbers = surface_labels(without_pinholes(view.depth, jump), jump)
+    read = view.depth > 0
+    at_hand = read & _beside(view, silhouette, predicted, _VOTE_ASIDE_MM, _VOTE_MM, _VOTE_MM)
+    near = read & _within_reach(view.points, predicted)
+    inside = np.bincount(numbers[at_hand & near], minlength=count)
+    inside[0] = 0
+    own = inside > _LEAST_SHARE * np.bincount(numbers[near], minlength=count)
+    merged = np.zeros(count, dtype=np.bool_)
+    if inside.any():
+        merged[int(np.argmax(inside))] = True
+    merged &= ~own
+    limb = read & (own | merged)[numbers]
+    fingers = np.zeros(count, dtype=np.bool_)
+    if is_followed:
+        others = np.where(read & ~limb, numbers, 0)
+        fingers = _fingers(view, others, near, inside > 0, limb, jump, predicted.scale)
+    beside = _beside(view, silhouette, predicted, _ASIDE_MM, _IN_FRONT_MM, _BEHIND_MM)
+    limb |= fingers[numbers] & read
+    return limb, limb & (np.where(merged[numbers], at_hand, beside) | fingers[numbers])
+
+
+_FINGER_MM2, _LEAST_NEAR = 3000.0, 0.9
+"""What a finger covers at most, of a hand of scale 1, and how much of it lies within the hand's reach."""
+_LEAST_MM2, _LEAST_MM, _WIDEST_MM, _GAP_MM = 300.0, 30.0, 26.0, 10.0
+"""What a finger covers that stands out, how long it is and how wide at most, and how far from the limb it
+begins, behind the nearer finger's rim; of a hand of scale 1."""
+_MOST_BEHIND = 0.4
+"""The share of a finger that lies behind something beside it: some 0.15 where a thumb hides its base,
+but most of a background that is seen between two fingers."""
+
+
+def _fingers(
+    view: View,
+    numbers: IntArray,
+    near: BoolArray,
+    at_prediction: BoolArray,
+    limb: BoolArray,
+    jump: Float32Array,
+    scale: float,
+) -> BoolArray:
+    """Which surfaces (K,) are fingers apart from the limb, which the prediction need not know of **[ours]**.
+
+    A thumb before its base, or a missing reading beside it, makes a finger a surface of its own; most of one
+    that has just been stretched is not where a fist is expected, nor will the next frame expect it there if
+    this one does not see it. Nothing else that begins at a hand ends within its reach, and is so small.
+    Where nothing of it lies at the prediction, as of a finger whose knuckle the thumb hides, it begins beside
+    the limb, has a finger's shape, and does not lie behind what surrounds it.
+
+    Args:
+        view: the window.
+        numbers: (h, w) of surfaces that are not the limb's, 0 elsewhere.
+        near: (h, w) what lies within the hand's reach.
+        at_prediction: (K,) surfaces of which something lies at the prediction.
+        limb: (h, w) the other surfaces connected to the hand.
+        jump: (h, w) the step in depth that parts surfaces, mm.
+        scale: of the hand.
+    """
+    whole, reached = (
+        np.bincount(numbers[part], weights=view.apart[part] ** 2, minlength=len(at_prediction))
+        for part in (numbers > 0, near & (numbers > 0))
+    )
+    small = (whole < scale**2 * _FINGER_MM2) & (reached > _LEAST_NEAR * whole)
+    fingers: BoolArray = at_prediction & small
+    others = small & ~at_prediction & (whole > scale**2 * _LEAST_MM2)
+    if others.any() and limb.any():
+        gap_px = cv2.distanceTransform((~limb).astype(np.uint8), cv2.DIST_L2, 3)
+        beside = others[numbers] & (gap_px * view.apart < scale * _GAP_MM)
+        behind = behind_others(view.depth, jump)
+        for k in np.unique(numbers[beside]).tolist():
+            part = numbers == k
+            length = extent_mm(view.points[part].astype(np.float64), float(view.apart[part].mean()))
+            is_slim = length > scale * _LEAST_MM and whole[k] < scale * _WIDEST_MM * length
+            fingers[k] = is_slim and bool(behind[part].mean() < _MOST_BEHIND)
+    return fingers
+
+
+def _beside(
+    view: View,
+    silhouette: Silhouette,
+    predicted: PredictedHand,
+    aside: float,
+    in_front: float,
+    behind: float,
+) -> BoolArray:
+    """The pixels so near to the predicted hand in the image, and in depth; mm of a hand of scale 1."""
+    scale, beyond = predicted.scale, view.depth - silhouette.depth
+    beside: BoolArray = silhouette.outside_px * view.apart < scale * aside
+    return beside & (beyond > -scale * in_front) & (beyond < scale * behind)
+
+
+def _within_reach(points: Float32Array, predicted: PredictedHand) -> BoolArray:
+    """The points within the hand's reach, and not behind its wrist, where the arm is."""
+    squared = np.zeros(points.shape[:2], dtype=np.float32)
+    for axis, middle in enumerate(predicted.joints.mean(axis=0).tolist()):
+        squared += (points[..., axis] - np.float32(middle)) ** 2
+    beyond_wrist = along(points, predicted.wrist, predicted.towards_elbow) >= 0.0
+    return (squared < (predicted.scale * _REACH_MM) ** 2) & ~beyond_wrist

@@ -1,0 +1,388 @@
+"""The adjustment of one shape and many poses to many frames."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
+from posetrack_cli.geometry import rotations
+from posetrack_cli.hand.fit.gauss_newton import ABDUCTION_SD, IP_SD, MOST_THUMB
+from posetrack_cli.hand.fit.skeleton import NO_THUMB, Skin, skin_of
+from posetrack_cli.hand.fit.terms import Terms, Tile
+from posetrack_cli.hand.model.anatomy import TANGENT_SIZE, HandShape, ShapeSpace
+from posetrack_cli.hand.model.hand import HandMaker, HandModel, inside_limits
+from posetrack_cli.hand.model.kinematics import skinning_transforms
+from posetrack_cli.rendering.raster import Drawing, draw, empty_drawing
+from posetrack_cli.tracking.velocity import BodySpace
+
+# Residuals of one frame and their derivatives by the pose and by the shape.
+#
+# The residuals are those of ``hand.fit.terms``. There a point of the skin moves with the bones; here it
+# moves with the shape too, so derivatives are differences of posed meshes, and rows are made with numpy: a
+# calibration looks at some dozens of frames, not at 20 a second.
+
+
+FRAME_SIZE = TANGENT_SIZE + len(NO_THUMB)
+"""Unknowns of a frame: the tangent vector of its pose, and its thumb's inner angles."""
+FRAME_STEPS: FloatArray = np.repeat([0.5, 0.005, 0.005], [3, 3, FRAME_SIZE - 6])
+"""(23,) differences of a frame's unknowns, mm and rad: the skin moves by about half a millimetre."""
+WRIST_PART, LEAST_SHARE = 0.35, 0.05
+"""Of the palm's length from the wrist: there hands differ most, and where they end is not sure."""
+_SPACE = BodySpace()
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Linearised residuals: e(x + d) = e - J d, with d the steps of the frame's unknowns and the shape's.
+
+    Attributes:
+        jacobian: (N, 23 + S).
+        residuals: (N) mm.
+        weights: (N) 1 / mm^2, robust factors included.
+    """
+
+    jacobian: FloatArray
+    residuals: FloatArray
+    weights: FloatArray
+
+    def normal(self, share: float) -> tuple[FloatArray, FloatArray]:
+        """J^T W J and J^T W e, with so large a share of the weights."""
+        weighted = self.jacobian * (share * self.weights)[:, None]
+        return weighted.T @ self.jacobian, weighted.T @ self.residuals
+
+
+class FrameRows:
+    """Makes the rows of frames for hands with the same triangles.
+
+    Args:
+        terms: weights of the residuals.
+        tile_px: side of the observations.
+    """
+
+    def __init__(self, terms: Terms, tile_px: int) -> None:
+        self._terms, self._tile_px = terms, tile_px
+        self._skin: Skin | None = None
+        self._of: HandModel | None = None
+        self._drawing: Drawing | None = None
+
+    def rows(
+        self, tile: Tile, pose: FloatArray, thumb: FloatArray, hand: HandModel, moves: FloatArray
+    ) -> Rows:
+        """Return the rows of one frame.
+
+        Args:
+            tile: the observation.
+            pose: (22,).
+            thumb: (2,) its inner angles.
+            hand: the hand in its present shape.
+            moves: (V, 23 + S, 3) of the frame, from ``vertex_moves``.
+        """
+        drawing = self._drawn(tile, pose, thumb, hand)
+        if drawing is None:
+            return Rows(np.zeros((0, moves.shape[1])), np.zeros(0), np.zeros(0))
+        parts = [self._surface(tile, drawing, hand, moves), self._silhouette(tile, drawing, hand, moves)]
+        parts.append(self._unexplained(tile, drawing, pose, hand, moves))
+        return Rows(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+    def _drawn(self, tile: Tile, pose: FloatArray, thumb: FloatArray, hand: HandModel) -> Drawing | None:
+        if self._of is not hand:
+            self._skin, self._of = skin_of(hand.smooth), hand
+            self._drawing = empty_drawing(self._skin.mesh, self._tile_px, self._tile_px)
+        assert self._skin is not None and self._drawing is not None
+        bones = skinning_transforms(hand.anatomy, pose[None], thumb)[0].astype(np.float64)
+        return self._drawing if draw(self._skin.mesh, bones, tile.projection, self._drawing) else None
+
+    def _surface(
+        self, tile: Tile, drawing: Drawing, hand: HandModel, moves: FloatArray
+    ) -> tuple[FloatArray, ...]:
+        """Projective point to plane: n . (observed - drawn) where both are there and near each other."""
+        terms, z = self._terms, _depth(drawing)
+        distance = tile.image - z
+        there = (drawing.inverse > 0) & (tile.image > 0) & (np.abs(distance) < terms.gate_mm)
+        faces, points = drawing.triangle[there], _points(tile, there, z)
+        normals = drawing.normals[faces]
+        residuals = distance[there] * np.einsum("nk,nk->n", normals, points / points[:, 2:])
+        weights = _robust(residuals, terms.surface_tau_mm) / terms.sigma_mm**2
+        weights *= wrist_shares(hand)[hand.smooth.triangles[faces]].mean(axis=1)
+        return _along(hand, drawing, moves, faces, points, normals), residuals, weights
+
+    def _silhouette(
+        self, tile: Tile, drawing: Drawing, hand: HandModel, moves: FloatArray
+    ) -> tuple[FloatArray, ...]:
+        """Drawn where a reading lies behind: the way in the image plane to the nearest hand pixel."""
+        terms, z, view = self._terms, _depth(drawing), tile.projection
+        there = (drawing.inverse > 0) & (tile.image < 0) & (-tile.image > z - terms.explained_mm)
+        rows, columns = np.nonzero(there)
+        across = (tile.nearest[0][there] - columns) / view.a * z[there]
+        down = (tile.nearest[1][there] - rows) / view.c * z[there]
+        residuals = np.hypot(across, down)
+        points = _points(tile, there, z)
+        safe = np.maximum(residuals, 1e-9)
+        ways = np.stack([across / safe, down / safe, np.zeros_like(safe)], axis=1)
+        ways[:, 2] = -np.einsum("nk,nk->n", ways, points / points[:, 2:])  # along the image, not the depth
+        faces = drawing.triangle[there]
+        weights = _robust(residuals, terms.silhouette_tau_mm) / terms.sigma_mm**2
+        weights *= wrist_shares(hand)[hand.smooth.triangles[faces]].mean(axis=1)
+        return _along(hand, drawing, moves, faces, points, ways), residuals, weights
+
+    def _unexplained(
+        self, tile: Tile, drawing: Drawing, pose: FloatArray, hand: HandModel, moves: FloatArray
+    ) -> tuple[FloatArray, ...]:
+        """Observed where nothing is drawn, or something far from it: the way of the nearest skin to it.
+
+        What lies behind the wrist is forearm, wherever segmentation has cut it off: a hand that had to cover
+        it would grow.
+        """
+        from scipy.spatial import cKDTree
+
+        terms, z = self._terms, _depth(drawing)
+        far = np.abs(tile.image - z) > terms.explained_mm
+        there = (tile.image > 0) & ((drawing.inverse == 0) | far)
+        facing = np.flatnonzero(drawing.facing)
+        if not facing.size or not there.any():
+            return np.zeros((0, moves.shape[1])), np.zeros(0), np.zeros(0)
+        points = _points(tile, there, tile.image)
+        behind = (points - pose[:3]) @ rotations.matrices_from_quaternions(pose[3:7])[:, 1]
+        points = points[behind < -WRIST_PART * _palm_length(hand)]
+        residuals, nearest = cKDTree(drawing.vertices[facing]).query(points)
+        vertices = facing[nearest]
+        ways = (points - drawing.vertices[vertices]) / np.maximum(residuals, 1e-9)[:, None]
+        weights = _robust(residuals, terms.closest_tau_mm) / terms.closest_mm**2
+        weights *= wrist_shares(hand)[vertices]
+        return np.einsum("nkc,nc->nk", moves[vertices], ways), residuals, weights
+
+
+def vertex_moves(
+    poses: FloatArray, thumbs: FloatArray, hand: HandModel, varied: Sequence[HandModel], steps: FloatArray
+) -> Iterator[FloatArray]:
+    """Yield for each frame how fast the posed vertices move: (V, 23 + S, 3).
+
+    Args:
+        poses: (F, 22) of the frames.
+        thumbs: (F, 2) inner angles.
+        hand: the hand in its present shape.
+        varied: the hand with each of S shape parameters larger by a step.
+        steps: (S,) in the parameters' units; derivatives are by these.
+    """
+    others = [_posed(other, poses, thumbs) for other in varied]
+    moves = np.vstack([np.zeros(FRAME_SIZE), np.diag(FRAME_STEPS)])
+    for f, (pose, thumb) in enumerate(zip(poses, thumbs, strict=True)):
+        moved = _SPACE.retract(np.tile(pose, (FRAME_SIZE + 1, 1)), moves[:, :TANGENT_SIZE])
+        here, *there = _posed(hand, moved, thumb + moves[:, TANGENT_SIZE:])
+        by_pose = (np.array(there) - here) / FRAME_STEPS[:, None, None]
+        shape_moves = [(other[f] - here) / step for other, step in zip(others, steps, strict=True)]
+        by_shape = np.array(shape_moves).reshape(-1, *here.shape)
+        yield np.moveaxis(np.concatenate([by_pose, by_shape]), 0, 1)
+
+
+def wrist_shares(hand: HandModel) -> FloatArray:
+    """How much each vertex (V,) counts: little at the wrist, fully from ``WRIST_PART`` of the palm on."""
+    along = -hand.smooth.vertices[:, 1] / _palm_length(hand)
+    palm = hand.smooth.weights[:, 0] > 0.5
+    return np.where(palm, np.clip(along / WRIST_PART, LEAST_SHARE, 1.0), 1.0)
+
+
+def _palm_length(hand: HandModel) -> float:
+    """From the wrist to the knuckles, mm."""
+    return -float(hand.anatomy.base_positions[1:, 1].mean())
+
+
+def _posed(hand: HandModel, poses: FloatArray, thumbs: FloatArray) -> FloatArray:
+    return hand.smooth.posed(skinning_transforms(hand.anatomy, poses, thumbs).astype(np.float64))
+
+
+def _along(
+    hand: HandModel,
+    drawing: Drawing,
+    moves: FloatArray,
+    faces: IntArray,
+    points: FloatArray,
+    ways: FloatArray,
+) -> FloatArray:
+    """How fast points (N, 3) of triangles (N) move along unit vectors (N, 3): (N, 23 + S)."""
+    corners = hand.smooth.triangles[faces]
+    # barycentric coordinates: no drawn triangle lies in a plane with the sensor, so its corners span space
+    matrix = np.swapaxes(drawing.vertices[corners], 1, 2)
+    shares = np.linalg.solve(matrix, points[..., None])[..., 0]
+    return np.asarray(np.einsum("ni,nikc,nc->nk", shares, moves[corners], ways, optimize=True))
+
+
+def _depth(drawing: Drawing) -> FloatArray:
+    return 1.0 / np.maximum(drawing.inverse, 1e-12)
+
+
+def _points(tile: Tile, there: BoolArray, depth: FloatArray) -> FloatArray:
+    """Points (N, 3) of pixels at a depth image's depths, mm."""
+    rows, columns = np.nonzero(there)
+    view, z = tile.projection, depth[there]
+    return np.stack([(columns + 0.5 - view.b) / view.a * z, (rows + 0.5 - view.d) / view.c * z, z], axis=1)
+
+
+def _robust(residuals: FloatArray, tau: float) -> FloatArray:
+    """Geman and McClure's factor 1 / (1 + (e / tau)^2)^2."""
+    return np.asarray(1.0 / (1.0 + (residuals / tau) ** 2) ** 2)
+
+
+# Bundle adjustment: the shape that all frames share, and the pose of each
+
+
+Observe = Callable[[int, FloatArray, FloatArray, HandModel], Tile]
+"""Gives the tile of a frame (its place among the chosen ones) for a pose, a thumb (2,) and a hand."""
+
+CORRELATED = 64.0
+"""Residuals per independent one: neighbouring pixels err alike, as noise, skin and segmentation do."""
+OVERCONFIDENCE = 3.0
+"""How much less the images tell than the sum of their rows, in the covariance that is stated: what is wrong
+in one frame, as where the forearm is cut, is wrong in all. From the errors on synthetic random hands."""
+LEAST_RESIDUAL_MM = 0.5
+CONVERGED = 0.05
+MOST_SHAPE_STEP, MOST_FRAME_STEP = 0.75, np.repeat([15.0, 0.2, 0.3], [3, 3, FRAME_SIZE - 6])
+_RELAXED_SD = np.append(np.repeat([np.inf, np.inf, 0.6], [3, 3, 15]), [IP_SD, ABDUCTION_SD])
+
+
+@dataclass(frozen=True, eq=False)
+class Bundle:
+    """What a bundle adjustment found.
+
+    Attributes:
+        shape: of the hand.
+        poses: (F, 22).
+        thumbs: (F, 2) their inner angles (``hand.fit.skeleton``), rad.
+        covariance: (S, S) of the numbers of the space that stand for the shape.
+        residual_mm: weighted root mean square of the residuals.
+        iterations: steps taken.
+    """
+
+    shape: HandShape
+    poses: FloatArray
+    thumbs: FloatArray
+    covariance: FloatArray
+    residual_mm: float
+    iterations: int
+
+
+def adjusted(
+    maker: HandMaker,
+    space: ShapeSpace,
+    side: str,
+    shape: HandShape,
+    poses: FloatArray,
+    thumbs: FloatArray,
+    observe: Observe,
+    tile_px: int,
+    *,
+    iterations: int = 12,
+    terms: Terms | None = None,
+) -> Bundle:
+    """Minimise the residuals of all frames over shape and poses, by Gauss-Newton.
+
+    The unknowns are theta, the numbers of the space that stand for the shape, and of each frame a tangent
+    vector and the thumb's inner angles. The prior of theta is N(0, diag sd^2) with the space's standard
+    deviations. With H_f the normal matrix of frame f in blocks of shape s and frame p, the frames are
+    eliminated: S = sum_f (H_ss - H_sp H_pp^-1 H_ps) + prior (Schur complement), and theta's covariance is
+    S^-1, the images' part of S by ``OVERCONFIDENCE`` less. Residuals are weighted by their own mean square,
+    one in ``CORRELATED`` counting as independent. A step of theta stays within the space's bounds.
+
+    Args:
+        maker: makes the hand.
+        space: what is unknown of it.
+        side: ``right`` or ``left``.
+        shape: start.
+        poses, thumbs: (F, 22), (F, 2) start.
+        observe: gives the observations.
+        tile_px: their side.
+        iterations: at most.
+        terms: weights of the residuals.
+    """
+    terms = terms or Terms()
+    rows, theta = FrameRows(terms, tile_px), space.theta(shape)
+    covariance, residual, taken = np.diag(space.sd**2), 0.0, 0
+    prior, most = np.diag(1.0 / space.sd**2), MOST_SHAPE_STEP * space.sd
+    while taken < iterations:
+        taken += 1
+        hand, varied = _hands(maker, space, side, theta)
+        moves = vertex_moves(poses, thumbs, hand, varied, space.steps)
+        frames = [
+            rows.rows(observe(f, pose, thumb, hand), pose, thumb, hand, move)
+            for f, (pose, thumb, move) in enumerate(zip(poses, thumbs, moves, strict=True))
+        ]
+        residual = _root_mean_square([(frame.residuals, frame.weights) for frame in frames])
+        share = (terms.sigma_mm / max(residual, LEAST_RESIDUAL_MM)) ** 2 / CORRELATED
+        equations = [
+            _with_frame_prior(*frame.normal(share), pose, thumb)
+            for frame, pose, thumb in zip(frames, poses, thumbs, strict=True)
+        ]
+        matrix, vector = _reduced(equations, prior, theta)
+        covariance = np.asarray(np.linalg.inv(matrix), dtype=np.float64)
+        step = np.clip(_bounded_step(matrix, vector, space.low - theta, space.high - theta), -most, most)
+        turns = np.array([_frame_step(equation, step) for equation in equations])
+        turns = np.clip(turns, -MOST_FRAME_STEP, MOST_FRAME_STEP)
+        poses = inside_limits(_SPACE.retract(poses, turns[:, :TANGENT_SIZE]))
+        thumbs = np.clip(thumbs + turns[:, TANGENT_SIZE:], -MOST_THUMB, MOST_THUMB)
+        theta = np.clip(theta + step, space.low, space.high)  # rounding may leave by an ulp
+        if np.abs(step / np.sqrt(np.diag(covariance))).max() < CONVERGED:
+            break
+    stated = np.linalg.inv((matrix - prior) / OVERCONFIDENCE + prior)
+    return Bundle(space.shape(theta), poses, thumbs, np.asarray(stated), residual, taken)
+
+
+def _hands(
+    maker: HandMaker, space: ShapeSpace, side: str, theta: FloatArray
+) -> tuple[HandModel, list[HandModel]]:
+    """The hand, and the hand with each parameter a step larger."""
+    steps = np.vstack([np.zeros(theta.size), np.diag(space.steps)])
+    hand, *varied = (maker(side, space.shape(theta + step)) for step in steps)
+    return hand, varied
+
+
+def _with_frame_prior(
+    matrix: FloatArray, vector: FloatArray, pose: FloatArray, thumb: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Add a weak pull of the angles towards a relaxed hand: what no pixel tells keeps still."""
+    precision = 1.0 / _RELAXED_SD**2
+    matrix[range(FRAME_SIZE), range(FRAME_SIZE)] += precision + 1e-9
+    vector[6:FRAME_SIZE] -= precision[6:] * np.append(pose[7:] - 0.2, thumb)
+    return matrix, vector
+
+
+def _reduced(
+    equations: Sequence[tuple[FloatArray, FloatArray]], prior: FloatArray, theta: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """The normal equations of the shape alone, its prior included."""
+    p, s = slice(0, FRAME_SIZE), slice(FRAME_SIZE, None)
+    matrix = prior.copy()
+    vector = -prior @ theta
+    for h, g in equations:
+        carried = np.linalg.solve(h[p, p], np.column_stack([h[p, s], g[p]]))
+        matrix += h[s, s] - h[s, p] @ carried[:, :-1]
+        vector += g[s] - h[s, p] @ carried[:, -1]
+    return matrix, vector
+
+
+def _bounded_step(matrix: FloatArray, vector: FloatArray, least: FloatArray, most: FloatArray) -> FloatArray:
+    """The x between two bounds (S,) for which x^T matrix x / 2 - vector^T x is least.
+
+    A number that has come to its bound is as if it were not unknown: all others, the poses among them, are
+    the likeliest for it there, not for where it would have gone.
+    """
+    from scipy.optimize import lsq_linear
+
+    root = np.linalg.cholesky(matrix).T
+    found = lsq_linear(root, np.linalg.solve(root.T, vector), bounds=(least, most), method="bvls")
+    return np.asarray(found.x, dtype=np.float64)
+
+
+def _frame_step(equation: tuple[FloatArray, FloatArray], step: FloatArray) -> FloatArray:
+    """The step (23,) of one frame's unknowns once the shape's is known."""
+    h, g = equation
+    p, s = slice(0, FRAME_SIZE), slice(FRAME_SIZE, None)
+    return np.asarray(np.linalg.solve(h[p, p], g[p] - h[p, s] @ step))
+
+
+def _root_mean_square(parts: list[tuple[FloatArray, FloatArray]]) -> float:
+    total = sum(float((weights * residuals**2).sum()) for residuals, weights in parts)
+    weight = sum(float(weights.sum()) for _, weights in parts)
+    return float(np.sqrt(total / weight)) if weight else 0.0

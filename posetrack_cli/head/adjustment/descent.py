@@ -1,0 +1,399 @@
+"""The solution of an adjustment: elimination of views, Levenberg-Marquardt."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from posetrack_cli.arrays import BoolArray, FloatArray
+from posetrack_cli.compiled import inlined, kernel
+from posetrack_cli.head.adjustment.problem import (
+    POSE,
+    Boxes,
+    Equations,
+    Part,
+    Problem,
+    Rows,
+    Unknowns,
+    cost_with_basis,
+    deformation_basis,
+    linearise,
+    make_equations,
+    make_rows,
+    view_lengths,
+)
+
+# Solving the normal equations: the views are eliminated (Schur complement); compiled.
+#
+#     [A  B] [x]     [g]        A = L L^T, Y = L^-1 B, c = L^-1 g for each view
+#     [B' C] [z] = - [h]        (C - sum Y' Y) z = -(h - sum Y' c),   x = -L^-T (c + Y z)
+#
+# with mu times the diagonal added to A and C (Marquardt's form of (4.23), which no unit changes **[ours]**).
+
+
+class Held(NamedTuple):
+    """Which unknowns stay: (n, m) and (q,)."""
+
+    local: BoolArray
+    shared: BoolArray
+
+
+class Elimination(NamedTuple):
+    """Room to solve, and the solution.
+
+    Attributes:
+        factors: (n, m, m) L.
+        halves: (n, m, q) Y.
+        middles: (n, m) c.
+        reduced: (q, q) the Schur complement, then its Cholesky factor.
+        local, shared: (n, m) and (q,) the step.
+    """
+
+    factors: FloatArray
+    halves: FloatArray
+    middles: FloatArray
+    reduced: FloatArray
+    local: FloatArray
+    shared: FloatArray
+
+
+@kernel
+def make_elimination(equations: Equations) -> Elimination:
+    """Return room for equations."""
+    return Elimination(
+        np.empty_like(equations.local),
+        np.empty_like(equations.cross),
+        np.empty_like(equations.local_gradient),
+        np.empty_like(equations.shared),
+        np.empty_like(equations.local_gradient),
+        np.empty_like(equations.shared_gradient),
+    )
+
+
+@kernel
+def solve(equations: Equations, held: Held, damping: float, work: Elimination) -> bool:
+    """Write the step of the unknowns that are not held; return False where a matrix is not positive."""
+    if not eliminate_views(equations, held, damping, work):
+        return False
+    _forward(work.reduced, work.shared)
+    _backward(work.reduced, work.shared)
+    for view in range(len(work.local)):
+        for a in range(len(work.local[view])):
+            work.local[view, a] = work.middles[view, a]
+            for j in range(len(work.shared)):
+                work.local[view, a] -= work.halves[view, a, j] * work.shared[j]
+        _backward(work.factors[view], work.local[view])
+    _negate(work)
+    return True
+
+
+@kernel
+def eliminate_views(equations: Equations, held: Held, damping: float, work: Elimination) -> bool:
+    """Eliminate the views and factorise what is left; return False where a matrix is not positive."""
+    _damped(equations.shared, held.shared, damping, work.reduced)
+    for j in range(len(work.shared)):
+        work.shared[j] = 0.0 if held.shared[j] else equations.shared_gradient[j]
+    for view in range(len(work.local)):
+        _damped(equations.local[view], held.local[view], damping, work.factors[view])
+        if not factorise(work.factors[view]):
+            return False
+        _cross(equations, held, view, work)
+        _eliminate(work, view)
+    return factorise(work.reduced)
+
+
+@kernel
+def _damped(matrix: FloatArray, held: BoolArray, damping: float, out: FloatArray) -> None:
+    """Write the lower triangle, damped; rows and columns that are held become those of the identity."""
+    for a in range(len(matrix)):
+        for b in range(a):
+            out[a, b] = 0.0 if held[a] or held[b] else matrix[a, b]
+        # a column that nothing depends on has the diagonal 0, and gradient 0 with it
+        out[a, a] = 1.0 if held[a] or matrix[a, a] <= 0.0 else matrix[a, a] * (1.0 + damping)
+
+
+@kernel
+def _cross(equations: Equations, held: Held, view: int, work: Elimination) -> None:
+    """Begin Y and c with B and g."""
+    for a in range(len(work.middles[view])):
+        stays = held.local[view, a]
+        work.middles[view, a] = 0.0 if stays else equations.local_gradient[view, a]
+        for j in range(len(work.shared)):
+            work.halves[view, a, j] = 0.0 if stays or held.shared[j] else equations.cross[view, a, j]
+
+
+@kernel
+def _eliminate(work: Elimination, view: int) -> None:
+    """Finish Y and c, and take Y' Y and Y' c from the Schur complement and its right side."""
+    factor, half, middle = work.factors[view], work.halves[view], work.middles[view]
+    _forward(factor, middle)
+    for a in range(len(factor)):
+        for b in range(a):
+            for j in range(half.shape[1]):
+                half[a, j] -= factor[a, b] * half[b, j]
+        for j in range(half.shape[1]):
+            half[a, j] /= factor[a, a]
+    for a in range(len(factor)):
+        for i in range(half.shape[1]):
+            work.shared[i] -= half[a, i] * middle[a]
+            for j in range(i + 1):
+                work.reduced[i, j] -= half[a, i] * half[a, j]
+
+
+@kernel
+def factorise(matrix: FloatArray) -> bool:
+    """Write the Cholesky factor over the lower triangle; return False where there is none."""
+    for i in range(len(matrix)):
+        for j in range(i + 1):
+            total = matrix[i, j]
+            for k in range(j):
+                total -= matrix[i, k] * matrix[j, k]
+            if j < i:
+                matrix[i, j] = total / matrix[j, j]
+            elif total > 0.0:
+                matrix[i, i] = np.sqrt(total)
+            else:
+                return False
+    return True
+
+
+@inlined
+def _forward(factor: FloatArray, vector: FloatArray) -> None:
+    """Write L^-1 v over v."""
+    for a in range(len(vector)):
+        for b in range(a):
+            vector[a] -= factor[a, b] * vector[b]
+        vector[a] /= factor[a, a]
+
+
+@inlined
+def _backward(factor: FloatArray, vector: FloatArray) -> None:
+    """Write L^-T v over v."""
+    for a in range(len(vector) - 1, -1, -1):
+        for b in range(a + 1, len(vector)):
+            vector[a] -= factor[b, a] * vector[b]
+        vector[a] /= factor[a, a]
+
+
+@inlined
+def _negate(work: Elimination) -> None:
+    """Take the step downhill."""
+    for view in range(len(work.local)):
+        for a in range(len(work.local[view])):
+            work.local[view, a] = -work.local[view, a]
+    for j in range(len(work.shared)):
+        work.shared[j] = -work.shared[j]
+
+
+@kernel
+def inverse_diagonal(factor: FloatArray, out: FloatArray) -> None:
+    """Write the first entries of the diagonal of (L L')^-1."""
+    column = np.empty(len(factor))
+    for j in range(len(out)):
+        column[:] = 0.0
+        column[j] = 1.0
+        _forward(factor, column)
+        out[j] = np.sum(column * column)
+
+
+# Levenberg-Marquardt within a box by projection, (4.23)-(4.28); compiled.
+#
+# Every iteration linearises once. Unknowns at a bound that the gradient pushes outwards are held; for the
+# others the damped equations are solved and the step is projected onto the box. A step that does not lower F
+# is halved along its projection, (4.28); if that fails too, steepest descent (scaled by the diagonal) is
+# searched the same way. F, the true robust cost, never rises. How well the person is then known is told by
+# the same equations.
+
+
+DAMPING, LEAST_DAMPING = 1e-3, 1e-12
+EASIER, HARDER, STEEPEST = 0.1, 5.0, 100.0
+"""What the damping is multiplied by after a whole step, a shortened one, and one of steepest descent."""
+SHORTENED, TRIALS = 0.5, 12
+CONVERGED = 1e-13
+"""Share of F that a step must promise: less is rounding, a millionth of a standard deviation."""
+
+
+@kernel
+def adjust_in_stages(problem: Problem, boxes: Boxes, unknowns: Unknowns, iterations: int, shared: int) -> int:
+    """Adjust the poses, then all with the first shared unknowns; return how many steps were taken.
+
+    Where nothing is shared, and so in the first stage, every view descends on its own.
+    """
+    views, size = unknowns.local.shape
+    first = 0
+    for view in range(views):
+        part = Part(view, view + 1, POSE, 0)
+        first = max(first, descend(problem, boxes, unknowns, part, iterations))
+    if shared > 0:
+        return first + descend(problem, boxes, unknowns, Part(0, views, size, shared), iterations)
+    second = 0
+    for view in range(views):
+        part = Part(view, view + 1, size, 0)
+        second = max(second, descend(problem, boxes, unknowns, part, iterations))
+    return first + second
+
+
+@kernel
+def descend(problem: Problem, boxes: Boxes, unknowns: Unknowns, part: Part, iterations: int) -> int:
+    """Lower F over a part of the unknowns, written over; return how many steps were taken."""
+    equations, rows = make_equations(part), make_rows(problem)
+    work, held = make_elimination(equations), make_held(part)
+    trial = Unknowns(unknowns.local.copy(), unknowns.shared.copy())
+    deformation_basis(problem, unknowns.shared, rows.deformations)
+    now, damping = cost_with_basis(problem, unknowns, part, rows.deformations), DAMPING
+    for taken in range(iterations):
+        linearise(problem, unknowns, part, rows, equations)
+        find_held(boxes, unknowns, part, equations, held)
+        below, factor = now, STEEPEST
+        if solve(equations, held, damping, work):
+            if -predicted_rise(boxes, unknowns, part, equations, work, trial) <= CONVERGED * now:
+                return taken
+            below, factor = search_along(problem, boxes, unknowns, trial, part, work, rows, now)
+        if not below < now:
+            steepest_step(equations, held, work)
+            below, _ = search_along(problem, boxes, unknowns, trial, part, work, rows, now)
+            factor = STEEPEST
+        if not below < now:
+            return taken
+        accept_trial(trial, part, unknowns)
+        now, damping = below, max(damping * factor, LEAST_DAMPING)
+    return iterations
+
+
+@kernel
+def predicted_rise(
+    boxes: Boxes, unknowns: Unknowns, part: Part, equations: Equations, step: Elimination, trial: Unknowns
+) -> float:
+    """Return how much F would rise along the whole projected step if it were linear."""
+    project_step(boxes, unknowns, part, step, 1.0, trial)
+    rise = 0.0
+    for view in range(part.first, part.last):
+        for a in range(part.local):
+            change = trial.local[view, a] - unknowns.local[view, a]
+            rise += equations.local_gradient[view - part.first, a] * change
+    for j in range(part.shared):
+        rise += equations.shared_gradient[j] * (trial.shared[j] - unknowns.shared[j])
+    return rise
+
+
+@kernel
+def make_held(part: Part) -> Held:
+    """Return room for what is held."""
+    views = part.last - part.first
+    return Held(np.empty((views, part.local), dtype=np.bool_), np.empty(part.shared, dtype=np.bool_))
+
+
+@kernel
+def find_held(boxes: Boxes, unknowns: Unknowns, part: Part, equations: Equations, held: Held) -> None:
+    """Write which unknowns are at a bound, with F falling beyond it."""
+    for view in range(part.first, part.last):
+        i = view - part.first
+        _at_bounds(
+            boxes.local_lower[view],
+            boxes.local_upper[view],
+            unknowns.local[view],
+            equations.local_gradient[i],
+            held.local[i],
+        )
+    _at_bounds(
+        boxes.shared_lower, boxes.shared_upper, unknowns.shared, equations.shared_gradient, held.shared
+    )
+
+
+@inlined
+def _at_bounds(
+    lower: FloatArray, upper: FloatArray, values: FloatArray, gradient: FloatArray, out: BoolArray
+) -> None:
+    for j in range(len(out)):
+        below = values[j] <= lower[j] and gradient[j] > 0.0
+        out[j] = below or (values[j] >= upper[j] and gradient[j] < 0.0)
+
+
+@kernel
+def search_along(
+    problem: Problem,
+    boxes: Boxes,
+    unknowns: Unknowns,
+    trial: Unknowns,
+    part: Part,
+    step: Elimination,
+    rows: Rows,
+    now: float,
+) -> tuple[float, float]:
+    """Write the first of ever shorter projected steps that lowers F to the trial, and the basis there.
+
+    Returns:
+        F there, or ``now`` where none does; what to multiply the damping by.
+    """
+    length = 1.0
+    for _ in range(TRIALS):
+        project_step(boxes, unknowns, part, step, length, trial)
+        if part.shared > 0:
+            deformation_basis(problem, trial.shared, rows.deformations)
+        below = cost_with_basis(problem, trial, part, rows.deformations)
+        if below < now:
+            return below, EASIER if length == 1.0 else HARDER
+        length *= SHORTENED
+    return now, STEEPEST
+
+
+@kernel
+def project_step(
+    boxes: Boxes, unknowns: Unknowns, part: Part, step: Elimination, length: float, trial: Unknowns
+) -> None:
+    """Write P(x + length step), (4.27)."""
+    for view in range(part.first, part.last):
+        for a in range(part.local):
+            value = unknowns.local[view, a] + length * step.local[view - part.first, a]
+            trial.local[view, a] = min(max(value, boxes.local_lower[view, a]), boxes.local_upper[view, a])
+    for j in range(part.shared):
+        value = unknowns.shared[j] + length * step.shared[j]
+        trial.shared[j] = min(max(value, boxes.shared_lower[j]), boxes.shared_upper[j])
+
+
+@kernel
+def steepest_step(equations: Equations, held: Held, step: Elimination) -> None:
+    """Write the step of steepest descent in units of the diagonal."""
+    for view in range(len(step.local)):
+        for a in range(len(step.local[view])):
+            scale = equations.local[view, a, a]
+            free = scale > 0.0 and not held.local[view, a]
+            step.local[view, a] = -equations.local_gradient[view, a] / scale if free else 0.0
+    for j in range(len(step.shared)):
+        scale = equations.shared[j, j]
+        free = scale > 0.0 and not held.shared[j]
+        step.shared[j] = -equations.shared_gradient[j] / scale if free else 0.0
+
+
+@kernel
+def accept_trial(trial: Unknowns, part: Part, unknowns: Unknowns) -> None:
+    """Move to the trial."""
+    for view in range(part.first, part.last):
+        for a in range(part.local):
+            unknowns.local[view, a] = trial.local[view, a]
+    for j in range(part.shared):
+        unknowns.shared[j] = trial.shared[j]
+
+
+@kernel
+def all_lengths(problem: Problem, unknowns: Unknowns, out: FloatArray) -> None:
+    """Write (n, K) how far each point is off, in standard deviations."""
+    basis = np.empty((*problem.mean.shape, len(problem.deformation_centre)))
+    deformation_basis(problem, unknowns.shared, basis)
+    for view in range(len(out)):
+        view_lengths(problem, unknowns, view, basis, out[view])
+
+
+@kernel
+def identity_variances(problem: Problem, unknowns: Unknowns, part: Part, out: FloatArray) -> None:
+    """Write (S,) variances of u: the inverse Schur complement's diagonal; infinite where there is none."""
+    equations, rows, held = make_equations(part), make_rows(problem), make_held(part)
+    held.local[:], held.shared[:] = False, False
+    work = make_elimination(equations)
+    deformation_basis(problem, unknowns.shared, rows.deformations)
+    linearise(problem, unknowns, part, rows, equations)
+    if eliminate_views(equations, held, 0.0, work):
+        inverse_diagonal(work.reduced, out)
+    else:
+        out[:] = np.inf

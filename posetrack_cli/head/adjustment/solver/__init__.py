@@ -1,1 +1,0 @@
-"""The adjustment's inner loops, compiled: cost, Jacobian, Schur complement, bounded descent."""

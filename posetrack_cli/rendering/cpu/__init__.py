@@ -1,1 +1,0 @@
-"""Draws on the processor, compiled: faster than OpenGL where that is drawn by the processor, too."""
