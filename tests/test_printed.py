@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from posetrack_cli.configuration import Settings, find_configuration, load_settings
+from posetrack_cli.hand import config as hand
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.model.hand import kinematics as hand
-from posetrack_cli.head import subject as head
+from posetrack_cli.head import config as head
 from posetrack_cli.head.config import HeadMonoConfig, HeadStereoConfig
 from posetrack_cli.tracking.options import Deviation, PrintedSetting, deviations
 

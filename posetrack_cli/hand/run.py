@@ -16,7 +16,7 @@ from posetrack_cli.errors import UsageError
 from posetrack_cli.filtering.smoothing import Memory
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.confidence import DepthEvidence
-from posetrack_cli.hand.config import ComponentSettings, HandConfig
+from posetrack_cli.hand.config import ComponentSettings, HandConfig, deviations_from_print
 from posetrack_cli.hand.fit.likelihood import PROPOSALS, RenderedCosts
 from posetrack_cli.hand.fit.local_fits import FOREARM_CONFIDENCE, INNER, HandFits
 from posetrack_cli.hand.fit.skeleton import NO_INNER, THUMB, inner_of
@@ -24,7 +24,7 @@ from posetrack_cli.hand.keypoints.file import KeypointFile
 from posetrack_cli.hand.keypoints.told import ToldHands
 from posetrack_cli.hand.model.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS, POSE_SIZE
 from posetrack_cli.hand.model.hand import MESH_DIGEST, HandModel, dynamics, hand_model, tangent_vector
-from posetrack_cli.hand.model.kinematics import deviations_from_print, skinning_transforms
+from posetrack_cli.hand.model.kinematics import skinning_transforms
 from posetrack_cli.hand.observe.observer import Observer
 from posetrack_cli.hand.search import Acquisition
 from posetrack_cli.hand.smoothing import frame_fits, make_smoother, smoothed_hand

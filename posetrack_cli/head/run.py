@@ -14,12 +14,12 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.files import real_path, write_output
-from posetrack_cli.head.config import HeadMonoConfig, HeadStereoConfig
+from posetrack_cli.head.config import HeadMonoConfig, HeadStereoConfig, deviations_from_print
 from posetrack_cli.head.evidence import FaceEvidence
 from posetrack_cli.head.landmarks.faces import LandmarkFile
 from posetrack_cli.head.model_file import ATTACHMENT, MEDIA_TYPE, load_model, model_bytes
 from posetrack_cli.head.smoothing.frames import HeadMemory
-from posetrack_cli.head.subject import deviations_from_print, track_model
+from posetrack_cli.head.subject import track_model
 from posetrack_cli.outputs import check_output, check_target, part_path, state_path, whole_or_nothing
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.grey import PLAIN_BITS, Grey

@@ -15,7 +15,7 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.mcap.sink import McapSink
 from posetrack_cli.outputs import check_free, check_not_written, check_place, part_path, state_path
 from posetrack_cli.recording.base import RUN_RECORD, TruthMessage
-from posetrack_cli.results import spool as checkpoints
+from posetrack_cli.results import spool
 from posetrack_cli.results.channels import SMOOTHED, ResultChannels, StampOrder
 from posetrack_cli.results.columns import COUNTS, LayoutError, check_numbers
 from posetrack_cli.results.estimate import Estimate, Status, Subject
@@ -130,7 +130,7 @@ class ResultWriter:
         records = _first_records(run, subject, (camera, *others))
         check_not_written(part_path(path))
         check_same_run(part_path(path), records)
-        checkpoint, progress = checkpoints.load(state_path(path))
+        checkpoint, progress = spool.load(state_path(path))
         _check_checkpoint(path, checkpoint, progress, run, flush_frames)
         try:
             check(checkpoint)
@@ -258,8 +258,8 @@ class ResultWriter:
                 expected=f"frame {self._flushed[0]}, {self._flushed[1]} written",
             )
         _sync(self._part)  # the checkpoint must never be newer than the file, even after a power cut
-        marked = replace(checkpoint, fingerprint=checkpoints.fingerprint(self._run))
-        checkpoints.save(state_path(self._path), marked, self._progress)
+        marked = replace(checkpoint, fingerprint=spool.fingerprint(self._run))
+        spool.save(state_path(self._path), marked, self._progress)
 
     def finish(self, summary: Mapping[str, str]) -> None:
         """Write the summary and the index, and give the file its final name.
@@ -408,17 +408,15 @@ def _check_checkpoint(
     path: Path, checkpoint: Checkpoint, progress: Progress, run: Mapping[str, str], flush_frames: int
 ) -> None:
     """Raise unless the checkpoint is of this run, of the same spacing of flushes, and agrees with itself."""
-    if checkpoint.fingerprint != checkpoints.fingerprint(run):
-        raise ResultError(
-            "checkpoint is of another run", where=state_path(path), hint=checkpoints.RESTART_HINT
-        )
+    if checkpoint.fingerprint != spool.fingerprint(run):
+        raise ResultError("checkpoint is of another run", where=state_path(path), hint=spool.RESTART_HINT)
     if progress.flush_frames != flush_frames:
         raise UsageError(
             "the unfinished result was flushed at other frames",
             where=part_path(path),
             found=f"every {progress.flush_frames}",
             expected=f"every {flush_frames}",
-            hint=f"resume with the options it was begun with, or {checkpoints.RESTART_HINT}",
+            hint=f"resume with the options it was begun with, or {spool.RESTART_HINT}",
         )
     try:
         check_numbers(progress.statuses, {status.value: COUNTS for status in Status})
@@ -432,7 +430,7 @@ def _check_checkpoint(
 def _unusable(path: Path, found: object) -> ResultError:
     """The error of a checkpoint that can be read, but is of no run."""
     return ResultError(
-        "checkpoint cannot be used", where=state_path(path), found=found, hint=checkpoints.RESTART_HINT
+        "checkpoint cannot be used", where=state_path(path), found=found, hint=spool.RESTART_HINT
     )
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from posetrack_cli.batch import performing as children
+from posetrack_cli.batch import performing
 from posetrack_cli.batch.jobs import Job, Limits
 from posetrack_cli.batch.performing import Ending, run_child, was_interrupted, way_of
 
@@ -46,7 +46,7 @@ told.write(json.dumps({"tracked": 9, "cpu_s": 0.5}) + "\\n{")
 def program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "stand_in.py").write_text(PROGRAM)
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr(children, "_PROGRAM", "stand_in")
+    monkeypatch.setattr(performing, "_PROGRAM", "stand_in")
 
 
 def run(folder: Path, way: str, **options: object) -> Ending:
@@ -92,7 +92,7 @@ def test_a_process_is_stopped_when_the_batch_is(tmp_path: Path) -> None:
 
 
 def test_a_process_that_does_not_stop_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(children, "_GRACE_S", 0.5)
+    monkeypatch.setattr(performing, "_GRACE_S", 0.5)
     log = tmp_path / "a.log"
     ending = run(tmp_path, "deaf", stopped=lambda: "deaf" in log.read_text())
     assert ending.code == -9

@@ -14,7 +14,7 @@ import pytest
 from posetrack_cli.cli.calibrate import hand_calibrate
 from posetrack_cli.cli.main import run
 from posetrack_cli.configuration import load_settings
-from posetrack_cli.hand import autodetect as before_run
+from posetrack_cli.hand import autodetect
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.model.anatomy import COEFFICIENTS, HandShape
 from posetrack_cli.hand.model.hand import hand_model
@@ -109,7 +109,7 @@ def test_what_is_doubtful_is_said(
     shape: HandShape,
     said: str | None,
 ) -> None:
-    monkeypatch.setattr(before_run, "calibrate", lambda *arguments: calibration_of(shape))
+    monkeypatch.setattr(autodetect, "calibrate", lambda *arguments: calibration_of(shape))
     assert calibrate(recording, tmp_path / "hand.toml") == 0
     lines = capsys.readouterr().err.splitlines()
     assert [line for line in lines if " mm long" in line] == lines

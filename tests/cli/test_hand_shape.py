@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from posetrack_cli.cli.main import run
-from posetrack_cli.hand import autodetect as before_run
+from posetrack_cli.hand import autodetect
 from posetrack_cli.hand import run as hand_run_module
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.model.anatomy import HandShape, make_anatomy
@@ -51,7 +51,7 @@ def estimated(monkeypatch: pytest.MonkeyPatch) -> list[CalibrationOptions]:
         asked.append(options)
         return calibration_of(SHAPE)
 
-    monkeypatch.setattr(before_run, "shape_of", shape_of)
+    monkeypatch.setattr(autodetect, "shape_of", shape_of)
     return asked
 
 

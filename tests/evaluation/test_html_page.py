@@ -17,8 +17,7 @@ import pytest
 
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.evaluation.html import components as gallery
-from posetrack_cli.evaluation.html import packing as assets
-from posetrack_cli.evaluation.html import rows_page, write_html, writer
+from posetrack_cli.evaluation.html import packing, rows_page, write_html, writer
 from posetrack_cli.evaluation.html.page_data import budget_for
 from posetrack_cli.evaluation.html.writer import ReportPage, html_page
 from posetrack_cli.evaluation.judging.comparing import compare
@@ -361,7 +360,7 @@ def test_a_page_that_fails_leaves_the_old_one(tmp_path: Path, monkeypatch: pytes
         part.write_text("half")
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(assets, "write_output", full)
+    monkeypatch.setattr(packing, "write_output", full)
     with pytest.raises(ResultError, match="No space left"):
         write_html(path, ReportPage([hand_evaluation(frames=2)], None, {}, "T"))
     assert [one.name for one in tmp_path.iterdir()] == ["page.html"]

@@ -47,9 +47,9 @@ def test_a_record_without_a_hand_is_one_line(text: str | None) -> None:
 @pytest.fixture
 def mesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A file that is named as a hand, and stands for one; two folders below the working one."""
-    from posetrack_cli.evaluation.reading import recording_of as recorded_hand
+    from posetrack_cli.evaluation.reading import recording_of
 
-    monkeypatch.setattr(recorded_hand, "hand_model", lambda settings: settings.mesh)
+    monkeypatch.setattr(recording_of, "hand_model", lambda settings: settings.mesh)
     monkeypatch.chdir(tmp_path)
     path = tmp_path / "models" / "hands" / "right.glb"
     path.parent.mkdir(parents=True)

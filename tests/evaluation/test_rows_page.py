@@ -10,8 +10,7 @@ from pathlib import Path
 import pytest
 
 from posetrack_cli.errors import UsageError
-from posetrack_cli.evaluation.html import packing as assets
-from posetrack_cli.evaluation.html import rows_page
+from posetrack_cli.evaluation.html import packing, rows_page
 from posetrack_cli.evaluation.html.rows_page import RowsPage, write_rows_html
 from posetrack_cli.evaluation.judging.gates import GateOutcome, check_gates, parse_gate
 from posetrack_cli.evaluation.measuring.evaluation import Evaluation
@@ -94,7 +93,7 @@ def test_the_policy_allows_the_pages_own_script_alone() -> None:
     text = html.unescape(page([result("a", 2.0)]))
     assert "default-src 'none'" in text and "<script src" not in text and "unsafe" not in text
     script = text[text.index("<script>") + len("<script>") : text.index("</script>")]
-    assert assets.policy("", script).split("; ")[1] in text
+    assert packing.policy("", script).split("; ")[1] in text
 
 
 def test_two_thousand_rows_are_one_page(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.configuration import Settings
-from posetrack_cli.evaluation.measuring import pose_metrics as pose_errors
+from posetrack_cli.evaluation.measuring import pose_metrics
 from posetrack_cli.evaluation.measuring.evaluation import Curve
 from posetrack_cli.evaluation.measuring.measures import Matched, Measures, Metric
 from posetrack_cli.evaluation.measuring.subjects.kind import SubjectKind
@@ -308,8 +308,8 @@ def measure(measures: Measures, matched: Matched, missed: int = 0) -> Curve | No
     position = (matched.of_estimate("position"), matched.of_truth("position"))
     rotation = (matched.of_estimate("quaternion"), matched.of_truth("quaternion"))
     corners = matched.of_estimate("points", slice(None)) - matched.of_truth("points", slice(None))
-    measures.add("position_mm", pose_errors.distances(*position))
-    measures.add("rotation_deg", pose_errors.rotation_errors_deg(*rotation))
+    measures.add("position_mm", pose_metrics.distances(*position))
+    measures.add("rotation_deg", pose_metrics.rotation_errors_deg(*rotation))
     measures.add_parts("corner_error_mm", np.linalg.norm(corners, axis=2), SUBJECT.point_names)
     return None
 

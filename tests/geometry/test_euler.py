@@ -9,13 +9,12 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
-from posetrack_cli.geometry import rotations as euler
 from posetrack_cli.geometry import rotations as rot
 
 ROUNDING = 64 * np.finfo(np.float64).eps
 """A few dozen roundings of numbers of size about 1."""
 
-LOCKED = euler.GIMBAL_LOCK + ROUNDING
+LOCKED = rot.GIMBAL_LOCK + ROUNDING
 """Setting roll to 0 within GIMBAL_LOCK of gimbal lock turns a rotation by at most that much."""
 
 components = st.floats(-1.0, 1.0, allow_subnormal=False)
@@ -39,7 +38,7 @@ def scipy_quaternion(roll: float, pitch: float, yaw: float) -> np.ndarray:
 @relaxed
 @given(angles)
 def test_quaternion_is_scipys(given_angles: np.ndarray) -> None:
-    q = euler.quaternion_from_roll_pitch_yaw(given_angles)
+    q = rot.quaternion_from_roll_pitch_yaw(given_angles)
     assert rot.angle_between(q, scipy_quaternion(*given_angles)) < ROUNDING
 
 
@@ -48,7 +47,7 @@ def test_quaternion_is_scipys(given_angles: np.ndarray) -> None:
 def test_angles_are_scipys_away_from_gimbal_lock(q: np.ndarray) -> None:
     q = q[np.abs(rot.matrices_from_quaternions(q)[:, 1, 2]) < 1.0 - 1e-6]  # scipy warns at gimbal lock
     yaw, pitch, roll = Rotation.from_quat(q).as_euler("YXZ").T
-    found = euler.roll_pitch_yaw(q)
+    found = rot.roll_pitch_yaw(q)
     # an angle is determined to one rounding over the cosine of pitch, here above 1e-3; +-pi is one direction
     for ours, theirs in zip(found.T, (roll, pitch, yaw), strict=True):
         turn = np.abs(np.exp(1j * ours) - np.exp(1j * theirs))
@@ -58,24 +57,24 @@ def test_angles_are_scipys_away_from_gimbal_lock(q: np.ndarray) -> None:
 @relaxed
 @given(st.one_of(quaternions, angles.map(lambda a: scipy_quaternion(*a))))
 def test_rotation_comes_back_from_its_angles_also_at_gimbal_lock(q: np.ndarray) -> None:
-    back = euler.quaternion_from_roll_pitch_yaw(euler.roll_pitch_yaw(q))
+    back = rot.quaternion_from_roll_pitch_yaw(rot.roll_pitch_yaw(q))
     np.testing.assert_array_less(rot.angle_between(back, q), LOCKED)
 
 
 @relaxed
 @given(angles)
 def test_angles_come_back_from_their_rotation(given_angles: np.ndarray) -> None:
-    back = euler.roll_pitch_yaw(euler.quaternion_from_roll_pitch_yaw(given_angles))
+    back = rot.roll_pitch_yaw(rot.quaternion_from_roll_pitch_yaw(given_angles))
     cosine = np.cos(given_angles[1])
     assert back[1] == pytest.approx(given_angles[1], abs=ROUNDING)
-    if cosine > euler.GIMBAL_LOCK * 10:
+    if cosine > rot.GIMBAL_LOCK * 10:
         np.testing.assert_array_less(np.abs(np.exp(1j * back) - np.exp(1j * given_angles)), ROUNDING / cosine)
 
 
 @relaxed
 @given(quaternions, st.floats(1e-3, 1e3))
 def test_sign_and_length_of_the_quaternion_do_not_matter(q: np.ndarray, scale: float) -> None:
-    expected, found = euler.roll_pitch_yaw(q), euler.roll_pitch_yaw(-scale * q)
+    expected, found = rot.roll_pitch_yaw(q), rot.roll_pitch_yaw(-scale * q)
     cosine = np.cos(expected[..., 1:2])
     determined = cosine[:, 0] > 1e-6
     difference = np.abs(np.exp(1j * found) - np.exp(1j * expected)) * cosine
@@ -85,7 +84,7 @@ def test_sign_and_length_of_the_quaternion_do_not_matter(q: np.ndarray, scale: f
 @relaxed
 @given(quaternions)
 def test_ranges(q: np.ndarray) -> None:
-    roll, pitch, yaw = euler.roll_pitch_yaw(q).T
+    roll, pitch, yaw = rot.roll_pitch_yaw(q).T
     assert np.all(np.abs(pitch) <= np.pi / 2)
     for angle in (roll, yaw):
         assert np.all((angle > -np.pi) & (angle <= np.pi))
@@ -95,7 +94,7 @@ def test_ranges(q: np.ndarray) -> None:
 @pytest.mark.parametrize(("roll", "yaw"), [(0.3, 0.5), (-2.0, 1.0), (0.0, 0.0), (np.pi, 0.1)])
 def test_roll_is_zero_at_gimbal_lock(sign: float, roll: float, yaw: float) -> None:
     q = scipy_quaternion(roll, sign * np.pi / 2, yaw)
-    found = euler.roll_pitch_yaw(q)
+    found = rot.roll_pitch_yaw(q)
     assert found[0] == 0.0
     assert found[1] == pytest.approx(sign * np.pi / 2, abs=ROUNDING)
     # nose straight up or down, roll and yaw turn about the same axis: only yaw -+ roll is left
@@ -104,10 +103,10 @@ def test_roll_is_zero_at_gimbal_lock(sign: float, roll: float, yaw: float) -> No
 
 def test_each_angle_turns_about_its_own_axis_of_the_camera() -> None:
     quarter = np.sqrt(0.5)
-    assert euler.roll_pitch_yaw(np.array([0, 0, quarter, quarter])) == pytest.approx([np.pi / 2, 0, 0])
+    assert rot.roll_pitch_yaw(np.array([0, 0, quarter, quarter])) == pytest.approx([np.pi / 2, 0, 0])
     tenth = np.array([np.sin(0.05), 0.0, 0.0, np.cos(0.05)])
-    assert euler.roll_pitch_yaw(tenth) == pytest.approx([0, 0.1, 0])
-    assert euler.roll_pitch_yaw(np.array([0, quarter, 0, quarter])) == pytest.approx([0, 0, np.pi / 2])
+    assert rot.roll_pitch_yaw(tenth) == pytest.approx([0, 0.1, 0])
+    assert rot.roll_pitch_yaw(np.array([0, quarter, 0, quarter])) == pytest.approx([0, 0, np.pi / 2])
 
 
 def test_matrix_is_the_product_that_the_headers_state() -> None:
@@ -116,13 +115,13 @@ def test_matrix_is_the_product_that_the_headers_state() -> None:
     R_z = np.array([[c(roll), -s(roll), 0], [s(roll), c(roll), 0], [0, 0, 1]])
     R_x = np.array([[1, 0, 0], [0, c(pitch), -s(pitch)], [0, s(pitch), c(pitch)]])
     R_y = np.array([[c(yaw), 0, s(yaw)], [0, 1, 0], [-s(yaw), 0, c(yaw)]])
-    found = rot.matrices_from_quaternions(euler.quaternion_from_roll_pitch_yaw(np.array([roll, pitch, yaw])))
+    found = rot.matrices_from_quaternions(rot.quaternion_from_roll_pitch_yaw(np.array([roll, pitch, yaw])))
     np.testing.assert_allclose(found, R_y @ R_x @ R_z, atol=ROUNDING)
 
 
 def test_facing_head_has_no_angles_and_looks_at_the_camera() -> None:
-    facing = np.array(euler.FACING)
-    np.testing.assert_array_equal(euler.head_roll_pitch_yaw(facing), 0.0)
+    facing = np.array(rot.FACING)
+    np.testing.assert_array_equal(rot.head_roll_pitch_yaw(facing), 0.0)
     # camera axes are x right, y down, z forward
     np.testing.assert_array_equal(rot.rotate(facing, np.array([0.0, 0.0, 1.0])), [0.0, 0.0, -1.0])
     np.testing.assert_array_equal(rot.rotate(facing, np.array([0.0, 1.0, 0.0])), [0.0, -1.0, 0.0])
@@ -130,7 +129,7 @@ def test_facing_head_has_no_angles_and_looks_at_the_camera() -> None:
 
 def test_head_that_turns_to_its_left_yaws_by_the_angle_towards_the_image_right() -> None:
     # the subject's left is the image's right: its nose moves to camera +x
-    q = euler.head_quaternion_from_roll_pitch_yaw(np.array([0.0, 0.0, -0.3]))
+    q = rot.head_quaternion_from_roll_pitch_yaw(np.array([0.0, 0.0, -0.3]))
     np.testing.assert_allclose(
         rot.rotate(q, np.array([0.0, 0.0, 1.0])), [np.sin(0.3), 0.0, -np.cos(0.3)], atol=ROUNDING
     )
@@ -144,13 +143,13 @@ def test_signs_of_a_head_s_angles() -> None:
         (1, face, [0.0, np.sin(0.3), -np.cos(0.3)]),  # pitch: the face goes down
         (2, face, [-np.sin(0.3), 0.0, -np.cos(0.3)]),  # yaw: the face goes to the image's left, its own right
     ):
-        q = rot.multiply(euler.quaternion_from_roll_pitch_yaw(0.3 * np.eye(3)[axis]), np.array(euler.FACING))
+        q = rot.multiply(rot.quaternion_from_roll_pitch_yaw(0.3 * np.eye(3)[axis]), np.array(rot.FACING))
         np.testing.assert_allclose(rot.rotate(q, seen), to_camera, atol=ROUNDING)
-        np.testing.assert_allclose(euler.head_roll_pitch_yaw(q), 0.3 * np.eye(3)[axis], atol=ROUNDING)
+        np.testing.assert_allclose(rot.head_roll_pitch_yaw(q), 0.3 * np.eye(3)[axis], atol=ROUNDING)
 
 
 @relaxed
 @given(quaternions)
 def test_head_rotation_comes_back_from_its_angles(q: np.ndarray) -> None:
-    back = euler.head_quaternion_from_roll_pitch_yaw(euler.head_roll_pitch_yaw(q))
+    back = rot.head_quaternion_from_roll_pitch_yaw(rot.head_roll_pitch_yaw(q))
     np.testing.assert_array_less(rot.angle_between(back, q), LOCKED)

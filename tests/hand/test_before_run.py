@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from posetrack_cli.errors import RecordingError
-from posetrack_cli.hand import autodetect as before_run
+from posetrack_cli.hand import autodetect
 from posetrack_cli.hand import autodetect as trial
 from posetrack_cli.hand.autodetect import MOST_ASKED, WELL_KNOWN_MM, find_hand, is_size_open
 from posetrack_cli.hand.config import HandConfig
@@ -52,7 +52,7 @@ def never(*arguments: object) -> Calibration:
 
 def test_the_side_is_that_of_the_hand_seen(seen: tuple[str, Path], monkeypatch: pytest.MonkeyPatch) -> None:
     """And as the average hand explains what is seen, no other shape is looked for."""
-    monkeypatch.setattr(before_run, "shape_of", never)
+    monkeypatch.setattr(autodetect, "shape_of", never)
     side, path = seen
     found = find_hand(open_path(path), FEW, start=0)
     assert found.config.hand.side == side
@@ -146,7 +146,7 @@ def test_a_hand_of_another_size_is_found_with_it(tmp_path: Path, monkeypatch: py
     def too_few(*arguments: object) -> Calibration:
         raise RecordingError("no hand that can be tracked")
 
-    monkeypatch.setattr(before_run, "shape_of", too_few)
+    monkeypatch.setattr(autodetect, "shape_of", too_few)
     path = tmp_path / "small.mcap"
     write_synthetic(SynthOptions(seed=4, frames=FRAMES, side="right", scale=0.78), path)
     found = find_hand(open_path(path), HandConfig(), start=0)
@@ -186,7 +186,7 @@ def test_a_hand_that_explains_little_gets_a_shape_of_its_own(
         asked.append((config, options))
         return calibration_of(SHAPE, costs_mm=(4.0, 2.5))
 
-    monkeypatch.setattr(before_run, "shape_of", estimated)
+    monkeypatch.setattr(autodetect, "shape_of", estimated)
     config = HandConfig.model_validate({"hand": {"side": side}})
     found = find_hand(open_path(seen[1]), config, start=3)
     assert found.config.hand.side == "right" and found.config.hand.shape == SHAPE
@@ -211,7 +211,7 @@ def test_a_hand_that_explains_little_gets_a_shape_of_its_own(
 def test_a_shape_that_explains_less_or_something_else_is_not_taken(
     seen: tuple[str, Path], monkeypatch: pytest.MonkeyPatch, other: Calibration
 ) -> None:
-    monkeypatch.setattr(before_run, "shape_of", lambda *arguments: other)
+    monkeypatch.setattr(autodetect, "shape_of", lambda *arguments: other)
     found = find_hand(open_path(seen[1]), HandConfig(), start=0)
     assert found.config.hand.shape == HandShape() and found.line == "a right hand"
 
@@ -222,7 +222,7 @@ def test_a_shape_that_costs_a_little_more_than_the_average_hand_is_taken(
 ) -> None:
     """As person 614's once did with motion 615, 3.93 for 3.52 mm: tips were 8.0 for 10.5 mm off."""
     dearer = calibration_of(SHAPE, costs_mm=(3.52, 3.93))
-    monkeypatch.setattr(before_run, "shape_of", lambda *arguments: dearer)
+    monkeypatch.setattr(autodetect, "shape_of", lambda *arguments: dearer)
     assert find_hand(open_path(seen[1]), HandConfig(), start=0).config.hand.shape == SHAPE
 
 
@@ -230,7 +230,7 @@ def test_a_shape_that_costs_a_little_more_than_the_average_hand_is_taken(
 def test_what_good_fits_cost_is_believed_where_it_is_configured(
     seen: tuple[str, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(before_run, "shape_of", lambda *arguments: calibration_of(SHAPE))
+    monkeypatch.setattr(autodetect, "shape_of", lambda *arguments: calibration_of(SHAPE))
     told = HandConfig.model_validate({"status": {"good_mm": 3.0}})
     found = find_hand(open_path(seen[1]), told, start=0)
     assert found.config.hand.shape == SHAPE and found.config.status == told.status
@@ -241,7 +241,7 @@ def test_what_is_doubtful_of_a_shape_is_in_the_line(
     seen: tuple[str, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     odd = calibration_of(HandShape(1.1, coefficients=(0.0, 3.5)), costs_mm=(4.0, 3.0))
-    monkeypatch.setattr(before_run, "shape_of", lambda *arguments: odd)
+    monkeypatch.setattr(autodetect, "shape_of", lambda *arguments: odd)
     line = find_hand(open_path(seen[1]), HandConfig(), start=0).line
     assert line.startswith("a right hand, 197 mm long, of proportions that hardly any hand has")
     assert "\n" not in line
@@ -263,7 +263,7 @@ def test_what_is_doubtful_of_a_shape_is_in_the_line(
 def test_a_shape_that_is_told_or_misleads_no_fit_is_not_estimated(
     seen: tuple[str, Path], monkeypatch: pytest.MonkeyPatch, told: dict[str, object]
 ) -> None:
-    monkeypatch.setattr(before_run, "shape_of", never)
+    monkeypatch.setattr(autodetect, "shape_of", never)
     config = HandConfig.model_validate(told)
     assert not is_size_open(config) and is_size_open(HandConfig())
     found = find_hand(open_path(seen[1]), config, start=0)
@@ -289,7 +289,7 @@ def test_a_shape_of_another_size_is_begun_once_more_from_there(
             return calibration_of(HandShape(0.75), side, costs_mm=(13.0, 11.0))
         return calibration_of(HandShape(0.74), side, costs_mm=(cost + 2.0, cost), begun_scale=scale)
 
-    monkeypatch.setattr(before_run, "shape_of", estimated)
+    monkeypatch.setattr(autodetect, "shape_of", estimated)
     found = find_hand(open_path(seen[1]), HandConfig(), start=0)
     again = pytest.approx(0.75)
     # of a hand of another size than was tried the side is open again, and the other begins with that size

@@ -15,7 +15,7 @@ import pytest
 from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.configuration import load_settings
 from posetrack_cli.errors import RecordingError
-from posetrack_cli.hand import shape_bundle as bundle
+from posetrack_cli.hand import shape_bundle
 from posetrack_cli.hand.autodetect import ASKED_EVERY, SIDES, Trial, calibrate, tried_all_over
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.fit.fitter import nearest_pixels
@@ -166,7 +166,7 @@ def test_eliminating_the_poses_is_solving_everything_at_once() -> None:
         a = rng.standard_normal((90, FRAME_SIZE + SIZE))
         equations.append((a.T @ a, a.T @ rng.standard_normal(90)))
     theta, prior = SPACE.sd * rng.standard_normal(SIZE), np.diag(1.0 / SPACE.sd**2)
-    matrix, vector = bundle._reduced(equations, prior, theta)
+    matrix, vector = shape_bundle._reduced(equations, prior, theta)
     step = np.linalg.solve(matrix, vector)
     poses = 3 * FRAME_SIZE
     whole, right = np.zeros((poses + SIZE, poses + SIZE)), np.zeros(poses + SIZE)
@@ -183,7 +183,7 @@ def test_eliminating_the_poses_is_solving_everything_at_once() -> None:
     np.testing.assert_allclose(np.linalg.inv(matrix), inverse, rtol=1e-6, atol=1e-9)
     for f, equation in enumerate(equations):
         np.testing.assert_allclose(
-            bundle._frame_step(equation, step),
+            shape_bundle._frame_step(equation, step),
             solution[FRAME_SIZE * f : FRAME_SIZE * (f + 1)],
             rtol=1e-6,
             atol=1e-9,
@@ -198,7 +198,7 @@ def test_a_step_between_bounds_is_the_best_one(seed: int) -> None:
     matrix, vector = root.T @ root, 10.0 * rng.standard_normal(SIZE)
     least, most = -rng.uniform(0.0, 0.5, SIZE), rng.uniform(0.0, 0.5, SIZE)
     least[0], most[1] = 0.0, 0.0  # numbers that are at their bounds already
-    step = bundle._bounded_step(matrix, vector, least, most)
+    step = shape_bundle._bounded_step(matrix, vector, least, most)
     uphill = vector - matrix @ step
     low, high = step <= least + 1e-9, step >= most - 1e-9
     assert low.any() and high.any() and not (low | high).all()
@@ -212,7 +212,7 @@ def test_a_step_that_no_bound_stops_solves_the_equations() -> None:
     root = rng.standard_normal((SIZE + 4, SIZE))
     matrix, vector = root.T @ root, rng.standard_normal(SIZE)
     wide = np.full(SIZE, 1e6)
-    step = bundle._bounded_step(matrix, vector, -wide, wide)
+    step = shape_bundle._bounded_step(matrix, vector, -wide, wide)
     np.testing.assert_allclose(matrix @ step, vector, atol=1e-8)
 
 
@@ -251,7 +251,7 @@ def test_a_number_at_its_bound_is_as_if_it_were_known(device: RenderingDevice) -
     begun, thumbs = started(poses, seed=1), np.zeros((6, 2))
     start = HandShape(padding_mm=float(Padded.low[-1]))
     bounded, known = (
-        bundle.adjusted(average_hand, space, "right", start, begun, thumbs, views, TILE, iterations=4)
+        shape_bundle.adjusted(average_hand, space, "right", start, begun, thumbs, views, TILE, iterations=4)
         for space in (Padded(), AllPadded())
     )
     assert bounded.shape.padding_mm == Padded.low[-1]
@@ -272,7 +272,7 @@ def test_a_hand_of_the_population_is_found_again_from_perfect_images(device: Ren
     true_thumbs = 0.15 * np.random.default_rng(5).standard_normal((9, 2))
     views = Views(device, hand, poses, true_thumbs)
     begun, thumbs = started(poses, seed=1), np.zeros((9, 2))
-    found = bundle.adjusted(
+    found = shape_bundle.adjusted(
         average_hand, SPACE, "right", HandShape(), begun, thumbs, views, TILE, iterations=30
     )
     numbers = measured(average_hand, SPACE, "right", found.shape, found.covariance)
@@ -305,7 +305,7 @@ def test_a_file_s_hand_is_found_again_by_its_factors(device: RenderingDevice) ->
     poses = poses_of(hand, 6)
     views = Views(device, hand, poses)
     begun, thumbs = started(poses, seed=1), np.zeros((6, 2))
-    found = bundle.adjusted(
+    found = shape_bundle.adjusted(
         average_hand, FactorSpace(), "right", HandShape(), begun, thumbs, views, TILE, iterations=15
     )
     hands = [average_hand("right", shape) for shape in (HandShape(), found.shape)]
@@ -318,7 +318,7 @@ def test_a_file_s_hand_is_found_again_by_its_factors(device: RenderingDevice) ->
 
 def test_without_images_the_population_is_the_answer() -> None:
     theta = SPACE.sd * np.linspace(-1.0, 1.0, SIZE)
-    matrix, vector = bundle._reduced([], np.diag(1.0 / SPACE.sd**2), theta)
+    matrix, vector = shape_bundle._reduced([], np.diag(1.0 / SPACE.sd**2), theta)
     np.testing.assert_allclose(np.sqrt(np.diag(np.linalg.inv(matrix))), SPACE.sd)
     np.testing.assert_allclose(np.linalg.solve(matrix, vector), -theta)
 
@@ -480,10 +480,11 @@ def test_a_hand_that_fits_no_better_is_adjusted_once_more(
 
     def adjust(
         calibrator: _Calibrator, chosen: object, poses: object, thumbs: object, shape: HandShape
-    ) -> bundle.Bundle:
+    ) -> shape_bundle.Bundle:
         covariance = np.diag(PopulationSpace.sd**2)
         nothing = np.zeros(0)
-        return bundle.Bundle(replace(shape, scale=shape.scale + 0.1), nothing, nothing, covariance, 2.0, 3)
+        larger = replace(shape, scale=shape.scale + 0.1)
+        return shape_bundle.Bundle(larger, nothing, nothing, covariance, 2.0, 3)
 
     monkeypatch.setattr(_Calibrator, "find", find)
     monkeypatch.setattr(_Calibrator, "adjust", adjust)

@@ -160,16 +160,16 @@ def chained(count: int) -> Change:
 
 def test_a_chain_of_nodes_costs_one_step_each(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """All 25 joints hang on its end; each node's own transform is made once."""
-    from posetrack_cli.rendering import gltf as gltf_skin
+    from posetrack_cli.rendering import gltf
 
-    made, local = [0], gltf_skin._local_transform
+    made, local = [0], gltf._local_transform
 
     def counted(node: dict[str, Any]) -> np.ndarray:
         made[0] += 1
         return local(node)
 
     count = 5000
-    monkeypatch.setattr(gltf_skin, "_local_transform", counted)
+    monkeypatch.setattr(gltf, "_local_transform", counted)
     long = read_skin(read_glb(written(tmp_path / "long.glb", chained(count))))
     assert made[0] == count + 25
     short = read_skin(read_glb(written(tmp_path / "short.glb", lambda content: None)))

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from posetrack_cli.rendering import cpu as tile_sums
+from posetrack_cli.rendering import cpu
 from posetrack_cli.rendering.pixel_model import PixelMixture, misfits_in_numpy, outline_distances
 from posetrack_cli.rendering.port import Comparison
 from posetrack_cli.rendering.raster import Drawing
@@ -38,18 +38,18 @@ def drawing_of(depth: np.ndarray) -> Drawing:
 def summed(depth: np.ndarray, image: np.ndarray, model: PixelMixture | None) -> np.ndarray:
     comparison = Comparison(image.astype(np.float32), 40.0, model)
     off = outline_distances(comparison.observed).astype(np.float64)
-    reading, row = tile_sums.reading_of(comparison, off, SLOPE), np.zeros(tile_sums.ROW)
-    room = tile_sums.empty_depths(*depth.shape)
-    tile_sums.add_sums(drawing_of(depth), room, reading, tile_sums.mixture_of(model), row)
+    reading, row = cpu.reading_of(comparison, off, SLOPE), np.zeros(cpu.ROW)
+    room = cpu.empty_depths(*depth.shape)
+    cpu.add_sums(drawing_of(depth), room, reading, cpu.mixture_of(model), row)
     return row
 
 
 @each_model
 @given(st.floats(200.0, 3000.0), st.floats(-300.0, 300.0), st.floats(0.0, 8.0))
 def test_densities_are_the_model_s(model: PixelMixture, depth: float, error: float, off: float) -> None:
-    reading, mixture = depth + error, tile_sums.mixture_of(model)
+    reading, mixture = depth + error, cpu.mixture_of(model)
     before = float(np.exp(-model.uniforms["occluder_rate"] * reading))
-    best, found = tile_sums._densities(depth, reading, before, off, mixture)
+    best, found = cpu._densities(depth, reading, before, off, mixture)
     expected = float(model.misfit(np.array(depth), np.array(reading), off))
     assert np.log(best / found) == pytest.approx(expected, rel=EXACT, abs=EXACT)
 
@@ -59,13 +59,13 @@ def test_densities_are_the_model_s(model: PixelMixture, depth: float, error: flo
 def test_readings_of_other_things_cost_what_the_model_says(
     model: PixelMixture, depth: float, error: float, off: float
 ) -> None:
-    mixture, d, o = tile_sums.mixture_of(model), np.array(depth), np.array(off)
+    mixture, d, o = cpu.mixture_of(model), np.array(depth), np.array(off)
     expected = float(model.misfit_of_other(d, np.array(depth + error), o))
-    assert tile_sums._misfit_of_other(depth, -depth - error, off, mixture) == pytest.approx(
+    assert cpu._misfit_of_other(depth, -depth - error, off, mixture) == pytest.approx(
         expected, rel=EXACT, abs=EXACT
     )
     unread = float(model.misfit_of_unread(d, o))
-    assert tile_sums._misfit_of_other(depth, 0.0, off, mixture) == pytest.approx(unread, rel=EXACT, abs=EXACT)
+    assert cpu._misfit_of_other(depth, 0.0, off, mixture) == pytest.approx(unread, rel=EXACT, abs=EXACT)
 
 
 @each_model
@@ -94,10 +94,10 @@ def test_depths_of_the_tile_before_do_not_count() -> None:
     image = np.zeros((12, 12))
     image[6, 6] = 600.0
     comparison = Comparison(image.astype(np.float32), 40.0, MODELS[0])
-    reading = tile_sums.reading_of(comparison, np.zeros(image.shape), SLOPE)
-    room, model = tile_sums.empty_depths(*image.shape), tile_sums.mixture_of(MODELS[0])
-    rows = np.zeros((2, tile_sums.ROW))
-    tile_sums.add_sums(drawing_of(np.full(image.shape, 600.0)), room, reading, model, rows[0])
-    tile_sums.add_sums(drawing_of(np.zeros(image.shape)), room, reading, model, rows[1])
+    reading = cpu.reading_of(comparison, np.zeros(image.shape), SLOPE)
+    room, model = cpu.empty_depths(*image.shape), cpu.mixture_of(MODELS[0])
+    rows = np.zeros((2, cpu.ROW))
+    cpu.add_sums(drawing_of(np.full(image.shape, 600.0)), room, reading, model, rows[0])
+    cpu.add_sums(drawing_of(np.zeros(image.shape)), room, reading, model, rows[1])
     assert rows[0, 1] == 1
     assert not rows[1].any()

@@ -14,8 +14,7 @@ import pytest
 from posetrack_cli.errors import PosetrackError, ResultError
 from posetrack_cli.npz import read_npz
 from posetrack_cli.outputs import part_path, state_path
-from posetrack_cli.results import ResultWriter
-from posetrack_cli.results import spool as checkpoints
+from posetrack_cli.results import ResultWriter, spool
 from posetrack_cli.results.columns import floats
 from posetrack_cli.results.spool import FORMAT_VERSION, Checkpoint, Progress
 from posetrack_cli.tracking.loop import RunState, Tracker, checkpoint_of, run_state_at
@@ -205,7 +204,7 @@ def test_no_link_is_written_through(tmp_path: Path) -> None:
     other.write_text("precious")
     (tmp_path / "state.tmp").symlink_to(other)
     with pytest.raises(ResultError, match=r"state\.tmp: cannot be written, found a symbolic link"):
-        checkpoints.save(tmp_path / "state", Checkpoint(-1, 0), Progress(0, 1, 0, {}))
+        spool.save(tmp_path / "state", Checkpoint(-1, 0), Progress(0, 1, 0, {}))
     assert other.read_text() == "precious"
 
 
@@ -214,5 +213,5 @@ def test_what_cannot_be_used_by_the_tracker_is_told_of_the_state(path: Path) -> 
     line = refused(path, sealed(contents | {"array.place": np.full(3, np.nan)}))
     assert line == (
         f"{state_path(path)}: checkpoint cannot be used, found 'place' with values that are not finite; "
-        f"{checkpoints.RESTART_HINT}"
+        f"{spool.RESTART_HINT}"
     )

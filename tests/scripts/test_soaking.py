@@ -21,7 +21,7 @@ from benchmarking.recordings import link_recording
 from benchmarking.rows import Row
 from posetrack_cli.outputs import state_path
 from posetrack_cli.recording.opening import open_recording
-from posetrack_cli.results import spool as checkpoints
+from posetrack_cli.results import spool
 from posetrack_cli.results.spool import Progress
 from posetrack_cli.tracking.loop import RunState, checkpoint_of
 from posetrack_cli.tracking.smoothing import within_first_pass, within_second_pass
@@ -207,7 +207,7 @@ def test_steps_of_both_passes_are_counted(tmp_path: Path) -> None:
     first = within_first_pass(checkpoint_of(NoTracker(), reached, 0))
     second = within_second_pass(checkpoint_of(NoTracker(), reached, 10), {"face": np.ones(3)})
     for checkpoint, expected in ((first, Standing(10, 0)), (second, Standing(50, 10))):
-        checkpoints.save(state_path(output), checkpoint, Progress(0, 10, 0, {}))
+        spool.save(state_path(output), checkpoint, Progress(0, 10, 0, {}))
         assert standing_of(case, output) == expected
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from posetrack_cli.npz import read_npz
-from posetrack_cli.results import spool as checkpoints
+from posetrack_cli.results import spool
 
 Arrays = dict[str, np.ndarray[Any, Any]]
 OTHER_VALUES = (-7, 2**130, 1e300, float("nan"), None, "text", [], {}, True)
@@ -21,7 +21,7 @@ OTHER_TYPES = {"f": np.float32, "i": np.float64, "b": np.uint8, "u": np.int16, "
 
 def sealed(contents: Arrays) -> bytes:
     """A checkpoint's file with these contents and the digest that belongs to them."""
-    digest = np.frombuffer(checkpoints._digest(contents), np.uint8)
+    digest = np.frombuffer(spool._digest(contents), np.uint8)
     stream = BytesIO()
     np.savez(stream, **(contents | {"digest": digest}))  # type: ignore[arg-type]
     return stream.getvalue()

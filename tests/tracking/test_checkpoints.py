@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from posetrack_cli.results import spool as checkpoints
+from posetrack_cli.results import spool
 from posetrack_cli.results.spool import Progress
 from posetrack_cli.tracking.loop import RunState, checkpoint_of, run_state_at
 from support.codecs import TRACKER
@@ -16,8 +16,8 @@ def test_state_frame_and_random_numbers_come_back_from_a_file(tmp_path: Path) ->
     rng = np.random.default_rng(4)
     rng.standard_normal(5)
     saved = checkpoint_of(TRACKER, RunState((np.arange(3.0), 7), rng, 11), 6)
-    checkpoints.save(tmp_path / "state", saved, Progress(0, 2, 0, {}))
-    loaded, _ = checkpoints.load(tmp_path / "state")
+    spool.save(tmp_path / "state", saved, Progress(0, 2, 0, {}))
+    loaded, _ = spool.load(tmp_path / "state")
     assert (loaded.frame_index, loaded.frames_written) == (11, 6)
     (total, count), again, index, motion = run_state_at(TRACKER, loaded, np.random.default_rng(0))
     assert (total.tolist(), count, index, motion) == ([0.0, 1.0, 2.0], 7, 11, None)

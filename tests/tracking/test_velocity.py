@@ -16,7 +16,7 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.filtering.model import constant_velocity, step_noise
 from posetrack_cli.geometry import rotations
 from posetrack_cli.recording.base import Frame
-from posetrack_cli.results import spool as checkpoints
+from posetrack_cli.results import spool
 from posetrack_cli.results.columns import LayoutError
 from posetrack_cli.results.estimate import Estimate, Status
 from posetrack_cli.results.spool import Progress
@@ -168,8 +168,8 @@ def test_after_an_interruption_velocities_and_random_numbers_go_on(tmp_path: Pat
     sequence = estimates(np.arange(9) / 30.0, rng.normal(0, 3, (9, 3)), rng.normal(0, 3, (9, K)))
     whole = tracked(sequence)
     saved = checkpoint_of(TRACKER, whole[4].after, 5)
-    checkpoints.save(tmp_path / "state", saved, Progress(0, 5, 0, {}))
-    loaded, _ = checkpoints.load(tmp_path / "state")
+    spool.save(tmp_path / "state", saved, Progress(0, 5, 0, {}))
+    loaded, _ = spool.load(tmp_path / "state")
     rest = tracked(sequence, reached=run_state_at(TRACKER, loaded, np.random.default_rng(0)))
     assert [step.estimate.frame_index for step in rest] == [5, 6, 7, 8]
     for again, before in zip(rest, whole[5:], strict=True):

@@ -8,7 +8,7 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import PosetrackError
-from posetrack_cli.evaluation.measuring import pose_metrics as pose_errors
+from posetrack_cli.evaluation.measuring import pose_metrics
 from posetrack_cli.evaluation.measuring.evaluation import Count, Curve
 from posetrack_cli.evaluation.measuring.measures import (
     Common,
@@ -142,7 +142,7 @@ def joint_errors(matched: Matched, joints: Common) -> FloatArray:
         (matched.of_estimate("points", mine), matched.of_truth("points", theirs))
         for mine, theirs in zip(joints.estimate, joints.truth, strict=True)
     )
-    return pose_errors.distances_by_point(pairs, len(matched))
+    return pose_metrics.distances_by_point(pairs, len(matched))
 
 
 def _tracked(measures: Measures, matched: Matched, errors: FloatArray) -> None:
@@ -182,12 +182,12 @@ def _largest(measures: Measures, errors: FloatArray, missed: int) -> Curve | Non
         measures.lack(measures.nothing, *_WITHIN, *_MEAN_WITHIN)
         return None
     for names, values in ((_WITHIN, largest), (_MEAN_WITHIN, mean)):
-        shares = pose_errors.share_below(values, np.array(WITHIN_MM), due)
+        shares = pose_metrics.share_below(values, np.array(WITHIN_MM), due)
         measures.metrics |= {name: float(share) for name, share in zip(names, shares, strict=True)}
         measures.counts |= {
             name: Count(round(float(share) * due), due) for name, share in zip(names, shares, strict=True)
         }
-    return Curve(CURVE_MM, *(pose_errors.share_below(values, CURVE_MM, due) for values in (largest, mean)))
+    return Curve(CURVE_MM, *(pose_metrics.share_below(values, CURVE_MM, due) for values in (largest, mean)))
 
 
 def _wrist(measures: Measures, matched: Matched) -> None:
@@ -200,7 +200,7 @@ def _wrist(measures: Measures, matched: Matched) -> None:
     if not reason:
         measures.add(
             "wrist_position_mm",
-            pose_errors.distances(matched.of_estimate("position"), matched.of_truth("position")),
+            pose_metrics.distances(matched.of_estimate("position"), matched.of_truth("position")),
         )
     elif _WRIST in joints.names and not matched.lacks("points"):
         at = joints.names.index(_WRIST)
@@ -213,7 +213,7 @@ def _wrist(measures: Measures, matched: Matched) -> None:
     else:
         measures.add(
             "wrist_rotation_deg",
-            pose_errors.rotation_errors_deg(
+            pose_metrics.rotation_errors_deg(
                 matched.of_estimate("quaternion"), matched.of_truth("quaternion")
             ),
         )
@@ -239,7 +239,7 @@ def _angles(measures: Measures, matched: Matched) -> None:
 # errors of the entries hang together, which no result states. A truth of joints alone has no other intervals.
 
 
-METRICS = {f"joint_{name}": half_width for name, half_width in pose_errors.INTERVALS.items()}
+METRICS = {f"joint_{name}": half_width for name, half_width in pose_metrics.INTERVALS.items()}
 BLOCK_FRAMES = 512
 """Derivatives are many times the size of a long track: so many frames at a time."""
 
@@ -296,9 +296,9 @@ def joint_intervals(measures: Measures, matched: Matched, anatomy: Callable[[], 
         return measures.lack(f"bones of the hand are not known: {error}", *METRICS)
     together = np.stack(list(normalised.values()), axis=1)
     for metric, half_width in METRICS.items():
-        measures.share(metric, pose_errors.inside_interval(together, half_width))
+        measures.share(metric, pose_metrics.inside_interval(together, half_width))
         for name, own in normalised.items():
-            measures.share(f"{metric}.{name}", pose_errors.inside_interval(own, half_width))
+            measures.share(f"{metric}.{name}", pose_metrics.inside_interval(own, half_width))
 
 
 def hand_lacks(matched: Matched, joints: Common) -> str:
@@ -316,7 +316,7 @@ def _normalised(matched: Matched, joints: Common, anatomy: HandAnatomy) -> Itera
     variances = joint_variances(anatomy, *poses_of(matched), matched.of_estimate("pose_variance"))
     for name, mine, theirs in zip(joints.names, joints.estimate, joints.truth, strict=True):
         errors = matched.of_truth("points", theirs) - matched.of_estimate("points", mine)
-        yield name, pose_errors.normalised_squares(errors, variances[:, mine])
+        yield name, pose_metrics.normalised_squares(errors, variances[:, mine])
 
 
 # Velocities of a hand's joints against central differences of the true ones.
@@ -331,7 +331,7 @@ def _normalised(matched: Matched, joints: Common, anatomy: HandAnatomy) -> Itera
 
 
 ERROR = "joint_velocity_error_mm_s"
-INTERVALS = {f"joint_velocity_{name}": half_width for name, half_width in pose_errors.INTERVALS.items()}
+INTERVALS = {f"joint_velocity_{name}": half_width for name, half_width in pose_metrics.INTERVALS.items()}
 _SAME_MM = 0.01
 FARTHEST = 3.0
 """Two neighbours lie two intervals apart; where more than one frame is missing they are not neighbours."""
@@ -362,9 +362,9 @@ def joint_velocities(measures: Measures, matched: Matched, anatomy: Callable[[],
     distances: FloatArray = np.linalg.norm(off, axis=-1)
     measures.add(ERROR, distances, known)
     measures.summarise_parts(ERROR, distances[known], joints.names)
-    normalised = pose_errors.normalised_squares(off, variance[:, joints.estimate])[known]
+    normalised = pose_metrics.normalised_squares(off, variance[:, joints.estimate])[known]
     for metric, half_width in INTERVALS.items():
-        inside = pose_errors.inside_interval(normalised, half_width)
+        inside = pose_metrics.inside_interval(normalised, half_width)
         measures.share(metric, inside)
         for column, name in enumerate(joints.names):
             measures.share(f"{metric}.{name}", inside[:, column])

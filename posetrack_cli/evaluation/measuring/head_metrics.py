@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray
-from posetrack_cli.evaluation.measuring import pose_metrics as pose_errors
+from posetrack_cli.evaluation.measuring import pose_metrics
 from posetrack_cli.evaluation.measuring.measures import Matched, Measures, common_columns
 from posetrack_cli.evaluation.measuring.pose_metrics import (
     POSE_AXES,
@@ -48,7 +48,7 @@ def _position(measures: Measures, matched: Matched) -> None:
     mine, theirs = matched.of_estimate("position"), matched.of_truth("position")
     for column, name in enumerate(HEAD_POSE[:3]):
         measures.add(name, np.abs(mine[:, column] - theirs[:, column]))
-    measures.add("position_mm", pose_errors.distances(mine, theirs))
+    measures.add("position_mm", pose_metrics.distances(mine, theirs))
 
 
 def _rotation(measures: Measures, matched: Matched) -> None:
@@ -56,10 +56,10 @@ def _rotation(measures: Measures, matched: Matched) -> None:
     if reason := matched.lacks("quaternion"):
         return measures.lack(reason, *_ROTATION)
     mine, theirs = matched.of_estimate("quaternion"), matched.of_truth("quaternion")
-    errors = pose_errors.euler_errors_deg(mine, theirs)
+    errors = pose_metrics.euler_errors_deg(mine, theirs)
     for column, name in enumerate(HEAD_POSE[3:]):
         measures.add(name, errors[:, column])
-    measures.add("rotation_deg", pose_errors.rotation_errors_deg(mine, theirs))
+    measures.add("rotation_deg", pose_metrics.rotation_errors_deg(mine, theirs))
 
 
 def _points(measures: Measures, matched: Matched) -> None:
@@ -77,7 +77,7 @@ def _points(measures: Measures, matched: Matched) -> None:
         (_in_head(matched.of_estimate, mine), _in_head(matched.of_truth, theirs))
         for mine, theirs in zip(points.estimate, points.truth, strict=True)
     )
-    errors = pose_errors.distances_by_point(pairs, len(matched))
+    errors = pose_metrics.distances_by_point(pairs, len(matched))
     measures.add_parts("point_error_mm", errors, points.names)
 
 

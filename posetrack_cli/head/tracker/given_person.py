@@ -19,13 +19,13 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.geometry.rigid import rigid_alignment
-from posetrack_cli.head import subject as tracks
 from posetrack_cli.head.actions import MEAN_DISPLACEMENTS
 from posetrack_cli.head.adjustment.adjuster import OFFSET_SD_MM, Album, PersonParameters
 from posetrack_cli.head.config import AdjustmentSettings, ModelSettings
 from posetrack_cli.head.face.templates import TemplateSet
 from posetrack_cli.head.model_file import read_model
 from posetrack_cli.head.multilinear.face_model import FaceModel
+from posetrack_cli.head.subject import MONO_TRACK, STEREO_TRACK
 from posetrack_cli.head.tracker.codecs import FOCAL_PX, known_people, people_codec
 from posetrack_cli.head.tracker.person import IdentityHistory, KnownPerson, Size, person_shape
 from posetrack_cli.head.tracker.stereo import StereoCodecs, StereoState
@@ -59,7 +59,7 @@ class GivenPerson:
     @property
     def systematic_sd(self) -> FloatArray:
         """(6,) what a track of the person is wrong by: the head's frame sits where that run laid it."""
-        return (tracks.STEREO if self.is_measured else tracks.MONO).systematic_sd
+        return (STEREO_TRACK if self.is_measured else MONO_TRACK).systematic_sd
 
 
 def read_person(path: Path, model: FaceModel, settings: AdjustmentSettings) -> GivenPerson:

@@ -39,8 +39,7 @@ from posetrack_cli.head.initialisation.single_view import pose_near
 from posetrack_cli.head.landmarks.faces import LandmarkFile, Landmarks
 from posetrack_cli.head.multilinear.face_model import FaceModel, load_face_model
 from posetrack_cli.head.particles.particles import velocity_between
-from posetrack_cli.head.subject import MONO as TRACK
-from posetrack_cli.head.subject import MonoDiagnostics
+from posetrack_cli.head.subject import MONO_TRACK, MonoDiagnostics
 from posetrack_cli.head.tracker.codecs import (
     FOCAL_PX,
     MonoState,
@@ -141,7 +140,7 @@ class MonoPeople:
         clicked: ClickedPoints | None = None,
         known: Arrays | None = None,
         landmarks: LandmarkFile | None = None,
-        systematic_sd: FloatArray = TRACK.systematic_sd,
+        systematic_sd: FloatArray = MONO_TRACK.systematic_sd,
     ) -> None:
         self._config, self._recorded, self._model = config, camera, model
         self._systematic_sd = systematic_sd
@@ -578,7 +577,7 @@ def make_mono_tracker(
     face: int = 0,
     clicked: Path | None = None,
     landmarks: LandmarkFile | None = None,
-    systematic_sd: FloatArray = TRACK.systematic_sd,
+    systematic_sd: FloatArray = MONO_TRACK.systematic_sd,
 ) -> MonoTracker:
     """Return the tracker that a run uses.
 

@@ -26,8 +26,7 @@ from posetrack_cli.head.refinement.refine import (
     KEYFRAME_NEUTRAL_MM,
     refine_initial_depth,
 )
-from posetrack_cli.head.subject import STEREO as TRACK
-from posetrack_cli.head.subject import StereoDiagnostics
+from posetrack_cli.head.subject import STEREO_TRACK, StereoDiagnostics
 from posetrack_cli.head.tracker.codecs import history_codecs, search_codec, template_codec, track_codec
 from posetrack_cli.head.tracker.face_learning import Ccipca, FaceLearning, new_face
 from posetrack_cli.head.tracker.frame_tracker import (
@@ -189,7 +188,7 @@ class StereoFace:
             padded(nothing if fit is None else fit.coefficients, count),
             padded(nothing if face is None else face.model.deviations, count),
             _diagnostics(face, fit).numbers(count),
-            None if fit is None else np.square(TRACK.systematic_sd),
+            None if fit is None else np.square(STEREO_TRACK.systematic_sd),
         )
 
     def export_model(self, state: StereoState, *, for_second_pass: bool) -> Learned:

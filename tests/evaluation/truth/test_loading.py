@@ -16,7 +16,7 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import ResultError, TruthError, UsageError
 from posetrack_cli.evaluation.measuring.evaluate import EvalOptions, evaluate
 from posetrack_cli.evaluation.measuring.evaluation import Statistics
-from posetrack_cli.evaluation.reading import truth_tables as csv_table
+from posetrack_cli.evaluation.reading import truth_tables
 from posetrack_cli.evaluation.reading.tracks import Track
 from posetrack_cli.evaluation.reading.truth import load_truth
 from posetrack_cli.evaluation.reading.truth_tables import load_csv_track, read_header
@@ -443,4 +443,4 @@ def test_truth_without_shape_entries_measures_a_head_whose_model_is_its_own(tmp_
 def test_lines_and_numbers_without_end_are_refused(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "t.csv").write_bytes(content)
     with pytest.raises(TruthError, match=r"^[^\n]{1,400}$"):
-        csv_table.read_table(csv_table.read_header(tmp_path / "t.csv"), ["x_mm"])
+        truth_tables.read_table(truth_tables.read_header(tmp_path / "t.csv"), ["x_mm"])

@@ -12,7 +12,7 @@ from posetrack_cli.hand.config import ObservationSettings
 from posetrack_cli.hand.model.anatomy import JOINT_NAMES, make_anatomy
 from posetrack_cli.hand.model.hand import hand_mesh
 from posetrack_cli.hand.model.kinematics import mirrored_poses, skinning_transforms
-from posetrack_cli.hand.observe import segmentation as around_prediction
+from posetrack_cli.hand.observe import segmentation
 from posetrack_cli.hand.observe.observation import PixelSampler, window_around
 from posetrack_cli.hand.observe.prediction import PredictedHand
 from posetrack_cli.hand.observe.segmentation import Label, Segmentation, segment
@@ -177,7 +177,7 @@ def test_a_prediction_that_is_somewhat_off_finds_the_same_hand(
 @pytest.mark.parametrize("margin", ["_ASIDE_MM", "_IN_FRONT_MM", "_BEHIND_MM"])
 def test_each_margin_holds_something_back(scene: Scene, monkeypatch: pytest.MonkeyPatch, margin: str) -> None:
     usual = scene.told().observation.target_pixels
-    monkeypatch.setattr(around_prediction, margin, 1e-3)
+    monkeypatch.setattr(segmentation, margin, 1e-3)
     assert scene.told().observation.target_pixels < usual
 
 

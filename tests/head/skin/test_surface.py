@@ -12,7 +12,7 @@ from scipy.spatial.distance import cdist, pdist
 
 from posetrack_cli.head.face.points import EYES, MEAN_SHAPE, MOUTH
 from posetrack_cli.head.multilinear.face_model import load_face_model
-from posetrack_cli.head.skin import matching as surface
+from posetrack_cli.head.skin import matching
 from posetrack_cli.head.skin.matching import (
     BORDER_PX,
     GREY,
@@ -53,8 +53,8 @@ def places_of(face: Surface, scale: float = PX_PER_MM) -> np.ndarray:
 @pytest.fixture
 def whole(monkeypatch: pytest.MonkeyPatch) -> None:
     """With lids and lips, which a surface leaves out, so that there is something at all ten points."""
-    monkeypatch.setattr(surface, "LIDS_MM", (0.0, 0.0))
-    monkeypatch.setattr(surface, "LIPS_MM", (0.0, 0.0))
+    monkeypatch.setattr(matching, "LIDS_MM", (0.0, 0.0))
+    monkeypatch.setattr(matching, "LIPS_MM", (0.0, 0.0))
 
 
 @pytest.mark.parametrize("person", range(6))
@@ -91,7 +91,7 @@ def test_a_face_of_any_size_takes_no_more_memory(size: float) -> None:
 def test_its_points_lie_on_a_grid_within_the_face() -> None:
     apart = pdist(FACE.points[:, :2])
     assert apart.min() == pytest.approx(STEP_MM)
-    reach = np.abs(np.vstack([MEAN_SHAPE, surface.ANCHORS])[:, :2]).max(axis=0)
+    reach = np.abs(np.vstack([MEAN_SHAPE, matching.ANCHORS])[:, :2]).max(axis=0)
     assert np.all(np.abs(FACE.points[:, :2]) <= reach)
 
 
@@ -116,7 +116,7 @@ def test_corners_are_where_the_crop_has_some() -> None:
     away = cdist(there, square)
     assert len(there) == 4 and set(np.argmin(away, axis=1)) == {0, 1, 2, 3}
     # the square's corner is a corner for every block that holds it, so at up to half a block from it
-    assert away.min(axis=1).max() < REACH_PX + np.sqrt(2.0) * surface.BLOCK / 2
+    assert away.min(axis=1).max() < REACH_PX + np.sqrt(2.0) * matching.BLOCK / 2
 
 
 @pytest.mark.parametrize("grey", [0, 128, 255])

@@ -27,7 +27,7 @@ from posetrack_cli.head.smoothing import fits as head_fits
 from posetrack_cli.head.smoothing import frames as track
 from posetrack_cli.head.smoothing.fits import FLAT, SKIN_SD, UNKNOWN_SPEED, HeadFits, local_line
 from posetrack_cli.head.smoothing.frames import HeadFrame, HeadMemory, Link, Reach, chained, with_speeds
-from posetrack_cli.head.subject import MONO, STEREO, head_subject
+from posetrack_cli.head.subject import MONO_TRACK, STEREO_TRACK, head_subject
 from posetrack_cli.results.estimate import Estimate, Status
 from posetrack_cli.tracking.smoothing import STATUSES
 
@@ -94,7 +94,7 @@ def memory_of(one: HeadFrame) -> dict[str, object]:
 
 def exactly(frames: list[HeadFrame]) -> list[Gaussian]:
     """Positions, turns from upright and their velocities, backwards in time as the smoother goes."""
-    fits, settings = HeadFits(STEREO, 2), HeadSmoothingSettings()
+    fits, settings = HeadFits(STEREO_TRACK, 2), HeadSmoothingSettings()
     wandering = np.square(np.repeat([settings.velocity_mm, settings.velocity_rad], 3))
     dt = FRAME_NS * 1e-9
     F, Q = constant_velocity(Dynamics(np.zeros(6), wandering).over(dt), dt)
@@ -141,10 +141,13 @@ def test_a_raised_brow_does_not_turn_the_head(monkeypatch) -> None:
     moved[BROWS, 1] += 5.0
     pose = HeadPose(np.array([0.0, 0.0, 700.0]), UPRIGHT)
     raised = frame(0, pose.position, points=pose.points(moved))
-    stiff = STEREO.expression_mm.copy()
+    stiff = STEREO_TRACK.expression_mm.copy()
     stiff[BROWS] = 0.3
     turns = []
-    for model, freedom in ((STEREO, head_fits.FREEDOM), (replace(STEREO, expression_mm=stiff), 1e6)):
+    for model, freedom in (
+        (STEREO_TRACK, head_fits.FREEDOM),
+        (replace(STEREO_TRACK, expression_mm=stiff), 1e6),
+    ):
         monkeypatch.setattr(head_fits, "FREEDOM", freedom)
         fit = HeadFits(model, 1).known(memory_of(raised))
         turns.append(float(np.degrees(angle_between(UPRIGHT, fit.poses[0][3:7]))))
@@ -157,7 +160,7 @@ def test_points_of_a_rigid_face_give_their_pose(cameras: int) -> None:
     turned = multiply(exponential(np.array([0.1, 0.3, -0.2])), UPRIGHT)
     true = HeadPose(np.array([20.0, -10.0, 650.0]), turned)
     one = frame(0, true.position + 5.0, points=true.points(MEAN_SHAPE))
-    fit = HeadFits(STEREO, cameras).known(memory_of(one))
+    fit = HeadFits(STEREO_TRACK, cameras).known(memory_of(one))
     np.testing.assert_allclose(fit.poses[0][:3], true.position, atol=0.01)
     assert np.degrees(angle_between(true.quaternion, fit.poses[0][3:7])) < 0.01
 
@@ -166,7 +169,7 @@ def test_points_of_a_rigid_face_give_their_pose(cameras: int) -> None:
 def test_a_fit_lies_between_points_and_skin_as_what_was_stated_did(share: float) -> None:
     """The filter had the points elsewhere; where the skin is both say alike. All turns are about one axis."""
     one = frame(0, np.array([20.0, -10.0, 650.0]))
-    fits = HeadFits(MONO, 1)
+    fits = HeadFits(MONO_TRACK, 1)
     fit = HeadPose(*np.split(fits.known(memory_of(one)).poses[0], [3]))
     by_filter = fit.moved(np.array([0.5, 0.2, -3.0, 0.0, 0.02, 0.0]))
     by_skin = fit.moved(np.array([1.0, -2.0, 4.0, 0.0, -0.05, 0.0]))
@@ -181,7 +184,7 @@ def test_a_fit_lies_between_points_and_skin_as_what_was_stated_did(share: float)
 def test_what_the_skin_tells_counts_beside_the_points() -> None:
     """In full where the pose is the skin's alone, in proportion where it is in part."""
     one = frame(0, np.array([20.0, -10.0, 650.0]))
-    fits = HeadFits(MONO, 1)
+    fits = HeadFits(MONO_TRACK, 1)
     alone, part, whole = (
         fits.known(memory_of(replace(one, skin_share=share))).information[0] for share in (0.0, 0.25, 1.0)
     )
@@ -238,7 +241,7 @@ def test_a_mouth_that_goes_aside_turns_no_head() -> None:
     face = {"mean": person.mean, "basis": person.basis, "deviations": person.deviations}
     aside = frame(0, HERE, points=HeadPose(HERE, UPRIGHT).points(moved), **face)
     turned = []
-    for tracker in (MONO, replace(MONO, deformation=0.0)):
+    for tracker in (MONO_TRACK, replace(MONO_TRACK, deformation=0.0)):
         fit = HeadFits(tracker, 1).known(memory_of(aside))
         best = exponential(np.linalg.solve(fit.information[0], fit.gradients[0])[3:])
         turned.append(float(np.degrees(angle_between(multiply(best, fit.poses[0, 3:7]), UPRIGHT))))

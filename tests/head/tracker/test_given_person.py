@@ -12,7 +12,7 @@ from posetrack_cli.head.actions import MEAN_DISPLACEMENTS
 from posetrack_cli.head.config import AdjustmentSettings, ModelSettings
 from posetrack_cli.head.model_file import model_bytes
 from posetrack_cli.head.multilinear.face_model import load_face_model
-from posetrack_cli.head.subject import MONO, STEREO
+from posetrack_cli.head.subject import MONO_TRACK, STEREO_TRACK
 from posetrack_cli.head.tracker.codecs import FOCAL_PX, people_codec
 from posetrack_cli.head.tracker.face_learning import new_face
 from posetrack_cli.head.tracker.given_person import GivenPerson, person_like, read_person
@@ -91,4 +91,7 @@ def test_what_says_of_nobody_is_one_line(tmp_path: Path) -> None:
 def test_whom_several_cameras_measured_has_the_frame_that_they_laid() -> None:
     """It errs as theirs does."""
     seen, measured = GivenPerson({}, None), GivenPerson({}, None, is_measured=True)
-    assert seen.systematic_sd is MONO.systematic_sd and measured.systematic_sd is STEREO.systematic_sd
+    assert (
+        seen.systematic_sd is MONO_TRACK.systematic_sd
+        and measured.systematic_sd is STEREO_TRACK.systematic_sd
+    )

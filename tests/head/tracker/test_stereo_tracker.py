@@ -10,7 +10,7 @@ import pytest
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.rotations import angle_between
 from posetrack_cli.head.initialisation.matching import InitFailure
-from posetrack_cli.head.subject import STEREO
+from posetrack_cli.head.subject import STEREO_TRACK
 from posetrack_cli.head.tracker import stereo
 from posetrack_cli.head.tracker.head_tracker import UNSEEN, HeadTracker
 from posetrack_cli.head.tracker.stereo import StereoFace
@@ -96,7 +96,7 @@ def test_a_result_states_what_the_whole_track_is_wrong_by_too(monkeypatch: pytes
     for index in range(3):
         stated = scenes[0].step(index)
         with monkeypatch.context() as patch:
-            patch.setattr(stereo, "TRACK", replace(STEREO, systematic_sd=np.zeros(6)))
+            patch.setattr(stereo, "STEREO_TRACK", replace(STEREO_TRACK, systematic_sd=np.zeros(6)))
             particles = scenes[1].step(index)
     more = stated.pose_variance - particles.pose_variance
     np.testing.assert_allclose(more[:3], np.square([2.6, 2.3, 3.3]), rtol=1e-9)
