@@ -269,7 +269,7 @@ def _command(command: click.Command, context: click.Context) -> str:
     pieces = " ".join(command.collect_usage_pieces(context))
     lines = [f"\n## `{context.command_path}`\n", f"    {context.command_path} {pieces}\n", _help(command)]
     if isinstance(command, Command):
-        for heading, records in command.groups(context).items():
+        for heading, records in command.groups(context, rare=True).items():
             lines.append(f"**{heading}**\n")
             lines += [f"- `{names}`: {_one_line(words)}" for names, words in records]
             lines.append("")

@@ -15,6 +15,7 @@ from posetrack_cli.phases import phases_shown
 Function = TypeVar("Function", bound=Callable[..., Any])
 OTHERS = "Other options"
 HELP_NAMES = {"help_option_names": ["-h", "--help"]}
+HELP_ALL = "--help-all"
 """Also where a command is called by itself: click keeps the option that it made first."""
 _VOLUME = "posetrack.volume"
 _BEGAN = "posetrack.began_s"
@@ -25,11 +26,12 @@ class Option(click.Option):
 
     Args:
         group: its heading; none stands below ``Other options``.
+        rare: shown by --help-all alone.
     """
 
-    def __init__(self, *arguments: Any, group: str = "", **attributes: Any) -> None:
+    def __init__(self, *arguments: Any, group: str = "", rare: bool = False, **attributes: Any) -> None:
         super().__init__(*arguments, **attributes)
-        self.group = group
+        self.group, self.rare = group, rare
 
 
 class Command(click.Command):
@@ -72,11 +74,21 @@ class Command(click.Command):
                 raise
             raise click.UsageError(f"{error.option_name} is called {now} now", ctx) from error
 
-    def groups(self, context: click.Context) -> dict[str, list[tuple[str, str]]]:
+    def get_params(self, ctx: click.Context) -> list[click.Parameter]:
+        """Return the parameters; a command with rare options has --help-all, too."""
+        parameters = super().get_params(ctx)
+        if not any(getattr(one, "rare", False) for one in parameters):
+            return parameters
+        more: dict[str, Any] = {"is_flag": True, "is_eager": True, "expose_value": False}
+        shown = Option([HELP_ALL], help="Show all options, also rare ones.", callback=_show_all, **more)
+        return [*parameters[:-1], shown, parameters[-1]]
+
+    def groups(self, context: click.Context, *, rare: bool) -> dict[str, list[tuple[str, str]]]:
         """Return the help of the options by the headings they stand below, in the order of their first."""
         found: dict[str, list[tuple[str, str]]] = {}
         for parameter in self.get_params(context):
-            record = parameter.get_help_record(context) if isinstance(parameter, click.Option) else None
+            is_shown = isinstance(parameter, click.Option) and (rare or not getattr(parameter, "rare", False))
+            record = parameter.get_help_record(context) if is_shown else None
             if record is not None:
                 found.setdefault(getattr(parameter, "group", "") or OTHERS, []).append(record)
         if OTHERS in found:
@@ -85,7 +97,7 @@ class Command(click.Command):
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the groups."""
-        for heading, records in self.groups(ctx).items():
+        for heading, records in self.groups(ctx, rare=ctx.meta.get(HELP_ALL, False)).items():
             with formatter.section(heading):
                 formatter.write_dl(records)
 
@@ -96,6 +108,14 @@ class Command(click.Command):
                 for line in self.examples:
                     formatter.write(f"{'':>{formatter.current_indent}}{line}\n")
         super().format_epilog(ctx, formatter)
+
+
+def _show_all(context: click.Context, parameter: click.Parameter, asked: bool) -> None:
+    """Callback of --help-all."""
+    if asked and not context.resilient_parsing:
+        context.meta[HELP_ALL] = True
+        click.echo(context.get_help(), color=context.color)
+        context.exit()
 
 
 def seconds_since_start() -> float:

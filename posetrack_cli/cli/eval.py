@@ -83,6 +83,7 @@ def _list_metrics(context: click.Context, parameter: click.Parameter, asked: boo
         default=5.0,
         show_default=True,
         help="How far apart the stamps of an estimate and its truth may be.",
+        rare=True,
     ),
     option(
         "--time-offset-s",
@@ -90,6 +91,7 @@ def _list_metrics(context: click.Context, parameter: click.Parameter, asked: boo
         type=float,
         default=0.0,
         help="Seconds to add to the stamps of the truth.  [default: 0]",
+        rare=True,
     ),
     option(
         "--align",
@@ -104,6 +106,7 @@ def _list_metrics(context: click.Context, parameter: click.Parameter, asked: boo
         type=click.Choice(["bone", "palm", "camera"]),
         help="Of a hand, also remove each joint's constant offset, a median, for a truth whose joints are "
         "marked by another convention: in the axes of the bone that ends in it, the palm's or the camera's.",
+        rare=True,
     ),
     title="Truth",
 )
@@ -146,15 +149,20 @@ def _list_metrics(context: click.Context, parameter: click.Parameter, asked: boo
         default=50,
         show_default=True,
         help="How many rows are shown here and in Markdown, the worst; 0 for all.",
+        rare=True,
     ),
     option(
-        "--parts", is_flag=True, help="Show every joint, finger, angle or point; of rows in JSON and CSV."
+        "--parts",
+        is_flag=True,
+        help="Show every joint, finger, angle or point; of rows in JSON and CSV.",
+        rare=True,
     ),
     option(
         "--honesty",
         is_flag=True,
         help="Also show how many frames of each confidence are right, and of several results the figures "
         "pooled.",
+        rare=True,
     ),
     title="Tables",
 )
@@ -184,6 +192,7 @@ def _list_metrics(context: click.Context, parameter: click.Parameter, asked: boo
         type=FILE_OR_STANDARD_OUTPUT,
         metavar="FILE|-",
         help="Write the share of frames with joint errors below D = 0..100 mm as CSV.",
+        rare=True,
     ),
     junit_option("One test for each and each result."),
     markdown_option(),

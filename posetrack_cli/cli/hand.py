@@ -89,9 +89,8 @@ hand.add_command(hand_synth)
         "--shape",
         metavar="auto|average|FILE",
         type=NameOrFile("auto", "average"),
-        help="Size and shape of the hand: auto estimates them from the recording unless they are told, "
-        "average is the average hand unless --scale, --hand-mesh or --config tell another, FILE is one of "
-        "hand calibrate, or a result of hand run: its side and shape.  [default: auto]",
+        help="Size and shape of the hand: auto estimates them from the recording, average is the average "
+        "hand, FILE is one of hand calibrate or a result of hand run.  [default: auto]",
     ),
     scale_option,
     hand_mesh_option,
@@ -100,29 +99,27 @@ hand.add_command(hand_synth)
         "auto finds the hand, center takes an open one in the middle, palm to the sensor, FILE has a pose.  "
         "[default: auto]",
     ),
-    title="Hand",
-)
-@option_group(
     option(
         "--keypoints",
         "keypoint_file",
         metavar="FILE",
         type=FILE,
-        help="21 points per frame that another program found, CSV or JSON (docs/keypoints.md): further "
-        "starts and evidence for side and place.",
+        help="21 points per frame that another program found, CSV or JSON (docs/keypoints.md).",
     ),
     option(
         "--keypoints-unit",
         type=click.Choice(["px", "normalised", "mm", "m"]),
         help="Of their coordinates; px and normalised in the depth images.  [default: as FILE says or looks]",
+        rare=True,
     ),
     option(
         "--keypoints-swap-sides",
         is_flag=True,
         help="Exchange right and left: for handedness of MediaPipe before 0.10.15, multi_handedness of "
         "mirrored images, or wrong sides.",
+        rare=True,
     ),
-    title="Points of other programs",
+    title="Hand",
 )
 @option_group(
     option(
@@ -136,19 +133,22 @@ hand.add_command(hand_synth)
         "--proposal",
         type=click.Choice(["guided", "marginal", "paper"]),
         help="Proposal distribution.  [default: guided]",
+        rare=True,
     ),
     option(
         "--resampling",
         type=click.Choice(["systematic", "multinomial", "residual", "stratified"]),
         help="Resampling scheme.  [default: systematic]",
+        rare=True,
     ),
     option(
         "--cost",
         type=click.Choice(["mixture", "union", "paper"]),
         help="Cost function over the image.  [default: mixture]",
+        rare=True,
     ),
     device_option("[default: a GPU if there is one, else cpu]"),
-    title="Filter",
+    title="Configuration",
 )
 @configuration_options("hand (the defaults), hand-fast, hand-paper, hand-pso", "observation.sigma_mm=5")
 @frame_options

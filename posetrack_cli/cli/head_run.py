@@ -85,13 +85,16 @@ learning_options = option_group(
 
 
 start_options = option_group(
-    option("--detector", type=click.Choice(["haar", "yunet"]), help="Face detector.  [default: haar]"),
+    option(
+        "--detector", type=click.Choice(["haar", "yunet"]), help="Face detector.  [default: haar]", rare=True
+    ),
     option(
         "--detector-model",
         metavar="FILE.onnx",
         type=NameOrFile(),
         help="The model of --detector yunet, such as face_detection_yunet_2023mar.onnx of OpenCV's model "
         "zoo.",
+        rare=True,
     ),
     init_option(
         "auto|FILE.csv",
@@ -110,6 +113,7 @@ start_options = option_group(
         "--landmarks-unit",
         type=click.Choice(["px", "normalised"]),
         help="Of their coordinates.  [default: as FILE says or looks]",
+        rare=True,
     ),
 )
 
@@ -325,6 +329,7 @@ OWN_CONFIGURED = {
         metavar="FILE.npz",
         type=NameOrFile(),
         help="Faces that there are, as head build-model writes it.  [default: shipped]",
+        rare=True,
     ),
     option(
         "--adjust",

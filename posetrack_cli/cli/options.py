@@ -164,9 +164,7 @@ def overwrite_option(what: str, group: str = WRITTEN) -> Adding:
     return option("--overwrite", is_flag=True, help=f"Replace existing files. {what}.", group=group)
 
 
-smooth_option = option(
-    "--smooth", is_flag=True, help="Also write a track smoothed over the whole recording.", group=WRITTEN
-)
+smooth_option = option("--smooth", is_flag=True, help="Also write a smoothed track.", group=WRITTEN)
 
 
 def seed_option(details: str = "") -> Adding:
@@ -200,6 +198,7 @@ def particles_option(default: int | str) -> Adding:
         metavar="N",
         type=click.IntRange(min=1),
         help=f"Number of particles.  [default: {default}]",
+        rare=True,
     )
 
 
@@ -237,6 +236,7 @@ def device_option(details: str) -> Adding:
         metavar="N|cpu",
         type=DrawingDevice(),
         help=_told("What draws. The number of an EGL device, or cpu.", details),
+        rare=True,
     )
 
 
@@ -253,7 +253,11 @@ def hand_side_option(*choices: str, details: str, default: str | None = None) ->
 
 
 scale_option = option(
-    "--scale", metavar="FACTOR", type=float, help="Size of the hand. 1 is the average adult's, 179 mm long."
+    "--scale",
+    metavar="FACTOR",
+    type=float,
+    help="Size of the hand. 1 is the average adult's, 179 mm long.",
+    rare=True,
 )
 hand_mesh_option = option(
     "--hand-mesh",
@@ -261,6 +265,7 @@ hand_mesh_option = option(
     metavar="FILE.glb",
     type=NameOrFile(),
     help="Hand in place of the average one. Skinned, glTF with WebXR joint names.",
+    rare=True,
 )
 
 
@@ -274,6 +279,7 @@ def init_option(metavar: str, details: str, default: str | None = None) -> Addin
         default=default,
         show_default=default is not None,
         help=_told("How the track begins.", details),
+        rare=True,
     )
 
 
@@ -331,7 +337,9 @@ _CAMERA = option(
     type=FILE,
     help="Camera file to use in place of the recording's own calibration, or the name of a nominal camera.",
 )
-_MIRROR = option("--mirror/--no-mirror", default=None, help="Flip images left to right, or do not.")
+_MIRROR = option(
+    "--mirror/--no-mirror", default=None, help="Flip images left to right, or do not.", rare=True
+)
 
 recording_options = option_group(
     option("--topic", metavar="TOPIC", help="Topic of the depth images.  [default: the likeliest]"),
@@ -339,6 +347,7 @@ recording_options = option_group(
         "--camera-topic",
         metavar="TOPIC",
         help="Topic of the calibration.  [default: by frame id or namespace]",
+        rare=True,
     ),
     _CAMERA,
     fps_option("Of a folder of images, which may not tell it."),
@@ -348,8 +357,15 @@ recording_options = option_group(
         type=float,
         help="Millimetres per stored unit of depth.  [default: by what the images hold; integers are mm, "
         "floats m]",
+        rare=True,
     ),
-    option("--missing", metavar="N", type=int, help="Stored integer that means no reading; 0 always does."),
+    option(
+        "--missing",
+        metavar="N",
+        type=int,
+        help="Stored integer that means no reading; 0 always does.",
+        rare=True,
+    ),
     _MIRROR,
     title=READ,
 )
@@ -363,6 +379,7 @@ image_options = option_group(
         metavar="MS",
         type=float,
         help="Largest difference of stamps within a frame.  [default: 10]",
+        rare=True,
     ),
     title=READ,
 )
@@ -426,6 +443,7 @@ gate_options = option_group(
         default=0.05,
         show_default=True,
         help="How much worse may pass: a share of an error, an absolute difference of a coverage.",
+        rare=True,
     ),
     title="Gates",
 )
@@ -500,6 +518,7 @@ frame_options = option_group(
         type=click.IntRange(min=1),
         default=1,
         help="Track every so many frames.  [default: 1]",
+        rare=True,
     ),
     title="Frames",
 )
@@ -518,6 +537,7 @@ def result_options(replaced: str) -> Adding:
             "--timings",
             is_flag=True,
             help="Write each frame's milliseconds (bytes then differ from run to run).",
+            rare=True,
         ),
         option("--resume", is_flag=True, help="Go on with an interrupted run."),
         overwrite_option(replaced),

@@ -100,6 +100,19 @@ def test_a_name_that_the_terminal_cannot_show_is_shown_some_way(recording: Path,
     assert done.stdout.startswith(b"\\u3042.mcap: MCAP")
 
 
+def test_help_leaves_out_what_is_rare(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    assert run(["hand", "run", "--help"]) == 0
+    usual = capsys.readouterr().out
+    assert "--help-all" in usual and "--depth-unit-mm" not in usual and len(usual.splitlines()) <= 60
+    assert run(["hand", "run", "--help-all"]) == 0
+    whole = capsys.readouterr().out
+    names = {word for word in whole.split() if word.startswith("--")}
+    assert "--depth-unit-mm" in names and {word for word in usual.split() if word.startswith("--")} < names
+
+
 def test_the_package_runs_as_a_module() -> None:
     line = [sys.executable, "-m", "posetrack_cli", "--version"]
     done = subprocess.run(line, capture_output=True, text=True, check=True)
