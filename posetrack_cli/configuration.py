@@ -8,7 +8,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar, get_args
 
-from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from posetrack_cli import limits
@@ -55,6 +55,17 @@ class Settings(BaseModel):
         if bool not in kinds and any(isinstance(one, bool) for one in values):
             raise PydanticCustomError("not_a_truth_value", "a value other than true or false")
         return value
+
+
+def setting(default: Any, meaning: str, *, example: Any = None) -> Any:
+    """Declare a setting: all that shipped files and the reference say of it is made from here.
+
+    Args:
+        default: its value, or a table of settings.
+        meaning: what it does, and other values that it can have.
+        example: value of one that is nothing by default.
+    """
+    return Field(default, description=meaning, examples=None if example is None else [example])
 
 
 Model = TypeVar("Model", bound=Settings)

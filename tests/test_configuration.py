@@ -206,24 +206,14 @@ def test_a_configuration_is_found_by_path_or_by_name(tmp_path: Path) -> None:
         find_configuration("hnad")
 
 
-def test_the_shipped_hand_configurations_state_every_default() -> None:
-    """Those of the filters in hand.toml, those of the swarm in hand-pso.toml."""
-    path, swarm = find_configuration("hand"), find_configuration("hand-pso")
-    assert load_settings(HandConfig, path, {}) == HandConfig()
-    assert load_settings(HandConfig, swarm, {"filter.kind": "rbpf"}) == HandConfig()
-    stated = leaves(tomllib_of(path)) | leaves({"pso": tomllib_of(swarm)["pso"]})
-    # None cannot be written in TOML: such a key may be left out
-    optional = {key for key, value in leaves(HandConfig().model_dump()).items() if value is None}
-    assert set(leaves(HandConfig().model_dump())) - optional == set(stated) - optional
+DEFAULTS = {"hand": HandConfig, "head-stereo": HeadStereoConfig, "head-mono": HeadMonoConfig}
 
 
-HEADS = {"head-stereo": HeadStereoConfig, "head-mono": HeadMonoConfig}
-
-
-@pytest.mark.parametrize("name", HEADS)
-def test_the_shipped_head_configurations_state_every_default(name: str) -> None:
-    path, defaults = find_configuration(name), HEADS[name]()
-    assert load_settings(HEADS[name], path, {}) == defaults
+@pytest.mark.parametrize("name", DEFAULTS)
+def test_a_shipped_configuration_states_every_default(name: str) -> None:
+    path, defaults = find_configuration(name), DEFAULTS[name]()
+    assert load_settings(DEFAULTS[name], path, {}) == defaults
+    # None cannot be written in TOML: such a key stands in a comment
     optional = {key for key, value in leaves(defaults.model_dump()).items() if value is None}
     assert set(leaves(defaults.model_dump())) - optional == set(leaves(tomllib_of(path)))
 
@@ -236,7 +226,7 @@ def test_the_thesis_of_one_camera_knows_its_points_alone() -> None:
 
 
 def test_every_shipped_configuration_can_be_loaded() -> None:
-    kinds: dict[str, type[Settings]] = {"hand": HandConfig, **HEADS}
+    kinds: dict[str, type[Settings]] = {**DEFAULTS}
     for path in find_configuration("hand").parent.glob("*.toml"):
         (kind,) = (kinds[name] for name in kinds if path.stem == name or path.stem.startswith(f"{name}-"))
         load_settings(kind, path, {})

@@ -1,4 +1,4 @@
-"""The hand tracker's configuration; ``configs/hand.toml`` states these defaults with their reasons."""
+"""The hand tracker's configuration, of which ``configs/hand.toml`` is written."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field, ValidationInfo, field_validator
 from pydantic_core import PydanticCustomError
 
-from posetrack_cli.configuration import Settings
+from posetrack_cli.configuration import Settings, setting
 from posetrack_cli.hand.model.anatomy import COEFFICIENTS, MOST_COEFFICIENT, MOST_PADDING_MM, HandShape
 from posetrack_cli.tracking.options import Deviation, PrintedSetting, deviations
 
@@ -28,18 +28,28 @@ class HandSettings(Settings):
     A side ``auto`` is determined before a run begins (``hand.autodetect``).
     """
 
-    side: Literal["auto", "right", "left"] = "auto"
-    scale: Size = 1.0
-    finger_lengths: PerFinger = (1.0, 1.0, 1.0, 1.0, 1.0)
-    finger_widths: PerFinger = (1.0, 1.0, 1.0, 1.0, 1.0)
-    palm_width: Proportion = 1.0
+    side: Literal["auto", "right", "left"] = setting(
+        "auto", 'found out from the first seconds; or "right" or "left"'
+    )
+    scale: Size = setting(1.0, "1 is the average adult hand, 179 mm from wrist to middle fingertip")
+    finger_lengths: PerFinger = setting((1.0, 1.0, 1.0, 1.0, 1.0), "further factors, thumb first, 0.7 to 1.4")
+    finger_widths: PerFinger = setting((1.0, 1.0, 1.0, 1.0, 1.0), "on the fingers' radii")
+    palm_width: Proportion = setting(1.0, "`posetrack hand calibrate` finds these numbers from a recording")
     palm_length: Proportion = 1.0
     palm_thickness: Proportion = 1.0
     wrist_width: Proportion = 1.0
-    thumb_place: Annotated[float, Field(ge=0.5, le=2.5)] = 1.0
-    coefficients: Annotated[tuple[Coefficient, ...], Field(max_length=COEFFICIENTS)] = ()
-    padding_mm: Annotated[float, Field(ge=0.0, le=MOST_PADDING_MM)] = 0.0
-    mesh: str | None = None
+    thumb_place: Annotated[float, Field(ge=0.5, le=2.5)] = setting(
+        1.0, "how far along the palm the thumb begins, 0.5 to 2.5"
+    )
+    coefficients: Annotated[tuple[Coefficient, ...], Field(max_length=COEFFICIENTS)] = setting(
+        (), "of the modes of people's hands, in standard deviations, strongest first, up to 24"
+    )
+    padding_mm: Annotated[float, Field(ge=0.0, le=MOST_PADDING_MM)] = setting(
+        0.0, "by how much the skin stands out, where a sensor smears edges or in a glove, up to 12"
+    )
+    mesh: str | None = setting(
+        None, "a skinned glTF hand instead of the average one; the factors apply to it", example="my-hand.glb"
+    )
 
     @field_validator("mesh")
     @classmethod
@@ -74,15 +84,33 @@ class FilterSettings(Settings):
     two hold for poses drawn from the motion; local fits stay on the manifold and within the limits.
     """
 
-    kind: Literal["rbpf", "pf", "pso"] = "rbpf"
-    particles: Annotated[int, Field(ge=1, le=1_000_000)] = 256
-    proposal: Literal["guided", "marginal", "paper"] = "guided"
-    discretisation: Literal["exact", "euler"] = "exact"
-    gain: Literal["corrected", "printed"] = "corrected"
-    rotations: Literal["manifold", "additive"] = "manifold"
-    joint_limits: bool = True
-    resampling: Literal["systematic", "multinomial", "residual", "stratified"] = "systematic"
-    ess_threshold: Annotated[float, Field(ge=0.0, le=1.0)] = 0.5
+    kind: Literal["rbpf", "pf", "pso"] = setting(
+        "rbpf", 'Rao-Blackwellized with velocity, or "pf": the plain particle filter'
+    )
+    particles: Annotated[int, Field(ge=1, le=1_000_000)] = setting(
+        256, "a guided proposal needs few; the others some 512"
+    )
+    proposal: Literal["guided", "marginal", "paper"] = setting(
+        "guided",
+        'local fits to the frame and the prior, weighed by (24); or "marginal": variance N of '
+        '(55), or "paper": dt Q^n as (51) prints it',
+    )
+    discretisation: Literal["exact", "euler"] = setting(
+        "exact", 'velocity wanders within a step too, or "euler": the paper\'s (44)'
+    )
+    gain: Literal["corrected", "printed"] = setting(
+        "corrected", 'L = dt P / N, or "printed": P / N of (56), which few noise densities allow'
+    )
+    rotations: Literal["manifold", "additive"] = setting(
+        "manifold", 'they turn by rotation vectors, or "additive": quaternions add as in (44), (62)'
+    )
+    joint_limits: bool = setting(True, "particles drawn from the motion stay within them; the paper has none")
+    resampling: Literal["systematic", "multinomial", "residual", "stratified"] = setting(
+        "systematic", "or multinomial, residual, stratified"
+    )
+    ess_threshold: Annotated[float, Field(ge=0.0, le=1.0)] = setting(
+        0.5, "resample below this share of effective particles; 1 is always"
+    )
 
 
 class ComponentSettings(Settings):
@@ -102,16 +130,19 @@ class MotionSettings(Settings):
     time without an observation that is predicted, and counts for all longer ones **[ours]**.
     """
 
-    pose: ComponentSettings = ComponentSettings(
-        position_mm=40.0, rotation_rad=0.8, flexion_rad=1.5, abduction_rad=0.3
+    pose: ComponentSettings = setting(
+        ComponentSettings(position_mm=40.0, rotation_rad=0.8, flexion_rad=1.5, abduction_rad=0.3),
+        "square root of Q^n: random walk of the pose beside its velocity",
     )
-    pose_alone: ComponentSettings = ComponentSettings(
-        position_mm=60.0, rotation_rad=0.8, flexion_rad=1.5, abduction_rad=0.4
+    pose_alone: ComponentSettings = setting(
+        ComponentSettings(position_mm=60.0, rotation_rad=0.8, flexion_rad=1.5, abduction_rad=0.4),
+        "the same for the plain particle filter, where it explains all motion",
     )
-    velocity: ComponentSettings = ComponentSettings(
-        position_mm=600.0, rotation_rad=1.0, flexion_rad=0.1, abduction_rad=0.05
+    velocity: ComponentSettings = setting(
+        ComponentSettings(position_mm=600.0, rotation_rad=1.0, flexion_rad=0.1, abduction_rad=0.05),
+        "square root of Q^l: random walk of the velocity, per second",
     )
-    gap_max_s: Positive = 0.5
+    gap_max_s: Positive = setting(0.5, "the hand is predicted over no longer a time without an observation")
 
 
 class VelocitySettings(Settings):
@@ -121,7 +152,9 @@ class VelocitySettings(Settings):
     particles' own velocity, (63).
     """
 
-    method: Literal["next-frame", "filter"] = "next-frame"
+    method: Literal["next-frame", "filter"] = setting(
+        "next-frame", "from the tracked poses up to the next frame's; or \"filter\": the particles', (63)"
+    )
 
 
 class MixtureSettings(Settings):
@@ -132,26 +165,40 @@ class MixtureSettings(Settings):
     reading each **[ours]**.
     """
 
-    near_sd_mm: Positive = 3.0
+    near_sd_mm: Positive = setting(
+        3.0, "noise of readings and skin: near_sd_mm + sd_mm_per_m2 z^2, z in metres"
+    )
     sd_mm_per_m2: NotNegative = 1.42
-    occluded_share: Annotated[float, Field(ge=0.0, le=0.5)] = 0.1
-    outlier_share: Annotated[float, Field(ge=1e-6, le=0.4)] = 0.01
-    outline_sd_mm: Positive = 5.0
-    correlation_mm: Positive = 7.0
+    occluded_share: Annotated[float, Field(ge=0.0, le=0.5)] = setting(
+        0.1, "of readings that are of unknown things in front of the hand"
+    )
+    outlier_share: Annotated[float, Field(ge=1e-6, le=0.4)] = setting(
+        0.01, "of readings that nothing explains"
+    )
+    outline_sd_mm: Positive = setting(5.0, "of where the hand's outline is seen against where it is drawn")
+    correlation_mm: Positive = setting(7.0, "errors are alike over such a patch, which counts as one reading")
 
 
 class ObservationSettings(Settings):
     """How an image scores a pose (paper, section 4; hand.md, observation model)."""
 
-    cost: Literal["mixture", "union", "paper"] = "mixture"
-    likelihood: Literal["gaussian", "exponential"] = "gaussian"
-    sigma_mm: Positive = 1.0
-    clamp_mm: Positive = 40.0
-    window_px: Annotated[int, Field(ge=8, le=4096)] | None = None
-    window_mm: Positive = 240.0
-    tile_px: Annotated[int, Field(ge=8, le=1024)] = 64
-    unread_weight: Fraction = 0.2
-    mixture: MixtureSettings = MixtureSettings()
+    cost: Literal["mixture", "union", "paper"] = setting(
+        "mixture",
+        'union of regions, a mixture per pixel; or "union": D over the union of regions, or '
+        '"paper": eq. (4), rendered pixels only',
+    )
+    likelihood: Literal["gaussian", "exponential"] = setting(
+        "gaussian", 'of union and paper: exp(-D^2 / (2 sigma^2)) (47), or "exponential" (3)'
+    )
+    sigma_mm: Positive = setting(1.0, "for the guided proposal; about 4 for particles drawn from the motion")
+    clamp_mm: Positive = setting(40.0, "c_max: no pixel counts more")
+    window_mm: Positive = setting(240.0, "the window's side at the hand's depth ...")
+    window_px: Annotated[int, Field(ge=8, le=4096)] | None = setting(
+        None, "... or fixed in pixels", example=128
+    )
+    tile_px: Annotated[int, Field(ge=8, le=1024)] = setting(64, "it is sampled by so many pixels across")
+    unread_weight: Fraction = setting(0.2, "what a rendered pixel counts where the sensor has no reading")
+    mixture: MixtureSettings = setting(MixtureSettings(), 'the pixel\'s model of cost = "mixture"')
 
     @property
     def models_pixels(self) -> bool:
@@ -162,7 +209,7 @@ class ObservationSettings(Settings):
 class DetectionSettings(Settings):
     """At which distances from the camera a hand is searched for that no prediction tells of."""
 
-    nearest_mm: Positive = 120.0
+    nearest_mm: Positive = setting(120.0, "from the camera")
     farthest_mm: Positive = 1500.0
 
 
@@ -174,11 +221,22 @@ class InitSettings(Settings):
     size and shape are estimated from the recording before a run begins, unless ``[hand]`` tells them.
     """
 
-    method: Literal["auto", "center"] = "auto"
-    shape: Literal["auto", "given"] = "auto"
-    depth_mm: Positive | None = None
-    velocity: ComponentSettings = ComponentSettings(
-        position_mm=200.0, rotation_rad=1.5, flexion_rad=2.0, abduction_rad=0.3
+    method: Literal["auto", "center"] = setting(
+        "auto",
+        'find the hand; or "center": an open hand in the middle of the image, palm to the '
+        "sensor, at depth_mm or where the nearest surface is",
+    )
+    shape: Literal["auto", "given"] = setting(
+        "auto",
+        "estimate the hand's size and shape from the recording where [hand] leaves them as "
+        'they are; or "given": as [hand] says',
+    )
+    depth_mm: Positive | None = setting(
+        None, 'of "center"; by default where the nearest surface is', example=600.0
+    )
+    velocity: ComponentSettings = setting(
+        ComponentSettings(position_mm=200.0, rotation_rad=1.5, flexion_rad=2.0, abduction_rad=0.3),
+        "and of the first velocity, per second",
     )
 
 
@@ -189,28 +247,36 @@ class PsoSettings(Settings):
     of the objective, ``overlap_mm`` lambda and ``crossing_mm_per_rad`` lambda_k.
     """
 
-    particles: Annotated[int, Field(ge=1, le=1_000_000)] = 64
-    generations: Annotated[int, Field(ge=1, le=100_000)] = 25
-    cognitive: NotNegative = 2.8
-    social: NotNegative = 1.3
-    redraw_every: Annotated[int, Field(ge=0)] = 3
-    redraw_share: Fraction = 0.5
-    clamp_mm: Positive = 40.0
-    match_mm: Positive = 10.0
-    overlap_mm: NotNegative = 20.0
-    crossing_mm_per_rad: NotNegative = 10.0
-    reach_mm: Positive = 250.0
-    spread: ComponentSettings = ComponentSettings(
-        position_mm=10.0, rotation_rad=0.2, flexion_rad=0.2, abduction_rad=0.06
+    particles: Annotated[int, Field(ge=1, le=1_000_000)] = setting(
+        64, "64 x 25 hands drawn a frame are the published budget"
+    )
+    generations: Annotated[int, Field(ge=1, le=100_000)] = setting(25, "of the swarm; its start is the first")
+    cognitive: NotNegative = setting(2.8, "c_1: towards a particle's own best")
+    social: NotNegative = setting(1.3, "c_2: towards the best of all; together psi = 4.1, constriction .7298")
+    redraw_every: Annotated[int, Field(ge=0)] = setting(
+        3, "generations; then one finger angle is redrawn over its range ..."
+    )
+    redraw_share: Fraction = setting(0.5, "... in half of the particles")
+    clamp_mm: Positive = setting(40.0, "d_M: no pixel's depth counts more")
+    match_mm: Positive = setting(10.0, "d_m: depths that differ by less agree")
+    overlap_mm: NotNegative = setting(20.0, "lambda, with depth in mm; in cm (200) it tracks no better")
+    crossing_mm_per_rad: NotNegative = setting(10.0, "lambda_k, likewise")
+    reach_mm: Positive = setting(250.0, "the search goes no farther from the last solution")
+    spread: ComponentSettings = setting(
+        ComponentSettings(position_mm=10.0, rotation_rad=0.2, flexion_rad=0.2, abduction_rad=0.06),
+        "perturbations of the last solution that the swarm starts from (sd); not published "
+        'but "experimentally determined": tuned on synthetic hands',
     )
 
 
 class FitSettings(Settings):
     """Local fits of the pose to the frame, from which the guided proposal is made."""
 
-    starts: Annotated[int, Field(ge=1, le=64)] = 7
-    iterations: Annotated[int, Field(ge=1, le=100)] = 6
-    polish: Annotated[int, Field(ge=0, le=100)] = 2
+    starts: Annotated[int, Field(ge=1, le=64)] = setting(
+        7, "the prediction, the last pose, and scattered ones"
+    )
+    iterations: Annotated[int, Field(ge=1, le=100)] = setting(6, "of Gauss-Newton from each")
+    polish: Annotated[int, Field(ge=0, le=100)] = setting(2, "from the best fit with fingers of the others")
 
 
 class AcquisitionSettings(Settings):
@@ -219,10 +285,16 @@ class AcquisitionSettings(Settings):
     That is to some of the pixels, but for the last ``finished`` fits.
     """
 
-    fitted: Annotated[int, Field(ge=1, le=1000)] = 32
-    refined: Annotated[int, Field(ge=0, le=64)] = 4
+    fitted: Annotated[int, Field(ge=1, le=1000)] = setting(
+        32, "... the best and most different are fitted, their fingers exchanged ..."
+    )
+    refined: Annotated[int, Field(ge=0, le=64)] = setting(
+        4, "... and the best of all tried with other fingers"
+    )
     scattered: Annotated[int, Field(ge=1, le=64)] = 8
-    finished: Annotated[int, Field(ge=1, le=64)] = 6
+    finished: Annotated[int, Field(ge=1, le=64)] = setting(
+        6, "so many of which are fitted to all pixels, not to every fourth alone"
+    )
 
 
 class StatusSettings(Settings):
@@ -236,18 +308,24 @@ class StatusSettings(Settings):
     estimated from the recording replaces.
     """
 
-    sure_mm: NotNegative = 6.0
-    well_mm: NotNegative = 2.2
-    good_mm: NotNegative = 0.0
-    lost_below: Fraction = 0.5
-    lost_after_frames: Annotated[int, Field(ge=1)] = 5
+    sure_mm: NotNegative = setting(
+        6.0, "a hand whose cost is above this is reconsidered, however well it is tracked"
+    )
+    well_mm: NotNegative = setting(2.2, "a fit that costs no more is never looked for anew where it is")
+    good_mm: NotNegative = setting(
+        0.0, "what good fits of the recording cost, for confidence; 0: a shape that is estimated tells"
+    )
+    lost_below: Fraction = setting(0.5, "1 - D / c_max of a frame that is missed")
+    lost_after_frames: Annotated[int, Field(ge=1)] = setting(
+        5, "misses in a row; then the hand is looked for in the whole image"
+    )
 
 
 class OutputSettings(Settings):
     """What goes into the result."""
 
-    mesh: Literal["lean", "medium", "none"] = "lean"
-    flush_frames: Annotated[int, Field(ge=1)] = 10
+    mesh: Literal["lean", "medium", "none"] = setting("lean", "drawn in /hand/scene: lean, medium or none")
+    flush_frames: Annotated[int, Field(ge=1)] = setting(10, "after so many frames the result is safe on disk")
 
 
 class HandConfig(Settings):
@@ -258,13 +336,19 @@ class HandConfig(Settings):
     hand: HandSettings = HandSettings()
     filter: FilterSettings = FilterSettings()
     motion: MotionSettings = MotionSettings()
-    velocity: VelocitySettings = VelocitySettings()
+    velocity: VelocitySettings = setting(VelocitySettings(), "that a result states")
     observation: ObservationSettings = ObservationSettings()
-    detection: DetectionSettings = DetectionSettings()
+    detection: DetectionSettings = setting(
+        DetectionSettings(), "where a hand is searched for that no prediction tells of"
+    )
     init: InitSettings = InitSettings()
-    fit: FitSettings = FitSettings()
-    acquisition: AcquisitionSettings = AcquisitionSettings()
-    pso: PsoSettings = PsoSettings()
+    fit: FitSettings = setting(FitSettings(), "local fits to a frame, for the guided proposal")
+    acquisition: AcquisitionSettings = setting(
+        AcquisitionSettings(), "finding a hand without a prediction: of many hypotheses ..."
+    )
+    pso: PsoSettings = setting(
+        PsoSettings(), 'the optimiser of Oikonomidis, Kyriazis and Argyros, BMVC 2011; only kind = "pso" asks'
+    )
     status: StatusSettings = StatusSettings()
     output: OutputSettings = OutputSettings()
 

@@ -1,7 +1,4 @@
-"""The head trackers' configuration.
-
-``configs/head-stereo.toml`` and ``configs/head-mono.toml`` state these defaults with their reasons.
-"""
+"""The head trackers' configurations, of which ``configs/head-*.toml`` are written."""
 
 from __future__ import annotations
 
@@ -10,7 +7,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.configuration import Settings
+from posetrack_cli.configuration import Settings, setting
 from posetrack_cli.head.face.points import of_kinds
 from posetrack_cli.tracking.confidence import PROBABLY
 from posetrack_cli.tracking.options import Deviation, PrintedSetting, deviations
@@ -35,13 +32,23 @@ class DetectionSettings(Settings):
 
     file_keys: ClassVar[tuple[str, ...]] = ("model", "features")
 
-    detector: Literal["haar", "yunet"] = "haar"
-    model: str | None = None
-    points: Literal["learned", "corners"] = "corners"
-    features: str | None = None
-    least_face_score: Fraction = 0.5
-    least_point_score: Fraction = 0.3
-    least_face_px: Annotated[int, Field(ge=24, le=10_000)] = 50
+    detector: Literal["haar", "yunet"] = setting("haar", 'OpenCV\'s cascades, or "yunet" with its model')
+    model: str | None = setting(None, "", example="face_detection_yunet_2023mar.onnx")
+    points: Literal["learned", "corners"] = setting(
+        "corners",
+        '"learned": chosen together by what they look like in many faces, or "corners": the '
+        "strongest near their places, of cameras that measure where these are",
+    )
+    features: str | None = setting(
+        None,
+        'of "learned": what scripts/build face-features writes; none is the shipped file',
+        example="appearance.npz",
+    )
+    least_face_score: Fraction = setting(0.5, "the detectors' own threshold")
+    least_point_score: Fraction = setting(0.3, "mean response of the ten points")
+    least_face_px: Annotated[int, Field(ge=24, le=10_000)] = setting(
+        50, "narrowest face that the cascade looks for"
+    )
 
 
 class StereoInitialisationSettings(Settings):
@@ -51,7 +58,9 @@ class StereoInitialisationSettings(Settings):
     """
 
     detection: DetectionSettings = DetectionSettings()
-    reprojection_px: Positive = 3.0
+    reprojection_px: Positive = setting(
+        3.0, "points in space project to within this distance of their pixels"
+    )
 
 
 class PointSettings(Settings):
@@ -80,13 +89,22 @@ class ModelSettings(Settings):
     model's by ``align_above_mm`` (the length of the 3K numbers).
     """
 
-    kind: Literal["deformable", "rigid"] = "deformable"
-    components: Annotated[int, Field(ge=1, le=20)] = 5
-    rigid_frames: Annotated[int, Field(ge=0)] = 120
-    rigid_phase: Literal["mean", "printed"] = "mean"
-    correlation: Fraction = 0.5
-    align_above_mm: NotNegative = 0.0
-    expression_mm: PointSettings = PointSettings(eyes=1.0, mouth=8.0, nostrils=1.5, brows=8.0)
+    kind: Literal["deformable", "rigid"] = setting("deformable", 'or "rigid"')
+    components: Annotated[int, Field(ge=1, le=20)] = setting(5, "B")
+    rigid_frames: Annotated[int, Field(ge=0)] = setting(120, "so long the face is rigid ...")
+    rigid_phase: Literal["mean", "printed"] = setting(
+        "mean",
+        '... and its mean shape is refined; or "printed": it is the shape found, and '
+        "deformations are learnt all the same (3.4)",
+    )
+    correlation: Fraction = setting(0.5, "learnt from are frames all of whose points look like themselves")
+    align_above_mm: NotNegative = setting(
+        0.0, "a shape this far from the model's is laid on the mean (length of 3K numbers)"
+    )
+    expression_mm: PointSettings = setting(
+        PointSettings(eyes=1.0, mouth=8.0, nostrils=1.5, brows=8.0),
+        "how far points move in expressions: those that move little show what is rigid",
+    )
 
 
 class RefinementSettings(Settings):
@@ -99,13 +117,17 @@ class RefinementSettings(Settings):
     is kept from a direction that is ``keyframe_deg`` from those of all others.
     """
 
-    joint: bool = True
-    recalculation: Literal["joint", "printed"] = "joint"
+    joint: bool = setting(True, "without, the filter's pose stays")
+    recalculation: Literal["joint", "printed"] = setting(
+        "joint", 'or "printed": (3.3), (4.42) to (4.52) with rho and epsilon'
+    )
     recalculation_iterations: Count = 2
     rho: NotNegative = 4.0
     epsilon: NotNegative = 2000.0
-    previous_likeness: NotNegative = 0.0
-    keyframe_deg: Positive = 10.0
+    previous_likeness: NotNegative = setting(
+        0.0, "the frame before counts by likeness to stored templates, to this power; 0: like them or not"
+    )
+    keyframe_deg: Positive = setting(10.0, "a keyframe is kept where none looks so nearly the same way")
 
 
 class StereoRefinementSettings(RefinementSettings):
@@ -115,7 +137,7 @@ class StereoRefinementSettings(RefinementSettings):
     until the cameras agree.
     """
 
-    settling_mm: Positive = 20.0
+    settling_mm: Positive = setting(20.0, "how far a shape just found may settle between the cameras")
 
 
 class ParticleSettings(Settings):
@@ -128,14 +150,20 @@ class ParticleSettings(Settings):
     is predicted, and counts for all longer ones.
     """
 
-    count: Count = 1000
-    weighting: Literal["patches", "printed"] = "patches"
-    sigma: Positive = 3.0
-    kappa: Positive = 0.5
-    sampling: Literal["weighted", "printed"] = "weighted"
-    resampling: Literal["systematic", "multinomial", "residual", "stratified"] = "systematic"
-    lookup: Literal["bilinear", "nearest"] = "bilinear"
-    gap_max_s: Positive = 0.2
+    count: Count = setting(1000, "4.5")
+    weighting: Literal["patches", "printed"] = setting(
+        "patches", 'by patches with noise, or "printed": (3.27), (4.41) with sigma'
+    )
+    sigma: Positive = setting(3.0, 'only of "printed"')
+    kappa: Positive = setting(0.5, "diffusion of the deformation, in units of its standard deviations")
+    sampling: Literal["weighted", "printed"] = setting(
+        "weighted", 'halfway partitioned sampling that keeps its target, or "printed"'
+    )
+    resampling: Literal["systematic", "multinomial", "residual", "stratified"] = setting(
+        "systematic", "or multinomial, residual, stratified"
+    )
+    lookup: Literal["bilinear", "nearest"] = setting("bilinear", 'in the correlation maps, or "nearest"')
+    gap_max_s: Positive = setting(0.2, "a head is predicted over no longer a time")
 
 
 class HeadStatusSettings(Settings):
@@ -147,9 +175,13 @@ class HeadStatusSettings(Settings):
     same.
     """
 
-    tracking_above: Fraction = 0.6
-    doubtful_below: Fraction = PROBABLY
-    lost_after_frames: Count = 3
+    tracking_above: Fraction = setting(
+        0.6, "mean correlation of the visible points; below it a frame is lost"
+    )
+    doubtful_below: Fraction = setting(
+        PROBABLY, "a frame that is more probably wrong than right is said to be lost, and followed on"
+    )
+    lost_after_frames: Count = setting(3, "after so many the face is searched for again")
 
 
 class HeadSmoothingSettings(Settings):
@@ -159,9 +191,11 @@ class HeadSmoothingSettings(Settings):
     less, the smoother. A head that is lost for no longer than ``bridge_s`` is bridged.
     """
 
-    velocity_mm: Positive = 100.0
-    velocity_rad: Positive = 0.3
-    bridge_s: NotNegative = 0.5
+    velocity_mm: Positive = setting(
+        100.0, "a head's velocity changes by so much in the square root of a second ..."
+    )
+    velocity_rad: Positive = setting(0.3, "... and by so much: less is smoother")
+    bridge_s: NotNegative = setting(0.5, "a head that is lost for no longer is bridged")
 
 
 class RunSettings(Settings):
@@ -171,7 +205,9 @@ class RunSettings(Settings):
     first one has learned, and is the result.
     """
 
-    passes: Annotated[int, Field(ge=1, le=2)] = 1
+    passes: Annotated[int, Field(ge=1, le=2)] = setting(
+        1, "2: the second pass begins with what the first has learned, and is the result"
+    )
 
 
 class HeadOutputSettings(Settings):
@@ -185,12 +221,20 @@ class HeadStereoConfig(Settings):
 
     file_keys: ClassVar[tuple[str, ...]] = ("start.detection.model", "start.detection.features")
 
-    start: StereoInitialisationSettings = StereoInitialisationSettings()
-    model: ModelSettings = ModelSettings()
+    start: StereoInitialisationSettings = setting(
+        StereoInitialisationSettings(), "when a head counts as found"
+    )
+    model: ModelSettings = setting(
+        ModelSettings(), "how the face may deform, and how that is learnt while tracking"
+    )
     particles: ParticleSettings = ParticleSettings()
-    refinement: StereoRefinementSettings = StereoRefinementSettings()
+    refinement: StereoRefinementSettings = setting(
+        StereoRefinementSettings(), "Gauss-Newton over pose, deformation and a residual per point"
+    )
     status: HeadStatusSettings = HeadStatusSettings()
-    smoothing: HeadSmoothingSettings = HeadSmoothingSettings()
+    smoothing: HeadSmoothingSettings = setting(
+        HeadSmoothingSettings(), "--smooth: a track of its own, in which every frame knows all others"
+    )
     run: RunSettings = RunSettings()
     output: HeadOutputSettings = HeadOutputSettings()
 
@@ -209,10 +253,16 @@ class MonoInitialisationSettings(Settings):
     """
 
     detection: DetectionSettings = DetectionSettings(points="learned", least_point_score=0.6)
-    frames: Annotated[int, Field(ge=1, le=30)] = 5
-    eye_distance_px: Positive = 80.0
-    largest_scale: Annotated[float, Field(ge=1.0, le=LARGEST_SCALE)] = LARGEST_SCALE
-    pixel_sd: Positive = 2.0
+    frames: Annotated[int, Field(ge=1, le=30)] = setting(
+        5, "n: it is detected in so many frames, and they are adjusted together"
+    )
+    eye_distance_px: Positive = setting(
+        80.0, "faces are reduced or enlarged to it: patches have 16 x 16 pixels;"
+    )
+    largest_scale: Annotated[float, Field(ge=1.0, le=LARGEST_SCALE)] = setting(
+        LARGEST_SCALE, "enlarged by no more; 1 leaves small faces as they are"
+    )
+    pixel_sd: Positive = setting(2.0, "a detected point is so much less exact than a tracked one")
 
 
 class FaceModelSettings(Settings):
@@ -220,7 +270,9 @@ class FaceModelSettings(Settings):
 
     file_keys: ClassVar[tuple[str, ...]] = ("file",)
 
-    file: str | None = None
+    file: str | None = setting(
+        None, "what head build-model writes; none is the model that is shipped", example="face.npz"
+    )
 
 
 class AdjustmentSettings(Settings):
@@ -245,23 +297,42 @@ class AdjustmentSettings(Settings):
     other frames they are where the model has them.
     """
 
-    when: Literal["always", "start", "never"] = "always"
-    whole: bool = True
-    views: Annotated[int, Field(ge=2, le=200)] = 20
-    spread: Literal["directions", "angles"] = "directions"
-    iterations: Count = 5
-    start_iterations: Count = 10
-    average: Count = 15
-    bound: Positive = 4.0
-    prior: NotNegative = 2.0
-    offsets: bool = True
-    huber: Positive = 1.5
-    pixel_sd: PointSettings = PointSettings(eyes=1.4, mouth=3.0, nostrils=2.4, brows=4.0)
-    whole_share: Annotated[float, Field(ge=0.05, le=1.0)] = 0.35
-    facing_deg: Positive = 45.0
-    score: Fraction = 0.6
-    gates_points: bool = False
-    neutral_mm: Positive = 6.0
+    when: Literal["always", "start", "never"] = setting(
+        "always", 'after every frame that allows it, only at the "start", or "never"'
+    )
+    whole: bool = setting(
+        True, "after a first pass over the whole recording; the second one holds the person"
+    )
+    views: Annotated[int, Field(ge=2, le=200)] = setting(
+        20, "n: of the frames kept those whose face directions spread most ..."
+    )
+    spread: Literal["directions", "angles"] = setting(
+        "directions", '... or "angles": yaw and pitch, as printed (4.3.2)'
+    )
+    iterations: Count = setting(5, "of poses alone, then of all; at the start")
+    start_iterations: Count = setting(10, "... so many")
+    average: Count = setting(15, "N_s: the person is the mean of so many adjustments (4.36)")
+    bound: Positive = setting(4.0, "no deformation or person is further than this from the mean (4.35, 4.37)")
+    prior: NotNegative = setting(2.0, "weight of s and a being near the mean, beside the boxes")
+    offsets: bool = setting(
+        True, "what the camera sees of a point lies beside the model's vertex, always alike"
+    )
+    huber: Positive = setting(1.5, "points that err by more, in their standard deviations, pull no harder")
+    pixel_sd: PointSettings = setting(
+        PointSettings(eyes=1.4, mouth=3.0, nostrils=2.4, brows=4.0),
+        "how exactly a point is tracked, pixels, twice: in like frames it errs alike",
+    )
+    whole_share: Annotated[float, Field(ge=0.05, le=1.0)] = setting(
+        0.35, "of pixel_sd below: over a whole recording points err less alike"
+    )
+    facing_deg: Positive = setting(45.0, "adjusted with are frames that face the camera so nearly ...")
+    score: Fraction = setting(0.6, "... and look like the face")
+    gates_points: bool = setting(
+        False, "true: points are recalculated in such frames alone, as printed (4.4.3)"
+    )
+    neutral_mm: Positive = setting(
+        6.0, "... and whose face is deformed less than this (length of 3K numbers)"
+    )
 
 
 class MonoStatusSettings(HeadStatusSettings):
@@ -272,9 +343,13 @@ class MonoStatusSettings(HeadStatusSettings):
     too, with that of a face detected anew.
     """
 
-    tracking_above: Fraction = 0.45
-    lost_after_frames: Count = 1
-    check_below: Fraction = 0.7
+    tracking_above: Fraction = setting(
+        0.45, "mean correlation of the visible points; below it a frame is lost (a blink changes 4 of 10)"
+    )
+    lost_after_frames: Count = setting(1, "after so many the face is searched for again")
+    check_below: Fraction = setting(
+        0.7, "below it the whole face's motion may take over, or a face detected anew"
+    )
 
 
 class PersonSettings(Settings):
@@ -284,8 +359,10 @@ class PersonSettings(Settings):
     standard deviation ``interpupillary_sd_mm``. See ``head.tracker.person``.
     """
 
-    interpupillary_mm: Annotated[float, Field(ge=40.0, le=90.0)] | None = None
-    interpupillary_sd_mm: NotNegative = 0.5
+    interpupillary_mm: Annotated[float, Field(ge=40.0, le=90.0)] | None = setting(
+        None, "distance of the pupils of somebody who looks far away; it tells the scale", example=63.0
+    )
+    interpupillary_sd_mm: NotNegative = setting(0.5, "how exactly that was measured")
 
 
 class SkinSettings(Settings):
@@ -294,7 +371,7 @@ class SkinSettings(Settings):
     ``use`` without: the feature points alone.
     """
 
-    use: bool = True
+    use: bool = setting(True, "false: the feature points alone")
 
 
 class HeadMonoConfig(Settings):
@@ -302,15 +379,27 @@ class HeadMonoConfig(Settings):
 
     file_keys: ClassVar[tuple[str, ...]] = ("start.detection.model", "start.detection.features", "model.file")
 
-    start: MonoInitialisationSettings = MonoInitialisationSettings()
-    model: FaceModelSettings = FaceModelSettings()
+    start: MonoInitialisationSettings = setting(MonoInitialisationSettings(), "when a face counts as found")
+    model: FaceModelSettings = setting(FaceModelSettings(), "which faces there are, and how they deform")
     particles: ParticleSettings = ParticleSettings(count=750, kappa=0.2, sigma=1.0)
-    refinement: RefinementSettings = RefinementSettings(previous_likeness=1.0)
-    adjustment: AdjustmentSettings = AdjustmentSettings()
+    refinement: RefinementSettings = setting(
+        RefinementSettings(previous_likeness=1.0),
+        "Gauss-Newton over pose, deformation and a residual per point",
+    )
+    adjustment: AdjustmentSettings = setting(
+        AdjustmentSettings(), "bundle adjustment of the person and the last views (4.3)"
+    )
     status: MonoStatusSettings = MonoStatusSettings()
-    person: PersonSettings = PersonSettings()
-    skin: SkinSettings = SkinSettings()
-    smoothing: HeadSmoothingSettings = HeadSmoothingSettings(velocity_mm=300.0, velocity_rad=2.0)
+    person: PersonSettings = setting(
+        PersonSettings(), "what is known of the (first) person before anything is seen"
+    )
+    skin: SkinSettings = setting(
+        SkinSettings(), "between the feature points; it tells a second pass where a head is, too"
+    )
+    smoothing: HeadSmoothingSettings = setting(
+        HeadSmoothingSettings(velocity_mm=300.0, velocity_rad=2.0),
+        "--smooth: a track of its own, in which every frame knows all others",
+    )
     run: RunSettings = RunSettings(passes=2)
     output: HeadOutputSettings = HeadOutputSettings()
 

@@ -3,20 +3,29 @@
 from __future__ import annotations
 
 import re
+from typing import Any, get_args
 
 import click
 import pytest
 
 import reference
+from posetrack_cli.cli import hand, head_run
 from posetrack_cli.cli.command import Command, Option, commands_of
 from posetrack_cli.cli.main import cli
 from posetrack_cli.cli.view import view
-from posetrack_cli.configuration import shipped_files
+from posetrack_cli.configuration import Settings, shipped_files
 from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.head.config import HeadMonoConfig, HeadStereoConfig
 from support.markdown import check, invocations, statements
 
 COMMANDS = [one for one, _ in commands_of(cli, "posetrack") if not isinstance(one, click.Group)]
 TRACKERS = ("hand run", "head stereo", "head mono")
+
+
+def command_named(path: str) -> click.Command:
+    return next(
+        one for one, context in commands_of(cli, "posetrack") if context.command_path == f"posetrack {path}"
+    )
 
 
 def test_what_is_committed_is_current() -> None:
@@ -29,11 +38,44 @@ def test_what_is_committed_is_current() -> None:
         )
 
 
+@pytest.mark.parametrize("page", reference.CONFIGURATIONS, ids=lambda page: page.name)
+def test_a_file_of_defaults_is_current(page: reference.Page) -> None:
+    path = shipped_files()[page.name]
+    assert path.read_text(encoding="utf-8") == reference.defaults_file(page), (
+        "run scripts/docs, and commit it"
+    )
+
+
 def test_a_key_is_told_with_type_bounds_default_and_meaning() -> None:
     page = reference.reference_pages()["hand.md"]
     assert "- `scale`: number from 0.1 to 10, default `1.0`; 1 is the average adult hand" in page
     particles = HandConfig().filter.particles
     assert f"- `particles`: whole number from 1 to 1,000,000, default `{particles}`; " in page
+
+
+@pytest.mark.parametrize(
+    ("command", "model", "keys"),
+    [
+        ("hand run", HandConfig, hand.CONFIGURED),
+        ("head mono", HeadMonoConfig, head_run.CONFIGURED | head_run.OWN_CONFIGURED),
+        ("head stereo", HeadStereoConfig, head_run.CONFIGURED),
+    ],
+)
+def test_an_option_offers_what_its_setting_takes(
+    command: str, model: type[Settings], keys: dict[str, str]
+) -> None:
+    """The help knows no models, which take long to load."""
+    options = {one.name: one for one in command_named(command).params if isinstance(one, Option)}
+    for name, key in keys.items():
+        *tables, last = key.split(".")
+        table: Any = model()
+        for part in tables:
+            table = getattr(table, part)
+        if isinstance(options[name].type, click.Choice):
+            assert set(options[name].type.choices) == set(
+                get_args(type(table).model_fields[last].annotation)
+            ), key
+            assert f"[default: {getattr(table, last)}]" in str(options[name].help), key
 
 
 def test_no_option_has_two_meanings() -> None:
