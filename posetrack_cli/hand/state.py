@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from posetrack_cli.filtering.filters import FILTERS, FilterState
 from posetrack_cli.filtering.modes import LikelihoodModes
 from posetrack_cli.hand.confidence import NO_EVIDENCE, SIGN_NAMES
 from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.fit.local_fits import LocalFits
 from posetrack_cli.hand.fit.skeleton import INNER_SIZE, NO_INNER
 from posetrack_cli.hand.model.anatomy import TANGENT_SIZE
 from posetrack_cli.hand.model.hand import pose_layout
@@ -57,6 +59,47 @@ class HandState:
     evidence: RunningSigns = NO_EVIDENCE
     modes: LikelihoodModes | None = None
     observation: Observation | None = None
+
+
+class FrameObservation(NamedTuple):
+    """What is known of a frame before the filter takes it in.
+
+    Attributes:
+        state: before the frame; another one if the hand was found to be elsewhere.
+        dt: seconds to advance by.
+        observation: None where there is nothing to compare with.
+        fits: local fits to it; None without a guided proposal.
+        restarted: whether the state is about a hand that was found without a prediction.
+    """
+
+    state: HandState
+    dt: float
+    observation: Observation | None
+    fits: LocalFits | None = None
+    restarted: bool = False
+
+    @property
+    def inner(self) -> FloatArray:
+        """The inner numbers (6,) of the frame's estimate."""
+        return self.state.expected if self.observation is None else self.observation.inner
+
+
+class Judgement(NamedTuple):
+    """How well a frame shows the hand at an estimate.
+
+    Attributes:
+        cost: of the estimate, mm; None where there was nothing to compare with.
+        monitor: the record after the frame.
+        evidence: of whether the track is right.
+        confidence: 0 to 1.
+        is_believed: whether the hand is there.
+    """
+
+    cost: float | None
+    monitor: TrackMonitor
+    evidence: RunningSigns
+    confidence: float
+    is_believed: bool
 
 
 def state_codec(config: HandConfig) -> Codec[HandState]:

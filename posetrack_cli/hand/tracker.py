@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -11,13 +10,12 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.filtering.errors import check_time_step
 from posetrack_cli.filtering.filters import FILTERS, FilterState, Prior
 from posetrack_cli.filtering.guided import Guide
-from posetrack_cli.filtering.model import FilterModel, LogLikelihood
+from posetrack_cli.filtering.model import FilterModel
 from posetrack_cli.filtering.resampling import Resampling
 from posetrack_cli.filtering.step import Posterior
 from posetrack_cli.hand.confidence import probability, signs_of, with_model_error
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.fit.likelihood import PROPOSALS, PoseScorer
-from posetrack_cli.hand.fit.local_fits import LocalFits
+from posetrack_cli.hand.fit.likelihood import PROPOSALS, Counted, PoseScorer
 from posetrack_cli.hand.fit.skeleton import LOG_GIRTH, NO_INNER, RELAXED_INNER, THUMB
 from posetrack_cli.hand.keypoints.told import ToldHands, split
 from posetrack_cli.hand.model.anatomy import POSE_SIZE, TANGENT_SIZE, HandAnatomy
@@ -28,57 +26,16 @@ from posetrack_cli.hand.observe.observer import Observer
 from posetrack_cli.hand.policy import Decision, Policy, Sight, TrackMonitor, status_of
 from posetrack_cli.hand.search import Acquisition, fingers_bonus
 from posetrack_cli.hand.start import START_SPREAD, found_pose, hand_estimate
-from posetrack_cli.hand.state import HandState, state_codec
+from posetrack_cli.hand.state import FrameObservation, HandState, Judgement, state_codec
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate
-from posetrack_cli.tracking.confidence import PROBABLY, RunningSigns
+from posetrack_cli.tracking.confidence import PROBABLY
 
 # The prior holds one usual frame before the first one, so the first frame is a step like all others.
 FIRST_STEP_NS = 33_333_333
 _GIRTH_MEMORY = 0.1  # share of a new frame in the running mean of the forearm's girth
 _PRIOR_SHARE = 0.05  # of particles drawn from the prior alone
 THUMB_MEMORY = 0.4  # share of a thumb's departure from RELAXED_INNER that is expected of the next frame
-
-
-class FrameObservation(NamedTuple):
-    """What is known of a frame before the filter takes it in.
-
-    Attributes:
-        state: before the frame; another one if the hand was found to be elsewhere.
-        dt: seconds to advance by.
-        observation: None where there is nothing to compare with.
-        fits: local fits to it; None without a guided proposal.
-        restarted: whether the state is about a hand that was found without a prediction.
-    """
-
-    state: HandState
-    dt: float
-    observation: Observation | None
-    fits: LocalFits | None = None
-    restarted: bool = False
-
-    @property
-    def inner(self) -> FloatArray:
-        """The inner numbers (6,) of the frame's estimate."""
-        return self.state.expected if self.observation is None else self.observation.inner
-
-
-class Judgement(NamedTuple):
-    """How well a frame shows the hand at an estimate.
-
-    Attributes:
-        cost: of the estimate, mm; None where there was nothing to compare with.
-        monitor: the record after the frame.
-        evidence: of whether the track is right.
-        confidence: 0 to 1.
-        is_believed: whether the hand is there.
-    """
-
-    cost: float | None
-    monitor: TrackMonitor
-    evidence: RunningSigns
-    confidence: float
-    is_believed: bool
 
 
 class HandTracker:
@@ -289,14 +246,14 @@ class HandTracker:
         pose: FloatArray = (inside_limits(moved) if self.config.filter.joint_limits else moved)[0]
         return pose
 
-    def _log_likelihood(self, observation: Observation | None) -> _Counted | None:
+    def _log_likelihood(self, observation: Observation | None) -> Counted | None:
         """None where there is nothing to compare with: the filter then only predicts."""
         if observation is None:
             return None
         if self._finder is None:
-            return _Counted(lambda poses: self.scorer.log_likelihood(poses, observation))
+            return Counted(lambda poses: self.scorer.log_likelihood(poses, observation))
         fitter = self._finder.local_fitter.fitter
-        return _Counted(
+        return Counted(
             lambda poses: (
                 self.scorer.log_likelihood(poses, observation) - fitter.potentials(poses, observation.inner)
             )
@@ -311,17 +268,6 @@ class HandTracker:
         score = self._log_likelihood(seen.observation)
         advanced = particles.step(seen.dt, self._model, score, rng, guide)
         return *advanced, 0 if score is None else score.count
-
-
-class _Counted:
-    """A log-likelihood that counts the poses it is asked about."""
-
-    def __init__(self, log_likelihood: LogLikelihood) -> None:
-        self._log_likelihood, self.count = log_likelihood, 0
-
-    def __call__(self, poses: FloatArray) -> FloatArray:
-        self.count += len(poses)
-        return self._log_likelihood(poses)
 
 
 def _expected_after(seen: FrameObservation) -> FloatArray:

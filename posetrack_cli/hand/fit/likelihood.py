@@ -9,7 +9,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from posetrack_cli.arrays import Float32Array, FloatArray
-from posetrack_cli.filtering.model import Sampling
+from posetrack_cli.filtering.model import LogLikelihood, Sampling
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.config import MixtureSettings, ObservationSettings
 from posetrack_cli.hand.fit.skeleton import THUMB
@@ -243,3 +243,15 @@ PROPOSALS: Mapping[str, Proposal] = MappingProxyType(
         "paper": Proposal(fits_frames=False, sampling="paper"),
     }
 )
+
+
+class Counted:
+    """A log-likelihood that counts the poses it is asked about."""
+
+    def __init__(self, log_likelihood: LogLikelihood) -> None:
+        self._log_likelihood, self.count = log_likelihood, 0
+
+    def __call__(self, poses: FloatArray) -> FloatArray:
+        """Return log p (N,) of poses (N, 22)."""
+        self.count += len(poses)
+        return self._log_likelihood(poses)
