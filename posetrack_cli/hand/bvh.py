@@ -60,7 +60,7 @@ def bvh_text(source: ExportSource, anatomy: HandAnatomy) -> tuple[FixedRate, Ite
 
     Raises:
         UsageError: as of ``check_hand``.
-        ResultError: it is of another hand; or as of ``fixed_rate``.
+        ResultError: it is of another hand; or as of ``results.export.table``.
     """
     check_hand(source)
     where = f"{source.result.path}, {source.topic}"

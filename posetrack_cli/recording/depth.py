@@ -37,7 +37,7 @@ PNG_SIZE_AND_TYPE = struct.Struct(">IIBB")
 RVL_FORMAT = "compressedDepth rvl"
 """Part of the format of messages of compressedDepth's other codec; the usual one is PNG."""
 RVL_SIZE = struct.Struct("<II")
-"""Width and height, before the words of ``rvl``."""
+"""Width and height, before the words of RVL (``compression``)."""
 PNG_COLOUR_TYPES = {0: "grey", 2: "colour", 3: "palette", 4: "grey with alpha", 6: "colour with alpha"}
 
 

@@ -35,7 +35,7 @@ from posetrack_cli.rendering.port import (
 )
 from posetrack_cli.rendering.raster import Drawing, RestMesh, View, draw_depth, empty_drawing, rest_mesh
 
-# The sums over one drawn tile that ``sums.sums_in_numpy`` defines; compiled.
+# The sums over one drawn tile that ``port.sums_in_numpy`` defines; compiled.
 #
 # The processor's counterpart of ``gl/shaders/tile_sums.comp``.
 
@@ -318,7 +318,7 @@ class CompiledDepthRenderer:
     def sums(
         self, transforms: Float32Array, camera: Camera, window: Window, comparison: Comparison
     ) -> TileSums:
-        """Draw, and sum what ``sums.sums_in_numpy`` defines."""
+        """Draw, and sum what ``port.sums_in_numpy`` defines."""
         check_observed(comparison.observed, window)
         check_poses(self, transforms, window)
         bones, view = _bones_of(transforms), View(*window.tile_projection(camera))

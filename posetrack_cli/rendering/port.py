@@ -238,7 +238,7 @@ class DepthRenderer(Protocol):
     def sums(
         self, transforms: Float32Array, camera: Camera, window: Window, comparison: Comparison
     ) -> TileSums:
-        """Return the sums over the depth of N poses that ``sums.sums_in_numpy`` defines.
+        """Return the sums over the depth of N poses that ``sums_in_numpy`` defines.
 
         Args:
             transforms: (N, B, 3, 4) rigid camera_T_rest of every bone, mm.

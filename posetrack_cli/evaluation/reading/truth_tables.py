@@ -460,7 +460,7 @@ def load_csv_track(path: Path, subject: Subject) -> Track:
     - ``status``: rows where it is ``lost`` are no truth and are left out.
 
     An export of a result as CSV is such a file; as JSON or TUM's trajectory it has the same columns, the
-    latter those of the pose alone (``formats``).
+    latter those of the pose alone.
 
     Args:
         path: the file.

@@ -11,7 +11,7 @@ from posetrack_cli.compiled import inlined, kernel
 from posetrack_cli.geometry.kernels import invert_symmetric
 from posetrack_cli.head.face.points import POSE_SIZE, HeadPose
 
-# The normal equations of poses and skin (``adjustment``), point by point; compiled.
+# The normal equations of poses and skin, point by point; compiled.
 #
 # With A and V the diagonal blocks of views and points, W those between them, b and c the right sides:
 #

@@ -129,7 +129,7 @@ def to_crop(placement: FloatArray, pixels: FloatArray) -> FloatArray:
 # About where the skin of a face lies between its feature points, to begin with.
 #
 # Points of the skin get the depths of a smooth surface through the person's ten points and ``ANCHORS``, which
-# are rough: their depths are then found from the whole recording (``adjustment``).
+# are rough: their depths are then found from the whole recording (``equations``).
 
 
 ANCHORS = np.array(

@@ -1,7 +1,7 @@
 """A track's points as C3D markers, the format of motion capture laboratories (https://www.c3d.org).
 
 Markers are the joints of a hand or the feature points of a head, mm, in camera axes, as the parameters
-POINT:X_SCREEN and POINT:Y_SCREEN say. C3D knows one frame rate (``fixed_rate``), and says of a marker that it
+POINT:X_SCREEN and POINT:Y_SCREEN say. C3D knows one frame rate (``table``), and says of a marker that it
 was not seen by a residual of -1: so are those of lost frames, and of frames without an estimate. Residuals of
 the others are 0, which means that nothing is known of their error.
 """
@@ -34,7 +34,7 @@ def write_c3d(source: ExportSource, path: Path) -> FixedRate:
     Raises:
         UsageError: ezc3d is not installed.
         ResultError: there are more frames or points, or longer names, than C3D can tell; or as of
-            ``fixed_rate``.
+            ``results.export.table``.
     """
     try:
         import ezc3d  # of the extra c3d

@@ -529,7 +529,7 @@ class Person:
     """A head that deforms linearly: skin = neutral + sum_j strength_j moved_j.
 
     Attributes:
-        neutral: (R, C, 3) vertices of ``skin_grid``, mm, head's frame.
+        neutral: (R, C, 3) vertices of ``form``, mm, head's frame.
         moved: (J, R, C, 3) displacement by each of ``EXPRESSIONS`` at full strength, mm.
         points: (K, 3) the feature points of the neutral face, on the skin.
         points_moved: (J, K, 3) theirs.
