@@ -1,7 +1,7 @@
 """Jobs given to Dask: on this machine, or on a cluster that exists. The only module that knows Dask.
 
-A job's work is done by a process of its own (``performing``), so on one machine the workers are threads of this
-process: nothing has to start. On a cluster each thread of each worker does one job at a time; results,
+A job's work is done by a process of its own (``performing``), so on one machine the workers are threads of
+this process: nothing has to start. On a cluster each thread of each worker does one job at a time; results,
 records and recordings lie in folders that all of them see under the same names.
 """
 

@@ -2,8 +2,8 @@
 
 A codec is put together of small ones, as the state is: ``Value`` is one array or number, ``Fields`` an object
 of several, ``Maybe`` what may be None, ``Stacked`` objects alike of which each array is one row, ``Numbered``
-objects that differ in length. Each says what its arrays must be (``results.columns``): those of a stranger are
-refused before anything is made of them. The laws that tests hold every codec to:
+objects that differ in length. Each says what its arrays must be (``results.columns``): those of a stranger
+are refused before anything is made of them. The laws that tests hold every codec to:
 
     from_arrays(to_arrays(x)) equals x;    to_arrays(from_arrays(a)) equals a, bit by bit.
 """

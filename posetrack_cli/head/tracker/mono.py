@@ -112,8 +112,8 @@ class _Scaled:
 class MonoPeople:
     """The people in the images of one camera; a ``Faces``.
 
-    Images are scaled to where faces are as large as patches ask for; see ``face.points``. Until a face is found
-    they are looked at as they are, and so are those in which a small face is looked for.
+    Images are scaled to where faces are as large as patches ask for; see ``face.points``. Until a face is
+    found they are looked at as they are, and so are those in which a small face is looked for.
 
     Args:
         config: parameters.
