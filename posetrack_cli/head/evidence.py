@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -82,7 +83,7 @@ class FaceEvidence:
         light = f"brightness {low} to {high}, median {middle}, {100.0 * self._white:.0f} % of pixels white"
         return f"{len(self._seen)} images looked at, {self._stored}: {faces}; {light}"
 
-    @property
+    @cached_property
     def reason(self) -> str:
         """The likeliest reason, with the option that mends it; empty without evidence for one."""
         if not self._seen:

@@ -103,6 +103,7 @@ class HeadRun(TwoPassRun):
         self._use = None if told is None else KeypointUse(told.name, told.sets, "landmarks")
         self._origin = np.zeros(len(subject.shape_names)) if origin is None else origin
         self.subject, self._name, load = subject, name, options.load_model
+        self._seen: FaceEvidence | None = None
         self.tracker = make_tracker(None) if load is None else self._knowing(load)
         self.record = {**head_record(name, recording, config, options), **stated}
 
@@ -122,7 +123,7 @@ class HeadRun(TwoPassRun):
         """Return what the tracker has learned of the face; NothingTrackedError if it never found one."""
         searched = self.tracker.not_found(state)
         if searched:
-            seen = self._seen(self.sampled())
+            seen = self._seen or self._look(self.sampled())
             raise NothingTrackedError(
                 "no face found",
                 where=self._recording.path,
@@ -153,10 +154,11 @@ class HeadRun(TwoPassRun):
 
     def evidence(self, frames: Sequence[Frame]) -> str:
         """Return what frames show, and the likeliest reason why hardly any was tracked: part of a line."""
-        return self._seen(frames).line
+        return self._look(frames).line
 
-    def _seen(self, frames: Sequence[Frame]) -> FaceEvidence:
-        return FaceEvidence(self._recording, self._config.start.detection, frames)
+    def _look(self, frames: Sequence[Frame]) -> FaceEvidence:
+        self._seen = FaceEvidence(self._recording, self._config.start.detection, frames)
+        return self._seen
 
     def on_frame(self, frame: Frame) -> None:
         """Remember whether there were landmarks of a frame."""

@@ -19,6 +19,7 @@ from posetrack_cli.head.detection.finders import (
     HaarFaces,
     YunetFaces,
     find_turned,
+    surest,
 )
 from posetrack_cli.head.detection.points import FacePoints, find_points
 from posetrack_cli.head.face.points import EYES
@@ -70,8 +71,7 @@ class FaceDetector:
             guesses = self._finder.find(image)
         if roll is None and len(self._sure(guesses)) < wanted:
             guesses = find_turned(self._finder, image, (0.0, *TURNS))
-        sure = self._sure(guesses)
-        found = [find_points(image, guess, self._looks) for guess in sure]
+        found = [find_points(image, guess, self._looks) for guess in surest(self._sure(guesses))]
         faces = tuple(face for face in found if face.score >= self._settings.least_point_score)
         return Detection(faces, max((guess.score for guess in guesses), default=0.0))
 

@@ -11,6 +11,7 @@ from typing import Any, Protocol
 import cv2
 import numpy as np
 
+from posetrack_cli import limits
 from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.errors import PosetrackError, UsageError
 from posetrack_cli.head.detection.model_trial import not_yunet, read_model
@@ -48,6 +49,12 @@ TURNS = tuple(np.radians([-28.0, 28.0, -54.0, 54.0]))
 """Rad: a cascade finds faces that are turned in the image by some 17 degrees; these reach 70."""
 ONE_FACE = 0.6
 """Faces nearer to each other than this, in eye distances, are one."""
+
+
+def surest(faces: Sequence[FaceGuess]) -> tuple[FaceGuess, ...]:
+    """Return the surest faces, at most ``limits.FACES``, the largest first."""
+    kept = sorted(faces, key=lambda face: -face.score)[: limits.FACES]
+    return tuple(sorted(kept, key=lambda face: -face.eye_distance))
 
 
 def find_turned(finder: FaceFinder, image: ImageArray, turns: Sequence[float]) -> tuple[FaceGuess, ...]:
@@ -208,7 +215,7 @@ class YunetFaces:
             [] if rows is None else [row for row in rows.astype(float) if np.all(np.abs(row) <= FARTHEST_PX)]
         )
         faces = [face for face in (_guess(row, scale) for row in found) if face.eye_distance >= 1.0]
-        return tuple(sorted(faces, key=lambda face: -face.eye_distance))
+        return surest(faces)
 
 
 def _guess(row: FloatArray, scale: float) -> FaceGuess:
