@@ -103,8 +103,10 @@ MODEL_TRIAL_BYTES = 2048 * MIB
 """Time, and address space, in which a face detector's model is tried: YuNet takes a second and 0.9 GiB."""
 FACE_PARAMETERS = 256
 """Of identity, and of deformation; morphable models have up to 199 and 29."""
-FACES = 8
-"""In an image, the surest: each takes a tenth of a second, and a damaged network finds thousands."""
+FACES = 6
+GUESSES = 60
+"""Faces of an image whose points are looked for, the largest, and that are considered at all, the surest. A
+face takes a tenth of a second, and a damaged network finds thousands."""
 NPZ_FLOOR_BYTES = 256 * MIB
 NPZ_EXPANSION = 16
 """All arrays of an npz file take at most the floor or so many times the file; ours are not compressed."""

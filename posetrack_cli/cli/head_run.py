@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from posetrack_cli import limits
 from posetrack_cli.cli.command import Command, option, volume_options
 from posetrack_cli.cli.options import (
     CONFIGURATION,
@@ -345,7 +346,7 @@ OWN_CONFIGURED = {
     option(
         "--face",
         metavar="N",
-        type=click.IntRange(min=1),
+        type=click.IntRange(min=1, max=limits.FACES),
         default=1,
         show_default=True,
         help="Which of several faces in the first frames; 1 is the largest.",

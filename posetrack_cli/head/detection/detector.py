@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from posetrack_cli import limits
 from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.errors import UsageError
 from posetrack_cli.head.config import DetectionSettings
@@ -19,7 +20,6 @@ from posetrack_cli.head.detection.finders import (
     HaarFaces,
     YunetFaces,
     find_turned,
-    surest,
 )
 from posetrack_cli.head.detection.points import FacePoints, find_points
 from posetrack_cli.head.face.points import EYES
@@ -62,7 +62,8 @@ class FaceDetector:
 
         Args:
             image: grey.
-            wanted: so many faces are looked for: where fewer are upright, turned ones are, too.
+            wanted: so many faces are looked for, at most ``limits.FACES``: where fewer are upright, turned ones
+                are, too.
             roll: rad, clockwise, how the face is turned that is looked for; None where that is not known.
         """
         if roll is not None and abs(roll) > UPRIGHT:
@@ -71,7 +72,7 @@ class FaceDetector:
             guesses = self._finder.find(image)
         if roll is None and len(self._sure(guesses)) < wanted:
             guesses = find_turned(self._finder, image, (0.0, *TURNS))
-        found = [find_points(image, guess, self._looks) for guess in surest(self._sure(guesses))]
+        found = [find_points(image, guess, self._looks) for guess in self._sure(guesses)[: limits.FACES]]
         faces = tuple(face for face in found if face.score >= self._settings.least_point_score)
         return Detection(faces, max((guess.score for guess in guesses), default=0.0))
 

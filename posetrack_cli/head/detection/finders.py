@@ -52,8 +52,8 @@ ONE_FACE = 0.6
 
 
 def surest(faces: Sequence[FaceGuess]) -> tuple[FaceGuess, ...]:
-    """Return the surest faces, at most ``limits.FACES``, the largest first."""
-    kept = sorted(faces, key=lambda face: -face.score)[: limits.FACES]
+    """Return the surest faces, at most ``limits.GUESSES``, the largest first."""
+    kept = sorted(faces, key=lambda face: -face.score)[: limits.GUESSES]
     return tuple(sorted(kept, key=lambda face: -face.eye_distance))
 
 

@@ -113,8 +113,8 @@ def test_of_thousands_of_faces_the_surest_are_kept() -> None:
     finder = object.__new__(YunetFaces)
     finder._network, finder._model = Network(), Path("model.onnx")  # type: ignore[assignment]
     found = finder.find(np.zeros((200, 320), np.uint8))
-    assert len(found) == limits.FACES
-    least = np.sort(rows[:, 14])[-limits.FACES]
+    assert len(found) == limits.GUESSES
+    least = np.sort(rows[:, 14])[-limits.GUESSES]
     of_rows = {tuple(row[4:6] + np.float32([2.0, 0.0])) for row in rows[rows[:, 14] >= least]}
     assert {tuple(face.middle.astype(np.float32)) for face in found} == of_rows
 
