@@ -62,8 +62,8 @@ class FaceDetector:
 
         Args:
             image: grey.
-            wanted: so many faces are looked for, at most ``limits.FACES``: where fewer are upright, turned ones
-                are, too.
+            wanted: so many faces are looked for, at most ``limits.FACES``: where fewer are upright, turned
+                ones are, too.
             roll: rad, clockwise, how the face is turned that is looked for; None where that is not known.
         """
         if roll is not None and abs(roll) > UPRIGHT:
