@@ -532,12 +532,12 @@ FAULTS: dict[str, tuple[str, Any, str]] = {
     "frame number": (
         "k.csv",
         f"{HEADER}\n1.5{ROW[1:]}\n",
-        "line 2: frame number cannot be used, found '1.5'",
+        "line 2: frame number is no whole number, found '1.5'",
     ),
     "stamp": (
         "k.csv",
         f"{HEADER.replace('frame', 'stamp_ns')}\n1e99999{ROW[1:]}\n",
-        "line 2: stamp cannot be used",
+        "line 2: stamp is out of range, found '1e99999'",
     ),
     "semicolons": ("k.csv", GOOD.replace(",", ";"), "not separated by commas, found semicolons"),
     "column twice": ("k.csv", GOOD.replace("x1,", "x0,", 1), "column occurs twice, found x0"),

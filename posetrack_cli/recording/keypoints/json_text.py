@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path, PurePath
-from typing import Any, NoReturn
+from typing import Any
 
 from posetrack_cli import limits
-from posetrack_cli.csv_rows import text_lines
 from posetrack_cli.errors import UsageError
-from posetrack_cli.files import read_text
 from posetrack_cli.recording.keypoints.layout import (
-    FRAME_FIELDS,
     HANDEDNESS,
     KEYS,
     MIRRORED,
-    NS_PER_UNIT,
     POINT_FIELDS,
     SCORE_FIELDS,
     SIDE,
@@ -33,6 +28,15 @@ from posetrack_cli.recording.keypoints.layout import (
     unit_of,
 )
 from posetrack_cli.recording.keypoints.tables import KIND, parse_table
+from posetrack_cli.tables import (
+    FRAME_FIELDS,
+    NS_PER_UNIT,
+    first_of,
+    json_columns,
+    json_file,
+    json_value,
+    text_lines,
+)
 
 _ONE = ("landmarks", "keypoints", "points", "landmark")
 _PEOPLE, _INSTANCES, _INFO = "people", "instances", "instance_info"
@@ -56,35 +60,18 @@ def read_json(path: Path, kind: PointKind) -> Parsed:
 
 
 def _value(path: Path) -> Any:
-    """Return the one value of a JSON file."""
-    try:
-        text = read_text(path, limits.KEYPOINT_JSON_BYTES, "utf-8-sig")
-        return json.loads(text, parse_constant=_refuse)
-    except OSError as error:
-        hint = "a longer file is one of JSON lines (.jsonl) or CSV"
-        raise UsageError("cannot be read", where=path, found=error.strerror or error, hint=hint) from error
-    except (ValueError, RecursionError) as error:
-        found = "values nested too deeply" if isinstance(error, RecursionError) else error
-        raise UsageError("is no JSON", where=path, found=found, hint=KIND) from error
+    hint = "a longer file is one of JSON lines (.jsonl) or CSV"
+    return json_file(path, UsageError, KIND, limits.KEYPOINT_JSON_BYTES, hint=hint)
 
 
 def read_json_lines(path: Path, kind: PointKind) -> Parsed:
     """Read a frame per line; see ``read_json``."""
-    return _parsed(
-        path, kind, (_line(path, number, line) for number, line in text_lines(path, UsageError, KIND))
+    lines = text_lines(path, UsageError, KIND, limits.KEYPOINT_BYTES)
+    frames = (
+        json_value(line, f"{path} line {number}", UsageError, KIND) if line.strip() else None
+        for number, line in lines
     )
-
-
-def _line(path: Path, number: int, line: str) -> Any:
-    try:
-        return json.loads(line, parse_constant=_refuse) if line.strip() else None
-    except (ValueError, RecursionError) as error:
-        found = "values nested too deeply" if isinstance(error, RecursionError) else error
-        raise UsageError("is no JSON", where=f"{path} line {number}", found=found, hint=KIND) from error
-
-
-def _refuse(constant: str) -> NoReturn:
-    raise ValueError(f"{constant}, which JSON does not have: null is for what is unknown")
+    return _parsed(path, kind, frames)
 
 
 def _parsed(path: Path, kind: PointKind, said: Any) -> Parsed:
@@ -92,7 +79,7 @@ def _parsed(path: Path, kind: PointKind, said: Any) -> Parsed:
     if isinstance(said, Mapping):
         unit = unit_of(said["unit"], path) if said.get("unit") is not None else None
         if isinstance(said.get("columns"), Mapping):
-            return _exported(path, kind, said["columns"])
+            return parse_table(path, kind, json_columns(said["columns"], path, UsageError))
         if isinstance(said.get("annotations"), list):
             return _coco(path, kind, said, unit)
         if isinstance(said.get("frames"), (list, Mapping)):
@@ -178,12 +165,12 @@ def _frames(path: Path, kind: PointKind, frames: Any, unit: str | None) -> Parse
         if not isinstance(frame, Mapping):
             frame = {_ONE[0]: frame}
         if collector is None:
-            stamp = next((name for name in NS_PER_UNIT if name in frame), None)
+            stamp = first_of(NS_PER_UNIT, frame)
             collector = SetCollector(path, kind, stamp is not None)
         key = _key(frame, stamp, place, where)
-        number = next((name for name in FRAME_FIELDS if name in frame), None)
+        number = first_of(FRAME_FIELDS, frame)
         if collector.by_stamp and number is not None:
-            collector.tell_number(key, key_of(frame[number], None, where))
+            collector.tell_number(key, key_of(frame[number], where))
         sides |= _take_frame(collector, key, frame, where)
     if collector is None:
         raise UsageError("holds no frames", where=path, found="none", expected=kind.expected)
@@ -204,9 +191,9 @@ def _key(frame: Mapping[str, Any], stamp: str | None, place: Any, where: str) ->
     if stamp is not None:
         if stamp not in frame:
             raise UsageError("has no stamp", where=where, expected=f"{stamp}, as the first frame has")
-        return key_of(frame[stamp], NS_PER_UNIT[stamp], f"{where}, {stamp}")
-    name = next((name for name in FRAME_FIELDS if name in frame), None)
-    return key_of(place if name is None else frame[name], None, where)
+        return key_of(frame[stamp], f"{where}, {stamp}", ns_per_unit=NS_PER_UNIT[stamp])
+    name = first_of(FRAME_FIELDS, frame)
+    return key_of(place if name is None else frame[name], where)
 
 
 def _take_frame(collector: SetCollector, key: int, frame: Mapping[str, Any], where: str) -> set[str]:
@@ -394,18 +381,7 @@ def _of(said: Mapping[str, Any], names: Sequence[str], otherwise: Any) -> Any:
     return next((said[name] for name in names if said.get(name) is not None), otherwise)
 
 
-# Exports of others and of ours
-
-
-def _exported(path: Path, kind: PointKind, columns: Mapping[str, Any]) -> Parsed:
-    """What ``posetrack export --format json`` writes: lists by the names of a table's columns."""
-    names, lists = list(columns), list(columns.values())
-    if not names or not all(isinstance(values, list) and len(values) == len(lists[0]) for values in lists):
-        raise UsageError("columns are not of one length", where=path, expected="lists of as many values each")
-    cells = (
-        (k, ["" if v is None else str(v) for v in row]) for k, row in enumerate(zip(*lists, strict=True))
-    )
-    return parse_table(path, kind, names, cells, str(path))
+# Exports of label tools
 
 
 def _coco(path: Path, kind: PointKind, said: Mapping[str, Any], unit: str | None) -> Parsed:
@@ -446,14 +422,14 @@ def _coco_frames(path: Path, images: Any) -> dict[Any, int]:
     for n, image in enumerate(images):
         _check_count(n, path)
         where = f"{path}, image {n}"
-        name = next((field for field in FRAME_FIELDS if field in image), None)
+        name = first_of(FRAME_FIELDS, image)
         digits = re.findall(r"\d{1,18}", PurePath(str(image.get("file_name", ""))).stem)
         if name is None and not digits:
             raise UsageError("no frame number", where=where, found=image.get("file_name"), expected=KEYS)
         ident = image.get("id")
         if not isinstance(ident, (int, str)):
             raise UsageError("image has no id", where=where, found=ident)
-        frames[ident] = key_of(digits[-1] if name is None else image[name], None, where)
+        frames[ident] = key_of(digits[-1] if name is None else image[name], where)
     return frames
 
 

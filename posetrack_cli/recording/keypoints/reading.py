@@ -10,10 +10,8 @@ from statistics import median
 
 import numpy as np
 
-from posetrack_cli import limits
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import RecordingError, UsageError
-from posetrack_cli.files import open_input
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.phases import LossLog
 from posetrack_cli.recording.identity import file_digest, files_digest
@@ -26,7 +24,7 @@ from posetrack_cli.recording.keypoints.layout import (
     Parsed,
     PointKind,
 )
-from posetrack_cli.recording.keypoints.tables import KIND, read_csv
+from posetrack_cli.recording.keypoints.tables import read_csv
 from posetrack_cli.recording.recording import Recording
 from posetrack_cli.units import NS_PER_S
 
@@ -145,7 +143,6 @@ def parse_keypoints(path: Path, kind: PointKind) -> Parsed:
     """
     if path.is_dir():
         return read_folder(path, kind)
-    _check_size(path)
     suffix = path.suffix.lower()
     if suffix in (".jsonl", ".ndjson"):
         return read_json_lines(path, kind)
@@ -214,15 +211,3 @@ def known_scores(scores: FloatArray) -> FloatArray:
     if not scores[stated].any():
         return np.ones_like(scores)
     return np.where(stated, scores, 1.0)
-
-
-def _check_size(path: Path) -> None:
-    """Raise where a file is missing or larger than any that is read."""
-    try:
-        with open_input(path) as stream:
-            size = stream.seek(0, 2)
-    except OSError as error:
-        raise UsageError("cannot be read", where=path, found=error.strerror or error, hint=KIND) from error
-    if size > limits.KEYPOINT_BYTES:
-        expected = f"{limits.KEYPOINT_BYTES} at most"
-        raise UsageError("is too large", where=path, found=f"{size} bytes", expected=expected)

@@ -6,23 +6,17 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import islice
+from itertools import chain
 from pathlib import Path, PurePath
-from textwrap import shorten
 
 from posetrack_cli import limits
-from posetrack_cli.csv_rows import Row, csv_rows
 from posetrack_cli.errors import UsageError
 from posetrack_cli.recording.keypoints.layout import (
-    FRAME_FIELDS,
     KEYS,
-    LOST,
-    NS_PER_UNIT,
     POINT_FIELDS,
     SCORE,
     SCORE_FIELDS,
     SIDE_FIELDS,
-    STATUS,
     UNIT_NAMES,
     Parsed,
     PointColumn,
@@ -38,6 +32,7 @@ from posetrack_cli.recording.keypoints.layout import (
     right_of,
     score_of,
 )
+from posetrack_cli.tables import FRAME_FIELDS, NS_PER_UNIT, STATUS, Row, Table, csv_rows, first_of, is_lost
 
 KIND = "keypoints are a CSV or JSON file in UTF-8"
 EXPECTED = (
@@ -51,7 +46,6 @@ _SUBJECTS = ("hand", "face", "face_id")
 """Columns that count the subjects of a frame."""
 _SUCCESS = "success"
 """A column of OpenFace: 0 where it lost the face. Its frames count from 1."""
-_OTHER_SEPARATORS = {";": "semicolons", "\t": "tabs"}
 
 
 def read_csv(path: Path, kind: PointKind) -> Parsed:
@@ -60,18 +54,17 @@ def read_csv(path: Path, kind: PointKind) -> Parsed:
     Raises:
         UsageError: names file, line and column of what cannot be used.
     """
-    rows = csv_rows(path, UsageError, KIND)
-    line, first = next(rows, (0, []))
-    names: Sequence[str] = first
-    if names and names[0].strip().lower() == _SCORER:
-        names, rows = _deeplabcut(path, line, names, rows)
-    return parse_table(path, kind, [name.strip() for name in names], rows, f"{path} line {line}")
+    rows = csv_rows(path, UsageError, KIND, limits.KEYPOINT_BYTES)
+    first = next(rows, None)
+    if first is None:
+        return parse_table(path, kind, rows)
+    if first[1][0].strip().lower() == _SCORER:
+        return parse_table(path, kind, _deeplabcut(path, first, rows))
+    return parse_table(path, kind, chain([first], rows))
 
 
-def _deeplabcut(
-    path: Path, line: int, scorer: Sequence[str], rows: Iterator[Row]
-) -> tuple[Sequence[str], Iterator[Row]]:
-    """Return the columns and rows of a table of DeepLabCut, whose names are spread over three or four rows.
+def _deeplabcut(path: Path, first_row: Row, rows: Iterator[Row]) -> Iterator[Row]:
+    """Yield the header and rows of a table of DeepLabCut, whose names are spread over three or four rows.
 
     These are scorer, individuals (of several animals), bodyparts and coords; the first column counts frames
     or names images. A row becomes one for each individual.
@@ -79,17 +72,14 @@ def _deeplabcut(
     Raises:
         UsageError: the header ends early or does not name bodyparts and coords.
     """
+    line, scorer = first_row
     header: dict[str, Sequence[str]] = {}
     while _COORDS not in header:
         line, row = next(rows, (line, []))
         if not row or len(row) != len(scorer) or len(header) > len(_LEVELS):
             found, expected = f"{len(row)} cells", f"{len(scorer)}, and rows {', '.join(_LEVELS)}"
-            raise UsageError(
-                "header of DeepLabCut is not complete",
-                where=f"{path} line {line}",
-                found=found,
-                expected=expected,
-            )
+            what = "header of DeepLabCut is not complete"
+            raise UsageError(what, where=f"{path} line {line}", found=found, expected=expected)
         header[row[0].strip().lower()] = [cell.strip() for cell in row]
     parts = header.get("bodyparts", [""] * len(scorer))
     first = 1 + sum(1 for cell in parts[1:3] if not cell)  # images may be named in three columns
@@ -98,54 +88,45 @@ def _deeplabcut(
     for k in range(first, len(scorer)):
         columns.setdefault(who[k], []).append(k)
     names = [f"{parts[k]}_{header[_COORDS][k]}" for k in next(iter(columns.values()), [])]
-
-    def taken() -> Iterator[Row]:
-        for number, row in rows:
-            frame = re.findall(r"\d+", PurePath(row[first - 1]).stem if len(row) >= first else "")
-            for own in columns.values():
-                cells = [row[k] for k in own if k < len(row)]
-                if any(cells) or len(row) != len(scorer):
-                    yield number, [frame[-1] if frame else "", *cells]
-
-    return [FRAME_FIELDS[0], *names], taken()
+    yield line, [FRAME_FIELDS[0], *names]
+    for line, row in rows:
+        frame = re.findall(r"\d+", PurePath(row[first - 1]).stem if len(row) >= first else "")
+        for own in columns.values():
+            cells = [row[k] for k in own if k < len(row)]
+            if any(cells) or len(row) != len(scorer):
+                yield line, [frame[-1] if frame else "", *cells]
 
 
-def parse_table(path: Path, kind: PointKind, names: Sequence[str], rows: Iterator[Row], where: str) -> Parsed:
+def parse_table(path: Path, kind: PointKind, rows: Iterator[Row]) -> Parsed:
     """Return what a table says.
 
     Args:
         path: of the file.
         kind: of the points.
-        names: of the columns.
-        rows: with their lines.
-        where: the names are.
+        rows: with their lines, the header first.
 
     Raises:
         UsageError: as of ``read_csv``.
     """
-    table = _Table.of(path, kind, names, where)
-    collector = SetCollector(path, kind, table.ns_per_unit is not None)
-    for line, row in rows:
-        if len(row) != len(names):
-            what = "row does not fit the header"
-            raise UsageError(
-                what, where=f"{path} line {line}", found=f"{len(row)} cells", expected=len(names)
-            )
-        table.take(row, collector, f"{path} line {line}")
-    return Parsed(collector.sets(), table.unit, table.side_field, int(table.success >= 0))
+    table = Table.of(path, rows, UsageError, EXPECTED)
+    columns = _Columns.of(kind, table)
+    collector = SetCollector(path, kind, columns.ns_per_unit is not None)
+    for line, row in table:
+        columns.take(row, collector, table.where(line))
+    return Parsed(collector.sets(), columns.unit, columns.side_field, int(columns.success >= 0))
 
 
 @dataclass(frozen=True)
-class _Table:
-    """Where in a row what is.
+class _Columns:
+    """Where in a row what is, -1 for nowhere.
 
     Attributes:
-        key, ns_per_unit: column of the frame or, with what its unit is in ns, of the stamp.
-        frame: column of the frame next to that of the stamp, -1 for none.
+        key, ns_per_unit: the frame or, with what its unit is in ns, the stamp.
+        frame: next to a stamp.
         points: columns of a row per frame; none where each row is a point.
-        values: columns of point, x, y, z of a row per point, -1 for none.
-        score: of the row, -1 for none.
-        side, side_score, hand, status, success: columns, -1 for none.
+        values: point, x, y, z of a row per point.
+        score: of the row.
+        side, side_score, hand, status, success: as the columns are called.
         side_field: name of the column of sides.
         unit: that the columns name.
     """
@@ -165,58 +146,63 @@ class _Table:
     unit: str | None
 
     @classmethod
-    def of(cls, path: Path, kind: PointKind, names: Sequence[str], where: str) -> _Table:
+    def of(cls, kind: PointKind, table: Table) -> _Columns:
         """Find the columns.
 
         Raises:
             UsageError: they are of no known layout.
         """
+        names, where = table.names, table.header
         plain = [name.lower() for name in names]
-        _check_names(path, names, where)
-        stamp = next((name for name in NS_PER_UNIT if name in plain), None)
-        frame = next((name for name in FRAME_FIELDS if name in plain), None)
+
+        def place(*wanted: str) -> int:
+            found = first_of(wanted, plain)
+            return -1 if found is None else plain.index(found)
+
         points = tuple(
             (k, found)
             for k, name in enumerate(names)
             if not _is_in_space(name, names) and (found := point_column(kind, name)) is not None
         )
-        point = next((name for name in POINT_FIELDS if name in plain), None)
-        long_names = {axis: _axis_column(plain, axis) for axis in "xyz"}
-        if stamp is None and frame is None:
-            raise UsageError("no column tells the frame", where=where, found=_some(names), expected=KEYS)
-        is_wide = bool(points) or point is None or min(long_names["x"], long_names["y"]) < 0
+        key, frame, side = place(*NS_PER_UNIT, *FRAME_FIELDS), place(*FRAME_FIELDS), place(*SIDE_FIELDS)
+        if key < 0:
+            raise UsageError("no column tells the frame", where=where, found=table.shown, expected=KEYS)
+        point, x, y, z = place(*POINT_FIELDS), *(place(a, *(f"{a}_{u}" for u in UNIT_NAMES)) for a in "xyz")
+        is_wide = bool(points) or min(point, x, y) < 0
         if is_wide:
-            points = _ours(kind, points, names, where)
-        side = next((name for name in SIDE_FIELDS if name in plain), None)
-        key = str(stamp if stamp is not None else frame)
-        own = (
-            [found.unit for _, found in points] if is_wide else [_unit(plain[k]) for k in long_names.values()]
-        )
+            points = _ours(kind, points, table)
+            units = {found.unit for _, found in points}
+        else:
+            units = {UNIT_NAMES.get(plain[k].partition("_")[2]) for k in (x, y, z) if k >= 0}
+        named = sorted(unit for unit in units if unit is not None)
+        if len(named) > 1:
+            raise UsageError("columns are in several units", where=where, found=", ".join(named))
+        ns_per_unit = NS_PER_UNIT.get(plain[key])
         return cls(
-            plain.index(key),
-            None if stamp is None else NS_PER_UNIT[stamp],
-            _place(plain, frame) if stamp is not None else -1,
-            points if is_wide else (),
-            (_place(plain, point), long_names["x"], long_names["y"], long_names["z"]),
-            next((plain.index(name) for name in SCORE_FIELDS if name in plain), -1),
-            _place(plain, side),
-            next((_place(plain, f"{side}_{name}") for name in SCORE_FIELDS if f"{side}_{name}" in plain), -1),
-            _place(plain, next((name for name in _SUBJECTS if name in plain), None)),
-            _place(plain, STATUS),
-            _place(plain, _SUCCESS),
-            side,
-            _one_unit(own, where),
+            key=key,
+            ns_per_unit=ns_per_unit,
+            frame=-1 if ns_per_unit is None else frame,
+            points=points if is_wide else (),
+            values=(point, x, y, z),
+            score=place(*SCORE_FIELDS),
+            side=side,
+            side_score=place(*(f"{plain[side]}_{name}" for name in SCORE_FIELDS)) if side >= 0 else -1,
+            hand=place(*_SUBJECTS),
+            status=place(STATUS),
+            success=place(_SUCCESS),
+            side_field=plain[side] if side >= 0 else None,
+            unit=next(iter(named), None),
         )
 
     def take(self, row: Sequence[str], collector: SetCollector, where: str) -> None:
         """Add a row to the sets."""
-        if self.status >= 0 and row[self.status].strip().lower() == LOST:
+        if is_lost(row, self.status):
             return
         if self.success >= 0 and not number_of(row[self.success], f"{where}, {_SUCCESS}") > 0.0:
             return
-        key = key_of(row[self.key], self.ns_per_unit, where)
+        key = key_of(row[self.key], where, ns_per_unit=self.ns_per_unit)
         if self.frame >= 0 and row[self.frame].strip():
-            collector.tell_number(key, key_of(row[self.frame], None, where))
+            collector.tell_number(key, key_of(row[self.frame], where))
         label = row[self.side] if self.side >= 0 else ""
         hand = 0
         if self.hand >= 0:
@@ -225,28 +211,22 @@ class _Table:
         score = score_of(row[self.score], f"{where}, score") if self.score >= 0 else math.nan
         if self.points:
             hand = collector.new_hand(key, hand)  # a row each for the hands of a frame
-            self._take_points(row, collector, (key, hand), score, where)
+            values = collector.set_of(key, hand, where)
+            values[:, SCORE] = score
+            for k, column in self.points:
+                read = score_of if column.value == SCORE else number_of
+                values[column.point, column.value] = read(row[k], f"{where}, column {k + 1}")
         else:
             values = collector.set_of(key, hand, where)
             point, *places = self.values
-            said = (
-                number_of(row[k], f"{where}, {'xyz'[n]}") if k >= 0 else math.nan
-                for n, k in enumerate(places)
+            x, y, z = (
+                number_of(row[k], f"{where}, {axis}") if k >= 0 else math.nan
+                for axis, k in zip("xyz", places, strict=True)
             )
-            x, y, z = said
             collector.put(values, point_of(collector.kind, row[point], where), (x, y, z, score), where)
         if label:
             sure = score_of(row[self.side_score], where) if self.side_score >= 0 else math.nan
             collector.tell_side(key, hand, right_of(label, sure, where))
-
-    def _take_points(
-        self, row: Sequence[str], collector: SetCollector, key: tuple[int, int], score: float, where: str
-    ) -> None:
-        values = collector.set_of(*key, where)
-        values[:, SCORE] = score
-        for k, column in self.points:
-            read = score_of if column.value == SCORE else number_of
-            values[column.point, column.value] = read(row[k], f"{where}, column {k + 1}")
 
 
 def _is_in_space(name: str, names: Sequence[str]) -> bool:
@@ -254,32 +234,16 @@ def _is_in_space(name: str, names: Sequence[str]) -> bool:
     return name[:1] in ("X", "Y", "Z") and f"x{name[1:]}" in names
 
 
-def _check_names(path: Path, names: Sequence[str], where: str) -> None:
-    if not names:
-        raise UsageError("is empty", where=path, expected=EXPECTED)
-    if len(names) > limits.COLUMNS:
-        raise UsageError("has too many columns", where=path, found=len(names), expected=limits.COLUMNS)
-    other = next(
-        (word for sign, word in _OTHER_SEPARATORS.items() if len(names) == 1 and sign in names[0]), ""
-    )
-    if other:
-        hint = "write it with commas, and with points as decimal signs"
-        raise UsageError("columns are not separated by commas", where=where, found=other, hint=hint)
-    known = {name for name in names if name}
-    if len(known) < sum(1 for name in names if name):
-        twice = next(name for name in names if name and list(names).count(name) > 1)
-        raise UsageError("column occurs twice", where=where, found=twice)
-
-
 def _ours(
-    kind: PointKind, points: Sequence[tuple[int, PointColumn]], names: Sequence[str], where: str
+    kind: PointKind, points: Sequence[tuple[int, PointColumn]], table: Table
 ) -> tuple[tuple[int, PointColumn], ...]:
     """Return the columns of our points, by our numbers, of each of which x and y are there."""
+    where = table.header
     if not points:
-        raise UsageError("no column is of a keypoint", where=where, found=_some(names), expected=EXPECTED)
+        raise UsageError("no column is of a keypoint", where=where, found=table.shown, expected=EXPECTED)
     there = {(column.point, column.value) for _, column in points}
     if len(there) < len(points):
-        raise UsageError("two columns are of the same point", where=where, found=_some(names))
+        raise UsageError("two columns are of the same point", where=where, found=table.shown)
     count = max(point for point, _ in there) + 1
     places = kind.places(count) if count > kind.size else kind.places(kind.size)
     if places is None:
@@ -307,32 +271,4 @@ def _hand_of(cell: str, where: str) -> tuple[int, str]:
     plain = cell.strip().lower()
     if plain in ("right", "left", "r", "l"):
         return int(plain[0] == "l"), plain
-    return key_of(plain or 0, None, f"{where}, column {_SUBJECTS[0]}"), ""
-
-
-def _axis_column(names: Sequence[str], axis: str) -> int:
-    return next((names.index(n) for n in (axis, *(f"{axis}_{u}" for u in UNIT_NAMES)) if n in names), -1)
-
-
-def _place(names: Sequence[str], name: str | None) -> int:
-    return list(names).index(name) if name is not None and name in names else -1
-
-
-def _unit(name: str) -> str | None:
-    return UNIT_NAMES.get(name.partition("_")[2])
-
-
-def _one_unit(units: Sequence[str | None], where: str) -> str | None:
-    """The unit that columns name.
-
-    Raises:
-        UsageError: they name several.
-    """
-    named = {unit for unit in units if unit is not None}
-    if len(named) > 1:
-        raise UsageError("columns are in several units", where=where, found=", ".join(sorted(named)))
-    return next(iter(named), None)
-
-
-def _some(names: Sequence[str]) -> str:
-    return shorten(", ".join(islice(names, 20)), 100, placeholder=" ...")
+    return key_of(plain or 0, f"{where}, column {_SUBJECTS[0]}"), ""

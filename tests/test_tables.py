@@ -7,7 +7,7 @@ import io
 
 import pytest
 
-from posetrack_cli.csv_rows import csv_of
+from posetrack_cli.tables import csv_of
 
 
 def cells(*written: object) -> list[str]:
