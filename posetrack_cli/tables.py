@@ -274,11 +274,6 @@ def first_of(wanted: Iterable[str], names: Iterable[str]) -> str | None:
     return next((name for name in wanted if name in there), None)
 
 
-def is_lost(row: Sequence[str], place: int) -> bool:
-    """Whether a row is of a frame that was lost, given the column of its status, -1 for none."""
-    return place >= 0 and row[place].strip().lower() == LOST
-
-
 # Cells, or values of JSON
 
 

@@ -33,13 +33,13 @@ from posetrack_cli.results.export.table import (
 from posetrack_cli.results.reader import Result, is_result, read_result
 from posetrack_cli.tables import (
     COMMENT,
+    LOST,
     NS_PER_UNIT,
     STATUS,
     Row,
     Table,
     csv_rows,
     first_of,
-    is_lost,
     json_columns,
     json_file,
     number_of,
@@ -253,14 +253,14 @@ def read_columns(table: Table, names: Sequence[str], optional: Collection[str] =
     """
     column = str(first_of(STAMPS, table.names))
     place, unit = table.names.index(column), NS_PER_UNIT[column]
-    status = table.names.index(STATUS) if STATUS in table.names else -1
+    status = table.names.index(STATUS) if STATUS in table.names else None
     stamps: list[int] = []
     lines: list[int] = []
     blocks = []
     lost = 0
     rows = iter(table)
     while block := list(islice(rows, BLOCK_ROWS)):
-        kept = [(line, row) for line, row in block if not is_lost(row, status)]
+        kept = [(line, row) for line, row in block if status is None or row[status].strip().lower() != LOST]
         lost += len(block) - len(kept)
         for line, row in kept:
             where = f"{table.where(line)}, column {column}"

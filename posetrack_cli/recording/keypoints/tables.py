@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import chain
+from itertools import chain, islice
 from pathlib import Path, PurePath
 
 from posetrack_cli import limits
@@ -32,7 +31,7 @@ from posetrack_cli.recording.keypoints.layout import (
     right_of,
     score_of,
 )
-from posetrack_cli.tables import FRAME_FIELDS, NS_PER_UNIT, STATUS, Row, Table, csv_rows, first_of, is_lost
+from posetrack_cli.tables import FRAME_FIELDS, LOST, NS_PER_UNIT, STATUS, Row, Table, csv_rows, first_of
 
 KIND = "keypoints are a CSV or JSON file in UTF-8"
 EXPECTED = (
@@ -55,12 +54,10 @@ def read_csv(path: Path, kind: PointKind) -> Parsed:
         UsageError: names file, line and column of what cannot be used.
     """
     rows = csv_rows(path, UsageError, KIND, limits.KEYPOINT_BYTES)
-    first = next(rows, None)
-    if first is None:
-        return parse_table(path, kind, rows)
-    if first[1][0].strip().lower() == _SCORER:
-        return parse_table(path, kind, _deeplabcut(path, first, rows))
-    return parse_table(path, kind, chain([first], rows))
+    first = list(islice(rows, 1))
+    if first and first[0][1][0].strip().lower() == _SCORER:
+        return parse_table(path, kind, _deeplabcut(path, first[0], rows))
+    return parse_table(path, kind, chain(first, rows))
 
 
 def _deeplabcut(path: Path, first_row: Row, rows: Iterator[Row]) -> Iterator[Row]:
@@ -113,35 +110,24 @@ def parse_table(path: Path, kind: PointKind, rows: Iterator[Row]) -> Parsed:
     collector = SetCollector(path, kind, columns.ns_per_unit is not None)
     for line, row in table:
         columns.take(row, collector, table.where(line))
-    return Parsed(collector.sets(), columns.unit, columns.side_field, int(columns.success >= 0))
+    return Parsed(collector.sets(), columns.unit, columns.side_field, int(_SUCCESS in columns.of_row))
 
 
 @dataclass(frozen=True)
 class _Columns:
-    """Where in a row what is, -1 for nowhere.
+    """Where in a row what is.
 
     Attributes:
-        key, ns_per_unit: the frame or, with what its unit is in ns, the stamp.
-        frame: next to a stamp.
+        of_row: columns of the key, frame, score and so on, by these names; of those that there are.
+        ns_per_unit: what the unit of a stamp is in ns; None where the key is a frame's number.
         points: columns of a row per frame; none where each row is a point.
-        values: point, x, y, z of a row per point.
-        score: of the row.
-        side, side_score, hand, status, success: as the columns are called.
         side_field: name of the column of sides.
         unit: that the columns name.
     """
 
-    key: int
+    of_row: Mapping[str, int]
     ns_per_unit: int | None
-    frame: int
     points: tuple[tuple[int, PointColumn], ...]
-    values: tuple[int, int, int, int]
-    score: int
-    side: int
-    side_score: int
-    hand: int
-    status: int
-    success: int
     side_field: str | None
     unit: str | None
 
@@ -154,79 +140,63 @@ class _Columns:
         """
         names, where = table.names, table.header
         plain = [name.lower() for name in names]
-
-        def place(*wanted: str) -> int:
-            found = first_of(wanted, plain)
-            return -1 if found is None else plain.index(found)
-
-        points = tuple(
-            (k, found)
-            for k, name in enumerate(names)
-            if not _is_in_space(name, names) and (found := point_column(kind, name)) is not None
-        )
-        key, frame, side = place(*NS_PER_UNIT, *FRAME_FIELDS), place(*FRAME_FIELDS), place(*SIDE_FIELDS)
-        if key < 0:
+        side = first_of(SIDE_FIELDS, plain)
+        wanted = {
+            "key": (*NS_PER_UNIT, *FRAME_FIELDS),
+            "frame": FRAME_FIELDS,
+            "point": POINT_FIELDS,
+            **{axis: (axis, *(f"{axis}_{unit}" for unit in UNIT_NAMES)) for axis in "xyz"},
+            "score": SCORE_FIELDS,
+            "side": SIDE_FIELDS,
+            "side_score": [f"{side}_{name}" for name in SCORE_FIELDS],
+            "hand": _SUBJECTS,
+            STATUS: (STATUS,),
+            _SUCCESS: (_SUCCESS,),
+        }
+        found = {what: first_of(named, plain) for what, named in wanted.items()}
+        if (key := found["key"]) is None:
             raise UsageError("no column tells the frame", where=where, found=table.shown, expected=KEYS)
-        point, x, y, z = place(*POINT_FIELDS), *(place(a, *(f"{a}_{u}" for u in UNIT_NAMES)) for a in "xyz")
-        is_wide = bool(points) or min(point, x, y) < 0
-        if is_wide:
+        points = tuple(
+            (k, column)
+            for k, name in enumerate(names)
+            if not _is_in_space(name, names) and (column := point_column(kind, name)) is not None
+        )
+        if points or None in (found["point"], found["x"], found["y"]):
             points = _ours(kind, points, table)
-            units = {found.unit for _, found in points}
+            units = {column.unit for _, column in points}
         else:
-            units = {UNIT_NAMES.get(plain[k].partition("_")[2]) for k in (x, y, z) if k >= 0}
+            units = {UNIT_NAMES.get((found[axis] or "").partition("_")[2]) for axis in "xyz"}
         named = sorted(unit for unit in units if unit is not None)
         if len(named) > 1:
             raise UsageError("columns are in several units", where=where, found=", ".join(named))
-        ns_per_unit = NS_PER_UNIT.get(plain[key])
-        return cls(
-            key=key,
-            ns_per_unit=ns_per_unit,
-            frame=-1 if ns_per_unit is None else frame,
-            points=points if is_wide else (),
-            values=(point, x, y, z),
-            score=place(*SCORE_FIELDS),
-            side=side,
-            side_score=place(*(f"{plain[side]}_{name}" for name in SCORE_FIELDS)) if side >= 0 else -1,
-            hand=place(*_SUBJECTS),
-            status=place(STATUS),
-            success=place(_SUCCESS),
-            side_field=plain[side] if side >= 0 else None,
-            unit=next(iter(named), None),
-        )
+        of_row = {what: plain.index(name) for what, name in found.items() if name is not None}
+        return cls(of_row, NS_PER_UNIT.get(key), points, side, named[0] if named else None)
 
     def take(self, row: Sequence[str], collector: SetCollector, where: str) -> None:
         """Add a row to the sets."""
-        if is_lost(row, self.status):
+        said = {what: row[k] for what, k in self.of_row.items()}
+        if said.get(STATUS, "").strip().lower() == LOST:
             return
-        if self.success >= 0 and not number_of(row[self.success], f"{where}, {_SUCCESS}") > 0.0:
+        if not number_of(said.get(_SUCCESS, 1), f"{where}, {_SUCCESS}") > 0.0:
             return
-        key = key_of(row[self.key], where, ns_per_unit=self.ns_per_unit)
-        if self.frame >= 0 and row[self.frame].strip():
-            collector.tell_number(key, key_of(row[self.frame], where))
-        label = row[self.side] if self.side >= 0 else ""
-        hand = 0
-        if self.hand >= 0:
-            hand, told = _hand_of(row[self.hand], where)
-            label = label or told
-        score = score_of(row[self.score], f"{where}, score") if self.score >= 0 else math.nan
+        key = key_of(said["key"], where, ns_per_unit=self.ns_per_unit)
+        if self.ns_per_unit is not None and said.get("frame", "").strip():
+            collector.tell_number(key, key_of(said["frame"], where))
+        hand, told = _hand_of(said.get("hand", ""), where)
+        score = score_of(said.get("score"), f"{where}, score")
         if self.points:
             hand = collector.new_hand(key, hand)  # a row each for the hands of a frame
-            values = collector.set_of(key, hand, where)
+        values = collector.set_of(key, hand, where)
+        if self.points:
             values[:, SCORE] = score
             for k, column in self.points:
                 read = score_of if column.value == SCORE else number_of
                 values[column.point, column.value] = read(row[k], f"{where}, column {k + 1}")
         else:
-            values = collector.set_of(key, hand, where)
-            point, *places = self.values
-            x, y, z = (
-                number_of(row[k], f"{where}, {axis}") if k >= 0 else math.nan
-                for axis, k in zip("xyz", places, strict=True)
-            )
-            collector.put(values, point_of(collector.kind, row[point], where), (x, y, z, score), where)
-        if label:
-            sure = score_of(row[self.side_score], where) if self.side_score >= 0 else math.nan
-            collector.tell_side(key, hand, right_of(label, sure, where))
+            x, y, z = (number_of(said.get(axis), f"{where}, {axis}") for axis in "xyz")
+            collector.put(values, point_of(collector.kind, said["point"], where), (x, y, z, score), where)
+        if label := said.get("side") or told:
+            collector.tell_side(key, hand, right_of(label, score_of(said.get("side_score"), where), where))
 
 
 def _is_in_space(name: str, names: Sequence[str]) -> bool:
