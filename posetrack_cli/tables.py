@@ -51,123 +51,120 @@ Row = tuple[int, list[str]]
 # Text: lines, rows, JSON
 
 
-def text_lines(path: Path, kind: Kind, expected: str, most: int | None = None) -> Iterator[tuple[int, str]]:
-    """Yield the lines of a UTF-8 text with their numbers from 1.
+@dataclass(frozen=True)
+class TextFile:
+    """A file of text in UTF-8.
 
-    Args:
-        path: the file.
-        kind: of error that is raised.
-        expected: what kind of file it should be, for the error's hint.
-        most: bytes of the file; None where its length is no matter.
+    All methods raise an error of its kind where it cannot be read or is not what it should be.
 
-    Raises:
-        PosetrackError: of the kind given: the file cannot be read, it is too large, a line is longer than
-            ``limits.LINE_BYTES``, or it is no UTF-8.
+    Attributes:
+        path: of the file.
+        kind: of error.
+        expected: what kind of file it should be, for hints.
+        most: bytes of it; None where it is read line by line and its length is no matter.
     """
-    number = 0
-    try:
-        with open_input(path) as stream:
-            size = os.fstat(stream.fileno()).st_size
-            if most is not None and size > most:
-                raise kind("is too large", where=path, found=f"{size} bytes", expected=f"{most} at most")
-            while line := stream.readline(limits.LINE_BYTES + 1):
-                number += 1
-                if len(line) > limits.LINE_BYTES:
-                    raise kind(
-                        "line is too long",
-                        where=f"{path} line {number}",
-                        found="a line without end",
-                        expected=f"at most {limits.LINE_BYTES} bytes",
-                        hint=expected,
-                    )
-                yield number, line.decode("utf-8-sig" if number == 1 else "utf-8")
-    except OSError as error:
-        raise kind("cannot be read", where=path, found=error.strerror or error, hint=expected) from error
-    except UnicodeDecodeError as error:
-        found = f"byte 0x{error.object[error.start]:02x}"
-        where = f"{path} line {number}"
-        raise kind("is no UTF-8 text", where=where, found=found, hint=expected) from error
 
+    path: Path
+    kind: Kind
+    expected: str
+    most: int | None = limits.TEXT_BYTES
 
-def csv_rows(path: Path, kind: Kind, expected: str, most: int | None = None) -> Iterator[Row]:
-    """Yield the rows of a CSV file, the header row first, without comments (``#``) and empty lines.
+    def where(self, line: int) -> str:
+        """Say where a line is."""
+        return f"{self.path} line {line}"
 
-    Args, Raises:
-        as ``text_lines``; also for what is no CSV.
-    """
-    latest = 0
+    def lines(self) -> Iterator[tuple[int, str]]:
+        """Yield the lines with their numbers from 1, each of at most ``limits.LINE_BYTES``."""
+        number = 0
+        try:
+            with open_input(self.path) as stream:
+                size = os.fstat(stream.fileno()).st_size
+                if self.most is not None and size > self.most:
+                    expected = f"{self.most} at most"
+                    raise self.kind("is too large", where=self.path, found=f"{size} bytes", expected=expected)
+                while line := stream.readline(limits.LINE_BYTES + 1):
+                    number += 1
+                    if len(line) > limits.LINE_BYTES:
+                        raise self.kind(
+                            "line is too long",
+                            where=self.where(number),
+                            found="a line without end",
+                            expected=f"at most {limits.LINE_BYTES} bytes",
+                            hint=self.expected,
+                        )
+                    yield number, line.decode("utf-8-sig" if number == 1 else "utf-8")
+        except OSError as error:
+            found = error.strerror or error
+            raise self.kind("cannot be read", where=self.path, found=found, hint=self.expected) from error
+        except UnicodeDecodeError as error:
+            found, where = f"byte 0x{error.object[error.start]:02x}", self.where(number)
+            raise self.kind("is no UTF-8 text", where=where, found=found, hint=self.expected) from error
 
-    def data_lines() -> Iterator[str]:
-        nonlocal latest
-        for number, line in text_lines(path, kind, expected, most):
-            latest = number
-            if not line.startswith(COMMENT):
-                yield line
+    def rows(self) -> Iterator[Row]:
+        """Yield the rows of CSV, the header row first, without comments (``#``) and empty lines."""
+        latest = 0
 
-    try:
-        for row in csv.reader(data_lines(), skipinitialspace=True):
-            if any(cell.strip() for cell in row):
-                yield latest, row
-    except csv.Error as error:
-        line_ends = "new-line" in str(error)  # of a Macintosh of old, which csv explains in its own terms
-        found, hint = ("a carriage return alone", "end lines with a line feed") if line_ends else (error, "")
-        raise kind("is no CSV", where=f"{path} line {latest}", found=found, hint=hint) from error
+        def data_lines() -> Iterator[str]:
+            nonlocal latest
+            for number, line in self.lines():
+                latest = number
+                if not line.startswith(COMMENT):
+                    yield line
 
+        try:
+            for row in csv.reader(data_lines(), skipinitialspace=True):
+                if any(cell.strip() for cell in row):
+                    yield latest, row
+        except csv.Error as error:
+            ends = "new-line" in str(error)  # of a Macintosh of old, which csv explains in its own terms
+            found, hint = ("a carriage return alone", "end lines with a line feed") if ends else (error, "")
+            raise self.kind("is no CSV", where=self.where(latest), found=found, hint=hint) from error
 
-def json_file(path: Path, kind: Kind, expected: str, most: int, *, hint: str = "", nan: bool = False) -> Any:
-    """Return the value of a JSON file.
+    def table(self, columns: Sequence[str], *others: str) -> Table:
+        """Return the table of CSV, which must have some columns; errors name others, too."""
+        needed = ", ".join((*columns, *others))
+        table = Table.of(self, self.rows(), needed)
+        if not set(columns) <= set(table.names):
+            raise self.kind("header is not known", where=self.path, found=table.shown, expected=needed)
+        return table
 
-    Args:
-        path, kind, expected, most: as of ``text_lines``.
-        hint: what to do about a file that cannot be read or is too large.
-        nan: as of ``json_value``.
+    def json(self, hint: str = "", *, nan: bool = False) -> Any:
+        """Return the one value of JSON, of a file that is not read line by line.
 
-    Raises:
-        PosetrackError: of the kind given: it cannot be read, is too large, or no JSON.
-    """
-    try:
-        return json_value(read_text(path, most, "utf-8-sig"), path, kind, expected, nan=nan)
-    except OSError as error:
-        raise kind("cannot be read", where=path, found=error.strerror or error, hint=hint) from error
-    except UnicodeDecodeError as error:
-        raise kind("is no JSON", where=path, found=error, hint=expected) from error
+        Args:
+            hint: what to do about one that cannot be read or is too large.
+            nan: as of ``json_of``.
+        """
+        try:
+            text = read_text(self.path, self.most or limits.TEXT_BYTES, "utf-8-sig")
+        except OSError as error:
+            found = error.strerror or error
+            raise self.kind("cannot be read", where=self.path, found=found, hint=hint) from error
+        except UnicodeDecodeError as error:
+            raise self.kind("is no JSON", where=self.path, found=error, hint=self.expected) from error
+        return self.json_of(text, self.path, nan=nan)
 
+    def json_of(self, text: str, where: object, *, nan: bool = False) -> Any:
+        """Return the value of its text, or of a line; ``nan`` takes NaN, which JSON does not have."""
+        try:
+            return json.loads(text, parse_constant=None if nan else _refuse)
+        except (ValueError, RecursionError) as error:
+            found = "values nested too deeply" if isinstance(error, RecursionError) else error
+            raise self.kind("is no JSON", where=where, found=found, hint=self.expected) from error
 
-def json_value(text: str, where: object, kind: Kind, expected: str, *, nan: bool = False) -> Any:
-    """Return the value of a JSON text.
-
-    Args:
-        text: of a file or line.
-        where: it is.
-        kind, expected: as of ``text_lines``.
-        nan: whether NaN and Infinity, which JSON does not have, are taken.
-
-    Raises:
-        PosetrackError: of the kind given: it is no JSON.
-    """
-    try:
-        return json.loads(text, parse_constant=None if nan else _refuse)
-    except (ValueError, RecursionError) as error:
-        found = "values nested too deeply" if isinstance(error, RecursionError) else error
-        raise kind("is no JSON", where=where, found=found, hint=expected) from error
+    def json_rows(self, columns: Mapping[str, Any]) -> Iterator[Row]:
+        """Yield the rows of lists by column, as ``export --format json`` writes them, the header first."""
+        lists = list(columns.values())
+        if not all(isinstance(values, list) and len(values) == len(lists[0]) for values in lists):
+            expected = "lists of as many values each"
+            raise self.kind("columns are not of one length", where=self.path, expected=expected)
+        yield 0, list(columns)
+        for number, row in enumerate(zip(*lists, strict=True), 1):
+            yield number, ["" if value is None else str(value) for value in row]
 
 
 def _refuse(constant: str) -> NoReturn:
     raise ValueError(f"{constant}, which JSON does not have: null is for what is unknown")
-
-
-def json_columns(columns: Mapping[str, Any], path: Path, kind: Kind) -> Iterator[Row]:
-    """Yield the rows of lists by column, as ``posetrack export --format json`` writes them, the header first.
-
-    Raises:
-        PosetrackError: of the kind given: these are no lists of one length.
-    """
-    lists = list(columns.values())
-    if not all(isinstance(values, list) and len(values) == len(lists[0]) for values in lists):
-        raise kind("columns are not of one length", where=path, expected="lists of as many values each")
-    yield 0, list(columns)
-    for number, row in enumerate(zip(*lists, strict=True), 1):
-        yield number, ["" if value is None else str(value) for value in row]
 
 
 # A header row, and rows that fit it
@@ -178,85 +175,60 @@ class Table:
     """A table whose header was read.
 
     Attributes:
-        path: of the file.
-        kind: of error that its faults raise.
+        file: that it is in.
         header: where its names are, for errors.
         names: of the columns.
         rows: after the header; they can be read once.
     """
 
-    path: Path
-    kind: Kind
+    file: TextFile
     header: str
     names: tuple[str, ...]
     rows: Iterator[Row]
 
     @classmethod
-    def of(cls, path: Path, rows: Iterator[Row], kind: Kind, expected: str) -> Table:
+    def of(cls, file: TextFile, rows: Iterator[Row], expected: str) -> Table:
         """Take the header row.
 
         Args:
-            path: of the file.
+            file: of the table.
             rows: the header first.
-            kind: of error.
             expected: what the header should have.
 
         Raises:
-            PosetrackError: of the kind given: there is no row, columns are not separated by commas, numbers,
+            PosetrackError: of the file's kind: there is no row, columns are not separated by commas, numbers,
                 too many, or of one name.
         """
         line, row = next(rows, (0, []))
-        names = tuple(cell.strip() for cell in row)
+        table = cls(file, file.where(line) if line else str(file.path), tuple(map(str.strip, row)), rows)
+        names, where = table.names, file.path
         if not names:
-            raise kind("is empty", where=path, expected=expected)
+            raise file.kind("is empty", where=where, expected=expected)
         if (other := _other_separator(names)) is not None:
             hint = "write it with commas, and with points as decimal signs"
-            raise kind("columns are not separated by commas", where=path, found=other, hint=hint)
-        table = cls(path, kind, f"{path} line {line}" if line else str(path), names, rows)
+            raise file.kind("columns are not separated by commas", where=where, found=other, hint=hint)
         if all(map(_NUMBER.fullmatch, names)):
-            raise kind("header is not known", where=path, found=table.shown, expected=expected)
+            raise file.kind("header is not known", where=where, found=table.shown, expected=expected)
         if len(names) > limits.COLUMNS:
-            raise kind("has too many columns", where=path, found=len(names), expected=limits.COLUMNS)
+            raise file.kind("has too many columns", where=where, found=len(names), expected=limits.COLUMNS)
         twice = sorted(name for name, count in Counter(names).items() if name and count > 1)
         if twice:
-            raise kind("column occurs twice", where=path, found=", ".join(twice))
+            raise file.kind("column occurs twice", where=where, found=", ".join(twice))
         return table
 
     def __iter__(self) -> Iterator[Row]:
         """Yield the rows; one that is shorter or longer than the header raises."""
         for line, row in self.rows:
             if len(row) != len(self.names):
-                found, expected = f"{len(row)} cells", len(self.names)
+                found, where = f"{len(row)} cells", self.file.where(line)
                 what = "row does not fit the header"
-                raise self.kind(what, where=self.where(line), found=found, expected=expected)
+                raise self.file.kind(what, where=where, found=found, expected=len(self.names))
             yield line, row
-
-    def where(self, line: int) -> str:
-        """Say where a row is."""
-        return f"{self.path} line {line}"
 
     @property
     def shown(self) -> str:
         """The first names, as errors show them."""
         return shorten(", ".join(self.names[:20]), 100, placeholder=" ...")
-
-
-def small_table(path: Path, kind: Kind, expected: str, columns: Sequence[str], *others: str) -> Table:
-    """Read the header of a CSV file of at most ``limits.TEXT_BYTES``.
-
-    Args:
-        path, kind, expected: as of ``text_lines``.
-        columns: that it must have.
-        others: what its header may have, for errors.
-
-    Raises:
-        PosetrackError: of the kind given: as of ``csv_rows`` and ``Table.of``, or a column is missing.
-    """
-    needed = ", ".join((*columns, *others))
-    table = Table.of(path, csv_rows(path, kind, expected, limits.TEXT_BYTES), kind, needed)
-    if not set(columns) <= set(table.names):
-        raise kind("header is not known", where=path, found=table.shown, expected=needed)
-    return table
 
 
 def _other_separator(names: Sequence[str]) -> str | None:

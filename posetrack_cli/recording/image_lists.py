@@ -12,12 +12,11 @@ from decimal import Decimal
 from itertools import pairwise
 from pathlib import Path
 
-from posetrack_cli import limits
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.recording.image_files import GREY_SUFFIXES, ImageFile, list_images
 from posetrack_cli.recording.matching import LATEST_NS
 from posetrack_cli.recording.stamps import NameStamps, stamps_in_names
-from posetrack_cli.tables import COMMENT, text_lines
+from posetrack_cli.tables import COMMENT, TextFile
 from posetrack_cli.units import NS_PER_S
 
 DEPTH_LISTS, COLOUR_LISTS = ("depth.txt",), ("rgb.txt", "color.txt", "colour.txt")
@@ -165,7 +164,7 @@ def _rows(path: Path) -> list[list[str]]:
 
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
     """Yield the lines of a list with their numbers, without comments and empty ones."""
-    for number, line in text_lines(path, RecordingError, EXPECTED, limits.TEXT_BYTES):
+    for number, line in TextFile(path, RecordingError, EXPECTED).lines():
         if line.strip() and not line.startswith(COMMENT):
             yield number, line.strip()
 

@@ -16,7 +16,7 @@ from statistics import median
 
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.recording.matching import LATEST_NS
-from posetrack_cli.tables import NS_PER_UNIT, small_table, whole_of
+from posetrack_cli.tables import NS_PER_UNIT, TextFile, whole_of
 from posetrack_cli.units import NS_PER_S
 
 # When images were taken: by timestamps.csv, at a fixed rate, or as a video tells it
@@ -62,13 +62,14 @@ def load_stamps(path: Path, names: Sequence[str]) -> list[int]:
     Raises:
         RecordingError: if it cannot be read, or does not give exactly one stamp per image.
     """
-    table = small_table(path, RecordingError, EXPECTED, (), EXPECTED_HEADER)
+    file = TextFile(path, RecordingError, EXPECTED)
+    table = file.table((), EXPECTED_HEADER)
     header = table.names
     if header[-1] not in STAMP_COLUMNS or header[:-1] not in ((), ("filename",)):
         raise RecordingError("header is not known", where=path, found=table.shown, expected=EXPECTED_HEADER)
     unit = NS_PER_UNIT[header[-1]]
     entries = [
-        (row[0].strip(), whole_of(row[-1], table.where(line), RecordingError, unit)) for line, row in table
+        (row[0].strip(), whole_of(row[-1], file.where(line), RecordingError, unit)) for line, row in table
     ]
     if len(entries) != len(names):
         raise RecordingError(

@@ -38,12 +38,9 @@ from posetrack_cli.tables import (
     STATUS,
     Row,
     Table,
-    csv_rows,
+    TextFile,
     first_of,
-    json_columns,
-    json_file,
     number_of,
-    text_lines,
     whole_of,
 )
 
@@ -158,24 +155,26 @@ def open_table(path: Path) -> Table:
         TruthError: it cannot be read, is empty, not of its format, or has a header that cannot be meant.
     """
     if path.suffix.lower() == ".json":
-        rows = _json_rows(path)
+        file = TextFile(path, TruthError, EXPECTED, limits.REPORT_BYTES)
+        rows = _json_rows(file)
     else:
-        rows = _tum_rows(path) if is_tum(path) else csv_rows(path, TruthError, EXPECTED)
-    return Table.of(path, rows, TruthError, "a CSV file with a header row")
+        file = TextFile(path, TruthError, EXPECTED, most=None)
+        rows = _tum_rows(file) if is_tum(file) else file.rows()
+    return Table.of(file, rows, "a CSV file with a header row")
 
 
-def is_tum(path: Path) -> bool:
+def is_tum(file: TextFile) -> bool:
     """Return whether the first line that is not a comment has TUM's eight numbers, separated by spaces."""
-    lines = (line for _, line in text_lines(path, TruthError, EXPECTED))
+    lines = (line for _, line in file.lines())
     first = next((line for line in lines if line.strip() and not line.startswith(COMMENT)), "")
     cells = first.split()
     return len(cells) == len(TUM_COLUMNS) and "," not in first and all(map(_is_number, cells))
 
 
-def _tum_rows(path: Path) -> Iterator[Row]:
+def _tum_rows(file: TextFile) -> Iterator[Row]:
     """Yield TUM's rows with positions in mm; what is not a number is left to whoever reads the columns."""
     yield 0, list(TUM_COLUMNS)
-    for number, line in text_lines(path, TruthError, EXPECTED):
+    for number, line in file.lines():
         cells = line.split()
         if cells and not line.startswith(COMMENT):
             yield number, [_in_mm(cell) if 0 < k <= len(POSITION) else cell for k, cell in enumerate(cells)]
@@ -192,14 +191,14 @@ def _is_number(cell: str) -> bool:
         return False
 
 
-def _json_rows(path: Path) -> Iterator[Row]:
-    said = json_file(path, TruthError, EXPECTED, limits.REPORT_BYTES, nan=True)
+def _json_rows(file: TextFile) -> Iterator[Row]:
+    said = file.json(nan=True)
     columns = said.get("columns") if isinstance(said, dict) else None
     if not isinstance(columns, dict):
         expected = "an object with columns, as posetrack export --format json writes it"
         found = ", ".join(map(str, islice(said, 5)))[:80] if isinstance(said, dict) else type(said).__name__
-        raise TruthError("holds no table", where=path, found=found, expected=expected)
-    return json_columns(columns, path, TruthError)
+        raise TruthError("holds no table", where=file.path, found=found, expected=expected)
+    return file.json_rows(columns)
 
 
 # Columns of numbers from a table, with errors that name the line and the column
@@ -263,14 +262,14 @@ def read_columns(table: Table, names: Sequence[str], optional: Collection[str] =
         kept = [(line, row) for line, row in block if status is None or row[status].strip().lower() != LOST]
         lost += len(block) - len(kept)
         for line, row in kept:
-            where = f"{table.where(line)}, column {column}"
+            where = f"{table.file.where(line)}, column {column}"
             stamps.append(whole_of(row[place], where, TruthError, unit, least=-LATEST_NS))
             lines.append(line)
         blocks.append(_numbers(table, kept, names, optional))
     if not lines:
         found = f"{lost} rows, all lost" if lost else "no row after the header"
-        raise TruthError("has no truth", where=table.path, found=found, expected="a row per frame")
-    read = Columns(table.path, tuple(names), np.vstack(blocks), np.array(stamps), np.array(lines), lost)
+        raise TruthError("has no truth", where=table.file.path, found=found, expected="a row per frame")
+    read = Columns(table.file.path, tuple(names), np.vstack(blocks), np.array(stamps), np.array(lines), lost)
     _check_order(read, column)
     return read
 
@@ -292,7 +291,7 @@ def _numbers(table: Table, block: list[Row], names: Sequence[str], optional: Col
         [
             [
                 number_of(
-                    row[k], f"{table.where(line)}, column {name}", TruthError, optional=name in optional
+                    row[k], f"{table.file.where(line)}, column {name}", TruthError, optional=name in optional
                 )
                 for k, name in zip(places, names, strict=True)
             ]
@@ -414,17 +413,17 @@ def _check(table: Table, subject: Subject, layout: _Layout) -> None:
     if not layout.columns:
         raise TruthError(
             "no column is known",
-            where=table.path,
+            where=table.file.path,
             found=table.shown,
             expected=_known(subject),
         )
     if first_of(STAMPS, table.names) is None:
         expected = " or ".join(STAMPS)
-        raise TruthError("has no column of stamps", where=table.path, expected=expected)
+        raise TruthError("has no column of stamps", where=table.file.path, expected=expected)
     if kind_of(subject.name).rigid and layout.points and not (layout.position and layout.quaternion):
         raise TruthError(
             f"points of a {subject.name} are in its model frame and need its pose",
-            where=table.path,
+            where=table.file.path,
             expected=", ".join((*POSITION, *QUATERNION)),
         )
 
@@ -438,7 +437,7 @@ def _has_all(table: Table, group: Sequence[str]) -> bool:
     missing = [name for name in group if name not in table.names]
     if missing and len(missing) < len(group):
         expected = f"all or none of {', '.join(group)}"
-        raise TruthError(f"lacks {', '.join(missing)}", where=table.path, expected=expected)
+        raise TruthError(f"lacks {', '.join(missing)}", where=table.file.path, expected=expected)
     return bool(group) and not missing
 
 
@@ -448,7 +447,7 @@ def _point_names(table: Table, subject: Subject) -> tuple[str, ...]:
     found = {name.removesuffix("_x_mm") for name in table.names if name.endswith("_x_mm")}
     if not (begun or found) or not subject.point_names:
         return ()
-    check_point_names(subject.point_names, sorted({*begun, *found}), table.path)
+    check_point_names(subject.point_names, sorted({*begun, *found}), table.file.path)
     for name in subject.point_names:
         _has_all(table, point_columns([name]))
     return subject.point_names

@@ -21,7 +21,7 @@ from posetrack_cli.head.initialisation.stereo import (
 )
 from posetrack_cli.head.landmarks.faces import Landmarks
 from posetrack_cli.recording.base import Frame
-from posetrack_cli.tables import number_of, small_table
+from posetrack_cli.tables import TextFile, number_of
 from posetrack_cli.tracking.smoothing import NothingFoundError
 
 COLUMNS = ("camera", "point", "x", "y")
@@ -105,10 +105,11 @@ def read_clicked(path: Path, cameras: Sequence[Camera]) -> FloatArray:
     """
     pixels = np.full((len(cameras), POINT_COUNT, 2), np.nan)
     names = [camera.name for camera in cameras]
-    table = small_table(path, UsageError, EXPECTED, COLUMNS)
+    file = TextFile(path, UsageError, EXPECTED)
+    table = file.table(COLUMNS)
     places = [table.names.index(name) for name in COLUMNS]
     for line, row in table:
-        where = table.where(line)
+        where = file.where(line)
         camera_name, point_name, x, y = (row[place].strip() for place in places)
         camera = _index(camera_name, names, "camera", where)
         point = _index(point_name, POINT_NAMES, "point", where)

@@ -34,7 +34,7 @@ from posetrack_cli.recording.image_files import ImageFile, decode_any, decode_co
 from posetrack_cli.recording.recording import ReadingOptions, Recording
 from posetrack_cli.recording.video import open_video
 from posetrack_cli.recording.video_file import opened_video
-from posetrack_cli.tables import number_of, small_table, whole_of
+from posetrack_cli.tables import TextFile, number_of, whole_of
 from posetrack_cli.units import NS_PER_S
 
 WORDS = "Stray Scanner recording"
@@ -138,8 +138,9 @@ def _rows(path: Path) -> list[_Row]:
     Raises:
         RecordingError: it cannot be read, or lacks times or numbers.
     """
-    table = small_table(path, RecordingError, EXPECTED, (TIME, NUMBER), "...")
-    return [_row(dict(zip(table.names, row, strict=True)), table.where(line)) for line, row in table]
+    file = TextFile(path, RecordingError, EXPECTED)
+    table = file.table((TIME, NUMBER), "...")
+    return [_row(dict(zip(table.names, row, strict=True)), file.where(line)) for line, row in table]
 
 
 def _row(cells: dict[str, str], where: str) -> _Row:

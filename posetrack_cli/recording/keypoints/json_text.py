@@ -14,6 +14,7 @@ from posetrack_cli.recording.keypoints.layout import (
     HANDEDNESS,
     KEYS,
     MIRRORED,
+    PIXELS,
     POINT_FIELDS,
     SCORE_FIELDS,
     SIDE,
@@ -31,22 +32,20 @@ from posetrack_cli.recording.keypoints.tables import KIND, parse_table
 from posetrack_cli.tables import (
     FRAME_FIELDS,
     NS_PER_UNIT,
+    TextFile,
     first_of,
-    json_columns,
-    json_file,
-    json_value,
-    text_lines,
 )
 
 _ONE = ("landmarks", "keypoints", "points", "landmark")
 _PEOPLE, _INSTANCES, _INFO = "people", "instances", "instance_info"
 """Fields of OpenPose's files, one a frame, and of MMPose's frames and files."""
+_LONGER = "a longer file is one of JSON lines (.jsonl) or CSV"
 _WHOLE_BODY = 133
 """Points of COCO's whole body."""
 _LABELS = {SIDE: SIDE, MIRRORED: MIRRORED, HANDEDNESS: HANDEDNESS, "handednesses": HANDEDNESS}
 """Fields that tell sides, and which of ``SIDE_FIELDS`` they are."""
 _LABEL_NAMES = ("label", "category_name", "categoryName", "display_name", "name")
-_VISIBILITY = {0: 0.0, 1: 0.5, 2: 1.0}
+_VISIBILITY = {0.0: 0.0, 1.0: 0.5, 2.0: 1.0}
 """Scores that COCO's flags stand for: not labelled, labelled but hidden, visible."""
 
 
@@ -56,32 +55,30 @@ def read_json(path: Path, kind: PointKind) -> Parsed:
     Raises:
         UsageError: names file, frame and field of what cannot be used.
     """
-    return _parsed(path, kind, _value(path))
-
-
-def _value(path: Path) -> Any:
-    hint = "a longer file is one of JSON lines (.jsonl) or CSV"
-    return json_file(path, UsageError, KIND, limits.KEYPOINT_JSON_BYTES, hint=hint)
+    file = _file(path)
+    return _parsed(file, kind, file.json(_LONGER))
 
 
 def read_json_lines(path: Path, kind: PointKind) -> Parsed:
     """Read a frame per line; see ``read_json``."""
-    lines = text_lines(path, UsageError, KIND, limits.KEYPOINT_BYTES)
-    frames = (
-        json_value(line, f"{path} line {number}", UsageError, KIND) if line.strip() else None
-        for number, line in lines
-    )
-    return _parsed(path, kind, frames)
+    file = TextFile(path, UsageError, KIND, limits.KEYPOINT_BYTES)
+    lines = ((file.where(number), line) for number, line in file.lines())
+    return _parsed(file, kind, (file.json_of(line, where) if line.strip() else None for where, line in lines))
 
 
-def _parsed(path: Path, kind: PointKind, said: Any) -> Parsed:
+def _file(path: Path) -> TextFile:
+    return TextFile(path, UsageError, KIND, limits.KEYPOINT_JSON_BYTES)
+
+
+def _parsed(file: TextFile, kind: PointKind, said: Any) -> Parsed:
     """What a file's value says, by what it has."""
+    path = file.path
     if isinstance(said, Mapping):
         unit = unit_of(said["unit"], path) if said.get("unit") is not None else None
         if isinstance(said.get("columns"), Mapping):
-            return parse_table(path, kind, json_columns(said["columns"], path, UsageError))
+            return parse_table(file, kind, file.json_rows(said["columns"]))
         if isinstance(said.get("annotations"), list):
-            return _coco(path, kind, said, unit)
+            return _frames(path, kind, _coco(path, kind, said), unit or PIXELS)
         if isinstance(said.get("frames"), (list, Mapping)):
             return _frames(path, kind, said["frames"], unit)
         if isinstance(said.get(_INFO), list):
@@ -132,7 +129,7 @@ def frame_files(path: Path) -> list[Path]:
 
 def _file_frame(file: Path) -> Mapping[str, Any]:
     """Return what a file says of its frame: OpenPose's people, or a list of MMPose's instances."""
-    said = _value(file)
+    said = _file(file).json(_LONGER)
     if isinstance(said, list):
         said = {_INSTANCES: said}
     if not isinstance(said, Mapping):
@@ -384,16 +381,15 @@ def _of(said: Mapping[str, Any], names: Sequence[str], otherwise: Any) -> Any:
 # Exports of label tools
 
 
-def _coco(path: Path, kind: PointKind, said: Mapping[str, Any], unit: str | None) -> Parsed:
-    """COCO's keypoint annotations, as label tools export them; an image's name numbers its frame."""
+def _coco(path: Path, kind: PointKind, said: Mapping[str, Any]) -> Iterator[Mapping[str, Any] | None]:
+    """Yield the frames of COCO's keypoint annotations, as label tools export them; None without points."""
     frames = _coco_frames(path, said.get("images"))
     order = _coco_order(path, kind, said.get("categories"))
-    collector = SetCollector(path, kind, by_stamp=False)
     for n, annotation in enumerate(said["annotations"]):
-        _check_count(n, path)
         where = f"{path}, annotation {n}"
         points = annotation.get("keypoints") if isinstance(annotation, Mapping) else None
         if not points:
+            yield None
             continue
         image = annotation.get("image_id")
         if isinstance(image, (list, dict)) or image not in frames:
@@ -403,15 +399,12 @@ def _coco(path: Path, kind: PointKind, said: Mapping[str, Any], unit: str | None
             raise UsageError(
                 "has other points", where=where, found=found, expected=f"{kind.size} times x, y, v"
             )
-        hand = collector.new_hand(frames[image])
-        values = collector.set_of(frames[image], hand, where)
+        listed: list[Any] = [None] * kind.size
         for k, point in enumerate(order):
             x, y, v = (number_of(value, f"{where}, point {k}") for value in points[3 * k : 3 * k + 3])
-            score = _VISIBILITY[int(v)] if v in _VISIBILITY else score_of(v, f"{where}, point {k}, v")
-            unknown = score == 0.0
-            said_of = (math.nan if unknown else x, math.nan if unknown else y, math.nan, score)
-            collector.put(values, point, said_of, where)
-    return Parsed(collector.sets(), unit or "px", None)
+            score = _VISIBILITY.get(v, v)
+            listed[point] = [None, None, None, score] if score == 0.0 else [x, y, None, score]
+        yield {FRAME_FIELDS[0]: frames[image], _ONE[0]: listed}
 
 
 def _coco_frames(path: Path, images: Any) -> dict[Any, int]:

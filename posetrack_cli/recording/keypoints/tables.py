@@ -31,7 +31,7 @@ from posetrack_cli.recording.keypoints.layout import (
     right_of,
     score_of,
 )
-from posetrack_cli.tables import FRAME_FIELDS, LOST, NS_PER_UNIT, STATUS, Row, Table, csv_rows, first_of
+from posetrack_cli.tables import FRAME_FIELDS, LOST, NS_PER_UNIT, STATUS, Row, Table, TextFile, first_of
 
 KIND = "keypoints are a CSV or JSON file in UTF-8"
 EXPECTED = (
@@ -53,14 +53,15 @@ def read_csv(path: Path, kind: PointKind) -> Parsed:
     Raises:
         UsageError: names file, line and column of what cannot be used.
     """
-    rows = csv_rows(path, UsageError, KIND, limits.KEYPOINT_BYTES)
+    file = TextFile(path, UsageError, KIND, limits.KEYPOINT_BYTES)
+    rows = file.rows()
     first = list(islice(rows, 1))
     if first and first[0][1][0].strip().lower() == _SCORER:
-        return parse_table(path, kind, _deeplabcut(path, first[0], rows))
-    return parse_table(path, kind, chain(first, rows))
+        return parse_table(file, kind, _deeplabcut(file, first[0], rows))
+    return parse_table(file, kind, chain(first, rows))
 
 
-def _deeplabcut(path: Path, first_row: Row, rows: Iterator[Row]) -> Iterator[Row]:
+def _deeplabcut(file: TextFile, first_row: Row, rows: Iterator[Row]) -> Iterator[Row]:
     """Yield the header and rows of a table of DeepLabCut, whose names are spread over three or four rows.
 
     These are scorer, individuals (of several animals), bodyparts and coords; the first column counts frames
@@ -76,7 +77,7 @@ def _deeplabcut(path: Path, first_row: Row, rows: Iterator[Row]) -> Iterator[Row
         if not row or len(row) != len(scorer) or len(header) > len(_LEVELS):
             found, expected = f"{len(row)} cells", f"{len(scorer)}, and rows {', '.join(_LEVELS)}"
             what = "header of DeepLabCut is not complete"
-            raise UsageError(what, where=f"{path} line {line}", found=found, expected=expected)
+            raise UsageError(what, where=file.where(line), found=found, expected=expected)
         header[row[0].strip().lower()] = [cell.strip() for cell in row]
     parts = header.get("bodyparts", [""] * len(scorer))
     first = 1 + sum(1 for cell in parts[1:3] if not cell)  # images may be named in three columns
@@ -94,22 +95,22 @@ def _deeplabcut(path: Path, first_row: Row, rows: Iterator[Row]) -> Iterator[Row
                 yield line, [frame[-1] if frame else "", *cells]
 
 
-def parse_table(path: Path, kind: PointKind, rows: Iterator[Row]) -> Parsed:
+def parse_table(file: TextFile, kind: PointKind, rows: Iterator[Row]) -> Parsed:
     """Return what a table says.
 
     Args:
-        path: of the file.
+        file: of the table.
         kind: of the points.
         rows: with their lines, the header first.
 
     Raises:
         UsageError: as of ``read_csv``.
     """
-    table = Table.of(path, rows, UsageError, EXPECTED)
+    table = Table.of(file, rows, EXPECTED)
     columns = _Columns.of(kind, table)
-    collector = SetCollector(path, kind, columns.ns_per_unit is not None)
+    collector = SetCollector(file.path, kind, columns.ns_per_unit is not None)
     for line, row in table:
-        columns.take(row, collector, table.where(line))
+        columns.take(row, collector, file.where(line))
     return Parsed(collector.sets(), columns.unit, columns.side_field, int(_SUCCESS in columns.of_row))
 
 
