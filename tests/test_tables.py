@@ -64,7 +64,7 @@ def test_no_other_value_is_a_number_of_a_frame(value: object) -> None:
 @pytest.mark.parametrize("value", ["x", "inf", "-inf", "1e13", True, [1.0], {}, 10**400])
 def test_values_that_are_no_numbers(value: object) -> None:
     for optional in (False, True):
-        with pytest.raises(RecordingError, match="is (not a number|not finite|too large), found .{1,50}"):
+        with pytest.raises(RecordingError, match=r"is (not a number|not finite|too large), found .{1,50}"):
             number_of(value, "", RecordingError, optional=optional)
 
 

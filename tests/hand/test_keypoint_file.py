@@ -19,8 +19,9 @@ from posetrack_cli.hand.keypoints.file import KeypointFile, read_keypoints
 from posetrack_cli.hand.keypoints.places import HAND_POINTS
 from posetrack_cli.hand.model.anatomy import JOINT_NAMES
 from posetrack_cli.recording.base import StoredFrame
+from posetrack_cli.recording.keypoints.formats import parse_keypoints
 from posetrack_cli.recording.keypoints.layout import SetCollector, point_column
-from posetrack_cli.recording.keypoints.reading import KeypointUse, fitted_to, parse_keypoints
+from posetrack_cli.recording.keypoints.reading import KeypointUse, fitted_to
 
 CAMERA = Camera(512, 424, 365.0, 365.0, 255.5, 211.5)
 FRAMES = (0, 1, 4)
