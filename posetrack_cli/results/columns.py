@@ -271,14 +271,6 @@ Stamp: TypeAlias = Annotated[int, stamps()]
 NotNegative: TypeAlias = Annotated[float, floats(least=0.0)]
 
 
-def group(prefix: str, layouts: Mapping[str, Layout], arrays: Iterable[str]) -> dict[str, Layout]:
-    """Return layouts under names ``prefix.name``, if arrays have any such name; there are all or none."""
-    start = f"{prefix}."
-    if not any(name.startswith(start) for name in arrays):
-        return {}
-    return {f"{start}{name}": layout for name, layout in layouts.items()}
-
-
 def check_arrays(arrays: Arrays, layouts: Mapping[str, Layout]) -> None:
     """Refuse arrays that are not as stated; those of other names are not looked at.
 

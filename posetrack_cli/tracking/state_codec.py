@@ -15,6 +15,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from operator import attrgetter
+from types import NoneType
 from typing import Annotated, Any, Generic, TypeAlias, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -289,6 +290,8 @@ def parts_of(kind: Any, sizes: Mapping[str, int] | None = None, **given: Part) -
             return stated if isinstance(stated, Codec) else None
         if not inner:
             return codec_of(hint, sizes)
+        if inner[1:] != (NoneType,):
+            raise TypeError(f"a field of {kind} as {hint} has no codec")
         known = of(inner[0])
         return None if known is None else Maybe(known)
 

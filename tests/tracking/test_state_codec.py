@@ -100,6 +100,8 @@ def test_a_codec_of_annotated_fields_is_that_of_their_parts() -> None:
         assert list(derived.layouts(arrays).items()) == list(written.layouts(arrays).items())
         again = assert_lawful(derived, value)
         assert (again.found, again.size, again.frames, again.names) == (True, size, 0, ("a",))
+    with pytest.raises(TypeError, match="tuple"):  # of how many is not stated
+        codec_of(Derived, {"cameras": 2})
 
 
 stamps_ns = st.integers(-(1 << 62), 1 << 62)
