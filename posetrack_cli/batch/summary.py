@@ -13,7 +13,6 @@ from urllib.parse import quote
 
 from posetrack_cli.batch.jobs import Job, Outcome, State
 from posetrack_cli.batch.running import states_line
-from posetrack_cli.csv_rows import csv_of
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED
 from posetrack_cli.evaluation.html.rows_page import RowsPage, write_rows_html
 from posetrack_cli.evaluation.judging.assessment import (
@@ -29,6 +28,7 @@ from posetrack_cli.evaluation.judging.rows import ResultRow, worst_first
 from posetrack_cli.evaluation.measuring.evaluate import EvalOptions
 from posetrack_cli.evaluation.reports.report_files import json_report, write_report
 from posetrack_cli.evaluation.reports.writing import Reports, report_texts
+from posetrack_cli.tables import csv_of
 from posetrack_cli.text import printable_json
 
 PAGE, TABLE, REPORT = "index.html", "summary.csv", "summary.json"

@@ -32,6 +32,7 @@ from posetrack_cli.hand.model.kinematics import joint_set_distance
 from posetrack_cli.hand.observe.observation import Observation
 from posetrack_cli.hand.observe.observer import Observer
 from posetrack_cli.hand.search import Acquisition, Candidate, better_of, depth_doubt
+from posetrack_cli.results.columns import NotNegative
 from posetrack_cli.results.estimate import Status
 
 NEAR_MM = 35.0  # distance of two sets of joints, up to which a better fit is of the hand that is tracked
@@ -81,15 +82,15 @@ class TrackMonitor:
     lost: bool = False
     found: bool = True
     misses: int = 0
-    usual_mm: float = 0.0
+    usual_mm: NotNegative = 0.0
     wait: int = 0
     next_wait: int = 1
     elsewhere: int = 0
     fingers_mm: float = 0.0
-    good_mm: float = 0.0
+    good_mm: NotNegative = 0.0
     look_wait: int = 0
     next_look_wait: int = 1
-    looked_mm: float = 0.0
+    looked_mm: NotNegative = 0.0
 
     @property
     def is_believed(self) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
@@ -18,9 +18,9 @@ from posetrack_cli.hand.model.anatomy import TANGENT_SIZE
 from posetrack_cli.hand.model.hand import pose_layout
 from posetrack_cli.hand.observe.observation import Observation
 from posetrack_cli.hand.policy import TrackMonitor
-from posetrack_cli.results.columns import STAMPS_NS, Layout, floats
+from posetrack_cli.results.columns import STAMPS_NS, Layout, Stamp, counts, floats
 from posetrack_cli.tracking.confidence import RunningSigns, signs_codec
-from posetrack_cli.tracking.state_codec import Codec, Fields, Value, flag, real, stamp, whole
+from posetrack_cli.tracking.state_codec import NOT_KEPT, Codec, Fields, Value, codec_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,10 +30,10 @@ class HandState:
     Attributes:
         particles: the filter's state.
         stamp_ns: of the last frame.
-        pose: (22,) last estimate.
-        velocity: (21,) last estimate of the tangent velocity, mm/s and rad/s.
+        pose: last estimate.
+        velocity: last estimate of the tangent velocity, mm/s and rad/s.
         monitor: how well frames were fitted.
-        expected: (6,) inner numbers (``hand.fit.skeleton``) that the next frame is expected to have, but for
+        expected: inner numbers (``hand.fit.skeleton``) that the next frame is expected to have, but for
             the forearm's direction, which its image tells.
         frames, doubtful: how many showed anything to compare with, and how many of them are more probably
             wrong than right.
@@ -46,19 +46,19 @@ class HandState:
     """
 
     particles: FilterState
-    stamp_ns: int
-    pose: FloatArray
-    velocity: FloatArray
+    stamp_ns: Stamp
+    pose: Annotated[FloatArray, pose_layout()]
+    velocity: Annotated[FloatArray, floats(TANGENT_SIZE)]
     monitor: TrackMonitor = field(default_factory=TrackMonitor)
-    expected: FloatArray = field(default_factory=NO_INNER.copy)
+    expected: Annotated[FloatArray, floats(INNER_SIZE)] = field(default_factory=NO_INNER.copy)
     frames: int = 0
     doubtful: int = 0
-    unseen_ns: int = 0
-    dt: float = 0.0
-    cut: bool = False
-    evidence: RunningSigns = NO_EVIDENCE
-    modes: LikelihoodModes | None = None
-    observation: Observation | None = None
+    unseen_ns: Annotated[int, counts(most=STAMPS_NS[1])] = 0
+    dt: Annotated[float, NOT_KEPT] = 0.0
+    cut: Annotated[bool, NOT_KEPT] = False
+    evidence: Annotated[RunningSigns, signs_codec(len(SIGN_NAMES))] = NO_EVIDENCE
+    modes: Annotated[LikelihoodModes | None, NOT_KEPT] = None
+    observation: Annotated[Observation | None, NOT_KEPT] = None
 
 
 class FrameObservation(NamedTuple):
@@ -107,34 +107,7 @@ def state_codec(config: HandConfig) -> Codec[HandState]:
     kind, count = FILTERS.find(config.filter.kind), config.filter.particles
     layouts = _particle_layouts(count)
     particles = Fields(kind, **{name: Value[FloatArray](layouts[name]) for name in kind.shapes})
-    monitor = Fields(
-        TrackMonitor,
-        lost=flag(),
-        found=flag(),
-        misses=whole(),
-        usual_mm=real(floats(least=0.0)),
-        wait=whole(),
-        next_wait=whole(),
-        elsewhere=whole(),
-        fingers_mm=real(floats()),
-        good_mm=real(floats(least=0.0)),
-        look_wait=whole(),
-        next_look_wait=whole(),
-        looked_mm=real(floats(least=0.0)),
-    )
-    return Fields(
-        HandState,
-        particles=particles,
-        stamp_ns=stamp(),
-        pose=Value(pose_layout()),
-        velocity=Value(floats(TANGENT_SIZE)),
-        monitor=monitor,
-        expected=Value(floats(INNER_SIZE)),
-        frames=whole(),
-        doubtful=whole(),
-        unseen_ns=whole((0, STAMPS_NS[1])),
-        evidence=signs_codec(len(SIGN_NAMES)),
-    )
+    return codec_of(HandState, particles=particles)
 
 
 def _particle_layouts(count: int) -> dict[str, Layout]:

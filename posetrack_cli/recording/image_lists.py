@@ -12,12 +12,11 @@ from decimal import Decimal
 from itertools import pairwise
 from pathlib import Path
 
-from posetrack_cli import limits
-from posetrack_cli.csv_rows import text_lines
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.recording.image_files import GREY_SUFFIXES, ImageFile, list_images
 from posetrack_cli.recording.matching import LATEST_NS
 from posetrack_cli.recording.stamps import NameStamps, stamps_in_names
+from posetrack_cli.tables import COMMENT, TextFile
 from posetrack_cli.units import NS_PER_S
 
 DEPTH_LISTS, COLOUR_LISTS = ("depth.txt",), ("rgb.txt", "color.txt", "colour.txt")
@@ -143,7 +142,7 @@ def _rows(path: Path) -> list[list[str]]:
     """Return the cells of a list's lines that begin with a stamp, without comments and a header.
 
     Raises:
-        RecordingError: the file is too long, or a line has no stamp or no name.
+        RecordingError: the file is too large, or a line has no stamp or no name.
     """
     rows: list[list[str]] = []
     for number, line in _lines(path):
@@ -165,12 +164,8 @@ def _rows(path: Path) -> list[list[str]]:
 
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
     """Yield the lines of a list with their numbers, without comments and empty ones."""
-    size = 0
-    for number, line in text_lines(path, RecordingError, EXPECTED):
-        size += len(line)
-        if size > limits.TEXT_BYTES:
-            raise RecordingError("is too long", where=path, expected=f"at most {limits.TEXT_BYTES} bytes")
-        if line.strip() and not line.startswith("#"):
+    for number, line in TextFile(path, RecordingError, EXPECTED).lines():
+        if line.strip() and not line.startswith(COMMENT):
             yield number, line.strip()
 
 

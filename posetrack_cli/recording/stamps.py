@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import re
 from collections import Counter
@@ -16,18 +14,18 @@ from itertools import pairwise
 from pathlib import Path
 from statistics import median
 
-from posetrack_cli import limits
 from posetrack_cli.errors import RecordingError, UsageError
-from posetrack_cli.files import read_text
 from posetrack_cli.recording.matching import LATEST_NS
+from posetrack_cli.tables import NS_PER_UNIT, TextFile, whole_of
 from posetrack_cli.units import NS_PER_S
 
 # When images were taken: by timestamps.csv, at a fixed rate, or as a video tells it
 
 
 STAMPS_FILE_NAME = "timestamps.csv"
-STAMPS = f"0 to {LATEST_NS} ns, the years 1970 to 2262"
-EXPECTED_HEADER = "stamp_ns or time_s, with or without a column filename before it"
+EXPECTED = "stamps are a CSV file in UTF-8"
+EXPECTED_HEADER = "a header line: stamp_ns or time_s, with or without a column filename before it"
+STAMP_COLUMNS = ("stamp_ns", "time_s")
 SLOWEST_HZ, FASTEST_HZ = 1e-6, 1e6
 MOST_BEHIND = 16
 """Frames in a row that may be earlier than the one before: as many as decoders hold back to put in order."""
@@ -64,15 +62,15 @@ def load_stamps(path: Path, names: Sequence[str]) -> list[int]:
     Raises:
         RecordingError: if it cannot be read, or does not give exactly one stamp per image.
     """
-    rows = _rows(path)
-    if not rows:
-        raise RecordingError("is empty", where=path, expected=f"a header line: {EXPECTED_HEADER}")
-    header = tuple(cell.strip() for cell in rows[0][1])
-    if header not in {("stamp_ns",), ("filename", "stamp_ns"), ("time_s",), ("filename", "time_s")}:
-        raise RecordingError(
-            "header is not known", where=path, found=f"'{','.join(header)}'", expected=EXPECTED_HEADER
-        )
-    entries = [_entry(row, number, header, path) for number, row in rows[1:]]
+    file = TextFile(path, RecordingError, EXPECTED)
+    table = file.table((), EXPECTED_HEADER)
+    header = table.names
+    if header[-1] not in STAMP_COLUMNS or header[:-1] not in ((), ("filename",)):
+        raise RecordingError("header is not known", where=path, found=table.shown, expected=EXPECTED_HEADER)
+    unit = NS_PER_UNIT[header[-1]]
+    entries = [
+        (row[0].strip(), whole_of(row[-1], file.where(line), RecordingError, unit)) for line, row in table
+    ]
     if len(entries) != len(names):
         raise RecordingError(
             "stamps and images differ in number",
@@ -80,7 +78,13 @@ def load_stamps(path: Path, names: Sequence[str]) -> list[int]:
             found=f"{len(entries)} stamps",
             expected=f"{len(names)}, one per image",
         )
-    return [stamp for _, stamp in entries] if len(header) == 1 else _by_name(entries, names, path)
+    if len(header) == 1:
+        return [stamp for _, stamp in entries]
+    stamps = dict(entries)
+    missing = next((name for name in names if name not in stamps), None)
+    if missing is not None:
+        raise RecordingError("image has no stamp", where=path, found=f"no line for {missing}")
+    return [stamps[name] for name in names]
 
 
 class VideoStamps:
@@ -111,43 +115,6 @@ class VideoStamps:
         self._behind = 0
         self._latest = told_ns + self._offset
         return self._latest
-
-
-def _rows(path: Path) -> list[tuple[int, list[str]]]:
-    """Return the lines that are not blank, with their numbers from 1."""
-    try:
-        lines = io.StringIO(read_text(path, limits.TEXT_BYTES, "utf-8-sig"), newline="")
-        return [(number, row) for number, row in enumerate(csv.reader(lines), 1) if any(row)]
-    except OSError as error:
-        raise RecordingError("cannot be read", where=path, found=error.strerror or error) from error
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise RecordingError("is not a CSV file", where=path, found=error) from error
-
-
-def _entry(row: list[str], number: int, header: tuple[str, ...], path: Path) -> tuple[str, int]:
-    where = f"{path} line {number}"
-    if len(row) != len(header):
-        raise RecordingError(
-            "line does not fit the header", where=where, found=f"{len(row)} cells", expected=len(header)
-        )
-    cell = row[-1].strip()
-    try:
-        number_ns = Decimal(cell) * (1 if header[-1] == "stamp_ns" else NS_PER_S)
-        if not 0 <= number_ns <= LATEST_NS:  # before it is rounded: 1e99999 has as many digits
-            raise RecordingError("stamp is negative or too late", where=where, found=cell, expected=STAMPS)
-        return row[0].strip(), int(cell) if header[-1] == "stamp_ns" else round(number_ns)
-    except (ValueError, ArithmeticError) as error:
-        raise RecordingError(
-            "stamp is not a number", where=where, found=f"'{cell}'", expected=header[-1]
-        ) from error
-
-
-def _by_name(entries: list[tuple[str, int]], names: Sequence[str], path: Path) -> list[int]:
-    stamps = dict(entries)
-    for name in names:
-        if name not in stamps:
-            raise RecordingError("image has no stamp", where=path, found=f"no line for {name}")
-    return [stamps[name] for name in names]
 
 
 # Order and numbers of file names: 2 before 10, and which numbers of a sequence are missing

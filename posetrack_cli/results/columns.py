@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from operator import itemgetter
-from typing import Any, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 
@@ -227,6 +227,10 @@ class Layout:
     unit: tuple[int, int] | None = None
     shares: bool = False
 
+    def sized(self, sizes: Mapping[str, int]) -> Layout:
+        """Return the layout with the lengths of these names."""
+        return replace(self, shape=tuple(sizes.get(str(length), length) for length in self.shape))
+
     def named(self, prefix: str) -> Layout:
         """Return the layout with lengths of its own, whose names begin with a prefix."""
         shape = tuple(f"{prefix}{length}" if isinstance(length, str) else length for length in self.shape)
@@ -263,12 +267,8 @@ def counts(*shape: int | str, most: int = COUNTS[1]) -> Layout:
     return Layout("int64", shape, COUNTS[0], most)
 
 
-def group(prefix: str, layouts: Mapping[str, Layout], arrays: Iterable[str]) -> dict[str, Layout]:
-    """Return layouts under names ``prefix.name``, if arrays have any such name; there are all or none."""
-    start = f"{prefix}."
-    if not any(name.startswith(start) for name in arrays):
-        return {}
-    return {f"{start}{name}": layout for name, layout in layouts.items()}
+Stamp: TypeAlias = Annotated[int, stamps()]
+NotNegative: TypeAlias = Annotated[float, floats(least=0.0)]
 
 
 def check_arrays(arrays: Arrays, layouts: Mapping[str, Layout]) -> None:

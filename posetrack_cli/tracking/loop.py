@@ -5,16 +5,16 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
-from typing import Any, NamedTuple, Protocol, TypeVar
+from typing import Annotated, Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.recording.base import Frame
-from posetrack_cli.results.columns import FLAGS, LayoutError, check_numbers, floats
+from posetrack_cli.results.columns import FLAGS, LayoutError, Stamp, check_numbers, floats
 from posetrack_cli.results.estimate import Estimate
 from posetrack_cli.results.spool import Checkpoint
-from posetrack_cli.tracking.state_codec import Codec, Fields, Maybe, Value, joined, part_of, stamp
+from posetrack_cli.tracking.state_codec import Codec, Maybe, codec_of, joined, part_of
 
 State = TypeVar("State")
 
@@ -37,6 +37,10 @@ StartState = Callable[[Frame, np.random.Generator], Any]
 """Makes a tracker's state before a first frame."""
 
 
+_MOST = 1e30
+"""Of what a belief holds: poses that leap give velocities without a meaning, but with a number."""
+
+
 class VelocityBelief(NamedTuple):
     """What is believed of a body's motion after a frame (``tracking.velocity``).
 
@@ -48,11 +52,11 @@ class VelocityBelief(NamedTuple):
         surprise: (D,) square of the last innovation over its variance; 1 where there was none.
     """
 
-    stamp_ns: int
-    pose: FloatArray
-    velocity: FloatArray
-    covariance: FloatArray
-    surprise: FloatArray
+    stamp_ns: Stamp
+    pose: Annotated[FloatArray, replace(floats("pose entries"), unit=(3, 7))]
+    velocity: Annotated[FloatArray, floats("velocities", least=-_MOST, most=_MOST)]
+    covariance: Annotated[FloatArray, floats(3, "velocities", least=-_MOST, most=_MOST)]
+    surprise: Annotated[FloatArray, floats("velocities", least=0.0, most=_MOST)]
 
 
 class RunState(NamedTuple):
@@ -115,20 +119,9 @@ def track_frames(
         yield Step(frame, estimate, RunState(state, rng, frame.index))
 
 
-_MOST = 1e30
-"""Of what a belief holds: poses that leap give velocities without a meaning, but with a number."""
 _VELOCITY = "run_velocity"
 """What the arrays of a velocity's belief are called in a checkpoint, beside those of the tracker."""
-_VELOCITY_CODEC = Maybe(
-    Fields(
-        VelocityBelief,
-        stamp_ns=stamp(),
-        pose=Value(replace(floats("pose entries"), unit=(3, 7))),
-        velocity=Value(floats("velocities", least=-_MOST, most=_MOST)),
-        covariance=Value(floats(3, "velocities", least=-_MOST, most=_MOST)),
-        surprise=Value(floats("velocities", least=0.0, most=_MOST)),
-    )
-)
+_VELOCITY_CODEC = Maybe(codec_of(VelocityBelief))
 _BITS_32, _BITS_128 = (0, (1 << 32) - 1), (0, (1 << 128) - 1)
 
 

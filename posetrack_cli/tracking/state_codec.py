@@ -2,8 +2,9 @@
 
 A codec is put together of small ones, as the state is: ``Value`` is one array or number, ``Fields`` an object
 of several, ``Maybe`` what may be None, ``Stacked`` objects alike of which each array is one row, ``Numbered``
-objects that differ in length. Each says what its arrays must be (``results.columns``): those of a stranger
-are refused before anything is made of them. The laws that tests hold every codec to:
+objects that differ in length. ``codec_of`` makes that of a class whose fields state their layouts. Each says
+what its arrays must be (``results.columns``): those of a stranger are refused before anything is made of
+them. The laws that tests hold every codec to:
 
     from_arrays(to_arrays(x)) equals x;    to_arrays(from_arrays(a)) equals a, bit by bit.
 """
@@ -11,10 +12,11 @@ are refused before anything is made of them. The laws that tests hold every code
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from operator import attrgetter
-from typing import Any, Generic, TypeAlias, TypeVar
+from types import NoneType
+from typing import Annotated, Any, Generic, TypeAlias, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -252,6 +254,50 @@ class Numbered(Codec[tuple[T, ...]]):
 
     def _name(self, index: int) -> str:
         return f"{self._called}{index}"
+
+
+NOT_KEPT = object()
+"""Annotates a field that a codec leaves out."""
+_OF_TYPE: Mapping[Any, Callable[[], Codec[Any]]] = {int: whole, bool: flag, float: real}
+
+
+def codec_of(kind: Callable[..., T], sizes: Mapping[str, int] | None = None, **given: Part) -> Codec[T]:
+    """Return the codec of a dataclass or named tuple whose fields state what they are; see ``parts_of``."""
+    return Fields(kind, **parts_of(kind, sizes, **given))
+
+
+def parts_of(kind: Any, sizes: Mapping[str, int] | None = None, **given: Part) -> dict[str, Part]:
+    """Return the codecs of the fields of a dataclass or named tuple, in their order.
+
+    A field's type says what it is: a count, a flag, any finite number, an object of such fields, or one of
+    these or None. ``Annotated[FloatArray, floats(3)]`` says it by a layout; there may also be a codec, or
+    ``NOT_KEPT``.
+
+    Args:
+        kind: the class.
+        sizes: lengths that layouts name.
+        given: codecs of fields that cannot be told by their type.
+    """
+
+    def of(hint: Any) -> Codec[Any] | None:
+        if hint in _OF_TYPE:
+            return _OF_TYPE[hint]()
+        inner = get_args(hint)
+        if get_origin(hint) is Annotated:
+            own, stated = inner
+            if isinstance(stated, Layout):
+                return Value(stated.sized(sizes or {}), own if own in _OF_TYPE else None)
+            return stated if isinstance(stated, Codec) else None
+        if not inner:
+            return codec_of(hint, sizes)
+        if inner[1:] != (NoneType,):
+            raise TypeError(f"a field of {kind} as {hint} has no codec")
+        known = of(inner[0])
+        return None if known is None else Maybe(known)
+
+    hints = get_type_hints(kind, include_extras=True)
+    parts = {name: given[name] if name in given else of(hint) for name, hint in hints.items()}
+    return {name: part for name, part in parts.items() if part is not None}
 
 
 def joined(name: str, inner: str) -> str:

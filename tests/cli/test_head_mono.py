@@ -98,7 +98,7 @@ def test_no_face_is_one_line_with_frames_and_score(
         ),
         (["--face-model", "nowhere.npz"], 2, "no such face model"),
         (["--load-model", "nowhere.npz"], 2, "no such model file"),
-        (["--init", "nowhere.csv"], 2, "nowhere.csv: clicked points not found"),
+        (["--init", "nowhere.csv"], 2, "nowhere.csv: cannot be read"),
         (["--start", "9"], 2, "no frame to track, found 3 frames"),
         (["--fov", "200"], 2, "--fov cannot be used, found 200, expected degrees from 1 to 170"),
         (["--fov", "60"], 2, "--fov does not apply to a calibrated camera, found 250 px; leave it out"),

@@ -73,7 +73,7 @@ def test_no_face_is_one_line_with_frames_and_score(
         (["--cameras", "left,rihgt"], 1, "right"),
         (["--start", "9"], 2, "no frame to track, found 3 frames"),
         (["--load-model", "nowhere.npz"], 2, "no such model file"),
-        (["--init", "nowhere.csv"], 2, "nowhere.csv: clicked points not found"),
+        (["--init", "nowhere.csv"], 2, "nowhere.csv: cannot be read"),
         (["--resume"], 1, "no unfinished result to resume"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",

@@ -19,8 +19,9 @@ from posetrack_cli.hand.keypoints.file import KeypointFile, read_keypoints
 from posetrack_cli.hand.keypoints.places import HAND_POINTS
 from posetrack_cli.hand.model.anatomy import JOINT_NAMES
 from posetrack_cli.recording.base import StoredFrame
+from posetrack_cli.recording.keypoints.formats import parse_keypoints
 from posetrack_cli.recording.keypoints.layout import SetCollector, point_column
-from posetrack_cli.recording.keypoints.reading import KeypointUse, fitted_to, parse_keypoints
+from posetrack_cli.recording.keypoints.reading import KeypointUse, fitted_to
 
 CAMERA = Camera(512, 424, 365.0, 365.0, 255.5, 211.5)
 FRAMES = (0, 1, 4)
@@ -532,12 +533,12 @@ FAULTS: dict[str, tuple[str, Any, str]] = {
     "frame number": (
         "k.csv",
         f"{HEADER}\n1.5{ROW[1:]}\n",
-        "line 2: frame number cannot be used, found '1.5'",
+        "line 2: frame number is no whole number, found '1.5'",
     ),
     "stamp": (
         "k.csv",
         f"{HEADER.replace('frame', 'stamp_ns')}\n1e99999{ROW[1:]}\n",
-        "line 2: stamp cannot be used",
+        "line 2: stamp is out of range, found '1e99999'",
     ),
     "semicolons": ("k.csv", GOOD.replace(",", ";"), "not separated by commas, found semicolons"),
     "column twice": ("k.csv", GOOD.replace("x1,", "x0,", 1), "column occurs twice, found x0"),

@@ -3,27 +3,29 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from posetrack_cli.results.columns import Layout, LayoutError, counts, floats, units
+from posetrack_cli.results.columns import Layout, LayoutError, NotNegative, Stamp, counts, floats, units
 from posetrack_cli.tracking.state_codec import (
+    NOT_KEPT,
     Codec,
     Fields,
     Maybe,
     Numbered,
     Stacked,
     Value,
+    codec_of,
     flag,
     real,
     stamp,
     whole,
 )
-from support.codecs import assert_lawful
+from support.codecs import assert_lawful, assert_same_arrays
 
 AXIS = units(3)
 
@@ -65,6 +67,42 @@ STATE: Codec[State] = Fields(
     frames=whole(),
     weights=Value(floats("weights?")),
 )
+
+
+class Derived(NamedTuple):
+    view: Annotated[View, VIEW]
+    found: bool
+    scores: Annotated[np.ndarray, floats("cameras", "scores", least=0.0)]
+    stamp_ns: Stamp
+    size: NotNegative | None
+    frames: int = 0
+    note: Annotated[str, NOT_KEPT] = "note"
+    names: tuple[str, ...] = ()
+
+
+def test_a_codec_of_annotated_fields_is_that_of_their_parts() -> None:
+    names = Value(Layout("str", ("names?",)), lambda array: tuple(array.tolist()))
+    derived = codec_of(Derived, {"cameras": 2}, names=names)
+    written = Fields(
+        Derived,
+        view=VIEW,
+        found=flag(),
+        scores=Value(floats(2, "scores", least=0.0)),
+        stamp_ns=stamp(),
+        size=Maybe(real(floats(least=0.0))),
+        frames=whole(),
+        names=names,
+    )
+    for size in (None, 1.5):
+        value = Derived(View(7, np.eye(3)[0]), True, np.ones((2, 3)), 8, size, names=("a",))
+        arrays = derived.to_arrays(value)
+        assert_same_arrays(arrays, written.to_arrays(value))
+        assert list(derived.layouts(arrays).items()) == list(written.layouts(arrays).items())
+        again = assert_lawful(derived, value)
+        assert (again.found, again.size, again.frames, again.names) == (True, size, 0, ("a",))
+    with pytest.raises(TypeError, match="tuple"):  # of how many is not stated
+        codec_of(Derived, {"cameras": 2})
+
 
 stamps_ns = st.integers(-(1 << 62), 1 << 62)
 numbers = st.floats(-1e9, 1e9)

@@ -16,13 +16,13 @@ from posetrack_cli import limits
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.errors import TruthError, UsageError
 from posetrack_cli.evaluation.reading.tracks import Track, check_stamps
-from posetrack_cli.evaluation.reading.truth_tables import cell_number
 from posetrack_cli.files import read_text
 from posetrack_cli.head.landmarks.faces import FACE_POINTS
 from posetrack_cli.head.subject import HEAD
 from posetrack_cli.recording.matching import LATEST_NS
 from posetrack_cli.recording.stamps import DIGITS, number
 from posetrack_cli.results.reader import Result
+from posetrack_cli.tables import number_of
 from posetrack_cli.units import NS_PER_S
 
 SUFFIX, FOLDER = ".pts", "annot"
@@ -119,7 +119,7 @@ def _read_points(path: Path) -> FloatArray:
     for row, cells in enumerate(rows):
         if len(cells) != points.shape[1]:
             raise TruthError("is not a point", where=f"{path}, point {row + 1}", expected="x y")
-        values = [cell_number(cell, False, f"{path}, point {row + 1}") for cell in cells]
+        values = [number_of(cell, f"{path}, point {row + 1}", TruthError) for cell in cells]
         if row in places:
             points[places[row]] = values
     right, left = (points[FACE_POINTS.names.index(name)] for name in OUTER_EYES)

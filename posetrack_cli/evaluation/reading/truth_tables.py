@@ -2,32 +2,25 @@
 
 from __future__ import annotations
 
-import json
-import math
-from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from decimal import Decimal, InvalidOperation
 from itertools import islice
 from operator import itemgetter
 from pathlib import Path
-from textwrap import shorten
-from typing import Any
 
 import numpy as np
 
 from posetrack_cli import limits
 from posetrack_cli.arrays import FloatArray, IntArray
-from posetrack_cli.csv_rows import COMMENT, Row, csv_rows, text_lines
 from posetrack_cli.errors import TruthError
 from posetrack_cli.evaluation.reading.tracks import Track
-from posetrack_cli.files import read_text
 from posetrack_cli.geometry.rigid import in_camera
 from posetrack_cli.geometry.rotations import canonical
 from posetrack_cli.mcap.stream import is_mcap
 from posetrack_cli.recording.base import RECORDING_KEY
 from posetrack_cli.recording.matching import LATEST_NS
-from posetrack_cli.results.estimate import Status, Subject, kind_of
+from posetrack_cli.results.estimate import Subject, kind_of
 from posetrack_cli.results.export.table import (
     ANGULAR_VELOCITY,
     LINEAR_VELOCITY,
@@ -38,7 +31,18 @@ from posetrack_cli.results.export.table import (
     shape_columns,
 )
 from posetrack_cli.results.reader import Result, is_result, read_result
-from posetrack_cli.units import NS_PER_S
+from posetrack_cli.tables import (
+    COMMENT,
+    LOST,
+    NS_PER_UNIT,
+    STATUS,
+    Row,
+    Table,
+    TextFile,
+    first_of,
+    number_of,
+    whole_of,
+)
 
 # What every truth must fulfil, and what makes one look like that of something else
 
@@ -144,29 +148,33 @@ TUM_COLUMNS = ("t_s", *POSITION, *QUATERNION)
 """Of a trajectory in TUM's format, whose positions are metres."""
 
 
-def table_rows(path: Path) -> Iterator[Row]:
-    """Yield the rows of a file, the header row first.
+def open_table(path: Path) -> Table:
+    """Read the header of a table.
 
     Raises:
-        TruthError: it cannot be read, or names file and line of what is not of its format.
+        TruthError: it cannot be read, is empty, not of its format, or has a header that cannot be meant.
     """
     if path.suffix.lower() == ".json":
-        return _json_rows(path)
-    return _tum_rows(path) if is_tum(path) else csv_rows(path, TruthError, EXPECTED)
+        file = TextFile(path, TruthError, EXPECTED, limits.REPORT_BYTES)
+        rows = _json_rows(file)
+    else:
+        file = TextFile(path, TruthError, EXPECTED, most=None)
+        rows = _tum_rows(file) if is_tum(file) else file.rows()
+    return Table.of(file, rows, "a CSV file with a header row")
 
 
-def is_tum(path: Path) -> bool:
+def is_tum(file: TextFile) -> bool:
     """Return whether the first line that is not a comment has TUM's eight numbers, separated by spaces."""
-    lines = (line for _, line in text_lines(path, TruthError, EXPECTED))
+    lines = (line for _, line in file.lines())
     first = next((line for line in lines if line.strip() and not line.startswith(COMMENT)), "")
     cells = first.split()
     return len(cells) == len(TUM_COLUMNS) and "," not in first and all(map(_is_number, cells))
 
 
-def _tum_rows(path: Path) -> Iterator[Row]:
+def _tum_rows(file: TextFile) -> Iterator[Row]:
     """Yield TUM's rows with positions in mm; what is not a number is left to whoever reads the columns."""
     yield 0, list(TUM_COLUMNS)
-    for number, line in text_lines(path, TruthError, EXPECTED):
+    for number, line in file.lines():
         cells = line.split()
         if cells and not line.startswith(COMMENT):
             yield number, [_in_mm(cell) if 0 < k <= len(POSITION) else cell for k, cell in enumerate(cells)]
@@ -183,103 +191,31 @@ def _is_number(cell: str) -> bool:
         return False
 
 
-def _json_rows(path: Path) -> Iterator[Row]:
-    columns = _columns(path)
-    yield 0, list(columns)
-    for number, row in enumerate(zip(*columns.values(), strict=True), 1):
-        yield number, ["" if value is None else str(value) for value in row]
-
-
-def _columns(path: Path) -> dict[str, list[Any]]:
-    """Return the columns of a JSON export: lists of one length by name."""
-    try:
-        said = json.loads(read_text(path, limits.REPORT_BYTES))
-    except OSError as error:
-        raise TruthError("cannot be read", where=path, found=error.strerror or error) from error
-    except (ValueError, RecursionError) as error:
-        found = "values nested too deeply" if isinstance(error, RecursionError) else error
-        raise TruthError("is no JSON", where=path, found=found, hint=EXPECTED) from error
+def _json_rows(file: TextFile) -> Iterator[Row]:
+    said = file.json(nan=True)
     columns = said.get("columns") if isinstance(said, dict) else None
-    if not isinstance(columns, dict) or not all(isinstance(values, list) for values in columns.values()):
+    if not isinstance(columns, dict):
         expected = "an object with columns, as posetrack export --format json writes it"
         found = ", ".join(map(str, islice(said, 5)))[:80] if isinstance(said, dict) else type(said).__name__
-        raise TruthError("holds no table", where=path, found=found, expected=expected)
-    if len({len(values) for values in columns.values()}) > 1:
-        raise TruthError("columns are not of one length", where=path)
-    return columns
+        raise TruthError("holds no table", where=file.path, found=found, expected=expected)
+    return file.json_rows(columns)
 
 
-# Columns of numbers from a file of rows, with errors that name the line and the column
+# Columns of numbers from a table, with errors that name the line and the column
 
 
-SEPARATORS = {";": "semicolons", "\t": "tabs", " ": "spaces"}
-"""What other programs write between columns."""
-STATUS = "status"
+STAMPS = ("stamp_ns", "t_s", "time_s")
+"""Columns of stamps: the first that a file has is taken."""
 BLOCK_ROWS = 4096  # as text a row takes ten times its numbers' memory
-SHOWN = 40
-"""Characters of a cell that an error shows."""
-NS_PER_UNIT = {"stamp_ns": 1, "t_s": NS_PER_S, "time_s": NS_PER_S}
-"""Columns of stamps, the first that a file has is taken, and what one of their units is in ns."""
-
-
-@dataclass(frozen=True)
-class CsvHeader:
-    """What a file's header row says.
-
-    Attributes:
-        path: the file.
-        columns: their names.
-    """
-
-    path: Path
-    columns: tuple[str, ...]
-
-    @property
-    def stamp_column(self) -> str | None:
-        """The column of the stamps, None if there is none."""
-        return next((name for name in NS_PER_UNIT if name in self.columns), None)
-
-
-def read_header(path: Path) -> CsvHeader:
-    """Read the header row, the first that is no comment.
-
-    Raises:
-        TruthError: the file cannot be read, is empty, is not UTF-8, is not separated by commas, or has a
-            column twice.
-    """
-    _, row = next(table_rows(path), (0, []))
-    if not row:
-        raise TruthError("is empty", where=path, expected="a CSV file with a header row")
-    _check_separator(path, row)
-    columns = tuple(cell.strip() for cell in row)
-    if len(columns) > limits.COLUMNS:
-        raise TruthError("has too many columns", where=path, found=len(columns), expected=limits.COLUMNS)
-    twice = sorted(name for name, count in Counter(columns).items() if name and count > 1)
-    if twice:
-        raise TruthError("column occurs twice", where=path, found=", ".join(twice))
-    return CsvHeader(path, columns)
-
-
-def _check_separator(path: Path, row: list[str]) -> None:
-    """Raise where a header row has a column of stamps once it is separated by something else than commas."""
-    cells = {name: {cell.strip(' "') for cell in row[0].split(sign)} for sign, name in SEPARATORS.items()}
-    other = next((name for name, own in cells.items() if len(own) > 1 and own & NS_PER_UNIT.keys()), None)
-    if other is not None:
-        raise TruthError(
-            "columns are not separated by commas",
-            where=path,
-            found=other,
-            hint="write it with commas, and with points as decimal signs",
-        )
 
 
 @dataclass(frozen=True, eq=False)
-class CsvTable:
-    """Some columns of a file.
+class Columns:
+    """Some columns of a table.
 
     Attributes:
         path: the file.
-        columns: names of the C columns.
+        names: of the C columns.
         values: (N, C).
         stamp_ns: (N,) strictly increasing.
         lines: (N,) the line of each row in the file, counted from 1.
@@ -287,7 +223,7 @@ class CsvTable:
     """
 
     path: Path
-    columns: tuple[str, ...]
+    names: tuple[str, ...]
     values: FloatArray
     stamp_ns: IntArray
     lines: IntArray
@@ -295,148 +231,83 @@ class CsvTable:
 
     def of(self, names: Sequence[str]) -> FloatArray:
         """Return the columns of these names, (N, len(names))."""
-        return self.values[:, [self.columns.index(name) for name in names]]
+        return self.values[:, [self.names.index(name) for name in names]]
 
     def where(self, row: int) -> str:
         """Say where a row is."""
         return f"{self.path} line {int(self.lines[row])}"
 
 
-def read_table(header: CsvHeader, columns: Sequence[str], optional: Collection[str] = ()) -> CsvTable:
-    """Read the stamps and some columns of a file, without the rows whose ``status`` is ``lost``.
+def read_columns(table: Table, names: Sequence[str], optional: Collection[str] = ()) -> Columns:
+    """Read the stamps and some columns of a table, without the rows whose ``status`` is ``lost``.
 
     Args:
-        header: of the file; has a column of stamps.
-        columns: to read, C names.
+        table: has a column of stamps.
+        names: of the C columns.
         optional: those of them in which a cell may be empty or nan, which is NaN then.
 
     Raises:
         TruthError: names file, line and column of what is no number, of a row that is too short or too
-            long, of a stamp that is not later than the one before. Also for a file without rows.
+            long, of a stamp that is not later than the one before. Also for a table without rows.
     """
+    column = str(first_of(STAMPS, table.names))
+    place, unit = table.names.index(column), NS_PER_UNIT[column]
+    status = table.names.index(STATUS) if STATUS in table.names else None
     stamps: list[int] = []
     lines: list[int] = []
     blocks = []
     lost = 0
-    for block in _blocks(header):
-        kept = _not_lost(header, block)
+    rows = iter(table)
+    while block := list(islice(rows, BLOCK_ROWS)):
+        kept = [(line, row) for line, row in block if status is None or row[status].strip().lower() != LOST]
         lost += len(block) - len(kept)
-        stamps += _stamps(header, kept)
-        lines += [line for line, _ in kept]
-        blocks.append(_numbers(header, kept, columns, optional))
+        for line, row in kept:
+            where = f"{table.file.where(line)}, column {column}"
+            stamps.append(whole_of(row[place], where, TruthError, unit, least=-LATEST_NS))
+            lines.append(line)
+        blocks.append(_numbers(table, kept, names, optional))
     if not lines:
         found = f"{lost} rows, all lost" if lost else "no row after the header"
-        raise TruthError("has no truth", where=header.path, found=found, expected="a row per frame")
-    values = np.vstack(blocks)
-    table = CsvTable(header.path, tuple(columns), values, np.array(stamps), np.array(lines), lost)
-    _check_order(table, str(header.stamp_column))
-    return table
+        raise TruthError("has no truth", where=table.file.path, found=found, expected="a row per frame")
+    read = Columns(table.file.path, tuple(names), np.vstack(blocks), np.array(stamps), np.array(lines), lost)
+    _check_order(read, column)
+    return read
 
 
-def _blocks(header: CsvHeader) -> Iterator[list[Row]]:
-    """Yield the rows after the header, some at a time, each of the header's length."""
-    rows = islice(table_rows(header.path), 1, None)
-    while block := list(islice(rows, BLOCK_ROWS)):
-        for line, row in block:
-            if len(row) != len(header.columns):
-                raise TruthError(
-                    "row does not fit the header",
-                    where=f"{header.path} line {line}",
-                    found=f"{len(row)} cells",
-                    expected=len(header.columns),
-                )
-        yield block
-
-
-def _not_lost(header: CsvHeader, block: list[Row]) -> list[Row]:
-    if STATUS not in header.columns:
-        return block
-    place = header.columns.index(STATUS)
-    return [(line, row) for line, row in block if row[place].strip() != Status.LOST.value]
-
-
-def _stamps(header: CsvHeader, block: list[Row]) -> list[int]:
-    column = str(header.stamp_column)
-    place, unit = header.columns.index(column), NS_PER_UNIT[column]
-    return [
-        _stamp(row[place].strip(), unit, f"{header.path} line {line}, column {column}") for line, row in block
-    ]
-
-
-def _stamp(cell: str, ns_per_unit: int, where: str) -> int:
-    """Return a stamp, ns; by way of decimals, since floats of today's seconds are off by 0.2 microseconds."""
-    try:
-        stamp = Decimal(cell) * ns_per_unit
-        if abs(stamp) > LATEST_NS:  # before it is rounded: 1e99999 has as many digits
-            raise TruthError("stamp does not fit into 64 bits", where=where, found=cell)
-        if ns_per_unit == 1 and stamp != int(stamp):
-            raise TruthError("stamp is no whole number", where=where, found=cell)
-        return round(stamp)
-    except (ValueError, ArithmeticError) as error:
-        raise TruthError("stamp is not a number", where=where, found=repr(cell)) from error
-
-
-def _numbers(
-    header: CsvHeader, block: list[Row], columns: Sequence[str], optional: Collection[str]
-) -> FloatArray:
+def _numbers(table: Table, block: list[Row], names: Sequence[str], optional: Collection[str]) -> FloatArray:
     """Return the cells of some columns of a block of rows as numbers."""
-    if not (columns and block):
-        return np.empty((len(block), len(columns)))
-    places = [header.columns.index(name) for name in columns]
+    if not (names and block):
+        return np.empty((len(block), len(names)))
+    places = [table.names.index(name) for name in names]
     pick = itemgetter(*places, places[0])  # one more, so that it is a tuple also of a single column
     try:
         values = np.array([list(map(float, pick(row))) for _, row in block])[:, :-1]
-        required = [name not in optional for name in columns]
+        required = [name not in optional for name in names]
         if np.isfinite(values[:, required]).all() and not (np.abs(values) > limits.NUMBER).any():
             return values
     except ValueError:
         pass
-    return np.array(
+    return np.array(  # slow: for empty cells, or a fault that needs its place
         [
             [
-                cell_number(row[place], name in optional, f"{header.path} line {line}, column {name}")
-                for place, name in zip(places, columns, strict=True)
+                number_of(
+                    row[k], f"{table.file.where(line)}, column {name}", TruthError, optional=name in optional
+                )
+                for k, name in zip(places, names, strict=True)
             ]
             for line, row in block
         ]
     )
 
 
-def cell_number(cell: str, optional: bool, where: str) -> float:
-    """Return one cell; slow, for blocks with empty cells or with a fault that needs its place.
-
-    Args:
-        cell: its text.
-        optional: whether an empty cell or ``nan`` is NaN.
-        where: the cell is.
-
-    Raises:
-        TruthError: it is not a number, not finite or too large.
-    """
-    cell = cell.strip()
-    if optional and cell.lower() in ("", "nan"):
-        return math.nan
-    try:
-        value = float(cell)
-    except ValueError as error:
-        raise TruthError("is not a number", where=where, found=repr(cell[:SHOWN])) from error
-    if not math.isfinite(value):
-        raise TruthError("is not finite", where=where, found=cell[:SHOWN])
-    if abs(value) > limits.NUMBER:
-        raise TruthError(
-            "is too large", where=where, found=cell[:SHOWN], expected=f"{limits.NUMBER:g} at most"
-        )
-    return value
-
-
-def _check_order(table: CsvTable, column: str) -> None:
-    back = np.flatnonzero(np.diff(table.stamp_ns) <= 0)
+def _check_order(columns: Columns, column: str) -> None:
+    back = np.flatnonzero(np.diff(columns.stamp_ns) <= 0)
     if back.size:
         row = int(back[0]) + 1
-        stamp, before = int(table.stamp_ns[row]), int(table.stamp_ns[row - 1])
+        stamp, before = int(columns.stamp_ns[row]), int(columns.stamp_ns[row - 1])
         raise TruthError(
             "stamp occurs twice" if stamp == before else "stamps are not sorted",
-            where=f"{table.where(row)}, column {column}",
+            where=f"{columns.where(row)}, column {column}",
             found=f"{stamp} ns after {before} ns",
             expected="each later than the one before",
         )
@@ -473,24 +344,27 @@ def load_csv_track(path: Path, subject: Subject) -> Track:
     Raises:
         TruthError: names file, line and column of what cannot be used.
     """
-    header = read_header(path)
-    layout = _Layout.of(header, subject)
-    table = read_table(header, layout.columns, layout.velocities)
-    name = f"{path.name} without its {table.lost} lost frames" if table.lost else path.name
-    position = table.of(POSITION) if layout.position else None
-    quaternion = _quaternions(table) if layout.quaternion else None
+    table = open_table(path)
+    layout = _Layout.of(table, subject)
+    read = read_columns(table, layout.columns, layout.velocities)
+    name = f"{path.name} without its {read.lost} lost frames" if read.lost else path.name
+    position = read.of(POSITION) if layout.position else None
+    quaternion = None
+    if layout.quaternion:
+        columns = f"columns {' '.join(QUATERNION)}"
+        quaternion = unit_quaternions(read.of(QUATERNION), lambda row: f"{read.where(row)}, {columns}")
     return Track(
         name,
         subject.name,
         shape_names=subject.shape_names if layout.shape else (),
         point_names=layout.points,
         point_parents=subject.point_parents if layout.points else (),
-        stamp_ns=table.stamp_ns,
+        stamp_ns=read.stamp_ns,
         position=position,
         quaternion=quaternion,
-        shape=table.of(shape_columns(subject)) if layout.shape else None,
-        twist=_twist(table, subject, layout),
-        points=_points(table, layout, position, quaternion) if layout.points else None,
+        shape=read.of(shape_columns(subject)) if layout.shape else None,
+        twist=_twist(read, subject, layout),
+        points=_points(read, layout, position, quaternion) if layout.points else None,
     )
 
 
@@ -513,18 +387,18 @@ class _Layout:
     velocities: tuple[str, ...]
 
     @classmethod
-    def of(cls, header: CsvHeader, subject: Subject) -> _Layout:
+    def of(cls, table: Table, subject: Subject) -> _Layout:
         """Find the subject's columns in a header row."""
         groups = (LINEAR_VELOCITY, ANGULAR_VELOCITY, rate_columns(subject))
         layout = cls(
             subject.name,
-            position=_has_all(header, POSITION),
-            quaternion=_has_all(header, QUATERNION),
-            points=_point_names(header, subject),
-            shape=shape_columns(subject) if _has_all(header, shape_columns(subject)) else (),
-            velocities=tuple(name for group in groups if _has_all(header, group) for name in group),
+            position=_has_all(table, POSITION),
+            quaternion=_has_all(table, QUATERNION),
+            points=_point_names(table, subject),
+            shape=shape_columns(subject) if _has_all(table, shape_columns(subject)) else (),
+            velocities=tuple(name for group in groups if _has_all(table, group) for name in group),
         )
-        _check(header, subject, layout)
+        _check(table, subject, layout)
         return layout
 
     @property
@@ -534,48 +408,48 @@ class _Layout:
         return pose + point_columns(self.points) + self.shape + self.velocities
 
 
-def _check(header: CsvHeader, subject: Subject, layout: _Layout) -> None:
+def _check(table: Table, subject: Subject, layout: _Layout) -> None:
     """Raise unless there are stamps and something to compare."""
     if not layout.columns:
         raise TruthError(
             "no column is known",
-            where=header.path,
-            found=shorten(", ".join(header.columns), 100, placeholder=" ..."),
+            where=table.file.path,
+            found=table.shown,
             expected=_known(subject),
         )
-    if header.stamp_column is None:
-        expected = " or ".join(NS_PER_UNIT)
-        raise TruthError("has no column of stamps", where=header.path, expected=expected)
+    if first_of(STAMPS, table.names) is None:
+        expected = " or ".join(STAMPS)
+        raise TruthError("has no column of stamps", where=table.file.path, expected=expected)
     if kind_of(subject.name).rigid and layout.points and not (layout.position and layout.quaternion):
         raise TruthError(
             f"points of a {subject.name} are in its model frame and need its pose",
-            where=header.path,
+            where=table.file.path,
             expected=", ".join((*POSITION, *QUATERNION)),
         )
 
 
-def _has_all(header: CsvHeader, group: Sequence[str]) -> bool:
+def _has_all(table: Table, group: Sequence[str]) -> bool:
     """Whether the file has the columns of a group.
 
     Raises:
         TruthError: it has only some of them.
     """
-    missing = [name for name in group if name not in header.columns]
+    missing = [name for name in group if name not in table.names]
     if missing and len(missing) < len(group):
         expected = f"all or none of {', '.join(group)}"
-        raise TruthError(f"lacks {', '.join(missing)}", where=header.path, expected=expected)
+        raise TruthError(f"lacks {', '.join(missing)}", where=table.file.path, expected=expected)
     return bool(group) and not missing
 
 
-def _point_names(header: CsvHeader, subject: Subject) -> tuple[str, ...]:
+def _point_names(table: Table, subject: Subject) -> tuple[str, ...]:
     """Return the subject's point names if the file has its points, none if it has no points at all."""
-    begun = [name for name in subject.point_names if set(point_columns([name])) & set(header.columns)]
-    found = {name.removesuffix("_x_mm") for name in header.columns if name.endswith("_x_mm")}
+    begun = [name for name in subject.point_names if set(point_columns([name])) & set(table.names)]
+    found = {name.removesuffix("_x_mm") for name in table.names if name.endswith("_x_mm")}
     if not (begun or found) or not subject.point_names:
         return ()
-    check_point_names(subject.point_names, sorted({*begun, *found}), header.path)
+    check_point_names(subject.point_names, sorted({*begun, *found}), table.file.path)
     for name in subject.point_names:
-        _has_all(header, point_columns([name]))
+        _has_all(table, point_columns([name]))
     return subject.point_names
 
 
@@ -583,7 +457,7 @@ def _known(subject: Subject) -> str:
     """Return what columns a file of this subject may have."""
     point, shape = "<point>", replace(subject, shape_names=("<name>",))
     groups = [
-        "/".join(NS_PER_UNIT),
+        "/".join(STAMPS),
         *(" ".join(group) for group in (POSITION, QUATERNION, LINEAR_VELOCITY, ANGULAR_VELOCITY)),
         f"{' '.join(point_columns([point]))} for {point} {' '.join(subject.point_names)}",
     ]
@@ -593,26 +467,21 @@ def _known(subject: Subject) -> str:
     return ", ".join(groups)
 
 
-def _quaternions(table: CsvTable) -> FloatArray:
-    quaternions = table.of(QUATERNION)
-    return unit_quaternions(quaternions, lambda row: f"{table.where(row)}, columns {' '.join(QUATERNION)}")
-
-
 def _points(
-    table: CsvTable, layout: _Layout, position: FloatArray | None, quaternion: FloatArray | None
+    read: Columns, layout: _Layout, position: FloatArray | None, quaternion: FloatArray | None
 ) -> FloatArray:
     """Return the points (N, P, 3) in camera axes; those of a rigid subject come in its own."""
-    points = table.of(point_columns(layout.points)).reshape(len(table.values), -1, 3)
+    points = read.of(point_columns(layout.points)).reshape(len(read.values), -1, 3)
     if not kind_of(layout.subject).rigid or position is None or quaternion is None:
         return points
     return in_camera(points, position[:, None], quaternion[:, None])
 
 
-def _twist(table: CsvTable, subject: Subject, layout: _Layout) -> FloatArray | None:
+def _twist(read: Columns, subject: Subject, layout: _Layout) -> FloatArray | None:
     """Return the velocities (N, 6 + K), NaN where the file has none; None if it has none at all."""
     names = (*LINEAR_VELOCITY, *ANGULAR_VELOCITY, *(rate_columns(subject) if layout.shape else ()))
-    twist = np.full((len(table.values), len(names)), np.nan)
+    twist = np.full((len(read.values), len(names)), np.nan)
     for column, name in enumerate(names):
-        if name in table.columns:
-            twist[:, column] = table.values[:, table.columns.index(name)]
+        if name in read.names:
+            twist[:, column] = read.values[:, read.names.index(name)]
     return None if np.isnan(twist).all() else twist

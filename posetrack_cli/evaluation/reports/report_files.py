@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from posetrack_cli.build import version
-from posetrack_cli.csv_rows import csv_of
 from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.judging.comparing import Comparison
 from posetrack_cli.evaluation.judging.gates import GateOutcome
@@ -31,6 +30,7 @@ from posetrack_cli.evaluation.reading.alignment import JointOffsets
 from posetrack_cli.files import real_path, write_output
 from posetrack_cli.outputs import check_free, check_place, whole_or_nothing
 from posetrack_cli.recording.base import RECORDING_KEY
+from posetrack_cli.tables import csv_of
 from posetrack_cli.text import printable_json
 
 

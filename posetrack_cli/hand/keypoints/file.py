@@ -12,6 +12,7 @@ from posetrack_cli.errors import UsageError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.keypoints.places import HAND_POINTS
 from posetrack_cli.recording.identity import shown_name
+from posetrack_cli.recording.keypoints.formats import parse_keypoints
 from posetrack_cli.recording.keypoints.layout import (
     HANDEDNESS,
     METRES,
@@ -28,7 +29,6 @@ from posetrack_cli.recording.keypoints.reading import (
     image_unit,
     in_pixels,
     known_scores,
-    parse_keypoints,
 )
 from posetrack_cli.units import METRES_PER_MM
 

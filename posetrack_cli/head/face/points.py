@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import cv2
 import numpy as np
@@ -22,6 +22,7 @@ from posetrack_cli.geometry.rotations import (
     multiply,
 )
 from posetrack_cli.recording.base import Frame
+from posetrack_cli.results.columns import floats, units
 
 # Ten feature points of a face: their names, their order, and what faces have in common.
 #
@@ -135,6 +136,8 @@ for _figures in (MEAN_SHAPE, SHAPE_SD, POINT_NORMALS, FEATURES, FITTED, FEATURE_
 
 
 POSE_SIZE = 6
+COEFFICIENTS = "coefficients?"
+"""Name of how many coefficients the deformation of a tracked face has, in layouts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,8 +149,8 @@ class HeadPose:
         quaternion: (4,) x y z w, w >= 0, rotation of ``camera_T_head``.
     """
 
-    position: FloatArray
-    quaternion: FloatArray
+    position: Annotated[FloatArray, floats(3)]
+    quaternion: Annotated[FloatArray, units(4)]
 
     @classmethod
     def stacked(cls, poses: Sequence[HeadPose]) -> HeadPose:
@@ -194,9 +197,9 @@ class ShapeModel:
         deviations: (B,) mu, standard deviation of each coefficient, mm, descending.
     """
 
-    mean: FloatArray
-    basis: FloatArray
-    deviations: FloatArray
+    mean: Annotated[FloatArray, floats(POINT_COUNT, 3)]
+    basis: Annotated[FloatArray, floats(POINT_COUNT, 3, COEFFICIENTS)]
+    deviations: Annotated[FloatArray, floats(COEFFICIENTS, least=0.0)]
 
     @property
     def size(self) -> int:

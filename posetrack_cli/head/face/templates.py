@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import Annotated
 
 import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray, ImageArray
 from posetrack_cli.compiled import inlined, kernel
-from posetrack_cli.head.face.points import POINT_NORMALS, HeadPose
+from posetrack_cli.head.face.points import POINT_COUNT, POINT_NORMALS, HeadPose
 from posetrack_cli.head.face.rig_images import Projection, RigImages, project
+from posetrack_cli.results.columns import Layout, places, units
 
 # Square patches of an image as vectors of zero mean and unit norm; compiled.
 #
@@ -143,6 +145,8 @@ def total(a: FloatArray) -> float:
 # reference. Templates of further directions, the keyframes, are kept beside the reference.
 
 
+CAMERAS = "cameras"
+"""Name of how many there are, in layouts."""
 WINDOW = 48
 """Side of what is kept about a point, pixels: a patch at up to twice its size and turned."""
 LARGEST_STRETCH = 4.0
@@ -161,11 +165,11 @@ class TemplateSet:
         facing: (3,) direction out of the face, in the reference camera's axes.
     """
 
-    windows: ImageArray
-    centres: FloatArray
-    tangents: FloatArray
-    seen: BoolArray
-    facing: FloatArray
+    windows: Annotated[ImageArray, Layout("uint8", (CAMERAS, POINT_COUNT, WINDOW, WINDOW))]
+    centres: Annotated[FloatArray, places(CAMERAS, POINT_COUNT, 2)]
+    tangents: Annotated[FloatArray, places(CAMERAS, POINT_COUNT, 2, 2)]
+    seen: Annotated[BoolArray, Layout("bool", (CAMERAS, POINT_COUNT))]
+    facing: Annotated[FloatArray, units(3)]
 
     def of_size(self, factor: float) -> TemplateSet:
         """Return the templates of a head that is so many times as large, as far away, and looks the same."""

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from posetrack_cli import limits
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import PosetrackError, UsageError, nearest_name
-from posetrack_cli.files import read_text
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.config import StereoInitialisationSettings
 from posetrack_cli.head.face.points import POINT_COUNT, POINT_NAMES
@@ -25,9 +21,11 @@ from posetrack_cli.head.initialisation.stereo import (
 )
 from posetrack_cli.head.landmarks.faces import Landmarks
 from posetrack_cli.recording.base import Frame
+from posetrack_cli.tables import TextFile, number_of
 from posetrack_cli.tracking.smoothing import NothingFoundError
 
 COLUMNS = ("camera", "point", "x", "y")
+EXPECTED = "clicked points are a CSV file in UTF-8"
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,21 +99,23 @@ def read_clicked(path: Path, cameras: Sequence[Camera]) -> FloatArray:
     and its pixel. One camera at least has all ten points; those of the others are found by matching.
 
     Raises:
-        UsageError: no such file, or no such table.
+        UsageError: no such file, no such table, or no number.
         PosetrackError: an unknown camera or point, a pixel outside the image, a point twice, or no camera
             with all ten.
     """
     pixels = np.full((len(cameras), POINT_COUNT, 2), np.nan)
     names = [camera.name for camera in cameras]
-    for line, row in _rows(path):
-        where = f"{path}, line {line}"
-        camera = _index(row["camera"], names, "camera", where)
-        point = _index(row["point"], POINT_NAMES, "point", where)
-        pixel = _pixel(row, cameras[camera], where)
+    file = TextFile(path, UsageError, EXPECTED)
+    table = file.table(COLUMNS)
+    places = [table.names.index(name) for name in COLUMNS]
+    for line, row in table:
+        where = file.where(line)
+        camera_name, point_name, x, y = (row[place].strip() for place in places)
+        camera = _index(camera_name, names, "camera", where)
+        point = _index(point_name, POINT_NAMES, "point", where)
+        pixel = _pixel(x, y, cameras[camera], where)
         if not np.isnan(pixels[camera, point, 0]):
-            raise PosetrackError(
-                "point clicked twice", where=where, found=f"{row['point']} in {row['camera']}"
-            )
+            raise PosetrackError("point clicked twice", where=where, found=f"{point_name} in {camera_name}")
         pixels[camera, point] = pixel
     if clicked_camera(pixels) is None:
         raise PosetrackError(
@@ -127,41 +127,19 @@ def read_clicked(path: Path, cameras: Sequence[Camera]) -> FloatArray:
     return pixels
 
 
-def _rows(path: Path) -> list[tuple[int, dict[str, str]]]:
-    try:
-        lines = io.StringIO(read_text(path, limits.TEXT_BYTES, "utf-8-sig"), newline="")
-        reader = csv.DictReader(lines, skipinitialspace=True, restval="")
-        rows = [(reader.line_num, row) for row in reader]
-    except FileNotFoundError:
-        raise UsageError("clicked points not found", where=path) from None
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        found = getattr(error, "strerror", None) or error
-        raise UsageError("clicked points cannot be read", where=path, found=found) from None
-    header = tuple(reader.fieldnames or ())
-    if not set(COLUMNS) <= set(header):
-        found = ", ".join(header) or "an empty file"
-        raise UsageError(
-            "not a table of clicked points", where=path, found=found, expected=", ".join(COLUMNS)
-        )
-    return rows
-
-
 def _index(name: str, names: Sequence[str], kind: str, where: str) -> int:
     if name not in names:
         raise PosetrackError(f"unknown {kind}", where=where, found=name, hint=nearest_name(name, names))
     return list(names).index(name)
 
 
-def _pixel(row: dict[str, str], camera: Camera, where: str) -> FloatArray:
-    try:
-        pixel = np.array([float(row["x"]), float(row["y"])])
-    except ValueError:
-        pixel = np.array([np.nan, np.nan])
+def _pixel(x: str, y: str, camera: Camera, where: str) -> FloatArray:
+    pixel = np.array([number_of(cell, where, UsageError) for cell in (x, y)])
     if not (np.all(pixel >= -0.5) and np.all(pixel < np.array([camera.width, camera.height]) - 0.5)):
         raise PosetrackError(
             "no pixel of the image",
             where=where,
-            found=f"{row['x']}, {row['y']}",
+            found=f"{x}, {y}",
             expected=f"0 to {camera.width - 1}, 0 to {camera.height - 1}",
         )
     return pixel

@@ -24,6 +24,7 @@ from posetrack_cli.head.face.rig_images import project
 from posetrack_cli.head.initialisation.single_view import pose_of
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.identity import shown_name
+from posetrack_cli.recording.keypoints.formats import parse_keypoints
 from posetrack_cli.recording.keypoints.layout import (
     NORMALISED,
     PIXELS,
@@ -37,7 +38,6 @@ from posetrack_cli.recording.keypoints.reading import (
     image_unit,
     in_pixels,
     known_scores,
-    parse_keypoints,
 )
 
 # The ten points of a face in files of landmarks: which of other programs' points each is.

@@ -14,14 +14,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Annotated, Any
 
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.filtering.errors import check_time_step
 from posetrack_cli.head.config import ParticleSettings
-from posetrack_cli.head.face.points import POSE_SIZE, HeadPose, ShapeModel
+from posetrack_cli.head.face.points import COEFFICIENTS, POSE_SIZE, HeadPose, ShapeModel
 from posetrack_cli.head.particles.score_maps import recentre
+from posetrack_cli.results.columns import Layout, LayoutError, floats
+from posetrack_cli.tracking.state_codec import Codec, Fields, parts_of
 
 FRAME_S = 1.0 / 30.0
 """tau0, the thesis's time between frames, that FLOOR and GAIN belong to."""
@@ -39,17 +42,17 @@ class HeadParticles:
 
     Attributes:
         pose: reference pose.
-        coefficients: (B,) reference deformation of the model, mm.
+        coefficients: reference deformation of the model, mm.
         deviations: (N, 6 + B) tangent vectors from the reference pose (see ``HeadPose``), then what a
             particle's coefficients have beyond the reference's.
-        weights: (N,), sum 1.
+        weights: of the particles.
         model: whose deformation coefficients these are.
     """
 
     pose: HeadPose
-    coefficients: FloatArray
-    deviations: FloatArray
-    weights: FloatArray
+    coefficients: Annotated[FloatArray, floats(COEFFICIENTS)]
+    deviations: Annotated[FloatArray, floats("particles", "state components")]
+    weights: Annotated[FloatArray, Layout("float64", ("particles",), least=0.0, most=1.0, shares=True)]
     model: ShapeModel
 
     def variance(self) -> FloatArray:
@@ -88,6 +91,16 @@ class HeadParticles:
             self.weights,
             self.model,
         )
+
+
+def _checked(deviations: FloatArray, coefficients: FloatArray, **parts: Any) -> HeadParticles:
+    wanted = POSE_SIZE + len(coefficients)
+    if deviations.shape[1] != wanted:
+        raise LayoutError(f"'particles.deviations' of {deviations.shape[1]} components, not {wanted}")
+    return HeadParticles(deviations=deviations, coefficients=coefficients, **parts)
+
+
+PARTICLES: Codec[HeadParticles] = Fields(_checked, **parts_of(HeadParticles))
 
 
 def _flat(model: ShapeModel) -> FloatArray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
 import cv2
 import numpy as np
@@ -15,27 +15,32 @@ from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.errors import ResultError
 from posetrack_cli.head.adjustment.adjuster import Album, PersonParameters, PointView
 from posetrack_cli.head.config import LARGEST_SCALE, AdjustmentSettings
-from posetrack_cli.head.face.points import POINT_COUNT, POSE_SIZE, HeadPose, ShapeModel
-from posetrack_cli.head.face.templates import WINDOW, TemplateSet
+from posetrack_cli.head.face.points import COEFFICIENTS, POINT_COUNT, HeadPose
+from posetrack_cli.head.face.templates import CAMERAS, TemplateSet
 from posetrack_cli.head.initialisation.matching import Search
 from posetrack_cli.head.initialisation.mono import DetectedFace
 from posetrack_cli.head.model_file import unusable
 from posetrack_cli.head.multilinear.face_model import FaceModel
-from posetrack_cli.head.particles.particles import HeadParticles
 from posetrack_cli.head.skin.map import SkinMap
 from posetrack_cli.head.skin.matching import HEIGHT, WIDTH, SkinAlbum, SkinView
-from posetrack_cli.head.subject import SIGNS
-from posetrack_cli.head.tracker.frame_tracker import LONG_AGO_NS, HeadState, TrackRecord, TrackState
+from posetrack_cli.head.tracker.frame_tracker import LONG_AGO_NS, HeadState, TrackState
 from posetrack_cli.head.tracker.person import (
-    LARGEST_SIZE,
-    SMALLEST_SIZE,
     IdentityHistory,
     KnownPerson,
     Size,
     person_shape,
 )
-from posetrack_cli.results.columns import Arrays, Layout, LayoutError, counts, floats, places, stamps, units
-from posetrack_cli.tracking.confidence import signs_codec
+from posetrack_cli.results.columns import (
+    Arrays,
+    Layout,
+    LayoutError,
+    Stamp,
+    counts,
+    floats,
+    places,
+    stamps,
+    units,
+)
 from posetrack_cli.tracking.state_codec import (
     Array,
     Codec,
@@ -44,7 +49,9 @@ from posetrack_cli.tracking.state_codec import (
     Numbered,
     Stacked,
     Value,
+    codec_of,
     flag,
+    parts_of,
     real,
     stamp,
     whole,
@@ -58,9 +65,8 @@ PEOPLE = "people"
 FOCAL_PX = "focal_px"
 """Name of the array that says at which focal length people were seen."""
 _ScoredView: TypeAlias = tuple[float, PointView]
-POSE: Codec[HeadPose] = Fields(HeadPose, position=Value(floats(3)), quaternion=Value(units(4)))
-COEFFICIENTS = "coefficients?"
-"""Name of how many coefficients the deformation of a tracked face has."""
+ONE = {CAMERAS: 1}
+"""Sizes of templates of one camera."""
 _LEAST_AREA = 1e-18
 """Pixels of an image that one of a crop takes."""
 
@@ -81,59 +87,6 @@ def search_codec(cameras: int) -> Codec[Search]:
         reasons=(lambda one: list(one.reasons.keys()), Value(Layout("str", ("reasons?",)))),
         times=(lambda one: list(one.reasons.values()), Value(counts("reasons?"))),
     )
-
-
-def template_codec(cameras: int) -> Codec[TemplateSet]:
-    """Return the codec of templates of so many cameras."""
-    seen = (cameras, POINT_COUNT)
-    return Fields(
-        TemplateSet,
-        windows=Value(Layout("uint8", (*seen, WINDOW, WINDOW))),
-        centres=Value(places(*seen, 2)),
-        tangents=Value(places(*seen, 2, 2)),
-        seen=Value(Layout("bool", seen)),
-        facing=Value(units(3)),
-    )
-
-
-def track_codec(cameras: int) -> Codec[TrackState]:
-    """Return the codec of a tracked head with so many cameras."""
-    model = Fields(
-        ShapeModel,
-        mean=Value(floats(POINT_COUNT, 3)),
-        basis=Value(floats(POINT_COUNT, 3, COEFFICIENTS)),
-        deviations=Value(floats(COEFFICIENTS, least=0.0)),
-    )
-    particles = Fields(
-        _particles,
-        pose=POSE,
-        coefficients=Value(floats(COEFFICIENTS)),
-        deviations=Value(floats("particles", "state components")),
-        weights=Value(Layout("float64", ("particles",), least=0.0, most=1.0, shares=True)),
-        model=model,
-    )
-    return Fields(
-        TrackState,
-        stamp_ns=stamp(),
-        pose=POSE,
-        velocity=Value(floats(POSE_SIZE)),
-        particles=particles,
-        shape=Value(floats(POINT_COUNT, 3)),
-        templates=Maybe(template_codec(cameras)),
-    )
-
-
-def history_codecs() -> dict[str, Codec[Any]]:
-    """Return how it is kept what a track's past frames tell of it, by the state's attributes."""
-    record = Fields(TrackRecord, **{name: whole() for name in TrackRecord._fields})
-    return {"evidence": signs_codec(len(SIGNS)), "record": record}
-
-
-def _particles(deviations: np.ndarray[Any, Any], coefficients: Array, **parts: Any) -> HeadParticles:
-    wanted = POSE_SIZE + len(coefficients)
-    if deviations.shape[1] != wanted:
-        raise LayoutError(f"'particles.deviations' of {deviations.shape[1]} components, not {wanted}")
-    return HeadParticles(deviations=deviations, coefficients=coefficients, **parts)
 
 
 def people_codec(model: FaceModel, settings: AdjustmentSettings) -> Codec[tuple[KnownPerson, ...]]:
@@ -171,18 +124,12 @@ def people_codec(model: FaceModel, settings: AdjustmentSettings) -> Codec[tuple[
         single=(lambda known: [known.rms_px, known.usual_score], Value(floats(2, missing=True))),
         is_settled=flag(),
         is_held=flag(),
-        size=Maybe(
-            Fields(
-                Size,
-                factor=real(floats(least=SMALLEST_SIZE, most=LARGEST_SIZE)),
-                sd=real(floats(least=0.0, most=1.0)),
-            )
-        ),
+        size=Maybe(codec_of(Size)),
         album=_AlbumCodec(model),
         skin=_skin_codec(model),
         skin_map=Maybe(_map_codec()),
         views=Stacked(Fields(_view, **_view_parts(model)), "views"),
-        sets=("templates", Stacked(template_codec(1), "sets", least=1)),
+        sets=("templates", Stacked(codec_of(TemplateSet, ONE), "sets", least=1)),
     )
     return Numbered(one, counted=PEOPLE, called="person", most=limits.PEOPLE)
 
@@ -321,11 +268,11 @@ class Stated:
 
     Attributes:
         pose: of the head.
-        coefficients: (B,) of its deformation, less the mean.
+        coefficients: of its deformation, less the mean.
     """
 
     pose: HeadPose
-    coefficients: FloatArray
+    coefficients: Annotated[FloatArray, floats(COEFFICIENTS)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -353,13 +300,13 @@ class MonoState(HeadState):
     strange: int = 0
     candidates: tuple[DetectedFace, ...] = ()
     reference: TemplateSet | None = None
-    checked_ns: int = LONG_AGO_NS
+    checked_ns: Stamp = LONG_AGO_NS
     scene: FloatArray | None = None
     cut: bool = False
     elsewhere: bool = False
     changes: tuple[tuple[int, int], ...] = ()
-    trust: float = 0.0
-    scale: float | None = None
+    trust: Annotated[float, floats(least=0.0, most=1.0)] = 0.0
+    scale: Annotated[float, floats(least=_LEAST_SCALE, most=LARGEST_SCALE)] | None = None
     stated: Stated | None = None
 
     @property
@@ -465,33 +412,22 @@ def mono_codec(people: Codec[tuple[KnownPerson, ...]]) -> Codec[MonoState]:
             lambda face: [face.score, face.eye_distance, face.misfit],
             Value(floats(3, least=(0.0, _LEAST_EYES_PX, 0.0))),
         ),
-        pose=POSE,
+        pose=codec_of(HeadPose),
     )
     changes = Value(
         counts("changes?", 2), lambda array: tuple((int(frame), int(who)) for frame, who in array)
     )
     scene = Value(floats("scene?"), _thumbnail_or_none)
-    return Fields(
-        _state,
-        track=Maybe(track_codec(1)),
-        lost=whole(),
+    parts = parts_of(
+        MonoState,
+        ONE,
         search=search_codec(1),
-        first_ns=stamp(),
-        **history_codecs(),
         people=people,
-        current=whole(),
-        strange=whole(),
         candidates=Stacked(candidate, "candidates"),
-        reference=Maybe(template_codec(1)),
-        checked_ns=stamp(),
         scene=(lambda state: np.zeros(0) if state.scene is None else state.scene, scene),
-        cut=flag(),
-        elsewhere=flag(),
         changes=(lambda state: np.array(state.changes, dtype=np.int64).reshape(-1, 2), changes),
-        trust=real(floats(least=0.0, most=1.0)),
-        scale=Maybe(real(floats(least=_LEAST_SCALE, most=LARGEST_SCALE))),
-        stated=Maybe(Fields(Stated, pose=POSE, coefficients=Value(floats(COEFFICIENTS)))),
     )
+    return Fields(_state, **parts)
 
 
 def _state(**parts: Any) -> MonoState:

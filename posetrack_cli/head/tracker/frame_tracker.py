@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.config import HeadMonoConfig, HeadStereoConfig
-from posetrack_cli.head.face.points import POSE_SIZE, HeadPose, ShapeModel
+from posetrack_cli.head.face.points import POINT_COUNT, POSE_SIZE, HeadPose, ShapeModel
 from posetrack_cli.head.face.rig_images import RigImages, project
 from posetrack_cli.head.face.templates import (
     TemplateSet,
@@ -25,14 +25,21 @@ from posetrack_cli.head.face.templates import (
 from posetrack_cli.head.initialisation.matching import Search
 from posetrack_cli.head.initialisation.mono import EYE_DISTANCE_MM, eye_distance_px
 from posetrack_cli.head.particles.filter import HeadFilter
-from posetrack_cli.head.particles.particles import FRAME_S, HeadMotion, HeadParticles, velocity_between
+from posetrack_cli.head.particles.particles import (
+    FRAME_S,
+    PARTICLES,
+    HeadMotion,
+    HeadParticles,
+    velocity_between,
+)
 from posetrack_cli.head.particles.scores import PatchObservation
 from posetrack_cli.head.refinement.evidence import ComparedFrame
 from posetrack_cli.head.refinement.refine import recalculate, refine
 from posetrack_cli.head.subject import SIGNS
 from posetrack_cli.head.tracker.face_learning import off_axis_deg
 from posetrack_cli.recording.base import Frame
-from posetrack_cli.tracking.confidence import PROBABLY, Regression, RunningSigns
+from posetrack_cli.results.columns import Stamp, floats
+from posetrack_cli.tracking.confidence import PROBABLY, Regression, RunningSigns, signs_codec
 
 # How probable it is that a head's estimate is right **[ours]**.
 #
@@ -158,17 +165,17 @@ class TrackState:
     Attributes:
         stamp_ns: of the frame.
         pose: of the head.
-        velocity: (6,) tangent vector per second.
+        velocity: tangent vector per second.
         particles: about that pose.
-        shape: (K, 3) M', the points' own places in the head's frame, mm.
+        shape: M', the points' own places in the head's frame, mm.
         templates: of this frame; None if the head was put here and not seen here.
     """
 
-    stamp_ns: int
+    stamp_ns: Stamp
     pose: HeadPose
-    velocity: FloatArray
-    particles: HeadParticles
-    shape: FloatArray
+    velocity: Annotated[FloatArray, floats(POSE_SIZE)]
+    particles: Annotated[HeadParticles, PARTICLES]
+    shape: Annotated[FloatArray, floats(POINT_COUNT, 3)]
     templates: TemplateSet | None
 
     def at_rest(self) -> TrackState:
@@ -264,8 +271,8 @@ class HeadState:
     track: TrackState | None = None
     lost: int = 0
     search: Search = field(default_factory=Search)
-    first_ns: int = LONG_AGO_NS
-    evidence: RunningSigns = NO_EVIDENCE
+    first_ns: Stamp = LONG_AGO_NS
+    evidence: Annotated[RunningSigns, signs_codec(len(SIGNS))] = NO_EVIDENCE
     record: TrackRecord = NO_RECORD
 
     @property

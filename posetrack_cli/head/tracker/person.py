@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple, Protocol
+from typing import Annotated, NamedTuple, Protocol
 
 import numpy as np
 
@@ -37,6 +37,7 @@ from posetrack_cli.head.tracker.frame_tracker import (
     TrackState,
     initial_fit,
 )
+from posetrack_cli.results.columns import floats
 
 # How large a head is, where that is told: one camera does not see it **[ours]**.
 #
@@ -83,8 +84,8 @@ class Size(NamedTuple):
         sd: of log c.
     """
 
-    factor: float
-    sd: float
+    factor: Annotated[float, floats(least=SMALLEST_SIZE, most=LARGEST_SIZE)]
+    sd: Annotated[float, floats(least=0.0, most=1.0)]
 
     def of_shape(self, shape: ShapeModel) -> ShapeModel:
         """Return how a face of that size deforms."""

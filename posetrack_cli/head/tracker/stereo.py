@@ -15,7 +15,7 @@ from posetrack_cli.geometry.rigid import rigid_alignment
 from posetrack_cli.geometry.rotations import quaternions_from_matrices
 from posetrack_cli.head.config import HeadStereoConfig, ModelSettings
 from posetrack_cli.head.face.points import POINT_COUNT, HeadPose, rigid_model
-from posetrack_cli.head.face.templates import TemplateSet, is_new_direction, take_templates
+from posetrack_cli.head.face.templates import CAMERAS, TemplateSet, is_new_direction, take_templates
 from posetrack_cli.head.initialisation.clicked import ClickedInitialiser, ClickedPoints
 from posetrack_cli.head.initialisation.matching import InitFailure
 from posetrack_cli.head.initialisation.stereo import StereoInitialisation, StereoInitialiser
@@ -27,7 +27,7 @@ from posetrack_cli.head.refinement.refine import (
     refine_initial_depth,
 )
 from posetrack_cli.head.subject import STEREO_TRACK, StereoDiagnostics
-from posetrack_cli.head.tracker.codecs import history_codecs, search_codec, template_codec, track_codec
+from posetrack_cli.head.tracker.codecs import search_codec
 from posetrack_cli.head.tracker.face_learning import Ccipca, FaceLearning, new_face
 from posetrack_cli.head.tracker.frame_tracker import (
     STEREO,
@@ -50,9 +50,9 @@ from posetrack_cli.tracking.state_codec import (
     Maybe,
     Stacked,
     Value,
+    codec_of,
+    parts_of,
     real,
-    stamp,
-    whole,
 )
 
 
@@ -309,7 +309,7 @@ class StereoCodecs:
                 Value(counts(3)),
             ),
         )
-        templates = template_codec(cameras)
+        templates = codec_of(TemplateSet, {CAMERAS: cameras})
         needed = Stacked(templates, "sets", least=1)
         self._known: Codec[StereoState] = Fields(_state, face=faces, sets=("templates", needed))
         learned: dict[str, Any] = {
@@ -318,10 +318,8 @@ class StereoCodecs:
             "sets": ("templates", Stacked(templates, "sets")),
         }
         self._model: Codec[StereoState] = Fields(_state, **learned)
-        track = Maybe(track_codec(cameras))
-        self.state: Codec[StereoState] = Fields(
-            _state, **learned, track=track, lost=whole(), first_ns=stamp(), **history_codecs()
-        )
+        own = parts_of(HeadState, {CAMERAS: cameras}, search=learned["search"])
+        self.state: Codec[StereoState] = Fields(_state, **(learned | own))
 
     def to_model(self, state: StereoState) -> Learned:
         """Return what was learned, as model files have it: face, templates, and how it was searched for."""

@@ -7,21 +7,16 @@ also the intrinsics at that time. All images are as the sensor has them: landsca
 
 from __future__ import annotations
 
-import csv
-import io
 import re
 from dataclasses import dataclass
-from decimal import Decimal
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from posetrack_cli import limits
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError
-from posetrack_cli.files import read_text
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.recording.base import UnreadableImageError
 from posetrack_cli.recording.camera_of import is_off_centre, principal_point_fault
@@ -36,11 +31,10 @@ from posetrack_cli.recording.datasets.layout import (
     open_depth,
 )
 from posetrack_cli.recording.image_files import ImageFile, decode_any, decode_codes, read_image
-from posetrack_cli.recording.matching import LATEST_NS
 from posetrack_cli.recording.recording import ReadingOptions, Recording
 from posetrack_cli.recording.video import open_video
 from posetrack_cli.recording.video_file import opened_video
-from posetrack_cli.text import one_line
+from posetrack_cli.tables import TextFile, number_of, whole_of
 from posetrack_cli.units import NS_PER_S
 
 WORDS = "Stray Scanner recording"
@@ -52,7 +46,7 @@ UNTRUSTED = 0
 """Level of readings that ARKit itself does not trust: edges, dark and shiny surfaces."""
 TIME, NUMBER, INTRINSICS = "timestamp", "frame", ("fx", "fy", "cx", "cy")
 IMAGE = re.compile(r"([0-9]{1,18})\.png")
-COLUMNS_SHOWN, LINE_SHOWN = 9, 80
+EXPECTED = "odometry is a CSV file in UTF-8"
 
 
 def is_stray_scanner(path: Path) -> bool:
@@ -144,36 +138,17 @@ def _rows(path: Path) -> list[_Row]:
     Raises:
         RecordingError: it cannot be read, or lacks times or numbers.
     """
-    try:
-        text = read_text(path, limits.TEXT_BYTES, "utf-8-sig")
-        lines = csv.DictReader(io.StringIO(text, newline=""), skipinitialspace=True)
-        names = {(name or "").strip(): name for name in lines.fieldnames or ()}
-        if not {TIME, NUMBER} <= names.keys():
-            found = ", ".join(list(names)[:COLUMNS_SHOWN])
-            raise RecordingError(
-                "header is not known", where=path, found=found, expected=f"{TIME}, {NUMBER}, ..."
-            )
-        return [_row(line, names, path) for line in lines]
-    except OSError as error:
-        raise RecordingError("cannot be read", where=path, found=error.strerror or error) from error
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise RecordingError("is not a CSV file", where=path, found=error) from error
+    file = TextFile(path, RecordingError, EXPECTED)
+    table = file.table((TIME, NUMBER), "...")
+    return [_row(dict(zip(table.names, row, strict=True)), file.where(line)) for line, row in table]
 
 
-def _row(line: dict[Any, Any], names: dict[str, Any], path: Path) -> _Row:
-    try:
-        stamp_ns = Decimal(line[names[TIME]].strip()) * NS_PER_S
-        is_time = bool(0 <= stamp_ns <= LATEST_NS)
-        number = int(line[names[NUMBER]])
-        stated = [float(line[names[name]]) for name in INTRINSICS if name in names]
-    except (ValueError, ArithmeticError, AttributeError, TypeError) as error:
-        raise RecordingError(
-            "line cannot be used", where=path, found=one_line(str(line))[:LINE_SHOWN]
-        ) from error
-    if not is_time:
-        raise RecordingError("time is negative or too late", where=path, found=line[names[TIME]])
+def _row(cells: dict[str, str], where: str) -> _Row:
+    stamp_ns = whole_of(cells[TIME], where, RecordingError, NS_PER_S)
+    number = whole_of(cells[NUMBER], where, RecordingError)
+    stated = [number_of(cells[n], where, RecordingError, optional=True) for n in INTRINSICS if n in cells]
     fx, fy, cx, cy = stated if len(stated) == len(INTRINSICS) else [0.0] * len(INTRINSICS)
-    return _Row(round(stamp_ns), number, (fx, fy, cx, cy) if fx > 0 else None)
+    return _Row(stamp_ns, number, (fx, fy, cx, cy) if fx > 0 else None)
 
 
 def _video_camera(path: Path) -> tuple[Camera, str]:

@@ -6,17 +6,16 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from decimal import Decimal
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from posetrack_cli import limits
+from posetrack_cli import limits, tables
 from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
 from posetrack_cli.errors import UsageError, nearest_name
-from posetrack_cli.recording.matching import LATEST_NS
-from posetrack_cli.units import NS_PER_S
+from posetrack_cli.tables import FRAME_FIELDS, shown, whole_of
 
 # What the points in a file are of: their names, and how many another program counts
 
@@ -256,13 +255,6 @@ UNIT_NAMES = {name: name for name in UNITS} | {
     "metres": METRES,
 }
 """What files call the units."""
-NS_PER_UNIT = {
-    f"{name}_{unit}": ns
-    for unit, ns in (("ns", 1), ("us", 1_000), ("ms", 1_000_000), ("s", NS_PER_S))
-    for name in ("stamp", "timestamp", "time", "t")
-}
-"""Fields of stamps, and what one of their units is in ns."""
-FRAME_FIELDS = ("frame", "frame_index", "frame_id", "frame_number", "frame_idx", "image_index")
 SCORE_FIELDS = ("score", "confidence", "conf", "visibility", "presence", "likelihood")
 POINT_FIELDS = ("landmark", "landmark_index", "landmark_id", "keypoint", "joint", "point", "name", "id")
 OVER_ONE = 1.2
@@ -272,8 +264,11 @@ SIDE, HANDEDNESS, MIRRORED = "side", "handedness", "multi_handedness"
 version 0.10.15; and that of its solutions, which take every image for that of a mirror and so call a right
 hand left where it is none. Files call either the second."""
 SIDE_FIELDS = (SIDE, HANDEDNESS, MIRRORED)
-STATUS, LOST = "status", "lost"
 KEYS = f"a number in {FRAME_FIELDS[0]} (from 0) or a stamp in stamp_ns, timestamp_ms or time_s"
+key_of = partial(whole_of, kind=UsageError, fractions=True)
+"""A frame's number, or a stamp in ns."""
+number_of = partial(tables.number_of, kind=UsageError, optional=True, most=limits.LENGTH_MM)
+"""A coordinate; NaN for nothing."""
 _AXES = {"x": X, "y": Y, "z": Z} | dict.fromkeys((*SCORE_FIELDS, "c"), SCORE)
 _NUMBERED = re.compile(r"(?:(?:landmark|keypoint|point|joint|kp|lm)_?)?(\d{1,3})_?([a-z]+)")
 _AXIS_FIRST = re.compile(r"([a-z]+)_?(\d{1,3})")
@@ -337,51 +332,6 @@ def point_column(kind: PointKind, name: str) -> PointColumn | None:
     return PointColumn(point, _AXES[axis], unit) if axis in _AXES else None
 
 
-def key_of(value: Any, ns_per_unit: int | None, where: object) -> int:
-    """Return a frame's number, or a stamp in ns of a number of units; by decimals, so exact.
-
-    Raises:
-        UsageError: it is none.
-    """
-    try:
-        if isinstance(value, bool):
-            raise ValueError
-        number = Decimal(str(value).strip()) * (ns_per_unit or 1)
-        if not 0 <= number <= LATEST_NS:  # before it is rounded: 1e99999 has as many digits
-            raise ValueError
-        if ns_per_unit is None and number != int(number):
-            raise ValueError
-        return round(number)
-    except (ValueError, ArithmeticError):
-        kind = "frame number" if ns_per_unit is None else "stamp"
-        expected = "a whole number, 0 or more" if ns_per_unit is None else f"0 to {LATEST_NS} ns"
-        raise UsageError(
-            f"{kind} cannot be used", where=where, found=_shown(value), expected=expected
-        ) from None
-
-
-def number_of(value: Any, where: object) -> float:
-    """Return a coordinate; NaN for nothing: None, an empty cell or ``nan``.
-
-    Raises:
-        UsageError: it is no number, infinite or too large.
-    """
-    if value is None or (isinstance(value, str) and value.strip().lower() in ("", "nan", "none", "null")):
-        return math.nan
-    try:
-        if isinstance(value, (bool, list, dict)):
-            raise ValueError
-        number = float(value)
-    except (ValueError, OverflowError):
-        raise UsageError("is not a number", where=where, found=_shown(value)) from None
-    if math.isnan(number):
-        return number
-    if abs(number) > limits.LENGTH_MM:
-        what = "is too large" if math.isfinite(number) else "is not finite"
-        raise UsageError(what, where=where, found=_shown(value), expected=f"{limits.LENGTH_MM:g} at most")
-    return number
-
-
 def score_of(value: Any, where: object) -> float:
     """Return a score; NaN for none.
 
@@ -392,7 +342,7 @@ def score_of(value: Any, where: object) -> float:
     if 1.0 < score <= OVER_ONE:
         return 1.0
     if not math.isnan(score) and not 0.0 <= score <= 1.0:
-        raise UsageError("score cannot be used", where=where, found=_shown(value), expected="0 to 1")
+        raise UsageError("score cannot be used", where=where, found=shown(value), expected="0 to 1")
     return score
 
 
@@ -411,7 +361,7 @@ def right_of(label: Any, score: float, where: object) -> float:
     if plain in ("", "unknown", "none", "nan"):
         return math.nan
     if plain not in ("right", "left", "r", "l"):
-        raise UsageError("unknown side", where=where, found=_shown(label), expected="right or left")
+        raise UsageError("unknown side", where=where, found=shown(label), expected="right or left")
     sure = 1.0 if math.isnan(score) else max(score, 0.5)  # a label less probable than the other is no label
     return sure if plain[0] == "r" else 1.0 - sure
 
@@ -423,10 +373,5 @@ def unit_of(name: Any, where: object) -> str:
         UsageError: there is none of this name.
     """
     if (plain := str(name).strip().lower()) not in UNIT_NAMES:
-        raise UsageError("unknown unit", where=where, found=_shown(name), expected=", ".join(UNITS))
+        raise UsageError("unknown unit", where=where, found=shown(name), expected=", ".join(UNITS))
     return UNIT_NAMES[plain]
-
-
-def _shown(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 40 else f"{text[:40]}..."

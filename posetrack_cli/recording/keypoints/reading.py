@@ -10,23 +10,18 @@ from statistics import median
 
 import numpy as np
 
-from posetrack_cli import limits
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import RecordingError, UsageError
-from posetrack_cli.files import open_input
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.phases import LossLog
 from posetrack_cli.recording.identity import file_digest, files_digest
-from posetrack_cli.recording.keypoints.json_text import frame_files, read_folder, read_json, read_json_lines
+from posetrack_cli.recording.keypoints.formats import frame_files
 from posetrack_cli.recording.keypoints.layout import (
     NORMALISED,
     NS_TOLERANCE,
     PIXELS,
     KeypointSets,
-    Parsed,
-    PointKind,
 )
-from posetrack_cli.recording.keypoints.tables import KIND, read_csv
 from posetrack_cli.recording.recording import Recording
 from posetrack_cli.units import NS_PER_S
 
@@ -123,33 +118,13 @@ class KeypointUse:
         return (f"{self._name} has {self._what} for {self._told} of {self._frames} frames, matched {by}",)
 
 
-# Opens files of keypoints, whatever their layout, and makes pixels of points in images
+# Makes pixels of points in images
 
 
 MOST_OF = 90.0
 """Percent of the points that have to lie where a unit would have them."""
 _OUTSIDE = 0.5
 """Of the image's size beside it: landmarks that are cut off."""
-
-
-def parse_keypoints(path: Path, kind: PointKind) -> Parsed:
-    """Read keypoints that another program found, in the file's unit.
-
-    Args:
-        path: CSV; JSON, one value (``.json``) or one per line (``.jsonl``, ``.ndjson``); or a folder of JSON
-            files, one a frame.
-        kind: whose points they are.
-
-    Raises:
-        UsageError: no such file; or names file, line and field of what cannot be used.
-    """
-    if path.is_dir():
-        return read_folder(path, kind)
-    _check_size(path)
-    suffix = path.suffix.lower()
-    if suffix in (".jsonl", ".ndjson"):
-        return read_json_lines(path, kind)
-    return read_json(path, kind) if suffix == ".json" else read_csv(path, kind)
 
 
 def digest_of(path: Path) -> str:
@@ -214,15 +189,3 @@ def known_scores(scores: FloatArray) -> FloatArray:
     if not scores[stated].any():
         return np.ones_like(scores)
     return np.where(stated, scores, 1.0)
-
-
-def _check_size(path: Path) -> None:
-    """Raise where a file is missing or larger than any that is read."""
-    try:
-        with open_input(path) as stream:
-            size = stream.seek(0, 2)
-    except OSError as error:
-        raise UsageError("cannot be read", where=path, found=error.strerror or error, hint=KIND) from error
-    if size > limits.KEYPOINT_BYTES:
-        expected = f"{limits.KEYPOINT_BYTES} at most"
-        raise UsageError("is too large", where=path, found=f"{size} bytes", expected=expected)

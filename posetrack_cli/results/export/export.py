@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from posetrack_cli.csv_rows import csv_of
 from posetrack_cli.errors import UsageError
 from posetrack_cli.files import open_output
 from posetrack_cli.outputs import check_target, whole_or_nothing
@@ -22,6 +21,7 @@ from posetrack_cli.results.export.source import (
 )
 from posetrack_cli.results.export.table import ColumnGroup, Values, table_of
 from posetrack_cli.results.fields import BY_NAME
+from posetrack_cli.tables import csv_of
 from posetrack_cli.text import printable, printable_json
 from posetrack_cli.units import METRES_PER_MM, NS_PER_S
 

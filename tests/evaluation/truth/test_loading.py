@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from posetrack_cli import csv_rows
+from posetrack_cli import tables
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import ResultError, TruthError, UsageError
 from posetrack_cli.evaluation.measuring.evaluate import EvalOptions, evaluate
@@ -19,7 +19,7 @@ from posetrack_cli.evaluation.measuring.evaluation import Statistics
 from posetrack_cli.evaluation.reading import truth_tables
 from posetrack_cli.evaluation.reading.tracks import Track
 from posetrack_cli.evaluation.reading.truth import load_truth
-from posetrack_cli.evaluation.reading.truth_tables import load_csv_track, read_header
+from posetrack_cli.evaluation.reading.truth_tables import load_csv_track, open_table
 from posetrack_cli.mcap.sink import McapSink
 from posetrack_cli.phases import LossLog
 from posetrack_cli.recording.base import TruthMessage
@@ -378,7 +378,7 @@ def test_an_unreadable_file_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyP
         raise PermissionError(13, "Permission denied")
 
     result = result_of(tmp_path)
-    monkeypatch.setattr(csv_rows, "open_input", refuse)
+    monkeypatch.setattr(tables, "open_input", refuse)
     with pytest.raises(TruthError, match=r"t\.csv: cannot be read, found Permission denied"):
         load_truth(result, path)
 
@@ -393,7 +393,7 @@ def test_names_of_files_may_be_any(tmp_path: Path) -> None:
 def test_the_rendered_heads_against_themselves(tmp_path: Path, measured_data: Path, person: str) -> None:
     """A track that is the truth has no error: 1e-9 mm is the rounding of points to and from the head."""
     path = measured_data / "heads" / person / "truth.csv"
-    columns = [name for name in read_header(path).columns if name.endswith("_x_mm")]
+    columns = [name for name in open_table(path).names if name.endswith("_x_mm")]
     names = tuple(name.removesuffix("_x_mm") for name in columns)
     head = Subject("head", "left", (), names, (-1,) * len(names))
     true = load_csv_track(path, head)
@@ -443,4 +443,4 @@ def test_truth_without_shape_entries_measures_a_head_whose_model_is_its_own(tmp_
 def test_lines_and_numbers_without_end_are_refused(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "t.csv").write_bytes(content)
     with pytest.raises(TruthError, match=r"^[^\n]{1,400}$"):
-        truth_tables.read_table(truth_tables.read_header(tmp_path / "t.csv"), ["x_mm"])
+        truth_tables.read_columns(open_table(tmp_path / "t.csv"), ["x_mm"])

@@ -19,13 +19,14 @@ from posetrack_cli.head.face.rig_images import project
 from posetrack_cli.head.particles.particles import velocity_between
 from posetrack_cli.head.skin.map import LEAST_VIEWS, pose_on_map
 from posetrack_cli.head.subject import SIGN_NAMES
-from posetrack_cli.head.tracker.codecs import MonoState, track_codec
+from posetrack_cli.head.tracker.codecs import ONE, MonoState
 from posetrack_cli.head.tracker.frame_tracker import MONO, MONO_WITH_SKIN, FrameFit, SeededFrame, TrackState
 from posetrack_cli.head.tracker.mono import MonoPeople
 from posetrack_cli.head.tracker.person import farther
 from posetrack_cli.results.columns import LayoutError
 from posetrack_cli.results.estimate import Estimate, Status
 from posetrack_cli.tracking.confidence import RunningSigns
+from posetrack_cli.tracking.state_codec import codec_of
 from support.codecs import assert_lawful, assert_same_arrays
 from support.damage import Arrays
 from support.mono_cases import assert_same
@@ -254,7 +255,7 @@ def test_the_velocity_stated_is_that_of_the_poses_stated() -> None:
 
 @pytest.mark.parametrize("known", [learned, believed])
 def test_the_track_is_that_of_a_run_without_skin_to_the_bit(known: Any) -> None:
-    codec = track_codec(1)
+    codec = codec_of(TrackState, ONE)
     with_skin, without = second_pass(known()), second_pass(learned(WITHOUT), WITHOUT)
     for (estimate, one), (other_estimate, other) in zip(with_skin, without, strict=True):
         assert one.track is not None and other.track is not None

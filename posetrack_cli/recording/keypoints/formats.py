@@ -1,123 +1,76 @@
-"""Keypoints in JSON: frames as MediaPipe gives them, COCO's annotations, exports of ours."""
+"""Formats of keypoint files: CSV, with a row per frame, hand or point; JSON of MediaPipe, COCO and others."""
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import chain, islice
 from pathlib import Path, PurePath
-from typing import Any, NoReturn
+from typing import Any
 
 from posetrack_cli import limits
-from posetrack_cli.csv_rows import text_lines
 from posetrack_cli.errors import UsageError
-from posetrack_cli.files import read_text
 from posetrack_cli.recording.keypoints.layout import (
-    FRAME_FIELDS,
     HANDEDNESS,
     KEYS,
     MIRRORED,
-    NS_PER_UNIT,
+    PIXELS,
     POINT_FIELDS,
+    SCORE,
     SCORE_FIELDS,
     SIDE,
+    SIDE_FIELDS,
+    UNIT_NAMES,
     Parsed,
+    PointColumn,
     PointKind,
     SetCollector,
+    X,
+    Y,
+    Z,
     key_of,
     number_of,
+    point_column,
     point_of,
     right_of,
     score_of,
     unit_of,
 )
-from posetrack_cli.recording.keypoints.tables import KIND, parse_table
+from posetrack_cli.tables import FRAME_FIELDS, LOST, NS_PER_UNIT, STATUS, Row, Table, TextFile, first_of
 
-_ONE = ("landmarks", "keypoints", "points", "landmark")
-_PEOPLE, _INSTANCES, _INFO = "people", "instances", "instance_info"
-"""Fields of OpenPose's files, one a frame, and of MMPose's frames and files."""
-_WHOLE_BODY = 133
-"""Points of COCO's whole body."""
-_LABELS = {SIDE: SIDE, MIRRORED: MIRRORED, HANDEDNESS: HANDEDNESS, "handednesses": HANDEDNESS}
-"""Fields that tell sides, and which of ``SIDE_FIELDS`` they are."""
-_LABEL_NAMES = ("label", "category_name", "categoryName", "display_name", "name")
-_VISIBILITY = {0: 0.0, 1: 0.5, 2: 1.0}
-"""Scores that COCO's flags stand for: not labelled, labelled but hidden, visible."""
+KIND = "keypoints are a CSV or JSON file in UTF-8"
+_LONGER = "a longer file is one of JSON lines (.jsonl) or CSV"
 
 
-def read_json(path: Path, kind: PointKind) -> Parsed:
-    """Read one JSON value.
+def parse_keypoints(path: Path, kind: PointKind) -> Parsed:
+    """Read keypoints that another program found, in the file's unit.
+
+    Args:
+        path: CSV; JSON, one value (``.json``) or one per line (``.jsonl``, ``.ndjson``); or a folder of JSON
+            files, one a frame.
+        kind: whose points they are.
 
     Raises:
-        UsageError: names file, frame and field of what cannot be used.
+        UsageError: no such file; or names file, line and field of what cannot be used.
     """
-    return _parsed(path, kind, _value(path))
-
-
-def _value(path: Path) -> Any:
-    """Return the one value of a JSON file."""
-    try:
-        text = read_text(path, limits.KEYPOINT_JSON_BYTES, "utf-8-sig")
-        return json.loads(text, parse_constant=_refuse)
-    except OSError as error:
-        hint = "a longer file is one of JSON lines (.jsonl) or CSV"
-        raise UsageError("cannot be read", where=path, found=error.strerror or error, hint=hint) from error
-    except (ValueError, RecursionError) as error:
-        found = "values nested too deeply" if isinstance(error, RecursionError) else error
-        raise UsageError("is no JSON", where=path, found=found, hint=KIND) from error
-
-
-def read_json_lines(path: Path, kind: PointKind) -> Parsed:
-    """Read a frame per line; see ``read_json``."""
-    return _parsed(
-        path, kind, (_line(path, number, line) for number, line in text_lines(path, UsageError, KIND))
-    )
-
-
-def _line(path: Path, number: int, line: str) -> Any:
-    try:
-        return json.loads(line, parse_constant=_refuse) if line.strip() else None
-    except (ValueError, RecursionError) as error:
-        found = "values nested too deeply" if isinstance(error, RecursionError) else error
-        raise UsageError("is no JSON", where=f"{path} line {number}", found=found, hint=KIND) from error
-
-
-def _refuse(constant: str) -> NoReturn:
-    raise ValueError(f"{constant}, which JSON does not have: null is for what is unknown")
-
-
-def _parsed(path: Path, kind: PointKind, said: Any) -> Parsed:
-    """What a file's value says, by what it has."""
-    if isinstance(said, Mapping):
-        unit = unit_of(said["unit"], path) if said.get("unit") is not None else None
-        if isinstance(said.get("columns"), Mapping):
-            return _exported(path, kind, said["columns"])
-        if isinstance(said.get("annotations"), list):
-            return _coco(path, kind, said, unit)
-        if isinstance(said.get("frames"), (list, Mapping)):
-            return _frames(path, kind, said["frames"], unit)
-        if isinstance(said.get(_INFO), list):
-            return _frames(path, kind, _with_names(said), unit)
-        if isinstance(said.get(_PEOPLE), list):
-            return _frames(path, kind, [{FRAME_FIELDS[0]: _number_in(path), **said}], unit)
-        if said and all(str(key).isdecimal() for key in said):
-            return _frames(path, kind, said, unit)
-        found = ", ".join(map(str, list(said)[:5]))[:80] or "an empty object"
-        raise UsageError("holds no frames", where=path, found=found, expected=kind.expected)
-    if isinstance(said, (list, Iterator)):
-        return _frames(path, kind, said, None)
-    raise UsageError("holds no frames", where=path, found=type(said).__name__, expected=kind.expected)
-
-
-def read_folder(path: Path, kind: PointKind) -> Parsed:
-    """Read a folder of JSON files, each of which is a frame that its name numbers: OpenPose's or MMPose's.
-
-    Raises:
-        UsageError: as of ``read_json``, or there are no such files.
-    """
-    files = frame_files(path)
-    return _frames(path, kind, (_file_frame(file) for file in files), None)
+    if path.is_dir():
+        return _frames(path, kind, (_file_frame(file) for file in frame_files(path)), None)
+    suffix = path.suffix.lower()
+    if suffix == ".json":
+        file = _json_file(path)
+        return _parsed(file, kind, file.json(_LONGER))
+    file = TextFile(path, UsageError, KIND, limits.KEYPOINT_BYTES)
+    if suffix in (".jsonl", ".ndjson"):
+        lines = ((file.where(number), line) for number, line in file.lines())
+        values = (file.json_of(line, where) if line.strip() else None for where, line in lines)
+        return _parsed(file, kind, values)
+    rows = file.rows()
+    first = list(islice(rows, 1))
+    if first and first[0][1][0].strip().lower() == _SCORER:
+        return _table(file, kind, _deeplabcut(file, first[0], rows))
+    return _table(file, kind, chain(first, rows))
 
 
 def frame_files(path: Path) -> list[Path]:
@@ -143,9 +96,243 @@ def frame_files(path: Path) -> list[Path]:
     return files
 
 
+# Tables
+
+
+EXPECTED = (
+    "columns of points (x0, y0 ... or wrist_x, wrist_y ..., or a row per point with landmark, x, y), "
+    "and of frames or stamps"
+)
+_SCORER, _COORDS = "scorer", "coords"
+_LEVELS = ("individuals", "bodyparts", _COORDS)
+"""Rows of the header of a table of DeepLabCut, after the scorer's."""
+_SUBJECTS = ("hand", "face", "face_id")
+"""Columns that count the subjects of a frame."""
+_SUCCESS = "success"
+"""A column of OpenFace: 0 where it lost the face. Its frames count from 1."""
+
+
+def _deeplabcut(file: TextFile, first_row: Row, rows: Iterator[Row]) -> Iterator[Row]:
+    """Yield the header and rows of a table of DeepLabCut, whose names are spread over three or four rows.
+
+    These are scorer, individuals (of several animals), bodyparts and coords; the first column counts frames
+    or names images. A row becomes one for each individual.
+
+    Raises:
+        UsageError: the header ends early or does not name bodyparts and coords.
+    """
+    line, scorer = first_row
+    header: dict[str, Sequence[str]] = {}
+    while _COORDS not in header:
+        line, row = next(rows, (line, []))
+        if not row or len(row) != len(scorer) or len(header) > len(_LEVELS):
+            found, expected = f"{len(row)} cells", f"{len(scorer)}, and rows {', '.join(_LEVELS)}"
+            what = "header of DeepLabCut is not complete"
+            raise UsageError(what, where=file.where(line), found=found, expected=expected)
+        header[row[0].strip().lower()] = [cell.strip() for cell in row]
+    parts = header.get("bodyparts", [""] * len(scorer))
+    first = 1 + sum(1 for cell in parts[1:3] if not cell)  # images may be named in three columns
+    who = header.get("individuals", [""] * len(scorer))
+    columns: dict[str, list[int]] = {}
+    for k in range(first, len(scorer)):
+        columns.setdefault(who[k], []).append(k)
+    names = [f"{parts[k]}_{header[_COORDS][k]}" for k in next(iter(columns.values()), [])]
+    yield line, [FRAME_FIELDS[0], *names]
+    for line, row in rows:
+        frame = re.findall(r"\d+", PurePath(row[first - 1]).stem if len(row) >= first else "")
+        for own in columns.values():
+            cells = [row[k] for k in own if k < len(row)]
+            if any(cells) or len(row) != len(scorer):
+                yield line, [frame[-1] if frame else "", *cells]
+
+
+def _table(file: TextFile, kind: PointKind, rows: Iterator[Row]) -> Parsed:
+    """What a table says, of rows with the header first."""
+    table = Table.of(file, rows, EXPECTED)
+    columns = _Columns.of(kind, table)
+    collector = SetCollector(file.path, kind, columns.ns_per_unit is not None)
+    for line, row in table:
+        columns.take(row, collector, file.where(line))
+    return Parsed(collector.sets(), columns.unit, columns.side_field, int(_SUCCESS in columns.of_row))
+
+
+@dataclass(frozen=True)
+class _Columns:
+    """Where in a row what is.
+
+    Attributes:
+        of_row: columns of the key, frame, score and so on, by these names; of those that there are.
+        ns_per_unit: what the unit of a stamp is in ns; None where the key is a frame's number.
+        points: columns of a row per frame; none where each row is a point.
+        side_field: name of the column of sides.
+        unit: that the columns name.
+    """
+
+    of_row: Mapping[str, int]
+    ns_per_unit: int | None
+    points: tuple[tuple[int, PointColumn], ...]
+    side_field: str | None
+    unit: str | None
+
+    @classmethod
+    def of(cls, kind: PointKind, table: Table) -> _Columns:
+        """Find the columns.
+
+        Raises:
+            UsageError: they are of no known layout.
+        """
+        names, where = table.names, table.header
+        plain = [name.lower() for name in names]
+        side = first_of(SIDE_FIELDS, plain)
+        wanted = {
+            "key": (*NS_PER_UNIT, *FRAME_FIELDS),
+            "frame": FRAME_FIELDS,
+            "point": POINT_FIELDS,
+            **{axis: (axis, *(f"{axis}_{unit}" for unit in UNIT_NAMES)) for axis in "xyz"},
+            "score": SCORE_FIELDS,
+            "side": SIDE_FIELDS,
+            "side_score": [f"{side}_{name}" for name in SCORE_FIELDS],
+            "hand": _SUBJECTS,
+            STATUS: (STATUS,),
+            _SUCCESS: (_SUCCESS,),
+        }
+        found = {what: first_of(named, plain) for what, named in wanted.items()}
+        if (key := found["key"]) is None:
+            raise UsageError("no column tells the frame", where=where, found=table.shown, expected=KEYS)
+        points = tuple(
+            (k, column)
+            for k, name in enumerate(names)
+            if not _is_in_space(name, names) and (column := point_column(kind, name)) is not None
+        )
+        if points or None in (found["point"], found["x"], found["y"]):
+            points = _ours(kind, points, table)
+            units = {column.unit for _, column in points}
+        else:
+            units = {UNIT_NAMES.get((found[axis] or "").partition("_")[2]) for axis in "xyz"}
+        named = sorted(unit for unit in units if unit is not None)
+        if len(named) > 1:
+            raise UsageError("columns are in several units", where=where, found=", ".join(named))
+        of_row = {what: plain.index(name) for what, name in found.items() if name is not None}
+        return cls(of_row, NS_PER_UNIT.get(key), points, side, named[0] if named else None)
+
+    def take(self, row: Sequence[str], collector: SetCollector, where: str) -> None:
+        """Add a row to the sets."""
+        said = {what: row[k] for what, k in self.of_row.items()}
+        if said.get(STATUS, "").strip().lower() == LOST:
+            return
+        if not number_of(said.get(_SUCCESS, 1), f"{where}, {_SUCCESS}") > 0.0:
+            return
+        key = key_of(said["key"], where, ns_per_unit=self.ns_per_unit)
+        if self.ns_per_unit is not None and said.get("frame", "").strip():
+            collector.tell_number(key, key_of(said["frame"], where))
+        hand, told = _hand_of(said.get("hand", ""), where)
+        score = score_of(said.get("score"), f"{where}, score")
+        if self.points:
+            hand = collector.new_hand(key, hand)  # a row each for the hands of a frame
+        values = collector.set_of(key, hand, where)
+        if self.points:
+            values[:, SCORE] = score
+            for k, column in self.points:
+                read = score_of if column.value == SCORE else number_of
+                values[column.point, column.value] = read(row[k], f"{where}, column {k + 1}")
+        else:
+            x, y, z = (number_of(said.get(axis), f"{where}, {axis}") for axis in "xyz")
+            collector.put(values, point_of(collector.kind, said["point"], where), (x, y, z, score), where)
+        if label := said.get("side") or told:
+            collector.tell_side(key, hand, right_of(label, score_of(said.get("side_score"), where), where))
+
+
+def _is_in_space(name: str, names: Sequence[str]) -> bool:
+    """Whether a column is one of OpenFace's X_0, Y_0 and Z_0, mm, beside x_0 and y_0, pixels."""
+    return name[:1] in ("X", "Y", "Z") and f"x{name[1:]}" in names
+
+
+def _ours(
+    kind: PointKind, points: Sequence[tuple[int, PointColumn]], table: Table
+) -> tuple[tuple[int, PointColumn], ...]:
+    """Return the columns of our points, by our numbers, of each of which x and y are there."""
+    where = table.header
+    if not points:
+        raise UsageError("no column is of a keypoint", where=where, found=table.shown, expected=EXPECTED)
+    there = {(column.point, column.value) for _, column in points}
+    if len(there) < len(points):
+        raise UsageError("two columns are of the same point", where=where, found=table.shown)
+    count = max(point for point, _ in there) + 1
+    places = kind.places(count) if count > kind.size else kind.places(kind.size)
+    if places is None:
+        expected = (
+            f"{kind.counts} points, {kind.range}" if len(kind.counted) == 1 else f"{kind.counts} points"
+        )
+        raise UsageError("has other points", where=where, found=f"point {count - 1}", expected=expected)
+    lacking = [(k, axis) for k in places for axis in (X, Y) if (k, axis) not in there]
+    if lacking:
+        point, axis = lacking[0]
+        found = f"{len({point for point, _ in there})} points, no {'xy'[axis]} of point {point}"
+        expected = f"x and y of {kind.counts}"
+        raise UsageError("columns of points are missing", where=where, found=found, expected=expected)
+    depths = sum(1 for point, value in there if value == Z and point in places)
+    if depths not in (0, kind.size):
+        expected = f"0 or {kind.size}"
+        raise UsageError(
+            "columns of points are missing", where=where, found=f"{depths} of z", expected=expected
+        )
+    return tuple((k, one._replace(point=places[one.point])) for k, one in points if one.point in places)
+
+
+def _hand_of(cell: str, where: str) -> tuple[int, str]:
+    """Which hand of its frame a row is of, and its side if that is how it is told."""
+    plain = cell.strip().lower()
+    if plain in ("right", "left", "r", "l"):
+        return int(plain[0] == "l"), plain
+    return key_of(plain or 0, f"{where}, column {_SUBJECTS[0]}"), ""
+
+
+# JSON
+
+
+_ONE = ("landmarks", "keypoints", "points", "landmark")
+_PEOPLE, _INSTANCES, _INFO = "people", "instances", "instance_info"
+"""Fields of OpenPose's files, one a frame, and of MMPose's frames and files."""
+_WHOLE_BODY = 133
+"""Points of COCO's whole body."""
+_LABELS = {SIDE: SIDE, MIRRORED: MIRRORED, HANDEDNESS: HANDEDNESS, "handednesses": HANDEDNESS}
+"""Fields that tell sides, and which of ``SIDE_FIELDS`` they are."""
+_LABEL_NAMES = ("label", "category_name", "categoryName", "display_name", "name")
+_VISIBILITY = {0.0: 0.0, 1.0: 0.5, 2.0: 1.0}
+"""Scores that COCO's flags stand for: not labelled, labelled but hidden, visible."""
+
+
+def _json_file(path: Path) -> TextFile:
+    return TextFile(path, UsageError, KIND, limits.KEYPOINT_JSON_BYTES)
+
+
+def _parsed(file: TextFile, kind: PointKind, said: Any) -> Parsed:
+    """What a file's value says, by what it has."""
+    path = file.path
+    if isinstance(said, Mapping):
+        unit = unit_of(said["unit"], path) if said.get("unit") is not None else None
+        if isinstance(said.get("columns"), Mapping):
+            return _table(file, kind, file.json_rows(said["columns"]))
+        if isinstance(said.get("annotations"), list):
+            return _frames(path, kind, _coco(path, kind, said), unit or PIXELS)
+        if isinstance(said.get("frames"), (list, Mapping)):
+            return _frames(path, kind, said["frames"], unit)
+        if isinstance(said.get(_INFO), list):
+            return _frames(path, kind, _with_names(said), unit)
+        if isinstance(said.get(_PEOPLE), list):
+            return _frames(path, kind, [{FRAME_FIELDS[0]: _number_in(path), **said}], unit)
+        if said and all(str(key).isdecimal() for key in said):
+            return _frames(path, kind, said, unit)
+        found = ", ".join(map(str, list(said)[:5]))[:80] or "an empty object"
+        raise UsageError("holds no frames", where=path, found=found, expected=kind.expected)
+    if isinstance(said, (list, Iterator)):
+        return _frames(path, kind, said, None)
+    raise UsageError("holds no frames", where=path, found=type(said).__name__, expected=kind.expected)
+
+
 def _file_frame(file: Path) -> Mapping[str, Any]:
     """Return what a file says of its frame: OpenPose's people, or a list of MMPose's instances."""
-    said = _value(file)
+    said = _json_file(file).json(_LONGER)
     if isinstance(said, list):
         said = {_INSTANCES: said}
     if not isinstance(said, Mapping):
@@ -178,12 +365,12 @@ def _frames(path: Path, kind: PointKind, frames: Any, unit: str | None) -> Parse
         if not isinstance(frame, Mapping):
             frame = {_ONE[0]: frame}
         if collector is None:
-            stamp = next((name for name in NS_PER_UNIT if name in frame), None)
+            stamp = first_of(NS_PER_UNIT, frame)
             collector = SetCollector(path, kind, stamp is not None)
         key = _key(frame, stamp, place, where)
-        number = next((name for name in FRAME_FIELDS if name in frame), None)
+        number = first_of(FRAME_FIELDS, frame)
         if collector.by_stamp and number is not None:
-            collector.tell_number(key, key_of(frame[number], None, where))
+            collector.tell_number(key, key_of(frame[number], where))
         sides |= _take_frame(collector, key, frame, where)
     if collector is None:
         raise UsageError("holds no frames", where=path, found="none", expected=kind.expected)
@@ -204,9 +391,9 @@ def _key(frame: Mapping[str, Any], stamp: str | None, place: Any, where: str) ->
     if stamp is not None:
         if stamp not in frame:
             raise UsageError("has no stamp", where=where, expected=f"{stamp}, as the first frame has")
-        return key_of(frame[stamp], NS_PER_UNIT[stamp], f"{where}, {stamp}")
-    name = next((name for name in FRAME_FIELDS if name in frame), None)
-    return key_of(place if name is None else frame[name], None, where)
+        return key_of(frame[stamp], f"{where}, {stamp}", ns_per_unit=NS_PER_UNIT[stamp])
+    name = first_of(FRAME_FIELDS, frame)
+    return key_of(place if name is None else frame[name], where)
 
 
 def _take_frame(collector: SetCollector, key: int, frame: Mapping[str, Any], where: str) -> set[str]:
@@ -394,30 +581,18 @@ def _of(said: Mapping[str, Any], names: Sequence[str], otherwise: Any) -> Any:
     return next((said[name] for name in names if said.get(name) is not None), otherwise)
 
 
-# Exports of others and of ours
+# Exports of label tools
 
 
-def _exported(path: Path, kind: PointKind, columns: Mapping[str, Any]) -> Parsed:
-    """What ``posetrack export --format json`` writes: lists by the names of a table's columns."""
-    names, lists = list(columns), list(columns.values())
-    if not names or not all(isinstance(values, list) and len(values) == len(lists[0]) for values in lists):
-        raise UsageError("columns are not of one length", where=path, expected="lists of as many values each")
-    cells = (
-        (k, ["" if v is None else str(v) for v in row]) for k, row in enumerate(zip(*lists, strict=True))
-    )
-    return parse_table(path, kind, names, cells, str(path))
-
-
-def _coco(path: Path, kind: PointKind, said: Mapping[str, Any], unit: str | None) -> Parsed:
-    """COCO's keypoint annotations, as label tools export them; an image's name numbers its frame."""
+def _coco(path: Path, kind: PointKind, said: Mapping[str, Any]) -> Iterator[Mapping[str, Any] | None]:
+    """Yield the frames of COCO's keypoint annotations, as label tools export them; None without points."""
     frames = _coco_frames(path, said.get("images"))
     order = _coco_order(path, kind, said.get("categories"))
-    collector = SetCollector(path, kind, by_stamp=False)
     for n, annotation in enumerate(said["annotations"]):
-        _check_count(n, path)
         where = f"{path}, annotation {n}"
         points = annotation.get("keypoints") if isinstance(annotation, Mapping) else None
         if not points:
+            yield None
             continue
         image = annotation.get("image_id")
         if isinstance(image, (list, dict)) or image not in frames:
@@ -427,15 +602,12 @@ def _coco(path: Path, kind: PointKind, said: Mapping[str, Any], unit: str | None
             raise UsageError(
                 "has other points", where=where, found=found, expected=f"{kind.size} times x, y, v"
             )
-        hand = collector.new_hand(frames[image])
-        values = collector.set_of(frames[image], hand, where)
+        listed: list[Any] = [None] * kind.size
         for k, point in enumerate(order):
             x, y, v = (number_of(value, f"{where}, point {k}") for value in points[3 * k : 3 * k + 3])
-            score = _VISIBILITY[int(v)] if v in _VISIBILITY else score_of(v, f"{where}, point {k}, v")
-            unknown = score == 0.0
-            said_of = (math.nan if unknown else x, math.nan if unknown else y, math.nan, score)
-            collector.put(values, point, said_of, where)
-    return Parsed(collector.sets(), unit or "px", None)
+            score = _VISIBILITY.get(v, v)
+            listed[point] = [None, None, None, score] if score == 0.0 else [x, y, None, score]
+        yield {FRAME_FIELDS[0]: frames[image], _ONE[0]: listed}
 
 
 def _coco_frames(path: Path, images: Any) -> dict[Any, int]:
@@ -446,14 +618,14 @@ def _coco_frames(path: Path, images: Any) -> dict[Any, int]:
     for n, image in enumerate(images):
         _check_count(n, path)
         where = f"{path}, image {n}"
-        name = next((field for field in FRAME_FIELDS if field in image), None)
+        name = first_of(FRAME_FIELDS, image)
         digits = re.findall(r"\d{1,18}", PurePath(str(image.get("file_name", ""))).stem)
         if name is None and not digits:
             raise UsageError("no frame number", where=where, found=image.get("file_name"), expected=KEYS)
         ident = image.get("id")
         if not isinstance(ident, (int, str)):
             raise UsageError("image has no id", where=where, found=ident)
-        frames[ident] = key_of(digits[-1] if name is None else image[name], None, where)
+        frames[ident] = key_of(digits[-1] if name is None else image[name], where)
     return frames
 
 
