@@ -1,71 +1,89 @@
-"""What a frame of a hand costs: with each configuration from file to file and in the tracker alone."""
+"""What a hand costs: drawing and scoring poses, a frame with each configuration, measuring a long result."""
 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+import time
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
-from benchmarking.commands import peak_memory
-from benchmarking.lengths import Lengths
-from benchmarking.recordings import write_hand_recording
+import numpy as np
+
+from benchmarking.processes import POSETRACK, peak_memory, usage_of
+from benchmarking.recordings import write_hand_recording, write_long_result
 from benchmarking.rows import Row, median_ms, median_of_pairs
+from benchmarking.stepping import Walker, in_turn
 from posetrack_cli.configuration import find_configuration, load_settings
 from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.model.anatomy import make_anatomy
+from posetrack_cli.hand.model.hand import hand_mesh
+from posetrack_cli.hand.model.kinematics import skinning_transforms
 from posetrack_cli.hand.run import HandRun, RunOptions
+from posetrack_cli.hand.start import scattered_poses
 from posetrack_cli.recording.opening import open_recording
+from posetrack_cli.rendering.devices import scoring_milliseconds
 from posetrack_cli.rendering.port import RenderingDevice
-from stepping import Walker, in_turn
+from posetrack_cli.synthesis.hand.frames import synthesise
+from posetrack_cli.synthesis.hand.options import SynthOptions
 
+PARTICLES = 512
 TARGETS_MS = {"hand": 50.0, "hand-fast": 25.0, "hand-pso": None}
 """20 and 40 frames/s."""
 WARM_UP = 5
 
 
-def hands(device: RenderingDevice, depths: Sequence[Any], lengths: Lengths) -> Iterator[Row]:
-    """Rows of every configuration, of velocity, and of a long run."""
+def scoring(device: RenderingDevice, repeats: int) -> Iterator[Row]:
+    """Draw and reduce N poses: the paper's 128 x 128 window, and the same window sampled at 64 x 64."""
+    anatomy = make_anatomy()
+    poses = scattered_poses(anatomy, PARTICLES, np.random.default_rng(0))
+    transforms, mesh = skinning_transforms(anatomy, poses), hand_mesh(anatomy)
+    for tile, target in ((128, 80.0), (64, 33.0)):
+        value = scoring_milliseconds(device, mesh, transforms, tile, 128 // tile, repeats)
+        yield Row(f"draw and reduce, N = {PARTICLES}, {tile} x {tile} tiles", value, "ms", target)
+
+
+def hands(device: RenderingDevice, frames: int, memory_frames: int) -> Iterator[Row]:
+    """Every configuration in the tracker alone and from PNGs in an MCAP file to a result, the search for the
+    hand included; the RBPF against the plain filter; a long run.
+    """
+    synthetic = synthesise(SynthOptions(frames=frames), device=device)
+    depths = [frame.depth.astype(np.float32) for frame in synthetic]
     configs = {name: load_settings(HandConfig, find_configuration(name), {}) for name in TARGETS_MS}
-    yield from tracking_alone(device, configs, depths)
-    yield from file_to_file(device, configs, depths)
-    yield from velocity_ratio(device, depths)
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder, "long.mcap")
-        write_hand_recording(path, depths, lengths.hand_memory)
-        command = ["hand", "run", str(path)]
-        yield from peak_memory("hand run", command, lengths.hand_memory, Path(folder), 400.0)
-
-
-def tracking_alone(
-    device: RenderingDevice, configs: Mapping[str, HandConfig], depths: Sequence[Any]
-) -> Iterator[Row]:
-    """The same frames through the trackers of all configurations in turn."""
-    walkers = {name: Walker(device, config, depths[0]) for name, config in configs.items()}
-    times = in_turn(walkers, depths, WARM_UP)
-    for name in walkers:
+    times = in_turn({k: Walker(device, one, depths[0]) for k, one in configs.items()}, depths, WARM_UP)
+    for name in configs:
         yield Row(f"{name}, tracking alone", median_ms(times[name]), "ms")
     for name in ("hand-fast", "hand-pso"):
         ratio = median_of_pairs(times[name], times["hand"])
         yield Row(f"{name} / hand frame time, median of pairs", ratio, "")
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        write_hand_recording(folder / "in.mcap", depths, len(depths))
+        for kind, config in configs.items():
+            options = RunOptions(folder / f"{kind}.mcap")
+            run = HandRun(open_recording(folder / "in.mcap"), config, options, device)
+            outcome = run.track(lambda estimate: None)
+            yield Row(
+                f"{kind}, file to file", 1e3 * outcome.seconds / outcome.tracked, "ms", TARGETS_MS[kind]
+            )
+        kinds = {kind: load_settings(HandConfig, None, {"filter.kind": kind}) for kind in ("rbpf", "pf")}
+        times = in_turn({k: Walker(device, one, depths[0]) for k, one in kinds.items()}, depths, WARM_UP)
+        ratio = median_of_pairs(times["rbpf"], times["pf"])
+        yield Row("RBPF / PF frame time, median of pairs", ratio, "", 1.03)
+        write_hand_recording(folder / "long.mcap", depths, memory_frames)
+        command = ["hand", "run", str(folder / "long.mcap")]
+        yield from peak_memory("hand run", command, memory_frames, folder, 400.0)
 
 
-def file_to_file(
-    device: RenderingDevice, configs: Mapping[str, HandConfig], depths: Sequence[Any]
-) -> Iterator[Row]:
-    """Whole runs from PNGs in an MCAP file to a result, the search for the hand included."""
+def evaluation(frames: int) -> Iterator[Row]:
+    """Time and peak memory of eval over a long result, and the size of the HTML page of a tenth of it."""
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder, "in.mcap")
-        write_hand_recording(path, depths, len(depths))
-        for name, config in configs.items():
-            options = RunOptions(Path(folder, f"{name}.mcap"))
-            outcome = HandRun(open_recording(path), config, options, device).track(lambda estimate: None)
-            total = 1e3 * outcome.seconds / outcome.tracked
-            yield Row(f"{name}, file to file", total, "ms", TARGETS_MS[name])
-
-
-def velocity_ratio(device: RenderingDevice, depths: Sequence[Any]) -> Iterator[Row]:
-    """Frame time of the RBPF over that of the plain filter, which step through the same frames in turn."""
-    configs = {kind: load_settings(HandConfig, None, {"filter.kind": kind}) for kind in ("rbpf", "pf")}
-    walkers = {kind: Walker(device, config, depths[0]) for kind, config in configs.items()}
-    times = in_turn(walkers, depths, WARM_UP)
-    yield Row("RBPF / PF frame time, median of pairs", median_of_pairs(times["rbpf"], times["pf"]), "", 1.03)
+        long, short, page = (Path(folder, name) for name in ("long.mcap", "short.mcap", "page.html"))
+        write_long_result(long, frames)
+        write_long_result(short, frames // 10)
+        began = time.perf_counter()
+        seconds, mebibytes = usage_of([*POSETRACK, "eval", str(long)])
+        yield Row(f"eval, {frames} frames with truth", time.perf_counter() - began, "s", 20.0)
+        yield Row("  of it CPU time", seconds, "s")
+        yield Row("  peak memory", mebibytes, "MiB", 476.8)  # 500 MB
+        usage_of([*POSETRACK, "eval", str(short), "--html", str(page)])
+        yield Row(f"HTML page, {frames // 10} frames", page.stat().st_size * 1e-6, "MB", 10.0)

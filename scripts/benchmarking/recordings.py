@@ -1,31 +1,48 @@
-"""Recordings as long as one likes: a few synthetic frames to and fro, so that motion stays continuous."""
+"""Recordings and results as long as one likes: a few synthetic frames to and fro, or natural motion."""
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
+from benchmarking.stepping import FRAME_NS
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.geometry import rotations
+from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.model.anatomy import ANGLE_NAMES, ANGLES, JOINT_NAMES, JOINT_PARENTS, make_anatomy
+from posetrack_cli.hand.model.kinematics import joint_positions
 from posetrack_cli.mcap.sink import McapSink
-from posetrack_cli.recording.base import CAMERA_FILE_NAME
+from posetrack_cli.recording.base import CAMERA_FILE_NAME, TruthMessage
 from posetrack_cli.recording.image_files import GREY_SUFFIXES, list_images
 from posetrack_cli.recording.message_cameras import calibration_message
+from posetrack_cli.results import (
+    ESTIMATE_SCHEMA,
+    ESTIMATE_SCHEMA_NAME,
+    Estimate,
+    ResultWriter,
+    Status,
+    Subject,
+    estimate_to_json,
+)
 from posetrack_cli.synthesis.hand.frames import CAMERA
-from stepping import FRAME_NS
+from posetrack_cli.synthesis.hand.motion import natural_motion
+from posetrack_cli.tracking.velocity import BodySpace, pose_rates
 
 
 def there_and_back(count: int, length: int) -> Iterator[int]:
-    """Indices 0, 1, ..., count - 1, count - 2, ..., 1, 0, 1, ... of a length."""
+    """Indices 0, 1, ..., count - 1, count - 2, ..., 1, 0, 1, ... of a length: motion stays continuous."""
     period = [*range(count), *range(count - 2, 0, -1)]
     return (period[index % len(period)] for index in range(length))
 
 
 def write_hand_recording(path: Path, depths: Sequence[Any], frames: int) -> None:
     """An MCAP file of these depth images, mm, as PNG."""
-    import cv2
     from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
     from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 
@@ -45,12 +62,9 @@ def write_hand_recording(path: Path, depths: Sequence[Any], frames: int) -> None
 
 
 def link_recording(path: Path, folder: Path, frames: int) -> None:
-    """A folder whose images are those of another one; it has no stamps but needs ``--fps``.
+    """Make a folder whose images are those of another one, so many; it has no stamps but needs ``--fps``.
 
-    Args:
-        path: the folder to make.
-        folder: of images, or of a folder of images per camera, with a camera file.
-        frames: how many.
+    The other one holds images, or a folder of images per camera, and a camera file.
     """
     path.mkdir()
     shutil.copy(folder / CAMERA_FILE_NAME, path)
@@ -60,3 +74,57 @@ def link_recording(path: Path, folder: Path, frames: int) -> None:
         into.mkdir(exist_ok=True)
         for index, shown in enumerate(there_and_back(len(images), frames)):
             (into / f"{index:06d}{images[shown].suffix}").symlink_to(images[shown].path.resolve())
+
+
+# A result with truth: natural motion, and estimates off by noise of known strength
+
+SD = np.r_[np.full(3, 5.0), np.full(3, 0.06), np.full(15, 0.12)]
+"""Of the estimates' errors, mm and rad; also stated as their covariance."""
+SCRIPT_S = 300.0
+LOST_EVERY, LOST_FOR = 1000, 10
+
+
+def write_long_result(path: Path, frames: int) -> None:
+    """Write a hand's result of so many frames; every thousandth begins ten that are lost."""
+    rng, seconds = np.random.default_rng(0), 1e-9 * FRAME_NS
+    times: FloatArray = np.mod(seconds * np.arange(frames), SCRIPT_S, dtype=np.float64)
+    script = natural_motion(min(SCRIPT_S, frames * seconds), 1.0, rng)
+    anatomy, schema = make_anatomy(), json.dumps(ESTIMATE_SCHEMA).encode()
+    run = {"tracker": "hand", "configuration": json.dumps(HandConfig().model_dump(mode="json"))}
+    subject = Subject("hand", CAMERA.name, ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS)
+    with ResultWriter(path, subject, CAMERA, run) as writer:
+        for block in np.array_split(np.arange(frames), max(1, frames // 1000)):
+            true, twists = script.poses(times[block]), script.twists(times[block])
+            poses = BodySpace().retract(true, SD * rng.standard_normal((len(block), len(SD))))
+            poses[:, 3:7] = rotations.canonical(poses[:, 3:7])
+            joints = joint_positions(anatomy, np.concatenate([poses, true])).reshape(2, len(block), -1, 3)
+            for row, index in enumerate(block.tolist()):
+                truth = estimate_to_json(_estimate(index, true[row], twists[row], joints[1, row]))
+                how = ("/truth/hand/estimate", ESTIMATE_SCHEMA_NAME, "jsonschema", schema, "json")
+                writer.add_truth(TruthMessage(*how, (index + 1) * FRAME_NS, truth))
+                lost = index % LOST_EVERY < LOST_FOR
+                writer.write(_estimate(index, poses[row], twists[row], joints[0, row], lost=lost))
+        writer.finish({})
+
+
+def _estimate(
+    index: int, pose: FloatArray, twist: FloatArray, joints: FloatArray, *, lost: bool = False
+) -> Estimate:
+    return Estimate(
+        frame_index=index,
+        stamp_ns=(index + 1) * FRAME_NS,
+        status=Status.LOST if lost else Status.TRACKING,
+        confidence=0.2 if lost else 0.8,
+        position=pose[:3],
+        quaternion=pose[3:7],
+        shape=pose[ANGLES],
+        pose_rate=pose_rates(pose, twist),
+        twist=twist,
+        pose_variance=SD**2,
+        twist_variance=SD**2,
+        points=joints,
+        effective_sample_size=100.0,
+        resampled=True,
+        cost=10.0,
+        milliseconds=30.0,
+    )

@@ -10,7 +10,7 @@ import hashlib
 import io
 import json
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -31,15 +31,16 @@ _PRINTED_SIZE = re.compile(r"\b[\d.]+ (?:B|kB|MB)\b")
 def digests_of(path: Path) -> dict[str, str]:
     """Return the digests of a file: one by the name "", or one for each part of an MCAP or npz file."""
     content = path.read_bytes()
-    return {name: digest_of(part) for name, part in _PARTS.get(path.suffix, _whole)(content)}
+    if path.suffix == ".mkv":  # FFmpeg gives every file a random number of its own
+        return {}
+    parts = _PARTS[path.suffix](content) if path.suffix in _PARTS else [("", content)]
+    return {name: digest_of(part) for name, part in parts}
 
 
 def printed_digest(content: bytes) -> str:
     """Return the digest of standard output."""
-    text = _PRINTED_SIZE.sub("SIZE", _PRINTED_RECORD.sub("", content.decode()))
-    if text.startswith("{"):
-        return digest_of(_json_text(text.encode()))
-    return digest_of(_VERSION.sub("posetrack", text).encode())
+    text = _PRINTED_SIZE.sub("SIZE", _PRINTED_RECORD.sub("", content.decode())).encode()
+    return digest_of(_json_text(text) if text.startswith(b"{") else _without_version(text))
 
 
 def digest_of(content: bytes) -> str:
@@ -50,13 +51,8 @@ def digest_of(content: bytes) -> str:
 Parts = Iterator[tuple[str, bytes]]
 
 
-def _whole(content: bytes) -> Parts:
-    yield "", content
-
-
-def _matroska(content: bytes) -> Parts:
-    """Yield nothing: FFmpeg gives every file a random number of its own."""
-    yield from ()
+def _without_version(text: bytes) -> bytes:
+    return _VERSION.sub("posetrack", text.decode()).encode()
 
 
 def _mcap(content: bytes) -> Parts:
@@ -93,10 +89,6 @@ def _npz(content: bytes) -> Parts:
             yield name, repr((array.dtype.kind if is_json else array.dtype.str, array.shape)).encode() + data
 
 
-def _json(content: bytes) -> Parts:
-    yield "", _json_text(content)
-
-
 def _json_text(content: bytes) -> bytes:
     return json.dumps(_without_run(json.loads(content))).encode()
 
@@ -110,43 +102,30 @@ def _without_run(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _without_run(one) for key, one in value.items() if _counts(key)}
     if isinstance(value, list):
-        return [
-            _without_run(one)
-            for one in value
-            if not (isinstance(one, dict) and one.get("name") == RUN_RECORD)
-        ]
+        counted = (one for one in value if not (isinstance(one, dict) and one.get("name") == RUN_RECORD))
+        return [_without_run(one) for one in counted]
     return value
 
 
-def _csv(content: bytes) -> Parts:
-    """Yield the table without columns of cost, and the comments without the run record."""
+def _csv(content: bytes) -> bytes:
+    """Return the table without columns of cost, and the comments without the run record."""
     lines = content.decode().splitlines()
     comments = [line for line in lines if line.startswith("#") and not line.startswith("# run:")]
     rows = list(csv.reader(line for line in lines if not line.startswith("#")))
     cost = {k for k, name in enumerate(rows[0]) if name in LEFT_OUT} if rows else set()
     kept = [[cell for k, cell in enumerate(row) if k not in cost] for row in rows]
-    yield "", repr((comments, kept)).encode()
+    return repr((comments, kept)).encode()
 
 
-def _html(content: bytes) -> Parts:
-    text = _RECORD_TABLE.sub("", content.decode())
-    yield "", _VERSION.sub("posetrack", text).encode()
+def _html(content: bytes) -> bytes:
+    return _without_version(_RECORD_TABLE.sub("", content.decode()).encode())
 
 
-def _text(content: bytes) -> Parts:
-    yield "", _VERSION.sub("posetrack", content.decode()).encode()
-
-
-_PARTS: Mapping[str, Callable[[bytes], Parts]] = {
+_PARTS: Mapping[str, Callable[[bytes], Iterable[tuple[str, bytes]]]] = {
     ".mcap": _mcap,
-    ".mkv": _matroska,
     ".npz": _npz,
-    ".json": _json,
-    ".csv": _csv,
-    ".html": _html,
-    ".md": _text,
-    ".xml": _text,
-    ".toml": _text,
-    ".tum": _text,
-    ".bvh": _text,
+    ".json": lambda content: [("", _json_text(content))],
+    ".csv": lambda content: [("", _csv(content))],
+    ".html": lambda content: [("", _html(content))],
+    **dict.fromkeys((".md", ".xml", ".toml", ".tum", ".bvh"), lambda text: [("", _without_version(text))]),
 }

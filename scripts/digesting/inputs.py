@@ -8,7 +8,7 @@ from __future__ import annotations
 import csv
 import json
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -31,18 +31,11 @@ def helper(name: str) -> Any:
     return import_module(f"support.{name}")
 
 
-def frames_of(recording: Path, pixels: str) -> Iterator[Any]:
-    """Yield the frames of a recording; the package decodes them."""
+def opened(recording: Path, pixels: str) -> Any:
+    """Return a recording; the package decodes it."""
     from posetrack_cli.recording.opening import open_recording
 
-    yield from open_recording(recording, pixels).frames()  # type: ignore[arg-type]
-
-
-def cameras_of(recording: Path, pixels: str) -> Sequence[Any]:
-    """Return the cameras of a recording."""
-    from posetrack_cli.recording.opening import open_recording
-
-    return open_recording(recording, pixels).cameras  # type: ignore[arg-type]
+    return open_recording(recording, pixels)  # type: ignore[arg-type]
 
 
 def truth_of(recording: Path, topic: str) -> list[tuple[dict[str, Any], Any]]:
@@ -56,27 +49,24 @@ def truth_of(recording: Path, topic: str) -> list[tuple[dict[str, Any], Any]]:
 
 def write_depth_folder(folder: Path) -> None:
     """Write depth in whole millimetres, with a camera file."""
-    _write_depth(folder / "depth", folder / "hand-C.mcap", 1.0)
-    _write_camera(folder / "depth" / "camera.toml", cameras_of(folder / "hand-C.mcap", "depth")[0])
+    _write_depth(folder / "depth", folder / "hand-C.mcap", folder / "depth" / "camera.toml", 1.0)
 
 
 def write_tenths_folder(folder: Path) -> None:
     """Write depth in tenths of a millimetre with a value for no reading, and a separate camera file."""
-    _write_depth(folder / "tenths", folder / "near.mcap", 10.0)
-    _write_camera(folder / "tenths.toml", cameras_of(folder / "near.mcap", "depth")[0])
+    _write_depth(folder / "tenths", folder / "near.mcap", folder / "tenths.toml", 10.0)
 
 
-def _write_depth(target: Path, recording: Path, per_mm: float) -> None:
+def _write_depth(target: Path, path: Path, camera: Path, per_mm: float) -> None:
     target.mkdir()
-    for frame in frames_of(recording, "depth"):
+    recording = opened(path, "depth")
+    for frame in recording.frames():
         codes = np.round(frame.images[0] * per_mm).astype(np.uint16)
         if per_mm != 1.0:
             codes[codes == 0] = TENTHS_MISSING
         cv2.imwrite(str(target / f"{frame.index:06d}.png"), codes)
-
-
-def _write_camera(path: Path, camera: Any) -> None:
-    path.write_text("".join(f"{key} = {getattr(camera, key)!r}\n" for key in ("fx", "fy", "cx", "cy")))
+    lines = (f"{key} = {getattr(recording.cameras[0], key)!r}\n" for key in ("fx", "fy", "cx", "cy"))
+    camera.write_text("".join(lines))
 
 
 def copy_images(folder: Path) -> None:
@@ -93,20 +83,19 @@ def write_video(folder: Path) -> None:
     with av.open(str(folder / "face.mp4"), "w") as container:
         stream = container.add_stream("libx264", rate=30, options={"crf": "12"})
         stream.pix_fmt = "yuv420p"
-        camera = cameras_of(folder / "one.mcap", "grey")[0]
+        camera = opened(folder / "one.mcap", "grey").cameras[0]
         stream.width, stream.height = camera.width, camera.height
-        for frame in frames_of(folder / "one.mcap", "grey"):
+        for frame in opened(folder / "one.mcap", "grey").frames():
             container.mux(stream.encode(av.VideoFrame.from_ndarray(frame.images[0], format="gray")))
         container.mux(stream.encode(None))
 
 
 def write_bags(folder: Path) -> None:
     """Write the depth as a bag of ROS 1 and a camera's grey images as another."""
-    recordings = (folder / "hand-C.mcap", folder / "two.mcap")
-    hand, head = (_Rows(r, p) for r, p in zip(recordings, ("depth", "grey"), strict=True))
     write_bag = helper("bags").write_bag
-    write_bag(folder / "depth.bag", "lz4", hand.depth)
-    write_bag(folder / "grey.bag", "none", head.grey)
+    write_bag(folder / "depth.bag", "lz4", lambda messages: _depth_messages(folder, messages))
+    grey = (GREY_TOPIC, GREY_INFO_TOPIC, "mono8", np.uint8)
+    write_bag(folder / "grey.bag", "none", lambda messages: _messages(folder / "two.mcap", messages, *grey))
 
 
 def write_ros2_folder(folder: Path) -> None:
@@ -116,36 +105,27 @@ def write_ros2_folder(folder: Path) -> None:
 
     messages = helper("bags").Messages(Stores.ROS2_HUMBLE)
     with Writer(folder / "ros2", version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
-        messages.write(
-            _Rows(folder / "hand-C.mcap", "depth").depth(messages), writer, messages.store.serialize_cdr
-        )
+        messages.write(_depth_messages(folder, messages), writer, messages.store.serialize_cdr)
 
 
-class _Rows:
-    """A recording's images as messages of ROS, for ``support.bags``."""
+def _depth_messages(folder: Path, messages: Any) -> Iterator[tuple[str, int, Any]]:
+    return _messages(folder / "hand-C.mcap", messages, DEPTH_TOPIC, INFO_TOPIC, "16UC1", np.uint16)
 
-    def __init__(self, recording: Path, pixels: str) -> None:
-        self._recording, self._pixels = recording, pixels
 
-    def depth(self, messages: Any) -> Iterator[tuple[str, int, Any]]:
-        """Yield topic, number and message of the calibration and every depth image."""
-        yield from self._rows(messages, DEPTH_TOPIC, INFO_TOPIC, "16UC1", np.uint16)
-
-    def grey(self, messages: Any) -> Iterator[tuple[str, int, Any]]:
-        """Yield topic, number and message of the calibration and every image of the first camera."""
-        yield from self._rows(messages, GREY_TOPIC, GREY_INFO_TOPIC, "mono8", np.uint8)
-
-    def _rows(self, messages: Any, topic: str, info: str, encoding: str, kind: Any) -> Iterator[Any]:
-        camera = cameras_of(self._recording, self._pixels)[0]
-        k = np.array([camera.fx, 0, camera.cx, 0, camera.fy, camera.cy, 0, 0, 1.0])
-        p = np.insert(k, (3, 6, 9), 0.0)
-        described = messages.camera_info("sensor")
-        letters = ("K", "P") if hasattr(described, "K") else ("k", "p")
-        changes: dict[str, Any] = dict(zip(letters, (k, p), strict=True))
-        yield info, 0, replace(described, width=camera.width, height=camera.height, **changes)
-        for frame in frames_of(self._recording, self._pixels):
-            image = np.round(frame.images[0]).astype(kind)
-            yield topic, frame.index, messages.image(frame.index, "sensor", encoding, image)
+def _messages(
+    path: Path, messages: Any, topic: str, info: str, encoding: str, kind: Any
+) -> Iterator[tuple[str, int, Any]]:
+    """Yield topic, number and message of the calibration and every image of a recording's first camera."""
+    recording = opened(path, "depth" if kind is np.uint16 else "grey")
+    camera = recording.cameras[0]
+    k = np.array([camera.fx, 0, camera.cx, 0, camera.fy, camera.cy, 0, 0, 1.0])
+    described = messages.camera_info("sensor")
+    letters = ("K", "P") if hasattr(described, "K") else ("k", "p")
+    changes = dict(zip(letters, (k, np.insert(k, (3, 6, 9), 0.0)), strict=True))
+    yield info, 0, replace(described, width=camera.width, height=camera.height, **changes)
+    for frame in recording.frames():
+        image = np.round(frame.images[0]).astype(kind)
+        yield topic, frame.index, messages.image(frame.index, "sensor", encoding, image)
 
 
 def write_kinect_file(folder: Path) -> None:
@@ -154,26 +134,20 @@ def write_kinect_file(folder: Path) -> None:
 
 
 def write_keypoints(folder: Path) -> None:
-    """Write a hand's joints in pixels with scatter, and the truth as a table."""
+    """Write a hand's joints in pixels with scatter, and the truth as ``eval`` and ``--keypoints`` read it."""
+    from posetrack_cli.hand.model.anatomy import JOINT_NAMES
+
     recording = folder / "hand-C.mcap"
-    camera, rng = cameras_of(recording, "depth")[0], np.random.default_rng(5)
+    camera, rng = opened(recording, "depth").cameras[0], np.random.default_rng(5)
     truth = truth_of(recording, "/truth/hand/estimate")
     frames = []
     for estimate, points in truth:
         places = camera.pixels_from_points(points)[0]
         places = places + rng.normal(0.0, KEYPOINT_SCATTER_PX, places.shape)
-        frames.append(
-            {"frame": estimate["frame_index"], "landmarks": places.round(2).tolist(), "side": "left"}
-        )
+        landmarks = places.round(2).tolist()
+        frames.append({"frame": estimate["frame_index"], "landmarks": landmarks, "side": "left"})
     (folder / "keypoints.json").write_text(json.dumps(frames))
-    _write_table(folder / "joints.csv", truth)
-
-
-def _write_table(path: Path, truth: Sequence[tuple[dict[str, Any], Any]]) -> None:
-    """Write joints in millimetres as ``eval`` and ``--keypoints`` read them."""
-    from posetrack_cli.hand.model.anatomy import JOINT_NAMES
-
-    with path.open("w", newline="") as stream:
+    with (folder / "joints.csv").open("w", newline="") as stream:
         rows = csv.writer(stream, lineterminator="\n")
         rows.writerow(["stamp_ns", *(f"{joint}_{axis}_mm" for joint in JOINT_NAMES for axis in "xyz")])
         for estimate, points in truth:
@@ -184,7 +158,7 @@ def write_landmarks(folder: Path) -> None:
     """Write a face's ten points in pixels with scatter, and those of the first frame as clicked ones."""
     from posetrack_cli.head.face.points import POINT_NAMES
 
-    camera, rng = cameras_of(folder / "two.mcap", "grey")[0], np.random.default_rng(6)
+    camera, rng = opened(folder / "two.mcap", "grey").cameras[0], np.random.default_rng(6)
     landmarks, clicked = ["frame,point,x,y"], ["camera,point,x,y"]
     for estimate, points in truth_of(folder / "two.mcap", "/truth/head/estimate"):
         places = camera.pixels_from_points(points)[0]

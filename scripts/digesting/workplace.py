@@ -13,7 +13,7 @@ from pathlib import Path
 import click
 
 from digesting.contents import digests_of, printed_digest
-from digesting.step import Step
+from digesting.steps import Step
 
 POSETRACK = (sys.executable, "-m", "posetrack_cli.cli.main")
 INTERRUPTED_S = 600.0
@@ -24,12 +24,7 @@ Digests = Mapping[str, Mapping[str, str]]
 
 
 class Workplace:
-    """A folder in which steps are done.
-
-    Args:
-        folder: for everything that they write.
-        package: checkout whose ``posetrack_cli`` runs.
-    """
+    """A folder in which steps are done, with the ``posetrack_cli`` of a checkout."""
 
     def __init__(self, folder: Path, package: Path) -> None:
         self._folder = folder
@@ -58,9 +53,7 @@ class Workplace:
             self._interrupt(arguments, step)
             arguments.append("--resume")
         line = [*POSETRACK, *arguments]
-        ended = subprocess.run(
-            line, cwd=self._folder, env=self._environment, capture_output=True, check=False
-        )
+        ended = subprocess.run(line, cwd=self._folder, env=self._environment, capture_output=True)
         written = all((self._folder / name).exists() for name in step.outputs)
         if ended.returncode not in _EXIT_CODES or not written:
             said = ended.stderr.decode(errors="replace").strip().splitlines()[-3:]
@@ -97,12 +90,7 @@ def _files_of(path: Path) -> list[Path]:
 
 
 def chosen(groups: Mapping[str, Sequence[Step]], names: Iterable[str]) -> list[Step]:
-    """Return the steps of the named groups or of these names, and those they need, in order.
-
-    Args:
-        groups: all steps.
-        names: of groups or steps; none for all.
-    """
+    """Return the steps of the named groups or of these names, all for none, and those they need, in order."""
     steps = {step.name: step for group in groups.values() for step in group}
     wanted = [step for name in names for step in groups.get(name, (name,))]
     pending = [step.name if isinstance(step, Step) else step for step in wanted] or list(steps)

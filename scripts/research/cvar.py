@@ -63,16 +63,7 @@ def conversion(folder: Path, work: Path) -> tuple[str, ...]:
         raise RecordingError("no images", where=folder)
     camera.write_text(camera_toml(images[0]), encoding="utf-8")
     write_truth(truth, [image.name for image in images], read_annotation(folder / "joint.txt"))
-    return (
-        "convert",
-        str(folder),
-        "--camera",
-        str(camera),
-        "--fps",
-        f"{RATE_HZ:g}",
-        "--truth",
-        str(truth),
-    )
+    return ("convert", str(folder), "--camera", str(camera), "--fps", f"{RATE_HZ:g}", "--truth", str(truth))
 
 
 def camera_toml(image: Path) -> str:

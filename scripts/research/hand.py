@@ -1,19 +1,17 @@
-"""Redo section 7 of Kajihara and Tanaka's paper, and answer the question it leaves open.
-
-Usage: scripts/reproduce hand [-o out/hand] [--seeds 20] [--kinect RECORDING ...]
-"""
+"""Redo section 7 of Kajihara and Tanaka's paper, and answer the question it leaves open."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import click
 import numpy as np
 
+from benchmarking.stepping import Walker, in_turn
 from posetrack_cli.build import version
 from posetrack_cli.cli.options import recording_options
 from posetrack_cli.configuration import find_configuration, load_settings
@@ -29,8 +27,7 @@ from research import plots
 from research.hands import figures_of
 from research.report import Column, Figures, Report, pairs_of
 from research.runner import FILE, Files, Job, Step
-from research.study import FIRST_SEED, Part, Study, integer
-from stepping import Walker, in_turn
+from research.study import FIRST_SEED, Part, Study, setting
 
 CONDITIONS = tuple(itertools.product("ABC", (1.0, 2.0)))
 """Motion and speed. A and B show a bare hand, as in the paper, C all that a Kinect sees."""
@@ -71,23 +68,19 @@ ROWS = {"hand-paper": "printed", "union cost, drawn from the motion": "union", "
 
 @dataclass(frozen=True)
 class Options:
-    """How much is done.
-
-    Attributes:
-        output: folder of everything.
-        seeds: recordings per condition.
-        frames: per recording.
-        kinect: real recording for figures 8 and 9; None leaves them out.
-        kinect_frames: that are shown.
-        reading: arguments of ``posetrack hand run`` about that recording.
-    """
+    """How much is done below the folder ``output``; ``reading``: arguments about the real recording."""
 
     output: Path
-    seeds: int = 20
-    frames: int = 150
-    kinect: Path | None = None
-    kinect_frames: str = "0::20"
-    reading: tuple[str, ...] = field(default_factory=tuple)
+    seeds: int = setting("--seeds", 20, "Recordings per condition.")
+    frames: int = setting("--frames", 150, "Frames per recording.", 2)
+    kinect: Path | None = setting(  # noqa: RUF009
+        "--kinect",
+        None,
+        "Real recording for figures 8 and 9.",
+        type=click.Path(path_type=Path, resolve_path=True),
+    )
+    kinect_frames: str = setting("--kinect-frames", "0::20", "Frames of it to show.", show_default=True)
+    reading: tuple[str, ...] = ()
 
     def result(self, motion: str, speed: float, seed: int, entrant: str) -> str:
         """Return where a result lies."""
@@ -133,7 +126,7 @@ PAPER = {
 
 
 class Component(NamedTuple):
-    """One component of the pose, as an axis shows it."""
+    """One component of the pose, as an axis shows it: ``factor`` times a column of an array."""
 
     label: str
     field: str
@@ -143,6 +136,12 @@ class Component(NamedTuple):
     def of(self, arrays: Mapping[str, Any]) -> Any:
         """Return its values (N,)."""
         return self.factor * arrays[self.field][:, self.column]
+
+    def rms(self, track: Mapping[str, Any], truth: Mapping[str, Any]) -> float:
+        """Return the RMS error of a track."""
+        pairs = associate(track["stamp_ns"], truth["stamp_ns"], tolerance_ns=0)
+        errors = self.of(track)[pairs.estimate] - self.of(truth)[pairs.truth]
+        return float(np.sqrt(np.mean(errors**2)))
 
 
 WRIST_X, WRIST_Y = Component("wrist x, mm", "position", 0), Component("wrist y, mm", "position", 1)
@@ -162,41 +161,28 @@ def _tell_artificial(options: Options, files: Files, report: Report) -> None:
         report.text(f"## Artificial data {motion} (figure {number})", f"> **Paper:** {PAPER[motion]}")
         panels, errors = [], {}
         for title, name in ROWS.items():
-            outputs = {
-                kind: options.result(motion, 1.0, FIRST_SEED, f"{kind}-{name}") for kind in ("pf", "rbpf")
-            }
-            paths = {kind: path for kind, one in outputs.items() if (path := files.made(one)) is not None}
+            results = (
+                (kind.upper(), files.made(options.result(motion, 1.0, FIRST_SEED, f"{kind}-{name}")))
+                for kind in ("pf", "rbpf")
+            )
+            paths = {kind: path for kind, path in results if path is not None}
             if len(paths) < 2:
                 continue
-            tracks = {"truth": load_arrays(paths["pf"], TRUTH)}
-            tracks |= {kind.upper(): load_arrays(path) for kind, path in paths.items()}
-            start = tracks["truth"]["stamp_ns"][0]
+            truth = load_arrays(paths["PF"], TRUTH)
+            tracks = {"truth": truth} | {kind: load_arrays(path) for kind, path in paths.items()}
+            times = {kind: 1e-9 * (a["stamp_ns"] - truth["stamp_ns"][0]) for kind, a in tracks.items()}
+            rows = [{kind: (times[kind], one.of(a)) for kind, a in tracks.items()} for one in components]
             panels.append(
-                [
-                    plots.Panel(
-                        one.label,
-                        {kind: (1e-9 * (a["stamp_ns"] - start), one.of(a)) for kind, a in tracks.items()},
-                        title,
-                    )
-                    for one in components
-                ]
+                [plots.Panel(one.label, row, title) for one, row in zip(components, rows, strict=True)]
             )
-            for kind in ("PF", "RBPF"):
-                errors[f"{title}, {kind}"] = {
-                    one.label: _rms(one, tracks[kind], tracks["truth"]) for one in components
-                }
+            for kind in paths:
+                errors[f"{title}, {kind}"] = {one.label: one.rms(tracks[kind], truth) for one in components}
         if panels:
             picture = options.output / f"figure{number}.png"
             plots.over_time(picture, panels, "time, s")
             report.picture(picture, "Truth, PF and RBPF")
             columns = [Column(one.label, f"RMS error: {one.label}", 1) for one in components]
             report.figures(f"figure {number}", columns, errors, {})
-
-
-def _rms(component: Component, track: Mapping[str, Any], truth: Mapping[str, Any]) -> float:
-    pairs = associate(track["stamp_ns"], truth["stamp_ns"], tolerance_ns=0)
-    errors = component.of(track)[pairs.estimate] - component.of(truth)[pairs.truth]
-    return float(np.sqrt(np.mean(errors**2)))
 
 
 def _real_jobs(options: Options) -> Iterator[Job]:
@@ -337,8 +323,21 @@ def _head(options: Options) -> Iterator[str]:
     )
 
 
+def _options(
+    output: Path, seeds: int, frames: int, kinect: Path | None, kinect_frames: str, **reading: Any
+) -> Options:
+    """Return the options, with those about the recording as they were typed."""
+    given = []
+    for name, value in reading.items():
+        if value not in (None, False):
+            flag = "--" + name.removesuffix("_file").replace("_", "-")
+            given += [flag] if value is True else [flag, str(value)]
+    return Options(output, seeds, frames, kinect, kinect_frames, tuple(given))
+
+
 STUDY = Study(
     "hand",
+    Options,
     (
         Part("artificial", _artificial_jobs, _tell_artificial),
         Part("real", _real_jobs, _tell_real),
@@ -346,45 +345,7 @@ STUDY = Study(
         Part("study", _study_jobs, _tell_study),
     ),
     _head,
+    __doc__,
+    more=(recording_options,),
+    made=_options,
 )
-
-
-@STUDY.command(
-    integer("--seeds", 20, "Recordings per condition."),
-    integer("--frames", 150, "Frames per recording.", 2),
-    click.option("--kinect", type=click.Path(path_type=Path), help="Real recording for figures 8 and 9."),
-    click.option("--kinect-frames", default="0::20", show_default=True, help="Frames of it to show."),
-    recording_options,
-)
-def main(
-    output: Path,
-    seeds: int,
-    frames: int,
-    kinect: Path | None,
-    kinect_frames: str,
-    jobs: int,
-    chosen: tuple[str, ...],
-    **reading: Any,
-) -> None:
-    """Redo the hand paper's experiments; hand.md in the output folder has all figures.
-
-    Finished tracks of the same code and arguments are reused. The options about recordings are those of
-    posetrack hand run and belong to --kinect.
-    """
-    given = tuple(_given(reading))
-    known = None if kinect is None else kinect.resolve()
-    STUDY.run(Options(output, seeds, frames, known, kinect_frames, given), chosen, jobs)
-
-
-def _given(reading: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the options about the recording, as they were typed."""
-    for name, value in reading.items():
-        flag = "--" + name.removesuffix("_file").replace("_", "-")
-        if value is True:
-            yield flag
-        elif value not in (None, False):
-            yield from (flag, str(value))
-
-
-if __name__ == "__main__":
-    main()

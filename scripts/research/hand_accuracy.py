@@ -1,7 +1,4 @@
-"""What the hand tracker reaches on its own model, on seeds that were never used for tuning.
-
-Usage: scripts/reproduce hand-accuracy [-o out/hand-accuracy] [--seeds 20] [--kinect FOLDER]
-"""
+"""What the hand tracker reaches on its own model, on seeds that were never used for tuning."""
 
 from __future__ import annotations
 
@@ -9,9 +6,7 @@ import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-import click
 import numpy as np
 
 from posetrack_cli.build import version
@@ -21,33 +16,34 @@ from posetrack_cli.results.channels import FILTERED, SMOOTHED
 from research.hands import evaluated, figures_of
 from research.report import Column, Figures, Report, number, pairs_of
 from research.runner import FILE, Files, Job, Step
-from research.study import FIRST_SEED, FOLDER, Part, Study, integer, unused_for_tuning
+from research.study import FIRST_SEED, FOLDER, Part, Study, setting, unused_for_tuning
 
 NO_MESH = ("--set", "output.mesh=none")
 AVERAGE = ("--shape", "average")
 """The hand that is drawn is known to be the average one: no time goes into finding that out."""
-QUICK_SEEDS, QUICK_FRAMES = 2, 20
 
 
 @dataclass(frozen=True)
 class Options:
-    """How much is done.
-
-    Attributes:
-        output: folder of everything.
-        seeds: recordings per condition.
-        frames: per recording.
-        kinect: folder of the real Kinect v2 recording; None leaves it out.
-        first_seed: of the recordings; smaller ones than the default are for trials.
-        entrants: ways to track that are run; empty for all.
-    """
+    """How much is done, below the folder ``output``."""
 
     output: Path
-    seeds: int = 20
-    frames: int = 300
-    kinect: Path | None = None
-    first_seed: int = FIRST_SEED
-    entrants: tuple[str, ...] = ()
+    seeds: int = setting("--seeds", 20, "Recordings per condition.")
+    frames: int = setting("--frames", 300, "Frames per recording.", 2)
+    first_seed: int = setting(
+        "--first-seed", FIRST_SEED, "Of the recordings; smaller ones are for trials.", 0
+    )
+    kinect: Path | None = setting(  # noqa: RUF009
+        "--kinect", None, "Folder of the real Kinect v2 recording.", type=FOLDER
+    )
+    entrants: tuple[str, ...] = setting(
+        "--entrant", (), "Run this way to track alone, such as hand; repeatable.", multiple=True
+    )
+
+    @property
+    def all_seeds(self) -> range:
+        """Seeds of the recordings."""
+        return range(self.first_seed, self.first_seed + self.seeds)
 
 
 def recorded(
@@ -73,13 +69,9 @@ def measured(
     options: Options, files: Files, begin: str, end: str, track: str = FILTERED
 ) -> dict[str, Figures]:
     """Return the figures of each seed's result that is there, by the seed."""
-    names = {str(seed): f"runs/{begin}-{seed}-{options.frames}{end}.mcap" for seed in _seeds(options)}
+    names = {str(seed): f"runs/{begin}-{seed}-{options.frames}{end}.mcap" for seed in options.all_seeds}
     found = {seed: figures_of(files.made(name), track) for seed, name in names.items()}
     return {seed: figures for seed, figures in found.items() if figures}
-
-
-def _seeds(options: Options) -> range:
-    return range(options.first_seed, options.first_seed + options.seeds)
 
 
 # Own model: every configuration, smoothing, the swarm
@@ -113,7 +105,7 @@ OWN_COLUMNS = (
 
 def _own_jobs(options: Options) -> Iterator[Job]:
     for speed in SPEEDS:
-        for seed in _seeds(options):
+        for seed in options.all_seeds:
             name = f"C-{speed:g}x-{seed}-{options.frames}"
             yield recorded(options, name, synthetic(options, "C", speed, seed), OWN)
 
@@ -165,7 +157,7 @@ def _filters_name(condition: tuple[str, float, int], seed: object = "") -> str:
 def _filters_jobs(options: Options) -> Iterator[Job]:
     for condition in CONDITIONS:
         motion, speed, fps = condition
-        for seed in _seeds(options):
+        for seed in options.all_seeds:
             name = f"{_filters_name(condition, seed)}-{options.frames}-filters"
             # both filters begin at the true pose: they are compared, not their starts
             common = ("--init", f"{FILE}recordings/{name}.mcap", *AVERAGE, *NO_MESH)
@@ -250,34 +242,13 @@ def _head(options: Options) -> Iterator[str]:
 
 STUDY = Study(
     "hand-accuracy",
+    Options,
     (
         Part("own", _own_jobs, _tell_own),
         Part("filters", _filters_jobs, _tell_filters),
         Part("kinect", _kinect_jobs, _tell_kinect),
     ),
     _head,
+    __doc__,
+    {"seeds": 2, "frames": 20},
 )
-
-
-@STUDY.command(
-    integer("--seeds", 20, "Recordings per condition."),
-    integer("--frames", 300, "Frames per recording.", 2),
-    integer("--first-seed", FIRST_SEED, "Of the recordings; smaller ones are for trials.", 0),
-    click.option("--kinect", type=FOLDER, help="Folder of the real Kinect v2 recording."),
-    click.option(
-        "--entrant", "entrants", multiple=True, help="Run this way to track alone, such as hand; repeatable."
-    ),
-    click.option("--quick", is_flag=True, help=f"Try it: {QUICK_SEEDS} recordings of {QUICK_FRAMES} frames."),
-)
-def main(jobs: int, chosen: tuple[str, ...], quick: bool, **values: Any) -> None:
-    """Measure accuracy, intervals, smoothing and filters; hand-accuracy.md in the output folder has it all.
-
-    Finished tracks of the same code and arguments are reused.
-    """
-    if quick:
-        values |= {"seeds": QUICK_SEEDS, "frames": QUICK_FRAMES}
-    STUDY.run(Options(**values), chosen, jobs)
-
-
-if __name__ == "__main__":
-    main()

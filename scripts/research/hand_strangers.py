@@ -1,7 +1,4 @@
-"""What the hand tracker does on people that are not its model: accuracy, start, honesty, smoothing, choices.
-
-Usage: scripts/reproduce hand-strangers [-o out/hand-strangers] [--people 800-819] [--part mesh] [--jobs N]
-"""
+"""What the hand tracker does on people that are not its model."""
 
 from __future__ import annotations
 
@@ -47,7 +44,7 @@ from research.hands import (
 )
 from research.report import Column, Figures, Report, number, over, pairs_of, values_of
 from research.runner import FILE, SHARED, TOOL, Files, Job, Step, tool_digest
-from research.study import FOLDER, Part, Study, integer
+from research.study import FOLDER, Part, Study, setting
 
 FINAL = 900
 """People and motions from here on are for final measurements only."""
@@ -128,21 +125,21 @@ AVERAGE_HAND = "average"
 
 @dataclass(frozen=True)
 class Options:
-    """How much is done.
+    """How much is done, below the folder ``output``.
 
     Attributes:
-        output: folder of everything.
         tool: that draws strangers' hands; not a part of the project.
         people: who is recorded.
-        frames: per recording.
         cvar: folder of the annotated, head-mounted recordings; None leaves them out.
     """
 
     output: Path
     tool: Path
     people: tuple[Person, ...]
-    frames: int = 300
-    cvar: Path | None = None
+    frames: int = setting("--frames", 300, "Frames per recording.", 2)
+    cvar: Path | None = setting(  # noqa: RUF009
+        "--cvar", None, "Folder with P1, P4, P7.  [default: ../shared/data/cvar-hand]", type=FOLDER
+    )
 
     def name(self, person: Person, kind: str) -> str:
         """Return the name of a recording."""
@@ -635,8 +632,20 @@ def _head(options: Options) -> Iterator[str]:
     )
 
 
+def _options(
+    output: Path, frames: int, cvar: Path | None, people: str, final: bool, tool: Path | None
+) -> Options:
+    found, annotated = (tool or SHARED / "tools" / "foreign_hand.py").resolve(), SHARED / "data" / "cvar-hand"
+    if not found.is_file():
+        hint = "give the path of foreign_hand.py with --tool"
+        raise UsageError("the tool that draws strangers' hands is missing", where=found, hint=hint)
+    known = cvar or (annotated if annotated.is_dir() else None)
+    return Options(output, found, people_of(people, final=final), frames, known)
+
+
 STUDY = Study(
     "hand-strangers",
+    Options,
     (
         Part("mesh", _mesh_jobs, _tell_mesh),
         Part("default", _default_jobs, _tell_default),
@@ -648,45 +657,17 @@ STUDY = Study(
         Part("shape", _shape_jobs, _tell_shape),
     ),
     _head,
-)
-DRAWING, ANNOTATED = SHARED / "tools" / "foreign_hand.py", SHARED / "data" / "cvar-hand"
-
-
-@STUDY.command(
-    click.option("--people", default="800-819", show_default=True, help="Numbers, ranges, commas."),
-    click.option("--final", is_flag=True, help="Allow people from 900 on: final measurements, never tuning."),
-    integer("--frames", 300, "Frames per recording.", 2),
-    click.option(
-        "--tool", type=click.Path(path_type=Path), help="foreign_hand.py.  [default: that in ../shared/tools]"
+    __doc__,
+    more=(
+        click.option("--people", default="800-819", show_default=True, help="Numbers, ranges, commas."),
+        click.option(
+            "--final", is_flag=True, help="Allow people from 900 on: final measurements, never tuning."
+        ),
+        click.option(
+            "--tool",
+            type=click.Path(path_type=Path),
+            help="foreign_hand.py.  [default: that in ../shared/tools]",
+        ),
     ),
-    click.option("--cvar", type=FOLDER, help="Folder with P1, P4, P7.  [default: ../shared/data/cvar-hand]"),
+    made=_options,
 )
-def main(
-    output: Path,
-    people: str,
-    final: bool,
-    frames: int,
-    tool: Path | None,
-    cvar: Path | None,
-    jobs: int,
-    chosen: tuple[str, ...],
-) -> None:
-    """Measure the hand tracker on hands that it has no model of, drawn by a tool outside the project.
-
-    Finished results of the same code, tool and arguments are reused. Figures go to hand-strangers.md in the
-    output folder.
-    """
-    try:
-        found = (tool or DRAWING).resolve()
-        if not found.is_file():
-            hint = "give the path of foreign_hand.py with --tool"
-            raise UsageError("the tool that draws strangers' hands is missing", where=found, hint=hint)
-        annotated = cvar or (ANNOTATED if ANNOTATED.is_dir() else None)
-        options = Options(output, found, people_of(people, final=final), frames, annotated)
-    except UsageError as error:
-        raise click.ClickException(str(error)) from error
-    STUDY.run(options, chosen, jobs)
-
-
-if __name__ == "__main__":
-    main()

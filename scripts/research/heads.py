@@ -7,7 +7,6 @@ rigid``. As it brings the positions nearest, it absorbs what is constant of an e
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -33,6 +32,7 @@ from research.report import Column
 CALIBRATION, TRUTH = "calibration.json", "truth.csv"
 LEFT = "left"
 """The camera that is used alone."""
+FIRST, SECOND = ("--passes", "1"), ("--passes", "2")
 AXES = ("x, mm", "y", "z", "roll, deg", "pitch", "yaw")
 POSE_COLUMNS = tuple(Column(name, title) for name, title in zip(HEAD_POSE, AXES, strict=True))
 TRACKED_COLUMNS = (
@@ -46,17 +46,9 @@ def cameras_of(calibration_json: Path) -> list[Camera]:
     """Return the cameras of a calibration.json, the reference first."""
     cameras = []
     for name, values in json.loads(calibration_json.read_text())["cameras"].items():
-        matrix = np.array(values["K"])
-        camera = Camera(
-            values["width"],
-            values["height"],
-            fx=matrix[0, 0],
-            fy=matrix[1, 1],
-            cx=matrix[0, 2],
-            cy=matrix[1, 2],
-            distortion=tuple(map(float, values["distortion"])),
-            name=name,
-        )
+        (fx, _, cx), (_, fy, cy), _ = np.array(values["K"], dtype=float).tolist()
+        lens = tuple(map(float, values["distortion"]))
+        camera = Camera(values["width"], values["height"], fx, fy, cx, cy, distortion=lens, name=name)
         cameras.append(placed(camera, np.column_stack([values["R_from_left"], values["t_from_left_mm"]])))
     return cameras
 
@@ -119,10 +111,8 @@ class Compared:
         return distances(self.true_shape, self.neutral)
 
     def points_mm(self) -> tuple[FloatArray, FloatArray]:
-        """Return distances (M, K) of the points in head coordinates after one constant rigid movement.
-
-        The movement minimises them over the followed frames. The second array is after each point's own
-        constant offset, too.
+        """Return distances (M, K) of the points in head coordinates after one constant rigid movement, which
+        minimises them over the followed frames; and after each point's own constant offset as well.
         """
         counted = self.followed if self.followed.any() else ~self.followed
         weights = np.repeat(counted.astype(np.float64), self.shape.shape[1])
@@ -140,12 +130,8 @@ def evaluated(result: Path, reference: Path | None, align: Alignment) -> Evaluat
 
 
 def compare(result: Path, reference: Path | None, align: Alignment = "rigid") -> Compared:
-    """Compare a result with a reference.
-
-    Args:
-        result: of ``posetrack head``.
-        reference: a result, whose estimates are taken, or a file of truth; None for the truth in the result.
-        align: as of ``posetrack eval``.
+    """Compare a result of ``posetrack head`` with a reference: a result, whose estimates are taken, or a file
+    of truth; None for the truth in the result.
 
     Raises:
         PosetrackError: a file cannot be read, or they have no frame in common.
@@ -197,12 +183,9 @@ def depth_factor(result: Path, reference: Path | None) -> float:
 
 
 def figures_of(one: Compared, rows: BoolArray, wrong: tuple[float, float]) -> dict[str, float]:
-    """Return means and, with ``sd``, deviations of errors over some frames.
+    """Return means and, with ``sd``, deviations of errors over the frames ``rows`` (M,).
 
-    Args:
-        one: a result against its reference.
-        rows: (M,) frames that count.
-        wrong: mm and deg above which a pose is not of the head that is tracked.
+    A pose that is off by more than ``wrong``, mm and deg, is not of the head that is tracked.
     """
     is_wrong = (one.position_mm > wrong[0]) | (one.rotation_deg > wrong[1])
     found = {
@@ -254,11 +237,6 @@ def in_head(track: Track) -> FloatArray:
     )
     flat: FloatArray = in_object(points.reshape(-1, 3), position, quaternion)
     return flat.reshape(points.shape)
-
-
-def greatest(values: FloatArray, rows: Sequence[Any]) -> list[int]:
-    """Return of each group of rows that has some the one with the greatest value."""
-    return [int(of[np.argmax(values[of])]) for of in rows if of.size]
 
 
 def _known(array: FloatArray | None) -> Any:

@@ -1,7 +1,4 @@
-"""What the head trackers do on people that nothing was tuned on: with one camera, and with two.
-
-Usage: scripts/reproduce heads-strangers --heads FOLDER [--tuned FOLDER] [--part mono] [--jobs N]
-"""
+"""What the head trackers do on people that nothing was tuned on: with one camera, and with two."""
 
 from __future__ import annotations
 
@@ -10,7 +7,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import click
 import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray
@@ -22,8 +18,10 @@ from posetrack_cli.geometry.camera import pixels_from_points
 from posetrack_cli.head.subject import head_subject
 from research.heads import (
     CALIBRATION,
+    FIRST,
     LEFT,
     POSE_COLUMNS,
+    SECOND,
     TRUTH,
     Compared,
     cameras_of,
@@ -36,7 +34,7 @@ from research.heads import (
 )
 from research.report import Column, Figures, Report, over, pairs_of, values_of, whole
 from research.runner import FILE, Files, Job, Step
-from research.study import FOLDER, Part, Study
+from research.study import FOLDER, HEADS, Part, Study, setting
 
 WRONG_DEG = 3.0
 """A rotation that is off by more is wrong."""
@@ -54,22 +52,23 @@ COLUMNS = (
 
 @dataclass(frozen=True)
 class Options:
-    """How much is done.
-
-    Attributes:
-        output: folder of everything.
-        heads: folder of strangers' recordings: left, right, calibration.json and truth.csv each.
-        tuned: folder of recordings on which the defaults were tuned; None leaves them out.
-        only: names of those that are tracked; empty for all.
-        left_out: folder of what was learned without each stranger, NAME-features.npz and NAME-model.npz; None
-            tracks with what is shipped.
-    """
+    """How much is done, below the folder ``output``."""
 
     output: Path
-    heads: Path
-    tuned: Path | None = None
-    only: Sequence[str] = ()
-    left_out: Path | None = None
+    heads: Path = setting("--heads", None, HEADS, type=FOLDER, required=True)  # noqa: RUF009
+    tuned: Path | None = setting(  # noqa: RUF009
+        "--tuned", None, "Folder of recordings of people that defaults were tuned on.", type=FOLDER
+    )
+    left_out: Path | None = setting(  # noqa: RUF009
+        "--left-out",
+        None,
+        "Folder of what was learned without each stranger: NAME-features.npz of build face-features "
+        "--without NAME, NAME-model.npz of build face-model --without NAME.  [default: what is shipped]",
+        type=FOLDER,
+    )
+    only: tuple[str, ...] = setting(
+        "--person", (), "Only this person; repeatable.", multiple=True, metavar="NAME"
+    )
 
     @property
     def strangers(self) -> list[Path]:
@@ -77,12 +76,14 @@ class Options:
         return [one for one in persons_in(self.heads) if not self.only or one.name in self.only]
 
     @property
+    def familiar(self) -> list[Path]:
+        """Folders of the people that defaults were tuned on."""
+        return [one for one in persons_in(self.tuned) if not self.only or one.name in self.only]
+
+    @property
     def everybody(self) -> list[Path]:
         """Folders of all."""
-        return [
-            *self.strangers,
-            *(one for one in persons_in(self.tuned) if not self.only or one.name in self.only),
-        ]
+        return [*self.strangers, *self.familiar]
 
     def mono(self, person: Path, *arguments: str) -> tuple[str, ...]:
         """Return the command that tracks a person's left camera with what was learned without the person."""
@@ -165,8 +166,7 @@ def rows_of(people: Mapping[str, Judged]) -> dict[str, Figures]:
 def _tell_people(part: str, options: Options, files: Files, report: Report) -> list[Figures]:
     """Add the table of a part: strangers with their median and worst, then those that were tuned on."""
     strangers = rows_of(judged_people(options.strangers, part, files))
-    others = [one for one in options.everybody if one not in options.strangers]
-    familiar = rows_of(judged_people(others, part, files))
+    familiar = rows_of(judged_people(options.familiar, part, files))
     rows = {**strangers, **{f"{name} (tuned on)": figures for name, figures in familiar.items()}}
     if strangers:
         for title in ("median", "max"):
@@ -270,7 +270,6 @@ def _tell_told(options: Options, files: Files, report: Report) -> None:
 
 # When the person is adjusted, and in how many passes
 
-FIRST, SECOND = ("--passes", "1"), ("--passes", "2")
 WAYS = {
     "never-1": ("never, one pass", ("--adjust", "never", *FIRST)),
     "never-2": ("never, two passes", ("--adjust", "never", *SECOND)),
@@ -353,6 +352,7 @@ def _head(options: Options) -> Iterator[str]:
 
 STUDY = Study(
     "heads-strangers",
+    Options,
     (
         Part("mono", _mono_jobs, _tell_mono),
         Part("told", _told_jobs, _tell_told),
@@ -360,42 +360,5 @@ STUDY = Study(
         Part("stereo", _stereo_jobs, _tell_stereo),
     ),
     _head,
+    __doc__,
 )
-
-
-@STUDY.command(
-    click.option(
-        "--heads",
-        type=FOLDER,
-        required=True,
-        help="Folder of recordings: left/, right/, calibration.json and truth.csv in each.",
-    ),
-    click.option("--tuned", type=FOLDER, help="Folder of recordings of people that defaults were tuned on."),
-    click.option(
-        "--left-out",
-        type=FOLDER,
-        help="Folder of what was learned without each stranger: NAME-features.npz of build face-features "
-        "--without NAME, NAME-model.npz of build face-model --without NAME.  [default: what is "
-        "shipped]",
-    ),
-    click.option("--person", "only", multiple=True, metavar="NAME", help="Only this person; repeatable."),
-)
-def main(
-    output: Path,
-    heads: Path,
-    tuned: Path | None,
-    left_out: Path | None,
-    only: tuple[str, ...],
-    jobs: int,
-    chosen: tuple[str, ...],
-) -> None:
-    """Measure the head trackers, with defaults, on people that nothing was tuned on.
-
-    Finished results of the same code and arguments are reused. Figures go to heads-strangers.md in the
-    output folder.
-    """
-    STUDY.run(Options(output, heads, tuned, only, left_out), chosen, jobs)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,14 +1,11 @@
-"""Redo experiments A, B and C of Sugano's thesis, and measure the one-camera head tracker on other faces.
-
-Usage: scripts/reproduce mono [-o out/mono] [--heads FOLDER] [--clips FOLDER] [--people 6] [--quick]
-"""
+"""Redo experiments A, B and C of Sugano's thesis, and measure the one-camera head tracker on other faces."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import click
 import numpy as np
@@ -22,8 +19,10 @@ from posetrack_cli.results.reader import read_result
 from research import plots
 from research.heads import (
     AXES,
+    FIRST,
     LEFT,
     POSE_COLUMNS,
+    SECOND,
     TRACKED_COLUMNS,
     TRUTH,
     Compared,
@@ -33,11 +32,10 @@ from research.heads import (
     pose_columns,
     reading_arguments,
 )
-from research.heads_strangers import FIRST, SECOND
 from research.report import Column, Figures, Report, pairs_of
 from research.runner import FILE, Files, Job, Step, command
 from research.stereo import thesis_head
-from research.study import FIRST_SEED, FOLDER, Part, Study, integer
+from research.study import FIRST_SEED, FOLDER, HEADS, Part, Study, setting
 
 MODEL_PEOPLE, PEOPLE = 11, 6
 """S of the thesis; and with six pairs Wilcoxon's test can find a difference."""
@@ -45,7 +43,6 @@ LEAST_MOTION_FRAMES = 240
 """In shorter recordings the two motions are too quick for the stereo tracker, and no model can be built."""
 MOTIONS_SEED = 1000
 """Added to a person's seed: the recordings of one person have nothing else in common."""
-QUICK = {"people": 1, "model_people": 6, "frames": 180, "motion_frames": LEAST_MOTION_FRAMES}
 PAPER = ("--config", "head-mono-paper")
 WAYS: dict[str, Alignment] = {
     "as measured": "rigid",
@@ -67,27 +64,27 @@ FACTOR_COLUMNS = (*COLUMNS, Column("factor", "depth factor", 4), Column("ms", "m
 
 @dataclass(frozen=True)
 class Options:
-    """How much is done.
-
-    Attributes:
-        output: folder of everything.
-        heads: folder of recordings of other faces, with truth; None leaves them out.
-        clips: folder of videos of faces; None leaves them out.
-        people: test persons, the first of the model's.
-        model_people: S, persons that the model is built from.
-        frames: per test recording.
-        motion_frames: per recording of the two motions that the model is built from.
-        first_identity: seed of the first person; smaller ones than the default are for trials.
-    """
+    """How much is done, below the folder ``output``."""
 
     output: Path
-    heads: Path | None = None
-    clips: Path | None = None
-    people: int = PEOPLE
-    model_people: int = MODEL_PEOPLE
-    frames: int = 1800
-    motion_frames: int = 420
-    first_identity: int = FIRST_SEED
+    heads: Path | None = setting("--heads", None, HEADS, type=FOLDER)  # noqa: RUF009
+    clips: Path | None = setting("--clips", None, "Folder of videos of faces.", type=FOLDER)  # noqa: RUF009
+    people: int = setting(
+        "--people", PEOPLE, "Test persons, the first of those that the model is built from."
+    )
+    model_people: int = setting("--model-people", MODEL_PEOPLE, "Persons that the model is built from.", 6)
+    frames: int = setting("--frames", 1800, "Frames per test recording.", 60)
+    motion_frames: int = setting(
+        "--motion-frames", 420, "Frames per recording of the model's two motions.", LEAST_MOTION_FRAMES
+    )
+    first_identity: int = setting(
+        "--first-identity", FIRST_SEED, "Seed of the first person; smaller ones are for trials.", 0
+    )
+
+    def __post_init__(self) -> None:
+        if self.people > self.model_people:
+            modelled = f"only {self.model_people} are in the model (--model-people)"
+            raise click.UsageError(f"--people {self.people}: {modelled}")
 
     @property
     def persons(self) -> range:
@@ -104,14 +101,9 @@ class Options:
         return f"test-{person}-{self.frames}"
 
 
-@dataclass(frozen=True)
-class Entrant:
-    """A way to track with one camera.
-
-    Attributes:
-        title: in tables.
-        arguments: of ``posetrack head mono``.
-        model: built from ``all`` persons, from all ``others`` than the one who is tracked, or ``shipped``.
+class Entrant(NamedTuple):
+    """A way to track with one camera: title, arguments of ``posetrack head mono``, and a model built
+    from ``all`` persons, from all ``others`` than the one who is tracked, or ``shipped``.
     """
 
     title: str
@@ -250,9 +242,8 @@ def _tell_clips(options: Options, files: Files, report: Report) -> None:
         for name, entrant in OF_CLIPS.items():
             path = files.made(f"runs/{clip.stem}-{name}.mcap")
             if path is not None:
-                rows[f"{clip.stem}, {entrant.title}"] = clip_figures(
-                    track_of_result(read_result(path), path.stem)
-                )
+                track = track_of_result(read_result(path), path.stem)
+                rows[f"{clip.stem}, {entrant.title}"] = clip_figures(track)
     report.figures("clips", CLIP_COLUMNS, rows, {})
     for title, found in rows.items():
         if "paper" not in title:
@@ -409,23 +400,22 @@ def _draw(options: Options, stereo: Path, results: dict[str, Path], report: Repo
     plots.over_time(out / "figure4.11.png", [[plots.Panel("mean error of points, mm", curves)]], "frame")
     for number, names in (("4.12", "A"), ("4.13", "AB"), ("4.14", "AC")):
         draw_poses(out / f"figure{number}.png", {name: compared[name] for name in names})
-    for number, text in (
-        ("4.10-two-cameras", "two cameras"),
-        ("4.10", "one camera, experiment A"),
-        ("4.11", "mean error of the feature points in head coordinates, experiment A"),
-        ("4.12", "pose of experiment A; on the right the errors"),
-        ("4.13", "pose of experiments A and B"),
-        ("4.14", "pose of experiments A and C"),
-    ):
+    captions = {
+        "4.10-two-cameras": "two cameras",
+        "4.10": "one camera, experiment A",
+        "4.11": "mean error of the feature points in head coordinates, experiment A",
+        "4.12": "pose of experiment A; on the right the errors",
+        "4.13": "pose of experiments A and B",
+        "4.14": "pose of experiments A and C",
+    }
+    for number, text in captions.items():
         report.picture(out / f"figure{number}.png", f"Figure {number}: {text}")
 
 
 def draw_poses(path: Path, compared: dict[str, Compared]) -> None:
-    """Draw the six components of the pose, and next to them how far each is from two cameras.
+    """Draw the six components of the pose by experiment, and next to them how far each is from two cameras.
 
-    Args:
-        path: PNG to write.
-        compared: by experiment; all with the same reference. Frames not followed are gaps.
+    All have the same reference. Frames not followed are gaps.
     """
 
     def curve(one: Compared, values: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -491,6 +481,7 @@ def _tell_population(options: Options, files: Files, report: Report) -> None:
 
 STUDY = Study(
     "mono",
+    Options,
     (
         Part("people", _people_jobs, _tell_people),
         Part("clips", _clips_jobs, _tell_clips),
@@ -500,32 +491,6 @@ STUDY = Study(
     lambda options: thesis_head(
         "Head pose and face deformation from one camera", 4, "head-mono", options.modelled
     ),
+    __doc__,
+    {"people": 1, "model_people": 6, "frames": 180, "motion_frames": LEAST_MOTION_FRAMES},
 )
-
-
-@STUDY.command(
-    click.option(
-        "--heads", type=FOLDER, help="Folder of recordings with left/, right/, calibration.json, truth.csv."
-    ),
-    click.option("--clips", type=FOLDER, help="Folder of videos of faces."),
-    integer("--people", PEOPLE, "Test persons, the first of those that the model is built from."),
-    integer("--model-people", MODEL_PEOPLE, "Persons that the model is built from.", 6),
-    integer("--frames", 1800, "Frames per test recording.", 60),
-    integer("--motion-frames", 420, "Frames per recording of the model's two motions.", LEAST_MOTION_FRAMES),
-    integer("--first-identity", FIRST_SEED, "Seed of the first person; smaller ones are for trials.", 0),
-    click.option("--quick", is_flag=True, help="Try it: one person of 180 frames, a model of six."),
-)
-def main(jobs: int, chosen: tuple[str, ...], quick: bool, **values: Any) -> None:
-    """Redo experiments A, B, C and measure accuracy; mono.md in the output folder has all figures.
-
-    Finished recordings and tracks of the same code and arguments are reused.
-    """
-    options = Options(**values | (QUICK if quick else {}))
-    if options.people > options.model_people:
-        modelled = f"only {options.model_people} are in the model (--model-people)"
-        raise click.UsageError(f"--people {options.people}: {modelled}")
-    STUDY.run(options, chosen, jobs)
-
-
-if __name__ == "__main__":
-    main()

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.evaluation.judging.comparing import SIGNIFICANCE, Paired, paired
+from posetrack_cli.evaluation.judging.comparing import Paired, paired
 from posetrack_cli.evaluation.reports.report_files import finite
 
 NOTHING = "-"
@@ -53,14 +53,6 @@ def number(value: float | None, digits: int = 2, percent: bool = False) -> str:
     return f"{100.0 * value:.{digits}f} %" if percent else f"{value:.{digits}f}"
 
 
-def mean_sd(values: FloatArray, digits: int = 2) -> str:
-    """Return mean and standard deviation over recordings as a cell shows them."""
-    if not len(values):
-        return NOTHING
-    sd = f" ± {values.std(ddof=1):.{digits}f}" if len(values) > 1 else ""
-    return f"{values.mean():.{digits}f}{sd}"
-
-
 def values_of(rows: Iterable[Figures], name: str) -> FloatArray:
     """Return a figure of all who have it, (n,)."""
     return np.array([row[name] for row in rows if row.get(name, np.nan) == row.get(name, np.nan)])
@@ -76,10 +68,9 @@ def whole(columns: Iterable[Column], rows: Sequence[Figures]) -> dict[str, float
     """Return the columns' summaries over recordings or people."""
     found: dict[str, float] = {}
     for column in columns:
-        values = values_of(rows, column.name)
-        if column.whole and len(values):
-            found[column.name] = float(getattr(np, column.whole)(values))
-        if column.spread and len(values) > 1:
+        if column.whole and (summary := over(rows, column.name, column.whole)) is not None:
+            found[column.name] = summary
+        if column.spread and len(values := values_of(rows, column.name)) > 1:
             found[f"{column.name} sd"] = float(values.std(ddof=1))
     return found
 
@@ -139,13 +130,9 @@ class Report:
         rows: Mapping[str, Figures],
         groups: Mapping[str, Sequence[str]] | None = None,
     ) -> None:
-        """Add a table of recordings or people, then a summary of all or of groups of them; note all figures.
+        """Add a table of recordings or people by name, then summaries of all, or of groups of names by title.
 
-        Args:
-            part: what the figures are noted under.
-            columns: what is shown.
-            rows: figures by name.
-            groups: by title the names of those that are summarised; None for all together.
+        All figures are noted under ``part``.
         """
         titles = {"**all**": tuple(rows)} if groups is None else groups
         summaries = {title: whole(columns, [rows[name] for name in of]) for title, of in titles.items() if of}
@@ -175,15 +162,19 @@ class Report:
         """
         found = [paired(*values.T) for values in rows.values()]
         cells = []
-        ps = adjusted([one.p_value for one in found])
-        for (first, values), said, p in zip(rows.items(), found, ps, strict=True):
+        for (first, values), said, p in zip(
+            rows.items(), found, adjusted([one.p_value for one in found]), strict=True
+        ):
             self.note(part, ", ".join(first), asdict(said))
+            sds = [f" ± {one.std(ddof=1):.2f}" if len(one) > 1 else "" for one in values.T]
+            means = [
+                f"{one.mean():.2f}{sd}" if len(one) else NOTHING
+                for one, sd in zip(values.T, sds, strict=True)
+            ]
             interval = f" [{said.low:+.2f}, {said.high:+.2f}]" if said.count > 1 else ""
-            told = (
-                [f"{said.difference:+.2f}{interval}", f"{said.p_value:.2g}", f"{p:.2g}"] if said.count else []
-            )
+            told = [f"{said.difference:+.2f}{interval}", f"{said.p_value:.2g}", f"{p:.2g}"]
             lower = f"{int((values[:, 1] < values[:, 0]).sum())} of {said.count}"
-            cells.append([*first, str(said.count), *map(mean_sd, values.T), *(told or [NOTHING] * 3), lower])
+            cells.append([*first, str(said.count), *means, *(told if said.count else [NOTHING] * 3), lower])
         self.table((*titles, *PAIR_COLUMNS), cells)
         return found
 
@@ -198,24 +189,13 @@ class Report:
         percent: bool = False,
     ) -> None:
         """Compare a figure with what was asked for; None and NaN were not measured."""
-        factor = 100.0 if percent else 1.0
-        limits = [
-            f"{sign} {factor * limit:g}" for sign, limit in ((">=", least), ("<=", most)) if limit is not None
-        ]
-        asked = ", ".join(limits) + (" %" if percent else "")
-        if value is None or value != value:
-            self.targets.append((what, asked, NOTHING, "not measured"))
-            return
-        reached = (most is None or value <= most) and (least is None or value >= least)
-        said = "reached" if reached else "**missed**"
+        limits = ((">=", least), ("<=", most))
+        shown = [f"{sign} {(100.0 if percent else 1.0) * one:g}" for sign, one in limits if one is not None]
+        asked, said = ", ".join(shown) + (" %" if percent else ""), "not measured"
+        if value is not None and value == value:
+            reached = (most is None or value <= most) and (least is None or value >= least)
+            said = "reached" if reached else "**missed**"
         self.targets.append((what, asked, number(value, digits, percent), said))
-
-    def judge_better(self, what: str, said: Paired, level: float = SIGNIFICANCE) -> None:
-        """Ask that the second of a pair is lower, and that the pairs can tell."""
-        shown = f"{said.difference:+.3f}, p = {said.p_value:.2g}" if said.count else NOTHING
-        reached = said.difference < 0.0 and said.p_value < level
-        judged = ("reached" if reached else "**missed**") if said.count else "not measured"
-        self.targets.append((what, f"lower, p < {level:g}", shown, judged))
 
     def note(self, part: str, row: str, figures: Mapping[str, Any]) -> None:
         """Keep figures for the JSON file."""

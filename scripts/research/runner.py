@@ -16,11 +16,9 @@ import subprocess
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import asdict, dataclass, replace
 from functools import cache
 from pathlib import Path, PurePosixPath
-
-import click
+from typing import NamedTuple
 
 from posetrack_cli.build import PACKAGE, source_digest
 from posetrack_cli.cli.main import run as posetrack
@@ -35,16 +33,9 @@ FILE = "@"
 TOOL = "tool"
 """First argument of a step that runs a Python program outside the project; its path follows."""
 DRAWING = (
-    "synthesis/*.py",
-    "synthesis/head/*.py",
-    "head/face/points.py",
-    "geometry/camera.py",
-    "geometry/kernels.py",
-    "geometry/rigid.py",
-    "geometry/rotations.py",
-    "rendering/port.py",
-    "rendering/gl/device.py",
-    "rendering/gl/shaders/textured.*",
+    *("synthesis/*.py", "synthesis/head/*.py", "head/face/points.py", "rendering/port.py"),
+    *(f"geometry/{name}.py" for name in ("camera", "kernels", "rigid", "rotations")),
+    *("rendering/gl/device.py", "rendering/gl/shaders/textured.*"),
 )
 """Sources of a synthetic head's images and truth, in addition to the average face."""
 ONE_CORE = dict.fromkeys(
@@ -53,8 +44,7 @@ ONE_CORE = dict.fromkeys(
 """Software OpenGL gains less from a second core than a second recording does."""
 
 
-@dataclass(frozen=True)
-class Step:
+class Step(NamedTuple):
     """A file or folder, and the command that makes it.
 
     Attributes:
@@ -73,11 +63,7 @@ class Step:
         return [one.removeprefix(FILE) for one in self.arguments if one.startswith(FILE)]
 
     def run(self, out: Path) -> None:
-        """Make the output.
-
-        Raises:
-            PosetrackError: the command failed.
-        """
+        """Make the output; raises PosetrackError if the command fails."""
         path = out / self.output
         path.parent.mkdir(parents=True, exist_ok=True)
         given = [str(out / one.removeprefix(FILE)) if one.startswith(FILE) else one for one in self.arguments]
@@ -91,21 +77,23 @@ class Step:
             raise PosetrackError(f"cannot make {self.output}: {said[-1]}", where=given[1])
 
 
-@dataclass(frozen=True)
-class Job:
+class Job(NamedTuple):
     """Steps that one process does, in order; jobs of the same name are merged."""
 
     name: str
     steps: tuple[Step, ...]
 
 
-class Files:
-    """The files of a study.
+class Order(NamedTuple):
+    """A step with the digest of all that its output depends on, and those of the outputs that it reads."""
 
-    Args:
-        out: folder of the study.
-        jobs: that make them.
-    """
+    step: Step
+    key: str
+    inputs: Mapping[str, str]
+
+
+class Files:
+    """The files of a study below ``out``, its folder, and the jobs that make them."""
 
     def __init__(self, out: Path, jobs: Iterable[Job]) -> None:
         self.out = out
@@ -121,36 +109,41 @@ class Files:
 
     def made(self, output: str) -> Path | None:
         """Return the path of an output; None unless the current code and arguments made it."""
-        known = output in self._steps and _is_made(self.out / output, self.key(output))
+        known = output in self._steps and _is_made(self.out / output, self._key(output))
         return self.out / output if known else None
 
-    def key(self, output: str) -> str:
+    def _key(self, output: str) -> str:
         """Return a digest of everything that an output depends on."""
         if output not in self._keys:
             step = self._steps[output]
-            inputs = {name: self.key(self.owner(name)) for name in step.files}
+            inputs = {name: self._key(self._owner(name)) for name in step.files}
             facts = [step.arguments, inputs, _code_of(step)]
             self._keys[output] = hashlib.sha256(json.dumps(facts).encode()).hexdigest()
         return self._keys[output]
 
-    def owner(self, name: str) -> str:
+    def _owner(self, name: str) -> str:
         """Return the output that is, or contains, a file."""
         path = PurePosixPath(name)
         return next(str(one) for one in (path, *path.parents) if str(one) in self._steps)
 
-    def missing(self, job: Job) -> list[Step]:
-        """Return the steps of a job that have to be run: for what is not made, with the scratch they need."""
+    def missing(self, job: Job) -> list[Order]:
+        """Return what has to be run of a job: for what is not made, with the scratch that it needs."""
         wanted: set[str] = set()
         for step in reversed(job.steps):
             if (not step.scratch or step.output in wanted) and self.made(step.output) is None:
-                wanted |= {step.output, *(self.owner(name) for name in step.files)}
-        return [step for step in job.steps if step.output in wanted and self.made(step.output) is None]
+                wanted |= {step.output, *(self._owner(name) for name in step.files)}
+        steps = [one for one in job.steps if one.output in wanted and self.made(one.output) is None]
+        read = [{self._owner(name) for name in step.files} for step in steps]
+        return [
+            Order(step, self._key(step.output), {name: self._key(name) for name in sorted(names)})
+            for step, names in zip(steps, read, strict=True)
+        ]
 
     def levels(self) -> list[list[Job]]:
         """Return the jobs in the order in which they can be run; those of a level are independent."""
         job_of = {step.output: job.name for job in self.jobs for step in job.steps}
         needs = {
-            job.name: {job_of[self.owner(name)] for step in job.steps for name in step.files} - {job.name}
+            job.name: {job_of[self._owner(name)] for step in job.steps for name in step.files} - {job.name}
             for job in self.jobs
         }
 
@@ -165,40 +158,25 @@ class Files:
 
 
 def run_jobs(files: Files, jobs: int, title: str) -> list[str]:
-    """Make what is missing; return what went wrong, a line for each job.
-
-    Args:
-        files: of the study.
-        jobs: processes at a time.
-        title: of the progress bar.
-    """
+    """Make what is missing, in so many processes at a time; return what went wrong, a line for each job."""
     failures = []
     for level in files.levels():
-        todo = {job.name: steps for job in level if (steps := files.missing(job))}
+        todo = {job.name: orders for job in level if (orders := files.missing(job))}
         if not todo:
             continue
         with ThreadPoolExecutor(jobs) as pool, bar(title, "recording", len(todo)) as shown:
-            running = [pool.submit(_run_process, files, name, steps) for name, steps in todo.items()]
+            running = [pool.submit(_run_process, files.out, name, orders) for name, orders in todo.items()]
             for future in as_completed(running):
                 failures += [failure] if (failure := future.result()) else []
                 shown.advance()
     return failures
 
 
-def _run_process(files: Files, name: str, steps: Sequence[Step]) -> str:
+def _run_process(out: Path, name: str, orders: Sequence[Order]) -> str:
     """Run some steps in a process of its own; return what went wrong."""
-    outputs = {step.output for step in steps} | {files.owner(one) for step in steps for one in step.files}
-    keys = {output: files.key(output) for output in outputs}
-    owners = {one: files.owner(one) for step in steps for one in step.files}
-    job = {"out": str(files.out.resolve()), "steps": [asdict(step) for step in steps]}
-    text = json.dumps(job | {"keys": keys, "owners": owners})
     found = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    ended = subprocess.run(
-        [sys.executable, "-m", "research.runner", text],
-        env=os.environ | ONE_CORE | found,
-        capture_output=True,
-        text=True,
-    )
+    line = [sys.executable, "-m", "research.runner", json.dumps([str(out.resolve()), orders])]
+    ended = subprocess.run(line, env=os.environ | ONE_CORE | found, capture_output=True, text=True)
     if ended.returncode == 0:
         return ""
     said = [line for line in ended.stderr.splitlines() if line.startswith("posetrack: ")]
@@ -206,56 +184,32 @@ def _run_process(files: Files, name: str, steps: Sequence[Step]) -> str:
     return f"{name}: {said[-1] if said else f'exit code {ended.returncode}'}"
 
 
-@click.command()
-@click.argument("job")
-def main(job: str) -> None:
-    """Make what is missing of a job; a step that fails prevents only those that need its output."""
-    told = json.loads(job)
-    steps = [replace(Step(**one), arguments=tuple(one["arguments"])) for one in told["steps"]]
-    failed = run_steps(Path(told["out"]), steps, told["keys"], told["owners"])
-    if failed:
-        raise SystemExit(f"failed: {', '.join(failed)}")
+def run_steps(out: Path, orders: Sequence[Order]) -> list[str]:
+    """Run steps below a folder in order, then delete scratch; return the outputs that could not be made.
 
-
-def run_steps(
-    out: Path, steps: Sequence[Step], keys: Mapping[str, str], owners: Mapping[str, str]
-) -> list[str]:
-    """Run steps in order, then delete scratch; return the outputs that could not be made.
-
-    Args:
-        out: folder of the study.
-        steps: in order.
-        keys: by output the digest of what it depends on, also of outputs of earlier jobs.
-        owners: by file that a step reads the output that it is part of.
+    A step that fails prevents only those that need its output.
     """
     failed = []
-    for step in steps:
+    for step, key, inputs in orders:
         stamp_path(out / step.output).unlink(missing_ok=True)  # an old output must not count as the new one
-        inputs = [owners[name] for name in step.files]
         try:
             for name in inputs:
-                if not _is_made(out / name, keys[name]):
+                if not _is_made(out / name, inputs[name]):
                     raise PosetrackError(f"{name} was not made")
             step.run(out)
         except PosetrackError as error:
-            click.echo(f"posetrack: {error}", err=True)
+            print(f"posetrack: {error}", file=sys.stderr)
             failed.append(step.output)
         else:
-            stamp_path(out / step.output).write_text(keys[step.output], encoding="utf-8")
-    for step in steps:
-        if step.scratch:
-            path = out / step.output
-            shutil.rmtree(path, ignore_errors=True) if path.is_dir() else path.unlink(missing_ok=True)
-            stamp_path(path).unlink(missing_ok=True)
+            stamp_path(out / step.output).write_text(key, encoding="utf-8")
+    for path in (out / step.output for step, _, _ in orders if step.scratch):
+        shutil.rmtree(path, ignore_errors=True) if path.is_dir() else path.unlink(missing_ok=True)
+        stamp_path(path).unlink(missing_ok=True)
     return failed
 
 
 def command(*arguments: str) -> None:
-    """Run ``posetrack`` in this process.
-
-    Raises:
-        PosetrackError: it failed.
-    """
+    """Run ``posetrack`` in this process; raises PosetrackError if it fails."""
     code = posetrack(list(arguments))
     if code not in (EXIT_DONE, EXIT_DATA_LOST):
         raise PosetrackError(f"posetrack {' '.join(arguments[:3])} ended with exit code {code}")
@@ -276,8 +230,7 @@ def _code_of(step: Step) -> str:
     if step.arguments[0] == TOOL:
         return tool_digest(Path(step.arguments[1]))
     if step.arguments[:2] == ("head", "synth"):
-        face = json.dumps([MEAN_SHAPE.tolist(), SHAPE_SD.tolist()])
-        return source_digest(DRAWING) + face
+        return source_digest(DRAWING) + json.dumps([MEAN_SHAPE.tolist(), SHAPE_SD.tolist()])
     return source_digest()
 
 
@@ -289,4 +242,9 @@ def tool_digest(tool: Path) -> str:
 
 
 if __name__ == "__main__":
-    main()
+    folder, given = json.loads(sys.argv[1])
+    todo = [
+        Order(Step(output, tuple(arguments), scratch), *rest) for (output, arguments, scratch), *rest in given
+    ]
+    if broken := run_steps(Path(folder), todo):
+        raise SystemExit(f"failed: {', '.join(broken)}")

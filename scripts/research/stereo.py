@@ -1,7 +1,4 @@
-"""Redo experiment 3.4 of Sugano's thesis, and measure the stereo head tracker on faces that it never saw.
-
-Usage: scripts/reproduce stereo [-o out/stereo] [--heads FOLDER] [--identities 3] [--quick]
-"""
+"""Redo experiment 3.4 of Sugano's thesis, and measure the stereo head tracker on faces that it never saw."""
 
 from __future__ import annotations
 
@@ -9,7 +6,6 @@ import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import click
 import numpy as np
@@ -24,30 +20,20 @@ from posetrack_cli.head.face.points import MOUTH, NOSTRILS, POINT_COUNT
 from posetrack_cli.mcap.stream import McapFile
 from posetrack_cli.results import load_arrays, read_result
 from posetrack_cli.synthesis.recording import SYNTH_RECORD
-from research import plots
-from research.heads import (
-    AXES,
-    POSE_COLUMNS,
-    TRACKED_COLUMNS,
-    TRUTH,
-    Compared,
-    compare,
-    figures_of,
-    greatest,
-    persons_in,
-    reading_arguments,
-)
+from research import heads, plots
+from research.heads import AXES, POSE_COLUMNS, TRUTH, Compared, compare, persons_in, reading_arguments
 from research.report import Column, Figures, Report, over, pairs_of
 from research.runner import FILE, Files, Job, Step, command
-from research.study import FIRST_SEED, FOLDER, Part, Study, integer, unused_for_tuning
+from research.study import FIRST_SEED, FOLDER, HEADS, Part, Study, setting, unused_for_tuning
 
+RIGID, PAPER = ("--model", "rigid"), ("--config", "head-stereo-paper")
 ENTRANTS: dict[str, tuple[str, tuple[str, ...]]] = {
     "deformable": ("deformable (default)", ()),
     "deformable-2": ("deformable, two passes", ("--passes", "2")),
-    "rigid": ("rigid", ("--model", "rigid")),
-    "rigid-2": ("rigid, two passes", ("--model", "rigid", "--passes", "2")),
-    "paper": ("`head-stereo-paper`, deformable", ("--config", "head-stereo-paper")),
-    "paper-rigid": ("`head-stereo-paper`, rigid", ("--config", "head-stereo-paper", "--model", "rigid")),
+    "rigid": ("rigid", RIGID),
+    "rigid-2": ("rigid, two passes", (*RIGID, "--passes", "2")),
+    "paper": ("`head-stereo-paper`, deformable", PAPER),
+    "paper-rigid": ("`head-stereo-paper`, rigid", (*PAPER, *RIGID)),
 }
 """By name the title, and the arguments of ``posetrack head stereo``."""
 RIGID_FRAMES = HeadStereoConfig().model.rigid_frames
@@ -60,7 +46,7 @@ STEADY_S = 0.5
 """So long a head must be tracked to count as found again."""
 FOLLOWED = np.setdiff1d(np.arange(POINT_COUNT), np.arange(POINT_COUNT)[NOSTRILS])
 """Points whose true movement is visible: the nostrils' openings hardly follow their vertices."""
-COLUMNS = (*POSE_COLUMNS, Column("mouth_mm", "mouth, mm"), *TRACKED_COLUMNS)
+COLUMNS = (*POSE_COLUMNS, Column("mouth_mm", "mouth, mm"), *heads.TRACKED_COLUMNS)
 EXPLAINED = (
     "Mean absolute errors over the frames that are reported as tracked, after one constant rigid offset of "
     "the head's frame (`eval --align rigid`). Mouth: corners of the mouth while they are more than 3 mm "
@@ -68,53 +54,63 @@ EXPLAINED = (
     "number, from 0, of the first one tracked; of several recordings the latest. Wrong: frames reported as "
     "tracked whose pose is off by more than 10 mm or 5 deg."
 )
-QUICK = {"identities": 1, "frames": 150, "experiment_frames": 240}
-QUICK_CONDITIONS = ("slow light", "occlusion")
+CONDITIONS: dict[str, tuple[str, ...]] = {
+    "slow light": (),
+    "sudden light": ("--light", "sudden"),
+    "occlusion": ("--occlusion",),
+    "sudden turn": ("--motion", "turn"),
+    "distortion": ("--lens-distortion",),
+    "noise 2": ("--noise-factor", "2"),
+    "speed 2": ("--speed", "2"),
+    "missing images": ("--drops",),
+}
+"""By name the arguments of ``posetrack head synth`` in addition to person and length; light drifts in all."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """How much is done.
-
-    Attributes:
-        output: folder of everything.
-        heads: folder of recordings of other faces; None leaves them out.
-        experiment_frames: of experiment 3.4.
-        frames: per recording of the other conditions.
-        identities: persons per condition.
-        first_identity: seed of the first person; smaller ones than the default are for trials.
-        conditions: those that are done; empty for all.
-    """
+    """How much is done, below the folder ``output``."""
 
     output: Path
-    heads: Path | None = None
-    experiment_frames: int = 1800
-    frames: int = 300
-    identities: int = 3
-    first_identity: int = FIRST_SEED
-    conditions: tuple[str, ...] = ()
+    heads: Path | None = setting("--heads", None, HEADS, type=FOLDER)  # noqa: RUF009
+    identities: int = setting("--identities", 3, "Persons per condition.")
+    frames: int = setting("--frames", 300, "Frames per recording of the conditions.", 60)
+    experiment_frames: int = setting("--experiment-frames", 1800, "Frames of experiment 3.4.", 240)
+    first_identity: int = setting(
+        "--first-identity", FIRST_SEED, "Seed of the first person; smaller ones are for trials.", 0
+    )
+    conditions: tuple[str, ...] = setting(
+        "--condition", (), "Only this; repeatable.", multiple=True, type=click.Choice(list(CONDITIONS))
+    )
+
+    @property
+    def persons(self) -> range:
+        """Seeds of the persons."""
+        return range(self.first_identity, self.first_identity + self.identities)
 
     def names(self, condition: str) -> list[str]:
         """Return the names of the recordings of a condition."""
-        persons = range(self.first_identity, self.first_identity + self.identities)
-        return [f"{condition.replace(' ', '-')}-{person}-{self.frames}" for person in persons]
+        return [f"{condition.replace(' ', '-')}-{person}-{self.frames}" for person in self.persons]
 
     @property
     def chosen(self) -> tuple[str, ...]:
         """The conditions that are done."""
         return self.conditions or tuple(CONDITIONS)
 
+    @property
+    def experiment(self) -> str:
+        """Name of the recording of experiment 3.4."""
+        return f"experiment-{self.first_identity}-{self.experiment_frames}"
 
-def _tracked(name: str, reading: tuple[str, ...], entrants: Iterable[str] = tuple(ENTRANTS)) -> list[Step]:
+
+def _tracked(name: str, reading: tuple[str, ...], entrants: Iterable[str] = ENTRANTS) -> list[Step]:
     return [
         Step(f"runs/{name}-{entrant}.mcap", ("head", "stereo", *reading, *ENTRANTS[entrant][1], "--timings"))
         for entrant in entrants
     ]
 
 
-def _synthetic(
-    name: str, person: int, frames: int, *more: str, entrants: Iterable[str] = tuple(ENTRANTS)
-) -> Job:
+def _synthetic(name: str, person: int, frames: int, *more: str, entrants: Iterable[str] = ENTRANTS) -> Job:
     """Return the job of a synthetic recording, which is kept: drawing it takes most of the time."""
     seeds = ("--identity", str(person), "--seed", str(person))
     drawn = Step(f"recordings/{name}.mcap", ("head", "synth", *seeds, "--frames", str(frames), *more))
@@ -139,20 +135,17 @@ def stereo_figures(one: Compared, event_end_s: float | None) -> dict[str, float]
     """Return the figures of a result; what there is nothing of is left out.
 
     Means are over tracked frames. Those that begin with ``deforming`` and ``still`` are over tracked frames
-    after the first ``RIGID_FRAMES`` in which the true face is not, or is, neutral.
-
-    Args:
-        one: the result against its truth.
-        event_end_s: when a tracker that lost the head may be expected to find it again; None for never.
+    after the first ``RIGID_FRAMES`` in which the true face is not, or is, neutral. At ``event_end_s`` a
+    tracker that lost the head may be expected to find it again; None for never.
     """
     moved, points = one.moved_mm, distances(one.shape, one.true_shape)
     deforming = moved[:, FOLLOWED].max(axis=1) > DEFORMING_MM
     later = np.arange(len(deforming)) >= RIGID_FRAMES
-    found = figures_of(one, one.believed, WRONG)
+    found = heads.figures_of(one, one.believed, WRONG)
     for begin, rows in (("", True), ("deforming ", later & deforming), ("still ", later & ~deforming)):
         chosen = one.believed & rows
         if chosen.any():
-            means = figures_of(one, chosen, WRONG)
+            means = heads.figures_of(one, chosen, WRONG)
             found |= {f"{begin}{name}": means[name] for name in (*HEAD_POSE, "position_mm", "rotation_deg")}
         for name, columns in (("mouth_mm", np.arange(POINT_COUNT)[MOUTH]), ("moving_mm", FOLLOWED)):
             values = points[:, columns][(chosen[:, None] & (moved > MOVING_MM))[:, columns]]
@@ -169,8 +162,7 @@ def recovery_s(one: Compared, end_s: float) -> float:
     Infinite if that never comes; where the recording ends sooner, until its end.
     """
     right = one.believed & ~wrong(one)
-    for row in np.flatnonzero(one.seconds >= end_s):
-        begin = one.seconds[row]
+    for begin in one.seconds[one.seconds >= end_s]:
         if right[(one.seconds >= begin) & (one.seconds <= begin + STEADY_S)].all():
             return float(begin - end_s)
     return float("inf")
@@ -197,32 +189,23 @@ def _measured(options: Options, files: Files, name: str) -> dict[str, Figures]:
 
 def _tell_accuracy(report: Report, part: str, found: list[dict[str, Figures]]) -> None:
     """Add a row for each entrant, over recordings."""
-    rows = {
-        title: [one[entrant] for one in found if entrant in one] for entrant, (title, _) in ENTRANTS.items()
-    }
+    rows = {title: [one[way] for one in found if way in one] for way, (title, _) in ENTRANTS.items()}
     report.entrants(part, COLUMNS, rows)
 
 
 # Recordings of other faces
 
-ONE_PASS = {
-    "x_mm": 0.3,
-    "y_mm": 0.3,
-    "z_mm": 0.6,
-    "roll_deg": 0.25,
-    "pitch_deg": 0.6,
-    "yaw_deg": 0.6,
-    "mouth_mm": 2.5,
+LIMITS = {
+    "deformable": ("one pass", (0.3, 0.3, 0.6, 0.25, 0.6, 0.6, 2.5)),
+    "deformable-2": ("two", (0.2, 0.2, 0.4, None, 0.5, 0.5, 2.0)),
 }
-TWO_PASSES = {"x_mm": 0.2, "y_mm": 0.2, "z_mm": 0.4, "pitch_deg": 0.5, "yaw_deg": 0.5, "mouth_mm": 2.0}
+"""By entrant what is asked for of ``HEAD_POSE`` and of the mouth's corners."""
 
 
 def _people_jobs(options: Options) -> Iterator[Job]:
     for person in persons_in(options.heads):
-        yield Job(
-            person.name,
-            tuple(_tracked(person.name, reading_arguments(person, options.output / "recordings"))),
-        )
+        reading = reading_arguments(person, options.output / "recordings")
+        yield Job(person.name, tuple(_tracked(person.name, reading)))
 
 
 def _tell_people(options: Options, files: Files, report: Report) -> None:
@@ -231,33 +214,19 @@ def _tell_people(options: Options, files: Files, report: Report) -> None:
         report.text(f"### {person.name}")
         found = _measured(options, files, person.name)
         _tell_accuracy(report, person.name, [found])
-        for entrant, passes, limits in (
-            ("deformable", "one pass", ONE_PASS),
-            ("deformable-2", "two", TWO_PASSES),
-        ):
-            for name, most in limits.items():
-                value = found.get(entrant, {}).get(name)
-                report.judge(f"{person.name}, {passes}: {name.replace('_', ', ')}", value, most=most)
+        for entrant, (passes, limits) in LIMITS.items():
+            for name, most in zip((*HEAD_POSE, "mouth_mm"), limits, strict=True):
+                if most is not None:
+                    value = found.get(entrant, {}).get(name)
+                    report.judge(f"{person.name}, {passes}: {name.replace('_', ', ')}", value, most=most)
 
 
 # Synthetic recordings: people who were never used for tuning, one difficulty at a time
 
-CONDITIONS: dict[str, tuple[str, ...]] = {
-    "slow light": (),
-    "sudden light": ("--light", "sudden"),
-    "occlusion": ("--occlusion",),
-    "sudden turn": ("--motion", "turn"),
-    "distortion": ("--lens-distortion",),
-    "noise 2": ("--noise-factor", "2"),
-    "speed 2": ("--speed", "2"),
-    "missing images": ("--drops",),
-}
-"""By name the arguments of ``posetrack head synth`` in addition to person and length; light drifts in all."""
-
 
 def _conditions_jobs(options: Options) -> Iterator[Job]:
     for condition in options.chosen:
-        for person, name in enumerate(options.names(condition), options.first_identity):
+        for person, name in zip(options.persons, options.names(condition), strict=True):
             yield _synthetic(name, person, options.frames, *CONDITIONS[condition])
 
 
@@ -283,7 +252,7 @@ def _tell_conditions(options: Options, files: Files, report: Report) -> None:
         report.entrants(f"found again, {condition}", again, rows)
         longest = over(rows[ENTRANTS["deformable"][0]], "longest_s", "max")
         report.judge(f"{condition}: found again, s, longest", longest, most=0.5)
-    for entrant in ("deformable", "deformable-2"):
+    for entrant in LIMITS:
         of_entrant = [one[entrant] for of in found.values() for one in of if entrant in one]
         count, total = (over(of_entrant, name, "sum") for name in ("wrong", "frames"))
         report.judge(f"{entrant}: wrong poses reported as tracking, of {total}", count, most=0, digits=0)
@@ -299,6 +268,10 @@ COMPARED = {
     "still position_mm": "neutral: position, mm",
 }
 REPEATED = {"position_mm": "position, mm", "rotation_deg": "rotation, deg", "mouth_mm": "mouth, mm"}
+
+
+def _comparison_jobs(options: Options) -> Iterator[Job]:
+    yield from (*_people_jobs(options), *_conditions_jobs(options))
 
 
 def _tell_comparison(options: Options, files: Files, report: Report) -> None:
@@ -348,12 +321,7 @@ MODELS = {"head-stereo": ("rigid", "deformable"), "head-stereo-paper": ("paper-r
 
 def _experiment_jobs(options: Options) -> Iterator[Job]:
     entrants = [way for pair in MODELS.values() for way in pair]
-    name, person = _experiment(options), options.first_identity
-    yield _synthetic(name, person, options.experiment_frames, entrants=entrants)
-
-
-def _experiment(options: Options) -> str:
-    return f"experiment-{options.first_identity}-{options.experiment_frames}"
+    yield _synthetic(options.experiment, options.first_identity, options.experiment_frames, entrants=entrants)
 
 
 def spans(frames: int) -> dict[str, BoolArray]:
@@ -364,8 +332,11 @@ def spans(frames: int) -> dict[str, BoolArray]:
 
 def picture_frames(one: Compared, parts: Mapping[str, BoolArray]) -> list[int]:
     """Return the greatest deformation in each third of the deforming part, and the middle of the other."""
-    thirds = np.array_split(np.flatnonzero(parts["deforming"]), 3)
-    chosen = greatest(one.moved_mm[:, FOLLOWED].max(axis=1), thirds)
+    thirds, moved = (
+        np.array_split(np.flatnonzero(parts["deforming"]), 3),
+        one.moved_mm[:, FOLLOWED].max(axis=1),
+    )
+    chosen = [int(of[np.argmax(moved[of])]) for of in thirds if of.size]
     return [*chosen, int(np.median(np.flatnonzero(parts["rigid"])))]
 
 
@@ -398,7 +369,7 @@ def _moving(one: Compared, rows: BoolArray | slice = slice(None)) -> tuple[Float
 
 
 def _tell_experiment(options: Options, files: Files, report: Report) -> None:
-    name = _experiment(options)
+    name = options.experiment
     report.text(
         "## Experiment 3.4: rigid and deformable model",
         f"{options.experiment_frames} frames of a synthetic head: the face deforms for two thirds, then "
@@ -406,12 +377,12 @@ def _tell_experiment(options: Options, files: Files, report: Report) -> None:
     )
     for title, pair in MODELS.items():
         results = {
-            model: files.made(f"runs/{name}-{way}.mcap")
+            model: path
             for model, way in zip(("rigid", "deformable"), pair, strict=True)
+            if (path := files.made(f"runs/{name}-{way}.mcap")) is not None
         }
-        paths = {model: path for model, path in results.items() if path is not None}
-        if len(paths) == 2:
-            _tell_models(options, report, title, options.output / f"recordings/{name}.mcap", paths)
+        if len(results) == 2:
+            _tell_models(options, report, title, results)
     report.text("### Over the whole recording", EXPLAINED)
     found = _measured(options, files, name)
     _tell_accuracy(report, "experiment", [found])
@@ -422,16 +393,15 @@ def _tell_experiment(options: Options, files: Files, report: Report) -> None:
     )
 
 
-def _tell_models(
-    options: Options, report: Report, title: str, recording: Path, paths: Mapping[str, Path]
-) -> None:
+def _tell_models(options: Options, report: Report, title: str, paths: Mapping[str, Path]) -> None:
     """Add figures 3.9 and 3.10 of a configuration, and the thesis's statements with our figures."""
     ending = "" if title == "head-stereo" else "-paper"
     courses = {model: course(path, None) for model, path in paths.items()}
     ratio = contribution_ratio(paths["deformable"])
     parts = spans(len(ratio))
-    picture, graph = options.output / f"figure3.9{ending}.png", options.output / f"figure3.10{ending}.png"
+    picture, graph = (options.output / f"figure{number}{ending}.png" for number in ("3.9", "3.10"))
     frames = ",".join(map(str, picture_frames(courses["deformable"], parts)))
+    recording = options.output / f"recordings/{options.experiment}.mcap"
     shown = ("--recording", str(recording), "--select", frames, "--crop", "head", "--overwrite")
     command("view", *map(str, paths.values()), "-o", str(picture), *shown)
     draw_poses(graph, courses, ratio, [RIGID_FRAMES, int(np.flatnonzero(parts["rigid"])[0])])
@@ -442,11 +412,8 @@ def _tell_models(
     columns = (*POSE_COLUMNS, Column("moving_mm", "moving points, mm"))
     apart = np.abs(courses["deformable"].columns - courses["rigid"].columns)
     for part, rows in parts.items():
-        found = {
-            "rigid and deformable, apart by": dict(
-                zip(HEAD_POSE, apart[rows].mean(axis=0).tolist(), strict=True)
-            )
-        }
+        means = dict(zip(HEAD_POSE, apart[rows].mean(axis=0).tolist(), strict=True))
+        found = {"rigid and deformable, apart by": means}
         for model, one in courses.items():
             means = dict(zip(HEAD_POSE, one.pose[rows].mean(axis=0).tolist(), strict=True))
             found[f"error of the {model} model"] = means | {"moving_mm": _moving(one, rows)[1]}
@@ -456,19 +423,14 @@ def _tell_models(
 
 
 def draw_poses(path: Path, courses: Mapping[str, Compared], ratio: FloatArray, marks: list[int]) -> None:
-    """Draw figure 3.10: the six components and the contribution ratio; next to them the errors.
+    """Draw figure 3.10: six components and the contribution ratio (N,); next to them the errors.
 
-    Args:
-        path: PNG to write.
-        courses: of ``rigid`` and ``deformable``, whose reference is the truth.
-        ratio: (N,) cumulative contribution ratio of the deformable model.
-        marks: first frame with a deformable model, first frame of rigid motion.
+    Marked are the first frame with a deformable model and the first one of rigid motion.
     """
     numbers = {name: np.arange(len(one.pose)) for name, one in courses.items()}
-    first = courses["deformable"]
     panels = []
     for column, label in enumerate(AXES):
-        values = {"truth": (numbers["deformable"], first.true_columns[:, column])}
+        values = {"truth": (numbers["deformable"], courses["deformable"].true_columns[:, column])}
         values |= {name: (numbers[name], one.columns[:, column]) for name, one in courses.items()}
         errors = {name: (numbers[name], one.pose[:, column]) for name, one in courses.items()}
         panels.append([plots.Panel(label, values), plots.Panel(f"error: {label}", errors)])
@@ -492,56 +454,18 @@ def thesis_head(title: str, chapter: int, tracker: str, persons: range) -> Itera
     )
 
 
-def _head(options: Options) -> Iterator[str]:
-    persons = range(options.first_identity, options.first_identity + options.identities)
-    return thesis_head("Head pose and face deformation from two cameras", 3, "head-stereo", persons)
-
-
 STUDY = Study(
     "stereo",
+    Options,
     (
         Part("people", _people_jobs, _tell_people),
         Part("conditions", _conditions_jobs, _tell_conditions),
-        Part(
-            "comparison",
-            lambda options: (*_people_jobs(options), *_conditions_jobs(options)),
-            _tell_comparison,
-        ),
+        Part("comparison", _comparison_jobs, _tell_comparison),
         Part("experiment", _experiment_jobs, _tell_experiment),
     ),
-    _head,
+    lambda options: thesis_head(
+        "Head pose and face deformation from two cameras", 3, "head-stereo", options.persons
+    ),
+    __doc__,
+    {"identities": 1, "frames": 150, "experiment_frames": 240, "conditions": ("slow light", "occlusion")},
 )
-
-
-@STUDY.command(
-    click.option(
-        "--heads", type=FOLDER, help="Folder of recordings with left/, right/, calibration.json, truth.csv."
-    ),
-    integer("--identities", 3, "Persons per condition."),
-    integer("--frames", 300, "Frames per recording of the conditions.", 60),
-    integer("--experiment-frames", 1800, "Frames of experiment 3.4.", 240),
-    integer("--first-identity", FIRST_SEED, "Seed of the first person; smaller ones are for trials.", 0),
-    click.option(
-        "--condition",
-        "conditions",
-        multiple=True,
-        type=click.Choice(list(CONDITIONS)),
-        help="Only this; repeatable.",
-    ),
-    click.option(
-        "--quick", is_flag=True, help="Try it: one person, two conditions, 240 frames of the experiment."
-    ),
-)
-def main(jobs: int, chosen: tuple[str, ...], quick: bool, **values: Any) -> None:
-    """Redo experiment 3.4 and measure accuracy; stereo.md in the output folder has all figures.
-
-    Synthetic recordings are drawn again only if the code that draws them has changed. Finished tracks of the
-    same code and arguments are reused.
-    """
-    if quick:
-        values |= QUICK | {"conditions": values["conditions"] or QUICK_CONDITIONS}
-    STUDY.run(Options(**values), chosen, jobs)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,101 +1,125 @@
-"""A study: parts with jobs to run and a report to write, and its command line."""
+"""A study: parts with jobs to run and a report to write, and its command line.
+
+Usage: PYTHONPATH=scripts .venv/bin/python -m research.study NAME [OPTIONS], as scripts/reproduce does.
+"""
 
 from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from importlib import import_module
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, NamedTuple
 
 import click
+from click.core import ParameterSource
 
 from posetrack_cli.errors import EXIT_DATA_LOST, PosetrackError
 from research.report import Report
 from research.runner import Files, Job, run_jobs
 
+NAMES = ("hand", "hand-accuracy", "hand-strangers", "heads-strangers", "stereo", "mono")
 FIRST_SEED = 201
 """Seeds from here on were not used for tuning."""
 FOLDER = click.Path(path_type=Path, exists=True, file_okay=False, resolve_path=True)
+HEADS = "Folder of recordings with left/, right/, calibration.json, truth.csv."
 
 
-class StudyOptions(Protocol):
-    """What the options of every study have."""
+def setting(flag: str, default: Any, told: str, least: int = 1, **more: Any) -> Any:
+    """Declare a field of a study's options that the command line sets.
 
-    @property
-    def output(self) -> Path:
-        """Folder of everything."""
-
-
-OptionsT = TypeVar("OptionsT", bound=StudyOptions)
-
-
-@dataclass(frozen=True)
-class Part(Generic[OptionsT]):
-    """One part of a study.
-
-    Attributes:
-        name: for ``--part``.
-        jobs: what has to be made.
-        tell: writes what came out.
+    A number is at least ``least``; ``more`` are further parameters of ``click.option``.
     """
+    number = {"type": click.IntRange(least), "show_default": True} if isinstance(default, int) else {}
+    return field(default=default, metadata={"flag": flag, "more": {"help": told, **number, **more}})
+
+
+class Part(NamedTuple):
+    """One part of a study: its name for ``--part``, what has to be made, what writes what came out."""
 
     name: str
-    jobs: Callable[[OptionsT], Iterable[Job]]
-    tell: Callable[[OptionsT, Files, Report], None]
+    jobs: Callable[[Any], Iterable[Job]]
+    tell: Callable[[Any, Files, Report], None]
 
 
 @dataclass(frozen=True)
-class Study(Generic[OptionsT]):
+class Study:
     """A study.
 
     Attributes:
         name: of its report, and of the folder below ``out`` that it is written to by default.
+        options: dataclass with ``output``, the folder of everything, and ``setting`` fields.
         parts: all of them.
         head: begin of the report: its title, and a paragraph.
+        told: what ``--help`` says first.
+        quick: options of ``--quick``, unless they are given; empty for no such option.
+        more: further options of the command line.
+        made: makes the options of what the command line gives.
     """
 
     name: str
-    parts: Sequence[Part[OptionsT]]
-    head: Callable[[OptionsT], Iterable[str]]
+    options: type
+    parts: Sequence[Part]
+    head: Callable[[Any], Iterable[str]]
+    told: str
+    quick: Mapping[str, Any] = field(default_factory=dict)
+    more: Sequence[Callable[[Any], Any]] = ()
+    made: Callable[..., Any] | None = None
 
-    def command(self, *options: Callable[[Any], Any]) -> Callable[[Callable[..., Any]], click.Command]:
-        """Make a command of a function that takes these options, ``output``, ``jobs`` and ``chosen``."""
+    def command(self) -> click.Command:
+        """Return the command that does the chosen parts, all if none is, and prints the report's path.
+
+        Exits with the code of lost data if recordings failed.
+        """
+
+        def run(jobs: int, chosen: Sequence[str], **values: Any) -> None:
+            source = click.get_current_context().get_parameter_source
+            if values.pop("quick", False):
+                values |= {k: v for k, v in self.quick.items() if source(k) is ParameterSource.DEFAULT}
+            try:
+                failures = self._run((self.made or self.options)(**values), chosen, jobs)
+            except PosetrackError as error:
+                raise click.ClickException(str(error)) from error
+            if failures:
+                click.echo(f"{len(failures)} recordings failed, first {failures[0]}", err=True)
+                sys.exit(EXIT_DATA_LOST)
+
         parts = click.Choice([part.name for part in self.parts])
-        shared = (
+        path = click.Path(path_type=Path)
+        options = [
             click.option(
-                "-o", "--out", "--output", "output", default=Path("out", self.name),
-                type=click.Path(path_type=Path), show_default=True,
+                "-o",
+                "--out",
+                "--output",
+                "output",
+                default=Path("out", self.name),
+                type=path,
+                show_default=True,
             ),
-            *options,
+            *(
+                click.option(one.metadata["flag"], one.name, default=one.default, **one.metadata["more"])
+                for one in fields(self.options)
+                if "flag" in one.metadata
+            ),
+            *self.more,
+            *[click.option("--quick", is_flag=True, help="Try it: little of everything.")][: len(self.quick)],
             click.option("--jobs", default=os.cpu_count() or 1, show_default=True, type=click.IntRange(1)),
             click.option(
                 "--part", "--only", "chosen", multiple=True, type=parts, help="Only this part; repeatable."
             ),
-        )  # fmt: skip
+        ]
+        for option in reversed(options):
+            run = option(run)
+        told = (
+            f"{self.told}\n\nFinished files of the same code and arguments are reused. Figures go to "
+            f"{self.name}.md in the output folder."
+        )
+        settings = {"help_option_names": ["-h", "--help"]}
+        return click.command(self.name, help=told, context_settings=settings)(run)
 
-        def decorated(function: Callable[..., Any]) -> click.Command:
-            for one in reversed(shared):
-                function = one(function)
-            return click.command(context_settings={"help_option_names": ["-h", "--help"]})(function)
-
-        return decorated
-
-    def run(self, options: OptionsT, chosen: Sequence[str], jobs: int) -> None:
-        """Do the chosen parts, all if none is; write the report and print its path.
-
-        Exits with the code of lost data if recordings failed.
-        """
-        try:
-            failures = self._run(options, chosen, jobs)
-        except PosetrackError as error:
-            raise click.ClickException(str(error)) from error
-        if failures:
-            click.echo(f"{len(failures)} recordings failed, first {failures[0]}", err=True)
-            sys.exit(EXIT_DATA_LOST)
-
-    def _run(self, options: OptionsT, chosen: Sequence[str], jobs: int) -> list[str]:
+    def _run(self, options: Any, chosen: Sequence[str], jobs: int) -> list[str]:
         options.output.mkdir(parents=True, exist_ok=True)
         parts = [part for part in self.parts if not chosen or part.name in chosen]
         files = Files(options.output, (job for part in parts for job in part.jobs(options)))
@@ -107,11 +131,20 @@ class Study(Generic[OptionsT]):
         return failures
 
 
-def integer(name: str, default: int, told: str, least: int = 1) -> Callable[[Any], Any]:
-    """Return an option that takes a whole number."""
-    return click.option(name, default=default, show_default=True, type=click.IntRange(least), help=told)
-
-
 def unused_for_tuning(first_seed: int) -> str:
     """Return what a report says of seeds that nothing was tuned on; nothing of others."""
     return ", none of them used for tuning" if first_seed >= FIRST_SEED else ""
+
+
+def study_of(name: str) -> Study:
+    """Return the study of a name."""
+    found: Study = import_module(f"research.{name.replace('-', '_')}").STUDY
+    return found
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == [] or sys.argv[1] not in NAMES:
+        wanted = f"scripts/reproduce {', '.join(NAMES[:-1])} or {NAMES[-1]} [OPTIONS]"
+        click.echo(f"reproduce: which study? found '{' '.join(sys.argv[1:2])}', expected: {wanted}", err=True)
+        sys.exit(2)
+    study_of(sys.argv[1]).command()(sys.argv[2:], prog_name=f"scripts/reproduce {sys.argv[1]}")

@@ -1,21 +1,19 @@
-"""Runs whose disk is full at some moment: what was flushed stays, and more room ends them well."""
+"""Runs whose disk is full at some moment, and runs that begin together on an empty kernel cache."""
 
 from __future__ import annotations
 
 import os
 import subprocess
+import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from typing import NamedTuple
 
 from benchmarking.rows import Row
 from posetrack_cli.outputs import state_path
-from soaking.cases import Case
-from soaking.findings import Findings
 from soaking.kills import unreadable
-from soaking.processes import DONE, FAILED, run_to_end
-from soaking.reference import Reference
+from soaking.runs import DONE, FAILED, Case, Findings, Reference, run_to_end, started
 
 PAGE = 4096
 LARGEST = 0.85
@@ -23,14 +21,10 @@ LARGEST = 0.85
 size, with all that was written since. On a disk of this size a run does not come to its end."""
 
 
-@dataclass(frozen=True)
-class Disk:
-    """A place that holds so many bytes.
+class Disk(NamedTuple):
+    """A place that holds so many bytes, and what gives it room for everything.
 
-    Attributes:
-        folder: in which it is.
-        file_bytes: that no file may exceed, where there is no file system of its own; None where there is.
-        enlarge: gives it room for everything.
+    Where there is no file system of its own, no file may exceed ``file_bytes``; None where there is.
     """
 
     folder: Path
@@ -111,3 +105,25 @@ def soak_disk(case: Case, reference: Reference, count: int, folder: Path, findin
     span = f"{sizes[0] // 1024} to {sizes[-1] // 1024} KiB"
     findings.add(Row(f"{case.name}, {kind} {span}, sizes tried", len(sizes), ""))
     findings.add(Row(f"{case.name}, full disks that were not taken as they must be", wrong, "", 0.0))
+
+
+def soak_cold(case: Case, reference: Reference, at_once: int, folder: Path, findings: Findings) -> None:
+    """Start so many equal runs at once, each compiling while the others do; all must come to one result."""
+    folder.mkdir()
+    environment = {"NUMBA_CACHE_DIR": str(folder / "cache")}
+    outputs = [folder / f"{number}.mcap" for number in range(at_once)]
+    began, wrong = time.perf_counter(), 0
+    with ExitStack() as stack:
+        runs = [
+            stack.enter_context(started(case.command(output), output.with_suffix(".txt"), environment))
+            for output in outputs
+        ]
+        ended = [run.end() for run in runs]
+    seconds = time.perf_counter() - began
+    for output, end in zip(outputs, ended, strict=True):
+        troubles = list(end.troubles((DONE,)))
+        if not troubles and output.read_bytes() != reference.data:
+            troubles = ["the result differs from that of a run with compiled kernels"]
+        wrong += not findings.troubles_of(f"{case.name}, cold run {output.stem}", troubles)
+    findings.add(Row(f"{case.name}, {at_once} at once on an empty kernel cache, total time", seconds, "s"))
+    findings.add(Row(f"{case.name}, of them failed or with other bytes", wrong, "", 0.0))

@@ -5,9 +5,8 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from itertools import chain
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,10 +14,7 @@ from benchmarking.rows import Row
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.cli.terminal import bar
 from posetrack_cli.results import load_arrays
-from soaking.cases import Case
-from soaking.findings import Findings
-from soaking.processes import DONE, run_to_end, started
-from soaking.standing import standing_of
+from soaking.runs import DONE, Case, Findings, Looker, run_to_end, started
 
 GROWTH_MIB = 16.0
 """By so much memory may grow after the first thousand frames."""
@@ -32,15 +28,8 @@ FIRST = 1_000
 SAMPLE_S = 0.25
 
 
-@dataclass(frozen=True)
-class Sample:
-    """A look at a process.
-
-    Attributes:
-        frames: done.
-        resident, peak: memory, MiB.
-        cpu: time, s.
-    """
+class Sample(NamedTuple):
+    """A look at a process: frames done, resident and peak memory, MiB, CPU time, s."""
 
     frames: int
     resident: float
@@ -73,23 +62,21 @@ def soak_frames(case: Case, folder: Path, findings: Findings) -> None:
     if len(milliseconds) != case.frames:
         findings.trouble(f"{case.name}: {len(milliseconds)} frames in the result, expected {case.frames}")
         return
-    rows = (
-        memory_rows(case.name, samples, case.frames),
-        time_rows(case.name, milliseconds),
-        cpu_rows(case.name, samples, case.frames),
-    )
-    for row in chain(*rows):
+    for row in (
+        *memory_rows(case.name, samples, case.frames),
+        *time_rows(case.name, milliseconds),
+        *cpu_rows(case.name, samples, case.frames),
+    ):
         findings.add(row)
     findings.add(Row(f"{case.name}, size of the result", 1e-6 * output.stat().st_size, "MB"))
 
 
 def watch(case: Case, output: Path, process: int) -> Iterator[Sample]:
     """Yield a sample whenever a process has gone further, until it ends."""
-    last = 0
+    last, looker = 0, Looker(case, output)
     while (memory := memory_of(process)) is not None:
-        standing = standing_of(case, output)
-        if standing is not None and standing.steps > last:
-            last = standing.steps
+        if (steps := looker.steps) > last:
+            last = steps
             yield Sample(last, *memory)
         time.sleep(SAMPLE_S)
 
@@ -108,16 +95,13 @@ def memory_of(process: int) -> tuple[float, float, float] | None:
     return resident, peak, (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def marks_of(frames: int) -> list[int]:
-    """After how many frames memory is told: ``MARKS``, of a run too short for them a third and the end."""
-    return [*(mark for mark in MARKS if mark < frames), frames] if frames > FIRST else [frames // 3, frames]
-
-
 def memory_rows(name: str, samples: Sequence[Sample], frames: int) -> Iterator[Row]:
-    """Memory after each mark, and by how much it grew after the first."""
+    """Memory after each mark, in a short run after a third, and by how much it grew after the first."""
     if not samples:
         return
-    marks = marks_of(frames)
+    marks = [frames // 3, frames]
+    if frames > FIRST:
+        marks = [*(mark for mark in MARKS if mark < frames), frames]
     values = [memory_after(samples, mark) for mark in marks]
     for mark, value in zip(marks, values, strict=True):
         yield Row(f"{name}, memory after {mark} frames", value, "MiB")

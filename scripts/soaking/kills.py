@@ -1,24 +1,36 @@
-"""Runs that are killed at random moments and resumed until they are done: their bytes must not differ."""
+"""Runs and batches that are killed at random moments and resumed: their bytes must not differ."""
 
 from __future__ import annotations
 
+import os
 import random
 import signal
+import subprocess
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import NamedTuple
 
+from benchmarking.processes import Cluster
 from benchmarking.rows import Row
 from posetrack_cli.cli.terminal import bar
 from posetrack_cli.outputs import part_path, state_path
-from soaking.cases import Case
-from soaking.findings import Findings
-from soaking.processes import DATA_LOST, DONE, FAILED, Ended, Started, frames_readable, started
-from soaking.reference import Looker, Reference, wait_until
-from soaking.standing import standing_of
+from soaking.runs import (
+    DATA_LOST,
+    DONE,
+    FAILED,
+    Case,
+    Ended,
+    Findings,
+    Looker,
+    Reference,
+    Started,
+    frames_readable,
+    standing_of,
+    started,
+)
 
 PHASES = ("start-up", "compiling", "first pass", "second pass", "finishing")
 COMPILING_S = 20.0
@@ -27,165 +39,11 @@ COLD_EVERY = 4
 """Of so many runs one begins with an empty kernel cache."""
 MISSES = 3
 """So many times as many kills may come too late before the rest is given up."""
-
-
-@dataclass(frozen=True)
-class Moment:
-    """When a process is killed.
-
-    Attributes:
-        phase: one of ``PHASES``.
-        share: of the phase's duration, from its beginning; more than 1 may be after its end.
-    """
-
-    phase: str
-    share: float
-
-
-def plan(rng: random.Random, most: int, *, cold: bool) -> list[Moment]:
-    """Return the moments of the kills of one run, in the order that it comes to them.
-
-    Args:
-        rng: random generator.
-        most: kills.
-        cold: whether it begins with an empty kernel cache; then the first kill is while it compiles.
-    """
-    count = min(most, rng.randint(1, 4))
-    phases = ["compiling"] if cold else []
-    phases += rng.choices([phase for phase in PHASES if phase != "compiling"], k=count - len(phases))
-    resumed = [phase for phase in phases if phase != "start-up"]
-    ordered = sorted(resumed, key=PHASES.index)
-    for _ in range(len(phases) - len(resumed)):  # start-up comes again with every resumption
-        ordered.insert(rng.randint(1 if cold else 0, len(ordered)), "start-up")
-    return [Moment(phase, rng.uniform(0.0, 1.2 if phase == "finishing" else 1.0)) for phase in ordered]
-
-
-class Killing:
-    """One run, killed at planned moments and resumed until it is done.
-
-    Args:
-        case: the run.
-        reference: what it must come to.
-        folder: for everything it writes; not there yet.
-        cold: whether it begins with an empty kernel cache.
-    """
-
-    def __init__(self, case: Case, reference: Reference, folder: Path, *, cold: bool = False) -> None:
-        self._case, self._reference, self._folder = case, reference, folder
-        self.killed: Counter[str] = Counter()
-        self.attempts = 0
-        self.output = folder / "out" / "result.mcap"
-        self.output.parent.mkdir(parents=True)
-        self._environment: Mapping[str, str] = {"NUMBA_CACHE_DIR": str(folder / "cache")} if cold else {}
-
-    def run(self, moments: Sequence[Moment]) -> Iterator[str]:
-        """Kill and resume; yield what is not as it must be, one line each."""
-        for moment in moments:
-            if self.output.exists():
-                break
-            ended = self._attempt(moment)
-            if ended.code != -signal.SIGKILL:
-                yield from self._judge_end(ended)
-                return
-            self.killed[moment.phase] += 1
-            yield from (f"killed in {moment.phase}: {line}" for line in self._judge_rest(ended))
-        if self.output.exists():  # killed after the result had its name
-            yield from self._judge_bytes()
-            return
-        yield from self._judge_end(self._attempt(None))
-
-    def _attempt(self, moment: Moment | None) -> Ended:
-        """Start the run, or go on with it, and kill it at a moment if it comes to it."""
-        self.attempts += 1
-        more = ["--resume"] if state_path(self.output).exists() else []
-        command = self._case.command(self.output, *more)
-        said = self._folder / f"attempt-{self.attempts}.txt"
-        looker = Looker(self._case, self.output)
-        with started(command, said, self._environment) as run:
-            if moment is not None and self._wait(run, moment, looker, resumed=bool(more)):
-                run.process.kill()
-            return run.end()
-
-    def _wait(self, run: Started, moment: Moment, looker: Looker, *, resumed: bool) -> bool:
-        """Wait for a moment; return False if the process ended before."""
-        threshold, seconds = self._window(moment)
-        if moment.phase == "compiling":
-            reached = wait_until(run, lambda: "compiling" in run.said)
-        elif moment.phase == "start-up":
-            reached = True
-        elif resumed and (standing := looker.look()) is not None and standing.steps >= threshold:
-            seconds, reached = seconds + self._reference.first, True
-        else:
-            reached = wait_until(run, lambda: (at := looker.look()) is not None and at.steps >= threshold)
-        until = time.perf_counter() + seconds
-        return reached and wait_until(run, lambda: time.perf_counter() >= until)
-
-    def _window(self, moment: Moment) -> tuple[int, float]:
-        """Return the frames tracked when a moment's phase begins, and how long after that it comes, s."""
-        times, case = self._reference, self._case
-        if moment.phase == "finishing" and case.smoothed:  # the end of the backward pass
-            return case.steps, (0.8 + 0.2 * moment.share) * (times.end - times.last)
-        begins, lasts = {
-            "start-up": (0, times.first),
-            "compiling": (0, COMPILING_S),
-            "first pass": (0, times.second - times.first),
-            "second pass": (case.frames, (times.end if case.smoothed else times.last) - times.second),
-            "finishing": (case.steps, times.end - times.last),
-        }[moment.phase]
-        return begins, moment.share * lasts
-
-    def _judge_rest(self, ended: Ended) -> Iterator[str]:
-        """Yield what is wrong with what a kill left behind."""
-        yield from ended.troubles((-signal.SIGKILL,))
-        yield from unreadable(self._case, self.output)
-
-    def _judge_end(self, ended: Ended) -> Iterator[str]:
-        """Yield what is wrong with a run that ended by itself."""
-        troubles = list(ended.troubles((DONE,)))
-        yield from troubles
-        if not troubles:
-            yield from self._judge_bytes()
-            others = sorted(path.name for path in self.output.parent.iterdir() if path != self.output)
-            if others:
-                yield f"left beside the result: {', '.join(others)}"
-
-    def _judge_bytes(self) -> Iterator[str]:
-        if self.output.read_bytes() != self._reference.data:
-            yield f"the result differs from an uninterrupted run's after {self.attempts - 1} kills"
-
-
-def unreadable(case: Case, output: Path) -> Iterator[str]:
-    """Yield what is wrong with an unfinished result: every frame up to its checkpoint must be readable."""
-    part = part_path(output)
-    if output.exists() or not part.exists():
-        return
-    standing = standing_of(case, output)
-    found, ended = frames_readable(part)
-    if standing is None:  # nothing was flushed yet, and so nothing promised
-        yield from ended.troubles((DONE, DATA_LOST, FAILED))
-        return
-    yield from ended.troubles((DONE, DATA_LOST))
-    if found < standing.written:
-        yield f"info finds {found} frames in the unfinished result, the checkpoint is of {standing.written}"
-
-
-def soak_kills(
-    references: Mapping[str, tuple[Case, Reference]], kills: int, seed: int, folder: Path, findings: Findings
-) -> None:
-    """Kill runs of all cases in turn, so many times in all, and note how many came to other bytes."""
-    folder.mkdir()
-    rng, cases = random.Random(seed), list(references.values())
-
-    def attempt(number: int, most: int) -> Attempt:
-        case, reference = cases[number % len(cases)]
-        moments = plan(rng, most, cold=number % COLD_EVERY == 1)
-        cold = any(moment.phase == "compiling" for moment in moments)
-        killing = Killing(case, reference, folder / f"run-{number}", cold=cold)
-        name = f"{case.name}, killed run {number}"
-        return Attempt(name, len(moments), killing.killed, killing.run(moments))
-
-    names = {phase: f"kills in {phase}" for phase in PHASES}
-    kill_until_enough("runs", "kills", names, kills, attempt, findings)
+HERE, ON_CLUSTER = ("batch", "process of a job"), ("client of a cluster", "worker", "scheduler")
+WORKERS = 2
+KILLS_A_BATCH = 6
+ENDS_WITHIN_S = 900.0
+_LEFT = (".part", ".state", ".frames", ".pieces", "scratch")
 
 
 class Attempt(NamedTuple):
@@ -238,3 +96,280 @@ def kill_until_enough(
     findings.add(Row(f"killed {what} that came to other bytes or were not as they must be", wrong, "", 0.0))
     if killed.total() < kills:
         findings.trouble(f"{total}: {killed.total()} of {kills}, as {missed} came too late")
+
+
+# Runs
+
+
+class Moment(NamedTuple):
+    """When a process is killed: after a share of a phase's duration; more than 1 may be after its end."""
+
+    phase: str
+    share: float
+
+
+def plan(rng: random.Random, most: int, *, cold: bool) -> list[Moment]:
+    """Return the moments of at most so many kills of one run, in the order that it comes to them.
+
+    If it begins with an empty kernel cache the first kill is while it compiles.
+    """
+    count = min(most, rng.randint(1, 4))
+    phases = ["compiling"] if cold else []
+    phases += rng.choices([phase for phase in PHASES if phase != "compiling"], k=count - len(phases))
+    resumed = [phase for phase in phases if phase != "start-up"]
+    ordered = sorted(resumed, key=PHASES.index)
+    for _ in range(len(phases) - len(resumed)):  # start-up comes again with every resumption
+        ordered.insert(rng.randint(1 if cold else 0, len(ordered)), "start-up")
+    return [Moment(phase, rng.uniform(0.0, 1.2 if phase == "finishing" else 1.0)) for phase in ordered]
+
+
+class Killing:
+    """One run, killed at planned moments and resumed until it comes to its reference.
+
+    Everything it writes goes to a new folder; ``cold`` is whether it begins with an empty kernel cache.
+    """
+
+    def __init__(self, case: Case, reference: Reference, folder: Path, *, cold: bool = False) -> None:
+        self._case, self._reference, self._folder = case, reference, folder
+        self.killed: Counter[str] = Counter()
+        self.attempts = 0
+        self.output = folder / "out" / "result.mcap"
+        self.output.parent.mkdir(parents=True)
+        self._environment: Mapping[str, str] = {"NUMBA_CACHE_DIR": str(folder / "cache")} if cold else {}
+
+    def run(self, moments: Sequence[Moment]) -> Iterator[str]:
+        """Kill and resume; yield what is not as it must be, one line each."""
+        for moment in moments:
+            if self.output.exists():
+                break
+            ended = self._attempt(moment)
+            if ended.code != -signal.SIGKILL:
+                yield from self._judge_end(ended)
+                return
+            self.killed[moment.phase] += 1
+            left = (*ended.troubles((-signal.SIGKILL,)), *unreadable(self._case, self.output))
+            yield from (f"killed in {moment.phase}: {line}" for line in left)
+        if self.output.exists():  # killed after the result had its name
+            yield from self._judge_bytes()
+            return
+        yield from self._judge_end(self._attempt(None))
+
+    def _attempt(self, moment: Moment | None) -> Ended:
+        """Start the run, or go on with it, and kill it at a moment if it comes to it."""
+        self.attempts += 1
+        more = ["--resume"] if state_path(self.output).exists() else []
+        command = self._case.command(self.output, *more)
+        with started(command, self._folder / f"attempt-{self.attempts}.txt", self._environment) as run:
+            if moment is not None and self._wait(run, moment, resumed=bool(more)):
+                run.process.kill()
+            return run.end()
+
+    def _wait(self, run: Started, moment: Moment, *, resumed: bool) -> bool:
+        """Wait for a moment; return False if the process ended before."""
+        threshold, seconds = self._window(moment)
+        looker = Looker(self._case, self.output)
+        if moment.phase == "compiling":
+            reached = run.wait_until(lambda: "compiling" in run.said)
+        elif moment.phase == "start-up":
+            reached = True
+        elif resumed and looker.steps >= threshold:
+            seconds, reached = seconds + self._reference.first, True
+        else:
+            reached = run.wait_until(lambda: looker.steps >= threshold)
+        until = time.perf_counter() + seconds
+        return reached and run.wait_until(lambda: time.perf_counter() >= until)
+
+    def _window(self, moment: Moment) -> tuple[int, float]:
+        """Return the frames tracked when a moment's phase begins, and how long after that it comes, s."""
+        times, case = self._reference, self._case
+        if moment.phase == "finishing" and case.smoothed:  # the end of the backward pass
+            return case.steps, (0.8 + 0.2 * moment.share) * (times.end - times.last)
+        begins, lasts = {
+            "start-up": (0, times.first),
+            "compiling": (0, COMPILING_S),
+            "first pass": (0, times.second - times.first),
+            "second pass": (case.frames, (times.end if case.smoothed else times.last) - times.second),
+            "finishing": (case.steps, times.end - times.last),
+        }[moment.phase]
+        return begins, moment.share * lasts
+
+    def _judge_end(self, ended: Ended) -> Iterator[str]:
+        """Yield what is wrong with a run that ended by itself."""
+        troubles = list(ended.troubles((DONE,)))
+        yield from troubles
+        if not troubles:
+            yield from self._judge_bytes()
+            others = sorted(path.name for path in self.output.parent.iterdir() if path != self.output)
+            if others:
+                yield f"left beside the result: {', '.join(others)}"
+
+    def _judge_bytes(self) -> Iterator[str]:
+        if self.output.read_bytes() != self._reference.data:
+            yield f"the result differs from an uninterrupted run's after {self.attempts - 1} kills"
+
+
+def unreadable(case: Case, output: Path) -> Iterator[str]:
+    """Yield what is wrong with an unfinished result: every frame up to its checkpoint must be readable."""
+    part = part_path(output)
+    if output.exists() or not part.exists():
+        return
+    standing = standing_of(case, output)
+    found, ended = frames_readable(part)
+    if standing is None:  # nothing was flushed yet, and so nothing promised
+        yield from ended.troubles((DONE, DATA_LOST, FAILED))
+        return
+    yield from ended.troubles((DONE, DATA_LOST))
+    if found < standing.written:
+        yield f"info finds {found} frames in the unfinished result, the checkpoint is of {standing.written}"
+
+
+def soak_kills(
+    references: Mapping[str, tuple[Case, Reference]], kills: int, seed: int, folder: Path, findings: Findings
+) -> None:
+    """Kill runs of all cases in turn, so many times in all, and note how many came to other bytes."""
+    folder.mkdir()
+    rng, cases = random.Random(seed), list(references.values())
+
+    def attempt(number: int, most: int) -> Attempt:
+        case, reference = cases[number % len(cases)]
+        moments = plan(rng, most, cold=number % COLD_EVERY == 1)
+        cold = any(moment.phase == "compiling" for moment in moments)
+        killing = Killing(case, reference, folder / f"run-{number}", cold=cold)
+        name = f"{case.name}, killed run {number}"
+        return Attempt(name, len(moments), killing.killed, killing.run(moments))
+
+    names = {phase: f"kills in {phase}" for phase in PHASES}
+    kill_until_enough("runs", "kills", names, kills, attempt, findings)
+
+
+# Batches with pieces
+
+
+class WholeBatch(NamedTuple):
+    """A batch that nothing happened to: bytes of each result by name, and the seconds that it took."""
+
+    results: dict[str, bytes]
+    seconds: float
+
+
+class BatchKilling:
+    """One batch, killed again and again until it comes to the whole one's results, in a new folder."""
+
+    def __init__(self, case: Case, whole: WholeBatch, folder: Path, rng: random.Random) -> None:
+        self._case, self._whole, self._folder, self._rng = case, whole, folder, rng
+        self.killed: Counter[str] = Counter()
+        self._attempts = 0
+        self.output = folder / "out"
+        folder.mkdir(parents=True)
+
+    def run(self, victims: Sequence[str]) -> Iterator[str]:
+        """Kill these in turn, all here or all of a cluster; yield what is not as it must be."""
+        allowed = {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "3"}
+        on_cluster = victims[0] in ON_CLUSTER
+        with Cluster(self._folder, WORKERS, allowed) if on_cluster else nullcontext() as cluster:
+            for victim in victims:
+                ended = self._attempt(victim, cluster)
+                is_batch = victim in ("batch", "client of a cluster")
+                codes = (DONE, -signal.SIGKILL) if is_batch else (DONE, FAILED, DATA_LOST)
+                yield from (f"{victim} killed: {line}" for line in _odd(ended, codes))
+                if ended.code == DONE:
+                    break
+            else:
+                ended = self._attempt(None, cluster)
+        yield from _odd(ended, (DONE,))
+        if read_results(self.output) != self._whole.results:
+            yield f"results differ from an uninterrupted batch's after {self.killed.total()} kills"
+        left = [path for path in self.output.rglob("*") if path.name.endswith(_LEFT)]
+        if left:
+            yield f"left behind: {', '.join(sorted(str(path.relative_to(self.output)) for path in left))}"
+
+    def _attempt(self, victim: str | None, cluster: Cluster | None) -> Ended:
+        self._attempts += 1
+        more = () if cluster is None else ("--scheduler-file", str(cluster.file))
+        command = self._case.command(self.output, *more)
+        with started(command, self._folder / f"attempt-{self._attempts}.txt") as run:
+            if victim is not None:
+                until = time.monotonic() + self._rng.uniform(0.05, 0.9) * self._whole.seconds
+                if run.wait_until(lambda: time.monotonic() >= until):
+                    self.killed[victim] += self._kill(victim, run, cluster)
+            try:
+                run.process.wait(ENDS_WITHIN_S)
+            except subprocess.TimeoutExpired:
+                return Ended(DONE, f"Traceback: did not end within {ENDS_WITHIN_S:g} s")
+            return run.end()
+
+    def _kill(self, victim: str, run: Started, cluster: Cluster | None) -> bool:
+        """Kill it, and put another one into the place of what a cluster lost; return whether it was there."""
+        if victim == "process of a job":
+            while run.running:
+                with suppress(IndexError, ProcessLookupError):  # none yet, or ended meanwhile
+                    os.kill(jobs_of(run.process.pid)[0], signal.SIGKILL)
+                    return True
+                time.sleep(0.02)
+            return False
+        if cluster is None or victim == "client of a cluster":
+            run.process.kill()
+        elif victim == "worker":
+            busy = [one for one in cluster.workers if jobs_of(one.pid)]
+            cluster.kill_worker(self._rng.choice(busy or cluster.workers))
+            cluster.add_worker()
+        else:
+            cluster.__exit__(None, None, None)
+            time.sleep(self._rng.uniform(0.0, 2.0))
+            run.process.wait(ENDS_WITHIN_S)
+            cluster.__enter__()
+        return True
+
+
+def _odd(ended: Ended, codes: Sequence[int]) -> Iterator[str]:
+    """Yield what is not as it must be of a batch, which also tells in lines of its own what failed."""
+    last = ended.said.splitlines()[-1:] or [""]
+    if ended.code not in codes:
+        yield f"exit code {ended.code}, expected {' or '.join(map(str, codes))}; said: {last[0][:300]}"
+    if "Traceback" in ended.said or "internal error" in ended.said:
+        yield f"a traceback; said: {last[0][:300]}"
+
+
+def jobs_of(process: int) -> list[int]:
+    """Return the processes of jobs that a process has started."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError, ValueError):  # ended meanwhile
+            parent = int((path / "stat").read_text().rpartition(")")[2].split()[1])
+            if parent == process and b"posetrack_cli.cli.batch_child" in (path / "cmdline").read_bytes():
+                found.append(int(path.name))
+    return found
+
+
+def read_results(folder: Path) -> dict[str, bytes]:
+    """Return the bytes of a batch's results by name."""
+    return {path.name: path.read_bytes() for path in folder.glob("*.mcap")}
+
+
+def soak_batches(case: Case, kills: int, seed: int, folder: Path, findings: Findings) -> None:
+    """Kill parts of batches, so many times in all, and note how many batches came to other bytes.
+
+    Two batches that nothing happens to go before, the first one for its kernels to be compiled.
+    """
+    (folder / "whole").mkdir(parents=True)
+    found = []
+    for number in range(2):
+        output, began = folder / "whole" / f"whole-{number}", time.perf_counter()
+        with started(case.command(output), output.with_suffix(".txt")) as run:
+            ended = run.end()
+        if not findings.troubles_of(f"{case.name}, uninterrupted", _odd(ended, (DONE,))):
+            return
+        found.append(WholeBatch(read_results(output), time.perf_counter() - began))
+    if found[0].results != found[1].results:
+        findings.trouble(f"{case.name}: two batches that nothing happened to differ")
+    rng = random.Random(seed)
+
+    def attempt(number: int, most: int) -> Attempt:
+        kind = ON_CLUSTER if number % 3 else HERE  # of five victims three are of a cluster
+        victims = rng.choices(kind, k=min(KILLS_A_BATCH, most))
+        killing = BatchKilling(case, found[1], folder / f"batch-{number}", rng)
+        name = f"{case.name}, killed batch {number}"
+        return Attempt(name, len(victims), killing.killed, killing.run(victims))
+
+    names = {victim: f"batches, {victim} killed" for victim in (*HERE, *ON_CLUSTER)}
+    kill_until_enough("batches", "batches, kills", names, kills, attempt, findings)

@@ -109,10 +109,7 @@ def test_run_record_and_version_do_not_count_in_a_result(tmp_path: Path) -> None
 
 @pytest.mark.parametrize(
     ("changes", "name"),
-    [
-        ({"model": b"learned"}, "attachment model.npz"),
-        ({"frames": "3"}, "metadata posetrack.summary"),
-    ],
+    [({"model": b"learned"}, "attachment model.npz"), ({"frames": "3"}, "metadata posetrack.summary")],
 )
 def test_all_else_in_a_result_counts(tmp_path: Path, changes: dict[str, object], name: str) -> None:
     run = {"version": "1.0"}

@@ -1,0 +1,111 @@
+"""Trackers that are timed step by step, in turn, so that a drifting clock rate touches all alike."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
+
+from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.model.hand import average_hand
+from posetrack_cli.hand.run import make_tracker
+from posetrack_cli.hand.start import centre_pose
+from posetrack_cli.recording.base import Frame
+from posetrack_cli.rendering.port import RenderingDevice
+from posetrack_cli.results.estimate import Estimate, Status
+from posetrack_cli.synthesis.hand.frames import CAMERA
+from posetrack_cli.tracking.smoothing import Learned, LearningTracker
+
+Name = TypeVar("Name")
+FRAME_NS = 33_333_333
+SETTLING = 10
+"""Steps of a head left out before times are taken: the search for the face, and caches."""
+
+
+class Stepping(Protocol):
+    """Tracks a frame and returns how long it took."""
+
+    def step(self, index: int, shown: Any) -> float:
+        """Track what a frame shows; return the seconds it took."""
+
+
+class Walker:
+    """A hand tracker that starts in the middle of the depth image ``first``."""
+
+    def __init__(self, device: RenderingDevice, config: HandConfig, first: Any) -> None:
+        hand = average_hand()
+        self._tracker = make_tracker(config, hand, CAMERA, device)
+        self._rng = np.random.default_rng(0)
+        pose = centre_pose(first, CAMERA, hand.anatomy, config.init.depth_mm)
+        self._state: Any = self._tracker.start(pose, 0, self._rng)
+
+    def step(self, index: int, shown: Any) -> float:
+        """Track one depth image; return the seconds it took."""
+        frame = Frame(index, index * FRAME_NS, (shown,))
+        began = time.perf_counter()
+        self._state, _ = self._tracker.step(self._state, frame, self._rng)
+        return time.perf_counter() - began
+
+
+class HeadWalker:
+    """A head tracker of one camera or more."""
+
+    def __init__(self, tracker: LearningTracker[Any]) -> None:
+        self._tracker, self._rng = tracker, np.random.default_rng(0)
+        self._state: Any = None
+        self.lost = 0
+        self.last: Estimate | None = None
+
+    def step(self, index: int, shown: Any) -> float:
+        """Track one frame of images; return the seconds it took."""
+        frame = Frame(index, (index + 1) * FRAME_NS, shown)
+        if self._state is None:
+            self._state = self._tracker.start(frame, self._rng)
+        began = time.perf_counter()
+        self._state, self.last = self._tracker.step(self._state, frame, self._rng)
+        seconds = time.perf_counter() - began
+        self.lost += self.last.status == Status.LOST
+        return seconds
+
+    def learned(self) -> Learned:
+        """Return what another tracker can begin with."""
+        return self._tracker.learned(self._state)
+
+
+def in_turn(
+    walkers: Mapping[Name, Stepping], recorded: Sequence[Any], warm_up: int
+) -> dict[Name, list[float]]:
+    """Let walkers track the same frames, one by one in turn and in both orders.
+
+    Return for each the seconds of every frame after the first ``warm_up``.
+    """
+    times: dict[Name, list[float]] = {name: [] for name in walkers}
+    for index, shown in enumerate(recorded):
+        for name in list(walkers)[:: 1 if index % 2 else -1]:
+            seconds = walkers[name].step(index, shown)
+            if index >= warm_up:
+                times[name].append(seconds)
+    return times
+
+
+class FrameClock:
+    """CPU time of a head's run, of all threads, from one of its first estimates to its last.
+
+    ``SETTLING`` estimates are the start; no more than half of those that come.
+    """
+
+    def __init__(self, now: Callable[[], float] = time.process_time) -> None:
+        self._now = now
+        self._times: list[float] = []
+
+    def note(self, estimate: object) -> None:
+        """See an estimate that was written."""
+        self._times.append(self._now())
+
+    @property
+    def ms_a_frame(self) -> float:
+        """Milliseconds; NaN of fewer than two estimates."""
+        times = self._times[min(SETTLING, len(self._times) // 2) :]
+        return 1e3 * (times[-1] - times[0]) / (len(times) - 1) if len(times) > 1 else float("nan")
