@@ -41,11 +41,7 @@ WHERE = "import posetrack_cli; print(posetrack_cli.__file__)"
 
 
 class Environment:
-    """A virtual environment with nothing but a package and what it needs.
-
-    Args:
-        folder: for it; made.
-    """
+    """A virtual environment with nothing but a package and what it needs."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -106,11 +102,7 @@ def recipes() -> Iterator[str]:
 
 
 def check(package: Path, folder: Path) -> str:
-    """Install a package and type the recipes; return what came of it.
-
-    Raises:
-        ClickException: anything ended with another exit code than 0.
-    """
+    """Install a package and type the recipes; return what came of it."""
     folder.mkdir()
     environment = Environment(folder / "venv")
     environment.install(str(package))

@@ -62,11 +62,7 @@ def main() -> None:
 
 
 def warm(lines: Sequence[str], folder: Path) -> None:
-    """Do runs, then those of trackers once more, with what was compiled.
-
-    Raises:
-        SystemExit: a run fails, or is another one with compiled code that is loaded.
-    """
+    """Do runs, then those of trackers once more, with what was compiled."""
     _posetrack(lines, folder)
     tracked = [line.rsplit(maxsplit=1) for line in lines if line.split()[1] in TRACKERS]
     said = _posetrack([f"{command} again-{output}" for command, output in tracked], folder)

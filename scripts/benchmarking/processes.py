@@ -28,11 +28,7 @@ print(json.dumps([os.waitstatus_to_exitcode(status), usage.ru_utime + usage.ru_s
 
 
 def usage_of(command: Sequence[str]) -> tuple[float, float]:
-    """Run a command; return its CPU seconds and its peak memory, MiB.
-
-    Raises:
-        subprocess.CalledProcessError: it fails.
-    """
+    """Run a command; return its CPU seconds and its peak memory, MiB."""
     line = [sys.executable, "-S", "-c", _LAUNCHER, *command]
     launched = subprocess.run(line, check=True, capture_output=True, text=True)
     code, seconds, kibibytes = json.loads(launched.stdout)
@@ -64,13 +60,7 @@ def peak_memory(
 
 
 class Cluster:
-    """A Dask scheduler and workers of one thread each, which may be killed; as a context they end with it.
-
-    Args:
-        folder: for the scheduler's file and what workers write.
-        workers: how many.
-        environment: variables in addition to this process's own.
-    """
+    """A Dask scheduler and workers of one thread each, which may be killed; as a context they end with it."""
 
     def __init__(self, folder: Path, workers: int, environment: Mapping[str, str] | None = None) -> None:
         self.file = folder / "scheduler.json"

@@ -21,11 +21,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def check_package(package: Path) -> None:
-    """Refuse a checkout whose package the commands would not run.
-
-    Raises:
-        click.UsageError: it would be another package.
-    """
+    """Refuse a checkout whose package the commands would not run."""
     line = [sys.executable, "-c", "import posetrack_cli; print(posetrack_cli.__file__)"]
     with tempfile.TemporaryDirectory() as elsewhere:
         found = subprocess.run(

@@ -32,11 +32,7 @@ class Workplace:
         self._environment = {**os.environ, "PYTHONPATH": str(package), "COLUMNS": "100"}
 
     def digest(self, step: Step) -> dict[str, str]:
-        """Do a step and return the digests of everything it wrote, by name.
-
-        Raises:
-            click.ClickException: it failed.
-        """
+        """Do a step and return the digests of everything it wrote, by name."""
         digests = {} if step.make is not None else self._run(step)
         if step.make is not None:
             step.make(self._folder)

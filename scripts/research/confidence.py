@@ -131,13 +131,7 @@ def _is_right(one: Compared, unsure: float) -> BoolArray:
 
 
 def fitted(frames: Sequence[Frames], real_share: float, bounds: Sequence[Bounds]) -> Regression:
-    """Return the regression of most likelihood.
-
-    Args:
-        frames: recordings count by their weights, however many frames they have.
-        real_share: weight of all real ones against all others.
-        bounds: of the signs' weights.
-    """
+    """Return the regression of most likelihood."""
     whole = {kind: sum(one.weight for one in frames if one.is_real == kind) for kind in (False, True)}
     counts = [
         np.full(

@@ -36,12 +36,7 @@ ANNOTATED: tuple[str, ...] = (
 
 
 def convert(folder: Path, out: Path) -> Path:
-    """Write a recording with its joints on ``/truth/hand/points`` to ``out``, an MCAP file, and return it.
-
-    Raises:
-        RecordingError: the folder has no images, or an annotation that cannot be read.
-        PosetrackError: it cannot be converted.
-    """
+    """Write a recording with its joints on ``/truth/hand/points`` to ``out``, an MCAP file, and return it."""
     if posetrack([*conversion(folder, out.parent), "-o", str(out), "--overwrite"]):
         raise PosetrackError(f"{folder}: cannot be converted")
     return out
@@ -53,9 +48,6 @@ def conversion(folder: Path, work: Path) -> tuple[str, ...]:
     Args:
         folder: of the recording.
         work: folder that gets the camera file and the truth.
-
-    Raises:
-        RecordingError: the folder has no images, or an annotation that cannot be read.
     """
     camera, truth = (work / f"{folder.name}{ending}" for ending in (".camera.toml", ".csv"))
     images = sorted(folder.glob("*.png"))
@@ -79,11 +71,7 @@ def camera_toml(image: Path) -> str:
 
 
 def read_annotation(path: Path) -> dict[str, FloatArray]:
-    """Return the annotated joints (21, 3), mm, camera axes, in the order of ``JOINT_NAMES``, by image.
-
-    Raises:
-        RecordingError: names the line that has not 21 joints, or tells of a wrong number of frames.
-    """
+    """Return the annotated joints (21, 3), mm, camera axes, in the order of ``JOINT_NAMES``, by image."""
     lines = path.read_text(encoding="utf-8").split("\n")
     order = [ANNOTATED.index(name) for name in JOINT_NAMES]
     found: dict[str, FloatArray] = {}

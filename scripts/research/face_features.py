@@ -204,11 +204,7 @@ def pooled(people: Sequence[Moments], counts: Sequence[float]) -> Moments:
 
 
 def learn(people: Sequence[tuple[tuple[PointMoments, ...], float]]) -> tuple[Float32Array, FloatArray]:
-    """Return weights (K / 2, BINS, TAPS, TAPS) and constants (K / 2,) of the right side's points.
-
-    Args:
-        people: the moments of each, and what a person counts.
-    """
+    """Return weights (K / 2, BINS, TAPS, TAPS) and constants (K / 2,) of the right side's points."""
     weights, constants, counts = [], [], [counts for _, counts in people]
     for k in range(len(RIGHT_SIDE)):
         at = pooled([points[k].at for points, _ in people], counts)

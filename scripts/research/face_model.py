@@ -134,12 +134,7 @@ def read_statistics(path: Path) -> Statistics:
 
 
 def measured_offsets(statistics: Statistics, people: Sequence[Path]) -> FloatArray:
-    """Return (K, 3) mm: the mean neutral face of people, made symmetric, less that of the statistics.
-
-    Args:
-        statistics: whose mean it is compared with.
-        people: folders of recordings with truth.csv, neutral in the first frame.
-    """
+    """Return (K, 3) mm: the mean neutral face of people, made symmetric, less that of the statistics."""
     faces = []
     for folder in people:
         truth = load_csv_track(folder / TRUTH, head_subject("left", 0))

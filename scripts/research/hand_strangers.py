@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
 import re
@@ -86,9 +87,6 @@ def people_of(text: str, *, final: bool) -> tuple[Person, ...]:
     Args:
         text: numbers and ranges, both ends included, separated by commas.
         final: whether people that are kept for final measurements may be among them.
-
-    Raises:
-        UsageError: it names nobody, or somebody who is kept for final measurements.
     """
     found: set[int] = set()
     for part in text.split(","):
@@ -111,6 +109,7 @@ def people_of(text: str, *, final: bool) -> tuple[Person, ...]:
 ARM, NO_ARM, DOUBLE_SPEED, FREE_ELBOW = "arm", "no-arm", "double-speed", "free-elbow"
 RECORDINGS = {ARM: (), NO_ARM: ("--no-arm",), DOUBLE_SPEED: ("--speed", "2"), FREE_ELBOW: ("--free-elbow",)}
 """By kind the further arguments of the tool."""
+EXACT_KINDS, DEFAULT_KINDS = (ARM, NO_ARM, DOUBLE_SPEED), (ARM, DOUBLE_SPEED)
 EXACT, DEFAULT, TOLD, SHAPE_ALONE = "mesh", "default", "told", "shape"
 """Entrants: with the person's own mesh; by default; with the mesh and true keypoints; ``hand calibrate``."""
 CHOICES = {
@@ -174,6 +173,12 @@ class Options:
         yield Job(name, tuple(steps))
 
 
+def tracked(options: Options, kinds: Sequence[str], *entrants: str, most: int | None = None) -> Iterator[Job]:
+    """Yield what tracks everybody's recordings of some kinds; of so many people at most."""
+    for person, kind in itertools.product(options.people[:most], kinds):
+        yield from options.jobs(person, kind, *entrants)
+
+
 Rows = Mapping[Person, Figures]
 
 
@@ -205,23 +210,10 @@ SMOOTH_COLUMNS = (
 )
 
 
-def _mesh_jobs(options: Options) -> Iterator[Job]:
-    for person in options.people:
-        for kind in (ARM, NO_ARM, DOUBLE_SPEED):
-            yield from options.jobs(person, kind, EXACT)
-
-
-def _smooth_jobs(options: Options) -> Iterator[Job]:
-    for person in options.people:
-        yield from options.jobs(person, ARM, EXACT)
-
-
 def _mesh_figures(options: Options, files: Files) -> dict[Person, dict[str, float]]:
     rows = {}
     for person in options.people:
-        results = {
-            kind: files.made(options.result(person, kind, EXACT)) for kind in (ARM, NO_ARM, DOUBLE_SPEED)
-        }
+        results = {kind: files.made(options.result(person, kind, EXACT)) for kind in EXACT_KINDS}
         row = figures_of(results[ARM])
         for kind, name in ((NO_ARM, "no_arm"), (DOUBLE_SPEED, "double_speed")):
             if figures := figures_of(results[kind]):
@@ -285,12 +277,6 @@ ELBOW_COLUMNS = (
 )
 
 
-def _default_jobs(options: Options) -> Iterator[Job]:
-    for person in options.people:
-        for kind in (ARM, DOUBLE_SPEED):
-            yield from options.jobs(person, kind, DEFAULT)
-
-
 def _tell_default(options: Options, files: Files, report: Report) -> None:
     report.text(
         "## Defaults",
@@ -299,7 +285,7 @@ def _tell_default(options: Options, files: Files, report: Report) -> None:
     )
     rows = {}
     for person in options.people:
-        usual, fast = (files.made(options.result(person, kind, DEFAULT)) for kind in (ARM, DOUBLE_SPEED))
+        usual, fast = (files.made(options.result(person, kind, DEFAULT)) for kind in DEFAULT_KINDS)
         row = {**figures_of(usual), **start_of(usual), **without_offsets(usual)}
         if usual is not None:
             row["side_right"] = float(side_of(usual) == person.side)
@@ -328,11 +314,6 @@ def _tell_default(options: Options, files: Files, report: Report) -> None:
         report.judge(f"defaults, {what}", over(rows.values(), name), most=most)
     worst = over(rows.values(), "error_without_offsets_mm", "max")
     report.judge("defaults, offsets removed: worst recording, mm", worst, most=4.5)
-
-
-def _elbow_jobs(options: Options) -> Iterator[Job]:
-    for person in options.people[:ELBOW_PEOPLE]:
-        yield from options.jobs(person, FREE_ELBOW, DEFAULT)
 
 
 def _tell_elbow(options: Options, files: Files, report: Report) -> None:
@@ -376,10 +357,6 @@ def _sequences(options: Options) -> list[str]:
     return [] if options.cvar is None else [name for name in SEQUENCES if (options.cvar / name).is_dir()]
 
 
-def _honesty_jobs(options: Options) -> Iterator[Job]:
-    yield from (*_mesh_jobs(options), *_default_jobs(options), *cvar_jobs(options))
-
-
 def confidence_figures(judged: JudgedFrames) -> dict[str, float]:
     """Return the metrics of ``posetrack eval`` about confidence and status, by address."""
     measures = Measures("no frame has a truth")
@@ -395,7 +372,7 @@ def _tell_honesty(options: Options, files: Files, report: Report) -> None:
         "offset per joint. Pooled are all results of the parts `mesh` and `default`, and P1, P4, P7. Area: "
         f"under the ROC curve of confidence. Far: frames more than {FAR_MM:g} mm off that are not lost.",
     )
-    kinds = ((EXACT, (ARM, NO_ARM, DOUBLE_SPEED)), (DEFAULT, (ARM, DOUBLE_SPEED)))
+    kinds = ((EXACT, EXACT_KINDS), (DEFAULT, DEFAULT_KINDS))
     outputs = [options.result(p, kind, way) for p in options.people for way, of in kinds for kind in of]
     heads = {name: files.made(f"runs/{name}-{DEFAULT}.mcap") for name in _sequences(options)}
     results = [path for one in outputs if (path := files.made(one)) is not None]
@@ -435,12 +412,6 @@ TOLD_COLUMNS = (
     Column("mended", "of these right when told", 0, whole="sum"),
 )
 MOST_MM = {"P1": 18.0, "P4": 9.0, "P7": 12.0}
-
-
-def _told_jobs(options: Options) -> Iterator[Job]:
-    for person in options.people:
-        yield from options.jobs(person, ARM, EXACT, TOLD)
-    yield from cvar_jobs(options, told=True)
 
 
 def _tell_told(options: Options, files: Files, report: Report) -> None:
@@ -497,11 +468,6 @@ QUESTIONS = (
 )
 
 
-def _choices_jobs(options: Options) -> Iterator[Job]:
-    for person in options.people:
-        yield from options.jobs(person, ARM, *CHOSEN)
-
-
 def _tell_choices(options: Options, files: Files, report: Report) -> None:
     report.text(
         "## What filter, cost and shape are worth",
@@ -542,17 +508,8 @@ SHAPE_COLUMNS = (
 )
 
 
-def _shape_jobs(options: Options) -> Iterator[Job]:
-    for person in options.people:
-        yield from options.jobs(person, ARM, SHAPE_ALONE)
-
-
 def stated_measures(text: str) -> tuple[FloatArray, FloatArray]:
-    """Return the measures (13,) and their standard deviations (13,) in a hand file's text, mm.
-
-    Raises:
-        KeyError: it does not state one of ``MEASURES``.
-    """
+    """Return the measures (13,) and their standard deviations (13,) in a hand file's text, mm."""
     said = {name.replace(" ", "_"): (float(value), float(sd)) for name, value, sd in _STATED.findall(text)}
     values, sds = np.array([said[name] for name in MEASURES]).T
     return values, sds
@@ -647,14 +604,30 @@ STUDY = Study(
     "hand-strangers",
     Options,
     (
-        Part("mesh", _mesh_jobs, _tell_mesh),
-        Part("default", _default_jobs, _tell_default),
-        Part("free-elbow", _elbow_jobs, _tell_elbow),
-        Part("honesty", _honesty_jobs, _tell_honesty),
-        Part("smooth", _smooth_jobs, _tell_smooth),
-        Part("told", _told_jobs, _tell_told),
-        Part("choices", _choices_jobs, _tell_choices),
-        Part("shape", _shape_jobs, _tell_shape),
+        Part("mesh", lambda options: tracked(options, EXACT_KINDS, EXACT), _tell_mesh),
+        Part("default", lambda options: tracked(options, DEFAULT_KINDS, DEFAULT), _tell_default),
+        Part(
+            "free-elbow",
+            lambda options: tracked(options, (FREE_ELBOW,), DEFAULT, most=ELBOW_PEOPLE),
+            _tell_elbow,
+        ),
+        Part(
+            "honesty",
+            lambda options: (
+                *tracked(options, EXACT_KINDS, EXACT),
+                *tracked(options, DEFAULT_KINDS, DEFAULT),
+                *cvar_jobs(options),
+            ),
+            _tell_honesty,
+        ),
+        Part("smooth", lambda options: tracked(options, (ARM,), EXACT), _tell_smooth),
+        Part(
+            "told",
+            lambda options: (*tracked(options, (ARM,), EXACT, TOLD), *cvar_jobs(options, told=True)),
+            _tell_told,
+        ),
+        Part("choices", lambda options: tracked(options, (ARM,), *CHOSEN), _tell_choices),
+        Part("shape", lambda options: tracked(options, (ARM,), SHAPE_ALONE), _tell_shape),
     ),
     _head,
     __doc__,

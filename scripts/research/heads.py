@@ -132,9 +132,6 @@ def evaluated(result: Path, reference: Path | None, align: Alignment) -> Evaluat
 def compare(result: Path, reference: Path | None, align: Alignment = "rigid") -> Compared:
     """Compare a result of ``posetrack head`` with a reference: a result, whose estimates are taken, or a file
     of truth; None for the truth in the result.
-
-    Raises:
-        PosetrackError: a file cannot be read, or they have no frame in common.
     """
     found = evaluated(result, reference, align)
     track, truth, pairs = found.track, found.truth, found.pairs

@@ -113,11 +113,7 @@ class Judged:
 
 
 def judge(result: Path, person: Path) -> Judged:
-    """Measure a result against a person's truth.
-
-    Raises:
-        PosetrackError: a file cannot be read, or they have no frame in common.
-    """
+    """Measure a result against a person's truth."""
     truth = person / TRUTH
     one, raw = compare(result, truth), evaluated(result, truth, "none")
     found = mono_figures(result, truth)

@@ -30,13 +30,7 @@ STYLE: Any = {
 
 @dataclass(frozen=True)
 class Panel:
-    """One panel of curves.
-
-    Attributes:
-        label: of the vertical axis.
-        curves: (x, y) by name; a name has one colour in the whole figure.
-        title: above the panel.
-    """
+    """One panel of curves."""
 
     label: str
     curves: Mapping[str, tuple[Any, Any]]
@@ -46,14 +40,7 @@ class Panel:
 def over_time(
     path: Path, panels: Sequence[Sequence[Panel]], x_label: str, marks: Sequence[float] = ()
 ) -> None:
-    """Draw rows of panels that share their horizontal axis.
-
-    Args:
-        path: PNG to write.
-        panels: by row and column.
-        x_label: of the horizontal axis.
-        marks: places of vertical lines.
-    """
+    """Draw rows of panels that share their horizontal axis."""
     names = list(dict.fromkeys(name for row in panels for panel in row for name in panel.curves))
     with plt.rc_context(STYLE):
         size = (5.0 * len(panels[0]), 1.7 * len(panels) + 0.6)

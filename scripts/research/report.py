@@ -156,9 +156,6 @@ class Report:
             part: what the figures are noted under.
             titles: of the first columns.
             rows: by the first columns' cells figures (n, 2) of two ways to track.
-
-        Returns:
-            What each row's pairs say.
         """
         found = [paired(*values.T) for values in rows.values()]
         cells = []

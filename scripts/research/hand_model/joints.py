@@ -29,10 +29,6 @@ def anatomical_joints(joints: FloatArray, rng: np.random.Generator | None) -> Fl
 
     Tips stay: rigs have them where the skin ends, to a millimetre or two. The build puts them where the
     skin that was laid on it ends.
-
-    Args:
-        joints: of a rig, in our order, mm, any axes.
-        rng: draws the joints.
     """
     up, out, side = _palm_axes(joints)
     mean, sd = ANATOMY_SHARE
