@@ -10,12 +10,11 @@ import json
 import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from html import escape
 from inspect import cleandoc
 from pathlib import Path
 from textwrap import wrap
-from typing import Any
+from typing import Any, NamedTuple
 
 import click
 from pydantic import BaseModel
@@ -36,8 +35,7 @@ MARGIN, WIDTH = 32, 118
 """Columns of shipped files: where meanings begin, and where lines end."""
 
 
-@dataclass(frozen=True)
-class Page:
+class Page(NamedTuple):
     """A configuration: name of the page and of its file in ``configs``, command, model, units of the file."""
 
     name: str
@@ -127,16 +125,9 @@ def cli_page() -> str:
     return GENERATED + top + "".join(_command(*one) for one in commands_of(cli, "posetrack"))
 
 
-@dataclass(frozen=True)
-class Use:
-    """An option of one command.
-
-    Attributes:
-        command: its path, without ``posetrack``.
-        names: that it is called, long and short ones, and those that turn it off.
-        kind: of its value.
-        metavar: what stands for its value; empty for a switch.
-        text: its help.
+class Use(NamedTuple):
+    """An option of one command, whose path is without ``posetrack``: all its names, the kind of its value,
+    what stands for that (empty for a switch), and its help.
     """
 
     command: str
@@ -155,18 +146,14 @@ def uses_of_options() -> dict[str, list[Use]]:
     """Every option by its long name, in the order of the alphabet, with all commands that have it."""
     found: dict[str, list[Use]] = {}
     for command, context in commands_of(cli, "posetrack"):
+        path = context.command_path.removeprefix("posetrack").strip()
         for one in command.get_params(context):
             if isinstance(one, click.Option) and not one.hidden:
-                use = _use(one, context)
+                metavar = "" if one.is_flag else one.make_metavar(context)
+                names, text = (*one.opts, *one.secondary_opts), " ".join((one.help or "").split())
+                use = Use(path, names, _kind_of_value(one), metavar, text)
                 found.setdefault(max(one.opts, key=len), []).append(use)
     return dict(sorted(found.items()))
-
-
-def _use(option: click.Option, context: click.Context) -> Use:
-    command = context.command_path.removeprefix("posetrack").strip()
-    names = (*option.opts, *option.secondary_opts)
-    metavar = "" if option.is_flag else option.make_metavar(context)
-    return Use(command, names, _kind_of_value(option), metavar, " ".join((option.help or "").split()))
 
 
 def _kind_of_value(option: click.Option) -> str:
@@ -174,10 +161,8 @@ def _kind_of_value(option: click.Option) -> str:
     if option.is_flag:
         return "switch"
     kinds = {"integer range": "integer", "float range": "float", "path": "file", "text": "text"}
-    if isinstance(option.type, click.Tuple):
-        return ", ".join(kinds.get(one.name, one.name) for one in option.type.types)
-    name = kinds.get(option.type.name, option.type.name)
-    return ", ".join([name] * option.nargs)
+    types = option.type.types if isinstance(option.type, click.Tuple) else [option.type] * option.nargs
+    return ", ".join(kinds.get(one.name, one.name) for one in types)
 
 
 def options_page() -> str:
@@ -238,7 +223,7 @@ def _section(name: str, table: BaseModel) -> str:
     kind = type(table)
     properties = kind.model_json_schema()["properties"]
     lines = [f"\n## `[{name}]`\n"] if name else ["\n## Top level\n"]
-    lines.append(_prose(kind.__doc__ or "") + "\n")
+    lines.append(cleandoc(kind.__doc__ or "").replace("``", "`") + "\n")
     for key, value in table:
         if not isinstance(value, BaseModel):
             meaning = kind.model_fields[key].description
@@ -255,50 +240,37 @@ def _kind(schema: Mapping[str, Any]) -> str:
         return " or ".join(f"`{json.dumps(one)}`" for one in schema.get("enum", [schema.get("const")]))
     if schema["type"] == "array":
         return _array(schema)
-    names = {
-        "integer": "whole number",
-        "number": "number",
-        "boolean": "true or false",
-        "string": "text",
-        "null": "none",
-    }
+    names = {"integer": "whole number", "number": "number", "boolean": "true or false"}
+    names |= {"string": "text", "null": "none"}
     return names[schema["type"]] + _bounds(schema)
 
 
 def _array(schema: Mapping[str, Any]) -> str:
-    places = schema.get("prefixItems")
-    if places:
+    if places := schema.get("prefixItems"):
         return f"{len(places)} values, each {_kind(places[0])}"
     most = f"at most {schema['maxItems']} " if "maxItems" in schema else ""
     return f"list of {most}values, each {_kind(schema['items'])}"
 
 
 def _bounds(schema: Mapping[str, Any]) -> str:
-    least = schema.get("minimum", schema.get("exclusiveMinimum"))
-    most = schema.get("maximum", schema.get("exclusiveMaximum"))
-    if least is None and most is None:
-        return ""
-    words = [f"from {_number(least)}"] if least is not None else []
-    return " ".join(["", *words, *([f"to {_number(most)}"] if most is not None else [])])
-
-
-def _number(value: float) -> str:
-    return f"{value:,.0f}" if value == int(value) else f"{value:g}"
+    ends = (("from", schema.get("minimum", schema.get("exclusiveMinimum"))),)
+    ends += (("to", schema.get("maximum", schema.get("exclusiveMaximum"))),)
+    known = ((word, value) for word, value in ends if value is not None)
+    return "".join(
+        f" {word} {value:,.0f}" if value == int(value) else f" {word} {value:g}" for word, value in known
+    )
 
 
 def _value(value: object) -> str:
     return "none" if value is None else f"`{json.dumps(value)}`"
 
 
-def _prose(docstring: str) -> str:
-    """A docstring as Markdown."""
-    return cleandoc(docstring).replace("``", "`")
-
-
 def _command(command: click.Command, context: click.Context) -> str:
     """Heading, usage, help and options."""
     pieces = " ".join(command.collect_usage_pieces(context))
-    lines = [f"\n## `{context.command_path}`\n", f"    {context.command_path} {pieces}\n", _help(command)]
+    lines = [f"\n## `{context.command_path}`\n", f"    {context.command_path} {pieces}\n"]
+    paragraphs = cleandoc(command.help or "").replace("\b", "").replace("\f", "").split("\n\n")
+    lines.append("\n\n".join(_one_line(each) for each in paragraphs) + "\n")
     if isinstance(command, Command):
         for heading, records in command.groups(context, rare=True).items():
             lines.append(f"**{heading}**\n")
@@ -307,12 +279,6 @@ def _command(command: click.Command, context: click.Context) -> str:
         if command.examples:
             lines += ["```bash", *command.examples, "```"]
     return "\n".join(lines).rstrip() + "\n"
-
-
-def _help(command: click.Command) -> str:
-    """The paragraphs of a help, without click's marks."""
-    paragraphs = cleandoc(command.help or "").replace("\b", "").replace("\f", "").split("\n\n")
-    return "\n\n".join(_one_line(each) for each in paragraphs) + "\n"
 
 
 def _one_line(text: str) -> str:
