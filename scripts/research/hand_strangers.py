@@ -213,14 +213,14 @@ SMOOTH_COLUMNS = (
 def _mesh_figures(options: Options, files: Files) -> dict[Person, dict[str, float]]:
     rows = {}
     for person in options.people:
-        results = {kind: files.made(options.result(person, kind, EXACT)) for kind in EXACT_KINDS}
-        row = figures_of(results[ARM])
-        for kind, name in ((NO_ARM, "no_arm"), (DOUBLE_SPEED, "double_speed")):
-            if figures := figures_of(results[kind]):
+        arm, *others = (files.made(options.result(person, kind, EXACT)) for kind in EXACT_KINDS)
+        row = figures_of(arm)
+        for name, path in zip(("no_arm", "double_speed"), others, strict=True):
+            if figures := figures_of(path):
                 row[f"{name}_error_mm"] = figures["error_mm"]
         if {"error_mm", "no_arm_error_mm"} <= row.keys():
             row["arm_ratio"] = row["error_mm"] / row["no_arm_error_mm"]
-        if smoothed := figures_of(results[ARM], SMOOTHED):
+        if smoothed := figures_of(arm, SMOOTHED):
             row["smoothed_error_mm"] = smoothed["error_mm"]
             row["smooth_ratio"] = smoothed["error_mm"] / row["error_mm"]
         rows[person] = row
@@ -235,10 +235,12 @@ def _tell_mesh(options: Options, files: Files, report: Report) -> None:
     )
     rows = _mesh_figures(options, files)
     report.figures("mesh", MESH_COLUMNS, _titled(rows))
-    report.judge("exact mesh: mean joint error, mm", over(rows.values(), "error_mm"), most=4.0)
-    report.judge("exact mesh: error with arm over without", over(rows.values(), "arm_ratio"), most=1.25)
-    fast = over(rows.values(), "double_speed_error_mm")
-    report.judge("exact mesh, double speed: mean joint error, mm", fast, most=6.0)
+    for what, name, most in (
+        ("exact mesh: mean joint error, mm", "error_mm", 4.0),
+        ("exact mesh: error with arm over without", "arm_ratio", 1.25),
+        ("exact mesh, double speed: mean joint error, mm", "double_speed_error_mm", 6.0),
+    ):
+        report.judge(what, over(rows.values(), name), most=most)
 
 
 def _tell_smooth(options: Options, files: Files, report: Report) -> None:
@@ -292,18 +294,14 @@ def _tell_default(options: Options, files: Files, report: Report) -> None:
         more = {**figures_of(fast), **without_offsets(fast)}
         rows[person] = row | {f"fast {name}": value for name, value in more.items()}
     report.figures("default", DEFAULT_COLUMNS, _titled(rows), _groups(rows))
-    known = len(values_of(rows.values(), "side_right"))
     sides, off, found = (values_of(rows.values(), name) for name in ("side_right", "off", "found_within"))
-    report.judge(
-        f"defaults: side right, of {known}", float(sides.sum()) if known else None, least=known, digits=0
+    known = len(sides)
+    right, count, quick = (
+        float(of.sum()) if known else None for of in (sides, off, (found <= 5).astype(float))
     )
-    report.judge(
-        f"defaults: frames with the wrist > {OFF_MM:g} mm off and not lost",
-        float(off.sum()) if known else None,
-        most=0,
-        digits=0,
-    )
-    quick = float((found <= 5).sum()) if known else None
+    report.judge(f"defaults: side right, of {known}", right, least=known, digits=0)
+    title = f"defaults: frames with the wrist > {OFF_MM:g} mm off and not lost"
+    report.judge(title, count, most=0, digits=0)
     report.judge(f"defaults: found within 5 frames, of {known}", quick, least=known, digits=0)
     for name, what, most in (
         ("error_without_offsets_mm", "offsets removed: mean joint error, mm", 3.0),
@@ -372,10 +370,10 @@ def _tell_honesty(options: Options, files: Files, report: Report) -> None:
         "offset per joint. Pooled are all results of the parts `mesh` and `default`, and P1, P4, P7. Area: "
         f"under the ROC curve of confidence. Far: frames more than {FAR_MM:g} mm off that are not lost.",
     )
-    kinds = ((EXACT, EXACT_KINDS), (DEFAULT, DEFAULT_KINDS))
-    outputs = [options.result(p, kind, way) for p in options.people for way, of in kinds for kind in of]
-    heads = {name: files.made(f"runs/{name}-{DEFAULT}.mcap") for name in _sequences(options)}
+    ways = ((EXACT, EXACT_KINDS), (DEFAULT, DEFAULT_KINDS))
+    outputs = [options.result(p, kind, way) for p in options.people for way, of in ways for kind in of]
     results = [path for one in outputs if (path := files.made(one)) is not None]
+    heads = {name: files.made(f"runs/{name}-{DEFAULT}.mcap") for name in _sequences(options)}
     known = {name: path for name, path in heads.items() if path is not None}
     asked = {"all pooled": ([*results, *known.values()], RAW, 0.9)}
     for name, path in known.items():
@@ -475,11 +473,14 @@ def _tell_choices(options: Options, files: Files, report: Report) -> None:
         "paper`, `--cost union`, `--filter pso` (64 particles, 25 generations), all given the side and the "
         "shape that the default found, so that nothing else differs; and `--shape average`, nothing given.",
     )
-    rows: dict[str, dict[str, Figures]] = {entrant: {} for entrant in CHOSEN}
-    for entrant, person in ((entrant, person) for entrant in CHOSEN for person in options.people):
-        result = files.made(options.result(person, ARM, entrant))
-        if result is not None:
-            rows[entrant][str(person.number)] = figures_of(result) | without_offsets(result)
+    rows = {
+        entrant: {
+            str(person.number): figures_of(result) | without_offsets(result)
+            for person in options.people
+            if (result := files.made(options.result(person, ARM, entrant))) is not None
+        }
+        for entrant in CHOSEN
+    }
     titled = {title: list(rows[entrant].values()) for entrant, title in CHOSEN.items()}
     report.entrants("choices", CHOICE_COLUMNS, titled)
     errors = {"raw": "error_mm", "offsets removed": "error_without_offsets_mm"}
@@ -532,40 +533,34 @@ def _tell_shape(options: Options, files: Files, report: Report) -> None:
     )
     known = []
     for person in options.people:
-        paths = files.made(options.result(person, ARM, SHAPE_ALONE)), files.made(f"meshes/{person.number}")
-        if paths[0] is not None and paths[1] is not None:
-            stated = stated_measures(paths[0].read_text("utf-8"))
-            known.append((*stated, *true_measures(paths[1] / "hand.glb")))
-    if not known:
-        report.judge("shape: truth within stated 90 % intervals", None, least=0.80, most=0.97, percent=True)
-        return
-    rows, inside, of_rig = shape_figures(*map(np.array, zip(*known, strict=True)))
-    report.figures("shape", SHAPE_COLUMNS, rows, {})
-    share = f"{number(inside, 1, percent=True)}, with the joints of the rig {number(of_rig, 1, percent=True)}"
-    report.text(f"Inside, of all that are counted: {share}.")
-    report.judge(
-        "shape: truth within stated 90 % intervals", inside, least=0.80, most=0.97, digits=1, percent=True
-    )
+        stated, mesh = (
+            files.made(options.result(person, ARM, SHAPE_ALONE)),
+            files.made(f"meshes/{person.number}"),
+        )
+        if stated is not None and mesh is not None:
+            measures = stated_measures(stated.read_text("utf-8"))
+            known.append((*measures, *true_measures(mesh / "hand.glb")))
+    inside = None
+    if known:
+        rows, inside, of_rig = shape_figures(*map(np.array, zip(*known, strict=True)))
+        report.figures("shape", SHAPE_COLUMNS, rows, {})
+        both = [number(share, 1, percent=True) for share in (inside, of_rig)]
+        report.text(f"Inside, of all that are counted: {both[0]}, with the joints of the rig {both[1]}.")
+    title = "shape: truth within stated 90 % intervals"
+    report.judge(title, inside, least=0.80, most=0.97, digits=1, percent=True)
 
 
 def shape_figures(
     stated: FloatArray, sd: FloatArray, true: FloatArray, of_rig: FloatArray
 ) -> tuple[dict[str, dict[str, float]], float, float]:
     """Return the figures of each measure, and the shares of counted ones within 90 % intervals, by our joints
-    and by the rig's.
-
-    Args:
-        stated, sd, true, of_rig: (P, 13) measures of P people, mm.
+    and by the rig's. All arguments are (P, 13) of P people, mm.
     """
-    errors, spread = (
-        stated - true,
-        true.std(axis=0, ddof=1) if len(true) > 1 else np.full(len(MEASURES), np.nan),
-    )
-    inside = np.abs(errors) <= INSIDE_90 * sd
-    inside_of_rig = np.abs(stated - of_rig) <= INSIDE_90 * sd
+    errors = stated - true
+    inside, inside_of_rig = (np.abs(stated - one) <= INSIDE_90 * sd for one in (true, of_rig))
     columns = {
         "true": true.mean(axis=0),
-        "spread": spread,
+        "spread": true.std(axis=0, ddof=1) if len(true) > 1 else np.full(len(MEASURES), np.nan),
         "error": errors.mean(axis=0),
         "rms": np.sqrt((errors**2).mean(axis=0)),
         "sd": sd.mean(axis=0),

@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -95,15 +96,10 @@ class Options:
         return ("head", "mono", *reading, "--cameras", LEFT, "--timings", *learned, *arguments)
 
 
-@dataclass(frozen=True, eq=False)
-class Judged:
-    """A result against its truth.
-
-    Attributes:
-        figures: means over the followed frames.
-        first_px: (K, 2) errors of the points of the first followed frame on the image, pixels.
-        confidence: (M,) of the frames with a truth.
-        wrong: (M,) whether their rotation is off by more than ``WRONG_DEG`` after the offset.
+class Judged(NamedTuple):
+    """A result against its truth: means over the followed frames, and errors (K, 2) of the points of the
+    first followed frame on the image, pixels. Of the M frames with a truth ``confidence``, and whether the
+    rotation is off by more than ``WRONG_DEG`` after the offset.
     """
 
     figures: Mapping[str, float]
@@ -139,7 +135,7 @@ def without_others(offsets: Sequence[FloatArray]) -> FloatArray:
     who is measured is not. Of one person nothing is removed.
     """
     every = np.array(offsets)
-    others = (every.sum(axis=0) - every) / max(len(every) - 1, 1) if len(every) > 1 else np.zeros_like(every)
+    others = (every.sum(axis=0) - every) / (len(every) - 1) if len(every) > 1 else np.zeros_like(every)
     lengths: FloatArray = np.linalg.norm(every - others, axis=-1)
     return lengths
 
@@ -150,49 +146,43 @@ def judged_people(folders: Sequence[Path], kind: str, files: Files) -> dict[str,
     return {folder.name: judge(path, folder) for folder, path in found.items() if path is not None}
 
 
-def rows_of(people: Mapping[str, Judged]) -> dict[str, Figures]:
-    """Return the figures of people, with the one that needs the others."""
-    left = without_others([one.first_px for one in people.values()]) if people else ()
-    return {
-        name: {**one.figures, "points_px": float(lengths.mean())}
-        for (name, one), lengths in zip(people.items(), left, strict=True)
-    }
-
-
 def _tell_people(part: str, options: Options, files: Files, report: Report) -> list[Figures]:
     """Add the table of a part: strangers with their median and worst, then those that were tuned on."""
-    strangers = rows_of(judged_people(options.strangers, part, files))
-    familiar = rows_of(judged_people(options.familiar, part, files))
-    rows = {**strangers, **{f"{name} (tuned on)": figures for name, figures in familiar.items()}}
-    if strangers:
-        for title in ("median", "max"):
-            columns = [Column(column.name, column.title, whole=title) for column in COLUMNS]
-            rows[f"**strangers, {title}**"] = whole(columns, list(strangers.values()))
-    report.figures(part, COLUMNS, rows, {})
-    return list(strangers.values())
+    rows: dict[str, dict[str, Figures]] = {"": {}, " (tuned on)": {}}
+    for folders, (ending, of) in zip((options.strangers, options.familiar), rows.items(), strict=True):
+        people = judged_people(folders, part, files)
+        left = without_others([one.first_px for one in people.values()]) if people else ()
+        for (name, one), lengths in zip(people.items(), left, strict=True):
+            of[f"{name}{ending}"] = {**one.figures, "points_px": float(lengths.mean())}
+    strangers = list(rows[""].values())
+    shown = rows[""] | rows[" (tuned on)"]
+    for title in ("median", "max") if strangers else ():
+        columns = [Column(column.name, column.title, whole=title) for column in COLUMNS]
+        shown[f"**strangers, {title}**"] = whole(columns, strangers)
+    report.figures(part, COLUMNS, shown, {})
+    return strangers
 
 
-def _judge_median(report: Report, what: str, rows: Sequence[Figures], limits: Mapping[str, float]) -> None:
+def _judge(
+    report: Report, what: str, rows: Sequence[Figures], limits: Mapping[str, float], how: str = "median"
+) -> None:
+    title = {"max": "worst"}.get(how, how)
     for name, most in limits.items():
-        report.judge(f"{what}: {name.replace('_', ', ')}, median", over(rows, name, "median"), most=most)
+        report.judge(f"{what}: {name.replace('_', ', ')}, {title}", over(rows, name, how), most=most)
 
 
-def _judge_honesty(people: Mapping[str, Judged], report: Report, what: str) -> None:
+def _judge_honesty(people: Sequence[Judged], report: Report, what: str) -> None:
     """Compare intervals and confidence of all people, pooled, with what was asked for."""
-    frames = [one.figures["frames"] for one in people.values()]
+    frames = [one.figures["frames"] for one in people]
     for part in ("position", "rotation"):
-        shares = [one.figures[f"{part}_inside"] for one in people.values()]
+        shares = [one.figures[f"{part}_inside"] for one in people]
         share = float(np.average(shares, weights=frames)) if people else None
-        report.judge(
-            f"{what}: 90 % intervals hold, {part}", share, least=0.75, most=0.97, digits=1, percent=True
-        )
+        title = f"{what}: 90 % intervals hold, {part}"
+        report.judge(title, share, least=0.75, most=0.97, digits=1, percent=True)
     area = None
     if people:
-        confidence, wrong = (
-            np.concatenate([getattr(one, name) for one in people.values()])
-            for name in ("confidence", "wrong")
-        )
-        area = roc_area(confidence, ~wrong)
+        wrong = np.concatenate([one.wrong for one in people])
+        area = roc_area(np.concatenate([one.confidence for one in people]), ~wrong)
     title = f"{what}: confidence against rotation > {WRONG_DEG:g} deg, ROC area"
     report.judge(title, area, least=0.85, digits=3)
 
@@ -222,14 +212,13 @@ def _tell_mono(options: Options, files: Files, report: Report) -> None:
     factors = values_of(rows, "factor")
     outside = float((np.abs(factors - 1.0) > 0.05).sum()) if len(factors) else None
     report.judge("one camera: depth factors outside 0.95 to 1.05", outside, most=1, digits=0)
-    _judge_median(report, "one camera", rows, MEDIAN)
-    for name, most in WORST.items():
-        report.judge(f"one camera: {name.replace('_', ', ')}, worst", over(rows, name, "max"), most=most)
+    _judge(report, "one camera", rows, MEDIAN)
+    _judge(report, "one camera", rows, WORST, "max")
     people = judged_people(options.strangers, "mono", files)
     left = without_others([one.first_px for one in people.values()]) if people else np.full((1, 1), np.nan)
     report.judge("one camera: first points, px, mean", float(left.mean()), most=2.5)
     report.judge("one camera: first points, px, 95 %", float(np.quantile(left, 0.95)), most=7.0)
-    _judge_honesty(judged_people(options.everybody, "mono", files), report, "one camera")
+    _judge_honesty([*judged_people(options.everybody, "mono", files).values()], report, "one camera")
 
 
 # Given the size
@@ -259,7 +248,7 @@ def _told_jobs(options: Options) -> Iterator[Job]:
 def _tell_told(options: Options, files: Files, report: Report) -> None:
     report.text("## One camera, the size of the head given", "With `--interpupillary-mm` from the truth:")
     rows = _tell_people(DISTANCE, options, files, report)
-    _judge_median(report, "given the distance of pupils", rows, {"x_mm": 1.0, "y_mm": 1.0, "z_mm": 4.0})
+    _judge(report, "given the distance of pupils", rows, {"x_mm": 1.0, "y_mm": 1.0, "z_mm": 4.0})
     report.text(f"With `--person`, the result of two cameras that saw the frames from {STEREO_FROM} on:")
     _tell_people(PERSON, options, files, report)
 
@@ -301,15 +290,16 @@ def _adjusting_jobs(options: Options) -> Iterator[Job]:
 
 
 def _tell_adjusting(options: Options, files: Files, report: Report) -> None:
-    report.text(
-        "## When the person is adjusted, and in how many passes", "Medians over the people, then pairs."
-    )
-    rows: dict[str, dict[str, Figures]] = {}
-    for way in WAYS:
-        found = {one: files.made(f"runs/{one.name}-{way}.mcap") for one in options.strangers}
-        rows[way] = {
-            one.name: mono_figures(path, one / TRUTH) for one, path in found.items() if path is not None
+    title = "## When the person is adjusted, and in how many passes"
+    report.text(title, "Medians over the people, then pairs.")
+    rows = {
+        way: {
+            one.name: figures
+            for one in options.strangers
+            if (figures := mono_figures(files.made(f"runs/{one.name}-{way}.mcap"), one / TRUTH))
         }
+        for way in WAYS
+    }
     titled = {title: list(rows[way].values()) for way, (title, _) in WAYS.items()}
     report.entrants("adjusting", WAY_COLUMNS, titled)
     asked = {
@@ -335,8 +325,8 @@ def _stereo_jobs(options: Options) -> Iterator[Job]:
 def _tell_stereo(options: Options, files: Files, report: Report) -> None:
     report.text("## Two cameras, two passes")
     rows = _tell_people("stereo", options, files, report)
-    _judge_median(report, "two cameras", rows, STEREO_MEDIAN)
-    _judge_honesty(judged_people(options.everybody, "stereo", files), report, "two cameras")
+    _judge(report, "two cameras", rows, STEREO_MEDIAN)
+    _judge_honesty([*judged_people(options.everybody, "stereo", files).values()], report, "two cameras")
 
 
 def _head(options: Options) -> Iterator[str]:

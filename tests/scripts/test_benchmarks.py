@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,31 +13,21 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-import benchmarks
-from benchmarking import commands, one_camera
-from benchmarking.commands import peak_memory, usage_of
-from benchmarking.heads import deformations_of
-from benchmarking.recordings import link_recording, there_and_back, write_hand_recording
-from benchmarking.rendering import fitted_line
-from benchmarking.rows import Row, median_of_pairs
+from benchmarking import heads
+from benchmarking.__main__ import main
+from benchmarking.processes import usage_of
+from benchmarking.recordings import link_recording, write_hand_recording
+from benchmarking.rows import fitted_line, median_of_pairs
+from benchmarking.stepping import in_turn
 from posetrack_cli.geometry.camera import pixels_from_points
 from posetrack_cli.head.adjustment.adjuster import Adjuster, PersonParameters
 from posetrack_cli.head.config import HeadMonoConfig
 from posetrack_cli.head.multilinear.face_model import load_face_model
-from posetrack_cli.head.subject import StereoDiagnostics
 from posetrack_cli.recording.camera_file import camera_file_text
 from posetrack_cli.recording.opening import open_recording
-from posetrack_cli.results import Estimate, Status
 from posetrack_cli.synthesis.hand.frames import CAMERA
 from posetrack_cli.synthesis.head.frames import make_cameras
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
-from stepping import in_turn
-
-
-def test_a_row_is_held_against_the_most_it_may_be() -> None:
-    assert [Row("a", value, "ms", 5.0).verdict for value in (4.0, 5.0, 5.1)] == ["ok", "ok", "MISSED"]
-    assert Row("a", 4.0, "ms").verdict == ""
-    assert Row("a", 5.1, "ms", 5.0).line.split() == ["a", "5.100", "ms", "target", "5", "MISSED"]
 
 
 def test_a_ratio_is_of_pairs_and_not_of_medians() -> None:
@@ -63,12 +52,6 @@ def test_walkers_take_turns_in_both_orders() -> None:
     times = in_turn({name: Pacer(calls, name) for name in "pq"}, ["x", "y", "z"], warm_up=1)
     assert calls == ["q0x", "p0x", "p1y", "q1y", "q2z", "p2z"]
     assert times == {"p": [1.0, 2.0], "q": [1.0, 2.0]}
-
-
-def test_frames_go_to_and_fro() -> None:
-    assert list(there_and_back(3, 8)) == [0, 1, 2, 1, 0, 1, 2, 1]
-    assert list(there_and_back(1, 3)) == [0, 0, 0]
-    assert list(there_and_back(5, 2)) == [0, 1]
 
 
 def test_a_long_recording_of_a_hand_shows_the_depths_to_and_fro(tmp_path: Path) -> None:
@@ -116,67 +99,25 @@ def test_a_process_is_measured_by_itself() -> None:
         usage_of([sys.executable, "-S", "-c", "raise SystemExit(3)"])
 
 
-def test_peak_memory_is_of_a_tenth_and_of_all(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    asked: list[int] = []
-
-    def usage(command: list[str]) -> tuple[float, float]:
-        asked.append(int(command[command.index("--end") + 1]))
-        return 0.0, 200.0 + 0.1 * asked[-1]
-
-    monkeypatch.setattr(commands, "usage_of", usage)
-    rows = list(peak_memory("it", ["run", "this"], 1000, tmp_path, 250.0))
-    assert asked == [100, 1000]
-    assert [row.value for row in rows] == pytest.approx([210.0, 300.0, 300.0 / 210.0])
-    assert [row.verdict for row in rows] == ["ok", "MISSED", "MISSED"]
-
-
 def test_views_to_adjust_are_of_one_person_whom_an_adjustment_finds() -> None:
     """After ten steps of each stage most of what the start is off by has gone."""
     model, settings = load_face_model(None), HeadMonoConfig().adjustment
     camera = make_cameras(HeadSynthOptions(frames=1))[0]
-    views = one_camera.seen_views(model, camera, 5)
+    views = heads.seen_views(model, camera, 5)
     person = PersonParameters(model.identity_mean, np.zeros_like(model.mean))
     found = Adjuster(model, camera, settings).adjust(views, person, iterations=10, wide=True)
-    assert np.sqrt(np.mean(found.residuals**2)) < 3.0 * one_camera.NOISE_PX
+    assert np.sqrt(np.mean(found.residuals**2)) < 3.0 * heads.NOISE_PX
     start = [
         np.linalg.norm(pixels_from_points(camera, v.pose.points(model.mean))[0] - v.pixels, axis=1)
         for v in views
     ]
-    assert np.sqrt(np.mean(np.square(start))) > 4.0 * one_camera.NOISE_PX
-
-
-def nothing_seen() -> Estimate:
-    nothing = np.zeros(6)
-    return Estimate(
-        frame_index=0,
-        stamp_ns=1,
-        status=Status.TRACKING,
-        confidence=1.0,
-        position=np.zeros(3),
-        quaternion=np.array([0.0, 0.0, 0.0, 1.0]),
-        shape=np.zeros(5),
-        pose_rate=nothing,
-        twist=nothing,
-        pose_variance=nothing,
-        twist_variance=nothing,
-        points=np.zeros((10, 3)),
-        effective_sample_size=1.0,
-        resampled=True,
-        cost=None,
-    )
-
-
-@pytest.mark.parametrize("learnt", [0, 2, 5])
-def test_deformations_are_counted_by_their_eigenvalues(learnt: int) -> None:
-    numbers = StereoDiagnostics(np.linspace(5.0, 1.0, learnt), score=0.9, weights=np.ones(10)).numbers(5)
-    assert deformations_of(replace(nothing_seen(), numbers=numbers)) == learnt
-    assert deformations_of(None) == 0
+    assert np.sqrt(np.mean(np.square(start))) > 4.0 * heads.NOISE_PX
 
 
 def test_a_part_by_itself_is_printed_and_written(tmp_path: Path) -> None:
     """The command from end to end, of its shortest part."""
     out = tmp_path / "new" / "bench.json"
-    result = CliRunner().invoke(benchmarks.main, ["--quick", "--part", "commands", "--json", str(out)])
+    result = CliRunner().invoke(main, ["--quick", "--part", "commands", "--json", str(out)])
     assert result.exit_code == 0, result.output
     written = json.loads(out.read_text())
     assert written["machine"]["length"] == "quick"

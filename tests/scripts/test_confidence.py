@@ -11,7 +11,7 @@ import pytest
 
 from posetrack_cli.tracking.confidence import Regression
 from research import confidence
-from research.confidence import AGAINST, FOR, KINDS, Frames, fitted, hand_frames, harden, report
+from research.confidence import AGAINST, FOR, KINDS, Frames, fitted, harden, report
 from support.heads import heads_folder
 
 TRUE = Regression(2.0, np.array([-1.0, -2.0, 0.0, 0.5, -0.25]))
@@ -39,14 +39,6 @@ def test_real_recordings_have_their_share_however_many_others_there_are(share: f
     many, one = (fitted([*[wrong] * count, real], share, BOUNDS) for count in (10, 1))
     np.testing.assert_allclose([many.bias, *many.weights], [one.bias, *one.weights], atol=0.02)
     assert (one.probability(np.zeros(5)) < 0.45) == (share < 1.0)  # four fifths speak against what is right
-
-
-def test_frames_that_were_looked_at_are_read(monkeypatch: pytest.MonkeyPatch) -> None:
-    signs = np.arange(50.0).reshape(10, 5)
-    monkeypatch.setattr(confidence, "signs_of", lambda result, names: signs)
-    found = hand_frames("k", Path("result.mcap"), "1-4", "7")
-    np.testing.assert_array_equal(found.signs, signs[[1, 4, 7]])
-    assert found.right.tolist() == [True, True, False] and found.is_real and not found.far.any()
 
 
 def test_people_are_judged_by_what_was_fitted_to_others(monkeypatch: pytest.MonkeyPatch) -> None:

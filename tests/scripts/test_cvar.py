@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from posetrack_cli.errors import RecordingError
-from posetrack_cli.evaluation.reading.truth_topics import points_topic, points_track
+from posetrack_cli.evaluation.reading.truth_topics import points_track
 from posetrack_cli.hand.model.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS
 from posetrack_cli.mcap.stream import McapFile
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results.estimate import Subject
 from research import cvar
-from support.cvar import annotated, make_folder
+from support.cvar import make_folder
 
 HAND = Subject("hand", "camera", ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS)
 FILE_DIGITS = 5e-4
@@ -42,21 +42,6 @@ def test_depth_and_joints_come_through(tmp_path: Path, width: int) -> None:
     # the file's joint 17 is the thumb's first, its joint 8 the middle finger's tip
     assert at["thumb_cmc"] == pytest.approx(((117 - 160) * 517 / 224.5, (84 - 120) * 517 / 230.5, 517))
     assert at["middle_tip"] == pytest.approx(((108 - 160) * 508 / 224.5, (66 - 120) * 508 / 230.5, 508))
-
-
-def test_a_frame_without_annotation_has_no_truth(tmp_path: Path) -> None:
-    folder = make_folder(tmp_path / "P9")
-    (folder / "joint.txt").write_text(annotated(["000000_depth.png", "000002_depth.png"]))
-    out = cvar.convert(folder, tmp_path / "P9.mcap")
-    assert points_track(McapFile(out), HAND, "truth").stamp_ns.tolist() == [0, 66_666_667]
-
-
-def test_joints_project_to_where_they_are_annotated() -> None:
-    uvz = np.array([[12.5, 230.0, 431.0], [160.0, 120.0, 700.0]])
-    x, y, z = cvar.unprojected(uvz).T
-    np.testing.assert_allclose(cvar.CAMERA.fx * x / z + cvar.CAMERA.cx, uvz[:, 0])
-    np.testing.assert_allclose(cvar.CAMERA.fy * y / z + cvar.CAMERA.cy, uvz[:, 1])
-    np.testing.assert_array_equal(z, uvz[:, 2])
 
 
 def test_damaged_annotations_are_named(tmp_path: Path) -> None:
@@ -93,7 +78,3 @@ def test_real_joints_lie_on_the_hand(tmp_path: Path, measured_data: Path) -> Non
     distances = np.concatenate(behind)
     assert ((distances > 0.0) & (distances < 40.0)).mean() > 0.6
     assert 5.0 < np.median(distances) < 20.0
-
-
-def test_the_topic_is_the_one_that_results_carry() -> None:
-    assert points_topic("hand") == "/truth/hand/points"

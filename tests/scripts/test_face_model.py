@@ -59,12 +59,6 @@ def test_motions_pass_through_their_knots(statistics: Path) -> None:
     assert not read.face(NEUTRAL).any()
 
 
-def test_both_sides_of_an_expression_are_used(statistics: Path) -> None:
-    read = read_statistics(statistics)
-    both = read.expressions["browDown_L"] + read.expressions["browDown_R"]
-    np.testing.assert_allclose(read.face({"browDown": 0.5}), 0.5 * both)
-
-
 def test_the_same_statistics_give_the_same_bytes(statistics: Path, tmp_path: Path) -> None:
     for name in ("a.npz", "b.npz"):
         done = CliRunner().invoke(
@@ -75,13 +69,6 @@ def test_the_same_statistics_give_the_same_bytes(statistics: Path, tmp_path: Pat
     model = load_face_model(tmp_path / "a.npz")
     built = build(read_statistics(statistics)).model
     np.testing.assert_allclose(model.core, built.core, atol=1e-9)
-
-
-def test_other_points_are_refused(statistics: Path) -> None:
-    contents = json.loads(statistics.read_text())
-    statistics.write_text(json.dumps(contents | {"points": ["nose"]}))
-    done = CliRunner().invoke(main, [str(statistics)])
-    assert done.exit_code == 1 and "other feature points" in done.output
 
 
 def test_the_shipped_model_is_what_the_script_builds(measured_data: Path) -> None:

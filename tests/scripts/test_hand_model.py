@@ -26,10 +26,9 @@ from posetrack_cli.npz import read_npz
 from posetrack_cli.rendering.mesh import SkinnedMesh, closest_points, is_closed, smoothing
 from research.hand_model import build
 from research.hand_model.build import BONE_WEIGHT, modes_of, with_tips_in_the_skin
-from research.hand_model.joints import ANATOMY_SHARE, _thumb, anatomical_joints
-from research.hand_model.people import RIG_LENGTH_MM, rows
-from research.hand_model.registration import Skin, Template, vertex_normals
-from research.hand_model.template import SEGMENTS, adult, cage_of, with_wrist
+from research.hand_model.people import RIG_LENGTH_MM, anatomical_joints, rows
+from research.hand_model.registration import Skin, Template
+from research.hand_model.template import SEGMENTS, adult, cage_of
 from support.glb import write_hand
 from support.hand import REST, enclosed_volume
 
@@ -64,20 +63,6 @@ def test_modes_are_those_that_hands_were_drawn_with() -> None:
     assert np.linalg.norm(modes[3]) < 0.1  # nothing is left but the noise
 
 
-def test_coefficients_of_hands_are_of_variance_1_and_independent() -> None:
-    hands, _ = drawn_hands(500)
-    mean, modes = modes_of(hands, 3)
-    coefficients = (hands - mean) @ np.linalg.pinv(modes)
-    np.testing.assert_allclose(np.cov(coefficients.T), np.eye(3), atol=0.02)
-    # a bone counts more: a mode of bones alone is as strong as one of so many coordinates of the skin
-    rng = np.random.default_rng(0)
-    skin, bone = np.zeros(SIZE), np.zeros(SIZE)
-    skin[0], bone[-30] = 3.0, 1.0
-    differing = rng.standard_normal((500, 1)) * skin + rng.standard_normal((500, 1)) * bone
-    strongest = modes_of(differing, 2)[1][0]
-    assert np.abs(strongest).argmax() == SIZE - 30
-
-
 # Joints
 
 
@@ -88,15 +73,6 @@ OTHERS = np.setdiff1d(np.arange(21), TIPS)
 def rig(anatomy: HandAnatomy) -> FloatArray:
     """Joints (21, 3) of a hand at rest."""
     return joint_positions(anatomy, REST[None])[0]
-
-
-def test_joints_of_anatomy_are_left_where_they_are() -> None:
-    """The template's hand has them: knuckles far back, fingers divided as published."""
-    joints = rig(adult())
-    placed = anatomical_joints(joints, None)
-    np.testing.assert_array_equal(placed[TIPS], joints[TIPS])
-    # the thumb's base is meant for a palm of 90 mm, to which others are scaled
-    assert np.linalg.norm(placed - joints, axis=1)[OTHERS].max() < 2.0
 
 
 def test_a_knuckle_at_the_web_is_moved_back_and_the_rest_divided() -> None:
@@ -117,13 +93,6 @@ def test_a_knuckle_at_the_web_is_moved_back_and_the_rest_divided() -> None:
         assert back < 0.35 * np.linalg.norm(joints[2 + 4 * finger] - joints[1 + 4 * finger])
 
 
-def test_nothing_of_anatomy_leaves_the_rig_s_joints(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("research.hand_model.joints.ANATOMY_SHARE", (0.0, 0.5))
-    joints = rig(reshaped_anatomy(adult(), "right", HandShape(1.1, (1.0, 1.2, 0.9, 1.1, 1.0))))
-    np.testing.assert_allclose(anatomical_joints(joints, None), joints, atol=1e-9)
-    assert ANATOMY_SHARE[0] == 1.0  # what is shipped lies where anatomy says, on average
-
-
 def test_where_joints_are_placed_turns_with_the_hand() -> None:
     joints = rig(reshaped_anatomy(adult(), "right", HandShape(0.9, (1.0, 1.2, 0.9, 1.1, 1.0))))
     turn, offset = rotations.exponential(np.array([0.4, -1.0, 0.7])), np.array([30.0, -20.0, 500.0])
@@ -142,15 +111,6 @@ def test_drawn_joints_scatter_about_those_of_anatomy_and_tips_do_not() -> None:
         300
     )
     np.testing.assert_array_equal(drawn[7], anatomical_joints(joints, np.random.default_rng(7)))
-
-
-def test_the_thumb_s_base_grows_with_the_palm() -> None:
-    bases = []
-    for scale in (1.0, 1.3):
-        joints = rig(reshaped_anatomy(adult(), "right", HandShape(scale)))
-        axes = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
-        bases.append(_thumb(joints[1:5], joints, axes)[0])
-    np.testing.assert_allclose(bases[1], 1.3 * bases[0])
 
 
 # The template
@@ -187,13 +147,6 @@ def test_the_template_is_a_hand() -> None:
         np.testing.assert_array_equal(cage_of(other).triangles, cage.triangles)
 
 
-def test_a_cage_comes_back_from_its_surface() -> None:
-    laid, skin = template()
-    cage = cage_of(adult()).vertices
-    ridge_mm = 0.1  # of what keeps the least squares solvable, at 100 mm
-    np.testing.assert_allclose(laid.cage(skin.vertices), cage, atol=ridge_mm)
-
-
 @pytest.mark.parametrize("seed", [1, 2])
 def test_the_template_is_laid_on_a_hand_like_it(seed: int) -> None:
     """Its own skin in another shape, of other triangles: a finer surface."""
@@ -211,32 +164,6 @@ def test_the_template_is_laid_on_a_hand_like_it(seed: int) -> None:
     assert missed.mean() < 0.4 and missed.max() < 4.0
     volumes = [enclosed_volume(v, skin.triangles) for v in (found, other.vertices)]
     assert volumes[0] == pytest.approx(volumes[1], rel=0.02)  # smoothing does not shrink it
-
-
-def test_a_skin_is_looked_for_on_the_side_it_faces() -> None:
-    """A point inside a plate, nearer to its back: the front is what faces as it does."""
-    plate = np.array([[x, y, z] for z in (0.0, 5.0) for x, y in ((0, 0), (20, 0), (0, 20), (20, 20))], float)
-    triangles = np.array([(0, 2, 1), (1, 2, 3), (4, 5, 6), (5, 7, 6)])
-    mesh = SkinnedMesh(plate, np.ones((8, 1)), triangles)
-    point, up = np.array([[8.0, 8.0, 2.0]]), np.array([[0.0, 0.0, 1.0]])
-    assert Skin(mesh).closest(point, up)[0, 2] == 5.0
-    assert Skin(mesh).closest(point, -up)[0, 2] == 0.0
-
-
-def test_normals_of_a_surface_point_out() -> None:
-    _, skin = template()
-    grown = skin.vertices + vertex_normals(skin.vertices, skin.triangles)
-    assert enclosed_volume(grown, skin.triangles) > 1.05 * enclosed_volume(skin.vertices, skin.triangles)
-    np.testing.assert_allclose(np.linalg.norm(grown - skin.vertices, axis=1), 1.0)
-
-
-def test_a_cage_that_ends_at_the_wrist_is_drawn_out() -> None:
-    cage = cage_of(adult()).vertices
-    short = cage.copy()
-    short[:, 1] = np.minimum(short[:, 1], -4.0)
-    np.testing.assert_allclose(with_wrist(short)[:, 1], cage[:, 1])
-    rest = cage[:, 1] < -4.0
-    np.testing.assert_array_equal(with_wrist(short)[rest], cage[rest])
 
 
 # Tips

@@ -18,26 +18,16 @@ from posetrack_cli.hand.shape_fit import MEASURES, measures_of
 from posetrack_cli.head.face.points import MEAN_SHAPE, MOUTH, HeadPose
 from posetrack_cli.head.subject import StereoDiagnostics, head_subject
 from posetrack_cli.head.tracker.frame_tracker import NO_SIGNS
-from posetrack_cli.mcap.sink import McapSink
 from posetrack_cli.recording.camera_file import camera_file_text, load_rig
 from posetrack_cli.results import Estimate, ResultWriter, Status
-from posetrack_cli.synthesis.recording import SYNTH_RECORD
 from research import hand_strangers, heads_strangers, mono, stereo
 from research.hand_model.template import adult, cage_of
-from research.hands import Frames, found_within
 from research.heads import Compared, cameras_of, compare, mono_figures
 from support.glb import write_hand
 from support.hand import REST
 from support.heads import CAMERAS, FRAME_NS, heads_folder, pose
 
 # Hands
-
-
-def test_found_is_the_first_frame_on_the_wrist_that_is_not_lost() -> None:
-    wrist, lost = np.array([200.0, 10.0, 61.0, 60.0, 5.0]), np.array([True, True, False, False, False])
-    frames = Frames(wrist, wrist, lost)
-    assert found_within(frames) == 4.0
-    assert found_within(Frames(wrist[:3], wrist[:3], lost[:3])) == np.inf
 
 
 def test_stated_measures_hold_the_truth_as_often_as_they_do() -> None:
@@ -200,13 +190,6 @@ def test_a_head_is_found_again_once_it_is_right_for_half_a_second(results: dict[
     assert stereo.recovery_s(steady(one, lost, off), 1.0) == np.inf
 
 
-def test_events_end_as_the_recordings_record_says(tmp_path: Path) -> None:
-    with McapSink(tmp_path / "r.mcap") as sink:
-        sink.metadata(SYNTH_RECORD, {"turn_s": "7.5 8.9", "occlusion_s": ""})
-        sink.finish()
-    assert stereo.event_end_s(tmp_path / "r.mcap") == 8.9 and stereo.event_end_s(tmp_path) is None
-
-
 def test_the_experiments_parts_and_pictures_are_the_thesiss(results: dict[str, Path]) -> None:
     parts = stereo.spans(1800)
     assert np.flatnonzero(parts["deforming"])[[0, -1]].tolist() == [120, 1199]  # frames 121 to 1200, from 1
@@ -219,27 +202,11 @@ def test_the_experiments_parts_and_pictures_are_the_thesiss(results: dict[str, P
     assert chosen[0] == 122 and chosen[-1] in (29, 30)
 
 
-def test_figures_of_poses_are_drawn(results: dict[str, Path], tmp_path: Path) -> None:
-    one = stereo.course(results["still"], results["truth"])
-    stereo.draw_poses(tmp_path / "a.png", {"rigid": one, "deformable": one}, np.ones(FRAMES), [120, 125])
-    mono.draw_poses(tmp_path / "b.png", {"A": one, "B": one})
-    assert all((tmp_path / name).read_bytes().startswith(b"\x89PNG") for name in ("a.png", "b.png"))
-
-
 def test_what_a_detector_does_with_other_people_is_removed_and_nothing_of_ones_own() -> None:
     others = np.array([[[1.0, 0.0]], [[3.0, 0.0]], [[8.0, 3.0]]])
     lengths = [[np.hypot(4.5, 1.5)], [1.5 * np.sqrt(2.0)], [np.hypot(6.0, 3.0)]]
     np.testing.assert_allclose(heads_strangers.without_others(others), lengths)
     np.testing.assert_allclose(heads_strangers.without_others(others[2:]), [[np.hypot(8.0, 3.0)]])
-
-
-def test_points_are_compared_in_the_first_followed_image(results: dict[str, Path], tmp_path: Path) -> None:
-    person = heads_folder(tmp_path, "p") / "p"
-    one = compare(results["still"], results["truth"])
-    moved = replace(one, points=one.true_points + np.array([0.0, 7.0, 0.0]))
-    first = heads_strangers.first_points(moved, person)
-    camera = cameras_of(person / "calibration.json")[0]
-    np.testing.assert_allclose(first[:, 1], camera.fy * 7.0 / one.true_points[LOST, :, 2])
 
 
 def test_a_calibration_becomes_a_camera_file(tmp_path: Path) -> None:

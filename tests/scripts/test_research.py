@@ -14,11 +14,11 @@ from click.testing import CliRunner
 from posetrack_cli.cli.main import cli
 from posetrack_cli.errors import PosetrackError, UsageError
 from posetrack_cli.results import load_arrays
-from research import hand, hand_accuracy, hand_strangers, heads_strangers, mono, runner, stereo
+from research import hand, mono, runner
 from research.hand_strangers import people_of
-from research.report import Column, Report, adjusted, pairs_of, whole
-from research.runner import FILE, TOOL, Files, Job, Step, run_jobs, run_steps
-from research.study import FIRST_SEED
+from research.report import Report, adjusted, pairs_of
+from research.runner import FILE, TOOL, Files, Job, Order, Step, run_jobs, run_steps
+from research.study import FIRST_SEED, NAMES, Part, study_of
 from support.heads import heads_folder
 
 # The runner
@@ -54,10 +54,8 @@ def commands(monkeypatch: pytest.MonkeyPatch) -> Commands:
     """Commands that are noted, in this process."""
     made = Commands()
 
-    def run_here(files: Files, name: str, steps: list[Step]) -> str:
-        owners = {one: files.owner(one) for step in steps for one in step.files}
-        keys = {output: files.key(output) for output in [*owners.values(), *(step.output for step in steps)]}
-        failed = run_steps(files.out, steps, keys, owners)
+    def run_here(out: Path, name: str, orders: list[Order]) -> str:
+        failed = run_steps(out, orders)
         return f"{name}: {', '.join(failed)}" if failed else ""
 
     monkeypatch.setattr(runner, "command", made)
@@ -95,7 +93,7 @@ def test_other_code_and_other_arguments_make_again_what_depends_on_them(
     of_code(monkeypatch, "another tracker", "other faces")
     run(tmp_path)
     assert commands.names == ["synth", "stereo", "build-model"]
-    once = replace(TRACKED, arguments=(*TRACKED.arguments[:3], "--passes", "1"))
+    once = TRACKED._replace(arguments=(*TRACKED.arguments[:3], "--passes", "1"))
     other = [Job("a", (DRAWN, once)), JOBS[1]]
     assert Files(tmp_path, other).made(BUILT.output) is None
     run(tmp_path, other)
@@ -116,7 +114,7 @@ def test_a_failure_prevents_only_what_needs_it_and_an_old_file_is_not_taken_for_
 
 
 def test_scratch_is_made_where_something_needs_it_and_deleted(tmp_path: Path, commands: Commands) -> None:
-    drawn = replace(DRAWN, scratch=True)
+    drawn = DRAWN._replace(scratch=True)
     run(tmp_path, [Job("a", (drawn, TRACKED))])
     assert commands.names[1:4] == ["synth", "stereo"][1:] and not (tmp_path / DRAWN.output).exists()
     run(tmp_path, [Job("a", (drawn, TRACKED))])
@@ -126,11 +124,6 @@ def test_scratch_is_made_where_something_needs_it_and_deleted(tmp_path: Path, co
     assert commands.names == ["synth", "mono"] and list((tmp_path / "recordings").iterdir()) == []
 
 
-def test_digests_are_of_files_that_are_there() -> None:
-    for pattern in runner.DRAWING:
-        assert any(path.is_file() for path in runner.PACKAGE.glob(pattern)), pattern
-
-
 # Statistics
 
 ROWS = {str(k): {"error": 10.0 + k} for k in range(8)}
@@ -138,14 +131,6 @@ ROWS = {str(k): {"error": 10.0 + k} for k in range(8)}
 
 def better(gain: float) -> dict[str, dict[str, float]]:
     return {key: {"error": row["error"] - gain} for key, row in ROWS.items()}
-
-
-def test_pairs_are_of_recordings_that_both_have() -> None:
-    second = better(2.0)
-    del second["3"]
-    found = pairs_of(ROWS, second, "error")
-    assert found.shape == (7, 2) and (np.diff(found)[:, 0] == -2.0).all()
-    assert pairs_of(ROWS, second, "another").shape == (0, 2)
 
 
 def test_p_values_are_wilcoxons_adjusted_as_by_benjamini_and_hochberg() -> None:
@@ -160,12 +145,6 @@ def test_p_values_are_wilcoxons_adjusted_as_by_benjamini_and_hochberg() -> None:
     # 10..17 has mean 13.5 and sample variance (8^2 - 1) / 12 * 8 / 7 = 6
     row = "| 2.0 | 8 | 13.50 ± 2.45 | 11.50 ± 2.45 | -2.00 [-2.00, -2.00] | 0.0078 | 0.012 | 8 of 8 |"
     assert row in report.lines and report.notes["part"]["2.0"]["difference"] == -2.0
-
-
-def test_summaries_leave_out_what_was_not_measured() -> None:
-    columns = (Column("a", "a", spread=True), Column("b", "b", whole="max"), Column("c", "c"))
-    found = whole(columns, [{"a": 1.0, "b": 5.0}, {"a": 4.0, "b": np.nan}, {"a": 4.0}])
-    assert found == {"a": 3.0, "a sd": pytest.approx(np.sqrt(3.0)), "b": 5.0}
 
 
 def test_targets_are_judged_from_both_sides() -> None:
@@ -186,28 +165,31 @@ def commands_of(jobs: Iterable[Job]) -> set[tuple[str, ...]]:
 def every_study(tmp_path: Path) -> list[tuple[Any, Any]]:
     heads, people = heads_folder(tmp_path, "person-c", "person-d"), people_of("800,803", final=False)
     (tmp_path / "clip.mp4").touch()
-    return [
-        (hand.STUDY, hand.Options(tmp_path, 1, kinect=tmp_path)),
-        (hand_accuracy.STUDY, hand_accuracy.Options(tmp_path, 1, kinect=tmp_path)),
-        (hand_strangers.STUDY, hand_strangers.Options(tmp_path, Path("tool.py"), people, 30)),
-        (heads_strangers.STUDY, heads_strangers.Options(tmp_path, heads, None, (), tmp_path)),
-        (stereo.STUDY, stereo.Options(tmp_path, heads)),
-        (mono.STUDY, mono.Options(tmp_path, heads, tmp_path)),
-    ]
+    options = {
+        "hand": {"seeds": 1, "kinect": tmp_path},
+        "hand-accuracy": {"seeds": 1, "kinect": tmp_path},
+        "hand-strangers": {"tool": Path("tool.py"), "people": people, "frames": 30},
+        "heads-strangers": {"heads": heads, "left_out": tmp_path},
+        "stereo": {"heads": heads},
+        "mono": {"heads": heads, "clips": tmp_path},
+    }
+    return [(study := study_of(name), study.options(tmp_path, **options[name])) for name in NAMES]
 
 
 def every_job(tmp_path: Path) -> list[Job]:
     return [job for study, of in every_study(tmp_path) for part in study.parts for job in part.jobs(of)]
 
 
-def test_every_step_is_a_command_that_is_understood(tmp_path: Path) -> None:
+def test_every_step_is_a_command_that_is_understood_and_draws_what_is_kept_for_reports(
+    tmp_path: Path,
+) -> None:
     for arguments in commands_of(every_job(tmp_path)):
         command, names = cli, list(arguments)
         while hasattr(command, "commands"):
             command = command.commands[names.pop(0)]  # type: ignore[union-attr]
-        command.make_context(
-            "x", [*(one.removeprefix(FILE) for one in names), "-o", "out.mcap", "--overwrite"]
-        )
+        given = [*(one.removeprefix(FILE) for one in names), "-o", "out.mcap", "--overwrite"]
+        context = command.make_context("x", given)
+        assert arguments[1] != "synth" or context.params["seed"] >= FIRST_SEED
 
 
 def test_what_was_not_measured_is_said_to_be_so(tmp_path: Path) -> None:
@@ -218,11 +200,6 @@ def test_what_was_not_measured_is_said_to_be_so(tmp_path: Path) -> None:
                 part.tell(options, Files(tmp_path, []), report)
     assert {said for _, _, _, said in report.targets} == {"not measured"}
     assert "nan" not in "\n".join(report.lines)
-
-
-def test_synthetic_recordings_are_of_seeds_that_are_kept_for_reports(tmp_path: Path) -> None:
-    drawn = [one for one in commands_of(every_job(tmp_path)) if one[1] == "synth"]
-    assert min(int(one[one.index("--seed") + 1]) for one in drawn) >= FIRST_SEED
 
 
 def test_the_experiments_are_the_thesiss(tmp_path: Path) -> None:
@@ -254,8 +231,26 @@ def test_people_are_named_once_each_and_those_for_final_measurements_are_refused
 def test_what_cannot_be_measured_is_refused_in_one_line(tmp_path: Path, given: list[str]) -> None:
     (tmp_path / "foreign_hand.py").touch()
     tool = [] if "--tool" in given else ["--tool", str(tmp_path / "foreign_hand.py")]
-    said = CliRunner().invoke(hand_strangers.main, [*given, *tool, "-o", str(tmp_path / "out")])
+    asked = [*given, *tool, "-o", str(tmp_path / "out")]
+    said = CliRunner().invoke(study_of("hand-strangers").command(), asked)
     assert said.exit_code == 1 and said.output.count("\n") == 1 and not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_quick_takes_what_is_given_and_little_of_the_rest(name: str, tmp_path: Path) -> None:
+    study = study_of(name)
+    assert CliRunner().invoke(study.command(), ["--help"]).exit_code == 0
+    if not study.quick:
+        return
+    taken: list[Any] = []
+    first = next(iter(study.quick))
+    measured = replace(
+        study, parts=(Part("a", lambda options: taken.append(options) or (), lambda *_: None),)
+    )
+    asked = ["-o", str(tmp_path), "--quick", f"--{first}", "3"]
+    said = CliRunner().invoke(measured.command(), asked, catch_exceptions=False)
+    assert said.exit_code == 0, said.output
+    assert {key: getattr(taken[0], key) for key in study.quick} == {**study.quick, first: 3}
 
 
 # One small study
@@ -268,7 +263,7 @@ def test_a_study_is_run_reported_and_continued(tmp_path: Path, monkeypatch: pyte
         monkeypatch.setitem(hand.ENTRANTS[f"{kind}-union"].changes, "filter.particles", 16)
     monkeypatch.setattr(hand, "QUESTIONS", {"PF against RBPF": [("pf-union", "rbpf-union")]})
     asked = ["-o", str(tmp_path), "--seeds", "1", "--frames", "2", "--jobs", "1", "--part", "study"]
-    said = CliRunner().invoke(hand.main, asked, catch_exceptions=False)
+    said = CliRunner().invoke(hand.STUDY.command(), asked, catch_exceptions=False)
     assert said.exit_code == 0 and f"written: {tmp_path / 'hand.md'}" in said.output
     results = {kind: tmp_path / f"runs/A-1x-{FIRST_SEED}-2-{kind}-union.mcap" for kind in ("pf", "rbpf")}
     means = []
@@ -280,6 +275,6 @@ def test_a_study_is_run_reported_and_continued(tmp_path: Path, monkeypatch: pyte
     assert list((tmp_path / "recordings").iterdir()) == []
     written = {path: path.stat().st_mtime_ns for path in results.values()}
     results["rbpf"].unlink()  # as if it had been interrupted
-    assert CliRunner().invoke(hand.main, asked, catch_exceptions=False).exit_code == 0
+    assert CliRunner().invoke(hand.STUDY.command(), asked, catch_exceptions=False).exit_code == 0
     assert results["pf"].stat().st_mtime_ns == written[results["pf"]] and results["rbpf"].exists()
     assert (tmp_path / "hand.md").read_text() == text

@@ -8,19 +8,14 @@ import random
 import subprocess
 import sys
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from benchmarking.recordings import link_recording
-from benchmarking.rows import Row
 from posetrack_cli.outputs import state_path
-from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results import spool
 from posetrack_cli.results.spool import Progress
 from posetrack_cli.tracking.loop import RunState, checkpoint_of
@@ -28,15 +23,9 @@ from posetrack_cli.tracking.smoothing import within_first_pass, within_second_pa
 from posetrack_cli.tracking.state_codec import whole
 from soaking import disks
 from soaking.__main__ import main
-from soaking.batches import BatchKilling, WholeBatch
-from soaking.cases import Case, Recordings
-from soaking.disks import sizes_of
-from soaking.findings import Findings
 from soaking.frames import Sample, cpu_rows, memory_of, memory_rows, time_rows
-from soaking.kills import PHASES, Killing, Moment, plan
-from soaking.processes import Ended
-from soaking.reference import Reference, reference_of
-from soaking.standing import Standing, standing_of
+from soaking.kills import PHASES, BatchKilling, Killing, Moment, WholeBatch, plan
+from soaking.runs import Case, Ended, Findings, Recordings, Reference, Standing, reference_of, standing_of
 
 FRAMES = 40
 
@@ -88,12 +77,6 @@ def test_a_full_disk_is_fine_if_one_line_says_so_and_without_mounts_files_are_li
     disks.soak_disk(made_up(), reference, 1, tmp_path / "disks", findings)
     assert findings.troubles == [] and [row.value for row in findings.rows] == [1, 0]
     assert "files of at most" in findings.rows[0].name
-
-
-def test_no_disk_has_the_room_that_is_needed() -> None:
-    sizes = sizes_of(10, 1_000_000)
-    assert len(set(sizes)) == 10 and sizes[-1] < 1_000_000
-    assert all(size % 4096 == 0 and size > 0 for size in sizes)
 
 
 def test_a_soak_tells_memory_that_grows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -184,16 +167,6 @@ def test_how_a_process_may_end(code: int, said: str, codes: tuple[int, ...], tro
     assert all(line.startswith(start) for line, start in zip(found, troubles, strict=True))
 
 
-def test_a_figure_beyond_its_bound_is_a_trouble(capsys: pytest.CaptureFixture[str]) -> None:
-    findings = Findings()
-    findings.add(Row("growth", 12.0, "MiB", 16.0))
-    findings.add(Row("other growth", 1234.5, "MiB", 16.0))
-    assert findings.troubles == ["other growth: 1234 MiB, at most 16 MiB"]
-    table = findings.as_markdown({"cores": "2"}).splitlines()
-    assert table[-2:] == ["| growth | 12 MiB | 16 |", "| other growth | 1,234.50 MiB **MISSED** | 16 |"]
-    assert capsys.readouterr().err == "soak: other growth: 1234 MiB, at most 16 MiB\n"
-
-
 class NoTracker:
     """A tracker whose states are numbers."""
 
@@ -201,7 +174,7 @@ class NoTracker:
 
 
 def test_steps_of_both_passes_are_counted(tmp_path: Path) -> None:
-    case, output = replace(made_up(frames=40), passes=2), tmp_path / "r.mcap"
+    case, output = made_up(frames=40)._replace(passes=2), tmp_path / "r.mcap"
     assert standing_of(case, output) is None
     reached = RunState(0, np.random.default_rng(0), 9)
     first = within_first_pass(checkpoint_of(NoTracker(), reached, 0))
@@ -209,18 +182,6 @@ def test_steps_of_both_passes_are_counted(tmp_path: Path) -> None:
     for checkpoint, expected in ((first, Standing(10, 0)), (second, Standing(50, 10))):
         spool.save(state_path(output), checkpoint, Progress(0, 10, 0, {}))
         assert standing_of(case, output) == expected
-
-
-def test_a_folder_of_depth_images_goes_to_and_fro(tmp_path: Path) -> None:
-    seen = tmp_path / "seen"
-    seen.mkdir()
-    (seen / "camera.toml").write_text("fx = 365.0\nfy = 365.0\ncx = 3.5\ncy = 2.5\n")
-    for k in range(3):
-        cv2.imwrite(str(seen / f"{k}.png"), np.full((6, 8), 600 + k, np.uint16))
-    link_recording(tmp_path / "long", seen, 6)
-    frames = list(open_recording(tmp_path / "long", fps=30.0).frames())
-    assert [int(frame.images[0][0, 0]) for frame in frames] == [600, 601, 602, 601, 600, 601]
-    assert len({frame.stamp_ns for frame in frames}) == 6
 
 
 BATCH = """
