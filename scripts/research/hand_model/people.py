@@ -111,9 +111,9 @@ def _length(anatomy: HandAnatomy) -> float:
 
 # Where joints lie in a hand: between what a rig says and what anatomy says, as far as either is known.
 #
-# A rig's joints are where its mesh turns well; rigs differ by 5 to 20 mm at wrist, knuckles and thumb. Anatomy
-# puts the knuckle where the first phalanx is 1.6 times as long as the second or farther back, divides fingers
-# as Buryanov and Kotiuk 2010 measured, and lets the thumb begin at the trapezium.
+# A rig's joints are where its mesh turns well; rigs differ by 5 to 20 mm at wrist, knuckles and thumb.
+# Anatomy puts the knuckle where the first phalanx is 1.6 times as long as the second or farther back, divides
+# fingers as Buryanov and Kotiuk 2010 measured, and lets the thumb begin at the trapezium.
 
 ANATOMY_SHARE = (1.0, 0.5)
 """Mean and standard deviation of how far joints lie on the way from the rig's place to anatomy's."""
