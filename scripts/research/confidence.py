@@ -10,9 +10,8 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import click
 import cv2
@@ -29,7 +28,7 @@ from posetrack_cli.head import subject as of_heads
 from posetrack_cli.results import load_arrays, read_result
 from posetrack_cli.tracking.confidence import PROBABLY, Regression
 from research import hands
-from research.heads import CALIBRATION, TRUTH, Compared, compare
+from research.heads import CALIBRATION, TRUTH, compare
 
 Bounds = tuple[float | None, float | None]
 PENALTY = 1e-3
@@ -50,17 +49,10 @@ UNSURE_DEG, UNSURE_MM = 3.0, 1.0
 OFFSETS, USUAL, REAL = "*", "+", "~"
 
 
-@dataclass(frozen=True, eq=False)
-class Frames:
-    """The frames of a result in which something was followed, whether it is lost or not.
-
-    Attributes:
-        person: who it is of.
-        signs: (M, S).
-        right: (M,) whether the estimate is.
-        far: (M,) whether it is far off.
-        is_real: whether a sensor recorded it.
-        weight: of the recording among those of its kind.
+class Frames(NamedTuple):
+    """The M frames of a result in which something was followed, whether it is lost or not: signs (M, S),
+    whether the estimate is right, and whether it is far off. ``weight`` is of the recording among those of
+    its kind, recorded by a sensor (``is_real``) or rendered.
     """
 
     person: str
@@ -113,42 +105,37 @@ def head_frames(person: str, result: Path, truth: Path | None = None) -> Frames:
         truth: a file.
     """
     one, is_real = compare(result, truth), person.endswith(REAL)
+    shapes = one.points_mm()[1].mean(axis=1)
+
+    def within(unsure: float) -> BoolArray:
+        """Whether rotations and points (M,) are right, to so many errors of a reference."""
+        turned: BoolArray = one.rotation_deg <= of_heads.RIGHT_DEG + unsure * UNSURE_DEG
+        return turned & (shapes <= of_heads.RIGHT_MM + unsure * UNSURE_MM)
+
     signs = signs_of(result, of_heads.SIGN_NAMES)
     stamps = np.asarray(load_arrays(result)["stamp_ns"])
     signs = signs[np.searchsorted(stamps, one.stamp_ns)]
-    right, nearly = (_is_right(one, factor * is_real) for factor in (1.0, 2.0))
+    right, nearly = (within(factor * is_real) for factor in (1.0, 2.0))
     chosen = np.isfinite(signs).all(axis=1) & (right | ~nearly)
     far, weight = one.rotation_deg > FAR_DEG, USUAL_WEIGHT if person.endswith(USUAL) else 1.0
     return Frames(person.rstrip(USUAL + REAL), signs[chosen], right[chosen], far[chosen], is_real, weight)
 
 
-def _is_right(one: Compared, unsure: float) -> BoolArray:
-    """Whether rotations and points (M,) are right, to so many errors of a reference."""
-    shapes = one.points_mm()[1].mean(axis=1)
-    turned = one.rotation_deg <= of_heads.RIGHT_DEG + unsure * UNSURE_DEG
-    found: BoolArray = turned & (shapes <= of_heads.RIGHT_MM + unsure * UNSURE_MM)
-    return found
-
-
 def fitted(frames: Sequence[Frames], real_share: float, bounds: Sequence[Bounds]) -> Regression:
-    """Return the regression of most likelihood."""
+    """Return the regression of most likelihood, whose signs' weights have bounds.
+
+    Recordings count by their weights, however many frames they have, and real ones by ``real_share`` against
+    all others.
+    """
     whole = {kind: sum(one.weight for one in frames if one.is_real == kind) for kind in (False, True)}
+    shares = (one.weight / whole[one.is_real] * (real_share if one.is_real else 1.0) for one in frames)
     counts = [
-        np.full(
-            len(one.right),
-            one.weight / whole[one.is_real] * (real_share if one.is_real else 1.0) / max(len(one.right), 1),
-        )
-        for one in frames
+        np.full(len(one.right), share / max(len(one.right), 1))
+        for one, share in zip(frames, shares, strict=True)
     ]
     signs, right = (np.concatenate([getattr(one, name) for one in frames]) for name in ("signs", "right"))
-    return fitted_regression(signs, right, np.concatenate(counts), bounds)
-
-
-def fitted_regression(
-    signs: FloatArray, right: BoolArray, weights: FloatArray, bounds: Sequence[Bounds]
-) -> Regression:
-    """Return the regression of most likelihood to frames (M,) with signs (M, S) and weights (M,)."""
-    weights = weights / weights.sum()
+    weights = np.concatenate(counts)
+    weights /= weights.sum()
     mean, sd = weights @ signs, signs.std(axis=0) + 1e-9
     design = np.column_stack([np.ones(len(signs)), (signs - mean) / sd])
 
@@ -174,7 +161,10 @@ def report(frames: Sequence[Frames], real_share: float, bounds: Sequence[Bounds]
     groups = {"all": list(range(len(frames)))}
     groups["recordings as they are"] = [k for k, one in enumerate(frames) if one.weight > 1.0]
     groups["real"] = [k for k, one in enumerate(frames) if one.is_real]
-    groups |= {name: [k for k, one in enumerate(frames) if one.person == name] for name in _people(frames)}
+    groups |= {
+        name: [k for k, one in enumerate(frames) if one.person == name]
+        for name in sorted({one.person for one in frames})
+    }
     lines = [f"bias {final.bias:.2f}, weights {', '.join(f'{w:.2f}' for w in final.weights)}"]
     for name, chosen in ((name, chosen) for name, chosen in groups.items() if chosen):
         p = np.concatenate([probabilities[k] for k in chosen])
@@ -192,10 +182,6 @@ def report(frames: Sequence[Frames], real_share: float, bounds: Sequence[Bounds]
                 f"  {one.confidence:.2f} said, {one.right:.2f} right, {one.count} frames" for one in known
             ]
     return lines
-
-
-def _people(frames: Sequence[Frames]) -> list[str]:
-    return sorted({one.person for one in frames})
 
 
 # Harder recordings: both right and wrong frames are needed

@@ -12,9 +12,9 @@ right/, calibration.json and truth.csv, whose points are a mesh's vertices; what
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
+from typing import NamedTuple
 
 import click
 import cv2
@@ -60,16 +60,14 @@ DRAWN_SHARE = 0.25
 """What a drawn person counts beside a rendered one."""
 
 
-@dataclass(frozen=True, eq=False)
-class Sample:
+class Sample(NamedTuple):
     """A patch, and its ten points (K, 2)."""
 
     grey: ImageArray
     points: FloatArray
 
 
-@dataclass(frozen=True, eq=False)
-class Seen:
+class Seen(NamedTuple):
     """An image, where its points are (K, 2), and the size of the face, pixels per mm."""
 
     image: ImageArray
@@ -79,25 +77,27 @@ class Seen:
 
 def seen_in(path: Path) -> Iterator[Seen]:
     """Yield some frames of a recording, of each camera."""
-    yield from (_seen_in_folder(path) if path.is_dir() else _seen_in_file(path))
+    for image, camera, points in _images_of_folder(path) if path.is_dir() else _images_of_file(path):
+        depth = float(in_camera_axes(camera, points)[EYES, 2].mean())
+        scale = float(np.sqrt(camera.fx * camera.fy)) / depth
+        yield Seen(image, pixels_from_points(camera, points)[0], scale)
 
 
-def _seen_in_folder(path: Path) -> Iterator[Seen]:
+def _images_of_folder(path: Path) -> Iterator[tuple[ImageArray, Camera, FloatArray]]:
     cameras = cameras_of(path / CALIBRATION)
     truth = load_csv_track(path / TRUTH, head_subject(cameras[0].name, 0))
-    points, position, quaternion = truth.points, truth.position, truth.quaternion
-    assert points is not None and position is not None and quaternion is not None
+    assert truth.points is not None and truth.quaternion is not None
     for camera in cameras:
         images = sorted((path / camera.name).iterdir())
-        for row in np.linspace(0, len(points) - 1, FRAMES).astype(int):
+        for row in np.linspace(0, len(truth.points) - 1, FRAMES).astype(int):
             image = cv2.imread(str(images[row]), cv2.IMREAD_GRAYSCALE)
             if image is None:
                 raise click.ClickException(f"{images[row]}: no image")
-            shift = in_camera(SEEN_BESIDE, np.zeros(3), quaternion[row])
-            yield _seen(image, camera, points[row] + shift)
+            shift = in_camera(SEEN_BESIDE, np.zeros(3), truth.quaternion[row])
+            yield image, camera, truth.points[row] + shift
 
 
-def _seen_in_file(path: Path) -> Iterator[Seen]:
+def _images_of_file(path: Path) -> Iterator[tuple[ImageArray, Camera, FloatArray]]:
     recording = open_recording(path, "grey")
     truth = topics_truth(McapFile(path, LossLog()), head_subject(recording.cameras[0].name, 0), path.name)
     assert truth is not None and truth.points is not None
@@ -108,12 +108,7 @@ def _seen_in_file(path: Path) -> Iterator[Seen]:
             continue
         for camera, image in zip(recording.cameras, frame.images, strict=True):
             if image is not None:
-                yield _seen(image, camera, truth.points[row])
-
-
-def _seen(image: ImageArray, camera: Camera, points: FloatArray) -> Seen:
-    depth = float(in_camera_axes(camera, points)[EYES, 2].mean())
-    return Seen(image, pixels_from_points(camera, points)[0], float(np.sqrt(camera.fx * camera.fy)) / depth)
+                yield image, camera, truth.points[row]
 
 
 def samples_of(seen: Seen, rng: np.random.Generator) -> Iterator[Sample]:
@@ -143,8 +138,7 @@ def described(picture: Float32Array, places: FloatArray) -> FloatArray:
     return found.reshape(len(places), -1)
 
 
-@dataclass(frozen=True, eq=False)
-class Moments:
+class Moments(NamedTuple):
     """Of histograms: their mean (D,) and the mean of their squares (D, D)."""
 
     mean: FloatArray
@@ -157,8 +151,7 @@ class Moments:
         return covariance
 
 
-@dataclass(frozen=True, eq=False)
-class PointMoments:
+class PointMoments(NamedTuple):
     """What a point looks like, and what the places near it do."""
 
     at: Moments
@@ -189,18 +182,17 @@ def moments_of(path: Path) -> tuple[PointMoments, ...]:
     for sample in (sample for seen in seen_in(path) for sample in samples_of(seen, rng)):
         picture = histograms(sample.grey)
         for k, seen_at, seen_near in zip(RIGHT_SIDE, at, near, strict=True):
+            places = rng.uniform(-REACH_PX, REACH_PX, (3 * NEIGHBOURS, 2))
+            places = places[np.linalg.norm(places, axis=1) > NEAR_PX][:NEIGHBOURS]
             seen_at.append(described(picture, sample.points[k : k + 1]))
-            seen_near.append(described(picture, sample.points[k] + _neighbours(rng)))
+            seen_near.append(described(picture, sample.points[k] + places))
     return tuple(PointMoments(moments(one), moments(other)) for one, other in zip(at, near, strict=True))
 
 
 def pooled(people: Sequence[Moments], counts: Sequence[float]) -> Moments:
     """Return the moments of people, each of whom counts so much."""
     shares = np.array(counts) / np.sum(counts)
-    return Moments(
-        np.tensordot(shares, np.stack([one.mean for one in people]), axes=1),
-        np.tensordot(shares, np.stack([one.square for one in people]), axes=1),
-    )
+    return Moments(*(np.tensordot(shares, np.stack(part), axes=1) for part in zip(*people, strict=True)))
 
 
 def learn(people: Sequence[tuple[tuple[PointMoments, ...], float]]) -> tuple[Float32Array, FloatArray]:
@@ -219,12 +211,6 @@ def moments(values: Sequence[FloatArray]) -> Moments:
     """Return the moments of histograms (n, D), several such arrays together."""
     rows = np.concatenate(values)
     return Moments(rows.mean(axis=0), rows.T @ rows / len(rows))
-
-
-def _neighbours(rng: np.random.Generator) -> FloatArray:
-    places = rng.uniform(-REACH_PX, REACH_PX, (3 * NEIGHBOURS, 2))
-    chosen: FloatArray = places[np.linalg.norm(places, axis=1) > NEAR_PX][:NEIGHBOURS]
-    return chosen
 
 
 def shape_modes(statistics: Statistics) -> FloatArray:

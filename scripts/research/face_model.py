@@ -18,7 +18,8 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.evaluation.reading.truth_tables import load_csv_track
 from posetrack_cli.geometry.rigid import in_object
 from posetrack_cli.head.actions import USUAL, displacement
-from posetrack_cli.head.face.points import EYES, POINT_NAMES
+from posetrack_cli.head.detection.appearance import RIGHT_SIDE
+from posetrack_cli.head.face.points import EYES, MIRRORED, POINT_NAMES
 from posetrack_cli.head.multilinear.build import BuiltModel, add_deformation, build_model, mirrored
 from posetrack_cli.head.multilinear.face_model import SHIPPED, FaceModel, save_face_model
 from posetrack_cli.head.subject import head_subject
@@ -31,19 +32,17 @@ DECIMALS = 9
 """To which the arrays are rounded, so that the last bits of a machine's arithmetic do not show."""
 Expression = Mapping[str, float]
 
-FEATURE_OFFSETS = np.array(
-    [
-        [-2.2, 0.0, 1.9],
-        [-1.6, 0.2, 2.3],
-        [1.6, 0.2, 2.3],
-        [2.2, 0.0, 1.9],
-        [-1.7, 0.2, -0.2],
-        [1.7, 0.2, -0.2],
-        [-3.1, 2.3, 3.8],
-        [3.1, 2.3, 3.8],
-        [-4.9, -10.1, 6.5],
-        [4.9, -10.1, 6.5],
-    ]
+
+def _both_sides(right: Sequence[tuple[float, float, float]]) -> FloatArray:
+    """Return all points (K, 3) of those of the right side."""
+    found = np.empty((len(POINT_NAMES), 3))
+    found[list(RIGHT_SIDE)] = right
+    found[np.array(MIRRORED)[list(RIGHT_SIDE)]] = np.array(right) * (-1.0, 1.0, 1.0)
+    return found
+
+
+FEATURE_OFFSETS = _both_sides(
+    [(-2.2, 0.0, 1.9), (-1.6, 0.2, 2.3), (-1.7, 0.2, -0.2), (-3.1, 2.3, 3.8), (-4.9, -10.1, 6.5)]
 )
 """(K, 3) mm, how far the features that a tracker follows lie from the statistics' landmarks, on average of
 people **[ours]**: what ``measured_offsets`` finds of the ten recordings person-c to person-l of the study.
@@ -52,19 +51,8 @@ They are that far larger than the statistics' mean face, and a tracker sees a no
 dark inner end beside the vertices. A model built from results of tracking needs none.
 """
 
-SEEN_BESIDE = np.array(
-    [
-        [-0.5, 0.3, 2.2],
-        [-0.8, -0.1, 2.0],
-        [0.8, -0.1, 2.0],
-        [0.5, 0.3, 2.2],
-        [0.1, -0.3, 0.9],
-        [-0.1, -0.3, 0.9],
-        [-2.1, 2.8, 3.8],
-        [2.1, 2.8, 3.8],
-        [-3.7, -6.2, -2.1],
-        [3.7, -6.2, -2.1],
-    ]
+SEEN_BESIDE = _both_sides(
+    [(-0.5, 0.3, 2.2), (-0.8, -0.1, 2.0), (0.1, -0.3, 0.9), (-2.1, 2.8, 3.8), (-3.7, -6.2, -2.1)]
 )
 """(K, 3) mm in the head's frame: how far from a mesh's vertices the learned points are followed.
 
@@ -157,7 +145,11 @@ def build(statistics: Statistics, offsets: FloatArray = FEATURE_OFFSETS) -> Buil
     """
     people = statistics.people(PEOPLE, np.random.default_rng(SEED))
     actions = [motion(statistics, knots, rate) for knots in (SIDEWAYS, VERTICAL) for rate in RATES]
-    widths = _width(people) / _width(statistics.mean)
+    widths, width = (
+        np.linalg.norm(faces[..., EYES.stop - 1, :] - faces[..., EYES.start, :], axis=-1)
+        for faces in (people, statistics.mean)
+    )
+    widths = widths / width  # between the outer eye corners
     features = people + offsets
     built = build_model(features[:, None] + widths[:, None, None, None] * np.stack(actions))
     sizes = np.tile(widths, 2)  # of the right halves, then of the left
@@ -170,16 +162,6 @@ def motion(statistics: Statistics, knots: Mapping[float, Expression], rate: floa
     moved = [share * statistics.face(knot) for share, knot in zip(shares, knots.values(), strict=True)]
     total: FloatArray = np.sum(moved, axis=0)
     return total
-
-
-def _width(faces: FloatArray) -> FloatArray:
-    """Distance (...) of the outer eye corners."""
-    width: FloatArray = np.linalg.norm(faces[..., EYES.stop - 1, :] - faces[..., EYES.start, :], axis=-1)
-    return width
-
-
-def _rounded(model: FaceModel) -> FaceModel:
-    return FaceModel(**{part.name: np.round(getattr(model, part.name), DECIMALS) for part in fields(model)})
 
 
 @click.command(help=__doc__)
@@ -195,7 +177,9 @@ def main(statistics: Path, people: tuple[Path, ...], without: tuple[str, ...], o
     """
     read, used = read_statistics(statistics), [one for one in people if one.name not in without]
     built = build(read, measured_offsets(read, used) if used else FEATURE_OFFSETS)
-    save_face_model(out, _rounded(built.model), SOURCE)
+    parts = {part.name: getattr(built.model, part.name) for part in fields(built.model)}
+    model = FaceModel(**{name: np.round(values, DECIMALS) for name, values in parts.items()})
+    save_face_model(out, model, SOURCE)
     errors = np.linalg.norm(built.approximations() - built.samples, axis=-1)
     print(f"{out}: rms {np.sqrt(np.mean(errors**2)):.3f} mm over {len(built.samples)} half faces")
 
