@@ -12,7 +12,7 @@ import numpy as np
 from benchmarking.processes import POSETRACK, peak_memory, usage_of
 from benchmarking.recordings import write_hand_recording, write_long_result
 from benchmarking.rows import Row, median_ms, median_of_pairs
-from benchmarking.stepping import Walker, in_turn
+from benchmarking.stepping import hand_walker, in_turn
 from posetrack_cli.configuration import find_configuration, load_settings
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.model.anatomy import make_anatomy
@@ -48,8 +48,9 @@ def hands(device: RenderingDevice, frames: int, memory_frames: int) -> Iterator[
     """
     synthetic = synthesise(SynthOptions(frames=frames), device=device)
     depths = [frame.depth.astype(np.float32) for frame in synthetic]
+    shown = [(depth,) for depth in depths]
     configs = {name: load_settings(HandConfig, find_configuration(name), {}) for name in TARGETS_MS}
-    times = in_turn({k: Walker(device, one, depths[0]) for k, one in configs.items()}, depths, WARM_UP)
+    times = in_turn({k: hand_walker(device, one, depths[0]) for k, one in configs.items()}, shown, WARM_UP)
     for name in configs:
         yield Row(f"{name}, tracking alone", median_ms(times[name]), "ms")
     for name in ("hand-fast", "hand-pso"):
@@ -66,7 +67,7 @@ def hands(device: RenderingDevice, frames: int, memory_frames: int) -> Iterator[
                 f"{kind}, file to file", 1e3 * outcome.seconds / outcome.tracked, "ms", TARGETS_MS[kind]
             )
         kinds = {kind: load_settings(HandConfig, None, {"filter.kind": kind}) for kind in ("rbpf", "pf")}
-        times = in_turn({k: Walker(device, one, depths[0]) for k, one in kinds.items()}, depths, WARM_UP)
+        times = in_turn({k: hand_walker(device, one, depths[0]) for k, one in kinds.items()}, shown, WARM_UP)
         ratio = median_of_pairs(times["rbpf"], times["pf"])
         yield Row("RBPF / PF frame time, median of pairs", ratio, "", 1.03)
         write_hand_recording(folder / "long.mcap", depths, memory_frames)

@@ -14,7 +14,7 @@ import numpy as np
 from benchmarking.processes import peak_memory
 from benchmarking.recordings import link_recording, there_and_back
 from benchmarking.rows import Row, fitted_line, median_ms, median_of_pairs
-from benchmarking.stepping import SETTLING, FrameClock, HeadWalker, in_turn
+from benchmarking.stepping import SETTLING, FrameClock, Walker, in_turn
 from posetrack_cli.configuration import load_settings
 from posetrack_cli.geometry.camera import Camera, pixels_from_points
 from posetrack_cli.geometry.rotations import head_quaternion_from_roll_pitch_yaw
@@ -31,7 +31,7 @@ from posetrack_cli.head.tracker.stereo import components_of, make_stereo_tracker
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.camera_of import Guess
 from posetrack_cli.recording.opening import open_recording
-from posetrack_cli.results.estimate import Estimate
+from posetrack_cli.results.estimate import Estimate, Subject
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
 from posetrack_cli.synthesis.head.writing import write_synthetic
 from posetrack_cli.tracking.smoothing import Learned
@@ -75,7 +75,7 @@ def _rated(name: str, value: float, target: float | None) -> Iterator[Row]:
     yield Row("  that is", 1e3 / value, "frames/s")
 
 
-def _lost(walkers: Mapping[Any, HeadWalker]) -> Row:
+def _lost(walkers: Mapping[Any, Walker]) -> Row:
     lost = sum(walker.lost for walker in walkers.values())
     return Row("  frames in which a head was lost", lost, "", 0.0)
 
@@ -99,7 +99,7 @@ def stereo_alone(path: Path, steps: int) -> Iterator[Row]:
     cameras = recording.cameras
     known = learnt_face(cameras, shown)
     walkers = {
-        (count, learnt): HeadWalker(
+        (count, learnt): Walker(
             make_stereo_tracker(stereo_settings(count), cameras, known if learnt else None)
         )
         for count in (FEW, MANY)
@@ -117,10 +117,11 @@ def stereo_alone(path: Path, steps: int) -> Iterator[Row]:
 
 def learnt_face(cameras: Sequence[Camera], shown: Sequence[Any]) -> Learned:
     """What a tracker learns with gates wide open, for a short recording has no expressions to speak of."""
-    walker = HeadWalker(make_stereo_tracker(stereo_settings(FEW, rigid_frames=10, least_mm=0.1), cameras))
+    walker = Walker(make_stereo_tracker(stereo_settings(FEW, rigid_frames=10, least_mm=0.1), cameras))
     for index, images in enumerate(shown):
         walker.step(index, images)
-    return walker.learned()
+    learned: Learned = walker.tracker.learned(walker.state)
+    return learned
 
 
 def deformations_of(estimate: Estimate | None) -> int:
@@ -133,14 +134,14 @@ def deformations_of(estimate: Estimate | None) -> int:
 def stereo_files(folder: Path, frames: int) -> Iterator[Row]:
     """A whole run from JPEG files to a finished result, the search for the face included."""
     recording, config = open_recording(folder / "long", "grey", fps=FPS), stereo_settings(FEW)
-    run = HeadRun(
+    subject = head_subject(recording.cameras[0].name, components_of(config))
+    options = HeadRunOptions(folder / "result.mcap", end=frames)
+    run = _run(
         recording,
         config,
-        HeadRunOptions(folder / "result.mcap", end=frames),
-        name="head-stereo",
-        subject=head_subject(recording.cameras[0].name, components_of(config)),
-        flush_frames=config.output.flush_frames,
-        make_tracker=lambda known: make_stereo_tracker(config, recording.cameras, known),
+        options,
+        subject,
+        lambda known: make_stereo_tracker(config, recording.cameras, known),
     )
     clock = FrameClock()
     outcome = run.track(clock.note)
@@ -149,13 +150,20 @@ def stereo_files(folder: Path, frames: int) -> Iterator[Row]:
     yield Row("  CPU of all threads, a pair, start excluded", clock.ms_a_frame, "ms", STEREO_CPU_MS)
 
 
+def _run(recording: Any, config: Any, options: HeadRunOptions, subject: Subject, make: Any) -> HeadRun:
+    flush = config.output.flush_frames
+    return HeadRun(
+        recording, config, options, name="head", subject=subject, flush_frames=flush, make_tracker=make
+    )
+
+
 # One camera
 
 
 def mono_alone(camera: Camera, shown: Sequence[Any]) -> Iterator[Row]:
     """The same images through two trackers in turn: one adjusts the face at the start only."""
     configs = {w: load_settings(HeadMonoConfig, None, {"adjustment.when": w}) for w in ("start", "always")}
-    walkers = {when: HeadWalker(make_mono_tracker(config, camera)) for when, config in configs.items()}
+    walkers = {when: Walker(make_mono_tracker(config, camera)) for when, config in configs.items()}
     times = in_turn(walkers, shown, SETTLING)
     name = f"head mono, N = {HeadMonoConfig().particles.count}, tracking"
     yield from _rated(f"{name} alone", median_ms(times["start"]), MONO_MS)
@@ -235,24 +243,20 @@ def mono_files(folder: Path, images: Sequence[Any]) -> Iterator[Row]:
         writer.write(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
     writer.release()
     for passes, title, target in ((1, "one pass", MONO_FILES_MS), (2, "two passes", None)):
-        clock, began = FrameClock(), time.perf_counter()
-        frames = _mono_run(folder, passes).track(clock.note).tracked / passes
+        config, clock = HeadMonoConfig(run=RunSettings(passes=passes)), FrameClock()
+        began = time.perf_counter()
+        recording = open_recording(folder / "long.mp4", "grey", guess=Guess())
+        (camera,) = recording.cameras
+        options = HeadRunOptions(folder / f"mono-{passes}.mcap")
+        run = _run(
+            recording,
+            config,
+            options,
+            mono_subject(camera.name, load_face_model(None)),
+            lambda known, c=config, camera=camera: make_mono_tracker(c, camera, known),
+        )
+        frames = run.track(clock.note).tracked / passes
         value = 1e3 * (time.perf_counter() - began) / frames
         yield from _rated(f"head mono, video to finished MCAP, {title}, per frame", value, target)
         name = "  CPU of all threads, a frame of the last pass, start excluded"
         yield Row(name, clock.ms_a_frame, "ms", MONO_CPU_MS)
-
-
-def _mono_run(folder: Path, passes: int) -> HeadRun:
-    config = HeadMonoConfig(run=RunSettings(passes=passes))
-    recording = open_recording(folder / "long.mp4", "grey", guess=Guess())
-    (camera,) = recording.cameras
-    return HeadRun(
-        recording,
-        config,
-        HeadRunOptions(folder / f"mono-{passes}.mcap"),
-        name="head-mono",
-        subject=mono_subject(camera.name, load_face_model(None)),
-        flush_frames=config.output.flush_frames,
-        make_tracker=lambda known: make_mono_tracker(config, camera, known),
-    )

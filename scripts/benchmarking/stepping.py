@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -16,7 +16,6 @@ from posetrack_cli.recording.base import Frame
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.results.estimate import Estimate, Status
 from posetrack_cli.synthesis.hand.frames import CAMERA
-from posetrack_cli.tracking.smoothing import Learned, LearningTracker
 
 Name = TypeVar("Name")
 FRAME_NS = 33_333_333
@@ -24,59 +23,36 @@ SETTLING = 10
 """Steps of a head left out before times are taken: the search for the face, and caches."""
 
 
-class Stepping(Protocol):
-    """Tracks a frame and returns how long it took."""
-
-    def step(self, index: int, shown: Any) -> float:
-        """Track what a frame shows; return the seconds it took."""
-
-
 class Walker:
-    """A hand tracker that starts in the middle of the depth image ``first``."""
+    """A tracker that is timed step by step; one of heads starts with the first frame it sees."""
 
-    def __init__(self, device: RenderingDevice, config: HandConfig, first: Any) -> None:
-        hand = average_hand()
-        self._tracker = make_tracker(config, hand, CAMERA, device)
-        self._rng = np.random.default_rng(0)
-        pose = centre_pose(first, CAMERA, hand.anatomy, config.init.depth_mm)
-        self._state: Any = self._tracker.start(pose, 0, self._rng)
-
-    def step(self, index: int, shown: Any) -> float:
-        """Track one depth image; return the seconds it took."""
-        frame = Frame(index, index * FRAME_NS, (shown,))
-        began = time.perf_counter()
-        self._state, _ = self._tracker.step(self._state, frame, self._rng)
-        return time.perf_counter() - began
-
-
-class HeadWalker:
-    """A head tracker of one camera or more."""
-
-    def __init__(self, tracker: LearningTracker[Any]) -> None:
-        self._tracker, self._rng = tracker, np.random.default_rng(0)
-        self._state: Any = None
+    def __init__(self, tracker: Any, state: Any = None, rng: np.random.Generator | None = None) -> None:
+        self.tracker, self.state = tracker, state
+        self._rng = rng or np.random.default_rng(0)
         self.lost = 0
         self.last: Estimate | None = None
 
     def step(self, index: int, shown: Any) -> float:
         """Track one frame of images; return the seconds it took."""
         frame = Frame(index, (index + 1) * FRAME_NS, shown)
-        if self._state is None:
-            self._state = self._tracker.start(frame, self._rng)
+        if self.state is None:
+            self.state = self.tracker.start(frame, self._rng)
         began = time.perf_counter()
-        self._state, self.last = self._tracker.step(self._state, frame, self._rng)
+        self.state, self.last = self.tracker.step(self.state, frame, self._rng)
         seconds = time.perf_counter() - began
-        self.lost += self.last.status == Status.LOST
+        self.lost += self.last is not None and self.last.status == Status.LOST
         return seconds
 
-    def learned(self) -> Learned:
-        """Return what another tracker can begin with."""
-        return self._tracker.learned(self._state)
+
+def hand_walker(device: RenderingDevice, config: HandConfig, first: Any) -> Walker:
+    """Return a hand tracker that starts in the middle of the depth image ``first``."""
+    hand, rng = average_hand(), np.random.default_rng(0)
+    tracker = make_tracker(config, hand, CAMERA, device)
+    pose = centre_pose(first, CAMERA, hand.anatomy, config.init.depth_mm)
+    return Walker(tracker, tracker.start(pose, 0, rng), rng)
 
 
-def in_turn(
-    walkers: Mapping[Name, Stepping], recorded: Sequence[Any], warm_up: int
-) -> dict[Name, list[float]]:
+def in_turn(walkers: Mapping[Name, Any], recorded: Sequence[Any], warm_up: int) -> dict[Name, list[float]]:
     """Let walkers track the same frames, one by one in turn and in both orders.
 
     Return for each the seconds of every frame after the first ``warm_up``.

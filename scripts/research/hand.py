@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import click
 import numpy as np
 
-from benchmarking.stepping import Walker, in_turn
+from benchmarking.stepping import hand_walker, in_turn
 from posetrack_cli.build import version
 from posetrack_cli.cli.options import recording_options
 from posetrack_cli.configuration import find_configuration, load_settings
@@ -218,14 +218,14 @@ def _tell_times(options: Options, files: Files, report: Report) -> None:
     """Let both filters take turns, frame by frame, over motion B with the paper's values."""
     device = open_fastest_device()
     made = SynthOptions("B", TIMED_FRAMES, FIRST_SEED, 1.0, switches=Switches.usual("B"))
-    recorded = [frame.depth.astype(np.float32) for frame in synthesise(made, device=device)]
+    recorded = [(frame.depth.astype(np.float32),) for frame in synthesise(made, device=device)]
     taken: dict[str, list[float]] = {"PF": [], "RBPF": []}
     for particles in PARTICLES:
         walkers = {}
         for name in taken:
             changes = {"filter.kind": name.lower(), "filter.particles": particles}
             config = load_settings(HandConfig, find_configuration("hand-paper"), changes)
-            walkers[name] = Walker(device, config, recorded[0])
+            walkers[name] = hand_walker(device, config, recorded[0][0])
         for name, seconds in in_turn(walkers, recorded, WARM_UP).items():
             taken[name].append(1e3 * float(np.median(seconds)))
     plots.times(options.output / "figure10.png", PARTICLES, taken)

@@ -90,19 +90,20 @@ class _Builder:
 
     def build(self) -> SkinnedMesh:
         """Return the mesh."""
-        triangles = [triangle for face in self.faces for triangle in self._split(face)]
+        triangles: list[tuple[int, ...]] = []
+        for face in self.faces:
+            if len(face) == 3:
+                triangles.append(face)
+                continue
+            a, b, c, d = face
+            p, q, r, t = (self.vertices[k] for k in face)
+            if np.linalg.norm(p - r) <= np.linalg.norm(q - t):
+                triangles += [(a, b, c), (a, c, d)]
+            else:
+                triangles += [(a, b, d), (b, c, d)]
         return SkinnedMesh(
             np.array(self.vertices), np.array(self.weights), np.array(triangles, dtype=np.int64)
         )
-
-    def _split(self, face: tuple[int, ...]) -> list[tuple[int, ...]]:
-        if len(face) == 3:
-            return [face]
-        a, b, c, d = face
-        across = np.linalg.norm(self.vertices[a] - self.vertices[c])
-        if across <= np.linalg.norm(self.vertices[b] - self.vertices[d]):
-            return [(a, b, c), (a, c, d)]
-        return [(a, b, d), (b, c, d)]
 
 
 @functools.cache
@@ -144,7 +145,11 @@ def _built_cage(anatomy: HandAnatomy) -> _Builder:
     rows = [_palm_row(builder, anatomy, *row) for row in _ROWS]
     wrist = builder.vertex(np.array([0.0, _WRIST_END + _CAP, 0.0]), {0: 1.0})
     builder.fan(rows[0][::-1], wrist)
-    _join_rows(builder, rows)
+    for r, (near, far) in enumerate(itertools.pairwise(rows)):
+        for k in range(_COLUMNS):
+            if r != _THUMB_ROWS[0] or k not in (16, _INDEX_SIDE):  # the thumb's hole
+                m = (k + 1) % _COLUMNS
+                builder.quad(near[k], near[m], far[m], far[k])
     bases = _finger_bases(builder, anatomy, rows[-1])
     for finger in range(1, 5):
         _grow(builder, anatomy, finger, bases[finger - 1])
@@ -194,15 +199,6 @@ def _palm_profile(u: FloatArray, s: float) -> FloatArray:
     )
     profile -= 0.12 * np.exp(-((u / 0.35) ** 2)) * np.exp(-(((s - 0.6) / 0.3) ** 2))
     return profile
-
-
-def _join_rows(builder: _Builder, rows: list[list[int]]) -> None:
-    for r, (near, far) in enumerate(itertools.pairwise(rows)):
-        for k in range(_COLUMNS):
-            m = (k + 1) % _COLUMNS
-            if r == _THUMB_ROWS[0] and k in (16, _INDEX_SIDE):
-                continue  # the thumb's hole
-            builder.quad(near[k], near[m], far[m], far[k])
 
 
 def _finger_bases(builder: _Builder, anatomy: HandAnatomy, last: list[int]) -> list[list[int]]:
