@@ -22,8 +22,7 @@ if __name__ == "__main__":
 
 from support.markdown import blocks  # type: ignore[import-not-found]  # noqa: E402
 
-FRAMES = 12
-"""Of each recording."""
+FRAMES = 12  # of each recording
 KINDS = {"wheel": "*.whl", "sdist": "*.tar.gz"}
 FACE = """
 import av, cv2, sys

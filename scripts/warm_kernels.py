@@ -42,8 +42,7 @@ RUNS = (
 )
 """Command lines that come to every kernel; each tuple's one after the other, the tuples side by side. The
 head is seen for long enough to make a map of its skin."""
-TRACKERS = ("run", "stereo", "mono")
-"""Commands of which a second run must give the same bytes."""
+TRACKERS = ("run", "stereo", "mono")  # commands of which a second run must give the same bytes
 
 
 def main() -> None:

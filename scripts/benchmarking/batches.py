@@ -20,8 +20,7 @@ FASTER = 1.6
 OVERHEAD_S = 1.0
 STAND_IN_S = 0.02
 WORKERS = 16
-CHUNK = 250
-"""Jobs after which the client's memory is looked at first: what is made once is there by then."""
+CHUNK = 250  # jobs after which the client's memory is looked at first: what is made once is there by then
 
 
 def batches(frames: int, jobs: int) -> Iterator[Row]:

@@ -27,8 +27,7 @@ from posetrack_cli.synthesis.hand.frames import synthesise
 from posetrack_cli.synthesis.hand.options import SynthOptions
 
 PARTICLES = 512
-TARGETS_MS = {"hand": 50.0, "hand-fast": 25.0, "hand-pso": None}
-"""20 and 40 frames/s."""
+TARGETS_MS = {"hand": 50.0, "hand-fast": 25.0, "hand-pso": None}  # 20 and 40 frames/s
 WARM_UP = 5
 
 

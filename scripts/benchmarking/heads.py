@@ -39,8 +39,7 @@ from posetrack_cli.tracking.smoothing import Learned
 FPS = 30.0
 FEW, MANY = 1000, 5000
 STEREO_MS, STEREO_FILES_MS, STEREO_CPU_MS = 1e3 / 150.0, 1e3 / 60.0, 7.0
-INDEPENDENT = 1.25
-"""Five times the particles may cost a quarter more."""
+INDEPENDENT = 1.25  # five times the particles may cost a quarter more
 MONO_MS, ADJUSTING_MS, START_MS, MONO_FILES_MS, MONO_CPU_MS = 3.0, 6.0, 70.0, 10.0, 10.0
 VIEWS = (5, 10, 20, 40, 60)
 LINEAR_PERCENT = 15.0

@@ -19,8 +19,7 @@ from posetrack_cli.synthesis.hand.frames import CAMERA
 
 Name = TypeVar("Name")
 FRAME_NS = 33_333_333
-SETTLING = 10
-"""Steps of a head left out before times are taken: the search for the face, and caches."""
+SETTLING = 10  # steps of a head left out before times are taken: the search for the face, and caches
 
 
 class Walker:

@@ -20,8 +20,7 @@ from mcap.reader import make_reader
 
 DEPTH_TOPIC, INFO_TOPIC = "/camera/depth/image_rect_raw", "/camera/depth/camera_info"
 GREY_TOPIC, GREY_INFO_TOPIC = "/camera/left/image_raw", "/camera/left/camera_info"
-TENTHS_MISSING = 65535
-"""Stored in the folder of tenths of a millimetre where there is no reading."""
+TENTHS_MISSING = 65535  # stored in the folder of tenths of a millimetre where there is no reading
 KEYPOINT_SCATTER_PX = 3.0
 CLICK_ERROR_PX = 0.5
 

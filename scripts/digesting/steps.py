@@ -16,26 +16,18 @@ _NAMED = re.compile(r"\{([^:}]+)(?::(\d))?\}")
 
 @dataclass(frozen=True)
 class Step:
-    """A command line, or a function that makes inputs.
+    """A command line, or a function that makes inputs."""
 
-    Attributes:
-        name: unique.
-        arguments: arguments of ``posetrack``; ``{name}`` stands for the first output of the step of that
-            name, ``{name:1}`` for the second.
-        outputs: files or folders that it writes; none if only its standard output counts.
-        needed: names of steps that must be done first, in addition to those in ``arguments``.
-        printed: whether standard output counts.
-        interrupted: whether it is stopped by Ctrl-C after its first checkpoint and resumed.
-        make: writes inputs into a folder; then there are no arguments.
-    """
-
-    name: str
+    name: str  # unique
+    # arguments of ``posetrack``; ``{name}`` stands for the first output of the step of that name,
+    # ``{name:1}`` for the second
     arguments: tuple[str, ...] = ()
-    outputs: tuple[str, ...] = ()
+    outputs: tuple[str, ...] = ()  # files or folders that it writes; none if only its standard output counts
+    # names of steps that must be done first, in addition to those in ``arguments``
     needed: tuple[str, ...] = ()
-    printed: bool = False
-    interrupted: bool = False
-    make: Callable[[Path], object] | None = None
+    printed: bool = False  # whether standard output counts
+    interrupted: bool = False  # whether it is stopped by Ctrl-C after its first checkpoint and resumed
+    make: Callable[[Path], object] | None = None  # writes inputs into a folder; then there are no arguments
 
     @property
     def needs(self) -> tuple[str, ...]:

@@ -16,8 +16,7 @@ from digesting.contents import digests_of, printed_digest
 from digesting.steps import Step
 
 POSETRACK = (sys.executable, "-m", "posetrack_cli.cli.main")
-INTERRUPTED_S = 600.0
-"""A run must write the checkpoint that it is interrupted after within this time."""
+INTERRUPTED_S = 600.0  # a run must write the checkpoint that it is interrupted after within this time
 _EXIT_CODES = (0, 1, 3)
 
 Digests = Mapping[str, Mapping[str, str]]

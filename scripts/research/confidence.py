@@ -31,19 +31,16 @@ from research import hands
 from research.heads import CALIBRATION, TRUTH, compare
 
 Bounds = tuple[float | None, float | None]
-PENALTY = 1e-3
-"""Of the squares of weights, in units of the signs' deviations."""
+PENALTY = 1e-3  # of the squares of weights, in units of the signs' deviations
 AGAINST: Bounds = (None, 0.0)
-FOR: Bounds = (0.0, None)
-"""Of the weight of a sign that can only speak against a frame, or for it."""
+FOR: Bounds = (0.0, None)  # of the weight of a sign that can only speak against a frame, or for it
 HAND_BOUNDS = (AGAINST, AGAINST, AGAINST, FOR, AGAINST)
 """Costs, innovation and alternatives speak against a frame, contrast for it."""
 HEAD_BOUNDS = [AGAINST] * len(of_heads.SIGN_NAMES)
 """A head's signs all speak against a frame: a weight above 0 would be of these people alone."""
 HAND_REAL_SHARE, HEAD_REAL_SHARE = 1.0, 0.25
 """Weight of real recordings against rendered ones, all together; references of real heads err."""
-USUAL_WEIGHT = 4.0
-"""A head's recording as it is counts as so many hardened ones."""
+USUAL_WEIGHT = 4.0  # a head's recording as it is counts as so many hardened ones
 UNSURE_DEG, UNSURE_MM = 3.0, 1.0
 """Error of a real head's reference: frames off by once to twice this more than right are left out."""
 OFFSETS, USUAL, REAL = "*", "+", "~"
@@ -186,8 +183,7 @@ def report(frames: Sequence[Frames], real_share: float, bounds: Sequence[Bounds]
 
 # Harder recordings: both right and wrong frames are needed
 
-REDUCED = 0.3
-"""Width of a small image over the recorded one's: eyes some 27 pixels apart."""
+REDUCED = 0.3  # width of a small image over the recorded one's: eyes some 27 pixels apart
 COVER_PX, COVER_FROM = (110, 90), 15
 """Height and width of what passes in front of the face, and the first frame with it."""
 Hardening = Callable[[Sequence[ImageArray], int, np.random.Generator], ImageArray]

@@ -22,8 +22,7 @@ from posetrack_cli.hand.model.anatomy import JOINT_NAMES
 from posetrack_cli.recording.stamps import stamps_at_rate
 from posetrack_cli.results.export.table import point_columns
 
-CAMERA = Camera(width=320, height=240, fx=224.5, fy=230.5, cx=160.0, cy=120.0)
-"""Creative Senz3D."""
+CAMERA = Camera(width=320, height=240, fx=224.5, fy=230.5, cx=160.0, cy=120.0)  # Creative Senz3D
 MISSING = 32001
 RATE_HZ = 30.0
 _FINGERS = ("index", "middle", "ring", "little")

@@ -56,8 +56,7 @@ SHRINKAGE = 0.025
 """Share of the mean variance that is added to every variance: covariances of few people are poor."""
 IDENTITY_MODES, EXPRESSION_MODES, EXPRESSION_STRENGTH = 10, 8, 0.25
 """Of the shape; how strong each of the published expressions is, root mean square."""
-DRAWN_SHARE = 0.25
-"""What a drawn person counts beside a rendered one."""
+DRAWN_SHARE = 0.25  # what a drawn person counts beside a rendered one
 
 
 class Sample(NamedTuple):

@@ -26,10 +26,8 @@ from posetrack_cli.head.subject import head_subject
 from research.heads import TRUTH
 
 SOURCE = "statistics of ICT-FaceKit (USC Institute for Creative Technologies, MIT licence)"
-PEOPLE, SEED = 60, 1
-"""How many identities are drawn; each one's negative is another."""
-DECIMALS = 9
-"""To which the arrays are rounded, so that the last bits of a machine's arithmetic do not show."""
+PEOPLE, SEED = 60, 1  # how many identities are drawn; each one's negative is another
+DECIMALS = 9  # to which the arrays are rounded, so that the last bits of a machine's arithmetic do not show
 Expression = Mapping[str, float]
 
 
@@ -80,17 +78,11 @@ RATES = np.linspace(0.0, 1.0, 5)
 
 @dataclass(frozen=True, eq=False)
 class Statistics:
-    """What is published of the ten points.
+    """What is published of the ten points."""
 
-    Attributes:
-        mean: (K, 3) mean neutral face, mm, made symmetric.
-        modes: (M, K, 3) of identity, one standard deviation each, mm.
-        expressions: displacements (K, 3) at full strength by name, mm.
-    """
-
-    mean: FloatArray
-    modes: FloatArray
-    expressions: Mapping[str, FloatArray]
+    mean: FloatArray  # (K, 3) mean neutral face, mm, made symmetric
+    modes: FloatArray  # (M, K, 3) of identity, one standard deviation each, mm
+    expressions: Mapping[str, FloatArray]  # displacements (K, 3) at full strength by name, mm
 
     def people(self, count: int, rng: np.random.Generator) -> FloatArray:
         """Draw neutral faces and their negatives (2 count, K, 3), mm, about the mean of the eye corners."""

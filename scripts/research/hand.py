@@ -60,8 +60,7 @@ ENTRANTS = {
     )
     for kind in ("pf", "rbpf")
 }
-STUDIED = ("printed", "paper", "union")
-"""Those whose recordings are compared."""
+STUDIED = ("printed", "paper", "union")  # those whose recordings are compared
 ROWS = {"hand-paper": "printed", "union cost, drawn from the motion": "union", "hand (default)": "default"}
 """Rows of figures, and their entrants."""
 

@@ -47,8 +47,7 @@ from research.report import Column, Figures, Report, number, over, pairs_of, val
 from research.runner import FILE, SHARED, TOOL, Files, Job, Step, tool_digest
 from research.study import FOLDER, Part, Study, setting
 
-FINAL = 900
-"""People and motions from here on are for final measurements only."""
+FINAL = 900  # people and motions from here on are for final measurements only
 MOST_PEOPLE = 1000
 _RANGE = re.compile(r"(\d{1,6})(?:-(\d{1,6}))?")
 
@@ -124,18 +123,13 @@ AVERAGE_HAND = "average"
 
 @dataclass(frozen=True)
 class Options:
-    """How much is done, below the folder ``output``.
-
-    Attributes:
-        tool: that draws strangers' hands; not a part of the project.
-        people: who is recorded.
-        cvar: folder of the annotated, head-mounted recordings; None leaves them out.
-    """
+    """How much is done, below the folder ``output``."""
 
     output: Path
-    tool: Path
-    people: tuple[Person, ...]
+    tool: Path  # that draws strangers' hands; not a part of the project
+    people: tuple[Person, ...]  # who is recorded
     frames: int = setting("--frames", 300, "Frames per recording.", 2)
+    # folder of the annotated, head-mounted recordings; None leaves them out
     cvar: Path | None = setting(  # noqa: RUF009
         "--cvar", None, "Folder with P1, P4, P7.  [default: ../shared/data/cvar-hand]", type=FOLDER
     )

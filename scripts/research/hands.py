@@ -21,8 +21,7 @@ from posetrack_cli.results.reader import read_result
 
 WRIST = JOINT_NAMES[0]
 RAW, WITHOUT_OFFSETS = EvalOptions(), EvalOptions(joint_offsets="bone")
-OFF_MM = 60.0
-"""A wrist that is farther from the true one is not on it."""
+OFF_MM = 60.0  # a wrist that is farther from the true one is not on it
 ASTRAY_MM = 20
 """A frame whose mean joint error is not below this does not follow the hand, whatever its status."""
 ADDRESSES = {
@@ -42,17 +41,11 @@ ADDRESSES = {
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """The frames (M,) of a track that have a truth, lost ones among them, in the order of time.
+    """The frames (M,) of a track that have a truth, lost ones among them, in the order of time."""
 
-    Attributes:
-        error: mean over the joints of the distance to the true one, mm.
-        wrist: distance between estimated and true wrist, mm.
-        lost: frames whose status is lost.
-    """
-
-    error: FloatArray
-    wrist: FloatArray
-    lost: BoolArray
+    error: FloatArray  # mean over the joints of the distance to the true one, mm
+    wrist: FloatArray  # distance between estimated and true wrist, mm
+    lost: BoolArray  # frames whose status is lost
 
 
 @cache

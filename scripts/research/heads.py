@@ -30,8 +30,7 @@ from posetrack_cli.recording import camera_file
 from research.report import Column
 
 CALIBRATION, TRUTH = "calibration.json", "truth.csv"
-LEFT = "left"
-"""The camera that is used alone."""
+LEFT = "left"  # the camera that is used alone
 FIRST, SECOND = ("--passes", "1"), ("--passes", "2")
 AXES = ("x, mm", "y", "z", "roll, deg", "pitch", "yaw")
 POSE_COLUMNS = tuple(Column(name, title) for name, title in zip(HEAD_POSE, AXES, strict=True))
@@ -70,40 +69,26 @@ def persons_in(folder: Path | None) -> list[Path]:
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """A result against a reference, in M frames.
+    """A result against a reference, in M frames."""
 
-    Attributes:
-        seconds: (M,) since the first frame.
-        followed: (M,) whether the head was followed, also where the tracker doubts itself: a doubt must not
-            make errors small.
-        believed: (M,) whether the tracker says that it has the head.
-        pose: (M, 6) absolute errors, mm and deg, in the order of ``HEAD_POSE``.
-        position_mm, rotation_deg: (M,) lengths of the whole errors.
-        columns, true_columns: (M, 6) x, y, z (mm), roll, pitch, yaw (deg) of result and reference.
-        shape, true_shape: (M, K, 3) points in head coordinates, mm.
-        neutral: (K, 3) of the reference's first frame.
-        points, true_points: (M, K, 3) in camera axes, mm.
-        milliseconds: (M,) per frame, NaN where not timed.
-        confidence: (M,) NaN where not stated.
-        stamp_ns: (M,).
-    """
-
-    seconds: FloatArray
+    seconds: FloatArray  # (M,) since the first frame
+    # (M,) whether the head was followed, also where the tracker doubts itself: a doubt must not make errors
+    # small
     followed: BoolArray
-    believed: BoolArray
-    pose: FloatArray
-    position_mm: FloatArray
+    believed: BoolArray  # (M,) whether the tracker says that it has the head
+    pose: FloatArray  # (M, 6) absolute errors, mm and deg, in the order of ``HEAD_POSE``
+    position_mm: FloatArray  # (M,) lengths of the whole errors
     rotation_deg: FloatArray
-    columns: FloatArray
+    columns: FloatArray  # (M, 6) x, y, z (mm), roll, pitch, yaw (deg) of result and reference
     true_columns: FloatArray
-    shape: FloatArray
+    shape: FloatArray  # (M, K, 3) points in head coordinates, mm
     true_shape: FloatArray
-    neutral: FloatArray
-    points: FloatArray
+    neutral: FloatArray  # (K, 3) of the reference's first frame
+    points: FloatArray  # (M, K, 3) in camera axes, mm
     true_points: FloatArray
-    milliseconds: FloatArray
-    confidence: FloatArray
-    stamp_ns: IntArray
+    milliseconds: FloatArray  # (M,) per frame, NaN where not timed
+    confidence: FloatArray  # (M,) NaN where not stated
+    stamp_ns: IntArray  # (M,)
 
     @property
     def moved_mm(self) -> FloatArray:

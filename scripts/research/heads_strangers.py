@@ -37,8 +37,7 @@ from research.report import Column, Figures, Report, over, pairs_of, values_of, 
 from research.runner import FILE, Files, Job, Step
 from research.study import FOLDER, HEADS, Part, Study, setting
 
-WRONG_DEG = 3.0
-"""A rotation that is off by more is wrong."""
+WRONG_DEG = 3.0  # a rotation that is off by more is wrong
 COLUMNS = (
     *POSE_COLUMNS,
     Column("factor", "right depth factor", 3, whole="median"),
@@ -224,8 +223,7 @@ def _tell_mono(options: Options, files: Files, report: Report) -> None:
 # Given the size
 
 DISTANCE, PERSON = "told-distance", "told-person"
-STEREO_FROM = 60
-"""The first frame of two cameras whose result is given to one camera."""
+STEREO_FROM = 60  # the first frame of two cameras whose result is given to one camera
 
 
 def pupil_distance_mm(truth: Path) -> float:

@@ -37,12 +37,10 @@ from research.runner import FILE, Files, Job, Step, command
 from research.stereo import thesis_head
 from research.study import FIRST_SEED, FOLDER, HEADS, Part, Study, setting
 
-MODEL_PEOPLE, PEOPLE = 11, 6
-"""S of the thesis; and with six pairs Wilcoxon's test can find a difference."""
+MODEL_PEOPLE, PEOPLE = 11, 6  # S of the thesis; and with six pairs Wilcoxon's test can find a difference
 LEAST_MOTION_FRAMES = 240
 """In shorter recordings the two motions are too quick for the stereo tracker, and no model can be built."""
-MOTIONS_SEED = 1000
-"""Added to a person's seed: the recordings of one person have nothing else in common."""
+MOTIONS_SEED = 1000  # added to a person's seed: the recordings of one person have nothing else in common
 PAPER = ("--config", "head-mono-paper")
 WAYS: dict[str, Alignment] = {
     "as measured": "rigid",
@@ -324,8 +322,7 @@ THESIS = {
     "C": ((2.71, 3.43, 11.38, 0.43, 2.52, 2.26), (2.11, 2.03, 11.43, 0.32, 2.03, 2.02)),
 }
 """By experiment mean and standard deviation of the absolute errors, mm and deg (tables 4.1 to 4.3)."""
-THESIS_POINTS_MM = 5.9
-"""Mean error of the feature points in head coordinates, experiment A (4.5 A)."""
+THESIS_POINTS_MM = 5.9  # mean error of the feature points in head coordinates, experiment A (4.5 A)
 AGAINST: dict[str, tuple[bool, Alignment]] = {
     "two cameras": (True, "rigid"),
     "two cameras, depth factor removed": (True, "similarity"),

@@ -21,23 +21,14 @@ PAIR_COLUMNS = ("n", "first", "second", "difference [95 %]", "p", "p adjusted", 
 
 @dataclass(frozen=True)
 class Column:
-    """A figure as tables show it.
+    """A figure as tables show it."""
 
-    Attributes:
-        name: of the figure.
-        title: of the column, with its unit.
-        digits: after the point.
-        percent: whether a share is shown in percent.
-        whole: name of the NumPy function that summarises recordings or people; empty for none.
-        spread: whether a mean is shown with the standard deviation.
-    """
-
-    name: str
-    title: str
-    digits: int = 2
-    percent: bool = False
-    whole: str = "mean"
-    spread: bool = False
+    name: str  # of the figure
+    title: str  # of the column, with its unit
+    digits: int = 2  # after the point
+    percent: bool = False  # whether a share is shown in percent
+    whole: str = "mean"  # name of the NumPy function that summarises recordings or people; empty for none
+    spread: bool = False  # whether a mean is shown with the standard deviation
 
     def cell(self, figures: Figures) -> str:
         """Return the cell of a figure."""
@@ -96,16 +87,12 @@ def adjusted(p_values: Sequence[float]) -> FloatArray:
 
 @dataclass
 class Report:
-    """What a study found, filled in part by part.
+    """What a study found, filled in part by part."""
 
-    Attributes:
-        lines: of Markdown.
-        targets: rows: what, asked for, measured, whether it was reached.
-        notes: figures for the JSON file by part and row.
-    """
-
-    lines: list[str] = field(default_factory=list)
+    lines: list[str] = field(default_factory=list)  # of Markdown
+    # rows: what, asked for, measured, whether it was reached
     targets: list[tuple[str, str, str, str]] = field(default_factory=list)
+    # figures for the JSON file by part and row
     notes: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     def text(self, *paragraphs: str) -> None:

@@ -28,10 +28,8 @@ from posetrack_cli.head.face.points import MEAN_SHAPE, SHAPE_SD
 from posetrack_cli.recording.identity import files_digest
 
 SHARED = PACKAGE.parent.parent / "shared"
-FILE = "@"
-"""Arguments that begin with this are outputs of other steps, or files in output folders."""
-TOOL = "tool"
-"""First argument of a step that runs a Python program outside the project; its path follows."""
+FILE = "@"  # arguments that begin with this are outputs of other steps, or files in output folders
+TOOL = "tool"  # first argument of a step that runs a Python program outside the project; its path follows
 DRAWING = (
     *("synthesis/*.py", "synthesis/head/*.py", "head/face/points.py", "rendering/port.py"),
     *(f"geometry/{name}.py" for name in ("camera", "kernels", "rigid", "rotations")),
@@ -45,17 +43,12 @@ ONE_CORE = dict.fromkeys(
 
 
 class Step(NamedTuple):
-    """A file or folder, and the command that makes it.
+    """A file or folder, and the command that makes it."""
 
-    Attributes:
-        output: path below the study's folder.
-        arguments: of ``posetrack``, without ``-o``; or ``TOOL``, a program, its arguments after the output.
-        scratch: whether it is deleted at the end of its job.
-    """
-
-    output: str
+    output: str  # path below the study's folder
+    # of ``posetrack``, without ``-o``; or ``TOOL``, a program, its arguments after the output
     arguments: tuple[str, ...]
-    scratch: bool = False
+    scratch: bool = False  # whether it is deleted at the end of its job
 
     @property
     def files(self) -> list[str]:

@@ -40,10 +40,8 @@ RIGID_FRAMES = HeadStereoConfig().model.rigid_frames
 """So long every model is rigid: deformable and rigid ones are compared from there on."""
 MOVING_MM, DEFORMING_MM = 3.0, 1.0
 """A point moves, and a face deforms, while a point is farther than this from its neutral place."""
-WRONG = (10.0, 5.0)
-"""A pose that is off by more mm or deg is not of the head that is tracked."""
-STEADY_S = 0.5
-"""So long a head must be tracked to count as found again."""
+WRONG = (10.0, 5.0)  # a pose that is off by more mm or deg is not of the head that is tracked
+STEADY_S = 0.5  # so long a head must be tracked to count as found again
 FOLLOWED = np.setdiff1d(np.arange(POINT_COUNT), np.arange(POINT_COUNT)[NOSTRILS])
 """Points whose true movement is visible: the nostrils' openings hardly follow their vertices."""
 COLUMNS = (*POSE_COLUMNS, Column("mouth_mm", "mouth, mm"), *heads.TRACKED_COLUMNS)
@@ -303,8 +301,7 @@ def _tell_comparison(options: Options, files: Files, report: Report) -> None:
 
 # Experiment 3.4
 
-SETTLED_FRAMES = 600
-"""After so many frames the contribution ratio is said to have come back."""
+SETTLED_FRAMES = 600  # after so many frames the contribution ratio is said to have come back
 THESIS = {
     "deforming": "From frame 121 to about frame 1200, while the face deforms, the two estimates clearly "
     "differ; the pictures show that those of the deformable model are the right ones (3.4, figures 3.9 and "

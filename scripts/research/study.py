@@ -21,8 +21,7 @@ from research.report import Report
 from research.runner import Files, Job, run_jobs
 
 NAMES = ("hand", "hand-accuracy", "hand-strangers", "heads-strangers", "stereo", "mono")
-FIRST_SEED = 201
-"""Seeds from here on were not used for tuning."""
+FIRST_SEED = 201  # seeds from here on were not used for tuning
 FOLDER = click.Path(path_type=Path, exists=True, file_okay=False, resolve_path=True)
 HEADS = "Folder of recordings with left/, right/, calibration.json, truth.csv."
 
@@ -46,27 +45,17 @@ class Part(NamedTuple):
 
 @dataclass(frozen=True)
 class Study:
-    """A study.
+    """A study."""
 
-    Attributes:
-        name: of its report, and of the folder below ``out`` that it is written to by default.
-        options: dataclass with ``output``, the folder of everything, and ``setting`` fields.
-        parts: all of them.
-        head: begin of the report: its title, and a paragraph.
-        told: what ``--help`` says first.
-        quick: options of ``--quick``, unless they are given; empty for no such option.
-        more: further options of the command line.
-        made: makes the options of what the command line gives.
-    """
-
-    name: str
-    options: type
-    parts: Sequence[Part]
-    head: Callable[[Any], Iterable[str]]
-    told: str
+    name: str  # of its report, and of the folder below ``out`` that it is written to by default
+    options: type  # dataclass with ``output``, the folder of everything, and ``setting`` fields
+    parts: Sequence[Part]  # all of them
+    head: Callable[[Any], Iterable[str]]  # begin of the report: its title, and a paragraph
+    told: str  # what ``--help`` says first
+    # options of ``--quick``, unless they are given; empty for no such option
     quick: Mapping[str, Any] = field(default_factory=dict)
-    more: Sequence[Callable[[Any], Any]] = ()
-    made: Callable[..., Any] | None = None
+    more: Sequence[Callable[[Any], Any]] = ()  # further options of the command line
+    made: Callable[..., Any] | None = None  # makes the options of what the command line gives
 
     def command(self) -> click.Command:
         """Return the command that does the chosen parts, all if none is, and prints the report's path.

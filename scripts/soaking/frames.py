@@ -16,13 +16,11 @@ from posetrack_cli.cli.terminal import bar
 from posetrack_cli.results import load_arrays
 from soaking.runs import DONE, Case, Findings, Looker, run_to_end, started
 
-GROWTH_MIB = 16.0
-"""By so much memory may grow after the first thousand frames."""
+GROWTH_MIB = 16.0  # by so much memory may grow after the first thousand frames
 SLOWER = 1.10
 """So much more CPU time the last thousand frames may take than the first. This ratio is judged, as
 other work on the machine does not touch it, and reading, writing and checkpoints count in it."""
-WARM_UP = 60
-"""Frames of the run before, enough to come to every kernel."""
+WARM_UP = 60  # frames of the run before, enough to come to every kernel
 MARKS = (1_000, 5_000, 10_000, 20_000)
 FIRST = 1_000
 SAMPLE_S = 0.25

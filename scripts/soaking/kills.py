@@ -33,12 +33,9 @@ from soaking.runs import (
 )
 
 PHASES = ("start-up", "compiling", "first pass", "second pass", "finishing")
-COMPILING_S = 20.0
-"""Within so many seconds of its announcement a compilation is killed."""
-COLD_EVERY = 4
-"""Of so many runs one begins with an empty kernel cache."""
-MISSES = 3
-"""So many times as many kills may come too late before the rest is given up."""
+COMPILING_S = 20.0  # within so many seconds of its announcement a compilation is killed
+COLD_EVERY = 4  # of so many runs one begins with an empty kernel cache
+MISSES = 3  # so many times as many kills may come too late before the rest is given up
 HERE, ON_CLUSTER = ("batch", "process of a job"), ("client of a cluster", "worker", "scheduler")
 WORKERS = 2
 KILLS_A_BATCH = 6
@@ -47,19 +44,12 @@ _LEFT = (".part", ".state", ".frames", ".pieces", "scratch")
 
 
 class Attempt(NamedTuple):
-    """Something that is killed and resumed until it is done.
+    """Something that is killed and resumed until it is done."""
 
-    Attributes:
-        name: for people.
-        planned: kills.
-        killed: those that did not come too late, by what or when, once it is done.
-        troubles: does it, and yields what is not as it must be.
-    """
-
-    name: str
-    planned: int
-    killed: Counter[str]
-    troubles: Iterator[str]
+    name: str  # for people
+    planned: int  # kills
+    killed: Counter[str]  # those that did not come too late, by what or when, once it is done
+    troubles: Iterator[str]  # does it, and yields what is not as it must be
 
 
 def kill_until_enough(

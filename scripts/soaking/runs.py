@@ -31,11 +31,9 @@ from posetrack_cli.synthesis.head.options import HeadSynthOptions
 from posetrack_cli.synthesis.head.writing import write_synthetic
 from posetrack_cli.tracking.smoothing import learned_before
 
-FLUSH_FRAMES = 10
-"""Between two checkpoints of a short run."""
+FLUSH_FRAMES = 10  # between two checkpoints of a short run
 FPS = 30.0
-PIECES = 3
-"""Of the recording of a batch, each of the second that is the shortest."""
+PIECES = 3  # of the recording of a batch, each of the second that is the shortest
 TRACKERS = ("hand", "stereo", "mono")
 DONE, FAILED, DATA_LOST = 0, 1, 3
 LINE = "posetrack: "
@@ -44,23 +42,14 @@ _SHORT = ("--set", f"output.flush_frames={FLUSH_FRAMES}")
 
 
 class Amounts(NamedTuple):
-    """How much is done.
+    """How much is done."""
 
-    Attributes:
-        frames: of each tracker's long run.
-        kills: of runs in all, and of batches.
-        disks: sizes of a full disk, for each tracker.
-        at_once: runs that begin together on an empty kernel cache.
-        recorded: synthetic frames, which long recordings show to and fro.
-        short: frames of the runs that are killed or run out of disk; a multiple of FLUSH_FRAMES.
-    """
-
-    frames: int
-    kills: int
-    disks: int
-    at_once: int
-    recorded: int
-    short: int
+    frames: int  # of each tracker's long run
+    kills: int  # of runs in all, and of batches
+    disks: int  # sizes of a full disk, for each tracker
+    at_once: int  # runs that begin together on an empty kernel cache
+    recorded: int  # synthetic frames, which long recordings show to and fro
+    short: int  # frames of the runs that are killed or run out of disk; a multiple of FLUSH_FRAMES
 
     def __str__(self) -> str:
         return f"{self.frames} frames, {self.kills} kills, {self.disks} disks, {self.at_once} at once"
@@ -117,23 +106,14 @@ class Findings:
 
 
 class Case(NamedTuple):
-    """A run, as a user starts it.
+    """A run, as a user starts it."""
 
-    Attributes:
-        name: of the tracker, as rows say it.
-        arguments: all but the output.
-        frames: of the recording.
-        passes: in which every frame is tracked.
-        smoothed: whether a backward pass follows, which no checkpoint covers.
-        program: that takes the arguments.
-    """
-
-    name: str
-    arguments: tuple[str, ...]
-    frames: int
-    passes: int = 1
-    smoothed: bool = False
-    program: tuple[str, ...] = POSETRACK
+    name: str  # of the tracker, as rows say it
+    arguments: tuple[str, ...]  # all but the output
+    frames: int  # of the recording
+    passes: int = 1  # in which every frame is tracked
+    smoothed: bool = False  # whether a backward pass follows, which no checkpoint covers
+    program: tuple[str, ...] = POSETRACK  # that takes the arguments
 
     @property
     def steps(self) -> int:
@@ -347,21 +327,16 @@ class Looker:
 
 
 class Reference(NamedTuple):
-    """A run that nothing happened to.
+    """A run that nothing happened to."""
 
-    Attributes:
-        data: bytes of the result.
-        first, second, last, end: seconds from its start to its first checkpoint, to the end of the first
-            pass, to its last checkpoint, to its end.
-        room: bytes that its output took at most, with a checkpoint that is written beside the last.
-    """
-
-    data: bytes
+    data: bytes  # bytes of the result
+    # seconds from its start to its first checkpoint, to the end of the first pass, to its last checkpoint, to
+    # its end
     first: float
     second: float
     last: float
     end: float
-    room: int
+    room: int  # bytes that its output took at most, with a checkpoint that is written beside the last
 
 
 def reference_of(case: Case, folder: Path, findings: Findings) -> Reference | None:

@@ -13,19 +13,13 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from benchmarking import heads
 from benchmarking.__main__ import main
 from benchmarking.processes import usage_of
-from benchmarking.recordings import link_recording, write_hand_recording
+from benchmarking.recordings import link_recording
 from benchmarking.rows import fitted_line, median_of_pairs
 from benchmarking.stepping import in_turn
-from posetrack_cli.geometry.camera import pixels_from_points
-from posetrack_cli.head.adjustment.adjuster import Adjuster, PersonParameters
-from posetrack_cli.head.config import HeadMonoConfig
-from posetrack_cli.head.multilinear.face_model import load_face_model
 from posetrack_cli.recording.camera_file import camera_file_text
 from posetrack_cli.recording.opening import open_recording
-from posetrack_cli.synthesis.hand.frames import CAMERA
 from posetrack_cli.synthesis.head.frames import make_cameras
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
 
@@ -40,10 +34,10 @@ class Pacer:
     """A walker that says when it was called."""
 
     def __init__(self, calls: list[str], name: str) -> None:
-        self._calls, self._name = calls, name
+        self.calls, self.name = calls, name
 
     def step(self, index: int, shown: Any) -> float:
-        self._calls.append(f"{self._name}{index}{shown}")
+        self.calls.append(f"{self.name}{index}{shown}")
         return float(index)
 
 
@@ -52,15 +46,6 @@ def test_walkers_take_turns_in_both_orders() -> None:
     times = in_turn({name: Pacer(calls, name) for name in "pq"}, ["x", "y", "z"], warm_up=1)
     assert calls == ["q0x", "p0x", "p1y", "q1y", "q2z", "p2z"]
     assert times == {"p": [1.0, 2.0], "q": [1.0, 2.0]}
-
-
-def test_a_long_recording_of_a_hand_shows_the_depths_to_and_fro(tmp_path: Path) -> None:
-    depths = [np.full((CAMERA.height, CAMERA.width), value, np.float32) for value in (600, 650, 700)]
-    write_hand_recording(tmp_path / "long.mcap", depths, 60)  # flushed once on the way
-    frames = list(open_recording(tmp_path / "long.mcap").frames())
-    assert [int(frame.depth[0, 0]) for frame in frames] == [(600, 650, 700, 650)[k % 4] for k in range(60)]
-    assert all(np.all(frame.depth == frame.depth[0, 0]) for frame in frames)
-    assert len({frame.stamp_ns for frame in frames}) == 60
 
 
 def test_a_long_recording_of_a_head_shows_both_cameras_to_and_fro(tmp_path: Path) -> None:
@@ -97,21 +82,6 @@ def test_a_process_is_measured_by_itself() -> None:
     assert many - few == pytest.approx(100.0, abs=5.0)  # the interpreter's own pages
     with pytest.raises(subprocess.CalledProcessError):
         usage_of([sys.executable, "-S", "-c", "raise SystemExit(3)"])
-
-
-def test_views_to_adjust_are_of_one_person_whom_an_adjustment_finds() -> None:
-    """After ten steps of each stage most of what the start is off by has gone."""
-    model, settings = load_face_model(None), HeadMonoConfig().adjustment
-    camera = make_cameras(HeadSynthOptions(frames=1))[0]
-    views = heads.seen_views(model, camera, 5)
-    person = PersonParameters(model.identity_mean, np.zeros_like(model.mean))
-    found = Adjuster(model, camera, settings).adjust(views, person, iterations=10, wide=True)
-    assert np.sqrt(np.mean(found.residuals**2)) < 3.0 * heads.NOISE_PX
-    start = [
-        np.linalg.norm(pixels_from_points(camera, v.pose.points(model.mean))[0] - v.pixels, axis=1)
-        for v in views
-    ]
-    assert np.sqrt(np.mean(np.square(start))) > 4.0 * heads.NOISE_PX
 
 
 def test_a_part_by_itself_is_printed_and_written(tmp_path: Path) -> None:

@@ -31,16 +31,6 @@ def test_a_known_regression_is_found() -> None:
     np.testing.assert_allclose([found.bias, *found.weights], [TRUE.bias, *TRUE.weights], atol=0.2)
 
 
-@pytest.mark.parametrize("share", [1.0, 0.25])
-def test_real_recordings_have_their_share_however_many_others_there_are(share: float) -> None:
-    """Ten alike say what one says, but for the penalty, which is of the signs' deviations over all frames."""
-    rendered, real = drawn("a", 0), drawn("b", 1, is_real=True)
-    wrong = Frames("a", rendered.signs, ~rendered.right, rendered.right)
-    many, one = (fitted([*[wrong] * count, real], share, BOUNDS) for count in (10, 1))
-    np.testing.assert_allclose([many.bias, *many.weights], [one.bias, *one.weights], atol=0.02)
-    assert (one.probability(np.zeros(5)) < 0.45) == (share < 1.0)  # four fifths speak against what is right
-
-
 def test_people_are_judged_by_what_was_fitted_to_others(monkeypatch: pytest.MonkeyPatch) -> None:
     fits: list[set[str]] = []
 

@@ -66,10 +66,6 @@ def test_modes_are_those_that_hands_were_drawn_with() -> None:
 # Joints
 
 
-TIPS = np.arange(4, 21, 4)
-OTHERS = np.setdiff1d(np.arange(21), TIPS)
-
-
 def rig(anatomy: HandAnatomy) -> FloatArray:
     """Joints (21, 3) of a hand at rest."""
     return joint_positions(anatomy, REST[None])[0]
@@ -98,19 +94,6 @@ def test_where_joints_are_placed_turns_with_the_hand() -> None:
     turn, offset = rotations.exponential(np.array([0.4, -1.0, 0.7])), np.array([30.0, -20.0, 500.0])
     moved = anatomical_joints(rotations.rotate(turn, joints) + offset, None)
     np.testing.assert_allclose(moved, rotations.rotate(turn, anatomical_joints(joints, None)) + offset)
-
-
-def test_drawn_joints_scatter_about_those_of_anatomy_and_tips_do_not() -> None:
-    joints = rig(adult())
-    drawn = np.array([anatomical_joints(joints, np.random.default_rng(seed)) for seed in range(300)])
-    mean, sd = drawn.mean(axis=0), np.linalg.norm(drawn.std(axis=0), axis=1)
-    np.testing.assert_array_equal(drawn[:, TIPS], np.tile(joints[TIPS], (300, 1, 1)))
-    assert (sd[OTHERS] > 1.0).all() and (sd[OTHERS] < 7.0).all()
-    # the mean of 300 to four standard errors, along each axis
-    assert np.linalg.norm(mean - anatomical_joints(joints, None), axis=1).max() < 4.0 * sd.max() / np.sqrt(
-        300
-    )
-    np.testing.assert_array_equal(drawn[7], anatomical_joints(joints, np.random.default_rng(7)))
 
 
 # The template

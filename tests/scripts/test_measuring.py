@@ -190,18 +190,6 @@ def test_a_head_is_found_again_once_it_is_right_for_half_a_second(results: dict[
     assert stereo.recovery_s(steady(one, lost, off), 1.0) == np.inf
 
 
-def test_the_experiments_parts_and_pictures_are_the_thesiss(results: dict[str, Path]) -> None:
-    parts = stereo.spans(1800)
-    assert np.flatnonzero(parts["deforming"])[[0, -1]].tolist() == [120, 1199]  # frames 121 to 1200, from 1
-    assert np.flatnonzero(parts["rigid"])[[0, -1]].tolist() == [1200, 1799]
-    ratio = stereo.contribution_ratio(results["still"])
-    assert np.isnan(ratio[:4]).all() and (ratio[4:] == 0.25).all()
-    one = stereo.course(results["still"], results["truth"])
-    rows = np.arange(FRAMES)
-    chosen = stereo.picture_frames(one, {"deforming": rows >= 120, "rigid": rows < 60})
-    assert chosen[0] == 122 and chosen[-1] in (29, 30)
-
-
 def test_what_a_detector_does_with_other_people_is_removed_and_nothing_of_ones_own() -> None:
     others = np.array([[[1.0, 0.0]], [[3.0, 0.0]], [[8.0, 3.0]]])
     lengths = [[np.hypot(4.5, 1.5)], [1.5 * np.sqrt(2.0)], [np.hypot(6.0, 3.0)]]

@@ -25,8 +25,7 @@ BONE_WEIGHT = 4.0
 _BONES = 30  # numbers behind the cage's: bases and segments
 _RADII = 20
 _DIGITS = 6
-_LAST = np.arange(-_RADII - 15, -_RADII)[2::3]
-"""Where a hand's row has the fingers' last segments."""
+_LAST = np.arange(-_RADII - 15, -_RADII)[2::3]  # where a hand's row has the fingers' last segments
 
 
 def modes_of(hands: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:

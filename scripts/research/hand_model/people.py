@@ -119,12 +119,9 @@ ANATOMY_SHARE = (1.0, 0.5)
 """Mean and standard deviation of how far joints lie on the way from the rig's place to anatomy's."""
 ALONG_SD, BESIDE_SD = np.array([2.0, 1.2, 1.2]), np.array([2.0, 0.8, 0.8])
 """mm, of the joints 3, 2 and 1, further: along the finger, and out of the palm's plane."""
-THUMB_BASE_SD, WRIST_SD = (3.0, 2.0, 3.0), (3.0, 2.0, 2.0)
-"""mm: along the palm, out of its plane, across it."""
-_KNUCKLE = 1.6
-"""First phalanx in terms of the second where a rig bends at the webs."""
-_PALM_MM = 90.0
-"""From the wrist to the middle knuckle of the hand that ``THUMB_BASE`` is of."""
+THUMB_BASE_SD, WRIST_SD = (3.0, 2.0, 3.0), (3.0, 2.0, 2.0)  # mm: along the palm, out of its plane, across it
+_KNUCKLE = 1.6  # first phalanx in terms of the second where a rig bends at the webs
+_PALM_MM = 90.0  # from the wrist to the middle knuckle of the hand that ``THUMB_BASE`` is of
 
 
 def anatomical_joints(joints: FloatArray, rng: np.random.Generator | None) -> FloatArray:

@@ -12,15 +12,11 @@ from scipy.spatial import KDTree
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.rendering.mesh import SkinnedMesh
 
-_NORMAL_MM = 8.0
-"""A difference of normals by one counts as so many millimetres."""
-_DENSITY = 6
-"""Points along a triangle's edge that stand for it."""
-_REACH_MM = 12.0
-"""Skin that is farther from the template belongs to something else."""
+_NORMAL_MM = 8.0  # a difference of normals by one counts as so many millimetres
+_DENSITY = 6  # points along a triangle's edge that stand for it
+_REACH_MM = 12.0  # skin that is farther from the template belongs to something else
 _COARSE = ((100.0, 8), (20.0, 8), (5.0, 10), (1.0, 10), (0.3, 10))
-_FINE = ((20.0, 2), (5.0, 2), (1.0, 2), (0.2, 2))
-"""Stiffness of the displacement, and rounds with it."""
+_FINE = ((20.0, 2), (5.0, 2), (1.0, 2), (0.2, 2))  # stiffness of the displacement, and rounds with it
 _TARGETS = 12000
 
 
