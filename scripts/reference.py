@@ -252,12 +252,11 @@ def _array(schema: Mapping[str, Any]) -> str:
 
 
 def _bounds(schema: Mapping[str, Any]) -> str:
-    ends = (("from", schema.get("minimum", schema.get("exclusiveMinimum"))),)
-    ends += (("to", schema.get("maximum", schema.get("exclusiveMaximum"))),)
-    known = ((word, value) for word, value in ends if value is not None)
-    return "".join(
-        f" {word} {value:,.0f}" if value == int(value) else f" {word} {value:g}" for word, value in known
+    least, most = (
+        schema.get(one, schema.get(f"exclusive{one.capitalize()}")) for one in ("minimum", "maximum")
     )
+    known = ((word, value) for word, value in (("from", least), ("to", most)) if value is not None)
+    return "".join(f" {word} {value:{',.0f' if value == int(value) else 'g'}}" for word, value in known)
 
 
 def _value(value: object) -> str:

@@ -106,8 +106,9 @@ def head_frames(person: str, result: Path, truth: Path | None = None) -> Frames:
 
     def within(unsure: float) -> BoolArray:
         """Whether rotations and points (M,) are right, to so many errors of a reference."""
-        turned: BoolArray = one.rotation_deg <= of_heads.RIGHT_DEG + unsure * UNSURE_DEG
-        return turned & (shapes <= of_heads.RIGHT_MM + unsure * UNSURE_MM)
+        turned = one.rotation_deg <= of_heads.RIGHT_DEG + unsure * UNSURE_DEG
+        found: BoolArray = turned & (shapes <= of_heads.RIGHT_MM + unsure * UNSURE_MM)
+        return found
 
     signs = signs_of(result, of_heads.SIGN_NAMES)
     stamps = np.asarray(load_arrays(result)["stamp_ns"])

@@ -47,13 +47,9 @@ def _importable() -> Iterator[None]:
 def reference(tmp_path_factory: pytest.TempPathFactory) -> Reference:
     findings = Findings()
     found = reference_of(made_up(), tmp_path_factory.mktemp("made") / "reference", findings)
-    assert found is not None and findings.troubles == []
+    assert found is not None and findings.troubles == [] and found.room >= len(found.data)
+    assert 0.0 < found.first <= found.second == found.last <= found.end
     return found
-
-
-def test_the_reference_knows_when_its_phases_end_and_what_room_it_takes(reference: Reference) -> None:
-    assert 0.0 < reference.first <= reference.second == reference.last <= reference.end
-    assert reference.room >= len(reference.data)
 
 
 def test_killed_and_resumed_runs_of_a_good_tracker_are_fine(tmp_path: Path, reference: Reference) -> None:
@@ -64,8 +60,9 @@ def test_killed_and_resumed_runs_of_a_good_tracker_are_fine(tmp_path: Path, refe
 
 
 def test_other_bytes_after_a_kill_are_told(tmp_path: Path, reference: Reference) -> None:
-    killing = Killing(made_up("resumes wrongly"), reference, tmp_path / "run")
-    (trouble,) = killing.run([Moment("first pass", 0.0)])
+    (trouble,) = Killing(made_up("resumes wrongly"), reference, tmp_path / "run").run(
+        [Moment("first pass", 0.0)]
+    )
     assert "differs from an uninterrupted run's after 1 kills" in trouble
 
 
@@ -199,25 +196,16 @@ if flaw == "crashes":
 """
 
 
-def killed_batch(folder: Path, flaw: str) -> list[str]:
-    case = Case("batch", (flaw,), 1, program=(sys.executable, "-c", BATCH))
-    killing = BatchKilling(case, WholeBatch({"a.mcap": b"result"}, 2.0), folder, random.Random(0))
-    told = list(killing.run(["batch"]))
-    assert killing.killed == {"batch": 1}
-    return told
-
-
-def test_a_killed_batch_that_comes_to_the_same_bytes_is_fine(tmp_path: Path) -> None:
-    assert killed_batch(tmp_path / "run", "none") == []
-
-
 @pytest.mark.parametrize(
     ("flaw", "words"),
     [
+        ("none", []),
         ("resumes wrongly", ["results differ from an uninterrupted batch's after 1 kills"]),
         ("leaves pieces", ["left behind: a.pieces"]),
         ("crashes", ["exit code 1, expected 0; said: Traceback", "a traceback; said: Traceback"]),
     ],
 )
 def test_what_is_wrong_with_a_killed_batch_is_told(tmp_path: Path, flaw: str, words: list[str]) -> None:
-    assert killed_batch(tmp_path / "run", flaw) == words
+    case = Case("batch", (flaw,), 1, program=(sys.executable, "-c", BATCH))
+    killing = BatchKilling(case, WholeBatch({"a.mcap": b"result"}, 2.0), tmp_path / "run", random.Random(0))
+    assert list(killing.run(["batch"])) == words and killing.killed == {"batch": 1}
