@@ -125,15 +125,13 @@ def cli_page() -> str:
 
 
 class Use(NamedTuple):
-    """An option of one command, whose path is without ``posetrack``: all its names, the kind of its value,
-    what stands for that (empty for a switch), and its help.
-    """
+    """An option of one command."""
 
-    command: str
-    names: tuple[str, ...]
-    kind: str
-    metavar: str
-    text: str
+    command: str  # its path, without ``posetrack``
+    names: tuple[str, ...]  # long and short ones, and those that turn it off
+    kind: str  # of its value
+    metavar: str  # what stands for its value; empty for a switch
+    text: str  # its help
 
     @property
     def meaning(self) -> str:

@@ -22,19 +22,17 @@ from posetrack_cli.rendering.devices import open_fastest_device
 
 
 class Lengths(NamedTuple):
-    """How long each part measures: frames of the synthetic hand and head, steps through the head to and fro,
-    frames of long runs, a tenth of which the short ones have, of a long result, and of a batch's recordings.
-    """
+    """How long each part measures."""
 
-    repeats: int
-    hand_frames: int
-    head_frames: int
-    head_steps: int
-    hand_memory: int
+    repeats: int  # of each timing of the renderer
+    hand_frames: int  # of the synthetic hand, for times per frame
+    head_frames: int  # of the synthetic head, seen to and fro
+    head_steps: int  # tracked of it
+    hand_memory: int  # frames of a long run; the short one has a tenth
     head_memory: int
-    eval_frames: int
-    batch_frames: int
-    batch_jobs: int
+    eval_frames: int  # of a long result
+    batch_frames: int  # of each of the recordings of a batch
+    batch_jobs: int  # very short ones
 
 
 FULL = Lengths(31, 120, 120, 300, 1500, 2400, 100_000, 300, 2000)

@@ -42,8 +42,9 @@ def scoring(device: RenderingDevice, repeats: int) -> Iterator[Row]:
 
 
 def hands(device: RenderingDevice, frames: int, memory_frames: int) -> Iterator[Row]:
-    """Every configuration in the tracker alone and from PNGs in an MCAP file to a result, the search for the
-    hand included; the RBPF against the plain filter; a long run.
+    """Every configuration in the tracker alone and from file to file; two filters in turn; a long run.
+
+    File to file is from PNGs in an MCAP file to a result, the search for the hand included.
     """
     synthetic = synthesise(SynthOptions(frames=frames), device=device)
     depths = [frame.depth.astype(np.float32) for frame in synthetic]

@@ -89,8 +89,9 @@ def stereo_settings(particles: int, **model: float) -> HeadStereoConfig:
 
 
 def stereo_alone(path: Path, steps: int) -> Iterator[Row]:
-    """The same images through four trackers in turn: few and many particles, a new face, which is rigid, and
-    a learnt one. That one deforms, which costs more.
+    """The same images through four trackers in turn: few and many particles, a new face and a learnt one.
+
+    A new face is rigid. A learnt one deforms, which costs more.
     """
     recording = open_recording(path, "grey")
     images = [frame.images for frame in recording.frames()]

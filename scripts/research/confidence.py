@@ -47,17 +47,14 @@ OFFSETS, USUAL, REAL = "*", "+", "~"
 
 
 class Frames(NamedTuple):
-    """The M frames of a result in which something was followed, whether it is lost or not: signs (M, S),
-    whether the estimate is right, and whether it is far off. ``weight`` is of the recording among those of
-    its kind, recorded by a sensor (``is_real``) or rendered.
-    """
+    """The M frames of a result in which something was followed, whether it is lost or not."""
 
     person: str
-    signs: FloatArray
-    right: BoolArray
-    far: BoolArray
-    is_real: bool = False
-    weight: float = 1.0
+    signs: FloatArray  # (M, S)
+    right: BoolArray  # (M,) whether the estimate is
+    far: BoolArray  # (M,) whether it is far off
+    is_real: bool = False  # whether a sensor recorded it
+    weight: float = 1.0  # of the recording among those of its kind
 
 
 def signs_of(result: Path, names: Sequence[str]) -> FloatArray:

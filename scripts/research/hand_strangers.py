@@ -547,8 +547,9 @@ def _tell_shape(options: Options, files: Files, report: Report) -> None:
 def shape_figures(
     stated: FloatArray, sd: FloatArray, true: FloatArray, of_rig: FloatArray
 ) -> tuple[dict[str, dict[str, float]], float, float]:
-    """Return the figures of each measure, and the shares of counted ones within 90 % intervals, by our joints
-    and by the rig's. All arguments are (P, 13) of P people, mm.
+    """Return the figures of each measure, and two shares of counted ones within 90 % intervals.
+
+    They are by our joints and by the rig's. All arguments are (P, 13) of P people, mm.
     """
     errors = stated - true
     inside, inside_of_rig = (np.abs(stated - one) <= INSIDE_90 * sd for one in (true, of_rig))

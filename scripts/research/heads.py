@@ -96,8 +96,9 @@ class Compared:
         return distances(self.true_shape, self.neutral)
 
     def points_mm(self) -> tuple[FloatArray, FloatArray]:
-        """Return distances (M, K) of the points in head coordinates after one constant rigid movement, which
-        minimises them over the followed frames; and after each point's own constant offset as well.
+        """Return distances (M, K) of the points in head coordinates, less one constant rigid movement.
+
+        It minimises them over the followed frames. The second array is less each point's own offset as well.
         """
         counted = self.followed if self.followed.any() else ~self.followed
         weights = np.repeat(counted.astype(np.float64), self.shape.shape[1])
@@ -115,8 +116,9 @@ def evaluated(result: Path, reference: Path | None, align: Alignment) -> Evaluat
 
 
 def compare(result: Path, reference: Path | None, align: Alignment = "rigid") -> Compared:
-    """Compare a result of ``posetrack head`` with a reference: a result, whose estimates are taken, or a file
-    of truth; None for the truth in the result.
+    """Compare a result of ``posetrack head`` with a reference; None for the truth in the result.
+
+    The reference is another result, whose estimates are taken, or a file of truth.
     """
     found = evaluated(result, reference, align)
     track, truth, pairs = found.track, found.truth, found.pairs

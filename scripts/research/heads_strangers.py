@@ -96,15 +96,12 @@ class Options:
 
 
 class Judged(NamedTuple):
-    """A result against its truth: means over the followed frames, and errors (K, 2) of the points of the
-    first followed frame on the image, pixels. Of the M frames with a truth ``confidence``, and whether the
-    rotation is off by more than ``WRONG_DEG`` after the offset.
-    """
+    """A result against its truth, in M frames."""
 
-    figures: Mapping[str, float]
-    first_px: FloatArray
-    confidence: FloatArray
-    wrong: BoolArray
+    figures: Mapping[str, float]  # means over the followed frames
+    first_px: FloatArray  # (K, 2) errors of the points of the first followed frame on the image
+    confidence: FloatArray  # (M,)
+    wrong: BoolArray  # (M,) whether the rotation is off by more than ``WRONG_DEG`` after the offset
 
 
 def judge(result: Path, person: Path) -> Judged:

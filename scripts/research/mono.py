@@ -100,13 +100,11 @@ class Options:
 
 
 class Entrant(NamedTuple):
-    """A way to track with one camera: title, arguments of ``posetrack head mono``, and a model built
-    from ``all`` persons, from all ``others`` than the one who is tracked, or ``shipped``.
-    """
+    """A way to track with one camera."""
 
     title: str
-    arguments: tuple[str, ...]
-    model: str = "shipped"
+    arguments: tuple[str, ...]  # of ``posetrack head mono``
+    model: str = "shipped"  # or built from ``all`` persons, or all ``others`` than the one who is tracked
 
 
 ADJUSTED = {when: ("--adjust", when) for when in ("always", "start", "never")}

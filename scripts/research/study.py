@@ -77,6 +77,7 @@ class Study:
 
         parts = click.Choice([part.name for part in self.parts])
         path = click.Path(path_type=Path)
+        quick = click.option("--quick", is_flag=True, help="Try it: little of everything.")
         options = [
             click.option(
                 "-o",
@@ -93,7 +94,7 @@ class Study:
                 if "flag" in one.metadata
             ),
             *self.more,
-            *[click.option("--quick", is_flag=True, help="Try it: little of everything.")][: len(self.quick)],
+            *([quick] if self.quick else ()),
             click.option("--jobs", default=os.cpu_count() or 1, show_default=True, type=click.IntRange(1)),
             click.option(
                 "--part", "--only", "chosen", multiple=True, type=parts, help="Only this part; repeatable."
