@@ -26,6 +26,7 @@ from posetrack_cli.head.initialisation.mono import DetectedFace, MonoInitialiser
 from posetrack_cli.head.multilinear.face_model import FaceModel, load_face_model
 from posetrack_cli.head.run import HeadRun, HeadRunOptions
 from posetrack_cli.head.subject import head_subject, mono_subject
+from posetrack_cli.head.tracker import face_learning
 from posetrack_cli.head.tracker.mono import make_mono_tracker
 from posetrack_cli.head.tracker.stereo import components_of, make_stereo_tracker
 from posetrack_cli.recording.base import Frame
@@ -117,9 +118,13 @@ def stereo_alone(path: Path, steps: int) -> Iterator[Row]:
 
 def learnt_face(cameras: Sequence[Camera], shown: Sequence[Any]) -> Learned:
     """What a tracker learns with gates wide open, for a short recording has no expressions to speak of."""
-    walker = Walker(make_stereo_tracker(stereo_settings(FEW, rigid_frames=10, least_mm=0.1), cameras))
-    for index, images in enumerate(shown):
-        walker.step(index, images)
+    usual, face_learning.LEAST_MM = face_learning.LEAST_MM, 0.1
+    try:
+        walker = Walker(make_stereo_tracker(stereo_settings(FEW, rigid_frames=10), cameras))
+        for index, images in enumerate(shown):
+            walker.step(index, images)
+    finally:
+        face_learning.LEAST_MM = usual
     learned: Learned = walker.tracker.learned(walker.state)
     return learned
 

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from benchmarking.stepping import FRAME_NS
+from posetrack_cli import results
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry import rotations
 from posetrack_cli.hand.config import HandConfig
@@ -21,15 +22,6 @@ from posetrack_cli.mcap.sink import McapSink
 from posetrack_cli.recording.base import CAMERA_FILE_NAME, TruthMessage
 from posetrack_cli.recording.image_files import GREY_SUFFIXES, list_images
 from posetrack_cli.recording.message_cameras import calibration_message
-from posetrack_cli.results import (
-    ESTIMATE_SCHEMA,
-    ESTIMATE_SCHEMA_NAME,
-    Estimate,
-    ResultWriter,
-    Status,
-    Subject,
-    estimate_to_json,
-)
 from posetrack_cli.synthesis.hand.frames import CAMERA
 from posetrack_cli.synthesis.hand.motion import natural_motion
 from posetrack_cli.tracking.velocity import BodySpace, pose_rates
@@ -89,18 +81,18 @@ def write_long_result(path: Path, frames: int) -> None:
     rng, seconds = np.random.default_rng(0), 1e-9 * FRAME_NS
     times: FloatArray = np.mod(seconds * np.arange(frames), SCRIPT_S, dtype=np.float64)
     script = natural_motion(min(SCRIPT_S, frames * seconds), 1.0, rng)
-    anatomy, schema = make_anatomy(), json.dumps(ESTIMATE_SCHEMA).encode()
+    anatomy, schema = make_anatomy(), json.dumps(results.ESTIMATE_SCHEMA).encode()
     run = {"tracker": "hand", "configuration": json.dumps(HandConfig().model_dump(mode="json"))}
-    subject = Subject("hand", CAMERA.name, ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS)
-    with ResultWriter(path, subject, CAMERA, run) as writer:
+    subject = results.Subject("hand", CAMERA.name, ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS)
+    with results.ResultWriter(path, subject, CAMERA, run) as writer:
         for block in np.array_split(np.arange(frames), max(1, frames // 1000)):
             true, twists = script.poses(times[block]), script.twists(times[block])
             poses = BodySpace().retract(true, SD * rng.standard_normal((len(block), len(SD))))
             poses[:, 3:7] = rotations.canonical(poses[:, 3:7])
             joints = joint_positions(anatomy, np.concatenate([poses, true])).reshape(2, len(block), -1, 3)
             for row, index in enumerate(block.tolist()):
-                truth = estimate_to_json(_estimate(index, true[row], twists[row], joints[1, row]))
-                how = ("/truth/hand/estimate", ESTIMATE_SCHEMA_NAME, "jsonschema", schema, "json")
+                truth = results.estimate_to_json(_estimate(index, true[row], twists[row], joints[1, row]))
+                how = ("/truth/hand/estimate", results.ESTIMATE_SCHEMA_NAME, "jsonschema", schema, "json")
                 writer.add_truth(TruthMessage(*how, (index + 1) * FRAME_NS, truth))
                 lost = index % LOST_EVERY < LOST_FOR
                 writer.write(_estimate(index, poses[row], twists[row], joints[0, row], lost=lost))
@@ -109,11 +101,11 @@ def write_long_result(path: Path, frames: int) -> None:
 
 def _estimate(
     index: int, pose: FloatArray, twist: FloatArray, joints: FloatArray, *, lost: bool = False
-) -> Estimate:
-    return Estimate(
+) -> results.Estimate:
+    return results.Estimate(
         frame_index=index,
         stamp_ns=(index + 1) * FRAME_NS,
-        status=Status.LOST if lost else Status.TRACKING,
+        status=results.Status.LOST if lost else results.Status.TRACKING,
         confidence=0.2 if lost else 0.8,
         position=pose[:3],
         quaternion=pose[3:7],

@@ -25,15 +25,7 @@ from posetrack_cli.evaluation.reading.truth import topics_truth
 from posetrack_cli.evaluation.reading.truth_tables import load_csv_track
 from posetrack_cli.geometry.camera import Camera, in_camera_axes, pixels_from_points
 from posetrack_cli.geometry.rigid import in_camera
-from posetrack_cli.head.detection.appearance import (
-    BINS,
-    RIGHT_SIDE,
-    SHIPPED,
-    SPACING,
-    TAPS,
-    histograms,
-    mirrored_weights,
-)
+from posetrack_cli.head.detection import appearance
 from posetrack_cli.head.detection.responses import WIDTH, cut_patch
 from posetrack_cli.head.face.points import EYES, MEAN_SHAPE, MIRRORED
 from posetrack_cli.head.subject import head_subject
@@ -125,7 +117,7 @@ def samples_of(seen: Seen, rng: np.random.Generator) -> Iterator[Sample]:
         yield Sample(grey, points)
 
 
-TAPS_AT = SPACING * (np.arange(TAPS) - TAPS // 2)
+TAPS_AT = appearance.SPACING * (np.arange(appearance.TAPS) - appearance.TAPS // 2)
 
 
 def described(picture: Float32Array, places: FloatArray) -> FloatArray:
@@ -176,11 +168,11 @@ def moments_of(path: Path) -> tuple[PointMoments, ...]:
     nothing of the others.
     """
     rng = np.random.default_rng(SEED)
-    at: list[list[FloatArray]] = [[] for _ in RIGHT_SIDE]
-    near: list[list[FloatArray]] = [[] for _ in RIGHT_SIDE]
+    at: list[list[FloatArray]] = [[] for _ in appearance.RIGHT_SIDE]
+    near: list[list[FloatArray]] = [[] for _ in appearance.RIGHT_SIDE]
     for sample in (sample for seen in seen_in(path) for sample in samples_of(seen, rng)):
-        picture = histograms(sample.grey)
-        for k, seen_at, seen_near in zip(RIGHT_SIDE, at, near, strict=True):
+        picture = appearance.histograms(sample.grey)
+        for k, seen_at, seen_near in zip(appearance.RIGHT_SIDE, at, near, strict=True):
             places = rng.uniform(-REACH_PX, REACH_PX, (3 * NEIGHBOURS, 2))
             places = places[np.linalg.norm(places, axis=1) > NEAR_PX][:NEIGHBOURS]
             seen_at.append(described(picture, sample.points[k : k + 1]))
@@ -197,11 +189,11 @@ def pooled(people: Sequence[Moments], counts: Sequence[float]) -> Moments:
 def learn(people: Sequence[tuple[tuple[PointMoments, ...], float]]) -> tuple[Float32Array, FloatArray]:
     """Return weights (K / 2, BINS, TAPS, TAPS) and constants (K / 2,) of the right side's points."""
     weights, constants, counts = [], [], [counts for _, counts in people]
-    for k in range(len(RIGHT_SIDE)):
+    for k in range(len(appearance.RIGHT_SIDE)):
         at = pooled([points[k].at for points, _ in people], counts)
         near = pooled([points[k].near for points, _ in people], counts)
         w, b = PointMoments(at, near).discriminant()
-        weights.append(w.reshape(BINS, TAPS, TAPS).astype(np.float32))
+        weights.append(w.reshape(appearance.BINS, appearance.TAPS, appearance.TAPS).astype(np.float32))
         constants.append(b)
     return np.stack(weights), np.array(constants)
 
@@ -231,7 +223,7 @@ def shape_modes(statistics: Statistics) -> FloatArray:
 @click.argument("statistics", type=click.Path(exists=True, dir_okay=False, path_type=Path))
 @click.argument("recordings", nargs=-1, required=True, type=click.Path(exists=True, path_type=Path))
 @click.option("--without", multiple=True, help="Leave a recording of this name out; repeatable.")
-@click.option("--out", default=SHIPPED, type=click.Path(dir_okay=False, path_type=Path))
+@click.option("--out", default=appearance.SHIPPED, type=click.Path(dir_okay=False, path_type=Path))
 def main(statistics: Path, recordings: tuple[Path, ...], without: tuple[str, ...], out: Path) -> None:
     """Write the file, and say how many people it is from."""
     used = [path for path in recordings if path.name not in without]
@@ -245,7 +237,9 @@ def main(statistics: Path, recordings: tuple[Path, ...], without: tuple[str, ...
     np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
     with whole_or_nothing(out) as part:
         part.write_bytes(stream.getvalue())
-    mirror = float(np.abs(mirrored_weights(mirrored_weights(weights[0])) - weights[0]).max())
+    mirror = float(
+        np.abs(appearance.mirrored_weights(appearance.mirrored_weights(weights[0])) - weights[0]).max()
+    )
     print(f"{out}: {len(used)} people, mirror {mirror:g}")
 
 

@@ -28,21 +28,9 @@ from posetrack_cli.hand.confidence import RIGHT_MM
 from posetrack_cli.hand.model.webxr import load_hand
 from posetrack_cli.hand.shape_fit import MEASURES, measures_of
 from posetrack_cli.results.channels import SMOOTHED
-from research import cvar
+from research import cvar, hands
 from research.hand_accuracy import AVERAGE, NO_MESH
 from research.hand_model.people import person_hand
-from research.hands import (
-    OFF_MM,
-    RAW,
-    WITHOUT_OFFSETS,
-    WRIST,
-    evaluated,
-    figures_of,
-    frames_of,
-    side_of,
-    start_of,
-    without_offsets,
-)
 from research.report import Column, Figures, Report, number, over, pairs_of, values_of
 from research.runner import FILE, SHARED, TOOL, Files, Job, Step, tool_digest
 from research.study import FOLDER, Part, Study, setting
@@ -208,13 +196,13 @@ def _mesh_figures(options: Options, files: Files) -> dict[Person, dict[str, floa
     rows = {}
     for person in options.people:
         arm, *others = (files.made(options.result(person, kind, EXACT)) for kind in EXACT_KINDS)
-        row = figures_of(arm)
+        row = hands.figures_of(arm)
         for name, path in zip(("no_arm", "double_speed"), others, strict=True):
-            if figures := figures_of(path):
+            if figures := hands.figures_of(path):
                 row[f"{name}_error_mm"] = figures["error_mm"]
         if {"error_mm", "no_arm_error_mm"} <= row.keys():
             row["arm_ratio"] = row["error_mm"] / row["no_arm_error_mm"]
-        if smoothed := figures_of(arm, SMOOTHED):
+        if smoothed := hands.figures_of(arm, SMOOTHED):
             row["smoothed_error_mm"] = smoothed["error_mm"]
             row["smooth_ratio"] = smoothed["error_mm"] / row["error_mm"]
         rows[person] = row
@@ -255,7 +243,7 @@ def _tell_smooth(options: Options, files: Files, report: Report) -> None:
 DEFAULT_COLUMNS = (
     Column("side_right", "side right", 0, whole="sum"),
     Column("found_within", "found within, frames", 0, whole="max"),
-    Column("off", f"wrist > {OFF_MM:g} mm off, not lost", 0, whole="sum"),
+    Column("off", f"wrist > {hands.OFF_MM:g} mm off, not lost", 0, whole="sum"),
     Column("error_mm", "error, mm"),
     Column("tip_error_mm", "tips, mm"),
     Column("error_without_offsets_mm", "offsets removed, mm"),
@@ -267,7 +255,7 @@ DEFAULT_COLUMNS = (
 ELBOW_PEOPLE = 5
 ELBOW_COLUMNS = (
     Column("found_within", "found within, frames", 0, whole="max"),
-    Column("kept", f"frames with the wrist < {OFF_MM:g} mm off", 1, percent=True),
+    Column("kept", f"frames with the wrist < {hands.OFF_MM:g} mm off", 1, percent=True),
     Column("error_mm", "error, mm"),
     Column("lost", "lost frames", 0, whole="sum"),
 )
@@ -282,10 +270,10 @@ def _tell_default(options: Options, files: Files, report: Report) -> None:
     rows = {}
     for person in options.people:
         usual, fast = (files.made(options.result(person, kind, DEFAULT)) for kind in DEFAULT_KINDS)
-        row = {**figures_of(usual), **start_of(usual), **without_offsets(usual)}
+        row = {**hands.figures_of(usual), **hands.start_of(usual), **hands.without_offsets(usual)}
         if usual is not None:
-            row["side_right"] = float(side_of(usual) == person.side)
-        more = {**figures_of(fast), **without_offsets(fast)}
+            row["side_right"] = float(hands.side_of(usual) == person.side)
+        more = {**hands.figures_of(fast), **hands.without_offsets(fast)}
         rows[person] = row | {f"fast {name}": value for name, value in more.items()}
     report.figures("default", DEFAULT_COLUMNS, _titled(rows), _groups(rows))
     sides, off, found = (values_of(rows.values(), name) for name in ("side_right", "off", "found_within"))
@@ -294,7 +282,7 @@ def _tell_default(options: Options, files: Files, report: Report) -> None:
         float(of.sum()) if known else None for of in (sides, off, (found <= 5).astype(float))
     )
     report.judge(f"defaults: side right, of {known}", right, least=known, digits=0)
-    title = f"defaults: frames with the wrist > {OFF_MM:g} mm off and not lost"
+    title = f"defaults: frames with the wrist > {hands.OFF_MM:g} mm off and not lost"
     report.judge(title, count, most=0, digits=0)
     report.judge(f"defaults: found within 5 frames, of {known}", quick, least=known, digits=0)
     for name, what, most in (
@@ -313,7 +301,7 @@ def _tell_elbow(options: Options, files: Files, report: Report) -> None:
     rows = {}
     for person in options.people[:ELBOW_PEOPLE]:
         result = files.made(options.result(person, FREE_ELBOW, DEFAULT))
-        rows[person] = figures_of(result) | start_of(result)
+        rows[person] = hands.figures_of(result) | hands.start_of(result)
     report.figures("free-elbow", ELBOW_COLUMNS, _titled(rows))
 
 
@@ -369,11 +357,11 @@ def _tell_honesty(options: Options, files: Files, report: Report) -> None:
     results = [path for one in outputs if (path := files.made(one)) is not None]
     heads = {name: files.made(f"runs/{name}-{DEFAULT}.mcap") for name in _sequences(options)}
     known = {name: path for name, path in heads.items() if path is not None}
-    asked = {"all pooled": ([*results, *known.values()], RAW, 0.9)}
+    asked = {"all pooled": ([*results, *known.values()], hands.RAW, 0.9)}
     for name, path in known.items():
-        asked[name] = ([path], RAW, 0.75)
-        asked[f"{name}, offsets"] = ([path], WITHOUT_OFFSETS, 0.75)
-    asked["P1, P4, P7, offsets"] = (list(known.values()), WITHOUT_OFFSETS, 0.75)
+        asked[name] = ([path], hands.RAW, 0.75)
+        asked[f"{name}, offsets"] = ([path], hands.WITHOUT_OFFSETS, 0.75)
+    asked["P1, P4, P7, offsets"] = (list(known.values()), hands.WITHOUT_OFFSETS, 0.75)
     rows = {name: _confidence(paths, how) for name, (paths, how, _) in asked.items()}
     report.figures("honesty", HONESTY_COLUMNS, rows, {})
     for name, (_, _, least) in asked.items():
@@ -382,16 +370,16 @@ def _tell_honesty(options: Options, files: Files, report: Report) -> None:
     far = rows["all pooled"].get("frames_far_tracked")
     report.judge(f"frames > {FAR_MM:g} mm off that are not lost", far, most=0.01, percent=True)
     exact = [files.made(options.result(person, ARM, EXACT)) for person in options.people]
-    evaluations = [evaluated(path) for path in exact if path is not None]
+    evaluations = [hands.evaluated(path) for path in exact if path is not None]
     together = pool("exact mesh", evaluations) if evaluations else None
-    for what, address in (("joints", "joint_inside_90"), ("the wrist", f"joint_inside_90.{WRIST}")):
+    for what, address in (("joints", "joint_inside_90"), ("the wrist", f"joint_inside_90.{hands.WRIST}")):
         share = None if together is None else figure_of(together, address).value
         title = f"exact mesh: truth within 90 % intervals, {what}"
         report.judge(title, share, least=0.80, most=0.97, digits=1, percent=True)
 
 
 def _confidence(results: Sequence[Path], how: EvalOptions) -> dict[str, float]:
-    judged = [one for path in results if (one := evaluated(path, how).judged) is not None]
+    judged = [one for path in results if (one := hands.evaluated(path, how).judged) is not None]
     return confidence_figures(pooled_frames(judged)) if judged else {}
 
 
@@ -417,12 +405,12 @@ def _tell_told(options: Options, files: Files, report: Report) -> None:
     found = {}
     for person in options.people:
         results = [files.made(options.result(person, ARM, entrant)) for entrant in (EXACT, TOLD)]
-        found[person.title] = _mended(results, RAW, 10.0)
+        found[person.title] = _mended(results, hands.RAW, 10.0)
     report.figures("told", TOLD_COLUMNS, found)
     rows = {}
     for name in _sequences(options):
         results = [files.made(f"runs/{name}-{entrant}.mcap") for entrant in (DEFAULT, TOLD)]
-        rows[name] = _mended(results, WITHOUT_OFFSETS, RIGHT_MM)
+        rows[name] = _mended(results, hands.WITHOUT_OFFSETS, RIGHT_MM)
     report.figures("told, head-mounted", TOLD_COLUMNS, rows, {})
     for name, most in MOST_MM.items():
         error = rows.get(name, {}).get("error_mm")
@@ -430,7 +418,7 @@ def _tell_told(options: Options, files: Files, report: Report) -> None:
 
 
 def _mended(results: Sequence[Path | None], how: EvalOptions, off_mm: float) -> dict[str, float]:
-    plain, told = (None if path is None else frames_of(evaluated(path, how)) for path in results)
+    plain, told = (None if path is None else hands.frames_of(hands.evaluated(path, how)) for path in results)
     if plain is None or told is None:
         return {}
     off = plain.error > off_mm
@@ -469,7 +457,7 @@ def _tell_choices(options: Options, files: Files, report: Report) -> None:
     )
     rows = {
         entrant: {
-            str(person.number): figures_of(result) | without_offsets(result)
+            str(person.number): hands.figures_of(result) | hands.without_offsets(result)
             for person in options.people
             if (result := files.made(options.result(person, ARM, entrant))) is not None
         }

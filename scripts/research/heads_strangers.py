@@ -17,29 +17,14 @@ from posetrack_cli.evaluation.measuring.honesty import roc_area
 from posetrack_cli.evaluation.reading.truth_tables import load_csv_track
 from posetrack_cli.geometry.camera import pixels_from_points
 from posetrack_cli.head.subject import head_subject
-from research.heads import (
-    CALIBRATION,
-    FIRST,
-    LEFT,
-    POSE_COLUMNS,
-    SECOND,
-    TRUTH,
-    Compared,
-    cameras_of,
-    compare,
-    evaluated,
-    in_head,
-    mono_figures,
-    persons_in,
-    reading_arguments,
-)
+from research import heads
 from research.report import Column, Figures, Report, over, pairs_of, values_of, whole
 from research.runner import FILE, Files, Job, Step
 from research.study import FOLDER, HEADS, Part, Study, setting
 
 WRONG_DEG = 3.0  # a rotation that is off by more is wrong
 COLUMNS = (
-    *POSE_COLUMNS,
+    *heads.POSE_COLUMNS,
     Column("factor", "right depth factor", 3, whole="median"),
     Column("points_px", "first points, px"),
     Column("tracked", "tracked", 1, percent=True),
@@ -73,12 +58,12 @@ class Options:
     @property
     def strangers(self) -> list[Path]:
         """Folders of the people whom nothing was tuned on."""
-        return [one for one in persons_in(self.heads) if not self.only or one.name in self.only]
+        return [one for one in heads.persons_in(self.heads) if not self.only or one.name in self.only]
 
     @property
     def familiar(self) -> list[Path]:
         """Folders of the people that defaults were tuned on."""
-        return [one for one in persons_in(self.tuned) if not self.only or one.name in self.only]
+        return [one for one in heads.persons_in(self.tuned) if not self.only or one.name in self.only]
 
     @property
     def everybody(self) -> list[Path]:
@@ -91,8 +76,8 @@ class Options:
         if self.left_out is not None and person.parent == self.heads:
             features, model = (self.left_out / f"{person.name}-{what}.npz" for what in ("features", "model"))
             learned = ("--set", f"start.detection.features={features}", "--face-model", str(model))
-        reading = reading_arguments(person, self.output / "recordings")
-        return ("head", "mono", *reading, "--cameras", LEFT, "--timings", *learned, *arguments)
+        reading = heads.reading_arguments(person, self.output / "recordings")
+        return ("head", "mono", *reading, "--cameras", heads.LEFT, "--timings", *learned, *arguments)
 
 
 class Judged(NamedTuple):
@@ -106,9 +91,9 @@ class Judged(NamedTuple):
 
 def judge(result: Path, person: Path) -> Judged:
     """Measure a result against a person's truth."""
-    truth = person / TRUTH
-    one, raw = compare(result, truth), evaluated(result, truth, "none")
-    found = mono_figures(result, truth)
+    truth = person / heads.TRUTH
+    one, raw = heads.compare(result, truth), heads.evaluated(result, truth, "none")
+    found = heads.mono_figures(result, truth)
     wrong = one.rotation_deg > WRONG_DEG
     found["off"] = float(wrong[one.followed].mean()) if one.followed.any() else np.nan
     for part in ("position", "rotation"):
@@ -116,9 +101,9 @@ def judge(result: Path, person: Path) -> Judged:
     return Judged(found, first_points(one, person), np.nan_to_num(one.confidence), wrong)
 
 
-def first_points(one: Compared, person: Path) -> FloatArray:
+def first_points(one: heads.Compared, person: Path) -> FloatArray:
     """Return (K, 2) how far off the points of the first followed frame are on the image, pixels."""
-    camera, row = cameras_of(person / CALIBRATION)[0], int(np.argmax(one.followed))
+    camera, row = heads.cameras_of(person / heads.CALIBRATION)[0], int(np.argmax(one.followed))
     mine, theirs = (pixels_from_points(camera, points[row])[0] for points in (one.points, one.true_points))
     off: FloatArray = mine - theirs
     return off
@@ -225,16 +210,16 @@ STEREO_FROM = 60  # the first frame of two cameras whose result is given to one 
 
 def pupil_distance_mm(truth: Path) -> float:
     """Return how far apart the middles between the eyes' corners are in the first frame of a truth, mm."""
-    eyes = in_head(load_csv_track(truth, head_subject(LEFT, 0)))[0, :4]
+    eyes = heads.in_head(load_csv_track(truth, head_subject(heads.LEFT, 0)))[0, :4]
     return float(np.linalg.norm(eyes[2:].mean(axis=0) - eyes[:2].mean(axis=0)))
 
 
 def _told_jobs(options: Options) -> Iterator[Job]:
     for person in options.strangers:
-        name, told = f"{person.name}-{DISTANCE}", f"{pupil_distance_mm(person / TRUTH):.2f}"
+        name, told = f"{person.name}-{DISTANCE}", f"{pupil_distance_mm(person / heads.TRUTH):.2f}"
         yield Job(name, (Step(f"runs/{name}.mcap", options.mono(person, "--interpupillary-mm", told)),))
         name = f"{person.name}-{PERSON}"
-        reading = reading_arguments(person, options.output / "recordings")
+        reading = heads.reading_arguments(person, options.output / "recordings")
         stereo = Step(f"runs/{name}-stereo.mcap", ("head", "stereo", *reading, "--start", str(STEREO_FROM)))
         mono = Step(f"runs/{name}.mcap", options.mono(person, "--person", FILE + stereo.output))
         yield Job(name, (stereo, mono))
@@ -251,13 +236,16 @@ def _tell_told(options: Options, files: Files, report: Report) -> None:
 # When the person is adjusted, and in how many passes
 
 WAYS = {
-    "never-1": ("never, one pass", ("--adjust", "never", *FIRST)),
-    "never-2": ("never, two passes", ("--adjust", "never", *SECOND)),
-    "start-1": ("at the start, one pass", ("--adjust", "start", *FIRST)),
-    "start-2": ("at the start, two passes", ("--adjust", "start", *SECOND)),
-    "always-1": ("always, one pass", ("--adjust", "always", *FIRST)),
-    "always-2": ("always, two passes", ("--adjust", "always", *SECOND, "--set", "adjustment.whole=false")),
-    "whole": ("always, then over the whole recording (default)", SECOND),
+    "never-1": ("never, one pass", ("--adjust", "never", *heads.FIRST)),
+    "never-2": ("never, two passes", ("--adjust", "never", *heads.SECOND)),
+    "start-1": ("at the start, one pass", ("--adjust", "start", *heads.FIRST)),
+    "start-2": ("at the start, two passes", ("--adjust", "start", *heads.SECOND)),
+    "always-1": ("always, one pass", ("--adjust", "always", *heads.FIRST)),
+    "always-2": (
+        "always, two passes",
+        ("--adjust", "always", *heads.SECOND, "--set", "adjustment.whole=false"),
+    ),
+    "whole": ("always, then over the whole recording (default)", heads.SECOND),
 }
 PAIRS = (
     ("never-1", "start-1"),
@@ -273,7 +261,11 @@ PAIRED = {"position_mm": "position, mm", "z_mm": "z, mm", "rotation_deg": "rotat
 PAIRED |= {"pitch_deg": "pitch, deg", "yaw_deg": "yaw, deg"}
 WAY_COLUMNS = tuple(
     Column(column.name, column.title, whole="median")
-    for column in (*POSE_COLUMNS, Column("rotation_deg", "rotation"), Column("position_mm", "position, mm"))
+    for column in (
+        *heads.POSE_COLUMNS,
+        Column("rotation_deg", "rotation"),
+        Column("position_mm", "position, mm"),
+    )
 )
 
 
@@ -291,7 +283,7 @@ def _tell_adjusting(options: Options, files: Files, report: Report) -> None:
         way: {
             one.name: figures
             for one in options.strangers
-            if (figures := mono_figures(files.made(f"runs/{one.name}-{way}.mcap"), one / TRUTH))
+            if (figures := heads.mono_figures(files.made(f"runs/{one.name}-{way}.mcap"), one / heads.TRUTH))
         }
         for way in WAYS
     }
@@ -312,7 +304,10 @@ STEREO_MEDIAN = {"x_mm": 0.25, "y_mm": 0.25, "z_mm": 0.5, "roll_deg": 0.3, "pitc
 
 def _stereo_jobs(options: Options) -> Iterator[Job]:
     for person in options.everybody:
-        reading, name = reading_arguments(person, options.output / "recordings"), f"{person.name}-stereo"
+        reading, name = (
+            heads.reading_arguments(person, options.output / "recordings"),
+            f"{person.name}-stereo",
+        )
         run = ("head", "stereo", *reading, "--passes", "2", "--timings")
         yield Job(name, (Step(f"runs/{name}.mcap", run),))
 

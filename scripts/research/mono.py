@@ -16,22 +16,7 @@ from posetrack_cli.evaluation.measuring.head_metrics import HEAD_POSE
 from posetrack_cli.evaluation.reading.tracks import Track, track_of_result
 from posetrack_cli.geometry import rotations
 from posetrack_cli.results.reader import read_result
-from research import plots
-from research.heads import (
-    AXES,
-    FIRST,
-    LEFT,
-    POSE_COLUMNS,
-    SECOND,
-    TRACKED_COLUMNS,
-    TRUTH,
-    Compared,
-    compare,
-    mono_figures,
-    persons_in,
-    pose_columns,
-    reading_arguments,
-)
+from research import heads, plots
 from research.report import Column, Figures, Report, pairs_of
 from research.runner import FILE, Files, Job, Step, command
 from research.stereo import thesis_head
@@ -56,7 +41,7 @@ EXPLAINED = (
     "are not lost. First frame: the number, from 0, of the first one followed; of several recordings the "
     "latest. Wrong: frames followed whose pose is off by more than 60 mm or 15 deg."
 )
-COLUMNS = (*POSE_COLUMNS, *TRACKED_COLUMNS)
+COLUMNS = (*heads.POSE_COLUMNS, *heads.TRACKED_COLUMNS)
 FACTOR_COLUMNS = (*COLUMNS, Column("factor", "depth factor", 4), Column("ms", "ms", 1))
 
 
@@ -114,30 +99,30 @@ POPULATION = {
     f"{name}{ending}": Entrant(f"{name}, {title}", (*first, *ADJUSTED[when], *passes), model)
     for name, (model, when) in EXPERIMENTS.items()
     for ending, title, first, passes in (
-        ("", "one pass", (), FIRST),
-        ("-2", "two passes", (), SECOND),
-        ("-paper", "`head-mono-paper`", PAPER, FIRST),
+        ("", "one pass", (), heads.FIRST),
+        ("-2", "two passes", (), heads.SECOND),
+        ("-paper", "`head-mono-paper`", PAPER, heads.FIRST),
     )
 } | {
-    "never": Entrant("never adjusted, one pass", (*ADJUSTED["never"], *FIRST), "all"),
-    "never-2": Entrant("never adjusted, two passes", (*ADJUSTED["never"], *SECOND), "all"),
-    "shipped": Entrant("shipped model, one pass", FIRST),
-    "shipped-2": Entrant("shipped model, two passes", SECOND),
+    "never": Entrant("never adjusted, one pass", (*ADJUSTED["never"], *heads.FIRST), "all"),
+    "never-2": Entrant("never adjusted, two passes", (*ADJUSTED["never"], *heads.SECOND), "all"),
+    "shipped": Entrant("shipped model, one pass", heads.FIRST),
+    "shipped-2": Entrant("shipped model, two passes", heads.SECOND),
 }
 """Of recordings of the synthetic persons."""
 OTHER_FACES = {
-    "always": Entrant("adjusted always, one pass", FIRST),
-    "always-2": Entrant("adjusted always, two passes (default)", SECOND),
-    "start": Entrant("adjusted at the start, one pass", (*ADJUSTED["start"], *FIRST)),
-    "start-2": Entrant("adjusted at the start, two passes", (*ADJUSTED["start"], *SECOND)),
-    "never": Entrant("never adjusted, one pass", (*ADJUSTED["never"], *FIRST)),
-    "never-2": Entrant("never adjusted, two passes", (*ADJUSTED["never"], *SECOND)),
-    "paper": Entrant("`head-mono-paper`", (*PAPER, *FIRST)),
+    "always": Entrant("adjusted always, one pass", heads.FIRST),
+    "always-2": Entrant("adjusted always, two passes (default)", heads.SECOND),
+    "start": Entrant("adjusted at the start, one pass", (*ADJUSTED["start"], *heads.FIRST)),
+    "start-2": Entrant("adjusted at the start, two passes", (*ADJUSTED["start"], *heads.SECOND)),
+    "never": Entrant("never adjusted, one pass", (*ADJUSTED["never"], *heads.FIRST)),
+    "never-2": Entrant("never adjusted, two passes", (*ADJUSTED["never"], *heads.SECOND)),
+    "paper": Entrant("`head-mono-paper`", (*PAPER, *heads.FIRST)),
 }
 OF_CLIPS = {
-    "one-pass": Entrant("one pass", FIRST),
-    "two-passes": Entrant("two passes (default)", SECOND),
-    "paper": Entrant("`head-mono-paper`", (*PAPER, *FIRST)),
+    "one-pass": Entrant("one pass", heads.FIRST),
+    "two-passes": Entrant("two passes (default)", heads.SECOND),
+    "paper": Entrant("`head-mono-paper`", (*PAPER, *heads.FIRST)),
 }
 
 
@@ -145,9 +130,9 @@ OF_CLIPS = {
 
 
 def _people_jobs(options: Options) -> Iterator[Job]:
-    for person in persons_in(options.heads):
-        reading = reading_arguments(person, options.output / "recordings")
-        alone = ("head", "mono", *reading, "--cameras", LEFT, "--timings")
+    for person in heads.persons_in(options.heads):
+        reading = heads.reading_arguments(person, options.output / "recordings")
+        alone = ("head", "mono", *reading, "--cameras", heads.LEFT, "--timings")
         steps = (
             Step(f"runs/{person.name}-{name}.mcap", (*alone, *entrant.arguments))
             for name, entrant in OTHER_FACES.items()
@@ -158,10 +143,12 @@ def _people_jobs(options: Options) -> Iterator[Job]:
 def _tell_people(options: Options, files: Files, report: Report) -> None:
     report.text("## Recordings of other faces, left camera alone", f"The shipped model. {EXPLAINED}")
     aims = dict(zip(HEAD_POSE, (1.3, 1.6, 4.8, 0.22, 1.2, 1.2), strict=True))
-    for person in persons_in(options.heads):
+    for person in heads.persons_in(options.heads):
         results = {name: files.made(f"runs/{person.name}-{name}.mcap") for name in OTHER_FACES}
         for title, align in WAYS.items():
-            found = {name: mono_figures(path, person / TRUTH, align) for name, path in results.items()}
+            found = {
+                name: heads.mono_figures(path, person / heads.TRUTH, align) for name, path in results.items()
+            }
             report.text(f"### {person.name}, {title}")
             rows = {entrant.title: found[name] for name, entrant in OTHER_FACES.items() if found[name]}
             report.figures(f"{person.name}, {title}", FACTOR_COLUMNS, rows, {})
@@ -182,7 +169,7 @@ CLIP_COLUMNS = (
     Column("tracked", "tracked", 1, percent=True),
     Column("doubted", "lost frames", 0),
     Column("flips", "flips", 0),
-    *(Column(name, f"jitter {title}", 3) for name, title in zip(HEAD_POSE, AXES, strict=True)),
+    *(Column(name, f"jitter {title}", 3) for name, title in zip(HEAD_POSE, heads.AXES, strict=True)),
 )
 
 
@@ -210,7 +197,7 @@ def clip_figures(track: Track) -> dict[str, float]:
     tracked frames in a row: the deviation of white noise on motion of constant velocity. NaN without them.
     """
     lost = np.zeros(len(track), dtype=np.bool_) if track.lost is None else track.lost
-    columns, tracked = pose_columns(track), ~lost
+    columns, tracked = heads.pose_columns(track), ~lost
     assert track.quaternion is not None
     turned = np.degrees(rotations.angle_between(track.quaternion[:-1], track.quaternion[1:]))
     three = tracked[:-2] & tracked[1:-1] & tracked[2:]
@@ -290,7 +277,7 @@ def population_jobs(options: Options) -> Iterator[Job]:
         for way, entrant in POPULATION.items():
             model = models[None if entrant.model == "all" else person]
             face = () if entrant.model == "shipped" else ("--face-model", FILE + model)
-            reading = ("head", "mono", f"{FILE}recordings/{name}.mcap", "--cameras", LEFT)
+            reading = ("head", "mono", f"{FILE}recordings/{name}.mcap", "--cameras", heads.LEFT)
             steps.append(
                 Step(_mono(options, person, way), (*reading, *face, *entrant.arguments, "--timings"))
             )
@@ -329,7 +316,7 @@ AGAINST: dict[str, tuple[bool, Alignment]] = {
     "truth, depth factor removed": (False, "similarity"),
 }
 """Whether two cameras are the reference, and what is removed of the difference."""
-SPREAD_COLUMNS = tuple(Column(one.name, one.title, spread=True) for one in POSE_COLUMNS)
+SPREAD_COLUMNS = tuple(Column(one.name, one.title, spread=True) for one in heads.POSE_COLUMNS)
 
 
 def _tell_experiments(options: Options, files: Files, report: Report) -> None:
@@ -349,7 +336,7 @@ def _tell_experiments(options: Options, files: Files, report: Report) -> None:
     if stereo is None or any(results[name] is None for name in EXPERIMENTS):
         report.text("Not measured: a result is missing.")
         return
-    found = {name: mono_figures(results[name], stereo) for name in EXPERIMENTS}
+    found = {name: heads.mono_figures(results[name], stereo) for name in EXPERIMENTS}
     for (experiment, title), table in zip(TITLES.items(), ("4.1", "4.2", "4.3"), strict=True):
         report.text(
             f"### {title}", f"> **Thesis:** {SAID[experiment]}", f"Table {table}; ours with one pass first:"
@@ -359,7 +346,7 @@ def _tell_experiments(options: Options, files: Files, report: Report) -> None:
         for name, entrant in POPULATION.items():
             if name.split("-")[0] == experiment:
                 for against, (two_cameras, align) in AGAINST.items():
-                    figures = mono_figures(results[name], stereo if two_cameras else None, align)
+                    figures = heads.mono_figures(results[name], stereo if two_cameras else None, align)
                     rows[f"{entrant.title}, against {against}"] = figures
         report.figures(f"experiment {experiment}", SPREAD_COLUMNS, rows, {})
         for name, limit in mean.items():
@@ -367,9 +354,9 @@ def _tell_experiments(options: Options, files: Files, report: Report) -> None:
             report.judge(
                 f"{experiment}, one pass, against two cameras: {name.replace('_', ', ')}", value, most=limit
             )
-    own = mono_figures(stereo, None)
+    own = heads.mono_figures(stereo, None)
     report.text("### In addition")
-    report.figures("two cameras", POSE_COLUMNS, {"two cameras against the truth": own}, {})
+    report.figures("two cameras", heads.POSE_COLUMNS, {"two cameras against the truth": own}, {})
     one = found["A"]
     report.text(
         f"The depth factor that A would need: {one['factor']:.4f}. Feature points in head coordinates, A: "
@@ -384,7 +371,7 @@ def _tell_experiments(options: Options, files: Files, report: Report) -> None:
 
 def _draw(options: Options, stereo: Path, results: dict[str, Path], report: Report) -> None:
     """Add figures 4.10 to 4.14."""
-    out, compared = options.output, {name: compare(path, stereo) for name, path in results.items()}
+    out, compared = options.output, {name: heads.compare(path, stereo) for name, path in results.items()}
     recording = out / f"recordings/{options.test(options.persons[0])}.mcap"
     shown = ("--recording", str(recording), "--select", "spread:5", "--crop", "head", "--overwrite")
     for result, ending in ((stereo, "-two-cameras"), (results["A"], "")):
@@ -407,17 +394,17 @@ def _draw(options: Options, stereo: Path, results: dict[str, Path], report: Repo
         report.picture(out / f"figure{number}.png", f"Figure {number}: {text}")
 
 
-def draw_poses(path: Path, compared: dict[str, Compared]) -> None:
+def draw_poses(path: Path, compared: dict[str, heads.Compared]) -> None:
     """Draw the six components of the pose by experiment, and next to them how far each is from two cameras.
 
     All have the same reference. Frames not followed are gaps.
     """
 
-    def curve(one: Compared, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def curve(one: heads.Compared, values: FloatArray) -> tuple[FloatArray, FloatArray]:
         return np.arange(len(values), dtype=np.float64), np.where(one.followed, values, np.nan)
 
     first, panels = next(iter(compared.values())), []
-    for column, label in enumerate(AXES):
+    for column, label in enumerate(heads.AXES):
         values = {"two cameras": curve(first, first.true_columns[:, column])}
         values |= {name: curve(one, one.columns[:, column]) for name, one in compared.items()}
         errors = {name: curve(one, one.pose[:, column]) for name, one in compared.items()}
@@ -458,7 +445,7 @@ def _tell_population(options: Options, files: Files, report: Report) -> None:
             name: {
                 str(person): figures
                 for person in options.persons
-                if (figures := mono_figures(files.made(_mono(options, person, name)), None, align))
+                if (figures := heads.mono_figures(files.made(_mono(options, person, name)), None, align))
             }
             for name in POPULATION
         }

@@ -17,20 +17,7 @@ from benchmarking.processes import Cluster
 from benchmarking.rows import Row
 from posetrack_cli.cli.terminal import bar
 from posetrack_cli.outputs import part_path, state_path
-from soaking.runs import (
-    DATA_LOST,
-    DONE,
-    FAILED,
-    Case,
-    Ended,
-    Findings,
-    Looker,
-    Reference,
-    Started,
-    frames_readable,
-    standing_of,
-    started,
-)
+from soaking import runs
 
 PHASES = ("start-up", "compiling", "first pass", "second pass", "finishing")
 COMPILING_S = 20.0  # within so many seconds of its announcement a compilation is killed
@@ -58,7 +45,7 @@ def kill_until_enough(
     names: Mapping[str, str],
     kills: int,
     attempt: Callable[[int, int], Attempt],
-    findings: Findings,
+    findings: runs.Findings,
 ) -> None:
     """Make one attempt after another until there were so many kills, and note what came of them.
 
@@ -119,7 +106,9 @@ class Killing:
     Everything it writes goes to a new folder; ``cold`` is whether it begins with an empty kernel cache.
     """
 
-    def __init__(self, case: Case, reference: Reference, folder: Path, *, cold: bool = False) -> None:
+    def __init__(
+        self, case: runs.Case, reference: runs.Reference, folder: Path, *, cold: bool = False
+    ) -> None:
         self._case, self._reference, self._folder = case, reference, folder
         self.killed: Counter[str] = Counter()
         self.attempts = 0
@@ -144,20 +133,20 @@ class Killing:
             return
         yield from self._judge_end(self._attempt(None))
 
-    def _attempt(self, moment: Moment | None) -> Ended:
+    def _attempt(self, moment: Moment | None) -> runs.Ended:
         """Start the run, or go on with it, and kill it at a moment if it comes to it."""
         self.attempts += 1
         more = ["--resume"] if state_path(self.output).exists() else []
         command = self._case.command(self.output, *more)
-        with started(command, self._folder / f"attempt-{self.attempts}.txt", self._environment) as run:
+        with runs.started(command, self._folder / f"attempt-{self.attempts}.txt", self._environment) as run:
             if moment is not None and self._wait(run, moment, resumed=bool(more)):
                 run.process.kill()
             return run.end()
 
-    def _wait(self, run: Started, moment: Moment, *, resumed: bool) -> bool:
+    def _wait(self, run: runs.Started, moment: Moment, *, resumed: bool) -> bool:
         """Wait for a moment; return False if the process ended before."""
         threshold, seconds = self._window(moment)
-        looker = Looker(self._case, self.output)
+        looker = runs.Looker(self._case, self.output)
         if moment.phase == "compiling":
             reached = run.wait_until(lambda: "compiling" in run.said)
         elif moment.phase == "start-up":
@@ -183,9 +172,9 @@ class Killing:
         }[moment.phase]
         return begins, moment.share * lasts
 
-    def _judge_end(self, ended: Ended) -> Iterator[str]:
+    def _judge_end(self, ended: runs.Ended) -> Iterator[str]:
         """Yield what is wrong with a run that ended by itself."""
-        troubles = list(ended.troubles((DONE,)))
+        troubles = list(ended.troubles((runs.DONE,)))
         yield from troubles
         if not troubles:
             yield from self._judge_bytes()
@@ -198,23 +187,27 @@ class Killing:
             yield f"the result differs from an uninterrupted run's after {self.attempts - 1} kills"
 
 
-def unreadable(case: Case, output: Path) -> Iterator[str]:
+def unreadable(case: runs.Case, output: Path) -> Iterator[str]:
     """Yield what is wrong with an unfinished result: every frame up to its checkpoint must be readable."""
     part = part_path(output)
     if output.exists() or not part.exists():
         return
-    standing = standing_of(case, output)
-    found, ended = frames_readable(part)
+    standing = runs.standing_of(case, output)
+    found, ended = runs.frames_readable(part)
     if standing is None:  # nothing was flushed yet, and so nothing promised
-        yield from ended.troubles((DONE, DATA_LOST, FAILED))
+        yield from ended.troubles((runs.DONE, runs.DATA_LOST, runs.FAILED))
         return
-    yield from ended.troubles((DONE, DATA_LOST))
+    yield from ended.troubles((runs.DONE, runs.DATA_LOST))
     if found < standing.written:
         yield f"info finds {found} frames in the unfinished result, the checkpoint is of {standing.written}"
 
 
 def soak_kills(
-    references: Mapping[str, tuple[Case, Reference]], kills: int, seed: int, folder: Path, findings: Findings
+    references: Mapping[str, tuple[runs.Case, runs.Reference]],
+    kills: int,
+    seed: int,
+    folder: Path,
+    findings: runs.Findings,
 ) -> None:
     """Kill runs of all cases in turn, so many times in all, and note how many came to other bytes."""
     folder.mkdir()
@@ -245,7 +238,7 @@ class WholeBatch(NamedTuple):
 class BatchKilling:
     """One batch, killed again and again until it comes to the whole one's results, in a new folder."""
 
-    def __init__(self, case: Case, whole: WholeBatch, folder: Path, rng: random.Random) -> None:
+    def __init__(self, case: runs.Case, whole: WholeBatch, folder: Path, rng: random.Random) -> None:
         self._case, self._whole, self._folder, self._rng = case, whole, folder, rng
         self.killed: Counter[str] = Counter()
         self._attempts = 0
@@ -260,24 +253,24 @@ class BatchKilling:
             for victim in victims:
                 ended = self._attempt(victim, cluster)
                 is_batch = victim in ("batch", "client of a cluster")
-                codes = (DONE, -signal.SIGKILL) if is_batch else (DONE, FAILED, DATA_LOST)
+                codes = (runs.DONE, -signal.SIGKILL) if is_batch else (runs.DONE, runs.FAILED, runs.DATA_LOST)
                 yield from (f"{victim} killed: {line}" for line in _odd(ended, codes))
-                if ended.code == DONE:
+                if ended.code == runs.DONE:
                     break
             else:
                 ended = self._attempt(None, cluster)
-        yield from _odd(ended, (DONE,))
+        yield from _odd(ended, (runs.DONE,))
         if read_results(self.output) != self._whole.results:
             yield f"results differ from an uninterrupted batch's after {self.killed.total()} kills"
         left = [path for path in self.output.rglob("*") if path.name.endswith(_LEFT)]
         if left:
             yield f"left behind: {', '.join(sorted(str(path.relative_to(self.output)) for path in left))}"
 
-    def _attempt(self, victim: str | None, cluster: Cluster | None) -> Ended:
+    def _attempt(self, victim: str | None, cluster: Cluster | None) -> runs.Ended:
         self._attempts += 1
         more = () if cluster is None else ("--scheduler-file", str(cluster.file))
         command = self._case.command(self.output, *more)
-        with started(command, self._folder / f"attempt-{self._attempts}.txt") as run:
+        with runs.started(command, self._folder / f"attempt-{self._attempts}.txt") as run:
             if victim is not None:
                 until = time.monotonic() + self._rng.uniform(0.05, 0.9) * self._whole.seconds
                 if run.wait_until(lambda: time.monotonic() >= until):
@@ -285,10 +278,10 @@ class BatchKilling:
             try:
                 run.process.wait(ENDS_WITHIN_S)
             except subprocess.TimeoutExpired:
-                return Ended(DONE, f"Traceback: did not end within {ENDS_WITHIN_S:g} s")
+                return runs.Ended(runs.DONE, f"Traceback: did not end within {ENDS_WITHIN_S:g} s")
             return run.end()
 
-    def _kill(self, victim: str, run: Started, cluster: Cluster | None) -> bool:
+    def _kill(self, victim: str, run: runs.Started, cluster: Cluster | None) -> bool:
         """Kill it, and put another one into the place of what a cluster lost; return whether it was there."""
         if victim == "process of a job":
             while run.running:
@@ -311,7 +304,7 @@ class BatchKilling:
         return True
 
 
-def _odd(ended: Ended, codes: Sequence[int]) -> Iterator[str]:
+def _odd(ended: runs.Ended, codes: Sequence[int]) -> Iterator[str]:
     """Yield what is not as it must be of a batch, which also tells in lines of its own what failed."""
     last = ended.said.splitlines()[-1:] or [""]
     if ended.code not in codes:
@@ -336,7 +329,7 @@ def read_results(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.glob("*.mcap")}
 
 
-def soak_batches(case: Case, kills: int, seed: int, folder: Path, findings: Findings) -> None:
+def soak_batches(case: runs.Case, kills: int, seed: int, folder: Path, findings: runs.Findings) -> None:
     """Kill parts of batches, so many times in all, and note how many batches came to other bytes.
 
     Two batches that nothing happens to go before, the first one for its kernels to be compiled.
@@ -345,9 +338,9 @@ def soak_batches(case: Case, kills: int, seed: int, folder: Path, findings: Find
     found = []
     for number in range(2):
         output, began = folder / "whole" / f"whole-{number}", time.perf_counter()
-        with started(case.command(output), output.with_suffix(".txt")) as run:
+        with runs.started(case.command(output), output.with_suffix(".txt")) as run:
             ended = run.end()
-        if not findings.troubles_of(f"{case.name}, uninterrupted", _odd(ended, (DONE,))):
+        if not findings.troubles_of(f"{case.name}, uninterrupted", _odd(ended, (runs.DONE,))):
             return
         found.append(WholeBatch(read_results(output), time.perf_counter() - began))
     if found[0].results != found[1].results:
