@@ -53,8 +53,9 @@ def test_two_runs_agree(tmp_path: Path) -> None:
 def plant(path: Path, topic: str) -> None:
     """Change one byte of the last message of a topic."""
     with path.open("rb") as stream:
-        messages = list(make_reader(stream).iter_messages(log_time_order=False))
-        records = list(make_reader(stream).iter_metadata())
+        reader = make_reader(stream)
+        messages = list(reader.iter_messages(log_time_order=False))
+        records = list(reader.iter_metadata())
     schemas: dict[str, int] = {}
     channels: dict[str, int] = {}
     last = max(k for k, (_, channel, _) in enumerate(messages) if channel.topic == topic)
