@@ -95,23 +95,17 @@ def main(folder: str = "posetrack_cli") -> None:
         ((f.end_lineno or 0) - f.lineno + 1, str(path.relative_to(ROOT)), f.name) for path, f in functions
     )
     print(f"functions: {len(lengths)}, longest:")
-    print(
-        "\n".join(f"  {length} lines: {path}: {name}" for length, path, name in reversed(lengths[-LONGEST:]))
-    )
+    for length, path, name in reversed(lengths[-LONGEST:]):
+        print(f"  {length} lines: {path}: {name}")
     if folder == "posetrack_cli":
         from posetrack_cli.cli.main import cli
         from posetrack_cli.hand.config import HandConfig
         from posetrack_cli.head.config import HeadMonoConfig, HeadStereoConfig
 
-        models: dict[str, type[BaseModel]] = {
-            "hand": HandConfig,
-            "head-mono": HeadMonoConfig,
-            "head-stereo": HeadStereoConfig,
-        }
+        models = {"hand": HandConfig, "head-mono": HeadMonoConfig, "head-stereo": HeadStereoConfig}
         told = {name: settings_of(model) for name, model in models.items()}
-        print(
-            f"settings: {sum(told.values())}: {', '.join(f'{name} {count}' for name, count in told.items())}"
-        )
+        each = ", ".join(f"{name} {count}" for name, count in told.items())
+        print(f"settings: {sum(told.values())}: {each}")
         options = list(options_of(cli))
         print(f"command-line options: {len(options)}, {len(set(options))} distinct")
 

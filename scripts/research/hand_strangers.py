@@ -178,12 +178,15 @@ def _groups(rows: Rows) -> dict[str, list[str]]:
 
 # The person's own mesh, and smoothing
 
+ERROR, TIPS = Column("error_mm", "error, mm"), Column("tip_error_mm", "tips, mm")
+LOST = Column("lost", "lost frames", 0, whole="sum")
+FOUND = Column("found_within", "found within, frames", 0, whole="max")
 MESH_COLUMNS = (
-    Column("error_mm", "error, mm"),
+    ERROR,
     Column("no_arm_error_mm", "without arm, mm"),
     Column("arm_ratio", "ratio"),
     Column("double_speed_error_mm", "double speed, mm"),
-    Column("lost", "lost frames", 0, whole="sum"),
+    LOST,
 )
 SMOOTH_COLUMNS = (
     Column("error_mm", "filtered, mm"),
@@ -242,22 +245,18 @@ def _tell_smooth(options: Options, files: Files, report: Report) -> None:
 
 DEFAULT_COLUMNS = (
     Column("side_right", "side right", 0, whole="sum"),
-    Column("found_within", "found within, frames", 0, whole="max"),
+    FOUND,
     Column("off", f"wrist > {hands.OFF_MM:g} mm off, not lost", 0, whole="sum"),
-    Column("error_mm", "error, mm"),
-    Column("tip_error_mm", "tips, mm"),
-    Column("error_without_offsets_mm", "offsets removed, mm"),
-    Column("lost", "lost frames", 0, whole="sum"),
+    *(ERROR, TIPS, Column("error_without_offsets_mm", "offsets removed, mm"), LOST),
     Column("fast error_without_offsets_mm", "double speed, offsets removed, mm"),
     Column("fast tip_error_mm", "tips, mm"),
     Column("fast lost", "lost frames", 0, whole="sum"),
 )
 ELBOW_PEOPLE = 5
 ELBOW_COLUMNS = (
-    Column("found_within", "found within, frames", 0, whole="max"),
+    FOUND,
     Column("kept", f"frames with the wrist < {hands.OFF_MM:g} mm off", 1, percent=True),
-    Column("error_mm", "error, mm"),
-    Column("lost", "lost frames", 0, whole="sum"),
+    *(ERROR, LOST),
 )
 
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib as mpl
 import numpy as np
@@ -28,8 +27,7 @@ STYLE: Any = {
 }
 
 
-@dataclass(frozen=True)
-class Panel:
+class Panel(NamedTuple):
     """One panel of curves."""
 
     label: str
@@ -77,14 +75,9 @@ def times(path: Path, particles: Sequence[int], milliseconds: Mapping[str, Seque
 def differences(
     path: Path, title: str, unit: str, linear_to: float, compared: Mapping[str, tuple[Any, Paired]]
 ) -> None:
-    """Draw every recording's difference, and the mean with its 95 % interval, a row per condition.
+    """Draw every recording's difference (n,), and the mean with its 95 % interval, a row per condition.
 
-    Args:
-        path: PNG to write.
-        title: what is subtracted from what.
-        unit: of the differences.
-        linear_to: up to here the axis is linear, logarithmic beyond.
-        compared: by condition the paired differences (n,) and their summary.
+    Up to ``linear_to`` the axis is linear, logarithmic beyond.
     """
     with plt.rc_context(STYLE | {"axes.grid.axis": "x"}):
         figure, axis = plt.subplots(figsize=(6.4, 0.36 * len(compared) + 1.1))
