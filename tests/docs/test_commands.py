@@ -33,7 +33,7 @@ LEAVES = [path for path, command in COMMANDS.items() if not isinstance(command, 
 
 
 def options(command: click.Command) -> set[str]:
-    found = {"--help", "-h"}
+    found = {"--help", "--help-all", "-h"}
     for parameter in command.params:
         found |= {*parameter.opts, *parameter.secondary_opts}
     return found
