@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import random
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,7 +21,7 @@ from posetrack_cli.tracking.smoothing import within_first_pass, within_second_pa
 from posetrack_cli.tracking.state_codec import whole
 from soaking import disks
 from soaking.__main__ import main
-from soaking.frames import Sample, cpu_rows, memory_of, memory_rows, time_rows
+from soaking.frames import Sample, cpu_rows, memory_rows, time_rows
 from soaking.kills import PHASES, BatchKilling, Killing, Moment, WholeBatch, plan
 from soaking.runs import Case, Ended, Findings, Recordings, Reference, Standing, reference_of, standing_of
 
@@ -119,16 +117,6 @@ def test_frames_that_take_longer_and_longer_are_told() -> None:
     assert verdicts(cpu_rows("run", slowing, 20_000)) == ["MISSED"]
     milliseconds = np.r_[np.full(1_000, 20.0), np.full(3_000, 99.0), np.full(1_000, 25.0)]
     assert [row.value for row in time_rows("run", milliseconds)] == [20.0, 25.0, 1.25]
-
-
-def test_memory_of_a_process_is_the_kernels_and_ends_with_it() -> None:
-    resident, peak, cpu = memory_of(os.getpid()) or (0.0, 0.0, 0.0)
-    assert 10.0 < resident <= peak and cpu > 0.0
-    ended = subprocess.Popen(["true"])
-    os.waitid(os.P_PID, ended.pid, os.WEXITED | os.WNOWAIT)
-    assert memory_of(ended.pid) is None  # ended, and not waited for
-    ended.wait()
-    assert memory_of(ended.pid) is None
 
 
 @pytest.mark.parametrize("cold", [True, False])
