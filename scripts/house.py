@@ -102,7 +102,8 @@ def main(folder: str = "posetrack_cli") -> None:
         from posetrack_cli.hand.config import HandConfig
         from posetrack_cli.head.config import HeadMonoConfig, HeadStereoConfig
 
-        models = {"hand": HandConfig, "head-mono": HeadMonoConfig, "head-stereo": HeadStereoConfig}
+        models: dict[str, type[BaseModel]] = {"hand": HandConfig, "head-mono": HeadMonoConfig}
+        models["head-stereo"] = HeadStereoConfig
         told = {name: settings_of(model) for name, model in models.items()}
         each = ", ".join(f"{name} {count}" for name, count in told.items())
         print(f"settings: {sum(told.values())}: {each}")
