@@ -26,6 +26,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 KERNEL_SOURCES = (
     "compiled.py",
     "geometry/kernels.py",
+    "geometry/least_squares.py",
     "hand/model/anatomy.py",
     "hand/fit/*.py",
     "hand/observe/observation.py",

@@ -79,20 +79,6 @@ def matrix_product(a: FloatArray, b: FloatArray, out: FloatArray) -> None:
 
 
 @kernel
-def invert_symmetric(A: FloatArray, added: float, out: FloatArray) -> None:
-    """Write (A + added 1)^-1 of a symmetric (3, 3) by cofactors."""
-    a, b, c = A[0, 0] + added, A[0, 1], A[0, 2]
-    d, e, f = A[1, 1] + added, A[1, 2], A[2, 2] + added
-    out[0, 0], out[0, 1], out[0, 2] = d * f - e * e, c * e - b * f, b * e - c * d
-    out[1, 1], out[1, 2], out[2, 2] = a * f - c * c, b * c - a * e, a * d - b * b
-    determinant = a * out[0, 0] + b * out[0, 1] + c * out[0, 2]
-    for i in range(3):
-        for j in range(i, 3):
-            out[i, j] /= determinant
-            out[j, i] = out[i, j]
-
-
-@kernel
 def rotate_in_place(R: FloatArray, w: FloatArray) -> None:
     """Replace a matrix R (3, 3) by exp(w) R: Rodrigues' formula on its columns.
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
 from posetrack_cli.geometry import rotations
+from posetrack_cli.geometry.least_squares import back_substituted, bounded_step, eliminated, geman_mcclure
 from posetrack_cli.hand.fit.gauss_newton import ABDUCTION_SD, IP_SD, MOST_THUMB
 from posetrack_cli.hand.fit.skeleton import NO_THUMB, Skin, skin_of
 from posetrack_cli.hand.fit.terms import Terms, Tile
@@ -29,6 +30,8 @@ FRAME_SIZE = TANGENT_SIZE + len(NO_THUMB)
 """Unknowns of a frame: the tangent vector of its pose, and its thumb's inner angles."""
 FRAME_STEPS: FloatArray = np.repeat([0.5, 0.005, 0.005], [3, 3, FRAME_SIZE - 6])
 """(23,) differences of a frame's unknowns, mm and rad: the skin moves by about half a millimetre."""
+_FRAME, _SHAPE = slice(0, FRAME_SIZE), slice(FRAME_SIZE, None)
+"""Which unknowns of a row are the frame's and the shape's."""
 WRIST_PART, LEAST_SHARE = 0.35, 0.05
 """Of the palm's length from the wrist: there hands differ most, and where they end is not sure."""
 _SPACE = BodySpace()
@@ -105,7 +108,7 @@ class FrameRows:
         faces, points = drawing.triangle[there], _points(tile, there, z)
         normals = drawing.normals[faces]
         residuals = distance[there] * np.einsum("nk,nk->n", normals, points / points[:, 2:])
-        weights = _robust(residuals, terms.surface_tau_mm) / terms.sigma_mm**2
+        weights = geman_mcclure((residuals / terms.surface_tau_mm) ** 2) / terms.sigma_mm**2
         weights *= wrist_shares(hand)[hand.smooth.triangles[faces]].mean(axis=1)
         return _along(hand, drawing, moves, faces, points, normals), residuals, weights
 
@@ -124,7 +127,7 @@ class FrameRows:
         ways = np.stack([across / safe, down / safe, np.zeros_like(safe)], axis=1)
         ways[:, 2] = -np.einsum("nk,nk->n", ways, points / points[:, 2:])  # along the image, not the depth
         faces = drawing.triangle[there]
-        weights = _robust(residuals, terms.silhouette_tau_mm) / terms.sigma_mm**2
+        weights = geman_mcclure((residuals / terms.silhouette_tau_mm) ** 2) / terms.sigma_mm**2
         weights *= wrist_shares(hand)[hand.smooth.triangles[faces]].mean(axis=1)
         return _along(hand, drawing, moves, faces, points, ways), residuals, weights
 
@@ -150,7 +153,7 @@ class FrameRows:
         residuals, nearest = cKDTree(drawing.vertices[facing]).query(points)
         vertices = facing[nearest]
         ways = (points - drawing.vertices[vertices]) / np.maximum(residuals, 1e-9)[:, None]
-        weights = _robust(residuals, terms.closest_tau_mm) / terms.closest_mm**2
+        weights = geman_mcclure((residuals / terms.closest_tau_mm) ** 2) / terms.closest_mm**2
         weights *= wrist_shares(hand)[vertices]
         return np.einsum("nkc,nc->nk", moves[vertices], ways), residuals, weights
 
@@ -219,11 +222,6 @@ def _points(tile: Tile, there: BoolArray, depth: FloatArray) -> FloatArray:
     rows, columns = np.nonzero(there)
     view, z = tile.projection, depth[there]
     return np.stack([(columns + 0.5 - view.b) / view.a * z, (rows + 0.5 - view.d) / view.c * z, z], axis=1)
-
-
-def _robust(residuals: FloatArray, tau: float) -> FloatArray:
-    """Geman and McClure's factor 1 / (1 + (e / tau)^2)^2."""
-    return np.asarray(1.0 / (1.0 + (residuals / tau) ** 2) ** 2)
 
 
 # Bundle adjustment: the shape that all frames share, and the pose of each
@@ -315,10 +313,10 @@ def adjusted(
             _with_frame_prior(*frame.normal(share), pose, thumb)
             for frame, pose, thumb in zip(frames, poses, thumbs, strict=True)
         ]
-        matrix, vector = _reduced(equations, prior, theta)
+        matrix, vector = _shape_equations(equations, prior, theta)
         covariance = np.asarray(np.linalg.inv(matrix), dtype=np.float64)
-        step = np.clip(_bounded_step(matrix, vector, space.low - theta, space.high - theta), -most, most)
-        turns = np.array([_frame_step(equation, step) for equation in equations])
+        step = np.clip(bounded_step(matrix, vector, space.low - theta, space.high - theta), -most, most)
+        turns = np.array([back_substituted(*equation, _SHAPE, _FRAME, step) for equation in equations])
         turns = np.clip(turns, -MOST_FRAME_STEP, MOST_FRAME_STEP)
         poses = inside_limits(_SPACE.retract(poses, turns[:, :TANGENT_SIZE]))
         thumbs = np.clip(thumbs + turns[:, TANGENT_SIZE:], -MOST_THUMB, MOST_THUMB)
@@ -348,38 +346,16 @@ def _with_frame_prior(
     return matrix, vector
 
 
-def _reduced(
+def _shape_equations(
     equations: Sequence[tuple[FloatArray, FloatArray]], prior: FloatArray, theta: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """The normal equations of the shape alone, its prior included."""
-    p, s = slice(0, FRAME_SIZE), slice(FRAME_SIZE, None)
-    matrix = prior.copy()
-    vector = -prior @ theta
-    for h, g in equations:
-        carried = np.linalg.solve(h[p, p], np.column_stack([h[p, s], g[p]]))
-        matrix += h[s, s] - h[s, p] @ carried[:, :-1]
-        vector += g[s] - h[s, p] @ carried[:, -1]
+    matrix, vector = prior.copy(), -prior @ theta
+    for equation in equations:
+        of_matrix, of_vector = eliminated(*equation, _SHAPE, _FRAME)
+        matrix += of_matrix
+        vector += of_vector
     return matrix, vector
-
-
-def _bounded_step(matrix: FloatArray, vector: FloatArray, least: FloatArray, most: FloatArray) -> FloatArray:
-    """The x between two bounds (S,) for which x^T matrix x / 2 - vector^T x is least.
-
-    A number that has come to its bound is as if it were not unknown: all others, the poses among them, are
-    the likeliest for it there, not for where it would have gone.
-    """
-    from scipy.optimize import lsq_linear
-
-    root = np.linalg.cholesky(matrix).T
-    found = lsq_linear(root, np.linalg.solve(root.T, vector), bounds=(least, most), method="bvls")
-    return np.asarray(found.x, dtype=np.float64)
-
-
-def _frame_step(equation: tuple[FloatArray, FloatArray], step: FloatArray) -> FloatArray:
-    """The step (23,) of one frame's unknowns once the shape's is known."""
-    h, g = equation
-    p, s = slice(0, FRAME_SIZE), slice(FRAME_SIZE, None)
-    return np.asarray(np.linalg.solve(h[p, p], g[p] - h[p, s] @ step))
 
 
 def _root_mean_square(parts: list[tuple[FloatArray, FloatArray]]) -> float:

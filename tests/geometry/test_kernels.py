@@ -10,7 +10,6 @@ import pytest
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry import rotations
 from posetrack_cli.geometry.kernels import (
-    invert_symmetric,
     matrix_product,
     quaternion_from_vector,
     quaternion_product,
@@ -80,13 +79,6 @@ def test_a_rotation_by_nothing_keeps_every_bit() -> None:
     kept = start.copy()
     rotate_in_place(kept, np.zeros(3))
     np.testing.assert_array_equal(kept, start)
-
-
-def test_a_symmetric_matrix_is_inverted() -> None:
-    A = np.random.default_rng(4).normal(size=(3, 3))
-    A, out = A @ A.T, np.empty((3, 3))
-    invert_symmetric(A, 0.7, out)
-    np.testing.assert_allclose(out, np.linalg.inv(A + 0.7 * np.eye(3)))
 
 
 def test_the_jacobian_is_the_derivative(vectors: FloatArray) -> None:

@@ -159,63 +159,6 @@ def test_surface_rows_predict_how_residuals_change(device: RenderingDevice) -> N
     assert step[2] == pytest.approx(-4.0, abs=0.6)
 
 
-def test_eliminating_the_poses_is_solving_everything_at_once() -> None:
-    rng = np.random.default_rng(0)
-    equations = []
-    for _ in range(3):
-        a = rng.standard_normal((90, FRAME_SIZE + SIZE))
-        equations.append((a.T @ a, a.T @ rng.standard_normal(90)))
-    theta, prior = SPACE.sd * rng.standard_normal(SIZE), np.diag(1.0 / SPACE.sd**2)
-    matrix, vector = shape_bundle._reduced(equations, prior, theta)
-    step = np.linalg.solve(matrix, vector)
-    poses = 3 * FRAME_SIZE
-    whole, right = np.zeros((poses + SIZE, poses + SIZE)), np.zeros(poses + SIZE)
-    for f, (h, g) in enumerate(equations):
-        index = np.r_[FRAME_SIZE * f : FRAME_SIZE * (f + 1), poses : poses + SIZE]
-        whole[np.ix_(index, index)] += h
-        right[index] += g
-    shape = np.r_[poses : poses + SIZE]
-    whole[shape, shape] += 1.0 / SPACE.sd**2
-    right[shape] -= theta / SPACE.sd**2
-    solution = np.linalg.solve(whole, right)
-    np.testing.assert_allclose(step, solution[shape], rtol=1e-7, atol=1e-9)
-    inverse = np.linalg.inv(whole)[np.ix_(shape, shape)]
-    np.testing.assert_allclose(np.linalg.inv(matrix), inverse, rtol=1e-6, atol=1e-9)
-    for f, equation in enumerate(equations):
-        np.testing.assert_allclose(
-            shape_bundle._frame_step(equation, step),
-            solution[FRAME_SIZE * f : FRAME_SIZE * (f + 1)],
-            rtol=1e-6,
-            atol=1e-9,
-        )
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_a_step_between_bounds_is_the_best_one(seed: int) -> None:
-    """Nothing is gained by a move that the bounds allow (Karush, Kuhn and Tucker)."""
-    rng = np.random.default_rng(seed)
-    root = rng.standard_normal((SIZE + 4, SIZE))
-    matrix, vector = root.T @ root, 10.0 * rng.standard_normal(SIZE)
-    least, most = -rng.uniform(0.0, 0.5, SIZE), rng.uniform(0.0, 0.5, SIZE)
-    least[0], most[1] = 0.0, 0.0  # numbers that are at their bounds already
-    step = shape_bundle._bounded_step(matrix, vector, least, most)
-    uphill = vector - matrix @ step
-    low, high = step <= least + 1e-9, step >= most - 1e-9
-    assert low.any() and high.any() and not (low | high).all()
-    assert (step >= least - 1e-9).all() and (step <= most + 1e-9).all()
-    assert np.abs(uphill[~(low | high)]).max() < 1e-7
-    assert (uphill[low] < 1e-7).all() and (uphill[high] > -1e-7).all()
-
-
-def test_a_step_that_no_bound_stops_solves_the_equations() -> None:
-    rng = np.random.default_rng(1)
-    root = rng.standard_normal((SIZE + 4, SIZE))
-    matrix, vector = root.T @ root, rng.standard_normal(SIZE)
-    wide = np.full(SIZE, 1e6)
-    step = shape_bundle._bounded_step(matrix, vector, -wide, wide)
-    np.testing.assert_allclose(matrix @ step, vector, atol=1e-8)
-
-
 class Padded(PopulationSpace):
     """Hands whose skin stands out by no less than so many mm."""
 
@@ -318,7 +261,7 @@ def test_a_file_s_hand_is_found_again_by_its_factors(device: RenderingDevice) ->
 
 def test_without_images_the_population_is_the_answer() -> None:
     theta = SPACE.sd * np.linspace(-1.0, 1.0, SIZE)
-    matrix, vector = shape_bundle._reduced([], np.diag(1.0 / SPACE.sd**2), theta)
+    matrix, vector = shape_bundle._shape_equations([], np.diag(1.0 / SPACE.sd**2), theta)
     np.testing.assert_allclose(np.sqrt(np.diag(np.linalg.inv(matrix))), SPACE.sd)
     np.testing.assert_allclose(np.linalg.solve(matrix, vector), -theta)
 

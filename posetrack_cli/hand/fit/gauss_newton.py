@@ -9,6 +9,7 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.compiled import inlined, kernel
 from posetrack_cli.geometry.kernels import quaternion_product
+from posetrack_cli.geometry.least_squares import solve
 from posetrack_cli.hand.fit.anatomy_terms import SPHERES, Plausibility, add_anatomy
 from posetrack_cli.hand.fit.normal_equations import (
     ARM_PLACE,
@@ -260,22 +261,6 @@ def _move_arm(arm: FloatArray, delta: FloatArray, posed: Posed, most: Steps) -> 
 
 
 @kernel
-def _solve(
-    hand: Hand,
-    tile: Tile,
-    inner: FloatArray,
-    workspace: Workspace,
-    delta: FloatArray,
-) -> None:
-    """Write the Gauss-Newton step (26,) for what was added up of a pose, and the prior of inner numbers."""
-    whole = workspace.whole
-    add_inner_prior(tile.expected, inner, hand.thumb, workspace.posed, whole)
-    step = np.linalg.solve(whole.matrix, whole.vector)
-    for i in range(UNKNOWNS):
-        delta[i] = step[i]
-
-
-@kernel
 def _keep(pose: FloatArray, inner: FloatArray, data: NormalEquations, cost: float, out: Fit) -> None:
     out.cost[0] = cost
     out.inner[:] = inner
@@ -366,7 +351,8 @@ def descend(
             least = objective
             _keep(pose, inner, workspace.data, cost, out)
         if k < iterations:
-            _solve(hand, tile, inner, workspace, delta)
+            add_inner_prior(tile.expected, inner, hand.thumb, workspace.posed, workspace.whole)
+            solve(workspace.whole.matrix, workspace.whole.vector, delta)
             step_pose(pose, delta, most)
             _move_inner(inner, delta, workspace.posed, most)
 

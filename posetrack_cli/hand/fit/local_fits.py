@@ -20,6 +20,7 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.filtering.modes import LikelihoodModes, scaled
 from posetrack_cli.filtering.smoothing import Memory, StateGaussian
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.geometry.least_squares import eliminated
 from posetrack_cli.hand.config import ComponentSettings, HandConfig
 from posetrack_cli.hand.fit.fitter import HandFitter, PosePrior, fit_starts, refolds
 from posetrack_cli.hand.fit.gauss_newton import FREE_THUMB, GIRTH_SD, SWING_SD, Fit, ThumbPrior
@@ -263,9 +264,8 @@ def without_inner(
 ) -> tuple[FloatArray, FloatArray]:
     """Gradient (21,) and information (21, 21) of the pose alone: the inner numbers are integrated out.
 
-    With H and g of pose p and inner numbers a, their prior included: H_pp - H_pa H_aa^-1 H_ap and
-    g_p - H_pa H_aa^-1 g_a. The forearm's prior is about where it was found. The thumb's pull to what is
-    expected counts as much as the image's that it held out against: where a fit came to rest both are equal.
+    The forearm's prior is about where it was found. The thumb's pull to what is expected counts as much as
+    the image's that it held out against: where a fit came to rest both are equal.
 
     Args:
         fit: of the image.
@@ -276,10 +276,9 @@ def without_inner(
     matrix, vector = scale * fit.data.matrix + own.matrix, scale * fit.data.vector + own.vector
     p, a = slice(0, TANGENT_SIZE), slice(TANGENT_SIZE, None)
     vector[THUMB_PLACE:] += scale * FREE_THUMB.precision * (thumb - fit.inner[THUMB])
-    inner = matrix[a, a] + np.diag(LEFT_PRECISION)
-    carried = np.linalg.solve(inner, np.column_stack([matrix[a, p], vector[a]]))
-    information = matrix[p, p] - matrix[p, a] @ carried[:, :-1]
-    return vector[p] - matrix[p, a] @ carried[:, -1], 0.5 * (information + information.T)
+    matrix[a, a] += np.diag(LEFT_PRECISION)
+    information, gradient = eliminated(matrix, vector, p, a)
+    return gradient, 0.5 * (information + information.T)
 
 
 def _with_inner(tile: Tile, inner: FloatArray) -> Tile:

@@ -17,6 +17,7 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.compiled import kernel
 from posetrack_cli.geometry import rotations
+from posetrack_cli.geometry.least_squares import geman_mcclure, solve
 from posetrack_cli.geometry.rigid import rigid_alignment
 from posetrack_cli.hand.fit.anatomy_terms import SPHERES, Plausibility, add_anatomy, plausibility_of
 from posetrack_cli.hand.fit.gauss_newton import Steps, step_pose
@@ -114,7 +115,7 @@ def _add_point(
     at, e, p, row = np.empty(3), np.empty(3), np.empty(3), np.empty(ROW)
     _joint(posed, k, at)
     square = _misfit(about, k, at, e, p)
-    weight = 1.0 / (1.0 + square / (width * width)) ** 2
+    weight = geman_mcclure(square / (width * width))
     hinges = (k - 1) % 4 if k else 0
     finger = (k - 1) // 4 if hinges else PALM
     for i in range(3):
@@ -146,6 +147,7 @@ def fit_places(
     """
     posed, equations = workspace.posed, workspace.equations
     reaches = np.tri(4, 3, -1)  # row j: moved by the first j hinges
+    step = np.empty(TANGENT_SIZE)
     for n in range(iterations):
         left = 1.0 - n / max(iterations - 1, 1)
         width = _NARROWEST * (_WIDEST / _NARROWEST) ** left
@@ -159,8 +161,8 @@ def fit_places(
         for i in range(TANGENT_SIZE):
             equations.matrix[i, i] += _LEAST[0] if i < 3 else (_LEAST[1] if i < 6 else _LEAST[2])
         of_pose = equations.matrix[:TANGENT_SIZE, :TANGENT_SIZE].copy()  # inner numbers stay 0
-        step = np.linalg.solve(of_pose, equations.vector[:TANGENT_SIZE].copy())
-        step_pose(pose, step.astype(np.float64), most)
+        solve(of_pose, equations.vector[:TANGENT_SIZE].copy(), step)
+        step_pose(pose, step, most)
 
 
 @kernel

@@ -18,6 +18,7 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.compiled import inlined, kernel
+from posetrack_cli.geometry.least_squares import geman_mcclure
 from posetrack_cli.hand.fit.normal_equations import RESIDUAL, ROW, NormalEquations, add_row
 from posetrack_cli.hand.fit.skeleton import NO_INNER, Posed, Skin, point_row
 from posetrack_cli.rendering.raster import Drawing, View
@@ -98,13 +99,6 @@ def empty_buffers(skin: Skin, height: int, width: int) -> TermBuffers:
     count = len(skin.mesh.vertices)
     points, vertices = np.zeros((height * width, 3)), np.zeros(count, dtype=np.int64)
     return TermBuffers(points, vertices, np.zeros((3, count)), np.zeros(count))
-
-
-@inlined
-def _robust(e: float, tau: float) -> float:
-    """The factor 1 / (1 + (e / tau)^2)^2 of Geman and McClure."""
-    s = 1.0 + (e / tau) * (e / tau)
-    return 1.0 / (s * s)
 
 
 @kernel
@@ -200,7 +194,7 @@ def _depth_pull(
     nx, ny, nz = normal
     if abs(offset) < terms.gate_mm:
         residual = offset * (nx * x + ny * y + nz)
-        weight = _robust(residual, widening * terms.surface_tau_mm) / (terms.sigma_mm * terms.sigma_mm)
+        weight = geman_mcclure((residual / (widening * terms.surface_tau_mm)) ** 2) / terms.sigma_mm**2
         return nx, ny, nz, residual, weight
     return 0.0, 0.0, 1.0, terms.gate_mm, terms.push if offset > 0.0 else 0.0
 
@@ -215,7 +209,7 @@ def _outline_pull(
     if share == 0.0 or distance == 0.0:
         return 0.0, 0.0, 0.0, 0.0, 0.0
     dx, dy = px / distance, py / distance
-    weight = _robust(distance, widening * terms.silhouette_tau_mm) / (terms.sigma_mm * terms.sigma_mm)
+    weight = geman_mcclure((distance / (widening * terms.silhouette_tau_mm)) ** 2) / terms.sigma_mm**2
     return dx, dy, -(dx * x + dy * y), distance, share * weight  # how fast z (x, y) moves on the image
 
 
@@ -247,7 +241,8 @@ def _add_closest(
         if distance < 1e-9:
             continue
         share, row[RESIDUAL] = 1.0 / distance, distance
-        weight = stride * _robust(distance, widening * terms.closest_tau_mm) / (terms.closest_mm**2)
+        scale = widening * terms.closest_tau_mm
+        weight = stride * geman_mcclure((distance / scale) ** 2) / terms.closest_mm**2
         dx, dy, dz = share * dx, share * dy, share * dz
         point_row(posed, skin.fingers[v], skin.reaches, v, px, py, pz, dx, dy, dz, row)
         add_row(equations, skin.fingers[v], row, weight)

@@ -9,6 +9,7 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.compiled import inlined, kernel
 from posetrack_cli.geometry.kernels import rotate_with_jacobian
+from posetrack_cli.geometry.least_squares import huber, huber_weight
 
 # What is minimised, and where a view's points are, as the compiled kernels read it.
 #
@@ -174,12 +175,6 @@ def cost_with_basis(problem: Problem, unknowns: Unknowns, part: Part, basis: Flo
     return total
 
 
-@inlined
-def huber(length: float, bound: float) -> float:
-    """e^2/2, or bound (e - bound/2) where it is larger than the bound."""
-    return 0.5 * length * length if length <= bound else bound * (length - 0.5 * bound)
-
-
 @kernel
 def prior_of_person(problem: Problem, shared: FloatArray) -> float:
     """Return prior/2 |u|^2 + 1/2 |q|^2."""
@@ -326,7 +321,7 @@ def add_point(
     if z <= NEAREST_MM:
         return
     length = residual(problem, view, k, x, y, z, error)
-    weight = problem.weights[view, k] * (1.0 if length <= problem.huber else problem.huber / length)
+    weight = problem.weights[view, k] * huber_weight(length, problem.huber)
     _by_point(problem.scales[view, k], x, y, z, rows)
     _local_rows(part, k, arm, rows)
     _add_local(part, view, weight, error, rows, equations)

@@ -16,6 +16,7 @@ import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.geometry.camera import Camera, distortion_jacobian, normalised_from_pixels
+from posetrack_cli.geometry.least_squares import damped_step, huber, huber_weight
 from posetrack_cli.geometry.rotations import quaternions_from_matrices
 from posetrack_cli.head.face.points import POSE_SIZE, HeadPose
 
@@ -78,7 +79,7 @@ class _Seen:
         cost = _cost(lengths, bound)
         for _ in range(MOST_STEPS):
             small = tolerance * cost + CONVERGED_PX2
-            step = _solved(matrix, damping, vector)
+            step = damped_step(matrix, vector, damping)
             moved = pose.moved(step)
             lower = _cost(self.lengths(moved), bound)
             if lower < cost:
@@ -99,7 +100,7 @@ class _Seen:
         u, v = x / z, y / z
         errors = np.einsum("kij,kj->ki", self.scales, self.places - np.stack([u, v], axis=1))
         lengths = np.sqrt(np.sum(errors**2, axis=1))
-        roots = np.sqrt(bound / np.maximum(lengths, bound)) if np.isfinite(bound) else np.ones_like(lengths)
+        roots = np.sqrt(huber_weight(lengths, bound))
         a, b, c = arms.T
         none = np.zeros_like(z)
         moving = [[none + 1.0, none, -u, -u * b, c + u * a, -b], [none, none + 1.0, -v, -c - v * b, v * a, a]]
@@ -220,19 +221,6 @@ def _turned_to_z(direction: FloatArray) -> FloatArray:
     return rotation
 
 
-def _solved(matrix: FloatArray, damping: float, vector: FloatArray) -> FloatArray:
-    """Return the damped step; least squares where points in one place or on one line tell no more."""
-    damped = matrix + damping * np.diag(np.diagonal(matrix))
-    try:
-        step = np.linalg.solve(damped, vector)
-    except np.linalg.LinAlgError:
-        step, *_ = np.linalg.lstsq(damped, vector)
-    return np.asarray(step, dtype=np.float64)
-
-
 def _cost(lengths: FloatArray, bound: float) -> float:
-    """Return half a sum of squares, beyond the bound growing only as the length does."""
-    if not np.all(np.isfinite(lengths)):
-        return np.inf
-    small = np.minimum(lengths, bound)
-    return float(np.sum(small * (lengths - 0.5 * small)))
+    """Return the sum of Huber's function of lengths."""
+    return float(np.sum(huber(lengths, bound))) if np.all(np.isfinite(lengths)) else np.inf

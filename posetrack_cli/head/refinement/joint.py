@@ -17,7 +17,8 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.compiled import inlined, kernel
-from posetrack_cli.geometry.kernels import invert_symmetric, rotate_in_place
+from posetrack_cli.geometry.kernels import rotate_in_place
+from posetrack_cli.geometry.least_squares import invert_symmetric, solve, student_t
 from posetrack_cli.head.refinement.evidence import (
     Evidence,
     Scene,
@@ -85,28 +86,34 @@ def descend(scene: Scene, face: Face, prior: Prior, iterations: int, state: Face
     count, size = len(face.mean), POSE + len(face.precisions)
     cameras = len(scene.images.sizes)
     evidence, work = make_evidence(cameras), make_workspace(cameras)
-    matrix, vector, step = np.empty((size, size)), np.empty(size), np.empty(size)
-    arms = np.empty((count, 3))
-    hessians, gradients = np.empty((count, 3, 3)), np.empty((count, 3))
+    matrix, vector, step, e = np.empty((size, size)), np.empty(size), np.empty(size), np.empty(3)
+    arm, hessians, gradients = np.empty(3), np.empty((count, 3, 3)), np.empty((count, 3))
+    rows, residuals, weights = np.empty((count, 3, size)), np.empty((count, 3)), np.empty(count)
     for _ in range(iterations):
         start_equations(face, prior, state, matrix, vector)
         for k in range(count):
-            point_in_camera(face, state, k, arms[k])
-            gather_evidence(scene, k, arms[k] + state.position, work, evidence)
+            point_in_camera(face, state, k, arm)
+            gather_evidence(scene, k, arm + state.position, work, evidence)
             for i in range(3):  # number by number: a slice would compile a second of error messages
                 gradients[k, i] = evidence.gradient[i]
                 for j in range(3):
                     hessians[k, i, j] = evidence.hessian[i, j]
-            eliminate(face, prior, state, k, arms[k], evidence, matrix, vector)
-        step[:] = np.linalg.solve(matrix, -vector)
+            squared = _residual(state, k, residuals[k])
+            weights[k] = student_t(squared, 3.0, prior.freedom, prior.scales[k])
+            jacobian(face, state, k, arm, rows[k])
+            eliminate(hessians[k], gradients[k], weights[k], residuals[k], rows[k], matrix, vector)
+        solve(matrix, -vector, step)
         farthest = 0.0
         for k in range(count):
-            moved = back_substitute(face, prior, state, k, arms[k], hessians[k], gradients[k], step)
-            farthest = max(farthest, moved)
+            pull, moved = gradients[k] + weights[k] * residuals[k], np.zeros(3)
+            _add_along(hessians[k], rows[k], step, pull, moved)
+            give_way(hessians[k], weights[k], pull, state.rotation, state.residuals[k], e)
+            squared = (moved[0] + e[0]) ** 2 + (moved[1] + e[1]) ** 2 + (moved[2] + e[2]) ** 2
+            farthest = max(farthest, np.sqrt(squared))
         apply_step(state, step)
         if farthest < CONVERGED_PX * state.position[2] / scene.optics.intrinsics[0, 0]:
             break
-    write_correlations(scene, face, state, arms[0], evidence)
+    write_correlations(scene, face, state, arm, evidence)
 
 
 @kernel
@@ -150,13 +157,6 @@ def start_equations(
         vector[POSE + b] = face.precisions[b] * state.coefficients[b]
 
 
-@inlined
-def tail_precision(prior: Prior, k: int, squared: float) -> float:
-    """The weight l_k of a Student-t residual of this squared length, 1 / mm^2."""
-    scale: float = prior.scales[k]
-    return (prior.freedom + 3.0) / (prior.freedom * scale * scale + squared)
-
-
 @kernel
 def jacobian(face: Face, state: FaceUnknowns, k: int, arm: FloatArray, T: FloatArray) -> None:
     """Write dX_k / d (translation, rotation, a), (3, 6 + B): (1, -[R M]_x, R V)."""
@@ -185,30 +185,20 @@ def _residual(state: FaceUnknowns, k: int, out: FloatArray) -> float:
 
 @kernel
 def eliminate(
-    face: Face,
-    prior: Prior,
-    state: FaceUnknowns,
-    k: int,
-    arm: FloatArray,
-    evidence: Evidence,
+    H: FloatArray,
+    g: FloatArray,
+    weight: float,
+    d: FloatArray,
+    T: FloatArray,
     matrix: FloatArray,
     vector: FloatArray,
 ) -> None:
-    """Add what point k says about pose and deformation, its residual eliminated.
+    """Add what a point says about pose and deformation, its residual eliminated.
 
     (H + l) e + H T x = -(g + l d), with d = R delta, gives T^T S T x = -T^T s, S = l (H + l)^-1 H and
     s = l (H + l)^-1 (g - H d).
     """
-    T, inverse, d, s, S = (
-        np.empty((3, len(vector))),
-        np.empty((3, 3)),
-        np.empty(3),
-        np.empty(3),
-        np.empty((3, 3)),
-    )
-    weight = tail_precision(prior, k, _residual(state, k, d))
-    jacobian(face, state, k, arm, T)
-    H, g = evidence.hessian, evidence.gradient
+    inverse, s, S = np.empty((3, 3)), np.empty(3), np.empty((3, 3))
     invert_symmetric(H, weight, inverse)
     for i in range(3):
         s[i] = 0.0
@@ -226,42 +216,30 @@ def eliminate(
 
 
 @kernel
-def back_substitute(
-    face: Face,
-    prior: Prior,
-    state: FaceUnknowns,
-    k: int,
-    arm: FloatArray,
-    H: FloatArray,
-    g: FloatArray,
-    step: FloatArray,
-) -> float:
-    """Move the residual of point k; return how far the point goes in all, mm."""
-    T, inverse, d, shift, e = (
-        np.empty((3, len(step))),
-        np.empty((3, 3)),
-        np.empty(3),
-        np.zeros(3),
-        np.zeros(3),
-    )
-    weight = tail_precision(prior, k, _residual(state, k, d))
-    jacobian(face, state, k, arm, T)
+def _add_along(H: FloatArray, T: FloatArray, step: FloatArray, pull: FloatArray, moved: FloatArray) -> None:
+    """Add to ``moved`` how far pose and deformation take a point, T x, and H T x to ``pull``."""
     for i in range(3):
         for a in range(len(step)):
-            shift[i] += T[i, a] * step[a]
+            moved[i] += T[i, a] * step[a]
+    for i in range(3):
+        for j in range(3):
+            pull[i] += H[i, j] * moved[j]
+
+
+@kernel
+def give_way(
+    H: FloatArray, weight: float, pull: FloatArray, rotation: FloatArray, point: FloatArray, e: FloatArray
+) -> None:
+    """Write e = -(H + weight)^-1 pull, camera axes, and add it to a point (3,) in the head's."""
+    inverse = np.empty((3, 3))
     invert_symmetric(H, weight, inverse)
-    total = 0.0
+    for i in range(3):
+        e[i] = 0.0
+        for j in range(3):
+            e[i] -= inverse[i, j] * pull[j]
     for i in range(3):
         for j in range(3):
-            pull = g[j] + weight * d[j]
-            for m in range(3):
-                pull += H[j, m] * shift[m]
-            e[i] -= inverse[i, j] * pull
-        total += (shift[i] + e[i]) ** 2
-    for i in range(3):
-        for j in range(3):
-            state.residuals[k, i] += state.rotation[j, i] * e[j]
-    return float(np.sqrt(total))
+            point[i] += rotation[j, i] * e[j]
 
 
 @kernel

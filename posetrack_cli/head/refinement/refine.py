@@ -9,7 +9,7 @@ import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.compiled import inlined, kernel
-from posetrack_cli.geometry.kernels import invert_symmetric
+from posetrack_cli.geometry.least_squares import student_t
 from posetrack_cli.geometry.rotations import quaternions_from_matrices
 from posetrack_cli.head.config import RefinementSettings, StereoRefinementSettings
 from posetrack_cli.head.face.points import HeadPose, ShapeModel, of_kinds
@@ -39,7 +39,7 @@ from posetrack_cli.head.refinement.joint import (
     FaceUnknowns,
     Prior,
     descend,
-    tail_precision,
+    give_way,
 )
 
 # The feature points' own places, with the pose held (thesis, 3.2.3); compiled.
@@ -89,7 +89,7 @@ def recalculate_points(
     """
     cameras = len(scene.images.sizes)
     evidence, work = make_evidence(cameras), make_workspace(cameras)
-    inverse, X, d, e = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
+    X, d, e = np.empty(3), np.empty(3), np.empty(3)
     small = CONVERGED_PX * position[2] / scene.optics.intrinsics[0, 0]
     for k in range(len(points)):
         for n in range(iterations + 1):
@@ -98,18 +98,10 @@ def recalculate_points(
             if n == iterations:
                 break
             transform(rotation, points[k] - shape[k], np.zeros(3), d)
-            weight = tail_precision(prior, k, d[0] ** 2 + d[1] ** 2 + d[2] ** 2)
-            invert_symmetric(evidence.hessian, weight, inverse)
-            squared = 0.0
-            for i in range(3):
-                e[i] = 0.0
-                for j in range(3):
-                    e[i] -= inverse[i, j] * (evidence.gradient[j] + weight * d[j])
-                squared += e[i] ** 2
-            for i in range(3):
-                for j in range(3):
-                    points[k, i] += rotation[j, i] * e[j]
-            if squared < small * small:
+            squared = d[0] ** 2 + d[1] ** 2 + d[2] ** 2
+            weight = student_t(squared, 3.0, prior.freedom, prior.scales[k])
+            give_way(evidence.hessian, weight, evidence.gradient + weight * d, rotation, points[k], e)
+            if e[0] ** 2 + e[1] ** 2 + e[2] ** 2 < small * small:
                 break
         write_place(evidence, k, correlations, pixels)
 
@@ -152,19 +144,14 @@ def recalculate_as_printed(
     """Descend from points (K, 3), which are written over; arguments as of ``recalculate_points``."""
     cameras = len(scene.images.sizes)
     evidence, work = make_evidence(cameras), make_workspace(cameras)
-    inverse, X, d = np.empty((3, 3)), np.empty(3), np.empty(3)
+    X, d, e = np.empty(3), np.empty(3), np.empty(3)
     for k in range(len(points)):
         for _ in range(iterations):
             transform(rotation, points[k], position, X)
             _gather_raw(scene, k, X, printed.rho, work, evidence)
             transform(rotation, points[k] - shape[k], np.zeros(3), d)
-            invert_symmetric(evidence.hessian, printed.epsilon, inverse)
-            for i in range(3):
-                for j in range(3):
-                    step = 0.0
-                    for m in range(3):
-                        step -= inverse[j, m] * (evidence.gradient[m] + printed.epsilon * d[m])
-                    points[k, i] += rotation[j, i] * step
+            pull = evidence.gradient + printed.epsilon * d
+            give_way(evidence.hessian, printed.epsilon, pull, rotation, points[k], e)
         transform(rotation, points[k], position, X)
         gather_evidence(scene, k, X, work, evidence)
         write_place(evidence, k, correlations, pixels)

@@ -8,7 +8,7 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.compiled import inlined, kernel
-from posetrack_cli.geometry.kernels import invert_symmetric
+from posetrack_cli.geometry.least_squares import cauchy, invert_symmetric
 from posetrack_cli.head.face.points import POSE_SIZE, HeadPose
 
 # The normal equations of poses and skin, point by point; compiled.
@@ -106,7 +106,7 @@ def linearise(
         J[r, 3], J[r, 4], J[r, 5] = b * h - c * y, c * x - a * h, a * y - b * x
         for i in range(PLACE):
             J[r, POSE + i] = x * R[0, i] + y * R[1, i] + h * R[2, i]
-    return float(1.0 / (1.0 + squared / (NOISE_PX * TAIL) ** 2) / NOISE_PX**2)
+    return float(cauchy(squared / (NOISE_PX * TAIL) ** 2) / NOISE_PX**2)
 
 
 @kernel

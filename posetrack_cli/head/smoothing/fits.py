@@ -13,6 +13,7 @@ from posetrack_cli.filtering.fit_smoothing import FitSmoother
 from posetrack_cli.filtering.model import Dynamics
 from posetrack_cli.filtering.modes import LikelihoodModes, scaled
 from posetrack_cli.filtering.smoothing import Memory, Smoothed, StateGaussian
+from posetrack_cli.geometry.least_squares import back_substituted
 from posetrack_cli.geometry.rigid import in_camera, in_object
 from posetrack_cli.geometry.rotations import cross_matrices, matrices_from_quaternions
 from posetrack_cli.head.config import HeadSmoothingSettings
@@ -203,6 +204,7 @@ def _deformation(
 SPACE = BodySpace()
 GROUPS = (np.arange(3), np.arange(3, POSE_SIZE))
 """Position and rotation are doubted apart: a blink moves a head without turning it."""
+_POSE, _DEFORMATION = slice(0, POSE_SIZE), slice(POSE_SIZE, None)
 UNKNOWN_SPEED = np.repeat([500.0, 3.0], 3)
 """(6,) mm/s and rad/s, standard deviations at the end of a chain."""
 STEPS, CONVERGED = 8, 1e-4
@@ -220,36 +222,6 @@ SHARE = 0.1
 """What a frame says counts by so much: errors of its neighbours are like its own."""
 LEAST_WEIGHT = 0.02
 """Of a point that is hardly seen: ten of them still say where the head is."""
-
-
-class NormalEquations(NamedTuple):
-    """Of pose and deformation together.
-
-    Attributes:
-        gradient: (6 + B,) of the log-likelihood times the deformation's prior.
-        information: (6 + B, 6 + B).
-    """
-
-    gradient: FloatArray
-    information: FloatArray
-
-    @property
-    def without_deformation(self) -> tuple[FloatArray, FloatArray]:
-        """Gradient (6,) and information (6, 6) of the pose, the deformation integrated out.
-
-        g - H_pa H_aa^-1 g_a and H_pp - H_pa H_aa^-1 H_ap: the Schur complement.
-        """
-        first, rest = slice(POSE_SIZE), slice(POSE_SIZE, None)
-        across = self.information[first, rest]
-        onto = np.linalg.solve(self.information[rest, rest], across.T).T
-        gradient: FloatArray = self.gradient[first] - onto @ self.gradient[rest]
-        return gradient, self.information[first, first] - onto @ across.T
-
-    def deformation_step(self, pose_step: FloatArray) -> FloatArray:
-        """The step (B,) of the deformation that goes with one of the pose (6,)."""
-        first, rest = slice(POSE_SIZE), slice(POSE_SIZE, None)
-        left = self.gradient[rest] - self.information[rest, first] @ pose_step
-        return np.asarray(np.linalg.solve(self.information[rest, rest], left), dtype=np.float64)
 
 
 class HeadFits:
@@ -293,10 +265,13 @@ class HeadFits:
         pose, deformation = start, np.zeros(frame["basis"].shape[-1])
         gradient, information = np.zeros(POSE_SIZE), vague
         for _ in range(STEPS):
-            joint = self._normal_equations(frame, pose, deformation)
-            gradient, information = joint.without_deformation
+            matrix, vector = self._normal_equations(frame, pose, deformation)
+            across = matrix[_POSE, _DEFORMATION]  # integrated out: the Schur complement
+            onto = np.linalg.solve(matrix[_DEFORMATION, _DEFORMATION], across.T).T
+            gradient = vector[_POSE] - onto @ vector[_DEFORMATION]
+            information = matrix[_POSE, _POSE] - onto @ across.T
             step = np.asarray(np.linalg.solve(information + vague, gradient), dtype=np.float64)
-            deformation = deformation + joint.deformation_step(step)
+            deformation = deformation + back_substituted(matrix, vector, _POSE, _DEFORMATION, step)
             if np.abs(step).max() < CONVERGED:
                 break
             pose = SPACE.retract(pose[None], step[None])[0]
@@ -305,8 +280,13 @@ class HeadFits:
         by_skin = frame["skin_share"] * np.diag(SKIN_SD**-2)
         return replace(by_points, information=by_points.information + by_skin)
 
-    def _normal_equations(self, frame: Memory, pose: FloatArray, deformation: FloatArray) -> NormalEquations:
-        """Return what the points say about a pose and a deformation (B,), each point reweighted."""
+    def _normal_equations(
+        self, frame: Memory, pose: FloatArray, deformation: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return what the points say about a pose and a deformation (B,) together, each point reweighted.
+
+        Information (6 + B, 6 + B) and gradient (6 + B,) of the log-likelihood times the deformation's prior.
+        """
         rotation, directions = matrices_from_quaternions(pose[3:7]), frame["basis"]
         shape = frame["neutral"] + directions @ deformation
         left = frame["points"] - shape @ rotation.T - pose[:3]
@@ -323,7 +303,7 @@ class HeadFits:
         usual = np.maximum(self._deformation * frame["deviations"], LEAST_DEVIATION_MM) ** -2
         gradient[POSE_SIZE:] -= usual * deformation
         information[POSE_SIZE:, POSE_SIZE:] += np.diag(usual)
-        return NormalEquations(gradient, information)
+        return information, gradient
 
     def _precisions(self, points: FloatArray) -> FloatArray:
         """Return P_k, (K, 3, 3), of points (K, 3)."""
