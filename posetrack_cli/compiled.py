@@ -44,6 +44,7 @@ KERNEL_SOURCES = (
     "head/adjustment/*.py",
     "recording/compression.py",
     "tracking/velocity.py",
+    "units.py",
 )
 """Files that compiled code is made of, constants included."""
 _MOST_THREADS = 8

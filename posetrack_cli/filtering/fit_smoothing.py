@@ -42,7 +42,6 @@ from posetrack_cli.filtering.smoothing import (
     state_gaussian,
     with_fit,
 )
-from posetrack_cli.geometry.least_squares import student_t
 
 BELIEF = ("pose", "velocity", "covariance")
 _RIDGE = 1e-9
@@ -242,7 +241,7 @@ def doubted(
     roots = np.ones(size)
     for group in groups:
         chi2 = off[group] @ np.linalg.solve(spread[np.ix_(group, group)], off[group])
-        roots[group] = np.sqrt(min(1.0, student_t(chi2, len(group), freedom, 1.0)))
+        roots[group] = np.sqrt(min(1.0, (freedom + len(group)) / (freedom + chi2)))
     weighted: FloatArray = roots[:, None] * H * roots
     return LikelihoodModes(modes.poses, (weighted @ best)[None], weighted[None], modes.log_heights)
 

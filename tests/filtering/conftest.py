@@ -21,13 +21,13 @@ from posetrack_cli.filtering.model import (
     Gaussian,
     constant_velocity,
     kalman_predict,
-    kalman_update,
     step_noise,
     velocity_gain,
 )
 from posetrack_cli.filtering.modes import LikelihoodModes
 from posetrack_cli.filtering.resampling import Resampling
 from posetrack_cli.filtering.step import Posterior
+from support.kalman import kalman_update
 
 POSE_NOISE, VELOCITY_NOISE, OBSERVATION_VARIANCE = 4.0, 400.0, 1.0
 START_SD, START_VELOCITY_SD = 1.0, 10.0

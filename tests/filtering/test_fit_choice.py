@@ -7,9 +7,10 @@ import pytest
 from scipy.integrate import quad
 
 from posetrack_cli.filtering.fit_smoothing import doubted, likeliest, log_evidence, only
-from posetrack_cli.filtering.model import Euclidean, Gaussian, kalman_update
+from posetrack_cli.filtering.model import Euclidean, Gaussian
 from posetrack_cli.filtering.modes import LikelihoodModes
 from posetrack_cli.filtering.smoothing import StateGaussian
+from support.kalman import kalman_update
 
 SPACE = Euclidean()
 

@@ -17,13 +17,13 @@ from posetrack_cli.filtering.model import (
     Gaussian,
     kalman_predict,
     kalman_smooth,
-    kalman_update,
 )
 from posetrack_cli.filtering.modes import LikelihoodModes
 from posetrack_cli.filtering.smoothing import NOTHING, Memory, Smoothed, StateGaussian, Step
 from posetrack_cli.hand.model.anatomy import make_anatomy
 from posetrack_cli.hand.start import rest_pose
 from posetrack_cli.tracking.velocity import BodySpace
+from support.kalman import kalman_update
 
 SPACE, HANDS = Euclidean(), BodySpace()
 START = rest_pose(make_anatomy(), np.array([10.0, -20.0, 650.0]))

@@ -14,10 +14,10 @@ from posetrack_cli.filtering.model import (
     Gaussian,
     constant_velocity,
     kalman_predict,
-    kalman_update,
     step_noise,
     velocity_gain,
 )
+from support.kalman import kalman_update
 
 ROUNDING = 1e-9
 """Relative: products and differences of a few numbers; the printed form of (57) cancels up to six digits."""

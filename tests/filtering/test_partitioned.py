@@ -8,9 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from posetrack_cli.filtering.errors import FilterError
-from posetrack_cli.filtering.model import Gaussian, kalman_predict, kalman_update
+from posetrack_cli.filtering.model import Gaussian, kalman_predict
 from posetrack_cli.filtering.partitioned import Motion, local_mean, partitioned_step
 from posetrack_cli.filtering.resampling import resampling_schemes
+from support.kalman import kalman_update
 
 # Two components of the first group and one of the second; the observation mixes them, so that the posterior
 # correlates what moves apart.

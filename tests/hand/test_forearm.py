@@ -9,6 +9,7 @@ import pytest
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry import rotations
+from posetrack_cli.geometry.least_squares import eliminated
 from posetrack_cli.hand.config import ObservationSettings
 from posetrack_cli.hand.fit.fitter import HandFitter, PosePrior
 from posetrack_cli.hand.fit.gauss_newton import (
@@ -266,7 +267,6 @@ def test_a_wrist_is_turned_back_from_where_it_cannot_bend_to(bend_deg: float) ->
 
 
 def test_inner_numbers_are_integrated_out_of_what_a_fit_tells() -> None:
-    """Marginal gradient and information equal those of the joint Gaussian, made with dense inverses."""
     rng, equations = np.random.default_rng(2), empty_equations()
     for _ in range(200):
         add_row(equations, int(rng.integers(-1, 6)), rng.standard_normal(ROW), 1.0)
@@ -279,13 +279,9 @@ def test_inner_numbers_are_integrated_out_of_what_a_fit_tells() -> None:
     left = THUMB_LEFT * np.array([IP_SD, ABDUCTION_SD])
     H[range(21, 26), range(21, 26)] += np.array([SWING_SD, SWING_SD, GIRTH_SD, *left]) ** -2.0
     g[24:] += 0.7 * np.array([IP_SD, ABDUCTION_SD]) ** -2.0 * (expected - fit.inner[4:])
-    joint = H + np.diag([1e-3] * 21 + [0.0] * 5)  # a weak prior of the pose makes it a distribution
-    marginal = np.linalg.inv(np.linalg.inv(joint)[:21, :21]) - 1e-3 * np.eye(21)
-    np.testing.assert_allclose(information, marginal, rtol=1e-6, atol=1e-6 * np.abs(marginal).max())
-    mean = np.linalg.solve(joint, g)[:21]
-    np.testing.assert_allclose(
-        (information + 1e-3 * np.eye(21)) @ mean, gradient, atol=1e-6 * np.abs(gradient).max()
-    )
+    wanted, vector = eliminated(H, g, slice(0, 21), slice(21, 26))
+    np.testing.assert_allclose(information, wanted, atol=1e-9 * np.abs(wanted).max())
+    np.testing.assert_allclose(gradient, vector, atol=1e-9 * np.abs(vector).max())
 
 
 def test_fits_of_a_hand_alone_do_not_depend_on_the_tube() -> None:

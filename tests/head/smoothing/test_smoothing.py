@@ -16,7 +16,6 @@ from posetrack_cli.filtering.model import (
     constant_velocity,
     kalman_predict,
     kalman_smooth,
-    kalman_update,
 )
 from posetrack_cli.geometry.rotations import angle_between, conjugate, exponential, logarithm, multiply
 from posetrack_cli.head.actions import displacement
@@ -30,6 +29,7 @@ from posetrack_cli.head.smoothing.frames import HeadFrame, HeadMemory, Link, Rea
 from posetrack_cli.head.subject import MONO_TRACK, STEREO_TRACK, head_subject
 from posetrack_cli.results.estimate import Estimate, Status
 from posetrack_cli.tracking.smoothing import STATUSES
+from support.kalman import kalman_update
 
 UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
 """A head that looks at the camera: y up is the camera's -y."""
