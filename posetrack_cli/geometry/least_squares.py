@@ -87,14 +87,15 @@ def student_t(square: float, dimensions: float, freedom: float, scale: float) ->
 @inlined
 def huber(length: Value, bound: float) -> Value:
     """Return rho = e^2 / 2, or bound (e - bound / 2) where e >= 0 is larger than the bound (Huber 1964)."""
-    small = np.minimum(length, bound)
+    small: Value = np.minimum(length, bound)
     return small * (length - 0.5 * small)
 
 
 @inlined
 def huber_weight(length: Value, bound: float) -> Value:
     """Return the weight of ``huber``: 1, or bound / e."""
-    return np.minimum(1.0, bound / length)
+    weight: Value = np.minimum(1.0, bound / length)
+    return weight
 
 
 # Small systems and eliminations for kernels; compiled.
