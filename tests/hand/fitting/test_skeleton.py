@@ -13,6 +13,7 @@ from posetrack_cli.hand.fit.skeleton import (
     NO_INNER,
     NO_THUMB,
     PALM,
+    THUMB,
     THUMB_ROW,
     Posed,
     empty_posed,
@@ -20,7 +21,6 @@ from posetrack_cli.hand.fit.skeleton import (
     pose_bones,
     skeleton_of,
 )
-from posetrack_cli.hand.fit.skeleton import THUMB_ROW as THUMB_ANGLES
 from posetrack_cli.hand.model.anatomy import BONE_COUNT, HandAnatomy, make_anatomy
 from posetrack_cli.hand.model.kinematics import joint_jacobian, joint_positions, skinning_transforms
 from posetrack_cli.tracking.velocity import BodySpace
@@ -38,7 +38,7 @@ SPACE = BodySpace()
 
 def posed(anatomy: HandAnatomy, pose: FloatArray, thumb: FloatArray = NO_THUMB) -> Posed:
     out, inner = empty_posed(), NO_INNER.copy()
-    inner[THUMB_ANGLES] = thumb
+    inner[THUMB] = thumb
     pose_bones(skeleton_of(anatomy), pose, inner, out)
     return out
 

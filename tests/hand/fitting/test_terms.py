@@ -27,6 +27,7 @@ from posetrack_cli.hand.fit.skeleton import (
     ARM,
     NO_INNER,
     PALM,
+    THUMB,
     THUMB_ROW,
     Skeleton,
     Skin,
@@ -35,7 +36,6 @@ from posetrack_cli.hand.fit.skeleton import (
     skeleton_of,
     skin_of,
 )
-from posetrack_cli.hand.fit.skeleton import THUMB_ROW as THUMB_ANGLES
 from posetrack_cli.hand.fit.terms import Terms, Tile, add_terms, empty_buffers, union_cost
 from posetrack_cli.hand.model.hand import HandModel, inside_limits
 from posetrack_cli.hand.model.kinematics import joint_positions
@@ -120,7 +120,7 @@ def scene(name: str, seed: int) -> Scene:
     image[5:25, 35:45] = -300.0
     image[40:50, 10:50] += np.where(image[40:50, 10:50] > 0, 60.0, 0.0)  # beyond the gate
     inner = NO_INNER.copy()
-    inner[THUMB_ANGLES] = 0.3 * rng.standard_normal(2)
+    inner[THUMB] = 0.3 * rng.standard_normal(2)
     tile = Tile(image, nearest_pixels(image > 0), int(np.count_nonzero(image > 0)), view, inner)
     posed, out = empty_posed(), empty_drawing(skin.mesh, TILE_PX, TILE_PX)
     pose_bones(skeleton, pose, inner, posed)
@@ -225,7 +225,7 @@ def derivatives(s: Scene, residuals: Residuals, step: float = 1e-5) -> FloatArra
 
     def values(delta: FloatArray) -> FloatArray:
         inner = s.tile.inner.copy()
-        inner[THUMB_ANGLES] += delta[21:]
+        inner[THUMB] += delta[21:]
         bones = bones_at(SPACE.retract(s.pose[None], delta[None, :21])[0], inner)[residuals.bones]
         return residuals.values(np.einsum("kij,kj->ki", bones[:, :, :3], rest) + bones[:, :, 3])
 
