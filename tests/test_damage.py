@@ -36,7 +36,7 @@ def test_the_line_has_the_place_and_the_cause() -> None:
     assert seen == [1, 2]
     line = str(caught.value)
     assert line.startswith(
-        "r.bag, after frame 2: is damaged here, found KeyError: b'conn' at posetrack_cli/damage.py:"
+        "r.bag, after frame 2: is damaged here, found KeyError: b'conn' at posetrack_cli/errors.py:"
     )
     assert isinstance(caught.value.__cause__, KeyError)
 

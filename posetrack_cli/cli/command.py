@@ -9,7 +9,7 @@ from typing import Any, Protocol, TypeVar
 import click
 
 from posetrack_cli.cli.process import check_memory
-from posetrack_cli.cli.terminal import QUIET, USUAL, VERBOSE, phase_shown, print_detail, volume
+from posetrack_cli.cli.terminal import QUIET, USUAL, VERBOSE, phase_shown, print_detail, print_line, volume
 from posetrack_cli.phases import phases_shown
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -114,7 +114,8 @@ def _show_all(context: click.Context, parameter: click.Parameter, asked: bool) -
     """Callback of --help-all."""
     if asked and not context.resilient_parsing:
         context.meta[HELP_ALL] = True
-        click.echo(context.get_help(), color=context.color)
+        for line in context.get_help().splitlines():
+            print_line(line)
         context.exit()
 
 

@@ -24,7 +24,7 @@ DEFAULTS = {
 def test_help_states_how_many_particles_there_are(
     command: str, before: tuple[str, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run([*before, *command.split(), "--help"]) == 0
+    assert run([*before, *command.split(), "--help-all"]) == 0
     text = " ".join(capsys.readouterr().out.split())
     stated = STATED.search(text)
     assert stated is not None

@@ -30,10 +30,10 @@ MARKUP = "[bold red]x[/bold red] [link=http://example.org]:smile:[/link]"
 
 @pytest.mark.parametrize("path", sorted(CLI.glob("*.py")), ids=lambda path: path.name)
 def test_commands_print_only_what_is_printable(path: Path) -> None:
-    """Nothing but ``standard_output`` writes to the standard streams; errors and bars have no way around."""
+    """Nothing but ``terminal`` writes to the standard streams; errors and bars have no way around."""
     names = [ast.unparse(node.func) for node in ast.walk(ast.parse(path.read_text())) if is_call(node)]
     others = {"click.echo", "click.secho", "print", "sys.stdout.write", "sys.stderr.write"}
-    assert path.name == "standard_output.py" or not others & set(names)
+    assert path.name == "terminal.py" or not others & set(names)
 
 
 def is_call(node: ast.AST) -> bool:

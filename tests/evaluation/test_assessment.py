@@ -130,7 +130,7 @@ def test_the_total_is_that_of_every_frame(monkeypatch: pytest.MonkeyPatch) -> No
 PEAK = """
 import sys, tracemalloc
 from pathlib import Path
-from posetrack_cli.evaluation import assessment
+from posetrack_cli.evaluation.judging import assessment
 from posetrack_cli.evaluation.judging.assessment import Request, assess
 from support.evaluation import hand_evaluation
 
