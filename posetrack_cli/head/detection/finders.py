@@ -51,12 +51,6 @@ ONE_FACE = 0.6
 """Faces nearer to each other than this, in eye distances, are one."""
 
 
-def surest(faces: Sequence[FaceGuess]) -> tuple[FaceGuess, ...]:
-    """Return the surest faces, at most ``limits.GUESSES``, the largest first."""
-    kept = sorted(faces, key=lambda face: -face.score)[: limits.GUESSES]
-    return tuple(sorted(kept, key=lambda face: -face.eye_distance))
-
-
 def find_turned(finder: FaceFinder, image: ImageArray, turns: Sequence[float]) -> tuple[FaceGuess, ...]:
     """Return the faces that a finder finds in an image turned by each of some angles, rad, the largest first.
 
@@ -215,7 +209,8 @@ class YunetFaces:
             [] if rows is None else [row for row in rows.astype(float) if np.all(np.abs(row) <= FARTHEST_PX)]
         )
         faces = [face for face in (_guess(row, scale) for row in found) if face.eye_distance >= 1.0]
-        return surest(faces)
+        surest = sorted(faces, key=lambda face: -face.score)[: limits.GUESSES]
+        return tuple(sorted(surest, key=lambda face: -face.eye_distance))
 
 
 def _guess(row: FloatArray, scale: float) -> FaceGuess:
