@@ -1,32 +1,15 @@
-"""Which posetrack this is, and the interpreter that runs it."""
+"""What results depend on besides recording, options and seed: posetrack's sources, libraries and processor.
+
+Runs that agree in all of these write equal bytes. The processor changes only last digits: OpenBLAS, numpy and
+OpenCV choose their code by its features. Compiled kernels do not depend on it (``compiled``: no fastmath).
+"""
 
 from __future__ import annotations
 
 import hashlib
 import os
-import sys
 from functools import cache
 from pathlib import Path
-
-# Start Python again: it imports what this process does, and nothing of the folder that it is started in
-
-
-def module_command(module: str, *arguments: str) -> list[str]:
-    """Return the command line of a module as a program."""
-    return [sys.executable, "-P", "-m", module, *arguments]
-
-
-def module_environment() -> dict[str, str]:
-    """Return the environment of such a program: with -P alone it would not find what is imported by path."""
-    return os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-
-
-# What results depend on besides recording, options and seed: posetrack's sources, libraries and processor.
-#
-# Runs that agree in all of these write equal bytes. The processor changes only last digits: OpenBLAS, numpy
-# and OpenCV choose their code by its features. Compiled kernels do not depend on it (``compiled``: no
-# fastmath).
-
 
 PACKAGE = Path(__file__).parent
 _LIBRARIES = (

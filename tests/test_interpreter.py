@@ -6,7 +6,7 @@ import subprocess
 from pathlib import Path
 
 import posetrack_cli
-from posetrack_cli.build import module_command, module_environment
+from posetrack_cli.interpreter import module_command, module_environment
 
 
 def test_a_module_in_the_current_folder_is_not_imported(tmp_path: Path) -> None:

@@ -12,8 +12,8 @@ from mcap.records import Channel, Schema
 from posetrack_cli.bags.ros1_bag import Ros1Bag, is_ros1_bag
 from posetrack_cli.bags.ros2 import Ros2Database, Ros2Folder, is_database, is_ros2_folder
 from posetrack_cli.errors import RecordingError
+from posetrack_cli.losses import LossLog
 from posetrack_cli.mcap.stream import McapFile, McapItem, Topics, is_mcap
-from posetrack_cli.phases import LossLog
 
 
 class MessageFile(Protocol):

@@ -17,6 +17,7 @@ from mcap.records import Channel, Message, Schema
 
 from posetrack_cli import limits
 from posetrack_cli.files import begins_with, open_input
+from posetrack_cli.losses import LossLog
 from posetrack_cli.mcap.records import (
     ChunkLimitError,
     ExpansionBudget,
@@ -35,7 +36,6 @@ from posetrack_cli.mcap.stream import (
     Topics,
     wanted_names,
 )
-from posetrack_cli.phases import LossLog
 from posetrack_cli.units import NS_PER_S
 
 MAGIC = b"#ROSBAG V2.0\n"

@@ -19,10 +19,10 @@ from mcap.records import Channel, Message, Schema
 from posetrack_cli import limits
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.files import begins_with, read_text
+from posetrack_cli.losses import LossLog
 from posetrack_cli.mcap.decoding import NO_DEFINITION
 from posetrack_cli.mcap.records import ExpansionBudget, bounded_content, check_size
 from posetrack_cli.mcap.stream import DAMAGED, McapFile, McapItem, Topics, is_mcap, wanted_names
-from posetrack_cli.phases import LossLog
 
 # ROS 2 recordings in SQLite (``.db3``): all that the database is asked for is to walk its tables.
 #

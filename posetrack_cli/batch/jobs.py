@@ -15,7 +15,7 @@ from pydantic import Field
 
 from posetrack_cli import limits
 from posetrack_cli.build import source_digest
-from posetrack_cli.phases import LossLog
+from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.recording import Recording
 from posetrack_cli.results.joining import Share
 from posetrack_cli.results.joining import join_results as join

@@ -27,10 +27,10 @@ from posetrack_cli.batch.records import (
     read_record,
     write_record,
 )
-from posetrack_cli.build import module_command, module_environment
 from posetrack_cli.compiled import THREADS_VARIABLE
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_DONE, EXIT_INTERRUPTED, PosetrackError, UsageError
 from posetrack_cli.files import open_output
+from posetrack_cli.interpreter import module_command, module_environment
 from posetrack_cli.outputs import check_not_written, make_folder, part_path, state_path
 from posetrack_cli.recording.identity import tell_digests
 from posetrack_cli.text import one_line

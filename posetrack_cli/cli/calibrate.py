@@ -104,8 +104,8 @@ def calibrate_stereo(images: Path, output: Path, **options: Any) -> None:
     cameras, errors in comments. Exit code 3 means that the errors are large.
     """
     from posetrack_cli.files import write_output
+    from posetrack_cli.losses import LossLog, loss_line
     from posetrack_cli.outputs import check_target, whole_or_nothing
-    from posetrack_cli.phases import LossLog, loss_line
     from posetrack_cli.recording.calibration.solve import calibrate_stereo as calibrated
     from posetrack_cli.recording.calibration.views import Board, find_views
 
@@ -195,8 +195,8 @@ def hand_calibrate(recording: Path, output: Path, **options: Any) -> None:
     """
     from posetrack_cli.hand.autodetect import calibrate
     from posetrack_cli.hand.shape_fit import CalibrationOptions, doubts_of, write_hand_file
+    from posetrack_cli.losses import loss_line
     from posetrack_cli.outputs import check_target
-    from posetrack_cli.phases import loss_line
 
     check_target(output, overwrite=options["overwrite"], source=recording)
     config = _configuration(options)

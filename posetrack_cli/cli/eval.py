@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from posetrack_cli.evaluation.measuring.evaluation import Evaluation
     from posetrack_cli.evaluation.reports.table import Table
     from posetrack_cli.evaluation.viewing.pictures import Picture
-    from posetrack_cli.phases import Loss
+    from posetrack_cli.losses import Loss
 
 TEXT_REPORTS = ("json", "csv", "curve", "junit", "markdown")
 """Reports that are text, by the names of their options."""
@@ -444,7 +444,7 @@ def _close(found: Assessment, lost: dict[str, tuple[Loss, ...]]) -> None:
         found: what was found out.
         lost: what results that were written with their metrics lack, by name.
     """
-    from posetrack_cli.phases import loss_line
+    from posetrack_cli.losses import loss_line
 
     for note in found.notes:
         print_note(f"baseline: {note}")

@@ -58,7 +58,7 @@ def convert(recording: Path, output: Path, truth: Path | None, overwrite: bool, 
     depth as 32-bit metres. Truth that IN carries goes along; --truth adds joints as /truth/hand/points, which
     eval measures results by. Exit code 3 means that frames were lost.
     """
-    from posetrack_cli.phases import loss_line
+    from posetrack_cli.losses import loss_line
     from posetrack_cli.recording.conversion import convert_recording
 
     source = open_for_reading(recording, options)
@@ -152,7 +152,7 @@ def export(
     markers that are not seen. Exit code 3 means that RESULT is truncated or damaged; what can be read is
     written all the same.
     """
-    from posetrack_cli.phases import loss_line
+    from posetrack_cli.losses import loss_line
     from posetrack_cli.results.export.export import export_file, save_text, text_pieces
     from posetrack_cli.results.export.source import export_source
     from posetrack_cli.results.reader import read_result

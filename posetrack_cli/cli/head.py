@@ -171,7 +171,7 @@ def _draw(model: FaceModel, path: Path) -> None:
 
 
 def _say_losses(faces: Sequence[ObservedFace]) -> None:
-    from posetrack_cli.phases import loss_line
+    from posetrack_cli.losses import loss_line
 
     lost = [face for face in faces if face.losses]
     for face in lost:

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from posetrack_cli.head.tracker.given_person import GivenPerson
     from posetrack_cli.recording.recording import Recording
     from posetrack_cli.tracking.run import Report
-    from posetrack_cli.tracking.smoothing import Learned, LearningTracker
+    from posetrack_cli.tracking.two_pass import Learned, LearningTracker
 
 
 # Options of the commands that track heads, and what these do alike

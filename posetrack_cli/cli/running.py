@@ -217,8 +217,8 @@ def _rate(frames: int, seconds: float) -> str:
 def close(recording: Path, output: Path, outcome: RunOutcome, passes: int = 1) -> None:
     """Print the closing line and what there is to remark, and set the exit code."""
     from posetrack_cli.compiled import compiling_s
+    from posetrack_cli.losses import loss_line
     from posetrack_cli.outputs import part_path
-    from posetrack_cli.phases import loss_line
 
     _listener.get().on_end(outcome.tracked)
     whole_s, compiled_s = seconds_since_start(), compiling_s()

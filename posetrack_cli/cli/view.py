@@ -201,7 +201,7 @@ def _close(
     output: Path, count: int, drawn: ResultView, results: Sequence[Result], *, interrupted: bool
 ) -> None:
     """The closing line, and the exit code."""
-    from posetrack_cli.phases import loss_line
+    from posetrack_cli.losses import loss_line
 
     context, asked = click.get_current_context(), len(drawn.rows)
     if interrupted:
@@ -223,6 +223,6 @@ def _close(
 
 def _nothing(drawn: ResultView) -> Exception:
     from posetrack_cli.errors import RecordingError
-    from posetrack_cli.phases import loss_line
+    from posetrack_cli.losses import loss_line
 
     return RecordingError("no frame can be drawn", where=drawn.recording_path, found=loss_line(drawn.losses))

@@ -1,4 +1,4 @@
-"""What is found out before a run: side, size, and whether a hand is there."""
+"""What is found out before a run: side, size and shape of the hand."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.confidence import DepthEvidence
 from posetrack_cli.hand.config import HandConfig, HandSettings
+from posetrack_cli.hand.evidence import DepthEvidence
 from posetrack_cli.hand.fit.gauss_newton import STIFF_THUMB
 from posetrack_cli.hand.fit.likelihood import PROPOSALS
 from posetrack_cli.hand.keypoints.file import KeypointFile

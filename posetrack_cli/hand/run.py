@@ -15,8 +15,8 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import UsageError
 from posetrack_cli.filtering.smoothing import Memory
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.confidence import DepthEvidence
 from posetrack_cli.hand.config import ComponentSettings, HandConfig, deviations_from_print
+from posetrack_cli.hand.evidence import DepthEvidence
 from posetrack_cli.hand.fit.likelihood import PROPOSALS, RenderedCosts
 from posetrack_cli.hand.fit.local_fits import FOREARM_CONFIDENCE, INNER, HandFits
 from posetrack_cli.hand.fit.skeleton import NO_INNER, THUMB, inner_of
@@ -38,8 +38,9 @@ from posetrack_cli.hand.start import (
 from posetrack_cli.hand.state import HandState
 from posetrack_cli.hand.swarm import RenderedObjective, SwarmTracker
 from posetrack_cli.hand.tracker import HandTracker
+from posetrack_cli.losses import Loss
 from posetrack_cli.outputs import check_output, part_path
-from posetrack_cli.phases import Loss, phase
+from posetrack_cli.phases import phase
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.identity import file_digest, shown_name
 from posetrack_cli.recording.keypoints.reading import KeypointUse

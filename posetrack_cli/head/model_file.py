@@ -21,7 +21,7 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.face.points import POINT_NAMES
 from posetrack_cli.mcap.stream import is_mcap
 from posetrack_cli.npz import read_npz
-from posetrack_cli.tracking.smoothing import Learned
+from posetrack_cli.tracking.two_pass import Learned
 
 FORMAT, VERSION = "posetrack.head_model", 1
 ATTACHMENT, MEDIA_TYPE = "model.npz", "application/x-npz"

@@ -31,13 +31,13 @@ from posetrack_cli.results.writer import ResultWriter
 from posetrack_cli.tracking import options as tracking_options
 from posetrack_cli.tracking.options import common_record, deviations_record
 from posetrack_cli.tracking.run import Report
-from posetrack_cli.tracking.smoothing import (
+from posetrack_cli.tracking.smoothing import smoothing_path
+from posetrack_cli.tracking.two_pass import (
     Learned,
     LearningTracker,
     MakeTracker,
     NothingTrackedError,
     TwoPassRun,
-    smoothing_path,
 )
 
 

@@ -1,4 +1,4 @@
-"""The head as a subject of results: its tracks, and what of the thesis is not as printed."""
+"""The head as a subject of results, and how heads move."""
 
 from __future__ import annotations
 

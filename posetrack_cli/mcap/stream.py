@@ -16,6 +16,7 @@ from mcap.summary import Summary
 from posetrack_cli import limits
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.files import begins_with, open_input
+from posetrack_cli.losses import LossLog
 from posetrack_cli.mcap.records import (
     DAMAGE,
     HEAD,
@@ -32,7 +33,6 @@ from posetrack_cli.mcap.records import (
     record_spans,
 )
 from posetrack_cli.mcap.summary import chunk_span, extra_spans, read_summary
-from posetrack_cli.phases import LossLog
 
 TRUNCATED = "file is truncated, the rest is missing"
 DAMAGED = "file is damaged, the rest is lost"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError
-from posetrack_cli.phases import LossLog
+from posetrack_cli.losses import LossLog
 
 if TYPE_CHECKING:
     from posetrack_cli.mcap.stream import McapItem

@@ -14,9 +14,9 @@ import numpy as np
 
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError, read_from
+from posetrack_cli.losses import Loss, LossLog
 from posetrack_cli.mcap.sink import McapSink, SchemaText, serialised
 from posetrack_cli.outputs import check_output, whole_or_nothing
-from posetrack_cli.phases import Loss, LossLog
 from posetrack_cli.recording.base import StoredFrame, StoredImage, TruthMessage, UnreadableImageError
 from posetrack_cli.recording.depth import MM_PER_M, Depth, DepthEncoding
 from posetrack_cli.recording.image_files import encode_png

@@ -14,6 +14,7 @@ from posetrack_cli.bags.message_file import message_file, required_container
 from posetrack_cli.bags.ros2 import parts_of
 from posetrack_cli.errors import PosetrackError, RecordingError
 from posetrack_cli.files import placed_path
+from posetrack_cli.losses import Loss, LossLog
 from posetrack_cli.mcap.decoding import (
     CALIBRATION,
     MessageDecoder,
@@ -22,7 +23,6 @@ from posetrack_cli.mcap.decoding import (
     stamp_of,
 )
 from posetrack_cli.mcap.stream import McapFile, McapItem
-from posetrack_cli.phases import Loss, LossLog
 from posetrack_cli.recording.base import RUN_RECORD
 from posetrack_cli.recording.camera_file import load_depth_camera
 from posetrack_cli.recording.camera_of import Guess

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from posetrack_cli.errors import PosetrackError
-from posetrack_cli.phases import Loss
+from posetrack_cli.losses import Loss
 from posetrack_cli.recording.recording import Recording
 from posetrack_cli.recording.timeline import Timeline
 

@@ -11,7 +11,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from posetrack_cli.errors import RecordingError
-from posetrack_cli.phases import LossLog
+from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.base import CAMERA_FILE_NAME, StoredImage, UnreadableImageError
 from posetrack_cli.recording.image_files import (
     DEPTH_SUFFIXES,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 
 from posetrack_cli.errors import RecordingError, UsageError
-from posetrack_cli.phases import LossLog
+from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.base import StoredFrame, StoredImage
 
 NS_PER_MS = 1_000_000

@@ -21,6 +21,7 @@ from posetrack_cli.bags.message_file import MessageFile, message_file, required_
 from posetrack_cli.bags.ros2 import parts_of
 from posetrack_cli.errors import PosetrackError, RecordingError
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.losses import LossLog
 from posetrack_cli.mcap.decoding import (
     DISPARITY_IMAGE,
     VIDEO_IMAGE,
@@ -29,7 +30,6 @@ from posetrack_cli.mcap.decoding import (
     frame_id_of,
     own_stamp_of,
 )
-from posetrack_cli.phases import LossLog
 from posetrack_cli.recording.base import (
     TRUTH_PREFIX,
     NotCalibratedError,

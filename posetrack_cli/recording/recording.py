@@ -12,7 +12,7 @@ from typing import Generic, TypedDict, TypeVar
 
 from posetrack_cli.errors import RecordingError, UsageError, read_from
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.phases import Loss, LossLog
+from posetrack_cli.losses import Loss, LossLog
 from posetrack_cli.recording.base import Frame, StoredFrame, StoredImage, TruthMessage, decode_frames
 from posetrack_cli.recording.camera_of import Guess
 from posetrack_cli.recording.matching import NS_PER_MS, check_range, match_images, select_frames, unmatched

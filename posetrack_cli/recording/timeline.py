@@ -10,7 +10,7 @@ from itertools import pairwise
 from statistics import median
 from typing import Generic, TypeVar
 
-from posetrack_cli.phases import LossLog
+from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.matching import LATEST_NS
 from posetrack_cli.units import NS_PER_S
 

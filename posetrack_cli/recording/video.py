@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.files import placed_path
-from posetrack_cli.phases import LossLog
+from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.base import CAMERA_FILE_NAME, StoredImage, UnreadableImageError
 from posetrack_cli.recording.camera_file import Rig, camera_record, found_rig
 from posetrack_cli.recording.camera_of import GUESSED, Guess

@@ -1,4 +1,4 @@
-"""Columns of arrays and tables."""
+"""Estimates as columns of numbers, and what the arrays of a file must be."""
 
 from __future__ import annotations
 

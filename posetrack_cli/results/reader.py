@@ -18,6 +18,7 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import PosetrackError, ResultError, nearest_name
 from posetrack_cli.files import hint_of_missing, open_input
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.losses import Loss, LossLog, loss_line
 from posetrack_cli.mcap.records import MAGIC
 from posetrack_cli.mcap.stream import (
     DAMAGED,
@@ -28,7 +29,6 @@ from posetrack_cli.mcap.stream import (
 )
 from posetrack_cli.mcap.summary import read_summary
 from posetrack_cli.outputs import part_path
-from posetrack_cli.phases import Loss, LossLog, loss_line
 from posetrack_cli.recording.base import RUN_RECORD, TRUTH_PREFIX, TruthMessage, truth_message
 from posetrack_cli.recording.message_cameras import camera_from_message
 from posetrack_cli.results.channels import (

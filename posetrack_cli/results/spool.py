@@ -1,4 +1,4 @@
-"""What an interrupted run left behind."""
+"""What a run keeps beside its result: its state, and records that are read backward."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Instants of a synthetic recording, and its file."""
+"""Instants of a synthetic recording, and what recordings of hands and heads share."""
 
 from __future__ import annotations
 

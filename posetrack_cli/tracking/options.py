@@ -13,7 +13,7 @@ from posetrack_cli.build import build_record
 from posetrack_cli.configuration import Settings
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.phases import Loss, loss_line
+from posetrack_cli.losses import Loss, loss_line
 from posetrack_cli.recording.base import PATH_KEY
 from posetrack_cli.recording.identity import shown_path
 from posetrack_cli.recording.recording import Recording

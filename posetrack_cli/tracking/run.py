@@ -16,7 +16,7 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.compiled import compiling_s
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.phases import Loss, loss_line
+from posetrack_cli.losses import Loss, loss_line
 from posetrack_cli.recording.base import Frame, TruthMessage
 from posetrack_cli.recording.recording import Recording
 from posetrack_cli.recording.timeline import StampCheck

@@ -35,7 +35,7 @@ from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results.estimate import Estimate, Subject
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
 from posetrack_cli.synthesis.head.writing import write_synthetic
-from posetrack_cli.tracking.smoothing import Learned
+from posetrack_cli.tracking.two_pass import Learned
 
 FPS = 30.0
 FEW, MANY = 1000, 5000

@@ -29,9 +29,9 @@ from posetrack_cli.head.detection import appearance
 from posetrack_cli.head.detection.responses import WIDTH, cut_patch
 from posetrack_cli.head.face.points import EYES, MEAN_SHAPE, MIRRORED
 from posetrack_cli.head.subject import head_subject
+from posetrack_cli.losses import LossLog
 from posetrack_cli.mcap.stream import McapFile
 from posetrack_cli.outputs import whole_or_nothing
-from posetrack_cli.phases import LossLog
 from posetrack_cli.recording.opening import open_recording
 from research.face_model import SEEN_BESIDE, Statistics, read_statistics
 from research.heads import CALIBRATION, TRUTH, cameras_of

@@ -29,7 +29,7 @@ from posetrack_cli.synthesis.hand.frames import CAMERA, synthesise
 from posetrack_cli.synthesis.hand.options import SynthOptions
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
 from posetrack_cli.synthesis.head.writing import write_synthetic
-from posetrack_cli.tracking.smoothing import learned_before
+from posetrack_cli.tracking.two_pass import learned_before
 
 FLUSH_FRAMES = 10  # between two checkpoints of a short run
 FPS = 30.0

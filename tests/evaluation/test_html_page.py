@@ -23,7 +23,7 @@ from posetrack_cli.evaluation.html.writer import ReportPage, html_page
 from posetrack_cli.evaluation.judging.comparing import compare
 from posetrack_cli.evaluation.measuring.evaluation import Evaluation
 from posetrack_cli.evaluation.reading.tracks import Coverage
-from posetrack_cli.phases import Loss
+from posetrack_cli.losses import Loss
 from support.evaluation import hand_evaluation
 from support.html import NASTY, PNG, head_evaluation, picture, shortened, without_truth
 

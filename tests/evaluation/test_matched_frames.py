@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from posetrack_cli.evaluation.reading.tracks import matched_frames
-from posetrack_cli.phases import LossLog
+from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.base import StoredFrame, StoredImage, UnreadableImageError
 
 

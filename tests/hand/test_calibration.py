@@ -67,7 +67,7 @@ from posetrack_cli.rendering.port import RenderingDevice, Window
 from posetrack_cli.rendering.raster import View
 from posetrack_cli.synthesis.hand.frames import write_synthetic
 from posetrack_cli.synthesis.hand.options import SynthOptions, hand_of_seed
-from posetrack_cli.synthesis.hand.person import SHAPES
+from posetrack_cli.synthesis.hand.shapes import SHAPES
 from posetrack_cli.tracking.velocity import BodySpace
 from support.calibrations import calibration_of
 from support.hand import KINECT

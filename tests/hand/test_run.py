@@ -19,9 +19,9 @@ from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.run import HandRun, RunOptions, run_record
+from posetrack_cli.losses import Loss
 from posetrack_cli.mcap.stream import McapFile
 from posetrack_cli.outputs import part_path
-from posetrack_cli.phases import Loss
 from posetrack_cli.recording.base import TruthMessage
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.results import Estimate, load_arrays, read_result

@@ -25,7 +25,7 @@ from posetrack_cli.results import Estimate, load_arrays, read_result
 from posetrack_cli.results.export.export import csv_text
 from posetrack_cli.results.export.source import export_source
 from posetrack_cli.tracking.options import RunOutcome
-from posetrack_cli.tracking.smoothing import NothingFoundError
+from posetrack_cli.tracking.two_pass import NothingFoundError
 from support.head_run import ASIDE, CAMERAS, COMPONENTS, FRAME_NS, OF_THIS_RECORDING, FakeTracker, Memory
 from support.hostile_files import write_hand_result
 

@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-from posetrack_cli.build import module_command
+from posetrack_cli.interpreter import module_command
 
 GIB = 1 << 30
 ADDRESS_BYTES = 6 * GIB

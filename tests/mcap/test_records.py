@@ -15,6 +15,7 @@ from mcap.records import Channel, Chunk, Message, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import CompressionType, IndexType, Writer
 
+from posetrack_cli.losses import LossLog
 from posetrack_cli.mcap.records import (
     HEAD,
     MAGIC,
@@ -24,7 +25,6 @@ from posetrack_cli.mcap.records import (
     record_spans,
 )
 from posetrack_cli.mcap.stream import McapFile
-from posetrack_cli.phases import LossLog
 
 messages = st.lists(
     st.tuples(st.integers(0, 2), st.integers(0, 2**64 - 1), st.binary(max_size=40)), max_size=12

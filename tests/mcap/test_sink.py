@@ -13,9 +13,9 @@ from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from mcap.reader import make_reader
 
 from posetrack_cli.errors import ResultError
+from posetrack_cli.losses import LossLog
 from posetrack_cli.mcap.sink import LIBRARY, McapSink, SchemaText
 from posetrack_cli.mcap.stream import McapFile, read_summary
-from posetrack_cli.phases import LossLog
 
 
 def write_all(path: Path, finish: bool = True) -> Path:

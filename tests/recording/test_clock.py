@@ -10,7 +10,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from posetrack_cli.phases import LossLog
+from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.recording.timeline import AHEAD, BACK_INTERVALS, Clock, Shifts, Timed
 from posetrack_cli.units import NS_PER_S

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from posetrack_cli.errors import RecordingError
-from posetrack_cli.phases import LossLog
+from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.base import StoredImage
 from posetrack_cli.recording.matching import match_images
 

@@ -18,11 +18,11 @@ from mcap.writer import CompressionType, Writer
 
 from posetrack_cli import limits
 from posetrack_cli.errors import RecordingError
+from posetrack_cli.losses import LossLog
 from posetrack_cli.mcap.decoding import MessageDecoder, UndecodableMessageError
 from posetrack_cli.mcap.records import HEAD, MAGIC, ChunkLimitError, chunk_records, decompressed, record_spans
 from posetrack_cli.mcap.stream import DAMAGED_CHUNK, LARGE_CHUNK, McapFile
 from posetrack_cli.mcap.summary import read_summary
-from posetrack_cli.phases import LossLog
 from posetrack_cli.recording.message_topics import scan_topics
 
 MIB = 1 << 20

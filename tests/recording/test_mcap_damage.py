@@ -15,8 +15,8 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 
 from posetrack_cli.errors import PosetrackError, RecordingError
+from posetrack_cli.losses import LossLog
 from posetrack_cli.mcap.stream import McapFile
-from posetrack_cli.phases import LossLog
 from posetrack_cli.recording.opening import open_recording
 
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from posetrack_cli.errors import UsageError
-from posetrack_cli.phases import LossLog, loss_line
+from posetrack_cli.losses import LossLog, loss_line
 from posetrack_cli.recording.base import StoredFrame
 from posetrack_cli.recording.matching import select_frames
 

@@ -17,8 +17,8 @@ from posetrack_cli.outputs import state_path
 from posetrack_cli.results import spool
 from posetrack_cli.results.spool import Progress
 from posetrack_cli.tracking.loop import RunState, checkpoint_of
-from posetrack_cli.tracking.smoothing import within_first_pass, within_second_pass
 from posetrack_cli.tracking.state_codec import whole
+from posetrack_cli.tracking.two_pass import within_first_pass, within_second_pass
 from soaking import disks
 from soaking.__main__ import main
 from soaking.frames import Sample, cpu_rows, memory_rows, time_rows

@@ -10,7 +10,7 @@ import numpy as np
 
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.phases import Loss
+from posetrack_cli.losses import Loss
 from posetrack_cli.recording.base import Frame, TruthMessage
 from posetrack_cli.recording.depth import Depth
 from posetrack_cli.recording.pixels import Pixels

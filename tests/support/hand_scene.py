@@ -20,7 +20,7 @@ from posetrack_cli.hand.model.hand import HandModel, average_hand
 from posetrack_cli.hand.model.kinematics import joint_positions, skinning_transforms
 from posetrack_cli.hand.search import Acquisition
 from posetrack_cli.hand.tracker import HandTracker
-from posetrack_cli.phases import Loss
+from posetrack_cli.losses import Loss
 from posetrack_cli.recording.base import Frame, TruthMessage
 from posetrack_cli.recording.depth import Depth
 from posetrack_cli.recording.pixels import Pixels

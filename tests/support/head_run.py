@@ -13,7 +13,7 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.face.points import MEAN_SHAPE, POINT_COUNT, HeadPose
 from posetrack_cli.head.subject import StereoDiagnostics
 from posetrack_cli.head.tracker.frame_tracker import NO_SIGNS
-from posetrack_cli.phases import Loss
+from posetrack_cli.losses import Loss
 from posetrack_cli.recording.base import Frame, TruthMessage
 from posetrack_cli.recording.pixels import Pixels
 from posetrack_cli.results.columns import floats

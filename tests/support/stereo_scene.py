@@ -8,7 +8,7 @@ import numpy as np
 
 from posetrack_cli.head.config import HeadStereoConfig
 from posetrack_cli.head.face.rig_images import project
-from posetrack_cli.head.initialisation.matching import NO_FACE, InitFailure
+from posetrack_cli.head.initialisation.search import NO_FACE, InitFailure
 from posetrack_cli.head.initialisation.stereo import StereoInitialisation
 from posetrack_cli.head.subject import head_subject
 from posetrack_cli.head.tracker.head_tracker import HeadTracker

@@ -1,4 +1,4 @@
-"""Parts of the report page as plain values, and its pictures."""
+"""The components of a trajectory that the page shows, and its worst frames as pictures."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ from posetrack_cli.evaluation.reports.table import (
     tables,
 )
 from posetrack_cli.geometry.rotations import EULER_ORDER
-from posetrack_cli.phases import loss_line
+from posetrack_cli.losses import loss_line
 
 # Where the results come from, and what the page says about itself
 

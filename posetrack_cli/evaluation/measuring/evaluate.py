@@ -44,7 +44,7 @@ from posetrack_cli.evaluation.reading.tracks import (
 )
 from posetrack_cli.evaluation.reading.truth import load_truth
 from posetrack_cli.evaluation.reading.truth_tables import truth_warnings
-from posetrack_cli.phases import Loss, LossLog
+from posetrack_cli.losses import Loss, LossLog
 from posetrack_cli.results.channels import FILTERED, SMOOTHED
 from posetrack_cli.results.reader import Result, read_result
 

@@ -15,7 +15,7 @@ from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.evaluation.measuring.honesty import JudgedFrames
 from posetrack_cli.evaluation.reading.alignment import JointOffsets
 from posetrack_cli.evaluation.reading.tracks import Coverage, Pairs, Track
-from posetrack_cli.phases import Loss
+from posetrack_cli.losses import Loss
 from posetrack_cli.results.channels import FILTERED
 
 # What an evaluation says about one result; every output (table, JSON, CSV, HTML, gates) is made from it

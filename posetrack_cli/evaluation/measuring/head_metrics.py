@@ -1,4 +1,4 @@
-"""Errors of a head's points, in space and in images."""
+"""Metrics of a head: against truth, and against points annotated in images."""
 
 from __future__ import annotations
 

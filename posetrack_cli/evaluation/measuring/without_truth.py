@@ -23,7 +23,7 @@ from posetrack_cli.hand.model.kinematics import skinning_transforms
 from posetrack_cli.hand.observe.observation import PixelSampler, window_around
 from posetrack_cli.hand.observe.prediction import PredictedHand
 from posetrack_cli.hand.observe.segmentation import segment
-from posetrack_cli.phases import LossLog
+from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.recording import Recording
 from posetrack_cli.recording.timeline import GAP_FACTOR

@@ -13,8 +13,8 @@ import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
 from posetrack_cli.errors import ResultError, read_from
+from posetrack_cli.losses import LossLog
 from posetrack_cli.outputs import part_path
-from posetrack_cli.phases import LossLog
 from posetrack_cli.recording.base import Frame, StoredFrame, decode_frames
 from posetrack_cli.recording.recording import Recording, read_ahead
 from posetrack_cli.recording.timeline import GAP_FACTOR

@@ -25,8 +25,8 @@ from posetrack_cli.evaluation.reading.truth_topics import (
 from posetrack_cli.geometry.rigid import rotation_from_rows
 from posetrack_cli.geometry.rotations import canonical, quaternions_from_matrices
 from posetrack_cli.head.subject import HEAD
+from posetrack_cli.losses import LossLog
 from posetrack_cli.mcap.stream import McapFile, is_mcap
-from posetrack_cli.phases import LossLog
 from posetrack_cli.recording.base import TRUTH_PREFIX
 from posetrack_cli.recording.datasets.biwi import SENSOR
 from posetrack_cli.recording.datasets.layout import nominal_stamps, numbered, numbers_of

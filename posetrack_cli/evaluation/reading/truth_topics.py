@@ -16,9 +16,9 @@ from posetrack_cli.errors import TruthError
 from posetrack_cli.evaluation.reading.tracks import Track, check_stamps
 from posetrack_cli.evaluation.reading.truth_tables import unit_quaternions
 from posetrack_cli.geometry.rotations import rotate
+from posetrack_cli.losses import LossLog
 from posetrack_cli.mcap.decoding import MessageDecoder, UndecodableMessageError, stamp_of
 from posetrack_cli.mcap.stream import McapFile
-from posetrack_cli.phases import LossLog
 from posetrack_cli.recording.base import TRUTH_PREFIX, TruthMessage
 from posetrack_cli.results.estimate import Subject
 from posetrack_cli.results.records import COUNT, LENGTH_MM, NAME, list_of, object_of, reader_of

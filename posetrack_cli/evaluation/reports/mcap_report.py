@@ -23,10 +23,10 @@ from posetrack_cli.evaluation.measuring.evaluation import Evaluation
 from posetrack_cli.evaluation.measuring.without_truth import run_series
 from posetrack_cli.evaluation.reading.tracks import track_name, unique_names
 from posetrack_cli.evaluation.reports.report_files import FORMAT, finite, result_values
+from posetrack_cli.losses import Loss
 from posetrack_cli.mcap.sink import McapSink, SchemaText
 from posetrack_cli.mcap.stream import McapFile
 from posetrack_cli.outputs import check_output, whole_or_nothing
-from posetrack_cli.phases import Loss
 from posetrack_cli.recording.identity import file_digest, identity_record, shown_name
 from posetrack_cli.results.channels import topics_prefix
 from posetrack_cli.results.reader import read_result

@@ -27,7 +27,7 @@ from posetrack_cli.evaluation.measuring.honesty import Bin, reliability
 from posetrack_cli.evaluation.measuring.measures import GROUP_TITLES, Group
 from posetrack_cli.evaluation.measuring.pooling import Pool
 from posetrack_cli.evaluation.reading.alignment import JointOffsets
-from posetrack_cli.phases import loss_line
+from posetrack_cli.losses import loss_line
 
 # Evaluations as tables of text, for the terminal and the HTML report alike
 

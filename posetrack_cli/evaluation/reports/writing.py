@@ -28,7 +28,7 @@ from posetrack_cli.evaluation.reports.table import (
     shown_change,
     total_lines,
 )
-from posetrack_cli.phases import loss_line
+from posetrack_cli.losses import loss_line
 from posetrack_cli.text import one_line
 
 # All reports of an assessment, by what they are called; commands say where they go

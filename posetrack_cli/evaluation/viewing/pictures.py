@@ -15,7 +15,7 @@ from posetrack_cli.evaluation.measuring.subjects import KINDS
 from posetrack_cli.evaluation.viewing.drawing import SKIN, TEXT, Captions, Colour
 from posetrack_cli.head.face.points import LINES, POINT_NAMES
 from posetrack_cli.head.multilinear.face_model import FaceModel
-from posetrack_cli.phases import LossLog
+from posetrack_cli.losses import LossLog
 from posetrack_cli.results.reader import read_result
 
 if TYPE_CHECKING:

@@ -28,7 +28,7 @@ from posetrack_cli.evaluation.viewing.layers import (
 from posetrack_cli.evaluation.viewing.outputs import fitting_sheet
 from posetrack_cli.evaluation.viewing.panels import ImagePanels, depth_layout, depth_panels, image_layout
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.phases import Loss, LossLog
+from posetrack_cli.losses import Loss, LossLog
 from posetrack_cli.recording.pixels import PixelKind
 from posetrack_cli.recording.recording import Recording
 from posetrack_cli.rendering.port import RenderingDevice

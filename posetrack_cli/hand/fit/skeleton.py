@@ -1,4 +1,4 @@
-"""Joints and skin as functions of a pose, with derivatives; the inner angles of the thumb."""
+"""Bones and skin of one pose, their derivatives, and the inner numbers that fits estimate beside it."""
 
 from __future__ import annotations
 

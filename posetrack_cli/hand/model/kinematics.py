@@ -1,4 +1,8 @@
-"""Forward kinematics of the hand: joints, skinning transforms, the axis as printed."""
+"""Forward kinematics of the 22-D hand for many poses at once, and its derivative.
+
+A pose is (position mm, unit quaternion xyzw, 15 angles rad); a tangent vector is (position mm, body-frame
+rotation vector rad, 15 angles rad), 21 numbers (hand.md, "State").
+"""
 
 from __future__ import annotations
 
@@ -17,11 +21,6 @@ from posetrack_cli.hand.fit.skeleton import (
     skeleton_of,
 )
 from posetrack_cli.hand.model.anatomy import BONE_COUNT, JOINT_NAMES, HandAnatomy
-
-# Forward kinematics of the 22-D hand for many poses at once, and its derivative.
-#
-# A pose is (position mm, unit quaternion xyzw, 15 angles rad); a tangent vector is (position mm, body-frame
-# rotation vector rad, 15 angles rad), 21 numbers (hand.md, "State").
 
 
 def _spread_and_bend(a: FloatArray, t: FloatArray) -> FloatArray:

@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 
 from posetrack_cli import limits
-from posetrack_cli.build import module_command, module_environment
 from posetrack_cli.errors import UsageError
 from posetrack_cli.files import read_input
+from posetrack_cli.interpreter import module_command, module_environment
 
 KNOWN = frozenset({"8f2383e4dd3cfbb4553ea8718107fc0423210dc964f9f4280604804ed2552fa4"})
 """SHA-256 of models that are not tried: face_detection_yunet_2023mar.onnx of OpenCV's model zoo."""

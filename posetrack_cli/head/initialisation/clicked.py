@@ -13,7 +13,7 @@ from posetrack_cli.errors import PosetrackError, UsageError, nearest_name
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.config import StereoInitialisationSettings
 from posetrack_cli.head.face.points import POINT_COUNT, POINT_NAMES
-from posetrack_cli.head.initialisation.matching import InitFailure
+from posetrack_cli.head.initialisation.search import InitFailure
 from posetrack_cli.head.initialisation.stereo import (
     StereoInitialisation,
     StereoInitialiser,
@@ -22,7 +22,7 @@ from posetrack_cli.head.initialisation.stereo import (
 from posetrack_cli.head.landmarks.faces import Landmarks
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.tables import TextFile, number_of
-from posetrack_cli.tracking.smoothing import NothingFoundError
+from posetrack_cli.tracking.two_pass import NothingFoundError
 
 COLUMNS = ("camera", "point", "x", "y")
 EXPECTED = "clicked points are a CSV file in UTF-8"

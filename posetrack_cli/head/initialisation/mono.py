@@ -17,7 +17,7 @@ from posetrack_cli.head.detection.points import FacePoints
 from posetrack_cli.head.face.points import FEATURE_SD, FEATURES, MIRRORED, POINT_COUNT, HeadPose
 from posetrack_cli.head.face.rig_images import RigImages, project
 from posetrack_cli.head.face.templates import TemplateSet, take_templates, tangents
-from posetrack_cli.head.initialisation.matching import NO_FACE, InitFailure
+from posetrack_cli.head.initialisation.search import NO_FACE, InitFailure
 from posetrack_cli.head.initialisation.single_view import NEAREST_MM, pose_of
 from posetrack_cli.head.landmarks.faces import Landmarks, ToldFace
 from posetrack_cli.recording.base import Frame

@@ -19,7 +19,8 @@ from posetrack_cli.head.detection.points import FacePoints
 from posetrack_cli.head.face.points import EYES, FEATURE_SD, FEATURES, POINT_COUNT, HeadPose
 from posetrack_cli.head.face.rig_images import CameraImage, RigImages, is_reference, required
 from posetrack_cli.head.initialisation.average_face import MeasuredFace, exchanged_order
-from posetrack_cli.head.initialisation.matching import NO_FACE, InitFailure, match_points
+from posetrack_cli.head.initialisation.matching import match_points
+from posetrack_cli.head.initialisation.search import NO_FACE, InitFailure
 from posetrack_cli.head.initialisation.single_view import weak_perspective
 from posetrack_cli.head.landmarks.faces import Landmarks
 from posetrack_cli.recording.base import Frame

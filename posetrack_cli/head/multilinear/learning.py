@@ -18,7 +18,7 @@ from posetrack_cli.geometry.rigid import in_object
 from posetrack_cli.head.face.points import BROWS, EYES, MOUTH, POINT_NAMES
 from posetrack_cli.head.multilinear.build import BuiltModel, build_model, mirrored, possible_ranks
 from posetrack_cli.head.subject import HEAD, WEIGHT
-from posetrack_cli.phases import Loss
+from posetrack_cli.losses import Loss
 from posetrack_cli.results.columns import Columns
 from posetrack_cli.results.estimate import Status
 from posetrack_cli.results.fields import NUMBERS

@@ -17,8 +17,8 @@ from posetrack_cli.head.adjustment.adjuster import Album, PersonParameters, Poin
 from posetrack_cli.head.config import LARGEST_SCALE, AdjustmentSettings
 from posetrack_cli.head.face.points import COEFFICIENTS, POINT_COUNT, HeadPose
 from posetrack_cli.head.face.templates import CAMERAS, TemplateSet
-from posetrack_cli.head.initialisation.matching import Search
 from posetrack_cli.head.initialisation.mono import DetectedFace
+from posetrack_cli.head.initialisation.search import Search
 from posetrack_cli.head.model_file import unusable
 from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.head.skin.map import SkinMap

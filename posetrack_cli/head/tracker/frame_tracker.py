@@ -22,8 +22,8 @@ from posetrack_cli.head.face.templates import (
     visibility,
     warped,
 )
-from posetrack_cli.head.initialisation.matching import Search
 from posetrack_cli.head.initialisation.mono import EYE_DISTANCE_MM, eye_distance_px
+from posetrack_cli.head.initialisation.search import Search
 from posetrack_cli.head.particles.filter import HeadFilter
 from posetrack_cli.head.particles.particles import (
     FRAME_S,

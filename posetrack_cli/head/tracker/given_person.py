@@ -32,7 +32,7 @@ from posetrack_cli.head.tracker.stereo import StereoCodecs, StereoState
 from posetrack_cli.mcap.stream import is_mcap
 from posetrack_cli.results.columns import Arrays
 from posetrack_cli.results.reader import read_result
-from posetrack_cli.tracking.smoothing import Learned
+from posetrack_cli.tracking.two_pass import Learned
 
 STEREO_SIZE_SD = 0.005
 """Of the logarithm of what several cameras measure: boards and calibrations are right to some tenths of a per

@@ -13,7 +13,7 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.rotations import quaternion_rate
 from posetrack_cli.head.config import HeadStatusSettings
 from posetrack_cli.head.face.points import MEAN_SHAPE, POSE_SIZE, HeadPose
-from posetrack_cli.head.initialisation.matching import InitFailure
+from posetrack_cli.head.initialisation.search import InitFailure
 from posetrack_cli.head.tracker.frame_tracker import (
     NO_SIGNS,
     FrameFit,
@@ -26,8 +26,8 @@ from posetrack_cli.head.tracker.frame_tracker import (
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
 from posetrack_cli.tracking.confidence import PROBABLY, Regression
-from posetrack_cli.tracking.smoothing import Learned, NothingFoundError
 from posetrack_cli.tracking.state_codec import Codec
+from posetrack_cli.tracking.two_pass import Learned, NothingFoundError
 
 # What a head tracker says about a frame, as results hold it
 

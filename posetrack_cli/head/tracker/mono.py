@@ -27,7 +27,6 @@ from posetrack_cli.head.face.points import (
 )
 from posetrack_cli.head.face.rig_images import project
 from posetrack_cli.head.initialisation.clicked import ClickedPoints
-from posetrack_cli.head.initialisation.matching import InitFailure
 from posetrack_cli.head.initialisation.mono import (
     DetectedFace,
     MonoInitialisation,
@@ -35,6 +34,7 @@ from posetrack_cli.head.initialisation.mono import (
     eye_distance_px,
     face_at,
 )
+from posetrack_cli.head.initialisation.search import InitFailure
 from posetrack_cli.head.initialisation.single_view import pose_near
 from posetrack_cli.head.landmarks.faces import LandmarkFile, Landmarks
 from posetrack_cli.head.multilinear.face_model import FaceModel, load_face_model
@@ -67,8 +67,8 @@ from posetrack_cli.head.tracker.person import (
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.columns import Arrays
 from posetrack_cli.tracking.confidence import Regression
-from posetrack_cli.tracking.smoothing import Learned
 from posetrack_cli.tracking.state_codec import Codec
+from posetrack_cli.tracking.two_pass import Learned
 
 STRANGER_FRAMES = 45
 """A face that looks like none of the known ones in so many frames is another person's **[ours]**."""

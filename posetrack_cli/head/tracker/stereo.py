@@ -17,7 +17,7 @@ from posetrack_cli.head.config import HeadStereoConfig, ModelSettings
 from posetrack_cli.head.face.points import POINT_COUNT, HeadPose, rigid_model
 from posetrack_cli.head.face.templates import CAMERAS, TemplateSet, is_new_direction, take_templates
 from posetrack_cli.head.initialisation.clicked import ClickedInitialiser, ClickedPoints
-from posetrack_cli.head.initialisation.matching import InitFailure
+from posetrack_cli.head.initialisation.search import InitFailure
 from posetrack_cli.head.initialisation.stereo import StereoInitialisation, StereoInitialiser
 from posetrack_cli.head.landmarks.faces import LandmarkFile, Landmarks
 from posetrack_cli.head.model_file import unusable
@@ -42,7 +42,6 @@ from posetrack_cli.head.tracker.head_tracker import Description, HeadTracker, pa
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.columns import Arrays, LayoutError, counts, floats
 from posetrack_cli.tracking.confidence import Regression
-from posetrack_cli.tracking.smoothing import Learned
 from posetrack_cli.tracking.state_codec import (
     Array,
     Codec,
@@ -54,6 +53,7 @@ from posetrack_cli.tracking.state_codec import (
     parts_of,
     real,
 )
+from posetrack_cli.tracking.two_pass import Learned
 
 
 @dataclass(frozen=True, eq=False)

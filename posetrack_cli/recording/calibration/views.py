@@ -12,7 +12,7 @@ import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray, ImageArray, IntArray
 from posetrack_cli.errors import RecordingError, UsageError, nearest_name
-from posetrack_cli.phases import LossLog
+from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.base import UnreadableImageError
 from posetrack_cli.recording.grey import Grey, decode_shown, grey_like
 from posetrack_cli.recording.image_files import ImageFile, read_image

@@ -17,7 +17,7 @@ from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.files import placed_path, read_text
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.phases import LossLog
+from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.base import StoredImage, UnreadableImageError
 from posetrack_cli.recording.camera_file import (
     LoneCamera,

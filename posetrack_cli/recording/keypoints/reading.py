@@ -13,7 +13,7 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.phases import LossLog
+from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.identity import file_digest, files_digest
 from posetrack_cli.recording.keypoints.formats import frame_files
 from posetrack_cli.recording.keypoints.layout import (

@@ -9,7 +9,7 @@ from itertools import chain, islice
 from typing import Any
 
 from posetrack_cli.errors import ResultError
-from posetrack_cli.phases import loss_line
+from posetrack_cli.losses import loss_line
 from posetrack_cli.results.columns import Columns, empty_columns, joined
 from posetrack_cli.results.estimate import Estimate, Status, kind_of
 from posetrack_cli.results.export.table import table_of

@@ -20,7 +20,7 @@ from posetrack_cli.hand.model.anatomy import (
 )
 from posetrack_cli.hand.model.kinematics import mirrored_poses
 from posetrack_cli.synthesis.hand.options import SynthOptions
-from posetrack_cli.synthesis.hand.person import SHAPES, THUMB_ACROSS, coupled, minimum_jerk, varied
+from posetrack_cli.synthesis.hand.shapes import SHAPES, THUMB_ACROSS, coupled, minimum_jerk, varied
 
 # The motion of a synthetic recording: poses at its instants, and velocities where there are any
 

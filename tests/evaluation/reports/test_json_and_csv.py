@@ -17,7 +17,7 @@ from posetrack_cli.evaluation.measuring.evaluation import Statistics, statistics
 from posetrack_cli.evaluation.measuring.pooling import make_pools
 from posetrack_cli.evaluation.reports.report_files import FORMAT, HEADER, csv_report, json_report
 from posetrack_cli.evaluation.reports.table import comparison_lines, comparison_tables, shown_p
-from posetrack_cli.phases import Loss
+from posetrack_cli.losses import Loss
 from support.evaluation import hand_evaluation
 
 NAN = float("nan")

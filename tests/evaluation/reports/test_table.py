@@ -17,7 +17,7 @@ from posetrack_cli.evaluation.measuring.measures import Metric
 from posetrack_cli.evaluation.reading.alignment import JointOffsets
 from posetrack_cli.evaluation.reports.table import Table, closing_lines, shown, tables
 from posetrack_cli.evaluation.reports.writing import print_tables
-from posetrack_cli.phases import Loss
+from posetrack_cli.losses import Loss
 from support.evaluation import hand_evaluation
 from support.terminal import Terminal
 

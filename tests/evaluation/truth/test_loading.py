@@ -20,8 +20,8 @@ from posetrack_cli.evaluation.reading import truth_tables
 from posetrack_cli.evaluation.reading.tracks import Track
 from posetrack_cli.evaluation.reading.truth import load_truth
 from posetrack_cli.evaluation.reading.truth_tables import load_csv_track, open_table
+from posetrack_cli.losses import LossLog
 from posetrack_cli.mcap.sink import McapSink
-from posetrack_cli.phases import LossLog
 from posetrack_cli.recording.base import TruthMessage
 from posetrack_cli.results import messages
 from posetrack_cli.results.estimate import Estimate, Subject

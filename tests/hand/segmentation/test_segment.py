@@ -17,7 +17,7 @@ from posetrack_cli.hand.observe.observation import PixelSampler, window_around
 from posetrack_cli.hand.observe.prediction import PredictedHand
 from posetrack_cli.hand.observe.segmentation import Label, Segmentation, segment
 from posetrack_cli.rendering.port import RenderingDevice, Window
-from posetrack_cli.synthesis.hand.person import SHAPES
+from posetrack_cli.synthesis.hand.shapes import SHAPES
 from support.hand import KINECT, REST
 
 ANATOMY, LEFT = make_anatomy(), make_anatomy("left")

@@ -15,8 +15,8 @@ from posetrack_cli.head.adjustment.adjuster import Adjuster
 from posetrack_cli.head.config import HeadMonoConfig
 from posetrack_cli.head.detection.detector import FaceDetector
 from posetrack_cli.head.face.points import EYES, FEATURES
-from posetrack_cli.head.initialisation.matching import NO_FACE, InitFailure
 from posetrack_cli.head.initialisation.mono import LEFT, RIGHT, MonoInitialiser, face_at, slope_deviation
+from posetrack_cli.head.initialisation.search import NO_FACE, InitFailure
 from posetrack_cli.head.multilinear.face_model import load_face_model
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.rendering.port import RenderingDevice

@@ -10,8 +10,8 @@ import pytest
 from posetrack_cli.head.adjustment.adjuster import Adjuster
 from posetrack_cli.head.config import HeadMonoConfig
 from posetrack_cli.head.initialisation.clicked import read_clicked
-from posetrack_cli.head.initialisation.matching import NO_FACE, InitFailure
 from posetrack_cli.head.initialisation.mono import MonoInitialisation, MonoInitialiser, _implausible, face_at
+from posetrack_cli.head.initialisation.search import NO_FACE, InitFailure
 from posetrack_cli.head.multilinear.face_model import load_face_model
 from support.initialisation_scenes import BENT, PLAIN, Says, head, pixels_of
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from posetrack_cli.head.initialisation.matching import NO_FACE, InitFailure, Search
+from posetrack_cli.head.initialisation.search import NO_FACE, InitFailure, Search
 
 
 def after(*failures: InitFailure) -> Search:

@@ -16,7 +16,7 @@ from posetrack_cli.head.detection.detector import FaceDetector
 from posetrack_cli.head.face.points import FEATURE_SD, FEATURES, HeadPose
 from posetrack_cli.head.face.rig_images import RigImages
 from posetrack_cli.head.initialisation import stereo
-from posetrack_cli.head.initialisation.matching import InitFailure
+from posetrack_cli.head.initialisation.search import InitFailure
 from posetrack_cli.head.initialisation.single_view import weak_perspective
 from posetrack_cli.head.initialisation.stereo import StereoAttempt, StereoInitialisation, pose_and_shape
 from support.rig import LEFT, face_pixels, right_camera, turned_head

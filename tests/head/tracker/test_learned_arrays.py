@@ -12,7 +12,7 @@ from posetrack_cli.errors import ResultError
 from posetrack_cli.head.config import HeadStereoConfig, ModelSettings
 from posetrack_cli.head.face.points import MEAN_SHAPE, POINT_COUNT
 from posetrack_cli.head.face.templates import WINDOW, TemplateSet
-from posetrack_cli.head.initialisation.matching import NO_FACE, InitFailure
+from posetrack_cli.head.initialisation.search import NO_FACE, InitFailure
 from posetrack_cli.head.model_file import model_bytes
 from posetrack_cli.head.run import HeadRun, HeadRunOptions
 from posetrack_cli.head.subject import head_subject

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from posetrack_cli.head.config import AdjustmentSettings
-from posetrack_cli.head.initialisation.matching import Search
+from posetrack_cli.head.initialisation.search import Search
 from posetrack_cli.head.subject import SIGNS
 from posetrack_cli.head.tracker.codecs import (
     SCENE_HEIGHT,

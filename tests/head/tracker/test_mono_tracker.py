@@ -22,7 +22,7 @@ from posetrack_cli.head.tracker.head_tracker import UNSEEN
 from posetrack_cli.head.tracker.person import PersonFitter
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
-from posetrack_cli.tracking.smoothing import NothingFoundError
+from posetrack_cli.tracking.two_pass import NothingFoundError
 from support.codecs import assert_lawful
 from support.mono_cases import assert_same
 from support.mono_scene import CAMERA, FACE, FEW, FRAME_NS, MODEL, NOISE, Scene, Told

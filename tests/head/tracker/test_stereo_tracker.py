@@ -9,7 +9,7 @@ import pytest
 
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.rotations import angle_between
-from posetrack_cli.head.initialisation.matching import InitFailure
+from posetrack_cli.head.initialisation.search import InitFailure
 from posetrack_cli.head.subject import STEREO_TRACK
 from posetrack_cli.head.tracker import stereo
 from posetrack_cli.head.tracker.head_tracker import UNSEEN, HeadTracker

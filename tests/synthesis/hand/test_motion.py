@@ -23,7 +23,7 @@ from posetrack_cli.synthesis.hand.motion import (
     walk_region,
 )
 from posetrack_cli.synthesis.hand.options import SynthOptions
-from posetrack_cli.synthesis.hand.person import SHAPES, coupled, inside_limits, minimum_jerk
+from posetrack_cli.synthesis.hand.shapes import SHAPES, coupled, inside_limits, minimum_jerk
 
 FRAME_S = 1.0 / 30.0
 IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
