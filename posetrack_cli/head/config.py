@@ -1,4 +1,4 @@
-"""The head trackers' configurations, of which ``configs/head-*.toml`` are written."""
+"""Configuration of the head trackers; ``configs/head-*.toml`` are generated from it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from posetrack_cli.head.face.points import of_kinds
 from posetrack_cli.tracking.confidence import PROBABLY
 from posetrack_cli.tracking.options import Deviation, PrintedSetting, deviations
 
-# Wider than any head, camera or time, and narrow enough that no arithmetic on them overflows.
+# Generous physical limits, narrow enough that squares and quotients of the values cannot overflow.
 Positive = Annotated[float, Field(ge=1e-6, le=1e6)]
 NotNegative = Annotated[float, Field(ge=0.0, le=1e6)]
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
@@ -20,51 +20,45 @@ Count = Annotated[int, Field(ge=1, le=1_000_000)]
 
 
 class DetectionSettings(Settings):
-    """How faces are found in an image.
+    """Face detection in one image.
 
-    ``model`` is YuNet's ONNX file. ``points = "learned"`` chooses the ten points together by what they look
-    like in many faces, ``features`` is what ``scripts/build face-features`` wrote of that, none the shipped
-    file **[ours]**; ``"corners"`` takes the strongest corner near each point's place, for several cameras,
-    which measure where it is. A face counts from ``least_face_score`` on (0.5 is the detector's own
-    threshold), its points from a mean response of ``least_point_score`` **[ours]**; ``least_face_px`` is the
-    narrowest box that the Haar cascade looks for.
+    `detector` finds faces; `yunet` requires its ONNX file in `model`. `points = "learned"` fits the ten
+    points jointly with a learned appearance model **[ours]**, read from `features` (default: the shipped
+    file, written by `scripts/build face-features`). `points = "corners"` takes the strongest corner near the
+    expected place of each point, which suits calibrated rigs because their cameras measure the points'
+    places.
     """
 
     file_keys: ClassVar[tuple[str, ...]] = ("model", "features")
 
-    detector: Literal["haar", "yunet"] = setting("haar", 'OpenCV\'s cascades, or "yunet" with its model')
-    model: str | None = setting(None, "", example="face_detection_yunet_2023mar.onnx")
+    detector: Literal["haar", "yunet"] = setting(
+        "haar", 'face detector: "haar" (OpenCV cascade) or "yunet" (needs model)'
+    )
+    model: str | None = setting(None, "YuNet ONNX file", example="face_detection_yunet_2023mar.onnx")
     points: Literal["learned", "corners"] = setting(
         "corners",
-        '"learned": chosen together by what they look like in many faces, or "corners": the '
-        "strongest near their places, of cameras that measure where these are",
+        'point localisation: "learned" (joint fit of an appearance model) or "corners" (strongest '
+        "corner near the expected place)",
     )
     features: str | None = setting(
-        None,
-        'of "learned": what scripts/build face-features writes; none is the shipped file',
-        example="appearance.npz",
+        None, 'appearance model for points = "learned"; default: the shipped one', example="appearance.npz"
     )
-    least_face_score: Fraction = setting(0.5, "the detectors' own threshold")
-    least_point_score: Fraction = setting(0.3, "mean response of the ten points")
+    least_face_score: Fraction = setting(0.5, "minimum detector score; 0.5 is the detectors' own threshold")
+    least_point_score: Fraction = setting(0.3, "minimum mean response of the ten points")
     least_face_px: Annotated[int, Field(ge=24, le=10_000)] = setting(
-        50, "narrowest face that the cascade looks for"
+        50, "minimum face width for the Haar cascade, pixels"
     )
 
 
 class StereoInitialisationSettings(Settings):
-    """When a head counts as found **[ours]**.
-
-    Points in space must fall within ``reprojection_px`` of their pixels.
-    """
+    """Acceptance of a detected head **[ours]**."""
 
     detection: DetectionSettings = DetectionSettings()
-    reprojection_px: Positive = setting(
-        3.0, "points in space project to within this distance of their pixels"
-    )
+    reprojection_px: Positive = setting(3.0, "maximum reprojection error of a triangulated point, pixels")
 
 
 class PointSettings(Settings):
-    """One number for each kind of feature point, mm."""
+    """One value per kind of feature point, in the unit of the key."""
 
     eyes: Positive
     mouth: Positive
@@ -73,339 +67,330 @@ class PointSettings(Settings):
 
     @property
     def values(self) -> FloatArray:
-        """(K,) the number of each point's kind."""
+        """(K,) value for each point's kind."""
         return of_kinds(**self.model_dump())
 
 
 class ModelSettings(Settings):
-    """How the face may deform, and how its model is learnt while tracking (thesis, 3.2.4).
+    """Face deformation model, learned while tracking (thesis, 3.2.4).
 
-    ``components`` is B. The first ``rigid_frames`` frames are tracked with a rigid face, whose mean shape
-    moves towards what is measured **[ours]**; with ``rigid_phase = "printed"`` they are tracked with the
-    shape that was found, and learnt from as all others (3.4); the mean is then that of all frames that face
-    the camera, from the shape found on (3.20). A deformation is learnt from a frame where every point
-    correlates above ``correlation``. Shapes are laid on the mean by points that move little:
-    ``expression_mm`` is how far a kind moves in expressions. They are laid on it where they differ from the
-    model's by ``align_above_mm`` (the length of the 3K numbers).
+    The model has `components` (B) principal components. During the first `rigid_frames` frames the face is
+    rigid and its mean shape is refined **[ours]**. With `rigid_phase = "printed"` those frames use the shape
+    found at initialisation and already train the deformation model (3.4); the mean is then the average over
+    all frames that face the camera, starting with the initial shape (3.20).
+
+    A frame trains the model only if every point correlates above `correlation`. A shape that differs from the
+    model's by at least `align_above_mm` (norm of its 3K coordinates) is first aligned to the mean, weighting
+    each kind of point by how little it moves in expressions (`expression_mm`).
     """
 
-    kind: Literal["deformable", "rigid"] = setting("deformable", 'or "rigid"')
-    components: Annotated[int, Field(ge=1, le=20)] = setting(5, "B")
-    rigid_frames: Annotated[int, Field(ge=0)] = setting(120, "so long the face is rigid ...")
+    kind: Literal["deformable", "rigid"] = setting("deformable", '"deformable" or "rigid"')
+    components: Annotated[int, Field(ge=1, le=20)] = setting(5, "B, number of deformation components")
+    rigid_frames: Annotated[int, Field(ge=0)] = setting(120, "frames tracked with a rigid face at the start")
     rigid_phase: Literal["mean", "printed"] = setting(
         "mean",
-        '... and its mean shape is refined; or "printed": it is the shape found, and '
-        "deformations are learnt all the same (3.4)",
+        'what rigid_frames learn: "mean" refines the mean shape; "printed" keeps the initial shape and '
+        "trains the deformation model (3.4)",
     )
-    correlation: Fraction = setting(0.5, "learnt from are frames all of whose points look like themselves")
+    correlation: Fraction = setting(0.5, "a frame trains the model only if every point correlates above this")
     align_above_mm: NotNegative = setting(
-        0.0, "a shape this far from the model's is laid on the mean (length of 3K numbers)"
+        0.0, "align a shape to the mean if it differs from the model by at least this (norm of 3K values)"
     )
     expression_mm: PointSettings = setting(
         PointSettings(eyes=1.0, mouth=8.0, nostrils=1.5, brows=8.0),
-        "how far points move in expressions: those that move little show what is rigid",
+        "typical motion of each kind of point in expressions; sets its weight in the alignment",
     )
 
 
 class RefinementSettings(Settings):
-    """The refinement of pose, deformation and points after the particle filter **[ours]**.
+    """Refinement of pose, deformation and points after the particle filter **[ours]**.
 
-    Without ``joint`` the filter's pose stays. ``recalculation = "printed"`` is the thesis's: raw
-    intensities, ``rho`` and ``epsilon`` of (3.3) and (3.5), ``recalculation_iterations`` at most. The
-    comparison with the frame before counts by the point's best correlation with a stored template, to the
-    power ``previous_likeness``: a point that left its feature must not follow what it left it for. A keyframe
-    is kept from a direction that is ``keyframe_deg`` from those of all others.
+    `recalculation = "printed"` is the thesis's method: raw intensities with `rho` and `epsilon`, (3.3) and
+    (3.5). The comparison with the previous frame is weighted by the point's best correlation with a stored
+    template, raised to `previous_likeness`, so that a point that slid off its feature does not stay there.
     """
 
-    joint: bool = setting(True, "without, the filter's pose stays")
+    joint: bool = setting(True, "refine the pose; false keeps the filter's pose")
     recalculation: Literal["joint", "printed"] = setting(
-        "joint", 'or "printed": (3.3), (4.42) to (4.52) with rho and epsilon'
+        "joint", 'point refinement: "joint", or "printed" for (3.3), (4.42) to (4.52)'
     )
-    recalculation_iterations: Count = 2
-    rho: NotNegative = 4.0
-    epsilon: NotNegative = 2000.0
+    recalculation_iterations: Count = setting(2, "maximum iterations of the point refinement")
+    rho: NotNegative = setting(4.0, 'weight of the previous frame, "printed" only')
+    epsilon: NotNegative = setting(2000.0, 'weight of the model\'s shape, "printed" only')
     previous_likeness: NotNegative = setting(
-        0.0, "the frame before counts by likeness to stored templates, to this power; 0: like them or not"
+        0.0,
+        "exponent: weight the previous frame by the correlation with stored templates to this power; "
+        "0 disables the weighting",
     )
-    keyframe_deg: Positive = setting(10.0, "a keyframe is kept where none looks so nearly the same way")
+    keyframe_deg: Positive = setting(
+        10.0, "minimum angle between a new keyframe and all stored ones, degrees"
+    )
 
 
 class StereoRefinementSettings(RefinementSettings):
-    """The refinement of several cameras **[ours]**.
+    """Refinement with several cameras **[ours]**.
 
-    The points of a shape that was just found move by ``settling_mm`` (standard deviation) along their rays,
-    until the cameras agree.
+    After initialisation each point moves along its ray until the cameras agree.
     """
 
-    settling_mm: Positive = setting(20.0, "how far a shape just found may settle between the cameras")
+    settling_mm: Positive = setting(20.0, "standard deviation of the depth correction of an initial shape")
 
 
 class ParticleSettings(Settings):
-    """The particle filter over pose and deformation (thesis, 3.3).
+    """Particle filter over pose and deformation (thesis, 3.3).
 
-    ``kappa`` is the least standard deviation of the deformation within a thirtieth of a second, in units of
-    its deviations mu. ``weighting`` is by patches **[ours]**, or as printed, (3.27) with ``sigma``, which
-    hardly tells a pixel from none. ``sampling`` is halfway partitioned sampling with the weights that it
-    needs to keep its target **[ours]**, or as printed. ``gap_max_s`` is the longest time without a frame that
-    is predicted, and counts for all longer ones.
+    `weighting = "patches"` models the noise of normalised patches **[ours]**; `"printed"` is (3.27) with
+    `sigma`, which barely separates good matches from fair ones. `sampling = "weighted"` is halfway
+    partitioned sampling with the importance weights required to keep its target distribution **[ours]**.
     """
 
-    count: Count = setting(1000, "4.5")
+    count: Count = setting(1000, "number of particles")
     weighting: Literal["patches", "printed"] = setting(
-        "patches", 'by patches with noise, or "printed": (3.27), (4.41) with sigma'
+        "patches", 'likelihood: "patches" (noise of normalised patches) or "printed" (3.27), (4.41)'
     )
-    sigma: Positive = setting(3.0, 'only of "printed"')
-    kappa: Positive = setting(0.5, "diffusion of the deformation, in units of its standard deviations")
+    sigma: Positive = setting(3.0, 'sigma of (3.27), "printed" only')
+    kappa: Positive = setting(
+        0.5, "diffusion of the deformation per 1/30 s, in units of its standard deviations"
+    )
     sampling: Literal["weighted", "printed"] = setting(
-        "weighted", 'halfway partitioned sampling that keeps its target, or "printed"'
+        "weighted", 'partitioned sampling: "weighted" (importance weights) or "printed" (none)'
     )
     resampling: Literal["systematic", "multinomial", "residual", "stratified"] = setting(
-        "systematic", "or multinomial, residual, stratified"
+        "systematic", '"systematic", "multinomial", "residual" or "stratified"'
     )
-    lookup: Literal["bilinear", "nearest"] = setting("bilinear", 'in the correlation maps, or "nearest"')
-    gap_max_s: Positive = setting(0.2, "a head is predicted over no longer a time")
+    lookup: Literal["bilinear", "nearest"] = setting(
+        "bilinear", 'interpolation in the correlation maps: "bilinear" or "nearest"'
+    )
+    gap_max_s: Positive = setting(0.2, "longest time step of the motion model; longer gaps use this value")
 
 
 class HeadStatusSettings(Settings):
-    """When a head counts as tracked **[ours]**.
+    """Status of a frame: tracking or lost **[ours]**.
 
-    A frame's score is the mean correlation of its visible points. Below ``tracking_above`` a frame is lost;
-    after ``lost_after_frames`` of them the face is searched for again. A frame whose confidence, the
-    probability of being right, is below ``doubtful_below`` is said to be lost, too, and followed on all the
-    same.
+    A frame's score is the mean correlation of its visible points. Confidence is the probability that the
+    frame is right; a frame below `doubtful_below` is reported as lost, but tracking continues from it.
     """
 
     tracking_above: Fraction = setting(
-        0.6, "mean correlation of the visible points; below it a frame is lost"
+        0.6, "minimum score (mean correlation of the visible points); below it the frame is lost"
     )
     doubtful_below: Fraction = setting(
-        PROBABLY, "a frame that is more probably wrong than right is said to be lost, and followed on"
+        PROBABLY, "report frames with a lower confidence as lost, but keep tracking"
     )
-    lost_after_frames: Count = setting(3, "after so many the face is searched for again")
+    lost_after_frames: Count = setting(3, "search for the face again after this many lost frames in a row")
 
 
 class HeadSmoothingSettings(Settings):
-    """The smoothed track of ``--smooth`` **[ours]**; see ``head.smoothing``.
+    """Smoothed track written with `--smooth` **[ours]**.
 
-    A head's velocity wanders by ``velocity_mm`` and ``velocity_rad`` in the square root of a second: the
-    less, the smoother. A head that is lost for no longer than ``bridge_s`` is bridged.
+    `velocity_mm` and `velocity_rad` are the process noise of the velocity, per square root of a second.
     """
 
     velocity_mm: Positive = setting(
-        100.0, "a head's velocity changes by so much in the square root of a second ..."
+        100.0, "process noise of the linear velocity, mm/s per sqrt(s); lower is smoother"
     )
-    velocity_rad: Positive = setting(0.3, "... and by so much: less is smoother")
-    bridge_s: NotNegative = setting(0.5, "a head that is lost for no longer is bridged")
+    velocity_rad: Positive = setting(
+        0.3, "process noise of the angular velocity, rad/s per sqrt(s); lower is smoother"
+    )
+    bridge_s: NotNegative = setting(0.5, "interpolate across gaps up to this long, s")
 
 
 class RunSettings(Settings):
-    """How a recording is gone through.
+    """Passes over the recording.
 
-    With ``passes`` 2 it is tracked twice: the second pass begins with the model and the templates that the
-    first one has learned, and is the result.
+    With two passes, the second pass starts with the model and templates learned in the first and is the
+    result.
     """
 
     passes: Annotated[int, Field(ge=1, le=2)] = setting(
-        1, "2: the second pass begins with what the first has learned, and is the result"
+        1, "2 tracks twice: the first pass learns the face, the second is the result"
     )
 
 
 class HeadOutputSettings(Settings):
-    """How a result is written."""
+    """Result file."""
 
-    flush_frames: Count = 30
+    flush_frames: Count = setting(30, "frames between two checkpoints")
 
 
 class HeadStereoConfig(Settings):
-    """Everything that a stereo run depends on besides its recording and its seed."""
+    """Configuration of ``head stereo``: everything a run depends on except recording and seed."""
 
     file_keys: ClassVar[tuple[str, ...]] = ("start.detection.model", "start.detection.features")
 
     start: StereoInitialisationSettings = setting(
-        StereoInitialisationSettings(), "when a head counts as found"
+        StereoInitialisationSettings(), "initialisation: detection and acceptance of a head"
     )
-    model: ModelSettings = setting(
-        ModelSettings(), "how the face may deform, and how that is learnt while tracking"
-    )
+    model: ModelSettings = setting(ModelSettings(), "face deformation model, learned while tracking")
     particles: ParticleSettings = ParticleSettings()
     refinement: StereoRefinementSettings = setting(
-        StereoRefinementSettings(), "Gauss-Newton over pose, deformation and a residual per point"
+        StereoRefinementSettings(), "Gauss-Newton over pose, deformation and a residual for each point"
     )
     status: HeadStatusSettings = HeadStatusSettings()
     smoothing: HeadSmoothingSettings = setting(
-        HeadSmoothingSettings(), "--smooth: a track of its own, in which every frame knows all others"
+        HeadSmoothingSettings(), "--smooth: additional track, smoothed over the whole recording"
     )
     run: RunSettings = RunSettings()
     output: HeadOutputSettings = HeadOutputSettings()
 
 
 LARGEST_SCALE = 4.0
-"""No image can be enlarged by more: faces whose eyes are 20 pixels apart are."""
+"""Maximum image magnification: faces with an eye distance of 20 pixels reach the default 80."""
 
 
 class MonoInitialisationSettings(Settings):
-    """When a face counts as found (thesis, 4.4.1).
+    """Initialisation from several frames (thesis, 4.4.1).
 
-    It is found when it was detected in ``frames`` frames (n). Images in which the eyes are farther apart than
-    ``eye_distance_px`` are reduced to it, and about a face with eyes less far apart they are enlarged,
-    ``largest_scale`` times at most **[ours]**. Points count as detected with ``pixel_sd`` times the noise of
-    tracked ones.
+    The face is detected in `frames` frames, which are then adjusted together. Images are scaled so that the
+    eye distance is about `eye_distance_px`: large faces are reduced, small ones enlarged by at most
+    `largest_scale` **[ours]**. Detected points are weighted as `pixel_sd` times noisier than tracked ones.
     """
 
     detection: DetectionSettings = DetectionSettings(points="learned", least_point_score=0.6)
     frames: Annotated[int, Field(ge=1, le=30)] = setting(
-        5, "n: it is detected in so many frames, and they are adjusted together"
+        5, "n, frames with a detected face that are adjusted together"
     )
     eye_distance_px: Positive = setting(
-        80.0, "faces are reduced or enlarged to it: patches have 16 x 16 pixels;"
+        80.0, "eye distance to which images are scaled, pixels; suits patches of 16 x 16 pixels"
     )
     largest_scale: Annotated[float, Field(ge=1.0, le=LARGEST_SCALE)] = setting(
-        LARGEST_SCALE, "enlarged by no more; 1 leaves small faces as they are"
+        LARGEST_SCALE, "maximum magnification of small faces; 1 disables it"
     )
-    pixel_sd: Positive = setting(2.0, "a detected point is so much less exact than a tracked one")
+    pixel_sd: Positive = setting(2.0, "noise of a detected point relative to a tracked one")
 
 
 class FaceModelSettings(Settings):
-    """Which multilinear model; ``file`` is what ``head build-model`` writes, none is the shipped one."""
+    """Multilinear face model (thesis, 4.2), written by `head build-model`."""
 
     file_keys: ClassVar[tuple[str, ...]] = ("file",)
 
     file: str | None = setting(
-        None, "what head build-model writes; none is the model that is shipped", example="face.npz"
+        None, "face model written by head build-model; default: the shipped model", example="face.npz"
     )
 
 
 class AdjustmentSettings(Settings):
-    """The bundle adjustment (thesis, 4.3).
+    """Incremental bundle adjustment of the person and recent frames (thesis, 4.3).
 
-    ``when``: after every frame that faces the camera, only at the start, or never (the mean person).
-    ``whole``: the first of two passes ends with an adjustment of the person over the whole recording, which
-    the second one holds; without, the second one goes on adjusting **[ours]**.
-    ``views`` is n, chosen by the ``spread`` of face directions, or of their angles as printed (4.3.2);
-    ``iterations`` of each of the two stages, ``start_iterations`` at the start. No deformation or identity is
-    more than ``bound`` standard deviations from the mean. The identity's start is the mean of the last
-    ``average`` adjustments (N_s).
+    `when = "never"` keeps the mean person. With `whole`, the first of two passes ends with an adjustment over
+    the whole recording and the second pass keeps that person **[ours]**. The adjusted frames are the `views`
+    (n) whose face directions spread most; `spread = "angles"` uses yaw and pitch as printed (4.3.2). Identity
+    and deformation stay within `bound` standard deviations of the mean. The starting identity is the mean of
+    the last `average` adjustments (N_s).
 
-    **[ours]** ``prior`` weighs the squares of whitened s and a beside the boxes, ``offsets`` adds the
-    constant offsets of points, ``huber`` bounds the influence of a point in units of its ``pixel_sd``, which
-    is twice what a point errs by in a frame: points err alike in like frames. Over a whole recording, and of
-    a person whom that has told, it is ``whole_share`` of that: frames of many directions err less alike. A
-    frame is adjusted with if the face is turned from the camera by less
-    than ``facing_deg``, its score is above ``score``, and it is deformed by less than ``neutral_mm`` (the
-    length of its 3K numbers): an expression that the model does not know would be taken for the person. With
-    ``gates_points`` direction and score also decide whether a frame's points are recalculated (4.4.3); in
-    other frames they are where the model has them.
+    **[ours]** `prior` weights the squares of the whitened s and a, in addition to the bounds. `offsets`
+    estimates a constant offset for each point. `huber` bounds the influence of a point, in units of its
+    `pixel_sd`; `pixel_sd` is twice the tracking error because errors in similar frames are correlated.
+    Adjustments over the whole recording multiply it by `whole_share` because frames with different directions
+    are less correlated.
+
+    A frame is used if the face is within `facing_deg` of the camera, its score exceeds `score`, and its
+    deformation is below `neutral_mm` (norm of 3K coordinates): the adjustment would otherwise absorb
+    unmodelled expressions into the identity. With `gates_points`, direction and score also decide whether
+    points are refined (4.4.3); in other frames they stay at the model's places.
     """
 
     when: Literal["always", "start", "never"] = setting(
-        "always", 'after every frame that allows it, only at the "start", or "never"'
+        "always", 'when to adjust: "always" (after every suitable frame), "start" or "never"'
     )
     whole: bool = setting(
-        True, "after a first pass over the whole recording; the second one holds the person"
+        True, "adjust over the whole recording after the first pass; the second pass keeps that person"
     )
-    views: Annotated[int, Field(ge=2, le=200)] = setting(
-        20, "n: of the frames kept those whose face directions spread most ..."
-    )
+    views: Annotated[int, Field(ge=2, le=200)] = setting(20, "n, number of frames adjusted together")
     spread: Literal["directions", "angles"] = setting(
-        "directions", '... or "angles": yaw and pitch, as printed (4.3.2)'
+        "directions", 'how frames are chosen: spread of "directions", or of "angles" as printed (4.3.2)'
     )
-    iterations: Count = setting(5, "of poses alone, then of all; at the start")
-    start_iterations: Count = setting(10, "... so many")
-    average: Count = setting(15, "N_s: the person is the mean of so many adjustments (4.36)")
-    bound: Positive = setting(4.0, "no deformation or person is further than this from the mean (4.35, 4.37)")
-    prior: NotNegative = setting(2.0, "weight of s and a being near the mean, beside the boxes")
-    offsets: bool = setting(
-        True, "what the camera sees of a point lies beside the model's vertex, always alike"
+    iterations: Count = setting(5, "maximum iterations of each stage (poses only, then everything)")
+    start_iterations: Count = setting(10, "the same at initialisation and over the whole recording")
+    average: Count = setting(15, "N_s, number of adjustments averaged for the starting identity (4.36)")
+    bound: Positive = setting(
+        4.0, "bound on identity and deformation, standard deviations from the mean (4.35), (4.37)"
     )
-    huber: Positive = setting(1.5, "points that err by more, in their standard deviations, pull no harder")
+    prior: NotNegative = setting(2.0, "weight of the prior on s and a, in addition to the bounds")
+    offsets: bool = setting(True, "estimate a constant offset of each point from the model's vertex")
+    huber: Positive = setting(1.5, "Huber threshold, in standard deviations of a point")
     pixel_sd: PointSettings = setting(
         PointSettings(eyes=1.4, mouth=3.0, nostrils=2.4, brows=4.0),
-        "how exactly a point is tracked, pixels, twice: in like frames it errs alike",
+        "standard deviation of a point, pixels: twice its tracking error, as errors are correlated",
     )
     whole_share: Annotated[float, Field(ge=0.05, le=1.0)] = setting(
-        0.35, "of pixel_sd below: over a whole recording points err less alike"
+        0.35, "factor on pixel_sd for adjustments over the whole recording"
     )
-    facing_deg: Positive = setting(45.0, "adjusted with are frames that face the camera so nearly ...")
-    score: Fraction = setting(0.6, "... and look like the face")
+    facing_deg: Positive = setting(
+        45.0, "use frames whose face is within this angle of the camera direction, degrees"
+    )
+    score: Fraction = setting(0.6, "use frames with a higher score")
     gates_points: bool = setting(
-        False, "true: points are recalculated in such frames alone, as printed (4.4.3)"
+        False, "refine points only in frames that pass facing_deg and score, as printed (4.4.3)"
     )
-    neutral_mm: Positive = setting(
-        6.0, "... and whose face is deformed less than this (length of 3K numbers)"
-    )
+    neutral_mm: Positive = setting(6.0, "use frames with a smaller deformation (norm of 3K values)")
 
 
 class MonoStatusSettings(HeadStatusSettings):
-    """When a head counts as tracked **[ours]**; see ``HeadStatusSettings``.
+    """Status of a frame: tracking or lost **[ours]**.
 
-    A blink changes four of ten points: a frame counts with a lower score than a stereo tracker's. A score
-    below ``check_below`` is compared with what begins where the whole face went, and if that is below it,
-    too, with that of a face detected anew.
+    Like `HeadStatusSettings`, with a lower score threshold because a blink changes four of the ten points. A
+    score below `check_below` triggers a whole-face motion search and, if that does not help, a new detection.
     """
 
     tracking_above: Fraction = setting(
-        0.45, "mean correlation of the visible points; below it a frame is lost (a blink changes 4 of 10)"
+        0.45, "minimum score (mean correlation of the visible points); below it the frame is lost"
     )
-    lost_after_frames: Count = setting(1, "after so many the face is searched for again")
+    lost_after_frames: Count = setting(1, "search for the face again after this many lost frames in a row")
     check_below: Fraction = setting(
-        0.7, "below it the whole face's motion may take over, or a face detected anew"
+        0.7, "below this score, try the motion of the whole face, then a new detection"
     )
 
 
 class PersonSettings(Settings):
-    """What is known of the person before anything is seen; of the first, if there are several **[ours]**.
+    """Prior knowledge of the (first) person **[ours]**.
 
-    ``interpupillary_mm`` is the distance of the pupils of somebody who looks far away, measured with the
-    standard deviation ``interpupillary_sd_mm``. See ``head.tracker.person``.
+    `interpupillary_mm` is the distance between the pupils when looking into the distance; it fixes the scale,
+    which one camera cannot observe.
     """
 
     interpupillary_mm: Annotated[float, Field(ge=40.0, le=90.0)] | None = setting(
-        None, "distance of the pupils of somebody who looks far away; it tells the scale", example=63.0
+        None, "interpupillary distance when looking into the distance; fixes the scale", example=63.0
     )
-    interpupillary_sd_mm: NotNegative = setting(0.5, "how exactly that was measured")
+    interpupillary_sd_mm: NotNegative = setting(0.5, "standard deviation of that measurement")
 
 
 class SkinSettings(Settings):
-    """The skin between the feature points, which tells a second pass where a head is, too **[ours]**.
+    """Skin texture between the feature points, used by the second pass to refine the pose **[ours]**."""
 
-    ``use`` without: the feature points alone.
-    """
-
-    use: bool = setting(True, "false: the feature points alone")
+    use: bool = setting(True, "use the skin texture; false uses the feature points only")
 
 
 class HeadMonoConfig(Settings):
-    """Everything that a one-camera run depends on besides its recording and its seed."""
+    """Configuration of ``head mono``: everything a run depends on except recording and seed."""
 
     file_keys: ClassVar[tuple[str, ...]] = ("start.detection.model", "start.detection.features", "model.file")
 
-    start: MonoInitialisationSettings = setting(MonoInitialisationSettings(), "when a face counts as found")
-    model: FaceModelSettings = setting(FaceModelSettings(), "which faces there are, and how they deform")
+    start: MonoInitialisationSettings = setting(
+        MonoInitialisationSettings(), "initialisation from several frames"
+    )
+    model: FaceModelSettings = setting(FaceModelSettings(), "face model: identities and deformations")
     particles: ParticleSettings = ParticleSettings(count=750, kappa=0.2, sigma=1.0)
     refinement: RefinementSettings = setting(
         RefinementSettings(previous_likeness=1.0),
-        "Gauss-Newton over pose, deformation and a residual per point",
+        "Gauss-Newton over pose, deformation and a residual for each point",
     )
     adjustment: AdjustmentSettings = setting(
-        AdjustmentSettings(), "bundle adjustment of the person and the last views (4.3)"
+        AdjustmentSettings(), "bundle adjustment of the person and recent frames (4.3)"
     )
     status: MonoStatusSettings = MonoStatusSettings()
-    person: PersonSettings = setting(
-        PersonSettings(), "what is known of the (first) person before anything is seen"
-    )
-    skin: SkinSettings = setting(
-        SkinSettings(), "between the feature points; it tells a second pass where a head is, too"
-    )
+    person: PersonSettings = setting(PersonSettings(), "prior knowledge of the (first) person")
+    skin: SkinSettings = setting(SkinSettings(), "skin texture between the feature points (second pass)")
     smoothing: HeadSmoothingSettings = setting(
         HeadSmoothingSettings(velocity_mm=300.0, velocity_rad=2.0),
-        "--smooth: a track of its own, in which every frame knows all others",
+        "--smooth: additional track, smoothed over the whole recording",
     )
     run: RunSettings = RunSettings(passes=2)
     output: HeadOutputSettings = HeadOutputSettings()
 
 
-# Where a run differs from Sugano's thesis: chapter 3 of several cameras, chapter 4 of one
-
+# The thesis's settings (Sugano: chapter 3 for several cameras, chapter 4 for one), and what still deviates
+# from it. ``deviations_from_print`` lists both in the run record of a configuration that follows the thesis.
 
 ALIKE = PointSettings(eyes=1.0, mouth=1.0, nostrils=1.0, brows=1.0)
 BOTH = (
@@ -459,36 +444,36 @@ MONO = (
 )
 ALWAYS_BOTH = (
     Deviation("3.2.1", "templates are warped to the predicted pose"),
-    Deviation("(3.28)", "points weigh less where they are turned away from the camera"),
-    Deviation("(3.26)", "rotations move by rotation vectors, not by angles"),
-    Deviation("(3.31)", "the velocity in results is estimated from the poses up to the next frame's"),
-    Deviation("(3.29)", "motion noise and the radius d are ours; none are printed"),
-    Deviation("3.3", "a frame may be lost (status); the face is then searched for"),
+    Deviation("(3.28)", "points turned away from the camera have a lower weight"),
+    Deviation("(3.26)", "rotations diffuse as rotation vectors, not as angles"),
+    Deviation("(3.31)", "the velocity in results is estimated from the poses up to the next frame"),
+    Deviation("(3.29)", "motion noise and the radius d are ours; the thesis states none"),
+    Deviation("3.3", "a frame may be lost (status); the face is then detected again"),
 )
 ALWAYS_STEREO = (
-    Deviation("3.2.2", "OpenCV's detector finds face and points, not OKAO Vision"),
+    Deviation("3.2.2", "OpenCV detects face and points, not OKAO Vision"),
     Deviation("(3.18), (3.19)", "the factor 2 of (3.16) is kept"),
-    Deviation("3.2.4", "a shape far from a face's is not learnt from"),
-    Deviation("(3.24)", "the basis is made orthogonal after every update"),
-    Deviation("3.2.3, 3.2.4", "angle and distances of the gates are ours; none are printed"),
+    Deviation("3.2.4", "implausible shapes do not train the model"),
+    Deviation("(3.24)", "the basis is orthogonalised after every update"),
+    Deviation("3.2.3, 3.2.4", "angle and distance gates are ours; the thesis states none"),
 )
 ALWAYS_MONO = (
-    Deviation("4.4.1", "learned responses find face and points, not OKAO Vision"),
-    Deviation("4.4.1", "the adjustment begins with each frame's own pose, not in the middle of the image"),
+    Deviation("4.4.1", "learned responses locate face and points, not OKAO Vision"),
+    Deviation("4.4.1", "the adjustment starts from each frame's own pose, not from the image centre"),
     Deviation("(4.21) to (4.24)", "the signs of the normal equations are corrected"),
-    Deviation("(4.37)", "the box is about s, not about a"),
-    Deviation("(4.51), (4.52)", "the factor 2 is that of both terms"),
+    Deviation("(4.37)", "the box bounds s, not a"),
+    Deviation("(4.51), (4.52)", "the factor 2 applies to both terms"),
     Deviation("4.4.3", "the score is the estimate's mean correlation, not the best particle's"),
-    Deviation("4.3, 4.4.3", "boxes, angle and score are ours; none are printed"),
+    Deviation("4.3, 4.4.3", "boxes, angle and score thresholds are ours; the thesis states none"),
 )
-SHIPPED_MODEL = Deviation("4.2", "the shipped face model is learned from ICT-FaceKit")
+SHIPPED_MODEL = Deviation("4.2", "the shipped face model was built from ICT-FaceKit")
 
 
 def deviations_from_print(config: HeadStereoConfig | HeadMonoConfig) -> list[str] | None:
-    """Return where a configuration that follows the thesis differs from it; None of any other.
+    """Return the deviations of a configuration that follows the thesis; None for other configurations.
 
-    It follows the thesis where the particles' weights (3.27), (4.41) are the thesis's, and their estimate is
-    the pose.
+    A configuration follows the thesis if it uses the printed particle weights (3.27), (4.41) and reports the
+    filter's estimate as the pose.
     """
     if config.particles.weighting != "printed" or config.refinement.joint:
         return None
