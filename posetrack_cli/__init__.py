@@ -4,5 +4,5 @@ import os
 
 from posetrack_cli.limits import IMAGE_PIXELS
 
-# OpenCV reads it as it is loaded, which is later; its own bound is 32 times higher.
+# Must be set before cv2 is imported; OpenCV's own default is 32 times higher.
 os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(IMAGE_PIXELS))

@@ -1,4 +1,4 @@
-"""``python -m posetrack_cli``: the command ``posetrack``."""
+"""Entry point for ``python -m posetrack_cli``."""
 
 from posetrack_cli.cli.main import main
 

@@ -1,7 +1,8 @@
-"""What results depend on besides recording, options and seed: posetrack's sources, libraries and processor.
+"""Build identity: the sources, libraries and CPU features that a result depends on.
 
-Runs that agree in all of these write equal bytes. The processor changes only last digits: OpenBLAS, numpy and
-OpenCV choose their code by its features. Compiled kernels do not depend on it (``compiled``: no fastmath).
+Runs with the same recording, options, seed and build identity write identical bytes. The CPU affects only
+last digits: OpenBLAS, numpy and OpenCV select code paths by its features. Compiled kernels do not depend on
+it (``compiled``: no fastmath).
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ _LIBRARIES = (
     "scipy",
     "zstandard",
 )
-"""Distributions that decode, compute or encode; another version of them may give other results or bytes."""
+"""Distributions that decode, compute or encode; another version may change results or bytes."""
 _DIGITS = 16
 _EVERYTHING = ("**/*",)
 _NOT_INSTALLED = "0+unknown"
@@ -32,7 +33,7 @@ _NOT_INSTALLED = "0+unknown"
 
 @cache
 def version() -> str:
-    """Return the version that posetrack was installed as: last tag, commits since, and the commit."""
+    """Return the installed version: last tag, number of commits since then, and commit hash."""
     return _version_of("posetrack")
 
 
@@ -40,15 +41,15 @@ def version() -> str:
 def source_digest(patterns: tuple[str, ...] = _EVERYTHING, root: Path = PACKAGE) -> str:
     """Return a short digest of the names and contents of the package's files.
 
-    It is computed once in a process: when files change, it stays that of the code which is running.
+    It is computed once per process, so it keeps describing the running code if files change later.
 
     Args:
-        patterns: which files; by default all, with the shipped configurations.
-        root: the package's folder.
+        patterns: glob patterns of the files; default: all files, including the shipped configurations.
+        root: package folder.
     """
     files = {path.relative_to(root).as_posix(): path for one in patterns for path in root.glob(one)}
     if patterns == _EVERYTHING and not (root / "configs").is_dir():
-        configs = root.parent / "configs"  # of a checkout
+        configs = root.parent / "configs"  # in a checkout, configs/ lies next to the package
         files |= {path.relative_to(root.parent).as_posix(): path for path in configs.rglob("*.toml")}
     digest = hashlib.sha256()
     for name, path in sorted(files.items()):
@@ -59,7 +60,7 @@ def source_digest(patterns: tuple[str, ...] = _EVERYTHING, root: Path = PACKAGE)
 
 
 def build_name() -> str:
-    """Return version and digest of the sources in words."""
+    """Return version and source digest as readable text."""
     return f"{version()} (sources {source_digest()})"
 
 
@@ -70,22 +71,22 @@ def libraries() -> str:
 
 
 def _version_of(distribution: str) -> str:
-    from importlib import metadata  # takes longer than --help may
+    from importlib import metadata  # slow import; --help must stay fast
 
     try:
         return metadata.version(distribution)
-    except metadata.PackageNotFoundError:  # put there by other means than pip
+    except metadata.PackageNotFoundError:  # not installed by pip, e.g. vendored
         return _NOT_INSTALLED
 
 
 @cache
 def processor_features() -> str:
-    """Return what the last digits of results depend on: features that libraries choose their code by."""
+    """Return the CPU features by which libraries select code; they affect the last digits of results."""
     import platform
 
     import cv2
     import numpy as np
-    import scipy.linalg  # noqa: F401  loads an OpenBLAS of its own
+    import scipy.linalg  # noqa: F401  loads scipy's own OpenBLAS, so that threadpoolctl finds it
     from threadpoolctl import threadpool_info
 
     kernels = {
@@ -102,7 +103,7 @@ def processor_features() -> str:
 
 
 def build_record() -> dict[str, str]:
-    """Return the entries of a run record that state what the run was made with."""
+    """Return the run record entries that identify the build."""
     return {
         "version": version(),
         "sources": source_digest(),
@@ -112,5 +113,5 @@ def build_record() -> dict[str, str]:
 
 
 def only_in(one: str, other: str) -> str:
-    """Return the parts of a list of libraries or features that another list does not have."""
+    """Return the entries of a comma-separated list that another list lacks."""
     return ", ".join(part for part in one.split(", ") if part not in other.split(", "))

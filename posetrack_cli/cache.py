@@ -1,4 +1,4 @@
-"""Where what is computed once is kept between runs: the user's cache, which nobody else writes to."""
+"""Per-user cache of computed arrays and compiled code, in a folder that only this user can write."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from posetrack_cli.npz import Arrays, NpzError, read_npz
 
 
 def cache_folder(name: str) -> Path | None:
-    """Return a folder for what is kept: in NUMBA_CACHE_DIR, the user's cache, or a temporary folder.
+    """Return a writable cache folder: in NUMBA_CACHE_DIR, the user's cache or a temporary folder.
 
-    None where nothing can be written.
+    None if none of them is writable.
     """
     return next((parent / name for parent in _parents() if _is_writable(parent / name)), None)
 
@@ -25,12 +25,12 @@ def cache_folder(name: str) -> Path | None:
 def kept_arrays(
     name: str, sources: Sequence[str], arguments: Sequence[object], compute: Callable[[], Arrays]
 ) -> Arrays:
-    """Return what a long computation gives, from the cache where it was made before.
+    """Return the arrays of an expensive computation, from the cache if available.
 
     Args:
-        name: of the computation.
-        sources: the package's files that it is made of; any change of them makes it anew.
-        arguments: arrays and plain values that it depends on, and nothing else.
+        name: name of the computation.
+        sources: source files the computation depends on; any change invalidates the cache.
+        arguments: all arrays and plain values the result depends on.
         compute: the computation.
     """
     folder = cache_folder(name)
@@ -40,7 +40,7 @@ def kept_arrays(
     with suppress(OSError, NpzError), path.open("rb") as stream:
         return read_npz(stream)
     arrays = compute()
-    with suppress(OSError):  # a full disk keeps nobody from going on
+    with suppress(OSError):  # the cache is optional, e.g. on a full disk
         _write(path, arrays)
     return arrays
 
@@ -59,7 +59,7 @@ def _key(sources: Sequence[str], arguments: Sequence[object]) -> str:
 
 
 def _write(path: Path, arrays: Arrays) -> None:
-    """Write a file as a whole or not at all."""
+    """Write a file atomically."""
     descriptor, written = tempfile.mkstemp(dir=path.parent, suffix=".part")
     part = Path(written)
     try:
@@ -80,7 +80,7 @@ def _parents() -> Iterator[Path]:
         yield Path(caches) / "posetrack"
     else:
         yield Path(os.path.expanduser("~")) / ".cache" / "posetrack"  # noqa: PTH111 Path.home() may raise
-    with suppress(FileNotFoundError):  # no temporary folder can be written to
+    with suppress(FileNotFoundError):  # no temporary folder is writable
         temporary = Path(tempfile.gettempdir()) / f"posetrack-{_user()}"
         if _is_own(temporary):
             yield temporary
@@ -100,7 +100,7 @@ def _is_writable(folder: Path) -> bool:
 
 
 def _is_own(folder: Path) -> bool:
-    """Whether nobody else can put code there that would be run."""
+    """Return whether only this user can put code into the folder, as cached code is executed."""
     try:
         folder.mkdir(mode=0o700, exist_ok=True)
         status = folder.lstat()

@@ -1,8 +1,8 @@
-"""Compiled inner loops: numba with a cache that any change of any kernel empties.
+"""Numba kernels, with a cache that is invalidated by a change of any kernel source.
 
-Numba's own cache looks at the file of the function that is called, not at those of the functions it calls
-in turn nor at constants from elsewhere, and would go on with old ones. So the compiled code lies in a folder
-that is named after all the sources that go into it.
+Numba's own cache checks only the file of the called function, not those of its callees or of constants from
+other modules, and would reuse stale code. The cache folder is therefore named after a digest of all kernel
+sources.
 """
 
 from __future__ import annotations
@@ -46,21 +46,22 @@ KERNEL_SOURCES = (
     "tracking/velocity.py",
     "units.py",
 )
-"""Files that compiled code is made of, constants included."""
+"""All files that contribute to compiled code, including constants."""
 _MOST_THREADS = 8
 THREADS_VARIABLE = "POSETRACK_THREADS"
-# No error is raised for a division by zero. No fastmath: which copy of an inner function runs, and so in
-# which order fastmath would add up, depends on what was compiled or loaded before: equal runs, unequal bits.
+# error_model numpy: division by zero does not raise. No fastmath: which copy of an inner function runs, and
+# thus the summation order under fastmath, depends on what was compiled or loaded before. Equal runs would
+# differ in their last bits.
 _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 
 
 def kernel(function: Function) -> Function:
-    """Compile a function of arrays and numbers at its first call; it releases the interpreter's lock."""
+    """Compile a function of arrays and numbers on its first call; it releases the GIL."""
     return _compiled(function)
 
 
 def inlined(function: Function) -> Function:
-    """The same for a small function that is called per pixel: its code goes into its callers."""
+    """Compile a small per-pixel function and inline it into its callers."""
     return _compiled(function, forceinline=True)
 
 
@@ -70,7 +71,7 @@ def _compiled(function: Function, **options: Any) -> Function:
 
     compiled: Any = numba.njit(**_OPTIONS, **options)(function)
     compiled.get_call_template = functools.partial(_for_any_value, compiled.get_call_template)
-    config: Any = numba.core.config  # its settings are set at run time, unknown to type checkers
+    config: Any = numba.core.config  # attributes are created at run time, so type checkers do not see them
     folder, others = kernel_folder(), config.CACHE_DIR
     if folder is not None:
         config.CACHE_DIR = folder
@@ -83,35 +84,35 @@ def _compiled(function: Function, **options: Any) -> Function:
 
 
 def _for_any_value(template: Callable[..., Any], args: Any, kws: Any) -> Any:
-    """Take what calls a kernel by its type alone: else each constant handed on would be compiled for anew."""
+    """Resolve calls by argument types alone; numba would otherwise recompile for each constant argument."""
     import numba.core.types
 
-    types: Any = numba.core.types  # without types of their own
+    types: Any = numba.core.types  # untyped library
     plain = {name: types.unliteral(a) for name, a in kws.items()}
     return template([types.unliteral(a) for a in args], plain)
 
 
 @functools.cache
 def _cache_class() -> type[Any]:
-    """Numba's cache, but for what it takes for granted: whole files, a disk with room, and one writer."""
+    """Return a numba cache that tolerates damaged files, full disks and concurrent writers."""
     from numba.core import caching
 
-    FunctionCache: Any = caching.FunctionCache  # without types
+    FunctionCache: Any = caching.FunctionCache  # untyped library
 
     class KernelCache(FunctionCache):  # type: ignore[misc]
-        """What cannot be read is compiled anew, what cannot be kept is not."""
+        """Cache that recompiles on read errors and ignores write errors."""
 
         def load_overload(self, sig: Any, target_context: Any) -> Any:
-            """Return the compiled code of a signature, None where there is none that can be used."""
+            """Return the compiled code of a signature, or None if there is no usable entry."""
             try:
                 return super().load_overload(sig, target_context)
-            except Exception:  # damaged bytes raise whatever pickle makes of them
+            except Exception:  # unpickling damaged bytes can raise anything
                 with suppress(OSError):
-                    self.flush()  # else it would be found damaged once more
+                    self.flush()  # otherwise the next load fails again
                 return None
 
         def save_overload(self, sig: Any, data: Any) -> None:
-            """Keep compiled code; two processes do not number their files at the same time."""
+            """Store compiled code under a lock, as numba numbers files by reading and rewriting an index."""
             with suppress(OSError, EOFError, pickle.PickleError), _alone(Path(self.cache_path)):
                 super().save_overload(sig, data)
 
@@ -124,7 +125,7 @@ def _alone(folder: Path) -> Iterator[None]:
 
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / "lock").open("wb") as stream:
-        with suppress(OSError):  # there are file systems without locks
+        with suppress(OSError):  # some file systems have no locks
             lock_descriptor(stream.fileno())
         yield
 
@@ -133,20 +134,20 @@ def _alone(folder: Path) -> Iterator[None]:
 def announced(
     report: Callable[[str], None], each: Callable[[int], None] = lambda count: None
 ) -> Iterator[None]:
-    """Say so, once, when a kernel is compiled: the first run after a change waits for it.
+    """Report once when a kernel is compiled, as the first run after a change waits for it.
 
-    Nothing is said where the compiled code is loaded from the cache.
+    Nothing is reported if the compiled code is loaded from the cache.
 
     Args:
-        report: called with a line for people, in the thread that compiles.
+        report: called with a message, in the compiling thread.
         each: called with the number of each kernel, from 1, in the same thread.
     """
-    kept = "once" if kernel_folder() else "in every run, as nothing can be kept"
+    kept = "cached for later runs" if kernel_folder() else "not cached: no writable cache folder"
     counts = itertools.count(1)
 
     def say() -> None:
         if (count := next(counts)) == 1:
-            report(f"compiling the fits, {kept}: about 75 s of processor time")
+            report(f"compiling kernels: about 75 s of CPU time, {kept}")
         each(count)
 
     with _listening(say, lambda: None):
@@ -155,12 +156,12 @@ def announced(
 
 @contextmanager
 def watched(start: Callable[[], None]) -> Iterator[Callable[[], bool]]:
-    """Yield a function that tells whether any thread compiles a kernel just now.
+    """Yield a function that returns whether any thread is compiling a kernel.
 
-    The time in which one does is added to ``compiling_s``.
+    Compile time is added to ``compiling_s``.
 
     Args:
-        start: called before each, in the thread that compiles; may raise.
+        start: called before each compilation, in the compiling thread; may raise.
     """
     depth, began_s, lock = [0], [0.0], Lock()
 
@@ -184,13 +185,13 @@ _compiling_s = [0.0]
 
 
 def compiling_s() -> float:
-    """Return for how many seconds this process has compiled kernels while that was ``watched``."""
+    """Return the seconds this process has spent compiling kernels inside ``watched``."""
     return _compiling_s[0]
 
 
 @contextmanager
 def _listening(start: Callable[[], None], end: Callable[[], None]) -> Iterator[None]:
-    """Call functions when the compilation of a kernel starts and ends, in the thread that compiles it."""
+    """Call ``start`` and ``end`` around each kernel compilation, in the compiling thread."""
     import numba.core.event
 
     event: Any = numba.core.event
@@ -201,20 +202,19 @@ def _listening(start: Callable[[], None], end: Callable[[], None]) -> Iterator[N
 
 
 def thread_count() -> int:
-    """Return how many threads share compiled work: one for each core that this process may use, 8 at most.
+    """Return the number of threads for compiled work: one per available core, 8 at most.
 
-    Whoever starts several processes at a time says how many each may have, in POSETRACK_THREADS. Results do
-    not depend on it.
+    POSETRACK_THREADS overrides it, e.g. where several processes share a machine. Results do not depend on it.
     """
-    told = os.environ.get(THREADS_VARIABLE, "")
-    if told.isdecimal() and 0 < int(told) <= _MOST_THREADS:
-        return int(told)
+    override = os.environ.get(THREADS_VARIABLE, "")
+    if override.isdecimal() and 0 < int(override) <= _MOST_THREADS:
+        return int(override)
     allowed = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return min(allowed, _MOST_THREADS)
 
 
 @functools.cache
 def kernel_folder() -> str | None:
-    """Return where compiled code is kept; None where nothing can be kept."""
+    """Return the cache folder of compiled code; None if no cache folder is writable."""
     folder = cache_folder(source_digest(KERNEL_SOURCES))
     return None if folder is None else str(folder)

@@ -1,4 +1,4 @@
-"""Configuration: defaults < file < options, frozen, unknown keys refused with the nearest known one."""
+"""Configuration: defaults < files < options, immutable; unknown keys are refused with a suggestion."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from posetrack_cli.errors import UsageError, nearest_name
 from posetrack_cli.files import read_text
 from posetrack_cli.text import parse_toml
 
-# What pydantic calls an error, and what we say was expected; {names} are of the error's context.
+# Expected value by pydantic error type; {names} come from the error's context.
 _EXPECTED = {
     "int_parsing": "a whole number",
     "int_type": "a whole number",
@@ -40,16 +40,16 @@ _EXPECTED = {
 
 
 class Settings(BaseModel):
-    """Base of all configuration tables: frozen, no unknown keys, no NaN, no infinity, no true for 1."""
+    """Base of all configuration tables: immutable; no unknown keys, NaN, infinity or booleans as numbers."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     file_keys: ClassVar[tuple[str, ...]] = ()
-    """Keys such as ``hand.mesh`` whose value names a file: in a TOML file, relative to its folder."""
+    """Keys such as ``hand.mesh`` whose value is a path, relative to the TOML file's folder."""
 
     @field_validator("*", mode="before")
     @classmethod
     def _no_truth_value_as_number(cls, value: Any, info: ValidationInfo) -> Any:
-        """Pydantic takes true for 1; whoever writes ``particles = true`` does not mean one particle."""
+        """Refuse booleans for numbers, as pydantic would read ``particles = true`` as 1."""
         kinds = _kinds(cls, str(info.field_name))
         values = value if isinstance(value, list | tuple) else [value]
         if bool not in kinds and any(isinstance(one, bool) for one in values):
@@ -58,12 +58,12 @@ class Settings(BaseModel):
 
 
 def setting(default: Any, meaning: str, *, example: Any = None) -> Any:
-    """Declare a setting: all that shipped files and the reference say of it is made from here.
+    """Declare a setting; shipped files and the reference are generated from these declarations.
 
     Args:
-        default: its value, or a table of settings.
-        meaning: what it does, and other values that it can have.
-        example: value of one that is nothing by default.
+        default: default value, or a table of settings.
+        meaning: description, including other possible values.
+        example: example value of a setting that is unset by default.
     """
     return Field(default, description=meaning, examples=None if example is None else [example])
 
@@ -74,22 +74,23 @@ Model = TypeVar("Model", bound=Settings)
 def load_settings(
     model: type[Model], files: Path | Sequence[Path] | None, options: Mapping[str, Any]
 ) -> Model:
-    """Resolve a configuration. A table that is given in part keeps the other values of what it overrides.
+    """Resolve a configuration; partially given tables keep the other values of the table they override.
 
     Args:
-        model: the configuration's type; its defaults come first.
-        files: TOML files, each overrides the defaults and the files before it.
-        options: ``{"filter.particles": 512}`` from the command line, override them all; None is not given.
+        model: configuration type, which provides the defaults.
+        files: TOML files; each overrides the defaults and the files before it.
+        options: command-line values such as ``{"filter.particles": 512}``, which override files; None means
+            not given.
 
     Raises:
-        UsageError: unreadable file, unknown key, value out of range.
+        UsageError: unreadable file, unknown key, or invalid value.
     """
     defaults = {name: field.default for name, field in model.model_fields.items()}
     values: dict[str, Any] = {}
     where: object = "options"
     for path in [files] if isinstance(files, Path) else files or []:
         values, where = _overridden(values, _anchored(_read_toml(path), path, model.file_keys)), path
-        validated(model, _filled_up(values, defaults), path)  # so that an error names the file it is in
+        validated(model, _filled_up(values, defaults), path)  # after each file, so that errors name it
     for key, value in options.items():
         if value is not None:
             _put(values, key.split("."), value)
@@ -100,7 +101,7 @@ def validated(model: type[Model], values: Mapping[str, Any], where: object) -> M
     """Return the model of these values.
 
     Raises:
-        UsageError: unknown key (with the nearest known one), or a value that cannot be used.
+        UsageError: unknown key (with a suggestion) or invalid value.
     """
     try:
         return model.model_validate(values)
@@ -109,10 +110,10 @@ def validated(model: type[Model], values: Mapping[str, Any], where: object) -> M
 
 
 def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
-    """Return ``{"a.b": 1}`` of ``["a.b=1"]``; values as TOML has them, text without quotes too.
+    """Return ``{"a.b": 1}`` for ``["a.b=1"]``; values are TOML, or plain text without quotes.
 
     Raises:
-        UsageError: no equals sign, or no key before it.
+        UsageError: no equals sign or no key.
     """
     values = {}
     for assignment in assignments:
@@ -127,10 +128,10 @@ def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
 
 
 def find_configuration(name: str | os.PathLike[str]) -> Path:
-    """Return the file of a path, or of a name such as ``hand-paper`` that comes with posetrack.
+    """Return the file of a path or of a shipped configuration such as ``hand-paper``.
 
     Raises:
-        UsageError: there is neither.
+        UsageError: neither exists.
     """
     path = Path(name)
     if path.is_file():
@@ -139,19 +140,19 @@ def find_configuration(name: str | os.PathLike[str]) -> Path:
     if str(name) in shipped:
         return shipped[str(name)]
     if path.exists():
-        return path  # a folder or a pipe: whoever reads it says so
+        return path  # a folder or pipe; reading it reports the error
     raise UsageError(
         "no such configuration",
         where=name,
-        expected="a TOML file, or a name that comes with posetrack",
+        expected="a TOML file or the name of a shipped configuration",
         hint=nearest_name(path.stem, shipped),
     )
 
 
 def shipped_files(folder: str = "") -> dict[str, Path]:
-    """Return the TOML files that come with posetrack, by name: configurations, or those of a subfolder.
+    """Return the shipped TOML files by name: configurations, or those of a subfolder.
 
-    They lie inside an installed package, next to it in a checkout.
+    They are inside an installed package, or next to it in a checkout.
     """
     package = Path(str(resources.files("posetrack_cli")))
     folders = (package / "configs" / folder, package.parent / "configs" / folder)
@@ -168,7 +169,7 @@ def _read_toml(path: Path) -> dict[str, Any]:
 
 
 def _anchored(values: dict[str, Any], path: Path, file_keys: Iterable[str]) -> dict[str, Any]:
-    """Values of a file whose file names are no longer relative to its folder."""
+    """Return the values with paths resolved relative to the file's folder."""
     for key in file_keys:
         *tables, name = key.split(".")
         table: Any = values
@@ -180,7 +181,7 @@ def _anchored(values: dict[str, Any], path: Path, file_keys: Iterable[str]) -> d
 
 
 def _overridden(values: Mapping[str, Any], later: Mapping[str, Any]) -> dict[str, Any]:
-    """Values with those of a later file put over them, table by table."""
+    """Return the values overridden by a later file, table by table."""
     out = dict(values)
     for key, value in later.items():
         both_tables = isinstance(value, dict) and isinstance(out.get(key), dict)
@@ -189,7 +190,7 @@ def _overridden(values: Mapping[str, Any], later: Mapping[str, Any]) -> dict[str
 
 
 def _filled_up(values: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
-    """Values whose tables have what they leave out from the default table of the same name."""
+    """Return the values with partial tables completed from the defaults."""
     filled = dict(values)
     for key, default in defaults.items():
         if isinstance(default, BaseModel) and isinstance(values.get(key), dict):
@@ -202,13 +203,13 @@ def _put(values: dict[str, Any], keys: list[str], value: Any) -> None:
     for key in keys[:-1]:
         table = values.setdefault(key, {})
         if not isinstance(table, dict):
-            return  # the file gives a value where a table belongs: validation says so
+            return  # a value in place of a table; validation reports it
         values = table
     values[keys[-1]] = value
 
 
 def _explained(error: ValidationError, model: type[Settings], where: object) -> UsageError:
-    """The first problem as one line."""
+    """Return an error describing the first problem."""
     problems = error.errors(include_url=False)
     problem = problems[0]
     location = [str(part) for part in problem["loc"]]
@@ -228,29 +229,29 @@ def _explained(error: ValidationError, model: type[Settings], where: object) -> 
 
 
 def _places(problems: list[ErrorDetails]) -> int:
-    """How many values a list must have that is too short; the first problem is about it."""
+    """Return the required length of a list that is too short, as in the first problem."""
     row = problems[0]["loc"][:-1]
     missing = [p["loc"][-1] for p in problems if p["type"] == "missing" and p["loc"][:-1] == row]
     return 1 + max(place for place in missing if isinstance(place, int))
 
 
 def expected_words(problem: ErrorDetails) -> str:
-    """What should have been there, in plain words, of one of a ValidationError's ``errors()``."""
+    """Return the expected value of one of a ValidationError's ``errors()`` in plain words."""
     if problem["type"] not in _EXPECTED:
         return problem["msg"].removeprefix("Input should be ")
     return _EXPECTED[problem["type"]].format(**problem.get("ctx", {}))
 
 
 def _kinds(model: type[BaseModel], name: str) -> tuple[Any, ...]:
-    """The type of a field, and what it is made of: ``int | None`` gives itself, int and None."""
+    """Return a field's type and its arguments: ``int | None`` gives the union, int and None."""
     field = model.model_fields.get(name)
     return () if field is None else (field.annotation, *get_args(field.annotation))
 
 
 def _fields_at(model: type[BaseModel], location: list[str]) -> list[str]:
-    """Names of the keys in the table at a location."""
+    """Return the keys of the table at a location."""
     for part in location:
-        if part.isdecimal():  # of a list of tables
+        if part.isdecimal():  # index into a list of tables
             continue
         kinds = _kinds(model, part)
         tables = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)]

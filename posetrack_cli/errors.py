@@ -1,4 +1,4 @@
-"""Errors for people: one line with what, where, found, expected, hint."""
+"""User-facing errors: one line with what, where, found, expected, hint."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from typing import TypeVar
 
 from posetrack_cli.text import printable
 
-# Errors that a user can mend, each shown as one line, and the exit codes of the command line
-
+# Exit codes and error types
 
 EXIT_DONE = 0
 EXIT_FAILED = 1
@@ -22,16 +21,16 @@ EXIT_INTERRUPTED = 130
 
 
 class PosetrackError(Exception):
-    """Root of every error that posetrack raises on purpose.
+    """Base class of all errors that posetrack raises deliberately.
 
     Args:
         what: what went wrong, in a few words.
-        where: file, topic, frame or time it went wrong at.
-        found: what was there.
-        expected: what should have been there.
+        where: file, topic, frame or time of the problem.
+        found: what was found there.
+        expected: what was expected.
         hint: what the user can do about it.
 
-    ``str(error)`` is one line of the parts that are given, without control characters.
+    ``str(error)`` is one line of the given parts, without control characters.
     """
 
     exit_code = EXIT_FAILED
@@ -57,25 +56,25 @@ class PosetrackError(Exception):
 
 
 class UsageError(PosetrackError):
-    """A command, option or configuration that cannot be meant."""
+    """Invalid command, option or configuration."""
 
     exit_code = EXIT_USAGE
 
 
 class RecordingError(PosetrackError):
-    """A recording that cannot be read."""
+    """Unreadable recording."""
 
 
 class ResultError(PosetrackError):
-    """A result that cannot be written or read."""
+    """Result that cannot be written or read."""
 
 
 class TruthError(PosetrackError):
-    """A truth that cannot be read, or is of something else than the result."""
+    """Reference data that is unreadable or does not belong to the result."""
 
 
 class RenderingError(PosetrackError):
-    """No working GL, or a renderer asked for something it cannot do."""
+    """No working GL, or an unsupported rendering request."""
 
 
 def nearest_name(name: str, known: Iterable[str]) -> str:
@@ -85,8 +84,7 @@ def nearest_name(name: str, known: Iterable[str]) -> str:
     return f"did you mean '{close[0]}'?" if close else f"known: {', '.join(names)}"
 
 
-# The rule for readers of containers: an adapter handles the errors it declares; any other is damage
-
+# Container readers: an adapter handles the errors it declares; any other exception means a damaged file
 
 T = TypeVar("T")
 
@@ -96,13 +94,13 @@ _LONGEST_MESSAGE = 300
 
 @contextmanager
 def damage_reported(where: Callable[[], object]) -> Iterator[None]:
-    """Report an error that no adapter declares as damage of the file that is read.
+    """Convert undeclared exceptions into an error about a damaged file.
 
     Args:
-        where: returns the file, and the place in it that is read.
+        where: returns the file and position being read.
 
     Raises:
-        RecordingError: anything else was raised than an error of posetrack, of the disk or of memory.
+        RecordingError: anything other than a posetrack, OS or memory error was raised.
     """
     try:
         yield
@@ -113,17 +111,17 @@ def damage_reported(where: Callable[[], object]) -> Iterator[None]:
             DAMAGED_HERE,
             where=where(),
             found=error_words(error),
-            hint="if other programs read it, please report it with what POSETRACK_DEBUG=1 shows",
+            hint="if other programs can read the file, please report it with the output of POSETRACK_DEBUG=1",
         ) from error
 
 
 def read_from(path: Path, items: Iterable[T], word: str) -> Iterator[T]:
-    """Yield the items of a file; what its reader raises and no adapter declares is damage behind the last.
+    """Yield the items of a file; report undeclared exceptions as damage after the last item.
 
     Args:
         path: the file.
-        items: what is read of it.
-        word: for one of them.
+        items: items read from it.
+        word: name of one item.
     """
     count = 0
     with damage_reported(lambda: f"{path}, after {word} {count}" if count else path):
@@ -133,7 +131,7 @@ def read_from(path: Path, items: Iterable[T], word: str) -> Iterator[T]:
 
 
 def error_words(error: Exception) -> str:
-    """Return an error's type and message, and the line of posetrack that it comes from."""
+    """Return an error's type, message and innermost posetrack source line."""
     kind = type(error)
     name = kind.__name__ if kind.__module__ == "builtins" else f"{kind.__module__}.{kind.__name__}"
     words = " ".join(str(error).split())
@@ -142,8 +140,7 @@ def error_words(error: Exception) -> str:
 
 
 def _place(error: Exception) -> str:
-    """File and line of posetrack that is innermost among those that led to an error."""
-    package, place = Path(__file__).parent, "no line of posetrack"
+    package, place = Path(__file__).parent, "unknown posetrack line"
     for frame, line in traceback.walk_tb(error.__traceback__):
         path = Path(frame.f_code.co_filename)
         if path.is_relative_to(package):

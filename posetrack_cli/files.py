@@ -1,8 +1,8 @@
-"""How files are opened: only regular ones are read, and no symbolic link is written through.
+"""Safe file access: only regular files are read, and symbolic links are never written through.
 
-A named pipe or a device in the place of a recording would never end; a link in the place of a file that is
-being written would have its target overwritten. What is refused raises ``OSError`` with a reason in its
-``strerror``, which callers tell as they tell that a file is missing.
+Reading a named pipe or device in place of a recording would never end; writing through a link would overwrite
+its target. Refusals raise ``OSError`` with the reason in ``strerror``, so callers report them like a missing
+file.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ _KINDS = {
 
 
 def open_input(path: Path) -> BufferedReader:
-    """Open a regular file to read its bytes; of anything else nothing is read, and nothing is waited for.
+    """Open a regular file for reading bytes; never block on pipes or devices.
 
     Raises:
-        OSError: it cannot be opened, or is no regular file.
+        OSError: it cannot be opened or is not a regular file.
     """
     return os.fdopen(_opened(path, os.O_RDONLY), "rb")
 
 
 def begins_with(path: Path, magic: bytes) -> bool:
-    """Whether the first bytes of a regular file are these, by which formats are told.
+    """Return whether a regular file starts with the given magic bytes.
 
     Raises:
-        OSError: it cannot be read, or is no regular file.
+        OSError: it cannot be read or is not a regular file.
     """
     with open_input(path) as stream:
         return stream.read(len(magic)) == magic
@@ -49,16 +49,16 @@ def read_input(path: Path, most: int) -> bytes:
 
     Args:
         path: the file.
-        most: bytes; see ``limits``.
+        most: maximum size in bytes; see ``limits``.
 
     Raises:
-        OSError: it cannot be read, is no regular file, or larger.
+        OSError: it cannot be read, is not a regular file, or is too large.
     """
     with open_input(path) as stream:
         size = os.fstat(stream.fileno()).st_size
-        data = stream.read(min(size, most) + 1)  # room for so much is made at once
+        data = stream.read(min(size, most) + 1)  # read() allocates this much at once
     if len(data) > most:
-        raise OSError(errno.EFBIG, f"a file of {size} bytes, at most {most} are read", str(path))
+        raise OSError(errno.EFBIG, f"file of {size} bytes exceeds the limit of {most}", str(path))
     return data
 
 
@@ -66,60 +66,60 @@ def read_text(path: Path, most: int, encoding: str = "utf-8") -> str:
     """Return the text of a regular file.
 
     Raises:
-        OSError: as of ``read_input``.
-        UnicodeDecodeError: it is in another encoding.
+        OSError: see ``read_input``.
+        UnicodeDecodeError: it has another encoding.
     """
     return read_input(path, most).decode(encoding)
 
 
 def real_path(path: Path) -> Path:
-    """Return where a path leads; where links form a ring ``Path.resolve`` would raise RuntimeError."""
+    """Return the resolved path; unlike ``Path.resolve``, do not raise RuntimeError on link cycles."""
     return Path(os.path.realpath(path))
 
 
 def hint_of_missing(path: Path, of_pattern: str) -> str:
-    """Return what to do about a name that no file has, but that looks like something else.
+    """Return a hint for a path that does not exist but looks like a URL or a pattern.
 
     Args:
-        path: as it was typed.
-        of_pattern: what to do if it is a pattern that no shell has filled in.
+        path: path as typed.
+        of_pattern: hint for a glob pattern that the shell did not expand.
     """
-    if re.match(r"[A-Za-z][A-Za-z0-9+.-]+:/", str(path)):  # pathlib has made one slash of two
-        return "addresses are not read: download it first"
+    if re.match(r"[A-Za-z][A-Za-z0-9+.-]+:/", str(path)):  # pathlib collapses the two slashes of a URL
+        return "URLs are not supported: download the file first"
     return of_pattern if any(sign in str(path) for sign in "*?[") else ""
 
 
 def placed_path(path: Path) -> Path:
-    """Return the absolute path of what a user names: a link stays one, as what it leads to has another name.
+    """Return the absolute path without resolving links, as link targets have other names.
 
-    Version control of data (DVC, git-annex) keeps recordings in a store, and links to them where they belong.
+    Data version control (DVC, git-annex) keeps recordings in a store and links to them.
     """
     return Path(os.path.abspath(path))  # noqa: PTH100 Path.resolve would follow the link
 
 
 def open_output(path: Path) -> BufferedWriter:
-    """Open a file to write it anew; a symbolic link in its place is refused.
+    """Create or truncate a file for writing; refuse a symbolic link.
 
     Raises:
-        OSError: it cannot be opened, or is a link.
+        OSError: it cannot be opened or is a link.
     """
     return os.fdopen(_writable(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), "wb")
 
 
 def open_existing(path: Path) -> BufferedRandom:
-    """Open a file that is there to read it and to write more; a symbolic link in its place is refused.
+    """Open an existing file for reading and writing; refuse a symbolic link.
 
     Raises:
-        OSError: it cannot be opened, is a link, or no regular file.
+        OSError: it cannot be opened, is a link, or is not a regular file.
     """
     return os.fdopen(_writable(path, os.O_RDWR), "r+b")
 
 
 def write_output(path: Path, data: bytes) -> None:
-    """Write a file anew as ``open_output`` opens it.
+    """Write a file through ``open_output``.
 
     Raises:
-        OSError: it cannot be written, or is a link.
+        OSError: it cannot be written or is a link.
     """
     with open_output(path) as stream:
         stream.write(data)
@@ -127,10 +127,10 @@ def write_output(path: Path, data: bytes) -> None:
 
 @contextmanager
 def utf8_name(path: Path) -> Iterator[str]:
-    """Yield a name for OpenCV to open a file by: one that is not UTF-8 ends the process in OpenCV.
+    """Yield a UTF-8 name for a file, as OpenCV aborts the process on any other.
 
     Raises:
-        OSError: there is none, as temporary files lie in a folder whose name is not UTF-8 either.
+        OSError: no such name exists, as the temporary folder's name is not UTF-8 either.
     """
     if _is_utf8(path):
         yield str(path)
@@ -138,7 +138,7 @@ def utf8_name(path: Path) -> Iterator[str]:
     with TemporaryDirectory() as folder:
         link = Path(folder) / f"file{path.suffix if _is_utf8(Path(path.suffix)) else ''}"
         if not _is_utf8(link):
-            raise OSError(errno.EILSEQ, "a name that is not UTF-8", str(path))
+            raise OSError(errno.EILSEQ, "file name is not UTF-8", str(path))
         link.symlink_to(path.resolve())
         yield str(link)
 
@@ -156,16 +156,16 @@ def _writable(path: Path, flags: int) -> int:
         return _opened(path, flags | os.O_NOFOLLOW)
     except OSError as error:
         if error.errno == errno.ELOOP:
-            raise OSError(errno.ELOOP, "a symbolic link, which is not written through", str(path)) from error
+            raise OSError(errno.ELOOP, "refusing to write through a symbolic link", str(path)) from error
         raise
 
 
 def _opened(path: Path, flags: int) -> int:
-    """Return the descriptor of a regular file, opened without waiting for anything."""
+    """Return the descriptor of a regular file, opened without blocking."""
     try:
         descriptor = os.open(path, flags | os.O_NONBLOCK | os.O_CLOEXEC, 0o666)
-    except ValueError:  # a null byte, which a name from a file may hold
-        raise OSError(errno.EINVAL, "no name that a file can have", repr(str(path))) from None
+    except ValueError:  # null byte, possible where the name comes from a file
+        raise OSError(errno.EINVAL, "invalid file name", repr(str(path))) from None
     try:
         _check_regular(path, os.fstat(descriptor).st_mode)
     except BaseException:

@@ -1,4 +1,4 @@
-"""Start Python again: it imports what this process does, and nothing of the folder that it is started in."""
+"""Start further Python processes with this process's import path, ignoring the current folder."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import sys
 
 
 def module_command(module: str, *arguments: str) -> list[str]:
-    """Return the command line of a module as a program."""
+    """Return the command line that runs a module."""
     return [sys.executable, "-P", "-m", module, *arguments]
 
 
 def module_environment() -> dict[str, str]:
-    """Return the environment of such a program: with -P alone it would not find what is imported by path."""
+    """Return its environment: ``-P`` alone would lose modules that were found by path."""
     return os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}

@@ -1,7 +1,7 @@
-"""How much of a file is taken before it is refused: bounds that no real recording meets, all in one place.
+"""Resource limits for untrusted files, well above anything a real recording needs.
 
-A recording is data from strangers. A few kilobytes can claim to be gigabytes, and be believed by a decoder;
-so whatever allocates or loops by what a file says asks one of these first. SECURITY.md tells why.
+A few kilobytes can claim to be gigabytes once decoded, so every allocation or loop whose size comes from a
+file is checked against one of these first. See SECURITY.md.
 """
 
 from __future__ import annotations
@@ -11,155 +11,158 @@ MIB = 1 << 20
 # Compressed data
 
 CHUNK_BYTES = 128 * MIB
-"""Of one MCAP chunk when decompressed. Writers end chunks at 1 to 64 MiB, or after one larger message."""
+"""One decompressed MCAP chunk. Writers end chunks at 1 to 64 MiB, or after one larger message."""
 RECORD_BYTES = 1024 * MIB
-"""Of a record of an MCAP file as it is stored, such as an attachment: it is read whole."""
+"""One stored MCAP record, such as an attachment, which is read whole."""
 EXPANSION_FLOOR_BYTES = 1024 * MIB
 EXPANSION = 256
-"""All chunks of an MCAP file decompress to at most the floor or so many times the file, whichever is more.
+"""All chunks of an MCAP file decompress to at most the floor or this multiple of the file size.
 
-Blank depth images compress better than that, but not a whole recording of them.
+Single blank depth images compress better than this, whole recordings do not.
 """
 PENDING_BYTES = 512 * MIB
-"""Of messages that wait for their turn because chunks overlap in time."""
+"""Messages buffered for reordering because chunks overlap in time."""
 BYTES_PER_RECORD = 2
 SPARE_RECORDS = 16
-"""A chunk holds at most one record for so many compressed bytes, and the spare ones.
+"""A chunk may hold one record per ``BYTES_PER_RECORD`` compressed bytes, plus this many.
 
-Messages without any content at 1 kHz of a simulated clock, which differ in nothing but their stamps, take 2.8
-bytes each in zstd's level 19; with a real clock's stamps 5 and more.
+Empty messages at 1 kHz of simulated time compress to 2.8 bytes each (zstd 19); with real stamps to 5 or more.
 """
 
 BAG_HEAD_BYTES = MIB
-"""Of the head of a record of a ROS 1 bag: a few names and numbers."""
+"""Header of one ROS 1 bag record: a few names and numbers."""
 DATABASE_STEPS_PER_BYTE, SPARE_DATABASE_STEPS = 4, 1_000_000
-"""What SQLite may do for one query of a ROS 2 database, for each byte of it and to spare: a row takes ten
-steps and, as it is stored, 30 bytes at least."""
+"""SQLite virtual machine steps per query: per byte of a ROS 2 database, plus the spare ones.
+
+A row takes ten steps and at least 30 stored bytes.
+"""
 DEFINITION_BYTES = 64 * MIB
 CHANNEL_BYTES = 4 * MIB
-"""Of all different schemas, and of all different channels, within the chunks of an MCAP file.
+"""All distinct schemas, and all distinct channels, in an MCAP file.
 
-A thousand topics of ROS 2 take 1 MiB as channels with their quality of service, and 20 MiB as schemas.
+A thousand ROS 2 topics take 1 MiB as channels (with quality of service) and 20 MiB as schemas.
 """
 CHANNELS = 65_535
-"""Of an MCAP file that is written: their numbers have 16 bits."""
+"""Channels in a written MCAP file: ids have 16 bits."""
 SUMMARY_BYTES = 256 * MIB
-"""Of the index of an MCAP file, which is read whole: 2 million chunks."""
+"""Index of an MCAP file, which is read whole: 2 million chunks."""
 MESSAGES = 1 << 40
-"""That an index may tell of: at 1 kHz the messages of 35 years."""
+"""Message count in an index: 35 years at 1 kHz."""
 
 # Pixels
 
 IMAGE_PIXELS = 1 << 25
-"""Of one image: 8K video has 33.2 million pixels."""
+"""One image; an 8K video frame has 33.2 million pixels."""
 JPEG_SCANS = 30
-"""Of a progressive JPEG, each of which goes over the whole image: encoders write about ten."""
+"""Scans of a progressive JPEG, each of which covers the whole image; encoders write about ten."""
 TILE_PIXELS = 1 << 22
-"""Of one tile of a TIFF, which is decoded whole for the smallest image: writers use 128 to 1024 squared."""
+"""One TIFF tile, decoded whole even for a tiny image; writers use 128 to 1024 squared."""
 
 TIFF_PAGES = 1 << 20
-"""Of one TIFF, each of which is a frame: ten hours of 30 frames a second."""
+"""Pages, i.e. frames, of one TIFF: ten hours at 30 Hz."""
 
 NEAREST_MM, FARTHEST_MM = 0.01, 1e7
-"""A depth nearer or farther is no reading. No depth camera sees nearer than a millimetre or beyond 10 km."""
+"""Range of valid depth readings; no depth camera measures below 1 mm or beyond 10 km."""
 
 # Files that are read whole
 
 TEXT_BYTES = 16 * MIB
-"""Of a text file that is read whole: camera files, configurations, poses, stamps, clicked points."""
+"""Text files: cameras, configurations, poses, stamps, clicked points."""
 MESH_BYTES = 256 * MIB
-"""Of a GLB file."""
+"""GLB files."""
 IMAGE_BYTES = 512 * MIB
-"""Of an image file: the largest image, without compression and with four channels of 32 bits."""
+"""Image files: the largest image, uncompressed, with four 32-bit channels."""
 REPORT_BYTES = 256 * MIB
-"""Of a JSON report given as baseline."""
+"""JSON reports used as baseline."""
 KEYPOINT_BYTES = 256 * MIB
-"""Of keypoints from elsewhere as CSV or JSON lines, which are read line by line: an hour takes 50 MB."""
+"""External keypoints in CSV or JSON Lines, read line by line: an hour takes 50 MB."""
 KEYPOINT_JSON_BYTES = 32 * MIB
-"""Of those in one JSON value, which takes 25 times its size in memory at worst: a quarter of an hour."""
+"""External keypoints in one JSON value, which takes up to 25 times its size in memory: 15 minutes."""
 KEYPOINT_SETS = 250_000
-"""Hands, and frames, in such a file: two hours of 30 frames a second."""
+"""Hands, and frames, in a keypoint file: two hours at 30 Hz."""
 
-# Meshes: a hand's skin has some thousand points and 25 joints, a whole character ten times as many
+# Meshes: a hand has about a thousand points and 25 joints, a full character ten times as many
 
 MESH_NODES = 10_000
 MESH_JOINTS = 512
 MESH_POINTS = 250_000
-"""Of all parts of a skin; scans of a hand have a tenth of it."""
+"""All parts of a skinned mesh; hand scans have a tenth of it."""
 MESH_TRIANGLES = 500_000
 MESH_WEIGHTS = 1 << 24
-"""Points times joints: each point has a weight for each joint."""
+"""Points times joints: each point has a weight per joint."""
 MESH_VALENCE = 2_000
-"""Triangles at one point, also in the middle of a hole that was closed: what simplifies squares them."""
+"""Triangles at one point, including the centre of a closed hole; decimation is quadratic in it."""
 MESH_REACH = 1e6
-"""Of coordinates, lengths and scales, in a file's units: a kilometre in millimetres."""
+"""Coordinates, lengths and scales in file units: a kilometre in millimetres."""
 
 # Arrays
 
 MODEL_BYTES = 256 * MIB
-"""Of a file of a face model, or of what was learned of a head: templates of a hundred people take less."""
+"""Files of face models or learned head models; a hundred people's templates take less."""
 MODEL_TRIAL_S = 60
 MODEL_TRIAL_BYTES = 2048 * MIB
-"""Time, and address space, in which a face detector's model is tried: YuNet takes a second and 0.9 GiB."""
+"""Time and address space for loading a face detector; YuNet takes a second and 0.9 GiB."""
 FACE_PARAMETERS = 256
-"""Of identity, and of deformation; morphable models have up to 199 and 29."""
+"""Identity, and deformation, parameters; morphable models have up to 199 and 29."""
 FACES = 6
 GUESSES = 60
-"""Faces of an image whose points are looked for, the largest, and that are considered at all, the surest. A
-face takes a tenth of a second, and a damaged network finds thousands."""
+"""Faces per image that get landmarks (the largest ``FACES``) out of the most confident detections.
+
+Landmarks take 0.1 s per face, and a damaged network can report thousands of faces.
+"""
 NPZ_FLOOR_BYTES = 256 * MIB
 NPZ_EXPANSION = 16
-"""All arrays of an npz file take at most the floor or so many times the file; ours are not compressed."""
+"""All arrays of an npz file take at most the floor or this multiple of the file's size."""
 PEOPLE = 5_000
-"""Whom one camera saw in a recording. A cut may bring a new person, a recording has fewer cuts."""
+"""People seen by one camera in a recording: a video cut may start a new one."""
 NPZ_ARRAYS = 100_000
-"""In one npz file."""
+"""Arrays in one npz file."""
 
 # Messages that are not images
 
 MESSAGE_BYTES = 1 * MIB
-"""Of a calibration, a set of transforms or an estimate: a thousand transforms take 0.15 MiB."""
+"""One calibration, transform or estimate message; a thousand transforms take 0.15 MiB."""
 DEFINITION_CHARACTERS = 1 * MIB
-"""Of the definition of one ROS message with all its parts: the longest of ROS have 20,000."""
+"""ROS message definition including nested types; the longest standard one has 20,000 characters."""
 TRANSFORMS = 20_000
-"""Of all messages of a file, as far as they are looked at; and so many bytes of them:"""
 TRANSFORM_BYTES = 16 * MIB
+"""Transforms read from a file, by count and size."""
 
-# Frames that an export makes up
+# Frames inserted by exports
 
 EXPORT_FRAMES = 10_000
 EXPORT_EXPANSION = 16
-"""Of a format with a fixed frame rate, whose frames fill the gaps between estimates: at most so many, or so
-many times the estimates, whichever is more. Five minutes at 30 Hz, or gaps of 15 s for each second between.
+"""Frames of an export at a fixed rate, which fills gaps between estimates.
+
+At most ``EXPORT_FRAMES`` (five minutes at 30 Hz) or this multiple of the estimates, whichever is more.
 """
 
 # Numbers and names in results
 
 LENGTH_MM = 1e9
-"""Of a position or a size: a thousand kilometres."""
+"""Positions and sizes: a thousand kilometres."""
 NUMBER = 1e12
-"""Of any other number, such as a velocity or a variance; squares and sums of such do not overflow."""
+"""Other numbers, such as velocities and variances; their squares and sums do not overflow."""
 INTEGER = 2**63 - 1
 NAME_CHARACTERS = 256
-"""Of a joint, a shape entry or a camera."""
+"""Names of joints, shape parameters and cameras."""
 LIST_ENTRIES = 10_000
-"""Points, shape entries or further numbers of one subject: a hand has 21 joints, a face some hundred."""
+"""Points, shape parameters etc. of a subject: a hand has 21 joints, a face about a hundred points."""
 TRIANGLES = 1_000_000
-"""Of a subject's mesh."""
+"""Triangles of a subject's mesh."""
 CAMERAS = 1000
-"""Of one rig."""
+"""Cameras of a rig."""
 
 # Folders
 
 SEARCH_ENTRIES = 1_000_000
-"""Files and folders that the patterns of a batch look at, or that one recording's folder holds: nine hours of
-images at 30 frames a second."""
+"""Directory entries matched by batch patterns, or in one image folder: nine hours at 30 Hz."""
 
 # Lines of text
 
 LINE_BYTES = MIB
-"""Of a line of a truth in CSV: a row of a thousand columns has some 20 kB."""
+"""Line of a reference CSV file; a row of a thousand columns has about 20 kB."""
 COLUMNS = 10_000
-"""Of such a file."""
+"""Columns of a reference CSV file."""
 KEY_PARTS = 32
-"""Of a dotted key in TOML, such as ``a.b.c``."""
+"""Parts of a dotted TOML key such as ``a.b.c``."""

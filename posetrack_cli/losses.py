@@ -1,4 +1,4 @@
-"""Bookkeeping of what a reader had to skip."""
+"""Bookkeeping of data that a reader skipped."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Loss:
-    """Data that a reader had to skip: what, how often, and where first."""
+    """Skipped data: kind, count and first occurrence."""
 
     what: str
     count: int
@@ -15,25 +15,25 @@ class Loss:
 
 
 class LossLog:
-    """Counts losses by what was lost, and remembers where each kind happened first."""
+    """Count losses by kind, with the first occurrence of each."""
 
     def __init__(self) -> None:
         self._losses: dict[str, Loss] = {}
         self._notes: dict[str, None] = {}
 
     def note(self, text: str) -> None:
-        """Record what a user should know of the data although nothing was lost; equal notes count once."""
+        """Record a note about the data for the user although nothing was lost; equal notes count once."""
         self._notes[text] = None
 
     def add(self, what: str, where: str, count: int = 1) -> None:
-        """Count losses of the kind ``what``, the first of which happened at ``where``."""
+        """Count losses of the kind ``what``; the first happened at ``where``."""
         known = self._losses.get(what)
         self._losses[what] = (
             Loss(what, count, where) if known is None else Loss(what, known.count + count, known.first)
         )
 
     def include(self, losses: tuple[Loss, ...]) -> None:
-        """Take over what another pass over the same data lost: the same things are not counted twice."""
+        """Merge the losses of another pass over the same data without counting them twice."""
         for loss in losses:
             known = self._losses.get(loss.what)
             if known is None or known.count < loss.count:
@@ -41,15 +41,15 @@ class LossLog:
 
     @property
     def losses(self) -> tuple[Loss, ...]:
-        """The losses, in the order in which each kind happened first."""
+        """Losses in order of first occurrence."""
         return tuple(self._losses.values())
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What else a user should know, one line each, in order."""
+        """Further notes for the user, one line each, in order."""
         return tuple(self._notes)
 
 
 def loss_line(losses: tuple[Loss, ...]) -> str:
-    """Return one line that tells all losses, for standard error and run records."""
+    """Return one line listing all losses, for stderr and run records."""
     return "; ".join(f"{loss.what}: {loss.count}, first {loss.first}" for loss in losses)

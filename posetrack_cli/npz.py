@@ -1,8 +1,8 @@
-"""Arrays from npz files of strangers: nothing is executed, and no array is made that the file does not hold.
+"""Reading of untrusted npz files: no code execution, no allocation beyond the file's contents.
 
-A zip entry of a few kilobytes can claim to be gigabytes, and an npy header can ask for any array. So all
-sizes are read first, from the zip's index and the arrays' own headers, and have to agree with each other and
-with ``limits``; the headers are those that numpy writes, and are never evaluated.
+A zip entry of a few kilobytes can claim gigabytes, and an npy header can request any array. All sizes are
+therefore read first, from the zip index and the array headers, and must agree with each other and with
+``limits``. Headers must have numpy's format and are never evaluated.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Arrays: TypeAlias = dict[str, np.ndarray[Any, Any]]
 
 _SUFFIX = ".npy"
 _ENCRYPTED = 0x1
-_COMPRESSIONS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # zipfile reads others without a bound on memory
+_COMPRESSIONS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # zipfile does not bound memory for the others
 _MAGIC = b"\x93NUMPY"
 _HEADER = re.compile(
     rb"\{'descr': '([<|][biufcU]\d{1,9})', 'fortran_order': (False|True), "
@@ -42,104 +42,104 @@ _DAMAGE = (
     ValueError,
     OverflowError,
 )
-"""What zipfile and numpy raise, depending on the bytes that are wrong."""
+"""Exceptions that zipfile and numpy raise on damaged bytes."""
 
 
 class NpzError(ValueError):
-    """An npz file that is none, damaged, or too large; the text says how."""
+    """File that is not an npz file, is damaged, or is too large; the message says which."""
 
 
 def read_npz(source: bytes | IO[bytes]) -> Arrays:
     """Return the arrays of an npz file by name.
 
-    Numbers and truth values little-endian, and text; no objects, no records.
+    Supported are little-endian numbers, booleans and text, but not objects or records.
 
     Args:
         source: the file's bytes, or the open file.
 
     Raises:
-        NpzError: it is none, damaged, or its arrays take more than ``limits`` allow.
+        NpzError: it is not an npz file, is damaged, or exceeds ``limits``.
     """
     stream = BytesIO(source) if isinstance(source, bytes) else source
     if not zipfile.is_zipfile(stream):
-        raise NpzError("no whole npz file")
+        raise NpzError("not a complete npz file")
     try:
         with zipfile.ZipFile(stream) as archive:
             return {name: _array(archive, entry, name) for name, entry in _entries(archive, stream).items()}
     except NpzError:
         raise
     except _DAMAGE as error:
-        raise NpzError(f"no whole npz file: {error}") from error
+        raise NpzError(f"not a complete npz file: {error}") from error
 
 
 def _entries(archive: zipfile.ZipFile, stream: IO[bytes]) -> dict[str, zipfile.ZipInfo]:
-    """Return what the zip's index lists by the arrays' names, once all of it may be read."""
+    """Return the zip entries by array name after checking count, size and encoding."""
     entries = archive.infolist()
     if len(entries) > limits.NPZ_ARRAYS:
-        raise NpzError(f"{len(entries)} arrays, at most {limits.NPZ_ARRAYS} are read")
+        raise NpzError(f"{len(entries)} arrays exceed the limit of {limits.NPZ_ARRAYS}")
     total, most = sum(entry.file_size for entry in entries), _most_bytes(stream)
     if total > most:
-        raise NpzError(f"arrays of {total} bytes in all, at most {most} are read")
+        raise NpzError(f"arrays of {total} bytes in total exceed the limit of {most}")
     named: dict[str, zipfile.ZipInfo] = {}
     for entry in entries:
         name = entry.filename.removesuffix(_SUFFIX)
         if name == entry.filename:
-            raise NpzError(f"'{name}', which is no array")
+            raise NpzError(f"'{name}' is not an array")
         if name in named:
-            raise NpzError(f"array '{name}' twice")
+            raise NpzError(f"array '{name}' occurs twice")
         if entry.flag_bits & _ENCRYPTED or entry.compress_type not in _COMPRESSIONS:
-            raise NpzError(f"array '{name}' encrypted, or compressed in an unusual way")
+            raise NpzError(f"array '{name}' is encrypted or uses an unsupported compression")
         named[name] = entry
     return named
 
 
 def _most_bytes(stream: IO[bytes]) -> int:
-    """How many bytes the arrays of a file may take."""
+    """Return the maximum total size of the arrays."""
     stream.seek(0, 2)
     return max(limits.NPZ_FLOOR_BYTES, limits.NPZ_EXPANSION * stream.tell())
 
 
 def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, name: str) -> np.ndarray[Any, Any]:
-    """Return one array; its header is read first, and the rest only if it is as long as the header says."""
+    """Return one array; its data is read only if its size matches the header."""
     with archive.open(entry) as stream:
         start = stream.read(8)
-        longer = start[6:7] != b"\x01"  # version 1 counts its header with two bytes, later ones with four
+        longer = start[6:7] != b"\x01"  # npy version 1 has a 2-byte header length, later versions 4 bytes
         counted = stream.read(4 if longer else 2)
         if start[:6] != _MAGIC or len(counted) != (4 if longer else 2):
-            raise NpzError(f"'{name}', which is no array")
+            raise NpzError(f"'{name}' is not an array")
         length = int.from_bytes(counted, "little")
         header = _HEADER.fullmatch(stream.read(min(length, _HEADER_BYTES + 1)))
         if header is None:
-            raise NpzError(f"array '{name}' of another kind than plain numbers and text")
+            raise NpzError(f"array '{name}' has an unsupported type, expected numbers, booleans or text")
         dtype, order, shape = _laid_out(name, *header.groups())
         size = entry.file_size - len(start) - len(counted) - length
         if math.prod(shape) * dtype.itemsize != size:
-            raise NpzError(f"array '{name}' of {size} bytes as {dtype} {shape}")
+            raise NpzError(f"array '{name}' has {size} bytes, which do not fit {dtype} {shape}")
         data = stream.read(size)
     if len(data) != size:
         raise NpzError(f"array '{name}' ends early")
     values = np.frombuffer(data, dtype, math.prod(shape)) if size else np.empty(math.prod(shape), dtype)
     _check_values(name, values)
-    return values.reshape(shape, order=order).copy(order="K")  # one that can be written to
+    return values.reshape(shape, order=order).copy(order="K")  # writable; frombuffer is read-only
 
 
 def _laid_out(
     name: str, descr: bytes, fortran: bytes, lengths: bytes
 ) -> tuple[np.dtype[Any], Any, tuple[int, ...]]:
-    """Return type, order in memory and shape that a header states."""
+    """Return dtype, memory order and shape from the header fields."""
     shape = tuple(int(length) for length in lengths.split(b",") if length.strip())
     try:
         dtype = np.dtype(descr.decode())
     except (TypeError, ValueError, OverflowError) as error:
-        raise NpzError(f"array '{name}' as {descr.decode()}") from error
+        raise NpzError(f"array '{name}' has an unsupported type {descr.decode()}") from error
     if len(shape) > _MOST_AXES or not dtype.isnative or dtype.name in ("float128", "complex256"):
-        raise NpzError(f"array '{name}' as {dtype} {shape}")
+        raise NpzError(f"array '{name}' has an unsupported type or shape, {dtype} {shape}")
     return dtype, "F" if fortran == b"True" else "C", shape
 
 
 def _check_values(name: str, values: np.ndarray[Any, Any]) -> None:
-    """Refuse bytes that no value of the type has: what numpy does with them is not defined."""
+    """Refuse bytes that are not valid for the type; numpy's behaviour on them is undefined."""
     if values.dtype.kind == "b" and np.any(values.view(np.uint8) > 1):
-        raise NpzError(f"array '{name}' with truth values that are neither")
+        raise NpzError(f"array '{name}' has invalid booleans")
     if values.dtype.kind == "U" and values.nbytes and np.any(values.view(np.uint32) > _LAST_CHARACTER):
-        raise NpzError(f"array '{name}' with text that is none")
+        raise NpzError(f"array '{name}' has invalid text")

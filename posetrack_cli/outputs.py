@@ -1,4 +1,4 @@
-"""Names and replacement of the files that posetrack writes."""
+"""Names, checks and atomic replacement of output files."""
 
 from __future__ import annotations
 
@@ -14,39 +14,38 @@ from posetrack_cli.files import open_existing
 
 
 def part_path(path: Path) -> Path:
-    """Return the name of a file while it is written: NAME.part."""
+    """Return the name of a file while it is being written: NAME.part."""
     return path.with_name(path.name + ".part")
 
 
 def state_path(path: Path) -> Path:
-    """Return the name of the checkpoint of an interrupted run's result: NAME.part.state."""
+    """Return the checkpoint name of an interrupted run: NAME.part.state."""
     return path.with_name(path.name + ".part.state")
 
 
 def check_output(
     out: Path, *, overwrite: bool, source: Path | None = None, source_name: str = "recording"
 ) -> None:
-    """Refuse an MCAP output that cannot be written under this name, or would replace what it must not.
+    """Check that an MCAP output can be written and replaces nothing it must not.
 
     Raises:
-        UsageError: it is not named ``*.mcap``; and as of ``check_target``.
-        ResultError: as of ``check_target``.
+        UsageError: the name does not end in ``.mcap``; otherwise see ``check_target``.
+        ResultError: see ``check_target``.
     """
     if out.suffix != ".mcap":
-        raise UsageError(
-            "output is not named as an MCAP file", where=out, expected="a name that ends in .mcap"
-        )
+        raise UsageError("output is not an MCAP file", where=out, expected="a name ending in .mcap")
     check_target(out, overwrite=overwrite, source=source, source_name=source_name)
 
 
 def check_target(
     out: Path, *, overwrite: bool, source: Path | None = None, source_name: str = "recording"
 ) -> None:
-    """Refuse an output of any kind that cannot be written, or would replace what it must not.
+    """Check that an output of any kind can be written and replaces nothing it must not.
 
     Raises:
-        UsageError: it is a folder or a device, would be written over the source (under its own name or as
-            NAME.part) or through a link, or a file or an interrupted run is there that may not be replaced.
+        UsageError: it is a folder or a device, would overwrite the source (under its own name or as
+            NAME.part) or write through a link, or exists (as file or interrupted run) without
+            ``overwrite``.
         ResultError: its folder does not exist.
     """
     check_place(out)
@@ -56,19 +55,19 @@ def check_target(
                 f"output would replace the {source_name}", where=written, hint="choose another name"
             )
         if written.is_dir():
-            raise UsageError("output is a folder", where=written, expected="the name of a file")
-        if written.exists() and not written.is_file():  # it would be replaced, /dev/null too
-            raise UsageError("output is no plain file", where=written, expected="the name of a file")
+            raise UsageError("output is a folder", where=written, expected="a file name")
+        if written.exists() and not written.is_file():  # renaming would replace even /dev/null
+            raise UsageError("output is not a regular file", where=written, expected="a file name")
     if not overwrite:
         check_free(out)
 
 
 def check_place(out: Path) -> None:
-    """Refuse a place that a file cannot be written to.
+    """Check that a file can be written at this path.
 
     Raises:
-        UsageError: a symbolic link has a name that is written to before the file gets its own: NAME.part,
-            NAME.part.state and the like. Somebody else may have put it there, for its target to be replaced.
+        UsageError: NAME.part, NAME.part.state or the like is a symbolic link. Another user may have placed it
+            there to have its target overwritten.
         ResultError: the folder does not exist.
     """
     try:
@@ -80,26 +79,26 @@ def check_place(out: Path) -> None:
     except (FileNotFoundError, NotADirectoryError) as error:
         raise ResultError("cannot be written", where=out, found=f"no folder {out.parent}") from error
     except PermissionError:
-        return  # a folder may be written to and not be listed; what is opened is no link all the same
+        return  # writable but not listable folder; open_output still refuses links
     if links:
         raise link_refused(Path(links[0].path))
 
 
 def link_refused(path: Path) -> UsageError:
-    """The error of a symbolic link that would be written through."""
+    """Return the error for a symbolic link in place of an output."""
     return UsageError(
-        "is a symbolic link, and nothing is written through it",
+        "is a symbolic link; refusing to write through it",
         where=path,
         hint="delete it or choose another output",
     )
 
 
 def make_folder(folder: Path, root: Path) -> None:
-    """Make a folder below another one, with those between them.
+    """Create a folder below ``root``, including intermediate folders.
 
     Raises:
-        UsageError: one of them is a symbolic link: what is written would lie elsewhere.
-        OSError: it cannot be made, or is a file.
+        UsageError: one of them is a symbolic link, which could lead elsewhere.
+        OSError: it cannot be created or is a file.
     """
     for one in reversed([folder, *folder.parents][: len(folder.relative_to(root).parts)]):
         if one.is_symlink():
@@ -108,35 +107,34 @@ def make_folder(folder: Path, root: Path) -> None:
 
 
 def check_free(out: Path) -> None:
-    """Raise UsageError if writing here would replace a file or a run that can be resumed."""
+    """Raise UsageError if the output exists as a file or as a run that can be resumed."""
     if is_taken(out):
-        raise UsageError("exists already", where=out, hint="use --overwrite to replace it")
+        raise UsageError("already exists", where=out, hint="use --overwrite to replace it")
     if state_path(out).exists():
         raise UsageError(
-            "is of an interrupted run",
+            "belongs to an interrupted run",
             where=part_path(out),
-            hint="use --resume to go on with it or --overwrite to replace it",
+            hint="use --resume to continue it or --overwrite to replace it",
         )
 
 
 def is_taken(path: Path) -> bool:
-    """Whether there is a file of this name, be it a symbolic link to nothing: the link would be replaced."""
+    """Return whether the name is in use, even by a dangling symbolic link, which would be replaced."""
     return os.path.lexists(path)
 
 
 def lock(stream: IO[bytes]) -> bool:
-    """Mark an open file as being written, until it is closed or its process ends, killed or not.
+    """Lock an open file as being written, until it is closed or its process ends.
 
-    The operating system keeps the lock with the open file, so a crash leaves none behind. It also holds
-    between machines that share a file system, if that passes locks on, as NFS does by default.
+    The operating system ties the lock to the open file, so a crash leaves none behind. It also holds between
+    machines on a shared file system that supports locks, as NFS does by default.
 
     Returns:
-        False if another process has it locked. Where there are no locks the answer is True, and nobody is
-        kept out.
+        False if another process holds the lock. True on file systems without locks.
     """
     from filelock import lock_descriptor
 
-    with suppress(OSError):  # there are file systems without locks
+    with suppress(OSError):  # some file systems have no locks
         for _ in range(_ATTEMPTS):
             if lock_descriptor(stream.fileno(), blocking=False):
                 return True
@@ -146,17 +144,17 @@ def lock(stream: IO[bytes]) -> bool:
 
 
 _ATTEMPTS, _PAUSE_S = 4, 0.02
-"""Who only asks whether a file is locked holds its lock for an instant, and keeps nobody out."""
+"""Retries cover ``check_not_written``, which holds the lock for an instant."""
 
 
 def check_not_written(path: Path) -> None:
-    """Raise UsageError if a file is being written by another process."""
+    """Raise UsageError if another process is writing the file."""
     try:
-        with open_existing(path) as stream:  # to be written to: NFS locks nothing else for one process alone
+        with open_existing(path) as stream:  # NFS grants exclusive locks only on writable descriptors
             if lock(stream):
                 return
     except OSError:
-        return  # no such file, or none that could be written to
+        return  # missing or not writable
     raise UsageError(
         "is being written by another process", where=path, hint="wait for it, or choose another output"
     )
@@ -164,17 +162,17 @@ def check_not_written(path: Path) -> None:
 
 @contextmanager
 def whole_or_nothing(out: Path) -> Iterator[Path]:
-    """Yield NAME.part to write to; renamed to ``out`` at the end, deleted after any failure or Ctrl-C.
+    """Yield NAME.part for writing; rename it to ``out`` on success, delete it on failure or Ctrl-C.
 
-    Where ``out`` is a symbolic link, the link is replaced, and its target stays.
+    If ``out`` is a symbolic link, the link is replaced, not its target.
 
     Raises:
-        UsageError: another process is writing it, or it is a symbolic link.
-        ResultError: it cannot be renamed.
+        UsageError: another process is writing it, or NAME.part is a symbolic link.
+        ResultError: it cannot be written or renamed.
     """
     part = part_path(out)
     check_place(out)
-    check_not_written(part)  # and leave it alone
+    check_not_written(part)  # before the try, as its part file must survive the error
     try:
         yield part
         part.replace(out)

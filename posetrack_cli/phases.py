@@ -1,4 +1,4 @@
-"""Phases of a command's work: what takes a while says its name and counts, whoever runs it shows that."""
+"""Phases of long-running work: named counters that the caller can show as progress bars."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TypeAlias
 Advance: TypeAlias = Callable[[int], None]
 """Adds to the count of a phase."""
 Shows: TypeAlias = Callable[[str, str, int | None], AbstractContextManager[Advance]]
-"""Shows a phase of a name, the unit of its count, and the total where that is known."""
+"""Shows a phase given its name, the unit of its count, and the total if known."""
 
 _shows: ContextVar[Shows] = ContextVar(
     "phases", default=lambda name, unit, total: nullcontext(lambda count: None)
@@ -19,7 +19,7 @@ _shows: ContextVar[Shows] = ContextVar(
 
 @contextmanager
 def phases_shown(shows: Shows) -> Iterator[None]:
-    """Have the phases of what runs inside shown."""
+    """Show the phases that run inside this context."""
     before = _shows.set(shows)
     try:
         yield
@@ -28,13 +28,13 @@ def phases_shown(shows: Shows) -> Iterator[None]:
 
 
 def phase(name: str, unit: str, total: int | None = None) -> AbstractContextManager[Advance]:
-    """Return the context of a phase that may take more than two seconds; it yields what adds to its count.
+    """Return the context of a phase that may take over two seconds; it yields a function that advances it.
 
-    A phase is not within another one.
+    Phases must not be nested.
 
     Args:
-        name: what is done, for people.
-        unit: of what is counted.
-        total: None where it is not known.
+        name: label for the user.
+        unit: unit of the count.
+        total: None if unknown.
     """
     return _shows.get()(name, unit, total)

@@ -1,7 +1,7 @@
-"""Tables from strangers: their text, header, rows, stamps and numbers; and rows of ours as CSV.
+"""Tables from untrusted text: header, rows, stamps and numbers; and CSV output.
 
-A long file takes the memory of a row. Errors name file, line and column. Spreadsheets run cells that begin as
-a formula does.
+Files are read row by row in constant memory. Errors name file, line and column. Output cells are escaped, as
+spreadsheets run cells that look like formulas.
 """
 
 from __future__ import annotations
@@ -28,40 +28,39 @@ from posetrack_cli.units import NS_PER_S
 
 COMMENT = "#"
 SEPARATORS = {";": "semicolons", "\t": "tabs", " ": "spaces"}
-"""What other programs write between columns."""
+"""Column separators of other programs."""
 NS_PER_UNIT = {
     f"{name}_{unit}": ns
     for unit, ns in (("ns", 1), ("us", 1_000), ("ms", 1_000_000), ("s", NS_PER_S))
     for name in ("stamp", "timestamp", "time", "t")
 }
-"""Names of stamps, and what one of their units is in ns."""
+"""Column names of stamps, with their unit in ns."""
 FRAME_FIELDS = ("frame", "frame_index", "frame_id", "frame_number", "frame_idx", "image_index")
 STATUS, LOST = "status", "lost"
 SHOWN = 40
-"""Characters of a value that an error shows."""
+"""Characters of a value shown in errors."""
 _FORMULA = tuple("=+-@\uff1d\uff0b\uff0d\uff20")
-"""What begins a formula, also in its full width."""
+"""Characters that start a formula, including their full-width forms."""
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*(?:e[+-]?\d+)?|inf|nan)", re.ASCII | re.IGNORECASE)
 _NOTHING = ("", "nan", "none", "null")
 Kind = type[PosetrackError]
 Row = tuple[int, list[str]]
-"""A row of cells and its line."""
+"""Line number and cells of a row."""
 
-
-# Text: lines, rows, JSON
+# Text files: lines, CSV rows, JSON
 
 
 @dataclass(frozen=True)
 class TextFile:
-    """A file of text in UTF-8.
+    """UTF-8 text file.
 
-    All methods raise an error of its kind where it cannot be read or is not what it should be.
+    All methods raise an error of type ``kind`` if the file is unreadable or has the wrong format.
 
     Attributes:
-        path: of the file.
-        kind: of error.
-        expected: what kind of file it should be, for hints.
-        most: bytes of it; None where it is read line by line and its length is no matter.
+        path: path of the file.
+        kind: error type.
+        expected: expected kind of file, for hints.
+        most: maximum size in bytes; None if the file is read line by line.
     """
 
     path: Path
@@ -70,11 +69,11 @@ class TextFile:
     most: int | None = limits.TEXT_BYTES
 
     def where(self, line: int) -> str:
-        """Say where a line is."""
+        """Return the location of a line, for errors."""
         return f"{self.path} line {line}"
 
     def lines(self) -> Iterator[tuple[int, str]]:
-        """Yield the lines with their numbers from 1, each of at most ``limits.LINE_BYTES``."""
+        """Yield lines with their numbers from 1; each has at most ``limits.LINE_BYTES``."""
         number = 0
         try:
             with open_input(self.path) as stream:
@@ -88,7 +87,7 @@ class TextFile:
                         raise self.kind(
                             "line is too long",
                             where=self.where(number),
-                            found="a line without end",
+                            found="no line break",
                             expected=f"at most {limits.LINE_BYTES} bytes",
                             hint=self.expected,
                         )
@@ -98,10 +97,10 @@ class TextFile:
             raise self.kind("cannot be read", where=self.path, found=found, hint=self.expected) from error
         except UnicodeDecodeError as error:
             found, where = f"byte 0x{error.object[error.start]:02x}", self.where(number)
-            raise self.kind("is no UTF-8 text", where=where, found=found, hint=self.expected) from error
+            raise self.kind("is not UTF-8 text", where=where, found=found, hint=self.expected) from error
 
     def rows(self) -> Iterator[Row]:
-        """Yield the rows of CSV, the header row first, without comments (``#``) and empty lines."""
+        """Yield CSV rows, header first, without comments (``#``) and empty lines."""
         latest = 0
 
         def data_lines() -> Iterator[str]:
@@ -116,24 +115,24 @@ class TextFile:
                 if any(cell.strip() for cell in row):
                     yield latest, row
         except csv.Error as error:
-            ends = "new-line" in str(error)  # of a Macintosh of old, which csv explains in its own terms
-            found, hint = ("a carriage return alone", "end lines with a line feed") if ends else (error, "")
-            raise self.kind("is no CSV", where=self.where(latest), found=found, hint=hint) from error
+            ends = "new-line" in str(error)  # classic Mac line ends; csv's own message is cryptic
+            found, hint = ("a bare carriage return", "end lines with a line feed") if ends else (error, "")
+            raise self.kind("is not valid CSV", where=self.where(latest), found=found, hint=hint) from error
 
     def table(self, columns: Sequence[str], *others: str) -> Table:
-        """Return the table of CSV, which must have some columns; errors name others, too."""
+        """Return the CSV table; it must have ``columns``, and errors also list ``others``."""
         needed = ", ".join((*columns, *others))
         table = Table.of(self, self.rows(), needed)
         if not set(columns) <= set(table.names):
-            raise self.kind("header is not known", where=self.path, found=table.shown, expected=needed)
+            raise self.kind("unknown header", where=self.path, found=table.shown, expected=needed)
         return table
 
     def json(self, hint: str = "", *, nan: bool = False) -> Any:
-        """Return the one value of JSON, of a file that is not read line by line.
+        """Return the JSON value of the whole file.
 
         Args:
-            hint: what to do about one that cannot be read or is too large.
-            nan: as of ``json_of``.
+            hint: hint for a file that is unreadable or too large.
+            nan: see ``json_of``.
         """
         try:
             text = read_text(self.path, self.most or limits.TEXT_BYTES, "utf-8-sig")
@@ -141,44 +140,44 @@ class TextFile:
             found = error.strerror or error
             raise self.kind("cannot be read", where=self.path, found=found, hint=hint) from error
         except UnicodeDecodeError as error:
-            raise self.kind("is no JSON", where=self.path, found=error, hint=self.expected) from error
+            raise self.kind("is not valid JSON", where=self.path, found=error, hint=self.expected) from error
         return self.json_of(text, self.path, nan=nan)
 
     def json_of(self, text: str, where: object, *, nan: bool = False) -> Any:
-        """Return the value of its text, or of a line; ``nan`` takes NaN, which JSON does not have."""
+        """Parse JSON text, of a file or of one line; ``nan`` also accepts NaN, which JSON lacks."""
         try:
             return json.loads(text, parse_constant=None if nan else _refuse)
         except (ValueError, RecursionError) as error:
             found = "values nested too deeply" if isinstance(error, RecursionError) else error
-            raise self.kind("is no JSON", where=where, found=found, hint=self.expected) from error
+            raise self.kind("is not valid JSON", where=where, found=found, hint=self.expected) from error
 
     def json_rows(self, columns: Mapping[str, Any]) -> Iterator[Row]:
-        """Yield the rows of lists by column, as ``export --format json`` writes them, the header first."""
+        """Yield rows of column lists, as written by ``export --format json``, header first."""
         lists = list(columns.values())
         if not all(isinstance(values, list) and len(values) == len(lists[0]) for values in lists):
-            expected = "lists of as many values each"
-            raise self.kind("columns are not of one length", where=self.path, expected=expected)
+            expected = "lists of equal length"
+            raise self.kind("columns differ in length", where=self.path, expected=expected)
         yield 0, list(columns)
         for number, row in enumerate(zip(*lists, strict=True), 1):
             yield number, ["" if value is None else str(value) for value in row]
 
 
 def _refuse(constant: str) -> NoReturn:
-    raise ValueError(f"{constant}, which JSON does not have: null is for what is unknown")
+    raise ValueError(f"{constant} is not valid JSON; use null for unknown values")
 
 
-# A header row, and rows that fit it
+# Header and rows
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table whose header was read.
+    """Table whose header has been read.
 
     Attributes:
-        file: that it is in.
-        header: where its names are, for errors.
-        names: of the columns.
-        rows: after the header; they can be read once.
+        file: file that contains it.
+        header: location of the header, for errors.
+        names: column names.
+        rows: rows after the header; can be iterated once.
     """
 
     file: TextFile
@@ -188,16 +187,16 @@ class Table:
 
     @classmethod
     def of(cls, file: TextFile, rows: Iterator[Row], expected: str) -> Table:
-        """Take the header row.
+        """Read and check the header row.
 
         Args:
-            file: of the table.
-            rows: the header first.
-            expected: what the header should have.
+            file: file that contains the table.
+            rows: rows, header first.
+            expected: expected columns, for errors.
 
         Raises:
-            PosetrackError: of the file's kind: there is no row, columns are not separated by commas, numbers,
-                too many, or of one name.
+            PosetrackError: of the file's kind: no rows, columns not separated by commas, numeric headers,
+                too many columns, or duplicate names.
         """
         line, row = next(rows, (0, []))
         table = cls(file, file.where(line) if line else str(file.path), tuple(map(str.strip, row)), rows)
@@ -205,10 +204,10 @@ class Table:
         if not names:
             raise file.kind("is empty", where=where, expected=expected)
         if (other := _other_separator(names)) is not None:
-            hint = "write it with commas, and with points as decimal signs"
+            hint = "use commas between columns and decimal points in numbers"
             raise file.kind("columns are not separated by commas", where=where, found=other, hint=hint)
         if all(map(_NUMBER.fullmatch, names)):
-            raise file.kind("header is not known", where=where, found=table.shown, expected=expected)
+            raise file.kind("unknown header", where=where, found=table.shown, expected=expected)
         if len(names) > limits.COLUMNS:
             raise file.kind("has too many columns", where=where, found=len(names), expected=limits.COLUMNS)
         twice = sorted(name for name, count in Counter(names).items() if name and count > 1)
@@ -217,7 +216,7 @@ class Table:
         return table
 
     def __iter__(self) -> Iterator[Row]:
-        """Yield the rows; one that is shorter or longer than the header raises."""
+        """Yield rows; raise if a row's length differs from the header's."""
         for line, row in self.rows:
             if len(row) != len(self.names):
                 found, where = f"{len(row)} cells", self.file.where(line)
@@ -227,12 +226,12 @@ class Table:
 
     @property
     def shown(self) -> str:
-        """The first names, as errors show them."""
+        """First column names, for errors."""
         return shorten(", ".join(self.names[:20]), 100, placeholder=" ...")
 
 
 def _other_separator(names: Sequence[str]) -> str | None:
-    """What separates the columns of a header without commas; spaces do where they make names of stamps."""
+    """Return the separator of a header without commas; a space counts only if it yields a stamp column."""
     for sign, word in SEPARATORS.items():
         cells = {cell.strip(' "') for cell in names[0].split(sign)}
         if len(names) == 1 < len(cells) and (sign != " " or cells & NS_PER_UNIT.keys()):
@@ -241,12 +240,12 @@ def _other_separator(names: Sequence[str]) -> str | None:
 
 
 def first_of(wanted: Iterable[str], names: Iterable[str]) -> str | None:
-    """Return the first of some names that is there; None for none."""
+    """Return the first wanted name that is among ``names``, or None."""
     there = set(names)
     return next((name for name in wanted if name in there), None)
 
 
-# Cells, or values of JSON
+# Values of cells or JSON
 
 
 def whole_of(
@@ -258,32 +257,34 @@ def whole_of(
     least: int = 0,
     fractions: bool = False,
 ) -> int:
-    """Return a frame's number, or a stamp in ns: by decimals, as floats of today's seconds are not exact.
+    """Return a frame number, or a stamp in ns.
+
+    Stamps are parsed as decimals, since today's epoch seconds do not fit into a float.
 
     Args:
-        value: of a cell or of JSON.
-        where: it is.
-        kind: of error.
-        ns_per_unit: of a stamp, ns in one of its units; None for a frame's number.
-        least: what it is at least.
-        fractions: whether a part of a ns is rounded.
+        value: cell or JSON value.
+        where: location, for errors.
+        kind: error type.
+        ns_per_unit: ns per unit of a stamp; None for a frame number.
+        least: minimum.
+        fractions: round fractions of a ns instead of refusing them.
 
     Raises:
-        PosetrackError: of the kind given: it is no number, does not fit into 64 bits, or is not whole.
+        PosetrackError: of the given kind: not a number, not within 64 bits, or not whole.
     """
     what, unit = ("frame number", "") if ns_per_unit is None else ("stamp", " ns")
     try:
         if isinstance(value, bool):
             raise ValueError
         number = Decimal(str(value).strip()) * (ns_per_unit or 1)
-        is_inside = least <= number <= limits.INTEGER  # before it is rounded: 1e99999 has as many digits
+        is_inside = least <= number <= limits.INTEGER  # checked before int(): 1e99999 has 100,000 digits
     except (ValueError, ArithmeticError):
         raise kind(f"{what} is not a number", where=where, found=shown(value)) from None
     if not is_inside:
         expected = f"{least} to {limits.INTEGER}{unit}"
         raise kind(f"{what} is out of range", where=where, found=shown(value), expected=expected)
     if number != int(number) and (ns_per_unit is None or (ns_per_unit == 1 and not fractions)):
-        raise kind(f"{what} is no whole number", where=where, found=shown(value))
+        raise kind(f"{what} is not a whole number", where=where, found=shown(value))
     return round(number)
 
 
@@ -293,14 +294,14 @@ def number_of(
     """Return a number.
 
     Args:
-        value: of a cell or of JSON.
-        where: it is.
-        kind: of error.
-        optional: whether nothing (None, an empty cell or ``nan``) is NaN.
-        most: its largest magnitude.
+        value: cell or JSON value.
+        where: location, for errors.
+        kind: error type.
+        optional: return NaN for missing values (None, an empty cell or ``nan``).
+        most: maximum magnitude.
 
     Raises:
-        PosetrackError: of the kind given: it is no number, not finite or too large.
+        PosetrackError: of the given kind: not a number, not finite, or too large.
     """
     if optional and (value is None or (isinstance(value, str) and value.strip().lower() in _NOTHING)):
         return math.nan
@@ -319,18 +320,19 @@ def number_of(
 
 
 def shown(value: Any) -> str:
-    """Return a value as errors show it."""
+    """Return a value as shown in errors."""
     text = repr(value)
     return text if len(text) <= SHOWN else f"{text[:SHOWN]}..."
 
 
-# Rows of ours
+# Output
 
 
 def csv_of(rows: Iterable[Iterable[object]]) -> str:
     """Return rows as CSV with line feeds.
 
-    Text is printable; a cell that would be a formula begins with an apostrophe. Numbers stay as they are.
+    Text is made printable, and cells that look like formulas get a leading apostrophe. Numbers are
+    unchanged.
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")

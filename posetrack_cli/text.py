@@ -1,6 +1,6 @@
-"""Text from strangers: made safe to print, and read as TOML without taking time without end.
+"""Untrusted text: escaped for printing, and parsed as TOML in bounded time.
 
-Terminals obey control characters, and readers believe reversed text.
+Terminals interpret control characters, and bidirectional controls can disguise text.
 """
 
 from __future__ import annotations
@@ -11,26 +11,26 @@ from typing import Any
 
 from posetrack_cli import limits
 
-# C0 but tab and line feed, DEL, C1; marks, embeddings, overrides and isolates of bidirectional text; the
-# line and paragraph separators, which some viewers take for line feeds; surrogates, by which Python holds
-# bytes of names that are not UTF-8.
+# C0 except tab and line feed, DEL, C1; bidirectional marks, embeddings, overrides and isolates; line and
+# paragraph separators, which some viewers show as line feeds; surrogates, which Python uses for bytes of file
+# names that are not UTF-8.
 _CONTROLS = re.compile(
     "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]"
 )
 
 
 def printable(text: str) -> str:
-    """Return text with its control characters as escapes such as ``\\x1b``; tabs and line feeds stay."""
+    """Return text with control characters escaped as in ``\\x1b``; tabs and line feeds stay."""
     return _CONTROLS.sub(_escape, text)
 
 
 def one_line(text: str) -> str:
-    """Return printable text whose line feeds are escapes, too: a name must not begin a line of its own."""
+    """Return printable text with line feeds escaped, so that a name cannot start a new line."""
     return printable(text).replace("\n", "\\n")
 
 
 def printable_json(text: str) -> str:
-    """Return JSON without control characters within its strings, which still mean the same."""
+    """Return equivalent JSON without control characters in its strings."""
     return _CONTROLS.sub(lambda found: f"\\u{ord(found.group()):04x}", text)
 
 
@@ -44,13 +44,13 @@ _DEEP_KEY = re.compile(rf"(?:^[ \t\[]*|[{{,][ \t]*){_PART * limits.KEY_PARTS}", 
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Return the tables of a TOML text.
+    """Parse TOML text.
 
     Raises:
-        ValueError: it is no TOML, nested without end, or has integers of thousands of digits.
+        ValueError: it is not TOML, is nested too deeply, or has integers of thousands of digits.
     """
-    if _DEEP_KEY.search(text):  # the standard library's parser takes a second for a key of some kilobytes
-        raise ValueError(f"a key of more than {limits.KEY_PARTS} parts")
+    if _DEEP_KEY.search(text):  # tomllib needs seconds for a dotted key of a few kilobytes
+        raise ValueError(f"a key has more than {limits.KEY_PARTS} parts")
     try:
         return tomllib.loads(text)
     except RecursionError:

@@ -1,4 +1,4 @@
-"""Units at the borders: millimetres and integer nanoseconds inside, metres and seconds in many files."""
+"""Unit factors: millimetres and integer nanoseconds inside, metres and seconds in many file formats."""
 
 from __future__ import annotations
 

@@ -70,7 +70,7 @@ def test_arrays_come_back_as_numpy_reads_them(tmp_path: Path, compressed: bool) 
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.9, 0.999])
 def test_a_part_of_a_file_is_refused(share: float) -> None:
     data = npz(ARRAYS)
-    refused(data[: int(share * len(data))], "no whole npz file")
+    refused(data[: int(share * len(data))], "not a complete npz file")
 
 
 def test_flipped_bytes_are_refused_or_change_nothing() -> None:
@@ -94,7 +94,7 @@ def test_what_expands_far_is_refused_before_it_is_expanded() -> None:
     index = data.rindex(b"PK\x01\x02")
     struct.pack_into("<I", data, index + 24, size)  # the size that the zip's index states
     tracemalloc.start()
-    refused(bytes(data), f"arrays of {size} bytes in all, at most {limits.NPZ_FLOOR_BYTES} are read")
+    refused(bytes(data), f"arrays of {size} bytes in total exceed the limit of {limits.NPZ_FLOOR_BYTES}")
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 1 << 20
@@ -102,7 +102,7 @@ def test_what_expands_far_is_refused_before_it_is_expanded() -> None:
 
 def test_more_arrays_than_any_file_has_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(limits, "NPZ_ARRAYS", 7)
-    refused(npz(ARRAYS), "8 arrays, at most 7 are read")
+    refused(npz(ARRAYS), "8 arrays exceed the limit of 7")
 
 
 @pytest.mark.parametrize(
@@ -116,7 +116,10 @@ def test_more_arrays_than_any_file_has_are_refused(monkeypatch: pytest.MonkeyPat
     ],
 )
 def test_a_header_of_other_sizes_than_the_file_has_is_refused(shape: str, data: bytes) -> None:
-    refused(zipped({"values.npy": npy("'<f8'", shape, data)}), f"array 'values' of {len(data)} bytes as")
+    refused(
+        zipped({"values.npy": npy("'<f8'", shape, data)}),
+        f"array 'values' has {len(data)} bytes, which do not fit",
+    )
 
 
 @pytest.mark.parametrize(
@@ -135,19 +138,21 @@ def test_a_header_of_other_sizes_than_the_file_has_is_refused(shape: str, data: 
     ],
 )
 def test_types_that_are_not_plain_are_refused(descr: str) -> None:
-    refused(zipped({"values.npy": npy(descr, "(1,)", bytes(8))}), "array 'values' (as|of another kind)")
+    refused(zipped({"values.npy": npy(descr, "(1,)", bytes(8))}), "array 'values' has an unsupported type")
 
 
 @pytest.mark.parametrize(
     ("shape", "match"),
-    [("(-1,)", "another kind"), ("(1,) * 9", "another kind"), ("(" + "1, " * 9 + ")", "as")],
+    [("(-1,)", "type,"), ("(1,) * 9", "type,"), ("(" + "1, " * 9 + ")", "type or shape")],
 )
 def test_shapes_that_are_none_are_refused(shape: str, match: str) -> None:
-    refused(zipped({"values.npy": npy("'<f8'", shape, bytes(8))}), f"array 'values' (of )?{match}")
+    refused(
+        zipped({"values.npy": npy("'<f8'", shape, bytes(8))}), f"array 'values' has an unsupported {match}"
+    )
 
 
 def test_objects_are_refused_and_nothing_is_run() -> None:
-    with pytest.raises(NpzError, match="another kind than plain numbers"):
+    with pytest.raises(NpzError, match="unsupported type, expected numbers"):
         read_npz(npz({"object": np.array([{"a": 1}], dtype=object)}))
 
 
@@ -157,18 +162,20 @@ def test_names_that_come_twice_are_refused() -> None:
         with zipfile.ZipFile(stream, "w") as archive:
             for _ in range(2):
                 archive.writestr("values.npy", npy("'<f8'", "(1,)", bytes(8)))
-    refused(stream.getvalue(), "array 'values' twice")
+    refused(stream.getvalue(), "array 'values' occurs twice")
 
 
 def test_what_is_encrypted_or_no_array_is_refused() -> None:
     data = bytearray(npz({"values": np.arange(3.0)}))
     data[data.rindex(b"PK\x01\x02") + 8] |= 1
-    refused(bytes(data), "array 'values' encrypted")
-    refused(zipped({"readme.txt": b"text"}), r"'readme\.txt', which is no array")
-    refused(zipped({"values.npy": b"text"}), "'values', which is no array")
-    refused(zipped({"values.npy": npy("'<f8'", "(1,)", bytes(8))}, zipfile.ZIP_LZMA), "unusual way")
+    refused(bytes(data), "array 'values' is encrypted")
+    refused(zipped({"readme.txt": b"text"}), r"'readme\.txt' is not an array")
+    refused(zipped({"values.npy": b"text"}), "'values' is not an array")
+    refused(
+        zipped({"values.npy": npy("'<f8'", "(1,)", bytes(8))}, zipfile.ZIP_LZMA), "unsupported compression"
+    )
 
 
 def test_bytes_that_are_no_value_of_their_type_are_refused() -> None:
-    refused(zipped({"truths.npy": npy("'|b1'", "(2,)", b"\x01\x02")}), "truth values that are neither")
-    refused(zipped({"text.npy": npy("'<U1'", "(1,)", b"\xff\xff\xff\xff")}), "with text that is none")
+    refused(zipped({"truths.npy": npy("'|b1'", "(2,)", b"\x01\x02")}), "invalid booleans")
+    refused(zipped({"text.npy": npy("'<U1'", "(1,)", b"\xff\xff\xff\xff")}), "invalid text")

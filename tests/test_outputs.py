@@ -65,7 +65,7 @@ def test_results_and_interrupted_runs_are_kept_unless_overwritten(tmp_path: Path
     state_path(out).touch()
     assert "--resume" in str(refused(out, overwrite=False))
     out.touch()
-    assert "exists already" in str(refused(out, overwrite=False))
+    assert "already exists" in str(refused(out, overwrite=False))
     check_output(out, overwrite=True)
 
 

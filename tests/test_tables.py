@@ -32,13 +32,13 @@ def test_rows_are_cells_with_their_lines(tmp_path: Path) -> None:
     ("text", "says"),
     [
         ("", "is empty, expected t_s, x"),
-        ("1,2\n1,2\n", "header is not known, found 1, 2, expected t_s, x"),
-        ("t_s,y\n", "header is not known, found t_s, y, expected t_s, x"),
+        ("1,2\n1,2\n", "unknown header, found 1, 2, expected t_s, x"),
+        ("t_s,y\n", "unknown header, found t_s, y, expected t_s, x"),
         ("t_s;x\n1;2\n", "columns are not separated by commas, found semicolons"),
         ("t_s,x,x\n", "column occurs twice, found x"),
         ("t_s,x\n1\n", "line 2: row does not fit the header, found 1 cells, expected 2"),
         ("t_s,x\n" * 20, "is too large, found 120 bytes, expected 100 at most"),
-        ("t_s,x\r1,2\r", "line 1: is no CSV, found a carriage return alone"),
+        ("t_s,x\r1,2\r", "line 1: is not valid CSV, found a bare carriage return"),
     ],
 )
 def test_tables_that_cannot_be_meant(tmp_path: Path, text: str, says: str) -> None:
@@ -50,7 +50,7 @@ def test_tables_that_cannot_be_meant(tmp_path: Path, text: str, says: str) -> No
 def test_stamps_are_those_of_fractions(value: object, ns: int) -> None:
     exact = Fraction(str(value)) * ns
     if ns == 1 and exact.denominator > 1:
-        with pytest.raises(RecordingError, match="stamp is no whole number"):
+        with pytest.raises(RecordingError, match="stamp is not a whole number"):
             whole_of(str(value), "", RecordingError, ns)
     assert whole_of(str(value), "", RecordingError, ns, fractions=True) == round(exact)
 

@@ -66,7 +66,7 @@ def load_stamps(path: Path, names: Sequence[str]) -> list[int]:
     table = file.table((), EXPECTED_HEADER)
     header = table.names
     if header[-1] not in STAMP_COLUMNS or header[:-1] not in ((), ("filename",)):
-        raise RecordingError("header is not known", where=path, found=table.shown, expected=EXPECTED_HEADER)
+        raise RecordingError("unknown header", where=path, found=table.shown, expected=EXPECTED_HEADER)
     unit = NS_PER_UNIT[header[-1]]
     entries = [
         (row[0].strip(), whole_of(row[-1], file.where(line), RecordingError, unit)) for line, row in table

@@ -77,7 +77,7 @@ def reader_of(schema: CoreSchema, most: int | None = None) -> Callable[[bytes | 
 
     def read(text: bytes | str) -> Any:
         if most is not None and len(text) > most:
-            raise ValueError(f"{len(text)} bytes, at most {most} are read")
+            raise ValueError(f"{len(text)} bytes exceed the limit of {most}")
         try:
             return validate(text)
         except ValidationError as error:

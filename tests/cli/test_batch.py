@@ -24,7 +24,7 @@ import pytest
 
 from posetrack_cli import build
 from posetrack_cli.batch.jobs import Job, Limits, Outcome, State
-from posetrack_cli.batch.performing import perform
+from posetrack_cli.batch.execution import run_job
 from posetrack_cli.build import PACKAGE, source_digest
 from posetrack_cli.cli.batch import BATCH_OPTIONS
 from posetrack_cli.cli.batch_commands import BATCH_COMMANDS
@@ -171,8 +171,8 @@ def test_a_cluster_in_which_things_go_wrong(
     assert {name for name, state in found.items() if state != "done"} == wrong, done.stderr
     assert (hooked / "killed").exists()  # a worker died, and another one did its job
     assert done.returncode == 3
-    assert "failed: day/aborts: its process was killed by SIGABRT" in done.stderr
-    assert f"failed: 0-sleeps: took longer than --timeout {TIMEOUT_S} s" in done.stderr
+    assert "failed: day/aborts: process was killed by SIGABRT" in done.stderr
+    assert f"failed: 0-sleeps: exceeded --timeout {TIMEOUT_S} s" in done.stderr
     assert "failed: damaged: " in done.stderr
     failures = {
         case.get("classname") for case in ET.parse(junit).iter("testcase") if case.find("failure") is not None
@@ -308,14 +308,14 @@ def test_a_cluster_of_another_build_is_one_line(
         done = run_here(recordings / "a1.mcap", "-o", tmp_path / "out", *KNOWN, "--scheduler-file", file)
     assert done.returncode == 1
     (line,) = done.stderr.splitlines()[-1:]
-    assert "worker has another build of posetrack" in line and f"expected sources {source_digest()}" in line
+    assert "worker runs another build of posetrack" in line and f"expected sources {source_digest()}" in line
     assert not (tmp_path / "out" / "a1.mcap").exists()
 
 
 def test_code_that_changes_under_a_batch_fails_in_one_line(recordings: Path, tmp_path: Path) -> None:
     output, record = tmp_path / "a1.mcap", tmp_path / "a1.json"
     job = Job("a1", ("hand", "run"), recordings / "a1.mcap", (), output, record, tmp_path)
-    outcome = perform(replace(job, sources="of before"), Limits())
+    outcome = run_job(replace(job, sources="of before"), Limits())
     assert outcome.state is State.FAILED
     assert "sources are not those that the batch began with" in outcome.reason
     assert "expected of before" in outcome.reason and not job.output.exists()
@@ -480,9 +480,7 @@ def test_a_folder_of_results_that_holds_links_is_refused(
     (tmp_path / "out" / ".batch").symlink_to(tmp_path / "elsewhere")
     done = run_here(recordings / "a1.mcap", "-o", tmp_path / "out", *KNOWN)
     assert done.returncode == 2
-    assert (
-        f"{tmp_path / 'out' / '.batch'}: is a symbolic link, and nothing is written through it" in done.stderr
-    )
+    assert f"{tmp_path / 'out' / '.batch'}: is a symbolic link; refusing to write through it" in done.stderr
     assert not list((tmp_path / "elsewhere").iterdir())
 
 
@@ -506,7 +504,7 @@ def test_a_scheduler_that_is_not_there_is_one_line(
     line = ["batch", "hand", "run", str(recordings / "a1.mcap"), "-o", str(tmp_path / "out")]
     assert run([*line, "--scheduler-file", str(tmp_path / "gone.json")]) == 1
     said = capsys.readouterr().err
-    assert "gone.json: no Dask scheduler answers, found no such file within 0.5 s" in said
+    assert "gone.json: no Dask scheduler responds, found no such file after 0.5 s" in said
 
 
 def test_without_dask_one_line_says_what_to_install(recordings: Path, tmp_path: Path) -> None:
@@ -523,12 +521,12 @@ def test_without_dask_one_line_says_what_to_install(recordings: Path, tmp_path: 
 
 def test_batches_on_one_machine_do_not_meet_and_nobody_else_reaches_them() -> None:
     """Their ports are not those of each other, which Dask would warn of, and not open to the network."""
-    from posetrack_cli.batch.engine import Where, open_engine
+    from posetrack_cli.batch.engine import EngineOptions, open_engine
 
     def unreachable(*_: object) -> Outcome:
         raise AssertionError
 
-    with open_engine(Where(), unreachable), open_engine(Where(jobs=2), unreachable):
+    with open_engine(EngineOptions(), unreachable), open_engine(EngineOptions(jobs=2), unreachable):
         addresses = listening_addresses()
     assert addresses == {"127.0.0.1"}
 

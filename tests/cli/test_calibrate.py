@@ -42,7 +42,7 @@ def test_what_it_writes_opens_a_recording(views: Path, tmp_path: Path) -> None:
     assert left.fx == pytest.approx(620.0, rel=0.02)
     assert right.camera_T_reference[0][3] == pytest.approx(-118.0, abs=3.0)
     text = output.read_text()
-    with pytest.raises(UsageError, match="exists already"):
+    with pytest.raises(UsageError, match="already exists"):
         run(views, "-o", output, *BOARD)
     assert run(views, "-o", output, *BOARD, "--overwrite").exit_code == EXIT_DONE
     assert output.read_text() == text, "the same images give the same file"

@@ -296,7 +296,7 @@ def test_nothing_is_replaced_that_should_not_be(
         mine: "output would replace the result",
         link: "output would replace the result",
         tmp_path / "gone" / "out.mcap": "no folder",
-        tmp_path / "out.txt": "a name that ends in .mcap",
+        tmp_path / "out.txt": "a name ending in .mcap",
         tmp_path: "output would replace the result",  # a folder, in which the result is
     }
     for out, why in refused.items():
@@ -305,7 +305,7 @@ def test_nothing_is_replaced_that_should_not_be(
     other = tmp_path / "other.mcap"
     other.write_bytes(b"precious")
     assert evaluate(mine, "--mcap", other) == 2
-    assert "exists already; use --overwrite to replace it" in capsys.readouterr().err
+    assert "already exists; use --overwrite to replace it" in capsys.readouterr().err
     assert evaluate(mine, "--truth", other, "--mcap", other, "--overwrite") == 2
     assert "report would replace an input" in capsys.readouterr().err
     assert (mine.read_bytes(), other.read_bytes()) == (before, b"precious")

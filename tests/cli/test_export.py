@@ -83,7 +83,7 @@ def test_an_existing_file_is_kept_unless_it_may_be_replaced(
     out = path.with_name("a.csv")
     out.write_text("precious")
     assert run(["export", str(path), "-o", str(out)]) == EXIT_USAGE
-    assert "exists already; use --overwrite to replace it" in told(capfd)
+    assert "already exists; use --overwrite to replace it" in told(capfd)
     assert out.read_text() == "precious"
     assert run(["export", str(path), "-o", str(out), "--overwrite"]) == EXIT_DONE
     assert len(rows(out.read_text())) == FRAMES
@@ -111,7 +111,7 @@ def test_an_existing_file_is_kept_unless_it_may_be_replaced(
         (["{path}", "--estimate-topic", "/hand/estimat"], EXIT_FAILED, "did you mean '/hand/estimate'?"),
         (["{path}", "-o", "{path}", "--overwrite"], EXIT_USAGE, "output would replace the result"),
         (["{path}", "-o", "{folder}"], EXIT_USAGE, "output is a folder"),
-        (["{path}", "-o", "/dev/null", "--overwrite"], EXIT_USAGE, "output is no plain file"),
+        (["{path}", "-o", "/dev/null", "--overwrite"], EXIT_USAGE, "output is not a regular file"),
         (["{path}", "-o", "{folder}/gone/a.csv"], EXIT_FAILED, "no folder"),
         ([], EXIT_USAGE, "Missing argument 'RESULT'"),
     ],

@@ -118,7 +118,7 @@ def write_folder(path: Path, images: list[tuple[int, np.ndarray]], camera: bool 
 def error_lines(capsys: pytest.CaptureFixture[str]) -> list[str]:
     """The lines on standard error, without those of a machine's first run."""
     said = [line for line in capsys.readouterr().err.splitlines() if line.strip()]
-    return [line for line in said if not line.startswith("compiling the fits")]
+    return [line for line in said if not line.startswith("compiling kernels")]
 
 
 def one_line(capsys: pytest.CaptureFixture[str]) -> str:
@@ -176,7 +176,7 @@ def test_a_run_that_compiles_says_once_why_it_waits(
     monkeypatch.setattr(HandTracker, "step", compiling)
     assert track(recording, tmp_path / "r.mcap", "--end", "3") == 0
     said = [line for line in capsys.readouterr().err.splitlines() if "compiling" in line]
-    assert said == ["compiling the fits, once: about 75 s of processor time ..."]
+    assert said == ["compiling kernels: about 75 s of CPU time, cached for later runs ..."]
 
 
 def test_tracks_the_hand(recording: Path, told: list[str], tmp_path: Path) -> None:

@@ -64,7 +64,7 @@ def test_overwrite_replaces(tmp_path: Path) -> None:
     out = tmp_path / "a.mcap"
     arguments = ("-o", str(out), "--motion", "a", "--frames", "1")
     invoke(*arguments)
-    with pytest.raises(UsageError, match="exists already"):
+    with pytest.raises(UsageError, match="already exists"):
         invoke(*arguments)
     invoke(*arguments, "--overwrite")
 

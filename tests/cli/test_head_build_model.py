@@ -92,7 +92,7 @@ def test_existing_files_are_kept(
     for there in (output, picture):
         there.write_text("precious")
         assert build(*results, "-o", output, "--picture", picture) == 2
-        assert f"{there}: exists already" in one_line(capsys)
+        assert f"{there}: already exists" in one_line(capsys)
         assert there.read_text() == "precious"
         there.unlink()
     output.write_text("old")

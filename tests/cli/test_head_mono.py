@@ -171,7 +171,7 @@ def test_a_text_that_is_no_model_is_told_in_our_words(
     text.write_text("no arrays")
     assert mono(recording, tmp_path / "r.mcap", "--fps", "30", option, text) == 1
     (told,) = lines(capsys)
-    assert "found no whole npz file" in told
+    assert "found not a complete npz file" in told
 
 
 @pytest.mark.parametrize(

@@ -82,7 +82,7 @@ def test_an_output_that_is_a_link_is_replaced_itself(
     out = folder / "o.csv"
     out.symlink_to(target)
     assert run(["export", RESULT, "-o", "o.csv"]) == EXIT_USAGE
-    assert "exists already" in capsys.readouterr().err
+    assert "already exists" in capsys.readouterr().err
     assert run(["export", RESULT, "-o", "o.csv", "--overwrite"]) == EXIT_DONE
     assert not out.is_symlink() and out.read_bytes().startswith(b"frame_index,")
     assert (folder / "victim").read_bytes() == PRECIOUS and not (folder / "nothing").exists()

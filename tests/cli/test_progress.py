@@ -19,7 +19,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from posetrack_cli.batch.engine import Told
+from posetrack_cli.batch.engine import JobProgress
 from posetrack_cli.batch.jobs import Outcome, State
 from posetrack_cli.cli.batch_commands import BatchProgress
 from posetrack_cli.cli.running import progress
@@ -236,7 +236,7 @@ def test_lines_of_several_workers_break_no_bar_of_a_batch(monkeypatch: pytest.Mo
     def work(worker: str) -> None:
         for job in range(25):
             name = f"{worker}-{job}"
-            shown.on_progress(Told(name, "hand", 5, 10))
+            shown.on_progress(JobProgress(name, "hand", 5, 10))
             shown.note(f"{name}: noted")
             shown.on_outcome(Outcome(name, State.FAILED, "as it must"))
 
@@ -304,7 +304,7 @@ def test_ctrl_c_leaves_a_clean_terminal(where: str) -> None:
     assert last == "posetrack: interrupted"
     note = "tracking" if where == "python" else "compiling kernel 1"
     assert re.fullmatch(rf"hand:  50%\|.*\| 2/4 \[.*, {note}\]\^C", shown), shown
-    told = ["waiting", "compiling the fits, once: about 75 s of processor time ..."]
+    told = ["waiting", "compiling kernels: about 75 s of CPU time, cached for later runs ..."]
     assert above == told[: 1 if where == "python" else 2]
 
 

@@ -16,7 +16,7 @@ from posetrack_cli import limits
 from posetrack_cli.errors import UsageError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.keypoints.file import KeypointFile, read_keypoints
-from posetrack_cli.hand.keypoints.places import HAND_POINTS
+from posetrack_cli.hand.keypoints.targets import HAND_POINTS
 from posetrack_cli.hand.model.anatomy import JOINT_NAMES
 from posetrack_cli.recording.base import StoredFrame
 from posetrack_cli.recording.keypoints.formats import parse_keypoints
@@ -533,7 +533,7 @@ FAULTS: dict[str, tuple[str, Any, str]] = {
     "frame number": (
         "k.csv",
         f"{HEADER}\n1.5{ROW[1:]}\n",
-        "line 2: frame number is no whole number, found '1.5'",
+        "line 2: frame number is not a whole number, found '1.5'",
     ),
     "stamp": (
         "k.csv",
@@ -568,8 +568,8 @@ FAULTS: dict[str, tuple[str, Any, str]] = {
         "frame,landmark,x,y,side\n0,1,1,2,both\n",
         "line 2: unknown side, found 'both', expected right or left",
     ),
-    "latin": ("k.csv", HEADER.encode() + b"\n0,\xe4\n", "line 2: is no UTF-8 text"),
-    "no JSON": ("k.json", "{", r"k\.json: is no JSON"),
+    "latin": ("k.csv", HEADER.encode() + b"\n0,\xe4\n", "line 2: is not UTF-8 text"),
+    "no JSON": ("k.json", "{", r"k\.json: is not valid JSON"),
     "JSON NaN": ("k.json", "[[[NaN, 1]]]", "NaN, which JSON does not have"),
     "deep JSON": ("k.json", "[" * 100_000, "nested too deeply"),
     "JSON number": ("k.json", "3", "holds no frames, found int"),
@@ -587,7 +587,7 @@ FAULTS: dict[str, tuple[str, Any, str]] = {
         [{"stamp_ns": 0, "landmarks": PIXELS[0].tolist()}, {"landmarks": PIXELS[0].tolist()}],
         "frame entry 1: has no stamp",
     ),
-    "JSON line": ("k.jsonl", "[]\n{\n", r"k\.jsonl line 2: is no JSON"),
+    "JSON line": ("k.jsonl", "[]\n{\n", r"k\.jsonl line 2: is not valid JSON"),
     "two kinds of sides": (
         "k.json",
         [
@@ -614,7 +614,7 @@ FAULTS: dict[str, tuple[str, Any, str]] = {
         },
         "found 51 numbers",
     ),
-    "export": ("k.json", {"columns": {"frame": [1], "x0": []}}, "columns are not of one length"),
+    "export": ("k.json", {"columns": {"frame": [1], "x0": []}}, "columns differ in length"),
     "world landmarks": (
         "k.json",
         [((SPACE[0] - SPACE[0].mean(axis=0)) / 1000).tolist()],
@@ -690,7 +690,7 @@ def test_missing_files_and_large_ones_are_refused(tmp_path: Path, monkeypatch: p
         with pytest.raises(UsageError, match=r"k\.json: too many frames, found more, expected 2 at most"):
             read(written(tmp_path, content, "k.json"))
     monkeypatch.setattr(limits, "KEYPOINT_JSON_BYTES", 20)
-    with pytest.raises(UsageError, match=r"at most 20 are read; a longer file is one of JSON lines"):
+    with pytest.raises(UsageError, match=r"exceeds the limit of 20; a longer file is one of JSON lines"):
         read(written(tmp_path, LAYOUTS["JSON, lists"][1], "k.json"))
     monkeypatch.setattr(limits, "KEYPOINT_BYTES", 20)
     with pytest.raises(UsageError, match=r"is too large, found .* bytes, expected 20 at most"):

@@ -319,7 +319,7 @@ def test_a_hand_s_result_knows_no_head(tmp_path: Path) -> None:
 
 def test_a_model_is_not_written_over(track: Track, tmp_path: Path) -> None:
     (tmp_path / "face.npz").write_bytes(b"mine")
-    with pytest.raises(UsageError, match="exists already"):
+    with pytest.raises(UsageError, match="already exists"):
         track(Memory(), save_model=tmp_path / "face.npz")
     assert (tmp_path / "face.npz").read_bytes() == b"mine"
 

@@ -149,7 +149,7 @@ def test_existing_output_is_kept_unless_asked(tmp_path: Path, make: SimpleNamesp
     source = open_recording(make.write_folder(tmp_path / "r", make.depth_codes(2)))
     out = tmp_path / "out.mcap"
     out.write_bytes(b"precious")
-    with pytest.raises(UsageError, match="exists already"):
+    with pytest.raises(UsageError, match="already exists"):
         convert_recording(source, out)
     assert out.read_bytes() == b"precious"
     convert_recording(source, out, overwrite=True)

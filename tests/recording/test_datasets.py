@@ -117,7 +117,7 @@ def test_stray_scanner_images_without_a_stamp(stray: Path) -> None:
         ("camera_matrix.csv", b"0 0 160 0 0 120 0 0 1", "intrinsics cannot be used"),
         ("camera_matrix.csv", b"nan 0 160 0 nan 120 0 0 1", "intrinsics cannot be used"),
         ("odometry.csv", b"", "is empty, expected timestamp, frame"),
-        ("odometry.csv", b"0.1, 0.2, 0.3, 0, 0, 0, 1\n", "header is not known.*expected timestamp, frame"),
+        ("odometry.csv", b"0.1, 0.2, 0.3, 0, 0, 0, 1\n", "unknown header.*expected timestamp, frame"),
         ("odometry.csv", b"timestamp, frame\nx, 000000\n", "line 2: stamp is not a number"),
         ("odometry.csv", b"timestamp, frame\n1e999999999, 000000\n", "stamp is not a number"),
         ("odometry.csv", b"timestamp, frame\n1e18, 000000\n", "stamp is out of range"),

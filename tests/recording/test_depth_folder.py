@@ -142,9 +142,9 @@ def test_seconds_are_exact_even_for_epoch_times(tmp_path: Path, make: SimpleName
     [
         (["stamp_ns", "1"], "found 1 stamps, expected 2"),
         (["stamp_ns", "1", "2", "3"], "found 3 stamps, expected 2"),
-        (["1", "2"], "header is not known"),
+        (["1", "2"], "unknown header"),
         (["stamp_ns", "1", "x"], "line 3: stamp is not a number, found 'x'"),
-        (["stamp_ns", "1", "2.5"], "stamp is no whole number"),
+        (["stamp_ns", "1", "2.5"], "stamp is not a whole number"),
         (["time_s", "nan", "2.5"], "stamp is not a number"),
         (
             ["stamp_ns", "-1", "2"],

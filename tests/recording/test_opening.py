@@ -39,8 +39,8 @@ def test_what_is_not_there_is_said_before_any_option(tmp_path: Path, pixels: str
 @pytest.mark.parametrize(
     ("name", "hint"),
     [
-        ("https://example.org/face.mp4", "addresses are not read: download it first"),
-        ("s3://bucket/a.mcap", "addresses are not read: download it first"),
+        ("https://example.org/face.mp4", "URLs are not supported: download the file first"),
+        ("s3://bucket/a.mcap", "URLs are not supported: download the file first"),
         ("in/**/*.mcap", "posetrack batch takes patterns of many recordings"),
     ],
 )

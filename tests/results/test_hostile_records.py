@@ -126,5 +126,5 @@ def test_an_estimate_that_cannot_be(key: str, value: Any) -> None:
 def test_a_message_larger_than_any_is_not_parsed() -> None:
     """A message of a small file may be 128 MiB of brackets; as lists they take gigabytes."""
     data = b'{"position": [' + b"[]," * (limits.MESSAGE_BYTES // 3)
-    with pytest.raises(ResultError, match="at most 1048576 are read"):
+    with pytest.raises(ResultError, match="exceed the limit of 1048576"):
         estimate_from_json(data)

@@ -153,5 +153,5 @@ def test_an_unfinished_piece_and_a_taken_name_are_refused(tmp_path: Path) -> Non
         join_results(
             [Share(first, 0, 6), Share(tmp_path / "cut.mcap.part", 6, 9)], tmp_path / "joined.mcap", {}
         )
-    with pytest.raises(UsageError, match="exists already"):
+    with pytest.raises(UsageError, match="already exists"):
         join_results([Share(first, 0, 6)], first, {})

@@ -109,7 +109,7 @@ def test_an_exception_aborts_and_is_the_one_told(tmp_path: Path) -> None:
 def test_an_existing_result_is_refused_and_kept(tmp_path: Path) -> None:
     path = tmp_path / "r.mcap"
     path.write_bytes(b"precious")
-    with pytest.raises(UsageError, match=r"r\.mcap: exists already; use --overwrite"):
+    with pytest.raises(UsageError, match=r"r\.mcap: already exists; use --overwrite"):
         begin(path)
     assert path.read_bytes() == b"precious"
     assert len(write_result(path, overwrite=True).read_bytes()) > 1000
@@ -120,7 +120,7 @@ def test_an_interrupted_run_is_refused_and_kept(tmp_path: Path) -> None:
     with begin(path) as writer:
         write_frames(writer, 0, 12)
     before = part_path(path).read_bytes()
-    with pytest.raises(UsageError, match="interrupted run; use --resume to go on with it or --overwrite"):
+    with pytest.raises(UsageError, match="interrupted run; use --resume to continue it or --overwrite"):
         begin(path)
     assert part_path(path).read_bytes() == before
 

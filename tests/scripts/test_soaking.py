@@ -137,7 +137,7 @@ def test_moments_come_in_the_order_of_a_run(cold: bool) -> None:
 @pytest.mark.parametrize(
     ("code", "said", "codes", "troubles"),
     [
-        (0, "compiling the fits ...\n", (0,), []),
+        (0, "compiling kernels ...\n", (0,), []),
         (1, "compiling ...\nposetrack: r.mcap: no room\n", (1,), []),
         (1, "", (1,), ["0 lines"]),
         (1, "posetrack: a\nposetrack: b\n", (1,), ["2 lines"]),

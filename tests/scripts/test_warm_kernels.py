@@ -15,7 +15,7 @@ for line in sys.argv[1:]:
     kind, *_, name = line.split()
     again = name.startswith("again-")
     if again and kind == "forgetful":
-        print("compiling the fits", file=sys.stderr)
+        print("compiling kernels", file=sys.stderr)
     if kind == "failing":
         sys.exit("no kernel")
     pathlib.Path(name).write_text("again" if again and kind == "drifting" else "first")
@@ -37,7 +37,7 @@ def test_a_tracker_runs_twice_and_what_makes_its_recording_once(tmp_path: Path) 
     ("kind", "told"),
     [
         ("drifting", "posetrack drifting run -o: compiled and loaded kernels give different bytes"),
-        ("forgetful", "the kernels are not kept: compiling the fits"),
+        ("forgetful", "the kernels are not kept: compiling kernels"),
         ("failing", "posetrack, one of failing run -o out: no kernel"),
     ],
 )

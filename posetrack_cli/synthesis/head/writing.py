@@ -192,7 +192,7 @@ def check_folder_output(out: Path, *, overwrite: bool) -> None:
     if not is_taken(out):
         return
     if not overwrite:
-        raise UsageError("exists already", where=out, hint="use --overwrite to replace it")
+        raise UsageError("already exists", where=out, hint="use --overwrite to replace it")
     if not _is_synthetic(out):
         raise UsageError("is no synthetic recording, so it is not replaced", where=out)
 

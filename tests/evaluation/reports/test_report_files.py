@@ -77,7 +77,7 @@ def test_a_link_to_an_input_is_the_input(files: Path) -> None:
 
 
 def test_a_report_that_is_there_needs_overwrite(files: Path) -> None:
-    with pytest.raises(UsageError, match="exists already; use --overwrite"):
+    with pytest.raises(UsageError, match="already exists; use --overwrite"):
         check_reports(named("pf-1.mcap"), [], overwrite=False)
     check_reports(named("pf-1.mcap"), [], overwrite=True)
 

@@ -171,9 +171,9 @@ def test_a_trajectory_in_tum_s_format_is_a_truth(tmp_path: Path) -> None:
     [
         ("[1, 2]", "holds no table, found list"),
         ('{"rows": []}', "holds no table, found rows"),
-        ('{"columns": {"t_s": [1, 2], "x_mm": [1]}}', "columns are not of one length"),
-        ("{", "is no JSON"),
-        ("[" * 100_000, "is no JSON"),
+        ('{"columns": {"t_s": [1, 2], "x_mm": [1]}}', "columns differ in length"),
+        ("{", "is not valid JSON"),
+        ("[" * 100_000, "is not valid JSON"),
     ],
 )
 def test_json_that_is_no_export(tmp_path: Path, text: str, says: str) -> None:
@@ -232,7 +232,10 @@ OTHER = ": truth has other points than the result, found"
         ("t_s\tx_mm\ty_mm\tz_mm\n0\t1\t2\t3\n", ": columns are not separated by commas, found tabs"),
         ("t_s x_mm y_mm z_mm\n0 1 2 3\n", ": columns are not separated by commas, found spaces"),
         ("fx = 363.9\n", ": no column is known, found fx = 363.9"),
-        ("t_s,x_mm,y_mm,z_mm\r0,1,2,3\r", " line 1: is no CSV, found a carriage return alone; end lines"),
+        (
+            "t_s,x_mm,y_mm,z_mm\r0,1,2,3\r",
+            " line 1: is not valid CSV, found a bare carriage return; end lines",
+        ),
         (f"{POSE_HEADER}\n", ": has no truth, found no row after the header, expected a row per frame"),
         (GOOD + "0.6,1,2,3,0,0,0\n", " line 4: row does not fit the header, found 7 cells, expected 8"),
         (GOOD + "0.6,1,2,3,0,0,0,1,\n", " line 4: row does not fit the header, found 9 cells"),
@@ -247,7 +250,7 @@ OTHER = ": truth has other points than the result, found"
         (GOOD + "now,1,2,3,0,0,0,1\n", f"{T}: stamp is not a number, found 'now'"),
         (GOOD + "nan,1,2,3,0,0,0,1\n", f"{T}: stamp is not a number, found 'nan'"),
         (GOOD + "1e99999,1,2,3,0,0,0,1\n", f"{T}: stamp is out of range, found '1e99999'"),
-        ("stamp_ns,x_mm,y_mm,z_mm\n1.5,1,2,3\n", " line 2, column stamp_ns: stamp is no whole number"),
+        ("stamp_ns,x_mm,y_mm,z_mm\n1.5,1,2,3\n", " line 2, column stamp_ns: stamp is not a whole number"),
         ("t_s,x_mm,z_mm\n0,1,2\n", ": lacks y_mm, expected all or none of x_mm, y_mm, z_mm"),
         ("t_s,qx,qy,qz,qW\n0,0,0,0,1\n", ": lacks qw, expected all or none of qx, qy, qz"),
         ("t_s,vx_mm_s\n0,1\n", ": lacks vy_mm_s, vz_mm_s, expected all"),
@@ -256,7 +259,7 @@ OTHER = ": truth has other points than the result, found"
         ("time,x,y,z\n0,1,2,3\n", ": no column is known, found time, x, y, z, expected stamp_ns/t_s"),
         (ONE_POINT.format("eye"), f"{OTHER} 1 points, expected also nose, mouth"),
         (ONE_POINT.format("brow"), f"{OTHER} brow, expected also eye, nose, mouth"),
-        (b"t_s,x_mm,y_mm,z_mm\n0,1,2,3\n0.5,\xe4,2,3\n", " line 3: is no UTF-8 text, found byte 0xe4"),
+        (b"t_s,x_mm,y_mm,z_mm\n0,1,2,3\n0.5,\xe4,2,3\n", " line 3: is not UTF-8 text, found byte 0xe4"),
     ],
 )
 def test_every_fault_is_named(tmp_path: Path, text: str | bytes, expected: str) -> None:

@@ -198,7 +198,7 @@ HOSTILE = {
         "has another number of points, found 71, expected 10, 68, 70, 468 or 478",
     ),
     "faces that are none": ("l.json", json.dumps([{"faces": 7}]), "faces are no list, found int"),
-    "no JSON": ("l.json", "{", "is no JSON"),
+    "no JSON": ("l.json", "{", "is not valid JSON"),
     "a frame before the first": (
         "l.csv",
         ",".join(["frame", "success", *(f"{a}_{k}" for a in "xy" for k in range(68))])

@@ -78,7 +78,7 @@ def test_the_pose_rate_is_that_of_the_quaternion() -> None:
 def test_a_file_that_exists_is_kept(tmp_path: Path) -> None:
     out = tmp_path / "a.mcap"
     out.write_bytes(b"precious")
-    with pytest.raises(UsageError, match="exists already"):
+    with pytest.raises(UsageError, match="already exists"):
         write_synthetic(SynthOptions(frames=1), out)
     assert out.read_bytes() == b"precious"
 

@@ -148,7 +148,7 @@ def test_what_exists_is_kept_unless_it_may_be_replaced(stereo: Made, tmp_path: P
     shutil.copy(stereo.file, tmp_path / "a.mcap")
     shutil.copytree(stereo.folder, tmp_path / "a")
     for name in ("a.mcap", "a"):
-        with pytest.raises(UsageError, match="exists already"):
+        with pytest.raises(UsageError, match="already exists"):
             write_synthetic(one, tmp_path / name)
         write_synthetic(one, tmp_path / name, overwrite=True)
     (tmp_path / "a" / "notes.txt").write_text("mine")
