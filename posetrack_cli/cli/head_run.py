@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from posetrack_cli.tracking.two_pass import Learned, LearningTracker
 
 
-# Options of the commands that track heads, and what these do alike
+# Shared by head stereo and head mono
 
 
 HeadConfig = TypeVar("HeadConfig", "HeadStereoConfig", "HeadMonoConfig")
@@ -54,11 +54,11 @@ CONFIGURED = {
     "detector_model": "start.detection.model",
     "passes": "run.passes",
 }
-"""Configuration keys that options stand for."""
+"""Configuration keys by option name."""
 HEAD_RUN_OPTIONS = (*RUN_OPTIONS, "load_model", "save_model", "smooth")
 
 
-LEARNED, START = "Learning", "Start and evidence"
+LEARNED, START = "Learning", "Initialisation and landmarks"
 
 
 learning_options = option_group(
@@ -66,20 +66,21 @@ learning_options = option_group(
         "--passes",
         metavar="1|2",
         type=click.IntRange(1, 2),
-        help="How often the recording is gone through: the last pass, which is the result, begins with "
-        "what the first has learned.  [default: 2 with one camera, 1 with several or as printed]",
+        help="Number of passes over the recording; the second starts from the model learned in the first and "
+        "gives the result.  [default: 2 for head mono, 1 for head stereo and head-mono-paper]",
     ),
     option(
         "--save-model",
         metavar="FILE.npz",
         type=FILE,
-        help="Write what was learned.",
+        help="Write the learned model.",
     ),
     option(
         "--load-model",
         metavar="FILE",
         type=FILE,
-        help="Begin with what an earlier run of the same person learned: its --save-model or result.",
+        help="Start from a model learned in an earlier run of the same person: its --save-model file or "
+        "result.",
     ),
     title=LEARNED,
 )
@@ -93,13 +94,14 @@ start_options = option_group(
         "--detector-model",
         metavar="FILE.onnx",
         type=NameOrFile(),
-        help="The model of --detector yunet, such as face_detection_yunet_2023mar.onnx of OpenCV's model "
+        help="Model file for --detector yunet, e.g. face_detection_yunet_2023mar.onnx from the OpenCV model "
         "zoo.",
         rare=True,
     ),
     init_option(
         "auto|FILE.csv",
-        "auto finds the face, FILE is a table camera,point,x,y of points clicked in the first frame.",
+        "Initialisation: detect the face (auto), or a CSV table camera,point,x,y of points marked in the "
+        "first frame.",
         default="auto",
     ),
     option(
@@ -107,13 +109,13 @@ start_options = option_group(
         "landmark_file",
         metavar="FILE",
         type=FILE,
-        help="Points per frame that another program found in the images (of the reference camera), CSV or "
-        "JSON: OpenFace's 68, MediaPipe's 478, or our ten by name (docs/landmarks.md).",
+        help="Face landmarks per frame from another detector, in images of the reference camera, CSV or "
+        "JSON: 68 from OpenFace, 478 from MediaPipe, or ten by name (docs/landmarks.md).",
     ),
     option(
         "--landmarks-unit",
         type=click.Choice(["px", "normalised"]),
-        help="Of their coordinates.  [default: as FILE says or looks]",
+        help="Unit of the landmarks.  [default: from FILE]",
         rare=True,
     ),
 )
@@ -125,12 +127,12 @@ def head_configuration(
     """Return the configuration of a head tracker; see ``configuration_of``.
 
     Args:
-        kind: of configuration.
-        options: of the command.
-        own: configuration key of each option that only this command has.
+        kind: class of the configuration.
+        options: values of the command's options.
+        own: configuration keys by option name, for options that only this command has.
 
     Raises:
-        UsageError: what cannot be meant, such as a model for a detector that uses none.
+        UsageError: invalid settings, such as a model for a detector without one.
     """
     config = configuration_of(kind, options, {**CONFIGURED, **own})
     tell_settings(config)
@@ -143,11 +145,11 @@ def head_configuration(
 
 
 def head_run_options(options: Mapping[str, Any], source: Recording) -> HeadRunOptions:
-    """Return what a run depends on besides recording and configuration, and say what landmarks are taken for.
+    """Return the run options, and print how a landmark file was interpreted.
 
     Args:
-        options: of the command.
-        source: the recording; landmarks are of the images of its reference camera.
+        options: values of the command's options.
+        source: the recording; landmarks refer to images of its reference camera.
     """
     from posetrack_cli.head.run import HeadRunOptions
 
@@ -161,8 +163,8 @@ def _landmarks(options: Mapping[str, Any], source: Recording) -> LandmarkFile | 
     path, unit = options["landmark_file"], options["landmarks_unit"]
     if path is None:
         if unit is not None:
-            what = "--landmarks-unit is about landmarks, and none are given"
-            raise UsageError(what, hint="--landmarks FILE")
+            hint = "add --landmarks FILE or leave it out"
+            raise UsageError("--landmarks-unit requires --landmarks", hint=hint)
         return None
     from posetrack_cli.head.landmarks.faces import read_landmarks
     from posetrack_cli.recording.keypoints.reading import fitted_to
@@ -177,13 +179,13 @@ def _landmarks(options: Mapping[str, Any], source: Recording) -> LandmarkFile | 
 def track_head(
     source: Recording, passes: int, options: HeadRunOptions, made: Callable[[Report], HeadRun]
 ) -> None:
-    """Track with a bar for each pass, tell how it closed, and set the exit code.
+    """Track with a progress bar per pass, print the closing lines and set the exit code.
 
     Args:
         source: the recording.
-        passes: of the run.
-        options: of the run.
-        made: makes the run, given what reports its first pass; refuses all that can be refused before it.
+        passes: number of passes.
+        options: run options.
+        made: creates the run, given the progress callback of its first pass; raises on unusable input.
     """
     from posetrack_cli.tracking.options import frames_ahead
 
@@ -195,7 +197,7 @@ def track_head(
         ExitStack() as stack,
     ):
         reports: list[Report] = []
-        run = made(lambda estimate: reports[0](estimate))  # may speak, so no bar is drawn before
+        run = made(lambda estimate: reports[0](estimate))  # may print, so the bars come later
         total = frames_ahead(source, options)
         bars = (progress(total, options.start, options.stride, name) for name in names)
         reports.extend(stack.enter_context(bar) for bar in bars)
@@ -203,7 +205,7 @@ def track_head(
     close(source.path, options.output, outcome, passes)
 
 
-# ``posetrack head stereo``: pose and face deformation from calibrated cameras
+# posetrack head stereo
 
 
 @click.command(
@@ -213,14 +215,14 @@ def track_head(
         "posetrack head stereo recording.mcap -o head.mcap",
         "posetrack head stereo images/ --fps 30 --camera rig.toml -o head.mcap",
     ),
-    short_help="Track a head in the images of calibrated cameras.",
+    short_help="Track a head with two or more calibrated cameras.",
 )
 @click.argument("recording", type=FILE)
-@result_options("The result, and the model of --save-model")
+@result_options("RESULT.mcap and the --save-model file if they exist")
 @option(
     "--model",
     type=click.Choice(["deformable", "rigid"]),
-    help="Whether the face's deformations are learnt and tracked.  [default: deformable]",
+    help="Learn and track face deformations, or track a rigid face.  [default: deformable]",
     group=LEARNED,
 )
 @learning_options
@@ -231,12 +233,12 @@ def track_head(
 @image_options
 @volume_options
 def head_stereo(recording: Path, **options: Any) -> None:
-    """Track the head in RECORDING: a folder with one folder of images per camera, MCAP or a bag of ROS.
+    """Track the head in RECORDING: an MCAP file, ROS bag, or folder with one image folder per camera.
 
-    Two or more calibrated cameras are needed. The face is found by itself, any person's; how it deforms is
-    learnt while it is tracked. The result is MCAP with pose, velocity, ten points, the deformation and the
-    model learnt. The same input, configuration and seed give the same bytes.
-    Exit code 3: some data could not be used, or less than 5 % of the frames were tracked.
+    Requires two or more calibrated cameras. The face is detected automatically and its deformations are
+    learned during tracking. The result (MCAP) holds pose, velocity, ten face points, deformation and the
+    learned model. The same input, configuration and seed give an identical file. Exit code 3: some data was
+    unusable, or fewer than 5 % of the frames were tracked.
     """
     from posetrack_cli.head.config import HeadStereoConfig
 
@@ -248,7 +250,7 @@ def head_stereo(recording: Path, **options: Any) -> None:
 
 
 def open_stereo_recording(recording: Path, options: dict[str, Any]) -> Recording:
-    """Return the recording, of two cameras at least."""
+    """Open a recording with at least two cameras."""
     source = open_for_reading(recording, options, "grey")
     if len(source.cameras) < 2:
         raise UsageError(
@@ -256,7 +258,7 @@ def open_stereo_recording(recording: Path, options: dict[str, Any]) -> Recording
             where=recording,
             found=f"only '{source.cameras[0].name}'",
             expected="2 or more",
-            hint="a folder has one folder of images per camera, such as left/ and right/",
+            hint="a folder needs one image folder per camera, such as left/ and right/",
         )
     return source
 
@@ -264,7 +266,6 @@ def open_stereo_recording(recording: Path, options: dict[str, Any]) -> Recording
 def _stereo_run(
     source: Recording, config: HeadStereoConfig, options: HeadRunOptions, first_pass: Report
 ) -> HeadRun:
-    """Everything that can be refused is refused here, before the first frame."""
     from posetrack_cli.head.run import HeadRun
     from posetrack_cli.head.subject import head_subject
     from posetrack_cli.head.tracker.stereo import components_of, make_stereo_tracker
@@ -288,7 +289,7 @@ def _stereo_run(
     )
 
 
-# ``posetrack head mono``: pose and face deformation from one camera
+# posetrack head mono
 
 
 OWN_CONFIGURED = {
@@ -306,37 +307,36 @@ OWN_CONFIGURED = {
         "posetrack head mono recording.mcap --cameras left --smooth -o face.mcap",
         "posetrack head mono face.mp4 --fov 70 --interpupillary-mm 62 -o face.mcap",
     ),
-    short_help="Track a head in the images of one camera.",
+    short_help="Track a head with one camera.",
 )
 @click.argument("recording", type=FILE)
-@result_options("The result, and the model of --save-model")
+@result_options("RESULT.mcap and the --save-model file if they exist")
 @option_group(
     option(
         "--interpupillary-mm",
         metavar="MM",
         type=float,
-        help="Distance of the person's pupils when looking far away: it tells how large and how far the "
-        "head is.",
+        help="Interpupillary distance for far vision; sets the scale of head size and distance.",
     ),
     option(
         "--person",
         metavar="RESULT",
         type=FILE,
-        help="Who it is: another result of posetrack head of the same person, with one camera or several, "
-        "whose shape and size are held.",
+        help="Use (and fix) the face shape and size from an earlier result of the same person, from head "
+        "mono or head stereo.",
     ),
     option(
         "--face-model",
         metavar="FILE.npz",
         type=NameOrFile(),
-        help="Faces that there are, as head build-model writes it.  [default: shipped]",
+        help="Face model written by head build-model.  [default: shipped]",
         rare=True,
     ),
     option(
         "--adjust",
         type=click.Choice(["always", "start", "never"]),
-        help="When the person's face is adjusted to the images: after every frame that allows it, only at "
-        "the start, or never (an average face).  [default: always]",
+        help="When to fit the face model to the person: after every suitable frame, only at the start, or "
+        "never (average face).  [default: always]",
     ),
     title="Person",
 )
@@ -349,7 +349,7 @@ OWN_CONFIGURED = {
         type=click.IntRange(min=1, max=limits.FACES),
         default=1,
         show_default=True,
-        help="Which of several faces in the first frames; 1 is the largest.",
+        help="Rank by size of the face to track in the first frames; 1 is the largest.",
     ),
     title=START,
 )
@@ -361,19 +361,19 @@ OWN_CONFIGURED = {
     "--fov",
     metavar="DEG",
     type=float,
-    help="Field of view along the image's longer side, where no calibration tells the focal length.  "
-    "[default: 53, a guess]",
+    help="Field of view along the longer image side, if the camera is not calibrated.  [default: 53, a "
+    "guess]",
     group=READ,
 )
 @volume_options
 def head_mono(recording: Path, **options: Any) -> None:
-    """Track the head in RECORDING: a video, a folder of images, MCAP or a bag of ROS.
+    """Track the head in RECORDING: a video, image folder, MCAP file or ROS bag.
 
-    The face is found by itself, any person's; who it is and how it deforms is adjusted to the images within a
-    model of faces. The result is MCAP with pose, velocity, ten points, deformation and identity. One camera
-    sees no scale: distance and size rest on what faces are like, and on the focal length, which is guessed
-    where neither recording nor --camera tells it. The same input, configuration and seed give the same bytes.
-    Exit code 3: some data could not be used, or less than 5 % of the frames were tracked.
+    The face is detected automatically; a face model is fitted to the person's identity and deformation. The
+    result (MCAP) holds pose, velocity, ten face points, deformation and identity. A single camera cannot
+    measure scale: distance and size follow from the average face and from the focal length, which is guessed
+    without a calibration (--camera, --fov). The same input, configuration and seed give an identical file.
+    Exit code 3: some data was unusable, or fewer than 5 % of the frames were tracked.
     """
     from posetrack_cli.head.config import HeadMonoConfig
 
@@ -381,7 +381,7 @@ def head_mono(recording: Path, **options: Any) -> None:
     config = head_configuration(HeadMonoConfig, options, OWN_CONFIGURED)
     chosen, face = head_run_options(options, source), options["face"]
     if chosen.init is not None and face > 1:
-        raise UsageError("--face does not apply to clicked points", found=face, hint="leave it out")
+        raise UsageError("--face cannot be combined with --init FILE", found=face, hint="leave it out")
 
     def made(first_pass: Report) -> HeadRun:
         run = _mono_run(source, config, chosen, face, first_pass)
@@ -392,7 +392,7 @@ def head_mono(recording: Path, **options: Any) -> None:
 
 
 def open_mono_recording(recording: Path, options: dict[str, Any]) -> Recording:
-    """Return the recording of one camera, which may be guessed."""
+    """Open a recording of one camera; without a calibration, the focal length is guessed."""
     from posetrack_cli.recording.camera_of import Guess, guess_of_field
     from posetrack_cli.recording.grey import PLAIN_BITS, Grey
 
@@ -401,23 +401,23 @@ def open_mono_recording(recording: Path, options: dict[str, Any]) -> Recording:
     source = open_for_reading(recording, options, "grey", guess=guess)
     if fov is not None and not source.is_guessed:
         raise UsageError(
-            "--fov does not apply to a calibrated camera",
+            "--fov cannot be used with a calibrated camera",
             where=recording,
             found=_focal(source),
             hint="leave it out",
         )
     if any(isinstance(pixels, Grey) and pixels.bits > PLAIN_BITS for pixels in source.pixels):
-        bits = "images of more than 8 bits are taken for light"
-        print_note(f"{recording}: {bits}; if they are depth, posetrack hand run tracks hands in them")
+        note = "images of more than 8 bits are read as intensities"
+        print_note(f"{recording}: {note}; for depth images, use posetrack hand run")
     return source
 
 
 def _say_guess(source: Recording, fov: float | None) -> None:
     if not source.is_guessed:
         return
-    by = "a field of view of 53 degrees, --fov says another" if fov is None else "--fov"
-    taken = f"no calibration: focal length taken for {_focal(source)} ({by})"
-    print_note(f"{source.path}: {taken}; distances are a guess")
+    by = "field of view of 53 degrees; change it with --fov" if fov is None else "--fov"
+    guess = f"no calibration: focal length set to {_focal(source)} ({by})"
+    print_note(f"{source.path}: {guess}; distances are approximate")
 
 
 def _focal(source: Recording) -> str:
@@ -431,7 +431,6 @@ def _mono_run(
     face: int,
     first_pass: Report,
 ) -> HeadRun:
-    """Everything that can be refused is refused here, before the first frame."""
     from posetrack_cli.head.multilinear.face_model import load_face_model
     from posetrack_cli.head.run import HeadRun
     from posetrack_cli.head.subject import mono_subject
@@ -461,15 +460,15 @@ def _mono_run(
         make_tracker=make_tracker,
         origin=model.deformation_mean,
         first_pass=first_pass,
-        stated=_stated(source, file, face, _scale_from(config, given)),
+        extra_record=_stated(source, file, face, _scale_from(config, given)),
     )
 
 
 def _given_person(options: HeadRunOptions, config: HeadMonoConfig, model: FaceModel) -> GivenPerson | None:
-    """Who it is, where a result says that.
+    """Read the person of --person, if given.
 
     Raises:
-        UsageError: other options say something else of it.
+        UsageError: --person conflicts with another option.
     """
     from posetrack_cli.head.tracker.given_person import read_person
 
@@ -478,12 +477,12 @@ def _given_person(options: HeadRunOptions, config: HeadMonoConfig, model: FaceMo
     others = {"--load-model": options.load_model, "--init": options.init}
     for name, given in others.items():
         if given is not None:
-            what = f"--person and {name} both say how to begin"
+            what = f"--person and {name} are mutually exclusive"
             raise UsageError(what, found=given, hint="leave one of them out")
     person = read_person(options.person, model, config.adjustment)
     if person.size is not None and config.person.interpupillary_mm is not None:
         raise UsageError(
-            "--person says how large the person is, and so does --interpupillary-mm",
+            "--person and --interpupillary-mm both set the size of the head",
             where=options.person,
             found=f"{config.person.interpupillary_mm:g} mm",
             hint="leave one of them out",
@@ -492,14 +491,14 @@ def _given_person(options: HeadRunOptions, config: HeadMonoConfig, model: FaceMo
 
 
 def _scale_from(config: HeadMonoConfig, given: GivenPerson | None) -> str:
-    """What the size of the head rests on."""
+    """Return the source of the head's size, for the run record."""
     if config.person.interpupillary_mm is not None:
         return "interpupillary"
     return "prior" if given is None or given.size is None else "person"
 
 
 def _stated(source: Recording, face_model: Path | None, face: int, scale: str) -> dict[str, str]:
-    """What the run record says besides: what the result rests on that is not in the images."""
+    """Return entries of the run record: assumptions that the images do not determine."""
     from posetrack_cli.recording.identity import file_digest, shown_name
 
     stated = {

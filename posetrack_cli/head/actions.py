@@ -1,16 +1,16 @@
-"""What a face does, by names: jaw open, mouth wide, mouth round, mouth to the left, brows up **[ours]**.
+"""Named facial actions: jaw open, mouth wide, mouth round, mouth to the left, brows up **[ours]**.
 
-The coefficients of a deformation model are directions of greatest variance, which nobody can name. Actions
-are named expressions of ICT-FaceKit (USC Institute for Creative Technologies, MIT licence), whose
-displacements D_e (K, 3) of the ten points at full strength were measured on it: jawOpen; .7 mouthSmile +
-.3 mouthStretch; mouthPucker; half of mouthLeft less mouthRight; browInnerUp. The points' displacements d from
-the neutral face tell their strengths g, in shares of the full one:
+Deformation coefficients are principal directions without a meaning of their own. Actions are named
+expressions of ICT-FaceKit (USC Institute for Creative Technologies, MIT licence). Their displacements D_e
+(K, 3) of the ten points at full strength were measured on that model: jawOpen; .7 mouthSmile + .3
+mouthStretch; mouthPucker; half of mouthLeft less mouthRight; browInnerUp. The strengths g, relative to the
+full expression, follow from the points' displacements d from the neutral face:
 
     g = argmin |d - sum_e g_e D_e|^2 / s^2 + |g|^2 / p^2 = (D^T S^-1 D + 1 / p^2)^-1 D^T S^-1 d
 
-S = s_k^2 is how far points of a kind are off, p how strong actions usually are; the first factor is the
-covariance. 0 is the neutral face, 1 the statistics' extreme; below 0 is the opposite: brows down, mouth to
-the right.
+S = s_k^2 is the variance of a point and p the prior standard deviation of a strength; the first factor is
+the covariance of g. A strength of 0 is the neutral face, 1 the extreme of the statistics; negative values
+are the opposite action (brows down, mouth to the right).
 """
 
 from __future__ import annotations
@@ -29,24 +29,24 @@ _RIGHT_SIDE: dict[str, tuple[tuple[float, float, float], ...]] = {
     "mouth_left": ((0, 0, 0), (0, 0, 0), (10.8, -2.6, 6.7), (7.3, -0.8, 1.3), (0, 0, 0)),
     "brows_up": ((0, 0.1, 0), (0, 0.2, 0.1), (0, 0, 0), (0, 0.3, 0), (-0.5, 5.6, -0.3)),
 }
-"""Displacements, mm in the head's frame, of the right outer and inner eye corner, mouth, nostril and brow."""
+"""(5, 3) mm in the head's frame, of the right outer and inner eye corner, mouth corner, nostril and brow."""
 _ONE_SIDED = "mouth_left"
-"""Its left side is not the mirror image of its right, but the opposite of it."""
+"""The asymmetric action: its left side is the negative mirror image of the right side."""
 ACTIONS = tuple(_RIGHT_SIDE)
 _RIGHT = (0, 1, 4, 6, 8)
 USUAL = 0.5
-"""p, a strength."""
+"""p, prior standard deviation of a strength."""
 _NAMES = tuple(f"action_{name}" for name in ACTIONS)
 ACTION_NAMES = (*_NAMES, *(f"{name}_sd" for name in _NAMES))
-"""Of the numbers that a result states."""
+"""Names of the numbers in a result: strengths, then their standard deviations."""
 
 
 class Strengths(NamedTuple):
-    """How strongly a face does what.
+    """Strengths of the actions of one face.
 
     Attributes:
-        values: (E,) shares of the statistics' extreme.
-        deviations: (E,) their standard deviations.
+        values: (E,) relative to the extreme of the statistics.
+        deviations: (E,) standard deviations.
     """
 
     values: FloatArray
@@ -77,8 +77,10 @@ def _deviations_mm() -> FloatArray:
 
 
 MEAN_STRENGTHS = np.array([0.15, 0.15, 0.15, 0.0, 0.2])
-"""Of the mean deformation abar of a multilinear model: the mean of its ten actions, five of a mouth from
-round to wide, five of brows from down to up with a jaw that opens (4.2)."""
+"""Strengths in the mean deformation abar of a multilinear model.
+
+abar is the mean of ten training actions: five of a mouth from round to wide, and five of brows from down to
+up with an opening jaw (4.2)."""
 _PRECISIONS = np.repeat(_deviations_mm() ** -2, 3)
 _DIRECTIONS = displacements().reshape(len(ACTIONS), -1)
 _COVARIANCE = np.linalg.inv(_DIRECTIONS * _PRECISIONS @ _DIRECTIONS.T + np.eye(len(ACTIONS)) / USUAL**2)
@@ -86,16 +88,16 @@ _ONTO = _COVARIANCE @ (_DIRECTIONS * _PRECISIONS)
 
 
 MEAN_DISPLACEMENTS: FloatArray = np.tensordot(MEAN_STRENGTHS, displacements(), axes=1)
-"""(K, 3) mm, of the mean deformation from the neutral face."""
+"""(K, 3) mm, from the neutral face to the mean deformation."""
 
 
 def strengths(moved: FloatArray) -> Strengths:
-    """Return the actions that displacements (K, 3), mm, from the neutral face show."""
+    """Estimate the strengths of the actions from displacements (K, 3), mm, from the neutral face."""
     return Strengths(_ONTO @ moved.ravel(), np.sqrt(np.diag(_COVARIANCE)))
 
 
 def action_numbers(moved: FloatArray | None) -> FloatArray:
-    """Return the (2 E,) numbers that ``ACTION_NAMES`` names; NaN of a face that is not seen."""
+    """Return the (2 E,) numbers of ``ACTION_NAMES``; NaN without a face."""
     if moved is None:
         return np.full(len(ACTION_NAMES), np.nan)
     return np.concatenate(strengths(moved))

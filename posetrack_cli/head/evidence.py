@@ -1,4 +1,4 @@
-"""What grey images show of which no or hardly any frame was tracked, and the likeliest reason."""
+"""Diagnosis of recordings without a tracked face: image statistics and the most likely cause."""
 
 from __future__ import annotations
 
@@ -17,28 +17,27 @@ from posetrack_cli.recording.grey import PLAIN_BITS, Grey
 from posetrack_cli.recording.recording import Recording
 
 WHITE, DARK, FLAT = 250, 40, 12
-"""Grey values: from which a pixel is white, below which all are dark, and the least range of contrast."""
+"""Grey values: saturated from WHITE on, dark below DARK, and the minimum contrast range FLAT."""
 _MUCH = 0.3
-"""Share of white pixels that hides a face."""
+"""Share of saturated pixels that hides a face."""
 _TURNS = (1, 3, 2)
-"""Quarter turns, anticlockwise, in which a face is looked for."""
+"""Quarter turns, anticlockwise, of rotated images that are tried."""
 _BITS = (
-    "bits in the camera file states how many are significant; if they are depth, posetrack hand run tracks "
-    "hands in them"
+    "set bits in the camera file to the number of significant bits; for depth images use posetrack hand run"
 )
 _MOST_TURNED = 3
-"""Images that are looked at in other turns."""
+"""Number of images that are tried in other orientations."""
 
 
 @dataclass(frozen=True)
 class _Seen:
-    """What one image shows.
+    """Statistics of one image.
 
     Attributes:
         low, middle, high: percentiles 5, 50 and 95 of brightness.
         white: share of white pixels.
-        eye_distances: of its faces, pixels.
-        score: of the surest face.
+        eye_distances: of the detected faces, pixels.
+        score: of the best face.
     """
 
     low: float
@@ -50,12 +49,12 @@ class _Seen:
 
 
 class FaceEvidence:
-    """What some frames of a recording show.
+    """Statistics and diagnosis of sampled frames.
 
     Args:
-        recording: that they are of.
+        recording: of the frames.
         settings: of the face detector.
-        frames: a few of its frames.
+        frames: a few frames of the recording.
     """
 
     def __init__(self, recording: Recording, settings: DetectionSettings, frames: Sequence[Frame]) -> None:
@@ -65,29 +64,30 @@ class FaceEvidence:
 
     @property
     def line(self) -> str:
-        """What was seen, and the likeliest reason if there is evidence for one."""
+        """Statistics, followed by the most likely cause if there is one."""
         return f"{self.seen}{f'; {self.reason}' if self.reason else ''}"
 
     @property
     def seen(self) -> str:
-        """Say how many images have a face, of which size, and how bright images are."""
+        """Number of images with a face, size of the faces, brightness of the images."""
         if not self._seen:
-            return "no image could be looked at"
+            return "no readable image"
         low, middle, high = (
             int(np.median([getattr(one, name) for one in self._seen])) for name in ("low", "middle", "high")
         )
         sizes = [size for one in self._seen for size in one.eye_distances]
-        faces = f"a face in {sum(bool(one.eye_distances) for one in self._seen)}"
+        faces = f"face in {sum(bool(one.eye_distances) for one in self._seen)}"
         if sizes:
-            faces += f", eyes {min(sizes):.0f} to {max(sizes):.0f} px apart"
+            faces += f", eye distance {min(sizes):.0f} to {max(sizes):.0f} px"
         light = f"brightness {low} to {high}, median {middle}, {100.0 * self._white:.0f} % of pixels white"
-        return f"{len(self._seen)} images looked at, {self._stored}: {faces}; {light}"
+        return f"{len(self._seen)} images checked ({self._stored}): {faces}; {light}"
 
     @cached_property
     def reason(self) -> str:
-        """The likeliest reason, with the option that mends it; empty without evidence for one."""
+        """Most likely cause with a suggested fix; empty without evidence."""
         if not self._seen:
             return ""
+        # cheapest check first: rotated images need a detector run for each turn
         return self._of_camera or self._of_brightness or self._of_turn
 
     @property
@@ -105,7 +105,7 @@ class FaceEvidence:
             fault = principal_point_fault(camera)
             if fault is not None:
                 where = f"({camera.cx:.0f}, {camera.cy:.0f}) in {camera.width}x{camera.height}"
-                return f"the principal point is {fault}, {where}: --camera with the camera of these images"
+                return f"the principal point is {fault}, {where}: pass --camera for these images"
         return ""
 
     @property
@@ -118,7 +118,7 @@ class FaceEvidence:
             return f"images are mostly white{bits}"
         if high < DARK:
             return f"images are dark{bits}"
-        return f"images have hardly any contrast{bits}" if high - low < FLAT else ""
+        return f"images have almost no contrast{bits}" if high - low < FLAT else ""
 
     @property
     def _of_turn(self) -> str:
@@ -130,8 +130,8 @@ class FaceEvidence:
                 if self._detector.detect(turned).faces:
                     degrees = 90 * (4 - turns)
                     return (
-                        f"faces are found once images are turned clockwise by {degrees} degrees: "
-                        "pass upright images, with their camera"
+                        f"faces are detected after a clockwise rotation by {degrees} degrees: "
+                        "pass upright images and the matching camera"
                     )
         return ""
 

@@ -1,7 +1,7 @@
-"""Files of what was learned of a face: shape model and templates, for a later run of the same person.
+"""Model files: a learned face (shape model and templates) for later runs of the same person.
 
-An npz without pickle: the tracker's arrays, and a JSON text that says what they are. Results carry the same
-bytes as their attachment ``model.npz``, so a result serves as a model file, too.
+The file is an npz without pickled objects: the tracker's arrays and a JSON header. Results contain the same
+bytes as attachment ``model.npz``, so a result also serves as a model file.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from posetrack_cli.tracking.two_pass import Learned
 
 FORMAT, VERSION = "posetrack.head_model", 1
 ATTACHMENT, MEDIA_TYPE = "model.npz", "application/x-npz"
-_EXPECTED = "what --save-model wrote, or a result of posetrack head"
+_EXPECTED = "a file from --save-model or a result of posetrack head"
 _HEADER, _PREFIX = "header", "array."
 
 
 def model_bytes(
     learned: Mapping[str, np.ndarray[Any, Any]], cameras: Sequence[Camera], tracker: str
 ) -> bytes:
-    """Return the file of what a tracker learned with some cameras; the same bytes for the same arrays."""
+    """Serialise a learned face and the names of its cameras; equal arrays give equal bytes."""
     header = {
         "format": FORMAT,
         "version": VERSION,
@@ -47,39 +47,39 @@ def model_bytes(
 
 
 def load_model(path: Path, cameras: Sequence[Camera], tracker: str) -> Learned:
-    """Read what was learned of a face from a model file, or from a result that carries one.
+    """Read a learned face from a model file or a result.
 
     Args:
         path: the file.
-        cameras: that the arrays are to be used with: as many as they were learned with.
-        tracker: that uses them; what it knows is its own.
+        cameras: of the new run; their number must equal that of the file.
+        tracker: name of the tracker that uses the model.
 
     Raises:
-        UsageError: it does not exist, or is of another tracker or number of cameras.
-        ResultError: it is neither, or damaged.
+        UsageError: the file does not exist, or another tracker or number of cameras produced it.
+        ResultError: not a model file or result, or damaged.
     """
     header, learned = read_model(path)
     if header["tracker"] != tracker:
-        what = "model was learned by another tracker"
+        what = "model belongs to another tracker"
         raise UsageError(what, where=path, found=header["tracker"], expected=tracker)
     count = len(header["cameras"])
     if count != len(cameras):
         raise UsageError(
-            "model was learned with another number of cameras",
+            "model has a different number of cameras",
             where=path,
             found=count,
             expected=len(cameras),
-            hint="templates are kept for each camera",
+            hint="the model contains templates for each camera",
         )
     return learned
 
 
 def read_model(path: Path) -> tuple[dict[str, Any], Learned]:
-    """Read what any tracker learned of a face: the header, with ``tracker`` and ``cameras``, and the arrays.
+    """Read header and arrays of a learned face of any tracker.
 
     Raises:
-        UsageError: there is no such file.
-        ResultError: it is neither a model file nor a result that carries one, or damaged.
+        UsageError: the file does not exist.
+        ResultError: not a model file or a result with one, or damaged.
     """
     from posetrack_cli.results.reader import read_result
 
@@ -89,7 +89,7 @@ def read_model(path: Path) -> tuple[dict[str, Any], Learned]:
         if is_mcap(path):
             result = read_result(path)
             if result.subject.name != "head":
-                what = "result knows no head"
+                what = "not a result of a head tracker"
                 raise ResultError(what, where=path, found=f"a {result.subject.name}", expected=_EXPECTED)
             data = result.attachment(ATTACHMENT)
         else:
@@ -103,22 +103,22 @@ def read_model(path: Path) -> tuple[dict[str, Any], Learned]:
         raise ResultError("cannot be read", where=path, found=error.strerror or error) from error
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         found = f"no {error}" if isinstance(error, KeyError) else error
-        raise ResultError("is no model of a head", where=path, found=found, expected=_EXPECTED) from error
+        raise ResultError("not a head model", where=path, found=found, expected=_EXPECTED) from error
     learned = {name: values for name, values in contents.items() if name.startswith(_PREFIX)}
     return header, {name.removeprefix(_PREFIX): values for name, values in learned.items()}
 
 
 def _check(header: Any) -> None:
     if not isinstance(header, dict):
-        raise ValueError(f"a header that is a {type(header).__name__}")
+        raise ValueError(f"header of type {type(header).__name__}")
     if (header["format"], header["version"]) != (FORMAT, VERSION):
         raise ValueError(f"{header['format']} version {header['version']}")
     if tuple(header["points"]) != POINT_NAMES:
-        raise ValueError("other feature points")
+        raise ValueError("different feature points")
     if not isinstance(header["tracker"], str) or not isinstance(header["cameras"], list):
-        raise ValueError("a header without tracker and cameras")
+        raise ValueError("header without tracker and cameras")
 
 
-def unusable(found: object, expected: str) -> ResultError:
-    """Return the error that says what of learned arrays is not as it must be."""
+def damaged_model(found: object, expected: str) -> ResultError:
+    """Return the error for learned arrays with an unexpected layout."""
     return ResultError("model is incomplete or damaged", found=found, expected=expected)

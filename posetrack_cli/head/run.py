@@ -1,4 +1,4 @@
-"""A head run: every frame of a recording through a head tracker into a result, in one pass or two."""
+"""One run of a head tracker: all frames of a recording, in one pass or two, into a result."""
 
 from __future__ import annotations
 
@@ -43,14 +43,13 @@ from posetrack_cli.tracking.two_pass import (
 
 @dataclass(frozen=True)
 class HeadRunOptions(tracking_options.RunOptions):
-    """What a head run depends on besides recording and configuration.
+    """Options of a head run besides recording and configuration.
 
     Attributes:
-        init: a file with clicked points; None finds the face.
-        load_model: begin with what an earlier run of the same person has learned.
-        save_model: write what this one has.
-        person: a result that says who it is, for one camera.
-        landmarks: from elsewhere.
+        load_model: model of the same person to start from.
+        save_model: output file for the learned model.
+        person: result that defines the person, for one camera.
+        landmarks: face landmarks from another program.
     """
 
     load_model: Path | None = None
@@ -64,19 +63,19 @@ class HeadRun(TwoPassRun):
 
     Args:
         recording: images of calibrated cameras, the reference first.
-        config: the tracker's, for the record.
-        options: the rest.
+        config: of the tracker, for the record.
+        options: run options.
         name: of the tracker, for the record.
-        subject: what its estimates are of.
-        flush_frames: estimates between two checkpoints.
-        make_tracker: of each pass.
-        origin: (B,) what the coefficients of the neutral face are called in results; zeros without.
-        first_pass: called with every estimate of the first of two passes; none of them is written.
-        stated: what the record says besides, such as that intrinsics were guessed.
+        subject: of the estimates.
+        flush_frames: frames between two checkpoints.
+        make_tracker: called for each pass.
+        origin: (B,) coefficients of the neutral face in results; zeros by default.
+        first_pass: called with each estimate of the first of two passes, none of which is written.
+        extra_record: additional entries of the record, such as guessed intrinsics.
 
     Raises:
-        UsageError: an output may not be written, no frame to track, or a model that cannot be used.
-        ResultError: a model file that cannot be read.
+        UsageError: an output may not be written, there is no frame to track, or the model does not fit.
+        ResultError: the model file cannot be read.
     """
 
     tracker: LearningTracker[Any]
@@ -94,21 +93,21 @@ class HeadRun(TwoPassRun):
         make_tracker: MakeTracker,
         origin: FloatArray | None = None,
         first_pass: Report = lambda estimate: None,
-        stated: Mapping[str, str] = MappingProxyType({}),
+        extra_record: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
         check_head_run(recording, options)
         super().__init__(recording, options, flush_frames, config.run.passes, make_tracker, first_pass)
         self._config, self.velocity_model = config, track_model(config).velocity
-        told = options.landmarks
-        self._use = None if told is None else KeypointUse(told.name, told.sets, "landmarks")
+        landmarks = options.landmarks
+        self._use = None if landmarks is None else KeypointUse(landmarks.name, landmarks.sets, "landmarks")
         self._origin = np.zeros(len(subject.shape_names)) if origin is None else origin
         self.subject, self._name, load = subject, name, options.load_model
-        self._seen: FaceEvidence | None = None
-        self.tracker = make_tracker(None) if load is None else self._knowing(load)
-        self.record = {**head_record(name, recording, config, options), **stated}
+        self._evidence: FaceEvidence | None = None
+        self.tracker = make_tracker(None) if load is None else self._tracker_from_model(load)
+        self.record = {**head_record(name, recording, config, options), **extra_record}
 
-    def _knowing(self, path: Path) -> LearningTracker[Any]:
-        """Return a tracker that begins with a model file, by whose name whatever is wrong with it is told."""
+    def _tracker_from_model(self, path: Path) -> LearningTracker[Any]:
+        """Return a tracker that starts from a model file; its errors name the file."""
         learned = load_model(path, self._recording.cameras, self._name)
         try:
             return self._make_tracker(learned)
@@ -116,25 +115,29 @@ class HeadRun(TwoPassRun):
             raise ResultError(str(error), where=path) from error
 
     def start_state(self, frame: Frame, rng: np.random.Generator) -> Any:
-        """Return the state in which the head has yet to be found."""
+        """Return the state before the first frame."""
         return self.tracker.start(frame, rng)
 
     def learned_by(self, state: Any, *, for_second_pass: bool = False) -> Learned:
-        """Return what the tracker has learned of the face; NothingTrackedError if it never found one."""
+        """Return what the tracker learned of the face.
+
+        Raises:
+            NothingTrackedError: no face was found in any frame.
+        """
         searched = self.tracker.not_found(state)
         if searched:
-            seen = self._seen or self._look(self.sampled())
+            evidence = self._evidence or self._examine(self.sampled())
             raise NothingTrackedError(
                 "no face found",
                 where=self._recording.path,
-                found=f"{searched}; {seen.seen}",
-                hint=seen.reason or _hint(self._recording),
+                found=f"{searched}; {evidence.seen}",
+                hint=evidence.reason or _hint(self._recording),
             )
         return self.tracker.learned(state, for_second_pass=for_second_pass)
 
     @contextmanager
     def open_memory(self, writer: ResultWriter) -> Iterator[HeadMemory | None]:
-        """Open what will be smoothed; None if nothing is."""
+        """Open the store of frames for smoothing; None without smoothing."""
         if not self._options.smooth:
             yield None
             return
@@ -144,7 +147,7 @@ class HeadRun(TwoPassRun):
             yield memory
 
     def finish(self, writer: ResultWriter, state: Any) -> dict[str, str]:
-        """Attach what was learned, and write it where asked."""
+        """Attach the learned model to the result and write it to ``save_model`` if requested."""
         data = model_bytes(self.learned_by(state), self._recording.cameras, self._name)
         writer.attach(ATTACHMENT, MEDIA_TYPE, data)
         if self._options.save_model is not None:
@@ -153,47 +156,47 @@ class HeadRun(TwoPassRun):
         return {"passes": str(self._config.run.passes)}
 
     def evidence(self, frames: Sequence[Frame]) -> str:
-        """Return what frames show, and the likeliest reason why hardly any was tracked: part of a line."""
-        return self._look(frames).line
+        """Return statistics of frames and the most likely cause of a poor track, as part of a line."""
+        return self._examine(frames).line
 
-    def _look(self, frames: Sequence[Frame]) -> FaceEvidence:
-        self._seen = FaceEvidence(self._recording, self._config.start.detection, frames)
-        return self._seen
+    def _examine(self, frames: Sequence[Frame]) -> FaceEvidence:
+        self._evidence = FaceEvidence(self._recording, self._config.start.detection, frames)
+        return self._evidence
 
     def on_frame(self, frame: Frame) -> None:
-        """Remember whether there were landmarks of a frame."""
+        """Record whether the frame had landmarks."""
         if self._use is not None:
             self._use.see(frame.index, frame.stamp_ns)
 
     def remarks(self, state: Any) -> tuple[str, ...]:
-        """Return what the tracker remarks, and whether few frames had landmarks."""
+        """Return the tracker's warnings, and one if few frames had landmarks."""
         unused = () if self._use is None else self._use.remarks
         return (*unused, *self.tracker.remarks(state))
 
 
 def _hint(recording: Recording) -> str:
-    """What helps where no face is found; more than 8 bits are more often of depth than of infrared light."""
+    # more than 8 bits are more often depth than infrared
     if any(isinstance(pixels, Grey) and pixels.bits > PLAIN_BITS for pixels in recording.pixels):
-        return "are these images of depth? posetrack hand run tracks hands in them"
-    return "--init FILE begins with clicked points; --detector yunet finds faces that haar misses"
+        return "if these are depth images, use posetrack hand run"
+    return "start from clicked points with --init FILE, or try --detector yunet"
 
 
 def check_head_run(recording: Recording, options: HeadRunOptions) -> None:
-    """Refuse what can be refused without looking at a frame.
+    """Check outputs before reading any frame.
 
     Raises:
-        UsageError: an output may not be written, or result and model are one file.
+        UsageError: an output may not be written, or result and model are the same file.
     """
     replace = options.overwrite or options.resume
     check_output(options.output, overwrite=replace, source=recording.path)
     if options.save_model is not None:
         own = (options.output, part_path(options.output), state_path(options.output))
         if real_path(options.save_model) in [real_path(path) for path in own]:
-            raise UsageError("result and model cannot be one file", where=options.save_model)
+            raise UsageError("result and model must be different files", where=options.save_model)
         if not options.overwrite and state_path(options.save_model).exists():
             where = part_path(options.save_model)
             raise UsageError(
-                "is of an interrupted run", where=where, hint="choose another name for the model"
+                "file of an interrupted run", where=where, hint="choose another name for the model"
             )
         check_target(options.save_model, overwrite=replace, source=recording.path)
 
@@ -204,13 +207,13 @@ def head_record(
     config: HeadStereoConfig | HeadMonoConfig,
     options: HeadRunOptions,
 ) -> dict[str, str]:
-    """What a result states about its run: all that its bytes depend on but the machine, nothing else.
+    """Return the run record: everything that determines the bytes of the result, except the machine.
 
     Args:
         tracker: its name.
-        recording: its identity is stated, not its path.
-        config: resolved, with the defaults.
-        options: frames, seed; of files their names and contents, as these may change.
+        recording: recorded by identity, not by path.
+        config: resolved, with defaults.
+        options: frames and seed; files by name and digest, as their contents may change.
     """
     init = None if options.init is None else Path(options.init)
     files = {"init": init, "load_model": options.load_model, "person": options.person}

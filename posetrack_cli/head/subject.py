@@ -1,4 +1,4 @@
-"""The head as a subject of results, and how heads move."""
+"""The head as a subject of results, its motion model and its diagnostics."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from posetrack_cli.results.estimate import Subject
 from posetrack_cli.tracking.confidence import SIGN
 from posetrack_cli.tracking.velocity import VelocityModel
 
-# How heads move, and what tracks of them are wrong by, for each tracker **[ours]**
+# Motion and systematic errors of tracked heads, for each tracker **[ours]**
 
 
 @dataclass(frozen=True, eq=False)
 class TrackModel:
-    """What one of the trackers is known to do.
+    """Motion model and systematic errors of a tracker.
 
     Attributes:
-        systematic_sd: (6,) what a whole track is wrong by, alike in all frames, so that no particle tells: mm
-            in camera axes and rad about the head's axes. It comes from where a person's points are taken to
-            be in the head, and is part of the variances that a result states.
-        velocity: of the six entries of a head's pose, for the velocity that a result states.
-        deformation: for smoothing, how many of their standard deviations the deformations explain; 0 is none.
-        expression_mm: (K,) for smoothing, how far expressions move points in addition to that.
+        systematic_sd: (6,) standard deviations of errors common to all frames of a track, which the particles
+            cannot show: mm in camera axes and rad about the head's axes. They come from the assumed places of
+            the person's points in the head, and are part of the variances in results.
+        velocity: motion model of the six pose components, for the velocity in results.
+        deformation: for smoothing, scale of the standard deviations of the deformation; 0 disables it.
+        expression_mm: (K,) for smoothing, additional motion of each point in expressions.
     """
 
     systematic_sd: FloatArray
@@ -42,18 +42,18 @@ def _six(position: float, rotation: float) -> FloatArray:
 
 
 START_SD = _six(200.0, 2.0)
-"""Of a head's velocity where a track begins, mm/s and rad/s: as of a hand's."""
+"""Standard deviations of a head's velocity at the start of a track, mm/s and rad/s."""
 
 STEREO_TRACK = TrackModel(
-    # root mean squares over twelve rendered people
+    # RMS errors over twelve rendered people
     systematic_sd=np.concatenate([[2.6, 2.3, 3.3], np.radians([2.3, 1.8, 1.4])]),
     velocity=VelocityModel(_six(40.0, 0.5), _six(0.1, 0.001), START_SD),
-    # several cameras measure points, and learn deformations from few frames
+    # the cameras measure points directly, and the deformations are learned from few frames
     deformation=0.0,
     expression_mm=of_kinds(eyes=0.3, mouth=5.0, nostrils=1.0, brows=2.0),
 )
 MONO_TRACK = TrackModel(
-    # chosen on twelve people, ten of whom were tracked with what was learned from the others
+    # tuned on twelve people, leaving out each person from the training of the appearance model
     systematic_sd=np.concatenate([[1.0, 1.0, 3.0], np.radians([1.7, 1.1, 0.45])]),
     velocity=VelocityModel(_six(90.0, 0.8), _six(0.3, 0.003), START_SD),
     deformation=1.0,
@@ -62,39 +62,39 @@ MONO_TRACK = TrackModel(
 
 
 def track_model(config: HeadStereoConfig | HeadMonoConfig) -> TrackModel:
-    """Return that of the tracker which a configuration is for."""
+    """Return the track model for a configuration."""
     return MONO_TRACK if isinstance(config, HeadMonoConfig) else STEREO_TRACK
 
 
-# What a head's result holds beside its pose: names of points, deformation coefficients and diagnostics.
+# Contents of a head result besides the pose.
 #
-# ``Estimate.points`` are the recalculated points, in camera axes: M' of several cameras, m^ at the depths of
-# the adjusted face of one. In the head's own axes they are the 3K numbers of its shape, which is how they are
-# exported. ``Estimate.shape`` holds the deformation: of several cameras the B coefficients a of the learnt
-# model, mm along orthonormal directions (3.1), of one camera the A' parameters a of (4.15), without unit.
-# ``Estimate.numbers`` tell how far the model has been learnt, or who the person is taken for: the identity
-# parameters s, and how far they moved over the last adjustments; and what the face does (``head.actions``).
+# ``Estimate.points``: refined points in camera axes; M' with several cameras, m^ at the depths of the
+# adjusted face with one. They are exported in the head's own axes, as its shape.
+# ``Estimate.shape``: deformation; with several cameras the B coefficients a of the learned model, mm along
+# orthonormal directions (3.1), with one camera the A' parameters a of (4.15), without unit.
+# ``Estimate.numbers``: progress of the learned model, or the identity s and its spread over recent
+# adjustments, followed by facial actions (``head.actions``) and confidence signs.
 
 
 HEAD = "head"
 RIGHT_DEG, RIGHT_MM = 3.0, 5.0
-"""Largest rotation error and mean error of the points, in head coordinates, of a frame that is right."""
+"""Error limits of a correct frame: rotation, and mean distance of the points in head coordinates."""
 COLOUR = (0.3, 0.85, 0.95, 1.0)
 WEIGHT = "weight_"
 SKIN_SHARE = "skin_share"
-"""Of the numbers of a head that one camera sees, how far its pose is that of its skin."""
+"""Name of the number that states how much of the pose comes from the skin, one camera only."""
 SIGNS = ("misfit", "smallness", "unsteadiness", "unseen", "unmatched")
-"""Of what confidence is made, in the order of ``head.tracker.frame_tracker``."""
+"""Inputs of the confidence model, in the order of ``head.tracker.frame_tracker``."""
 SIGN_NAMES = tuple(f"{SIGN}{name}" for name in SIGNS)
 
 
 def head_subject(camera_frame: str, components: int, numbers: tuple[str, ...] | None = None) -> Subject:
-    """Return the subject of a head whose face deforms in so many components (B; 0 of a rigid one).
+    """Return the subject of a head with B deformation components.
 
     Args:
-        camera_frame: that its pose is relative to.
-        components: B.
-        numbers: names of the diagnostics; those of the stereo tracker without. The signs follow them.
+        camera_frame: reference frame of the pose.
+        components: B; 0 for a rigid face.
+        numbers: names of the diagnostics, by default those of the stereo tracker. The signs are appended.
     """
     return Subject(
         HEAD,
@@ -122,16 +122,15 @@ def stereo_diagnostic_names(components: int) -> tuple[str, ...]:
 
 @dataclass(frozen=True, eq=False)
 class StereoDiagnostics:
-    """The further numbers of one frame; what is not known is NaN.
+    """Diagnostics of one frame with several cameras; unknown values are NaN.
 
     Attributes:
-        eigenvalues: (up to B,) of the model learnt so far, mm^2, descending.
-        contribution_ratio: share of the variance of the samples that the B components hold, 0 to 1 (figure
-            3.10).
-        learnt_frames: how many frames the model was learnt from.
+        eigenvalues: (up to B,) of the model learned so far, mm^2, descending.
+        contribution_ratio: share of the sample variance in the B components, 0 to 1 (figure 3.10).
+        learnt_frames: number of frames that trained the model.
         score: mean correlation of the visible points, -1 to 1.
-        weights: (K,) how much each point counted, 0 (hidden, turned away or unlike) to 1.
-        moved: (K, 3) mm, the points' displacements from the neutral face, which tell its actions.
+        weights: (K,) weight of each point, 0 (hidden, turned away or unlike) to 1.
+        moved: (K, 3) mm, displacements from the neutral face, from which the actions are estimated.
     """
 
     eigenvalues: FloatArray
@@ -151,7 +150,7 @@ class StereoDiagnostics:
 
 
 def mono_subject(camera_frame: str, model: FaceModel) -> Subject:
-    """Return the subject of a head that one camera sees."""
+    """Return the subject of a head tracked with one camera."""
     return head_subject(camera_frame, model.deformation_size, mono_diagnostic_names(model.identity_size))
 
 
@@ -174,20 +173,20 @@ def mono_diagnostic_names(identities: int) -> tuple[str, ...]:
 
 @dataclass(frozen=True, eq=False)
 class MonoDiagnostics:
-    """The further numbers of one frame; what is not known is NaN.
+    """Diagnostics of one frame with one camera; unknown values are NaN.
 
     Attributes:
         identity: (S,) s, the mean of the last adjustments, (4.36).
         spread: (S,) standard deviation of s over them.
-        person: how many other people were seen before this one.
-        size, size_sd: what the lengths of the likeliest such person are multiplied by, 1 where nothing tells,
+        person: index of the person in order of appearance.
+        size, size_sd: scale factor of the person relative to the most likely size, 1 without a measurement,
             and the standard deviation of its logarithm.
-        adjusted_frames: how many frames this person was adjusted from.
+        adjusted_frames: number of frames used to adjust this person.
         rms_px: root mean square distance of the points from the adjusted face, pixels.
-        skin_share: how far the pose is the skin's, 0 to 1.
+        skin_share: share of the skin in the pose, 0 to 1.
         score: mean correlation of the visible points, -1 to 1.
-        weights: (K,) how much each point counted, 0 (hidden, turned away or unlike) to 1.
-        moved: (K, 3) mm, the points' displacements from the neutral face, which tell its actions.
+        weights: (K,) weight of each point, 0 (hidden, turned away or unlike) to 1.
+        moved: (K, 3) mm, displacements from the neutral face, from which the actions are estimated.
     """
 
     identity: FloatArray

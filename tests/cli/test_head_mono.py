@@ -77,8 +77,8 @@ def test_no_face_is_one_line_with_frames_and_score(
     assert GUESSED.format(160) in guessed
     assert "no face found, found 3 frames searched, best score 0.00" in told
     # noise of 90 to 109: its 5th and 95th percentile, and nothing to be blamed
-    assert "3 images looked at, 8-bit grey: a face in 0; brightness 90 to 109, median 10" in told
-    assert "0 % of pixels white; --init FILE begins" in told
+    assert "3 images checked (8-bit grey): face in 0; brightness 90 to 109, median 10" in told
+    assert "0 % of pixels white; start from clicked points with --init FILE" in told
     assert [path.name for path in tmp_path.iterdir()] == ["noise"]
 
 
@@ -157,7 +157,7 @@ def test_a_model_that_stereo_learned_is_refused(tmp_path: Path, capsys: pytest.C
     recording, model = write_noise(tmp_path / "noise"), tmp_path / "stereo.npz"
     model.write_bytes(model_bytes({}, [CAMERA], "head-stereo"))
     assert mono(recording, tmp_path / "r.mcap", "--fps", "30", "--load-model", model) == 2
-    expected = "model was learned by another tracker, found head-stereo, expected head-mono"
+    expected = "model belongs to another tracker, found head-stereo, expected head-mono"
     assert expected in lines(capsys)[-1]
     assert not list(tmp_path.glob("r.mcap*"))
 
@@ -200,7 +200,7 @@ def test_a_model_with_another_header_is_one_line(
     np.savez(model, header=np.array(json.dumps(header)))
     assert mono(recording, tmp_path / "r.mcap", "--fps", "30", "--load-model", model) == 1
     (told,) = lines(capsys)
-    assert told.startswith(f"posetrack: {model}: is no model of a head, found ")
+    assert told.startswith(f"posetrack: {model}: not a head model, found ")
 
 
 def test_a_video_that_cannot_be_opened(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -311,7 +311,7 @@ def test_a_video_without_calibration_is_tracked_on_a_guess_that_is_said(
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
-        (lambda image: np.rot90(image, 1), "faces are found once images are turned clockwise by 90 degrees"),
+        (lambda image: np.rot90(image, 1), "faces are detected after a clockwise rotation by 90 degrees"),
         (lambda image: image // 16, "images are dark"),
         (lambda image: np.maximum(image, np.uint8(255)), "100 % of pixels white; images are mostly white"),
     ],
@@ -533,4 +533,4 @@ def test_images_of_depth_are_told_from_faces(tmp_path: Path, capsys: pytest.Capt
         depth = rng.integers(600, 4000, (CAMERA.height, CAMERA.width), dtype=np.uint16)
         cv2.imwrite(str(folder / f"{index:06d}.png"), depth)
     assert mono(folder, tmp_path / "r.mcap", "--fps", "30") == EXIT_DATA_LOST
-    assert lines(capsys)[-1].endswith("; are these images of depth? posetrack hand run tracks hands in them")
+    assert lines(capsys)[-1].endswith("; if these are depth images, use posetrack hand run")

@@ -139,7 +139,7 @@ def test_what_is_stated_besides_is_in_the_record(tmp_path: Path) -> None:
         subject=head_subject(CAMERAS[0].name, COMPONENTS),
         flush_frames=3,
         make_tracker=FakeTracker,
-        stated={"scale": "prior"},
+        extra_record={"scale": "prior"},
     ).track(ignored)
     assert read_result(tmp_path / "r.mcap").run["scale"] == "prior"
 
@@ -260,7 +260,7 @@ def test_what_is_resumed_is_never_deleted(track: Track, tmp_path: Path, passes: 
 
 @pytest.mark.parametrize("name", ["r.mcap", "r.mcap.part", "r.mcap.part.state"])
 def test_a_model_is_not_written_over_the_result(track: Track, tmp_path: Path, name: str) -> None:
-    with pytest.raises(UsageError, match="result and model cannot be one file"):
+    with pytest.raises(UsageError, match="result and model must be different files"):
         track(Memory(), save_model=tmp_path / name, overwrite=True)
     assert not list(tmp_path.iterdir())
 
@@ -269,7 +269,7 @@ def test_a_model_is_not_written_over_another_interrupted_run(track: Track, tmp_p
     for name in ("other.mcap", "r.mcap"):
         track(Memory(), name, stopped=after(5))
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
-    with pytest.raises(UsageError, match=r"other\.mcap\.part: is of an interrupted run"):
+    with pytest.raises(UsageError, match=r"other\.mcap\.part: file of an interrupted run"):
         track(Memory(), resume=True, save_model=tmp_path / "other.mcap")
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
@@ -284,7 +284,7 @@ def test_a_model_file_is_not_written_through_a_link(track: Track, tmp_path: Path
 
 def test_a_model_of_other_cameras_is_refused(track: Track, tmp_path: Path) -> None:
     (tmp_path / "one.npz").write_bytes(model_bytes({"mean": np.zeros((10, 3))}, CAMERAS[:1], NAME))
-    with pytest.raises(UsageError, match="another number of cameras, found 1, expected 2"):
+    with pytest.raises(UsageError, match="different number of cameras, found 1, expected 2"):
         track(Memory(), load_model=tmp_path / "one.npz")
     assert not (tmp_path / "r.mcap").exists()
     assert not part_path(tmp_path / "r.mcap").exists()
@@ -313,7 +313,9 @@ def test_a_result_without_model_is_none(tmp_path: Path, track: Track) -> None:
 
 def test_a_hand_s_result_knows_no_head(tmp_path: Path) -> None:
     hand = write_hand_result(tmp_path / "hand.mcap")
-    with pytest.raises(ResultError, match=r"hand\.mcap: result knows no head, found a hand, expected what"):
+    with pytest.raises(
+        ResultError, match=r"hand\.mcap: not a result of a head tracker, found a hand, expected a file"
+    ):
         load_model(hand, CAMERAS, NAME)
 
 
@@ -325,7 +327,7 @@ def test_a_model_is_not_written_over(track: Track, tmp_path: Path) -> None:
 
 
 def test_result_and_model_are_two_files(track: Track, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="result and model cannot be one file"):
+    with pytest.raises(UsageError, match="result and model must be different files"):
         track(Memory(), save_model=tmp_path / "." / "r.mcap")
     assert not list(tmp_path.iterdir())
 
@@ -349,7 +351,7 @@ def test_a_run_of_which_hardly_any_frame_is_tracked_says_what_images_show(
     assert track(Memory(60, appears=57), "enough.mcap").failure == ""
     outcome = track(Memory(60, appears=58))
     assert outcome.failure.startswith("only 2 of 60 frames tracked: ")
-    assert "a face in 0; brightness 0 to 0, median 0, 0 % of pixels white; images are dark" in outcome.failure
+    assert "face in 0; brightness 0 to 0, median 0, 0 % of pixels white; images are dark" in outcome.failure
     remarks = read_result(tmp_path / "r.mcap").summary["remarks"]
     assert remarks == "; ".join((outcome.failure, *outcome.remarks))
     track(Memory(60, appears=58), "again.mcap", stopped=after(59))

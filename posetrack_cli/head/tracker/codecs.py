@@ -19,7 +19,7 @@ from posetrack_cli.head.face.points import COEFFICIENTS, POINT_COUNT, HeadPose
 from posetrack_cli.head.face.templates import CAMERAS, TemplateSet
 from posetrack_cli.head.initialisation.mono import DetectedFace
 from posetrack_cli.head.initialisation.search import Search
-from posetrack_cli.head.model_file import unusable
+from posetrack_cli.head.model_file import damaged_model
 from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.head.skin.map import SkinMap
 from posetrack_cli.head.skin.matching import HEIGHT, WIDTH, SkinAlbum, SkinView
@@ -150,7 +150,7 @@ def known_people(learned: Arrays, people: Codec[tuple[KnownPerson, ...]]) -> tup
 
 def unusable_people(found: object) -> ResultError:
     """Return the error that says what of learned arrays is not as it must be."""
-    return unusable(found, "what --save-model wrote of a run with this face model")
+    return damaged_model(found, "a model saved by a run with this face model")
 
 
 class _AlbumCodec(Codec[Album]):

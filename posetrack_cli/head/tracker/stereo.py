@@ -20,7 +20,7 @@ from posetrack_cli.head.initialisation.clicked import ClickedInitialiser, Clicke
 from posetrack_cli.head.initialisation.search import InitFailure
 from posetrack_cli.head.initialisation.stereo import StereoInitialisation, StereoInitialiser
 from posetrack_cli.head.landmarks.faces import LandmarkFile, Landmarks
-from posetrack_cli.head.model_file import unusable
+from posetrack_cli.head.model_file import damaged_model
 from posetrack_cli.head.refinement.refine import (
     KEYFRAME_CORRELATION,
     KEYFRAME_NEUTRAL_MM,
@@ -334,7 +334,7 @@ class StereoCodecs:
         try:
             return self._known.from_arrays(learned)
         except LayoutError as error:
-            raise unusable(error, "what --save-model wrote of a stereo run") from error
+            raise damaged_model(error, "a model saved by a stereo run") from error
 
 
 def _state(sets: tuple[TemplateSet, ...], **parts: Any) -> StereoState:
