@@ -1,6 +1,6 @@
-"""Many recordings at once: each tracked in a process of its own, on one machine or on a cluster.
+"""Batch tracking of many recordings, one process per recording, on one machine or a Dask cluster.
 
-``jobs`` says what is to be done, ``records`` what was done before, ``performing`` does one job
-where it runs, in a process of its own, ``engine`` gives jobs to Dask, ``running`` goes through a batch, and
-``summary`` tells what came of it.
+``sources`` lists the recordings, ``jobs`` defines jobs and outcomes, ``records`` stores them between runs,
+``execution`` runs one job in a child process, ``engine`` submits jobs to Dask, ``scheduling`` runs a
+batch, and ``summary`` evaluates the results.
 """

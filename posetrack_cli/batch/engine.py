@@ -1,8 +1,8 @@
-"""Jobs given to Dask: on this machine, or on a cluster that exists. The only module that knows Dask.
+"""Job execution with Dask, on this machine or on a running cluster. The only module that imports Dask.
 
-A job's work is done by a process of its own (``performing``), so on one machine the workers are threads of
-this process: nothing has to start. On a cluster each thread of each worker does one job at a time; results,
-records and recordings lie in folders that all of them see under the same names.
+Each job runs in its own child process (``execution``), so local workers are threads of this process. On a
+cluster, each worker thread runs one job at a time; recordings, results and records must be on a shared file
+system that is mounted at the same path everywhere.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from queue import Empty, SimpleQueue
 from typing import Any
 from uuid import uuid4
 
+from posetrack_cli.batch.execution import Progress
 from posetrack_cli.batch.jobs import Job, Limits, Outcome, State
-from posetrack_cli.batch.performing import Progress
 from posetrack_cli.build import source_digest
 from posetrack_cli.errors import PosetrackError, UsageError
 
@@ -28,45 +28,46 @@ try:
     import distributed
     from dask.system import CPU_COUNT
     from distributed import Client, Event, LocalCluster
-except ModuleNotFoundError as missing:  # the extra is not installed
+except ModuleNotFoundError as missing:
     raise UsageError(
-        f"posetrack batch needs the extra packages of posetrack[batch], and {missing.name} is missing",
+        f"posetrack batch needs the optional dependencies of posetrack[batch]; {missing.name} is missing",
         hint="pip install 'posetrack[batch]'",
     ) from missing
 
 CONNECT_S = 15.0
-_CHECKED_EVERY_S = 1.0
-"""So often a job on a worker asks whether it shall stop."""
+# A worker polls the stop event at this interval; every poll is a round trip to the scheduler.
+_STOP_POLL_S = 1.0
 _DASHBOARD = "127.0.0.1:8787"
-_NOBODYS_PORT = "127.0.0.1:0"
-"""Dask serves its state over HTTP, wanted or not: on any free port, for this machine alone. Left to itself it
-takes the same port for every batch, and any network's."""
-_TOLD_EVERY_S = 1.0
+# Dask always serves its state over HTTP, by default on one fixed port of all interfaces. Port 0 picks a free
+# one, so that concurrent batches do not collide, and 127.0.0.1 keeps it private.
+_FREE_LOCAL_PORT = "127.0.0.1:0"
+_PROGRESS_EVERY_S = 1.0
 _TOPIC = "posetrack-batch"
 _SETTINGS = {
     "distributed.scheduler.allowed-failures": 1,
     "distributed.admin.log-length": 0,
+    # Memory is used by the child processes, which --memory-limit bounds; Dask must not kill the worker.
     "distributed.worker.memory.terminate": False,
-    "distributed.worker.use-file-locking": False,  # a batch's scratch folder is its own
+    "distributed.worker.use-file-locking": False,  # each batch has its own scratch folder
 }
 
-Perform = Callable[[Job, Limits, Progress, Callable[[], bool]], Outcome]
+RunJob = Callable[[Job, Limits, Progress, Callable[[], bool]], Outcome]
 
 
 class EngineError(PosetrackError):
-    """A cluster that cannot be used."""
+    """The cluster is unreachable or runs another build of posetrack."""
 
 
 @dataclass(frozen=True)
-class Where:
-    """Which machines do the jobs.
+class EngineOptions:
+    """Where the jobs of a batch run.
 
     Attributes:
-        jobs: how many at a time on this machine.
-        scheduler: address of a cluster's scheduler; None for this machine.
-        scheduler_file: of a cluster's scheduler; None for this machine.
-        scratch: folder that Dask may write to on this machine; None leaves that to Dask, which leaves files.
-        dashboard: whether Dask's page about its state is served.
+        jobs: number of concurrent jobs on this machine.
+        scheduler: address of a running Dask scheduler; None to use this machine.
+        scheduler_file: scheduler file of a running Dask scheduler; None to use this machine.
+        scratch: folder for Dask's temporary files; None for Dask's default, which is not cleaned up.
+        dashboard: serve the Dask dashboard.
     """
 
     jobs: int = 1
@@ -77,19 +78,19 @@ class Where:
 
     @property
     def is_cluster(self) -> bool:
-        """Whether they are of a cluster that exists."""
+        """Whether the jobs run on a Dask cluster."""
         return self.scheduler is not None or self.scheduler_file is not None
 
 
 @dataclass(frozen=True)
-class Told:
-    """How far a job is.
+class JobProgress:
+    """Progress of a job.
 
     Attributes:
-        job: its name.
-        pass_name: of what is done.
-        frames: that are done.
-        of: how many there are; None where that is not known.
+        job: name of the job.
+        pass_name: name of the current pass over the frames.
+        frames: number of finished frames.
+        of: total number of frames; None if unknown.
     """
 
     job: str
@@ -99,27 +100,27 @@ class Told:
 
 
 class Engine:
-    """Does jobs, as many at a time as its machines have places.
+    """Runs jobs on all worker threads of a scheduler.
 
     Args:
-        client: of the scheduler.
-        perform: does a job, where it runs.
-        told: called, in another thread, with how far a job is.
+        client: Dask client.
+        run_job: function that runs a job; called on the worker.
+        on_progress: progress callback; called from another thread.
     """
 
-    def __init__(self, client: Client, perform: Perform, told: Callable[[Told], None]) -> None:
-        self._client, self._perform = client, perform
+    def __init__(self, client: Client, run_job: RunJob, on_progress: Callable[[JobProgress], None]) -> None:
+        self._client, self._perform = client, run_job
         self._run = uuid4().hex
         self._topic = f"{_TOPIC}-{self._run}"
         self._stop = Event(f"{_TOPIC}-stop-{self._run}", client=client)
         self._done: SimpleQueue[tuple[str, Any]] = SimpleQueue()
-        self._futures: dict[str, Any] = {}  # of jobs that are not over: Dask drops what nobody holds
-        client.subscribe_topic(self._topic, lambda event: told(Told(*event[1])))
+        self._futures: dict[str, Any] = {}  # Dask cancels a job when its last future is garbage-collected
+        client.subscribe_topic(self._topic, lambda event: on_progress(JobProgress(*event[1])))
 
-    def submit(self, job: Job, limits: Limits, *, goes_on: bool = False) -> None:
-        """Give a job; those that were given first begin first, and what goes on with one before all."""
+    def submit(self, job: Job, limits: Limits, *, is_continuation: bool = False) -> None:
+        """Submit a job. Jobs start in order of submission, continuations before all others."""
         future = self._client.submit(
-            _perform_there,
+            _perform_on_worker,
             self._perform,
             job,
             limits,
@@ -127,13 +128,13 @@ class Engine:
             self._stop.name,
             key=f"{job.name}-{job.kind}-{self._run}",
             pure=False,
-            priority=int(goes_on),
+            priority=int(is_continuation),
         )
         self._futures[job.name] = future
         future.add_done_callback(lambda done, name=job.name: self._done.put((name, done)))
 
     def next_outcome(self, timeout_s: float) -> Outcome | None:
-        """Wait for the next job that is over; None if none is so soon. Nothing of it is kept here."""
+        """Return the outcome of the next job to end, or None if none ends within ``timeout_s``."""
         try:
             name, future = self._done.get(timeout=timeout_s)
         except Empty:
@@ -141,18 +142,18 @@ class Engine:
         self._futures.pop(name, None)
         try:
             outcome: Outcome = future.result(timeout=CONNECT_S)
-        except BaseException as error:  # of workers that died, and of Dask
-            outcome = Outcome(name, State.FAILED, _line_of(error))
+        except BaseException as error:  # Dask reports dead workers and lost connections as exceptions
+            outcome = Outcome(name, State.FAILED, _failure_reason(error))
         future.release()
         return outcome
 
     def stop(self) -> None:
-        """Have jobs stop after the frame at hand, and begin no others."""
+        """Stop running jobs after their current frame; start no further ones."""
         with suppress(OSError, TimeoutError):
             self._stop.set()
 
-    def places(self) -> int:
-        """How many jobs can be done at a time just now."""
+    def capacity(self) -> int:
+        """Return the current number of worker threads; 0 if the scheduler cannot be reached."""
         with suppress(OSError, TimeoutError):
             return sum(self._client.nthreads().values())
         return 0
@@ -160,42 +161,48 @@ class Engine:
 
 @contextmanager
 def open_engine(
-    where: Where,
-    perform: Perform,
-    told: Callable[[Told], None] = lambda progress: None,
+    where: EngineOptions,
+    run_job: RunJob,
+    on_progress: Callable[[JobProgress], None] = lambda progress: None,
     note: Callable[[str], None] = lambda line: None,
 ) -> Iterator[Engine]:
-    """Start workers here, or connect to a cluster.
+    """Start local workers or connect to a cluster; shut down on exit.
+
+    Args:
+        where: machines to use.
+        run_job: function that runs a job; called on the worker.
+        on_progress: progress callback.
+        note: called with a line of text for the user.
 
     Raises:
-        EngineError: there is no cluster where one should be, or it has another build of posetrack.
+        EngineError: no scheduler responds, or a worker runs another build of posetrack.
     """
     for name in ("distributed", "distributed.worker", "distributed.scheduler", "distributed.nanny"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
     with ExitStack() as stack:
         scratch = {} if where.scratch is None else {"temporary-directory": str(where.scratch)}
         stack.enter_context(dask.config.set(_SETTINGS | scratch))
-        client = stack.enter_context(_connected(where) if where.is_cluster else _started(where))
+        client = stack.enter_context(_cluster_client(where) if where.is_cluster else _local_client(where))
         if where.is_cluster:
             _check_cluster(client, note)
         if where.dashboard:
-            note(f"dashboard: {_dashboard_of(client, where)}")
-        yield Engine(client, perform, told)
+            note(f"dashboard: {_dashboard_url(client, where)}")
+        yield Engine(client, run_job, on_progress)
 
 
 @contextmanager
-def _started(where: Where) -> Iterator[Client]:
-    """A client of one worker in this process, whose threads each wait for the process of a job."""
+def _local_client(where: EngineOptions) -> Iterator[Client]:
+    """Start one worker in this process; each of its threads waits for the child process of a job."""
     if where.dashboard and find_spec("bokeh") is None:
-        raise UsageError("--dashboard needs Bokeh, which is missing", hint="pip install bokeh")
+        raise UsageError("--dashboard needs Bokeh, which is not installed", hint="pip install bokeh")
     with (
         LocalCluster(
             n_workers=1,
             threads_per_worker=where.jobs,
             processes=False,
             dashboard_address=_DASHBOARD if where.dashboard else None,
-            scheduler_kwargs={} if where.dashboard else {"dashboard_address": _NOBODYS_PORT},
-            worker_dashboard_address=_NOBODYS_PORT,
+            scheduler_kwargs={} if where.dashboard else {"dashboard_address": _FREE_LOCAL_PORT},
+            worker_dashboard_address=_FREE_LOCAL_PORT,
             memory_limit=0,
         ) as cluster,
         Client(cluster) as client,
@@ -203,40 +210,44 @@ def _started(where: Where) -> Iterator[Client]:
         yield client
 
 
-def _dashboard_of(client: Client, where: Where) -> str:
-    """The address of Dask's page; of a scheduler here Dask names an address that it does not listen on."""
+def _dashboard_url(client: Client, where: EngineOptions) -> str:
+    """Return the URL of the Dask dashboard."""
     link: str = client.dashboard_link
     if where.is_cluster:
         return link
+    # For an in-process scheduler, dashboard_link names an interface that Dask does not listen on.
     port = client.scheduler_info()["services"]["dashboard"]
     return f"http://{_DASHBOARD.partition(':')[0]}:{port}/status"
 
 
 @contextmanager
-def _connected(where: Where) -> Iterator[Client]:
-    """A client of a scheduler that exists."""
+def _cluster_client(where: EngineOptions) -> Iterator[Client]:
+    """Connect to a running scheduler."""
     place = where.scheduler_file if where.scheduler is None else where.scheduler
     hint = "start one with: dask scheduler"
+    message = "no Dask scheduler responds"
     try:
-        client = _client_of(where)
+        client = _connect(where)
     except FileNotFoundError as error:
-        found = f"no such file within {CONNECT_S:g} s"
-        raise EngineError("no Dask scheduler answers", where=place, found=found, hint=hint) from error
+        found = f"no such file after {CONNECT_S:g} s"
+        raise EngineError(message, where=place, found=found, hint=hint) from error
     except OSError as error:
-        found = f"nothing within {CONNECT_S:g} s"
-        raise EngineError("no Dask scheduler answers", where=place, found=found, hint=hint) from error
-    except (ValueError, KeyError, TypeError) as error:  # no address, or no file of a scheduler
-        raise EngineError("tells of no Dask scheduler", where=place, found=error, hint=hint) from error
+        found = f"no connection after {CONNECT_S:g} s"
+        raise EngineError(message, where=place, found=found, hint=hint) from error
+    except (ValueError, KeyError, TypeError) as error:  # Dask parses addresses and files without checks
+        raise EngineError(
+            "not a Dask scheduler address or file", where=place, found=error, hint=hint
+        ) from error
     with client:
         yield client
 
 
-def _client_of(where: Where) -> Client:
+def _connect(where: EngineOptions) -> Client:
     if where.scheduler is not None:
         return Client(where.scheduler, timeout=CONNECT_S)
     assert where.scheduler_file is not None
     end_s = time.monotonic() + CONNECT_S
-    while not where.scheduler_file.is_file():  # a scheduler writes it when it is up
+    while not where.scheduler_file.is_file():  # written once the scheduler is up
         if time.monotonic() > end_s:
             raise FileNotFoundError(where.scheduler_file)
         time.sleep(0.2)
@@ -244,62 +255,63 @@ def _client_of(where: Where) -> Client:
 
 
 def _check_cluster(client: Client, note: Callable[[str], None]) -> None:
-    """Refuse workers with another posetrack; results would depend on which of them a recording meets.
+    """Raise an error if any worker runs another build, as results would depend on the worker.
 
-    The processes of workers that come later look for themselves (``cli.batch_child``).
+    Workers that join later are checked by each job's child process (``cli.batch_child``).
     """
     if not client.nthreads():
-        note("the cluster has no workers yet; waiting for some (dask worker ADDRESS)")
+        note("waiting for workers: the cluster has none (start one with: dask worker ADDRESS)")
         client.wait_for_workers(1)
     try:
-        found = client.run(_sources_there)
-    except Exception as error:  # Dask passes on what a worker raises as it likes
-        hint = "install posetrack there as it is here"
-        raise EngineError("worker has no posetrack, or another build", found=error, hint=hint) from error
+        found = client.run(_worker_sources)
+    except Exception as error:  # Dask re-raises worker exceptions, including import errors, as any type
+        hint = "install the same posetrack build on the worker"
+        raise EngineError(
+            "posetrack is missing on a worker, or is another build", found=error, hint=hint
+        ) from error
     for address, sources in found.items():
         if sources != source_digest():
             raise EngineError(
-                "worker has another build of posetrack",
+                "worker runs another build of posetrack",
                 where=address,
                 found=f"sources {sources}",
                 expected=f"sources {source_digest()}",
-                hint="install the same on client and workers; posetrack --version says which it is",
+                hint="install the same build on client and workers (check with posetrack --version)",
             )
 
 
-def _sources_there() -> str:
+def _worker_sources() -> str:
     return source_digest()
 
 
-def _perform_there(perform: Perform, job: Job, limits: Limits, topic: str, stop_name: str) -> Outcome:
-    """Do a job in a thread of a worker."""
+def _perform_on_worker(run_job: RunJob, job: Job, limits: Limits, topic: str, stop_name: str) -> Outcome:
+    """Run a job in a worker thread."""
     worker = distributed.get_worker()
     stop = Event(stop_name, client=distributed.get_client())
     threads = limits.threads or max(1, CPU_COUNT // worker.state.nthreads)
-    asked_s = told_s = float("-inf")
+    polled_s = sent_s = float("-inf")
     is_stopped = False
 
     def stopped() -> bool:
-        nonlocal asked_s, is_stopped
-        if not is_stopped and (now := time.monotonic()) - asked_s >= _CHECKED_EVERY_S:
-            asked_s = now
+        nonlocal polled_s, is_stopped
+        if not is_stopped and (now := time.monotonic()) - polled_s >= _STOP_POLL_S:
+            polled_s = now
             with suppress(OSError, TimeoutError):
                 is_stopped = stop.is_set()
         return is_stopped
 
     def progress(pass_name: str, frames: int, of: int | None) -> None:
-        nonlocal told_s
-        if (now := time.monotonic()) - told_s >= _TOLD_EVERY_S:
-            told_s = now
+        nonlocal sent_s
+        if (now := time.monotonic()) - sent_s >= _PROGRESS_EVERY_S:
+            sent_s = now
             worker.log_event(topic, (job.name, pass_name, frames, of))
 
-    return perform(job, replace(limits, threads=threads), progress, stopped)
+    return run_job(job, replace(limits, threads=threads), progress, stopped)
 
 
-def _line_of(error: BaseException) -> str:
-    """Why there is no outcome, in words of ours where it is known."""
+def _failure_reason(error: BaseException) -> str:
     if isinstance(error, distributed.KilledWorker):
-        return "the worker died each time that it was tried"
+        return "worker died on every attempt"
     if isinstance(error, distributed.CancelledError):
-        return "the connection to the scheduler was lost"
+        return "lost connection to the scheduler"
     return f"{type(error).__name__}: {error}"

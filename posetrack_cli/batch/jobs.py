@@ -1,4 +1,4 @@
-"""What is to be done: jobs, and their pieces."""
+"""Jobs of a batch, their outcomes, and splitting long recordings into overlapping pieces."""
 
 from __future__ import annotations
 
@@ -22,41 +22,37 @@ from posetrack_cli.results.joining import join_results as join
 from posetrack_cli.results.reader import load_arrays, read_result
 from posetrack_cli.tracking.options import is_hardly_tracked
 
-# What a batch does: jobs, the limits they run under, and what comes of each
-
-
+# Bounds of the values in a job record; records are untrusted input.
 Finite = Annotated[float, Field(ge=0.0, le=limits.NUMBER, allow_inf_nan=False)]
 Count = Annotated[int, Field(ge=0, le=limits.INTEGER)]
-"""What a record of a job, which a stranger may have written, must hold."""
 
 RECORDS_FOLDER = ".batch"
-"""Below the folder of results: what a batch needs besides; others than results have no place elsewhere."""
+"""Folder for records, logs and unjoined pieces, inside the results folder."""
 
 
 def record_path(results: Path, name: str) -> Path:
-    """Return the place of what is known of a job; its log and pieces that are not joined yet lie beside it.
-
-    Folders and files end differently, so that no name of a recording or a folder meets another one's.
+    """Return the path of a job's record. Its log and its unjoined pieces are stored next to it.
 
     Args:
-        results: the folder of results.
-        name: of the job's result below it, without ending.
+        results: results folder.
+        name: path of the job's result relative to ``results``, without extension.
     """
     *folders, last = Path(name).parts
+    # The suffix ".dir" keeps the folder of "a/b" apart from the record and pieces of a recording "a".
     return Path(results, RECORDS_FOLDER, "records", *(f"{one}.dir" for one in folders), f"{last}.json")
 
 
 PIECE = "//"
-"""Before the number in the name of a piece's job; recordings are named by paths, which never have it."""
+"""Separates recording and number in the name of a piece's job; normalised paths never contain it."""
 
 
 def recording_of(name: str) -> str:
-    """Return the name of the recording's job that a job is, or is a piece of."""
+    """Return the job name of the recording that a job, or the job of a piece, belongs to."""
     return name.partition(PIECE)[0]
 
 
 class Kind(StrEnum):
-    """What the process of a job does."""
+    """Task of a job's child process."""
 
     TRACK = "track"
     SPLIT = "split"
@@ -64,7 +60,7 @@ class Kind(StrEnum):
 
 
 class State(StrEnum):
-    """What came of a job."""
+    """Final state of a job."""
 
     DONE = "done"
     KEPT = "kept"
@@ -74,11 +70,11 @@ class State(StrEnum):
 
 @dataclass(frozen=True)
 class Piece:
-    """A stretch of a recording that is tracked by itself.
+    """A range of frames that is tracked as a job of its own.
 
     Attributes:
-        start, end: frames that are tracked, ``end`` not included; they overlap with other pieces.
-        first, last: those of them that the joined result has, ``last`` not included.
+        start, end: tracked frames, half-open; they overlap with neighbouring pieces.
+        first, last: frames that the piece contributes to the joined result, half-open.
     """
 
     start: Count
@@ -89,24 +85,24 @@ class Piece:
 
 @dataclass(frozen=True)
 class Job:
-    """One recording, or a piece of one, and what becomes of it.
+    """Tracking of one recording, or of a piece of one.
 
     Attributes:
-        name: unique within a batch: the result's below the folder of results, without ending, printable.
-        command: that tracks it, such as ``("hand", "run")``.
+        name: unique in the batch; path of the result relative to ``results``, without extension, printable.
+        command: tracking command, such as ``("hand", "run")``.
         recording: file or folder.
-        arguments: the command's options, without recording, output and what to do with an earlier output.
-        output: the result.
-        record: what is known of the job (``records.JobRecord``); its log lies beside it.
-        results: folder below which output and record lie; no link in it is followed.
-        truth: file that the result is compared with; None takes what the result carries.
-        gates: conditions under which the result fails.
-        page: about the result, to be written; None writes none.
-        kind: what is done.
-        chunk_s, overlap_s: of a recording that is split: length of a piece and of what it shares, s.
-        pieces: of a recording that is joined.
-        digests: of the recording's files, where a process before has computed them (``identity.Digests``).
-        sources: digest of the posetrack that does it (``build.source_digest``).
+        arguments: options of the command, except recording, output, ``--resume`` and ``--overwrite``.
+        output: path of the result.
+        record: path of the job's record (``records.JobRecord``); the log is next to it.
+        results: results folder, which contains output and record; symbolic links in it are not followed.
+        truth: ground-truth file; None uses the ground truth in the result.
+        gates: gates that the result must pass.
+        page: path of the HTML page to write about the result; None writes none.
+        kind: task of the child process.
+        chunk_s, overlap_s: length and overlap of the pieces of a recording that is split, s.
+        pieces: results and pieces to join.
+        digests: digests of the recording's files that an earlier process computed (``identity.Digests``).
+        sources: digest of the posetrack sources that must run the job (``build.source_digest``).
     """
 
     name: str
@@ -128,28 +124,28 @@ class Job:
 
     @property
     def log(self) -> Path:
-        """What the process prints."""
+        """Path of the log with the output of the child process."""
         return self.record.with_suffix(".log")
 
     @property
     def pieces_folder(self) -> Path:
-        """Where its pieces lie until they are joined."""
+        """Folder of the pieces until they are joined."""
         return self.record.with_suffix(".pieces")
 
     def as_kind(self, kind: Kind, **changes: Any) -> Job:
-        """The job of the same recording that does something else."""
+        """Return a job of another kind for the same recording."""
         return replace(self, kind=kind, **changes)
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What the process of a job may take.
+    """Resource limits of a job's child process.
 
     Attributes:
-        memory_bytes: of its data; None for no limit.
-        timeout_s: wall-clock seconds; None for no limit.
-        threads: that share its work; 0 for as many as there are cores for each job on the machine.
-        redo: whether a finished result, or what there is of one, is replaced.
+        memory_bytes: limit of its data segment; None for no limit.
+        timeout_s: wall-clock limit, s; None for no limit.
+        threads: number of threads; 0 divides the cores of the machine among its jobs.
+        redo: replace finished and partial results.
     """
 
     memory_bytes: int | None = None
@@ -160,21 +156,21 @@ class Limits:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a job.
+    """Result of running a job.
 
     Attributes:
-        name: the job's.
-        state: what came of it.
-        reason: why it failed, or why it was done again; one line.
-        last_lines: what its process printed last, where it failed.
-        exit_code: of its process; None where there was none, or it was killed.
-        seconds, cpu_s: wall-clock and processor time of this process.
-        peak_bytes: the most memory it held.
-        frames: that it tracked.
-        lost_data: whether some of the recording could not be used (exit code 3).
-        pieces: of a recording that was split.
-        remarks: what the command said that a user should know.
-        digests: that its process has computed.
+        name: name of the job.
+        state: final state.
+        reason: why it failed or was repeated; one line.
+        last_lines: last lines of the log of a failed job.
+        exit_code: exit code of the child process, negative for a signal; None if none was started.
+        seconds, cpu_s: wall-clock and CPU time of the child process, s.
+        peak_bytes: peak resident memory, bytes.
+        frames: number of tracked frames.
+        lost_data: whether part of the recording was unusable (exit code 3).
+        pieces: pieces of a recording that was split.
+        remarks: notes for the user from the tracking command.
+        digests: file digests that the child process computed.
     """
 
     name: str
@@ -192,12 +188,12 @@ class Outcome:
     digests: Mapping[str, tuple[Count, str]] = field(default_factory=dict)
 
     @property
-    def is_there(self) -> bool:
-        """Whether its output is finished."""
+    def has_result(self) -> bool:
+        """Whether the job has a finished result."""
         return self.state in (State.DONE, State.KEPT)
 
 
-# A long recording in pieces that overlap: where they begin and end, and their results as one
+# Splitting and joining of long recordings
 
 
 _NS = 1_000_000_000
@@ -213,14 +209,15 @@ def split_frames(
     stride: int = 1,
     looks_ahead: bool = False,
 ) -> list[Piece]:
-    """Return the pieces of a recording, of equal length by its stamps; one where it is short.
+    """Split a recording into pieces of equal duration; a short one is returned as a single piece.
 
     Args:
-        recording: is read once, without decoding its images.
-        chunk_s: length of a piece, s; the last takes what is left of half a piece or less.
-        overlap_s: what a piece is tracked for before its own frames, s.
-        start, end, stride: which frames are tracked of all.
-        looks_ahead: whether later frames matter, too (a smoothed track): pieces then overlap on both sides.
+        recording: read once, without decoding images.
+        chunk_s: duration of a piece, s; a remainder of at most half a piece is added to the last.
+        overlap_s: duration tracked before the frames that a piece contributes, s.
+        start, end, stride: selection of frames to track.
+        looks_ahead: whether results depend on later frames (``--smooth``), so that pieces must overlap on
+            both sides.
     """
     stamps: list[int] = []
     numbers: list[int] = []
@@ -232,21 +229,21 @@ def split_frames(
             numbers.append(number)
             stamps.append(frame.stamp_ns)
     if not numbers:
-        return [Piece(start, start + 1, start, start + 1)]  # tracking it tells that there is nothing
+        return [Piece(start, start + 1, start, start + 1)]  # tracking this piece reports the missing frames
     return pieces_of(numbers, stamps, chunk_s, overlap_s, overlap_s if looks_ahead else 0.0)
 
 
 def pieces_of(
     numbers: Sequence[int], stamps: Sequence[int], chunk_s: float, before_s: float, after_s: float
 ) -> list[Piece]:
-    """Return the pieces of frames with these numbers and stamps (ns), both increasing.
+    """Split frames into pieces.
 
-    Every frame is one piece's own: ``first`` of a piece is ``last`` of the one before.
+    Each frame is contributed by exactly one piece: ``first`` of a piece is ``last`` of the previous one.
 
     Args:
-        numbers, stamps: at least one.
-        chunk_s: length of a piece, s.
-        before_s, after_s: what it is tracked for before and after its own frames, s.
+        numbers, stamps: frame numbers and stamps (ns), both increasing; at least one.
+        chunk_s: duration of a piece, s.
+        before_s, after_s: duration tracked before and after the frames that a piece contributes, s.
     """
     length, ahead, later = (round(seconds * _NS) for seconds in (chunk_s, before_s, after_s))
     count = max(1, round((stamps[-1] - stamps[0]) / length))
@@ -255,7 +252,7 @@ def pieces_of(
     pieces = []
     for own, after in pairwise(cuts):
         if own == after:
-            continue  # a gap in the recording
+            continue  # a gap in the recording spans the whole piece
         before = bisect_left(stamps, stamps[own] - ahead)
         behind = bisect_left(stamps, stamps[after - 1] + later + 1)
         pieces.append(Piece(numbers[before], numbers[behind - 1] + 1, numbers[own], _last(numbers, after)))
@@ -263,19 +260,19 @@ def pieces_of(
 
 
 def _last(numbers: Sequence[int], after: int) -> int:
-    """The number of the frame behind a piece's own."""
+    """Return the end (exclusive) of the frames that a piece contributes."""
     return numbers[after] if after < len(numbers) else numbers[-1] + 1
 
 
-def meeting_frame(one: tuple[Path, Piece], other: tuple[Path, Piece]) -> int:
-    """Return the frame from which on the joined result is that of the next piece: where both agree best.
+def handover_frame(one: tuple[Path, Piece], other: tuple[Path, Piece]) -> int:
+    """Return the frame at which the joined result switches to the next piece: where both agree best.
 
-    Of the frames that both have tracked the later half is looked at: the next piece has found what it tracks
-    by then, and has forgotten that it had to look for it. Where fingers are hidden two tracks may differ by a
-    centimetre for a while; they meet as soon as the fingers show.
+    Only the later half of the common frames is considered, so that the track of the next piece has settled
+    after its initialisation. Tracks of hidden fingers can differ by 1 cm and converge once the fingers are
+    visible.
 
     Args:
-        one, other: results and pieces, one behind the other.
+        one, other: results and pieces, in temporal order.
     """
     (before, after), first = (load_arrays(path) for path, _ in (one, other)), other[1].first
     both, rows, columns = np.intersect1d(before["frame_index"], after["frame_index"], return_indices=True)
@@ -291,12 +288,12 @@ def meeting_frame(one: tuple[Path, Piece], other: tuple[Path, Piece]) -> int:
 def join_results(
     pieces: Sequence[tuple[Path, Piece]], output: Path, chunk_s: float, overlap_s: float
 ) -> bool:
-    """Write one result of those of the pieces, whose record says how it was made; an older one is replaced.
+    """Join the results of the pieces, switching at ``handover_frame``; overwrite an existing output.
 
-    One piece goes over to the next where they agree best (``meeting_frame``).
+    The run record of the joined result states how it was split.
 
     Returns:
-        Whether some of the recording could not be used, or hardly any of it was tracked.
+        Whether data was lost: part of the recording was unusable, or hardly any frame was tracked.
     """
     first, last = pieces[0][1], pieces[-1][1]
     changes = {
@@ -306,7 +303,7 @@ def join_results(
         "overlap_s": f"{overlap_s:g}",
         "pieces": str(len(pieces)),
     }
-    cuts = [first.first, *(meeting_frame(*pair) for pair in pairwise(pieces)), last.last]
+    cuts = [first.first, *(handover_frame(*pair) for pair in pairwise(pieces)), last.last]
     shares = [Share(path, *own) for (path, _), own in zip(pieces, pairwise(cuts), strict=True)]
     join(shares, output, changes, overwrite=True)
     summary = read_result(output).summary

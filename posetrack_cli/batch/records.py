@@ -1,4 +1,4 @@
-"""What is known of a job: what it was made from, and what came of it; a file of JSON for each."""
+"""Job records: JSON files with the inputs and the outcome of each job."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ from posetrack_cli.recording.identity import file_digest, files_digest, files_st
 FORMAT = "posetrack.batch.job/2"
 _STAMPED_BYTES = 1 << 16
 RUNNING = "running"
-"""State of a job that nobody has noted the end of."""
+"""State of a job whose end has not been recorded."""
 
 
 @dataclass(frozen=True)
 class JobRecord:
-    """What a batch remembers of a job.
+    """Record of a job's last run.
 
     Attributes:
-        key: of the job that began last (``job_key``).
-        page: key of the page about its result (``page_key``); empty without one.
-        input: state and digest of the recording's files as they were then (``input_digest``).
-        output: the finished result (``output_stamp``), also one that is about to be replaced; empty if there
-            is none.
-        state: ``RUNNING``, or what came of it (``jobs.State``).
-        outcome: what came of it; None while it runs.
-        format: of the file; one of another format counts as none.
+        key: key of the job (``job_key``).
+        page: key of the page about its result (``page_key``); empty without a page.
+        input: state and digest of the recording's files at that time (``input_digest``).
+        output: stamp of the finished result (``output_stamp``), or of the result that the running job is
+            about to replace; empty if there is none.
+        state: ``RUNNING`` or the final state (``jobs.State``).
+        outcome: outcome of the job; None while it runs.
+        format: format of the record file.
     """
 
     key: str
@@ -55,67 +55,70 @@ _READER = TypeAdapter(JobRecord)
 
 
 class DamagedRecordError(PosetrackError):
-    """A record that does not say what a record says: nothing of it is believed."""
+    """The record is unreadable, invalid or of another format; its job is repeated."""
 
 
 def read_record(path: Path) -> JobRecord | None:
-    """Return what is known of a job; None where there is no record.
+    """Return the record of a job, or None if there is none.
 
     Raises:
-        DamagedRecordError: the record cannot be read, or no batch of this version wrote it.
+        DamagedRecordError: the record is unreadable, invalid or of another format.
     """
     try:
         record = _READER.validate_json(read_text(path, limits.TEXT_BYTES), strict=True)
     except (FileNotFoundError, NotADirectoryError):
         return None
     except (OSError, ValueError) as error:
-        raise DamagedRecordError("record of a job cannot be read", where=path) from error
+        raise DamagedRecordError("job record is damaged", where=path) from error
     if record.format != FORMAT:
-        raise DamagedRecordError("record of a job is of another format", where=path)
+        raise DamagedRecordError(
+            "job record has an unsupported format", where=path, found=record.format, expected=FORMAT
+        )
     return record
 
 
 def write_record(path: Path, record: JobRecord) -> None:
-    """Keep what is known of a job.
+    """Write the record of a job atomically.
 
     Raises:
-        ResultError: it cannot be written.
+        ResultError: the record cannot be written.
     """
     with whole_or_nothing(path) as part:
         write_output(part, _READER.dump_json(record, indent=1))
 
 
 def job_key(job: Job, digest: str) -> str:
-    """Return what tells jobs apart whose results differ: input, command, options with the files that they
-    name, posetrack's sources and libraries. Not the processor, which changes only last digits (``summary``).
+    """Return a hash of everything that determines the result of a job.
 
-    Where a recording is split, and how the pieces are tracked, follows from these.
+    Covers input, command, options and the files they name, and the posetrack sources and libraries. The
+    processor type is left out: it only changes the last digits (``Summary.processors``).
 
     Args:
-        job: of a recording or a piece of it.
-        digest: of the recording (``input_digest``).
+        job: job of a recording or a piece.
+        digest: digest of the recording (``input_digest``).
     """
+    # Split points and the options of the pieces are functions of these values and need no keys.
     chunks = [job.chunk_s, job.overlap_s]
     files = sorted(_digests_of_options(job.arguments).items())
     return _digest_of([job.sources, libraries(), job.command, job.arguments, digest, chunks, files])
 
 
 def page_key(job: Job) -> str:
-    """Return what tells pages about one result apart; nothing where none is written."""
+    """Return a hash of everything that determines the page about a result; empty without a page."""
     if job.page is None:
         return ""
     return _digest_of([job.sources, "" if job.truth is None else input_digest(job.truth, {})["sha256"]])
 
 
 def input_digest(path: Path, known: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the digest of a recording's files, and the state in which they had it.
+    """Return the state (names, sizes, modification times) and the SHA-256 digest of a recording's files.
 
     Args:
-        path: the file or folder.
-        known: of an earlier call; where the files' state is as then nothing is read.
+        path: file or folder of the recording.
+        known: return value of an earlier call; files whose state is unchanged are not read again.
 
     Raises:
-        RecordingError: it cannot be read.
+        RecordingError: a file cannot be read, or the folder has too many files.
     """
     try:
         files = list(islice(_files_of(path), limits.SEARCH_ENTRIES + 1))
@@ -123,7 +126,7 @@ def input_digest(path: Path, known: Mapping[str, Any]) -> dict[str, Any]:
         raise RecordingError("cannot be read", where=path, found=error.strerror or error) from error
     if len(files) > limits.SEARCH_ENTRIES:
         raise RecordingError(
-            "folder holds too many files", where=path, expected=f"at most {limits.SEARCH_ENTRIES}"
+            "folder has too many files", where=path, expected=f"at most {limits.SEARCH_ENTRIES}"
         )
     state = files_state(files)
     if known.get("state") == state and "sha256" in known:
@@ -133,11 +136,12 @@ def input_digest(path: Path, known: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def output_stamp(path: Path) -> tuple[int, str] | tuple[()]:
-    """Return what tells a finished result from another: its size, and a digest of its end, where MCAP has its
-    index and checksums; nothing where there is none. Copies are equal.
+    """Return the size of a result and a digest of its last 64 KiB; empty if it does not exist.
+
+    The end of an MCAP file holds its index and checksums, so results with different content differ there.
 
     Raises:
-        OSError: it cannot be read, or is no regular file.
+        OSError: the file cannot be read, or is not a regular file.
     """
     if not path.exists():
         return ()
@@ -148,7 +152,7 @@ def output_stamp(path: Path) -> tuple[int, str] | tuple[()]:
 
 
 def _files_of(path: Path) -> Iterator[tuple[str, Path]]:
-    """The files that a recording is made of, by their names relative to it, in their order."""
+    """Yield the files of a recording with their relative names, sorted."""
     if not path.is_dir():
         yield path.name, path
         return
@@ -161,7 +165,7 @@ def _files_of(path: Path) -> Iterator[tuple[str, Path]]:
 
 
 def _digests_of_options(arguments: Iterable[str]) -> dict[str, str]:
-    """Digests of the files that options name, by the option: whatever is the name of a file is one."""
+    """Return the digests of all option values that name an existing file, by option."""
     found: dict[str, str] = {}
     for argument in arguments:
         _, _, value = argument.partition("=")
@@ -169,7 +173,7 @@ def _digests_of_options(arguments: Iterable[str]) -> dict[str, str]:
             path = Path(value)
             if value and path.is_file():
                 found[argument] = file_digest(path)[1]
-        except (OSError, ValueError):  # no name of a file: too long, or with a zero
+        except (OSError, ValueError):  # not a file name: too long, or contains a null character
             continue
     return found
 

@@ -1,4 +1,4 @@
-"""Recordings of a batch: patterns, lists, manifests."""
+"""Recordings of a batch, given as paths, glob patterns, lists or manifests."""
 
 from __future__ import annotations
 
@@ -22,43 +22,44 @@ from posetrack_cli.errors import UsageError
 from posetrack_cli.files import read_text, real_path
 from posetrack_cli.text import one_line, parse_toml
 
-# Paths that match a pattern, found within bounds: a stranger's list may hold the pattern ``/**``
+# Glob patterns. The search is bounded, as an untrusted list may contain the pattern ``/**``.
 
 
 MAGIC = "*?["
-"""Signs that make a name a pattern."""
+"""Characters that make a name a pattern."""
 _ANY_DEPTH = "**"
 
 
 class Search:
-    """Looks for the recordings of one batch, at no more than ``limits.SEARCH_ENTRIES`` files and folders."""
+    """Glob search of one batch, bounded by ``limits.SEARCH_ENTRIES`` files and folders in total."""
 
     def __init__(self) -> None:
         self._left = limits.SEARCH_ENTRIES
 
     def matches(self, pattern: Path) -> list[Path]:
-        """Return the sorted paths that match, as ``glob.glob`` with ``**`` does, but for links.
+        """Return the sorted paths that match, like a recursive ``glob.glob``.
 
-        Folders below ``**`` count once by where they lie, so that links which form a ring end.
+        Unlike there, ``**`` visits each folder once, even if several symbolic links lead to it, so that
+        cyclic links end.
 
         Raises:
-            UsageError: there is too much to look at.
+            UsageError: the pattern has too many parts or visits too many files.
         """
         try:
             found = set(self._expanded("", pattern.parts))
         except RecursionError:
-            raise UsageError("pattern of too many parts", where=pattern) from None
+            raise UsageError("pattern has too many parts", where=pattern) from None
         except _TooMuchError:
             raise UsageError(
-                "pattern looks at too many files and folders",
+                "pattern visits too many files and folders",
                 where=pattern,
                 expected=f"at most {limits.SEARCH_ENTRIES}",
-                hint="begin it with the folder that holds the recordings",
+                hint="start it with the folder of the recordings",
             ) from None
         return [Path(one) for one in sorted(found)]
 
     def _expanded(self, base: str, parts: Sequence[str]) -> Iterator[str]:
-        """The paths below a folder that match the parts of a pattern."""
+        """Yield the paths below a folder that match the parts of a pattern."""
         if not parts:
             yield base
             return
@@ -76,17 +77,18 @@ class Search:
                 if fits(entry.name) and not _is_hidden(entry, part) and (not rest or _is_folder(entry)):
                     yield from self._expanded(path, rest)
         else:
-            path = os.path.join(base, part)  # noqa: PTH118 as Path it would lose nothing but time
-            if os.path.isdir(path) if rest else os.path.lexists(path):  # noqa: PTH112 the same
+            path = os.path.join(base, part)  # noqa: PTH118 strings are faster than Path here and below
+            if os.path.isdir(path) if rest else os.path.lexists(path):  # noqa: PTH112
                 yield from self._expanded(path, rest)
 
     def _folders_below(self, base: str) -> Iterator[str]:
-        """A folder and those below it; links come last, so that folders keep their own names."""
+        """Yield a folder and all folders below it, each once."""
+        # Symbolic links are visited last, so that a folder reached both ways is reported by its real path.
         folders, links, seen = [base], deque[str](), set[tuple[int, int]]()
         while folders or links:
             folder = folders.pop() if folders else links.popleft()
             try:
-                state = os.stat(folder or os.curdir)  # noqa: PTH116 the same
+                state = os.stat(folder or os.curdir)  # noqa: PTH116
             except (OSError, ValueError):
                 continue
             place = state.st_dev, state.st_ino
@@ -99,13 +101,13 @@ class Search:
                     (links if entry.is_symlink() else folders).append(path)
 
     def _entries(self, folder: str) -> Iterator[tuple[str, os.DirEntry[str]]]:
-        """What lies in a folder, with its path; nothing where the folder cannot be read."""
+        """Yield the entries of a folder with their paths; none if the folder cannot be read."""
         self._count()
         try:
             with os.scandir(folder or os.curdir) as entries:
                 for entry in entries:
                     self._count()
-                    yield os.path.join(folder, entry.name), entry  # noqa: PTH118 the same
+                    yield os.path.join(folder, entry.name), entry  # noqa: PTH118
         except (OSError, ValueError):
             return
 
@@ -116,7 +118,7 @@ class Search:
 
 
 class _TooMuchError(Exception):
-    """A search that comes to its bound."""
+    """The search has reached its limit."""
 
 
 def _is_hidden(entry: os.DirEntry[str], part: str) -> bool:
@@ -126,63 +128,64 @@ def _is_hidden(entry: os.DirEntry[str], part: str) -> bool:
 def _is_folder(entry: os.DirEntry[str]) -> bool:
     try:
         return entry.is_dir()
-    except OSError:  # links that form a ring
+    except OSError:  # cyclic symbolic link
         return False
 
 
-# Files that options of a manifest name: models and configurations have to lie in its folder
+# Files named by options of a manifest. Models and configurations must be inside the manifest's folder, so
+# that an untrusted manifest cannot make the tracker read other files.
 
 
 _CONFIGURATION, _ASSIGNMENT = "config", "set"
 _MODELS = ("detector-model", "face-model", "hand-mesh", "load-model", "person", "shape")
 
 
-def reachable(manifest: Path, option: str, value: Any) -> Any:
-    """Return the value of an option; a file that lies where the manifest does is named from here.
+def resolved_option(manifest: Path, option: str, value: Any) -> Any:
+    """Return the value of an option, with file names relative to the manifest resolved.
 
     Raises:
-        UsageError: it names a model or a configuration that lies outside the manifest's folder.
+        UsageError: the value names a model or a configuration outside the manifest's folder.
     """
     if isinstance(value, list):
-        return [reachable(manifest, option, one) for one in value]
+        return [resolved_option(manifest, option, one) for one in value]
     if not isinstance(value, str) or not value:
         return value
     path = manifest.parent / value
     value = str(path) if path.exists() else value
-    for file in _read_by(option, value):
+    for file in _files_read_by(option, value):
         if file.is_file() and not real_path(file).is_relative_to(real_path(manifest.parent)):
             raise UsageError(
-                f"option '{option}' names a file outside the manifest's folder",
+                f"option '{option}' refers to a file outside the manifest's folder",
                 where=manifest,
                 found=file,
-                hint="copy it into that folder, or give it to posetrack batch as an option",
+                hint="copy the file into that folder, or pass the option to posetrack batch",
             )
     return value
 
 
-def _read_by(option: str, value: str) -> Iterator[Path]:
-    """Yield files that a tracker may read because of an option, also those that a configuration names."""
+def _files_read_by(option: str, value: str) -> Iterator[Path]:
+    """Yield the files that an option makes the tracker read, including those named in a configuration."""
     if option in _MODELS or option == _CONFIGURATION:
         yield Path(value)
-    with suppress(OSError, ValueError):  # what it is instead is refused when it is read
+    with suppress(OSError, ValueError):  # an invalid configuration is reported when the tracker reads it
         if option == _CONFIGURATION:
-            texts = _texts(parse_toml(read_text(Path(value), limits.TEXT_BYTES)))
+            texts = _strings(parse_toml(read_text(Path(value), limits.TEXT_BYTES)))
             yield from (Path(value).parent / text for text in texts)
         elif option == _ASSIGNMENT:
             text = value.partition("=")[2].strip()
             yield Path(text)
-            yield from map(Path, _texts(parse_toml(f"value = {text}")))
+            yield from map(Path, _strings(parse_toml(f"value = {text}")))
 
 
-def _texts(value: Any) -> Iterator[str]:
+def _strings(value: Any) -> Iterator[str]:
     if isinstance(value, str):
         yield value
     elif isinstance(value, dict | list):
         for one in value.values() if isinstance(value, dict) else value:
-            yield from _texts(one)
+            yield from _strings(one)
 
 
-# Which recordings a batch is of: patterns, a list of names, or a manifest with options of each
+# Recordings from paths and patterns, lists and manifests
 
 
 _LIST_ENDINGS = (".txt", ".list")
@@ -194,11 +197,11 @@ class Source:
 
     Attributes:
         path: file or folder.
-        name: of its result, below the folder of results and without ending.
-        options: of the command, by long name without dashes: text, numbers, true for switches, or lists.
-        truth: that its result is measured with.
-        gates: conditions under which that fails.
-        manifest: that it is of, if any.
+        name: path of its result relative to the results folder, without extension.
+        options: command options by long name without dashes; strings, numbers, true for flags, or lists.
+        truth: ground-truth file for its result.
+        gates: gates for its result.
+        manifest: manifest that lists the recording; None if it was given otherwise.
     """
 
     path: Path
@@ -214,10 +217,10 @@ class ManifestRecording(Settings):
 
     Attributes:
         path: file, folder or pattern, relative to the manifest.
-        name: of the result; by default the recording's. Not of a pattern.
-        options: of the command.
-        truth: file that the result is measured with; by default what the recording carries.
-        gates: conditions under which it fails.
+        name: name of the result; defaults to the name of the recording. Invalid for several recordings.
+        options: command options.
+        truth: ground-truth file, relative to the manifest; defaults to ground truth in the recording.
+        gates: gates for the result.
     """
 
     path: str
@@ -228,12 +231,12 @@ class ManifestRecording(Settings):
 
 
 class Manifest(Settings):
-    """A file of recordings.
+    """A manifest: a TOML file that lists recordings and their options.
 
     Attributes:
-        options: of the command, for all recordings; those of a recording come first.
-        gates: for all recordings, besides their own.
-        recordings: each with what differs.
+        options: command options for all recordings; a recording's own options take precedence.
+        gates: gates for all recordings, in addition to their own.
+        recordings: one table per recording or pattern.
     """
 
     options: dict[str, bool | int | float | str | list[str]] = Field(default_factory=dict)
@@ -242,64 +245,64 @@ class Manifest(Settings):
 
 
 def find_sources(given: Sequence[str], results: Path | None = None) -> list[Source]:
-    """Return the recordings that arguments stand for.
+    """Return the recordings of a batch.
 
     Args:
-        given: each a file or folder, a pattern (``**`` goes through folders), a list of those (``.txt``) with
-            one a line, or a manifest (``.toml``).
-        results: folder of results; what a pattern finds in it is no recording.
+        given: paths of recordings, glob patterns (``**`` matches folders recursively), lists (``.txt``, one
+            path or pattern per line) or manifests (``.toml``).
+        results: results folder; patterns do not match files in it.
 
     Raises:
-        UsageError: nothing is there, or what is there cannot be meant.
+        UsageError: no recording is found, a list or manifest is invalid, or result names collide.
     """
-    look = _Look(Search(), results)
-    found = [source for one in given for source in _sources_of(one, look)]
+    scope = _SearchScope(Search(), results)
+    found = [source for one in given for source in _sources_of(one, scope)]
     _check_names(found)
     return found
 
 
 @dataclass(frozen=True)
-class _Look:
-    """How recordings of one batch are looked for: within the bounds of one search, not among its results."""
+class _SearchScope:
+    """Search state shared by all arguments of a batch."""
 
     search: Search
     results: Path | None
 
 
-def _sources_of(given: str, look: _Look) -> list[Source]:
+def _sources_of(given: str, scope: _SearchScope) -> list[Source]:
     path = Path(given)
     if path.suffix == ".toml":
-        return _read_manifest(path, look)
+        return _read_manifest(path, scope)
     if path.suffix in _LIST_ENDINGS and not path.is_dir():
-        return _read_list(path, look)
-    return [Source(path, name) for path, name in _matched(given, None, look)]
+        return _read_list(path, scope)
+    return [Source(path, name) for path, name in _matching(given, None, scope)]
 
 
-def _matched(pattern: str, base: Path | None, look: _Look) -> list[tuple[Path, str]]:
-    """The files and folders of a pattern, with names relative to the part of it without wildcards."""
+def _matching(pattern: str, base: Path | None, scope: _SearchScope) -> list[tuple[Path, str]]:
+    """Return the recordings that match a path or pattern, named relative to its part without wildcards."""
     path = Path(pattern) if base is None else base / pattern
     if not any(sign in pattern for sign in MAGIC) or path.exists():
         if not path.exists():
             raise UsageError("no such recording", where=path)
         return [(path, _plain_name(path))]
     fixed = _fixed_part(path)
-    found = look.search.matches(path)
+    found = scope.search.matches(path)
     whole = {one for one in found if is_ros2_folder(one)}
     above = {folder for one in found for folder in one.parents}
     recordings = [
         one
         for one in found
-        if one != fixed and _may_be_recording(one, above, whole) and not _is_in(one, look.results)
+        if one != fixed and _is_recording(one, above, whole) and not _is_in(one, scope.results)
     ]
     if not recordings:
         raise UsageError(
-            "no recording matches", where=path, hint="quote the pattern, so that ** is seen by posetrack"
+            "no matching recording", where=path, hint="quote the pattern so that the shell does not expand it"
         )
     return [(one, str(one.relative_to(fixed).with_suffix(""))) for one in recordings]
 
 
 def _fixed_part(pattern: Path) -> Path:
-    """The folders before the first wildcard."""
+    """Return the leading folders without wildcards."""
     parts: list[str] = []
     for part in pattern.parts[:-1]:
         if any(sign in part for sign in MAGIC):
@@ -308,13 +311,13 @@ def _fixed_part(pattern: Path) -> Path:
     return Path(*parts)
 
 
-def _may_be_recording(path: Path, above: Set[Path], whole: Set[Path]) -> bool:
-    """Whether a path is no folder in which others were found, unless it is one recording, and in none such.
+def _is_recording(path: Path, above: Set[Path], whole: Set[Path]) -> bool:
+    """Whether a matched path is a recording rather than a folder of recordings or a part of one.
 
     Args:
-        path: found by a pattern; ``**`` finds folders, too.
-        above: the folders that others were found in.
-        whole: the folders among those found that are one recording each, of ROS 2.
+        path: matched path; ``**`` also matches folders.
+        above: all parents of matched paths.
+        whole: matched folders that are one recording each (ROS 2 bags).
     """
     if path in whole or not whole.isdisjoint(path.parents):
         return path in whole
@@ -330,71 +333,74 @@ def _plain_name(path: Path) -> str:
     return Path(name).stem if path.is_file() else name
 
 
-def _read_list(path: Path, look: _Look) -> list[Source]:
-    """The recordings of a file with one name or pattern a line, relative to it; # begins a remark."""
-    lines = [line.partition("#")[0].strip() for line in _text_of(path).splitlines()]
+def _read_list(path: Path, scope: _SearchScope) -> list[Source]:
+    """Read a list with one path or pattern per line, relative to the list; ``#`` starts a comment."""
+    lines = [line.partition("#")[0].strip() for line in _read(path).splitlines()]
     found = [
         Source(recording, name)
         for line in lines
         if line
-        for recording, name in _matched(line, path.parent, look)
+        for recording, name in _matching(line, path.parent, scope)
     ]
     if not found:
-        raise UsageError("names no recording", where=path)
+        raise UsageError("list is empty", where=path, expected="one path or pattern per line")
     return found
 
 
-def _read_manifest(path: Path, look: _Look) -> list[Source]:
-    """The recordings of a manifest."""
+def _read_manifest(path: Path, scope: _SearchScope) -> list[Source]:
     try:
-        values = parse_toml(_text_of(path))
+        values = parse_toml(_read(path))
     except ValueError as error:
         raise UsageError("not a TOML file", where=path, found=error) from error
     manifest = validated(Manifest, values, path)
     if not manifest.recordings:
-        raise UsageError("names no recording", where=path, expected="tables [[recordings]]")
-    return [source for one in manifest.recordings for source in _of_manifest(path, manifest, one, look)]
+        raise UsageError("manifest lists no recording", where=path, expected="[[recordings]] tables")
+    return [source for one in manifest.recordings for source in _manifest_sources(path, manifest, one, scope)]
 
 
-def _of_manifest(path: Path, manifest: Manifest, one: ManifestRecording, look: _Look) -> Iterable[Source]:
-    found = _matched(one.path, path.parent, look)
+def _manifest_sources(
+    path: Path, manifest: Manifest, one: ManifestRecording, scope: _SearchScope
+) -> Iterable[Source]:
+    found = _matching(one.path, path.parent, scope)
     if one.name is not None and len(found) > 1:
-        raise UsageError(f"name '{one.name}' of several recordings", where=path, found=one.path)
+        raise UsageError(f"name '{one.name}' is given to several recordings", where=path, found=one.path)
     truth = None if one.truth is None else path.parent / one.truth
     if truth is not None and not truth.exists():
-        raise UsageError("no such truth", where=path, found=one.truth)
+        raise UsageError("no such ground-truth file", where=path, found=one.truth)
     given = {**manifest.options, **one.options}
-    options = {key: reachable(path, key, value) for key, value in given.items()}
+    options = {key: resolved_option(path, key, value) for key, value in given.items()}
     gates = (*manifest.gates, *one.gates)
     for recording, name in found:
         yield Source(recording, _checked_name(path, one.name or name), options, truth, gates, path)
 
 
 def _checked_name(path: Path, name: str) -> str:
-    """A name that stays below the folder of results."""
+    """Return the normalised name; raise an error if it would lead out of the results folder."""
     parts = Path(name).parts
     if not parts or Path(name).is_absolute() or ".." in parts:
-        raise UsageError("name of a result cannot be used", where=path, found=repr(name))
+        raise UsageError(
+            "invalid result name", where=path, found=repr(name), expected="a relative path without '..'"
+        )
     return str(Path(name))
 
 
-def _text_of(path: Path) -> str:
+def _read(path: Path) -> str:
     try:
         return read_text(path, limits.TEXT_BYTES)
     except OSError as error:
         raise UsageError("cannot be read", where=path, found=error.strerror or error) from error
     except UnicodeDecodeError as error:
-        raise UsageError("is no text", where=path, found=error) from error
+        raise UsageError("not a UTF-8 text file", where=path, found=error) from error
 
 
 def _check_names(sources: Sequence[Source]) -> None:
-    """Refuse two recordings whose results would be one file."""
+    """Raise an error if two recordings would write the same result file."""
     first: dict[str, Source] = {}
     for source in sources:
         other = first.setdefault(one_line(source.name), source)
         if other is not source:
             raise UsageError(
-                f"two recordings would write one result, {source.name}.mcap",
+                f"two recordings have the same result name, {source.name}.mcap",
                 found=f"{other.path} and {source.path}",
-                hint="give each a name in a manifest, or pass a folder above both as a pattern",
+                hint="set names in a manifest, or use a pattern that starts at a common parent folder",
             )

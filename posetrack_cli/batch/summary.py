@@ -1,4 +1,4 @@
-"""What came of a batch: every result measured, and one row for each recording as CSV, JSON and a page."""
+"""Summary of a batch: evaluation of all results, written as CSV, JSON and HTML with a row per recording."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 from urllib.parse import quote
 
 from posetrack_cli.batch.jobs import Job, Outcome, State
-from posetrack_cli.batch.running import states_line
+from posetrack_cli.batch.scheduling import states_line
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED
 from posetrack_cli.evaluation.html.rows_page import RowsPage, write_rows_html
 from posetrack_cli.evaluation.judging.assessment import (
@@ -23,7 +23,7 @@ from posetrack_cli.evaluation.judging.assessment import (
     assess,
     stated_options,
 )
-from posetrack_cli.evaluation.judging.gates import Gate, GateOutcome, parse_gate
+from posetrack_cli.evaluation.judging.gates import GateOutcome, parse_gate
 from posetrack_cli.evaluation.judging.rows import ResultRow, worst_first
 from posetrack_cli.evaluation.measuring.evaluate import EvalOptions
 from posetrack_cli.evaluation.reports.report_files import json_report, write_report
@@ -32,19 +32,19 @@ from posetrack_cli.tables import csv_of
 from posetrack_cli.text import printable_json
 
 PAGE, TABLE, REPORT = "index.html", "summary.csv", "summary.json"
-DATA_LOST = "some of the recording could not be used"
+DATA_LOST = "part of the recording was unusable"
 TRACKED = "tracked"
-"""What a recording is that has a result: the first of its tests in JUnit."""
+"""Title of the gate that a recording has a result: the first of its test cases in JUnit."""
 
 
 @dataclass(frozen=True)
 class Judging:
-    """How the results of a batch are judged.
+    """How the results of a batch are evaluated.
 
     Attributes:
-        request: gates for all and a baseline; results and what is asked of single ones are filled in.
+        request: common gates and baseline; ``summarise`` adds results and per-result options.
         reports: further reports, such as JUnit and Markdown.
-        most: how many results Markdown lists.
+        most: maximum number of results in the Markdown report.
     """
 
     request: Request
@@ -54,12 +54,12 @@ class Judging:
 
 @dataclass(frozen=True, eq=False)
 class Summary:
-    """What came of a batch.
+    """Outcomes and evaluation of a batch.
 
     Attributes:
-        jobs, outcomes: of every recording, in one order.
-        found: what was measured of the results; its first gates are whether each recording was tracked, so
-            that all reports and the exit code judge alike.
+        jobs, outcomes: one per recording, in the same order.
+        found: assessment of the results. Its first gates state whether each recording was tracked, so that
+            all reports and the exit code agree.
     """
 
     jobs: tuple[Job, ...]
@@ -68,28 +68,28 @@ class Summary:
 
     @property
     def unmeasured(self) -> Mapping[str, str]:
-        """Results that cannot be measured, by name, and why."""
+        """Reasons why results could not be evaluated, by name."""
         return {one.result: one.reason for one in self.found.outcomes if one.title == MEASURED}
 
     @property
     def processors(self) -> set[str]:
-        """The kinds of processor that the results were made on."""
+        """The CPU models that the results were computed on."""
         stated = (one.run.get("processor", "") for one in self.found.evaluations)
         return {kind for kinds in stated for kind in kinds.split("; ") if kind}
 
     @property
     def missing(self) -> tuple[Outcome, ...]:
-        """The recordings without a result."""
-        return tuple(one for one in self.outcomes if not one.is_there)
+        """Outcomes of the recordings without a result."""
+        return tuple(one for one in self.outcomes if not one.has_result)
 
     @property
     def failed_gates(self) -> tuple[GateOutcome, ...]:
-        """The gates that failed, without recordings that were not tracked."""
+        """The failed gates, except those for recordings that were not tracked."""
         return tuple(one for one in self.found.failed if one.title != TRACKED)
 
     @property
     def exit_code(self) -> int:
-        """Of the batch: 0 where no test failed in any report."""
+        """Exit code of the batch; 0 if no test failed in any report."""
         if any(one.state is State.STOPPED for one in self.outcomes):
             return EXIT_INTERRUPTED
         if self.failed_gates:
@@ -103,46 +103,40 @@ def summarise(
     judging: Judging,
     report: Callable[[], Any] = lambda: None,
 ) -> Summary:
-    """Measure what there is.
+    """Evaluate the results of a batch.
 
     Args:
-        jobs, outcomes: of every recording, in one order.
-        judging: how.
+        jobs, outcomes: one per recording, in the same order.
+        judging: gates, baseline and reports.
         report: called after each result.
 
     Raises:
-        PosetrackError: a gate names what no result has.
+        PosetrackError: a gate names a metric that no result has.
     """
-    there = [job for job, outcome in zip(jobs, outcomes, strict=True) if outcome.is_there]
+    tracked = [job for job, outcome in zip(jobs, outcomes, strict=True) if outcome.has_result]
     request = replace(
         judging.request,
-        results=tuple(job.output for job in there),
+        results=tuple(job.output for job in tracked),
         layout="rows",
-        own={job.output: Own(job.name, job.truth, _gates(job)) for job in there},
+        own={job.output: Own(job.name, job.truth, tuple(map(parse_gate, job.gates))) for job in tracked},
         lenient=True,
     )
     found = assess(request, report)
-    found = replace(found, outcomes=(*map(_tracked, outcomes), *found.outcomes))
+    found = replace(found, outcomes=(*map(_tracked_gate, outcomes), *found.outcomes))
     return Summary(tuple(jobs), tuple(outcomes), found)
 
 
-def _gates(job: Job) -> tuple[Gate, ...]:
-    return tuple(parse_gate(text) for text in job.gates)
-
-
-def _tracked(outcome: Outcome) -> GateOutcome:
-    """Whether a recording was tracked, all of it, told as gates are."""
-    reason = "it was stopped" if outcome.state is State.STOPPED else outcome.reason
+def _tracked_gate(outcome: Outcome) -> GateOutcome:
+    """Return the outcome of the gate that a recording was tracked completely."""
+    reason = "stopped" if outcome.state is State.STOPPED else outcome.reason
     if outcome.lost_data:
         reason = "; ".join(outcome.remarks) or DATA_LOST
-    there, failed = outcome.is_there, outcome.lost_data or not outcome.is_there
-    return GateOutcome(
-        TRACKED, outcome.name, float(there), failed, reason if failed else "there is a result", TRACKED
-    )
+    value, failed = float(outcome.has_result), outcome.lost_data or not outcome.has_result
+    return GateOutcome(TRACKED, outcome.name, value, failed, reason if failed else "result exists", TRACKED)
 
 
 def write_summary(folder: Path, summary: Summary, judging: Judging) -> None:
-    """Write the page, the table and the report into the folder of results, and what else is asked for.
+    """Write the HTML page, the CSV table and the JSON report to the results folder, and requested reports.
 
     Raises:
         ResultError: a file cannot be written.
@@ -155,14 +149,14 @@ def write_summary(folder: Path, summary: Summary, judging: Judging) -> None:
 
 
 def markdown_of(summary: Summary, judging: Judging) -> str:
-    """Return the summary that ``Reports.markdown`` writes."""
+    """Return the Markdown report."""
     options, reports = judging.request.options, Reports(markdown=Path("-"))
     ((_, text),) = report_texts(summary.found, options, reports, judging.most)
     return text
 
 
 def _rows(summary: Summary) -> Iterator[tuple[Job, Outcome, ResultRow | None]]:
-    """Every recording: those without a result, those that cannot be measured, then the worst first."""
+    """Yield all recordings: first those without a result or evaluation, then the others, worst first."""
     jobs = {job.name: job for job in summary.jobs}
     outcomes = {one.name: one for one in summary.outcomes}
     measured = {row.name: row for one in summary.found.sets for row in one.rows}
@@ -174,7 +168,7 @@ def _rows(summary: Summary) -> Iterator[tuple[Job, Outcome, ResultRow | None]]:
 
 
 def _table(summary: Summary) -> str:
-    """A line for each recording, the worst first."""
+    """Return the CSV table, one line per recording."""
     figures = list(dict.fromkeys(name for one in summary.found.sets for name in (*one.figures, *one.further)))
     facts = ("name", "recording", "state", "reason")
     lines = [[*facts, *figures, "gates_failed", "seconds", "cpu_s", "frames_per_s", "peak_mb", "remarks"]]
@@ -203,7 +197,7 @@ def _rate(outcome: Outcome) -> str:
 
 
 def _report(summary: Summary, options: EvalOptions) -> str:
-    """The report of ``eval``, which serves as a baseline, with what came of each recording."""
+    """Return the JSON report: that of ``eval``, valid as a baseline, plus the outcome of each recording."""
     found = summary.found
     report = json.loads(
         json_report(
@@ -252,7 +246,7 @@ def _page(folder: Path, summary: Summary) -> RowsPage:
 
 
 def _failure(outcome: Outcome) -> str:
-    """Why there is no result, with the process's last lines where they say more."""
+    """Return why there is no result, with the last log lines that the reason does not already contain."""
     more = [line for line in outcome.last_lines if outcome.reason not in line]
     lines = f" (last lines: {' / '.join(more)})" if more else ""
     return f"{outcome.reason or outcome.state.value}{lines}"

@@ -31,7 +31,7 @@ from posetrack_cli.errors import EXIT_DONE, PosetrackError, UsageError
 
 if TYPE_CHECKING:
     from posetrack_cli.batch.jobs import Job, Limits, Outcome
-    from posetrack_cli.batch.running import PieceArguments
+    from posetrack_cli.batch.scheduling import PieceArguments
     from posetrack_cli.batch.sources import Source
     from posetrack_cli.batch.summary import Judging, Summary
 
@@ -331,11 +331,11 @@ def _check_places(folder: Path, jobs: Sequence[Job], alike: Callable[[str], str]
 
 def _show_plan(plan: _Plan) -> None:
     """Say what would be done with each recording."""
-    from posetrack_cli.batch.performing import planned
+    from posetrack_cli.batch.execution import planned_action
 
     for job in plan.jobs:
         try:
-            way = planned(job, plan.limits)
+            way = planned_action(job, plan.limits)
         except PosetrackError as error:
             way = f"fail: {error}"
         print_line(f"{way}: {job.recording} -> {job.output}")
@@ -377,21 +377,23 @@ def _folds_case(folder: Path) -> bool:
 
 def _run(plan: _Plan, options: dict[str, Any]) -> list[Outcome]:
     """Do the jobs, and show how far they are."""
-    from posetrack_cli.batch.engine import Where, open_engine
+    from posetrack_cli.batch.engine import EngineOptions, open_engine
+    from posetrack_cli.batch.execution import run_job
     from posetrack_cli.batch.jobs import RECORDS_FOLDER
-    from posetrack_cli.batch.performing import perform
-    from posetrack_cli.batch.running import run_batch
+    from posetrack_cli.batch.scheduling import run_batch
 
     scratch = options["results"] / RECORDS_FOLDER / "scratch"
     jobs = options["jobs"] or len(os.sched_getaffinity(0))
     if plan.piece_arguments is None:
         jobs = min(jobs, len(plan.jobs))  # so that one alone has all cores
-    where = Where(jobs, options["scheduler"], options["scheduler_file"], scratch, options["dashboard"])
+    where = EngineOptions(
+        jobs, options["scheduler"], options["scheduler_file"], scratch, options["dashboard"]
+    )
     with (
         _new_folder(scratch),
         BatchProgress(len(plan.jobs)) as shown,
         stop_signals() as stopped,
-        open_engine(where, perform, shown.on_progress, shown.note) as engine,
+        open_engine(where, run_job, shown.on_progress, shown.note) as engine,
     ):
         return run_batch(engine, plan.jobs, plan.limits, plan.piece_arguments, shown.on_outcome, stopped)
 
@@ -410,7 +412,7 @@ def _new_folder(path: Path) -> Iterator[None]:
 def _close(folder: Path, summary: Summary) -> None:
     """Say what came of the batch, and set the exit code."""
     from posetrack_cli.batch.jobs import State
-    from posetrack_cli.batch.running import states_line
+    from posetrack_cli.batch.scheduling import states_line
     from posetrack_cli.batch.summary import DATA_LOST, PAGE
 
     outcomes = summary.outcomes

@@ -20,7 +20,7 @@ from posetrack_cli.cli.terminal import bar, is_quiet, print_note
 from posetrack_cli.errors import UsageError, nearest_name
 
 if TYPE_CHECKING:
-    from posetrack_cli.batch.engine import Told
+    from posetrack_cli.batch.engine import JobProgress
     from posetrack_cli.batch.jobs import Outcome
     from posetrack_cli.recording.recording import Recording
 
@@ -51,7 +51,7 @@ class BatchProgress:
     ) -> None:
         self._stack.close()
 
-    def on_progress(self, told: Told) -> None:
+    def on_progress(self, told: JobProgress) -> None:
         """A job is so far."""
         with self._lock:
             self._frames[told.job] = told.frames

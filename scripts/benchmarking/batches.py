@@ -12,7 +12,7 @@ from resource import RUSAGE_SELF, getrusage
 from benchmarking.processes import POSETRACK, Cluster, usage_of
 from benchmarking.rows import Row
 from posetrack_cli.batch.jobs import Job, Limits, Outcome, State
-from posetrack_cli.batch.running import run_batch
+from posetrack_cli.batch.scheduling import run_batch
 
 RECORDINGS = 8
 PLACES = 2
@@ -83,7 +83,7 @@ def stand_in(job: Job, limits: Limits, progress: object, stopped: object) -> Out
 
 def scheduling(folder: Path, count: int) -> Iterator[Row]:
     """What scheduling costs where jobs are very short: on many workers, in processes of this machine."""
-    from posetrack_cli.batch.engine import Where, open_engine  # Dask takes half a second
+    from posetrack_cli.batch.engine import EngineOptions, open_engine  # Dask takes half a second
 
     scripts = Path(__file__).parents[1]  # the workers do what this module says
     paths = [str(scripts), str(scripts.parent), os.environ.get("PYTHONPATH", "")]
@@ -101,9 +101,9 @@ def scheduling(folder: Path, count: int) -> Iterator[Row]:
 
     with (
         Cluster(folder, WORKERS, environment) as cluster,
-        open_engine(Where(scheduler_file=cluster.file), stand_in) as engine,
+        open_engine(EngineOptions(scheduler_file=cluster.file), stand_in) as engine,
     ):
-        while engine.places() < WORKERS:
+        while engine.capacity() < WORKERS:
             time.sleep(0.5)
         began = time.perf_counter()
         run_batch(engine, jobs, Limits(), report=report)

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from posetrack_cli.batch import performing
+from posetrack_cli.batch import execution
+from posetrack_cli.batch.execution import ProcessResult, failure_reason, run_child, was_interrupted
 from posetrack_cli.batch.jobs import Job, Limits
-from posetrack_cli.batch.performing import Ending, run_child, was_interrupted, way_of
 
 PROGRAM = """
 import json, os, signal, sys, time
@@ -46,10 +46,10 @@ told.write(json.dumps({"tracked": 9, "cpu_s": 0.5}) + "\\n{")
 def program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "stand_in.py").write_text(PROGRAM)
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr(performing, "_PROGRAM", "stand_in")
+    monkeypatch.setattr(execution, "_PROGRAM", "stand_in")
 
 
-def run(folder: Path, way: str, **options: object) -> Ending:
+def run(folder: Path, way: str, **options: object) -> ProcessResult:
     job = Job("a", ("hand", "run"), folder / "a.mcap", (), folder / "out.mcap", folder / "a.json", folder)
     return run_child(job, (way,), Limits(threads=3, timeout_s=options.pop("timeout_s", None)), **options)  # type: ignore[arg-type]
 
@@ -57,7 +57,7 @@ def run(folder: Path, way: str, **options: object) -> Ending:
 def test_a_process_tells_how_far_it_is_and_what_it_did(tmp_path: Path) -> None:
     seen: list[tuple[str, int, int | None]] = []
     ending = run(tmp_path, "go", progress=lambda *told: seen.append(told))
-    assert (ending.code, ending.told, ending.remarks) == (0, {"tracked": 9, "cpu_s": 0.5}, ["dark"])
+    assert (ending.code, ending.messages, ending.remarks) == (0, {"tracked": 9, "cpu_s": 0.5}, ["dark"])
     assert seen == [("hand", 3, 9)]
     assert (tmp_path / "a.log").read_text().startswith("threads 3\n")
 
@@ -65,14 +65,14 @@ def test_a_process_tells_how_far_it_is_and_what_it_did(tmp_path: Path) -> None:
 def test_its_last_lines_are_kept_and_safe_to_print(tmp_path: Path) -> None:
     ending = run(tmp_path, "exit")
     assert ending.last_lines == ("threads 3", "\\x1b[31mred", "posetrack: a.mcap: is no recording")
-    assert way_of(ending, Limits()) == "a.mcap: is no recording"
+    assert failure_reason(ending, Limits()) == "a.mcap: is no recording"
 
 
 def test_a_process_that_aborts_is_told_by_its_signal(tmp_path: Path) -> None:
     ending = run(tmp_path, "abort")
-    assert way_of(ending, Limits()) == "its process was killed by SIGABRT"
-    words = "its process was killed by SIGABRT, likely as it needs more than --memory-limit 512M"
-    assert way_of(ending, Limits(memory_bytes=1 << 29)) == words
+    assert failure_reason(ending, Limits()) == "process was killed by SIGABRT"
+    words = "process was killed by SIGABRT, possibly because of --memory-limit 512M"
+    assert failure_reason(ending, Limits(memory_bytes=1 << 29)) == words
     assert not was_interrupted(ending)
 
 
@@ -80,7 +80,7 @@ def test_a_process_is_stopped_when_its_time_is_over(tmp_path: Path) -> None:
     ending = run(tmp_path, "forever", timeout_s=1.5)
     assert (ending.timed_out, ending.stopped) == (True, False)
     assert ending.last_lines[-1] == "stopping"  # it was asked to, and could save what it had
-    assert way_of(ending, Limits(timeout_s=1.5)) == "took longer than --timeout 1.5 s"
+    assert failure_reason(ending, Limits(timeout_s=1.5)) == "exceeded --timeout 1.5 s"
     assert not was_interrupted(ending)
 
 
@@ -92,7 +92,7 @@ def test_a_process_is_stopped_when_the_batch_is(tmp_path: Path) -> None:
 
 
 def test_a_process_that_does_not_stop_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(performing, "_GRACE_S", 0.5)
+    monkeypatch.setattr(execution, "_GRACE_S", 0.5)
     log = tmp_path / "a.log"
     ending = run(tmp_path, "deaf", stopped=lambda: "deaf" in log.read_text())
     assert ending.code == -9

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from posetrack_cli.batch.jobs import Piece, join_results, meeting_frame, pieces_of
+from posetrack_cli.batch.jobs import Piece, handover_frame, join_results, pieces_of
 from posetrack_cli.results import ResultWriter, load_arrays
 from support.results import CAMERA, RUN, SUBJECT, make_estimate, with_fields
 
@@ -73,7 +73,7 @@ def write_piece(path: Path, piece: Piece, offsets: dict[int, float]) -> tuple[Pa
 def test_pieces_meet_where_they_agree(tmp_path: Path, offsets: dict[int, float], frame: int) -> None:
     one = write_piece(tmp_path / "one.mcap", Piece(0, 20, 0, 20), {})
     other = write_piece(tmp_path / "other.mcap", Piece(10, 30, 20, 30), offsets)
-    assert meeting_frame(one, other) == frame
+    assert handover_frame(one, other) == frame
     join_results([one, other], tmp_path / "joined.mcap", 1.0, 0.5)
     joined = load_arrays(tmp_path / "joined.mcap")
     assert joined["frame_index"].tolist() == list(range(30))
@@ -84,4 +84,4 @@ def test_pieces_meet_where_they_agree(tmp_path: Path, offsets: dict[int, float],
 def test_pieces_without_a_common_frame_meet_at_their_ends(tmp_path: Path) -> None:
     one = write_piece(tmp_path / "one.mcap", Piece(0, 20, 0, 20), {})
     other = write_piece(tmp_path / "other.mcap", Piece(20, 30, 20, 30), {})
-    assert meeting_frame(one, other) == 20
+    assert handover_frame(one, other) == 20

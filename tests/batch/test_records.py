@@ -154,7 +154,7 @@ WRITTEN = {"key": "k", "state": "done", "format": FORMAT, "outcome": {"name": "a
 )
 def test_nothing_of_a_damaged_record_is_believed(tmp_path: Path, text: str) -> None:
     (tmp_path / "a.json").write_text(text)
-    with pytest.raises(DamagedRecordError, match=r"a\.json: record of a job"):
+    with pytest.raises(DamagedRecordError, match=r"a\.json: job record"):
         read_record(tmp_path / "a.json")
 
 
@@ -200,5 +200,5 @@ def test_a_recording_of_too_many_files_is_refused(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr(limits, "SEARCH_ENTRIES", 2)
     for number in range(3):
         (tmp_path / f"{number}.png").write_bytes(b"")
-    with pytest.raises(RecordingError, match="folder holds too many files, expected at most 2"):
+    with pytest.raises(RecordingError, match="folder has too many files, expected at most 2"):
         input_digest(tmp_path, {})

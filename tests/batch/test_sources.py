@@ -103,7 +103,7 @@ def test_models_and_configurations_of_a_manifest_lie_in_its_folder(folder: Path,
     line = OUTSIDE[name].format(here=here)
     (folder / "in/set.toml").write_text(f'[options]\n{line}\n[[recordings]]\npath = "a.mcap"\n')
     with pytest.raises(
-        UsageError, match=r"in/set.toml: option '.*' names a file outside the manifest's folder"
+        UsageError, match=r"in/set.toml: option '.*' refers to a file outside the manifest's folder"
     ):
         find_sources(["in/set.toml"])
 
@@ -128,17 +128,17 @@ def test_models_and_configurations_in_a_manifest_s_folder_and_shipped_ones_are_n
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("recordings = []", "names no recording"),
+        ("recordings = []", "manifest lists no recording"),
         (
             '[[recordings]]\npath = "a.mcap"\nside = "left"',
             "unknown configuration key 'recordings.0.side'; known:",
         ),
         ('[[recordings]]\npaht = "a.mcap"', "'recordings.0.path' is missing"),
         ('[[recordings]]\npath = "gone.mcap"', "in/gone.mcap: no such recording"),
-        ('[[recordings]]\npath = "day*/b.mcap"\nname = "x"', "name 'x' of several recordings"),
-        ('[[recordings]]\npath = "a.mcap"\nname = "../x"', "name of a result cannot be used"),
-        ('[[recordings]]\npath = "a.mcap"\nname = "/x"', "name of a result cannot be used"),
-        ('[[recordings]]\npath = "a.mcap"\ntruth = "gone.csv"', "no such truth, found gone.csv"),
+        ('[[recordings]]\npath = "day*/b.mcap"\nname = "x"', "name 'x' is given to several recordings"),
+        ('[[recordings]]\npath = "a.mcap"\nname = "../x"', "invalid result name"),
+        ('[[recordings]]\npath = "a.mcap"\nname = "/x"', "invalid result name"),
+        ('[[recordings]]\npath = "a.mcap"\ntruth = "gone.csv"', "no such ground-truth file, found gone.csv"),
         ("[[recordings]\n", "not a TOML file"),
     ],
 )
@@ -152,10 +152,10 @@ def test_a_manifest_that_cannot_be_meant_is_refused(folder: Path, text: str, wor
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        (["nothing/*.mcap"], "nothing/*.mcap: no recording matches"),
+        (["nothing/*.mcap"], "nothing/*.mcap: no matching recording"),
         (["gone.mcap"], "gone.mcap: no such recording"),
-        (["in/day1/b.mcap", "in/day2/b.mcap"], "two recordings would write one result, b.mcap"),
-        (["in/a.mcap", "in/a.mcap"], "two recordings would write one result, a.mcap"),
+        (["in/day1/b.mcap", "in/day2/b.mcap"], "two recordings have the same result name, b.mcap"),
+        (["in/a.mcap", "in/a.mcap"], "two recordings have the same result name, a.mcap"),
     ],
 )
 def test_what_cannot_be_meant_is_refused(folder: Path, given: list[str], words: str) -> None:
@@ -197,7 +197,7 @@ def test_links_that_form_a_ring_end_and_folders_count_once(folder: Path) -> None
 def test_a_search_without_end_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(limits, "SEARCH_ENTRIES", 12)
     assert names("in/day*/*.mcap") == ["day1/b", "day2/b"]
-    words = r"\*\*/\*\.mcap: pattern looks at too many files and folders, expected at most 12; begin it with"
+    words = r"\*\*/\*\.mcap: pattern visits too many files and folders, expected at most 12; start it with"
     with pytest.raises(UsageError, match=words):
         names("**/*.mcap")
     Path("in/list.txt").write_text("day*/b.mcap\n" * 9)  # the bound is of all patterns together
@@ -208,5 +208,5 @@ def test_a_search_without_end_is_refused(folder: Path, monkeypatch: pytest.Monke
 def test_names_that_show_alike_are_refused(folder: Path) -> None:
     for name in (os.fsdecode(b"x\xff.mcap"), "x\\udcff.mcap"):
         Path("in", name).touch()
-    with pytest.raises(UsageError, match="two recordings would write one result"):
+    with pytest.raises(UsageError, match="two recordings have the same result name"):
         names("in/x*.mcap")

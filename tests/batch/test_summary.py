@@ -26,7 +26,7 @@ def judged(folder: Path, names: list[str], outcomes: list[Outcome], *gates: str)
     jobs = []
     for name, outcome in zip(names, outcomes, strict=True):
         output = folder / f"{name}.mcap"
-        if outcome.is_there:
+        if outcome.has_result:
             output.parent.mkdir(exist_ok=True)
             write_result(output)
         page = folder / f"{name}.html"

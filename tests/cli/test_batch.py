@@ -23,8 +23,8 @@ import numpy as np
 import pytest
 
 from posetrack_cli import build
-from posetrack_cli.batch.jobs import Job, Limits, Outcome, State
 from posetrack_cli.batch.execution import run_job
+from posetrack_cli.batch.jobs import Job, Limits, Outcome, State
 from posetrack_cli.build import PACKAGE, source_digest
 from posetrack_cli.cli.batch import BATCH_OPTIONS
 from posetrack_cli.cli.batch_commands import BATCH_COMMANDS
@@ -382,8 +382,8 @@ def test_a_dry_run_changes_nothing(
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["nothing/*.mcap"], "no recording matches"),
-        (["{a1}", "{a1}"], "two recordings would write one result"),
+        (["nothing/*.mcap"], "no matching recording"),
+        (["{a1}", "{a1}"], "two recordings have the same result name"),
         (["{a1}", "--scheduler", "tcp://127.0.0.1:9", "--scheduler-file", "x"], "both say where"),
         (["{a1}", "--hand-side", "middle"], "'middle' is not one of"),
         (["{a1}", "--memory-limit", "much"], "'much' is no size such as 2G"),
@@ -492,7 +492,7 @@ def test_a_dashboard_needs_bokeh(
     monkeypatch.setattr(engine, "find_spec", lambda name: None)
     done = run_here(recordings / "a1.mcap", "-o", tmp_path / "out", "--dashboard", *KNOWN)
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
-    assert "--dashboard needs Bokeh, which is missing; pip install bokeh" in done.stderr
+    assert "--dashboard needs Bokeh, which is not installed; pip install bokeh" in done.stderr
 
 
 def test_a_scheduler_that_is_not_there_is_one_line(

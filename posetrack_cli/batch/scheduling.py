@@ -1,4 +1,4 @@
-"""A batch from its first job to its last: what is begun is finished first, and what fails, fails alone."""
+"""Scheduling of a batch: started recordings are finished first, and failures are isolated."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ from typing import Protocol
 
 from posetrack_cli.batch.jobs import PIECE, Job, Kind, Limits, Outcome, Piece, State, recording_of
 
-_LOOKED_EVERY_S = 0.25
+_POLL_S = 0.25
 
 
 class JobEngine(Protocol):
-    """Does jobs side by side (``engine.Engine``)."""
+    """Runs jobs concurrently (``engine.Engine``)."""
 
-    def submit(self, job: Job, limits: Limits, *, goes_on: bool = False) -> None:
-        """Give a job; what goes on with one comes before all that wait."""
+    def submit(self, job: Job, limits: Limits, *, is_continuation: bool = False) -> None:
+        """Submit a job; a continuation starts before all waiting jobs."""
 
     def next_outcome(self, timeout_s: float) -> Outcome | None:
-        """Wait for the next job that is over; None if none is so soon."""
+        """Return the outcome of the next job to end, or None if none ends within ``timeout_s``."""
 
     def stop(self) -> None:
-        """Have jobs stop, and begin no others."""
+        """Stop running jobs and start no further ones."""
 
 
 PieceArguments = Callable[[Job, int, Path], tuple[str, ...]]
-"""Returns the options of a piece, but for its frames: of the job, the piece's number, and the result of the
-first piece, from which the others begin."""
+"""Return the options of a piece except its frame range, from the job, the number of the piece, and the result
+of the first piece, which initialises the others."""
 
 
 def run_batch(
@@ -39,18 +39,18 @@ def run_batch(
     report: Callable[[Outcome], None] = lambda outcome: None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> list[Outcome]:
-    """Do all jobs.
+    """Run all jobs.
 
     Args:
-        engine: does them.
-        jobs: of one recording each, with different names.
-        limits: what each may take.
-        piece_arguments: of the pieces that long recordings are split into; None leaves them whole.
-        report: called with what came of each recording.
-        stopped: asked several times a second whether to stop.
+        engine: runs the jobs.
+        jobs: one per recording, with unique names.
+        limits: resource limits of each job.
+        piece_arguments: options of the pieces of long recordings; None does not split recordings.
+        report: called with the outcome of each recording.
+        stopped: polled several times per second; returns True to stop the batch.
 
     Returns:
-        What came of each, in the order of the jobs.
+        The outcomes, in the order of ``jobs``.
     """
     parts = {job.name: _Recording(job, piece_arguments) for job in jobs}
     found: dict[str, Outcome] = {}
@@ -61,12 +61,12 @@ def run_batch(
         if not is_stopping and stopped():
             is_stopping = True
             engine.stop()
-        outcome = engine.next_outcome(_LOOKED_EVERY_S)
+        outcome = engine.next_outcome(_POLL_S)
         if outcome is None:
             continue
         recording = parts[recording_of(outcome.name)]
         for job in recording.after(outcome):
-            engine.submit(job, limits, goes_on=True)
+            engine.submit(job, limits, is_continuation=True)
         if recording.result is not None and recording.job.name not in found:
             found[recording.job.name] = recording.result
             report(recording.result)
@@ -75,7 +75,7 @@ def run_batch(
 
 @dataclass
 class _Recording:
-    """Where a recording is, and what is to be done next."""
+    """Progress of one recording through split, track and join."""
 
     job: Job
     piece_arguments: PieceArguments | None
@@ -86,11 +86,11 @@ class _Recording:
 
     @property
     def first(self) -> Job:
-        """What is done first."""
+        """The first job of the recording."""
         return self.job if self.piece_arguments is None else self.job.as_kind(Kind.SPLIT)
 
     def after(self, outcome: Outcome) -> Iterable[Job]:
-        """Return what is to be done after a job of this recording; none once there is a result."""
+        """Return the jobs that follow the outcome of one; empty once the recording has a result."""
         if outcome.name != self.job.name:
             return self._after_piece(outcome)
         if outcome.state is State.DONE and outcome.pieces:
@@ -102,18 +102,19 @@ class _Recording:
 
     def _after_piece(self, outcome: Outcome) -> Iterable[Job]:
         self._pieces[outcome.name] = outcome
-        if len(self._pieces) == 1 and outcome.is_there:
+        # The first piece runs alone, as the others are initialised from its result.
+        if len(self._pieces) == 1 and outcome.has_result:
             return [self._piece(number) for number in range(1, len(self._split))]
         is_first_missing = len(self._pieces) == 1
         if is_first_missing or len(self._pieces) == len(self._split):
-            missing = [one for one in self._pieces.values() if not one.is_there]
+            missing = [one for one in self._pieces.values() if not one.has_result]
             if not missing:
                 return [self.job.as_kind(Kind.JOIN, pieces=self._shares())]
             self.result = self._failed(missing)
         return []
 
     def _failed(self, missing: Sequence[Outcome]) -> Outcome:
-        """What came of a recording whose pieces are not all there; the others wait for the next time."""
+        """Return the outcome of a recording with missing pieces; the next run keeps the others."""
         worst = next((one for one in missing if one.state is State.FAILED), missing[0])
         number = int(worst.name.partition(PIECE)[2])
         piece = self._split[number]
@@ -147,7 +148,7 @@ class _Recording:
 
 
 def _together(outcome: Outcome, parts: Iterable[Outcome]) -> Outcome:
-    """What came of a recording, with what its parts took."""
+    """Add the time, memory, frames and remarks of the parts to the outcome of a recording."""
     every = [outcome, *parts]
     remarks = dict.fromkeys(remark for one in every for remark in one.remarks)
     return replace(
@@ -161,7 +162,7 @@ def _together(outcome: Outcome, parts: Iterable[Outcome]) -> Outcome:
 
 
 def states_line(outcomes: Sequence[Outcome]) -> str:
-    """Say how many recordings there are of each state: ``3 recordings: 2 done, 1 failed``."""
+    """Return the number of recordings in each state, such as ``3 recordings: 2 done, 1 failed``."""
     counts = Counter(outcome.state for outcome in outcomes)
-    said = ", ".join(f"{counts[state]} {state.value}" for state in State if counts[state])
-    return f"{len(outcomes)} recordings: {said}"
+    listed = ", ".join(f"{counts[state]} {state.value}" for state in State if counts[state])
+    return f"{len(outcomes)} recordings: {listed}"

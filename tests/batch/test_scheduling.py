@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from posetrack_cli.batch.jobs import Job, Kind, Limits, Outcome, Piece, State
-from posetrack_cli.batch.running import PieceArguments, run_batch
+from posetrack_cli.batch.scheduling import PieceArguments, run_batch
 
 PIECES = (Piece(0, 40, 0, 40), Piece(30, 80, 40, 80), Piece(70, 120, 80, 120))
 
@@ -22,8 +22,8 @@ class OneByOne:
         self.done: list[Job] = []
         self.is_stopped = False
 
-    def submit(self, job: Job, limits: Limits, *, goes_on: bool = False) -> None:
-        self._waiting.insert(0 if goes_on else len(self._waiting), job)
+    def submit(self, job: Job, limits: Limits, *, is_continuation: bool = False) -> None:
+        self._waiting.insert(0 if is_continuation else len(self._waiting), job)
 
     def next_outcome(self, timeout_s: float) -> Outcome | None:
         job = self._waiting.pop(0)
