@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 from posetrack_cli import limits
@@ -11,7 +12,9 @@ ROOT = Path(__file__).parents[1]
 
 def test_security_md_lists_every_bound_as_it_is() -> None:
     table = (ROOT / "SECURITY.md").read_text(encoding="utf-8").split("## Bounds", 1)[1]
-    rows = [line.strip("| ").split(" | ") for line in table.splitlines() if line.startswith("| `")]
-    listed = {name.strip("`"): float(bound.replace(",", "")) for name, bound in rows}
+    cells = re.findall(r"`(\w+)` \| ([\d.,]+)( MiB)? \|", table)
+    listed = {
+        name: float(value.replace(",", "")) * (limits.MIB if unit else 1) for name, value, unit in cells
+    }
     defined = {name: float(value) for name, value in vars(limits).items() if name.isupper() and name != "MIB"}
     assert listed == defined

@@ -47,11 +47,7 @@ NOT_RUN = {
     ("CONTRIBUTING.md", "takes an hour"): 1,
     ("docs/index.md", "installs packages"): 1,
     ("docs/index.md", "prepares a checkout"): 1,
-    ("docs/batch.md", "installs packages"): 1,
     ("docs/batch.md", "needs Slurm"): 1,
-    ("docs/batch.md", "needs Kubernetes"): 1,
-    ("docs/other-tools.md", "installs packages"): 1,
-    ("docs/other-tools.md", "programs of ROS 2"): 1,
 }
 """Blocks that are marked as not run, by page and reason: whoever marks another one, tells it here.
 What prepares a checkout is typed in a copy of one (``test_setting_up``)."""
@@ -67,8 +63,8 @@ class Made:
 
     Attributes:
         folder: with ``depth.mcap``, ``face.mp4``, its beginning ``short.mp4`` and the result ``face.mcap``;
-            ``few.mcap`` and its result ``hand.mcap``; ``rig``, a folder of images of two cameras without
-            their calibration, and ``boards`` for that; keypoints.
+            ``few.mcap``, its images ``kinect`` and its result ``hand.mcap``; ``rig``, images of two cameras
+            without calibration, and ``boards`` for that; keypoints.
         newcomer: where README is typed.
     """
 
@@ -109,6 +105,9 @@ def make(folder: Path, place: Place, warm: Warm) -> None:
     for camera in rig.cameras:
         images = sorted((folder / "made-rig" / camera.name).iterdir())[:FEW]
         link(folder / "rig" / camera.name, {image.name: image for image in images})
+    (folder / "kinect").mkdir()
+    for frame in open_recording(folder / "few.mcap", "depth").frames():
+        cv2.imwrite(str(folder / "kinect" / f"{frame.index}.png"), frame.depth.astype(np.uint16))
     stamps = (folder / "made-rig" / "timestamps.csv").read_text(encoding="utf-8").splitlines(keepends=True)
     (folder / "rig" / "timestamps.csv").write_text("".join(stamps[: FEW + 1]), encoding="utf-8")
     files = {name: str(folder / name) for name in ("few.mcap", "hand.mcap", "face.mp4", "face.mcap")}
@@ -126,13 +125,13 @@ BOUND: Mapping[str, Mapping[str, str]] = {
         "points.csv": "points.csv",
     },
     "docs/head.md": {"boards": "boards", "recording": "rig", "face.mp4": "short.mp4"},
-    "docs/recordings.md": {"boards": "boards", "recording": "rig"},
+    "docs/recordings.md": {"boards": "boards", "recording": "rig", "kinect": "kinect"},
     "docs/results.md": dict.fromkeys(("result.mcap", "rbpf.mcap", "pf.mcap"), "hand.mcap")
     | {"few.mcap": "few.mcap"},
     "docs/eval.md": dict.fromkeys(("result.mcap", "rbpf.mcap", "pf.mcap"), "hand.mcap")
     | {f"out/{name}-{k}.mcap": "hand.mcap" for name in ("rbpf", "pf") for k in (1,)}
     | {f"results/{name}.mcap": "hand.mcap" for name in "ab"}
-    | {"demo/result.mcap": "hand.mcap", "few.mcap": "few.mcap"},
+    | {"few.mcap": "few.mcap"},
     "docs/ci.md": {"recordings/one.mcap": "few.mcap", "results/one.mcap": "hand.mcap"},
     "docs/batch.md": {"recordings/day1/a.mcap": "few.mcap"},
     "docs/other-tools.md": {"hand.mcap": "hand.mcap", "face.mcap": "face.mcap", "depth.mcap": "few.mcap"},
@@ -187,14 +186,6 @@ def keypoints(text: str, folder: Path, made: Made) -> None:
     assert np.isfinite(read_keypoints(path, CAMERA).sets.points[..., 0]).sum() >= 3
 
 
-def own_export(text: str, folder: Path, made: Made) -> None:
-    """Its columns are those of an export, in this order."""
-    made.place(folder).run(f"posetrack export {made.folder / 'hand.mcap'} -o k.csv")
-    header = re.escape(text.splitlines()[0]).replace(r"\.\.\.", ".*")
-    assert re.search(f"^{header}$", (folder / "k.csv").read_text(encoding="utf-8"), re.MULTILINE)
-    assert read_keypoints(folder / "k.csv", CAMERA).unit == "mm"
-
-
 def landmarks(text: str, folder: Path, made: Made) -> None:
     path = folder / ("l.json" if text[0] in "[{" else "l.csv")
     path.write_text(filled_json(text, 478) if path.suffix == ".json" else text, encoding="utf-8")
@@ -206,7 +197,7 @@ READERS = {
     "docs/recordings.md": (folder_of_depth, folder_of_two_cameras),
     "docs/batch.md": (manifest,),
     "docs/ci.md": (gates,),
-    "docs/keypoints.md": (keypoints, keypoints, own_export, *[keypoints] * 4),
+    "docs/keypoints.md": (keypoints,) * 5,
     "docs/landmarks.md": (landmarks, landmarks),
 }
 """What reads a page's blocks that are files, in their order; ``...`` in them stands for more of the same."""
@@ -227,11 +218,7 @@ def prepare_batch(place: Place, of_page: list[Block]) -> None:
     place.run("echo 'coverage < 0.5' > accuracy/gates.txt")
 
 
-def prepare_eval(place: Place, of_page: list[Block]) -> None:
-    place.run(f"mkdir -p .venv/bin && ln -s {place.commands / 'posetrack'} .venv/bin/posetrack")
-
-
-PREPARED = {"docs/ci.md": prepare_ci, "docs/batch.md": prepare_batch, "docs/eval.md": prepare_eval}
+PREPARED = {"docs/ci.md": prepare_ci, "docs/batch.md": prepare_batch}
 
 
 def is_typed(block: Block) -> bool:
