@@ -1,6 +1,6 @@
-"""What a run produced: estimates and run record, written to and read from MCAP.
+"""Tracking results: estimates and run record, written to and read from MCAP.
 
-The names below are imported when they are first used: MCAP and protobuf take long to load.
+The names below are imported lazily, as MCAP and protobuf are slow to load.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Estimates as columns of numbers, and what the arrays of a file must be."""
+"""Estimates as columns, and layout checks for arrays read from files."""
 
 from __future__ import annotations
 
@@ -25,8 +25,7 @@ from posetrack_cli.results.fields import (
     array_shapes,
 )
 
-# Estimates as columns of numbers, decoded without an object per frame: for long results, block by block
-
+# Columns, decoded in blocks and without an object per frame to keep memory flat on long results
 
 Columns: TypeAlias = dict[str, np.ndarray[Any, Any]]
 
@@ -37,7 +36,7 @@ _STATUSES = np.array([status.value for status in Status])
 _STATUS_CODES = {status.value: code for code, status in enumerate(Status)}
 _XYZ = itemgetter("x", "y", "z")
 _APART = ("points", NUMBERS)
-"""Arrays that messages hold as objects."""
+"""Arrays that messages store as objects."""
 
 
 def column_blocks(
@@ -47,19 +46,19 @@ def column_blocks(
     where: object = "",
     number_names: Sequence[str] = (),
 ) -> Iterator[Columns]:
-    """Yield the columns of consecutive messages ``posetrack.Estimate``, at most ``frames`` rows at a time.
+    """Yield the columns of consecutive ``posetrack.Estimate`` messages, at most ``frames`` rows at a time.
 
-    The arrays are those of ``empty_columns``, with as many shape entries K and points P as the first message.
+    The arrays are those of ``empty_columns``; the first message determines K and P.
 
     Args:
-        messages: in JSON.
-        fields: to decode.
-        frames: per block; the last may have fewer.
+        messages: JSON messages.
+        fields: fields to decode.
+        frames: rows per block; the last block may have fewer.
         where: file and topic, for errors.
-        number_names: of the further numbers (M) that are wanted; NaN where a message has not got one.
+        number_names: names of the M additional numbers to return; NaN where a message lacks one.
 
     Raises:
-        ResultError: a message is no estimate, or has other numbers of shape entries or points.
+        ResultError: a message is not an estimate, or K or P differ between messages.
     """
     rows: _Rows | None = None
     for number, data in enumerate(messages):
@@ -70,7 +69,7 @@ def column_blocks(
             rows.add(values)
         except (ValueError, KeyError, TypeError, OverflowError) as error:
             raise ResultError(
-                f"message {number} is no {ESTIMATE_SCHEMA_NAME}", where=where, found=error
+                f"message {number} is not a {ESTIMATE_SCHEMA_NAME}", where=where, found=error
             ) from error
         if rows.count == frames:
             yield rows.take()
@@ -79,19 +78,19 @@ def column_blocks(
 
 
 def empty_columns(fields: Collection[str], sizes: Sizes) -> Columns:
-    """Return columns of no rows: each field's array, for estimates of these sizes.
+    """Return columns without rows: one array per field, for estimates of these sizes.
 
-    Frame indices and stamps are integers, ``status`` is text, ``resampled`` boolean, everything else float64.
-    What a message need not have (``UNKNOWN_ARRAYS``, ``UNKNOWN_NUMBERS``) and has not is NaN.
+    Frame indices and stamps are integers, ``status`` is text, ``resampled`` boolean, everything else
+    float64. Missing optional values (``UNKNOWN_ARRAYS``, ``UNKNOWN_NUMBERS``) are NaN.
     """
     shapes = array_shapes(sizes)
     return {name: np.empty((0, *shapes.get(name, ())), dtype=BY_NAME[name].column) for name in fields}
 
 
 def joined(blocks: Iterable[Columns]) -> Columns:
-    """Put blocks one below the other, each dropped when it is copied; {} if there are none.
+    """Concatenate blocks, each freed after copying; {} without blocks.
 
-    Arrays grow in place, so the peak is little above the size of the columns.
+    Arrays grow in place, so peak memory is little above the size of the columns.
     """
     grown: Columns = {}
     count = 0
@@ -109,17 +108,17 @@ def joined(blocks: Iterable[Columns]) -> Columns:
 
 
 def _resize(column: np.ndarray[Any, Any], rows: int) -> None:
-    """Change the length in place; nothing else refers to the array yet."""
+    """Resize in place; safe without refcheck, as nothing else refers to the array yet."""
     column.resize((rows, *column.shape[1:]), refcheck=False)
 
 
 class _Rows:
-    """Collects frames, field by field.
+    """Row collector with one buffer per field.
 
     Args:
-        fields: the fields to keep.
-        sizes: of the estimates.
-        number_names: of the further numbers.
+        fields: fields to keep.
+        sizes: array sizes of the estimates.
+        number_names: names of the additional numbers.
     """
 
     def __init__(self, fields: Collection[str], sizes: Sizes, number_names: Sequence[str]) -> None:
@@ -135,7 +134,7 @@ class _Rows:
         self._clear()
 
     def add(self, values: Mapping[str, Any]) -> None:
-        """Append a message's values; what they raise says what is wrong with them."""
+        """Append a message's values; raise an error describing invalid ones."""
         buffers = self._buffers
         for name in self._numbers:
             buffers[name].append(values[name])
@@ -156,7 +155,7 @@ class _Rows:
         self.count += 1
 
     def take(self) -> Columns:
-        """Return what was collected, and begin anew."""
+        """Return the collected columns and reset."""
         taken = {name: self._column(name, empty) for name, empty in self._empty.items()}
         self._clear()
         return taken
@@ -174,49 +173,48 @@ class _Rows:
 
 
 def _counted(name: str, values: Any, expected: int) -> Any:
-    """Return values if there are as many as expected."""
+    """Return the values after checking their count."""
     if len(values) != expected:
-        raise ValueError(f"{name} of {len(values)} entries among others of {expected}")
+        raise ValueError(f"{name} has {len(values)} entries, expected {expected}")
     return values
 
 
-# What the arrays and numbers of a file must be before anything is made of them.
+# Layout checks.
 #
-# A digest says that a file is as it was written, not that it was written by this program: it can be computed
-# by anyone. So each tracker states what its arrays are (``Layout``), and nothing is put together of others.
-
+# A checkpoint's digest protects against damage, not against forgery: anyone can compute it. Each tracker
+# therefore declares the layout of its arrays, and they are checked before use.
 
 Arrays: TypeAlias = Mapping[str, np.ndarray[Any, Any]]
 Range: TypeAlias = tuple[int, int]
 
 LARGEST = 1e9
-"""Of any length (mm), angle, rate or pixel that is kept; their squares and products are still numbers."""
+"""Maximum of stored lengths (mm), angles, rates and pixels; squares and products stay finite."""
 STAMPS_NS: Range = (-(1 << 62), 1 << 62)
-"""Differences of two stamps are whole numbers of 64 bits, too."""
+"""Differences of two stamps still fit into 64 bits."""
 FARTHEST = 1e140
-"""Of pixels where points are thought to be, and of how they move: a lens sends points beyond it anywhere."""
+"""Maximum of predicted pixel positions and motions: distortion can map points beyond ``LARGEST``."""
 COUNTS: Range = (0, 1 << 53)
-"""Of frames and other things that are counted."""
+"""Range of frame numbers and other counts."""
 FLAGS: Range = (0, 1)
 _TOLERANCE = 1e-6
 
 
 class LayoutError(ValueError):
-    """Arrays or numbers that are not as stated; the text names the first of them."""
+    """Arrays or numbers that violate their layout; the message names the first of them."""
 
 
 @dataclass(frozen=True)
 class Layout:
-    """What one array must be.
+    """Layout of one array.
 
     Attributes:
-        dtype: numpy's name of its type; ``str`` is text of any length.
-        shape: lengths; a name stands for any length from 1 on that is the same wherever the name stands, and
-            a name that ends in ``?`` for one that may be 0.
-        least, most: of its values, or of those of each place of its last axis.
-        missing: whether values may be NaN.
-        unit: from where to where along its last axis there are vectors of length 1; None for nowhere.
-        shares: whether its values add up to 1.
+        dtype: numpy type name; ``str`` is text of any length.
+        shape: lengths; a name stands for any length >= 1 that is equal wherever the name occurs, a name
+            ending in ``?`` also allows 0.
+        least, most: range of the values, or of each entry along the last axis.
+        missing: whether NaN is allowed.
+        unit: (first, end) of the unit vectors along the last axis; None for none.
+        shares: whether the values must sum to 1.
     """
 
     dtype: str
@@ -228,11 +226,11 @@ class Layout:
     shares: bool = False
 
     def sized(self, sizes: Mapping[str, int]) -> Layout:
-        """Return the layout with the lengths of these names."""
+        """Return the layout with the named lengths replaced."""
         return replace(self, shape=tuple(sizes.get(str(length), length) for length in self.shape))
 
     def named(self, prefix: str) -> Layout:
-        """Return the layout with lengths of its own, whose names begin with a prefix."""
+        """Return the layout with a prefix on its length names, so that they are independent of others."""
         shape = tuple(f"{prefix}{length}" if isinstance(length, str) else length for length in self.shape)
         return replace(self, shape=shape)
 
@@ -243,27 +241,27 @@ def floats(
     most: float = LARGEST,
     missing: bool = False,
 ) -> Layout:
-    """Return the layout of numbers of double precision."""
+    """Return a layout of float64 values."""
     return Layout("float64", shape, least, most, missing)
 
 
 def places(*shape: int | str) -> Layout:
-    """Return the layout of what is or moves on images; NaN where nothing is seen."""
+    """Return a layout of image positions or motions; NaN where unobserved."""
     return floats(*shape, least=-FARTHEST, most=FARTHEST, missing=True)
 
 
 def units(*shape: int | str) -> Layout:
-    """Return the layout of unit vectors or quaternions."""
+    """Return a layout of unit vectors or quaternions."""
     return Layout("float64", shape, unit=(0, int(shape[-1])))
 
 
 def stamps(*shape: int | str) -> Layout:
-    """Return the layout of times, ns."""
+    """Return a layout of times, ns."""
     return Layout("int64", shape, *STAMPS_NS)
 
 
 def counts(*shape: int | str, most: int = COUNTS[1]) -> Layout:
-    """Return the layout of whole numbers from 0 on."""
+    """Return a layout of non-negative integers."""
     return Layout("int64", shape, COUNTS[0], most)
 
 
@@ -272,44 +270,44 @@ NotNegative: TypeAlias = Annotated[float, floats(least=0.0)]
 
 
 def check_arrays(arrays: Arrays, layouts: Mapping[str, Layout]) -> None:
-    """Refuse arrays that are not as stated; those of other names are not looked at.
+    """Check arrays against their layouts; arrays without a layout are ignored.
 
     Raises:
-        LayoutError: one is missing, of another type or shape, or has a value that it cannot have.
+        LayoutError: one is missing, or has another type, shape or range.
     """
     lengths: dict[str, int] = {}
     for name, layout in layouts.items():
         if name not in arrays:
-            raise LayoutError(f"no array '{name}'")
+            raise LayoutError(f"array '{name}' is missing")
         array = arrays[name]
         kind = "str" if array.dtype.kind == "U" else array.dtype.name
         if kind != layout.dtype or not _fits(array.shape, layout.shape, lengths):
             wanted = ", ".join(str(lengths.get(str(length), length)) for length in layout.shape)
-            raise LayoutError(f"'{name}' as {array.dtype} {array.shape}, not {layout.dtype} ({wanted})")
+            raise LayoutError(f"'{name}' is {array.dtype} {array.shape}, expected {layout.dtype} ({wanted})")
         if array.dtype.kind in "fiu":
             _check_values(name, array, layout)
 
 
 def check_numbers(numbers: Any, ranges: Mapping[str, Range]) -> None:
-    """Refuse whole numbers that are not as stated, or not numbers by name.
+    """Check that integers are present and within their ranges.
 
     Raises:
-        LayoutError: one is missing, no whole number, or out of its range.
+        LayoutError: not a mapping, or a number is missing, not an integer, or out of range.
     """
     if not isinstance(numbers, Mapping):
-        raise LayoutError(f"numbers as {type(numbers).__name__}")
+        raise LayoutError(f"expected numbers by name, found {type(numbers).__name__}")
     for name, (least, most) in ranges.items():
         if name not in numbers:
-            raise LayoutError(f"no number '{name}'")
+            raise LayoutError(f"number '{name}' is missing")
         value = numbers[name]
         if type(value) is not int or not least <= value <= most:
             found = value if type(value) is int else type(value).__name__
             wanted = least if least == most else f"{least} to {most}"
-            raise LayoutError(f"'{name}' as {found}, not {wanted}")
+            raise LayoutError(f"'{name}' is {found}, expected {wanted}")
 
 
 def _fits(shape: tuple[int, ...], stated: tuple[int | str, ...], lengths: dict[str, int]) -> bool:
-    """Whether a shape is the one stated; lengths that are met first are noted by name."""
+    """Return whether a shape matches; record lengths of names seen for the first time."""
     if len(shape) != len(stated):
         return False
     for length, wanted in zip(shape, stated, strict=True):
@@ -328,11 +326,11 @@ def _check_values(name: str, array: np.ndarray[Any, Any], layout: Layout) -> Non
         inside |= np.isnan(array)
     if not np.all(inside):
         wrong = array[~inside].flat[0]
-        what = f"the value {wrong}" if np.isfinite(wrong) else "values that are not finite"
-        raise LayoutError(f"'{name}' with {what}")
+        what = f"an out-of-range value {wrong}" if np.isfinite(wrong) else "values that are not finite"
+        raise LayoutError(f"'{name}' has {what}")
     if layout.unit is not None:
         lengths = np.linalg.norm(array[..., slice(*layout.unit)], axis=-1)
         if not np.all(np.abs(lengths - 1.0) <= _TOLERANCE):
-            raise LayoutError(f"'{name}' with vectors that are not of length 1")
+            raise LayoutError(f"'{name}' has vectors that are not of unit length")
     if layout.shares and not abs(array.sum() - 1.0) <= _TOLERANCE:
-        raise LayoutError(f"'{name}' with shares that do not add up to 1")
+        raise LayoutError(f"'{name}' does not sum to 1")

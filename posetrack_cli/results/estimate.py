@@ -1,4 +1,4 @@
-"""Estimates of a frame, and the kinds of subjects that they are of."""
+"""Estimates of a frame, and the tracked subjects."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from posetrack_cli.errors import ResultError
 from posetrack_cli.geometry.rotations import EULER_ORDER, head_roll_pitch_yaw, roll_pitch_yaw
 from posetrack_cli.recording.pixels import PixelKind
 
-# What formats, exports and measurements must know of a kind of subject beyond the names of its parts
+# Properties of a kind of subject that formats, exports and measurements depend on
 
 
 @dataclass(frozen=True)
 class SubjectKind:
-    """A kind of subject; the defaults hold for every name that has no kind of its own.
+    """Kind of subject; the defaults apply to every name without a kind of its own.
 
     Attributes:
-        shape_unit: of the shape entries, ``rad`` of angles; empty for coefficients.
-        euler_angles: makes roll, pitch, yaw (N, 3), rad, from quaternions (N, 4).
-        euler_order: what these angles mean, for the headers of files.
-        rigid: whether its points hardly move in its own axes: tables have them there, and pictures of its
-            pose need axes.
-        pixels: of the images that it is tracked in.
+        shape_unit: unit of the shape parameters: ``rad`` for angles, empty for coefficients.
+        euler_angles: function returning roll, pitch, yaw (N, 3), rad, of quaternions (N, 4).
+        euler_order: definition of these angles, for file headers.
+        rigid: whether its points hardly move in its own axes. Tables then list them in these axes, and
+            drawings show the axes.
+        pixels: kind of images it is tracked in.
     """
 
     shape_unit: str = "rad"
@@ -49,15 +49,15 @@ _ANY = SubjectKind()
 
 
 def kind_of(subject: str) -> SubjectKind:
-    """Return the kind of a subject of this name."""
+    """Return the kind of the subject with this name."""
     return _KINDS.get(subject, _ANY)
 
 
-# What a tracker says about one frame, and what it tracks
+# Estimates and subjects
 
 
 class Status(StrEnum):
-    """What a frame's estimate rests on."""
+    """Tracking status of a frame."""
 
     TRACKING = "tracking"
     LOST = "lost"
@@ -66,35 +66,35 @@ class Status(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """The state of one subject at one frame.
+    """State of one subject at one frame.
 
-    K is the number of shape entries, P the number of points. The tangent space is
+    K is the number of shape parameters, P the number of points. The tangent space is
     (position, mm, camera axes; rotation vector, rad, body frame; shape), 6 + K entries.
 
     Attributes:
         frame_index: position of the frame in the recording.
-        stamp_ns: when the frame was taken, integer nanoseconds.
-        status: whether the estimate rests on this frame's image.
+        stamp_ns: time of the frame, integer nanoseconds.
+        status: tracking status; says whether this frame's image supports the estimate.
         confidence: 0 (guess) to 1 (certain).
         position: (3,) mm, origin of the object in camera axes.
         quaternion: (4,) x y z w with w >= 0, rotation of ``camera_T_object``.
-        shape: (K,) of a hand the finger angles, rad; of a head the shape coefficients.
+        shape: (K,) finger angles of a hand, rad, or shape coefficients of a head.
         pose_rate: (7 + K,) time derivative of (position, quaternion, shape), per second.
         twist: (6 + K,) velocity in the tangent space: mm/s, rad/s, shape per second.
-        pose_variance: (6 + K,) diagonal of the covariance of the pose in the tangent space; None of a tracker
-            that knows none, such as an optimiser.
-        twist_variance: (6 + K,) diagonal of the covariance of ``twist``. This, ``pose_rate`` and ``twist``
-            are all None where no velocity is known, or the motion has none: the truth of a random walk.
+        pose_variance: (6 + K,) diagonal of the pose covariance in the tangent space; None if the tracker
+            has none, such as an optimiser.
+        twist_variance: (6 + K,) diagonal of the covariance of ``twist``. ``pose_rate``, ``twist`` and
+            ``twist_variance`` are all None if the velocity is unknown or undefined, e.g. ground truth of a
+            random walk.
         points: (P, 3) mm, joints or landmarks in camera axes.
         effective_sample_size: of the particle weights before resampling; None without weights.
         resampled: whether the particles were resampled after this estimate.
-        cost: of the estimate against the image; None when it was not evaluated.
-        milliseconds: the frame took; None unless the run was asked to record timings, since wall-clock
-            times make two runs differ in their bytes.
-        evaluations: number of poses whose fit to the image was evaluated for this estimate; None where the
-            tracker does not count them.
-        numbers: (M,) further numbers, which ``Subject.number_names`` names; NaN where one is not known, None
-            where there are none.
+        cost: cost of the estimate against the image; None if not evaluated.
+        milliseconds: processing time of the frame. None unless timings were requested, as wall-clock times
+            make equal runs differ in their bytes.
+        evaluations: number of poses scored against the image for this estimate; None if not counted.
+        numbers: (M,) additional numbers named by ``Subject.number_names``, NaN where unknown; None if there
+            are none.
     """
 
     frame_index: int
@@ -119,21 +119,21 @@ class Estimate:
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """What is tracked.
+    """Tracked subject.
 
     Attributes:
-        name: the topic prefix and the name of the body's frame, such as ``hand``.
-        camera_frame: frame id of the camera that the estimates are given in.
+        name: topic prefix and frame id of the body, such as ``hand``.
+        camera_frame: frame id of the camera that estimates are relative to.
         shape_names: K names of the entries of ``Estimate.shape``.
         point_names: P names of the rows of ``Estimate.points``.
-        point_parents: P indices of each point's parent, -1 for a root; a parent comes before its children.
-        triangles: (T, 3) vertex indices of the mesh; None draws no mesh.
-        colour: of mesh and lines, (red, green, blue, alpha), each 0 to 1.
-        lines: pairs of points that are drawn as lines, in space and on the images; () draws neither.
-        number_names: M names of the entries of ``Estimate.numbers``, units included.
+        point_parents: P indices of each point's parent, -1 for a root; parents precede their children.
+        triangles: (T, 3) vertex indices of the mesh; None for no mesh.
+        colour: colour of mesh and lines, (red, green, blue, alpha), each 0 to 1.
+        lines: pairs of points drawn as lines in 3D and on the images.
+        number_names: M names of the entries of ``Estimate.numbers``, including units.
 
     Raises:
-        ResultError: names, parents, triangles or lines do not fit together.
+        ResultError: names, parents, triangles or lines are inconsistent.
     """
 
     name: str
@@ -149,25 +149,25 @@ class Subject:
     def __post_init__(self) -> None:
         if not self.name or "/" in self.name:
             raise ResultError(
-                "subject's name cannot be used", found=repr(self.name), expected="no slash in it"
+                "invalid subject name", found=repr(self.name), expected="a name without slashes"
             )
         if len(self.point_parents) != len(self.point_names):
             raise ResultError(
-                "points and parents do not fit together",
+                "numbers of points and parents differ",
                 where=self.name,
                 found=f"{len(self.point_names)} names and {len(self.point_parents)} parents",
             )
         for index, parent in enumerate(self.point_parents):
             if not -1 <= parent < index:
                 raise ResultError(
-                    f"parent of point {self.point_names[index]} cannot be used",
+                    f"invalid parent of point {self.point_names[index]}",
                     where=self.name,
                     found=parent,
                     expected=f"-1 to {index - 1}",
                 )
         if self.triangles is not None and (self.triangles.ndim != 2 or self.triangles.shape[1] != 3):
             raise ResultError(
-                "triangles cannot be used", where=self.name, found=self.triangles.shape, expected="(T, 3)"
+                "invalid triangles", where=self.name, found=self.triangles.shape, expected="(T, 3)"
             )
         self._check_lines()
 
@@ -176,4 +176,4 @@ class Subject:
         for line in self.lines:
             if len(line) != 2 or not all(0 <= end < count for end in line):
                 expected = f"two of the points 0 to {count - 1}"
-                raise ResultError("line cannot be drawn", where=self.name, found=line, expected=expected)
+                raise ResultError("invalid line", where=self.name, found=line, expected=expected)

@@ -1,8 +1,7 @@
-"""The JSON message ``posetrack.Estimate``: every field of an Estimate, and its JSON schema.
+"""JSON message ``posetrack.Estimate`` and its schema.
 
-The schema keeps to what Foxglove understands: one type per field, no nulls (an absent value is left
-out) and no arrays of arrays (points are objects). Numbers are written so that reading them back gives
-the same bits; NaN and infinity never occur.
+The schema is limited to what Foxglove supports: one type per field, no nulls (absent values are omitted)
+and no nested arrays (points are objects). Numbers round-trip exactly; NaN and infinity never occur.
 """
 
 from __future__ import annotations
@@ -32,12 +31,12 @@ from posetrack_cli.results.records import object_of, reader_of
 ESTIMATE_SCHEMA_NAME = "posetrack.Estimate"
 
 _LENGTH_TOLERANCE = 1e-3
-"""How far a quaternion that is read may be from length 1: those of other writers are rounded."""
+"""Tolerance of the quaternion norm; other writers round their values."""
 _ARRAYS = tuple(f.name for f in FIELDS if f.shape is not None and f.name != "points")
 
 
 def estimate_schema(number_names: Sequence[str] = ()) -> dict[str, Any]:
-    """Return the JSON schema of a subject's estimates; further numbers are a table with a key for each."""
+    """Return the JSON schema of a subject's estimates; additional numbers form an object."""
     properties = {field.name: field.json_schema for field in FIELDS}
     if number_names:
         properties[NUMBERS] = {
@@ -48,7 +47,7 @@ def estimate_schema(number_names: Sequence[str] = ()) -> dict[str, Any]:
         }
     return {
         "title": ESTIMATE_SCHEMA_NAME,
-        "description": "Everything that a tracker says about one frame.",
+        "description": "Complete output of a tracker for one frame.",
         "type": "object",
         "properties": properties,
         "required": [field.name for field in FIELDS if field.required],
@@ -57,21 +56,20 @@ def estimate_schema(number_names: Sequence[str] = ()) -> dict[str, Any]:
 
 
 ESTIMATE_SCHEMA: Mapping[str, Any] = estimate_schema()
-"""Of a subject without further numbers."""
+"""Schema for subjects without additional numbers."""
 
 
 def estimate_to_json(estimate: Estimate, number_names: Sequence[str] = ()) -> bytes:
     """Encode an estimate as one line of JSON, fields in the order of the schema.
 
-    A velocity or variance that is None is left out; so is a number that may be None, if it is None, NaN or
-    infinite.
+    Optional values that are None, NaN or infinite are omitted.
 
     Args:
-        estimate: of one frame.
-        number_names: of its further numbers.
+        estimate: estimate of one frame.
+        number_names: names of its additional numbers.
 
     Raises:
-        ResultError: another field holds NaN or infinity.
+        ResultError: a required field has NaN or infinity.
     """
     fields: dict[str, Any] = {
         "frame_index": int(estimate.frame_index),
@@ -98,12 +96,12 @@ def estimate_to_json(estimate: Estimate, number_names: Sequence[str] = ()) -> by
 
 
 def estimate_from_json(data: bytes, where: object = "", number_names: Sequence[str] = ()) -> Estimate:
-    """Decode what ``estimate_to_json`` wrote.
+    """Decode the output of ``estimate_to_json``.
 
     Args:
-        data: the message.
-        where: it lies, for errors.
-        number_names: of the further numbers that are wanted.
+        data: message.
+        where: its location, for errors.
+        number_names: names of the additional numbers to return.
 
     Raises:
         ResultError: the bytes are not a ``posetrack.Estimate``.
@@ -126,19 +124,19 @@ def estimate_from_json(data: bytes, where: object = "", number_names: Sequence[s
             numbers=_further(fields.get(NUMBERS), number_names),
         )
     except (ValueError, KeyError, TypeError) as error:
-        raise ResultError(f"message is no {ESTIMATE_SCHEMA_NAME}", where=where, found=error) from error
+        raise ResultError(f"message is not a {ESTIMATE_SCHEMA_NAME}", where=where, found=error) from error
 
 
 def parse_fields(data: bytes) -> dict[str, Any]:
-    """Parse a message, exact to the last bit, in less than half of the standard library's time.
+    """Parse a message without rounding, in less than half the time of the standard library.
 
     Raises:
-        ValueError: it is no ``posetrack.Estimate``.
+        ValueError: it is not a ``posetrack.Estimate``.
     """
     fields: dict[str, Any] = _read(data)
     x, y, z, w = fields["quaternion"]
     if abs(math.sqrt(x * x + y * y + z * z + w * w) - 1.0) > _LENGTH_TOLERANCE:
-        raise ValueError(f"'quaternion' is {fields['quaternion']}, not of length 1")
+        raise ValueError(f"'quaternion' is {fields['quaternion']}, not a unit quaternion")
     return fields
 
 
@@ -152,7 +150,7 @@ _read = reader_of(
 
 
 def _further(values: Mapping[str, float] | None, names: Sequence[str]) -> FloatArray | None:
-    """Further numbers in the order of their names, NaN for one that is left out."""
+    """Return the additional numbers in the order of their names, NaN where missing."""
     if values is None or not names:
         return None
     return np.array([values.get(name, math.nan) for name in names])

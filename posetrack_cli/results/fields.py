@@ -1,4 +1,4 @@
-"""The fields of an estimate, stated once: messages, columns, exports and checks are made from this table."""
+"""Field table of estimates, from which messages, columns, exports and checks are derived."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from posetrack_cli.results.records import (
 )
 
 QUATERNION_NORM_TOLERANCE = 1e-6
-"""How far |q| may be from 1: far above rounding, far below a rotation that was never normalised."""
+"""Tolerance of |q| = 1: far above rounding errors, far below an unnormalised rotation."""
 NUMBERS = "numbers"
-"""The field of further numbers, which alone may be NaN."""
+"""Field of additional numbers, the only one that may contain NaN."""
 
 Shape: TypeAlias = Callable[[int, int, int], tuple[int, ...]]
-"""Of an array, for K shape entries, P points and M further numbers."""
+"""Array shape as a function of K shape parameters, P points and M additional numbers."""
 
 
 @dataclass(frozen=True)
@@ -37,16 +37,16 @@ class Field:
     """One field of ``Estimate``.
 
     Attributes:
-        name: as of the attribute.
-        json_type: in the JSON schema of the message.
-        description: there.
-        strict: what is taken from a message.
-        shape: of an array; None of a single value.
-        required: whether every message has it; of a column without it the rows are NaN.
-        column: numpy's type of its column.
-        code: of ``array.array``, in which the column grows.
-        unit: of its values in exports; empty for none.
-        meaning: of its column in an exported table; arrays have theirs there, one for each part.
+        name: attribute name.
+        json_type: type in the JSON schema of the message.
+        description: description in the JSON schema.
+        strict: validation schema for reading.
+        shape: array shape; None for scalars.
+        required: whether every message has it; otherwise missing values are NaN in columns.
+        column: numpy type of its column.
+        code: ``array.array`` type code used while collecting the column.
+        unit: unit in exports; empty for none.
+        meaning: description of its column in exported tables; arrays have one per part there.
     """
 
     name: str
@@ -62,7 +62,7 @@ class Field:
 
     @property
     def json_schema(self) -> dict[str, Any]:
-        """What the message's JSON schema says of it."""
+        """Entry in the message's JSON schema."""
         stated: dict[str, Any] = {"type": self.json_type, "description": self.description}
         return stated | _JSON_DETAILS.get(self.name, {} if self.shape is None else _NUMBER_ITEMS)
 
@@ -95,17 +95,17 @@ FIELDS = (
     Field(
         "stamp_ns",
         "integer",
-        "When the frame was taken, nanoseconds; equal to the log time.",
+        "Time of the frame, nanoseconds; equal to the log time.",
         COUNT,
         column=np.int64,
         code="q",
         unit="ns",
-        meaning="when the frame was taken",
+        meaning="time of the frame",
     ),
     Field(
         "status",
         "string",
-        "tracking: rests on this frame; lost: no longer on the subject; reinitialised: found anew.",
+        "tracking: supported by this frame; lost: no longer on the subject; reinitialised: detected again.",
         schemas.literal_schema(_STATUSES),
         column=np.array(_STATUSES).dtype,
         code="b",
@@ -114,7 +114,7 @@ FIELDS = (
     Field(
         "confidence",
         "number",
-        "0 (guess) to 1 (certain); of a hand, the probability that its joints are right to 20 mm on average.",
+        "0 (guess) to 1 (certain); for hands, the probability of a mean joint error below 20 mm.",
         NUMBER,
         meaning="0 (guess) to 1 (certain)",
     ),
@@ -146,7 +146,7 @@ FIELDS = (
         "pose_rate",
         "array",
         "Time derivative of (position, quaternion, shape), 7 + K entries: mm/s, 1/s, shape per second; "
-        "this and the fields of twist are left out where no velocity is known.",
+        "omitted, like twist and twist_variance, if the velocity is unknown.",
         list_of(NUMBER),
         lambda k, p, m: (7 + k,),
         required=False,
@@ -165,7 +165,7 @@ FIELDS = (
         "pose_variance",
         "array",
         "Variance of the pose, 6 + K entries: position mm^2, rotation vector in the body frame rad^2, shape; "
-        "left out where the tracker knows none.",
+        "omitted if the tracker does not estimate it.",
         list_of(NOT_NEGATIVE),
         lambda k, p, m: (6 + k,),
         required=False,
@@ -191,7 +191,7 @@ FIELDS = (
     Field(
         "effective_sample_size",
         "number",
-        "1 / sum of the squared weights, before resampling; particles; left out without weights.",
+        "1 / sum of the squared weights before resampling, in particles; omitted without weights.",
         NUMBER,
         required=False,
         unit="particles",
@@ -209,7 +209,7 @@ FIELDS = (
     Field(
         "cost",
         "number",
-        "Cost of the estimate against the image; left out when it was not evaluated.",
+        "Cost of the estimate against the image; omitted if not evaluated.",
         NUMBER,
         required=False,
         unit="mm",
@@ -218,52 +218,52 @@ FIELDS = (
     Field(
         "milliseconds",
         "number",
-        "Time the frame took; left out unless the run recorded timings.",
+        "Processing time of the frame; omitted unless the run recorded timings.",
         NUMBER,
         required=False,
         unit="ms",
-        meaning="time that the frame took, empty if the run recorded none",
+        meaning="processing time of the frame, empty if the run recorded none",
     ),
     Field(
         "evaluations",
         "integer",
-        "Poses whose fit to the image was evaluated; left out where the tracker does not count.",
+        "Number of poses scored against the image; omitted if not counted.",
         COUNT,
         required=False,
         unit="poses",
-        meaning="whose fit to the image was evaluated, empty where not counted",
+        meaning="number of poses scored against the image, empty if not counted",
     ),
 )
-"""The fields that every subject's estimates have, in the order in which every format lists them."""
+"""Fields of every subject's estimates, in the order used by every format."""
 
 NUMBERS_FIELD = Field(
     NUMBERS,
     "object",
-    "Further numbers of this tracker, by name; one that is not known is left out.",
+    "Additional numbers of this tracker by name; unknown ones are omitted.",
     schemas.dict_schema(schemas.str_schema(), NUMBER),
     lambda k, p, m: (m,),
     required=False,
     unit="as number_names say",
 )
-"""What further numbers are, of a subject that has some."""
+"""Additional numbers, for subjects that have some."""
 
 BY_NAME: Mapping[str, Field] = {field.name: field for field in (*FIELDS, NUMBERS_FIELD)}
 FIELD_NAMES = tuple(field.name for field in FIELDS)
 UNKNOWN_ARRAYS = tuple(field.name for field in FIELDS if not field.required and field.shape is not None)
-"""The arrays that may be None."""
+"""Arrays that may be None."""
 UNKNOWN_NUMBERS = tuple(field.name for field in FIELDS if not field.required and field.shape is None)
-"""The numbers that may be None."""
+"""Numbers that may be None."""
 VELOCITY_FIELDS = ("pose_rate", "twist", "twist_variance")
-"""The fields that are None, all of them, where no velocity is known."""
+"""Fields that are all None if the velocity is unknown."""
 
 
 class Sizes(NamedTuple):
-    """How long the arrays of estimates are.
+    """Array sizes of estimates.
 
     Attributes:
-        shape: K, number of shape entries.
-        points: P.
-        numbers: M, of the further numbers.
+        shape: K, number of shape parameters.
+        points: P, number of points.
+        numbers: M, number of additional numbers.
     """
 
     shape: int
@@ -272,17 +272,17 @@ class Sizes(NamedTuple):
 
     @classmethod
     def of(cls, subject: Subject) -> Sizes:
-        """Return those of a subject's estimates."""
+        """Return the sizes for a subject."""
         return cls(len(subject.shape_names), len(subject.point_names), len(subject.number_names))
 
 
 def array_shapes(sizes: Sizes) -> dict[str, tuple[int, ...]]:
-    """Return the shape of each array field of estimates of these sizes."""
+    """Return the shape of each array field."""
     return {name: field.shape(*sizes) for name, field in BY_NAME.items() if field.shape is not None}
 
 
 def check_estimate(estimate: Estimate, subject: Subject) -> None:
-    """Refuse an estimate whose arrays do not fit the subject or hold NaN or infinity.
+    """Check that an estimate's arrays fit the subject and are finite.
 
     Raises:
         ResultError: names the frame and the field.
@@ -291,9 +291,7 @@ def check_estimate(estimate: Estimate, subject: Subject) -> None:
     _check_arrays(estimate, subject, where)
     _check_quaternion(estimate.quaternion, where)
     if not 0.0 <= estimate.confidence <= 1.0:
-        raise ResultError(
-            "confidence cannot be used", where=where, found=estimate.confidence, expected="0 to 1"
-        )
+        raise ResultError("invalid confidence", where=where, found=estimate.confidence, expected="0 to 1")
     if estimate.effective_sample_size is not None and not np.isfinite(estimate.effective_sample_size):
         raise ResultError("effective sample size is not finite", where=where)
 
@@ -301,7 +299,9 @@ def check_estimate(estimate: Estimate, subject: Subject) -> None:
 def _check_arrays(estimate: Estimate, subject: Subject, where: str) -> None:
     unknown = [name for name in VELOCITY_FIELDS if getattr(estimate, name) is None]
     if unknown and len(unknown) < len(VELOCITY_FIELDS):
-        raise ResultError(f"no {' and no '.join(unknown)}", where=where, expected="a whole velocity or none")
+        raise ResultError(
+            f"{' and '.join(unknown)} missing", where=where, expected="all velocity fields or none"
+        )
     for name, shape in array_shapes(Sizes.of(subject)).items():
         array = getattr(estimate, name)
         if array is None and not BY_NAME[name].required:
@@ -312,7 +312,7 @@ def _check_arrays(estimate: Estimate, subject: Subject, where: str) -> None:
 def check_array(
     array: FloatArray, shape: tuple[int, ...], name: str, where: str, *, missing: bool = False
 ) -> None:
-    """Raise ResultError unless the array has this shape and, unless some may be missing, finite entries."""
+    """Raise ResultError unless the array has this shape and, unless ``missing`` is allowed, is finite."""
     if array.shape != shape:
         raise ResultError(f"{name} has the wrong shape", where=where, found=array.shape, expected=shape)
     if not missing and not np.isfinite(array).all():
@@ -324,4 +324,4 @@ def _check_quaternion(quaternion: FloatArray, where: str) -> None:
     norm = float(np.linalg.norm(quaternion))
     if abs(norm - 1.0) > QUATERNION_NORM_TOLERANCE or quaternion[3] < 0.0:
         found = f"norm {norm:.9g}, w {quaternion[3]:.9g}"
-        raise ResultError("quaternion cannot be used", where=where, found=found, expected="norm 1, w >= 0")
+        raise ResultError("invalid quaternion", where=where, found=found, expected="norm 1, w >= 0")

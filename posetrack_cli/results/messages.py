@@ -1,4 +1,4 @@
-"""Foxglove messages of an estimate. Foxglove counts in metres; everything else here is in millimetres."""
+"""Foxglove messages of an estimate, in metres; everything else in posetrack is in millimetres."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ __all__ = [
 
 
 def odometry(estimate: Estimate, subject: Subject) -> Odometry:
-    """Return pose, velocity and covariances, as far as they are known, in the convention of Foxglove and ROS.
+    """Return pose, velocity and known covariances in the convention of Foxglove and ROS.
 
     Pose: position and orientation of the body in the camera frame, its covariance (x, y, z, rotation
     about the camera's x, y, z). Velocity: linear and angular in the body frame, and its covariance. With
@@ -58,8 +58,8 @@ def odometry(estimate: Estimate, subject: Subject) -> Odometry:
 def frame_transforms(estimate: Estimate, subject: Subject) -> FrameTransforms:
     """Return camera -> body, and one frame ``body/point`` per point below its parent's frame.
 
-    Every point's frame has the body's orientation, so only translations differ and a viewer that joins
-    the frames by lines draws the skeleton.
+    All point frames have the body's orientation, so they differ only in translation, and a viewer that
+    connects frames by lines draws the skeleton.
     """
     message = FrameTransforms()
     body = message.transforms.add(parent_frame_id=subject.camera_frame, child_frame_id=subject.name)
@@ -79,7 +79,7 @@ def frame_transforms(estimate: Estimate, subject: Subject) -> FrameTransforms:
 
 
 def camera_transforms(cameras: Sequence[Camera], frame: str, stamp_ns: int) -> FrameTransforms:
-    """Return where the other cameras stand in the axes of the first, whose frame id is given."""
+    """Return the poses of the other cameras relative to the first, whose frame id is ``frame``."""
     message = FrameTransforms()
     for camera in cameras[1:]:
         placed = inverse(np.array(camera.camera_T_reference))
@@ -91,7 +91,7 @@ def camera_transforms(cameras: Sequence[Camera], frame: str, stamp_ns: int) -> F
 
 
 def joint_states(estimate: Estimate, subject: Subject) -> JointStates:
-    """Return value and rate, if one is known, of every shape entry (finger angles: rad and rad/s)."""
+    """Return value and, if known, rate of every shape parameter (finger angles: rad and rad/s)."""
     message = JointStates()
     message.timestamp.FromNanoseconds(estimate.stamp_ns)
     values = estimate.shape.tolist()
@@ -102,7 +102,7 @@ def joint_states(estimate: Estimate, subject: Subject) -> JointStates:
 
 
 def _point_translations(estimate: Estimate, subject: Subject) -> FloatArray:
-    """Return (P, 3) each point seen from its parent, mm, body axes."""
+    """Return each point relative to its parent, (P, 3) mm, body axes."""
     parents = np.array(subject.point_parents, dtype=np.int64)
     with_origin = np.vstack([estimate.points, estimate.position])  # parent -1 is the last row
     rotation = matrices_from_quaternions(estimate.quaternion)
@@ -110,7 +110,7 @@ def _point_translations(estimate: Estimate, subject: Subject) -> FloatArray:
 
 
 def _covariance(variance: FloatArray, linear: FloatArray, angular: FloatArray) -> list[float]:
-    """Return the row-major 6x6 covariance, metres and radians, with both blocks of the diagonal rotated."""
+    """Return the row-major 6x6 covariance, metres and radians, with both diagonal blocks rotated."""
     matrix = np.zeros((6, 6))
     matrix[:3, :3] = (linear * variance[:3]) @ linear.T * METRES_PER_MM**2
     matrix[3:, 3:] = (angular * variance[3:6]) @ angular.T

@@ -1,4 +1,4 @@
-"""Run records, and the JSON that they are read from strictly."""
+"""Metadata records of a result, and strict parsing of their JSON."""
 
 from __future__ import annotations
 
@@ -9,36 +9,33 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from pydantic import ValidationError
-from pydantic_core import CoreConfig, CoreSchema, SchemaValidator
+from pydantic_core import CoreConfig, CoreSchema, SchemaValidator, ValidationError
 from pydantic_core import core_schema as schemas
 
 from posetrack_cli import limits
-from posetrack_cli.configuration import expected_words
 from posetrack_cli.errors import PosetrackError, ResultError
 from posetrack_cli.geometry.camera import DISTORTION_LENGTHS, IN_PLACE, Camera
 from posetrack_cli.recording.base import RUN_RECORD
 from posetrack_cli.results.estimate import Subject
 
-# JSON that files hold, taken only if it is what we write: types, ranges and lengths, in one pass
-
+# Strict JSON: types, ranges and lengths checked in one pass
 
 _CONFIG = CoreConfig(allow_inf_nan=False)
 _SHOWN_CHARACTERS = 60
 
 
 def number_from(least: float, most: float) -> schemas.FloatSchema:
-    """The schema of a finite number in a range."""
+    """Return the schema of a finite number in a range."""
     return schemas.float_schema(ge=least, le=most, strict=True)
 
 
 def integer_from(least: int, most: int) -> schemas.IntSchema:
-    """The schema of a whole number in a range."""
+    """Return the schema of an integer in a range."""
     return schemas.int_schema(ge=least, le=most, strict=True)
 
 
 def text_of(least: int, most: int = limits.NAME_CHARACTERS) -> schemas.StringSchema:
-    """The schema of text of so many characters."""
+    """Return the schema of text with a range of lengths."""
     return schemas.str_schema(min_length=least, max_length=most, strict=True)
 
 
@@ -53,14 +50,14 @@ TRUTH_VALUE = schemas.bool_schema(strict=True)
 def list_of(
     item: CoreSchema, length: int | None = None, most: int = limits.LIST_ENTRIES
 ) -> schemas.ListSchema:
-    """The schema of a list of so many entries, or at most so many."""
+    """Return the schema of a list with a fixed or maximum length."""
     return schemas.list_schema(item, min_length=length, max_length=most if length is None else length)
 
 
 def object_of(
     required: Mapping[str, CoreSchema], optional: Mapping[str, CoreSchema] | None = None
 ) -> schemas.TypedDictSchema:
-    """The schema of an object with these keys; an optional one may be missing or null, others are ignored."""
+    """Return the schema of an object; optional keys may be missing or null, other keys are ignored."""
     fields = {name: schemas.typed_dict_field(schema) for name, schema in required.items()}
     for name, schema in (optional or {}).items():
         fields[name] = schemas.typed_dict_field(schemas.nullable_schema(schema), required=False)
@@ -68,10 +65,10 @@ def object_of(
 
 
 def reader_of(schema: CoreSchema, most: int | None = None) -> Callable[[bytes | str], Any]:
-    """Return a function that reads JSON of a schema, exact to the last bit; of a message, of ``most`` bytes.
+    """Return a function that parses JSON of a schema without rounding, up to ``most`` bytes.
 
-    It raises ValueError, in one line of printable length, for anything else: NaN, infinity, true for 1,
-    numbers as text, nesting without end.
+    It raises ValueError with a one-line message for anything else, including NaN, infinity, booleans or
+    text as numbers, and deep nesting.
     """
     validate = SchemaValidator(schema, _CONFIG).validate_json
 
@@ -87,20 +84,21 @@ def reader_of(schema: CoreSchema, most: int | None = None) -> Callable[[bytes | 
 
 
 def _first_problem(error: ValidationError) -> str:
-    """The first problem in one line: where it is, what is there, what should be."""
+    """Return the first problem as one line: place, found, expected."""
+    from posetrack_cli.configuration import expected_words  # pydantic is slow to load
+
     problem = error.errors(include_url=False)[0]
     if problem["type"] == "json_invalid":
         return str(problem["msg"])
-    where = ".".join(str(part) for part in problem["loc"]) or "all of it"
+    where = ".".join(str(part) for part in problem["loc"]) or "value"
     if problem["type"] == "missing":
-        return f"no '{where}'"
+        return f"'{where}' is missing"
     found = repr(problem["input"])
     found = found if len(found) <= _SHOWN_CHARACTERS else f"{found[:_SHOWN_CHARACTERS]}..."
-    return f"'{where}' is {found}, not {expected_words(problem)}"
+    return f"'{where}' is {found}, expected {expected_words(problem)}"
 
 
-# The metadata records of a result: what was tracked, by which cameras, and in which run
-
+# Metadata records: subject, cameras, run
 
 SUBJECT_RECORD = "posetrack.subject"
 SUMMARY_RECORD = "posetrack.summary"
@@ -108,7 +106,7 @@ CAMERAS_RECORD = "posetrack.cameras"
 
 
 def subject_to_record(subject: Subject) -> dict[str, str]:
-    """Return the subject as metadata: every value a string of JSON; lines and numbers where it has some."""
+    """Return the subject as metadata, each value as JSON; lines and number names only if there are any."""
     triangles = None if subject.triangles is None else subject.triangles.tolist()
     values: dict[str, Any] = {
         "camera_frame": subject.camera_frame,
@@ -127,10 +125,10 @@ def subject_to_record(subject: Subject) -> dict[str, str]:
 
 
 def subject_from_record(record: Mapping[str, str]) -> Subject:
-    """Return the subject that ``subject_to_record`` wrote.
+    """Parse the output of ``subject_to_record``.
 
     Raises:
-        ResultError: the record lacks a field or holds something else.
+        ResultError: a field is missing or invalid.
     """
     try:
         values = {key: _value(record, key) for key in (*_REQUIRED, *(_OPTIONAL.keys() & record.keys()))}
@@ -150,7 +148,7 @@ def subject_from_record(record: Mapping[str, str]) -> Subject:
     except KeyError as error:
         raise ResultError(f"metadata {SUBJECT_RECORD} lacks {error}") from error
     except ValueError as error:
-        raise ResultError(f"metadata {SUBJECT_RECORD} cannot be read", found=error) from error
+        raise ResultError(f"invalid metadata {SUBJECT_RECORD}", found=error) from error
 
 
 _INDEX = integer_from(-1, limits.TRIANGLES)
@@ -173,7 +171,7 @@ _NAMES = {"point_names", "shape_names", "number_names"}
 
 
 def _value(record: Mapping[str, str], key: str) -> Any:
-    """What a key of the record holds; names are different from each other."""
+    """Return the value of a key; lists of names must not have duplicates."""
     try:
         value = (_REQUIRED | _OPTIONAL)[key](record[key])
     except ValueError as error:
@@ -181,7 +179,7 @@ def _value(record: Mapping[str, str], key: str) -> Any:
     if key in _NAMES:
         twice = next((name for name, count in Counter(value).items() if count > 1), None)
         if twice is not None:
-            raise ValueError(f"'{key}' has {twice!r} twice")
+            raise ValueError(f"'{key}' has a duplicate, {twice!r}")
     return value
 
 
@@ -189,35 +187,35 @@ _PLACE = "camera_T_reference"
 
 
 def cameras_to_record(cameras: Sequence[Camera]) -> dict[str, str]:
-    """Return the cameras as metadata, the reference first; exact to the last bit.
+    """Return the cameras as metadata, the reference first, without rounding.
 
     Raises:
-        ResultError: two have one name, which topics and frames are called by.
+        ResultError: two cameras have the same name, which identifies their topics and frames.
     """
     names = [camera.name for camera in cameras]
     if len(set(names)) < len(names):
-        raise ResultError("two cameras have one name", found=", ".join(names))
+        raise ResultError("camera names are not unique", found=", ".join(names))
     values = [camera.values() | {_PLACE: camera.camera_T_reference} for camera in cameras]
     return {"cameras": json.dumps(values, separators=(",", ":"))}
 
 
 def cameras_from_record(record: Mapping[str, str]) -> tuple[Camera, ...]:
-    """Return the cameras that ``cameras_to_record`` wrote.
+    """Parse the output of ``cameras_to_record``.
 
     Raises:
-        ResultError: the record holds something else.
+        ResultError: the record is invalid.
     """
     try:
         return tuple(_camera(values) for values in _read_cameras(record.get("cameras", "")))
     except (ValueError, PosetrackError) as error:
-        raise ResultError(f"metadata {CAMERAS_RECORD} cannot be read", found=error) from error
+        raise ResultError(f"invalid metadata {CAMERAS_RECORD}", found=error) from error
 
 
 def camera_from_json(text: str) -> Camera:
     """Return the camera of a run record, ``Camera.values`` as JSON.
 
     Raises:
-        ValueError, PosetrackError: it is something else.
+        ValueError, PosetrackError: it is invalid.
     """
     return _camera(_read_camera(text))
 
@@ -236,14 +234,14 @@ _read_cameras = reader_of(schemas.list_schema(_PLACED, min_length=1, max_length=
 
 def _camera(values: dict[str, Any]) -> Camera:
     if values["width"] * values["height"] > limits.IMAGE_PIXELS:
-        raise ValueError(f"images of {values['width']}x{values['height']}")
+        raise ValueError(f"images of {values['width']}x{values['height']} are too large")
     place = values.pop(_PLACE, IN_PLACE)
     rows = tuple(tuple(float(entry) for entry in row) for row in place)
     return Camera(**{**values, "distortion": tuple(values["distortion"])}, camera_T_reference=rows)
 
 
 def check_run_record(run: Mapping[str, str]) -> None:
-    """Refuse a run record whose values are not what runs write; those that it lacks are no fault.
+    """Check the values of a run record; missing keys are allowed.
 
     Raises:
         ResultError: names the key.
@@ -253,12 +251,12 @@ def check_run_record(run: Mapping[str, str]) -> None:
             if key in run:
                 check(run[key])
         except ValueError as error:
-            raise ResultError(f"metadata {RUN_RECORD}: '{key}' cannot be read", found=error) from error
+            raise ResultError(f"metadata {RUN_RECORD}: invalid '{key}'", found=error) from error
 
 
 def _whole(text: str) -> None:
     if not text.isascii() or not text.isdigit() or int(text) > limits.INTEGER:
-        raise ValueError(f"{text[:60]!r}, not a whole number from 0")
+        raise ValueError(f"{text[:60]!r}, not a whole number >= 0")
 
 
 def _whole_or_none(text: str) -> None:
@@ -268,12 +266,12 @@ def _whole_or_none(text: str) -> None:
 
 def _positive(text: str) -> None:
     if text and not 0.0 < float(text) <= limits.NUMBER:
-        raise ValueError(f"{text[:60]!r}, not a number above 0")
+        raise ValueError(f"{text[:60]!r}, not a number > 0")
 
 
 def _not_negative(text: str) -> None:
     if text and (not math.isfinite(value := float(text)) or not 0.0 <= value <= limits.NUMBER):
-        raise ValueError(f"{text[:60]!r}, not a number from 0")
+        raise ValueError(f"{text[:60]!r}, not a number >= 0")
 
 
 _OBJECT = reader_of(schemas.dict_schema(schemas.str_schema(), schemas.any_schema()))

@@ -1,4 +1,4 @@
-"""Write the flushed part of an interrupted result once more, byte for byte, into a new sink."""
+"""Replay of the flushed part of an interrupted result, byte for byte, into a new sink."""
 
 from __future__ import annotations
 
@@ -26,23 +26,23 @@ from posetrack_cli.results.reader import opened
 from posetrack_cli.results.spool import RESTART_HINT
 
 _MADE_WITH = {
-    "sources": "build of posetrack",
+    "sources": "posetrack build",
     "libraries": "set of libraries",
-    "processor": "kind of processor",
+    "processor": "processor type",
 }
-"""Entries of the run record that no option brings back (``build``), and what they describe."""
+"""Entries of the run record that depend on the installation (``build``), with their descriptions."""
 
 
 class Replay:
-    """Writes the flushed part of an interrupted result once more.
+    """Copies the flushed part of an interrupted result.
 
     Args:
-        part: the interrupted result.
-        sink: where to.
-        channels: of the sink.
+        part: interrupted result.
+        sink: destination.
+        channels: channels of the sink.
 
     Attributes:
-        attached: the names of the attachments written.
+        attached: names of the copied attachments.
     """
 
     def __init__(self, part: Path, sink: McapSink, channels: ResultChannels) -> None:
@@ -51,14 +51,14 @@ class Replay:
         self.attached: set[str] = set()
 
     def run(self, file_bytes: int) -> None:
-        """Write the chunks and attachments in the first ``file_bytes``.
+        """Copy the chunks and attachments in the first ``file_bytes``.
 
-        What lies behind (frames after the last checkpoint, a chunk cut short, a footer) is left out. Chunks
-        end where they ended before; one chunk is in memory at a time.
+        Later data (frames after the last checkpoint, a truncated chunk, a footer) is dropped. Chunk
+        boundaries are kept; one chunk is in memory at a time.
 
         Raises:
-            ResultError: the file is shorter than that, or damaged.
-            UsageError: it is of another camera.
+            ResultError: the file is shorter or damaged.
+            UsageError: it belongs to another camera.
         """
         position = 0
         with opened(self._part) as stream:
@@ -76,9 +76,9 @@ class Replay:
                         self._write(records)
         if position != file_bytes:
             raise ResultError(
-                "checkpoint does not fit the unfinished result",
+                "checkpoint does not match the unfinished result",
                 where=self._part,
-                found=f"{position} whole bytes",
+                found=f"{position} complete bytes",
                 expected=file_bytes,
                 hint=RESTART_HINT,
             )
@@ -88,7 +88,6 @@ class Replay:
         self.attached.add(record.name)
 
     def _write(self, records: list[ChunkRecord]) -> None:
-        """Write a chunk."""
         for record in records:
             if isinstance(record, Schema):
                 self._schemas[record.id] = record
@@ -99,7 +98,7 @@ class Replay:
         self._sink.flush()
 
     def _adopt(self, channel: Channel) -> None:
-        """Register a truth channel where it was registered before; the result's own exist already."""
+        """Register a truth channel in its original order; the result's own channels already exist."""
         if channel.id in self._channels.own_ids:
             return
         schema = self._schemas.get(channel.schema_id, Schema(id=0, name="", encoding="", data=b""))
@@ -114,9 +113,7 @@ class Replay:
             channel_metadata=channel.metadata,
         )
         if self._channels.truth_channel(as_message) != channel.id:
-            raise ResultError(
-                "channels cannot be written in their old order", where=channel.topic, hint=RESTART_HINT
-            )
+            raise ResultError("channel order cannot be restored", where=channel.topic, hint=RESTART_HINT)
 
 
 def check_unfinished(part: Path) -> None:
@@ -126,28 +123,28 @@ def check_unfinished(part: Path) -> None:
 
 
 def check_same_run(part: Path, expected: Mapping[str, Mapping[str, str]]) -> None:
-    """Refuse to go on with a result that another run began.
+    """Check that an unfinished result belongs to this run.
 
     Args:
-        part: the unfinished result.
-        expected: the metadata records that this run would begin with, by name.
+        part: unfinished result.
+        expected: metadata records this run would start with, by name.
 
     Raises:
-        UsageError: a record differs; the error names the keys, and their values then and now.
-        ResultError: the file is missing, or killed before its records were written.
+        UsageError: a record differs; the error lists the keys with old and new values.
+        ResultError: the file is missing, or ends before its records.
     """
     check_unfinished(part)
     stored = _first_metadata(part)
     for name, now in expected.items():
         then = stored.get(name)
         if then is None:
-            raise ResultError(f"holds no {name}", where=part, hint=RESTART_HINT)
-        compared = (then.keys() | now.keys()) - {PATH_KEY}  # the recording may have moved meanwhile
+            raise ResultError(f"has no {name}", where=part, hint=RESTART_HINT)
+        compared = (then.keys() | now.keys()) - {PATH_KEY}  # the recording may have been moved
         keys = sorted(key for key in compared if then.get(key) != now.get(key))
         for stated, what in _MADE_WITH.items():
             if stated in keys:
                 raise UsageError(
-                    f"the unfinished result is of another {what}, so equal bytes cannot be promised",
+                    f"the unfinished result was made with a different {what}",
                     where=part,
                     found=only_in(then.get(stated, "nothing"), now[stated]),
                     expected=only_in(now[stated], then.get(stated, "")),
@@ -155,11 +152,11 @@ def check_same_run(part: Path, expected: Mapping[str, Mapping[str, str]]) -> Non
                 )
         if keys:
             raise UsageError(
-                "the unfinished result is of another run",
+                "the unfinished result belongs to another run",
                 where=part,
                 found=_listed(then, keys),
                 expected=_listed(now, keys),
-                hint=f"resume with the options it was begun with, or {RESTART_HINT}",
+                hint=f"resume with its original options, or {RESTART_HINT}",
             )
 
 
@@ -180,7 +177,7 @@ def _first_metadata(part: Path) -> dict[str, Mapping[str, str]]:
 
 @contextmanager
 def _damage(part: Path, span: RecordSpan) -> Iterator[None]:
-    """Nothing is resumed that is damaged: whatever reading a record raises becomes one line."""
+    """Convert errors on damaged records into a ResultError; damaged files are never resumed."""
     try:
         yield
     except DAMAGE as error:
@@ -193,7 +190,7 @@ def _damage(part: Path, span: RecordSpan) -> Iterator[None]:
 
 
 def _listed(record: Mapping[str, str], keys: list[str]) -> str:
-    """Return the keys with their values, long values cut."""
+    """Return the keys with their values, shortened."""
     return " ".join(f"{key}={_cut(record.get(key, 'nothing'))}" for key in keys)
 
 

@@ -1,4 +1,4 @@
-"""What Foxglove draws of an estimate: mesh or lines in space, points and axes on images of cameras."""
+"""Foxglove drawings of an estimate: mesh or lines in 3D, points and axes on camera images."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from posetrack_cli.results.fields import check_array
 from posetrack_cli.units import METRES_PER_MM
 
 LOST_ALPHA = 0.25
-"""Share of the opacity that is left while the track is lost, so that nobody takes the mesh for a find."""
+"""Opacity factor while the track is lost, so that the mesh is not mistaken for a detection."""
 
 LINE_PX = 2.0
 POINT_MM = 4.0
-"""Diameter of the balls that points are drawn as."""
+"""Diameter of the spheres drawn at points."""
 
 _UPDATE_ENTITIES = b"\x12"  # SceneUpdate.entities = 2, length-delimited
 _ENTITY_TRIANGLES = b"\x62"  # SceneEntity.triangles = 12, length-delimited
@@ -37,17 +37,18 @@ _Y_TAG, _Z_TAG = 0x11, 0x19
 
 
 class SceneEncoder:
-    """Encodes the mesh of one subject, frame after frame.
+    """Encoder for the mesh of one subject.
 
-    The entity's id is constant, so each update replaces the one before; its lifetime is unlimited.
+    Points are packed into protobuf wire format with numpy; constant parts are encoded once. The entity id
+    is constant, so each update replaces the previous one; its lifetime is unlimited.
 
     Args:
-        subject: whose triangles are drawn; must have some.
+        subject: subject with triangles.
     """
 
     def __init__(self, subject: Subject) -> None:
         if subject.triangles is None:
-            raise ValueError("a subject without triangles has no scene")
+            raise ValueError("subject has no triangles")
         self._subject = subject
         self._vertex_count = int(subject.triangles.max(initial=-1)) + 1
         self._pose = _pose_field()
@@ -57,7 +58,7 @@ class SceneEncoder:
         """Return the serialised SceneUpdate.
 
         Args:
-            stamp_ns: of the frame.
+            stamp_ns: time of the frame.
             status: a lost subject is drawn faintly.
             vertices: (V, 3) mm, camera axes; V covers every index of the triangles.
 
@@ -119,9 +120,9 @@ def _delimited(tag: bytes, body: bytes) -> bytes:
 
 
 def line_scene(estimate: Estimate, subject: Subject) -> SceneUpdate:
-    """Return the subject's lines and a ball at every point, in the axes of the camera of the estimates.
+    """Return the subject's lines and a sphere at every point, in the axes of the reference camera.
 
-    The entity's id is constant, so each update replaces the one before; a lost subject is drawn faintly.
+    The entity id is constant, so each update replaces the previous one; a lost subject is drawn faintly.
     """
     names, points = (subject.camera_frame, subject.name), (estimate.points * METRES_PER_MM).tolist()
     message = SceneUpdate()
@@ -143,7 +144,7 @@ _Lines = tuple[tuple[int, int], ...]
 
 @lru_cache
 def _scene_of(frame: str, name: str, lines: _Lines, count: int, colour: _Rgba) -> SceneUpdate:
-    """Return what is the same in every scene of so many points, their places and the time left out."""
+    """Return the constant part of a scene: everything except positions and time."""
     message = SceneUpdate()
     entity = message.entities.add(frame_id=frame, id=name)
     entity.lifetime.FromNanoseconds(0)
@@ -162,7 +163,7 @@ def _scene_of(frame: str, name: str, lines: _Lines, count: int, colour: _Rgba) -
 
 
 def _faded(colour: _Rgba, estimate: Estimate) -> _Rgba:
-    """Return the colour that an estimate is drawn in."""
+    """Return the subject's colour, faint if it is lost."""
     red, green, blue, alpha = colour
     return red, green, blue, alpha * (LOST_ALPHA if estimate.status is Status.LOST else 1.0)
 
@@ -174,16 +175,16 @@ def _colour(target: Any, rgba: _Rgba) -> None:
 AXIS_MM = 60.0
 """Length of the drawn axes."""
 AXIS_COLOURS = ((1.0, 0.2, 0.2, 1.0), (0.2, 0.85, 0.2, 1.0), (0.25, 0.45, 1.0, 1.0))
-"""Of x, y, z: red, green, blue."""
+"""x, y, z: red, green, blue."""
 POINT_COLOUR = (1.0, 0.9, 0.2, 1.0)
 POINT_PX, DRAWN_LINE_PX, AXIS_PX = 5.0, 1.5, 2.5
 
 
 def image_annotations(estimate: Estimate, subject: Subject, camera: Camera) -> ImageAnnotations:
-    """Return what a camera sees of an estimate, in pixels of its image as it was taken, distortion included.
+    """Return the drawing of an estimate on a camera's original image, in distorted pixels.
 
-    The points, the subject's lines between them and the axes of the pose; what lies behind the camera is left
-    out, and a lost subject is drawn faintly.
+    Shows the points, the subject's lines and the pose axes. Parts behind the camera are omitted, and a lost
+    subject is drawn faintly.
     """
     rotation = matrices_from_quaternions(estimate.quaternion)
     ends = estimate.position + AXIS_MM * rotation.T
@@ -197,18 +198,18 @@ def image_annotations(estimate: Estimate, subject: Subject, camera: Camera) -> I
 
 
 class _Drawing(NamedTuple):
-    """What is drawn of points on an image.
+    """Template of image annotations.
 
     Attributes:
-        skeleton: all of it but the pixels and the time.
-        ends: which points its pixels are, in their order.
+        skeleton: annotations without pixels and time.
+        ends: for each annotation, the indices of its points.
     """
 
     skeleton: ImageAnnotations
     ends: tuple[tuple[int, ...], ...]
 
     def at(self, pixels: FloatArray, stamp_ns: int) -> ImageAnnotations:
-        """Return the drawing of points at pixels (N, 2)."""
+        """Return the drawing with points at pixels (N, 2)."""
         message, places = ImageAnnotations(), pixels.tolist()
         message.CopyFrom(self.skeleton)
         message.timestamp.FromNanoseconds(stamp_ns)
@@ -223,12 +224,12 @@ class _Drawing(NamedTuple):
 def _drawing_of(
     lines: _Lines, seen: tuple[bool, ...], colours: tuple[tuple[_Rgba, ...], tuple[_Rgba, ...], _Rgba]
 ) -> _Drawing:
-    """Return the drawing of points, the last four of which are a pose's origin and the ends of its axes.
+    """Return the template; the last four points are the pose's origin and the ends of its axes.
 
     Args:
-        lines: between points.
-        seen: which points the camera sees.
-        colours: of the lines, of the axes, of the points.
+        lines: pairs of points.
+        seen: visibility of each point.
+        colours: of the lines, the axes, and the points.
     """
     message, drawn_ends = ImageAnnotations(), []
     of_lines, of_axes, of_points = colours

@@ -1,4 +1,4 @@
-"""What a run keeps beside its result: its state, and records that are read backward."""
+"""Auxiliary files of a run: checkpoints, and record spools that are read backwards."""
 
 from __future__ import annotations
 
@@ -20,11 +20,8 @@ from posetrack_cli.npz import read_npz
 from posetrack_cli.recording.base import PATH_KEY
 from posetrack_cli.results.columns import COUNTS, check_numbers
 
-# The state of an interrupted run, saved beside its unfinished result.
-#
-# The file is an npz without pickle: the tracker's arrays, one JSON text for everything else, and a digest of
-# both, so that nothing is gone on with that is not as it was saved.
-
+# Checkpoints: npz files without pickle next to the unfinished result, with the tracker's arrays, one JSON
+# text for everything else, and a digest of both, so that a damaged checkpoint is never resumed.
 
 _ARRAY_PREFIX = "array."
 _JSON_KEY, _DIGEST_KEY = "json", "digest"
@@ -34,14 +31,14 @@ RESTART_HINT = "start again with --overwrite"
 
 @dataclass(frozen=True, eq=False)
 class Checkpoint:
-    """What a run needs to go on after its last flushed frame.
+    """State needed to continue a run after its last flushed frame.
 
     Attributes:
-        frame_index: of the last frame whose estimate is flushed.
-        frames_written: number of estimates flushed.
-        arrays: the tracker's arrays by name; plain numbers only, no objects.
-        state: the rest of the tracker's state, as JSON can hold it (the random generator's, say).
-        fingerprint: of the run; ``ResultWriter.save_checkpoint`` fills it in.
+        frame_index: last frame whose estimate is flushed.
+        frames_written: number of flushed estimates.
+        arrays: the tracker's arrays by name; no Python objects.
+        state: other tracker state, JSON-serialisable (e.g. the random generator's).
+        fingerprint: fingerprint of the run, set by ``ResultWriter.save_checkpoint``.
     """
 
     frame_index: int
@@ -53,13 +50,13 @@ class Checkpoint:
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a result was written at its last flush.
+    """State of a result file at its last flush.
 
     Attributes:
-        file_bytes: size of the file.
-        flush_frames: estimates per flush, which decides where chunks end.
-        truth_messages: how many truth messages were carried over.
-        statuses: number of estimates of each status.
+        file_bytes: file size.
+        flush_frames: estimates per flush, which determines chunk boundaries.
+        truth_messages: number of truth messages copied.
+        statuses: number of estimates per status.
     """
 
     file_bytes: int
@@ -69,9 +66,9 @@ class Progress:
 
 
 def fingerprint(run: Mapping[str, str]) -> str:
-    """Return the SHA-256 of a run record; it does not depend on the order of the keys.
+    """Return the SHA-256 of a run record, independent of key order.
 
-    Nor on the recording's path: the recording may have moved meanwhile.
+    The recording's path is excluded, as the recording may be moved before a resume.
     """
     kept = {key: value for key, value in run.items() if key != PATH_KEY}
     text = json.dumps(kept, sort_keys=True, separators=(",", ":"))
@@ -79,10 +76,10 @@ def fingerprint(run: Mapping[str, str]) -> str:
 
 
 def save(path: Path, checkpoint: Checkpoint, progress: Progress) -> None:
-    """Write both to one file, so that at any moment there is the old file or the new one, never half.
+    """Write both to one file atomically.
 
     Raises:
-        ResultError: the file cannot be written, or the state is not of the allowed types.
+        ResultError: the file cannot be written, or the state has unsupported types.
     """
     temporary = path.with_name(path.name + ".tmp")
     contents = _contents(path, checkpoint, progress)
@@ -97,10 +94,10 @@ def save(path: Path, checkpoint: Checkpoint, progress: Progress) -> None:
 
 
 def load(path: Path) -> tuple[Checkpoint, Progress]:
-    """Read what ``save`` wrote.
+    """Read a file written by ``save``.
 
     Raises:
-        ResultError: the file is missing, of another version, damaged, or not as ``save`` wrote it.
+        ResultError: the file is missing, damaged, or has another version or format.
     """
     try:
         with open_input(path) as stream:
@@ -111,32 +108,32 @@ def load(path: Path) -> tuple[Checkpoint, Progress]:
         what = "checkpoint cannot be read"
         raise ResultError(what, where=path, found=error.strerror or error, hint=RESTART_HINT) from error
     except (ValueError, KeyError, TypeError, RecursionError) as error:
-        found = f"no {error}" if isinstance(error, KeyError) else error
+        found = f"{error} is missing" if isinstance(error, KeyError) else error
         raise ResultError("checkpoint cannot be read", where=path, found=found, hint=RESTART_HINT) from error
 
 
 def _parsed(contents: Mapping[str, np.ndarray[Any, Any]]) -> tuple[Checkpoint, Progress]:
-    """Return what a file's arrays say.
+    """Return the contents of a checkpoint file.
 
     Raises:
-        ValueError, KeyError, TypeError, RecursionError: they are not as ``save`` made them.
+        ValueError, KeyError, TypeError, RecursionError: the arrays do not have the format of ``save``.
     """
     fields = json.loads(contents[_JSON_KEY].tobytes())
     check_numbers(fields, {"version": (FORMAT_VERSION, FORMAT_VERSION)})
     if contents[_DIGEST_KEY].tobytes() != _digest(contents):
-        raise ValueError("contents that do not fit their digest")
+        raise ValueError("contents that do not match their digest")
     kept, progress = fields["checkpoint"], fields["progress"]
     check_numbers(kept, {"frame_index": (-1, COUNTS[1]), "frames_written": COUNTS})
     check_numbers(progress, {"file_bytes": COUNTS, "flush_frames": (1, COUNTS[1]), "truth_messages": COUNTS})
     if not (isinstance(kept["state"], dict) and isinstance(kept["fingerprint"], str)):
-        raise ValueError("a state of another kind")
+        raise ValueError("invalid state or fingerprint")
     names = [name for name in contents if name.startswith(_ARRAY_PREFIX)]
     arrays = {name.removeprefix(_ARRAY_PREFIX): contents[name] for name in names}
     return Checkpoint(arrays=arrays, **kept), Progress(**progress)
 
 
 def _digest(contents: Mapping[str, np.ndarray[Any, Any]]) -> bytes:
-    """Return the SHA-256 of all arrays but the digest: of names, types, shapes and bytes."""
+    """Return the SHA-256 of names, types, shapes and bytes of all arrays except the digest."""
     digest = hashlib.sha256()
     for name in sorted(contents.keys() - {_DIGEST_KEY}):
         array = contents[name]
@@ -146,7 +143,6 @@ def _digest(contents: Mapping[str, np.ndarray[Any, Any]]) -> bytes:
 
 
 def _contents(path: Path, checkpoint: Checkpoint, progress: Progress) -> dict[str, np.ndarray[Any, Any]]:
-    """Return the arrays of the npz file."""
     for name, array in checkpoint.arrays.items():
         if np.asarray(array).dtype.hasobject:
             raise ResultError(f"state '{name}' cannot be saved", where=path, found="Python objects")
@@ -164,26 +160,24 @@ def _contents(path: Path, checkpoint: Checkpoint, progress: Progress) -> dict[st
     return {**contents, _DIGEST_KEY: np.frombuffer(_digest(contents), dtype=np.uint8)}
 
 
-# A file of equal records, written forward and read backward: memory stays flat, however many there are.
+# Record spools: files of fixed-size records, written forwards and read backwards in constant memory.
 #
-# The file begins with a line of JSON that names the arrays of a record, their types and shapes; the records
-# follow, one after the other, each with a digest of itself and of its place. Nothing is made of what the line
-# says: a run that is resumed knows what its records are, and refuses a file with another line.
-
+# The first line is JSON with names, types and shapes of a record's arrays. The records follow, each with a
+# digest of its contents and number. The line is only compared with the expected one, never interpreted.
 
 BLOCK_BYTES = 1 << 22
-"""Read at once, at least one record: few system calls, and little memory."""
+"""Bytes read at once (at least one record): few system calls, little memory."""
 
 DIGEST_BYTES = 16
-"""Behind each record."""
+"""Appended to each record."""
 
 Array: TypeAlias = np.ndarray[Any, Any]
 Record: TypeAlias = Mapping[str, Array]
-"""Arrays, or numbers, by name: each is kept in its own type, little-endian."""
+"""Arrays or numbers by name; each keeps its own type, little-endian."""
 
 
 class RecordSpool:
-    """A temporary file of records, each the same arrays by name.
+    """Temporary file of records, each with the same arrays by name.
 
         with RecordSpool(path) as spool:
             spool.append({"pose": pose, "covariance": covariance})
@@ -192,13 +186,13 @@ class RecordSpool:
             spool.delete()
 
     Args:
-        path: of the file; what was there is replaced.
-        keep: of an interrupted run's file, this many records stay, and what came after them goes.
-        like: a record of the same names, types and shapes as those that are kept; none where none is.
+        path: file; an existing one is replaced unless ``keep`` is given.
+        keep: number of records to keep from an interrupted run's file; later ones are dropped.
+        like: record with the same names, types and shapes as the kept ones; not needed if none are kept.
 
     Raises:
-        ResultError: here and in every method, when the file cannot be written or read, holds fewer records
-            than are to be kept or other ones than were written, or a record is unlike the first.
+        ResultError: here and in every method: the file cannot be written or read, has fewer than ``keep``
+            or different records, or a record differs in layout from the first.
     """
 
     def __init__(self, path: Path, keep: int = 0, like: Record = MappingProxyType({})) -> None:
@@ -220,20 +214,20 @@ class RecordSpool:
         return self._count
 
     def append(self, record: Record) -> None:
-        """Write one record behind the others."""
+        """Append a record."""
         with self._guarded():
             data = self._packed(record, self._dtype or self._begin(record)).tobytes()
             self._file.write(data + self._digest(self._count, data))
         self._count += 1
 
     def flush(self) -> None:
-        """Wait until all records are on the disk: a checkpoint that counts on them comes after."""
+        """Sync all records to disk; call before saving a checkpoint that relies on them."""
         with self._guarded():
             self._file.flush()
             os.fsync(self._file.fileno())
 
     def __reversed__(self) -> Iterator[dict[str, Array]]:
-        """Yield copies of the records, the last first."""
+        """Yield copies of the records, last first."""
         with self._guarded():
             self._file.flush()
         for stop in self._stops():
@@ -241,12 +235,12 @@ class RecordSpool:
                 yield {name: np.array(values[name]) for name in values.dtype.names}
 
     def close(self) -> None:
-        """Close the file and let it lie, for a run that is resumed; closing twice does nothing."""
+        """Close the file but keep it for resuming; idempotent."""
         with self._guarded():
             self._file.close()
 
     def delete(self) -> None:
-        """Close the file and remove it."""
+        """Close and delete the file."""
         self.close()
         with self._guarded():
             self._path.unlink(missing_ok=True)
@@ -268,7 +262,7 @@ class RecordSpool:
             head, size = self._file.read(len(self._head)), os.fstat(self._file.fileno()).st_size
         if head != self._head:
             what = "spool cannot be used"
-            raise ResultError(what, where=self._path, found="records of another kind", hint=RESTART_HINT)
+            raise ResultError(what, where=self._path, found="records of another type", hint=RESTART_HINT)
         end = self._end_of(keep)
         if size < end:
             found, expected = f"{size} bytes", f"{end}, for {keep} frames"
@@ -282,7 +276,7 @@ class RecordSpool:
             self._file.seek(end)
 
     def _lay_out(self, record: Record) -> np.dtype[Any]:
-        """Note what a record is, and the line that says so."""
+        """Set the record dtype and the header line."""
         fields = {name: (_kind(values), list(np.shape(values))) for name, values in record.items()}
         self._head = json.dumps(fields).encode() + b"\n"
         layout: list[Any] = [(name, kind, tuple(shape)) for name, (kind, shape) in fields.items()]
@@ -290,28 +284,28 @@ class RecordSpool:
         return self._dtype
 
     def _digest(self, number: int, data: bytes) -> bytes:
-        """Return the digest of the record of a number, with what all of them are."""
+        """Return the digest of a record, its number and the header line."""
         parts = self._head, number.to_bytes(8, "little"), data
         return hashlib.blake2b(b"".join(parts), digest_size=DIGEST_BYTES).digest()
 
     def _check_digests(self, stop: int) -> None:
-        """Refuse the block before a record number if one of its records is not as it was written."""
+        """Check the digests of the block that ends before record ``stop``."""
         block = self._block(stop)
         for number, stored in enumerate(block, stop - len(block)):
             if self._digest(number, stored["record"].tobytes()) != stored["digest"].tobytes():
                 what = "spool cannot be used"
-                found = f"record {number}, which does not fit its digest"
+                found = f"record {number}, which does not match its digest"
                 raise ResultError(what, where=self._path, found=found, hint=RESTART_HINT)
 
     def _stops(self) -> Iterator[int]:
-        """Yield the record numbers that blocks end before, the last first."""
+        """Yield the record numbers at which blocks end, last first."""
         stop = self._count
         while stop > 0:
             yield stop
             stop -= self._per_block(stop)
 
     def _per_block(self, stop: int) -> int:
-        """How many records the block before a record number has."""
+        """Return the number of records in the block ending before ``stop``."""
         return min(stop, max(1, BLOCK_BYTES // self._stored_bytes))
 
     @property
@@ -319,7 +313,7 @@ class RecordSpool:
         return DIGEST_BYTES + (0 if self._dtype is None else self._dtype.itemsize)
 
     def _end_of(self, count: int) -> int:
-        """Return where in the file so many records end."""
+        """Return the file offset at which ``count`` records end."""
         return len(self._head) + count * self._stored_bytes
 
     def _packed(self, record: Record, dtype: np.dtype[Any]) -> Array:
@@ -328,27 +322,27 @@ class RecordSpool:
         found = {name: np.shape(values) for name, values in record.items()}
         if found != expected:
             raise ResultError(
-                "a record is unlike the first", where=self._path, found=found, expected=expected
+                "record layout differs from the first", where=self._path, found=found, expected=expected
             )
         for name, values in record.items():
             packed[name] = values
         return packed
 
     def _block(self, stop: int) -> Array:
-        """Return the records before number ``stop`` with their digests, as many as fit a block."""
+        """Return the block of records with their digests that ends before ``stop``."""
         count = self._per_block(stop)
         size = count * self._stored_bytes
         with self._guarded():
             self._file.seek(self._end_of(stop - count))
             data = self._file.read(size)
-            self._file.seek(0, os.SEEK_END)  # where the next record goes
+            self._file.seek(0, os.SEEK_END)  # append() writes at the current position
         if len(data) < size:
             raise ResultError("spool ends early", where=self._path, hint=RESTART_HINT)
         return np.frombuffer(data, [("record", self._dtype), ("digest", np.uint8, DIGEST_BYTES)])
 
     @contextmanager
     def _guarded(self) -> Iterator[None]:
-        """Tell of the file what goes wrong with it."""
+        """Convert OS errors into ResultErrors that name the file."""
         try:
             yield
         except FileNotFoundError as error:
@@ -359,5 +353,5 @@ class RecordSpool:
 
 
 def _kind(values: Any) -> str:
-    """Return how values are kept: in their own type, little-endian."""
+    """Return the storage type: the array's own type, little-endian."""
     return np.asarray(values).dtype.newbyteorder("<").str

@@ -94,8 +94,8 @@ def test_an_existing_file_is_kept_unless_it_may_be_replaced(
     [
         (["{folder}/gone.mcap"], EXIT_FAILED, "gone.mcap: cannot be read, found No such file"),
         (["{folder}"], EXIT_FAILED, "cannot be read, found Is a directory"),
-        (["{folder}/text.mcap"], EXIT_FAILED, "is no MCAP file"),
-        (["{path}", "--format", "npz"], EXIT_USAGE, "npz is no text"),
+        (["{folder}/text.mcap"], EXIT_FAILED, "is not an MCAP file"),
+        (["{path}", "--format", "npz"], EXIT_USAGE, "npz is not a text format"),
         (["{path}", "--format", "xml"], EXIT_USAGE, "'csv', 'tum', 'npz', 'json', 'bvh', 'c3d', 'mcap'"),
         (
             ["{path}", "-o", "{folder}/a.parquet"],
@@ -103,8 +103,8 @@ def test_an_existing_file_is_kept_unless_it_may_be_replaced(
             "found .parquet, expected .csv, .tum, .npz, .json",
         ),
         (["{path}", "-o", "{folder}/a.xlsx"], EXIT_USAGE, "or choose one with --format"),
-        (["{path}", "-o", "{folder}/a.txt"], EXIT_USAGE, "a.txt: no such format"),
-        (["{path}", "--format", "mcap"], EXIT_USAGE, "mcap is no text"),
+        (["{path}", "-o", "{folder}/a.txt"], EXIT_USAGE, "a.txt: unknown format"),
+        (["{path}", "--format", "mcap"], EXIT_USAGE, "mcap is not a text format"),
         (["{path}", "--schemas", "ros2", "-o", "{folder}/a.csv"], EXIT_USAGE, "--schemas is of MCAP files"),
         (["{path}", "--schemas", "ros1"], EXIT_USAGE, "'ros1' is not 'ros2'"),
         (["{path}", "--format", "bvh"], EXIT_USAGE, "BVH is of hands of posetrack hand run"),

@@ -234,7 +234,7 @@ def test_a_folder_needs_no_options_again_nor_its_camera_file(
     ("arguments", "code", "words"),
     [
         (["nowhere.mcap", "-o", "v.mp4"], 1, "nowhere.mcap"),
-        (["RECORDING", "-o", "v.mp4"], 1, "no result of posetrack"),
+        (["RECORDING", "-o", "v.mp4"], 1, "not a posetrack result"),
         (["RESULT", "-o", "v.avi"], 2, "expected FILE.mp4, FILE.png or a folder"),
         (["RESULT", "-o", "RESULT"], 2, "output is something else already"),
         (["RESULT", "-o", "v.mp4", "--select", "77"], 2, "expected some of 0 to 5"),
@@ -290,7 +290,7 @@ def test_results_of_different_recordings_are_not_drawn_together(
     other = open_recording(make_recording(tmp_path / "other.mcap", 3))
     second = make_result(tmp_path / "second.mcap", other)
     assert view(result, second, "-o", tmp_path / "v.mp4") == 2
-    assert "results are of different recordings" in one_line(capsys)
+    assert "results belong to different recordings" in one_line(capsys)
 
 
 def test_a_converted_recording_serves_when_any_will_do(

@@ -115,9 +115,9 @@ def test_a_state_without_its_stamp_is_refused_and_nothing_is_deleted(
     good = whole.read_bytes()
     whole.write_bytes(sealed({name: array for name, array in contents.items() if name != "array.stamp_ns"}))
     line = refusal(run(kind, resume=True), tmp_path)
-    assert "no array 'stamp_ns'; start again with --overwrite" in line
+    assert "array 'stamp_ns' is missing; start again with --overwrite" in line
     whole.write_bytes(sealed(contents | {"array.pose": contents["array.pose"][:-1]}))
-    assert "'pose' as float64 (21,), not float64 (22)" in refusal(run(kind, resume=True), tmp_path)
+    assert "'pose' is float64 (21,), expected float64 (22)" in refusal(run(kind, resume=True), tmp_path)
     assert part.read_bytes() == flushed
     whole.write_bytes(good)
     run(kind, resume=True).track(nothing)

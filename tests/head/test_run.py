@@ -307,7 +307,7 @@ def test_a_file_that_is_no_model_is_one_line(track: Track, tmp_path: Path, data:
 
 def test_a_result_without_model_is_none(tmp_path: Path, track: Track) -> None:
     track(Memory(), stopped=after(5))
-    with pytest.raises(ResultError, match=r"holds no attachment 'model\.npz', found none"):
+    with pytest.raises(ResultError, match=r"has no attachment 'model\.npz', found none"):
         load_model(part_path(tmp_path / "r.mcap"), CAMERAS, NAME)
 
 
@@ -333,14 +333,14 @@ def test_result_and_model_are_two_files(track: Track, tmp_path: Path) -> None:
 
 
 def test_two_cameras_of_one_name_are_refused(track: Track) -> None:
-    with pytest.raises(ResultError, match="two cameras have one name"):
+    with pytest.raises(ResultError, match="camera names are not unique"):
         track(Memory(cameras=(CAMERAS[0], CAMERAS[0])))
 
 
 def test_a_resumed_run_refuses_cameras_in_another_place(track: Track, tmp_path: Path) -> None:
     track(Memory(), stopped=after(5))
     moved = replace(CAMERAS[1], camera_T_reference=((1.0, 0.0, 0.0, -121.0), *ASIDE[1:]))
-    with pytest.raises(UsageError, match="is of another run"):
+    with pytest.raises(UsageError, match="belongs to another run"):
         track(Memory(cameras=(CAMERAS[0], moved)), resume=True)
 
 

@@ -16,7 +16,7 @@ from hostile.running import Harness, Outcome
 CASE = Case("x", ("info", "r.mcap"), {"r.mcap": b"x"}, ("out.mcap",))
 FILES = {"r.mcap": "1"}
 DONE = Outcome(0, "", b"r.mcap: MCAP\n", b"", 0.1, 1000, FILES, FILES)
-FAILED = replace(DONE, code=1, out=b"", error=b"posetrack: r.mcap: is no MCAP file\n")
+FAILED = replace(DONE, code=1, out=b"", error=b"posetrack: r.mcap: is not an MCAP file\n")
 LOST = replace(DONE, code=3, error=b"r.mcap: 3 frames lost\n")
 
 

@@ -101,5 +101,5 @@ def test_the_scene_holds_the_points_in_metres() -> None:
 def test_a_line_between_points_that_there_are_not_is_refused(line: tuple[int, ...]) -> None:
     from posetrack_cli.errors import ResultError
 
-    with pytest.raises(ResultError, match="line cannot be drawn"):
+    with pytest.raises(ResultError, match="invalid line"):
         replace(SUBJECT, lines=(line,))

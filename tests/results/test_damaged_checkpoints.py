@@ -176,8 +176,8 @@ def test_another_version_is_told(path: Path, version: int) -> None:
         (lambda fields: fields["checkpoint"].update(frames_written=11), "11 estimates up to frame 9"),
         (lambda fields: fields["checkpoint"].update(frame_index=-1), "10 estimates up to frame -1"),
         (lambda fields: fields["progress"].update(file_bytes=0), "0 estimates and 0 truth messages in it"),
-        (lambda fields: fields["progress"].update(file_bytes=10**15), "does not fit the unfinished result"),
-        (lambda fields: fields["progress"].update(flush_frames=5), "flushed at other frames"),
+        (lambda fields: fields["progress"].update(file_bytes=10**15), "does not match the unfinished result"),
+        (lambda fields: fields["progress"].update(flush_frames=5), "has another flush interval"),
     ],
 )
 def test_a_state_has_to_agree_with_the_result(path: Path, change: Callable[[Any], Any], match: str) -> None:
@@ -212,6 +212,6 @@ def test_what_cannot_be_used_by_the_tracker_is_told_of_the_state(path: Path) -> 
     contents = read_npz(state_path(path).read_bytes())
     line = refused(path, sealed(contents | {"array.place": np.full(3, np.nan)}))
     assert line == (
-        f"{state_path(path)}: checkpoint cannot be used, found 'place' with values that are not finite; "
+        f"{state_path(path)}: checkpoint cannot be used, found 'place' has values that are not finite; "
         f"{spool.RESTART_HINT}"
     )

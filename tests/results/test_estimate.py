@@ -48,7 +48,7 @@ def test_a_velocity_may_be_unknown_but_not_in_part() -> None:
     unknown = {"pose_rate": None, "twist": None, "twist_variance": None}
     check_estimate(with_fields(make_estimate(0), **unknown), SUBJECT)
     for name, array in ((name, getattr(make_estimate(0), name)) for name in unknown):
-        with pytest.raises(ResultError, match="expected a whole velocity or none"):
+        with pytest.raises(ResultError, match="expected all velocity fields or none"):
             check_estimate(with_fields(make_estimate(0), **{**unknown, name: array}), SUBJECT)
 
 

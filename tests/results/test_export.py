@@ -276,11 +276,11 @@ def test_names_in_any_script_and_with_commas_survive(tmp_path: Path) -> None:
 def test_missing_data_is_told_in_the_header(path: Path, tmp_path: Path) -> None:
     (tmp_path / "cut.mcap").write_bytes(path.read_bytes()[:-40])
     found = text(tmp_path / "cut.mcap", "tum")
-    assert "# data that is missing: file is truncated" in found
+    assert "# missing data: file is truncated" in found
     assert ", unfinished" not in found, "its summary is there"
     assert "truncated" in json.loads(text(tmp_path / "cut.mcap", "json"))["header"]["losses"]
 
 
 def test_npz_is_no_text(path: Path) -> None:
-    with pytest.raises(UsageError, match="npz is no text, expected csv, tum, json"):
+    with pytest.raises(UsageError, match="npz is not a text format, expected csv, tum, json"):
         text(path, "npz")

@@ -41,7 +41,7 @@ def test_times_stay_right_to_half_a_frame_where_stamps_are_irregular() -> None:
     assert np.abs(off).max() <= 0.5 / rate.rate_hz + 1e-9
     assert len(set(rate.rows[known])) == len(known) <= len(given)
     (note, *_), count = [n for n in rate.notes("") if "left out" in n], len(given) - len(known)
-    assert note == f"{count} of 500 estimates left out: nearer than a frame to others"
+    assert note == f"{count} of 500 estimates left out: less than a frame from others"
 
 
 def test_of_several_in_a_frame_the_nearest_is_told_whatever_their_order() -> None:
@@ -54,14 +54,14 @@ def test_one_stamp_is_one_frame_and_none_is_told() -> None:
     for given in (stamps(0.0), stamps(0.0, 0.0)):
         rate = fixed_rate(given, "r")
         assert (rate.rate_hz, rate.rows.tolist()) == (SINGLE_HZ, [0])
-    with pytest.raises(ResultError, match=r"^r: holds no estimate$"):
+    with pytest.raises(ResultError, match=r"^r: has no estimates$"):
         fixed_rate(stamps(), "r")
 
 
 def test_gaps_make_no_more_frames_than_is_bounded() -> None:
     most = limits.EXPORT_FRAMES / 10  # seconds, at 10 Hz
     assert len(fixed_rate(stamps(0.0, 0.1, 0.2, most - 0.2, most - 0.1), "r").rows) == limits.EXPORT_FRAMES
-    with pytest.raises(ResultError, match="gaps are too long for a format of fixed frame rate, found 10001 "):
+    with pytest.raises(ResultError, match="gaps are too long for a format with a fixed frame rate, found 10001 "):
         fixed_rate(stamps(0.0, 0.1, 0.2, most - 0.1, most), "r")
     with pytest.raises(ResultError, match="gaps are too long"):
         fixed_rate(np.array([0, 1, 2, (1 << 63) - 1]), "r")

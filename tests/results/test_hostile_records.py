@@ -94,7 +94,7 @@ def test_a_camera_that_cannot_be(key: str, value: Any) -> None:
 )
 def test_a_run_record_of_anything_else(key: str, value: str) -> None:
     check_run_record({"end": "", "start": "0", "configuration": "{}"})
-    with pytest.raises(ResultError, match=f"'{key}' cannot be read"):
+    with pytest.raises(ResultError, match=f"invalid '{key}'"):
         check_run_record({key: value})
 
 

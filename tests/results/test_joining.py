@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.mcap.stream import McapFile
 from posetrack_cli.results import ResultWriter, load_arrays, read_result
-from posetrack_cli.results.channels import SMOOTHED
 from posetrack_cli.results.joining import Share, join_results
+from posetrack_cli.results.topics import SMOOTHED
 from support.results import (
     CAMERA,
     RUN,
@@ -130,8 +130,8 @@ def test_truth_comes_once_and_in_order(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"camera": CAMERA.__class__(**{**CAMERA.values(), "fx": 300.0})}, "is of another camera"),
-        ({"run": {**RUN, "input.sha256": "1"}}, "is of another recording"),
+        ({"camera": CAMERA.__class__(**{**CAMERA.values(), "fx": 300.0})}, "has a different camera"),
+        ({"run": {**RUN, "input.sha256": "1"}}, "has a different recording"),
     ],
 )
 def test_what_is_of_something_else_is_refused(tmp_path: Path, change: dict[str, object], words: str) -> None:

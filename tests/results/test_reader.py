@@ -233,7 +233,7 @@ def test_estimates_that_are_not_the_subject_s_are_refused(path: Path, tmp_path: 
     result = read_result(with_fewer(path, tmp_path / "r.mcap", name))
     expected = {"shape": SUBJECT.shape_names, "points": SUBJECT.point_names}[name]
     found = f"{len(expected) - 1} entries, expected {len(expected)}"
-    with pytest.raises(ResultError, match=f"estimates have other {name} than the subject, found {found}"):
+    with pytest.raises(ResultError, match=f"size of {name} differs from the subject.s, found {found}"):
         result.columns(fields=("stamp_ns", name))
     assert len(result.columns(fields=("stamp_ns",))["stamp_ns"]) == 26
 
@@ -250,7 +250,7 @@ def test_a_result_that_ends_before_its_first_estimate_says_so(path: Path, tmp_pa
     while read_result(cut).channels:  # until it ends before the chunk that tells them
         data = data[: len(data) // 2]
         cut.write_bytes(data)
-    with pytest.raises(ResultError, match="there are none at all"):
+    with pytest.raises(ResultError, match="the file has no estimates"):
         read_result(cut).topic_of_estimates("/hand/estimate")
 
 
@@ -265,13 +265,13 @@ def test_a_missing_result_points_at_the_unfinished_one(tmp_path: Path) -> None:
 
 def test_other_files_are_refused(tmp_path: Path) -> None:
     (tmp_path / "text.mcap").write_text("hello, world")
-    with pytest.raises(ResultError, match="is no MCAP file"):
+    with pytest.raises(ResultError, match="is not an MCAP file"):
         read_result(tmp_path / "text.mcap")
     with (tmp_path / "other.mcap").open("wb") as stream:
         writer = Writer(stream)
         writer.start()
         writer.finish()
-    with pytest.raises(ResultError, match="is no result of posetrack"):
+    with pytest.raises(ResultError, match="is not a posetrack result"):
         read_result(tmp_path / "other.mcap")
 
 

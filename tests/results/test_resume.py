@@ -149,7 +149,7 @@ def test_a_recording_that_is_typed_otherwise_is_the_same(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("key", "then", "now", "words"),
     [
-        ("sources", "0123", "4567", "build of posetrack, so .* found 0123, expected 4567"),
+        ("sources", "0123", "4567", "posetrack build, found 0123, expected 4567"),
         ("libraries", "numpy 2.4, scipy 1.1", "numpy 2.5, scipy 1.1", "found numpy 2.4, expected numpy 2.5"),
         ("processor", "x86_64, openblas A", "x86_64, openblas B", "found openblas A, expected openblas B"),
         ("sources", None, "4567", "found nothing, expected 4567"),
@@ -161,7 +161,7 @@ def test_what_another_posetrack_began_is_refused(
     begun = RUN if then is None else RUN | {key: then}
     path = killed(tmp_path, 12, run=begun)
     error = refused(path, run=RUN | {key: now, "configuration": "of another default"})
-    assert re.search(f"the unfinished result is of another .*{words}", str(error))
+    assert re.search(f"the unfinished result was made with a different .*{words}", str(error))
     assert "start again with --overwrite" in str(error) and "configuration" not in str(error)
 
 
@@ -174,7 +174,7 @@ def other_subject() -> Subject:
     [
         ({"subject": other_subject()}, "point_names="),
         ({"camera": replace(CAMERA, fx=366.0)}, "another camera"),
-        ({"flush_frames": 5}, "found every 10, expected every 5"),
+        ({"flush_frames": 5}, "found 10 frames, expected 5 frames"),
     ],
 )
 def test_another_subject_camera_or_spacing_is_refused(
@@ -207,7 +207,7 @@ def test_a_damaged_checkpoint_is_an_error(tmp_path: Path, damage) -> None:
 def test_a_checkpoint_newer_than_the_file_is_an_error(tmp_path: Path) -> None:
     path = killed(tmp_path, 12)
     part_path(path).write_bytes(part_path(path).read_bytes()[:-10])
-    assert "checkpoint does not fit the unfinished result" in str(refused(path))
+    assert "checkpoint does not match the unfinished result" in str(refused(path))
 
 
 def test_a_checkpoint_of_another_run_is_an_error(tmp_path: Path) -> None:
@@ -216,7 +216,7 @@ def test_a_checkpoint_of_another_run_is_an_error(tmp_path: Path) -> None:
     with ResultWriter(tmp_path / "other" / "r.mcap", SUBJECT, CAMERA, RUN | {"seed": "2"}) as writer:
         writer.save_checkpoint(checkpoint_at(writer, -1))
     shutil.copy(state_path(tmp_path / "other" / "r.mcap"), state_path(path))
-    assert "checkpoint is of another run" in str(refused(path))
+    assert "checkpoint belongs to another run" in str(refused(path))
 
 
 def test_a_damaged_chunk_before_the_checkpoint_is_an_error(tmp_path: Path) -> None:

@@ -167,9 +167,9 @@ def test_after_the_first_smoothed_frame_the_filtered_track_is_closed(tmp_path: P
     with begin(tmp_path / "r.mcap") as writer:
         write_frames(writer, 0, 10)
         write_smoothed_frames(writer, (9,))
-        with pytest.raises(ResultError, match="filtered track has ended"):
+        with pytest.raises(ResultError, match="filtered frame after the smoothed track began"):
             writer.write(make_estimate(10))
-        with pytest.raises(ResultError, match="no checkpoint covers smoothed frames"):
+        with pytest.raises(ResultError, match="checkpoint after the smoothed track began"):
             writer.save_checkpoint(checkpoint_at(writer, 9))
 
 

@@ -113,9 +113,9 @@ def test_memory_does_not_grow_with_the_file(tmp_path: Path) -> None:
 
 def test_a_record_unlike_the_first_is_refused(tmp_path: Path) -> None:
     with filled(tmp_path / "spool", 1) as spool:
-        with pytest.raises(ResultError, match="unlike the first"):
+        with pytest.raises(ResultError, match="differs from the first"):
             spool.append({"other": np.zeros(2)})
-        with pytest.raises(ResultError, match="unlike the first"):
+        with pytest.raises(ResultError, match="differs from the first"):
             spool.append(record(1) | {"matrix": np.zeros((3, 2))})
         assert_holds(reversed(spool), [0])
 

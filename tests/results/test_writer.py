@@ -216,7 +216,7 @@ def test_a_mesh_that_is_refused_leaves_no_half_frame(tmp_path: Path) -> None:
 def test_truth_must_be_on_a_truth_topic(tmp_path: Path) -> None:
     message = make_truth(0)
     object.__setattr__(message, "topic", "/hand/estimate")
-    with begin(tmp_path / "r.mcap") as writer, pytest.raises(ResultError, match=r"no truth topic"):
+    with begin(tmp_path / "r.mcap") as writer, pytest.raises(ResultError, match=r"not a truth topic"):
         writer.add_truth(message)
 
 

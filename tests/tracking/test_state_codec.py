@@ -157,7 +157,7 @@ def test_no_array_can_be_missing_or_of_another_type(name: str) -> None:
         ("frames", np.array(-1), "'frames'"),
         ("lost", np.array(2), "'lost'"),
         ("people.count", np.array(6), "'people.count'|'count'"),
-        ("people.person0.views.axis", np.zeros((2, 3)), "not of length 1"),
+        ("people.person0.views.axis", np.zeros((2, 3)), "not of unit length"),
         ("people.person0.views.stamps", np.zeros(3, dtype=np.int64), "views"),
         ("weights", np.array([np.nan, 0.0]), "not finite"),
     ],

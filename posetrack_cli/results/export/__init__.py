@@ -1,1 +1,1 @@
-"""Results in the formats of other tools: CSV, TUM, JSON, numpy."""
+"""Export of results to formats of other tools: CSV, TUM, JSON, numpy, C3D, ROS 2."""

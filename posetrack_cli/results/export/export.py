@@ -1,4 +1,4 @@
-"""Export a result: text in any of its formats, or arrays for numpy."""
+"""Export of a result as text or as arrays for numpy."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ TUM_FIELDS = ("stamp_ns", "position", "quaternion")
 def csv_text(source: ExportSource) -> Iterator[str]:
     """Yield a header row and one row per frame, 1000 frames at a time.
 
-    There are no comments, which spreadsheets and ``pandas.read_csv`` would take for rows: names of columns
-    end in their units, and the header of ``json_text`` has their meanings. Numbers are written so that they
-    come back to the last bit; a value that there is not is an empty cell.
+    There are no comment lines, as spreadsheets and ``pandas.read_csv`` would read them as rows. Column
+    names end in their units; the header of ``json_text`` has descriptions. Numbers round-trip exactly;
+    missing values are empty cells.
     """
     blocks, groups = source.begun_blocks(), table_of(source.result.subject)
     yield csv_of([[name for group in groups for name in group.names]])
@@ -42,9 +42,10 @@ def csv_text(source: ExportSource) -> Iterator[str]:
 
 
 def tum_text(source: ExportSource) -> Iterator[str]:
-    """Yield the trajectory in TUM's format: ``timestamp tx ty tz qx qy qz qw``, seconds and metres.
+    """Yield the trajectory in TUM format: ``timestamp tx ty tz qx qy qz qw``, seconds and metres.
 
-    It has neither status nor points. The pose is ``camera_T_object``, the object's place in camera axes.
+    The pose is ``camera_T_object``, the object's pose in camera axes. The format has no status and no
+    points.
     """
     blocks = source.begun_blocks(TUM_FIELDS)
     yield from _comments(header_lines(source))
@@ -56,9 +57,9 @@ def tum_text(source: ExportSource) -> Iterator[str]:
 
 
 def json_text(source: ExportSource) -> Iterator[str]:
-    """Yield one object: ``header``, and ``columns``, a list of N values for each column of the table.
+    """Yield one object: ``header``, and ``columns`` with a list of N values per column of the table.
 
-    A value that there is not is null.
+    Missing values are null.
     """
     columns = source.columns()
     header = printable_json(json.dumps(header_values(source), indent=1, ensure_ascii=False))
@@ -79,14 +80,14 @@ def _comments(lines: Iterable[str]) -> Iterator[str]:
 
 
 def _cells(groups: tuple[ColumnGroup, ...], block: Columns) -> Iterator[list[object]]:
-    """Yield the cells of each column; truth values are 1 and 0."""
+    """Yield the cells of each column; booleans as 1 and 0."""
     for group in groups:
         for values in group.values(block).T:
             yield _plain(values.astype(np.int64) if values.dtype.kind == "b" else values)
 
 
 def _plain(values: Values) -> list[object]:
-    """Return values as Python has them; str() of a float comes back to the same bits; None for NaN."""
+    """Return Python values, whose floats round-trip through str(), and None for NaN."""
     if values.dtype.kind == "f" and np.isnan(values).any():
         return [None if value != value else value for value in values.tolist()]
     plain: list[object] = values.tolist()
@@ -104,14 +105,14 @@ ROLL_PITCH_YAW = "roll_pitch_yaw_deg"
 def export_file(
     source: ExportSource, format_name: str, out: Path, *, overwrite: bool = False
 ) -> tuple[str, ...]:
-    """Write a file in one of ``FORMATS``, whole or not at all.
+    """Write a file in one of ``FORMATS`` atomically.
 
     Returns:
-        Lines on what was left out, or filled, for the format's sake.
+        Lines about data that the format required to be dropped or filled in.
 
     Raises:
         UsageError: ``out`` is a folder, the result itself, or exists and may not be replaced.
-        ResultError: it cannot be written, or the result not be read.
+        ResultError: it cannot be written, or the result cannot be read.
     """
     if format_name in TEXT_FORMATS:
         save_text(text_pieces(source, format_name), source, out, overwrite=overwrite)
@@ -121,7 +122,7 @@ def export_file(
 
 
 def save_text(pieces: Iterable[str], source: ExportSource, out: Path, *, overwrite: bool = False) -> None:
-    """Write pieces of text to a file as ``export_file`` does."""
+    """Write text to a file like ``export_file``."""
     with _whole(source, out, overwrite=overwrite) as part, open_output(part) as stream:
         for piece in pieces:
             stream.write(piece.encode("utf-8", "backslashreplace"))
@@ -129,22 +130,24 @@ def save_text(pieces: Iterable[str], source: ExportSource, out: Path, *, overwri
 
 @contextmanager
 def _whole(source: ExportSource, out: Path, *, overwrite: bool) -> Iterator[Path]:
-    """Yield the name to write to, which becomes ``out`` at the end; the result is never replaced."""
+    """Yield a temporary name that is renamed to ``out`` at the end; never replace the result itself."""
     check_target(out, overwrite=overwrite, source=source.result.path, source_name="result")
     with whole_or_nothing(out) as part:
         yield part
 
 
 def text_pieces(source: ExportSource, format_name: str) -> Iterator[str]:
-    """Yield one of ``TEXT_FORMATS``, piece by piece.
+    """Yield text in one of ``TEXT_FORMATS``, piece by piece.
 
     Raises:
-        UsageError: it is no text format.
+        UsageError: it is not a text format.
         ResultError: the result cannot be read.
     """
     if format_name not in TEXT_FORMATS:
         raise UsageError(
-            f"{format_name} is no text", expected=", ".join(TEXT_FORMATS), hint="name a file with -o"
+            f"{format_name} is not a text format",
+            expected=", ".join(TEXT_FORMATS),
+            hint="name a file with -o",
         )
     yield from TEXT_FORMATS[format_name](source)
 
@@ -152,8 +155,8 @@ def text_pieces(source: ExportSource, format_name: str) -> Iterator[str]:
 def write_npz(source: ExportSource, path: Path) -> None:
     """Write every field of the estimates as one array, frames first.
 
-    Beside them: ``roll_pitch_yaw_deg`` (N, 3), ``shape_names``, ``point_names``, ``number_names`` where there
-    are further numbers, and ``header``, a JSON text that states units, Euler order and the run record.
+    Also contains ``roll_pitch_yaw_deg`` (N, 3), ``shape_names``, ``point_names``, ``number_names`` (if
+    there are additional numbers), and ``header``, a JSON text with units, Euler order and the run record.
     """
     columns = source.columns()
     subject = source.result.subject
@@ -172,7 +175,7 @@ def write_npz(source: ExportSource, path: Path) -> None:
 
 
 def _units(fields: Iterable[str]) -> dict[str, str]:
-    """Of the arrays that have one, the Euler angles behind the quaternions that they are made from."""
+    """Return the units of the arrays, including the derived Euler angles."""
     units = {}
     for name in fields:
         if BY_NAME[name].unit:

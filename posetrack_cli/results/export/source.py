@@ -1,4 +1,4 @@
-"""What is exported, and what every exported file says about itself."""
+"""Source of an export, and the header of exported files."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ class ExportSource:
     """Estimates to export.
 
     Attributes:
-        result: the file.
-        topic: of the estimates, or of a truth of the same schema.
-        lost: whether frames whose status is lost are in.
+        result: result file.
+        topic: topic of the estimates, or of ground truth with the same schema.
+        lost: whether lost frames are included.
     """
 
     result: Result
@@ -35,10 +35,10 @@ class ExportSource:
         """Yield columns as ``Result.column_blocks`` does.
 
         Raises:
-            ResultError: as there, or shape entries or points are not those of the result's subject.
+            ResultError: see there; or array sizes differ from the subject's.
         """
         wanted = {"status", "shape", "points", *(fields or self.result.field_names)}
-        in_order = [name for name in BY_NAME if name in wanted]  # which decides the bytes of what is written
+        in_order = [name for name in BY_NAME if name in wanted]  # the order affects the output's bytes
         for block in self.result.column_blocks(self.topic, in_order):
             self._check(block)
             if self.lost:
@@ -48,7 +48,7 @@ class ExportSource:
                 yield {name: column[kept] for name, column in block.items()}
 
     def columns(self, fields: Collection[str] | None = None) -> Columns:
-        """Return all columns at once, or some and what ``blocks`` needs besides."""
+        """Return all columns at once, or the given ones plus those that ``blocks`` needs."""
         return joined(self.blocks(fields)) or empty_columns(
             fields or self.result.field_names, Sizes(*self._counts, len(self.result.subject.number_names))
         )
@@ -57,7 +57,7 @@ class ExportSource:
         """Yield estimates one by one.
 
         Raises:
-            ResultError: as of ``blocks``.
+            ResultError: see ``blocks``.
         """
         for estimate in self.result.estimates(self.topic):
             self._check_counts((len(estimate.shape), len(estimate.points)))
@@ -65,7 +65,7 @@ class ExportSource:
                 yield estimate
 
     def begun_blocks(self, fields: Collection[str] | None = None) -> Iterator[Columns]:
-        """Return ``blocks``, the first of them read: nothing is written yet if that fails."""
+        """Return ``blocks`` with the first one already read, so that errors occur before any output."""
         blocks = self.blocks(fields)
         return chain(list(islice(blocks, 1)), blocks)
 
@@ -79,23 +79,23 @@ class ExportSource:
     def _check_counts(self, found: tuple[int, int]) -> None:
         if found != self._counts:
             raise ResultError(
-                "estimates of another subject",
+                "estimates do not fit the subject",
                 where=f"{self.result.path}, {self.topic}",
-                found="{} shape entries and {} points".format(*found),
+                found="{} shape parameters and {} points".format(*found),
                 expected="{} and {}".format(*self._counts),
             )
 
 
 def export_source(result: Result, topic: str | None = None, *, lost: bool = True) -> ExportSource:
-    """Return what to export of a result.
+    """Return the estimates of a result to export.
 
     Args:
-        result: the file.
-        topic: any topic of ``posetrack.Estimate``, such as a truth's; by default the result's own.
-        lost: whether frames whose status is lost are in.
+        result: result file.
+        topic: any topic of ``posetrack.Estimate``, such as ground truth; default: the result's own.
+        lost: whether lost frames are included.
 
     Raises:
-        ResultError: there is no such topic.
+        ResultError: unknown topic.
     """
     return ExportSource(result, result.topic_of_estimates(topic), lost)
 
@@ -105,7 +105,7 @@ _SHORT_RECORDS = ("tracker", "version", "sources", "seed", "input.name", "input.
 
 
 def header_lines(source: ExportSource) -> Iterator[str]:
-    """Yield what a trajectory says above its rows, line by line."""
+    """Yield the comment lines above a trajectory."""
     result = source.result
     yield f"posetrack export of {result.path.name}, topic {source.topic}"
     yield (
@@ -114,16 +114,16 @@ def header_lines(source: ExportSource) -> Iterator[str]:
     )
     records = {key: result.run[key] for key in _SHORT_RECORDS if key in result.run}
     yield f"run: {json.dumps(records, ensure_ascii=False)}{'' if result.finished else ', unfinished'}"
-    yield f"lost frames: {'in the table, with status lost' if source.lost else 'left out'}"
+    yield f"lost frames: {'included' if source.lost else 'left out'}"
     if result.losses:
-        yield f"data that is missing: {loss_line(result.losses)}"
+        yield f"missing data: {loss_line(result.losses)}"
     yield f"camera axes: {CAMERA_AXES}"
 
 
 def header_values(source: ExportSource) -> dict[str, Any]:
-    """Return what the header of JSON and npz holds, as plain values.
+    """Return the header of JSON and npz exports as plain values.
 
-    ``columns`` describes the columns of the table; ``losses`` is what is known when the file is opened.
+    ``losses`` are those known when the file is opened.
     """
     result = source.result
     groups = table_of(result.subject)

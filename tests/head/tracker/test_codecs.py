@@ -82,7 +82,7 @@ OF_A_MAP = ("stamps", "crops", "positions", "quaternions", "views", "places", "p
 def test_a_map_needs_all_its_arrays(name: str) -> None:
     arrays = mapped()
     del arrays[f"{MAP}.{name}"]
-    assert_refused(arrays, f"no array '{MAP}.{name}'")
+    assert_refused(arrays, f"array '{MAP}.{name}' is missing")
 
 
 @pytest.mark.parametrize("name", [*OF_A_MAP[:-1], "share"])
@@ -104,7 +104,9 @@ def test_a_map_with_numbers_that_are_none_is_refused(name: str, bad: float) -> N
 
 @pytest.mark.parametrize("share", [-0.1, 1.1])
 def test_a_map_is_believed_by_a_share(share: float) -> None:
-    assert_refused(mapped() | {f"{MAP}.share": np.array(share)}, f"'{MAP}.share' with the value {share}")
+    assert_refused(
+        mapped() | {f"{MAP}.share": np.array(share)}, f"'{MAP}.share' has an out-of-range value {share}"
+    )
 
 
 @pytest.mark.parametrize(
@@ -113,7 +115,7 @@ def test_a_map_is_believed_by_a_share(share: float) -> None:
     ids=["beyond the last", "one back", "falling", "far beyond the last"],
 )
 def test_points_of_a_map_belong_to_its_views_in_order(views: list[int]) -> None:
-    assert_refused(mapped() | {f"{MAP}.views": np.array(views)}, "'views' that do not rise")
+    assert_refused(mapped() | {f"{MAP}.views": np.array(views)}, "'views' is not in ascending order")
 
 
 def test_points_of_no_view_at_all_are_refused() -> None:
@@ -130,14 +132,14 @@ def test_crops_are_only_turned_scaled_and_moved(turn: list[list[float]]) -> None
     arrays = mapped()
     placement = arrays[f"{VIEWS}.placement"].copy()
     placement[1, :, :2] = turn
-    assert_refused(arrays | {f"{VIEWS}.placement": placement}, "'placement' that does not just turn")
+    assert_refused(arrays | {f"{VIEWS}.placement": placement}, "'placement' is not a similarity transform")
 
 
 @pytest.mark.parametrize("name", ["view.stamps", "view.pixels", "crop", "placement"])
 def test_frames_of_skin_need_all_their_arrays(name: str) -> None:
     arrays = mapped()
     del arrays[f"{VIEWS}.{name}"]
-    assert_refused(arrays, f"no array '{VIEWS}.{name}'")
+    assert_refused(arrays, f"array '{VIEWS}.{name}' is missing")
     with pytest.raises(LayoutError):
         CODEC.from_arrays(arrays)
 
@@ -160,19 +162,19 @@ def test_what_was_learned_is_taken() -> None:
 def test_a_missing_array_is_named(name: str) -> None:
     arrays = learned()
     del arrays[name]
-    assert_refused(arrays, f"no array '{name}'")
+    assert_refused(arrays, f"array '{name}' is missing")
 
 
 def test_missing_templates_are_named() -> None:
     arrays = {name: array for name, array in learned().items() if not name.startswith("person1.sets.")}
-    assert_refused(arrays, "no array 'person1.sets.windows'")
+    assert_refused(arrays, "array 'person1.sets.windows' is missing")
 
 
 @pytest.mark.parametrize(
     "name, shape", [("person0.identity", (11,)), ("person1.identity", ()), ("person0.offsets", (3, 10))]
 )
 def test_an_array_of_another_shape_is_named(name: str, shape: tuple[int, ...]) -> None:
-    assert_refused(learned() | {name: np.zeros(shape)}, f"'{name}' as float64 {shape}, not float64 (")
+    assert_refused(learned() | {name: np.zeros(shape)}, f"'{name}' is float64 {shape}, expected float64 (")
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
@@ -183,7 +185,7 @@ def test_what_is_not_finite_is_named(bad: float) -> None:
 
 
 def test_of_another_face_model_is_refused() -> None:
-    with pytest.raises(ResultError, match=r"'person0.identity' as float64 \(10,\), not float64 \(7\)"):
+    with pytest.raises(ResultError, match=r"'person0.identity' is float64 \(10,\), expected float64 \(7\)"):
         known_people(learned(), people_codec(random_model(0, identities=7), SETTINGS))
 
 

@@ -15,7 +15,7 @@ from posetrack_cli.head.multilinear.face_model import load_face_model
 from posetrack_cli.head.subject import MONO_TRACK, STEREO_TRACK
 from posetrack_cli.head.tracker.codecs import FOCAL_PX, people_codec
 from posetrack_cli.head.tracker.face_learning import new_face
-from posetrack_cli.head.tracker.given_person import GivenPerson, person_like, read_person
+from posetrack_cli.head.tracker.given_person import GivenPerson, person_from_shape, read_person
 from posetrack_cli.head.tracker.stereo import StereoCodecs, StereoState
 from support.mono_cases import random_known, random_templates
 from support.mono_scene import CAMERA
@@ -35,7 +35,7 @@ def written(path: Path, arrays: dict[str, np.ndarray], tracker: str = "head-mono
 def test_a_measured_shape_is_kept_whole() -> None:
     """Whatever it is, offsets take what no identity explains."""
     shape = neutral(MODEL.identity_mean) + np.random.default_rng(0).normal(0.0, 4.0, (10, 3))
-    person = person_like(shape, MODEL, SETTINGS)
+    person = person_from_shape(shape, MODEL, SETTINGS)
     made = MODEL.of_person(person.identity, person.offsets).mean
     np.testing.assert_allclose(made - MEAN_DISPLACEMENTS, shape, atol=1e-9)
 
@@ -45,12 +45,12 @@ def test_the_identity_of_a_face_of_the_model_is_found() -> None:
     rng = np.random.default_rng(1)
     identity = MODEL.identity_mean + rng.normal(size=MODEL.identity_size) * MODEL.identity_deviations
     flat = SETTINGS.model_copy(update={"prior": 1e-4})
-    found = person_like(neutral(identity), MODEL, flat)
+    found = person_from_shape(neutral(identity), MODEL, flat)
     wanted = MODEL.of_person(identity).mean
     beside = np.linalg.norm(MODEL.of_person(found.identity).mean - wanted, axis=1)
     mean = np.linalg.norm(MODEL.of_person(MODEL.identity_mean).mean - wanted, axis=1)
     assert beside.max() < 1.5 and beside.mean() < 0.5 * mean.mean()  # laid on the mean, it is turned a little
-    usual = person_like(neutral(identity), MODEL, SETTINGS)
+    usual = person_from_shape(neutral(identity), MODEL, SETTINGS)
     away = [(one - MODEL.identity_mean) / MODEL.identity_deviations for one in (usual.identity, identity)]
     assert float(away[0] @ away[1]) > 0.0
 
@@ -77,9 +77,9 @@ def test_what_says_of_nobody_is_one_line(tmp_path: Path) -> None:
     other = written(tmp_path / "other.npz", {"people": np.array(1)})
     refused: list[tuple[Path, type[PosetrackError], str]] = [
         (tmp_path / "nowhere.mcap", UsageError, "no such model file"),
-        (nobody, ResultError, "no array 'people'"),
+        (nobody, ResultError, "array 'people' is missing"),
         (stereo, UsageError, "expected the result of that run"),
-        (few, ResultError, "no array 'focal_px'"),
+        (few, ResultError, "array 'focal_px' is missing"),
         (other, ResultError, "model is incomplete or damaged"),
     ]
     for path, kind, expected in refused:

@@ -77,7 +77,7 @@ def test_the_shape_found_is_kept_where_frames_are_tracked_with_it() -> None:
 def test_every_array_is_needed_and_has_its_shape_and_kind(name: str) -> None:
     arrays = learned()
     del arrays[name]
-    with pytest.raises(ResultError, match=f"incomplete or damaged, found no array '{name}'"):
+    with pytest.raises(ResultError, match=f"incomplete or damaged, found array '{name}' is missing"):
         CODECS.from_model(arrays)
     for wrong in (np.array(["text"]), learned()[name][None], np.zeros(0, learned()[name].dtype)):
         with pytest.raises(ResultError, match=f"found '{name}' as "):
@@ -87,12 +87,12 @@ def test_every_array_is_needed_and_has_its_shape_and_kind(name: str) -> None:
 def test_templates_of_other_cameras_and_of_different_lengths() -> None:
     with pytest.raises(ResultError, match=r"found 'sets.windows' as uint8 \(2, 3, 10, 48, 48\)"):
         CODECS.from_model(learned(cameras=3))
-    with pytest.raises(ResultError, match=r"'sets.facing' as float64 \(1, 3\), not float64 \(2, 3\)"):
+    with pytest.raises(ResultError, match=r"'sets.facing' is float64 \(1, 3\), expected float64 \(2, 3\)"):
         CODECS.from_model(learned() | {"sets.facing": np.zeros((1, 3))})
 
 
 def test_a_face_that_is_not_finite() -> None:
-    with pytest.raises(ResultError, match=r"'face.mean' with values that are not finite"):
+    with pytest.raises(ResultError, match=r"'face.mean' has values that are not finite"):
         CODECS.from_model(learned() | {"face.mean": np.full((POINT_COUNT, 3), np.inf)})
 
 

@@ -40,7 +40,7 @@ def test_every_array_is_needed_and_has_its_shape_and_kind(name: str) -> None:
     known_people(learned(), people_codec(MODEL, AdjustmentSettings()))
     right = learned()[name]
     assert_refused(
-        {other: array for other, array in learned().items() if other != name}, f"no array '{name}'"
+        {other: array for other, array in learned().items() if other != name}, f"array '{name}' is missing"
     )
     assert_refused(learned() | {name: right[None]}, f"'{name}' as {right.dtype} (1")
     assert_refused(learned() | {name: np.full(right.shape, "text")}, f"'{name}' as <U4")
@@ -55,7 +55,7 @@ def test_only_what_may_be_unknown_may_be_nan(name: str) -> None:
     if name.endswith(MAY_BE_NAN):
         known_people(arrays, people_codec(MODEL, AdjustmentSettings()))
     else:
-        assert_refused(arrays, f"'{name}' with values that are not finite")
+        assert_refused(arrays, f"'{name}' has values that are not finite")
 
 
 @pytest.mark.parametrize("group", ["sets", "views", "album"])

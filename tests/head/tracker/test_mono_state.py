@@ -105,14 +105,14 @@ def test_nothing_is_no_state() -> None:
 def test_faces_were_seen_at_some_scale(name: str) -> None:
     arrays = CODEC.to_arrays(STATES[name])
     del arrays["scale"]
-    with pytest.raises(LayoutError, match="no array 'scale'"):
+    with pytest.raises(LayoutError, match="array 'scale' is missing"):
         CODEC.from_arrays(arrays)
 
 
 def test_what_was_stated_deforms_as_what_is_tracked() -> None:
     """The one is taken from the other, for a rate."""
     arrays = CODEC.to_arrays(STATES["stated"])
-    with pytest.raises(LayoutError, match=r"'stated\.coefficients' as float64"):
+    with pytest.raises(LayoutError, match=r"'stated\.coefficients' is float64"):
         CODEC.from_arrays(arrays | {"stated.coefficients": np.zeros(3)})
 
 

@@ -390,7 +390,7 @@ def test_what_was_learned_begins_at_the_size_that_it_was_seen_at() -> None:
     )
     assert wider.start(frame(0), scene.rng).scale == LARGEST_SCALE, "images are not enlarged beyond"
     del known["focal_px"]
-    with pytest.raises(ResultError, match="no array 'focal_px'"):
+    with pytest.raises(ResultError, match="array 'focal_px' is missing"):
         Scene(known=known)
 
 
