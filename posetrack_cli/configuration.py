@@ -45,6 +45,8 @@ class Settings(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     file_keys: ClassVar[tuple[str, ...]] = ()
     """Keys such as ``hand.mesh`` whose value is a path, relative to the TOML file's folder."""
+    renamed_keys: ClassVar[Mapping[str, str]] = {}
+    """Former keys of this table and their current names; errors point to the new name."""
 
     @field_validator("*", mode="before")
     @classmethod
@@ -215,7 +217,12 @@ def _explained(error: ValidationError, model: type[Settings], where: object) -> 
     location = [str(part) for part in problem["loc"]]
     key = ".".join(location)
     if problem["type"] == "extra_forbidden":
-        known = _fields_at(model, location[:-1])
+        table = _table_at(model, location[:-1])
+        name = table.renamed_keys.get(location[-1]) if table is not None else None
+        if name is not None:
+            renamed = ".".join([*location[:-1], name])
+            return UsageError(f"configuration key '{key}' was renamed", where=where, hint=f"use '{renamed}'")
+        known = [] if table is None else list(table.model_fields)
         return UsageError(
             f"unknown configuration key '{key}'", where=where, hint=nearest_name(location[-1], known)
         )
@@ -248,14 +255,14 @@ def _kinds(model: type[BaseModel], name: str) -> tuple[Any, ...]:
     return () if field is None else (field.annotation, *get_args(field.annotation))
 
 
-def _fields_at(model: type[BaseModel], location: list[str]) -> list[str]:
-    """Return the keys of the table at a location."""
+def _table_at(model: type[Settings], location: list[str]) -> type[Settings] | None:
+    """Return the type of the table at a location, None if there is no table."""
     for part in location:
         if part.isdecimal():  # index into a list of tables
             continue
         kinds = _kinds(model, part)
-        tables = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)]
+        tables = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, Settings)]
         if not tables:
-            return []
+            return None
         model = tables[0]
-    return list(model.model_fields)
+    return model

@@ -99,6 +99,25 @@ def test_mistakes_in_a_file(tmp_path: Path, text: str, message: str) -> None:
     assert failure(path).startswith(f"{path}: {message}")
 
 
+@pytest.mark.parametrize("as_option", [False, True])
+@pytest.mark.parametrize(
+    ("former", "current"),
+    [
+        ("sure_mm", "doubt_above_mm"),
+        ("well_mm", "retry_above_mm"),
+        ("good_mm", "baseline_cost_mm"),
+    ],
+)
+def test_a_renamed_key_is_refused_with_its_new_name(
+    tmp_path: Path, former: str, current: str, as_option: bool
+) -> None:
+    path = None if as_option else written(tmp_path, f"[status]\n{former} = 3.0\n")
+    options = {f"status.{former}": 3.0} if as_option else {}
+    message = f"configuration key 'status.{former}' was renamed; use 'status.{current}'"
+    with pytest.raises(UsageError, match=message):
+        load_settings(HandConfig, path, options)
+
+
 class Every(Settings):
     """One field of each kind that configurations have."""
 

@@ -194,7 +194,7 @@ def hand_calibrate(recording: Path, output: Path, **options: Any) -> None:
     fingers bent. The file serves other recordings of the hand: hand run RECORDING --shape HAND.toml.
     """
     from posetrack_cli.hand.autodetect import calibrate
-    from posetrack_cli.hand.shape_fit import CalibrationOptions, doubts_of, write_hand_file
+    from posetrack_cli.hand.shape_fit import CalibrationOptions, write_hand_file
     from posetrack_cli.losses import loss_line
     from posetrack_cli.outputs import check_target
 
@@ -210,8 +210,8 @@ def hand_calibrate(recording: Path, output: Path, **options: Any) -> None:
     print_line(
         f"{output}: {found.frames_used} of {found.frames_seen} frames, residual {found.residual_mm:.2f} mm"
     )
-    if doubts := doubts_of(found):
-        print_note(f"{recording}: a {found.side} hand, {found.length_mm:.0f} mm long{doubts}")
+    if warning := found.warning:
+        print_note(f"{recording}: a {found.side} hand, {found.length_mm:.0f} mm long{warning}")
     result = Path(f"{recording.resolve().stem}-tracked.mcap")
     tell_next(("hand", "run", recording, "--shape", output, "-o", result))
     if source.losses:

@@ -42,7 +42,7 @@ from posetrack_cli.cli.terminal import print_aside, print_detail
 from posetrack_cli.errors import UsageError
 
 if TYPE_CHECKING:
-    from posetrack_cli.hand.autodetect import HandFound
+    from posetrack_cli.hand.autodetect import DetectedHand
     from posetrack_cli.hand.config import HandConfig
     from posetrack_cli.hand.keypoints.file import KeypointFile
     from posetrack_cli.hand.run import HandRun
@@ -178,9 +178,9 @@ def hand_run(recording: Path, **options: Any) -> None:
     close(recording, output, outcome)
 
 
-def _prepare(recording: Path, options: dict[str, Any]) -> tuple[HandRun, int | None, HandFound]:
+def _prepare(recording: Path, options: dict[str, Any]) -> tuple[HandRun, int | None, DetectedHand]:
     """Refuse what can be refused before the first frame, and settle what is left open."""
-    from posetrack_cli.hand.autodetect import find_hand
+    from posetrack_cli.hand.autodetect import detect_hand
     from posetrack_cli.hand.run import HandRun, RunOptions, check_run
     from posetrack_cli.rendering.devices import open_fastest_device
     from posetrack_cli.tracking.options import frames_ahead
@@ -193,7 +193,7 @@ def _prepare(recording: Path, options: dict[str, Any]) -> tuple[HandRun, int | N
     device = open_fastest_device(options["device"])
     print_detail(f"draws with {device.info}")
     check_run(source, config, run_options)
-    found = find_hand(source, config, options["start"], keypoints)
+    found = detect_hand(source, config, options["start"], keypoints)
     tell_settings(found.config)
     run = HandRun(source, found.config, run_options, device)
     return run, frames_ahead(source, run_options), found

@@ -1,4 +1,4 @@
-"""What is found out before a run: side, size and shape of the hand."""
+"""Detection of side, size and shape of the hand before a run."""
 
 from __future__ import annotations
 
@@ -17,30 +17,29 @@ from posetrack_cli.hand.evidence import DepthEvidence
 from posetrack_cli.hand.fit.gauss_newton import STIFF_THUMB
 from posetrack_cli.hand.fit.likelihood import PROPOSALS
 from posetrack_cli.hand.keypoints.file import KeypointFile
-from posetrack_cli.hand.keypoints.told import ToldSide, told_candidates
+from posetrack_cli.hand.keypoints.hands import KeypointSide, keypoint_candidates
 from posetrack_cli.hand.model.hand import hand_maker
 from posetrack_cli.hand.observe.detection import Detection
 from posetrack_cli.hand.search import Acquisition
-from posetrack_cli.hand.shape_fit import Calibration, CalibrationOptions, doubts_of, shape_of
+from posetrack_cli.hand.shape_fit import Calibration, CalibrationOptions, shape_of
 from posetrack_cli.phases import Advance, phase
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.recording import Recording
 
-# Right or left, decided again where a hand of average shape did not tell: by hands of the shapes found
+# Side from the estimated shapes, where the average hand leaves it open
 
-
-_COUNTED = 4.0
-"""Independent frames that those of a shape count as: it is fitted to all of them, and errs in all alike."""
+# The frames of a shape count as this many independent ones: they share the shape's error.
+_SHAPE_FRAMES = 4.0
 
 
 @dataclass(frozen=True)
-class SideFound:
-    """Which hand it is.
+class SideEstimate:
+    """The detected side.
 
     Attributes:
         side: ``right`` or ``left``.
-        log_odds: of that side against the other; infinite where no other was possible.
-        found: its shape, where it was estimated.
+        log_odds: of that side against the other; infinite if only one was possible.
+        found: its shape, if estimated.
     """
 
     side: str
@@ -49,152 +48,149 @@ class SideFound:
 
     @property
     def probability(self) -> float:
-        """Of the side."""
+        """Return the probability of the side."""
         return float(1.0 / (1.0 + np.exp(-self.log_odds)))
 
     @property
     def is_sure(self) -> bool:
-        """Whether the side is certain."""
+        """Return whether the side is certain."""
         return self.log_odds >= CLEAR_LOG_ODDS
 
 
-def decide_side(trial: Trial, estimate: Callable[[str], Calibration | None]) -> SideFound:
-    """Return the likelier side, and its shape.
+def decide_side(search: SideAndScaleSearch, estimate: Callable[[str], Calibration | None]) -> SideEstimate:
+    """Return the likelier side and its shape.
 
-    A pointing hand, or a fist, of average shape costs about the same as either hand; adjusted to the frames,
-    the true one costs less. So both shapes are estimated where the trial's frames left the side open, or
-    told of it by hands of a wrong size.
+    A pointing hand or a fist of average shape fits either side at about the same cost; with the shape
+    adjusted to the frames the true side costs less. Both shapes are estimated if the search left the side
+    open, or decided it with hands of a wrong size.
 
     Args:
-        trial: what frames told of side and size.
-        estimate: gives the shape of a side's hand; None where it has none that can be used.
+        search: evidence of the frames for side and size.
+        estimate: returns the shape of a side's hand; None without a usable one.
     """
-    shapes = {trial.side: estimate(trial.side)}
-    if len(trial.sides) == 1 or (trial.is_sure_of_side and not _is_resized(trial, shapes)):
-        return SideFound(trial.side, abs(trial.log_odds), shapes[trial.side])
-    shapes |= {side: estimate(side) for side in trial.sides if side not in shapes}
-    first, second = trial.sides
+    shapes = {search.side: estimate(search.side)}
+    if len(search.sides) == 1 or (search.is_sure_of_side and not _is_restarted_at_other_size(search, shapes)):
+        return SideEstimate(search.side, abs(search.log_odds), shapes[search.side])
+    shapes |= {side: estimate(side) for side in search.sides if side not in shapes}
+    first, second = search.sides
     one, other = shapes[first], shapes[second]
-    log_odds = trial.told_log_odds if _is_resized(trial, shapes) else trial.log_odds
+    log_odds = search.keypoint_log_odds if _is_restarted_at_other_size(search, shapes) else search.log_odds
     if one is not None and other is not None:
-        log_odds += _COUNTED * log_odds_of(one.costs_mm[1], other.costs_mm[1])
-    elif _is_resized(trial, shapes):
-        log_odds += MOST_A_FRAME * ((one is not None) - (other is not None))
-    return SideFound(first, log_odds, one) if log_odds >= 0.0 else SideFound(second, -log_odds, other)
+        log_odds += _SHAPE_FRAMES * side_log_odds(one.costs_mm[1], other.costs_mm[1])
+    elif _is_restarted_at_other_size(search, shapes):
+        log_odds += MAX_PER_FRAME * ((one is not None) - (other is not None))
+    return SideEstimate(first, log_odds, one) if log_odds >= 0.0 else SideEstimate(second, -log_odds, other)
 
 
-def _is_resized(trial: Trial, shapes: Mapping[str, Calibration | None]) -> bool:
-    """Whether a shape was begun with another size than fitted best in the trial."""
-    return any(one is not None and one.begun_scale != trial.scale(side) for side, one in shapes.items())
+def _is_restarted_at_other_size(search: SideAndScaleSearch, shapes: Mapping[str, Calibration | None]) -> bool:
+    """Return whether a shape was started from another size than the search's best."""
+    return any(one is not None and one.begun_scale != search.scale(side) for side, one in shapes.items())
 
 
-# Which hand it is, and about how large: both sides and several sizes, tried in a run's first seconds
-
+# Side and size from the first seconds
 
 SIDES = ("right", "left")
 NS_PER_S = 10**9
-LOOKED_AT_S = 10.0
-"""A hand that shows itself later is not waited for."""
-ASKED_EVERY = 12
-"""Frames between those that are asked for the side: they err less alike than neighbours do."""
-_COST_PER_LOG_ODDS, MOST_A_FRAME = 0.9, 3.0
-"""What the other side costs more, mm, for one unit of log odds, and what a frame tells at most **[ours]**.
+EARLY_S = 10.0
+FRAME_STRIDE = 12  # neighbouring frames have correlated errors
+MAX_FRAMES = 16
 
-Of 94 frames of 14 people (600-617 of the synthetic strangers, with the average hand) the true side is the
-cheaper one in four of five; 0.7 mm would be likeliest if frames erred independently."""
+# Log odds of a side from its cost difference, and their bound per frame **[ours]**: with the average hand the
+# true side is the cheaper one in four of five frames. Above the usual cost a difference means less.
+_COST_PER_LOG_ODD_MM, MAX_PER_FRAME = 0.9, 3.0
 _USUAL_COST_MM = 6.0
-"""What the cheaper side cost in these; where it costs more, by hands less like the average one, a difference
-tells less in proportion."""
-WELL_KNOWN_MM = 2.2
-"""A hand that costs no more is the configured one: its own model costs 1 to 2 mm, strangers 3 and more. One
-frame of such a hand may tell the side for certain, if its mirror image costs 3.6 mm more."""
-CLEAR_LOG_ODDS, MOST_ASKED = 4.0, 16
-"""Above it the side is certain (.98); frames asked at most."""
-_RATIO, _STEPS = 1.16, range(-5, 6)
-"""Of sizes that are tried, and how many such steps from the one that is configured: 0.48 to 2.1 of it."""
-_STRANGE_MM, _FAR_STEPS = 8.0, (-4, -3, -2, 2, 3, 4)
-"""Where a hand costs more, sizes far from it are tried, too: between them costs need not fall."""
-_FRAMES_FOR_SIZE, _OWN_MM, _SAME_SIZE = 3, 4.0, 0.03
-"""Frames that tell a size; at what cost a hand is of the size that is configured, or how near to it."""
-_SIZE_SD, _ANOTHER_UNIT_MM = (0.12, 0.15), 2.5
-"""Standard deviations of a size's logarithm above and below the average man's and woman's: men are not much
-larger, children smaller. Half a squared one weighs as 1 mm of cost: a hand that is too large covers what the
-sensor blurs, and is cheaper than the true one by up to 3 mm (CVAR P4). Nothing weighs more than that the
-depth is in another unit than it is taken for: then hands are of any size."""
-_QUICK = {"scattered": 4, "finished": 3}
-"""A search for another size, or for the other side of a hand that is well known, may miss the last tenths of
-a millimetre."""
-_HOPELESS_MM = 4.0
-"""A side that costs so much more than the other in a frame is not tried in further sizes."""
+CLEAR_LOG_ODDS = 4.0  # probability .98
+
+# The configured hand itself fits at 1-2 mm, other people's at 3 mm and more. One frame of it may decide
+# the side.
+KNOWN_HAND_MM = 2.2
+
+_SCALE_RATIO, _SCALE_STEPS = 1.16, range(-5, 6)  # 0.48 to 2.1 of the configured size
+_FAR_SIZES_ABOVE_MM = 8.0  # above this cost also far sizes are tried: costs between need not be monotonic
+_FAR_STEPS = (-4, -3, -2, 2, 3, 4)
+_FRAMES_FOR_SIZE = 3
+_SAME_SIZE_MM, _SAME_SIZE = 4.0, 0.03  # cost, and relative difference, at which the configured size is kept
+
+# Prior of the log size above and below the average adult: few men are much larger, children are smaller. It
+# counters the bias to large hands, which also cover the sensor's blur. The bound allows for depth in a wrong
+# unit.
+_SIZE_SD, _MAX_SIZE_PENALTY_MM = (0.12, 0.15), 2.5
+
+_QUICK_SEARCH = {"scattered": 4, "finished": 3}  # for comparisons that do not need the last 0.1 mm
+_HOPELESS_MM = 4.0  # a side this much worse is not tried in other sizes
 
 
-def tried(
+def search_early_frames(
     recording: Recording,
     config: HandConfig,
     start: int,
     sides: Sequence[str],
     keypoints: KeypointFile | None = None,
-) -> Trial:
-    """Return what frames from the first one on tell of side and size; they are asked until they agree.
+) -> SideAndScaleSearch:
+    """Search the first seconds of a run for side and size, until the frames agree.
 
     Args:
         recording: depth frames.
-        config: of the hand and the search.
-        start: the first frame.
-        sides: to be tried.
-        keypoints: from elsewhere.
+        config: of hand and search.
+        start: first frame.
+        sides: candidates.
+        keypoints: from another program.
 
     Raises:
-        UsageError: the configuration's mesh is no hand that can be used.
+        UsageError: the configured mesh is not a usable hand.
     """
-    trial = Trial(config, recording.cameras[0], sides, keypoints, has_sizes=is_size_open(config))
-    return _asked(trial, early_frames(recording, start))
+    search = SideAndScaleSearch(
+        config, recording.cameras[0], sides, keypoints, has_sizes=is_size_unknown(config)
+    )
+    return _add_frames(search, early_frames(recording, start))
 
 
-def tried_all_over(recording: Recording, config: HandConfig, start: int, sides: Sequence[str]) -> Trial:
-    """Return what frames of the whole recording tell of side and size, whatever is configured of them.
+def search_recording(
+    recording: Recording, config: HandConfig, start: int, sides: Sequence[str]
+) -> SideAndScaleSearch:
+    """Search the whole recording for side and size, whatever is configured.
 
-    Of a few separate images all are asked, until they agree; a hand that shows itself late is waited for.
+    A short sequence of separate images is used completely, until the images agree; a hand may appear late.
 
     Raises:
-        RecordingError: an image cannot be used.
-        UsageError: the configuration's mesh is no hand that can be used.
+        RecordingError: unreadable image.
+        UsageError: the configured mesh is not a usable hand.
     """
     count = recording.frame_count
-    stride = ASKED_EVERY if count is None else min(max((count - start) // MOST_ASKED, 1), ASKED_EVERY)
-    trial = Trial(config, recording.cameras[0], sides, has_sizes=True)
-    return _asked(trial, recording.frames(start=start, end=None, stride=stride))
+    stride = FRAME_STRIDE if count is None else min(max((count - start) // MAX_FRAMES, 1), FRAME_STRIDE)
+    search = SideAndScaleSearch(config, recording.cameras[0], sides, has_sizes=True)
+    return _add_frames(search, recording.frames(start=start, end=None, stride=stride))
 
 
-def _asked(trial: Trial, frames: Iterator[Frame]) -> Trial:
-    """The trial after frames have been asked, until they agree."""
-    with phase("finding side and size", "search") as advance:
+def _add_frames(search: SideAndScaleSearch, frames: Iterator[Frame]) -> SideAndScaleSearch:
+    """Add frames to a search until they agree."""
+    with phase("detecting side and size", "search") as advance:
         for frame in frames:
-            trial.ask(frame, advance)
-            if trial.is_clear:
+            search.add_frame(frame, advance)
+            if search.is_clear:
                 break
-    return trial
+    return search
 
 
-def is_size_open(config: HandConfig) -> bool:
-    """Whether nobody has told the hand's shape, and the tracker fits frames, which a wrong shape misleads."""
-    told = config.init.shape == "given" or config.hand.mesh is not None
-    told = told or config.hand.shape != HandSettings().shape
-    return not told and PROPOSALS[config.filter.proposal].fits_frames and config.filter.kind != "pso"
+def is_size_unknown(config: HandConfig) -> bool:
+    """Return whether the shape is not configured and matters, as the tracker fits frames."""
+    is_given = config.init.shape == "given" or config.hand.mesh is not None
+    is_given = is_given or config.hand.shape != HandSettings().shape
+    return not is_given and PROPOSALS[config.filter.proposal].fits_frames and config.filter.kind != "pso"
 
 
-class Trial:
-    """What frames cost for hands of several sides and sizes.
+class SideAndScaleSearch:
+    """Costs of frames for hands of several sides and sizes.
 
-    A hand that fits well is of the size that is configured, and no other is tried. Else the sizes are a ratio
-    of ``_RATIO`` apart; after a first frame only those about the cheapest are tried further.
+    If the configured hand fits well, other sizes are not tried. Otherwise sizes are a factor of
+    ``_SCALE_RATIO`` apart; after the first frame only those next to the cheapest are tried again.
 
     Args:
-        config: of the hand and the search.
+        config: of hand and search.
         camera: of the depth images.
-        sides: to be tried.
-        keypoints: from elsewhere.
-        has_sizes: whether other sizes than the one that is configured are tried.
+        sides: candidates.
+        keypoints: from another program.
+        has_sizes: whether to try sizes other than the configured one.
     """
 
     def __init__(
@@ -206,45 +202,47 @@ class Trial:
         *,
         has_sizes: bool,
     ) -> None:
-        self._keypoints, self._told = keypoints, ToldSide(keypoints, camera)
-        quick = config.acquisition.model_copy(update=_QUICK)
-        never = config.status.model_copy(update={"sure_mm": config.observation.clamp_mm})
+        self._keypoints, self._keypoint_side = keypoints, KeypointSide(keypoints, camera)
+        quick = config.acquisition.model_copy(update=_QUICK_SEARCH)
+        never = config.status.model_copy(update={"doubt_above_mm": config.observation.clamp_mm})
         self._quick = config.model_copy(update={"acquisition": quick, "status": never})
         self._config, self._camera = config, camera
         self._make_hand = hand_maker(config.hand.mesh)
-        self.sides, self.asked, self._log_odds = sides, 0, 0.0
+        self.sides, self.frame_count, self._log_odds = sides, 0, 0.0
         own = config.hand.scale
-        self._scales = tuple(own * _RATIO**k for k in _STEPS) if has_sizes else (own,)
+        self._scales = tuple(own * _SCALE_RATIO**k for k in _SCALE_STEPS) if has_sizes else (own,)
         off = np.log(np.array(self._scales) / own)
-        unusual = 0.5 * np.square(off / np.where(off > 0.0, *_SIZE_SD))
-        self._unusual = np.minimum(unusual, _ANOTHER_UNIT_MM)  # (K,) mm, of a frame
+        penalty = 0.5 * np.square(off / np.where(off > 0.0, *_SIZE_SD))
+        self._size_penalty = np.minimum(penalty, _MAX_SIZE_PENALTY_MM)  # (K,) mm, of a frame
         self._tried: Sequence[int] = ()
         self._costs = np.zeros((len(sides), len(self._scales)))
         self._finders: dict[tuple[int, int, bool], Acquisition] = {}
 
-    def ask(self, frame: Frame, advance: Advance = lambda count: None) -> None:
-        """Add what a frame costs, if there may be a hand in it; ``advance`` counts the searches."""
+    def add_frame(self, frame: Frame, advance: Advance = lambda count: None) -> None:
+        """Add the costs of a frame, unless it shows no candidate; ``advance`` counts the searches."""
         own = len(self._scales) // 2
-        places = self._finder(0, own).detect(frame.depth)
-        if not places and not told_candidates(self._keypoints, self._camera, self._finder(0, own), frame):
+        detections = self._finder(0, own).detect(frame.depth)
+        if not detections and not keypoint_candidates(
+            self._keypoints, self._camera, self._finder(0, own), frame
+        ):
             return
-        self._ask_keypoints(frame)
+        self._add_keypoints(frame)
 
-        def of(side: int, k: int, places: Sequence[Detection]) -> tuple[float, list[Detection]]:
-            finder = self._finder(side, k, quick=k != own or costs.min() <= WELL_KNOWN_MM)
-            told = told_candidates(self._keypoints, self._camera, finder, frame)
+        def cost_of(side: int, k: int, detections: Sequence[Detection]) -> tuple[float, list[Detection]]:
+            finder = self._finder(side, k, quick=k != own or costs.min() <= KNOWN_HAND_MM)
+            extra = keypoint_candidates(self._keypoints, self._camera, finder, frame)
             advance(1)
-            return finder.appraise(frame.depth, places, told)
+            return finder.appraise(frame.depth, detections, extra)
 
         costs = np.full(self._costs.shape, self._config.observation.clamp_mm)
-        costs[0, own], likely = of(0, own, places)
+        costs[0, own], likely = cost_of(0, own, detections)
 
         def appraise(side: int, k: int) -> None:
             if (side, k) == (0, own):
                 return
-            # a palm is as large as the hand: where it is looked for depends on it
-            there = likely if abs(k - own) <= 1 else self._finder(side, k, quick=True).detect(frame.depth)
-            costs[side, k] = of(side, k, there)[0]
+            # detection depends on the palm's size, so far sizes need their own
+            here = likely if abs(k - own) <= 1 else self._finder(side, k, quick=True).detect(frame.depth)
+            costs[side, k] = cost_of(side, k, here)[0]
 
         for side in range(len(self.sides)):
             appraise(side, own)
@@ -252,34 +250,36 @@ class Trial:
         possible = [side for side in range(len(self.sides)) if costs[side, own] < least + _HOPELESS_MM]
         if not self._tried:
             self._tried = [own]
-            if len(self._scales) > 1 and least > _OWN_MM:
-                self._tried = sorted({k for side in possible for k in self._climbed(side, costs, appraise)})
+            if len(self._scales) > 1 and least > _SAME_SIZE_MM:
+                self._tried = sorted(
+                    {k for side in possible for k in self._climb_scale(side, costs, appraise)}
+                )
         else:
             for side, k in product(possible, set(self._tried) - {own}):
                 appraise(side, k)
         self._costs += costs
-        self.asked += 1
+        self.frame_count += 1
         self._tried = [k for k in {*self._tried, self._best[1]} if abs(k - self._best[1]) <= 1]
         if len(self.sides) > 1:
-            most = CLEAR_LOG_ODDS if costs.min() <= WELL_KNOWN_MM else MOST_A_FRAME
-            self._log_odds += log_odds_of(float(costs[0].min()), float(costs[1].min()), most)
+            most = CLEAR_LOG_ODDS if costs.min() <= KNOWN_HAND_MM else MAX_PER_FRAME
+            self._log_odds += side_log_odds(float(costs[0].min()), float(costs[1].min()), most)
 
-    def _ask_keypoints(self, frame: Frame) -> None:
-        """Add what the frame's keypoints tell of the side."""
+    def _add_keypoints(self, frame: Frame) -> None:
+        """Add the evidence of the frame's keypoints for the side."""
         if len(self.sides) > 1:
             right, left = (self._finder(side, len(self._scales) // 2).observer.anatomy for side in (0, 1))
-            self._told.ask(frame, right, left)
+            self._keypoint_side.add_frame(frame, right, left)
 
-    def _climbed(self, side: int, costs: FloatArray, appraise: Callable[[int, int], None]) -> set[int]:
-        """Try sizes of a side beside the cheapest, until that lies between two; return which were tried."""
+    def _climb_scale(self, side: int, costs: FloatArray, appraise: Callable[[int, int], None]) -> set[int]:
+        """Evaluate sizes of a side until the cheapest lies between two others; return those evaluated."""
         own, best = len(self._scales) // 2, -1
         tried = {own}
-        if costs[side, own] > _STRANGE_MM:
+        if costs[side, own] > _FAR_SIZES_ABOVE_MM:
             for k in (own + step for step in _FAR_STEPS):
                 appraise(side, k)
                 tried.add(k)
         while True:
-            before, best = best, int(np.argmin(costs[side] + self._unusual))
+            before, best = best, int(np.argmin(costs[side] + self._size_penalty))
             if best == before:
                 return tried
             for k in {best - 1, best + 1} & set(range(len(self._scales))) - tried:
@@ -288,63 +288,64 @@ class Trial:
 
     @property
     def log_odds(self) -> float:
-        """The logarithm of the first side's odds, by costs and keypoints; infinite if it is the only one."""
-        return np.inf if len(self.sides) == 1 else self._log_odds + self.told_log_odds
+        """Return the log odds of the first side, from costs and keypoints; infinite if it is the only one."""
+        return np.inf if len(self.sides) == 1 else self._log_odds + self.keypoint_log_odds
 
     @property
-    def told_log_odds(self) -> float:
-        """The same by keypoints alone."""
-        return self._told.log_odds
+    def keypoint_log_odds(self) -> float:
+        """Return the part of the log odds from keypoints."""
+        return self._keypoint_side.log_odds
 
     @property
     def _best(self) -> tuple[int, int]:
-        """Which side, and which size of it, costs least so far."""
+        """Return the indices of the side and size that cost least so far."""
         side = 0 if self.log_odds >= 0.0 else 1
-        return side, int(np.argmin(self._doubts[side]))
+        return side, int(np.argmin(self._total_costs[side]))
 
     @property
-    def _doubts(self) -> FloatArray:
-        """What sides and sizes (S, K) cost, and what speaks against the sizes beforehand."""
-        return np.asarray(self._costs + max(self.asked, 1) * self._unusual)
+    def _total_costs(self) -> FloatArray:
+        """Return the costs (S, K) of sides and sizes, with the size penalty."""
+        return np.asarray(self._costs + max(self.frame_count, 1) * self._size_penalty)
 
     @property
     def cost(self) -> float:
-        """What the likeliest hand costs in a frame, mm, on average."""
-        return float(self._costs[self._best] / max(self.asked, 1))
+        """Return the mean cost per frame of the likeliest hand, mm."""
+        return float(self._costs[self._best] / max(self.frame_count, 1))
 
     @property
     def side(self) -> str:
-        """The likelier side."""
+        """Return the likelier side."""
         return self.sides[self._best[0]]
 
     @property
     def is_sure_of_side(self) -> bool:
-        """Whether frames agree on the side."""
+        """Return whether the frames agree on the side."""
         return abs(self.log_odds) >= CLEAR_LOG_ODDS
 
     @property
     def is_clear(self) -> bool:
-        """Whether no further frame has to be asked."""
-        enough = self.asked >= (_FRAMES_FOR_SIZE if len(self._tried) > 1 else 1)
-        return self.asked >= MOST_ASKED or (enough and self.is_sure_of_side)
+        """Return whether no further frame is needed."""
+        enough = self.frame_count >= (_FRAMES_FOR_SIZE if len(self._tried) > 1 else 1)
+        return self.frame_count >= MAX_FRAMES or (enough and self.is_sure_of_side)
 
     def scale(self, of: str) -> float:
-        """Return a side's size at the vertex of the parabola through the least cost and those beside it."""
+        """Return a side's size: the vertex of the parabola through the cheapest size and its neighbours."""
         side = self.sides.index(of)
-        k = int(np.argmin(self._doubts[side]))
+        k = int(np.argmin(self._total_costs[side]))
         if not 0 < k < len(self._scales) - 1 or not len(self._tried) > 1:
             return self._scales[k]
-        before, here, after = self._doubts[side, k - 1 : k + 2]
+        before, here, after = self._total_costs[side, k - 1 : k + 2]
         shift = 0.5 * (before - after) / max(before - 2.0 * here + after, 1e-9)
-        found = round(float(self._scales[k] * _RATIO ** np.clip(shift, -0.5, 0.5)), 3)
+        found = round(float(self._scales[k] * _SCALE_RATIO ** np.clip(shift, -0.5, 0.5)), 3)
         own = self._config.hand.scale
         return own if abs(found / own - 1.0) < _SAME_SIZE else found
 
     def _finder(self, side: int, k: int, quick: bool = False) -> Acquisition:
-        """What searches with a hand of one side and size.
+        """Return the search for a hand of one side and size.
 
-        Its thumb has no inner angles: with them a hand of another side or size fits, too. Nor is it expected
-        to rest: that pulls both sides' thumbs from what the image shows, and tells less of the side.
+        The thumb is rigid and not expected to rest: with inner angles a hand of another side or size fits as
+        well, and the rest prior pulls both thumbs away from the image, which weakens the evidence for the
+        side.
         """
         if (side, k, quick) not in self._finders:
             shape = replace(self._config.hand.shape, scale=self._scales[k])
@@ -354,53 +355,45 @@ class Trial:
         return self._finders[side, k, quick]
 
 
-def log_odds_of(cost_mm: float, other_mm: float, most: float = MOST_A_FRAME) -> float:
-    """Return the log odds of a side in a frame, by what it costs and what the other one does."""
+def side_log_odds(cost_mm: float, other_mm: float, most: float = MAX_PER_FRAME) -> float:
+    """Return the log odds of a side in one frame from the costs of both."""
     strange = max(1.0, min(cost_mm, other_mm) / _USUAL_COST_MM)
-    return float(np.clip((other_mm - cost_mm) / _COST_PER_LOG_ODDS, -most, most)) / strange
+    return float(np.clip((other_mm - cost_mm) / _COST_PER_LOG_ODD_MM, -most, most)) / strange
 
 
 def early_frames(recording: Recording, start: int) -> Iterator[Frame]:
-    """Yield frames of the first seconds, some time apart: hands that turn and open tell their side."""
-    frames = recording.frames(start=start, end=None, stride=ASKED_EVERY)
+    """Yield every ``FRAME_STRIDE``-th frame of the first seconds: between them the hand turns and opens."""
+    frames = recording.frames(start=start, end=None, stride=FRAME_STRIDE)
     first = next(frames, None)
     if first is None:
         return iter(())
-    last = first.stamp_ns + int(LOOKED_AT_S * NS_PER_S)
-    return takewhile(lambda frame: frame.stamp_ns <= last, chain((first,), _readable(frames)))
+    last = first.stamp_ns + int(EARLY_S * NS_PER_S)
+    return takewhile(lambda frame: frame.stamp_ns <= last, chain((first,), _until_unreadable(frames)))
 
 
-def _readable(frames: Iterator[Frame]) -> Iterator[Frame]:
-    """The frames up to one that cannot be read, which the run itself will tell."""
+def _until_unreadable(frames: Iterator[Frame]) -> Iterator[Frame]:
+    """Yield frames up to the first unreadable one, which the run itself will report."""
     with suppress(RecordingError):
         yield from frames
 
 
-# What is found out about a hand before it is tracked: right or left, its size and its shape.
-#
-# It depends on the recording and the configuration alone, so a run that is resumed finds the same.
+# Detection before a run, and calibration
 
-
-_SHOWN = 8
-"""Frames that are described where none shows a hand."""
-_FAR_CHEAPER = 0.8
-"""Of what the average hand costs in the size that fitted best: what a hand of another size costs at most."""
-_DEARER = 1.25
-"""Of what the average hand costs: what a shape costs at most **[ours]**. Shapes are adjusted to other
-residuals than searches are judged by, so a better one may cost more. Of 133 people (504 to 753 of the
-synthetic strangers) nineteen had shapes that cost .91 to 1.12, and fingertips of all were closer with them
-than with the average hand, by 1.9 mm on average; sixteen of these cost .79 to 1.16 once steps
-stayed within bounds."""
+_DESCRIBED_FRAMES = 8
+_RESIZE_COST_RATIO = 0.8  # largest cost of a shape of another size, relative to the average hand
+# Likewise for any shape **[ours]**. It is adjusted to other residuals than the cost, so a better shape may
+# cost somewhat more.
+_MAX_COST_RATIO = 1.25
 
 
 @dataclass(frozen=True)
-class HandFound:
-    """What is known of the hand when a run begins.
+class DetectedHand:
+    """The hand at the start of a run.
 
     Attributes:
-        config: with a side, and the shape that was found.
-        line: what was found, for people; empty where nothing was left open.
-        is_doubtful: whether the line tells a doubt.
+        config: with its side and the estimated shape.
+        line: summary for the user; empty if everything was configured.
+        is_doubtful: whether the summary is a warning.
     """
 
     config: HandConfig
@@ -408,116 +401,115 @@ class HandFound:
     is_doubtful: bool = False
 
 
-def find_hand(
+def detect_hand(
     recording: Recording,
     config: HandConfig,
     start: int,
     keypoints: KeypointFile | None = None,
-) -> HandFound:
-    """Decide what a configuration leaves open about the hand: its side, its size, its shape.
+) -> DetectedHand:
+    """Determine side, size and shape of the hand where the configuration leaves them open.
 
-    Side and size are told by the first seconds from the run's first frame, the shape by frames from there to
-    the recording's end, wherever the run ends.
+    Side and size come from the first seconds of the run, the shape from frames between its start and the end
+    of the recording, wherever the run ends. The result depends on recording and configuration only, so that a
+    resumed run detects the same hand.
 
     Args:
         recording: depth frames.
-        config: its ``hand.side`` may be ``auto``, its ``init.shape``, too.
+        config: ``hand.side`` and ``init.shape`` may be ``auto``.
         start: the run's first frame.
-        keypoints: from elsewhere: further places, and evidence of the side.
+        keypoints: from another program: further candidates, and evidence of the side.
 
     Raises:
-        UsageError: the configuration's mesh is no hand that can be used.
+        UsageError: the configured mesh is not a usable hand.
     """
-    is_open = is_size_open(config)
+    is_open = is_size_unknown(config)
     if config.hand.side != "auto" and not is_open:
-        return HandFound(config)
+        return DetectedHand(config)
     sides = SIDES if config.hand.side == "auto" else (config.hand.side,)
-    trial = tried(recording, config, start, sides, keypoints)
-    if not trial.asked:
-        line = _nothing_found(recording, config, start, sides[0]) if len(sides) > 1 else ""
-        return HandFound(_with_hand(config, {"side": sides[0]}), line, bool(line))
+    search = search_early_frames(recording, config, start, sides, keypoints)
+    if not search.frame_count:
+        line = _line_without_hand(recording, config, start, sides[0]) if len(sides) > 1 else ""
+        return DetectedHand(_with_hand(config, {"side": sides[0]}), line, bool(line))
 
-    estimate = _shapes(recording, config, trial, CalibrationOptions(start=start))
+    estimate = _shapes(recording, config, search, CalibrationOptions(start=start))
 
     def estimate_usable(side: str) -> Calibration | None:
         found = estimate(side)
         return found if found is not None and _is_usable(found) else None
 
-    is_unknown = is_open and trial.cost > WELL_KNOWN_MM
-    likelier = decide_side(trial, estimate_usable if is_unknown else lambda side: None)
-    sized, found = _sized(config, trial, likelier.side), likelier.found
-    told = f"a {likelier.side} hand"
-    doubt = (
-        ""
-        if likelier.is_sure
-        else f", but hardly so (probability {likelier.probability:.2f}); --hand-side tells"
-    )
+    is_unknown = is_open and search.cost > KNOWN_HAND_MM
+    likelier = decide_side(search, estimate_usable if is_unknown else lambda side: None)
+    sized, found = _with_scale(config, search, likelier.side), likelier.found
+    hand = f"a {likelier.side} hand"
+    warning = ""
+    if not likelier.is_sure:
+        warning = f", but uncertain (probability {likelier.probability:.2f}); set --hand-side"
     if found is not None:
-        more = doubts_of(found)
-        line = f"{told}, {found.length_mm:.0f} mm long{doubt}{more}"
-        return HandFound(_judged_by(_with_hand(sized, found.settings), found), line, bool(doubt or more))
+        line = f"{hand}, {found.length_mm:.0f} mm long{warning}{found.warning}"
+        config = _with_baseline(_with_hand(sized, found.settings), found)
+        return DetectedHand(config, line, bool(warning or found.warning))
     changed = sized.hand.scale != config.hand.scale
-    line = told + (f" of scale {sized.hand.scale:.2f}" if changed else "") + doubt
-    return HandFound(sized, line if len(sides) > 1 or changed else "", bool(doubt))
+    line = hand + (f" of scale {sized.hand.scale:.2f}" if changed else "") + warning
+    return DetectedHand(sized, line if len(sides) > 1 or changed else "", bool(warning))
 
 
-def _nothing_found(recording: Recording, config: HandConfig, start: int, side: str) -> str:
-    """What the first seconds show, and what a hand that comes later is taken for."""
-    frames = list(islice(early_frames(recording, start), _SHOWN))
-    line = f"no hand in the first {LOOKED_AT_S:g} s"
+def _line_without_hand(recording: Recording, config: HandConfig, start: int, side: str) -> str:
+    """Describe the first seconds, and the hand that is assumed for later frames."""
+    frames = list(islice(early_frames(recording, start), _DESCRIBED_FRAMES))
+    line = f"no hand in the first {EARLY_S:g} s"
     if not frames:
         return line
     seen = DepthEvidence(recording, config, frames)
     line = f"{line}: {seen.line}"
-    later = f"; a later one is taken for a {side} hand, --hand-side states another"
+    later = f"; assuming a {side} hand for later frames, set --hand-side to change it"
     return f"{line}{later if seen.is_in_range else ''}"
 
 
 def calibrate(recording: Recording, config: HandConfig, options: CalibrationOptions) -> Calibration:
-    """Estimate side, size and shape of the hand in a recording, whatever is configured of them.
+    """Estimate side, size and shape of the hand in a recording, whatever is configured.
 
     Args:
         recording: depth frames.
-        config: of window, segmentation and fits; of its hand only the mesh is read.
+        config: of window, segmentation and fits; of its hand only the mesh is used.
         options: the rest.
 
     Raises:
-        RecordingError: no frame, or no hand that can be found in at least four frames.
-        UsageError: the configuration's mesh is no hand that can be used.
+        RecordingError: no frame, or no hand found in at least four frames.
+        UsageError: the configured mesh is not a usable hand.
     """
     sides = (options.side,) if options.side else SIDES
     bare = config.model_copy(update={"hand": HandSettings(mesh=config.hand.mesh)})
-    trial = tried_all_over(recording, bare, options.start, sides)
-    likelier = decide_side(trial, _shapes(recording, bare, trial, options))
-    # what is wrong where there is none is said by trying again
-    return likelier.found or shape_of(recording, _sized(bare, trial, likelier.side), options)
+    search = search_recording(recording, bare, options.start, sides)
+    likelier = decide_side(search, _shapes(recording, bare, search, options))
+    # without a shape, estimate it again to raise its error
+    return likelier.found or shape_of(recording, _with_scale(bare, search, likelier.side), options)
 
 
 def _shapes(
     recording: Recording,
     config: HandConfig,
-    trial: Trial,
+    search: SideAndScaleSearch,
     options: CalibrationOptions,
 ) -> Callable[[str], Calibration | None]:
-    """Return what estimates the shape of a side's hand, begun in the size that is known best by then."""
-    scales = {side: trial.scale(side) for side in trial.sides}
+    """Return a function that estimates the shape of a side's hand, starting from the best known size."""
+    scales = {side: search.scale(side) for side in search.sides}
 
     def estimate(side: str) -> Calibration | None:
         sized = _with_hand(config, {"side": side, "scale": scales[side]})
-        found = _shape_in_its_size(recording, sized, replace(options, side=side))
+        found = _shape_at_own_size(recording, sized, replace(options, side=side))
         if found is not None and found.begun_scale != scales[side]:
-            scales.update(dict.fromkeys(scales, found.begun_scale))  # which hand it is changes no size
+            scales.update(dict.fromkeys(scales, found.begun_scale))  # both sides have the same size
         return found
 
     return estimate
 
 
-def _shape_in_its_size(
+def _shape_at_own_size(
     recording: Recording, config: HandConfig, options: CalibrationOptions
 ) -> Calibration | None:
-    """The hand's shape; one that leaves the size that fitted best is begun once more from its own.
+    """Estimate the shape; if it leaves the start size far behind, start again from its own size.
 
-    Sizes are tried in few frames and by short searches, which small hands before a forearm may mislead.
+    Sizes are searched in few frames and quickly, which may fail for small hands in front of a forearm.
     """
     found = _shape(recording, config, options)
     if found is None or not found.is_of_another_size:
@@ -525,11 +517,11 @@ def _shape_in_its_size(
     again = _shape(recording, _with_hand(config, {"scale": found.likely_scale}), options)
     if again is None or again.is_of_another_size:
         return found
-    return again if again.costs_mm[1] < _FAR_CHEAPER * found.costs_mm[0] else found
+    return again if again.costs_mm[1] < _RESIZE_COST_RATIO * found.costs_mm[0] else found
 
 
 def _shape(recording: Recording, config: HandConfig, options: CalibrationOptions) -> Calibration | None:
-    """The hand's shape, where enough frames show it."""
+    """Estimate the shape; None if too few frames show the hand."""
     try:
         return shape_of(recording, config, options)
     except RecordingError:
@@ -537,22 +529,22 @@ def _shape(recording: Recording, config: HandConfig, options: CalibrationOptions
 
 
 def _is_usable(found: Calibration) -> bool:
-    """Whether a shape explains the frames nearly as well as the average hand or better, and is as large."""
+    """Return whether a shape fits about as well as the average hand or better, at about its start size."""
     average, own = found.costs_mm
-    return own <= _DEARER * average and not found.is_of_another_size
+    return own <= _MAX_COST_RATIO * average and not found.is_of_another_size
 
 
-def _sized(config: HandConfig, trial: Trial, side: str) -> HandConfig:
-    return _with_hand(config, {"side": side, "scale": trial.scale(side)})
+def _with_scale(config: HandConfig, search: SideAndScaleSearch, side: str) -> HandConfig:
+    return _with_hand(config, {"side": side, "scale": search.scale(side)})
 
 
 def _with_hand(config: HandConfig, changes: dict[str, object]) -> HandConfig:
     return config.model_copy(update={"hand": config.hand.model_copy(update=changes)})
 
 
-def _judged_by(config: HandConfig, found: Calibration) -> HandConfig:
-    """The configuration with what good fits of the recording cost, where it says nothing of that."""
-    if config.status.good_mm > 0.0:
+def _with_baseline(config: HandConfig, found: Calibration) -> HandConfig:
+    """Set the cost of good fits from the calibration, unless it is configured."""
+    if config.status.baseline_cost_mm > 0.0:
         return config
-    status = config.status.model_copy(update={"good_mm": round(found.good_mm, 4)})
+    status = config.status.model_copy(update={"baseline_cost_mm": round(found.baseline_cost_mm, 4)})
     return config.model_copy(update={"status": status})

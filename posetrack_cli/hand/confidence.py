@@ -37,7 +37,7 @@ REGRESSION = Regression(10.27, np.array([-1.08, -1.60, -1.40, 3.11, -7.07]))
 _LEAST_COST_MM, _LEAST_INNOVATION_MM = 1.0, 0.5
 
 
-def with_model_error(pose_variance: FloatArray, usual_mm: float) -> FloatArray:
+def with_model_error(pose_variance: FloatArray, mean_cost_mm: float) -> FloatArray:
     """Return the variance (21,) of a pose, mm^2 and rad^2, with what the hand's shape adds to its position.
 
     A filter knows of the sensor's noise alone. What fits leave beyond that, as U is above 2 mm, is an error
@@ -47,18 +47,20 @@ def with_model_error(pose_variance: FloatArray, usual_mm: float) -> FloatArray:
 
     Args:
         pose_variance: (21,) as the filter states it.
-        usual_mm: U, running mean of the fits' costs.
+        mean_cost_mm: U, running mean of the fits' costs.
     """
     variance = pose_variance.copy()
-    variance[:3] += (_SHIFT_PER_MM * max(0.0, usual_mm - _NOISE_MM)) ** 2
+    variance[:3] += (_SHIFT_PER_MM * max(0.0, mean_cost_mm - _NOISE_MM)) ** 2
     return variance
 
 
-def signs_of(usual_mm: float, innovation_mm: float, fits: int, contrast: float, raised: float) -> FloatArray:
+def signs_of(
+    mean_cost_mm: float, innovation_mm: float, fits: int, contrast: float, raised: float
+) -> FloatArray:
     """Return the signs (5,) of a frame, which ``SIGN_NAMES`` name.
 
     Args:
-        usual_mm: running mean of the fits' costs.
+        mean_cost_mm: running mean of the fits' costs.
         innovation_mm: mean distance of the joints from their prediction.
         fits: how many local fits explain the frame about alike.
         contrast: of the outline.
@@ -66,7 +68,7 @@ def signs_of(usual_mm: float, innovation_mm: float, fits: int, contrast: float, 
     """
     return np.array(
         [
-            np.log(max(usual_mm, _LEAST_COST_MM)),
+            np.log(max(mean_cost_mm, _LEAST_COST_MM)),
             np.log(innovation_mm + _LEAST_INNOVATION_MM),
             float(fits),
             contrast,

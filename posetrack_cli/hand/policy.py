@@ -1,17 +1,24 @@
-"""The state machine of a hand's track: when to search, where, what to accept, and when a hand is lost.
+"""State machine of a hand track: when to search, which fit to keep, when the hand is lost.
 
-A hand is *followed* or *lost*. A lost hand is searched for in the whole image, with pauses that double while
-it is not found. A hand that is followed is fitted about its prediction; then one of these decides, in this
-order:
+                        hand found
+         +------------------------------------------+
+         |                                          v
+       LOST                                      TRACKED <--+  better hand elsewhere in
+         ^                                          |  |    |  LEAVE_AFTER_SEARCHES searches
+         +------------------------------------------+  +----+  in a row: restart there
+              `lost_after_frames` misses in a row
 
-1. Keypoints tell of a better hand elsewhere, in several frames in a row: the track restarts there.
-2. The fit is doubtful (far above the usual cost): the window is searched for a hand that looks alike, and
-   where that does not help the whole image; a better hand at the same place is taken over, one elsewhere
-   restarts the track once it has been better in several searches in a row.
-3. The fit costs more than good fits of this recording: the hand is looked for anew about the fit.
+LOST (`Policy.decide_lost`): search the whole image. The pause doubles after each failed search; during a
+pause only keypoints are tried.
 
-After the frame, `TrackMonitor.after_fit` and `after_miss` say whether the hand is lost, `status_of` what the
-estimate states.
+TRACKED (`Policy.decide_tracked`): the frame was fitted around its prediction. In this order:
+
+1. Keypoints show a better hand elsewhere: count it, and restart there when it persists.
+2. The fit is doubtful (cost far above the track's mean): search the window for hands that look alike, then
+   the whole image. Replace the fit by a much better one at the same place, or count one elsewhere.
+3. The fit is poor (cost above the recording's baseline): retry around the fitted pose.
+
+`TrackMonitor` holds the counters and cost levels. `after_fit` and `after_miss` end every frame.
 """
 
 from __future__ import annotations
@@ -26,195 +33,212 @@ from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.geometry import rotations
 from posetrack_cli.hand.config import StatusSettings
 from posetrack_cli.hand.fit.local_fits import LocalFits
-from posetrack_cli.hand.keypoints.told import ToldHand, candidates, likeliest
+from posetrack_cli.hand.keypoints.hands import KeypointHand, best_candidate, fit_candidates
 from posetrack_cli.hand.model.anatomy import HandAnatomy
 from posetrack_cli.hand.model.kinematics import joint_set_distance
 from posetrack_cli.hand.observe.observation import Observation
 from posetrack_cli.hand.observe.observer import Observer
-from posetrack_cli.hand.search import Acquisition, Candidate, better_of, depth_doubt
+from posetrack_cli.hand.search import Acquisition, Candidate, cheaper_of, depth_penalty
 from posetrack_cli.results.columns import NotNegative
 from posetrack_cli.results.estimate import Status
 
-NEAR_MM = 35.0  # distance of two sets of joints, up to which a better fit is of the hand that is tracked
-SAME_PLACE_MM = 60.0
-"""Up to here two hands are at one place **[ours]**: an adult's that is taken end for end, with its fingers
-along the forearm, is 40 to 55 mm off, the other end of an arm 150 and more."""
-_ALIKE_BETTER_MM = 0.4
-"""What another fold of fingers is cheaper by, at least, of a hand that faces the same way."""
-_FACES_ALIKE = np.cos(np.deg2rad(60.0))
+# Joint set distances: below NEAR_MM another fold of the tracked hand. Below SAME_PLACE_MM still the same
+# place **[ours]**: a back-to-front fit is off by 40-55 mm, the other end of an arm by > 150 mm.
+NEAR_MM, SAME_PLACE_MM = 35.0, 60.0
+
+# A fit is doubtful above this multiple of the track's mean cost plus an offset. The ratio matters for a
+# hand of the model's shape; with another shape all costs are high, and the difference decides.
 _DOUBT_FACTOR, _DOUBT_MM = 1.5, 2.0
-"""A fit that costs so many times the usual, and so much more, is reconsidered, and ..."""
-_BETTER, MUCH_BETTER_MM = 0.7, 2.0
-"""... replaced by another one that costs less than this share, or so much less."""
-LEAVE_AFTER_FRAMES = 5
-"""Searches in a row in which another place was better; then the hand is there."""
-_MEMORY = 0.1  # share of a new frame in the running mean of costs
-_MOST_WAIT, _MOST_WAIT_AS_USUAL = 4, 6  # frames
-_GOOD_SHARE, _GOOD_RISE_MM = 0.3, 0.03
-"""Share of a better frame in the level of good fits, and by how much that rises in a frame at most."""
-_RAISED_FACTOR, _FAR_RAISED_FACTOR, _RAISED_MM = 1.15, 1.25, 0.5
-_WORSE_FACTOR, _WORSE_MM = 1.05, 0.5
-_MOST_LOOK_WAIT = 3  # frames
-_FORGOTTEN_MM = 0.02  # a frame, of what fingers are worth
+_SWITCH_FACTOR, SWITCH_MARGIN_MM = 0.7, 2.0
+LEAVE_AFTER_SEARCHES = 5
+
+# A fit is poor above this multiple of the baseline cost plus an offset; far above it also the image is
+# searched.
+_POOR_FACTOR, _FAR_FACTOR, _POOR_MM = 1.15, 1.25, 0.5
+_SAME_FACING_COSINE = np.cos(np.deg2rad(60.0))
+_SAME_FACING_MARGIN_MM = 0.4  # enough to switch between folds of a hand that faces the same way
+_RETRY_FACTOR, _RETRY_MM = 1.05, 0.5  # a fit this much worse than at the last retry ends the pause
+
+_MEAN_GAIN = 0.1  # of the running mean cost
+_BASELINE_GAIN, _BASELINE_RISE_MM = 0.3, 0.03  # per frame; it falls fast and rises slowly
+_BONUS_DECAY_MM = 0.02  # per frame
+
+# Longest pauses between searches, frames.
+_MAX_WAIT, _MAX_WAIT_AT_MEAN, _MAX_RETRY_WAIT = 4, 6, 3
 
 
 @dataclass(frozen=True)
 class TrackMonitor:
-    """The record of a track's quality.
+    """Counters and cost levels of a track.
 
     Attributes:
-        lost: whether the hand is gone and has to be found in the whole image.
-        found: whether it was ever found; before, a first find is no re-initialisation.
-        misses: frames in a row that no hand fits.
-        usual_mm: running mean of the fits' costs, 0 before the first.
-        wait: frames to skip before the next costly search.
-        next_wait: frames to skip after the next search that fails.
-        elsewhere: searches in a row that found a better hand at another place.
-        fingers_mm: what fingers seen at this place are worth (``acquisition.fingers_bonus``), slowly
-            forgotten.
-        good_mm: what good fits of this recording cost, 0 before the first: a level that falls quickly and
-            rises slowly, so that a few bad frames do not make it their own, as ``usual_mm`` does.
-        look_wait: frames to skip before the hand is looked for anew where it is (``is_raised``).
-        next_look_wait: frames to skip after the next look that does not help.
-        looked_mm: what the fit cost that the last such look did not better.
+        lost: the hand has to be found in the whole image.
+        was_found: False until the first find, which is not a reinitialisation.
+        misses: frames in a row without a fit.
+        mean_cost_mm: running mean of fit costs, 0 before the first.
+        search_wait: frames to skip before the next search.
+        next_search_wait: frames to skip after the next failed search.
+        better_elsewhere: searches in a row that found a better hand at another place.
+        finger_bonus_mm: bonus for fingers seen at this place (``search.finger_bonus``), decaying slowly.
+        baseline_cost_mm: cost of good fits in this recording, 0 before the first. It falls quickly and rises
+            slowly, so unlike ``mean_cost_mm`` it does not follow a few bad frames.
+        retry_wait: frames to skip before the next retry around a poor fit.
+        next_retry_wait: frames to skip after the next retry that does not help.
+        last_retry_cost_mm: cost at the last retry that did not help.
     """
 
     lost: bool = False
-    found: bool = True
+    was_found: bool = True
     misses: int = 0
-    usual_mm: NotNegative = 0.0
-    wait: int = 0
-    next_wait: int = 1
-    elsewhere: int = 0
-    fingers_mm: float = 0.0
-    good_mm: NotNegative = 0.0
-    look_wait: int = 0
-    next_look_wait: int = 1
-    looked_mm: NotNegative = 0.0
+    mean_cost_mm: NotNegative = 0.0
+    search_wait: int = 0
+    next_search_wait: int = 1
+    better_elsewhere: int = 0
+    finger_bonus_mm: float = 0.0
+    baseline_cost_mm: NotNegative = 0.0
+    retry_wait: int = 0
+    next_retry_wait: int = 1
+    last_retry_cost_mm: NotNegative = 0.0
 
     @property
-    def is_believed(self) -> bool:
-        """Whether the track was confirmed by a frame and is not lost."""
-        return self.usual_mm > 0.0 and not self.lost
+    def is_tracked(self) -> bool:
+        """Whether a frame has confirmed the track and it is not lost."""
+        return self.mean_cost_mm > 0.0 and not self.lost
+
+    # How good is a fit?
 
     @property
-    def sufficient_mm(self) -> float:
-        """What a fit may cost that is not raised above the usual; infinite before the first."""
-        return _RAISED_FACTOR * self.usual_mm + _RAISED_MM if self.usual_mm > 0.0 else float("inf")
+    def accept_below_mm(self) -> float:
+        """Cost up to which a fit is as good as the track's mean; infinite before the first fit."""
+        return _POOR_FACTOR * self.mean_cost_mm + _POOR_MM if self.mean_cost_mm > 0.0 else float("inf")
 
-    def is_worse(self, cost_mm: float) -> bool:
-        """Whether a fit's cost is far above the usual."""
-        limit = _DOUBT_FACTOR * self.usual_mm + _DOUBT_MM
-        return self.usual_mm > 0.0 and cost_mm > limit
+    def is_far_above_mean(self, cost_mm: float) -> bool:
+        """Return whether a cost is far above the track's mean."""
+        limit = _DOUBT_FACTOR * self.mean_cost_mm + _DOUBT_MM
+        return self.mean_cost_mm > 0.0 and cost_mm > limit
 
     def is_doubtful(self, cost_mm: float, settings: StatusSettings) -> bool:
-        """Whether a fit is worse than usual, or poor for a hand whose shape is known."""
-        return self.is_worse(cost_mm) or cost_mm > settings.sure_mm
+        """Return whether a fit is far above the mean, or poor even for a hand of another shape."""
+        return self.is_far_above_mean(cost_mm) or cost_mm > settings.doubt_above_mm
 
     def prefers(self, cost_mm: float, other_mm: float) -> bool:
-        """Whether another fit is so much better that it replaces a fit.
+        """Return whether a fit of cost ``other_mm`` is good enough to replace one of ``cost_mm``."""
+        return other_mm < max(_SWITCH_FACTOR * cost_mm, cost_mm - SWITCH_MARGIN_MM)
 
-        A ratio decides where the model is the hand's; where it is not, all costs are high, and a
-        difference decides.
+    def cost_ratio(self, cost_mm: float, settings: StatusSettings) -> float:
+        """Return the ratio of a cost to the baseline, at least 1; 1 without a baseline.
+
+        The configured baseline of the whole recording also counts: in a recording that begins with poor
+        fits, these would otherwise be the baseline.
         """
-        return other_mm < max(_BETTER * cost_mm, cost_mm - MUCH_BETTER_MM)
-
-    def raised(self, cost_mm: float, settings: StatusSettings) -> float:
-        """What a fit costs over what good ones of this recording do, at least 1; 1 before the first.
-
-        That is known from the frames so far, and before them of some recordings (``settings.good_mm``): in
-        one that begins with poor fits these would else be its good ones.
-        """
-        levels = [level for level in (self.good_mm, settings.good_mm) if level > 0.0]
+        levels = [level for level in (self.baseline_cost_mm, settings.baseline_cost_mm) if level > 0.0]
         return max(1.0, cost_mm / min(levels)) if levels else 1.0
 
-    def is_raised(self, cost_mm: float) -> bool:
-        """Whether a fit costs more than good ones do, be it ever so little for a hand of another shape."""
-        return self.good_mm > 0.0 and cost_mm > _RAISED_FACTOR * self.good_mm + _RAISED_MM
+    def is_above_baseline(self, cost_mm: float) -> bool:
+        """Return whether a fit costs more than good fits of this recording."""
+        return self.baseline_cost_mm > 0.0 and cost_mm > _POOR_FACTOR * self.baseline_cost_mm + _POOR_MM
 
-    def is_far_raised(self, cost_mm: float, settings: StatusSettings) -> bool:
-        """Whether a fit costs so much more than good ones that the window about it may mislead, too.
+    def is_far_above_baseline(self, cost_mm: float, settings: StatusSettings) -> bool:
+        """Return whether the cost is so high that the window around the fit may be wrong as well.
 
-        A search takes as long as ten frames, so none is made for hands whose shape is known.
+        A search takes as long as ten frames, so hands of known shape are left out (``doubt_above_mm``).
         """
-        limit = max(settings.sure_mm, _FAR_RAISED_FACTOR * self.good_mm + _RAISED_MM)
-        return self.good_mm > 0.0 and cost_mm > limit
+        limit = max(settings.doubt_above_mm, _FAR_FACTOR * self.baseline_cost_mm + _POOR_MM)
+        return self.baseline_cost_mm > 0.0 and cost_mm > limit
 
-    def postpones_look(self, cost_mm: float) -> bool:
-        """Whether no look is worth it after one that did not help; a fit that costs more now is."""
-        return self.look_wait > 0 and cost_mm <= _WORSE_FACTOR * self.looked_mm + _WORSE_MM
+    # Search of the window and the image
 
-    def after_look_wait(self) -> TrackMonitor:
-        """Return the record after a frame without a look."""
-        return replace(self, look_wait=max(0, self.look_wait - 1))
+    def skips_search(self, cost_mm: float) -> bool:
+        """Return whether this frame waits; long waits end early when fits get worse."""
+        most = _MAX_WAIT if self.is_far_above_mean(cost_mm) else _MAX_WAIT_AT_MEAN
+        return self.better_elsewhere == 0 and 0 < self.search_wait <= most
 
-    def after_look(self, cost_mm: float, *, helped: bool) -> TrackMonitor:
-        """Return the record after a look at a frame whose fit costs so much."""
-        if helped:
-            return replace(self, look_wait=0, next_look_wait=1)
-        wait = self.next_look_wait
-        return replace(self, looked_mm=cost_mm, look_wait=wait, next_look_wait=min(2 * wait, _MOST_LOOK_WAIT))
-
-    def after_fingers(self, bonus_mm: float) -> TrackMonitor:
-        """Return the record after a frame that shows fingers worth so much at the hand's place."""
-        return replace(self, fingers_mm=max(bonus_mm, self.fingers_mm - _FORGOTTEN_MM))
-
-    def leaves_for(self, here_mm: float, there_mm: float) -> TrackMonitor:
-        """Return the record after a hand was found elsewhere, with the doubts that both places leave.
-
-        A track is left for one that has been better for `LEAVE_AFTER_FRAMES` searches in a row, no sooner:
-        what is better in a single frame is mostly the other end of the same arm.
-        """
-        better = there_mm < here_mm - MUCH_BETTER_MM
-        return replace(self, elsewhere=self.elsewhere + 1 if better else 0)
-
-    def postpones_search(self, cost_mm: float) -> bool:
-        """Whether a search is postponed; a long wait is cut short when fits get worse."""
-        most = _MOST_WAIT if self.is_worse(cost_mm) else _MOST_WAIT_AS_USUAL
-        return self.elsewhere == 0 and 0 < self.wait <= most
-
-    def after_wait(self) -> TrackMonitor:
+    def after_search_wait(self) -> TrackMonitor:
         """Return the record after a frame without a search."""
-        return replace(self, wait=max(0, self.wait - 1))
+        return replace(self, search_wait=max(0, self.search_wait - 1))
 
     def after_failed_search(self, cost_mm: float) -> TrackMonitor:
-        """Return the record after a search that found nothing better: each such search doubles the wait.
+        """Return the record after a search without a better hand: the wait doubles up to a limit.
 
-        The limit is higher where the cost is as usual: the hand then has another shape than the model.
+        The limit is higher at mean cost: then the hand has another shape than the model.
         """
-        worse = self.lost or self.is_worse(cost_mm)
-        most = _MOST_WAIT if worse else _MOST_WAIT_AS_USUAL
+        most = _MAX_WAIT if self.lost or self.is_far_above_mean(cost_mm) else _MAX_WAIT_AT_MEAN
         return replace(
-            self, wait=min(self.next_wait, most), next_wait=min(2 * self.next_wait, _MOST_WAIT_AS_USUAL)
+            self,
+            search_wait=min(self.next_search_wait, most),
+            next_search_wait=min(2 * self.next_search_wait, _MAX_WAIT_AT_MEAN),
         )
 
+    def after_elsewhere(self, here_mm: float, elsewhere_mm: float) -> TrackMonitor:
+        """Return the record after comparing the total costs of this place and another one.
+
+        A single better frame is usually the other end of the same arm, so the track is left only after
+        `LEAVE_AFTER_SEARCHES` in a row.
+        """
+        is_better = elsewhere_mm < here_mm - SWITCH_MARGIN_MM
+        return replace(self, better_elsewhere=self.better_elsewhere + 1 if is_better else 0)
+
     def after_restart(self, cost_mm: float) -> TrackMonitor:
-        """Return the record after the hand was found, or found elsewhere; the usual cost is kept."""
-        usual = cost_mm if self.usual_mm == 0.0 else min(self.usual_mm, cost_mm)
-        return replace(self, lost=False, found=True, misses=0, usual_mm=usual, elsewhere=0, fingers_mm=0.0)
+        """Return the record after the hand was found, here or elsewhere; the mean cost does not rise."""
+        mean = cost_mm if self.mean_cost_mm == 0.0 else min(self.mean_cost_mm, cost_mm)
+        return replace(
+            self,
+            lost=False,
+            was_found=True,
+            misses=0,
+            mean_cost_mm=mean,
+            better_elsewhere=0,
+            finger_bonus_mm=0.0,
+        )
+
+    def after_finger_bonus(self, bonus_mm: float) -> TrackMonitor:
+        """Return the record after a frame whose fingers are worth ``bonus_mm``."""
+        return replace(self, finger_bonus_mm=max(bonus_mm, self.finger_bonus_mm - _BONUS_DECAY_MM))
+
+    # Retry around a poor fit
+
+    def skips_retry(self, cost_mm: float) -> bool:
+        """Return whether this frame waits after a retry that did not help; worse fits do not wait."""
+        return self.retry_wait > 0 and cost_mm <= _RETRY_FACTOR * self.last_retry_cost_mm + _RETRY_MM
+
+    def after_retry_wait(self) -> TrackMonitor:
+        """Return the record after a frame without a retry."""
+        return replace(self, retry_wait=max(0, self.retry_wait - 1))
+
+    def after_retry(self, cost_mm: float, *, helped: bool) -> TrackMonitor:
+        """Return the record after a retry at a fit of a cost."""
+        if helped:
+            return replace(self, retry_wait=0, next_retry_wait=1)
+        return replace(
+            self,
+            last_retry_cost_mm=cost_mm,
+            retry_wait=self.next_retry_wait,
+            next_retry_wait=min(2 * self.next_retry_wait, _MAX_RETRY_WAIT),
+        )
+
+    # End of a frame
 
     def after_fit(self, cost_mm: float, quality: float, settings: StatusSettings) -> TrackMonitor:
-        """Return the record after a frame in which the hand was fitted."""
+        """Return the record after a fitted frame; one of low quality (0 to 1) is a miss."""
         if quality < settings.lost_below:
             return self.after_miss(settings)
-        usual = cost_mm if self.usual_mm == 0.0 else self.usual_mm
-        good = cost_mm if self.good_mm == 0.0 else self.good_mm
-        good += min(_GOOD_RISE_MM, _GOOD_SHARE * (cost_mm - good))
-        back = replace(self, misses=0, lost=False, good_mm=good)
-        if not self.is_raised(cost_mm):
-            back = replace(back, look_wait=0, next_look_wait=1)
-        if self.is_worse(cost_mm):
-            return back
-        usual += _MEMORY * (cost_mm - usual)
-        if cost_mm > settings.sure_mm:
-            return replace(back, usual_mm=usual)
-        return replace(back, usual_mm=usual, wait=0, next_wait=max(1, self.next_wait // 2))
+        mean = cost_mm if self.mean_cost_mm == 0.0 else self.mean_cost_mm
+        baseline = cost_mm if self.baseline_cost_mm == 0.0 else self.baseline_cost_mm
+        baseline += min(_BASELINE_RISE_MM, _BASELINE_GAIN * (cost_mm - baseline))
+        after = replace(self, misses=0, lost=False, baseline_cost_mm=baseline)
+        if not self.is_above_baseline(cost_mm):
+            after = replace(after, retry_wait=0, next_retry_wait=1)
+        if self.is_far_above_mean(cost_mm):
+            return after
+        after = replace(after, mean_cost_mm=mean + _MEAN_GAIN * (cost_mm - mean))
+        if cost_mm > settings.doubt_above_mm:
+            return after
+        return replace(after, search_wait=0, next_search_wait=max(1, self.next_search_wait // 2))
 
     def after_miss(self, settings: StatusSettings) -> TrackMonitor:
-        """Return the record after a frame that no hand fits."""
+        """Return the record after a frame without a fit."""
         misses = self.misses + 1
-        lost = self.lost or misses >= settings.lost_after_frames
-        return replace(self, misses=misses, lost=lost)
+        return replace(self, misses=misses, lost=self.lost or misses >= settings.lost_after_frames)
 
 
 class Decision(NamedTuple):
@@ -222,24 +246,24 @@ class Decision(NamedTuple):
 
     Attributes:
         monitor: the record from here on.
-        found: a hand to fit once more from; None: what was fitted stays.
-        restart: whether the track begins anew at that hand, else it is the same track.
+        candidate: refit the frame from this hand; None keeps the fit.
+        restart: start a new track at the candidate instead of continuing this one.
     """
 
     monitor: TrackMonitor
-    found: Candidate | None = None
+    candidate: Candidate | None = None
     restart: bool = False
 
 
-class Sight(NamedTuple):
-    """A frame of a hand that is followed.
+class TrackedFrame(NamedTuple):
+    """A fitted frame of a tracked hand.
 
     Attributes:
         monitor: the record before the frame.
         depth: (height, width) mm, the image.
-        observation: the window about the prediction.
-        fits: to that window.
-        expected: (6,) inner numbers that the hand is expected to have.
+        observation: the window around the prediction.
+        fits: of that window.
+        expected: (6,) predicted inner numbers.
     """
 
     monitor: TrackMonitor
@@ -254,15 +278,20 @@ class Sight(NamedTuple):
         pose: FloatArray = self.fits.modes.poses[0]
         return pose
 
+    @property
+    def total_cost(self) -> float:
+        """Cost with the penalties of the place, mm: comparable with ``Candidate.total_cost``."""
+        return self.fits.cost - self.monitor.finger_bonus_mm + depth_penalty(float(self.pose[2]))
+
 
 class Policy:
-    """Decides whether a frame's fit is kept, refined from a better hand there, or left for one elsewhere.
+    """Decides whether to keep a frame's fit, refit it from a better candidate, or restart elsewhere.
 
     Args:
-        settings: of doubt and loss.
+        settings: limits of doubt and loss.
         anatomy: the hand.
-        finder: the search for a hand of which no pose is known.
-        observer: cuts out the windows of the hand that is followed.
+        finder: search without a prediction.
+        observer: cuts out windows.
     """
 
     def __init__(
@@ -271,119 +300,119 @@ class Policy:
         self._settings, self._anatomy = settings, anatomy
         self._finder, self._observer = finder, observer
 
-    def lost(self, monitor: TrackMonitor, depth: ImageArray, told: Sequence[ToldHand]) -> Decision:
-        """Search the whole image (height, width), mm, for a lost hand, with ever longer pauses.
+    def decide_lost(
+        self, monitor: TrackMonitor, depth: ImageArray, hands: Sequence[KeypointHand]
+    ) -> Decision:
+        """Search the whole image (height, width), mm, for a lost hand, or during a pause only keypoints.
 
-        During a pause it is only looked for where keypoints tell of it. Without a find nothing was seen.
+        Without a candidate the frame is a miss.
         """
-        there = candidates(self._finder, depth, told)
-        if monitor.wait > 0:
-            found = likeliest(there, monitor.sufficient_mm)
-            otherwise = monitor.after_wait()
+        from_keypoints = fit_candidates(self._finder, depth, hands)
+        if monitor.search_wait > 0:
+            candidate = best_candidate(from_keypoints, monitor.accept_below_mm)
+            otherwise = monitor.after_search_wait()
         else:
-            found = self._finder.search(depth, there)
+            candidate = self._finder.search(depth, from_keypoints)
             otherwise = monitor.after_failed_search(np.inf)
-        return Decision(otherwise) if found is None else Decision(monitor, found, restart=True)
+        return Decision(otherwise) if candidate is None else Decision(monitor, candidate, restart=True)
 
-    def followed(self, sight: Sight, told: Sequence[ToldHand] | None) -> Decision:
-        """Decide on a frame that was fitted.
+    def decide_tracked(self, frame: TrackedFrame, elsewhere: Sequence[KeypointHand] | None) -> Decision:
+        """Decide on a fitted frame.
 
         Args:
-            sight: the frame.
-            told: hands elsewhere that keypoints tell of; None where there are no keypoints.
+            frame: the fitted frame.
+            elsewhere: hands that keypoints show at other places; None without keypoints.
         """
-        decision = None if told is None else self._told_elsewhere(sight, told)
-        return decision or self._reconsidered(sight)
+        if elsewhere is not None:
+            decision = self._compare_keypoints(frame, elsewhere)
+            if decision is not None:
+                return decision
+        monitor, cost = frame.monitor, frame.fits.cost
+        if not monitor.is_doubtful(cost, self._settings):
+            return self._retry_in_place(frame)
+        if monitor.skips_search(cost):
+            return self._retry_in_place(frame._replace(monitor=monitor.after_search_wait()))
+        return self._search(frame)
 
-    def _told_elsewhere(self, sight: Sight, told: Sequence[ToldHand]) -> Decision | None:
-        """Leave for a better hand that keypoints tell of; None where they tell of none.
-
-        A frame that fits and tells of nothing better ends the row: no search would.
-        """
-        before, cost = sight.monitor, sight.fits.cost
-        is_doubtful = before.is_doubtful(cost, self._settings)
-        there = likeliest(candidates(self._finder, sight.depth, told))
-        monitor = replace(before, elsewhere=0)
-        if there is not None:
-            doubt = _doubt_here(sight) - (0.0 if is_doubtful else MUCH_BETTER_MM)
-            monitor = before.leaves_for(doubt, there.doubt)
-        if monitor.elsewhere <= before.elsewhere and is_doubtful:
+    def _compare_keypoints(self, frame: TrackedFrame, hands: Sequence[KeypointHand]) -> Decision | None:
+        """Compare the track with hands from keypoints; None leaves the frame to the next steps."""
+        before = frame.monitor
+        is_doubtful = before.is_doubtful(frame.fits.cost, self._settings)
+        candidate = best_candidate(fit_candidates(self._finder, frame.depth, hands))
+        monitor = replace(before, better_elsewhere=0)
+        if candidate is not None:
+            # twice the margin is needed to leave a track that fits well
+            here = frame.total_cost - (0.0 if is_doubtful else SWITCH_MARGIN_MM)
+            monitor = before.after_elsewhere(here, candidate.total_cost)
+        if monitor.better_elsewhere <= before.better_elsewhere and is_doubtful:
             return None
-        if there is not None and monitor.elsewhere >= LEAVE_AFTER_FRAMES:
-            return Decision(monitor, there, restart=True)
+        # a frame that fits resets the count here: no later step would search elsewhere
+        if candidate is not None and monitor.better_elsewhere >= LEAVE_AFTER_SEARCHES:
+            return Decision(monitor, candidate, restart=True)
         return Decision(monitor)
 
-    def _reconsidered(self, sight: Sight) -> Decision:
-        """Where the fit is bad, search for a hand that looks alike and fits far better, or is elsewhere."""
-        monitor, cost = sight.monitor, sight.fits.cost
-        if not monitor.is_doubtful(cost, self._settings):
-            return self._looked_again(sight)
-        if monitor.postpones_search(cost):
-            return self._looked_again(sight._replace(monitor=monitor.after_wait()))
-        found = self._finder.reconsider(sight.observation, sight.pose)
-        if found is None or monitor.is_doubtful(found.cost, self._settings):
-            there = self._finder.search(sight.depth)  # the window may be misled, too
-            if there is None or self._is_near(there.pose, sight.pose):
-                found, monitor = better_of(found, there), replace(monitor, elsewhere=0)
+    def _search(self, frame: TrackedFrame) -> Decision:
+        """Search the window for a hand that looks alike and, if that does not help, the whole image."""
+        monitor, cost = frame.monitor, frame.fits.cost
+        candidate = self._finder.reconsider(frame.observation, frame.pose)
+        if candidate is None or monitor.is_doubtful(candidate.cost, self._settings):
+            in_image = self._finder.search(frame.depth)  # the window itself may be wrong
+            if in_image is None or self._is_near(in_image.pose, frame.pose):
+                candidate = cheaper_of(candidate, in_image)
+                monitor = replace(monitor, better_elsewhere=0)
             else:
-                monitor = monitor.leaves_for(*self._doubts(sight, there))
-                if monitor.elsewhere >= LEAVE_AFTER_FRAMES:
-                    return Decision(monitor, there, restart=True)
-        if found is not None and monitor.prefers(cost, found.cost):
-            return Decision(monitor, found)
+                monitor = monitor.after_elsewhere(*self._total_costs(frame, in_image))
+                if monitor.better_elsewhere >= LEAVE_AFTER_SEARCHES:
+                    return Decision(monitor, in_image, restart=True)
+        if candidate is not None and monitor.prefers(cost, candidate.cost):
+            return Decision(monitor, candidate)
         return Decision(monitor.after_failed_search(cost))
 
-    def _looked_again(self, sight: Sight) -> Decision:
-        """Where the fit costs more than good ones of this recording, look for the hand anew where it is.
+    def _retry_in_place(self, frame: TrackedFrame) -> Decision:
+        """Retry a fit above the baseline in a window around the fitted pose.
 
-        A hand that turns or opens faster than expected leaves the reach of its prediction. On another
-        person's hand that costs little: two fingers on one of the image are 2 mm among 10. A fit that
-        faces the same way needs to be but a little better; palm and back are not exchanged for that.
-        The window about a wrong prediction may have cut fingers off, so it is laid about the fit, and where
-        a doubtful fit costs far more than good ones the whole image is searched at once, too.
+        A hand that turns or opens fast leaves the reach of its prediction. With a model of another shape that
+        costs little: two fingers fitted to one are 2 mm of 10. So a fit that faces the same way replaces this
+        one for a small gain; palm and back are exchanged only for a large one.
         """
-        monitor, cost, here = sight.monitor, sight.fits.cost, sight.pose
-        if cost <= self._settings.well_mm or not monitor.is_raised(cost):
+        monitor, cost, pose = frame.monitor, frame.fits.cost, frame.pose
+        if cost <= self._settings.retry_above_mm or not monitor.is_above_baseline(cost):
             return Decision(monitor)
-        if monitor.postpones_look(cost):
-            return Decision(monitor.after_look_wait())
-        found = self._finder.reconsider(self._observer.observe(sight.depth, here, sight.expected), here)
-        if monitor.is_far_raised(cost, self._settings):
-            there = self._finder.search(sight.depth)
-            if there is not None and self._is_alike(there.pose, here):
-                found = better_of(found, there)
-        helped = found is not None and (
-            monitor.prefers(cost, found.cost)
-            or (found.cost < cost - _ALIKE_BETTER_MM and self._is_alike(found.pose, here))
+        if monitor.skips_retry(cost):
+            return Decision(monitor.after_retry_wait())
+        # the window around the prediction may have cut fingers off
+        window = self._observer.observe(frame.depth, pose, frame.expected)
+        candidate = self._finder.reconsider(window, pose)
+        if monitor.is_far_above_baseline(cost, self._settings):
+            in_image = self._finder.search(frame.depth)
+            if in_image is not None and self._faces_alike(in_image.pose, pose):
+                candidate = cheaper_of(candidate, in_image)
+        helped = candidate is not None and (
+            monitor.prefers(cost, candidate.cost)
+            or (candidate.cost < cost - _SAME_FACING_MARGIN_MM and self._faces_alike(candidate.pose, pose))
         )
-        return Decision(monitor.after_look(cost, helped=helped), found if helped else None)
+        return Decision(monitor.after_retry(cost, helped=helped), candidate if helped else None)
 
-    def _is_alike(self, pose: FloatArray, other: FloatArray) -> bool:
-        """Whether two poses (22,) are of a hand at one place that faces one way."""
-        facing, there = (rotations.rotate(one[3:7], np.array([0.0, 0.0, 1.0])) for one in (pose, other))
-        return self._is_near(pose, other) and bool(facing @ there > _FACES_ALIKE)
+    def _faces_alike(self, pose: FloatArray, other: FloatArray) -> bool:
+        """Return whether two poses (22,) are at one place and face the same way."""
+        first, second = (rotations.rotate(one[3:7], np.array([0.0, 0.0, 1.0])) for one in (pose, other))
+        return self._is_near(pose, other) and bool(first @ second > _SAME_FACING_COSINE)
 
     def _is_near(self, pose: FloatArray, other: FloatArray) -> bool:
-        """Whether two poses (22,) are of a hand at one place, folded otherwise, not of two."""
         return joint_set_distance(self._anatomy, pose, other) < NEAR_MM
 
-    def _doubts(self, sight: Sight, there: Candidate) -> tuple[float, float]:
-        """What speaks against the hand that is followed and against one found elsewhere, mm of cost.
+    def _total_costs(self, frame: TrackedFrame, candidate: Candidate) -> tuple[float, float]:
+        """Return total costs of the track and of a candidate, mm.
 
-        Of two hands at one place the costs alone decide: the fingers that were seen there are either's.
+        At one place the costs alone decide: the fingers seen there belong to both.
         """
-        if joint_set_distance(self._anatomy, there.pose, sight.pose) < SAME_PLACE_MM:
-            return sight.fits.cost, there.cost
-        return _doubt_here(sight), there.doubt
+        if joint_set_distance(self._anatomy, candidate.pose, frame.pose) < SAME_PLACE_MM:
+            return frame.fits.cost, candidate.cost
+        return frame.total_cost, candidate.total_cost
 
 
-def _doubt_here(sight: Sight) -> float:
-    """What speaks against the hand that is followed, mm of cost, as ``Candidate.doubt`` of another place."""
-    return sight.fits.cost - sight.monitor.fingers_mm + depth_doubt(float(sight.pose[2]))
-
-
-def status_of(*, is_believed: bool, is_another: bool) -> Status:
-    """Return what an estimate states: lost if it is not believed, reinitialised where the track restarted."""
-    if not is_believed:
+def status_of(*, is_tracked: bool, is_restarted: bool) -> Status:
+    """Return the status of an estimate: lost unless tracked, reinitialised where the track restarted."""
+    if not is_tracked:
         return Status.LOST
-    return Status.REINITIALISED if is_another else Status.TRACKING
+    return Status.REINITIALISED if is_restarted else Status.TRACKING

@@ -21,7 +21,7 @@ from posetrack_cli.hand.fit.likelihood import PROPOSALS, RenderedCosts
 from posetrack_cli.hand.fit.local_fits import FOREARM_CONFIDENCE, INNER, HandFits
 from posetrack_cli.hand.fit.skeleton import NO_INNER, THUMB, inner_of
 from posetrack_cli.hand.keypoints.file import KeypointFile
-from posetrack_cli.hand.keypoints.told import ToldHands
+from posetrack_cli.hand.keypoints.hands import KeypointHands
 from posetrack_cli.hand.model.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS, POSE_SIZE
 from posetrack_cli.hand.model.hand import MESH_DIGEST, HandModel, dynamics, hand_model, tangent_vector
 from posetrack_cli.hand.model.kinematics import skinning_transforms
@@ -90,7 +90,7 @@ def make_tracker(
     if is_swarm:
         objective = RenderedObjective(device, hand, camera, config)
         return SwarmTracker(config, hand.anatomy, objective, observer, finder)
-    told = None if keypoints is None else ToldHands(keypoints, camera, hand.anatomy)
+    told = None if keypoints is None else KeypointHands(keypoints, camera, hand.anatomy)
     return HandTracker(config, hand.anatomy, scorer, observer, finder, told)
 
 
@@ -138,7 +138,7 @@ class HandRun(Run):
     def __init__(
         self, recording: Recording, config: HandConfig, options: RunOptions, device: RenderingDevice
     ) -> None:
-        self._config = config = with_method(config, options)
+        self._config = config = with_init_method(config, options)
         check_run(recording, config, options)
         super().__init__(recording, options, config.output.flush_frames)
         self._hand = hand = hand_model(config.hand)
@@ -260,7 +260,7 @@ class _Smoothing:
         self._track.delete()
 
 
-def with_method(config: HandConfig, options: RunOptions) -> HandConfig:
+def with_init_method(config: HandConfig, options: RunOptions) -> HandConfig:
     """The configuration with the way to start that the options ask for."""
     if options.init not in INIT_METHODS:
         return config

@@ -1,4 +1,4 @@
-"""The adjustment of one shape and many poses to many frames."""
+"""Bundle adjustment of one hand shape and its poses in many frames."""
 
 from __future__ import annotations
 
@@ -19,27 +19,26 @@ from posetrack_cli.hand.model.kinematics import skinning_transforms
 from posetrack_cli.rendering.raster import Drawing, draw, empty_drawing
 from posetrack_cli.tracking.velocity import BodySpace
 
-# Residuals of one frame and their derivatives by the pose and by the shape.
+# Residuals of one frame and their derivatives by pose and shape
 #
-# The residuals are those of ``hand.fit.terms``. There a point of the skin moves with the bones; here it
-# moves with the shape too, so derivatives are differences of posed meshes, and rows are made with numpy: a
-# calibration looks at some dozens of frames, not at 20 a second.
-
+# The residuals are those of ``hand.fit.terms``. The skin here also moves with the shape, so derivatives are
+# finite differences of posed meshes. Speed matters less: a calibration uses some dozens of frames.
 
 FRAME_SIZE = TANGENT_SIZE + len(NO_THUMB)
-"""Unknowns of a frame: the tangent vector of its pose, and its thumb's inner angles."""
+"""Unknowns per frame: the tangent vector of its pose, and the thumb's inner angles."""
 FRAME_STEPS: FloatArray = np.repeat([0.5, 0.005, 0.005], [3, 3, FRAME_SIZE - 6])
-"""(23,) differences of a frame's unknowns, mm and rad: the skin moves by about half a millimetre."""
+"""(23,) finite-difference steps of a frame's unknowns, mm and rad: about half a millimetre of the skin."""
 _FRAME, _SHAPE = slice(0, FRAME_SIZE), slice(FRAME_SIZE, None)
-"""Which unknowns of a row are the frame's and the shape's."""
+"""Columns of the frame's and of the shape's unknowns."""
 WRIST_PART, LEAST_SHARE = 0.35, 0.05
-"""Of the palm's length from the wrist: there hands differ most, and where they end is not sure."""
+"""Share of the palm's length, from the wrist, with reduced weight: models differ most there, and the cut to
+the forearm is uncertain."""
 _SPACE = BodySpace()
 
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Linearised residuals: e(x + d) = e - J d, with d the steps of the frame's unknowns and the shape's.
+    """Linearised residuals e(x + d) = e - J d for steps d of frame and shape unknowns.
 
     Attributes:
         jacobian: (N, 23 + S).
@@ -52,13 +51,13 @@ class Rows:
     weights: FloatArray
 
     def normal(self, share: float) -> tuple[FloatArray, FloatArray]:
-        """J^T W J and J^T W e, with so large a share of the weights."""
+        """Return J^T W J and J^T W e, with the weights multiplied by ``share``."""
         weighted = self.jacobian * (share * self.weights)[:, None]
         return weighted.T @ self.jacobian, weighted.T @ self.residuals
 
 
 class FrameRows:
-    """Makes the rows of frames for hands with the same triangles.
+    """Linearises frames for hands with the same triangles.
 
     Args:
         terms: weights of the residuals.
@@ -80,7 +79,7 @@ class FrameRows:
             tile: the observation.
             pose: (22,).
             thumb: (2,) its inner angles.
-            hand: the hand in its present shape.
+            hand: the hand in its current shape.
             moves: (V, 23 + S, 3) of the frame, from ``vertex_moves``.
         """
         drawing = self._drawn(tile, pose, thumb, hand)
@@ -101,7 +100,7 @@ class FrameRows:
     def _surface(
         self, tile: Tile, drawing: Drawing, hand: HandModel, moves: FloatArray
     ) -> tuple[FloatArray, ...]:
-        """Projective point to plane: n . (observed - drawn) where both are there and near each other."""
+        """Projective point to plane: n . (observed - drawn) where both exist and are close."""
         terms, z = self._terms, _depth(drawing)
         distance = tile.image - z
         there = (drawing.inverse > 0) & (tile.image > 0) & (np.abs(distance) < terms.gate_mm)
@@ -115,7 +114,7 @@ class FrameRows:
     def _silhouette(
         self, tile: Tile, drawing: Drawing, hand: HandModel, moves: FloatArray
     ) -> tuple[FloatArray, ...]:
-        """Drawn where a reading lies behind: the way in the image plane to the nearest hand pixel."""
+        """Rendered in front of a farther reading: distance in the image plane to the nearest hand pixel."""
         terms, z, view = self._terms, _depth(drawing), tile.projection
         there = (drawing.inverse > 0) & (tile.image < 0) & (-tile.image > z - terms.explained_mm)
         rows, columns = np.nonzero(there)
@@ -125,7 +124,8 @@ class FrameRows:
         points = _points(tile, there, z)
         safe = np.maximum(residuals, 1e-9)
         ways = np.stack([across / safe, down / safe, np.zeros_like(safe)], axis=1)
-        ways[:, 2] = -np.einsum("nk,nk->n", ways, points / points[:, 2:])  # along the image, not the depth
+        # orthogonal to the ray: motion along it does not change the pixel
+        ways[:, 2] = -np.einsum("nk,nk->n", ways, points / points[:, 2:])
         faces = drawing.triangle[there]
         weights = geman_mcclure((residuals / terms.silhouette_tau_mm) ** 2) / terms.sigma_mm**2
         weights *= wrist_shares(hand)[hand.smooth.triangles[faces]].mean(axis=1)
@@ -134,10 +134,10 @@ class FrameRows:
     def _unexplained(
         self, tile: Tile, drawing: Drawing, pose: FloatArray, hand: HandModel, moves: FloatArray
     ) -> tuple[FloatArray, ...]:
-        """Observed where nothing is drawn, or something far from it: the way of the nearest skin to it.
+        """Observed without a rendered surface nearby: distance to the nearest visible vertex.
 
-        What lies behind the wrist is forearm, wherever segmentation has cut it off: a hand that had to cover
-        it would grow.
+        Pixels behind the wrist are ignored: they belong to the forearm, and a hand that covers them would
+        grow.
         """
         from scipy.spatial import cKDTree
 
@@ -161,14 +161,14 @@ class FrameRows:
 def vertex_moves(
     poses: FloatArray, thumbs: FloatArray, hand: HandModel, varied: Sequence[HandModel], steps: FloatArray
 ) -> Iterator[FloatArray]:
-    """Yield for each frame how fast the posed vertices move: (V, 23 + S, 3).
+    """Yield for each frame the derivatives of the posed vertices: (V, 23 + S, 3).
 
     Args:
         poses: (F, 22) of the frames.
         thumbs: (F, 2) inner angles.
-        hand: the hand in its present shape.
-        varied: the hand with each of S shape parameters larger by a step.
-        steps: (S,) in the parameters' units; derivatives are by these.
+        hand: the hand in its current shape.
+        varied: the hand with each of S shape parameters increased by a step.
+        steps: (S,) in the parameters' units; derivatives are with respect to these.
     """
     others = [_posed(other, poses, thumbs) for other in varied]
     moves = np.vstack([np.zeros(FRAME_SIZE), np.diag(FRAME_STEPS)])
@@ -182,14 +182,14 @@ def vertex_moves(
 
 
 def wrist_shares(hand: HandModel) -> FloatArray:
-    """How much each vertex (V,) counts: little at the wrist, fully from ``WRIST_PART`` of the palm on."""
+    """Return the weight of each vertex (V,): small at the wrist, 1 from ``WRIST_PART`` of the palm on."""
     along = -hand.smooth.vertices[:, 1] / _palm_length(hand)
     palm = hand.smooth.weights[:, 0] > 0.5
     return np.where(palm, np.clip(along / WRIST_PART, LEAST_SHARE, 1.0), 1.0)
 
 
 def _palm_length(hand: HandModel) -> float:
-    """From the wrist to the knuckles, mm."""
+    """Return the distance from wrist to knuckles, mm."""
     return -float(hand.anatomy.base_positions[1:, 1].mean())
 
 
@@ -205,9 +205,9 @@ def _along(
     points: FloatArray,
     ways: FloatArray,
 ) -> FloatArray:
-    """How fast points (N, 3) of triangles (N) move along unit vectors (N, 3): (N, 23 + S)."""
+    """Return the derivatives (N, 23 + S) of points (N, 3) on triangles (N) along unit vectors (N, 3)."""
     corners = hand.smooth.triangles[faces]
-    # barycentric coordinates: no drawn triangle lies in a plane with the sensor, so its corners span space
+    # barycentric coordinates; solvable, as no visible triangle is coplanar with the camera centre
     matrix = np.swapaxes(drawing.vertices[corners], 1, 2)
     shares = np.linalg.solve(matrix, points[..., None])[..., 0]
     return np.asarray(np.einsum("ni,nikc,nc->nk", shares, moves[corners], ways, optimize=True))
@@ -218,23 +218,22 @@ def _depth(drawing: Drawing) -> FloatArray:
 
 
 def _points(tile: Tile, there: BoolArray, depth: FloatArray) -> FloatArray:
-    """Points (N, 3) of pixels at a depth image's depths, mm."""
+    """Return points (N, 3) of pixels at the depths of an image, mm."""
     rows, columns = np.nonzero(there)
     view, z = tile.projection, depth[there]
     return np.stack([(columns + 0.5 - view.b) / view.a * z, (rows + 0.5 - view.d) / view.c * z, z], axis=1)
 
 
-# Bundle adjustment: the shape that all frames share, and the pose of each
-
+# Bundle adjustment
 
 Observe = Callable[[int, FloatArray, FloatArray, HandModel], Tile]
-"""Gives the tile of a frame (its place among the chosen ones) for a pose, a thumb (2,) and a hand."""
+"""Returns the tile of a frame, by index, for a pose, thumb angles (2,) and a hand."""
 
 CORRELATED = 64.0
-"""Residuals per independent one: neighbouring pixels err alike, as noise, skin and segmentation do."""
+"""Number of residuals per independent one: errors of neighbouring pixels are correlated."""
 OVERCONFIDENCE = 3.0
-"""How much less the images tell than the sum of their rows, in the covariance that is stated: what is wrong
-in one frame, as where the forearm is cut, is wrong in all. From the errors on synthetic random hands."""
+"""Factor by which the stated covariance reduces the information of the images: some errors, such as the cut
+to the forearm, are the same in all frames. Calibrated on synthetic random hands."""
 LEAST_RESIDUAL_MM = 0.5
 CONVERGED = 0.05
 MOST_SHAPE_STEP, MOST_FRAME_STEP = 0.75, np.repeat([15.0, 0.2, 0.3], [3, 3, FRAME_SIZE - 6])
@@ -243,15 +242,15 @@ _RELAXED_SD = np.append(np.repeat([np.inf, np.inf, 0.6], [3, 3, 15]), [IP_SD, AB
 
 @dataclass(frozen=True, eq=False)
 class Bundle:
-    """What a bundle adjustment found.
+    """Result of a bundle adjustment.
 
     Attributes:
         shape: of the hand.
         poses: (F, 22).
         thumbs: (F, 2) their inner angles (``hand.fit.skeleton``), rad.
-        covariance: (S, S) of the numbers of the space that stand for the shape.
+        covariance: (S, S) of the shape's parameters.
         residual_mm: weighted root mean square of the residuals.
-        iterations: steps taken.
+        iterations: number of steps.
     """
 
     shape: HandShape
@@ -275,24 +274,24 @@ def adjusted(
     iterations: int = 12,
     terms: Terms | None = None,
 ) -> Bundle:
-    """Minimise the residuals of all frames over shape and poses, by Gauss-Newton.
+    """Minimise the residuals of all frames over shape and poses by Gauss-Newton.
 
-    The unknowns are theta, the numbers of the space that stand for the shape, and of each frame a tangent
-    vector and the thumb's inner angles. The prior of theta is N(0, diag sd^2) with the space's standard
-    deviations. With H_f the normal matrix of frame f in blocks of shape s and frame p, the frames are
-    eliminated: S = sum_f (H_ss - H_sp H_pp^-1 H_ps) + prior (Schur complement), and theta's covariance is
-    S^-1, the images' part of S by ``OVERCONFIDENCE`` less. Residuals are weighted by their own mean square,
-    one in ``CORRELATED`` counting as independent. A step of theta stays within the space's bounds.
+    The unknowns are the shape's parameters theta, and for each frame a tangent vector and the thumb's inner
+    angles. The prior of theta is N(0, diag sd^2) with the space's standard deviations. With H_f the normal
+    matrix of frame f in blocks of shape s and frame p, the frames are eliminated (Schur complement): S =
+    sum_f (H_ss - H_sp H_pp^-1 H_ps) + prior. The covariance of theta is S^-1, with the images' part of S
+    divided by ``OVERCONFIDENCE``. Residuals are weighted by their mean square, and one in ``CORRELATED``
+    counts as independent. Steps of theta stay within the space's bounds.
 
     Args:
         maker: makes the hand.
-        space: what is unknown of it.
+        space: the shape's parameters.
         side: ``right`` or ``left``.
         shape: start.
         poses, thumbs: (F, 22), (F, 2) start.
-        observe: gives the observations.
+        observe: returns the observations.
         tile_px: their side.
-        iterations: at most.
+        iterations: limit.
         terms: weights of the residuals.
     """
     terms = terms or Terms()
@@ -320,7 +319,7 @@ def adjusted(
         turns = np.clip(turns, -MOST_FRAME_STEP, MOST_FRAME_STEP)
         poses = inside_limits(_SPACE.retract(poses, turns[:, :TANGENT_SIZE]))
         thumbs = np.clip(thumbs + turns[:, TANGENT_SIZE:], -MOST_THUMB, MOST_THUMB)
-        theta = np.clip(theta + step, space.low, space.high)  # rounding may leave by an ulp
+        theta = np.clip(theta + step, space.low, space.high)  # rounding may exceed a bound by an ulp
         if np.abs(step / np.sqrt(np.diag(covariance))).max() < CONVERGED:
             break
     stated = np.linalg.inv((matrix - prior) / OVERCONFIDENCE + prior)
@@ -330,7 +329,7 @@ def adjusted(
 def _hands(
     maker: HandMaker, space: ShapeSpace, side: str, theta: FloatArray
 ) -> tuple[HandModel, list[HandModel]]:
-    """The hand, and the hand with each parameter a step larger."""
+    """Return the hand, and the hand with each parameter increased by a step."""
     steps = np.vstack([np.zeros(theta.size), np.diag(space.steps)])
     hand, *varied = (maker(side, space.shape(theta + step)) for step in steps)
     return hand, varied
@@ -339,7 +338,7 @@ def _hands(
 def _with_frame_prior(
     matrix: FloatArray, vector: FloatArray, pose: FloatArray, thumb: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Add a weak pull of the angles towards a relaxed hand: what no pixel tells keeps still."""
+    """Add a weak prior around relaxed angles, so that unobserved fingers stay still."""
     precision = 1.0 / _RELAXED_SD**2
     matrix[range(FRAME_SIZE), range(FRAME_SIZE)] += precision + 1e-9
     vector[6:FRAME_SIZE] -= precision[6:] * np.append(pose[7:] - 0.2, thumb)
@@ -349,7 +348,7 @@ def _with_frame_prior(
 def _shape_equations(
     equations: Sequence[tuple[FloatArray, FloatArray]], prior: FloatArray, theta: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """The normal equations of the shape alone, its prior included."""
+    """Return the normal equations of the shape alone, with its prior."""
     matrix, vector = prior.copy(), -prior @ theta
     for equation in equations:
         of_matrix, of_vector = eliminated(*equation, _SHAPE, _FRAME)

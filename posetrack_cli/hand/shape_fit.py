@@ -1,4 +1,4 @@
-"""Size and shape of a hand from a recording."""
+"""Calibration of a hand's size and shape from a recording."""
 
 from __future__ import annotations
 
@@ -37,95 +37,74 @@ from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.recording import Recording
 from posetrack_cli.results.reader import read_result
 
-# Which frames a hand's shape is estimated from: those that show the most of fingers
+# Selection of frames
 
-
+# One frame of each part of the recording: the average hand is misplaced in more of the others, and a shape
+# adjusted to those gives the next round a worse start.
 FIRST_FRAMES = 16
-"""How many frames the first round uses, one of each part of the recording. The average hand is placed wrongly
-in more of the others, and a shape adjusted to those starts the next round worse."""
 
 
-class _Shown(NamedTuple):
-    """A frame, and how much of fingers it shows, mm^2."""
+class _RankedFrame(NamedTuple):
+    """A frame and its visible finger area, mm^2."""
 
     fingers_mm2: float
     frame: Frame
 
     def rank(self) -> tuple[float, int]:
-        """What sorts those first that show the most, of equal ones the earliest."""
+        """Return the sort key: most finger area first, then the earliest frame."""
         return -self.fingers_mm2, self.frame.index
 
 
-class ShownFingers:
-    """Chooses frames by how much of fingers they show, those of the first round from all parts.
+class FrameSelector:
+    """Selects frames by visible fingers, with the first round's frames spread over the recording.
 
-    Frames that show much of them follow each other, and are much alike. The first round, which knows the
-    average hand alone, takes the best frame of each of ``FIRST_FRAMES`` parts of the recording; what it still
-    lacks, and all others, are the best of the rest. No more frames are kept than are chosen.
+    The best frames follow each other and are similar. So the first round, which starts from the average hand,
+    uses the best frame of each of ``FIRST_FRAMES`` parts; what it lacks, and all further frames, are the best
+    of the rest. Only selected frames are kept in memory.
 
     Args:
-        most: how many are chosen.
-        count: how many are expected; further ones belong to the last part.
+        most: number of frames to select.
+        count: number of expected frames; further ones belong to the last part.
     """
 
     def __init__(self, most: int, count: int) -> None:
         self._first, self._most, self._count = min(FIRST_FRAMES, most), most, max(count, 1)
-        self._best: dict[int, _Shown] = {}
-        self._rest: list[_Shown] = []
+        self._best: dict[int, _RankedFrame] = {}
+        self._rest: list[_RankedFrame] = []
         self.seen = 0
 
     def add(self, frame: Frame, fingers_mm2: float) -> None:
-        """Take the next frame into account."""
+        """Add the next frame."""
         part = min(self.seen * self._first // self._count, self._first - 1)
         self.seen += 1
-        shown, best = _Shown(fingers_mm2, frame), self._best.get(part)
-        passed: _Shown | None = shown
+        shown, best = _RankedFrame(fingers_mm2, frame), self._best.get(part)
+        passed: _RankedFrame | None = shown
         if fingers_mm2 > 0.0 and (best is None or shown.rank() < best.rank()):
             self._best[part], passed = shown, best
         if passed is not None:
-            insort(self._rest, passed, key=_Shown.rank)
+            insort(self._rest, passed, key=_RankedFrame.rank)
         del self._rest[self._most - len(self._best) :]
 
     @property
     def frames(self) -> list[Frame]:
-        """Those of the first round, in order, then the others."""
+        """Return the first round's frames in order, then the others."""
         ranked = [*self._best.values(), *self._rest]
         parts = (ranked[: self._first], ranked[self._first :])
         return [shown.frame for part in parts for shown in sorted(part, key=lambda one: one.frame.index)]
 
 
-# What is doubtful about a hand's shape, in words, and what to do about it
+# Limits of plausible shapes
 
-
-HAND_LENGTHS_MM = (120.0, 225.0)
-"""Of a child of three years, and of the largest men, wrist to tip."""
-LARGEST_COEFFICIENT = 3.0
-"""One hand in four hundred is farther from the mean in a coefficient."""
-HARDLY_LEARNT = 0.8
-"""A measure whose standard deviation is no less than this share of what it was before."""
-_SHOWN = {
-    "fingers' lengths": (("index_length", "middle_length", "ring_length", "little_length"), "the open hand"),
-    "thumb": (("thumb_length",), "the thumb beside the open hand"),
+HAND_LENGTHS_MM = (120.0, 225.0)  # wrist to tip, from a three-year-old to the largest men
+LARGEST_COEFFICIENT = 3.0  # exceeded by one hand in 400
+UNOBSERVED_SHARE = 0.8  # of the prior standard deviation; a measure above it was hardly observed
+_PARTS = {
+    "finger lengths": (("index_length", "middle_length", "ring_length", "little_length"), "the open hand"),
+    "thumb": (("thumb_length",), "the thumb next to the open hand"),
     "palm": (("palm_length", "palm_width"), "the palm or the back of the hand"),
 }
 
-
-def doubts_of(found: Calibration) -> str:
-    """Return what to add to a line about a hand; empty where nothing is doubtful."""
-    length, (low, high) = found.length_mm, HAND_LENGTHS_MM
-    if not low <= length <= high:
-        return f", which no hand is ({low:.0f} to {high:.0f} mm): is the depth in mm (--depth-unit-mm)?"
-    if max((abs(c) for c in found.shape.coefficients), default=0.0) > LARGEST_COEFFICIENT:
-        return ", of proportions that hardly any hand has; posetrack view shows whether it fits"
-    sd, prior = found.measured.sd, found.measured.prior_sd
-    for what, (names, shown) in _SHOWN.items():
-        if all(sd[name] > HARDLY_LEARNT * prior[name] for name in names):
-            return f", its {what} hardly seen; record {shown} facing the sensor for a few seconds"
-    return ""
-
-
-# What a hand measures, mm: what people can compare with a ruler, whatever numbers a shape is made of
-
+# Measures that can be checked with a ruler, mm
 
 MEASURES: tuple[str, ...] = (
     "hand_length",
@@ -140,8 +119,8 @@ def measures_of(anatomy: HandAnatomy) -> FloatArray:
     """Return the measures (13,) of a hand, mm, in the order of ``MEASURES``.
 
     ``hand_length`` is from the wrist to the tip of the straight middle finger, ``palm_length`` to its
-    knuckle; ``palm_width`` from the index to the little finger's knuckle; lengths of fingers are from knuckle
-    (of the thumb, from its second joint) to tip, radii means over a finger.
+    knuckle, ``palm_width`` between the knuckles of index and little finger. Finger lengths are from knuckle
+    (for the thumb, second joint) to tip; radii are means over a finger.
     """
     bases, segments = anatomy.base_positions, anatomy.segments
     palm = float(np.linalg.norm(bases[2]))
@@ -152,7 +131,7 @@ def measures_of(anatomy: HandAnatomy) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """A hand's measures, mm, and their standard deviations: stated, and what they are before a recording.
+    """A hand's measures and their standard deviations after and before the recording, mm.
 
     Attributes:
         values, sd, prior_sd: by the names of ``MEASURES``, and ``padding``.
@@ -166,9 +145,9 @@ class Measured:
 def measured(
     maker: HandMaker, space: ShapeSpace, side: str, shape: HandShape, covariance: FloatArray
 ) -> Measured:
-    """Return a shape's measures, and their standard deviations from those of the space's numbers (S, S).
+    """Return a shape's measures and their standard deviations, given the covariance (S, S) of its parameters.
 
-    ``padding``, by how much the skin stands out, is measured beside ``MEASURES`` where the space has one.
+    ``padding``, the skin's extra thickness, is included if the space has it.
     """
     theta = space.theta(shape)
 
@@ -190,7 +169,7 @@ def measured(
     return Measured(*rows)
 
 
-# The hand that an earlier run tracked: its side and shape, as settings of another one
+# Shape from an earlier result
 
 
 def hand_assignments(path: Path) -> tuple[str, ...]:
@@ -200,57 +179,46 @@ def hand_assignments(path: Path) -> tuple[str, ...]:
         path: of a result of ``hand run``, finished or not.
 
     Raises:
-        ResultError: it is none, or says nothing of a hand.
+        ResultError: not a hand result.
     """
     run = read_result(path).run
     try:
         settings = HandSettings.model_validate(json.loads(run["configuration"])["hand"])
     except (KeyError, TypeError, ValueError, RecursionError, ValidationError) as error:
         raise ResultError(
-            "tells no hand's shape", where=path, expected="a result of posetrack hand run"
+            "result has no hand shape", where=path, expected="a result of posetrack hand run"
         ) from error
     # texts, numbers and lists of numbers are the same in JSON and in TOML
-    told = settings.model_dump(mode="json", exclude_none=True)
-    return tuple(f"hand.{name}={json.dumps(value)}" for name, value in told.items())
+    values = settings.model_dump(mode="json", exclude_none=True)
+    return tuple(f"hand.{name}={json.dumps(value)}" for name, value in values.items())
 
 
-# Calibration of a recording's hand: find it in frames that show its fingers, adjust its shape; again.
+# Calibration: find the hand in selected frames, adjust its shape to them, repeat
 #
-# No truth is used. Frames are chosen from the whole recording by how much of fingers they show: a fist from
-# the back fits many hands, and makes every one of them a wrong one. The first time the hand is found with the
-# average shape, in the frame of each part of the recording that shows the most; then with the one that was
-# found, in more frames; a third time if that one fits no better.
+# Frames are selected by visible fingers: a fist from the back fits many hands, and a wrong shape explains all
+# of them. The first round uses the average shape and one frame per part of the recording, the second its
+# result and more frames. A third round follows if the result fits no better than the average hand.
 
-
-LOOKED_AT = 64
-"""Frames, evenly over the recording, of which those are chosen that show the most of fingers; less than twice
-as many where the recording's frames do not divide."""
-_UNKNOWN_COUNT = 900
-"""Frames of a recording that does not say how many it has: half a minute."""
-ROUNDS, MOST_ROUNDS = 2, 3
-"""How often a hand is found and its shape adjusted: once more where the adjusted hand costs no less than the
-average one. An adjustment may end at skin that stands out by 6 mm, and the next one returns from there. What
-the last adjustment gave is found once more before it is judged."""
-_FEWEST_FRAMES = 4
-_DEAREST = 1.15
-"""Of the median cost: dearer frames are not found well."""
+SAMPLED_FRAMES = 64  # evenly over the recording; up to twice as many where its length does not divide
+_ASSUMED_FRAMES = 900  # of a recording of unknown length: half a minute
+ROUNDS, MAX_ROUNDS = 2, 3  # a shape with extreme padding recovers in the third round
+_MIN_FRAMES = 4
+_MAX_COST_RATIO = 1.15  # to the median cost; the hand is misplaced in costlier frames
 _ITERATIONS = 8
-_ANOTHER_SIZE = 1.25
-"""A shape that is by more larger or smaller than the size that fits best explains something else, too."""
-_GOOD_PERCENT = 20.0
-"""Of the frames' costs: what good fits cost."""
+_MAX_SIZE_RATIO = 1.25  # a shape that changes size by more explains something else
+_BASELINE_PERCENT = 20.0  # percentile of the frames' costs that counts as a good fit
 
 _DECIMALS = 4  # of the numbers in a hand file
 
 
 @dataclass(frozen=True)
 class CalibrationOptions:
-    """What a calibration depends on besides recording and configuration.
+    """Options of a calibration.
 
     Attributes:
-        side: ``right`` or ``left``; None to find out.
-        frames: how many frames the shape is adjusted to in the end.
-        start: the first frame that is used.
+        side: ``right`` or ``left``; None to detect it.
+        frames: number of frames in the last round.
+        start: first frame.
     """
 
     side: str | None = None
@@ -260,19 +228,19 @@ class CalibrationOptions:
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """What a calibration found.
+    """Result of a calibration.
 
     Attributes:
         side: ``right`` or ``left``.
         shape: of the hand.
         measured: its lengths, mm, with standard deviations.
-        frames_seen: frames that were looked at.
-        frames_used: frames that the shape was adjusted to.
+        frames_seen: number of sampled frames.
+        frames_used: number of frames the shape was adjusted to.
         residual_mm: weighted root mean square of their residuals.
-        costs_mm: median costs of the frames of the first round for the average hand of that size, and for
-            the adjusted hand that they were found with last.
-        good_mm: what the hand of the last round costs in frames in which it fits well.
-        begun_scale, begun_mm: scale and length of the hand that it was begun with.
+        costs_mm: median costs of the first round's frames for the average hand of the start size, and for the
+            adjusted hand.
+        baseline_cost_mm: cost of good fits of the last round's hand.
+        begun_scale, begun_mm: scale and length of the start shape.
     """
 
     side: str
@@ -282,28 +250,42 @@ class Calibration:
     frames_used: int
     residual_mm: float
     costs_mm: tuple[float, float]
-    good_mm: float
+    baseline_cost_mm: float
     begun_scale: float
     begun_mm: float
 
     @property
     def length_mm(self) -> float:
-        """From the wrist to the middle finger's tip."""
+        """Return the length from the wrist to the middle finger's tip."""
         return self.measured.values["hand_length"]
 
     @property
     def is_of_another_size(self) -> bool:
-        """Whether the hand is much larger or smaller than the one that it was begun with."""
-        return not 1.0 / _ANOTHER_SIZE < self.length_mm / self.begun_mm < _ANOTHER_SIZE
+        """Return whether the hand is much larger or smaller than the start shape."""
+        return not 1.0 / _MAX_SIZE_RATIO < self.length_mm / self.begun_mm < _MAX_SIZE_RATIO
 
     @property
     def likely_scale(self) -> float:
-        """What would make the hand that it was begun with as long."""
+        """Return the scale that gives the start shape the same length."""
         return self.begun_scale * self.length_mm / self.begun_mm
 
     @property
+    def warning(self) -> str:
+        """Return a clause to append to a line about the hand; empty if its shape is plausible."""
+        length, (low, high) = self.length_mm, HAND_LENGTHS_MM
+        if not low <= length <= high:
+            return f", outside {low:.0f} to {high:.0f} mm: is the depth in mm (--depth-unit-mm)?"
+        if max((abs(c) for c in self.shape.coefficients), default=0.0) > LARGEST_COEFFICIENT:
+            return ", of unusual proportions; check the fit with posetrack view"
+        sd, prior = self.measured.sd, self.measured.prior_sd
+        for part, (names, pose) in _PARTS.items():
+            if all(sd[name] > UNOBSERVED_SHARE * prior[name] for name in names):
+                return f", its {part} hardly visible; record {pose} facing the sensor for a few seconds"
+        return ""
+
+    @property
     def settings(self) -> dict[str, object]:
-        """The shape as keys of a configuration's ``[hand]`` table."""
+        """Return the shape as keys of the ``[hand]`` table."""
         named = {
             name: getattr(self.shape, name) for name in HandSettings.model_fields if hasattr(self.shape, name)
         }
@@ -311,27 +293,27 @@ class Calibration:
 
 
 def shape_of(recording: Recording, config: HandConfig, options: CalibrationOptions) -> Calibration:
-    """Estimate the shape of a hand whose side and size are known roughly: those of the configuration.
+    """Estimate the shape of a hand whose side and approximate size are configured.
 
     Raises:
-        RecordingError: no frame, or no hand that can be found in at least four frames.
+        RecordingError: no frame, or no hand found in at least four frames.
     """
     calibrator = _Calibrator(recording, config, options)
     side, shape, found = config.hand.side, HandShape(config.hand.scale), None
-    medians: list[float] = []
-    while len(medians) < ROUNDS or (len(medians) < MOST_ROUNDS and medians[-1] >= medians[0]):
-        again = f"{len(medians) + 1} of {ROUNDS}" if len(medians) < ROUNDS else "once more"
+    medians: list[float] = []  # of the first frames, for the shape before each adjustment
+    while len(medians) < ROUNDS or (len(medians) < MAX_ROUNDS and medians[-1] >= medians[0]):
+        round_name = f"round {len(medians) + 1} of {ROUNDS}" if len(medians) < ROUNDS else "extra round"
         most = options.frames if medians else FIRST_FRAMES
-        poses, thumbs, costs = calibrator.find(shape, most, again)
+        poses, thumbs, costs = calibrator.find(shape, most, round_name)
         chosen = calibrator.chosen(costs)
         medians.append(float(np.median(costs[:FIRST_FRAMES])))
         found = calibrator.adjust(chosen, poses[chosen], thumbs[chosen], shape)
         shape = found.shape
-    if medians[-1] >= medians[0]:  # which tells of the shape before the last adjustment
-        medians.append(float(np.median(calibrator.find(shape, FIRST_FRAMES, "with its last shape")[2])))
+    if medians[-1] >= medians[0]:  # the last median is of the shape before the last adjustment
+        medians.append(float(np.median(calibrator.find(shape, FIRST_FRAMES, "final shape")[2])))
     assert found is not None
     numbers = measured(calibrator.maker, calibrator.space, side, shape, found.covariance)
-    cost, good = (medians[0], medians[-1]), good_cost(costs)
+    cost, good = (medians[0], medians[-1]), baseline_cost(costs)
     begun = HandShape(config.hand.scale)
     begun_mm = float(measures_of(calibrator.maker(side, begun).anatomy)[0])
     return Calibration(
@@ -348,57 +330,57 @@ def shape_of(recording: Recording, config: HandConfig, options: CalibrationOptio
     )
 
 
-def good_cost(costs: FloatArray) -> float:
-    """Return what good fits cost: one of the costs (F,), which are infinite where no hand is found."""
-    return float(np.percentile(costs, _GOOD_PERCENT, method="lower"))
+def baseline_cost(costs: FloatArray) -> float:
+    """Return the cost of good fits among costs (F,), which are infinite for frames without a hand."""
+    return float(np.percentile(costs, _BASELINE_PERCENT, method="lower"))
 
 
 class _Calibrator:
-    """The parts of a calibration."""
+    """Steps of a calibration."""
 
     def __init__(self, recording: Recording, config: HandConfig, options: CalibrationOptions) -> None:
         self._recording, self._config, self._options = recording, config, options
         self._side, self._camera = config.hand.side, recording.cameras[0]
         self.maker, self.space = hand_maker(config.hand.mesh), shape_space(config.hand.mesh)
-        shown = self._showing_fingers(HandShape(config.hand.scale))
+        shown = self._select_frames(HandShape(config.hand.scale))
         self.seen, self._frames = shown.seen, shown.frames
 
-    def _showing_fingers(self, shape: HandShape) -> ShownFingers:
-        """The frames that show the most of fingers: those of the first round, in order, then the others.
+    def _select_frames(self, shape: HandShape) -> FrameSelector:
+        """Select the frames with the most visible fingers, the first round's first.
 
         Raises:
-            RecordingError: there is none.
+            RecordingError: the recording has no frame.
         """
         options, count = self._options, self._recording.frame_count
-        ahead = _UNKNOWN_COUNT if count is None else count - options.start
-        stride = max(1, ahead // LOOKED_AT)
-        finder, shown = self._finder(shape), ShownFingers(options.frames, -(-ahead // stride))
-        with phase("choosing frames", "frame", -(-ahead // stride)) as advance:
+        ahead = _ASSUMED_FRAMES if count is None else count - options.start
+        stride = max(1, ahead // SAMPLED_FRAMES)
+        finder, shown = self._finder(shape), FrameSelector(options.frames, -(-ahead // stride))
+        with phase("selecting frames", "frame", -(-ahead // stride)) as advance:
             for frame in self._recording.frames(start=options.start, end=None, stride=stride):
                 area = max((place.fingers_mm2 for place in finder.detect(frame.depth)), default=0.0)
                 shown.add(frame, area)
                 advance(1)
         if not shown.seen:
-            raise RecordingError("holds no frame", where=self._recording.path)
+            raise RecordingError("recording has no frame", where=self._recording.path)
         return shown
 
     def _finder(self, shape: HandShape) -> Acquisition:
         return Acquisition(self._config, self.maker(self._side, shape), self._camera)
 
-    def find(self, shape: HandShape, most: int, again: str) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """The poses (F, 22) of a hand in the frames, its thumb's inner angles (F, 2), and costs (F,), mm.
+    def find(self, shape: HandShape, most: int, round_name: str) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return poses (F, 22), thumb inner angles (F, 2) and costs (F,), mm, of the hand in each frame.
 
-        A cost is infinite where there is none.
+        A cost is infinite without a hand.
 
         Args:
             shape: of the hand.
-            most: how many of the frames, those of the first round first.
-            again: for people: which time it is.
+            most: number of frames, the first round's first.
+            round_name: for the progress bar.
         """
         finder, frames = self._finder(shape), self._frames[:most]
         poses, costs = np.zeros((len(frames), POSE_SIZE)), np.full(len(frames), np.inf)
         poses[:, 6], thumbs = 1.0, np.zeros((len(frames), len(NO_THUMB)))
-        with phase(f"finding the {self._side} hand, {again}", "frame", len(frames)) as advance:
+        with phase(f"finding the {self._side} hand, {round_name}", "frame", len(frames)) as advance:
             for k, frame in enumerate(frames):
                 found = finder.search(frame.depth)
                 if found is not None:
@@ -408,26 +390,28 @@ class _Calibrator:
         return poses, thumbs, costs
 
     def chosen(self, costs: FloatArray) -> IntArray:
-        """Frames in which the hand was found well.
+        """Return the indices of well-fitted frames.
 
         Raises:
-            RecordingError: there are too few.
+            RecordingError: too few of them.
         """
-        limit = _DEAREST * float(np.median(costs[np.isfinite(costs)])) if np.isfinite(costs).any() else 0.0
+        limit = (
+            _MAX_COST_RATIO * float(np.median(costs[np.isfinite(costs)])) if np.isfinite(costs).any() else 0.0
+        )
         good = np.flatnonzero(costs <= limit)
-        if good.size < _FEWEST_FRAMES:
+        if good.size < _MIN_FRAMES:
             raise RecordingError(
-                "no hand that can be tracked",
+                "no trackable hand",
                 where=self._recording.path,
                 found=f"{good.size} of {len(costs)} frames",
-                expected=f"{_FEWEST_FRAMES} or more",
-                hint="choose a recording that shows one hand well, open and with its fingers bent",
+                expected=f"{_MIN_FRAMES} or more",
+                hint="use a recording of one clearly visible hand, open and with its fingers bent",
             )
         return good
 
     def adjust(self, chosen: IntArray, poses: FloatArray, thumbs: FloatArray, shape: HandShape) -> Bundle:
-        """The shape and the poses that fit the frames best."""
-        with phase(f"adjusting its shape to {len(chosen)} frames", "view") as advance:
+        """Adjust shape and poses to the frames."""
+        with phase(f"adjusting the shape to {len(chosen)} frames", "view") as advance:
             return adjusted(
                 self.maker,
                 self.space,
@@ -452,30 +436,30 @@ class _Calibrator:
 
 
 def _terms(config: HandConfig) -> Terms:
-    """The residuals' weights with the configuration's clamp."""
+    """Return the residual weights with the configured clamp."""
     return Terms()._replace(
         clamp_mm=config.observation.clamp_mm, unread_weight=config.observation.unread_weight
     )
 
 
 def write_hand_file(path: Path, calibration: Calibration, mesh: str | None, source: str) -> None:
-    """Write a TOML file that ``--shape`` and ``--config`` read.
+    """Write a TOML file for ``--shape`` and ``--config``.
 
     Args:
-        path: the file.
+        path: output file.
         calibration: side and shape.
-        mesh: the GLB file that the shape is of, None for the average hand.
+        mesh: GLB file of the hand, None for the average hand.
         source: name of the recording, for the comment.
 
     Raises:
-        ResultError: it cannot be written.
+        ResultError: the file cannot be written.
     """
     with whole_or_nothing(path) as part:
         write_output(part, hand_text(calibration, mesh, source, path.parent).encode())
 
 
 def hand_text(calibration: Calibration, mesh: str | None, source: str, folder: Path) -> str:
-    """The file's text; a mesh is named relative to the file's folder where it lies in it, else in full."""
+    """Return the content of a hand file; a mesh inside its folder gets a relative path."""
     values, sd = calibration.measured.values, calibration.measured.sd
     settings = calibration.settings
     names = (

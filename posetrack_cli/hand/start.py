@@ -175,7 +175,7 @@ def forearm_confidence_of(numbers: FloatArray | None) -> float:
     return float(numbers[-1]) if numbers is not None and len(numbers) == len(NUMBER_NAMES) else np.nan
 
 
-def found_pose(finder: Acquisition | None, frame: Frame, otherwise: FloatArray) -> FloatArray:
+def detected_pose(finder: Acquisition | None, frame: Frame, otherwise: FloatArray) -> FloatArray:
     """Return the pose (22,) of the hand that is found in a frame, else the one given."""
     found = None if finder is None else finder.search(frame.depth)
     return otherwise if found is None else found.pose

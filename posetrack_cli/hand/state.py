@@ -1,4 +1,4 @@
-"""What the hand tracker knows between frames, and how checkpoints keep it."""
+"""State of the hand tracker between frames, and its checkpoint codec."""
 
 from __future__ import annotations
 
@@ -32,17 +32,16 @@ class HandState:
         stamp_ns: of the last frame.
         pose: last estimate.
         velocity: last estimate of the tangent velocity, mm/s and rad/s.
-        monitor: how well frames were fitted.
-        expected: inner numbers (``hand.fit.skeleton``) that the next frame is expected to have, but for
-            the forearm's direction, which its image tells.
-        frames, doubtful: how many showed anything to compare with, and how many of them are more probably
-            wrong than right.
-        unseen_ns: time since the last frame in which there was something to compare with.
-        dt: seconds that the filter advanced by to this frame; 0 if it stood still.
-        cut: whether the state does not follow from that of the frame before.
-        evidence: of whether the track is right.
-        modes: local fits to the frame; None without any. No step needs them, and no checkpoint has them.
-        observation: what was seen of the frame; the same holds of it.
+        monitor: record of the track's quality.
+        expected: inner numbers (``hand.fit.skeleton``) predicted for the next frame, apart from the forearm's
+            direction, which is taken from the image.
+        frames, doubtful: number of frames with an observation, and of those that are probably wrong.
+        unseen_ns: time since the last frame with an observation.
+        dt: seconds that the filter advanced to this frame; 0 if it did not move.
+        cut: whether the state does not follow from that of the previous frame.
+        evidence: running signs of the confidence.
+        modes: local fits to the frame, None without any; for smoothing only, not in checkpoints.
+        observation: window of the frame; likewise.
     """
 
     particles: FilterState
@@ -61,15 +60,15 @@ class HandState:
     observation: Annotated[Observation | None, NOT_KEPT] = None
 
 
-class FrameObservation(NamedTuple):
-    """What is known of a frame before the filter takes it in.
+class FrameFit(NamedTuple):
+    """A frame as fitted, before the filter's update.
 
     Attributes:
-        state: before the frame; another one if the hand was found to be elsewhere.
+        state: before the frame; a new one if the hand was found elsewhere.
         dt: seconds to advance by.
-        observation: None where there is nothing to compare with.
-        fits: local fits to it; None without a guided proposal.
-        restarted: whether the state is about a hand that was found without a prediction.
+        observation: None without target pixels.
+        fits: local fits; None without a guided proposal.
+        restarted: True if the track was reinitialised in this frame.
     """
 
     state: HandState
@@ -80,30 +79,30 @@ class FrameObservation(NamedTuple):
 
     @property
     def inner(self) -> FloatArray:
-        """The inner numbers (6,) of the frame's estimate."""
+        """Return the inner numbers (6,) of the frame's estimate."""
         return self.state.expected if self.observation is None else self.observation.inner
 
 
-class Judgement(NamedTuple):
-    """How well a frame shows the hand at an estimate.
+class FrameAssessment(NamedTuple):
+    """Assessment of an estimate against its frame.
 
     Attributes:
-        cost: of the estimate, mm; None where there was nothing to compare with.
+        cost: of the estimate, mm; None without an observation.
         monitor: the record after the frame.
-        evidence: of whether the track is right.
+        evidence: running signs of the confidence.
         confidence: 0 to 1.
-        is_believed: whether the hand is there.
+        is_tracked: whether the frame shows the hand.
     """
 
     cost: float | None
     monitor: TrackMonitor
     evidence: RunningSigns
     confidence: float
-    is_believed: bool
+    is_tracked: bool
 
 
 def state_codec(config: HandConfig) -> Codec[HandState]:
-    """Return how the tracker's states are kept; local fits and what was seen of a frame are not."""
+    """Return the codec of the tracker's states."""
     kind, count = FILTERS.find(config.filter.kind), config.filter.particles
     layouts = _particle_layouts(count)
     particles = Fields(kind, **{name: Value[FloatArray](layouts[name]) for name in kind.shapes})
@@ -111,7 +110,7 @@ def state_codec(config: HandConfig) -> Codec[HandState]:
 
 
 def _particle_layouts(count: int) -> dict[str, Layout]:
-    """What the arrays of ``count`` particles must be, for any filter."""
+    """Return the array layouts of ``count`` particles, for all filters."""
     return {
         "poses": pose_layout(count),
         "velocities": floats(count, TANGENT_SIZE),

@@ -53,7 +53,7 @@ from posetrack_cli.hand.model.kinematics import skinning_transforms
 from posetrack_cli.hand.observe.observation import Observation
 from posetrack_cli.hand.observe.observer import Observer
 from posetrack_cli.hand.search import Acquisition
-from posetrack_cli.hand.start import found_pose, hand_estimate
+from posetrack_cli.hand.start import detected_pose, hand_estimate
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.rendering.port import Comparison, RenderingDevice, TileSums
 from posetrack_cli.results.estimate import Estimate, Status
@@ -195,7 +195,7 @@ class SwarmTracker:
 
     def start_unknown(self, pose: FloatArray, frame: Frame, rng: np.random.Generator) -> SwarmState:
         """Return the state before a first frame: the hand that is found in it, else a pose (22,)."""
-        return self.start(found_pose(self._finder, frame, pose), frame.stamp_ns, rng)
+        return self.start(detected_pose(self._finder, frame, pose), frame.stamp_ns, rng)
 
     def step(self, state: SwarmState, frame: Frame, rng: np.random.Generator) -> tuple[SwarmState, Estimate]:
         """Advance by one frame; the state given is left as it is.

@@ -90,7 +90,7 @@ def test_a_shape_is_estimated_unless_it_is_told(
     assert track(recording, tmp_path, "--start", "1", "--seed", "7", *options) in (0, 3)
     assert estimated == [CalibrationOptions("right", start=1)]
     said = capsys.readouterr().err.splitlines()
-    assert "finding side and size ..." in said
+    assert "detecting side and size ..." in said
     assert any(line.startswith(f"{recording}: a right hand, 143 mm long") for line in said)
     used = json.loads(read_result(tmp_path / "r.mcap").run["configuration"])["hand"]
     assert used["coefficients"] == pytest.approx(SHAPE.coefficients) and used["scale"] == SHAPE.scale

@@ -116,10 +116,10 @@ def test_the_line_of_the_start_names_depths(
     players: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Nothing is said of the side where no hand can be."""
-    from posetrack_cli.hand.autodetect import find_hand
+    from posetrack_cli.hand.autodetect import detect_hand
     from posetrack_cli.hand.config import HandConfig
 
-    found = find_hand(open_recording(players, depth_unit_mm=1.0), HandConfig(), 0)
+    found = detect_hand(open_recording(players, depth_unit_mm=1.0), HandConfig(), 0)
     assert found.is_doubtful and found.line.startswith("no hand in the first 10 s: no region like a hand")
     assert "4.8 to 6.4 m" in found.line and "--depth-unit-mm" in found.line
     assert "--hand-side" not in found.line

@@ -11,7 +11,7 @@ from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.model.anatomy import ANGLES
 from posetrack_cli.hand.model.kinematics import joint_positions
 from posetrack_cli.hand.observe.observer import Observer
-from posetrack_cli.hand.search import Acquisition, Candidate, better_of, distinct
+from posetrack_cli.hand.search import Acquisition, Candidate, cheaper_of, distinct
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.synthesis.hand.frames import CAMERA, synthesise
 from posetrack_cli.synthesis.hand.options import SynthOptions
@@ -148,10 +148,10 @@ def test_hands_differ_by_rotation_or_by_shape() -> None:
     assert distinct(poses, np.arange(5.0), 3) == [0, 3, 4]
 
 
-def test_the_better_of_two_candidates() -> None:
+def test_the_cheaper_of_two_candidates() -> None:
     cheap, dear = Candidate(relaxed(), 1.0), Candidate(relaxed(), 2.0)
-    assert better_of(cheap, dear) is cheap
-    assert better_of(dear, cheap) is cheap
-    assert better_of(None, dear) is dear
-    assert better_of(dear, None) is dear
-    assert better_of(None, None) is None
+    assert cheaper_of(cheap, dear) is cheap
+    assert cheaper_of(dear, cheap) is cheap
+    assert cheaper_of(None, dear) is dear
+    assert cheaper_of(dear, None) is dear
+    assert cheaper_of(None, None) is None

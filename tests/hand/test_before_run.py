@@ -10,7 +10,7 @@ import pytest
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.hand import autodetect
 from posetrack_cli.hand import autodetect as trial
-from posetrack_cli.hand.autodetect import MOST_ASKED, WELL_KNOWN_MM, find_hand, is_size_open
+from posetrack_cli.hand.autodetect import KNOWN_HAND_MM, MAX_FRAMES, detect_hand, is_size_unknown
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.model.anatomy import HandShape
 from posetrack_cli.hand.observe.detection import Detection
@@ -54,20 +54,20 @@ def test_the_side_is_that_of_the_hand_seen(seen: tuple[str, Path], monkeypatch: 
     """And as the average hand explains what is seen, no other shape is looked for."""
     monkeypatch.setattr(autodetect, "shape_of", never)
     side, path = seen
-    found = find_hand(open_path(path), FEW, start=0)
+    found = detect_hand(open_path(path), FEW, start=0)
     assert found.config.hand.side == side
     assert found.line == f"a {side} hand"
     rest = found.config.hand.model_copy(update={"side": "auto"})
     assert found.config.model_copy(update={"hand": rest}) == FEW
     if side == "left":  # found alike twice: costs of both sides are those of both sides
-        assert find_hand(open_path(path), FEW, start=0) == found
+        assert detect_hand(open_path(path), FEW, start=0) == found
 
 
 def test_a_side_that_is_given_stays(seen: tuple[str, Path]) -> None:
     side, path = seen
     other = "left" if side == "right" else "right"
     config = with_hand(side=other, scale=1.1)
-    found = find_hand(open_path(path), config, start=0)
+    found = detect_hand(open_path(path), config, start=0)
     assert found.config == config and found.line == ""
 
 
@@ -75,16 +75,16 @@ def test_without_a_hand_a_right_one_is_expected_and_that_is_said(
     seen: tuple[str, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Acquisition, "detect", lambda *arguments: [])
-    found = find_hand(open_path(seen[1]), HandConfig(), start=0)
+    found = detect_hand(open_path(seen[1]), HandConfig(), start=0)
     assert found.config.hand.side == "right"
     assert "no hand" in found.line and "--hand-side" in found.line
     told = HandConfig.model_validate({"hand": {"side": "left"}})
-    found = find_hand(open_path(seen[1]), told, start=0)
+    found = detect_hand(open_path(seen[1]), told, start=0)
     assert found.config == told and found.line == ""  # nothing is left open that could be told
 
 
 def test_after_the_last_frame_nothing_is_looked_at(seen: tuple[str, Path]) -> None:
-    found = find_hand(open_path(seen[1]), HandConfig(), start=10 * FRAMES)
+    found = detect_hand(open_path(seen[1]), HandConfig(), start=10 * FRAMES)
     assert found.config.hand.side == "right" and "no hand" in found.line
 
 
@@ -100,7 +100,7 @@ def say_costs(
         return next(told[self.observer.anatomy.side]), places
 
     monkeypatch.setattr(Acquisition, "appraise", appraise)
-    monkeypatch.setattr(trial, "ASKED_EVERY", 1)
+    monkeypatch.setattr(trial, "FRAME_STRIDE", 1)
     return told
 
 
@@ -108,10 +108,10 @@ def test_costs_that_hardly_differ_are_said_to_with_a_probability(
     seen: tuple[str, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """1.8 mm in all are two units of log odds: 1 / (1 + e^-2) = .88."""
-    say_costs(monkeypatch, [5.0] * MOST_ASKED, [3.2] + [5.0] * (MOST_ASKED - 1))
-    found = find_hand(open_path(seen[1]), with_hand(scale=1.0), start=0)
+    say_costs(monkeypatch, [5.0] * MAX_FRAMES, [3.2] + [5.0] * (MAX_FRAMES - 1))
+    found = detect_hand(open_path(seen[1]), with_hand(scale=1.0), start=0)
     assert found.config.hand.side == "left"
-    assert found.line == "a left hand, but hardly so (probability 0.88); --hand-side tells"
+    assert found.line == "a left hand, but uncertain (probability 0.88); set --hand-side"
 
 
 def test_frames_are_asked_until_they_agree_and_none_decides_alone(
@@ -120,18 +120,18 @@ def test_frames_are_asked_until_they_agree_and_none_decides_alone(
     """A first frame that errs, by however much, is outvoted by those after it."""
     right, left = [30.0, 5.0, 5.0, 5.0, 5.0], [5.0, 8.0, 8.0, 8.0, 8.0]
     told = say_costs(monkeypatch, [*right, 0.0], [*left, 50.0])
-    found = find_hand(open_path(seen[1]), with_hand(scale=1.0), start=0)
+    found = detect_hand(open_path(seen[1]), with_hand(scale=1.0), start=0)
     assert found.config.hand.side == "right" and found.line == "a right hand"
     assert len(list(told["right"])) == 2  # three frames for it outweigh the first, and no more are asked
 
 
-@pytest.mark.parametrize(("cost", "asked"), [(WELL_KNOWN_MM, 1), (WELL_KNOWN_MM + 0.1, 2)])
+@pytest.mark.parametrize(("cost", "asked"), [(KNOWN_HAND_MM, 1), (KNOWN_HAND_MM + 0.1, 2)])
 def test_one_frame_tells_the_side_of_a_well_known_hand_alone(
     seen: tuple[str, Path], monkeypatch: pytest.MonkeyPatch, cost: float, asked: int
 ) -> None:
     """4 mm between the sides are more than four units of log odds; what is hardly explained tells less."""
     told = say_costs(monkeypatch, [cost] * 4, [cost + 4.0] * 4)
-    found = find_hand(open_path(seen[1]), with_hand(scale=1.0), start=0)
+    found = detect_hand(open_path(seen[1]), with_hand(scale=1.0), start=0)
     assert found.line == "a right hand"
     assert len(list(told["right"])) == 4 - asked
 
@@ -149,12 +149,12 @@ def test_a_hand_of_another_size_is_found_with_it(tmp_path: Path, monkeypatch: py
     monkeypatch.setattr(autodetect, "shape_of", too_few)
     path = tmp_path / "small.mcap"
     write_synthetic(SynthOptions(seed=4, frames=FRAMES, side="right", scale=0.78), path)
-    found = find_hand(open_path(path), HandConfig(), start=0)
+    found = detect_hand(open_path(path), HandConfig(), start=0)
     assert found.config.hand.side == "right"
     assert found.config.hand.scale == pytest.approx(0.78, rel=A_STEP)
     assert found.line == f"a right hand of scale {found.config.hand.scale:.2f}"
     told = HandConfig.model_validate({"hand": {"side": "right"}})
-    of_side = find_hand(open_path(path), told, start=0)
+    of_side = detect_hand(open_path(path), told, start=0)
     assert of_side.config.hand.scale == pytest.approx(0.78, rel=A_STEP)
 
 
@@ -169,10 +169,10 @@ def strange(monkeypatch: pytest.MonkeyPatch) -> None:
         self: Acquisition, depth: object, places: list[Detection], others: object
     ) -> tuple[float, list[Detection]]:
         away = abs(self.observer.anatomy.scale - 1.0)
-        return WELL_KNOWN_MM + 2.0 + 3.0 * (self.observer.anatomy.is_left) + 10.0 * away, places
+        return KNOWN_HAND_MM + 2.0 + 3.0 * (self.observer.anatomy.is_left) + 10.0 * away, places
 
     monkeypatch.setattr(Acquisition, "appraise", appraise)
-    monkeypatch.setattr(trial, "ASKED_EVERY", 1)
+    monkeypatch.setattr(trial, "FRAME_STRIDE", 1)
 
 
 @pytest.mark.usefixtures("strange")
@@ -188,9 +188,9 @@ def test_a_hand_that_explains_little_gets_a_shape_of_its_own(
 
     monkeypatch.setattr(autodetect, "shape_of", estimated)
     config = HandConfig.model_validate({"hand": {"side": side}})
-    found = find_hand(open_path(seen[1]), config, start=3)
+    found = detect_hand(open_path(seen[1]), config, start=3)
     assert found.config.hand.side == "right" and found.config.hand.shape == SHAPE
-    assert found.config.status == config.status.model_copy(update={"good_mm": GOOD_MM})
+    assert found.config.status == config.status.model_copy(update={"baseline_cost_mm": GOOD_MM})
     assert found.config.model_copy(update={"hand": config.hand, "status": config.status}) == config
     ((known, options),) = asked
     assert known.hand.side == "right" and known.hand.scale == 1.0
@@ -212,7 +212,7 @@ def test_a_shape_that_explains_less_or_something_else_is_not_taken(
     seen: tuple[str, Path], monkeypatch: pytest.MonkeyPatch, other: Calibration
 ) -> None:
     monkeypatch.setattr(autodetect, "shape_of", lambda *arguments: other)
-    found = find_hand(open_path(seen[1]), HandConfig(), start=0)
+    found = detect_hand(open_path(seen[1]), HandConfig(), start=0)
     assert found.config.hand.shape == HandShape() and found.line == "a right hand"
 
 
@@ -223,7 +223,7 @@ def test_a_shape_that_costs_a_little_more_than_the_average_hand_is_taken(
     """As person 614's once did with motion 615, 3.93 for 3.52 mm: tips were 8.0 for 10.5 mm off."""
     dearer = calibration_of(SHAPE, costs_mm=(3.52, 3.93))
     monkeypatch.setattr(autodetect, "shape_of", lambda *arguments: dearer)
-    assert find_hand(open_path(seen[1]), HandConfig(), start=0).config.hand.shape == SHAPE
+    assert detect_hand(open_path(seen[1]), HandConfig(), start=0).config.hand.shape == SHAPE
 
 
 @pytest.mark.usefixtures("strange")
@@ -231,8 +231,8 @@ def test_what_good_fits_cost_is_believed_where_it_is_configured(
     seen: tuple[str, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(autodetect, "shape_of", lambda *arguments: calibration_of(SHAPE))
-    told = HandConfig.model_validate({"status": {"good_mm": 3.0}})
-    found = find_hand(open_path(seen[1]), told, start=0)
+    told = HandConfig.model_validate({"status": {"baseline_cost_mm": 3.0}})
+    found = detect_hand(open_path(seen[1]), told, start=0)
     assert found.config.hand.shape == SHAPE and found.config.status == told.status
 
 
@@ -242,8 +242,8 @@ def test_what_is_doubtful_of_a_shape_is_in_the_line(
 ) -> None:
     odd = calibration_of(HandShape(1.1, coefficients=(0.0, 3.5)), costs_mm=(4.0, 3.0))
     monkeypatch.setattr(autodetect, "shape_of", lambda *arguments: odd)
-    line = find_hand(open_path(seen[1]), HandConfig(), start=0).line
-    assert line.startswith("a right hand, 197 mm long, of proportions that hardly any hand has")
+    line = detect_hand(open_path(seen[1]), HandConfig(), start=0).line
+    assert line.startswith("a right hand, 197 mm long, of unusual proportions")
     assert "\n" not in line
 
 
@@ -265,13 +265,13 @@ def test_a_shape_that_is_told_or_misleads_no_fit_is_not_estimated(
 ) -> None:
     monkeypatch.setattr(autodetect, "shape_of", never)
     config = HandConfig.model_validate(told)
-    assert not is_size_open(config) and is_size_open(HandConfig())
-    found = find_hand(open_path(seen[1]), config, start=0)
+    assert not is_size_unknown(config) and is_size_unknown(HandConfig())
+    found = detect_hand(open_path(seen[1]), config, start=0)
     assert found.config.hand.shape == config.hand.shape
 
 
 def test_a_hand_from_a_file_has_the_file_s_shape() -> None:
-    assert not is_size_open(HandConfig.model_validate({"hand": {"mesh": "hand.glb"}}))
+    assert not is_size_unknown(HandConfig.model_validate({"hand": {"mesh": "hand.glb"}}))
 
 
 @pytest.mark.usefixtures("strange")
@@ -290,7 +290,7 @@ def test_a_shape_of_another_size_is_begun_once_more_from_there(
         return calibration_of(HandShape(0.74), side, costs_mm=(cost + 2.0, cost), begun_scale=scale)
 
     monkeypatch.setattr(autodetect, "shape_of", estimated)
-    found = find_hand(open_path(seen[1]), HandConfig(), start=0)
+    found = detect_hand(open_path(seen[1]), HandConfig(), start=0)
     again = pytest.approx(0.75)
     # of a hand of another size than was tried the side is open again, and the other begins with that size
     assert begun == ([1.0, again, again] if taken else [1.0, again])

@@ -16,7 +16,7 @@ from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.configuration import load_settings
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.hand import shape_bundle
-from posetrack_cli.hand.autodetect import ASKED_EVERY, SIDES, Trial, calibrate, tried_all_over
+from posetrack_cli.hand.autodetect import FRAME_STRIDE, SIDES, SideAndScaleSearch, calibrate, search_recording
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.fit.fitter import nearest_pixels
 from posetrack_cli.hand.fit.skeleton import NO_THUMB
@@ -45,14 +45,14 @@ from posetrack_cli.hand.shape_bundle import (
 )
 from posetrack_cli.hand.shape_fit import (
     FIRST_FRAMES,
-    LOOKED_AT,
+    MAX_ROUNDS,
     MEASURES,
-    MOST_ROUNDS,
     ROUNDS,
+    SAMPLED_FRAMES,
     Calibration,
     CalibrationOptions,
     _Calibrator,
-    good_cost,
+    baseline_cost,
     hand_text,
     measured,
     measures_of,
@@ -355,7 +355,7 @@ def test_a_recording_is_looked_at_evenly_all_over(monkeypatch: pytest.MonkeyPatc
     frames, seen = chosen_of(Shown(np.ones(count)), CalibrationOptions("right", frames=200), monkeypatch)
     frames = sorted(frames)
     assert frames[0] == 0 and len(set(np.diff(frames))) == 1
-    assert min(count, LOOKED_AT) <= seen == len(frames) < 2 * LOOKED_AT + 1
+    assert min(count, SAMPLED_FRAMES) <= seen == len(frames) < 2 * SAMPLED_FRAMES + 1
     assert count - frames[-1] <= np.diff(frames)[0]
 
 
@@ -391,9 +391,9 @@ def test_a_recording_without_frames_is_told(monkeypatch: pytest.MonkeyPatch) -> 
     ("medians", "rounds"),
     [
         ((5.0, 4.0), ROUNDS),
-        ((5.9, 6.0, 3.4), MOST_ROUNDS),
-        ((3.46, 3.64, 3.53, 3.36), MOST_ROUNDS),
-        ((5.0, 5.0, 6.0, 5.5), MOST_ROUNDS),
+        ((5.9, 6.0, 3.4), MAX_ROUNDS),
+        ((3.46, 3.64, 3.53, 3.36), MAX_ROUNDS),
+        ((5.0, 5.0, 6.0, 5.5), MAX_ROUNDS),
     ],
     ids=["better", "worse and then better", "better at last, as person 732", "never better"],
 )
@@ -440,13 +440,13 @@ def test_a_hand_that_fits_no_better_is_adjusted_once_more(
     assert found.shape.scale == pytest.approx(1.0 + 0.1 * rounds)
     assert found.costs_mm == (medians[0], medians[-1])
     assert len(told) == len(medians)
-    assert ("once more" in told) == (rounds == MOST_ROUNDS)
+    assert ("extra round" in told) == (rounds == MAX_ROUNDS)
 
 
 # Side and size, of all that there is
 
 
-def trial_of(shown: Shown, monkeypatch: pytest.MonkeyPatch, length: float = 0.86) -> Trial:
+def trial_of(shown: Shown, monkeypatch: pytest.MonkeyPatch, length: float = 0.86) -> SideAndScaleSearch:
     """What a right hand of a size tells that no hand explains well, and a left one less."""
 
     def appraise(finder: Acquisition, depth: object, places: list[object], told: object) -> object:
@@ -456,13 +456,15 @@ def trial_of(shown: Shown, monkeypatch: pytest.MonkeyPatch, length: float = 0.86
     monkeypatch.setattr(Acquisition, "detect", lambda finder, depth: shown.detected(depth))
     monkeypatch.setattr(Acquisition, "appraise", appraise)
     config = HandConfig.model_validate({"init": {"shape": "given"}, "filter": {"kind": "pso"}})
-    return tried_all_over(shown, config, 0, SIDES)  # type: ignore[arg-type]
+    return search_recording(shown, config, 0, SIDES)  # type: ignore[arg-type]
 
 
 def test_of_a_few_images_all_are_asked(monkeypatch: pytest.MonkeyPatch) -> None:
     """Also those after some that show no hand; sizes are tried however a run is configured."""
     trial = trial_of(Shown([0.0, 0.0, *[900.0] * 6]), monkeypatch)
-    assert trial.asked == 4  # 1 mm each, of which 0.9 are a unit of log odds, and four of these are asked for
+    assert (
+        trial.frame_count == 4
+    )  # 1 mm each, of which 0.9 are a unit of log odds, and four of these are asked for
     assert trial.side == "right" and trial.is_sure_of_side
     assert trial.scale("right") == pytest.approx(0.86, rel=HALF_A_STEP)
 
@@ -471,13 +473,13 @@ def test_of_a_few_images_all_are_asked(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_hand_that_shows_itself_late_is_waited_for(
     monkeypatch: pytest.MonkeyPatch, *, counted: bool
 ) -> None:
-    late = [0.0] * (30 * ASKED_EVERY)
-    assert trial_of(Shown([*late, *[900.0] * (4 * ASKED_EVERY)], counted), monkeypatch).asked == 4
+    late = [0.0] * (30 * FRAME_STRIDE)
+    assert trial_of(Shown([*late, *[900.0] * (4 * FRAME_STRIDE)], counted), monkeypatch).frame_count == 4
 
 
 def test_where_no_hand_is_seen_it_is_of_the_size_that_is_configured(monkeypatch: pytest.MonkeyPatch) -> None:
     trial = trial_of(Shown([0.0] * 9), monkeypatch)
-    assert trial.asked == 0 and trial.scale("right") == 1.0
+    assert trial.frame_count == 0 and trial.scale("right") == 1.0
 
 
 # From end to end
@@ -510,7 +512,7 @@ def test_side_size_and_proportions_are_found_without_truth(recording: Path, cali
     assert 4 <= calibration.frames_used <= 8
     before, after = calibration.costs_mm
     assert after < before
-    assert 0.0 < calibration.good_mm <= after
+    assert 0.0 < calibration.baseline_cost_mm <= after
     assert calibration.length_mm == calibration.measured.values["hand_length"]
 
 
@@ -596,7 +598,7 @@ def test_every_factor_of_a_file_s_hand_is_in_the_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize("missing", [0, 4, 12])
 def test_frames_in_which_no_hand_is_found_tell_nothing_of_what_good_fits_cost(missing: int) -> None:
     costs = np.concatenate([np.arange(16.0 - missing), np.full(missing, np.inf)])
-    assert good_cost(costs[::-1]) == 3.0
+    assert baseline_cost(costs[::-1]) == 3.0
 
 
 @pytest.mark.parametrize(("begun", "another"), [(1.0, False), (0.85, False), (0.75, True), (1.3, True)])

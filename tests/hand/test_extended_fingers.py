@@ -17,7 +17,7 @@ from posetrack_cli.hand.model.kinematics import (
 )
 from posetrack_cli.hand.observe.observation import Observation
 from posetrack_cli.hand.policy import NEAR_MM
-from posetrack_cli.hand.search import Acquisition, extended_fingers, poses_of_fingers
+from posetrack_cli.hand.search import Acquisition, extended_fingers, poses_from_fingers
 from posetrack_cli.rendering.port import RenderingDevice
 from support.hand import KINECT, random_poses
 from support.hand_scene import HANDS, Stage, acquisition, relaxed, turned_about_its_length
@@ -88,17 +88,17 @@ def test_one_of_the_hands_that_fingers_tell_of_is_the_drawn_one(
 ) -> None:
     pose = turned_about_its_length(spread_hand(side, 0.5, closed), turned)
     observation = seen(finder, stage, pose)
-    hands = poses_of_fingers(observation, stage.hand.anatomy, KINECT)
+    hands = poses_from_fingers(observation, stage.hand.anatomy, KINECT)
     assert min(stage.error(hand, pose) for hand in hands) < LAID_MM
-    starts = finder.starts_of_fingers(observation)
+    starts = finder.starts_from_fingers(observation)
     assert len(starts) == 2
     assert min(stage.error(start, pose) for start in starts) < LAID_MM
 
 
 def test_a_fist_tells_of_no_hand(finder: Acquisition, stage: Stage, side: str) -> None:
     pose = spread_hand(side, 0.0, (1, 2, 3, 4))
-    assert poses_of_fingers(seen(finder, stage, pose), stage.hand.anatomy, KINECT).shape == (0, 22)
-    assert finder.starts_of_fingers(seen(finder, stage, pose)).shape == (0, 22)
+    assert poses_from_fingers(seen(finder, stage, pose), stage.hand.anatomy, KINECT).shape == (0, 22)
+    assert finder.starts_from_fingers(seen(finder, stage, pose)).shape == (0, 22)
 
 
 def test_a_hand_that_turned_by_a_right_angle_is_fitted_from_its_fingers(
@@ -114,10 +114,10 @@ def test_a_hand_that_turned_by_a_right_angle_is_fitted_from_its_fingers(
 
     def fitted(told: FloatArray) -> float:
         rng = np.random.default_rng(1)
-        fits = finder.local_fitter.fit(observation, expected, none, 1 / 30, rng, told=told)
+        fits = finder.local_fitter.fit(observation, expected, none, 1 / 30, rng, extra=told)
         return stage.error(fits.modes.poses[0], pose)
 
-    assert fitted(finder.starts_of_fingers(observation)) < 5.0
+    assert fitted(finder.starts_from_fingers(observation)) < 5.0
     assert fitted(none) > 20.0
 
 

@@ -22,7 +22,7 @@ from posetrack_cli.hand.fit.gauss_newton import (
     add_inner_prior,
     empty_fit,
 )
-from posetrack_cli.hand.fit.local_fits import THUMB_LEFT, without_inner
+from posetrack_cli.hand.fit.local_fits import MARGINAL_THUMB_SHARE, marginalise_inner
 from posetrack_cli.hand.fit.normal_equations import ROW, UNKNOWNS, add_row, empty_equations, gather
 from posetrack_cli.hand.fit.skeleton import ARM, NO_THUMB, Posed, empty_posed, point_row, pose_bones, skin_of
 from posetrack_cli.hand.model.anatomy import ARM_BONE, random_shape
@@ -274,9 +274,9 @@ def test_inner_numbers_are_integrated_out_of_what_a_fit_tells() -> None:
     fit = empty_fit()._replace(data=equations, pose=random_poses(1, 4)[0])
     fit.inner[:] = *arm_towards(DOWN, 0.1), 0.2, -0.1
     expected = np.array([0.05, 0.1])
-    gradient, information = without_inner(fit, 0.7, empty_equations(), expected)
+    gradient, information = marginalise_inner(fit, 0.7, empty_equations(), expected)
     H, g = 0.7 * equations.matrix, 0.7 * equations.vector
-    left = THUMB_LEFT * np.array([IP_SD, ABDUCTION_SD])
+    left = MARGINAL_THUMB_SHARE * np.array([IP_SD, ABDUCTION_SD])
     H[range(21, 26), range(21, 26)] += np.array([SWING_SD, SWING_SD, GIRTH_SD, *left]) ** -2.0
     g[24:] += 0.7 * np.array([IP_SD, ABDUCTION_SD]) ** -2.0 * (expected - fit.inner[4:])
     wanted, vector = eliminated(H, g, slice(0, 21), slice(21, 26))

@@ -34,7 +34,7 @@ def stage(device: RenderingDevice) -> Stage:
 @pytest.fixture(autouse=True)
 def all_fits_are_believed(monkeypatch: pytest.MonkeyPatch) -> None:
     """Those of these tests are bad ones, too."""
-    monkeypatch.setattr(local_fits, "BELIEVED_MM", 40.0)
+    monkeypatch.setattr(local_fits, "TRUSTED_BELOW_MM", 40.0)
 
 
 def fits() -> HandFits:
@@ -145,7 +145,7 @@ def test_where_fits_leave_much_the_filters_estimate_is_what_is_smoothed(
     stage: Stage, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A hand that the model is not: its cheapest pose is another one than what the filter made of it."""
-    monkeypatch.setattr(local_fits, "BELIEVED_MM", 3.0)
+    monkeypatch.setattr(local_fits, "TRUSTED_BELOW_MM", 3.0)
     truth, looks = relaxed(), fits()
     off, estimate = moved(truth, 1), moved(truth, 2)
     seen = observation_of(stage, truth)

@@ -618,7 +618,7 @@ FAULTS: dict[str, tuple[str, Any, str]] = {
     "world landmarks": (
         "k.json",
         [((SPACE[0] - SPACE[0].mean(axis=0)) / 1000).tolist()],
-        "points have no place, .*image landmarks",
+        "points have no position in the image, .*image landmarks",
     ),
     "another image": (
         "k.csv",
@@ -669,7 +669,7 @@ def test_a_frame_of_very_many_hands_is_numbered_without_looking_at_all_of_them_e
 def test_a_unit_that_is_told_is_believed(tmp_path: Path) -> None:
     far = written(tmp_path, wide(lambda k, a: f"{a}{k}", 9.0 * PIXELS, "xy"))
     assert read(far, unit="px").sets.points[0, 0, 0] == 9.0 * PIXELS[0, 0, 0]
-    with pytest.raises(UsageError, match="points in space need a z"):
+    with pytest.raises(UsageError, match="points have no z"):
         read(far, unit="mm")
 
 

@@ -14,19 +14,19 @@ from posetrack_cli.hand.autodetect import CLEAR_LOG_ODDS
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.fit.likelihood import RenderedCosts
 from posetrack_cli.hand.keypoints.file import UNSURE, KeypointFile
-from posetrack_cli.hand.keypoints.places import FEWEST, places_in_image, places_in_space, skin_depths
-from posetrack_cli.hand.keypoints.told import (
+from posetrack_cli.hand.keypoints.hands import (
     MOST_HANDS,
-    ToldHands,
-    ToldSide,
-    candidates,
-    likeliest,
-    pose_of_places,
-    split,
+    KeypointHands,
+    KeypointSide,
+    best_candidate,
+    fit_candidates,
+    fit_to_targets,
+    split_by_distance,
 )
+from posetrack_cli.hand.keypoints.targets import MIN_POINTS, skin_depths, targets_in_image, targets_in_space
 from posetrack_cli.hand.model.kinematics import joint_positions
 from posetrack_cli.hand.observe.observation import Observation
-from posetrack_cli.hand.policy import LEAVE_AFTER_FRAMES, TrackMonitor
+from posetrack_cli.hand.policy import LEAVE_AFTER_SEARCHES, TrackMonitor
 from posetrack_cli.hand.tracker import HandTracker
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.keypoints.layout import KeypointSets
@@ -76,9 +76,9 @@ def told_of(points: list[FloatArray], right: float = np.nan, *, in_pixels: bool 
 
 def test_points_of_the_model_give_its_pose_back() -> None:
     for pose in random_poses(60, seed=1):
-        about = places_in_space(joints_of(pose), np.ones(21))
+        about = targets_in_space(joints_of(pose), np.ones(21))
         assert about is not None
-        fitted = pose_of_places(about, RIGHT.anatomy)
+        fitted = fit_to_targets(about, RIGHT.anatomy)
         assert fitted is not None and fitted[1] == pytest.approx(1.0)
         assert error(fitted[0], pose) < FITTED_MM
 
@@ -89,8 +89,8 @@ def test_noise_and_outliers_are_borne() -> None:
         points = joints_of(pose) + NOISE_MM * rng.standard_normal((21, 3))
         off = rng.choice(21, 3, replace=False)
         points[off] += rng.uniform(-150.0, 150.0, (3, 3))
-        about = places_in_space(points, np.ones(21))
-        fitted = None if about is None else pose_of_places(about, RIGHT.anatomy)
+        about = targets_in_space(points, np.ones(21))
+        fitted = None if about is None else fit_to_targets(about, RIGHT.anatomy)
         assert fitted is not None and fitted[1] > 0.6
         errors.append(error(fitted[0], pose))
     assert float(np.mean(errors)) < NOISY_MM
@@ -101,20 +101,20 @@ def test_a_score_of_nothing_takes_a_point_away() -> None:
     points = joints_of(pose)
     points[:8] += 200.0
     scores[:8] = 0.0
-    about = places_in_space(points, scores)
-    fitted = None if about is None else pose_of_places(about, RIGHT.anatomy)
+    about = targets_in_space(points, scores)
+    fitted = None if about is None else fit_to_targets(about, RIGHT.anatomy)
     assert fitted is not None and fitted[1] == pytest.approx(1.0)
     assert np.linalg.norm(joints_of(fitted[0])[8:] - points[8:], axis=1).mean() < FITTED_MM
-    assert places_in_space(points, (np.arange(21) < FEWEST - 1).astype(float)) is None
+    assert targets_in_space(points, (np.arange(21) < MIN_POINTS - 1).astype(float)) is None
 
 
 def test_points_anywhere_are_no_hand() -> None:
     rng = np.random.default_rng(6)
     anywhere = [rng.uniform([-100, -100, 550], [100, 100, 750], (21, 3)) for _ in range(50)]
     frame = Frame(0, 0, (np.zeros((424, 512), dtype=np.float32),))
-    told = [ToldHands(told_of([points]), KINECT, RIGHT.anatomy).of(frame) for points in anywhere]
+    told = [KeypointHands(told_of([points]), KINECT, RIGHT.anatomy).of(frame) for points in anywhere]
     assert told == [()] * 50
-    on_one_spot = ToldHands(told_of([np.full((21, 3), 600.0)]), KINECT, RIGHT.anatomy)
+    on_one_spot = KeypointHands(told_of([np.full((21, 3), 600.0)]), KINECT, RIGHT.anatomy)
     assert on_one_spot.of(frame) == ()
 
 
@@ -126,7 +126,7 @@ def test_points_within_millimetres_are_no_hand(scatter_mm: float) -> None:
     for _ in range(15):
         spot = rng.uniform([-200, -200, 500], [200, 200, 1500])
         points = spot + scatter_mm * rng.standard_normal((21, 3))
-        assert ToldHands(told_of([points]), KINECT, RIGHT.anatomy).of(frame) == ()
+        assert KeypointHands(told_of([points]), KINECT, RIGHT.anatomy).of(frame) == ()
 
 
 # Pixels and depth
@@ -142,8 +142,8 @@ def test_pixels_get_their_depth_from_the_image(stage: Stage) -> None:
     for angle in np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False):
         pose = turned_about_its_length(relaxed(20.0, 40.0, 620.0), float(angle))
         pixels = in_image(pose) + NOISE_PX * rng.standard_normal((21, 2))
-        about = places_in_image(pixels, np.ones(21), stage.depth(pose), KINECT, RIGHT.anatomy)
-        fitted = None if about is None else pose_of_places(about, RIGHT.anatomy)
+        about = targets_in_image(pixels, np.ones(21), stage.depth(pose), KINECT, RIGHT.anatomy)
+        fitted = None if about is None else fit_to_targets(about, RIGHT.anatomy)
         assert fitted is not None
         errors.append(error(fitted[0], pose))
     assert float(np.mean(errors)) < LIFTED_MM
@@ -168,10 +168,10 @@ def test_a_lens_is_taken_out_of_pixels(stage: Stage) -> None:
     x, y = ((in_image(pose) - [bent.cx, bent.cy]) / 365.0).T
     r2 = x * x + y * y
     seen = np.column_stack([x, y]) * (1.0 + 0.2 * r2 - 0.1 * r2**2)[:, None] * 365.0 + [bent.cx, bent.cy]
-    straight = places_in_image(in_image(pose), np.ones(21), stage.depth(pose), KINECT, RIGHT.anatomy)
-    found = places_in_image(seen, np.ones(21), stage.depth(pose), bent, RIGHT.anatomy)
+    straight = targets_in_image(in_image(pose), np.ones(21), stage.depth(pose), KINECT, RIGHT.anatomy)
+    found = targets_in_image(seen, np.ones(21), stage.depth(pose), bent, RIGHT.anatomy)
     assert straight is not None and found is not None
-    lines = [about.places / about.places[:, 2:] for about in (straight, found)]
+    lines = [about.positions / about.positions[:, 2:] for about in (straight, found)]
     np.testing.assert_allclose(lines[1], lines[0], atol=1e-6)
 
 
@@ -183,7 +183,7 @@ def tracker(
 ) -> HandTracker:
     config, finder = config or HandConfig(), acquisition(RIGHT, config)
     scorer = RenderedCosts(device, RIGHT, KINECT, config.observation, config.filter.particles)
-    told = None if keypoints is None else ToldHands(keypoints, KINECT, RIGHT.anatomy)
+    told = None if keypoints is None else KeypointHands(keypoints, KINECT, RIGHT.anatomy)
     return HandTracker(config, RIGHT.anatomy, scorer, finder.observer, finder, told)
 
 
@@ -213,7 +213,7 @@ def test_a_lost_hand_is_found_where_it_is_told_during_a_pause(device: RenderingD
     for keypoints in (None, told_of([noisy])):
         tracking = tracker(device, keypoints)
         state = tracking.start(relaxed(250.0, 0.0, 900.0), 0, np.random.default_rng(0))
-        state = replace(state, monitor=TrackMonitor(lost=True, usual_mm=2.0, wait=4))
+        state = replace(state, monitor=TrackMonitor(lost=True, mean_cost_mm=2.0, wait=4))
         after, estimate = tracking.step(state, frame, np.random.default_rng(1))
         found[keypoints is not None] = (after.monitor.lost, error(pose_of(estimate), pose))
     assert found[False][0] and found[False][1] > 100.0
@@ -224,7 +224,7 @@ def test_a_track_that_fits_is_not_left_for_a_hand_that_is_told_and_no_better(
     device: RenderingDevice, stage: Stage
 ) -> None:
     here, there = relaxed(-110.0, 60.0, 640.0), relaxed(110.0, 60.0, 660.0)
-    depths = [stage.depth(here, there)] * (LEAVE_AFTER_FRAMES + 2)
+    depths = [stage.depth(here, there)] * (LEAVE_AFTER_SEARCHES + 2)
     told = told_of([joints_of(there)] * len(depths), right=1.0)
     assert max(error(pose_of(e), here) for e in tracked(tracker(device, told), depths, here)) < TRACKED_MM
 
@@ -237,18 +237,21 @@ def test_a_track_that_is_on_something_else_leaves_for_the_hand_that_is_told(
     rows, columns = np.mgrid[:424, :512]
     limb = np.hypot(columns - 130.0, 0.35 * (rows - 210.0)) < 24.0  # as large as a hand, and none
     depth = np.where(limb, 640.0, stage.depth(there)).astype(np.float32)
-    depths, start = [depth] * (LEAVE_AFTER_FRAMES + 1), relaxed(-215.0, 60.0, 650.0)  # no more than a pause
-    doubting = HandConfig.model_validate({"status": {"sure_mm": 1.0}})  # no fit to the limb ends the pause
-    pausing = TrackMonitor(usual_mm=12.0, wait=6, next_wait=6)
+    depths, start = [depth] * (LEAVE_AFTER_SEARCHES + 1), relaxed(-215.0, 60.0, 650.0)  # no more than a pause
+    doubting = HandConfig.model_validate(
+        {"status": {"doubt_above_mm": 1.0}}
+    )  # no fit to the limb ends the pause
+    pausing = TrackMonitor(mean_cost_mm=12.0, wait=6, next_search_wait=6)
     silent = tracked(tracker(device, None, doubting), depths, start, pausing)
     assert min(error(pose_of(e), there) for e in silent) > 200.0
     file = told_of([joints_of(there)] * len(depths))
     told = tracked(tracker(device, file, doubting), depths, start, pausing)
     errors = [error(pose_of(e), there) for e in told]
     assert (
-        min(errors[: LEAVE_AFTER_FRAMES - 1]) > 200.0 and max(errors[LEAVE_AFTER_FRAMES - 1 :]) < TRACKED_MM
+        min(errors[: LEAVE_AFTER_SEARCHES - 1]) > 200.0
+        and max(errors[LEAVE_AFTER_SEARCHES - 1 :]) < TRACKED_MM
     )
-    assert [e.status for e in told[LEAVE_AFTER_FRAMES - 1 :]] == [Status.REINITIALISED, Status.TRACKING]
+    assert [e.status for e in told[LEAVE_AFTER_SEARCHES - 1 :]] == [Status.REINITIALISED, Status.TRACKING]
 
 
 def test_a_frame_that_fits_and_tells_of_nothing_better_ends_the_row(
@@ -259,7 +262,7 @@ def test_a_frame_that_fits_and_tells_of_nothing_better_ends_the_row(
     frame = Frame(0, FRAME_NS, (stage.depth(pose),))
     tracking = tracker(device, told_of([joints_of(pose)]))
     state = tracking.start(pose, FRAME_NS, np.random.default_rng(0))
-    state = replace(state, monitor=TrackMonitor(usual_mm=2.0, elsewhere=LEAVE_AFTER_FRAMES - 1))
+    state = replace(state, monitor=TrackMonitor(mean_cost_mm=2.0, elsewhere=LEAVE_AFTER_SEARCHES - 1))
     after, _ = tracking.step(state, frame, np.random.default_rng(1))
     assert after.monitor.elsewhere == 0 and not after.cut
 
@@ -271,8 +274,8 @@ def test_a_fit_from_what_is_told_is_a_mode_of_the_likelihood(device: RenderingDe
     finder = acquisition(RIGHT)
     observation = finder.observer.observe(stage.depth(pose), wrong)
     points = joints_of(pose) + NOISE_MM * np.random.default_rng(3).standard_normal((21, 3))
-    about = places_in_space(points, np.ones(21))
-    fitted = None if about is None else pose_of_places(about, RIGHT.anatomy)
+    about = targets_in_space(points, np.ones(21))
+    fitted = None if about is None else fit_to_targets(about, RIGHT.anatomy)
     assert fitted is not None
 
     def best(*told: FloatArray) -> FloatArray:
@@ -282,7 +285,7 @@ def test_a_fit_from_what_is_told_is_a_mode_of_the_likelihood(device: RenderingDe
             wrong[None],
             1 / 30,
             np.random.default_rng(0),
-            told=np.array(told).reshape(-1, 22),
+            extra=np.array(told).reshape(-1, 22),
         )
         return fits.modes.poses[0]
 
@@ -316,22 +319,22 @@ def test_hands_near_the_track_are_starts_and_others_places() -> None:
     values = np.stack([joints_of(relaxed(x)) for x in (10.0, 30.0, 200.0, 260.0, 300.0)])
     sets = KeypointSets(np.zeros(5, np.int64), False, values, np.ones((5, 21)), np.full(5, np.nan))
     sets.scores[4] = 0.5
-    hands = ToldHands(KeypointFile("k", "", sets, False, "mm", "none"), KINECT, RIGHT.anatomy).of(frame)
+    hands = KeypointHands(KeypointFile("k", "", sets, False, "mm", "none"), KINECT, RIGHT.anatomy).of(frame)
     assert len(hands) == MOST_HANDS and min(hand.score for hand in hands) == 1.0
-    near, elsewhere = split(hands, pose, RIGHT.anatomy)
+    near, elsewhere = split_by_distance(hands, pose, RIGHT.anatomy)
     assert near.shape == (2, 22) and len(elsewhere) == 2
-    assert split((), pose, RIGHT.anatomy)[0].shape == (0, 22)
+    assert split_by_distance((), pose, RIGHT.anatomy)[0].shape == (0, 22)
 
 
 def test_a_label_of_the_other_side_speaks_against_a_place(device: RenderingDevice, stage: Stage) -> None:
     finder, pose = acquisition(RIGHT), relaxed()
     doubts = {}
     for right in (np.nan, 1.0, 0.5, 0.0):
-        told = ToldHands(told_of([joints_of(pose)], right=right), KINECT, RIGHT.anatomy)
+        told = KeypointHands(told_of([joints_of(pose)], right=right), KINECT, RIGHT.anatomy)
         depth = stage.depth(pose)
-        found = likeliest(candidates(finder, depth, told.of(Frame(0, 0, (depth,)))))
+        found = best_candidate(fit_candidates(finder, depth, told.of(Frame(0, 0, (depth,)))))
         assert found is not None
-        doubts[right] = found.doubt
+        doubts[right] = found.total_cost
     values = list(doubts.values())
     assert values[0] == values[1] and np.allclose(np.diff(values[1:]), 2.0)  # _TOLD_MM each
 
@@ -343,8 +346,8 @@ def test_a_place_is_judged_where_its_fit_ends(
     """Seen from where it is told a limb may be a hand, and from where the fit slides to none."""
     finder, pose = acquisition(RIGHT), relaxed()
     depth = stage.depth(pose)
-    hands = ToldHands(told_of([joints_of(pose)]), KINECT, RIGHT.anatomy).of(Frame(0, 0, (depth,)))
-    [found] = candidates(finder, depth, hands)
+    hands = KeypointHands(told_of([joints_of(pose)]), KINECT, RIGHT.anatomy).of(Frame(0, 0, (depth,)))
+    [found] = fit_candidates(finder, depth, hands)
     observe, seen = finder.observer.observe, []
 
     def observed(image: ImageArray, about: FloatArray) -> Observation:
@@ -355,7 +358,7 @@ def test_a_place_is_judged_where_its_fit_ends(
         return replace(here, reversed=True) if ends.startswith("goes") else replace(here, target_pixels=0)
 
     monkeypatch.setattr(finder.observer, "observe", observed)
-    assert candidates(finder, depth, hands) == []
+    assert fit_candidates(finder, depth, hands) == []
     np.testing.assert_array_equal(seen[1], found.pose)
 
 
@@ -364,9 +367,9 @@ BLANK = Frame(0, 0, (np.zeros((4, 4), dtype=np.float32),))
 
 def side_of(keypoints: KeypointFile | None, frames: int = 1) -> float:
     """The log odds of a right hand after some frames."""
-    side = ToldSide(keypoints, KINECT)
+    side = KeypointSide(keypoints, KINECT)
     for _ in range(frames):
-        side.ask(BLANK, RIGHT.anatomy, LEFT.anatomy)
+        side.add_frame(BLANK, RIGHT.anatomy, LEFT.anatomy)
     return side.log_odds
 
 

@@ -12,9 +12,9 @@ from posetrack_cli.hand.fit import local_fits
 from posetrack_cli.hand.fit.gauss_newton import ABDUCTION_SD, IP_SD
 from posetrack_cli.hand.fit.likelihood import RenderedCosts
 from posetrack_cli.hand.fit.local_fits import (
+    MARGINAL_THUMB_SHARE,
     MOST_MODES,
     SHARPENING,
-    THUMB_LEFT,
     USUAL_MOTION,
     LocalFits,
     LocalFitter,
@@ -185,9 +185,9 @@ def test_modes_are_the_image_s_equations_scaled_and_anatomy(stage: Stage) -> Non
         assert modes.log_heights[k] == pytest.approx(-per_mm * fit.cost[0] - doubts[k], rel=1e-9)
         matrix, vector = scale * data.matrix + own.matrix, scale * data.vector + own.vector
         assert not matrix[21:24].any()  # no forearm is seen
-        # the thumb's inner angles are integrated out (``without_inner``); they move nothing but its own
+        # the thumb's inner angles are integrated out (``marginalise_inner``); they move nothing but its own
         precision, inner = np.array([IP_SD, ABDUCTION_SD]) ** -2.0, [24, 25]
-        matrix[inner, inner] += precision / THUMB_LEFT**2
+        matrix[inner, inner] += precision / MARGINAL_THUMB_SHARE**2
         vector[inner] -= scale * precision * found.inner[4:]
         kept = [*range(21), 24, 25]
         information, gradient = eliminated(

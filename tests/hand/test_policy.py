@@ -17,10 +17,10 @@ from posetrack_cli.hand.fit.skeleton import NO_INNER
 from posetrack_cli.hand.model.anatomy import make_anatomy
 from posetrack_cli.hand.observe.observation import Observation
 from posetrack_cli.hand.policy import (
-    LEAVE_AFTER_FRAMES,
+    LEAVE_AFTER_SEARCHES,
     Decision,
     Policy,
-    Sight,
+    TrackedFrame,
     TrackMonitor,
     status_of,
 )
@@ -30,15 +30,15 @@ from posetrack_cli.results.estimate import Status
 from support.hand_scene import turned_about_its_length
 
 ANATOMY = make_anatomy()
-SETTINGS = StatusSettings(sure_mm=6.0, lost_below=0.5, lost_after_frames=3)
+SETTINGS = StatusSettings(doubt_above_mm=6.0, lost_below=0.5, lost_after_frames=3)
 costs = st.floats(0.01, 40.0)
 watches = st.builds(
     TrackMonitor,
     lost=st.booleans(),
     misses=st.integers(0, 10),
-    usual_mm=st.one_of(st.just(0.0), costs),
-    wait=st.integers(0, 200),
-    next_wait=st.integers(1, 6),
+    mean_cost_mm=st.one_of(st.just(0.0), costs),
+    search_wait=st.integers(0, 200),
+    next_search_wait=st.integers(1, 6),
 )
 
 
@@ -47,20 +47,20 @@ def refusals(monitor: TrackMonitor, cost: float, count: int) -> list[int]:
     waits = []
     for _ in range(count):
         monitor = monitor.after_failed_search(cost)
-        waits.append(monitor.wait)
-        for _ in range(monitor.wait):
-            monitor = monitor.after_wait()
-        assert monitor.wait == 0
+        waits.append(monitor.search_wait)
+        for _ in range(monitor.search_wait):
+            monitor = monitor.after_search_wait()
+        assert monitor.search_wait == 0
     return waits
 
 
 def test_a_hand_is_lost_after_so_many_frames_and_not_before() -> None:
-    monitor, lost = TrackMonitor(usual_mm=3.0), []
+    monitor, lost = TrackMonitor(mean_cost_mm=3.0), []
     for _ in range(4):
         monitor = monitor.after_fit(30.0, 0.2, SETTINGS)
         lost.append(monitor.lost)
     assert lost == [False, False, True, True]
-    unsteady = TrackMonitor(usual_mm=3.0)
+    unsteady = TrackMonitor(mean_cost_mm=3.0)
     for confidence in (0.2, 0.2, 0.9, 0.2, 0.2, 0.9):
         unsteady = unsteady.after_fit(3.0, confidence, SETTINGS)
         assert not unsteady.lost
@@ -83,23 +83,26 @@ def test_missing_frames_tell_nothing_of_costs(monitor: TrackMonitor) -> None:
 @given(watches, costs)
 def test_the_usual_cost_follows_good_frames_and_no_bad_ones(monitor: TrackMonitor, cost: float) -> None:
     after = monitor.after_fit(cost, 0.9, SETTINGS)
-    if monitor.usual_mm == 0.0:
-        assert after.usual_mm == pytest.approx(cost)
-    elif monitor.is_worse(cost):
-        assert after.usual_mm == monitor.usual_mm
+    if monitor.mean_cost_mm == 0.0:
+        assert after.mean_cost_mm == pytest.approx(cost)
+    elif monitor.is_far_above_mean(cost):
+        assert after.mean_cost_mm == monitor.mean_cost_mm
     else:
-        assert after.usual_mm == pytest.approx(0.9 * monitor.usual_mm + 0.1 * cost)
+        assert after.mean_cost_mm == pytest.approx(0.9 * monitor.mean_cost_mm + 0.1 * cost)
 
 
 def test_doubt_begins_where_stated() -> None:
-    monitor = TrackMonitor(usual_mm=2.0)  # 1.5 * 2 + 2 = 5
+    monitor = TrackMonitor(mean_cost_mm=2.0)  # 1.5 * 2 + 2 = 5
     assert [monitor.is_doubtful(cost, SETTINGS) for cost in (4.9, 5.1)] == [False, True]
-    assert [TrackMonitor(usual_mm=10.0).is_doubtful(cost, SETTINGS) for cost in (5.9, 6.1)] == [False, True]
+    assert [TrackMonitor(mean_cost_mm=10.0).is_doubtful(cost, SETTINGS) for cost in (5.9, 6.1)] == [
+        False,
+        True,
+    ]
     assert [TrackMonitor().is_doubtful(cost, SETTINGS) for cost in (5.9, 6.1)] == [
         False,
         True,
     ]  # nothing is usual yet
-    assert not TrackMonitor().is_worse(1e9)
+    assert not TrackMonitor().is_far_above_mean(1e9)
 
 
 @given(watches, costs, costs)
@@ -109,37 +112,40 @@ def test_a_dearer_fit_is_doubted_no_less(monitor: TrackMonitor, first: float, se
 
 
 def test_searches_come_ever_more_seldom_but_soon_enough() -> None:
-    assert refusals(TrackMonitor(usual_mm=3.0), 30.0, 6) == [1, 2, 4, 4, 4, 4]
+    assert refusals(TrackMonitor(mean_cost_mm=3.0), 30.0, 6) == [1, 2, 4, 4, 4, 4]
     assert refusals(TrackMonitor(lost=True), float("inf"), 6) == [1, 2, 4, 4, 4, 4]
     # a hand that always fits badly is reconsidered five times a second
-    assert refusals(TrackMonitor(usual_mm=12.0), 12.0, 6) == [1, 2, 4, 6, 6, 6]
+    assert refusals(TrackMonitor(mean_cost_mm=12.0), 12.0, 6) == [1, 2, 4, 6, 6, 6]
 
 
 @given(watches)
 def test_waiting_ends(monitor: TrackMonitor) -> None:
-    after = monitor.after_wait()
-    assert after.wait == max(0, monitor.wait - 1)
-    assert replace(after, wait=monitor.wait) == monitor
+    after = monitor.after_search_wait()
+    assert after.search_wait == max(0, monitor.search_wait - 1)
+    assert replace(after, search_wait=monitor.search_wait) == monitor
 
 
 def test_a_sure_frame_ends_the_wait_and_halves_the_next() -> None:
     """Costs about the limit, one frame above it and one below, would else have every other frame searched."""
-    tired = TrackMonitor(usual_mm=3.0, wait=4, next_wait=8)
-    assert (tired.after_fit(3.0, 0.9, SETTINGS).wait, tired.after_fit(3.0, 0.9, SETTINGS).next_wait) == (0, 4)
+    tired = TrackMonitor(mean_cost_mm=3.0, search_wait=4, next_search_wait=8)
+    assert (
+        tired.after_fit(3.0, 0.9, SETTINGS).search_wait,
+        tired.after_fit(3.0, 0.9, SETTINGS).next_search_wait,
+    ) == (0, 4)
     doubtful = tired.after_fit(7.0, 0.9, SETTINGS)
-    assert (doubtful.wait, doubtful.next_wait) == (4, 8)
+    assert (doubtful.search_wait, doubtful.next_search_wait) == (4, 8)
 
 
 @given(watches, costs)
 def test_what_was_found_is_found_and_its_usual_cost_does_not_rise(monitor: TrackMonitor, cost: float) -> None:
     """A bad find would else be what is usual, and never be doubted."""
     after = monitor.after_restart(cost)
-    assert (after.lost, after.found, after.misses) == (False, True, 0)
-    assert after.usual_mm == (cost if monitor.usual_mm == 0.0 else min(cost, monitor.usual_mm))
+    assert (after.lost, after.was_found, after.misses) == (False, True, 0)
+    assert after.mean_cost_mm == (cost if monitor.mean_cost_mm == 0.0 else min(cost, monitor.mean_cost_mm))
 
 
 def test_another_fit_takes_the_place_of_one_that_costs_a_share_more_or_millimetres() -> None:
-    monitor = TrackMonitor(usual_mm=2.0)
+    monitor = TrackMonitor(mean_cost_mm=2.0)
     assert monitor.prefers(3.0, 2.0)  # by the share: below 2.1
     assert not monitor.prefers(3.0, 2.2)
     assert monitor.prefers(12.0, 9.9)  # by the difference, where the model is not the hand
@@ -153,57 +159,60 @@ def test_a_fit_is_replaced_by_one_that_is_better_by_a_share_or_by_millimetres() 
 
 
 def test_a_search_that_was_to_come_late_comes_at_once_when_fits_get_worse() -> None:
-    late, soon = TrackMonitor(usual_mm=12.0, wait=6), TrackMonitor(usual_mm=12.0, wait=3)
-    assert late.postpones_search(12.0)
-    assert not late.postpones_search(35.0)  # above 1.5 x 12 + 2
-    assert soon.postpones_search(35.0)  # the last search of a bad track was a moment ago
-    assert not replace(soon, wait=0).postpones_search(12.0)
+    late, soon = (
+        TrackMonitor(mean_cost_mm=12.0, search_wait=6),
+        TrackMonitor(mean_cost_mm=12.0, search_wait=3),
+    )
+    assert late.skips_search(12.0)
+    assert not late.skips_search(35.0)  # above 1.5 x 12 + 2
+    assert soon.skips_search(35.0)  # the last search of a bad track was a moment ago
+    assert not replace(soon, search_wait=0).skips_search(12.0)
 
 
 def test_a_track_is_left_for_another_place_after_so_many_searches_in_a_row_and_not_before() -> None:
     """A single frame in which the elbow looks better moves nothing; one in which it does not begins anew."""
-    monitor, better, worse = TrackMonitor(usual_mm=8.0), (9.0, 6.9), (9.0, 7.1)  # by 2.1 and by 1.9 mm
+    monitor, better, worse = TrackMonitor(mean_cost_mm=8.0), (9.0, 6.9), (9.0, 7.1)  # by 2.1 and by 1.9 mm
     for here, there in [better] * 4 + [worse] + [better] * 4:
-        monitor = monitor.leaves_for(here, there)
-        assert monitor.elsewhere < LEAVE_AFTER_FRAMES
-        if monitor.elsewhere:
-            waiting = replace(monitor, wait=3)
-            assert not waiting.postpones_search(8.0)  # what may be better is looked at every frame
-    assert monitor.leaves_for(*better).elsewhere == LEAVE_AFTER_FRAMES
-    assert monitor.after_restart(7.0).elsewhere == 0
+        monitor = monitor.after_elsewhere(here, there)
+        assert monitor.better_elsewhere < LEAVE_AFTER_SEARCHES
+        if monitor.better_elsewhere:
+            waiting = replace(monitor, search_wait=3)
+            assert not waiting.skips_search(8.0)  # what may be better is looked at every frame
+    assert monitor.after_elsewhere(*better).better_elsewhere == LEAVE_AFTER_SEARCHES
+    assert monitor.after_restart(7.0).better_elsewhere == 0
 
 
 def test_fingers_that_were_seen_are_forgotten_slowly() -> None:
     """A fist is no doubt for some seconds after an open hand; fingers count at once."""
-    monitor = TrackMonitor().after_fingers(4.5)
-    assert monitor.fingers_mm == 4.5
+    monitor = TrackMonitor().after_finger_bonus(4.5)
+    assert monitor.finger_bonus_mm == 4.5
     for _ in range(30):
-        monitor = monitor.after_fingers(-3.0)
-    assert 3.5 < monitor.fingers_mm < 4.5
+        monitor = monitor.after_finger_bonus(-3.0)
+    assert 3.5 < monitor.finger_bonus_mm < 4.5
     for _ in range(1000):
-        monitor = monitor.after_fingers(-3.0)
-    assert monitor.fingers_mm == -3.0
+        monitor = monitor.after_finger_bonus(-3.0)
+    assert monitor.finger_bonus_mm == -3.0
 
 
 @given(costs, st.lists(costs, min_size=1, max_size=30))
 def test_the_level_of_good_fits_is_none_that_no_fit_had(first: float, later: list[float]) -> None:
     """It falls towards what is cheaper and rises by no more than a few hundredths a frame."""
     monitor = TrackMonitor().after_fit(first, 1.0, SETTINGS)
-    assert monitor.good_mm == first
+    assert monitor.baseline_cost_mm == first
     for cost in later:
-        before, monitor = monitor.good_mm, monitor.after_fit(cost, 1.0, SETTINGS)
-        assert min(cost, before) <= monitor.good_mm <= min(max(cost, before), before + 0.03 + 1e-12)
+        before, monitor = monitor.baseline_cost_mm, monitor.after_fit(cost, 1.0, SETTINGS)
+        assert min(cost, before) <= monitor.baseline_cost_mm <= min(max(cost, before), before + 0.03 + 1e-12)
 
 
 @given(costs)
 def test_a_fit_is_sufficient_up_to_where_it_is_raised(cost: float) -> None:
     """Where all fits cost alike, the usual cost is that of good fits."""
-    assert TrackMonitor().sufficient_mm == math.inf
+    assert TrackMonitor().accept_below_mm == math.inf
     monitor = TrackMonitor().after_fit(cost, 1.0, SETTINGS)
-    enough = monitor.sufficient_mm
+    enough = monitor.accept_below_mm
     assert enough > cost
-    assert not monitor.is_raised(enough)
-    assert monitor.is_raised(math.nextafter(enough, math.inf))
+    assert not monitor.is_above_baseline(enough)
+    assert monitor.is_above_baseline(math.nextafter(enough, math.inf))
 
 
 def test_a_bad_second_stays_a_bad_second() -> None:
@@ -211,41 +220,43 @@ def test_a_bad_second_stays_a_bad_second() -> None:
     monitor = TrackMonitor()
     for cost in [8.0] * 30 + [12.0] * 30:
         monitor = monitor.after_fit(cost, 1.0, SETTINGS)
-    assert monitor.is_raised(12.0)
-    assert monitor.is_far_raised(12.0, SETTINGS)
-    assert monitor.is_raised(10.8)  # a little above what good fits cost
-    assert not monitor.is_far_raised(10.8, SETTINGS)
-    assert not TrackMonitor(good_mm=2.0).is_far_raised(5.9, SETTINGS)  # of a hand whose shape is known
-    assert not monitor.is_raised(8.5)
-    assert not monitor.is_worse(12.0)
+    assert monitor.is_above_baseline(12.0)
+    assert monitor.is_far_above_baseline(12.0, SETTINGS)
+    assert monitor.is_above_baseline(10.8)  # a little above what good fits cost
+    assert not monitor.is_far_above_baseline(10.8, SETTINGS)
+    assert not TrackMonitor(baseline_cost_mm=2.0).is_far_above_baseline(
+        5.9, SETTINGS
+    )  # of a hand whose shape is known
+    assert not monitor.is_above_baseline(8.5)
+    assert not monitor.is_far_above_mean(12.0)
 
 
 def test_poor_fits_in_the_beginning_are_no_good_ones_where_the_whole_recording_tells_better() -> None:
-    monitor, told = TrackMonitor(), StatusSettings(good_mm=6.0)
-    assert monitor.raised(9.0, SETTINGS) == 1.0
-    assert monitor.raised(9.0, told) == 1.5
+    monitor, told = TrackMonitor(), StatusSettings(baseline_cost_mm=6.0)
+    assert monitor.cost_ratio(9.0, SETTINGS) == 1.0
+    assert monitor.cost_ratio(9.0, told) == 1.5
     for _ in range(30):
         monitor = monitor.after_fit(9.0, 1.0, told)
-    assert monitor.raised(9.0, SETTINGS) == 1.0
-    assert monitor.raised(9.0, told) == 1.5
+    assert monitor.cost_ratio(9.0, SETTINGS) == 1.0
+    assert monitor.cost_ratio(9.0, told) == 1.5
     for _ in range(30):
         monitor = monitor.after_fit(4.5, 1.0, told)
-    assert monitor.raised(9.0, told) == pytest.approx(2.0, rel=1e-3)  # better ones than were told of
-    assert monitor.raised(4.0, told) == 1.0
+    assert monitor.cost_ratio(9.0, told) == pytest.approx(2.0, rel=1e-3)  # better ones than were told of
+    assert monitor.cost_ratio(4.0, told) == 1.0
 
 
 def test_looks_that_do_not_help_come_seldom_and_one_is_due_when_fits_get_worse() -> None:
-    monitor, waits = TrackMonitor(good_mm=5.0), []
+    monitor, waits = TrackMonitor(baseline_cost_mm=5.0), []
     for _ in range(4):
-        monitor = monitor.after_look(7.0, helped=False)
-        waits.append(monitor.look_wait)
-        assert monitor.postpones_look(7.0)
-        assert not monitor.postpones_look(9.0)
-        for _ in range(monitor.look_wait):
-            monitor = monitor.after_look_wait()
-        assert not monitor.postpones_look(7.0)
+        monitor = monitor.after_retry(7.0, helped=False)
+        waits.append(monitor.retry_wait)
+        assert monitor.skips_retry(7.0)
+        assert not monitor.skips_retry(9.0)
+        for _ in range(monitor.retry_wait):
+            monitor = monitor.after_retry_wait()
+        assert not monitor.skips_retry(7.0)
     assert waits == [1, 2, 3, 3]
-    assert monitor.after_look(7.0, helped=True).after_look(7.0, helped=False).look_wait == 1
+    assert monitor.after_retry(7.0, helped=True).after_retry(7.0, helped=False).retry_wait == 1
 
 
 class Finder:
@@ -271,9 +282,9 @@ def placed(aside_mm: float = 0.0, *, faces_away: bool = False) -> np.ndarray:
 
 
 HERE, BESIDE, AWAY = placed(), placed(10.0), placed(300.0)
-USUAL = TrackMonitor(usual_mm=2.0, good_mm=2.0)
+USUAL = TrackMonitor(mean_cost_mm=2.0, baseline_cost_mm=2.0)
 """Doubts begin at 1.5 * 2 + 2 = 5 mm, looks at 1.15 * 2 + .5 = 2.8."""
-NEARLY = replace(USUAL, elsewhere=LEAVE_AFTER_FRAMES - 1)
+NEARLY = replace(USUAL, better_elsewhere=LEAVE_AFTER_SEARCHES - 1)
 KEEP, REFINE, RESTART = "keep", "refine", "restart"
 TABLE: dict[str, tuple[TrackMonitor, float, Candidate | None, Candidate | None, str, list[str]]] = {
     "a usual fit": (USUAL, 2.1, None, None, KEEP, []),
@@ -287,14 +298,21 @@ TABLE: dict[str, tuple[TrackMonitor, float, Candidate | None, Candidate | None, 
         KEEP,
         ["window"],
     ),
-    "raised, a look is not due": (replace(USUAL, look_wait=1, looked_mm=3.0), 3.0, None, None, KEEP, []),
+    "raised, a look is not due": (
+        replace(USUAL, retry_wait=1, last_retry_cost_mm=3.0),
+        3.0,
+        None,
+        None,
+        KEEP,
+        [],
+    ),
     "doubtful, better in the window": (USUAL, 6.5, Candidate(HERE, 2.0), None, REFINE, ["window"]),
     "doubtful, nothing anywhere": (USUAL, 6.5, None, None, KEEP, ["window", "image"]),
     "doubtful, better in the image, here": (
         USUAL,
         6.5,
         None,
-        Candidate(BESIDE, 2.0, doubt=2.0),
+        Candidate(BESIDE, 2.0, total_cost=2.0),
         REFINE,
         ["window", "image"],
     ),
@@ -302,7 +320,7 @@ TABLE: dict[str, tuple[TrackMonitor, float, Candidate | None, Candidate | None, 
         USUAL,
         6.5,
         None,
-        Candidate(AWAY, 2.0, doubt=2.0),
+        Candidate(AWAY, 2.0, total_cost=2.0),
         KEEP,
         ["window", "image"],
     ),
@@ -310,7 +328,7 @@ TABLE: dict[str, tuple[TrackMonitor, float, Candidate | None, Candidate | None, 
         NEARLY,
         6.5,
         None,
-        Candidate(AWAY, 2.0, doubt=2.0),
+        Candidate(AWAY, 2.0, total_cost=2.0),
         RESTART,
         ["window", "image"],
     ),
@@ -318,11 +336,11 @@ TABLE: dict[str, tuple[TrackMonitor, float, Candidate | None, Candidate | None, 
         NEARLY,
         6.5,
         None,
-        Candidate(AWAY, 6.0, doubt=20.0),
+        Candidate(AWAY, 6.0, total_cost=20.0),
         KEEP,
         ["window", "image"],
     ),
-    "doubtful, a search is not due": (replace(USUAL, wait=2), 5.5, None, None, KEEP, ["window"]),
+    "doubtful, a search is not due": (replace(USUAL, search_wait=2), 5.5, None, None, KEEP, ["window"]),
 }
 
 
@@ -332,7 +350,7 @@ def policy_with(finder: Finder) -> Policy:
 
 
 def kind_of(decision: Decision) -> str:
-    if decision.found is None:
+    if decision.candidate is None:
         return KEEP
     return RESTART if decision.restart else REFINE
 
@@ -342,8 +360,8 @@ def test_what_becomes_of_a_hand_that_is_followed(case: str) -> None:
     monitor, cost, in_window, in_image, expected, asked = TABLE[case]
     finder = Finder(in_window, in_image)
     fits: Any = SimpleNamespace(cost=cost, modes=SimpleNamespace(poses=HERE[None]))
-    sight = Sight(monitor, np.empty((0, 0), np.float32), cast(Observation, None), fits, NO_INNER)
-    decision = policy_with(finder).followed(sight, None)
+    sight = TrackedFrame(monitor, np.empty((0, 0), np.float32), cast(Observation, None), fits, NO_INNER)
+    decision = policy_with(finder).decide_tracked(sight, None)
     assert (kind_of(decision), finder.asked) == (expected, asked)
 
 
@@ -356,14 +374,14 @@ def test_what_becomes_of_a_hand_that_is_lost(
 ) -> None:
     """It is searched for unless it has just been; a search that finds nothing is followed by a pause."""
     finder = Finder(in_image=there)
-    monitor = TrackMonitor(lost=True, wait=wait)
-    decision = policy_with(finder).lost(monitor, np.empty((0, 0), np.float32), ())
-    assert (kind_of(decision), decision.monitor.wait) == (expected, left)
+    monitor = TrackMonitor(lost=True, search_wait=wait)
+    decision = policy_with(finder).decide_lost(monitor, np.empty((0, 0), np.float32), ())
+    assert (kind_of(decision), decision.monitor.search_wait) == (expected, left)
     assert finder.asked == ([] if wait else ["image"])
 
 
 @pytest.mark.parametrize(
-    ("is_believed", "is_another", "status"),
+    ("is_tracked", "is_another", "status"),
     [
         (False, False, Status.LOST),
         (False, True, Status.LOST),
@@ -371,5 +389,5 @@ def test_what_becomes_of_a_hand_that_is_lost(
         (True, True, Status.REINITIALISED),
     ],
 )
-def test_what_an_estimate_states(is_believed: bool, is_another: bool, status: Status) -> None:
-    assert status_of(is_believed=is_believed, is_another=is_another) is status
+def test_what_an_estimate_states(is_tracked: bool, is_another: bool, status: Status) -> None:
+    assert status_of(is_tracked=is_tracked, is_restarted=is_another) is status

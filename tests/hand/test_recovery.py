@@ -18,13 +18,13 @@ from posetrack_cli.hand.model.kinematics import joint_positions, joint_set_dista
 from posetrack_cli.hand.observe.observation import Observation
 from posetrack_cli.hand.observe.observer import Observer
 from posetrack_cli.hand.policy import (
-    LEAVE_AFTER_FRAMES,
-    MUCH_BETTER_MM,
+    LEAVE_AFTER_SEARCHES,
     NEAR_MM,
     SAME_PLACE_MM,
+    SWITCH_MARGIN_MM,
     Decision,
     Policy,
-    Sight,
+    TrackedFrame,
     TrackMonitor,
 )
 from posetrack_cli.hand.search import Acquisition, Candidate
@@ -232,31 +232,35 @@ def keeps_its_fingers(off: list[float]) -> bool:
     return max(off[8:]) < max(off[4:8]) + 5.0
 
 
-@pytest.mark.parametrize("well_mm", [0.0, 40.0])
+@pytest.mark.parametrize("retry_above_mm", [0.0, 40.0])
 def test_a_stranger_s_open_hand_that_turns_in_a_moment_keeps_its_fingers(
-    device: RenderingDevice, well_mm: float
+    device: RenderingDevice, retry_above_mm: float
 ) -> None:
     """With a look at each poor frame it does; without, chance decides, and last bits for which seed.
 
     Five of six seeds were seen to lay one finger on another: all of four keep theirs once in 1,300 times.
     """
-    tracking = tracker(device, HAND, HandConfig.model_validate({"status": {"well_mm": well_mm}}))
+    tracking = tracker(
+        device, HAND, HandConfig.model_validate({"status": {"retry_above_mm": retry_above_mm}})
+    )
     kept = [keeps_its_fingers(off_while_turning(device, tracking, seed)) for seed in range(4)]
-    assert all(kept) == (well_mm == 0.0)
+    assert all(kept) == (retry_above_mm == 0.0)
 
 
 def test_a_look_is_at_the_window_about_the_fit(
     device: RenderingDevice, stage: Stage, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of a hand that went elsewhere the window about the prediction may have cut fingers off."""
-    tracking = tracker(device, HAND, HandConfig.model_validate({"status": {"well_mm": 0.0, "sure_mm": 40.0}}))
+    tracking = tracker(
+        device, HAND, HandConfig.model_validate({"status": {"retry_above_mm": 0.0, "doubt_above_mm": 40.0}})
+    )
     before, after = relaxed(), relaxed()
     after[0] += 30.0
     frames = frames_of([stage.depth(before)] * 3 + [stage.depth(after)])
     states, _ = run(tracking, frames[:3])
     looks: list[tuple[Observation, FloatArray]] = []
     monkeypatch.setattr(Acquisition, "reconsider", lambda _, *look: looks.append(look))
-    monkeypatch.setattr(TrackMonitor, "is_raised", lambda *_: True)
+    monkeypatch.setattr(TrackMonitor, "is_above_baseline", lambda *_: True)
     tracking.step(states[-1], frames[3], np.random.default_rng(3))
     ((seen, fit),) = looks
     assert stage.error(fit, after) < TRACKED_MM
@@ -273,11 +277,15 @@ def test_a_fit_that_costs_far_more_is_replaced_by_a_hand_found_in_the_whole_imag
     device: RenderingDevice, stage: Stage, monkeypatch: pytest.MonkeyPatch, far: bool, turned: bool
 ) -> None:
     """A window that is laid about a wrong pose may cut fingers off: what is found in it is then no better."""
-    tracking = tracker(device, HAND, HandConfig.model_validate({"status": {"well_mm": 0.0, "sure_mm": 0.01}}))
+    tracking = tracker(
+        device, HAND, HandConfig.model_validate({"status": {"retry_above_mm": 0.0, "doubt_above_mm": 0.01}})
+    )
     pose = relaxed()
     frames = frames_of([stage.depth(pose)] * 4)
     states, _ = run(tracking, frames[:3])
-    waiting = replace(states[-1], monitor=replace(states[-1].monitor, wait=2))  # the next search is not due
+    waiting = replace(
+        states[-1], monitor=replace(states[-1].monitor, search_wait=2)
+    )  # the next search is not due
     there = turned_about_its_length(pose, np.pi) if turned else pose
     searched: list[np.ndarray] = []
 
@@ -286,18 +294,18 @@ def test_a_fit_that_costs_far_more_is_replaced_by_a_hand_found_in_the_whole_imag
         return Candidate(there, 0.0)
 
     refined: list[Candidate] = []
-    original = Policy.followed
+    original = Policy.decide_tracked
 
-    def followed(self: Policy, sight: Sight, told: Any) -> Decision:
+    def followed(self: Policy, sight: TrackedFrame, told: Any) -> Decision:
         decision = original(self, sight, told)
-        refined.extend([] if decision.found is None or decision.restart else [decision.found])
+        refined.extend([] if decision.candidate is None or decision.restart else [decision.candidate])
         return decision
 
     monkeypatch.setattr(Acquisition, "search", search)
     monkeypatch.setattr(Acquisition, "reconsider", lambda *_: None)
-    monkeypatch.setattr(Policy, "followed", followed)
-    monkeypatch.setattr(TrackMonitor, "is_raised", lambda *_: True)
-    monkeypatch.setattr(TrackMonitor, "is_far_raised", lambda *_: far)
+    monkeypatch.setattr(Policy, "decide_tracked", followed)
+    monkeypatch.setattr(TrackMonitor, "is_above_baseline", lambda *_: True)
+    monkeypatch.setattr(TrackMonitor, "is_far_above_baseline", lambda *_: far)
     tracking.step(waiting, frames[3], np.random.default_rng(3))
     assert len(searched) == far
     assert [candidate.pose is there for candidate in refined] == [True] * (far and not turned)
@@ -315,10 +323,10 @@ def test_fingers_seen_before_do_not_keep_a_track_that_lies_end_for_end_along_its
     there = turned_end_for_end(pose) if turned else relaxed(200.0)
     apart = joint_set_distance(HAND.anatomy, pose, there)
     assert NEAR_MM < apart < SAME_PLACE_MM if turned else apart > SAME_PLACE_MM
-    found = Candidate(there, -2.0 * MUCH_BETTER_MM, doubt=MUCH_BETTER_MM)
-    frames = frames_of([stage.depth(pose)] * (3 + LEAVE_AFTER_FRAMES))
+    found = Candidate(there, -2.0 * SWITCH_MARGIN_MM, total_cost=SWITCH_MARGIN_MM)
+    frames = frames_of([stage.depth(pose)] * (3 + LEAVE_AFTER_SEARCHES))
     states, _ = run(tracking, frames[:3])
-    state = replace(states[-1], monitor=replace(states[-1].monitor, fingers_mm=4.0))
+    state = replace(states[-1], monitor=replace(states[-1].monitor, finger_bonus_mm=4.0))
     monkeypatch.setattr(TrackMonitor, "is_doubtful", lambda *_: True)
     monkeypatch.setattr(Acquisition, "reconsider", lambda *_: None)
     monkeypatch.setattr(Acquisition, "search", lambda *_: found)
@@ -326,7 +334,7 @@ def test_fingers_seen_before_do_not_keep_a_track_that_lies_end_for_end_along_its
     for frame in frames[3:]:
         state, _ = tracking.step(state, frame, np.random.default_rng(frame.index))
         cut.append(state.cut)
-    assert cut == [False] * (LEAVE_AFTER_FRAMES - 1) + [turned]
+    assert cut == [False] * (LEAVE_AFTER_SEARCHES - 1) + [turned]
 
 
 def turned_end_for_end(pose: FloatArray) -> FloatArray:

@@ -216,11 +216,11 @@ def test_frames_ahead_are_those_that_are_read(options: dict[str, int], expected:
     assert frames_ahead(replace(recording, known=False), RunOptions(Path("r.mcap"), **options)) is None
 
 
-@pytest.mark.parametrize(("known", "found"), [(True, "12 frames"), (False, "none that can be read")])
+@pytest.mark.parametrize(("known", "found"), [(True, "12 frames"), (False, "no readable frames")])
 def test_no_frame_in_the_range_is_refused(
     track: Callable[..., RunOutcome], known: bool, found: str, tmp_path: Path
 ) -> None:
-    with pytest.raises(UsageError, match=f"no frame to track, found {found}.*--start"):
+    with pytest.raises(UsageError, match=f"no frames to track, found {found}.*--start"):
         track(Memory(12, known=known), start=12)
     assert not list(tmp_path.iterdir())  # also where it shows only in reading
 
@@ -228,7 +228,7 @@ def test_no_frame_in_the_range_is_refused(
 def test_frames_none_of_which_can_be_used_are_told_and_leave_no_file(
     track: Callable[..., RunOutcome], tmp_path: Path
 ) -> None:
-    with pytest.raises(RecordingError, match=r"no frame can be tracked, found stamp gone: 9, first frame 0"):
+    with pytest.raises(RecordingError, match=r"no readable frames, found stamp gone: 9, first frame 0"):
         track(Memory(0, known=False, losses=(Loss("stamp gone", 9, "frame 0"),)))
     assert not list(tmp_path.iterdir())
 

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from posetrack_cli.hand.shape_fit import FIRST_FRAMES, ShownFingers
+from posetrack_cli.hand.shape_fit import FIRST_FRAMES, FrameSelector
 from posetrack_cli.recording.base import Frame
 
 AREAS = st.lists(st.sampled_from([0.0, 100.0, 200.0, 300.0, 400.0]), min_size=1, max_size=90)
@@ -14,7 +14,7 @@ FRAMES = [Frame(k, k, ()) for k in range(1000)]
 
 
 def chosen(areas: list[float], most: int, count: int) -> list[int]:
-    shown = ShownFingers(most, count)
+    shown = FrameSelector(most, count)
     for frame, area in zip(FRAMES, areas, strict=False):
         shown.add(frame, area)
     assert shown.seen == len(areas)
@@ -53,7 +53,7 @@ def test_a_part_without_fingers_leaves_its_place_to_others() -> None:
 
 
 def test_no_more_images_are_kept_than_are_chosen() -> None:
-    shown = ShownFingers(20, 500)
+    shown = FrameSelector(20, 500)
     rng = np.random.default_rng(1)
     for frame in FRAMES[:500]:
         shown.add(frame, float(rng.integers(0, 50)))

@@ -7,18 +7,24 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from posetrack_cli.hand.autodetect import CLEAR_LOG_ODDS, SIDES, Trial, decide_side, log_odds_of
+from posetrack_cli.hand.autodetect import (
+    CLEAR_LOG_ODDS,
+    SIDES,
+    SideAndScaleSearch,
+    decide_side,
+    side_log_odds,
+)
 from posetrack_cli.hand.model.anatomy import HandShape
 from posetrack_cli.hand.shape_fit import Calibration
 from support.calibrations import calibration_of
 
 
-def told(log_odds: float, by_keypoints: float = 0.0) -> Trial:
+def told(log_odds: float, by_keypoints: float = 0.0) -> SideAndScaleSearch:
     """A trial of hands of scale 1 that told so much of a right one."""
     side = SIDES[0] if log_odds >= 0.0 else SIDES[1]
     sure = abs(log_odds) >= CLEAR_LOG_ODDS
     trial = SimpleNamespace(sides=SIDES, log_odds=log_odds, side=side, is_sure_of_side=sure)
-    trial.told_log_odds, trial.scale = by_keypoints, lambda side: 1.0
+    trial.keypoint_log_odds, trial.scale = by_keypoints, lambda side: 1.0
     return trial  # type: ignore[return-value]
 
 
@@ -86,12 +92,12 @@ def test_of_hands_of_another_size_one_that_explains_nothing_is_the_less_likely(r
 
 @pytest.mark.parametrize(("cost", "other"), [(3.0, 4.5), (6.0, 7.0), (12.0, 14.0), (5.0, 30.0)])
 def test_a_frame_tells_as_much_of_one_side_as_of_the_other(cost: float, other: float) -> None:
-    assert log_odds_of(cost, other) == -log_odds_of(other, cost) > 0.0
+    assert side_log_odds(cost, other) == -side_log_odds(other, cost) > 0.0
 
 
 def test_a_hand_that_is_unlike_the_average_tells_less_of_its_side_in_a_frame() -> None:
     """Of the Kinect's hand, at 11 to 17 mm, single frames are 5 mm cheaper for the wrong side."""
-    usual, strange = log_odds_of(6.0, 7.5), log_odds_of(12.0, 13.5)
+    usual, strange = side_log_odds(6.0, 7.5), side_log_odds(12.0, 13.5)
     assert usual == pytest.approx(2.0 * strange)
-    assert log_odds_of(12.0, 40.0) == pytest.approx(0.5 * log_odds_of(6.0, 40.0))
-    assert log_odds_of(1.0, 2.5) == pytest.approx(usual)
+    assert side_log_odds(12.0, 40.0) == pytest.approx(0.5 * side_log_odds(6.0, 40.0))
+    assert side_log_odds(1.0, 2.5) == pytest.approx(usual)

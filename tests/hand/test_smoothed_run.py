@@ -14,7 +14,7 @@ from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.run import HandRun, RunOptions
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.results import load_arrays
-from posetrack_cli.results.channels import TRACKS, estimate_topic
+from posetrack_cli.results.topics import TRACKS, estimate_topic
 from posetrack_cli.tracking.smoothing import smoothing_path
 from support.hand_scene import HANDS, Drawn, Stage, closing_hand, pose_file
 

@@ -1,1 +1,1 @@
-"""How well a pose explains a frame, and the pose that does so best."""
+"""Likelihood of a pose and its optimisation."""

@@ -28,7 +28,7 @@ from posetrack_cli.hand.fit.gauss_newton import (
     empty_fits,
     make_workspace,
     swap_fingers_each,
-    taken_apart,
+    unstack_fits,
     write_costs,
 )
 from posetrack_cli.hand.fit.normal_equations import NormalEquations, empty_equations
@@ -143,7 +143,7 @@ class PosePrior:
         return PosePrior(self.mean, np.concatenate([np.zeros(3), self.precision[3:]]))
 
 
-NO_PRIOR = PosePrior(np.concatenate([np.zeros(6), [1.0], np.zeros(15)]), np.zeros(TANGENT_SIZE))
+FLAT_PRIOR = PosePrior(np.concatenate([np.zeros(6), [1.0], np.zeros(15)]), np.zeros(TANGENT_SIZE))
 """One that every pose meets alike."""
 
 
@@ -220,9 +220,9 @@ class HandFitter:
             )
 
         self._share_out(len(priors), descend_some)
-        return taken_apart(fits)
+        return unstack_fits(fits)
 
-    def objectives(self, tile: Tile, fits: Sequence[Fit], prior: PosePrior = NO_PRIOR) -> FloatArray:
+    def objectives(self, tile: Tile, fits: Sequence[Fit], prior: PosePrior = FLAT_PRIOR) -> FloatArray:
         """Return what fits are compared by (N,), mm: their costs, and what else speaks against them.
 
         As in ``gauss_newton.descend``, but with one prior and the tile's inner numbers for all.
@@ -241,7 +241,9 @@ class HandFitter:
         objectives: FloatArray = costs + tile.mm_per_nat * doubts
         return objectives
 
-    def swapped(self, tile: Tile, groups: Sequence[Sequence[Fit]], prior: PosePrior = NO_PRIOR) -> FloatArray:
+    def swapped(
+        self, tile: Tile, groups: Sequence[Sequence[Fit]], prior: PosePrior = FLAT_PRIOR
+    ) -> FloatArray:
         """Return of each of G groups the best fit's pose with each finger from the fit where it fits best.
 
         Args:

@@ -139,7 +139,7 @@ def empty_fits(count: int) -> Fit:
     return Fit(pose, inner, data, cost)
 
 
-def taken_apart(fits: Fit) -> list[Fit]:
+def unstack_fits(fits: Fit) -> list[Fit]:
     """Return the single ones of several fits, which share their memory."""
     data = [NormalEquations(*arrays) for arrays in zip(*fits.data, strict=True)]
     return [Fit(*parts) for parts in zip(fits.pose, fits.inner, data, fits.cost, strict=True)]

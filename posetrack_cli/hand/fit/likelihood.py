@@ -1,4 +1,4 @@
-"""How well a pose explains a frame; which proposals there are."""
+"""Likelihood of a pose given a depth image, and the available proposals."""
 
 from __future__ import annotations
 
@@ -20,17 +20,16 @@ from posetrack_cli.hand.observe.observation import Observation
 from posetrack_cli.rendering.pixel_model import PixelMixture
 from posetrack_cli.rendering.port import Comparison, RenderingDevice, TileSums, Window
 
-# How well a depth image fits a hand pose: costs over image regions, and likelihoods
-
+# Costs over image regions, and likelihoods
 
 Cost = Callable[[TileSums, ObservationSettings], FloatArray]
 
 
 def paper_cost(sums: TileSums, settings: ObservationSettings) -> FloatArray:
-    """D of eq. (4): mean of min(|d - y|, c_max) over the rendered pixels of the window, mm.
+    """Return D of eq. (4): mean of min(|d - y|, c_max) over the rendered pixels of the window, mm.
 
-    A rendered pixel without a reading counts c_max; a hand that falls on no pixel at all costs c_max
-    too **[fix]** (the mean over nothing is not defined).
+    A rendered pixel without a reading counts c_max. A hand outside the window costs c_max **[fix]**: the mean
+    over no pixels is undefined.
 
     Returns:
         (N,) costs in 0..c_max.
@@ -42,12 +41,12 @@ def paper_cost(sums: TileSums, settings: ObservationSettings) -> FloatArray:
 
 
 def union_cost(sums: TileSums, settings: ObservationSettings) -> FloatArray:
-    """D over the union of rendered r and observed o **[ours]**, mm; disagreeing regions count c_max.
+    """Return D over the union of rendered pixels r and observed pixels o **[ours]**, mm.
 
         D = ( sum over r and o of min(|d - y|, c_max) + c_max (|r \\ o| + |o \\ r|) ) / |r or o|
 
-    A rendered pixel that the sensor has no reading of counts as ``unread_weight`` of a pixel: at a hand's
-    edge most readings are missing, and a missing reading is not background.
+    A rendered pixel without a reading counts as ``unread_weight`` pixels: most readings at a hand's edge are
+    missing, and a missing reading is not background.
 
     Returns:
         (N,) costs in 0..c_max.
@@ -67,13 +66,14 @@ COSTS: dict[str, Cost] = {"paper": paper_cost, "union": union_cost, "mixture": u
 
 
 def log_gibbs(costs: FloatArray, settings: ObservationSettings) -> FloatArray:
-    """log p(y | x) (N,) of costs D (N,), mm, up to a constant: -D^2 / (2 sigma^2) (47) or -D / sigma (3)."""
+    """Return log p(y | x) (N,) for costs D (N,), mm, up to a constant: -D^2 / (2 sigma^2) (47) or -D / sigma
+    (3)."""
     scaled = costs / settings.sigma_mm
     return -0.5 * scaled**2 if settings.likelihood == "gaussian" else -scaled
 
 
 def pixel_mixture(settings: MixtureSettings, unread_weight: float) -> PixelMixture:
-    """The pixel's model with the configuration's numbers."""
+    """Return the pixel model of a configuration."""
     return PixelMixture(
         near_sd_mm=settings.near_sd_mm,
         sd_mm_per_m2=settings.sd_mm_per_m2,
@@ -85,12 +85,12 @@ def pixel_mixture(settings: MixtureSettings, unread_weight: float) -> PixelMixtu
 
 
 def union_misfit(sums: TileSums, model: PixelMixture, depth_mm: float) -> FloatArray:
-    """The sum of misfits over the union of rendered r and observed o **[ours]**, 0 where all agrees.
+    """Return the sum of misfits over the union of rendered r and observed o **[ours]**; 0 at full agreement.
 
         R = sum over r of rho(y, d) + m |o \\ r| - relief
 
-    with m the misfit of a reading that nothing explains: a target pixel on which no hand is rendered; the
-    relief is what those beside a rendered pixel cost less.
+    with m the misfit of an unexplained reading: a target pixel where no hand is rendered. The relief is the
+    reduction for such pixels next to a rendered one.
 
     Args:
         sums: with misfits of ``model``.
@@ -106,19 +106,18 @@ def union_misfit(sums: TileSums, model: PixelMixture, depth_mm: float) -> FloatA
 
 
 def reading_share(depth_mm: float, step: int, camera: Camera, correlation_mm: float) -> float:
-    """How much of an independent reading one pixel of a window is: n_eff / n, at most 1 **[ours]**.
+    """Return the effective share of independent readings n_eff / n, at most 1 **[ours]**.
 
-    A pixel stands for a = z^2 step^2 / (fx fy) of the surface. Errors, the hand model's above all, are
-    alike over patches of area A = correlation_mm^2, the integral of their correlation over the plane, so n
-    pixels are worth n_eff = n a / A independent ones. Sampling the same image twice as finely changes
-    nothing.
+    A pixel covers a = z^2 step^2 / (fx fy) of the surface. Errors, mainly of the hand model, are correlated
+    over patches of area A = correlation_mm^2, the integral of their correlation over the plane, so n pixels
+    are worth n_eff = n a / A independent ones. Sampling an image twice as finely thus changes nothing.
     """
     pixel_mm2 = depth_mm**2 * step**2 / (camera.fx * camera.fy)
     return min(1.0, pixel_mm2 / correlation_mm**2)
 
 
 class Scores(NamedTuple):
-    """What the rendering of N poses tells.
+    """Scores of N rendered poses.
 
     Attributes:
         costs: (N,) D, mm.
@@ -130,27 +129,27 @@ class Scores(NamedTuple):
 
 
 class PoseScorer(Protocol):
-    """What the tracker asks of a likelihood."""
+    """Likelihood as used by the tracker."""
 
     def costs(self, poses: FloatArray, observation: Observation) -> FloatArray:
-        """Costs D (N,), mm, of poses (N, 22)."""
+        """Return costs D (N,), mm, of poses (N, 22)."""
 
     def log_likelihood(self, poses: FloatArray, observation: Observation) -> FloatArray:
-        """log p(y | x) (N,) of poses (N, 22), up to a constant that no pose changes."""
+        """Return log p(y | x) (N,) of poses (N, 22), up to a constant independent of the pose."""
 
     def forearm(self, pose: FloatArray, inner: FloatArray) -> tuple[Window, Float32Array]:
-        """A window around the forearm of a pose (22,), and its depth (h, w) there, mm; 0 where hidden."""
+        """Return a window around the forearm of a pose (22,), and its depth (h, w), mm; 0 where hidden."""
 
 
 class RenderedCosts:
-    """Costs and likelihoods of hand poses by rendering them.
+    """Costs and likelihoods of hand poses by rendering.
 
     Args:
-        device: draws the poses.
-        hand: its bones, and its lean skin, which is drawn.
+        device: renders the poses.
+        hand: bones, and the lean skin, which is rendered.
         camera: pinhole intrinsics of the depth images.
         settings: cost and window.
-        particles: how many poses a call has at most.
+        particles: largest number of poses per call.
     """
 
     def __init__(
@@ -171,18 +170,18 @@ class RenderedCosts:
         self._one = device.depth_renderer(hand.lean_with_arm, tile, 1)
 
     def costs(self, poses: FloatArray, observation: Observation) -> FloatArray:
-        """Costs D (N,), mm, of poses (N, 22)."""
+        """Return costs D (N,), mm, of poses (N, 22)."""
         return self._cost(self._sums(poses, observation, None), self._settings)
 
     def log_likelihood(self, poses: FloatArray, observation: Observation) -> FloatArray:
-        """log p(y | x) (N,) of poses (N, 22), up to a constant that no pose changes."""
+        """Return log p(y | x) (N,) of poses (N, 22), up to a constant independent of the pose."""
         return self.scores(poses, observation).log_likelihood
 
     def scores(self, poses: FloatArray, observation: Observation) -> Scores:
-        """Costs and likelihoods of poses (N, 22), drawn once.
+        """Return costs and likelihoods of poses (N, 22), rendered once.
 
-        The mixture's likelihood is -(n_eff / n) R with R of ``union_misfit`` and n_eff / n of
-        ``reading_share``; that of other costs is ``log_gibbs``.
+        The mixture's log-likelihood is -(n_eff / n) R with R of ``union_misfit`` and n_eff / n of
+        ``reading_share``; other costs use ``log_gibbs``.
         """
         sums = self._sums(poses, observation, self._model)
         costs = self._cost(sums, self._settings)
@@ -197,7 +196,7 @@ class RenderedCosts:
         return Scores(costs, -reading_share(z, observation.window.step, self._camera, correlation) * misfit)
 
     def forearm(self, pose: FloatArray, inner: FloatArray) -> tuple[Window, Float32Array]:
-        """A window around the forearm of a pose (22,), and its depth (h, w) there, mm; 0 where hidden."""
+        """Return a window around the forearm of a pose (22,), and its depth (h, w), mm; 0 where hidden."""
         wrist = joint_positions(self._anatomy, pose[None], inner[THUMB])[0, 0]
         tile = self._settings.tile_px
         window = forearm_window(wrist, inner[:3], self._anatomy.scale, self._camera, tile)
@@ -220,16 +219,16 @@ class RenderedCosts:
         )
 
 
-# Where a filter's particles are drawn, by the names that configurations call it
+# Proposal distributions, by configuration name
 
 
 class Proposal(NamedTuple):
     """A way to draw particles.
 
     Attributes:
-        fits_frames: whether local fits are made of every frame, particles are drawn about them, and the whole
-            image is searched for a hand that was lost; else the motion alone proposes.
-        sampling: where no fits are there.
+        fits_frames: whether each frame is fitted locally, particles are drawn around the fits, and the whole
+            image is searched for a lost hand; else the motion model alone proposes.
+        sampling: used without fits.
     """
 
     fits_frames: bool
@@ -245,8 +244,8 @@ PROPOSALS: Mapping[str, Proposal] = MappingProxyType(
 )
 
 
-class Counted:
-    """A log-likelihood that counts the poses it is asked about."""
+class CountedLikelihood:
+    """Log-likelihood that counts the evaluated poses."""
 
     def __init__(self, log_likelihood: LogLikelihood) -> None:
         self._log_likelihood, self.count = log_likelihood, 0

@@ -1,11 +1,10 @@
-"""What a frame says about where the hand is: local fits, as approximations of the likelihood.
+"""Local fits of a frame: Gaussian approximations of the likelihood around its modes.
 
-`LocalFitter` makes them for the filter, from several starts; `HandFits` for the smoother, with what all other
-frames expect as their prior. A smoother's fit is weighed by its own residual (**[ours]**): the
-filter, which has to try all poses by one measure, takes a pixel's noise from the sensor; here it is taken
-from the fit's own union cost D, the mean absolute residual, so sigma = sqrt(pi / 2) D. Where a hand is seen
-well, information is some ten times that of the filter's fits, and where half of it is hidden or cut off, a
-tenth.
+`LocalFitter` fits from several starts, for the filter. `HandFits` fits for the smoother, with the smoothed
+prediction as prior. The filter compares all poses by one noise level, that of the sensor. The smoother
+weights each fit by its own residual **[ours]**: from the union cost D, the mean absolute residual, sigma =
+sqrt(pi / 2) D. A clearly visible hand thus carries about ten times the information of the filter's fits, a
+half hidden one a tenth.
 """
 
 from __future__ import annotations
@@ -37,23 +36,23 @@ from posetrack_cli.tracking.confidence import PROBABLY
 from posetrack_cli.tracking.velocity import BodySpace
 
 INNER = "inner"
-"""What a smoother's memory of a frame calls its inner numbers."""
+"""Key of a frame's inner numbers in a smoother's memory."""
 FOREARM_CONFIDENCE = "forearm_confidence"
-"""What it calls that of the filter's forearm; 0 without one."""
+"""Key of the filter's forearm confidence there; 0 without a forearm."""
 USUAL_STEP_S = 1.0 / 30.0
-NOT_TOLD: FloatArray = np.empty((0, POSE_SIZE))
-TOLD_PRECISION: FloatArray = 1.0 / np.square(np.repeat([20.0, 0.3, 0.4], [3, 3, 15]))
-"""(21,) of a pose about what keypoints tell, 1 / mm^2 and 1 / rad^2."""
-THUMB_SD = (0.25, 0.25, 0.15)  # rad; a thumb moves less than a finger (hand-findings.md)
+NO_EXTRA_STARTS: FloatArray = np.empty((0, POSE_SIZE))
+KEYPOINT_PRECISION: FloatArray = 1.0 / np.square(np.repeat([20.0, 0.3, 0.4], [3, 3, 15]))
+"""(21,) precision of a fit around a pose from keypoints, 1 / mm^2 and 1 / rad^2."""
+THUMB_SD = (0.25, 0.25, 0.15)  # rad; a thumb moves less than a finger
 
 
 class LocalFits(NamedTuple):
-    """The fits of one frame.
+    """Fits of one frame.
 
     Attributes:
-        modes: approximations of log p(y | x), the most probable first.
+        modes: approximations of log p(y | x), most probable first.
         cost: union cost D of the best, mm, with the smooth skin.
-        renders: how many poses were drawn for it.
+        renders: number of rendered poses.
         inner: (6,) inner numbers of the best (``hand.fit.skeleton``).
     """
 
@@ -64,13 +63,13 @@ class LocalFits(NamedTuple):
 
 
 class FrameReading(NamedTuple):
-    """An observation as fits read it.
+    """An observation prepared for fits.
 
     Attributes:
         tile: the observation.
-        depth_mm: of its target pixels, their median.
-        share: how much of an independent reading a pixel is.
-        height: log p that all target pixels cost together where nothing explains them.
+        depth_mm: median depth of its target pixels.
+        share: effective share of independent readings per pixel.
+        height: log p of all target pixels when none is explained.
     """
 
     tile: Tile
@@ -80,17 +79,17 @@ class FrameReading(NamedTuple):
 
 
 _REFOLD_ITERATIONS = 3
-"""From each fold of each finger, where the best fit is worse than usual."""
 SHARPENING = 1.6
-"""The likelihood is so much sharper than a fit's own residuals: the outline adds to it."""
+"""Ratio of the likelihood's information to that of the fit's residuals, which omit part of the outline."""
 ALTERNATIVE_MM, APART_MM, MOST_MODES = 1.0, 6.0, 4
-"""Fits whose cost is so much above the best's are modes as well, if a joint lies so far from theirs."""
+"""A fit is a separate mode if its cost is within ``ALTERNATIVE_MM`` of the best and some joint differs from
+the other modes by more than ``APART_MM``."""
 USUAL_MOTION = ComponentSettings(position_mm=12.0, rotation_rad=0.12, flexion_rad=0.33, abduction_rad=0.1)
-"""Standard deviation of a usual frame's motion about the prediction, for the fits alone."""
+"""Standard deviation of the motion around the prediction in one frame, for the fits alone."""
 
 
 def fit_terms(config: HandConfig) -> Terms:
-    """Return the weights of residuals that a configuration's observations ask for."""
+    """Return the residual weights of a configuration."""
     return Terms(clamp_mm=config.observation.clamp_mm, unread_weight=config.observation.unread_weight)
 
 
@@ -101,7 +100,7 @@ class LocalFitter:
         config: parameters.
         hand: the model.
         camera: of the depth images.
-        thumb: what is expected of its thumb.
+        thumb: prior of its thumb.
     """
 
     def __init__(
@@ -121,19 +120,19 @@ class LocalFitter:
         others: FloatArray,
         dt: float,
         rng: np.random.Generator,
-        enough_mm: float = np.inf,
-        told: FloatArray = NOT_TOLD,
+        refold_above_mm: float = np.inf,
+        extra: FloatArray = NO_EXTRA_STARTS,
     ) -> LocalFits:
         """Return the fits of one frame.
 
         Args:
             observation: with at least one target pixel.
-            expected: (22,) prediction, the prior's mean but for its position.
+            expected: (22,) prediction: the prior's mean apart from its position.
             others: (M, 22) further starts.
-            dt: time since the frame before, s.
-            rng: of the starts' scatter.
-            enough_mm: a best fit that costs more is tried with each finger folded otherwise.
-            told: (K, 22) poses from elsewhere: starts of their own, whose prior is about themselves.
+            dt: time since the previous frame, s.
+            rng: for the random starts.
+            refold_above_mm: above this cost, the best fit is retried with each finger in other folds.
+            extra: (K, 22) further starts, each with a prior around itself.
         """
         settings, fitter = self._settings, self.fitter
         reading = self.read(observation)
@@ -141,16 +140,16 @@ class LocalFitter:
         starts = fitter.aligned(tile, fit_starts(expected, others, settings.starts, self._space, rng))
         prior = PosePrior(expected, motion_precision(dt))
         priors = [prior.about(start[:3]) for start in starts]
-        priors += [PosePrior(pose, TOLD_PRECISION) for pose in told]
-        fits = fitter.descend(tile, np.concatenate([starts, told]), priors, settings.iterations)
+        priors += [PosePrior(pose, KEYPOINT_PRECISION) for pose in extra]
+        fits = fitter.descend(tile, np.concatenate([starts, extra]), priors, settings.iterations)
         anywhere = prior.anywhere
         tile = _with_inner(tile, self._best(tile, fits, anywhere).inner)
         best = fitter.swapped(tile, [fits], anywhere)[0]
         fits += fitter.descend(tile, best[None], [prior.about(best[:3])], settings.polish)
         renders = len(starts) * (settings.iterations + 2) + 5 * (len(starts) - 1) + settings.polish + 1
-        renders += len(told) * (settings.iterations + 6)
+        renders += len(extra) * (settings.iterations + 6)
         best_fit = self._best(tile, fits, anywhere)
-        if _cost(best_fit) > enough_mm:
+        if _cost(best_fit) > refold_above_mm:
             refolded, more = self._refolded(tile, best_fit.pose, prior)
             fits, renders = fits + refolded, renders + more
             best_fit = self._best(tile, fits, anywhere)
@@ -158,7 +157,7 @@ class LocalFitter:
         return LocalFits(modes, _cost(best_fit), renders + len(modes), best_fit.inner)
 
     def _refolded(self, tile: Tile, pose: FloatArray, prior: PosePrior) -> tuple[list[Fit], int]:
-        """Fits from a pose (22,) with one finger at a time in another fold, and how many poses they drew."""
+        """Fit a pose (22,) with one finger at a time in another fold; also return the number of renders."""
         settings, fitter = self._settings, self.fitter
         starts = refolds(pose)
         priors = [PosePrior(start, prior.precision) for start in starts]
@@ -172,7 +171,6 @@ class LocalFitter:
         return fits, drawn + settings.iterations + 1
 
     def _best(self, tile: Tile, fits: Sequence[Fit], prior: PosePrior) -> Fit:
-        """The most probable of fits."""
         return fits[int(np.argmin(self.fitter.objectives(tile, fits, prior)))]
 
     def _likelihood(self, reading: FrameReading, fits: Sequence[Fit]) -> LikelihoodModes:
@@ -183,14 +181,14 @@ class LocalFitter:
         return self.modes(chosen, np.full(len(chosen), scale), heights, reading.tile.expected[THUMB])
 
     def _log_heights(self, reading: FrameReading, fits: Sequence[Fit]) -> FloatArray:
-        """log p(y | x) (K,) of fits, from what they cost and how plausible they are."""
+        """Return log p(y | x) (K,) of fits from their costs and the anatomical potential."""
         per_mm = reading.height / self._config.observation.clamp_mm
         poses = np.array([fit.pose for fit in fits])
         doubts: FloatArray = self.fitter.potentials(poses, reading.tile.inner)
         return -per_mm * np.array([_cost(fit) for fit in fits]) - doubts
 
     def read(self, observation: Observation) -> FrameReading:
-        """Return an observation with at least one target pixel as fits read it."""
+        """Prepare an observation with at least one target pixel for fits."""
         tile, depth = (
             self.fitter.tile(observation),
             float(np.median(observation.image[observation.image > 0])),
@@ -208,16 +206,18 @@ class LocalFitter:
         log_heights: FloatArray,
         thumb: FloatArray | None = None,
     ) -> LikelihoodModes:
-        """Return the likelihood about fits, its sharpness (K,) times theirs, with the anatomy's factor.
+        """Return the likelihood around fits, including the anatomical factor.
 
         Args:
-            fits: K of them.
-            scales: (K,).
+            fits: K fits.
+            scales: (K,) factors on their information.
             log_heights: (K,).
-            thumb: (2,) what fits expected of its inner angles; by default what they found.
+            thumb: (2,) prior mean of the thumb's inner angles; by default the fitted ones.
         """
         parts = [
-            without_inner(fit, scale, self.fitter.anatomy(fit), fit.inner[THUMB] if thumb is None else thumb)
+            marginalise_inner(
+                fit, scale, self.fitter.anatomy(fit), fit.inner[THUMB] if thumb is None else thumb
+            )
             for scale, fit in zip(scales, fits, strict=True)
         ]
         return LikelihoodModes(
@@ -228,9 +228,10 @@ class LocalFitter:
         )
 
     def likeliest(self, reading: FrameReading, fits: Sequence[Fit]) -> list[Fit]:
-        """Return the most probable fits whose joints lie apart, of those that cost little more than the best.
+        """Return the most probable fits with distinct joints, among those that cost little more than the
+        best.
 
-        Of fingers that nothing shows all folds cost the same, and the anatomy tells which are likely.
+        All folds of a hidden finger cost the same; the anatomical potential ranks them.
         """
         limit = min(map(_cost, fits)) + ALTERNATIVE_MM
         near = [fit for fit in fits if _cost(fit) <= limit]
@@ -248,44 +249,45 @@ class LocalFitter:
         return chosen
 
 
-THUMB_LEFT = 0.25
-"""Share of its inner angles' standard deviations over which a thumb is integrated out: all particles have the
-fitted ones, and proposals as wide as if each had its own are missed by most of them. On the own model, with
-sds of 10 and 15 degrees, joints are 1.16 mm off with the whole of them, 1.11 with next to nothing; people's
-backs, where thumbs are hidden, are better with more (3.6 and 3.9 for 4.0 and 4.1 mm)."""
-LEFT_PRECISION: FloatArray = np.append(
-    1.0 / np.square([SWING_SD, SWING_SD, GIRTH_SD]), FREE_THUMB.precision / THUMB_LEFT**2
+MARGINAL_THUMB_SHARE = 0.25
+"""Share of the prior standard deviation over which a thumb's inner angles are marginalised.
+
+All particles share the fitted angles. With the full deviation the proposal is too wide and most particles
+miss; with none, hidden thumbs are too certain.
+"""
+MARGINAL_PRECISION: FloatArray = np.append(
+    1.0 / np.square([SWING_SD, SWING_SD, GIRTH_SD]), FREE_THUMB.precision / MARGINAL_THUMB_SHARE**2
 )
-"""(5,) of the unknowns that are integrated out."""
+"""(5,) prior precision of the marginalised unknowns."""
 
 
-def without_inner(
+def marginalise_inner(
     fit: Fit, scale: float, own: NormalEquations, thumb: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Gradient (21,) and information (21, 21) of the pose alone: the inner numbers are integrated out.
+    """Return gradient (21,) and information (21, 21) of the pose with the inner numbers marginalised.
 
-    The forearm's prior is about where it was found. The thumb's pull to what is expected counts as much as
-    the image's that it held out against: where a fit came to rest both are equal.
+    The forearm's prior is centred on the fit. The thumb's prior is scaled like the image's information: at
+    the fit both forces are in balance.
 
     Args:
         fit: of the image.
-        scale: of its weights.
-        own: the anatomy's.
-        thumb: (2,) what the fit expected of its inner angles.
+        scale: factor on its weights.
+        own: normal equations of the anatomical potential.
+        thumb: (2,) prior mean of its inner angles.
     """
     matrix, vector = scale * fit.data.matrix + own.matrix, scale * fit.data.vector + own.vector
     p, a = slice(0, TANGENT_SIZE), slice(TANGENT_SIZE, None)
     vector[THUMB_PLACE:] += scale * FREE_THUMB.precision * (thumb - fit.inner[THUMB])
-    matrix[a, a] += np.diag(LEFT_PRECISION)
+    matrix[a, a] += np.diag(MARGINAL_PRECISION)
     information, gradient = eliminated(matrix, vector, p, a)
     return gradient, 0.5 * (information + information.T)
 
 
 def _with_inner(tile: Tile, inner: FloatArray) -> Tile:
-    """A tile with inner numbers (6,) that were fitted to it.
+    """Return a tile with fitted inner numbers (6,).
 
-    A forearm is from then on expected where it was found, not where the hand's pixels were told from its;
-    what is expected of a thumb no frame tells.
+    The prior of the forearm moves to the fit, which is more accurate than the segmentation; that of the thumb
+    stays.
     """
     expected = inner.copy()
     expected[THUMB] = tile.expected[THUMB]
@@ -297,31 +299,31 @@ def _cost(fit: Fit) -> float:
 
 
 def motion_precision(dt: float) -> FloatArray:
-    """1 / variance (21,) of a pose after dt seconds about its prediction, for the fits alone."""
+    """Return 1 / variance (21,) of a pose dt seconds after its prediction, for the fits alone."""
     sd = tangent_vector(USUAL_MOTION)
     sd[6:9] = np.minimum(sd[6:9], THUMB_SD)
     precision: FloatArray = USUAL_STEP_S / dt / np.square(sd)
     return precision
 
 
-BELIEVED_MM = 2.0
-"""Where fits leave more, the filter's estimate is smoothed instead."""
+TRUSTED_BELOW_MM = 2.0
+"""Above this cost of the fits, the filter's estimate is smoothed instead."""
 _REFIT_ITERATIONS = 4
-"""Of a frame's fit from what all other frames expect."""
-_LEFT_SHARPENING = 3.5
-"""The likelihood is so much sharper than the residuals that a fit leaves."""
+_RESIDUAL_SHARPENING = 3.5
+"""Like ``SHARPENING``, for noise estimated from the fit's residual."""
 _HEIGHT_SHARE = 0.3
-"""How much the cost counts where a frame has several fits, against the others' say."""
+"""Weight of the cost between several fits of a frame, against the smoothed prediction."""
 LEAST_COST_MM = 0.5
-"""The readings' own steps: no fit leaves less."""
+"""Lower bound on the residual: the quantisation of the readings."""
 SD_PER_COST = float(np.sqrt(np.pi / 2.0))
-"""Standard deviation over mean absolute value of a normal distribution."""
+"""Ratio of standard deviation to mean absolute value of a normal distribution."""
 STEP = np.concatenate([np.full(3, 30.0), np.full(3, 0.4), np.full(15, 0.5)])
-"""(21,) as far as one iteration goes, mm and rad."""
+"""(21,) step limit of one iteration, mm and rad."""
 
 
 class HandFits:
-    """The local fits of frames, made from what is kept of them (`filtering.fit_smoothing.FrameFits`).
+    """Local fits of frames from what the smoother's memory keeps of them
+    (`filtering.fit_smoothing.FrameFits`).
 
     Args:
         config: parameters.
@@ -341,12 +343,12 @@ class HandFits:
         pose: FloatArray,
         confidence: float,
     ) -> dict[str, Any]:
-        """Return what is kept of a frame: its window, where the filter's fits are, and what it made of them.
+        """Return the memory of a frame: its window, the filter's fits and its estimate.
 
         Args:
-            observation, modes: None where there was nothing to compare with.
+            observation, modes: None without an observation.
             pose: (22,) the filter's estimate.
-            confidence: of it.
+            confidence: of the estimate.
         """
         poses, count = np.zeros((MOST_MODES, POSE_SIZE)), 0
         image, place = np.zeros((self._size, self._size), dtype=np.float32), np.zeros(3, dtype=np.int64)
@@ -359,25 +361,25 @@ class HandFits:
         return kept | {"estimate": pose, "trust": self._trust(confidence)}
 
     def known(self, frame: Memory) -> LikelihoodModes | None:
-        """Return the filter's fits, assessed again, or its estimate where they leave much; None without any.
+        """Return the filter's fits, reassessed, or its estimate where they fit poorly; None without fits.
 
-        Where the hand is not the model's, the cheapest pose is not the true one, and fits that are weighed by
-        their costs alone are worse than what the filter made of them.
+        With a model of another shape, the cheapest pose is not the true one, and fits weighted by their costs
+        are worse than the filter's estimate.
         """
         if not frame["count"]:
             return None
         reading = self._reading(frame)
         fits = self._fits_at(reading, frame["fits"][: int(frame["count"])])
-        if self._are_believed(fits):
+        if self._are_trusted(fits):
             return scaled(self._assessed(reading, fits), float(frame["trust"]))
         estimate = self._assessed(reading, self._fits_at(reading, frame["estimate"][None]))
         at_rest = replace(estimate, gradients=np.zeros_like(estimate.gradients))
         return scaled(at_rest, float(frame["trust"]))
 
     def more(self, frame: Memory, known: LikelihoodModes, belief: StateGaussian) -> LikelihoodModes:
-        """Return these and one more, fitted from a belief's mean with the belief as its prior.
+        """Return the fits and one more, fitted from a belief's mean with the belief as its prior.
 
-        Not where the filter's estimate stands in for fits, which has no gradient, nor where it is doubted.
+        Nothing is added where the filter's estimate replaces the fits (no gradient) or is not trusted.
         """
         if float(frame["trust"]) < 1.0 or not known.gradients.any():
             return known
@@ -389,28 +391,28 @@ class HandFits:
             np.concatenate([known.log_heights, found.log_heights]),
         )
 
-    def _are_believed(self, fits: Sequence[Fit]) -> bool:
-        """Whether what fits leave is so little that the model must be the hand's."""
-        return min(_cost(fit) for fit in fits) <= BELIEVED_MM
+    def _are_trusted(self, fits: Sequence[Fit]) -> bool:
+        """Return whether the residuals are small enough for the model to be the hand's."""
+        return min(_cost(fit) for fit in fits) <= TRUSTED_BELOW_MM
 
     def _trust(self, confidence: float) -> float:
-        """How much an estimate's information counts: all of what is more probably right than wrong.
+        """Return the weight of an estimate's information: 1 if it is probably right, else (p / (1 - p))^2.
 
-        (p / (1 - p))^2 where it is less: of a hand that is most probably elsewhere next to nothing, and the
-        frames before and after it bridge the gap.
+        A hand that is probably elsewhere gets almost no weight, and neighbouring frames bridge the gap.
         """
         if not self._is_calibrated or confidence >= PROBABLY:
             return 1.0
         return (confidence / (1.0 - confidence)) ** 2
 
     def _refitted(self, reading: FrameReading, belief: StateGaussian) -> LikelihoodModes:
-        """The likelihood about the best pose on the way from a belief's mean to the posterior's maximum.
+        """Return the likelihood around the best pose on the way from a belief's mean to the posterior mode.
 
-        Gauss-Newton: (1 + C H)^-1 (C g + off), C the belief's covariance, off from the pose to its mean.
+        Gauss-Newton: (1 + C H)^-1 (C g + off), with C the belief's covariance and off the vector from the
+        pose to its mean.
         """
         size = belief.velocity.size
         C = belief.covariance[:size, :size]
-        precision = np.linalg.pinv(C, hermitian=True)  # what is known for sure may not vary at all
+        precision = np.linalg.pinv(C, hermitian=True)  # C is singular along known components
         pose = belief.pose
         best = here = self._assessed(reading, self._fits_at(reading, pose[None]))
         highest = float(here.log_heights[0])
@@ -426,15 +428,15 @@ class HandFits:
         return best
 
     def _fits_at(self, reading: FrameReading, poses: FloatArray) -> list[Fit]:
-        """What poses (K, 22) leave, as they are."""
+        """Evaluate poses (K, 22) without a step."""
         return [self._local.fitter.assessed(reading.tile, pose) for pose in poses]
 
     def _assessed(self, reading: FrameReading, fits: Sequence[Fit]) -> LikelihoodModes:
-        """The likelihood about fits, noise taken from what each leaves, and the anatomy's factor."""
+        """Return the likelihood around fits, with noise from each fit's residual."""
         fitter, poses = self._local.fitter, np.array([fit.pose for fit in fits])
         cost = np.array([_cost(fit) for fit in fits])
         noise_sd = SD_PER_COST * np.maximum(cost, LEAST_COST_MM)
-        scales = reading.share * _LEFT_SHARPENING * (self._local.sigma_mm / noise_sd) ** 2
+        scales = reading.share * _RESIDUAL_SHARPENING * (self._local.sigma_mm / noise_sd) ** 2
         height = _HEIGHT_SHARE * reading.height / self._clamp_mm
         return self._local.modes(fits, scales, -height * cost - fitter.potentials(poses, reading.tile.inner))
 

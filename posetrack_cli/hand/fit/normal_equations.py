@@ -1,8 +1,8 @@
 """Weighted normal equations of a pose's tangent vector; compiled.
 
-A skin point moves with the palm's six numbers and with the three of one finger, or of the forearm, so
-residuals are summed in seven blocks of nine unknowns, one per finger, one for the forearm and one for the
-palm alone, and put together once. The thumb has two more, its inner angles, whose products are summed apart.
+A skin point moves with the palm's six unknowns and the three of one finger or of the forearm. So residuals
+are summed in seven blocks of nine unknowns (one per finger, the forearm, the palm alone) and assembled once.
+The thumb's two inner angles and their products are summed separately.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ from posetrack_cli.hand.fit.skeleton import THUMB_ROW
 from posetrack_cli.hand.model.anatomy import TANGENT_SIZE
 
 ROW = 12  # palm's six unknowns, a finger's or the forearm's three, the residual, the thumb's inner two
-RESIDUAL, THUMB_PART = 9, 10  # places in a row
-ARM_PLACE, THUMB_PLACE = TANGENT_SIZE, TANGENT_SIZE + 3  # where the unknowns of both begin
+RESIDUAL, THUMB_PART = 9, 10  # columns of a row
+ARM_PLACE, THUMB_PLACE = TANGENT_SIZE, TANGENT_SIZE + 3  # first unknown of forearm and thumb
 UNKNOWNS = THUMB_PLACE + 2
 _BLOCKS = 7
 
 
 class NormalEquations(NamedTuple):
-    """Of residuals r_i(x (+) e) ~ r_i - J_i e with weights w_i.
+    """Normal equations of residuals r_i(x (+) e) ~ r_i - J_i e with weights w_i.
 
     Attributes:
-        matrix: (26, 26) sum w J^T J; last the forearm's three unknowns, then the thumb's inner two.
+        matrix: (26, 26) sum w J^T J; last the forearm's three unknowns, then the thumb's two inner angles.
         vector: (26,) sum w J^T r.
-        blocks: (7, 9, 10) the same per finger, of the forearm, of the palm alone, on and above the diagonal;
-            ``gather`` adds them up.
-        thumb: (2, 12) of the thumb's inner angles, with all of a row.
+        blocks: (7, 9, 10) upper triangles per finger, for the forearm and for the palm alone; ``gather`` adds
+            them to matrix and vector.
+        thumb: (2, 12) products of the thumb's inner angles with a full row.
     """
 
     matrix: FloatArray
@@ -41,14 +41,14 @@ class NormalEquations(NamedTuple):
 
 
 def empty_equations() -> NormalEquations:
-    """Return equations of no residual."""
+    """Return equations without residuals."""
     size, blocks = UNKNOWNS, np.zeros((_BLOCKS, RESIDUAL, RESIDUAL + 1))
     return NormalEquations(np.zeros((size, size)), np.zeros(size), blocks, np.zeros((2, ROW)))
 
 
 @kernel
 def clear(equations: NormalEquations) -> None:
-    """Forget all residuals."""
+    """Remove all residuals."""
     equations.matrix[:] = 0.0
     equations.vector[:] = 0.0
     equations.blocks[:] = 0.0
@@ -57,7 +57,7 @@ def clear(equations: NormalEquations) -> None:
 
 @kernel
 def copy(equations: NormalEquations, out: NormalEquations) -> None:
-    """Write matrix and vector into other equations."""
+    """Copy matrix and vector to other equations."""
     for i in range(UNKNOWNS):
         out.vector[i] = equations.vector[i]
         for j in range(UNKNOWNS):
@@ -82,7 +82,7 @@ def add_row(equations: NormalEquations, finger: int, row: FloatArray, weight: fl
 
 @kernel
 def gather(equations: NormalEquations) -> None:
-    """Add the blocks to matrix and vector, and empty them."""
+    """Add the blocks to matrix and vector, and clear them."""
     H, g, blocks, thumb = equations.matrix, equations.vector, equations.blocks, equations.thumb
     for f in range(_BLOCKS):
         for i in range(6 if f == _BLOCKS - 1 else 9):

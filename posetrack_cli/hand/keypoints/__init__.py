@@ -1,6 +1,6 @@
-"""Keypoints from elsewhere: 21 points per frame that another program found, as further starts and evidence.
+"""Keypoints from other programs: 21 points per frame, used as further starts and evidence.
 
-``file`` reads them (``recording.keypoints`` knows the layouts); ``places`` names the points and finds where
-in the camera's axes they are, ``told`` makes poses of them and says what they are worth to a tracker. They
-are never truth: a pose that they lead to costs what the image says.
+``file`` reads them (formats in ``recording.keypoints``), ``targets`` converts them to joint targets in camera
+axes, ``hands`` fits hands to these and weighs them in tracking. They are never taken as truth: every pose is
+scored against the depth image.
 """

@@ -1,4 +1,4 @@
-"""Reads a file of keypoints: which layout it has, in what unit it is, whose sides it tells."""
+"""Reader of keypoint files: layout, unit and side labels."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from posetrack_cli import limits
 from posetrack_cli.errors import UsageError
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.keypoints.places import HAND_POINTS
+from posetrack_cli.hand.keypoints.targets import HAND_POINTS
 from posetrack_cli.recording.identity import shown_name
 from posetrack_cli.recording.keypoints.formats import parse_keypoints
 from posetrack_cli.recording.keypoints.layout import (
@@ -33,23 +33,23 @@ from posetrack_cli.recording.keypoints.reading import (
 from posetrack_cli.units import METRES_PER_MM
 
 UNSURE = "unsure"
-"""How sides are taken that may be the wrong way round."""
+"""Side labels that may be swapped."""
 _NEAREST_M, _FARTHEST_M = 0.1, 10.0
-_OF_WORLD = 20.0
-"""Percent of normalised coordinates below 0, from which on their origin is taken to be in the hand."""
+_WORLD_PERCENT = 20.0
+"""Share of negative normalised coordinates, %, above which the origin is taken to be inside the hand."""
 
 
 @dataclass(frozen=True, eq=False)
 class KeypointFile:
-    """Keypoints as a run uses them.
+    """Keypoints in a run's units.
 
     Attributes:
-        name, digest: of the file: its last part, and the SHA-256 of its bytes.
-        sets: pixels, or mm in camera axes; scores are all known; sides are the hand's own.
-        in_pixels: which of the two.
-        unit: of the file, as it was told or determined.
-        sides: how its sides are taken: ``none``, ``as told``, ``exchanged``, or ``UNSURE``: as told, by
-            labels that some versions of MediaPipe mean otherwise.
+        name, digest: file name and SHA-256 of the file.
+        sets: in pixels, or in mm in camera axes; all scores are known, sides are anatomical.
+        in_pixels: whether the sets are in pixels.
+        unit: unit of the file, as given or determined.
+        sides: interpretation of its labels: ``none``, ``as told``, ``exchanged``, or ``UNSURE``: used
+            unchanged, although some versions of MediaPipe swap them.
     """
 
     name: str
@@ -60,7 +60,7 @@ class KeypointFile:
     sides: str
 
     def record(self) -> dict[str, str]:
-        """Return what a result states of the file: all that its bytes depend on."""
+        """Return the entries of the run record: everything the result depends on."""
         return {
             "keypoints": self.name,
             "keypoints.sha256": self.digest,
@@ -70,14 +70,14 @@ class KeypointFile:
 
     @property
     def line(self) -> str:
-        """What was found, for people."""
+        """Return a one-line summary."""
         sets = self.sets
         by = "stamp" if sets.by_stamp else "number"
         labels = {
-            "none": "no sides",
-            "as told": "sides as told",
-            "exchanged": "right and left exchanged",
-            UNSURE: "handedness as told (MediaPipe before 0.10.15 exchanges it: --keypoints-swap-sides)",
+            "none": "no side labels",
+            "as told": "sides as labelled",
+            "exchanged": "right and left swapped",
+            UNSURE: "sides as labelled (MediaPipe before 0.10.15 swaps them: --keypoints-swap-sides)",
         }
         return f"{len(sets)} hands of 21 points by frame {by}, in {self.unit}, {labels[self.sides]}"
 
@@ -85,17 +85,17 @@ class KeypointFile:
 def read_keypoints(
     path: Path, camera: Camera, unit: str | None = None, swap_sides: bool = False
 ) -> KeypointFile:
-    """Read keypoints that another program found.
+    """Read keypoints of another program.
 
     Args:
-        path: CSV; or JSON, one value (``.json``) or one per line (``.jsonl``, ``.ndjson``).
+        path: CSV, or JSON with one value (``.json``) or one per line (``.jsonl``, ``.ndjson``).
         camera: of the depth images, for normalised points.
-        unit: one of ``UNITS``; None as the file names it, else as its numbers look.
-        swap_sides: exchange right and left as they would be taken otherwise: labels of MediaPipe's solutions
-            are taken as they are, others exchanged.
+        unit: one of ``UNITS``; by default the unit named in the file or inferred from its numbers.
+        swap_sides: swap right and left. Labels of MediaPipe's solutions are used unchanged by default, others
+            swapped.
 
     Raises:
-        UsageError: no such file; or names file, line and field of what cannot be used.
+        UsageError: no such file, or invalid content, with file, line and field.
     """
     parsed = parse_keypoints(path, HAND_POINTS)
     unit = unit or parsed.unit or _unit_by_numbers(parsed.sets, camera, path)
@@ -109,10 +109,10 @@ def read_keypoints(
 
 
 def _unit_by_numbers(sets: KeypointSets, camera: Camera, path: Path) -> str:
-    """The unit that coordinates look like.
+    """Infer the unit from the coordinates.
 
     Raises:
-        UsageError: they look like none.
+        UsageError: they match no unit.
     """
     points = sets.points[np.isfinite(sets.points[..., 0])]
     if np.isfinite(points[:, 2]).all():
@@ -121,25 +121,25 @@ def _unit_by_numbers(sets: KeypointSets, camera: Camera, path: Path) -> str:
             return MILLIMETRES
         if low >= _NEAREST_M and high <= _FARTHEST_M:
             return METRES
-    hint = "--keypoints-unit tells it; pixels are those of the depth images"
+    hint = "set --keypoints-unit; pixels are those of the depth images"
     unit = image_unit(points, camera, path, UNITS, hint)
-    if unit == NORMALISED and np.percentile(points[:, :2].min(axis=1), _OF_WORLD) < 0.0:
+    if unit == NORMALISED and np.percentile(points[:, :2].min(axis=1), _WORLD_PERCENT) < 0.0:
         raise _no_place(path)
     return unit
 
 
 def _no_place(path: Path) -> UsageError:
     return UsageError(
-        "points have no place",
+        "points have no position in the image",
         where=path,
-        found="coordinates about an origin in the hand, as MediaPipe's world landmarks have",
-        expected="points in the image (px, normalised), or before the camera (mm, m; z is positive)",
-        hint="take MediaPipe's image landmarks",
+        found="coordinates relative to the hand, such as MediaPipe's world landmarks",
+        expected="image points (px, normalised), or points in front of the camera (mm, m; z > 0)",
+        hint="export MediaPipe's image landmarks",
     )
 
 
 def _in_our_units(sets: KeypointSets, unit: str, camera: Camera, path: Path) -> KeypointSets:
-    """The sets in pixels, or in mm before the camera.
+    """Return the sets in pixels, or in mm in front of the camera.
 
     Raises:
         UsageError: points in space lie behind the camera.
@@ -150,9 +150,13 @@ def _in_our_units(sets: KeypointSets, unit: str, camera: Camera, path: Path) -> 
     points = points / (METRES_PER_MM if unit == METRES else 1.0)
     known = np.isfinite(points[..., 0])
     if not np.isfinite(points[known]).all():
-        what = "points in space need a z"
-        raise UsageError(what, where=path, expected="x, y, z", hint="--keypoints-unit px is for images")
-    if np.percentile(points[known][:, 2], _OF_WORLD) < limits.NEAREST_MM:
+        raise UsageError(
+            "points have no z",
+            where=path,
+            expected="x, y, z",
+            hint="use --keypoints-unit px for image points",
+        )
+    if np.percentile(points[known][:, 2], _WORLD_PERCENT) < limits.NEAREST_MM:
         raise _no_place(path)
     points[points[..., 2] < limits.NEAREST_MM] = np.nan
     return replace(sets, points=points)

@@ -1,4 +1,4 @@
-"""Where keypoints are in the camera's axes."""
+"""Joint targets in camera axes from keypoints."""
 
 from __future__ import annotations
 
@@ -8,16 +8,13 @@ import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray, ImageArray
 from posetrack_cli.geometry.camera import Camera, undistort
-from posetrack_cli.hand.fit.points import PlacesToFit
+from posetrack_cli.hand.fit.points import JointTargets
 from posetrack_cli.hand.model.anatomy import JOINT_NAMES, HandAnatomy
 from posetrack_cli.recording.keypoints.layout import PointKind, same_order
 
-# The 21 points of a hand in files of keypoints: ours, which are MediaPipe's in its order
+# Names and order of the 21 points in keypoint files
 
-
-POINTS = len(JOINT_NAMES)
-
-
+POINTS = len(JOINT_NAMES)  # the same as MediaPipe's, in its order
 _THEIRS = re.compile(
     r"(?:(?:left|right|l|r)_)?(?:hand_)?(thumb|index|middle|ring|little)_?(cmc|mcp|ip|pip|dip|tip|[1-4])"
 )
@@ -25,9 +22,9 @@ _THUMB, _FINGER = ("cmc", "mcp", "ip", "tip"), ("mcp", "pip", "dip", "tip")
 
 
 def _plain(name: str) -> str:
-    """Return another program's name as ours.
+    """Return another program's point name as ours.
 
-    MediaPipe has ``HandLandmark.INDEX_FINGER_TIP`` and ``PINKY_MCP``, COCO ``forefinger1`` and ``thumb4``;
+    MediaPipe uses ``HandLandmark.INDEX_FINGER_TIP`` and ``PINKY_MCP``, COCO ``forefinger1`` and ``thumb4``;
     annotators write ``IndexMCP``.
     """
     plain = name.removeprefix("handlandmark.").replace("forefinger", "index").replace("pinky", "little")
@@ -55,68 +52,66 @@ HAND_POINTS = PointKind(
 )
 
 
-# Where in the camera's axes a set of keypoints is, and how surely: pixels get their depth from the image.
+# Joint targets with covariances
 #
-# The readings in a small patch about a pixel, without what is not near the set's median depth, tell the
-# skin's depth there; the joint lies a finger's radius behind it along the line of sight. Where the skin at
-# that pixel is another finger's or the palm's, the joint lies farther behind, so a joint behind its place is
-# hardly off it.
-
+# An image point gets its depth from a patch of readings around its pixel, restricted to the set's median
+# depth; the joint lies a finger's radius behind that skin along the line of sight. The skin may belong to
+# another finger or the palm in front of the joint, so errors behind the target have a larger deviation.
 
 PIXEL_SD, CONVENTION_SD_MM = 3.0, 6.0
-"""Of a good detector's points, pixels, and of where programs put a joint, mm."""
+"""Of a good detector's points, pixels, and between programs' joint definitions, mm."""
 SPACE_SD_MM = 8.0
-"""Of points in space, beside the convention."""
+"""Of points in space, in addition to the difference of conventions."""
 _SKIN_SD_MM, _BEHIND_SD_MM, _UNKNOWN_SD_MM = 10.0, 40.0, 60.0
-"""Of a joint's depth before and behind the place that the skin tells; and about the others' median where no
-reading tells it."""
-_PATCH_MM, _MOST_PX = 6.0, 8
-"""Half a patch's side, in the scene and at most in the image."""
+"""Of a joint's depth in front of and behind the position given by the skin, and around the median of the
+others where there is no reading."""
+_PATCH_MM, _MAX_PX = 6.0, 8
+"""Half side of a patch in the scene, and its limit in the image."""
 _COARSE_PX = 3
-_HAND_DEEP_MM = 120.0
-"""From the set's median depth to a reading that is still of its hand."""
+_HAND_DEPTH_MM = 120.0
+"""Largest distance of a hand's readings from the set's median depth."""
 _SURFACE_MM = 15.0
-"""As deep a patch's nearest surface is."""
+"""Depth range of a patch's nearest surface."""
 _NEAR_PERCENT = 25.0
 WRIST_MM, _KNUCKLE_MM = 18.0, 13.0
-"""From the skin to the joint at the wrist, and where fingers begin, of a hand of scale 1."""
-FEWEST = 8
-"""Known points of a set that is used."""
+"""From skin to joint at the wrist and at the knuckles, for a hand of scale 1."""
+MIN_POINTS = 8
+"""Known points needed to use a set."""
 
 
 def skin_to_joint(anatomy: HandAnatomy) -> FloatArray:
-    """Return how far behind the skin each joint (21,) is, mm: half as far at a tip, which is the skin's."""
+    """Return the depth of each joint (21,) behind the skin, mm; half a radius at the tips."""
     depths = anatomy.radii.copy()
     depths[1:, 0] = _KNUCKLE_MM * anatomy.scale
     depths[:, 3] *= 0.5
     return np.concatenate([[WRIST_MM * anatomy.scale], depths.ravel()])
 
 
-def places_in_space(points: FloatArray, scores: FloatArray) -> PlacesToFit | None:
-    """Return places of points (21, 3), mm, NaN where unknown; None for too few."""
+def targets_in_space(points: FloatArray, scores: FloatArray) -> JointTargets | None:
+    """Return targets for points (21, 3), mm, NaN where unknown; None for too few points."""
     known = np.isfinite(points[:, 0]) & (scores > 0.0)
-    if np.count_nonzero(known) < FEWEST:
+    if np.count_nonzero(known) < MIN_POINTS:
         return None
     precision = scores / (SPACE_SD_MM**2 + CONVENTION_SD_MM**2)
     axes = np.broadcast_to(np.eye(3), (POINTS, 3, 3)).copy()
     rows = np.where(known, precision, 0.0)[:, None] * np.ones(3)
-    return PlacesToFit(np.where(known[:, None], points, 0.0), axes, rows, np.ones(POINTS))
+    return JointTargets(np.where(known[:, None], points, 0.0), axes, rows, np.ones(POINTS))
 
 
-def places_in_image(
+def targets_in_image(
     pixels: FloatArray, scores: FloatArray, depth: ImageArray, camera: Camera, anatomy: HandAnatomy
-) -> PlacesToFit | None:
-    """Return places of points in an image; None where too few are known, or no reading tells a depth.
+) -> JointTargets | None:
+    """Return targets for image points; None with too few points or without any depth reading.
 
     Args:
-        pixels: (21, 2) of the image as it is, with its lens's distortion; NaN where unknown.
+        pixels: (21, 2) in the distorted image; NaN where unknown.
         scores: (21,).
         depth: (height, width) mm.
         camera: of the image.
         anatomy: the hand.
     """
     inside = np.isfinite(pixels[:, 0]) & (scores > 0.0)
-    if np.count_nonzero(inside) < FEWEST:
+    if np.count_nonzero(inside) < MIN_POINTS:
         return None
     surface = skin_depths(np.where(inside[:, None], pixels, -1e6), depth, camera)
     read = inside & np.isfinite(surface)
@@ -125,27 +120,28 @@ def places_in_image(
     middle = float(np.median(surface[read]))
     joint = np.where(read, surface, middle) + skin_to_joint(anatomy)
     rays = _rays(pixels, inside, camera)
-    places = rays * joint[:, None]
+    positions = rays * joint[:, None]
     aside = (PIXEL_SD * joint / np.sqrt(camera.fx * camera.fy)) ** 2 + CONVENTION_SD_MM**2
     along = np.where(read, _SKIN_SD_MM, _UNKNOWN_SD_MM) ** 2
     precision = np.where(inside, scores, 0.0)[:, None] / np.stack([aside, aside, along], axis=1)
     behind = np.where(read, (_SKIN_SD_MM / _BEHIND_SD_MM) ** 2, 1.0)
-    return PlacesToFit(places, _axes_of(rays), precision, behind)
+    return JointTargets(positions, _axes_of(rays), precision, behind)
 
 
 def skin_depths(pixels: FloatArray, depth: ImageArray, camera: Camera) -> FloatArray:
-    """Return the skin's depth (21,), mm, at pixels (21, 2) that may lie anywhere; NaN where none is read."""
+    """Return the depth (21,), mm, of the skin at pixels (21, 2), which may lie outside; NaN without a
+    reading."""
     first = np.array([_nearest_surface(depth, pixel, _COARSE_PX, 0.0, np.inf) for pixel in pixels])
     if np.isnan(first).all():
         return first
     middle = float(np.nanmedian(first))
-    half = int(np.clip(round(_PATCH_MM * camera.fx / middle), 1, _MOST_PX))
-    near, far = middle - _HAND_DEEP_MM, middle + _HAND_DEEP_MM
+    half = int(np.clip(round(_PATCH_MM * camera.fx / middle), 1, _MAX_PX))
+    near, far = middle - _HAND_DEPTH_MM, middle + _HAND_DEPTH_MM
     return np.array([_nearest_surface(depth, pixel, half, near, far) for pixel in pixels])
 
 
 def _nearest_surface(depth: ImageArray, pixel: FloatArray, half: int, near: float, far: float) -> float:
-    """Median of the nearest surface in a patch about a pixel, between two depths, mm; NaN where none is."""
+    """Return the median depth of the nearest surface in a patch, between two depths, mm; NaN without one."""
     column, row = np.rint(pixel)
     height, width = depth.shape
     if not (-half <= column < width + half and -half <= row < height + half):
@@ -161,7 +157,7 @@ def _nearest_surface(depth: ImageArray, pixel: FloatArray, half: int, near: floa
 
 
 def _rays(pixels: FloatArray, inside: BoolArray, camera: Camera) -> FloatArray:
-    """Points (21, 3) at depth 1 on the lines of sight of pixels; of unknown ones straight ahead."""
+    """Return points (21, 3) at depth 1 on the lines of sight; straight ahead for unknown pixels."""
     x = np.where(inside, (pixels[:, 0] - camera.cx) / camera.fx, 0.0)
     y = np.where(inside, (pixels[:, 1] - camera.cy) / camera.fy, 0.0)
     x, y = undistort(camera, x, y)
@@ -170,7 +166,7 @@ def _rays(pixels: FloatArray, inside: BoolArray, camera: Camera) -> FloatArray:
 
 
 def _axes_of(rays: FloatArray) -> FloatArray:
-    """Orthonormal rows (21, 3, 3): two across each line of sight, and the line."""
+    """Return orthonormal rows (21, 3, 3): two across each line of sight, and the line itself."""
     along = rays / np.linalg.norm(rays, axis=1, keepdims=True)
     first = np.cross(np.array([0.0, 1.0, 0.0]), along)
     first /= np.linalg.norm(first, axis=1, keepdims=True)  # no line of sight is the image's vertical
