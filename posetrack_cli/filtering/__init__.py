@@ -1,1 +1,1 @@
-"""Bayesian filtering over plain arrays: log-weights, resampling, Kalman steps, particle filters."""
+"""Bayesian filtering on arrays: log-weights, resampling, Kalman recursions, particle filters."""

@@ -1,4 +1,4 @@
-"""The error that filters raise, the check of time steps, and registries of things by name."""
+"""Filter errors, the time step check, and name registries."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ T = TypeVar("T")
 
 
 class FilterError(PosetrackError):
-    """A filter was given what it cannot work with: weights without mass, NaN, or a time step that is none."""
+    """Invalid filter input: weights that sum to zero, NaN, or an invalid time step."""
 
 
 def check_time_step(dt: float) -> None:
     """Raise FilterError unless dt, seconds, is finite and > 0."""
     if not (math.isfinite(dt) and dt > 0.0):
         raise FilterError(
-            "time does not move forward",
+            "invalid time step",
             found=f"dt {dt} s",
             expected="a finite dt > 0",
-            hint="are the frames sorted by their stamps?",
+            hint="check that frames are sorted by stamp",
         )
 
 
 class Registry(dict[str, T]):
-    """Things of one kind by name, put there by a decorator.
+    """Objects of one kind by name, registered by a decorator.
 
     Args:
-        kind: what they are, as error lines say.
+        kind: what the objects are, for errors.
     """
 
     def __init__(self, kind: str) -> None:
@@ -38,7 +38,7 @@ class Registry(dict[str, T]):
         self._kind = kind
 
     def register(self, name: str) -> Callable[[T], T]:
-        """Return the decorator that makes a thing known by a name."""
+        """Return a decorator that registers an object under a name."""
 
         def add(thing: T) -> T:
             self[name] = thing
@@ -47,11 +47,11 @@ class Registry(dict[str, T]):
         return add
 
     def find(self, name: str) -> T:
-        """Return the thing of a name.
+        """Return the object with a name.
 
         Raises:
-            FilterError: there is none; the nearest name is hinted at.
+            FilterError: unknown name; the error suggests the nearest one.
         """
         if name not in self:
-            raise FilterError(f"no such {self._kind}", found=name, hint=nearest_name(name, self))
+            raise FilterError(f"unknown {self._kind}", found=name, hint=nearest_name(name, self))
         return self[name]

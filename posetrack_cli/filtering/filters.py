@@ -1,11 +1,12 @@
-"""The filters over weighted poses: the plain particle filter, and the marginalised one.
+"""Filters over weighted poses: the plain particle filter and the marginalised one.
 
-A filter is the class of its states, registered by the name that configurations call it; a state knows its own
-step and what is believed in it. The plain filter's poses do a random walk (hand paper, section 2).
+A filter is represented by the class of its states, registered under its configuration name; states
+implement the step and its posterior. Poses of the plain filter follow a random walk (hand paper, section
+2).
 
-The marginalised (Rao-Blackwellized) filter has particles for poses and Kalman for velocities. Given a
-particle's whole path of poses its velocity is Gaussian, and the variance P does not depend on the path. So a
-particle carries a pose and a mean velocity, and all share one P: velocity costs next to nothing. Hand paper
+The marginalised (Rao-Blackwellized) filter samples poses and uses Kalman recursions for velocities. Given a
+particle's path of poses, its velocity is Gaussian with a variance P independent of the path. A particle
+therefore has a pose and a mean velocity, and all share one P, so velocities add hardly any cost. Hand paper
 (49)-(63), corrected; Schoen, Gustafsson and Nordlund 2005. Rotations: velocities live in the tangent space,
 x_t = x_{t-1} (+) (dt v + w) **[ours]**.
 """
@@ -46,12 +47,12 @@ from posetrack_cli.filtering.step import (
 
 
 class Prior(NamedTuple):
-    """What is known before the first frame: N(mean, diag sd^2) of the pose, N(0, diag velocity_sd^2).
+    """Prior before the first frame: pose N(mean, diag sd^2), velocity N(0, diag velocity_sd^2).
 
     Attributes:
         mean: (S,) pose.
         sd: (D,) of the pose in the tangent space, u.
-        velocity_sd: (D,) of the velocity, u/s; of no matter to a filter without one.
+        velocity_sd: (D,) of the velocity, u/s; ignored by filters without velocity.
     """
 
     mean: FloatArray
@@ -60,13 +61,13 @@ class Prior(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """How particles are expected to move in one step.
+    """Expected motion of the particles in one step.
 
     Attributes:
         drift: (N, D) mean increments.
         variance: (D,) of the increments.
-        sampled: (D,) the variance that they are sampled with.
-        gain: what the step does to the velocities; None for a filter without any.
+        sampled: (D,) variance used for sampling the increments.
+        gain: effect of the step on the velocities; None for filters without velocity.
     """
 
     drift: FloatArray
@@ -76,11 +77,12 @@ class Motion(NamedTuple):
 
 
 class FilterState(ABC):
-    """Weighted poses, and what else the particles of a filter carry.
+    """Weighted poses, and further per-particle state of a filter.
 
     Attributes:
-        has_velocity: whether the filter estimates one.
-        shapes: of the state's arrays, by name: N particles of S numbers each with D of motion.
+        has_velocity: whether the filter estimates velocities.
+        shapes: shapes of the state's arrays by name, for N particles with S numbers and D degrees of
+            freedom.
         poses: (N, S).
         log_weights: (N,).
     """
@@ -104,7 +106,7 @@ class FilterState(ABC):
     @classmethod
     @abstractmethod
     def initial(cls, prior: Prior, count: int, space: StateSpace, rng: np.random.Generator) -> FilterState:
-        """Return `count` equally weighted particles drawn from a prior.
+        """Return ``count`` equally weighted particles drawn from a prior.
 
         Raises:
             FilterError: count < 1, or a standard deviation is negative or not finite.
@@ -118,18 +120,18 @@ class FilterState(ABC):
         rng: np.random.Generator,
         guide: Guide | None = None,
     ) -> tuple[FilterState, Posterior]:
-        """Advance by one frame: sample (52), weigh (54), velocity (55)-(61), estimate, resample (7).
+        """Advance by one frame: sample (52), weight (54), velocity (55)-(61), estimate, resample (7).
 
-        The state is left as it is.
+        The state is not modified.
 
         Args:
-            dt: time since the frame before, s.
-            model: how poses move, and how particles are drawn and resampled.
-            log_likelihood: log p(y_t | x) of poses; None when nothing was observed: particles then move on by
-                the same recursion (exactly the prediction), weights stay, nothing is resampled.
+            dt: time since the previous frame, s.
+            model: motion, proposal and resampling.
+            log_likelihood: log p(y_t | x) of poses; None without an observation: particles follow the same
+                recursion (an exact prediction) and keep their weights, without resampling.
             rng: source of randomness.
-            guide: what looks at the frame before poses are drawn; the weights are then (24), ancestors chosen
-                before and not after, no limit constrains, and the estimate is taken with truncated weights.
+            guide: proposal that uses the frame. Weights are then (24), ancestors are drawn before instead
+                of after, limits are not enforced, and the estimate uses truncated weights.
 
         Raises:
             FilterError: dt is not > 0, or the likelihood is NaN, infinite or zero for all particles.
@@ -148,25 +150,25 @@ class FilterState(ABC):
         return state if chosen is None else state._resampled(chosen), posterior
 
     def summary(self, space: StateSpace) -> Posterior:
-        """Return what is believed where neither time nor an observation moves anything."""
+        """Return the posterior of the current state, without time step or observation."""
         return self._posterior(space, weigh(self.log_weights, self.poses, None), resampled=False)
 
     @abstractmethod
     def with_velocity(self, dimension: int) -> MarginalState:
-        """Return the state as one with a velocity (D,), which is known to be 0 if the filter has none."""
+        """Return the state with a velocity (D,), which is 0 and certain if the filter has none."""
 
     @abstractmethod
     def _motion(self, dt: float, model: FilterModel) -> Motion:
-        """How the particles are expected to move in dt seconds."""
+        """Return the expected motion in dt seconds."""
 
     @abstractmethod
     def _moved(self, motion: Motion, proposed: Proposed) -> FilterState:
-        """The state whose particles moved from their ancestors as proposed."""
+        """Return the state with the particles moved from their ancestors as proposed."""
 
     def _sampled(
         self, motion: Motion, model: FilterModel, score: LogLikelihood | None, rng: np.random.Generator
     ) -> Proposed:
-        """Every particle's own next pose, within the limits."""
+        """Sample every particle's next pose, within the limits."""
         drift = motion.drift if self.has_velocity else None
         constrain = model.dynamics.constrain
         poses, increments = propose(model.space, self.poses, drift, motion.sampled, constrain, rng)
@@ -175,18 +177,18 @@ class FilterState(ABC):
 
     @abstractmethod
     def _velocity(self, weights: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-        """Mean and variance (D,) of the velocity under weights (N,); None without any."""
+        """Return mean and variance (D,) of the velocity under weights (N,); None without velocity."""
 
     def _posterior(
         self, space: StateSpace, weighing: Weighing, *, resampled: bool, weights: FloatArray | None = None
     ) -> Posterior:
-        """Put the posterior together before resampling, (62)-(63).
+        """Return the posterior before resampling, (62)-(63).
 
         Args:
-            space: the poses' space.
+            space: space of poses.
             weighing: weights of the poses.
             resampled: whether the next state is resampled.
-            weights: (N,) for means and variances, if not those of the weighing.
+            weights: (N,) for means and variances, if other than those of the weighing.
         """
         moments = weighing.weights if weights is None else weights
         pose, pose_variance = pose_moments(space, self.poses, moments)
@@ -206,7 +208,7 @@ class FilterState(ABC):
         )
 
     def _resampled(self, chosen: IntArray) -> FilterState:
-        """The chosen particles, equally weighted."""
+        """Return the chosen particles with equal weights."""
         arrays = {name: getattr(self, name) for name in self.shapes}
         of_particles = (name for name, shape in self.shapes.items() if shape[0] == "N")
         arrays |= {name: arrays[name][chosen] for name in of_particles}
@@ -214,13 +216,13 @@ class FilterState(ABC):
 
 
 FILTERS: Registry[type[FilterState]] = Registry("filter")
-"""The filters by the names that configurations call them."""
+"""Filters by configuration name."""
 
 
 @FILTERS.register("pf")
 @dataclass(frozen=True, eq=False)
 class ParticleState(FilterState):
-    """Poses that do a random walk, x_t = x_{t-1} (+) w, w ~ N(0, dt Q^n); w_t = w_{t-1} p(y_t | x_t)."""
+    """Poses with a random walk, x_t = x_{t-1} (+) w, w ~ N(0, dt Q^n); w_t = w_{t-1} p(y_t | x_t)."""
 
     shapes: ClassVar[dict[str, tuple[str, ...]]] = {"poses": ("N", "S"), "log_weights": ("N",)}
     poses: FloatArray
@@ -228,11 +230,11 @@ class ParticleState(FilterState):
 
     @classmethod
     def initial(cls, prior: Prior, count: int, space: StateSpace, rng: np.random.Generator) -> ParticleState:
-        """Return equally weighted poses; see `FilterState`."""
+        """Return equally weighted poses; see ``FilterState``."""
         return cls(scatter(space, prior.mean, prior.sd, count, rng), equal_log_weights(count))
 
     def with_velocity(self, dimension: int) -> MarginalState:
-        """Return the state with a velocity known to be 0."""
+        """Return the state with a velocity of exactly 0."""
         still = np.zeros((len(self.poses), dimension))
         return MarginalState(self.poses, still, np.zeros(dimension), self.log_weights)
 
@@ -273,7 +275,7 @@ class MarginalState(FilterState):
 
     @classmethod
     def initial(cls, prior: Prior, count: int, space: StateSpace, rng: np.random.Generator) -> MarginalState:
-        """Return equally weighted poses; the velocity's variance becomes P, no velocity is sampled."""
+        """Return equally weighted poses; P is the prior velocity variance, velocities are not sampled."""
         variance = checked_variance(np.square(prior.velocity_sd), "velocity variance")
         poses = scatter(space, prior.mean, prior.sd, count, rng)
         return cls(poses, np.zeros((count, variance.size)), variance, equal_log_weights(count))
@@ -289,7 +291,7 @@ class MarginalState(FilterState):
         return Motion(dt * self.velocities, gain.increment_variance, sampled, gain)
 
     def _moved(self, motion: Motion, proposed: Proposed) -> MarginalState:
-        assert motion.gain is not None  # of `_motion`
+        assert motion.gain is not None  # set by `_motion`
         poses, increments, ancestors, weighing = proposed
         unexpected = increments - motion.drift[ancestors]
         velocities = self.velocities[ancestors] + motion.gain.gain * unexpected  # (59)

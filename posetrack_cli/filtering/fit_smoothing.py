@@ -1,19 +1,19 @@
-"""A smoother over the local fits of the frames rather than over the filter's particles.
+"""Kalman smoother over the local fits of the frames, instead of the filter's particles.
 
-With one fit's quadratic as a frame's likelihood and a smooth motion as the prior, the whole recording is a
-linear-Gaussian model about the fits: a Kalman filter on the way forward, the message from the later frames
-(`gaussian_smoothing.BackwardMessage`) on the way back. Which fit, and how far it is trusted, is decided under
-the prediction of the frame from those before it, and again, on the way back, under that from all others.
-There the frame may also be fitted again, from what all others expect: the likelihood is expanded again about
-a better pose, as in an iterated Kalman smoother (Bell 1994), and a finger that the filter's fits lost may be
-found.
+With one fit's quadratic as a frame's likelihood and a smooth motion as prior, the recording is a
+linear-Gaussian model about the fits: a Kalman filter forwards, and the message from later frames
+(``smoothing.BackwardMessage``) backwards. The forward pass selects and weights each frame's fit under the
+prediction from earlier frames, the backward pass again under the prediction from all other frames. The
+backward pass may also refit the frame from that prediction: this re-expands the likelihood about a better
+pose, as in an iterated Kalman smoother (Bell 1994), and can recover fingers that the filter's fits lost.
 
-The fit with the greatest evidence is taken. Where it contradicts the belief its information is lowered as a
-Student-t density does: errors of fits are mostly small, and sometimes far larger than a quadratic says, where
-a finger is taken for another.
+The fit with the greatest evidence is selected. If it contradicts the prediction, its information is reduced
+as by a Student-t density: errors of fits are mostly small but sometimes far larger than their quadratic,
+e.g. when a finger is confused with another.
 
-It has no Monte Carlo error, which outweighs all that the future could tell of a hand that is seen well, and
-its motion may be smoother than the filter's, which has to catch what the fits did not foresee.
+Compared with smoothing particles this has no Monte Carlo error, which exceeds the gain from later frames
+for a well-visible hand. Its motion model may also be smoother than the filter's, which must follow
+unforeseen motion.
 """
 
 from __future__ import annotations
@@ -45,32 +45,33 @@ from posetrack_cli.filtering.smoothing import (
 
 BELIEF = ("pose", "velocity", "covariance")
 _RIDGE = 1e-9
-"""Information, per unit^2, of what a fit knows nothing about: far below any prior's."""
+"""Minimum information, per unit^2: makes singular fits invertible, far below any prior's."""
 
 
 class FrameFits(Protocol):
-    """The local fits of a frame, made from what is kept of it."""
+    """Local fits of a frame, computed from its stored data."""
 
     def known(self, frame: Memory) -> LikelihoodModes | None:
-        """Return the filter's fits; None where it had none. The same arrays give the same fits."""
+        """Return the filter's fits, or None if it had none; deterministic."""
         ...
 
     def more(self, frame: Memory, known: LikelihoodModes, belief: StateGaussian) -> LikelihoodModes:
-        """Return these and further ones, from what all other frames say of this one."""
+        """Return these and further fits, started from the prediction of all other frames."""
         ...
 
 
 class FitSmoother:
-    """The backward pass as a `Smoother`.
+    """Backward pass as a ``Smoother``.
 
-    It remembers what a Kalman filter expects of each frame, without the frame's own fits, and the frame.
+    Stores the frame, and a Kalman filter's prediction of it without the frame's own fits.
 
     Args:
-        dynamics: of the smooth motion; or of the steps to and from a frame, by what is kept of it.
-        space: the poses' space.
-        fits: of the frames.
-        groups: components that err together, where fits are doubted.
-        freedom: nu of the Student-t density of a fit's error; None: fits are not doubted.
+        dynamics: smooth motion model, or a function returning that of the steps to and from a frame given
+            its stored data.
+        space: space of poses.
+        fits: fits of the frames.
+        groups: components that err together, for down-weighting.
+        freedom: nu of the Student-t density of a fit's error; None disables down-weighting.
     """
 
     def __init__(
@@ -82,15 +83,15 @@ class FitSmoother:
         freedom: float | None = None,
     ) -> None:
         self._dynamics, self._space, self._fits = dynamics, space, fits
-        self._step_dynamics: Dynamics | None = None  # of the step to the frame that was smoothed last
+        self._step_dynamics: Dynamics | None = None  # of the step to the frame smoothed last
         self._groups, self._freedom = groups, freedom
         self._belief: StateGaussian | None = None
         self._message: BackwardMessage | None = None
 
     def remember(self, state: FilterState | StateGaussian, step: Step | None = None) -> Memory:
-        """Return what is expected of a frame; a chain begins with the particles' own moments.
+        """Return the prediction of a frame; a chain starts with the particles' moments.
 
-        Where no particles are, the Gaussian itself may be given, with what the chain's first frame says.
+        Trackers without particles pass the Gaussian itself for the chain's first frame.
         """
         if self._belief is None or step is None or step.cut:
             expected, first = self._moments(state), True
@@ -103,7 +104,7 @@ class FitSmoother:
         return kept
 
     def resume(self, last: Memory) -> None:
-        """Go on after a frame that was remembered before."""
+        """Continue after a previously stored frame."""
         expected = _belief_of(last)
         modes = None if last["first"] else self._fits.known(last)
         self._belief = expected
@@ -111,12 +112,12 @@ class FitSmoother:
             self._belief = fitted(expected, self._chosen(expected, modes), 0, self._space)
 
     def begin(self, last: Memory) -> Smoothed:
-        """Start from a chain's last frame; see `Smoother`."""
+        """Start at a chain's last frame; see ``Smoother``."""
         self._message = no_message(last["pose"], len(last["velocity"]))
         return self._smoothed(last, self._message)
 
     def back(self, memory: Memory, dt: float) -> Smoothed:
-        """Go on to the frame before; see `Smoother`."""
+        """Continue with the previous frame; see ``Smoother``."""
         if self._message is None or self._step_dynamics is None:
             raise FilterError("a backward pass begins with the last frame")
         check_time_step(dt)
@@ -124,13 +125,13 @@ class FitSmoother:
         return self._smoothed(memory, recentred(earlier, memory["pose"], self._space))
 
     def stay(self, memory: Memory, later: Smoothed) -> Smoothed:
-        """Take in the fits of the frame at which the filter came to a stand; see `Smoother`."""
+        """Include the fits of the frame at which the filter paused; see ``Smoother``."""
         if self._message is None:
             raise FilterError("a backward pass begins with the last frame")
         return self._smoothed(memory, recentred(self._message, memory["pose"], self._space))
 
     def _smoothed(self, memory: Memory, message: BackwardMessage) -> Smoothed:
-        """Join what is known before and after a frame with its own fits."""
+        """Combine the information from before and after a frame with its own fits."""
         belief, self._message = joined(_belief_of(memory), message, self._space), message
         self._step_dynamics = self._dynamics_of(memory)
         known = None if memory["first"] else self._fits.known(memory)
@@ -141,7 +142,7 @@ class FitSmoother:
         return fitted(belief, fit, 0, self._space).smoothed
 
     def _chosen(self, belief: StateGaussian, modes: LikelihoodModes) -> LikelihoodModes:
-        """The fit that explains a frame best, trusted as far as it agrees with the others."""
+        """Return the best fit, down-weighted where it contradicts the belief."""
         fit = only(modes, likeliest(belief, modes, self._space))
         if self._freedom is None:
             return fit
@@ -158,7 +159,7 @@ class FitSmoother:
 
 
 def predicted(belief: StateGaussian, dt: float, dynamics: Dynamics, space: StateSpace) -> StateGaussian:
-    """Return the belief dt seconds later; at dt = 0 as it is."""
+    """Return the belief dt seconds later; unchanged for dt = 0."""
     if dt <= 0.0:
         return belief
     F, Q = constant_velocity(dynamics.over(dt), dt)
@@ -167,11 +168,11 @@ def predicted(belief: StateGaussian, dt: float, dynamics: Dynamics, space: State
 
 
 def fitted(belief: StateGaussian, modes: LikelihoodModes, k: int, space: StateSpace) -> StateGaussian:
-    """Return the belief times the k-th fit of the likelihood.
+    """Return the belief multiplied by the k-th fit of the likelihood.
 
-    In the tangent space of the belief's pose, with d the fit's pose in it, the fit's gradient is
-    g + H d. With C the covariance and C_p its first D columns, the belief moves by
-    C_p (1 + H C_pp)^-1 (g + H d), and its covariance falls by C_p (1 + H C_pp)^-1 H C_p^T: H may be singular.
+    In the tangent space of the belief's pose, with d the fit's pose in it, the fit's gradient is g + H d.
+    With C the covariance and C_p its first D columns, the mean moves by C_p (1 + H C_pp)^-1 (g + H d), and
+    the covariance decreases by C_p (1 + H C_pp)^-1 H C_p^T; H may be singular.
     """
     size, C, H = belief.velocity.size, belief.covariance, modes.information[k]
     away = space.local(belief.pose[None], modes.poses[k][None])[0]
@@ -197,7 +198,7 @@ def log_evidence(belief: StateGaussian, modes: LikelihoodModes, k: int, space: S
 
 
 def likeliest(belief: StateGaussian, modes: LikelihoodModes, space: StateSpace) -> int:
-    """Return which fit has the greatest evidence."""
+    """Return the index of the fit with the greatest evidence."""
     if len(modes) == 1:
         return 0
     return int(np.argmax([log_evidence(belief, modes, k, space) for k in range(len(modes))]))
@@ -219,19 +220,19 @@ def doubted(
     freedom: float,
     space: StateSpace,
 ) -> LikelihoodModes:
-    """Return a single fit with less information on those groups of components that contradict a belief.
+    """Return a single fit with reduced information on groups of components that contradict the belief.
 
-    Per group of d components, with e its part of (the fit's maximum - the belief's mean) and V that of
-    C + H^-1, the weight is w = min(1, (nu + d) / (nu + e^T V^-1 e)), the expected precision of a Student-t
-    density of nu degrees of freedom given e. H becomes W^1/2 H W^1/2 with the weights on W's diagonal, and
-    the maximum stays.
+    Per group of d components, with e its part of (the fit's maximum - the belief's mean) and V that of C +
+    H^-1, the weight is w = min(1, (nu + d) / (nu + e^T V^-1 e)), the expected precision of a Student-t
+    density with nu degrees of freedom given e. H becomes W^1/2 H W^1/2 with the weights on W's diagonal,
+    and the maximum is kept.
 
     Args:
-        belief: of the frame, without the fit.
+        belief: belief about the frame, without the fit.
         modes: one fit.
-        groups: of components, which err together.
+        groups: components that err together.
         freedom: nu.
-        space: the poses' space.
+        space: space of poses.
     """
     size, H = belief.velocity.size, modes.information[0]
     inverse = np.linalg.inv(H + _RIDGE * np.eye(size))

@@ -1,24 +1,24 @@
-"""A proposal that looks at the frame: every particle's prior times the likelihood's local fits.
+"""Proposal that uses the frame: every particle's prior times the likelihood's local fits.
 
-The belief before the frame is the mixture sum_i w_i p_i(x) of the particles' priors; the local fits say that
-the likelihood is about l_1(x) + ... + l_K(x), each a Gaussian in the tangent space of its pose. Ancestor and
-pose are drawn together from
+The belief before the frame is the mixture sum_i w_i p_i(x) of the particles' priors. The local fits
+approximate the likelihood by l_1(x) + ... + l_K(x), each a Gaussian in the tangent space of its pose.
+Ancestor and pose are drawn jointly from
 
     q(i, x) = a w_i p_i(x) + (1 - a) / C  sum_k w_i p_i(x) l_k(x)        C = sum_i sum_k w_i c_ik
 
-with a the prior's share. The product p_i l_k is the Laplace approximation, a Gaussian of mass c_ik: ancestors
-are chosen by how well their future explains the frame, as in a fully adapted auxiliary filter (Pitt and
-Shephard 1999). The importance weight, that of the hand paper's (24) for the pair (i, x), is
+with a the prior's share. The product p_i l_k is the Laplace approximation, a Gaussian of mass c_ik:
+ancestors are selected by how well their prediction explains the frame, as in a fully adapted auxiliary
+filter (Pitt and Shephard 1999). The importance weight, hand paper (24) for the pair (i, x), is
 
     w_i p_i(x) p(y | x) / q(i, x) = p(y | x) / (a + (1 - a) / C  sum_k l_k(x))
 
-It does not depend on i: given x, ancestors already have their exact conditional distribution, and to sum over
-them (the marginal particle filter, Klaas et al. 2005) would cost N^2 and change nothing. It is at most
-p(y | x) / a, whatever the fits are like (a defensive mixture, Hesterberg 1995), and constant if the fits are
+It does not depend on i: given x, ancestors already have their exact conditional distribution. Summing over
+them (the marginal particle filter, Klaas et al. 2005) would cost N^2 without changing anything. The weight
+is at most p(y | x) / a for any fits (a defensive mixture, Hesterberg 1995), and constant if the fits are
 exact and a = 0.
 
-On a curved space the weight takes the true densities with the volume factors of their charts. It neglects
-only what a Gaussian has beyond half a turn from its chart's pose, of the order of exp(-pi^2 / (2 N)).
+On a curved space the weight uses the true densities with the volume factors of their charts. Only the mass
+of a Gaussian beyond half a turn from its chart's pose is neglected, which is of order exp(-pi^2 / (2 N)).
 """
 
 from __future__ import annotations
@@ -38,12 +38,12 @@ from posetrack_cli.filtering.step import Prediction, Proposed, weigh_drawn
 
 @dataclass(frozen=True, eq=False)
 class Guide:
-    """Where a step looks for poses beside the prior.
+    """Local fits for the proposal, and their weight relative to the prior.
 
     Attributes:
-        modes: local fits of log p(y | x); without any the step looks nowhere.
-        prior_share: a, the share of particles that are drawn from the prior alone, in [0, 1].
-        inflation: s >= 1; the fits' gradients and information are divided by it, for tails wider than theirs.
+        modes: local fits of log p(y | x); without any, only the prior is used.
+        prior_share: a, the share of particles drawn from the prior alone, in [0, 1].
+        inflation: s >= 1; divides the fits' gradients and information, for heavier tails.
 
     Raises:
         FilterError: a share outside [0, 1], or an inflation below 1 or not finite.
@@ -55,9 +55,9 @@ class Guide:
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.prior_share <= 1.0:
-            raise FilterError("prior share cannot be used", found=self.prior_share, expected="0 to 1")
+            raise FilterError("invalid prior share", found=self.prior_share, expected="0 to 1")
         if not 1.0 <= self.inflation < np.inf:
-            raise FilterError("inflation cannot be used", found=self.inflation, expected="finite, >= 1")
+            raise FilterError("invalid inflation", found=self.inflation, expected="finite, >= 1")
 
     def __bool__(self) -> bool:
         return len(self.modes) > 0
@@ -65,7 +65,7 @@ class Guide:
     def propose(
         self, prediction: Prediction, model: FilterModel, score: LogLikelihood, rng: np.random.Generator
     ) -> Proposed:
-        """Draw as many poses as there are particles from q(i, x), and weigh them by (24).
+        """Draw as many poses as there are particles from q(i, x), and weight them by (24).
 
         Raises:
             FilterError: the likelihood has the wrong shape, a NaN or an infinity, or is zero for all.
@@ -76,7 +76,7 @@ class Guide:
 
     @property
     def inflated(self) -> LikelihoodModes:
-        """The modes with the inflation applied."""
+        """Modes with the inflation applied."""
         modes, s = self.modes, self.inflation
         return LikelihoodModes(modes.poses, modes.gradients / s, modes.information / s, modes.log_heights)
 
@@ -88,7 +88,7 @@ class Draw(NamedTuple):
         poses: (N, S) x.
         increments: (N, D) x (-) x_i from their ancestors.
         ancestors: (N,) i.
-        log_weights: (N,) log of w_i p_i(x) / q(i, x) / N: what p(y | x) is multiplied with.
+        log_weights: (N,) log of w_i p_i(x) / q(i, x) / N, the factor of p(y | x).
     """
 
     poses: FloatArray
@@ -105,10 +105,10 @@ def draw_guided(
     The sum of p(y | x) times the weights is an unbiased estimate of p(y_t | y_1..t-1).
 
     Args:
-        prediction: the belief before the frame.
+        prediction: belief before the frame.
         guide: at least one mode, and the shares.
-        space: the poses' space.
-        scheme: how pairs of ancestor and mode are drawn, one of `resampling_schemes`.
+        space: space of poses.
+        scheme: scheme for drawing pairs of ancestor and mode, one of ``resampling_schemes``.
         rng: source of randomness.
 
     Raises:
@@ -128,7 +128,7 @@ def draw_guided(
 
 def _log_mixture(log_fits: FloatArray, prior_share: float) -> FloatArray:
     """Return log(a + (1 - a) sum_k exp(log_fits_k)), (N,), of (K, N)."""
-    with np.errstate(divide="ignore"):  # no share is a logarithm of -inf
+    with np.errstate(divide="ignore"):  # a share of 0 gives log 0 = -inf, as it should
         log_prior, log_rest = np.log(prior_share), np.log1p(-prior_share)
     mixture: FloatArray = np.logaddexp(log_prior, log_rest + np.logaddexp.reduce(log_fits, axis=0))
     return mixture

@@ -1,4 +1,4 @@
-"""The motion model of a filter: its discretisation, Kalman recursions."""
+"""Motion model of the filters: discretisation and Kalman recursions."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from posetrack_cli.errors import nearest_name
 from posetrack_cli.filtering.errors import FilterError, check_time_step
 from posetrack_cli.filtering.resampling import Resampling
 
-# Kalman recursions: the exact filter of a linear-Gaussian model, and the marginalised velocity of ours.
+# Kalman recursions, for linear-Gaussian models and for the marginalised velocity.
 #
 # State-space model, hand paper (37)-(48), per component of the pose (all matrices are diagonal):
 #
 #     x <- x + dt v + w^n    pose        v <- v + w^l    velocity
 #
-# What w^n and w^l are over a step of dt is the *discretisation*:
+# The *discretisation* defines w^n and w^l over a step of dt:
 #
 #     euler   independent, variances dt Q^n and dt Q^l: the paper's.
 #     exact   **[ours]** dx = v dt + dW^n, dv = dW^l integrated: the velocity also wanders within the step, so
 #             var w^n = dt Q^n + dt^3/3 Q^l,  cov(w^n, w^l) = dt^2/2 Q^l,  var w^l = dt Q^l.
-#             Two steps of dt then are one of 2 dt, which euler misses by terms of order dt^3 Q^l.
+#             Two steps of dt then equal one of 2 dt; euler deviates by terms of order dt^3 Q^l.
 #
 # Units: u is the component's unit, mm or rad. Q^n is in u^2/s, Q^l in (u/s)^2/s, P in (u/s)^2, dt in s.
 
@@ -35,7 +35,7 @@ GainForm: TypeAlias = Literal["corrected", "printed"]
 GAIN_FORMS: tuple[str, ...] = get_args(GainForm)
 
 SMALLEST_VARIANCE = float(np.finfo(np.float64).tiny)
-"""Increments that vary less count as frozen: quotients of subnormal numbers have no digits left."""
+"""Smaller increment variances count as frozen, as quotients of subnormal numbers lose all digits."""
 
 
 class StepNoise(NamedTuple):
@@ -48,11 +48,11 @@ class StepNoise(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class VelocityGain:
-    """What one step does to the velocity's Gaussian, the same for all particles.
+    """Effect of one step on the velocity's Gaussian, equal for all particles.
 
     Attributes:
         increment_variance: N of (55), (D,), u^2: predictive variance of the pose increment.
-        gain: L of (56), (D,), 1/s: how much of an unexpected increment is velocity.
+        gain: L of (56), (D,), 1/s: gain from an unexpected increment to the velocity.
         variance: P of (57) after the step, (D,), (u/s)^2.
     """
 
@@ -63,7 +63,7 @@ class VelocityGain:
 
 @dataclass(frozen=True, eq=False)
 class Gaussian:
-    """A normal distribution of mean (D,) and covariance (D, D)."""
+    """Normal distribution with mean (D,) and covariance (D, D)."""
 
     mean: FloatArray
     covariance: FloatArray
@@ -81,7 +81,7 @@ def step_noise(
         discretisation: ``exact`` **[ours]** or ``euler`` (the paper's); see the module.
 
     Raises:
-        FilterError: dt is not > 0, or the discretisation is not known.
+        FilterError: dt is not > 0, or the discretisation is unknown.
     """
     check_time_step(dt)
     check_discretisation(discretisation)
@@ -103,18 +103,19 @@ def velocity_gain(
         P' = P + C - L^2 N                                 (57)
            = P (A + dt^2 C - 2 dt B) / N + C A / N - B^2 / N
 
-    Written in the last form P' cannot turn negative by cancellation: of C A / N at most 3/4 is taken away. A
-    component without pose noise and with a velocity known exactly (N = 0) is frozen: L = 0, P' = P + C.
-    As printed, L = P / N and P' = P + C - P^2 / N, which is negative unless P is small against Q^n.
+    The last form of P' cannot become negative by cancellation, as B^2 / N is at most 3/4 of C A / N. A
+    component without pose noise and with an exactly known velocity (N = 0) is frozen: L = 0, P' = P + C.
+    The printed form is L = P / N and P' = P + C - P^2 / N, which is negative unless P is small relative to
+    Q^n.
 
     Args:
         variance: (D,) P, the velocity's variance before the step, (u/s)^2.
-        noise: of the step.
-        dt: its length, s.
-        form: of L: ``corrected``, or ``printed``.
+        noise: noise of the step.
+        dt: length of the step, s.
+        form: form of L: ``corrected`` or ``printed``.
 
     Raises:
-        FilterError: the printed form makes a variance negative.
+        FilterError: the printed form gives a negative variance.
     """
     A, B, C = noise
     N = dt**2 * variance + A
@@ -129,7 +130,6 @@ def velocity_gain(
 
 
 def _not_negative(variance: FloatArray, dt: float) -> FloatArray:
-    """The variances, as the printed gain leaves them."""
     if np.any(variance < 0.0):
         raise FilterError(
             "the printed gain P / N makes the velocity's variance negative",
@@ -141,9 +141,9 @@ def _not_negative(variance: FloatArray, dt: float) -> FloatArray:
 
 
 def constant_velocity(noise: StepNoise, dt: float) -> tuple[FloatArray, FloatArray]:
-    """Return transition F and noise Q, each (2D, 2D), of the joint state (pose, velocity) over dt seconds.
+    """Return transition F and noise Q, each (2D, 2D), of the state (pose, velocity) over dt seconds.
 
-    F = [[1, dt], [0, 1]], Q = [[A, B], [B, C]] in D x D blocks, of the noise of such a step.
+    F = [[1, dt], [0, 1]], Q = [[A, B], [B, C]] in D x D blocks, with (A, B, C) the noise of the step.
     """
     identity = np.eye(noise.pose.size)
     F = np.block([[identity, dt * identity], [np.zeros_like(identity), identity]])
@@ -158,18 +158,18 @@ def kalman_predict(belief: Gaussian, transition: FloatArray, noise: FloatArray) 
 
 
 def kalman_smooth(filtered: Gaussian, later: Gaussian, transition: FloatArray, noise: FloatArray) -> Gaussian:
-    """Return the belief of a step given all observations, also later ones (Rauch, Tung and Striebel 1965).
+    """Return the belief given all observations, including later ones (Rauch, Tung and Striebel 1965).
 
     G = C F^T (F C F^T + Q)^-1;  m + G (m_later - F m),  C + G (C_later - F C F^T - Q) G^T.
 
     Args:
-        filtered: the filter's belief after the step's own observation.
-        later: the smoothed belief of the next step.
+        filtered: filtered belief of this step.
+        later: smoothed belief of the next step.
         transition: F, from this step to the next.
         noise: Q.
     """
     predicted = kalman_predict(filtered, transition, noise)
-    frozen = np.diag(np.diag(predicted.covariance) <= 0.0)  # what never varies has no covariance, and no gain
+    frozen = np.diag(np.diag(predicted.covariance) <= 0.0)  # constants: zero gain instead of a singular solve
     gain = np.linalg.solve(predicted.covariance + frozen, transition @ filtered.covariance).T
     covariance = filtered.covariance + gain @ (later.covariance - predicted.covariance) @ gain.T
     return Gaussian(filtered.mean + gain @ (later.mean - predicted.mean), covariance)
@@ -179,29 +179,28 @@ def check_discretisation(discretisation: str) -> None:
     """Raise FilterError unless the discretisation is known."""
     if discretisation not in DISCRETISATIONS:
         hint = nearest_name(discretisation, DISCRETISATIONS)
-        raise FilterError("no such discretisation", found=discretisation, hint=hint)
+        raise FilterError("unknown discretisation", found=discretisation, hint=hint)
 
 
-# What a filter is given: the space of poses, how they move, and how well they fit an observation.
+# Inputs of a filter: space of poses, dynamics, likelihood.
 #
-# Poses are rows of an (N, S) array, in whatever representation suits; small motions are rows of an (N, D)
-# array in the tangent space. For the hand S = 22 (with a unit quaternion) and D = 21.
-
+# Poses are rows of an (N, S) array in any representation; increments are rows of an (N, D) array in the
+# tangent space. For the hand S = 22 (with a unit quaternion) and D = 21.
 
 LogLikelihood: TypeAlias = Callable[[FloatArray], FloatArray]
 """log p(y | x) of poses (N, S) -> (N,), up to a constant; -inf for impossible, never NaN."""
 
 Constrain: TypeAlias = Callable[[FloatArray], FloatArray]
-"""Poses (N, S) -> (N, S), put back inside their limits."""
+"""Poses (N, S) -> (N, S), moved back within their limits."""
 
 Sampling: TypeAlias = Literal["marginal", "paper"]
 SAMPLINGS: tuple[str, ...] = get_args(Sampling)
 
 
 class StateSpace(Protocol):
-    """A manifold of poses with its tangent space; the law is retract(x, local(x, y)) = y.
+    """Manifold of poses with its tangent space; retract(x, local(x, y)) = y.
 
-    Methods return new arrays and leave their arguments as they are.
+    Methods return new arrays and do not modify their arguments.
     """
 
     def retract(self, x: FloatArray, delta: FloatArray) -> FloatArray:
@@ -217,12 +216,12 @@ class StateSpace(Protocol):
         ...
 
     def log_volume(self, delta: FloatArray) -> FloatArray:
-        """Return log |det d(x (+) delta) / d delta| (...), 0 at 0: what retract does to volume."""
+        """Return log |det d(x (+) delta) / d delta| (...), the volume factor of retract; 0 at 0."""
         ...
 
 
 class Euclidean:
-    """R^D, where (+) is addition and S = D."""
+    """R^D, with addition as (+) and S = D."""
 
     def retract(self, x: FloatArray, delta: FloatArray) -> FloatArray:
         """Return x + delta."""
@@ -243,19 +242,19 @@ class Euclidean:
 
 @dataclass(frozen=True, eq=False)
 class Dynamics:
-    """How poses and velocities wander between two observations; hand paper (37)-(48).
+    """Process noise of poses and velocities; hand paper (37)-(48).
 
     Attributes:
         pose_noise: (D,) diagonal of Q^n, u^2/s, u the component's unit (mm or rad).
-        velocity_noise: (D,) diagonal of Q^l, (u/s)^2/s; the plain particle filter does not look at it.
-        discretisation: ``exact`` **[ours]** or ``euler``; see `posetrack_cli.filtering.model`.
-        constrain: **[ours]** puts sampled poses back inside their limits, or None. The velocity then learns
-            from the motion that was left, not from the one that was sampled.
-        gain: L of (56), ``corrected`` **[fix]** or ``printed``; see `posetrack_cli.filtering.model`.
+        velocity_noise: (D,) diagonal of Q^l, (u/s)^2/s; unused by the plain particle filter.
+        discretisation: ``exact`` **[ours]** or ``euler``; see ``posetrack_cli.filtering.model``.
+        constrain: **[ours]** moves sampled poses back within their limits, or None. The velocity is then
+            updated with the constrained motion.
+        gain: L of (56), ``corrected`` **[fix]** or ``printed``; see ``posetrack_cli.filtering.model``.
 
     Raises:
-        FilterError: a noise is negative or not finite, the shapes differ, or the discretisation or the gain
-            is not known.
+        FilterError: a noise is negative or not finite, the shapes differ, or the discretisation or gain is
+            unknown.
     """
 
     pose_noise: FloatArray
@@ -267,12 +266,12 @@ class Dynamics:
     def __post_init__(self) -> None:
         check_discretisation(self.discretisation)
         if self.gain not in GAIN_FORMS:
-            raise FilterError("no such gain", found=self.gain, hint=nearest_name(self.gain, GAIN_FORMS))
+            raise FilterError("unknown gain", found=self.gain, hint=nearest_name(self.gain, GAIN_FORMS))
         for name in ("pose_noise", "velocity_noise"):
             object.__setattr__(self, name, checked_variance(getattr(self, name), name))
         if self.pose_noise.shape != self.velocity_noise.shape:
             raise FilterError(
-                "noises do not match", found=f"{self.pose_noise.shape} and {self.velocity_noise.shape}"
+                "noise shapes differ", found=f"{self.pose_noise.shape} and {self.velocity_noise.shape}"
             )
 
     def over(self, dt: float) -> StepNoise:
@@ -282,18 +281,18 @@ class Dynamics:
 
 @dataclass(frozen=True, eq=False)
 class FilterModel:
-    """What stays the same from step to step.
+    """Configuration of a filter, constant over all steps.
 
     Attributes:
         dynamics: noise and limits of the motion.
-        space: the poses' space.
+        space: space of poses.
         resampling: scheme and threshold.
-        sampling: how a filter with a velocity samples increments where no proposal looks at the frame:
-            ``marginal`` **[fix]**, with the variance N of (55), or ``paper``, dt Q^n as printed in (51). Both
-            take the weights (54), which are right for ``marginal`` only.
+        sampling: variance of increments sampled without a guided proposal in filters with velocity:
+            ``marginal`` **[fix]** uses N of (55), ``paper`` dt Q^n as printed in (51). Both use the weights
+            (54), which are correct only for ``marginal``.
 
     Raises:
-        FilterError: the sampling is not known.
+        FilterError: unknown sampling.
     """
 
     dynamics: Dynamics
@@ -304,15 +303,19 @@ class FilterModel:
     def __post_init__(self) -> None:
         if self.sampling not in SAMPLINGS:
             hint = nearest_name(self.sampling, SAMPLINGS)
-            raise FilterError("no such proposal", found=self.sampling, hint=hint)
+            raise FilterError("unknown sampling", found=self.sampling, hint=hint)
 
 
 def checked_variance(values: FloatArray, name: str) -> FloatArray:
-    """Return a read-only float64 copy of variances (D,); FilterError unless all are finite and >= 0."""
+    """Return a read-only float64 copy of variances (D,).
+
+    Raises:
+        FilterError: some are negative or not finite.
+    """
     variance = np.array(values, dtype=np.float64)
     if variance.ndim != 1 or not np.all(np.isfinite(variance)) or np.any(variance < 0.0):
         raise FilterError(
-            f"{name} cannot be used", found=f"{variance.shape} {variance}", expected="(D,), finite, >= 0"
+            f"invalid {name}", found=f"{variance.shape} {variance}", expected="(D,), finite, >= 0"
         )
     variance.setflags(write=False)
     return variance

@@ -12,23 +12,23 @@ from posetrack_cli.filtering.model import StateSpace
 from posetrack_cli.filtering.step import Prediction
 
 RESOLUTION = 1e-9
-"""Of the largest pose component: what varies less does not count in a density, as its digits are rounding."""
+"""Components that vary less, relative to the largest pose component, are rounding noise and ignored."""
 
 
 @dataclass(frozen=True, eq=False)
 class LikelihoodModes:
-    """Quadratic approximations of log p(y | x) about K poses, each in the tangent space of its own pose.
+    """Quadratic approximations of log p(y | x) about K poses, each in its pose's tangent space.
 
         log p(y | poses_k (+) e) ~ log_heights_k + gradients_k . e - e^T information_k e / 2
 
-    The poses need not be maxima of the likelihood (a local fit with a prior finds a maximum of the
-    posterior), so the gradient is kept. The information may be singular: what the image does not show.
+    The poses need not maximise the likelihood (a local fit with a prior finds a maximum of the posterior),
+    so the gradient is kept. The information is singular in directions that the image does not constrain.
 
     Attributes:
-        poses: (K, S) where the approximations are made.
+        poses: (K, S) expansion points.
         gradients: (K, D) of log p(y | x).
         information: (K, D, D) symmetric, positive semi-definite.
-        log_heights: (K,) log p(y | poses_k), on one common scale.
+        log_heights: (K,) log p(y | poses_k), on a common scale.
     """
 
     poses: FloatArray
@@ -41,7 +41,7 @@ class LikelihoodModes:
         shapes = (len(self.poses), *self.information.shape, *self.log_heights.shape)
         if shapes != (count, count, dimension, dimension, count) or not np.isfinite(self.information).all():
             raise FilterError(
-                "modes do not match",
+                "inconsistent modes",
                 found=f"poses {self.poses.shape}, gradients {self.gradients.shape}, information "
                 f"{self.information.shape}, heights {self.log_heights.shape}",
             )
@@ -51,7 +51,7 @@ class LikelihoodModes:
 
 
 def scaled(modes: LikelihoodModes, share: float) -> LikelihoodModes:
-    """Return p(y | x)^share: the same modes, of which less is believed."""
+    """Return p(y | x)^share: the same modes with less information."""
     return LikelihoodModes(
         modes.poses, share * modes.gradients, share * modes.information, share * modes.log_heights
     )
@@ -59,12 +59,12 @@ def scaled(modes: LikelihoodModes, share: float) -> LikelihoodModes:
 
 @dataclass(frozen=True, eq=False)
 class LaplaceMixture:
-    """The Gaussians p_i l_k, over u = e / sd, in which the prior is N(0, 1).
+    """Gaussians p_i l_k, over u = e / sd, in which the prior is N(0, 1).
 
     Attributes:
-        prediction: the priors p_i.
-        modes: the fits l_k.
-        space: the poses' space.
+        prediction: priors p_i.
+        modes: fits l_k.
+        space: space of poses.
         means: (K, N, D) the priors' means in the chart of each fit.
         whitened: (K, N, D) y, and
         unwhitening: (K, D, D) L^-1: the product has precision B = L L^T and mean L^-T y.
@@ -80,7 +80,7 @@ class LaplaceMixture:
     log_masses: FloatArray
 
     def sample(self, picked: IntArray, ancestors: IntArray, rng: np.random.Generator) -> FloatArray:
-        """Return a pose (M, S) from p_i l_k for each ancestor i (M,) and fit k (M,); k = K is p_i alone."""
+        """Return poses (M, S) from p_i l_k for ancestors i (M,) and fits k (M,); k = K means p_i alone."""
         prediction = self.prediction
         u = rng.standard_normal((ancestors.size, prediction.variance.size))
         base, offset = prediction.poses[ancestors], prediction.drift[ancestors]
@@ -92,10 +92,10 @@ class LaplaceMixture:
         return self.space.retract(base, offset + np.sqrt(prediction.variance) * u)
 
     def log_fits(self, poses: FloatArray, increments: FloatArray, ancestors: IntArray) -> FloatArray:
-        """Return log l_k(x) (K, M), times the prior that `sample` draws from over the true one.
+        """Return log l_k(x) (K, M), multiplied by the ratio of the sampled to the true prior.
 
-        The ratio is 1 in a flat space. In a curved one the prior is Gaussian in the tangent space of x_i, and
-        `sample` draws as if it were in that of the fit.
+        The ratio is 1 in a flat space. In a curved one the prior is Gaussian in the tangent space of x_i,
+        while ``sample`` draws from a Gaussian in that of the fit.
 
         Args:
             poses: (M, S) x.
@@ -114,14 +114,14 @@ class LaplaceMixture:
 
 
 def laplace_mixture(prediction: Prediction, modes: LikelihoodModes, space: StateSpace) -> LaplaceMixture:
-    """Multiply every prior with every fit.
+    """Multiply every prior by every fit.
 
     In the chart of a fit with height h, gradient g and information H, e = mu + S u, S = sqrt(N):
 
         B = 1 + S H S,   b = S (g - H mu),   u ~ N(B^-1 b, B^-1)
         log c = h + g mu - mu H mu / 2 + b B^-1 b / 2 - log det(B) / 2
 
-    B >= 1 even where N is zero or H singular, so nothing is divided by either.
+    B >= 1 even if N is zero or H singular, so neither is inverted.
 
     Raises:
         FilterError: a fit's information is not positive semi-definite.
@@ -140,9 +140,9 @@ def laplace_mixture(prediction: Prediction, modes: LikelihoodModes, space: State
 
 
 def precisions(variance: FloatArray, poses: FloatArray) -> FloatArray:
-    """Return 1 / variance (D,), and 0 for a component of the poses (N, S) that is frozen to within rounding.
+    """Return 1 / variance (D,), and 0 for components of the poses (N, S) that are frozen up to rounding.
 
-    Its density, a quotient of two roundings, then does not count.
+    Their density would be a quotient of rounding errors.
     """
     smallest = RESOLUTION * max(1.0, float(np.abs(poses).max()))
     moves = variance > smallest**2
@@ -155,5 +155,5 @@ def _cholesky(precision: FloatArray) -> FloatArray:
         return np.asarray(np.linalg.cholesky(precision), dtype=np.float64)
     except np.linalg.LinAlgError as error:
         raise FilterError(
-            "a mode's information cannot be used", found=error, expected="symmetric, positive semi-definite"
+            "invalid information of a mode", found=error, expected="symmetric, positive semi-definite"
         ) from error

@@ -1,17 +1,18 @@
 """Halfway partitioned sampling: two groups of components move one after the other (thesis, 3.3.2).
 
-Heads mostly turn, or mostly deform. So first every second particle moves in the first group of components
-only (the pose) and every other one in the second group only (the deformation); what they reach is weighed and
-resampled; then all move again. Two forms:
+Heads mostly either turn or deform. First, every second particle moves only in the first group of components
+(pose) and the others only in the second group (deformation). The results are weighted and resampled, then
+all particles move again. Two forms:
 
-    printed    the second move is a whole one, in all components, and the weights are the likelihood. Noise
-               and likelihood count twice, so the particles represent
+    printed    the second move is a full one in all components, weighted by the likelihood. Noise and
+               likelihood are then applied twice, so the particles represent
                p(y | x_t) int N(x_t; x~, Q) p(y | x~) p_half(x~ | x_{t-1}), not the filter's posterior.
-    weighted   **[ours]** the second move is the other half of the first, and the weights are divided by those
-               that were resampled with: p(y | x_t) / p(y | x~). Each particle has then made one whole move,
-               one group first, and the target is p(x_t | y_1..t), as in partitioned sampling proper
-               (MacCormick and Isard 2000): weighted resampling changes no distribution. Where one group is
-               empty there are no halves, and the step is an ordinary one.
+    weighted   **[ours]** the second move is the other half of the first, and the weights are divided by
+    those
+               used for resampling: p(y | x_t) / p(y | x~). Each particle then makes one full move, one
+               group first, and the target is p(x_t | y_1..t), as in partitioned sampling proper (MacCormick
+               and Isard 2000): weighted resampling does not change the distribution. If one group is empty,
+               the step is an ordinary one.
 """
 
 from __future__ import annotations
@@ -30,12 +31,12 @@ Sampling: TypeAlias = Literal["weighted", "printed"]
 
 
 class Motion(NamedTuple):
-    """How particles move: x_t = x_{t-1} + drift + w, w ~ N(0, diag sd^2); (3.26).
+    """Motion of the particles: x_t = x_{t-1} + drift + w, w ~ N(0, diag sd^2); (3.26).
 
     Attributes:
         drift: (D,).
         sd: (D,), >= 0.
-        first: how many components, from the beginning, are in the first group.
+        first: number of leading components in the first group.
     """
 
     drift: FloatArray
@@ -44,7 +45,7 @@ class Motion(NamedTuple):
 
 
 class Particles(NamedTuple):
-    """Points (N, D) of R^D, and their weighing."""
+    """Points (N, D) in R^D and their weights."""
 
     points: FloatArray
     weighing: Weighing
@@ -59,22 +60,22 @@ def partitioned_step(
     scheme: str,
     rng: np.random.Generator,
 ) -> Particles:
-    """Advance particles by one frame by halfway partitioned sampling.
+    """Advance particles by one frame of halfway partitioned sampling.
 
     Args:
-        points: (N, D) of the frame before; left as they are.
-        weights: (N,) theirs, >= 0.
+        points: (N, D) of the previous frame; not modified.
+        weights: (N,) their weights, >= 0.
         motion: drift and noise; a group of components may be empty.
         log_likelihood: log p(y_t | x) of points (N, D), up to a constant.
-        sampling: ``weighted`` or ``printed``, see above.
-        scheme: of resampling.
+        sampling: ``weighted`` or ``printed``, see the module.
+        scheme: resampling scheme.
         rng: source of randomness.
 
     Returns:
-        The weighted particles; they are resampled at the beginning of the next step.
+        The weighted particles; the next step begins with resampling them.
 
     Raises:
-        FilterError: shapes or weights cannot be used, or the likelihood is NaN or zero for all.
+        FilterError: invalid shapes or weights, or the likelihood is NaN or zero for all.
     """
     _check(points, motion)
     halfway = points[resample(scheme, weights, rng)]
@@ -100,12 +101,12 @@ def partitioned_step(
 def local_mean(points: FloatArray, weights: FloatArray, scale: FloatArray, radius: float) -> FloatArray:
     """Return the weighted mean of the particles near the heaviest one, (D,); (3.29), (3.30).
 
-    Near is |(x - x_heaviest) / scale| < radius: the thesis says neither what d is nor in which units a sum of
-    millimetres and radians is to be taken **[ours]**.
+    Near is |(x - x_heaviest) / scale| < radius. The thesis specifies neither d nor the units of a sum of
+    millimetres and radians **[ours]**.
 
     Args:
         points: (N, D).
-        weights: (N,) >= 0, of any positive sum.
+        weights: (N,) >= 0, with any positive sum.
         scale: (D,), > 0.
         radius: d, in units of scale.
     """
@@ -116,9 +117,9 @@ def local_mean(points: FloatArray, weights: FloatArray, scale: FloatArray, radiu
 
 
 def _move_halves(points: FloatArray, motion: Motion, sampling: Sampling, rng: np.random.Generator) -> None:
-    """Move every second particle in the first group, the others in the second; as printed, drift and all.
+    """Move even particles in the first group and odd ones in the second; ``printed`` includes the drift.
 
-    Not the first N/2: schemes leave children in their parents' order, and those would be other parents'.
+    The halves are interleaved because resampling schemes keep children in the order of their parents.
     """
     groups = slice(0, motion.first), slice(motion.first, None)
     for parity, group in enumerate(groups):
@@ -135,12 +136,12 @@ def _scatter(points: FloatArray, sd: FloatArray, rng: np.random.Generator) -> No
 
 
 def _check(points: FloatArray, motion: Motion) -> None:
-    """Raise unless points (N, D) and the motion's (D,) match, with finite sd >= 0."""
+    """Raise unless points (N, D) and motion (D,) match, with finite sd >= 0."""
     shapes = {motion.drift.shape, motion.sd.shape}
     if points.ndim != 2 or shapes != {points.shape[1:]} or not 0 <= motion.first <= points.shape[1]:
         raise FilterError(
-            "particles do not match their motion",
+            "particles and motion do not match",
             found=f"{points.shape}, {shapes}, {motion.first} of them first",
         )
     if not np.all(np.isfinite(motion.sd)) or np.any(motion.sd < 0.0):
-        raise FilterError("noise cannot be used", found=motion.sd, expected="finite, >= 0")
+        raise FilterError("invalid noise", found=motion.sd, expected="finite, >= 0")

@@ -1,18 +1,18 @@
-"""Importance weights, and resampling: N weighted particles become N equally weighted ones.
+"""Importance weights and resampling of N weighted particles into N equally weighted ones.
 
-With 128 x 128 pixels a likelihood spans hundreds of orders of magnitude, so weights live as logarithms and
-are exponentiated only after the largest has been subtracted. A NaN is an error here and never a weight of
-zero: it means that the likelihood is broken, which no resampling mends.
+With 128 x 128 pixels a likelihood spans hundreds of orders of magnitude, so weights are stored as
+logarithms and exponentiated only after subtracting the largest. NaN is an error and never a weight of zero,
+as it means that the likelihood is broken.
 
-Every scheme is unbiased, E[number of children of i] = count w_i, and they differ in the variance
-(Douc, Cappe and Moulines 2005; Chopin and Papaspiliopoulos 2020, chapter 9):
+All schemes are unbiased, E[number of children of i] = count w_i, and differ in variance (Douc, Cappe and
+Moulines 2005; Chopin and Papaspiliopoulos 2020, chapter 9):
 
     multinomial   independent draws: variance count w_i (1 - w_i), the largest
-    residual      floor(count w_i) copies for certain, the rest multinomial
+    residual      floor(count w_i) deterministic copies, the rest multinomial
     stratified    one draw in each of count equal strata of [0, 1)
-    systematic    the same draw in all strata: floor or ceil of count w_i children, and one random number
+    systematic    the same draw in all strata: floor or ceil of count w_i children, one random number
 
-A scheme is a function ``(weights (N,), rng, count) -> ancestors (count,)``, registered by its name.
+A scheme is a function ``(weights (N,), rng, count) -> ancestors (count,)``, registered by name.
 """
 
 from __future__ import annotations
@@ -28,14 +28,15 @@ from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.filtering.errors import FilterError, Registry
 
 TRUNCATION = 0.06
-"""[ours] In some twenty dimensions a few of a hundred particles carry most of the weight, and their mean is
-only as good as the places where they happened to be drawn. Hands have the smallest errors with a limit of
-1.8 to 2.8 times the mean of 128 weights, 2.5 here (1.08 to 1.12 mm of the own model's seeds 301 to 303; 1.17
-and 1.20 with 5.7 and 11). 20,000 weights are cut at 45 times their mean."""
+"""[ours] Limits the weights of the mean to 1 + 0.06 N^(2/3) times their average.
+
+In about twenty dimensions a few of a hundred particles carry most of the weight, and their mean depends on
+where they happen to be. Hands have the smallest errors with limits of 1.8 to 2.8 for 128 particles.
+"""
 
 
 def normalise(log_weights: FloatArray) -> tuple[FloatArray, float]:
-    """Return the normalised weights and the logarithm of their sum before.
+    """Return the normalised weights, and the logarithm of their sum before normalisation.
 
     w_i = exp(l_i - m) / sum_j exp(l_j - m), log sum = m + log sum_j exp(l_j - m), with m = max_j l_j.
 
@@ -46,13 +47,11 @@ def normalise(log_weights: FloatArray) -> tuple[FloatArray, float]:
         (N,) weights that sum to 1, and the log normaliser.
 
     Raises:
-        FilterError: there is no weight, a NaN, an infinite weight, or all weights are zero.
+        FilterError: no weights, a NaN, an infinite weight, or all weights are zero.
     """
     if log_weights.ndim != 1 or not log_weights.size:
-        raise FilterError(
-            "weights cannot be used", found=f"shape {log_weights.shape}", expected="(N,), N > 0"
-        )
-    largest = float(log_weights.max())  # NaN if any is
+        raise FilterError("invalid weights", found=f"shape {log_weights.shape}", expected="(N,), N > 0")
+    largest = float(log_weights.max())  # NaN if any weight is NaN
     if not math.isfinite(largest):
         raise _without_mass(log_weights)
     weights = np.exp(log_weights - largest)
@@ -62,20 +61,20 @@ def normalise(log_weights: FloatArray) -> tuple[FloatArray, float]:
 
 
 def effective_count(weights: FloatArray) -> float:
-    """Return 1 / sum_i w_i^2 of weights (N,) that sum to 1: N when all are equal, 1 when one has everything.
+    """Return the effective sample size 1 / sum_i w_i^2 of weights (N,) that sum to 1, between 1 and N.
 
-    The effective sample size of Kong, Liu and Wong 1994.
+    Kong, Liu and Wong 1994.
     """
     return 1.0 / float(weights @ weights)
 
 
 def truncated(weights: FloatArray) -> FloatArray:
-    """Return weights (N,) of sum 1, those above 1 + ``TRUNCATION`` N^(2/3) times their mean cut.
+    """Return weights (N,) summing to 1, clipped to limit their influence, and renormalised.
 
-    All are then normalised again. Truncated importance sampling (Ionides 2008): where few samples carry most
-    of the weight, the variance of an estimate falls much more than its bias grows, and the bias vanishes with
-    N, as the limit grows without end. His grows with N^(1/2); that is too high for few particles, or too low
-    for many.
+    The limit is 1 + ``TRUNCATION`` N^(2/3) times their mean: truncated importance sampling (Ionides 2008).
+    If few samples carry most of the weight, the variance of an estimate decreases much more than its bias
+    grows, and the bias vanishes with N, as the limit is unbounded. Ionides' limit grows as N^(1/2), which
+    is too high for few particles or too low for many.
     """
     count = weights.size
     limited = np.minimum(weights, 1.0 / count + TRUNCATION / math.cbrt(count))
@@ -84,7 +83,7 @@ def truncated(weights: FloatArray) -> FloatArray:
 
 
 def _without_mass(log_weights: FloatArray) -> FilterError:
-    """Say why the largest log-weight is not finite."""
+    """Return the error for a largest log-weight that is not finite."""
     count = log_weights.size
     broken = int(np.count_nonzero(np.isnan(log_weights)))
     if broken:
@@ -104,15 +103,15 @@ _SCHEMES: Registry[Scheme] = Registry("resampling scheme")
 
 @dataclass(frozen=True)
 class Resampling:
-    """How, and how often, to resample.
+    """Resampling scheme and frequency.
 
     Attributes:
-        scheme: one of `resampling_schemes`.
-        threshold: resample when the effective sample size is below threshold * N. From 1.0 on: always, as
-            in the paper; 0: never.
+        scheme: one of ``resampling_schemes``.
+        threshold: resample if the effective sample size is below threshold * N. 1.0 or more: always, as in
+            the paper; 0: never.
 
     Raises:
-        FilterError: the scheme is not known, or the threshold is negative or NaN.
+        FilterError: unknown scheme, or the threshold is negative or NaN.
     """
 
     scheme: str = "systematic"
@@ -121,13 +120,11 @@ class Resampling:
     def __post_init__(self) -> None:
         _SCHEMES.find(self.scheme)
         if not self.threshold >= 0.0:
-            raise FilterError(
-                "threshold cannot be used", found=self.threshold, expected="0 (never) to 1 (always)"
-            )
+            raise FilterError("invalid threshold", found=self.threshold, expected="0 (never) to 1 (always)")
 
     def is_due(self, effective_sample_size: float, count: int) -> bool:
-        """Return whether `count` particles with this effective sample size are to be resampled."""
-        # equal weights have an effective size of count only up to rounding, so 'always' is asked for first
+        """Return whether ``count`` particles with this effective sample size should be resampled."""
+        # Equal weights have an effective size of N only up to rounding, so 'always' needs its own test.
         return self.threshold >= 1.0 or effective_sample_size < self.threshold * count
 
 
@@ -139,25 +136,25 @@ def resampling_schemes() -> tuple[str, ...]:
 def resample(
     scheme: str, weights: FloatArray, rng: np.random.Generator, count: int | None = None
 ) -> IntArray:
-    """Draw ancestors so that each particle i is chosen count * w_i times on average.
+    """Draw ancestors so that particle i is chosen count * w_i times on average.
 
     Args:
-        scheme: one of `resampling_schemes`.
-        weights: (N,) weights >= 0; they need not sum to 1.
+        scheme: one of ``resampling_schemes``.
+        weights: (N,) weights >= 0, not necessarily normalised.
         rng: source of randomness.
-        count: number of ancestors; N if not given.
+        count: number of ancestors; default: N.
 
     Returns:
-        (count,) indices into weights, int64, in no particular order. A weight of zero is never chosen.
+        (count,) indices into weights, int64, in no particular order. Zero weights are never chosen.
 
     Raises:
-        FilterError: the scheme is not known, the weights are no weights, or count < 1.
+        FilterError: unknown scheme, invalid weights, or count < 1.
     """
     draw = _SCHEMES.find(scheme)
     _check_weights(weights)
     count = weights.size if count is None else count
     if count < 1:
-        raise FilterError("nothing to draw", found=f"count {count}", expected="count >= 1")
+        raise FilterError("invalid number of ancestors", found=f"count {count}", expected="count >= 1")
     return draw(weights, rng, count)
 
 
@@ -181,7 +178,7 @@ def multinomial(weights: FloatArray, rng: np.random.Generator, count: int) -> In
 
 @_SCHEMES.register("residual")
 def residual(weights: FloatArray, rng: np.random.Generator, count: int) -> IntArray:
-    """Copy floor(count w_i) times, then draw the rest from what is left over (Liu and Chen 1998)."""
+    """Copy floor(count w_i) times, then draw the rest from the remainders (Liu and Chen 1998)."""
     expected = count * (weights / weights.sum())
     certain = np.floor(expected).astype(np.int64)
     copies = np.repeat(np.arange(weights.size), certain)
@@ -194,9 +191,9 @@ def residual(weights: FloatArray, rng: np.random.Generator, count: int) -> IntAr
 def _inverse_cdf(weights: FloatArray, queries: FloatArray) -> IntArray:
     """Return for each query in [0, 1] the first i whose cumulative weight exceeds it.
 
-    "Exceeds", so that u = 0 skips leading zero weights. The sums are in float64 and divided by the last, and
-    where they reach 1 they become infinite: a query that rounds to 1, as (count - 1 + u) / count can, then
-    finds the last particle with a weight, not index N nor a trailing zero weight.
+    Strictly, so that u = 0 skips leading zero weights. Cumulative weights that reach 1 are set to infinity:
+    a query that rounds to 1, as (count - 1 + u) / count can, then finds the last particle with a weight
+    instead of index N or a trailing zero weight.
     """
     cumulative = np.cumsum(weights, dtype=np.float64)
     cumulative /= cumulative[-1]
@@ -210,7 +207,7 @@ def _check_weights(weights: FloatArray) -> None:
     total = float(weights.sum()) if usable else math.nan
     if not (math.isfinite(total) and total > 0.0):
         raise FilterError(
-            "weights cannot be used",
+            "invalid weights",
             found=f"shape {weights.shape}",
-            expected="(N,), >= 0, of a finite sum > 0",
+            expected="(N,), >= 0, with a finite sum > 0",
         )

@@ -16,20 +16,20 @@ from posetrack_cli.filtering.model import Dynamics, Gaussian, StateSpace, consta
 from posetrack_cli.filtering.modes import LikelihoodModes
 from posetrack_cli.filtering.resampling import effective_count, normalise
 
-# The Gaussian smoother: each frame's particles as one Gaussian of pose and velocity, and one pass backward.
+# Gaussian smoother: each frame's particles are replaced by a Gaussian of pose and velocity.
 #
-# Rauch, Tung and Striebel's smoother (1965) over the filter's moments. For a linear-Gaussian model it is
-# exact as the number of particles grows. Of several modes it keeps the mean and the spread: where the filter
-# doubted, the spread is wide, the gain close to 1, and the mean follows the frames that knew.
+# This is the smoother of Rauch, Tung and Striebel (1965) on the filter's moments, exact for linear-Gaussian
+# models as the number of particles grows. Multiple modes are reduced to mean and spread: in ambiguous frames
+# the spread is wide, the gain close to 1, and the mean follows the unambiguous frames.
 #
-# What later frames say about a state is also to be had without the state's own prior and likelihood, in
-# information form, as the backward half of a two-filter smoother (Mayne 1966; Fraser and Potter 1969):
+# The information from later frames alone, without a state's own prior and likelihood, is the backward half of
+# a two-filter smoother (Mayne 1966; Fraser and Potter 1969), in information form:
 #
 #     log p(y_t+1, .. | x_t (+) e)  =  b . e - e^T L e / 2  + const.
 #
-# L may be singular: one later frame says nothing about velocities. The product with the prediction from the
-# past is what Rauch, Tung and Striebel's smoother yields; but here what all *other* frames expect of a frame
-# is at hand before its own likelihood is taken in, which may then be expanded again about that.
+# L may be singular: a single later frame has no information on velocities. Its product with the prediction
+# from the past equals the Rauch-Tung-Striebel result, but here the prediction from all *other* frames is
+# available before the frame's own likelihood, which can then be re-expanded about it.
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,11 +48,11 @@ class StateGaussian:
 
 
 class GaussianSmoother:
-    """The backward pass as a `Smoother`; it remembers the moments of each frame.
+    """Backward pass as a ``Smoother`` that stores the moments of each frame.
 
     Args:
-        dynamics: the noise that the filter had, see `noise_of`.
-        space: the poses' space.
+        dynamics: noise of the filter, see ``noise_of``.
+        space: space of poses.
     """
 
     def __init__(self, dynamics: Dynamics, space: StateSpace) -> None:
@@ -60,33 +60,33 @@ class GaussianSmoother:
         self._later: StateGaussian | None = None
 
     def remember(self, state: FilterState, step: Step | None = None) -> Memory:
-        """Return the moments; see `Smoother`."""
+        """Return the moments; see ``Smoother``."""
         weights = normalise(state.log_weights)[0]
         moving = state.with_velocity(self._dynamics.pose_noise.size)
         return vars(state_gaussian(moving, weights, self._space))
 
     def resume(self, last: Memory) -> None:
-        """Nothing is needed of what was remembered before; see `Smoother`."""
+        """Do nothing, as earlier frames are not needed; see ``Smoother``."""
 
     def begin(self, last: Memory) -> Smoothed:
-        """Start from a chain's last frame; see `Smoother`."""
+        """Start at a chain's last frame; see ``Smoother``."""
         self._later = StateGaussian(**last)
         return self._later.smoothed
 
     def back(self, memory: Memory, dt: float) -> Smoothed:
-        """Go on to the frame before; see `Smoother`."""
+        """Continue with the previous frame; see ``Smoother``."""
         if self._later is None:
             raise FilterError("a backward pass begins with the last frame")
         self._later = smooth_gaussian(StateGaussian(**memory), self._later, dt, self._dynamics, self._space)
         return self._later.smoothed
 
     def stay(self, memory: Memory, later: Smoothed) -> Smoothed:
-        """Return what came of the later frame; see `Smoother`."""
+        """Return the result of the later frame; see ``Smoother``."""
         return later
 
 
 def state_gaussian(state: MarginalState, weights: FloatArray, space: StateSpace) -> StateGaussian:
-    """Return the moments of particles with weights (N,), the covariance shrunk as `shrunk` says."""
+    """Return the moments of particles with weights (N,), with the covariance shrunk (``shrunk``)."""
     pose, velocity = space.mean(state.poses, weights), weights @ state.velocities
     away = np.hstack([space.local(pose, state.poses), state.velocities - velocity])
     covariance = shrunk((weights[:, None] * away).T @ away, effective_count(weights))
@@ -95,15 +95,15 @@ def state_gaussian(state: MarginalState, weights: FloatArray, space: StateSpace)
 
 
 def shrunk(covariance: FloatArray, count: float) -> FloatArray:
-    """Return a sample covariance (2D, 2D) with less of what so few samples show by chance.
+    """Return a sample covariance (2D, 2D) with spurious correlations reduced.
 
     Correlations r between different components are multiplied by 1 - rho, those of a component with its own
     velocity are kept; rho = sum (1 - r^2)^2 / (count - 1) / sum r^2, at most 1 (Schaefer and Strimmer 2005,
-    with the variance that a correlation has in a Gaussian sample).
+    with the variance of a correlation in a Gaussian sample).
 
     Args:
-        covariance: of a weighted sample.
-        count: its effective size.
+        covariance: covariance of a weighted sample.
+        count: its effective sample size.
     """
     sd = np.sqrt(np.diag(covariance))
     scale = np.where(sd > 0.0, sd, 1.0)
@@ -119,15 +119,15 @@ def smooth_gaussian(
 ) -> StateGaussian:
     """Smooth one frame, in the tangent space of its filtered mean.
 
-    The smoothed covariance is taken for that in the tangent space of the smoothed mean, which neglects terms
-    of the order of the angle between the two.
+    The smoothed covariance is used unchanged in the tangent space of the smoothed mean, which neglects
+    terms of the order of the angle between the two.
 
     Args:
-        filtered: the filter's belief after the frame.
-        later: the smoothed belief of the next one.
+        filtered: filtered belief after the frame.
+        later: smoothed belief of the next frame.
         dt: time between the two, s.
-        dynamics: those of the filter.
-        space: the poses' space.
+        dynamics: dynamics of the filter.
+        space: space of poses.
 
     Raises:
         FilterError: dt is not > 0.
@@ -143,7 +143,7 @@ def smooth_gaussian(
 
 
 def _between_components(size: int) -> BoolArray:
-    """Return (2D, 2D): whether an entry of the covariance is of two different components."""
+    """Return (2D, 2D): whether a covariance entry relates different components."""
     component = np.arange(size) % (size // 2)
     different: BoolArray = component[:, None] != component
     return different
@@ -151,7 +151,7 @@ def _between_components(size: int) -> BoolArray:
 
 @dataclass(frozen=True, eq=False)
 class BackwardMessage:
-    """A quadratic in (pose, velocity), the pose in the tangent space of a reference.
+    """Quadratic in (pose, velocity), with the pose in the tangent space of a reference.
 
     Attributes:
         reference: (S,) pose.
@@ -165,14 +165,15 @@ class BackwardMessage:
 
 
 def no_message(reference: FloatArray, dimension: int) -> BackwardMessage:
-    """Return what no later frame says about a state of D pose components."""
+    """Return a message without information on a state of D pose components."""
     return BackwardMessage(reference, np.zeros((2 * dimension, 2 * dimension)), np.zeros(2 * dimension))
 
 
 def recentred(message: BackwardMessage, reference: FloatArray, space: StateSpace) -> BackwardMessage:
     """Return the message in another pose's tangent space.
 
-    The spaces are taken to differ by a shift, which neglects terms of the order of the angle between them.
+    The spaces are assumed to differ by a shift, which neglects terms of the order of the angle between
+    them.
     """
     shift = np.zeros_like(message.vector)
     shift[: len(shift) // 2] = space.local(message.reference, reference)
@@ -180,7 +181,7 @@ def recentred(message: BackwardMessage, reference: FloatArray, space: StateSpace
 
 
 def earlier_message(message: BackwardMessage, dt: float, dynamics: Dynamics) -> BackwardMessage:
-    """Return what the message says about the state dt seconds earlier; at dt = 0 the same.
+    """Return the message to the state dt seconds earlier; unchanged for dt = 0.
 
     F^T (1 + L Q)^-1 L F and F^T (1 + L Q)^-1 b.
     """
@@ -195,7 +196,7 @@ def earlier_message(message: BackwardMessage, dt: float, dynamics: Dynamics) -> 
 
 
 def with_fit(message: BackwardMessage, modes: LikelihoodModes, k: int, space: StateSpace) -> BackwardMessage:
-    """Return the message times the k-th fit of the likelihood."""
+    """Return the message multiplied by the k-th fit of the likelihood."""
     size, H = modes.gradients.shape[1], modes.information[k]
     away = space.local(message.reference, modes.poses[k])
     information, vector = message.information.copy(), message.vector.copy()
@@ -205,9 +206,9 @@ def with_fit(message: BackwardMessage, modes: LikelihoodModes, k: int, space: St
 
 
 def joined(belief: StateGaussian, message: BackwardMessage, space: StateSpace) -> StateGaussian:
-    """Return the belief times what later frames say: C' = (1 + C L)^-1 C, moved by C' (b - L m).
+    """Return the belief times the message: C' = (1 + C L)^-1 C, mean moved by C' (b - L m).
 
-    m is the belief's mean in the message's tangent space; the covariance is taken for that in the belief's.
+    m is the belief's mean in the message's tangent space; the covariance is used unchanged in the belief's.
     """
     size, C, L = belief.velocity.size, belief.covariance, message.information
     mean = np.concatenate([space.local(message.reference, belief.pose), belief.velocity])
@@ -217,22 +218,21 @@ def joined(belief: StateGaussian, message: BackwardMessage, space: StateSpace) -
     return StateGaussian(pose, belief.velocity + quicker, 0.5 * (joint + joint.T))
 
 
-# What a backward pass over a filter's states yields, and what a run expects of any smoother
-
+# Results and interface of smoothers
 
 Memory: TypeAlias = Mapping[str, Any]
-"""What a smoother keeps of one frame: arrays and numbers of the same names and shapes at every frame."""
+"""Data that a smoother stores per frame: arrays and numbers with constant names and shapes."""
 NOTHING: Memory = MappingProxyType({})
 
 
 @dataclass(frozen=True, eq=False)
 class Smoothed:
-    """Estimate of one frame from the whole recording; units as in `Posterior`.
+    """Estimate of one frame from the whole recording; units as in ``Posterior``.
 
     Attributes:
         pose: (S,) mean.
         pose_variance: (D,) about it, in the tangent space.
-        velocity: (D,) mean; zeros of a filter without velocity.
+        velocity: (D,) mean; zeros for filters without velocity.
         velocity_variance: (D,).
     """
 
@@ -243,13 +243,12 @@ class Smoothed:
 
 
 class Step(NamedTuple):
-    """How the filter came to a frame's state.
+    """Step of the filter to a frame's state.
 
     Attributes:
-        dt: seconds that it advanced by; 0 if it stood still.
-        cut: whether the state does not follow from that of the frame before.
-        frame: what is kept of the frame itself, for smoothers that look at it again; of the names of theirs
-            none may be used.
+        dt: seconds by which it advanced; 0 if it did not.
+        cut: whether the state does not follow from the previous frame's.
+        frame: data of the frame itself, for smoothers that refit it; must not reuse the smoother's names.
     """
 
     dt: float
@@ -258,22 +257,22 @@ class Step(NamedTuple):
 
 
 class Smoother(Protocol):
-    """A backward pass: each frame is remembered on the way forward, and smoothed on the way back."""
+    """Backward pass: frames are stored in the forward pass and smoothed in the backward pass."""
 
     def remember(self, state: FilterState, step: Step | None = None) -> Memory:
-        """Return what to keep of the filter's state after a frame, and of how it came there."""
+        """Return the data to store of the filter's state and step after a frame."""
         ...
 
     def resume(self, last: Memory) -> None:
-        """Go on after a frame that was remembered by another smoother, of a run that was interrupted."""
+        """Continue after a frame stored by another smoother, in an interrupted run."""
         ...
 
     def begin(self, last: Memory) -> Smoothed:
-        """Start from a chain's last frame; there smoothed and filtered are the same."""
+        """Start at a chain's last frame, whose smoothed and filtered estimates are equal."""
         ...
 
     def back(self, memory: Memory, dt: float) -> Smoothed:
-        """Go on to the frame that was dt seconds, as the filter was given them, before the one smoothed last.
+        """Continue with the frame dt seconds (filter time) before the one smoothed last.
 
         Raises:
             FilterError: dt is not > 0.
@@ -281,15 +280,15 @@ class Smoother(Protocol):
         ...
 
     def stay(self, memory: Memory, later: Smoothed) -> Smoothed:
-        """Go on to the frame before where the filter stood still: the two frames have one state.
+        """Continue with the previous frame if the filter did not advance: both frames share one state.
 
         Args:
-            memory: of the frame before.
-            later: what came of the one smoothed last.
+            memory: data of the previous frame.
+            later: result of the frame smoothed last.
         """
         ...
 
 
 def noise_of(dynamics: Dynamics, moving: bool) -> Dynamics:
-    """Return the noise that a filter had: without velocity none of the velocity's wandering."""
+    """Return the noise of a filter, without velocity noise if the filter has no velocity."""
     return dynamics if moving else replace(dynamics, velocity_noise=np.zeros_like(dynamics.velocity_noise))

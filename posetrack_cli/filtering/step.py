@@ -1,4 +1,4 @@
-"""What every filter step is made of: proposing, weighing, choosing ancestors, and what is believed then."""
+"""Parts of a filter step: proposal, weighting, choice of ancestors, posterior."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from posetrack_cli.filtering.resampling import Resampling, effective_count, norm
 
 
 class Weighing(NamedTuple):
-    """Weights after an observation: (N,), their logarithms (N,), log p(y_t | y_1..t-1), and 1 / sum w^2."""
+    """Weights after an observation (N,), their logarithms (N,), log p(y_t | y_1..t-1), and 1 / sum w^2."""
 
     weights: FloatArray
     log_weights: FloatArray
@@ -23,12 +23,12 @@ class Weighing(NamedTuple):
 
 
 class Prediction(NamedTuple):
-    """The belief before a frame, sum_i w_i p_i(x), with x = x_i (+) (d_i + e), e ~ N(0, diag variance).
+    """Belief before a frame, sum_i w_i p_i(x), with x = x_i (+) (d_i + e), e ~ N(0, diag variance).
 
     Attributes:
         poses: (N, S) x_i.
         drift: (N, D) d_i.
-        variance: (D,) the same for all particles.
+        variance: (D,) equal for all particles.
         log_weights: (N,) log w_i.
     """
 
@@ -39,12 +39,12 @@ class Prediction(NamedTuple):
 
 
 class Proposed(NamedTuple):
-    """Poses drawn for one frame, and weighed.
+    """Weighted poses drawn for one frame.
 
     Attributes:
         poses: (N, S).
         increments: (N, D) from their ancestors' poses.
-        ancestors: (N,) whom each comes from.
+        ancestors: (N,) indices of their ancestors.
         weighing: their weights, hand paper (24).
     """
 
@@ -70,11 +70,11 @@ def propose(
     """Sample x_t = x_{t-1} (+) (drift + w), w ~ N(0, diag variance); hand paper (52).
 
     Args:
-        space: the poses' space.
+        space: space of poses.
         poses: (N, S) x_{t-1}.
         drift: (N, D) mean increments; None for none.
         variance: (D,) of the increments.
-        constrain: puts poses back inside their limits, or None.
+        constrain: moves poses back within their limits, or None.
         rng: source of randomness.
 
     Returns:
@@ -86,13 +86,13 @@ def propose(
         increments += drift
     moved = space.retract(poses, increments)
     if constrain is None:
-        return moved, increments  # known; local would lose turns of more than pi
+        return moved, increments  # not space.local(): it would lose turns of more than pi
     moved = constrain(moved)
     return moved, space.local(poses, moved)
 
 
 def weigh(log_weights: FloatArray, poses: FloatArray, log_likelihood: LogLikelihood | None) -> Weighing:
-    """Return w_t proportional to w_{t-1} p(y_t | x_t), hand paper (54); without an observation w_{t-1}.
+    """Return w_t proportional to w_{t-1} p(y_t | x_t), hand paper (54); w_{t-1} without an observation.
 
     The log evidence is log sum_i w_{t-1,i} p(y_t | x_{t,i}), with w_{t-1} normalised.
 
@@ -109,11 +109,11 @@ def weigh(log_weights: FloatArray, poses: FloatArray, log_likelihood: LogLikelih
 def weigh_drawn(log_weights: FloatArray, poses: FloatArray, log_likelihood: LogLikelihood) -> Weighing:
     """Return weights proportional to p(y_t | x_t) exp(log_weights), hand paper (24).
 
-    The log evidence is log sum_i p(y_t | x_{t,i}) exp(log_weights_i): weights of prior over proposal sum to 1
-    in the mean only.
+    The log evidence is log sum_i p(y_t | x_{t,i}) exp(log_weights_i), without normalising the weights:
+    ratios of prior to proposal sum to 1 only in expectation.
 
     Raises:
-        FilterError: as in `weigh`.
+        FilterError: see ``weigh``.
     """
     scores = scored(poses, log_likelihood) + log_weights
     weights, log_sum = normalise(scores)
@@ -133,7 +133,7 @@ def scored(poses: FloatArray, log_likelihood: LogLikelihood) -> FloatArray:
 
 
 def choose_ancestors(weighing: Weighing, resampling: Resampling, rng: np.random.Generator) -> IntArray | None:
-    """Return the ancestors (N,) of the next step's particles, or None when resampling is not due; (7)."""
+    """Return the ancestors (N,) of the next step's particles, or None if resampling is not due; (7)."""
     if not resampling.is_due(weighing.effective_sample_size, weighing.weights.size):
         return None
     return resample(resampling.scheme, weighing.weights, rng)
@@ -148,9 +148,9 @@ def scatter(
         FilterError: count < 1, or an sd is negative or not finite.
     """
     if count < 1:
-        raise FilterError("a filter needs particles", found=count, expected="count >= 1")
+        raise FilterError("invalid number of particles", found=count, expected="count >= 1")
     if not np.all(np.isfinite(sd)) or np.any(sd < 0.0):
-        raise FilterError("initial spread cannot be used", found=sd, expected="finite, >= 0")
+        raise FilterError("invalid initial spread", found=sd, expected="finite, >= 0")
     start = np.tile(np.asarray(mean, dtype=np.float64), (count, 1))
     return propose(space, start, None, np.square(sd), None, rng)[0]
 
@@ -163,8 +163,8 @@ class Posterior:
         pose: (S,) weighted mean pose, hand paper (62).
         pose_variance: (D,) weighted variance about it in the tangent space, u^2.
         velocity: (D,) weighted mean velocity, (63), u/s; zeros for the plain particle filter.
-        velocity_variance: (D,) (u/s)^2, by the law of total variance P + weighted variance of the particles'
-            velocities; zeros for the plain particle filter, which has no velocity.
+        velocity_variance: (D,) (u/s)^2, P + weighted variance of the particles' velocities (law of total
+            variance); zeros for the plain particle filter, which has no velocity.
         effective_sample_size: 1 / sum w^2, in [1, N].
         log_evidence: log p(y_t | y_1..t-1), up to the likelihood's constant; 0 without an observation.
         resampled: whether the next state's particles were resampled.
@@ -193,12 +193,12 @@ def pose_moments(space: StateSpace, poses: FloatArray, weights: FloatArray) -> t
 def velocity_moments(
     velocities: FloatArray, variance: FloatArray, weights: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return mean and variance (D,) of the mixture sum_i w_i N(v_i, diag P): total variance P + var v_i.
+    """Return mean and variance (D,) of sum_i w_i N(v_i, diag P): total variance P + var v_i.
 
     Args:
         velocities: (N, D) v_i.
         variance: (D,) P.
-        weights: (N,) of sum 1.
+        weights: (N,) summing to 1.
     """
     mean = weights @ velocities
     return mean, variance + weights @ np.square(velocities - mean)

@@ -1,13 +1,13 @@
-"""Particle swarm optimisation in a box, as Oikonomidis, Kyriazis and Argyros use it (BMVC 2011).
+"""Particle swarm optimisation in a box, as in Oikonomidis, Kyriazis and Argyros (BMVC 2011).
 
-N particles at positions x_i in R^D, all within bounds, remember where they were best: p_i, and together the
-best of all: g. A generation moves them (Clerc and Kennedy 2002, with the constriction factor w),
+N particles at positions x_i in R^D store their own best position p_i, and jointly the global best g. Each
+generation moves them (Clerc and Kennedy 2002, with the constriction factor w),
 
     v_i <- w (v_i + c_1 r_1 (p_i - x_i) + c_2 r_2 (g - x_i)),    x_i <- x_i + v_i,
 
-r_1 and r_2 uniform in [0, 1] for every particle and component, and evaluates all of them at once. What leaves
-the box is put to the nearest point of it. Against premature convergence some components (the paper: finger
-angles) are redrawn from time to time: one of them, uniformly over its range, in half of the particles.
+with r_1 and r_2 uniform in [0, 1] per particle and component, and evaluates all of them in one batch.
+Positions are clipped to the box. Against premature convergence, one of some components (in the paper:
+finger angles) is periodically redrawn uniformly over its range, in half of the particles.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from posetrack_cli.filtering.errors import FilterError
 
 @dataclass(frozen=True)
 class SwarmRules:
-    """How a swarm moves; the defaults are the paper's.
+    """Parameters of a swarm; the defaults are the paper's.
 
     Attributes:
-        generations: evaluations of the whole swarm, that of where it starts included.
-        cognitive: c_1, towards a particle's own best.
-        social: c_2, towards the best of all.
-        redraw_every: generations from one redrawing to the next; 0 redraws never.
-        redraw_share: how many of the particles it changes.
+        generations: evaluations of the whole swarm, including the initial one.
+        cognitive: c_1, attraction to a particle's own best.
+        social: c_2, attraction to the global best.
+        redraw_every: generations between redraws; 0 disables them.
+        redraw_share: share of particles that are redrawn.
 
     Raises:
-        FilterError: a number is out of range; c_1 + c_2 must exceed 4, else the swarm would not converge.
+        FilterError: a number is out of range; c_1 + c_2 must exceed 4 for convergence.
     """
 
     generations: int = 25
@@ -44,24 +44,24 @@ class SwarmRules:
 
     def __post_init__(self) -> None:
         if self.generations < 1 or self.redraw_every < 0 or not 0.0 <= self.redraw_share <= 1.0:
-            raise FilterError("rules of a swarm cannot be used", found=self)
+            raise FilterError("invalid swarm parameters", found=self)
         constriction(self.cognitive, self.social)
 
     def redraws(self, generation: int) -> bool:
-        """Whether components are redrawn before this generation is evaluated; the start is generation 0."""
+        """Return whether to redraw components before evaluating this generation; the first is 0."""
         return self.redraw_every > 0 and generation > 0 and generation % self.redraw_every == 0
 
 
 @dataclass(frozen=True, eq=False)
 class Box:
-    """The space that is searched.
+    """Bounds of the search space.
 
     Attributes:
         low, high: (D,) bounds.
         redrawn: indices of the components that may be redrawn.
 
     Raises:
-        FilterError: the bounds are no box.
+        FilterError: invalid bounds.
     """
 
     low: FloatArray
@@ -76,22 +76,22 @@ class Box:
             or not finite
             or (self.low > self.high).any()
         ):
-            raise FilterError("bounds are no box", found=f"{self.low} to {self.high}")
+            raise FilterError("invalid bounds", found=f"{self.low} to {self.high}")
 
     def nearest(self, positions: FloatArray) -> FloatArray:
-        """The points (N, D) of the box nearest to positions (N, D)."""
+        """Return positions (N, D) clipped to the box."""
         return np.clip(positions, self.low, self.high)
 
 
 @dataclass(frozen=True, eq=False)
 class Optimum:
-    """What a swarm found.
+    """Result of a swarm search.
 
     Attributes:
-        position: (D,) g, the best of all positions.
+        position: (D,) g, the best position.
         cost: its cost.
-        course: (generations,) the cost of g after each generation; it never rises.
-        evaluations: number of positions whose cost was evaluated.
+        course: (generations,) cost of g after each generation; never increases.
+        evaluations: number of evaluated positions.
     """
 
     position: FloatArray
@@ -116,7 +116,7 @@ def constriction(cognitive: float, social: float) -> float:
 def scattered(
     centre: FloatArray, sd: FloatArray, count: int, box: Box, rng: np.random.Generator
 ) -> FloatArray:
-    """Return where a swarm starts (N, D): the centre, and N(centre, diag sd^2) about it, put into the box."""
+    """Return start positions (N, D): the centre, and N(centre, diag sd^2) clipped to the box."""
     positions = centre + sd * rng.standard_normal((count, centre.size))
     positions[0] = centre
     return box.nearest(positions)
@@ -129,17 +129,17 @@ def minimise(
     rules: SwarmRules,
     rng: np.random.Generator,
 ) -> Optimum:
-    """Let a swarm look for the least cost.
+    """Minimise a cost with a swarm.
 
     Args:
-        cost: of positions (N, D) -> (N,); +inf for impossible, never NaN; called once a generation.
-        start: (N, D) where the particles begin, at rest.
+        cost: cost of positions (N, D) -> (N,); +inf for impossible, never NaN; called once per generation.
+        start: (N, D) initial positions, at rest.
         box: bounds of the search.
-        rules: of the swarm's motion.
+        rules: parameters of the swarm.
         rng: source of randomness.
 
     Raises:
-        FilterError: no particle, or a cost is NaN.
+        FilterError: no particles, or a cost is NaN.
     """
     if start.ndim != 2 or not len(start):
         raise FilterError("swarm has no particles", found=start.shape, expected="(N, D)")
@@ -189,7 +189,7 @@ class _Swarm:
         self.positions[rows, columns] = self._rng.uniform(self._box.low[columns], self._box.high[columns])
 
     def remember(self, costs: FloatArray) -> float:
-        """Take in the costs (N,) of where the particles are; return that of g."""
+        """Update the memories with the current costs (N,); return the cost of g."""
         better = costs < self._best_costs
         self._best[better] = self.positions[better]
         self._best_costs[better] = costs[better]
@@ -199,5 +199,5 @@ class _Swarm:
 def _checked(costs: FloatArray, count: int) -> FloatArray:
     if costs.shape != (count,) or np.isnan(costs).any():
         found = f"{costs.shape}, {int(np.isnan(costs).sum())} of them NaN"
-        raise FilterError("costs cannot be used", found=found, expected=f"({count},), none NaN")
+        raise FilterError("invalid costs", found=found, expected=f"({count},), no NaN")
     return costs

@@ -1,1 +1,1 @@
-"""What every tracker of recorded frames shares: the run over a recording, its record, its checkpoints."""
+"""Tracking runs over a recording, shared by all trackers: loop, run record, checkpoints."""

@@ -1,9 +1,10 @@
-"""How probable it is that an estimate is right: logistic regression on signs of its track **[ours]**.
+"""Confidence of an estimate: logistic regression on signs of its track **[ours]**.
 
     logit p = w_0 + sum_j w_j s_j
 
-The signs s, and the weights, are a subject's own (``hand.confidence``, ``head.tracker.frame_tracker``). Signs
-that are noisy in single frames count as running means: each new frame by ``MEMORY``, the first ones alike.
+Signs s and weights are specific to a subject (``hand.confidence``, ``head.tracker.frame_tracker``). Signs
+that are noisy in single frames enter as running means: each new frame has the weight ``MEMORY``, the first
+ones equal weights.
 """
 
 from __future__ import annotations
@@ -18,11 +19,11 @@ from posetrack_cli.results.columns import floats
 from posetrack_cli.tracking.state_codec import Codec, Fields, Value, whole
 
 SIGN = "sign_"
-"""What names of signs begin with, among the numbers of a result."""
+"""Prefix of sign names among the numbers of a result."""
 PROBABLY = 0.5
-"""The probability of being right below which nothing is said to be tracked."""
+"""Confidence below which a frame does not count as tracked."""
 MEMORY = 0.2
-"""Share of a new frame in the running means: five frames count."""
+"""Weight of a new frame in the running means, i.e. an average over about five frames."""
 _LARGEST = 50.0
 
 
@@ -31,8 +32,8 @@ class RunningSigns:
     """Running means of signs.
 
     Attributes:
-        signs: (S,) the means.
-        frames: how many there were; of few all count alike.
+        signs: (S,) means.
+        frames: number of frames; the first few have equal weights.
     """
 
     signs: FloatArray
@@ -40,27 +41,27 @@ class RunningSigns:
 
     @classmethod
     def before(cls, count: int) -> RunningSigns:
-        """Return those of so many signs before any frame."""
+        """Return the initial state for ``count`` signs."""
         return cls(np.zeros(count))
 
     def after(self, signs: FloatArray) -> RunningSigns:
-        """Return the means with the signs of one more frame (S,)."""
+        """Return the means updated with one frame's signs (S,)."""
         share = max(MEMORY, 1.0 / (self.frames + 1))
         return RunningSigns(self.signs + share * (signs - self.signs), self.frames + 1)
 
 
 def signs_codec(count: int) -> Codec[RunningSigns]:
-    """Return how the running means of so many signs become arrays."""
+    """Return the codec of running means of ``count`` signs."""
     return Fields(RunningSigns, signs=Value(floats(count)), frames=whole())
 
 
 class Regression(NamedTuple):
-    """w_0 and (S,) w."""
+    """w_0 and w (S,)."""
 
     bias: float
     weights: FloatArray
 
     def probability(self, signs: FloatArray) -> float:
-        """Return p of signs (S,)."""
+        """Return p given signs (S,)."""
         logit = self.bias + float(self.weights @ signs)
         return float(1.0 / (1.0 + np.exp(-np.clip(logit, -_LARGEST, _LARGEST))))

@@ -1,4 +1,4 @@
-"""The loop over frames: what it asks of any tracker, its steps, and its state as a checkpoint."""
+"""The frame loop: tracker interface, steps, and checkpoints of its state."""
 
 from __future__ import annotations
 
@@ -20,36 +20,36 @@ State = TypeVar("State")
 
 
 class Tracker(Protocol[State]):
-    """A tracker: pure steps from one state to the next, and states that can be saved.
+    """Tracker: pure steps from one state to the next, with serialisable states.
 
-    How a state begins differs between hands and heads; their own protocols add it.
+    Initial states differ between hands and heads; their own protocols add them.
     """
 
     def step(self, state: State, frame: Frame, rng: np.random.Generator) -> tuple[State, Estimate]:
-        """Advance by one frame; the state given is left as it is."""
+        """Advance by one frame; the given state is not modified."""
 
     @property
     def codec(self) -> Codec[State]:
-        """How states become arrays, for a checkpoint, and back."""
+        """Codec of the states, for checkpoints."""
 
 
 StartState = Callable[[Frame, np.random.Generator], Any]
-"""Makes a tracker's state before a first frame."""
+"""Creates a tracker's state before the first frame."""
 
 
 _MOST = 1e30
-"""Of what a belief holds: poses that leap give velocities without a meaning, but with a number."""
+"""Bound on velocity beliefs: jumping poses give meaningless but finite velocities."""
 
 
 class VelocityBelief(NamedTuple):
-    """What is believed of a body's motion after a frame (``tracking.velocity``).
+    """Belief about a body's motion after a frame (``tracking.velocity``).
 
     Attributes:
-        stamp_ns: of the frame.
-        pose: (1 + D,) position, quaternion and shape entries.
+        stamp_ns: time of the frame.
+        pose: (1 + D,) position, quaternion and shape parameters.
         velocity: (D,) in the tangent space.
         covariance: (3, D) variance of the pose, covariance of pose and velocity, variance of the velocity.
-        surprise: (D,) square of the last innovation over its variance; 1 where there was none.
+        surprise: (D,) squared last innovation divided by its variance; 1 if there was none.
     """
 
     stamp_ns: Stamp
@@ -60,13 +60,13 @@ class VelocityBelief(NamedTuple):
 
 
 class RunState(NamedTuple):
-    """Where a pass is.
+    """State of a pass.
 
     Attributes:
-        state: the tracker's, None before its first frame.
-        rng: the random generator.
-        frame_index: of the last frame tracked, -1 before the first.
-        velocity: what is believed of the motion; None where nothing is.
+        state: tracker state, None before its first frame.
+        rng: random generator.
+        frame_index: last tracked frame, -1 before the first.
+        velocity: belief about the motion; None if there is none.
     """
 
     state: Any
@@ -76,12 +76,12 @@ class RunState(NamedTuple):
 
 
 class Step(NamedTuple):
-    """One frame that was tracked.
+    """One tracked frame.
 
     Attributes:
-        frame: as recorded.
-        estimate: of it.
-        after: where the pass is then.
+        frame: the frame.
+        estimate: its estimate.
+        after: state of the pass after it.
     """
 
     frame: Frame
@@ -97,14 +97,14 @@ def track_frames(
     *,
     timings: bool = False,
 ) -> Iterator[Step]:
-    """Yield a step for each frame after those that were tracked before.
+    """Yield a step for each frame that is not yet tracked.
 
     Args:
-        tracker: makes the steps.
-        frames: of the recording, from its first one on.
-        run_state: where the pass is.
-        start_state: makes the state before the first frame.
-        timings: give every estimate the milliseconds that its step took.
+        tracker: performs the steps.
+        frames: frames of the recording, from the first one.
+        run_state: current state of the pass.
+        start_state: creates the state before the first frame.
+        timings: set the milliseconds of every estimate.
     """
     state, rng, last = run_state.state, run_state.rng, run_state.frame_index
     for frame in frames:
@@ -120,13 +120,13 @@ def track_frames(
 
 
 _VELOCITY = "run_velocity"
-"""What the arrays of a velocity's belief are called in a checkpoint, beside those of the tracker."""
+"""Checkpoint prefix of the velocity belief's arrays."""
 _VELOCITY_CODEC = Maybe(codec_of(VelocityBelief))
 _BITS_32, _BITS_128 = (0, (1 << 32) - 1), (0, (1 << 128) - 1)
 
 
 def checkpoint_of(tracker: Tracker[Any], run_state: RunState, frames: int) -> Checkpoint:
-    """Return the checkpoint after a frame, of which ``frames`` are written."""
+    """Return the checkpoint after a frame, with ``frames`` estimates written."""
     record: dict[str, Any] = {"rng": run_state.rng.bit_generator.state}
     if run_state.state is None:
         return Checkpoint(run_state.frame_index, frames, {}, record)
@@ -138,10 +138,10 @@ def checkpoint_of(tracker: Tracker[Any], run_state: RunState, frames: int) -> Ch
 
 
 def run_state_at(tracker: Tracker[Any], checkpoint: Checkpoint, rng: np.random.Generator) -> RunState:
-    """Return where a checkpoint was saved; the generator given is set to where it was.
+    """Return the state saved in a checkpoint; also restore the given generator.
 
     Raises:
-        LayoutError: it is of no state of this tracker, or of no such generator.
+        LayoutError: it has no state of this tracker or of this generator type.
     """
     record, index = checkpoint.state, checkpoint.frame_index
     _set_state(rng, record.get("rng"))
@@ -153,10 +153,10 @@ def run_state_at(tracker: Tracker[Any], checkpoint: Checkpoint, rng: np.random.G
 
 
 def _set_state(rng: np.random.Generator, state: Any) -> None:
-    """Set a generator (PCG64, as ``numpy.random.default_rng`` makes it) to where another was."""
+    """Restore a generator (PCG64, as created by ``numpy.random.default_rng``)."""
     kind = rng.bit_generator.state["bit_generator"]
     if not isinstance(state, dict) or state.get("bit_generator") != kind:
-        raise LayoutError(f"no state of the random generator {kind}")
+        raise LayoutError(f"state of random generator {kind} is missing")
     check_numbers(state, {"has_uint32": FLAGS, "uinteger": _BITS_32})
     check_numbers(state.get("state"), {"state": _BITS_128, "inc": _BITS_128})
     rng.bit_generator.state = state

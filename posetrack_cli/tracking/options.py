@@ -1,4 +1,4 @@
-"""Options of a run, and deviations from print."""
+"""Options and outcome of a run, its record, and deviations from a paper."""
 
 from __future__ import annotations
 
@@ -18,25 +18,24 @@ from posetrack_cli.recording.base import PATH_KEY
 from posetrack_cli.recording.identity import shown_path
 from posetrack_cli.recording.recording import Recording
 
-# What a run is asked for, what a result states of it, and what came of it
-
+# Options, outcome and run record
 
 LEAST_TRACKED = 0.05
-"""Share of frames that a run must track, or it is not a success."""
+"""Minimum share of tracked frames for a run to succeed."""
 
 
 @dataclass(frozen=True)
 class RunOptions:
-    """What a run depends on besides recording and configuration.
+    """Options of a run, in addition to recording and configuration.
 
     Attributes:
-        output: the result's path.
-        seed: of the random generator.
-        init: how the start is found; None as configured.
-        start, end, stride: which frames.
-        resume: go on with an interrupted run.
+        output: path of the result.
+        seed: seed of the random generator.
+        init: initialisation method; None as configured.
+        start, end, stride: selected frames.
+        resume: continue an interrupted run.
         overwrite: replace an existing result.
-        timings: write each frame's milliseconds; then two runs differ in their bytes.
+        timings: record each frame's milliseconds, which makes equal runs differ in their bytes.
         smooth: also write the smoothed track.
     """
 
@@ -54,18 +53,17 @@ class RunOptions:
 
 @dataclass(frozen=True)
 class RunOutcome:
-    """What came of a run.
+    """Outcome of a run.
 
     Attributes:
-        frames: estimates in the result, also those of a run that was resumed.
-        tracked: frames tracked now.
-        lost: estimates in the result with status lost.
-        seconds: wall-clock time of its frames, in all passes: without compiling, and without the smoothed
-            track.
+        frames: estimates in the result, including those before a resume.
+        tracked: frames tracked by this process.
+        lost: estimates with status lost in the result.
+        seconds: wall-clock time of the frames in all passes, without compilation and the smoothed track.
         losses: data that could not be used.
-        stopped: whether it was interrupted.
-        remarks: what else a user should know, one line each.
-        failure: what the images show of which hardly any was tracked, one line; empty for a success.
+        stopped: whether the run was interrupted.
+        remarks: further notes for the user, one line each.
+        failure: likely reason, in one line, if hardly any frame was tracked; empty on success.
     """
 
     frames: int
@@ -79,12 +77,12 @@ class RunOutcome:
 
 
 def is_hardly_tracked(frames: int, lost: int) -> bool:
-    """Return whether so many of a result's frames are lost that it is not a success."""
+    """Return whether too many frames are lost for the run to count as a success."""
     return frames - lost < LEAST_TRACKED * frames
 
 
 def frames_ahead(recording: Recording, options: RunOptions) -> int | None:
-    """How many frames of the recording a run goes through, None when that shows only in reading it."""
+    """Return the number of frames to process, or None if only reading the recording shows it."""
     count = recording.frame_count
     if count is None:
         return None
@@ -93,25 +91,25 @@ def frames_ahead(recording: Recording, options: RunOptions) -> int | None:
 
 
 def nothing_to_track(recording: Recording) -> UsageError | RecordingError:
-    """The error of a run that finds no frame: the options' fault, or the recording's."""
+    """Return the error for a run without frames, blaming the options or the recording."""
     losses = recording.losses
     if losses:
-        return RecordingError("no frame can be tracked", where=recording.path, found=loss_line(losses))
+        return RecordingError("no readable frames", where=recording.path, found=loss_line(losses))
     count = recording.frame_count
-    found = "none that can be read" if count is None else f"{count} frames"
-    return UsageError("no frame to track", where=recording.path, found=found, hint="check --start and --end")
+    found = "no readable frames" if count is None else f"{count} frames"
+    return UsageError("no frames to track", where=recording.path, found=found, hint="check --start and --end")
 
 
 def common_record(
     tracker: str, recording: Recording, camera: Camera, config: Settings, options: RunOptions
 ) -> dict[str, str]:
-    """Return what the records of all trackers' runs state.
+    """Return the run record entries shared by all trackers.
 
     Args:
-        tracker: its name.
-        recording: its identity is stated, and its path as it was typed.
-        camera: that estimates are relative to, with the intrinsics that are used.
-        config: resolved, with the defaults.
+        tracker: tracker name.
+        recording: recording; its identity and its path as typed are stored.
+        camera: reference camera, with the intrinsics in use.
+        config: resolved configuration, including defaults.
         options: frames and seed.
     """
     return {
@@ -129,20 +127,19 @@ def common_record(
     }
 
 
-# Where a run differs from the paper that its configuration follows, item by item
-
+# Deviations of a run from the paper that its configuration follows
 
 RECORD_KEY = "deviations_from_print"
-"""Of the run record: a JSON list of lines; only of configurations that follow a paper."""
+"""Run record key of a JSON list of lines, for configurations that follow a paper."""
 
 
 class PrintedSetting(NamedTuple):
-    """A configuration key that has a value as printed.
+    """Configuration key with the value given in the paper.
 
     Attributes:
         where: section or equation.
-        key: such as ``filter.gain``.
-        value: as printed.
+        key: configuration key such as ``filter.gain``.
+        value: value in the paper.
     """
 
     where: str
@@ -151,7 +148,7 @@ class PrintedSetting(NamedTuple):
 
 
 class Deviation(NamedTuple):
-    """What no configuration key turns into what is printed.
+    """Deviation from the paper that no configuration key can undo.
 
     Attributes:
         where: section or equation.
@@ -165,7 +162,7 @@ class Deviation(NamedTuple):
 def deviations(
     config: Settings, settings: Sequence[PrintedSetting], always: Sequence[Deviation]
 ) -> list[str]:
-    """Return a line for each setting in force that is not as printed, then for each constant deviation."""
+    """Return a line for each setting that differs from the paper, then for each constant deviation."""
     differing = [(one, _value(config, one.key)) for one in settings]
     return [
         f"{one.where}: {one.key} is {_shown(value)}, not {_shown(one.value)}"
@@ -183,5 +180,5 @@ def _shown(value: object) -> str:
 
 
 def deviations_record(lines: Sequence[str] | None) -> dict[str, str]:
-    """Return what a run record says of deviations; nothing where no paper is followed."""
+    """Return the run record entry for deviations; empty if no paper is followed."""
     return {} if lines is None else {RECORD_KEY: json.dumps(lines)}

@@ -1,4 +1,4 @@
-"""A run: every frame of a recording through a tracker into a result, which truth is carried over to."""
+"""A run: track every frame of a recording, write the result, and copy its ground truth."""
 
 from __future__ import annotations
 
@@ -34,42 +34,42 @@ from posetrack_cli.tracking.options import (
 from posetrack_cli.tracking.velocity import VelocityModel, check_belief, with_velocities
 
 FRAMES_SHOWN = 8
-"""About how many frames are read again to say why hardly any was tracked."""
+"""Approximate number of frames read again to explain why hardly any was tracked."""
 
 Report = Callable[[Estimate], None]
 Stopped = Callable[[], bool]
 
 
 class FrameMemory(Protocol):
-    """What a run keeps of every frame, to write more once the last one is tracked: the smoothed track."""
+    """Per-frame data kept by a run to write the smoothed track after the last frame."""
 
     def remember(self, state: Any, estimate: Estimate) -> None:
-        """Keep what is needed of a frame."""
+        """Store the data of a frame."""
 
     def flush(self) -> None:
-        """Wait until everything is on the disk, before a checkpoint says so."""
+        """Sync everything to disk, before a checkpoint relies on it."""
 
     def finish(self, writer: ResultWriter) -> None:
-        """Write what rests on all frames, and forget them."""
+        """Write the track that depends on all frames, and delete the stored data."""
 
 
 class Run(ABC):
-    """One run of a tracker over a recording; a subclass adds what is a hand's or a head's own.
+    """One run of a tracker over a recording; subclasses add what is specific to hands or heads.
 
     Args:
-        recording: frames.
-        options: which frames, and where to.
+        recording: recording to track.
+        options: frame selection and output.
         flush_frames: estimates between two checkpoints.
 
     Raises:
-        UsageError: no frame to track; no file is made that would have to be overwritten.
+        UsageError: no frames to track; raised before any file is created.
 
     Attributes:
-        tracker: of the pass at hand; set by the subclass.
-        subject: what is tracked; set by the subclass.
-        record: the run record; set by the subclass.
-        cameras: that the result states, the one that estimates are relative to first.
-        velocity_model: what velocities are estimated with, a frame late; None leaves the tracker's.
+        tracker: tracker of the current pass; set by the subclass.
+        subject: tracked subject; set by the subclass.
+        record: run record; set by the subclass.
+        cameras: cameras stored in the result, the reference camera first.
+        velocity_model: model for estimating velocities one frame late; None keeps the tracker's velocities.
     """
 
     tracker: Tracker[Any]
@@ -80,78 +80,104 @@ class Run(ABC):
 
     def __init__(self, recording: Recording, options: RunOptions, flush_frames: int) -> None:
         self._recording, self._options, self._flush_frames = recording, options, flush_frames
-        self._tracked = 0  # frames, by this run alone
-        self._ended_s: float | None = None  # once all frames are tracked
+        self._tracked = 0  # frames tracked by this process
+        self._ended_s: float | None = None  # time at which all frames were tracked
         self._stamps = StampCheck()
         if frames_ahead(recording, options) == 0:
             raise nothing_to_track(recording)
         self.cameras = recording.cameras
 
     def track(self, report: Report, stopped: Stopped = lambda: False) -> RunOutcome:
-        """Track every frame.
+        """Track every frame; see ``estimates``.
 
         Args:
-            report: called with every estimate once it is written.
-            stopped: asked after every frame whether to stop; the result then stays unfinished.
+            report: called with every estimate after it is written.
+            stopped: called after every frame; True ends the run and leaves the result unfinished.
+        """
+        estimates = self.estimates(stopped)
+        try:
+            estimate = next(estimates)
+            while True:
+                try:
+                    report(estimate)
+                except BaseException as error:  # raised inside the generator, so that it cleans up
+                    estimate = estimates.throw(error)
+                else:
+                    estimate = next(estimates)
+        except StopIteration as end:
+            outcome: RunOutcome = end.value
+            return outcome
+
+    def estimates(self, stopped: Stopped = lambda: False) -> Generator[Estimate, None, RunOutcome]:
+        """Track every frame, yield each estimate after it is written, and return the outcome.
+
+        Closing the generator early leaves the result unfinished, as NAME.part.
+
+        Args:
+            stopped: called after every frame; True ends the run and leaves the result unfinished.
 
         Raises:
-            UsageError, RecordingError: there is no frame to track; no file is made.
-            PosetrackError: the recording or the result fails; what was flushed stays as NAME.part.
+            UsageError, RecordingError: no frames to track; no file is created.
+            PosetrackError: the recording or the result fails; flushed frames stay in NAME.part.
         """
         began = _clock_s()
         with closing(self._frames()) as frames:
             first = next(frames, None)
             if first is None:
                 raise nothing_to_track(self._recording)
-            return self._track(chain((first,), frames), began, report, stopped)
+            return (yield from self._track(chain((first,), frames), began, stopped))
 
-    # What a subclass says
+    # Hooks for subclasses
 
     @abstractmethod
     def start_state(self, frame: Frame, rng: np.random.Generator) -> Any:
         """Return the tracker's state before the first frame."""
 
-    def on_frame(self, frame: Frame) -> None:  # noqa: B027 - most subjects need not look
-        """Look at every frame that is read, also at those that were tracked before an interruption."""
+    def on_frame(self, frame: Frame) -> None:  # noqa: B027 - optional hook
+        """Inspect every frame read, including those tracked before an interruption."""
 
     def vertices(self, estimate: Estimate) -> FloatArray | None:
-        """Return the mesh (V, 3) to draw of an estimate, mm, camera axes; None for none."""
+        """Return the mesh (V, 3) of an estimate, mm, camera axes; None for none."""
         return None
 
     def open_memory(self, writer: ResultWriter) -> AbstractContextManager[FrameMemory | None]:
-        """Open what is kept of every frame; None where nothing is."""
+        """Open the per-frame data of the smoothed track; None if there is no such track."""
         return nullcontext()
 
     def finish(self, writer: ResultWriter, state: Any) -> Mapping[str, str]:
-        """Write what comes last in the result; return what its summary says of it."""
+        """Write the final parts of the result; return entries for its summary."""
         return {}
 
     def losses(self) -> tuple[Loss, ...]:
-        """Return what data could not be used."""
+        """Return the data that could not be used."""
         return self._recording.losses
 
     def remarks(self, state: Any) -> tuple[str, ...]:
-        """Return what else a user should know once all frames are tracked, one line each."""
+        """Return further notes for the user after the last frame, one line each."""
         return ()
 
     def evidence(self, frames: Sequence[Frame]) -> str:
-        """Return what frames show, and the likeliest reason why hardly any was tracked: part of a line."""
+        """Return what the frames show and the likeliest reason for hardly tracking any, as part of a line."""
         return ""
 
-    # What a run of several passes does otherwise
+    # Hooks for runs with several passes
 
     def run_state_at(self, checkpoint: Checkpoint) -> RunState:
-        """Return where a run was interrupted; LayoutError or ResultError if its tracker has no such state."""
+        """Return the state at an interruption.
+
+        Raises:
+            LayoutError, ResultError: the checkpoint has no such state.
+        """
         reached = run_state_at(self.tracker, checkpoint, self.new_rng())
         check_belief(reached.velocity, self.velocity_model)
         return reached
 
     def checkpoint(self, run_state: RunState, frames: int) -> Checkpoint:
-        """Return the checkpoint after a frame, of which ``frames`` are written."""
+        """Return the checkpoint after a frame, with ``frames`` estimates written."""
         return checkpoint_of(self.tracker, run_state, frames)
 
     def before_writing(self, writer: ResultWriter, run_state: RunState, stopped: Stopped) -> RunState | None:
-        """Do what comes before the pass that is written; None if it was stopped."""
+        """Do the work before the written pass; return None if stopped."""
         return run_state
 
     # The loop
@@ -162,10 +188,12 @@ class Run(ABC):
         return track_frames(self.tracker, frames, run_state, self.start_state, timings=timings)
 
     def new_rng(self) -> np.random.Generator:
-        """Return the random generator as it is at the start of a pass."""
+        """Return the random generator in its initial state."""
         return np.random.default_rng(self._options.seed)
 
-    def _track(self, frames: Iterable[Frame], began: float, report: Report, stopped: Stopped) -> RunOutcome:
+    def _track(
+        self, frames: Iterable[Frame], began: float, stopped: Stopped
+    ) -> Generator[Estimate, None, RunOutcome]:
         writer, run_state = self._open()
         with writer, _stopped_at_once(stopped):
             going_on = self.before_writing(writer, run_state, stopped)
@@ -182,7 +210,7 @@ class Run(ABC):
                     run_state = step.after
                     self._write(writer, memory, step)
                     self._tracked += 1
-                    report(step.estimate)
+                    yield step.estimate
                     if stopped():
                         return self._outcome(writer, began, stopped=True)
                 self._ended_s = _clock_s()
@@ -195,28 +223,28 @@ class Run(ABC):
         return self._outcome(writer, began, stopped=True)
 
     def _watched(self, frames: Iterable[Frame]) -> Iterator[Frame]:
-        """The frames, each looked at once it is read."""
+        """Yield the frames, inspecting each one."""
         for frame in frames:
             self.on_frame(frame)
             self._stamps.add(frame.index, frame.stamp_ns)
             yield frame
 
     def _remembered(self, steps: Iterable[Step], memory: FrameMemory | None) -> Iterator[Step]:
-        """The steps, each remembered before the next one: what a state holds of its frame is gone then."""
+        """Yield the steps, storing each before the next step can overwrite its per-frame state."""
         for step in steps:
             if memory is not None:
                 memory.remember(step.after.state, step.estimate)
             yield step
 
     def _write(self, writer: ResultWriter, memory: FrameMemory | None, step: Step) -> None:
-        """Write an estimate, and a checkpoint where the result is flushed."""
+        """Write an estimate, and a checkpoint when the result was flushed."""
         if writer.write(step.estimate, self.vertices(step.estimate)):
             if memory is not None:
                 memory.flush()
             writer.save_checkpoint(self.checkpoint(step.after, writer.frames_written))
 
     def _open(self) -> tuple[ResultWriter, RunState]:
-        """The writer, and where to begin; what was interrupted is put together before any file is touched."""
+        """Return the writer and the start state; a resumed state is checked before any file is changed."""
         options, flush = self._options, self._flush_frames
         camera, *others = self.cameras
         about = self.subject, camera, self.record
@@ -237,14 +265,14 @@ class Run(ABC):
         return writer, start
 
     def _failure(self, writer: ResultWriter) -> str:
-        """Say what the images show if hardly any was tracked; some of them are read again for it."""
+        """Return the reason if hardly any frame was tracked, based on some frames read again."""
         frames, lost = writer.frames_written, writer.count(Status.LOST)
         if not is_hardly_tracked(frames, lost):
             return ""
         return f"only {frames - lost} of {frames} frames tracked: {self.evidence(self.sampled(frames))}"
 
     def sampled(self, frames: int | None = None) -> list[Frame]:
-        """Return a few frames of all that were read, so far as they can be decoded."""
+        """Return a few decodable frames, evenly spaced over those read."""
         options = self._options
         known = self._tracked if frames is None else frames
         sample = self._recording.sample(
@@ -270,13 +298,13 @@ class Run(ABC):
 
 
 def _clock_s() -> float:
-    """The time, which stands still while kernels are compiled."""
+    """Return the wall-clock time without compilation, so that timings do not depend on the kernel cache."""
     return time.perf_counter() - compiling_s()
 
 
 @contextmanager
 def _stopped_at_once(stopped: Stopped) -> Iterator[None]:
-    """Let KeyboardInterrupt end a run as ``stopped`` does: a second Ctrl-C, or one while kernels compile."""
+    """End the run on KeyboardInterrupt (a second Ctrl-C, or one during compilation) as ``stopped`` does."""
     try:
         yield
     except KeyboardInterrupt:
@@ -285,9 +313,9 @@ def _stopped_at_once(stopped: Stopped) -> Iterator[None]:
 
 
 def truth_carrier(messages: Iterator[TruthMessage], writer: ResultWriter) -> Generator[None, int]:
-    """Return a coroutine that carries truth over up to each stamp (ns) it is sent.
+    """Return a coroutine that copies ground truth up to each stamp (ns) sent to it.
 
-    What a resumed result holds already is left out.
+    Messages that a resumed result already contains are skipped.
     """
     carrier = _carry(messages, writer)
     next(carrier)

@@ -1,4 +1,4 @@
-"""A smoothed track: what a smoother keeps of each frame, spooled, and smoothed backwards."""
+"""Smoothed tracks: the smoother's per-frame data, spooled to disk and processed backwards."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from posetrack_cli.results.spool import RESTART_HINT, Array, RecordSpool
 Described = TypeVar("Described")
 STATUSES = tuple(Status)
 KEPT, BESIDES = "filter.", "frame."
-"""What names of a record begin with that are the smoother's, and that are kept for ``describe`` besides."""
+"""Record name prefixes: of the smoother's data, and of additional data for ``describe``."""
 _NO_FRAME = {"frame_index": 0, "stamp_ns": 0, "status": 0, "cut": 0, "dt": 0.0, "confidence": 0.0}
 
 
 class FrameFacts(NamedTuple):
-    """What an estimate says of its frame, smoothed or not: fields of ``Estimate``."""
+    """Fields of ``Estimate`` that smoothing does not change."""
 
     frame_index: int
     stamp_ns: int
@@ -38,21 +38,21 @@ class FrameFacts(NamedTuple):
 
     @classmethod
     def of(cls, estimate: Estimate) -> FrameFacts:
-        """Return those of an estimate."""
+        """Return the facts of an estimate."""
         return cls(*(getattr(estimate, name) for name in cls._fields))
 
 
 Describe: TypeAlias = Callable[[Smoothed, FrameFacts, Memory], Described]
-"""Makes what is written of a smoothed state, of its frame, and of what was kept of it."""
+"""Creates the output from a smoothed state, its frame, and the data stored for it."""
 
 
 class Kept(NamedTuple):
-    """What a file of an interrupted run is to hold.
+    """Expected contents of an interrupted run's file.
 
     Attributes:
-        frames: how many of them stay; 1 or more.
-        state: any that the smoother remembers, and
-        frame: what is kept of any frame: those that stay have to be of the same arrays.
+        frames: number of frames to keep, at least 1.
+        state: any state that the smoother stores, and
+        frame: additional data of any frame; together they define the expected arrays.
     """
 
     frames: int
@@ -61,7 +61,7 @@ class Kept(NamedTuple):
 
 
 class SmoothedTrack(Generic[Described]):
-    """Remembers every frame of a run and then smooths them, from the last to the first.
+    """Stores every frame of a run, then smooths them from last to first.
 
         with SmoothedTrack(path, smoother, describe, kept) as track:
             track.remember(state.particles, FrameFacts.of(estimate), dt, cut, frame)  # each frame
@@ -69,18 +69,17 @@ class SmoothedTrack(Generic[Described]):
             for estimate in track.backward(): ...                   # at the end
             track.delete()
 
-    A chain of frames is smoothed as one; a re-initialised track begins another. The memory is a file,
-    and what is held of it does not grow with the recording.
+    Frames are smoothed in chains; a reinitialised track starts a new chain. Frames are stored in a file, so
+    memory does not grow with the recording.
 
     Args:
-        path: of the file, beside the result.
-        smoother: the backward pass.
-        describe: makes the estimates.
-        kept: of an interrupted run; None for nothing.
+        path: file next to the result.
+        smoother: backward pass.
+        describe: creates the estimates.
+        kept: contents to keep from an interrupted run; None for a new file.
 
     Raises:
-        ResultError: here and in every method, when the file cannot be written or read, or holds what no run
-            wrote.
+        ResultError: here and in every method: the file cannot be written or read, or has invalid contents.
     """
 
     def __init__(
@@ -102,14 +101,14 @@ class SmoothedTrack(Generic[Described]):
         return len(self._spool)
 
     def remember(self, state: Any, facts: FrameFacts, dt: float, cut: bool, frame: Memory = NOTHING) -> None:
-        """Keep what is known after a frame.
+        """Store the data of a frame.
 
         Args:
-            state: as the smoother remembers it, such as a filter's.
-            facts: what was written of the frame.
-            dt: seconds that the state advanced by to this frame; 0 if it stood still.
-            cut: whether the state does not follow from the frame before: at the first, or re-initialised.
-            frame: what is kept of it besides, for the smoother's fits and for ``describe``.
+            state: state for the smoother, such as a filter's.
+            facts: facts about the frame.
+            dt: seconds by which the state advanced to this frame; 0 if it did not.
+            cut: whether the state does not follow from the previous frame: first frame or reinitialised.
+            frame: additional data for the smoother's fits and for ``describe``.
         """
         numbers = facts._asdict() | {"status": STATUSES.index(facts.status), "cut": int(cut), "dt": dt}
         numbers["confidence"] = float(facts.confidence)
@@ -117,13 +116,13 @@ class SmoothedTrack(Generic[Described]):
         self._spool.append(_record(about, self._smoother.remember(state, Step(dt, cut, frame)), frame))
 
     def flush(self) -> None:
-        """Wait until everything is on the disk."""
+        """Sync everything to disk."""
         self._spool.flush()
 
     def backward(self) -> Iterator[Described]:
-        """Yield what is made of the smoothed states, the last frame first.
+        """Yield the outputs of the smoothed states, last frame first.
 
-        Status and confidence are those of the filter, which say whether the frame itself was understood.
+        Status and confidence are the filter's, as they describe how well the frame itself was tracked.
         """
         later, ends, dt = None, True, 0.0
         for record in reversed(self._spool):
@@ -136,18 +135,18 @@ class SmoothedTrack(Generic[Described]):
             yield self._describe(later, _facts(record), memory | _named(record, BESIDES))
 
     def delete(self) -> None:
-        """Remove the file."""
+        """Delete the file."""
         self._spool.delete()
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Let the file lie, for a run that is resumed."""
+        """Close the file but keep it for resuming."""
         self._spool.close()
 
     def _memory_of(self, record: dict[str, Array]) -> dict[str, Array]:
-        """What of a record is the smoother's, once all of the record is known to be what a run wrote."""
+        """Return the smoother's part of a record after checking the whole record."""
         try:
             check_arrays(record, _layouts(record))
         except LayoutError as error:
@@ -157,7 +156,7 @@ class SmoothedTrack(Generic[Described]):
 
 
 def smoothing_path(output: Path) -> Path:
-    """The file beside a result in which a run remembers what it will smooth."""
+    """Return the file next to a result that stores the frames to be smoothed."""
     return output.with_name(f"{output.name}.part.frames")
 
 
@@ -171,20 +170,20 @@ def _facts(record: Mapping[str, Array]) -> FrameFacts:
 
 
 def _record(about: Mapping[str, float], memory: Memory, frame: Memory) -> dict[str, Array]:
-    """The record of a frame; what a smoother has kept of it itself is not kept twice."""
+    """Return a frame's record; data that the smoother already stores is not duplicated."""
     kept = {f"{KEPT}{name}": values for name, values in memory.items()}
     besides = {f"{BESIDES}{name}": values for name, values in frame.items() if name not in memory}
     return {name: np.asarray(value) for name, value in (dict(about) | kept | besides).items()}
 
 
 def _named(record: Mapping[str, Array], prefix: str) -> dict[str, Array]:
-    """What of a record has names that begin with this, which is taken off."""
+    """Return the entries with a name prefix, without the prefix."""
     named = ((name, values) for name, values in record.items() if name.startswith(prefix))
     return {name.removeprefix(prefix): values for name, values in named}
 
 
 def _layouts(record: Mapping[str, Array]) -> dict[str, Layout]:
-    """What the values of a record must be; its types and shapes are those of all others."""
+    """Return value ranges for a record; types and shapes are checked by the spool's header."""
     most = float(STAMPS_NS[1])
     layouts = {
         name: Layout(values.dtype.name, values.shape, -np.inf if values.ndim else 0.0, most)

@@ -1,10 +1,10 @@
-"""Trackers' states as arrays by name, and back: for checkpoints, model files and second passes.
+"""Codecs between tracker states and named arrays, for checkpoints, model files and second passes.
 
-A codec is put together of small ones, as the state is: ``Value`` is one array or number, ``Fields`` an object
-of several, ``Maybe`` what may be None, ``Stacked`` objects alike of which each array is one row, ``Numbered``
-objects that differ in length. ``codec_of`` makes that of a class whose fields state their layouts. Each says
-what its arrays must be (``results.columns``): those of a stranger are refused before anything is made of
-them. The laws that tests hold every codec to:
+Codecs are composed like the states: ``Value`` is an array or number, ``Fields`` an object with several
+parts, ``Maybe`` an optional value, ``Stacked`` equal-sized objects stored as rows of common arrays,
+``Numbered`` objects of different sizes. ``codec_of`` derives the codec of a class whose fields declare
+their layouts. Arrays are checked against these layouts (``results.columns``) before anything is built from
+untrusted files. All codecs satisfy, and tests check:
 
     from_arrays(to_arrays(x)) equals x;    to_arrays(from_arrays(a)) equals a, bit by bit.
 """
@@ -34,13 +34,13 @@ from posetrack_cli.results.columns import (
 T = TypeVar("T")
 Array: TypeAlias = np.ndarray[Any, Any]
 Part: TypeAlias = "Codec[Any] | tuple[str | Callable[[Any], Any], Codec[Any]]"
-"""The codec of the attribute of that name; or an attribute's path, or a function, and the codec of that."""
+"""Codec of the attribute with that name; or an attribute path or function, and the codec of its value."""
 
 
 class Codec(ABC, Generic[T]):
-    """How values of one type become arrays by name, and arrays become values.
+    """Conversion between values of one type and named arrays.
 
-    The one array of a value that has no more is called "".
+    The only array of a single-array value is named "".
     """
 
     @abstractmethod
@@ -49,53 +49,53 @@ class Codec(ABC, Generic[T]):
 
     @abstractmethod
     def layouts(self, arrays: Arrays) -> dict[str, Layout]:
-        """Return what the arrays of a value must be, given which there are.
+        """Return the layouts that the given arrays must have.
 
         Raises:
-            LayoutError: they say wrongly how many things there are.
+            LayoutError: the arrays contain an invalid number of objects.
         """
 
     @abstractmethod
     def build(self, arrays: Arrays) -> T:
-        """Return the value of arrays that are as its layout states."""
+        """Return the value of arrays that match the layouts."""
 
     def from_arrays(self, arrays: Arrays) -> T:
-        """Return the value that ``to_arrays`` made these of.
+        """Return the value of arrays created by ``to_arrays``.
 
         Raises:
-            LayoutError: they are of no such value.
+            LayoutError: the arrays do not match the layouts.
         """
         check_arrays(arrays, self.layouts(arrays))
         return self.build(arrays)
 
 
 class Value(Codec[T]):
-    """One array, or a number as an array of no dimension.
+    """Codec of one array, or of a number as a 0-d array.
 
     Args:
-        layout: what it must be.
-        make: the value of an array; by default the array itself.
+        layout: layout of the array.
+        make: converts the array to the value; default: the array itself.
     """
 
     def __init__(self, layout: Layout, make: Callable[[Array], T] | None = None) -> None:
         self._layout, self._make = layout, make
 
     def to_arrays(self, value: T) -> dict[str, Array]:
-        """Return the one array."""
+        """Return the array."""
         return {"": np.asarray(value, dtype=self._layout.dtype)}
 
     def layouts(self, arrays: Arrays) -> dict[str, Layout]:
-        """Return the one layout."""
+        """Return the layout."""
         return {"": self._layout}
 
     def build(self, arrays: Arrays) -> T:
-        """Return the array, or the number that it holds."""
+        """Return the array or number."""
         made: T = arrays[""] if self._make is None else self._make(arrays[""])  # type: ignore[assignment]
         return made
 
 
 def whole(within: Range = COUNTS) -> Value[int]:
-    """Return the codec of a whole number."""
+    """Return the codec of an integer."""
     return Value(Layout("int64", (), *within), int)
 
 
@@ -105,21 +105,21 @@ def stamp() -> Value[int]:
 
 
 def flag() -> Value[bool]:
-    """Return the codec of what is so or not."""
+    """Return the codec of a boolean."""
     return Value(Layout("int64", (), *FLAGS), bool)
 
 
 def real(layout: Layout | None = None) -> Value[float]:
-    """Return the codec of a number of double precision, any finite one or as a layout says."""
+    """Return the codec of a float, finite or as given by a layout."""
     return Value(layout or floats(), float)
 
 
 class Fields(Codec[T]):
-    """An object of several parts, each under a name of its own.
+    """Codec of an object with several named parts.
 
     Args:
-        make: makes the object, given its parts by name; LayoutError for parts that do not fit each other.
-        parts: how each is taken and encoded.
+        make: creates the object from its parts by name; raises LayoutError for inconsistent parts.
+        parts: source and codec of each part.
     """
 
     def __init__(self, make: Callable[..., T], /, **parts: Part) -> None:
@@ -131,7 +131,7 @@ class Fields(Codec[T]):
         }
 
     def to_arrays(self, value: T) -> dict[str, Array]:
-        """Return the arrays of all parts, as ``part.array``."""
+        """Return the arrays of all parts, named ``part.array``."""
         return {
             joined(name, inner): array
             for name, (take, codec) in self._parts.items()
@@ -139,7 +139,7 @@ class Fields(Codec[T]):
         }
 
     def layouts(self, arrays: Arrays) -> dict[str, Layout]:
-        """Return the layouts of all parts; lengths that two of them name alike are equal."""
+        """Return the layouts of all parts; lengths with the same name must be equal across parts."""
         return {
             joined(name, inner): layout
             for name, (_, codec) in self._parts.items()
@@ -147,42 +147,42 @@ class Fields(Codec[T]):
         }
 
     def build(self, arrays: Arrays) -> T:
-        """Return the object of its parts."""
+        """Return the object built from its parts."""
         return self._make(
             **{name: codec.build(part_of(arrays, name)) for name, (_, codec) in self._parts.items()}
         )
 
 
 class Maybe(Codec[T | None]):
-    """What may be None: then there are no arrays.
+    """Codec of an optional value; None has no arrays.
 
     Args:
-        codec: of what it is otherwise; it must always have arrays.
+        codec: codec of the value, which must always have arrays.
     """
 
     def __init__(self, codec: Codec[T]) -> None:
         self._codec = codec
 
     def to_arrays(self, value: T | None) -> dict[str, Array]:
-        """Return no arrays of None."""
+        """Return the value's arrays, none for None."""
         return {} if value is None else self._codec.to_arrays(value)
 
     def layouts(self, arrays: Arrays) -> dict[str, Layout]:
-        """Return no layouts if there are no arrays."""
+        """Return the value's layouts, none without arrays."""
         return self._codec.layouts(arrays) if arrays else {}
 
     def build(self, arrays: Arrays) -> T | None:
-        """Return None if there are no arrays."""
+        """Return the value, None without arrays."""
         return self._codec.build(arrays) if arrays else None
 
 
 class Stacked(Codec[tuple[T, ...]]):
-    """Objects alike, each array of theirs as one array with a row for each; none has no arrays.
+    """Codec of equal-sized objects, with one row per object in each array; no objects have no arrays.
 
     Args:
-        codec: of one object; its arrays have the same shapes in all of them.
-        rows: how many there are, if that is known, or a name of it.
-        least: how many there are at least.
+        codec: codec of one object; array shapes are equal in all objects.
+        rows: number of objects, or its name if it varies.
+        least: minimum number of objects.
     """
 
     def __init__(self, codec: Codec[T], rows: int | str, least: int = 0) -> None:
@@ -194,30 +194,30 @@ class Stacked(Codec[tuple[T, ...]]):
         return {name: np.stack([arrays[name] for arrays in each]) for name in (each[0] if each else ())}
 
     def layouts(self, arrays: Arrays) -> dict[str, Layout]:
-        """Return the layouts of one object, with a length more."""
+        """Return the layouts of one object with an additional leading length."""
         if not arrays and self._least == 0:
             return {}
         of_one = self._codec.layouts(self._row(arrays, 0))
         return {name: replace(layout, shape=(self._rows, *layout.shape)) for name, layout in of_one.items()}
 
     def build(self, arrays: Arrays) -> tuple[T, ...]:
-        """Return an object for each row."""
+        """Return one object per row."""
         rows = len(next(iter(arrays.values()), ()))
         return tuple(self._codec.build(self._row(arrays, index)) for index in range(rows))
 
     def _row(self, arrays: Arrays, index: int) -> dict[str, Array]:
-        """One object's arrays, of those that have so many rows."""
+        """Return one object's arrays, skipping arrays without that row."""
         return {name: array[index] for name, array in arrays.items() if array.ndim and len(array) > index}
 
 
 class Numbered(Codec[tuple[T, ...]]):
-    """Objects that differ in their lengths: each has arrays of its own, numbered; none has no arrays.
+    """Codec of objects of different sizes, with numbered arrays for each; no objects have no arrays.
 
     Args:
-        codec: of one object.
-        counted: name of the array that says how many there are.
-        called: what each is called, before its number.
-        most: how many there may be.
+        codec: codec of one object.
+        counted: name of the array with the number of objects.
+        called: name prefix of an object, followed by its number.
+        most: maximum number of objects.
     """
 
     def __init__(self, codec: Codec[T], *, counted: str, called: str, most: int) -> None:
@@ -225,7 +225,7 @@ class Numbered(Codec[tuple[T, ...]]):
         self._count = Layout("int64", (), 0, most)
 
     def to_arrays(self, value: Sequence[T]) -> dict[str, Array]:
-        """Return the arrays of all, and how many there are."""
+        """Return the arrays of all objects, and their number."""
         if not value:
             return {}
         arrays: dict[str, Array] = {self._counted: np.array(len(value))}
@@ -235,7 +235,7 @@ class Numbered(Codec[tuple[T, ...]]):
         return arrays
 
     def layouts(self, arrays: Arrays) -> dict[str, Layout]:
-        """Return the layouts of all; lengths that are named alike in two of them may differ."""
+        """Return the layouts of all objects; lengths with the same name may differ between objects."""
         own = {name for name in arrays if name == self._counted or name.startswith(self._called)}
         if not own:
             return {}
@@ -248,7 +248,7 @@ class Numbered(Codec[tuple[T, ...]]):
         return layouts
 
     def build(self, arrays: Arrays) -> tuple[T, ...]:
-        """Return as many objects as there are said to be."""
+        """Return as many objects as the count states."""
         count = int(arrays[self._counted]) if self._counted in arrays else 0
         return tuple(self._codec.build(part_of(arrays, self._name(index))) for index in range(count))
 
@@ -257,26 +257,26 @@ class Numbered(Codec[tuple[T, ...]]):
 
 
 NOT_KEPT = object()
-"""Annotates a field that a codec leaves out."""
+"""Annotation of a field that a codec omits."""
 _OF_TYPE: Mapping[Any, Callable[[], Codec[Any]]] = {int: whole, bool: flag, float: real}
 
 
 def codec_of(kind: Callable[..., T], sizes: Mapping[str, int] | None = None, **given: Part) -> Codec[T]:
-    """Return the codec of a dataclass or named tuple whose fields state what they are; see ``parts_of``."""
+    """Return the codec of a dataclass or named tuple whose fields declare their types; see ``parts_of``."""
     return Fields(kind, **parts_of(kind, sizes, **given))
 
 
 def parts_of(kind: Any, sizes: Mapping[str, int] | None = None, **given: Part) -> dict[str, Part]:
-    """Return the codecs of the fields of a dataclass or named tuple, in their order.
+    """Return the codecs of the fields of a dataclass or named tuple, in order.
 
-    A field's type says what it is: a count, a flag, any finite number, an object of such fields, or one of
-    these or None. ``Annotated[FloatArray, floats(3)]`` says it by a layout; there may also be a codec, or
-    ``NOT_KEPT``.
+    The field's type selects the codec: int (a count), bool, float (finite), a class of such fields, or any
+    of these or None. ``Annotated[FloatArray, floats(3)]`` gives a layout; the annotation may also be a
+    codec or ``NOT_KEPT``.
 
     Args:
         kind: the class.
-        sizes: lengths that layouts name.
-        given: codecs of fields that cannot be told by their type.
+        sizes: values of named lengths in layouts.
+        given: codecs of fields whose type does not determine one.
     """
 
     def of(hint: Any) -> Codec[Any] | None:
@@ -291,7 +291,7 @@ def parts_of(kind: Any, sizes: Mapping[str, int] | None = None, **given: Part) -
         if not inner:
             return codec_of(hint, sizes)
         if inner[1:] != (NoneType,):
-            raise TypeError(f"a field of {kind} as {hint} has no codec")
+            raise TypeError(f"no codec for a field of {kind} with type {hint}")
         known = of(inner[0])
         return None if known is None else Maybe(known)
 
@@ -301,12 +301,12 @@ def parts_of(kind: Any, sizes: Mapping[str, int] | None = None, **given: Part) -
 
 
 def joined(name: str, inner: str) -> str:
-    """Return the name of an array of a part."""
+    """Return the name of a part's array."""
     return f"{name}.{inner}" if inner else name
 
 
 def part_of(arrays: Arrays, name: str) -> dict[str, Array]:
-    """Return the arrays of a part, by their names in it."""
+    """Return the arrays of a part, by their names within it."""
     start = f"{name}."
     inner = {full.removeprefix(start): array for full, array in arrays.items() if full.startswith(start)}
     return ({"": arrays[name]} if name in arrays else {}) | inner

@@ -1,9 +1,9 @@
-"""Runs in two passes: what the first one learns, the second begins with, and only the second is written."""
+"""Two-pass runs: the second pass starts with what the first has learned; only the second is written."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from contextlib import closing
 from dataclasses import replace
 from typing import Any, Protocol, TypeAlias, TypeVar
@@ -18,6 +18,7 @@ from posetrack_cli.results.columns import (
     COUNTS,
     check_numbers,
 )
+from posetrack_cli.results.estimate import Estimate
 from posetrack_cli.results.spool import Checkpoint
 from posetrack_cli.results.writer import ResultWriter
 from posetrack_cli.tracking.loop import RunState, Tracker
@@ -26,62 +27,62 @@ from posetrack_cli.tracking.run import Report, Run, Stopped
 
 State = TypeVar("State")
 Learned: TypeAlias = dict[str, np.ndarray[Any, Any]]
-"""What a tracker has learned, as arrays by name."""
+"""Learned arrays of a tracker, by name."""
 
 FIRST_PASS_FRAME = "first_pass_frame"
 _LEARNED = "learned:"
 
 
 class NothingFoundError(RecordingError):
-    """What is to be tracked was found in no frame of a recording."""
+    """The subject was not detected in any frame."""
 
 
 class NothingTrackedError(NothingFoundError):
-    """All frames were searched: as of a run that tracked hardly any of its frames."""
+    """The subject was not detected although all frames were searched."""
 
     exit_code = EXIT_DATA_LOST
 
 
 class LearningTracker(Tracker[State], Protocol[State]):
-    """A tracker that finds what it tracks by itself, and learns it while it tracks.
+    """Tracker that detects its subject by itself and learns its model while tracking.
 
-    What it says of frames before the first find is finite, too; their status is lost.
+    Estimates before the first detection are finite and have status lost.
     """
 
     def start(self, frame: Frame, rng: np.random.Generator) -> State:
-        """Return the state before a first frame, in which the subject has yet to be found."""
+        """Return the state before the first frame, without a detected subject."""
 
     def learned(self, state: State, *, for_second_pass: bool = False) -> Learned:
-        """Return what was learned; empty before anything is found.
+        """Return what was learned; empty before the first detection.
 
-        Another tracker can begin with it: of another recording of the same subject, or in a second pass, for
-        which it also says what holds in this recording alone.
+        It can initialise another tracker for other recordings of the subject or, with ``for_second_pass``,
+        for a second pass. The latter also includes what is specific to this recording.
         """
 
     def not_found(self, state: State) -> str:
-        """Say how it was looked for without being found in any frame yet; empty once it was found.
+        """Describe the unsuccessful search; empty after a detection.
 
-        Such as ``600 frames searched, best score 0.31``: it completes "no face found".
+        The text, such as ``600 frames searched, best score 0.31``, completes "no face found".
         """
 
     def remarks(self, state: State) -> tuple[str, ...]:
-        """Say what a user should know about a finished run beside its numbers; each is one line."""
+        """Return notes for the user about a finished run, one line each."""
 
 
 MakeTracker: TypeAlias = Callable[[Learned | None], LearningTracker[Any]]
-"""Makes a tracker that begins with what another has learned, or with nothing."""
+"""Creates a tracker, optionally from what another one has learned."""
 
 
 class TwoPassRun(Run):
-    """A run that tracks once or twice; see ``Run``.
+    """Run with one or two passes; see ``Run``.
 
     Args:
-        recording: frames.
-        options: which frames, and where to.
+        recording: recording to track.
+        options: frame selection and output.
         flush_frames: estimates between two checkpoints.
         passes: 1 or 2.
-        make_tracker: of each pass.
-        first_pass: called with every estimate of the first of two passes; none of them is written.
+        make_tracker: creates the tracker of each pass.
+        first_pass: called with every estimate of a first pass, which are not written.
     """
 
     tracker: LearningTracker[Any]
@@ -97,44 +98,44 @@ class TwoPassRun(Run):
     ) -> None:
         super().__init__(recording, options, flush_frames)
         self._passes, self._make_tracker, self._first_pass_report = passes, make_tracker, first_pass
-        self._learned: Learned = {}  # in the first of two passes, once the second has begun
+        self._learned: Learned = {}  # set when the second pass begins
 
     @abstractmethod
     def learned_by(self, state: Any, *, for_second_pass: bool = False) -> Learned:
-        """Return what the tracker has learned, see ``LearningTracker.learned``.
+        """Return what the tracker has learned; see ``LearningTracker.learned``.
 
         Raises:
-            NothingFoundError: nothing was found that it could learn.
+            NothingFoundError: nothing was detected.
         """
 
-    def track(self, report: Report, stopped: Stopped = lambda: False) -> RunOutcome:
-        """Track every frame; see ``Run.track``.
+    def estimates(self, stopped: Stopped = lambda: False) -> Generator[Estimate, None, RunOutcome]:
+        """Track every frame; see ``Run.estimates``. Only the last pass yields estimates.
 
         Raises:
-            NothingFoundError: nothing was found in any frame; nothing is left that would have to be
-                overwritten, but for what was interrupted before.
+            NothingFoundError: nothing was detected in any frame; no file is left except that of an earlier,
+                interrupted run.
         """
         try:
-            return super().track(report, stopped)
+            return (yield from super().estimates(stopped))
         except NothingFoundError:
-            if not self._options.resume:  # what is resumed is never deleted, whatever is found in it
+            if not self._options.resume:  # the unfinished result of an earlier run is kept
                 for path in (part_path(self._options.output), state_path(self._options.output)):
                     path.unlink(missing_ok=True)
             raise
 
     def run_state_at(self, checkpoint: Checkpoint) -> RunState:
-        """Return where a run was interrupted, in either pass."""
+        """Return the state at an interruption of either pass."""
         learned = learned_before(checkpoint)
         if learned:
             self._begin_second_pass(learned)
         return super().run_state_at(as_of_one_pass(checkpoint))
 
     def checkpoint(self, run_state: RunState, frames: int) -> Checkpoint:
-        """Return the checkpoint after a frame that was written."""
+        """Return the checkpoint after a written frame."""
         return within_second_pass(super().checkpoint(run_state, frames), self._learned)
 
     def before_writing(self, writer: ResultWriter, run_state: RunState, stopped: Stopped) -> RunState | None:
-        """Do the first of two passes, if it is not done."""
+        """Do the first of two passes unless it is complete."""
         if self._passes == 1 or self._learned:
             return run_state
         learned = self._first_pass(writer, run_state, stopped)
@@ -146,7 +147,7 @@ class TwoPassRun(Run):
         return beginning
 
     def _first_pass(self, writer: ResultWriter, run_state: RunState, stopped: Stopped) -> Learned | None:
-        """Track without writing; return what was learned, None if stopped."""
+        """Track without writing; return what was learned, or None if stopped."""
         with closing(self._frames()) as frames:
             for step in self.steps(frames, run_state):
                 run_state = step.after
@@ -164,28 +165,28 @@ class TwoPassRun(Run):
 
 
 def within_first_pass(checkpoint: Checkpoint) -> Checkpoint:
-    """Return the checkpoint of a frame of the first pass, before anything is in the result."""
+    """Return a checkpoint of the first pass, during which the result is empty."""
     state = {**checkpoint.state, FIRST_PASS_FRAME: checkpoint.frame_index}
     return replace(checkpoint, frame_index=-1, state=state)
 
 
 def within_second_pass(checkpoint: Checkpoint, learned: Learned) -> Checkpoint:
-    """Return the checkpoint within the second pass, with what it began with."""
+    """Return a checkpoint of the second pass, including what it started from."""
     kept = {f"{_LEARNED}{name}": values for name, values in learned.items()}
     return replace(checkpoint, arrays={**checkpoint.arrays, **kept})
 
 
 def learned_before(checkpoint: Checkpoint) -> Learned:
-    """Return what the first pass learned; empty within it."""
+    """Return what the first pass learned; empty during the first pass."""
     arrays = checkpoint.arrays.items()
     return {name.removeprefix(_LEARNED): values for name, values in arrays if name.startswith(_LEARNED)}
 
 
 def as_of_one_pass(checkpoint: Checkpoint) -> Checkpoint:
-    """Return a checkpoint of either pass as a run of this pass alone would have saved it.
+    """Return a checkpoint of either pass in the form of a single-pass run.
 
     Raises:
-        LayoutError: its frame is no number.
+        LayoutError: its frame number is invalid.
     """
     arrays = {name: v for name, v in checkpoint.arrays.items() if not name.startswith(_LEARNED)}
     index = checkpoint.frame_index

@@ -1,4 +1,4 @@
-"""The velocity that a result states."""
+"""Velocities in results, estimated from poses."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from posetrack_cli.results.estimate import Estimate, Status
 from posetrack_cli.tracking.loop import Step, VelocityBelief
 from posetrack_cli.units import NS_PER_S
 
-# The space of bodies that move and deform: R^3 x SO(3) x R^K, as results count it.
+# The space of poses of a deforming body, R^3 x SO(3) x R^K.
 #
-# A pose is (position, mm, camera axes; quaternion x y z w of ``camera_T_body``, w >= 0; shape); a tangent
-# vector (position; rotation vector, rad, in the body's frame; shape). Of a hand the shape is 15 angles.
+# A pose is (position, mm, camera axes; quaternion x y z w of ``camera_T_body``, w >= 0; shape), a tangent
+# vector (position; rotation vector, rad, body frame; shape). The shape of a hand is its 15 angles.
 
 
 @inlined
 def _sign(x: float, y: float, z: float, w: float) -> float:
-    """The sign of w, or where w is 0 of the first of x, y, z that is not (``rotations.canonical``)."""
+    """Return the sign of w or, if it is 0, of the first non-zero of x, y, z (``rotations.canonical``)."""
     for value in (w, x, y, z):
         if value != 0.0:
             return math.copysign(1.0, value)
@@ -37,7 +37,7 @@ def _sign(x: float, y: float, z: float, w: float) -> float:
 
 @kernel
 def _retract_each(x: FloatArray, delta: FloatArray, out: FloatArray) -> bool:
-    """Write x (+) delta of poses (N, 7 + K) and tangent vectors (N, 6 + K); False if one has no direction."""
+    """Write x (+) delta of poses (N, 7 + K) and tangent vectors (N, 6 + K); False on invalid rotations."""
     for n in range(len(x)):
         for i in range(3):
             out[n, i] = x[n, i] + delta[n, i]
@@ -70,7 +70,7 @@ def _subtract_each(x: FloatArray, y: FloatArray, out: FloatArray) -> None:
 
 
 class BodySpace:
-    """Poses (N, 7 + K) with tangent vectors (N, 6 + K); rotations move in the body's frame."""
+    """Poses (N, 7 + K) with tangent vectors (N, 6 + K); rotation vectors are in the body frame."""
 
     def retract(self, x: FloatArray, delta: FloatArray) -> FloatArray:
         """Return x (+) delta: position and shape add, q becomes q exp(delta), unit and w >= 0.
@@ -85,7 +85,7 @@ class BodySpace:
         return out
 
     def local(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Return y (-) x (..., 6 + K), the tangent vectors that take x (..., 7 + K) to y."""
+        """Return y (-) x (..., 6 + K), the tangent vectors from x (..., 7 + K) to y."""
         shape, size = np.broadcast_shapes(x.shape, y.shape)[:-1], x.shape[-1]
         first, second = (
             np.array(np.broadcast_to(poses, (*shape, size)), dtype=np.float64, order="C").reshape(-1, size)
@@ -102,14 +102,14 @@ class BodySpace:
         return out
 
     def log_volume(self, delta: FloatArray) -> FloatArray:
-        """Return log of (sin(a/2) / (a/2))^2 (...), a the angle turned: what exp does to volume."""
+        """Return log of (sin(a/2) / (a/2))^2 (...) for rotation angles a: the volume factor of exp."""
         half_turns = np.sqrt(np.einsum("...i,...i->...", delta[..., 3:6], delta[..., 3:6])) / (2.0 * np.pi)
         log_volume: FloatArray = 2.0 * np.log(np.sinc(half_turns))
         return log_volume
 
 
 def pose_rates(pose: FloatArray, twist: FloatArray) -> FloatArray:
-    """Time derivative (7 + K,) of a pose (7 + K,) that moves with a tangent velocity (6 + K,)."""
+    """Return the time derivative (7 + K,) of a pose (7 + K,) given its tangent velocity (6 + K,)."""
     rotation = rotations.quaternion_rate(pose[3:7], twist[3:6])
     return np.concatenate([twist[:3], rotation, twist[6:]])
 
@@ -117,11 +117,11 @@ def pose_rates(pose: FloatArray, twist: FloatArray) -> FloatArray:
 # The velocity of a tracked body, estimated from its poses with a lag of one frame.
 #
 # The difference of two poses is the velocity half a frame earlier, and a filter's velocity lags further. The
-# pose of the next frame removes this lag. So an estimate is written once the next frame is tracked, with its
-# velocity given both; its pose, the variance of the pose and all else stay as the tracker made them.
+# next frame's pose removes this lag: an estimate is written after the next frame is tracked, with its velocity
+# given both. Everything else in the estimate stays as the tracker computed it.
 #
-# Each entry of the tangent vector has a filter of its own, with white acceleration of density q^2 and poses
-# that err by r (Kalman 1960; F and the noise are those of ``filtering.model``, exact, without pose noise)::
+# Each entry of the tangent vector has its own filter, with white acceleration of density q^2 and pose errors
+# of standard deviation r (Kalman 1960; F and noise as in ``filtering.model``, exact, without pose noise)::
 #
 #     pose' = pose + dt v + w^n,    v' = v + w^l;    the tracked pose is pose + e,  e ~ N(0, r^2)
 #
@@ -130,32 +130,29 @@ def pose_rates(pose: FloatArray, twist: FloatArray) -> FloatArray:
 #
 #     m_t + G (m_t+1 - m'),    P_t + G (P_t+1 - P') G^T
 #
-# A body rests and hurries, and some poses are wrong, so both noises are known up to a common factor only.
-# With a factor whose inverse is gamma distributed (Roth, Özkan and Gustafsson 2013) the stated variances are
-# multiplied by (nu + d_t^2 + d_t+1^2) / (nu + 2), where d are the innovations over their standard deviations.
+# Bodies alternate between rest and fast motion, and some poses are wrong, so both noises are known only up to
+# a common factor. With an inverse gamma prior on the factor (Roth, Özkan and Gustafsson 2013), variances are
+# multiplied by (nu + d_t^2 + d_t+1^2) / (nu + 2), where d are the normalised innovations.
 #
-# Of a smoothed track every pose knows all frames; the same estimator gives its velocities, in whichever order
-# the smoother yields the frames.
-
+# Smoothed tracks use the same estimator on their poses, in the order in which the smoother yields the frames.
 
 FREEDOM = 2.0
-"""nu: the densities count for as much as the two innovations. Chosen with them, on seeds and people that no
-figure is reported of."""
+"""nu: the prior densities have the weight of two innovations. Tuned on data not used in benchmarks."""
 LONGEST_S = 10.0
-"""Poses farther apart say nothing of a velocity: another chain begins, also where a clock is set."""
+"""Longer gaps start a new chain, as do clock changes."""
 _SPACE = BodySpace()
 
 
 @dataclass(frozen=True, eq=False)
 class VelocityModel:
-    """How a body's velocity wanders, and how far its tracked poses are off.
+    """Noise of a body's velocity and of its tracked poses.
 
     The entries are the first D of the tangent vector, in mm and rad; u is an entry's unit.
 
     Attributes:
-        acceleration: (D,) q, square root of the density of the acceleration, u/s per square root of a second.
+        acceleration: (D,) q, square root of the acceleration's density, u/s per square root of a second.
         pose_sd: (D,) r, standard deviation of the tracked poses' errors, u.
-        start_sd: (D,) standard deviation of the velocity where a track begins, u/s.
+        start_sd: (D,) standard deviation of the velocity at the start of a track, u/s.
     """
 
     acceleration: FloatArray
@@ -164,7 +161,7 @@ class VelocityModel:
 
 
 class _Later(NamedTuple):
-    """How a frame changes the velocity of the frame before: additions to its mean and variance, and d^2."""
+    """Effect of a frame on the previous frame's velocity: additions to mean and variance, and d^2."""
 
     velocity: FloatArray
     variance: FloatArray
@@ -172,18 +169,18 @@ class _Later(NamedTuple):
 
 
 class VelocityEstimator:
-    """Takes the estimates of a track one by one, and returns each with its velocity, one frame late.
+    """Adds velocities to the estimates of a track, with a lag of one frame.
 
-    A chain of poses ends at a lost frame, which keeps the velocity that the tracker gives it, if any. Another
-    begins where the track is re-initialised, or the clock stands still or leaps.
+    A chain of poses ends at a lost frame, which keeps the tracker's velocity if it has one. A new chain
+    begins where the track is reinitialised or the clock stops or jumps.
 
     Args:
-        model: of the velocity.
-        belief: of the last estimate that was taken before an interruption.
-        backward: the estimates come latest first.
+        model: velocity model.
+        belief: belief after the last estimate before an interruption.
+        backward: whether estimates come in reverse order.
 
     Attributes:
-        belief: after the estimate that was taken last; None if it was lost.
+        belief: belief after the latest estimate; None if it was lost.
     """
 
     def __init__(
@@ -194,18 +191,18 @@ class VelocityEstimator:
         self._waiting: Estimate | None = None
 
     def take(self, estimate: Estimate) -> Estimate | None:
-        """Return the estimate taken before, with its velocity given both; None at the first one."""
+        """Return the previous estimate with its velocity given this one too; None at the first."""
         waiting, before = self._waiting, self.belief
         later = self._advance(estimate)
         self._waiting = estimate
         return None if waiting is None else self._revised(waiting, before, later)
 
     def last(self) -> Estimate | None:
-        """Return the estimate taken last, with its velocity given those before; None without any."""
+        """Return the latest estimate with its velocity given the earlier ones; None without any."""
         return None if self._waiting is None else self._revised(self._waiting, self.belief, None)
 
     def _advance(self, estimate: Estimate) -> _Later | None:
-        """Take a pose in; return how it changes the velocity of the frame before, None in another chain."""
+        """Update the belief; return the effect on the previous frame, or None in a new chain."""
         before, model = self.belief, self._model
         if estimate.status is Status.LOST:
             self.belief = None
@@ -220,7 +217,7 @@ class VelocityEstimator:
         expected = _SPACE.retract(before.pose[None], dt * before.velocity[None])[0]
         pp, pv, vv = before.covariance
         noise = step_noise(np.zeros(size), np.square(model.acceleration), dt)
-        # P', of which the pose's variance, the covariance and the velocity's variance are kept.
+        # P': variance of the pose, covariance, variance of the velocity.
         a = pp + 2.0 * dt * pv + dt**2 * vv + noise.pose
         b = pv + dt * vv + noise.cross
         c = vv + noise.velocity
@@ -232,7 +229,7 @@ class VelocityEstimator:
         moved = _SPACE.retract(expected[None], change[:1])[0]
         after = np.stack([gain[0] * error, gain[1] * error, c - fall[2]])  # a - a^2 / s = a r^2 / s
         self.belief = VelocityBelief(estimate.stamp_ns, moved, before.velocity + change[1], after, surprise)
-        # The velocity's row of G: (pv + dt vv, vv) P'^-1.
+        # Velocity row of G: (pv + dt vv, vv) P'^-1.
         g = ((pv + dt * vv) * c - vv * b) / (a * c - b**2)
         h = (vv * a - (pv + dt * vv) * b) / (a * c - b**2)
         return _Later(
@@ -242,17 +239,17 @@ class VelocityEstimator:
         )
 
     def _is_cut(self, estimate: Estimate) -> bool:
-        """Whether the track was re-initialised between the estimate taken before and this one."""
+        """Return whether the track was reinitialised between the previous estimate and this one."""
         later = estimate if self._direction > 0.0 else self._waiting
         return later is not None and later.status is Status.REINITIALISED
 
     def _revised(self, estimate: Estimate, belief: VelocityBelief | None, later: _Later | None) -> Estimate:
-        """The estimate with its velocity, given the next pose where the chain has one."""
+        """Return the estimate with its velocity, using the next pose if it is in the same chain."""
         if belief is None:
             own = estimate.twist_variance
             if own is None or own.any():
                 return estimate
-            # A filter without velocity states 0, and no doubt of it.
+            # A filter without a velocity state reports 0 with variance 0: the velocity is unknown.
             return replace(estimate, twist=None, twist_variance=None, pose_rate=None)
         known, size = len(belief.velocity), len(estimate.shape) + 6
         unknown = np.zeros(known)
@@ -267,31 +264,31 @@ class VelocityEstimator:
 
 
 def check_belief(belief: VelocityBelief | None, model: VelocityModel | None) -> None:
-    """Raise LayoutError unless a checkpoint's belief is of the entries that a model is of."""
+    """Raise LayoutError unless a checkpoint's belief has the dimensions of the model."""
     if belief is None or model is None:
         return
     size = len(model.pose_sd)
     if (len(belief.velocity), len(belief.pose)) != (size, size + 1):
-        found = f"{len(belief.velocity)} velocities of a pose of {len(belief.pose)} numbers"
-        raise LayoutError(f"{found}, not {size} of {size + 1}")
+        found = f"{len(belief.velocity)} velocities for a pose of {len(belief.pose)} numbers"
+        raise LayoutError(f"{found}, expected {size} for {size + 1}")
 
 
 def with_velocities(
     steps: Iterable[Step], model: VelocityModel, belief: VelocityBelief | None
 ) -> Iterator[Step]:
-    """Yield the steps of a pass with their velocities, each once the next frame is tracked.
+    """Yield the steps of a pass with velocities, each after the next frame is tracked.
 
     Args:
-        steps: of the pass.
-        model: of the velocity.
-        belief: of the last frame that was yielded before an interruption.
+        steps: steps of the pass.
+        model: velocity model.
+        belief: belief after the last step yielded before an interruption.
     """
     estimator, waiting = VelocityEstimator(model, belief), None
     for step in steps:
         estimate = estimator.take(step.estimate)
         if waiting is not None and estimate is not None:
             yield waiting._replace(estimate=estimate)
-        # The generator is shared by all steps, and tracking the next frame advances it.
+        # All steps share the generator, and tracking the next frame advances it before this step is saved.
         after = step.after._replace(rng=copy.deepcopy(step.after.rng), velocity=estimator.belief)
         waiting = step._replace(after=after)
     estimate = estimator.last()
@@ -302,7 +299,7 @@ def with_velocities(
 def smoothed_velocities(
     estimates: Iterable[Estimate], model: VelocityModel | None, *, backward: bool = False
 ) -> Iterator[Estimate]:
-    """Yield the estimates of a smoothed track with their velocities; unchanged without a model."""
+    """Yield the estimates of a smoothed track with velocities; unchanged without a model."""
     if model is None:
         yield from estimates
         return

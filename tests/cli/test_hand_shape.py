@@ -174,7 +174,7 @@ def test_another_shape_gives_other_joints(recording: Path, hand_file: Path, tmp_
 @pytest.mark.parametrize(
     ("options", "said", "code"),
     [
-        (("--start", "100"), "no frame to track", 2),
+        (("--start", "100"), "no frames to track", 2),
         (("--init", "none.toml"), "none.toml: no such file to start from", 2),
         (("--resume",), "no unfinished result to resume", 1),
     ],

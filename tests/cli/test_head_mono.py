@@ -31,7 +31,7 @@ from support.mono_scene import map_skin_soon
 FRAMES = 12
 SEED = ("--frames", str(FRAMES), "--seed", "3", "--camera-count", "1")
 CAMERA = Camera(160, 120, 250.0, 250.0, 79.5, 59.5)
-GUESSED = "no calibration: focal length taken for {} px (a field of view of 53 degrees, --fov says another)"
+GUESSED = "no calibration: focal length set to {} px (field of view of 53 degrees; change it with --fov)"
 
 
 def mono(recording: Path, output: Path, *arguments: object) -> int:
@@ -94,12 +94,12 @@ def test_no_face_is_one_line_with_frames_and_score(
         (
             ["--person", "p.mcap", "--load-model", "m.npz"],
             2,
-            "--person and --load-model both say how to begin",
+            "--person and --load-model are mutually exclusive",
         ),
         (["--face-model", "nowhere.npz"], 2, "no such face model"),
         (["--load-model", "nowhere.npz"], 2, "no such model file"),
         (["--init", "nowhere.csv"], 2, "nowhere.csv: cannot be read"),
-        (["--start", "9"], 2, "no frame to track, found 3 frames"),
+        (["--start", "9"], 2, "no frames to track, found 3 frames"),
         (["--fov", "200"], 2, "--fov cannot be used, found 200, expected degrees from 1 to 170"),
         (["--fov", "60"], 2, "--fov does not apply to a calibrated camera, found 250 px; leave it out"),
         (["--cameras", "left"], 1, "no camera 'left'"),
@@ -478,7 +478,7 @@ def test_landmarks_from_elsewhere_begin_a_run_at_the_features_near_them(
     output = tmp_path / "r.mcap"
     assert mono(made, output, "--passes", "1", "--landmarks", tmp_path / "told.csv") == 0
     said = lines(capsys)[0]
-    assert "11 faces by frame number, in px" in said and said.endswith("1 wild point left out")
+    assert "11 faces by frame number, in px" in said and said.endswith("1 outlier ignored")
     record, found = read_result(output).run, load_arrays(output)
     assert (record["landmarks"], record["landmarks.unit"]) == ("told.csv", "px")
     assert len(record["landmarks.sha256"]) == 64

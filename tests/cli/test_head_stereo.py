@@ -71,7 +71,7 @@ def test_no_face_is_one_line_with_frames_and_score(
         (["--set", "model.component=3"], 2, "components"),
         (["--cameras", "left"], 2, "too few cameras"),
         (["--cameras", "left,rihgt"], 1, "right"),
-        (["--start", "9"], 2, "no frame to track, found 3 frames"),
+        (["--start", "9"], 2, "no frames to track, found 3 frames"),
         (["--load-model", "nowhere.npz"], 2, "no such model file"),
         (["--init", "nowhere.csv"], 2, "nowhere.csv: cannot be read"),
         (["--resume"], 1, "no unfinished result to resume"),
@@ -252,7 +252,7 @@ def test_clicked_points_begin_a_run(
     (tmp_path / "mirrored.csv").write_text("\n".join(["camera,point,x,y", *(_swapped(row) for row in rows)]))
     capsys.readouterr()
     assert stereo(made, tmp_path / "m.mcap", "--init", tmp_path / "mirrored.csv") == 1
-    assert "clicked points begin no head" in line(capsys)
+    assert "clicked points do not form a head" in line(capsys)
     assert not list(tmp_path.glob("m.mcap*"))
 
 

@@ -30,11 +30,11 @@ def test_mean_is_weighted() -> None:
 @pytest.mark.parametrize(
     ("pose_noise", "velocity_noise", "message"),
     [
-        ([-1.0], [1.0], "pose_noise cannot be used"),
-        ([1.0], [np.nan], "velocity_noise cannot be used"),
-        ([np.inf], [1.0], "pose_noise cannot be used"),
-        (1.0, 1.0, "pose_noise cannot be used"),
-        ([1.0, 1.0], [1.0], "noises do not match"),
+        ([-1.0], [1.0], "invalid pose_noise"),
+        ([1.0], [np.nan], "invalid velocity_noise"),
+        ([np.inf], [1.0], "invalid pose_noise"),
+        (1.0, 1.0, "invalid pose_noise"),
+        ([1.0, 1.0], [1.0], "noise shapes differ"),
     ],
 )
 def test_noise_is_checked(pose_noise, velocity_noise, message: str) -> None:
@@ -43,9 +43,9 @@ def test_noise_is_checked(pose_noise, velocity_noise, message: str) -> None:
 
 
 def test_unknown_discretisation_is_refused() -> None:
-    with pytest.raises(FilterError, match="no such discretisation, found eulr"):
+    with pytest.raises(FilterError, match="unknown discretisation, found eulr"):
         Dynamics(np.ones(1), np.ones(1), "eulr")
-    with pytest.raises(FilterError, match=r"no such gain.*did you mean 'printed'"):
+    with pytest.raises(FilterError, match=r"unknown gain.*did you mean 'printed'"):
         Dynamics(np.ones(1), np.ones(1), gain="print")  # type: ignore[arg-type]
 
 

@@ -298,5 +298,5 @@ def test_velocity_of_a_steady_turn_through_half_a_turn_and_the_sign_flip() -> No
 
 def test_filters_are_found_by_the_names_that_configurations_use() -> None:
     assert (FILTERS.find("pf"), FILTERS.find("rbpf")) == (ParticleState, MarginalState)
-    with pytest.raises(FilterError, match="no such filter, found rpbf; did you mean 'rbpf'"):
+    with pytest.raises(FilterError, match="unknown filter, found rpbf; did you mean 'rbpf'"):
         FILTERS.find("rpbf")

@@ -53,8 +53,8 @@ def test_minus_infinity_is_a_weight_of_zero() -> None:
         ([0.0, np.nan], "log-weights are NaN, found 1 of 2"),
         ([-np.inf, np.nan], "log-weights are NaN"),
         ([0.0, np.inf], "log-weights are infinite, found 1 of 2"),
-        ([], "weights cannot be used"),
-        ([[0.0]], "weights cannot be used"),
+        ([], "invalid weights"),
+        ([[0.0]], "invalid weights"),
     ],
 )
 def test_weights_without_meaning_are_an_error_not_a_zero(values: list, message: str) -> None:

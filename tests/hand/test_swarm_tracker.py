@@ -189,7 +189,7 @@ def test_a_step_changes_no_state_and_another_seed_is_another_run() -> None:
 
 
 def test_time_must_move_forward() -> None:
-    with pytest.raises(FilterError, match="time does not move forward"):
+    with pytest.raises(FilterError, match="invalid time step"):
         run(tracker_with(Distance(START)), [seen(1), seen(1)])
 
 
