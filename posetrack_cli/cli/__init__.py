@@ -1,1 +1,1 @@
-"""The command line. Heavy imports stay inside the commands."""
+"""Command line. Heavy imports stay inside the commands, so that help and completion are fast."""

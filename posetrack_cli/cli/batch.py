@@ -1,4 +1,4 @@
-"""``posetrack batch``: any of the trackers over many recordings, on one machine or on a cluster."""
+"""``posetrack batch``: run a tracker on many recordings, on one machine or a Dask cluster."""
 
 from __future__ import annotations
 
@@ -48,16 +48,16 @@ class Size(click.ParamType[int]):
         """Return the number of bytes.
 
         Raises:
-            click.BadParameter: it is none, or less than any run needs.
+            click.BadParameter: the value is not a size, or too small for any run.
         """
         if isinstance(value, int):
             return value
         found = _SIZE.fullmatch(str(value).strip())
         if found is None:
-            self.fail(f"{value!r} is no size such as 2G or 1500M.", parameter, context)
+            self.fail(f"{value!r} is not a size such as 2G or 1500M.", parameter, context)
         size = round(float(found[1]) * _UNITS[found[2].upper()])
         if size < LEAST_DATA_BYTES:
-            self.fail(f"{value} is less than any run needs; 512M or more.", parameter, context)
+            self.fail(f"{value} is too small; a run needs at least 512M.", parameter, context)
         return size
 
 
@@ -70,56 +70,54 @@ BATCH_OPTIONS = options_of(
             metavar="FOLDER",
             required=True,
             type=FILE,
-            help="Where to write. A folder, made if it is not there; what is finished in it is kept.",
+            help="Output folder; created if missing. Finished results are reused.",
+            meaning="Output file or folder",
         ),
-        option("--redo", is_flag=True, help="Track everything anew, and replace what is there."),
-        option("--dry-run", is_flag=True, help="Say what would be done with each recording, and exit."),
+        option("--redo", is_flag=True, help="Track all recordings again and overwrite existing results."),
+        option("--dry-run", is_flag=True, help="Show the action for each recording and exit."),
         option(
-            "--reports/--no-reports", default=True, show_default=True, help="Write a page about each result."
+            "--reports/--no-reports", default=True, show_default=True, help="Write an HTML page per result."
         ),
-        junit_option("One test for each and each result; also whether it was tracked."),
+        junit_option("Write gates as JUnit XML: a test per gate and result, and whether each was tracked."),
         markdown_option(),
         option_group(
             option(
                 "--jobs",
                 metavar="N",
                 type=click.IntRange(1, 1024),
-                help="Recordings at a time on this machine.  [default: one for each core]",
+                help="Number of recordings to track in parallel on this machine.  [default: number of cores]",
             ),
             option(
                 "--scheduler",
                 metavar="ADDRESS",
-                help="A Dask cluster that exists, such as tcp://host:8786.",
+                help="Address of a running Dask scheduler, e.g. tcp://host:8786.",
             ),
             option(
                 "--scheduler-file",
                 metavar="FILE",
                 type=FILE,
-                help="The same by the file that its dask scheduler --scheduler-file writes.",
+                help="File with the scheduler's address, from dask scheduler --scheduler-file.",
             ),
-            option(
-                "--dashboard", is_flag=True, help="Serve Dask's page about the jobs, and print its address."
-            ),
+            option("--dashboard", is_flag=True, help="Serve the Dask dashboard and print its address."),
             option(
                 "--timeout",
                 "timeout_s",
                 metavar="S",
                 type=FiniteRange(min=0.0, min_open=True),
-                help="Stop a recording, or a piece of one, after so many seconds; the next batch goes on "
-                "with it.",
+                help="Time limit per recording, or per chunk, in seconds; the next batch resumes it.",
             ),
             option(
                 "--memory-limit",
                 metavar="SIZE",
                 type=Size(),
-                help="Memory that each recording's process may take, such as 2G; one that needs more "
-                "fails alone.",
+                help="Memory limit per recording, e.g. 2G; a recording that exceeds it fails, the others go "
+                "on.",
             ),
             option(
                 "--chunk-s",
                 metavar="S",
                 type=FiniteRange(min=1.0),
-                help="Track long recordings in pieces of so many seconds, side by side, and join their "
+                help="Split long recordings into chunks of S seconds, track them in parallel and join the "
                 "results.",
             ),
             option(
@@ -128,7 +126,7 @@ BATCH_OPTIONS = options_of(
                 type=FiniteRange(min=0.0),
                 default=2.0,
                 show_default=True,
-                help="What a piece is tracked for before its own frames, with --smooth also after them.",
+                help="Seconds tracked before a chunk's own frames, and with --smooth also after them.",
             ),
             title="Batch",
         ),
@@ -137,26 +135,26 @@ BATCH_OPTIONS = options_of(
         title=WRITTEN,
     )
 )
-"""Those of every batch."""
+"""Options of every batch command."""
 
 
 @click.group()
 def batch() -> None:
-    """Track many recordings: in processes side by side, and what is finished is kept."""
+    """Track many recordings in parallel; finished results are reused."""
 
 
 @batch.group("hand")
 def batch_hand() -> None:
-    """Track the hands of many recordings."""
+    """Track hands in many recordings."""
 
 
 @batch.group("head")
 def batch_head() -> None:
-    """Track the heads of many recordings."""
+    """Track heads in many recordings."""
 
 
 def _command(command: BatchCommand) -> click.Command:
-    """The batch of a command: its own options, and those of a batch."""
+    """Return the batch command of a tracker: batch options plus those of the tracker."""
     argument = click.Argument(["recordings"], nargs=-1, required=True, metavar="RECORDING...")
     line = " ".join(command.words)
 
@@ -170,16 +168,16 @@ def _command(command: BatchCommand) -> click.Command:
         params=[argument, *BATCH_OPTIONS, *command.parameters],
         callback=callback,
         examples=command.examples,
-        short_help=command.command.short_help and f"posetrack {line} over many recordings.",
-        help=f"""Run posetrack {line} over each RECORDING: files, folders, quoted patterns such as
-        'in/**/*.mcap', lists of those (.txt, one a line), or manifests (.toml) with options of each.
+        short_help=command.command.short_help and f"Run posetrack {line} on many recordings.",
+        help=f"""Run posetrack {line} on each RECORDING: files, folders, quoted patterns such as
+        'in/**/*.mcap', lists of these (.txt, one per line), or manifests (.toml) with options per recording.
 
-        Results lie below -o under the recordings' names, beside summary.csv, summary.json and index.html;
-        each is, byte for byte, that of posetrack {line} alone. Run it again after an interruption or a
-        failure: what is finished and of the same input, options and version is kept, what was begun goes on.
+        The output folder receives one result per recording, summary.csv, summary.json and index.html. Each
+        result is identical to that of posetrack {line}. After an interruption or failure, run the same
+        command again: results of the same input, options and version are reused, partial ones resumed.
 
-        Exit code 1: a gate failed. Exit code 3: a recording failed, or some of its data could not be used.
-        130: stopped by Ctrl-C. All other options are those of posetrack {line}.
+        Exit code 1: a gate failed. Exit code 3: a recording failed, or some of its data was unusable. Exit
+        code 130: interrupted. Further options are those of posetrack {line}.
         """,
     )
 
@@ -190,8 +188,6 @@ for _one in BATCH_COMMANDS.values():
 
 @dataclass(frozen=True)
 class _Plan:
-    """What a command line asks for."""
-
     jobs: tuple[Job, ...]
     limits: Limits
     piece_arguments: PieceArguments | None
@@ -200,18 +196,19 @@ class _Plan:
 def run_batch_command(
     command: BatchCommand, recordings: Sequence[str], arguments: tuple[str, ...], options: dict[str, Any]
 ) -> None:
-    """Do a batch, or say what it would do.
+    """Run a batch, or print its plan for --dry-run.
 
     Args:
-        command: that tracks.
-        recordings: as they were given.
-        arguments: options of the command.
-        options: of the batch.
+        command: the tracker's command.
+        recordings: files, folders, patterns, lists or manifests.
+        arguments: options for the tracker.
+        options: options of the batch.
     """
     from posetrack_cli.batch.sources import find_sources
 
     if options["scheduler"] is not None and options["scheduler_file"] is not None:
-        raise UsageError("--scheduler and --scheduler-file both say where", hint="leave one of them out")
+        what = "--scheduler and --scheduler-file are mutually exclusive"
+        raise UsageError(what, hint="leave one of them out")
     plan = _planned(command, find_sources(recordings, options["results"]), arguments, options)
     judging = _judging(options)
     if options["dry_run"]:
@@ -233,7 +230,7 @@ def run_batch_command(
 
 
 def _judging(options: dict[str, Any]) -> Judging:
-    """How results are judged; what cannot be meant is refused before the first is made."""
+    """Return the gates, baseline and reports, checked before the first job starts."""
     from posetrack_cli.batch.summary import Judging
     from posetrack_cli.evaluation.judging.assessment import Request
     from posetrack_cli.evaluation.judging.baseline import read_baseline
@@ -261,7 +258,7 @@ def _judging(options: dict[str, Any]) -> Judging:
 def _planned(
     command: BatchCommand, sources: Sequence[Source], arguments: tuple[str, ...], options: dict[str, Any]
 ) -> _Plan:
-    """The jobs; everything that can be refused is refused here."""
+    """Return the jobs and limits, checked before the first job starts."""
     from posetrack_cli.batch.jobs import Job, Limits, record_path
     from posetrack_cli.evaluation.judging.gates import parse_gate
     from posetrack_cli.text import one_line
@@ -300,37 +297,44 @@ def _planned(
 
 
 def _check_places(folder: Path, jobs: Sequence[Job], alike: Callable[[str], str] = str) -> None:
-    """Refuse a recording whose result or page has the place of something else.
+    """Check that no two outputs have the same path.
 
     Args:
-        folder: of results.
-        jobs: of recordings.
-        alike: returns what names have in common that are one on the file system.
+        folder: output folder.
+        jobs: jobs of the recordings.
+        alike: normalises a path; equal values are the same file (``str.casefold`` where case is ignored).
+
+    Raises:
+        UsageError: an output collides with another one or with a file of the batch.
     """
     from posetrack_cli.batch.jobs import RECORDS_FOLDER
     from posetrack_cli.batch.summary import PAGE, REPORT, TABLE
     from posetrack_cli.outputs import part_path
 
-    taken = {alike(str(folder / one)): "the batch's own" for one in (PAGE, TABLE, REPORT, RECORDS_FOLDER)}
+    taken = {alike(str(folder / one)): "a file of the batch" for one in (PAGE, TABLE, REPORT, RECORDS_FOLDER)}
 
     def check(what: str, path: Path, job: Job) -> None:
         if (other := taken.get(alike(str(path)))) is not None:
-            hint = "give it another name in a manifest" + (", or --no-reports" if what == "page" else "")
+            hint = "set another name in a manifest" + (", or use --no-reports" if what == "page" else "")
             found = path.relative_to(folder)
-            raise UsageError(f"its {what} would be {other}", where=job.recording, found=found, hint=hint)
+            raise UsageError(
+                f"its {what} would overwrite {other}", where=job.recording, found=found, hint=hint
+            )
 
     for job in jobs:
         for what, path in (("result", job.output), ("page", job.page)):
             if path is not None:
                 check(what, path, job)
-                taken |= {alike(str(one)): f"that of {job.recording}" for one in (path, part_path(path))}
+                taken |= {
+                    alike(str(one)): f"the {what} of {job.recording}" for one in (path, part_path(path))
+                }
     for job in jobs:
         for above in job.output.relative_to(folder).parents[:-1]:
             check("folder", folder / above, job)
 
 
 def _show_plan(plan: _Plan) -> None:
-    """Say what would be done with each recording."""
+    """Print the action for each recording."""
     from posetrack_cli.batch.execution import planned_action
 
     for job in plan.jobs:
@@ -345,12 +349,12 @@ def _make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except FileExistsError as error:
-        raise UsageError("output is a file", where=folder, expected="a folder for the results") from error
+        raise UsageError("output is a file", where=folder, expected="a folder") from error
 
 
 @contextmanager
 def _locked(folder: Path) -> Iterator[None]:
-    """Keep other batches out of a folder of results."""
+    """Lock an output folder against other batches."""
     from posetrack_cli.batch.jobs import RECORDS_FOLDER
     from posetrack_cli.files import open_output
     from posetrack_cli.outputs import check_not_written, lock, make_folder
@@ -361,7 +365,7 @@ def _locked(folder: Path) -> Iterator[None]:
         check_not_written(path)
     except UsageError as error:
         raise UsageError(
-            "another batch writes there", where=folder, hint="wait for it, or choose another"
+            "output folder is in use by another batch", where=folder, hint="wait, or choose another folder"
         ) from error
     with open_output(path) as stream:
         lock(stream)
@@ -369,14 +373,14 @@ def _locked(folder: Path) -> Iterator[None]:
 
 
 def _folds_case(folder: Path) -> bool:
-    """Whether the file system of a folder of results takes names for one that differ in capitals alone."""
+    """Return whether the folder's file system ignores case."""
     from posetrack_cli.batch.jobs import RECORDS_FOLDER
 
-    return (folder / RECORDS_FOLDER.upper()).exists()
+    return (folder / RECORDS_FOLDER.upper()).exists()  # the records folder exists, in lower case
 
 
 def _run(plan: _Plan, options: dict[str, Any]) -> list[Outcome]:
-    """Do the jobs, and show how far they are."""
+    """Run the jobs with a progress bar."""
     from posetrack_cli.batch.engine import EngineOptions, open_engine
     from posetrack_cli.batch.execution import run_job
     from posetrack_cli.batch.jobs import RECORDS_FOLDER
@@ -385,7 +389,7 @@ def _run(plan: _Plan, options: dict[str, Any]) -> list[Outcome]:
     scratch = options["results"] / RECORDS_FOLDER / "scratch"
     jobs = options["jobs"] or len(os.sched_getaffinity(0))
     if plan.piece_arguments is None:
-        jobs = min(jobs, len(plan.jobs))  # so that one alone has all cores
+        jobs = min(jobs, len(plan.jobs))  # cores are divided among jobs: a single one gets all of them
     where = EngineOptions(
         jobs, options["scheduler"], options["scheduler_file"], scratch, options["dashboard"]
     )
@@ -400,8 +404,8 @@ def _run(plan: _Plan, options: dict[str, Any]) -> list[Outcome]:
 
 @contextmanager
 def _new_folder(path: Path) -> Iterator[None]:
-    """Make a folder anew, also where a batch that was killed has left one, and delete it at the end."""
-    shutil.rmtree(path, ignore_errors=True)
+    """Create an empty folder, and delete it at the end."""
+    shutil.rmtree(path, ignore_errors=True)  # left by a batch that was killed
     path.mkdir()
     try:
         yield
@@ -410,7 +414,7 @@ def _new_folder(path: Path) -> Iterator[None]:
 
 
 def _close(folder: Path, summary: Summary) -> None:
-    """Say what came of the batch, and set the exit code."""
+    """Print the closing lines and set the exit code."""
     from posetrack_cli.batch.jobs import State
     from posetrack_cli.batch.scheduling import states_line
     from posetrack_cli.batch.summary import DATA_LOST, PAGE
@@ -427,13 +431,13 @@ def _close(folder: Path, summary: Summary) -> None:
         print_note(gate.line)
     _note_processors(summary)
     if any(one.state is State.STOPPED for one in outcomes):
-        print_note("interrupted; the same command goes on")
+        print_note("interrupted; run the same command again to continue")
     if summary.exit_code != EXIT_DONE:
         click.get_current_context().exit(summary.exit_code)
 
 
 def _note_processors(summary: Summary) -> None:
-    """Say where results cannot have the bytes that this machine would give them, as kept ones may not."""
+    """Warn if the results come from different processors, which round differently."""
     from posetrack_cli.batch.jobs import State
     from posetrack_cli.build import only_in, processor_features
 
@@ -443,4 +447,4 @@ def _note_processors(summary: Summary) -> None:
     if len(kinds) > 1:
         first, *others = sorted(kinds)
         found = "; ".join([only_in(first, others[0]), *(only_in(other, first) for other in others)])
-        print_note(f"results of several kinds of processor differ in their last digits: {found}")
+        print_note(f"results come from different processor types and may differ in the last digits: {found}")

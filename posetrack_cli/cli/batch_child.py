@@ -1,8 +1,8 @@
-"""The process of one job of a batch: does it, writes a page about the result, and tells whoever started it.
+"""Process of one batch job: runs it, writes the HTML page of the result and reports to the parent.
 
-What is to be done comes as one line of JSON on standard input, which then stays open as long as somebody
-waits for this process: where it ends, so does the process. What is told goes to the descriptor that the
-command line names, one line of JSON each: progress, and in the end what came of it.
+The task arrives as one line of JSON on standard input. The parent keeps that pipe open while it waits; at its
+end the process exits. Reports (progress, remarks, cost) go to the descriptor given as the first argument, one
+line of JSON each.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import IO, Any
 
 from posetrack_cli.cli.main import run, run_safely
 from posetrack_cli.cli.process import leave_process, prepare_process, terminate_as_interrupted
-from posetrack_cli.cli.running import Listener, told_to
+from posetrack_cli.cli.running import Listener, use_listener
 from posetrack_cli.cli.terminal import print_note
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_DONE, EXIT_FAILED, PosetrackError, UsageError
 
@@ -28,7 +28,7 @@ _TOLD_EVERY_S = 0.5
 
 
 def main() -> None:
-    """Do the job that standard input tells of, and exit with its command's code."""
+    """Run the job read from standard input, and exit with its exit code."""
     prepare_process()
     terminate_as_interrupted()
     task = json.loads(_line())
@@ -41,8 +41,8 @@ def main() -> None:
 
 
 def _line() -> bytes:
-    """The first line of standard input, not through Python's stream of it: a thread reads on."""
-    read = b""
+    """Read the first line of standard input."""
+    read = b""  # not via sys.stdin: its buffer lock would block the thread that waits for the end
     while not read.endswith(b"\n"):
         if not (piece := os.read(_INPUT, _READ_BYTES)):
             break
@@ -51,16 +51,16 @@ def _line() -> bytes:
 
 
 def _leave_when_alone() -> None:
-    """End where whoever started this has ended: somebody else may be asked to do the same job."""
+    """Exit as soon as the parent has ended: the job may be started elsewhere."""
     while os.read(_INPUT, _READ_BYTES):
         pass
     os._exit(EXIT_FAILED)
 
 
 def _limit_memory(most_bytes: int | None) -> None:
-    """Have allocations fail beyond a limit, so that this process fails and not another one."""
+    """Make allocations fail beyond a limit, so that the kernel's OOM killer does not pick another process."""
     if most_bytes is not None:
-        faulthandler.disable()  # a library that cannot do without more memory aborts, which is no fault
+        faulthandler.disable()  # libraries abort when out of memory; no traceback for that
         resource.setrlimit(resource.RLIMIT_DATA, (most_bytes, most_bytes))
 
 
@@ -69,16 +69,16 @@ def _peak_bytes() -> int:
 
 
 def _do(task: dict[str, Any], told: IO[str]) -> int:
-    """Do the job, and write a page about what it made; the exit code is the job's own."""
+    """Run the job and write the page of its result; return the job's exit code."""
     from posetrack_cli.build import source_digest
     from posetrack_cli.recording.identity import known_digests, tell_digests
 
     if task["sources"] != source_digest():
         raise UsageError(
-            "posetrack's sources are not those that the batch began with",
+            "posetrack on this worker differs from that of the batch",
             found=source_digest(),
             expected=task["sources"],
-            hint="run the same command again, on workers with the same posetrack",
+            hint="install the same version on all workers, then run the same command again",
         )
     if task["digests"]:
         tell_digests(task["digests"])
@@ -91,8 +91,8 @@ def _do(task: dict[str, Any], told: IO[str]) -> int:
     return code
 
 
-class _Teller(Listener):
-    """Passes on what a command that tracks tells, progress not oftener than anybody looks."""
+class _Reporter(Listener):
+    """Forwards remarks, the end and, at a limited rate, progress."""
 
     is_alone = False
 
@@ -116,9 +116,9 @@ def _tell(told: IO[str], what: dict[str, Any]) -> None:
 
 
 def _tracked(task: dict[str, Any], told: IO[str]) -> int:
-    if not task["arguments"]:  # the result is there, and only its page is missing
+    if not task["arguments"]:  # the result exists, only its page is missing
         return EXIT_DONE
-    with told_to(_Teller(told)):
+    with use_listener(_Reporter(told)):
         return run(task["arguments"])
 
 
@@ -128,7 +128,7 @@ def _split(task: dict[str, Any]) -> list[list[int]]:
 
     command = BATCH_COMMANDS[tuple(task["command"])]
     recording, options = command.opened(Path(task["recording"]), task["options"])
-    recording.identity()  # of all of it, once, for the pieces
+    recording.identity()  # digests the whole recording once, for all pieces
     pieces = split_frames(
         recording,
         task["chunk_s"],
@@ -150,7 +150,7 @@ def _joined(task: dict[str, Any]) -> int:
 
 
 def _write_page(task: dict[str, Any]) -> None:
-    """Measure the result, and write the page about it; where that fails the result is there all the same."""
+    """Measure the result and write its page; an error does not invalidate the result."""
     from posetrack_cli.cli.eval import write_page
     from posetrack_cli.evaluation.judging.assessment import Request, assess
     from posetrack_cli.evaluation.measuring.evaluate import EvalOptions
@@ -160,7 +160,7 @@ def _write_page(task: dict[str, Any]) -> None:
     try:
         write_page(assess(request), Path(task["page"]), Path(task["recording"]))
     except PosetrackError as error:
-        print_note(f"{task['page']}: no page: {error}")
+        print_note(f"{task['page']}: page not written: {error}")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The commands that a batch runs, and the progress of it."""
+"""Commands that a batch can run, and the progress display of a batch."""
 
 from __future__ import annotations
 
@@ -25,19 +25,16 @@ if TYPE_CHECKING:
     from posetrack_cli.recording.recording import Recording
 
 
-# How far a batch is: a bar and failures where a person looks, else a line for each recording
-
-
 class BatchProgress:
-    """Shows recordings that are over, frames, frames per second, what is left, and failures.
+    """Progress of a batch: a bar and failures on a terminal, else one line per recording.
 
     Args:
-        total: how many recordings there are.
+        total: number of recordings.
     """
 
     def __init__(self, total: int) -> None:
         self._total, self._over, self._failed = total, 0, 0
-        self._frames: dict[str, int] = {}  # that are being tracked, by job
+        self._frames: dict[str, int] = {}  # of running jobs, by name
         self._done, self._began_s = 0, time.monotonic()
         self._lock = Lock()
         self._stack = ExitStack()
@@ -52,13 +49,13 @@ class BatchProgress:
         self._stack.close()
 
     def on_progress(self, told: JobProgress) -> None:
-        """A job is so far."""
+        """Update the frame count of a running job."""
         with self._lock:
             self._frames[told.job] = told.frames
             self._show()
 
     def on_outcome(self, outcome: Outcome) -> None:
-        """A recording is over."""
+        """Count a finished recording, and print its line."""
         from posetrack_cli.batch.jobs import recording_of
 
         with self._lock:
@@ -73,7 +70,7 @@ class BatchProgress:
             self._show(1)
 
     def note(self, line: str) -> None:
-        """Say what a user should know meanwhile."""
+        """Print a note above the bar."""
         with self._lock:
             print_note(line)
 
@@ -85,7 +82,7 @@ class BatchProgress:
 
 
 def line_of(outcome: Outcome) -> str:
-    """What came of a recording, in one line."""
+    """Return the outcome of a recording as one line."""
     if outcome.state == "failed":
         return f"{outcome.name}: failed: {outcome.reason}"
     if outcome.state == "kept":
@@ -96,13 +93,10 @@ def line_of(outcome: Outcome) -> str:
     return f"{outcome.name}: {outcome.state.value}, {done}{reason}"
 
 
-# The commands that a batch runs: their options as arguments, and how they open a recording
-
-
 _OWN = ("recording", "output", "resume", "overwrite", "save_model", "quiet", "verbose")
-"""Parameters that a batch sets for each recording, or that name one file to write."""
+"""Parameters that a batch sets itself, or that name a single output file."""
 _OF_FIRST = "init"
-"""How a recording begins: not of the pieces behind the first one."""
+"""Applies to the first piece of a recording only."""
 _FRAMES = ("start", "end")
 
 
@@ -111,12 +105,12 @@ class BatchCommand:
     """A command that tracks one recording.
 
     Attributes:
-        words: how it is called, such as ``("hand", "run")``.
-        command: it.
-        open: opens a recording as its options say.
-        learned: returns further options of a piece that begins with what another one has learned, given the
-            recording's options and that one's result.
-        recordings: such as it takes, for examples.
+        words: name of the command, such as ``("hand", "run")``.
+        command: the click command.
+        open: opens a recording, given the command's options.
+        learned: returns options that start a piece from the shape or model of another one, given the
+            recording's options and that piece's result.
+        recordings: argument for the examples in the help.
     """
 
     words: tuple[str, ...]
@@ -127,7 +121,7 @@ class BatchCommand:
 
     @property
     def examples(self) -> tuple[str, ...]:
-        """Of its batch."""
+        """Examples for the help of the batch command."""
         start = f"posetrack batch {' '.join(self.words)}"
         return (
             f"{start} {self.recordings} -o results/",
@@ -136,23 +130,23 @@ class BatchCommand:
 
     @property
     def parameters(self) -> list[click.Parameter]:
-        """Those that hold for every recording of a batch."""
+        """Parameters that apply to every recording of a batch."""
         return [one for one in self.command.params if one.name not in _OWN]
 
     def arguments(self, context: click.Context) -> tuple[str, ...]:
-        """Return the options that a command line gives, one argument each."""
+        """Return the options given on the command line, one argument each."""
         given = (one for one in self.parameters if _is_given(context, one))
         return tuple(token for one in given for token in _tokens(one, context.params[str(one.name)]))
 
     def arguments_of(self, options: Mapping[str, Any], where: object) -> tuple[str, ...]:
-        """Return the options of a manifest.
+        """Return the options of a manifest as arguments.
 
         Args:
-            options: by long name without dashes; true and false of switches, lists of what is repeatable.
-            where: it is, for errors.
+            options: values by long name without dashes; booleans for switches, lists for repeatable options.
+            where: the manifest, for errors.
 
         Raises:
-            UsageError: an option that the command has not, or that a batch sets itself.
+            UsageError: an unknown option, or one that a batch sets itself.
         """
         known = {
             name.lstrip("-"): one for one in self.parameters for name in (*one.opts, *one.secondary_opts)
@@ -165,10 +159,10 @@ class BatchCommand:
         return tuple(tokens)
 
     def check(self, arguments: Iterable[str], where: object = "") -> dict[str, Any]:
-        """Return the parameters that arguments stand for.
+        """Parse arguments into parameters.
 
         Raises:
-            UsageError: a value that cannot be used.
+            UsageError: an invalid value.
         """
         line = [*arguments, "--output=checked.mcap", "--", "checked"]
         try:
@@ -179,17 +173,17 @@ class BatchCommand:
             raise UsageError(message, where=where) from error
 
     def opened(self, recording: Path, arguments: Iterable[str]) -> tuple[Recording, dict[str, Any]]:
-        """Open a recording, and return it with the parameters that arguments stand for."""
+        """Open a recording, and return it with the parsed parameters."""
         parameters = self.check(arguments, recording)
         return self.open(recording, parameters), parameters
 
     def of_piece(self, arguments: Iterable[str], number: int, learned: Path) -> tuple[str, ...]:
-        """Return the options of a piece of a recording, but for its frames.
+        """Return the options of a piece of a recording, without its frame range.
 
         Args:
-            arguments: of the recording.
-            number: of the piece; the first one learns what the others begin with.
-            learned: the first one's result.
+            arguments: options of the recording.
+            number: index of the piece; the others start from the shape or model learned in the first.
+            learned: result of the first piece.
         """
         left_out = _FRAMES if number == 0 else (*_FRAMES, _OF_FIRST)
         kept = [one for one in arguments if one.partition("=")[0].lstrip("-") not in left_out]
@@ -201,7 +195,7 @@ def _is_given(context: click.Context, parameter: click.Parameter) -> bool:
 
 
 def _tokens(parameter: click.Parameter, value: Any) -> list[str]:
-    """An option of a command line as arguments of another."""
+    """Convert a parsed option back to arguments."""
     long = max(parameter.opts, key=len)
     if isinstance(parameter, click.Option) and parameter.is_flag:
         return [long if value else max(parameter.secondary_opts, key=len)]
@@ -210,11 +204,11 @@ def _tokens(parameter: click.Parameter, value: Any) -> list[str]:
 
 
 def _tokens_of_value(name: str, parameter: click.Parameter, value: Any, where: object) -> list[str]:
-    """An option of a manifest as arguments."""
+    """Convert an option of a manifest to arguments."""
     is_flag = isinstance(parameter, click.Option) and parameter.is_flag
     if is_flag != isinstance(value, bool):
         expected = "true or false" if is_flag else "text or a number"
-        raise UsageError(f"option '{name}' cannot be used", where=where, found=repr(value), expected=expected)
+        raise UsageError(f"invalid value of '{name}'", where=where, found=repr(value), expected=expected)
     if is_flag:
         other = parameter.secondary_opts if f"--{name}" in parameter.opts else parameter.opts
         return [f"--{name}"] if value else list(other[:1])
@@ -227,7 +221,7 @@ def _hand_learned(arguments: Sequence[str], result: Path) -> tuple[str, ...]:
 
 def _head_learned(arguments: Sequence[str], result: Path) -> tuple[str, ...]:
     if any(one.startswith("--person=") for one in arguments):
-        return ()  # it says who it is for all pieces
+        return ()  # --person fixes the face of all pieces
     return ("--passes=1", f"--load-model={result}")
 
 
@@ -237,4 +231,3 @@ _EVERY = (
     BatchCommand(("head", "mono"), head_mono, open_mono_recording, _head_learned, "'in/*.mp4'"),
 )
 BATCH_COMMANDS = {one.words: one for one in _EVERY}
-"""By how they are called."""

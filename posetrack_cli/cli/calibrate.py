@@ -1,4 +1,4 @@
-"""``calibrate`` and ``hand calibrate``."""
+"""``calibrate stereo`` and ``hand calibrate``."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from posetrack_cli.cli.options import (
     overwrite_option,
     recording_options,
 )
-from posetrack_cli.cli.running import compiling_said, open_for_reading, tell_next
+from posetrack_cli.cli.running import announce_compiling, open_for_reading, print_next
 from posetrack_cli.cli.terminal import bar, print_line, print_note
 from posetrack_cli.errors import EXIT_DATA_LOST, RecordingError, UsageError
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from posetrack_cli.hand.shape_fit import Calibration
 
 
-# ``posetrack calibrate``: measure cameras
+# posetrack calibrate: cameras
 
 
 SQUARES = re.compile(r"(\d{1,4})[xX](\d{1,4})")
@@ -40,7 +40,7 @@ SQUARES = re.compile(r"(\d{1,4})[xX](\d{1,4})")
 
 @click.group()
 def calibrate() -> None:
-    """Measure cameras."""
+    """Calibrate cameras."""
 
 
 @calibrate.command(
@@ -51,57 +51,57 @@ def calibrate() -> None:
         "posetrack calibrate stereo boards/ --squares 10x7 --square-mm 25 \\",
         "    --marker-mm 18 --cameras left,right -o rig.toml",
     ),
-    short_help="Measure two or more cameras from images of a board.",
+    short_help="Calibrate two or more cameras from images of a board.",
 )
 @click.argument("images", metavar="FOLDER", type=FILE)
-@output_option("The camera file.", "camera.toml")
+@output_option("Output file: the camera file.", "camera.toml")
 @option_group(
     option(
         "--squares",
         metavar="COLUMNSxROWS",
         required=True,
-        help="Squares of the board across and down: 10x7 has 9x6 inner corners.",
+        help="Squares of the board; 10x7 has 9x6 inner corners.",
     ),
     option(
         "--square-mm",
         metavar="MM",
         type=float,
         required=True,
-        help="Side of a square, mm; measure it on the print.",
+        help="Side of a square in mm, measured on the print.",
     ),
     option(
         "--marker-mm",
         metavar="MM",
         type=float,
-        help="Side of a marker, mm: a ChArUco board instead of a chessboard.",
+        help="Side of a marker in mm; selects a ChArUco board instead of a chessboard.",
     ),
     option(
         "--dictionary",
         metavar="NAME",
         default="4X4_50",
         show_default=True,
-        help="Markers of the ChArUco board, OpenCV's name.",
+        help="Marker dictionary of the ChArUco board (OpenCV name).",
     ),
     title="Board",
 )
-@cameras_option("Names of folders, the reference first.  [default: all]", "Cameras")
+@cameras_option("Names of the camera folders, reference first.  [default: all]", "Cameras")
 @option(
     "--distortion",
     type=click.Choice(["none", "four", "five", "eight"]),
     default="four",
     show_default=True,
-    help="Coefficients of the lens: k1 k2 p1 p2, and k3, and k4 k5 k6.",
+    help="Number of distortion coefficients: k1 k2 p1 p2 (four), plus k3 (five), plus k4 k5 k6 (eight).",
     group="Cameras",
 )
-@overwrite_option("The camera file")
+@overwrite_option("camera.toml if it exists")
 @volume_options
 def calibrate_stereo(images: Path, output: Path, **options: Any) -> None:
-    """Measure intrinsics, distortion and places of the cameras whose images of a board lie in FOLDER.
+    """Calibrate intrinsics, distortion and extrinsics of cameras from images of a board in FOLDER.
 
-    FOLDER has one folder of images per camera (left/ right/ ...); images taken at the same instant have the
-    same name or number, or their stamps as names. Show the board some 20 times: near and far, tilted, in the
-    middle and the corners of every image. What is written is the camera.toml of recordings with these
-    cameras, errors in comments. Exit code 3 means that the errors are large.
+    FOLDER has one image folder per camera (left/ right/ ...). Images taken at the same time have the same
+    name or number, or timestamps as names. Take about 20 images of the board: near and far, tilted, in the
+    centre and the corners of every camera. The camera file is used as camera.toml of recordings with these
+    cameras; it lists the errors as comments. Exit code 3: the errors are large.
     """
     from posetrack_cli.files import write_output
     from posetrack_cli.losses import LossLog, loss_line
@@ -122,14 +122,14 @@ def calibrate_stereo(images: Path, output: Path, **options: Any) -> None:
         print_note(f"{images}: {note}")
     for line in found.lines():
         print_line(line)
-    for doubt in found.doubts():
+    for doubt in found.warning():
         print_note(f"doubtful: {doubt}")
     if not found.fits_together:
         raise RecordingError(
-            "cameras do not fit together, no camera file is written",
+            "cameras are inconsistent, camera file not written",
             where=images,
-            found="images that each camera alone explains",
-            hint="give images of one instant the same name or number, or their stamps as names",
+            found="images that fit each camera alone, but not together",
+            hint="give simultaneous images the same name or number, or timestamps as names",
         )
     with whole_or_nothing(output) as part:
         write_output(part, found.file_text(images).encode())
@@ -143,18 +143,18 @@ def calibrate_stereo(images: Path, output: Path, **options: Any) -> None:
 def _squares(text: str) -> tuple[int, int]:
     match = SQUARES.fullmatch(text)
     if match is None:
-        raise UsageError("--squares cannot be used", found=f"'{text}'", expected="COLUMNSxROWS such as 10x7")
+        raise UsageError("invalid --squares", found=f"'{text}'", expected="COLUMNSxROWS such as 10x7")
     return int(match[1]), int(match[2])
 
 
 @contextmanager
 def _progress() -> Iterator[Callable[[int, int], None]]:
-    """Yield a function that moves a progress bar; a bar only where a person looks."""
+    """Yield a function that updates a progress bar."""
     with bar("board", "image") as shown:
         yield lambda done, total: shown.advance(done - shown.done, total=total)
 
 
-# ``posetrack hand calibrate``: the size and proportions of the hand in a recording
+# posetrack hand calibrate: size and shape of a hand
 
 
 @click.command(
@@ -165,11 +165,11 @@ def _progress() -> Iterator[Callable[[int, int], None]]:
         "posetrack hand run other.mcap --shape hand.toml -o hand.mcap",
     ),
     former={"--frames": "--fit-frames"},
-    short_help="Find the size and proportions of the hand in a recording.",
+    short_help="Estimate the size and shape of the hand in a recording.",
 )
 @click.argument("recording", type=FILE)
-@output_option("The hand, a configuration file.", "HAND.toml")
-@overwrite_option("HAND.toml")
+@output_option("Output file: hand configuration (TOML).", "HAND.toml")
+@overwrite_option("HAND.toml if it exists")
 @option_group(
     option(
         "--fit-frames",
@@ -177,21 +177,21 @@ def _progress() -> Iterator[Callable[[int, int], None]]:
         type=click.IntRange(min=4, max=200),
         default=32,
         show_default=True,
-        help="How many frames the shape is fitted to: those that show the most of fingers, up to 16 of them "
-        "from as many parts of the recording.",
+        help="Number of frames to fit the shape to; frames with the most visible fingers are chosen from all "
+        "parts of the recording.",
     ),
-    hand_side_option("auto", "right", "left", details="auto tells from the images.  [default: auto]"),
+    hand_side_option("auto", "right", "left", text="Side of the hand; auto estimates it.  [default: auto]"),
     hand_mesh_option,
     title="Hand",
 )
-@config_option("As of hand run")
+@config_option("hand (default), hand-fast, hand-paper, hand-pso")
 @recording_options
 @volume_options
 def hand_calibrate(recording: Path, output: Path, **options: Any) -> None:
-    """Estimate side, size and shape of the hand in RECORDING, which may be some separate depth images.
+    """Estimate side, size and shape of the hand in RECORDING, which may be a folder of single depth images.
 
-    Frames are chosen from all of it; the hand should be seen open, from its palm or its back, and with its
-    fingers bent. The file serves other recordings of the hand: hand run RECORDING --shape HAND.toml.
+    The recording should show the hand open, from the palm or back, and with bent fingers. Use the file for
+    other recordings of the same hand: posetrack hand run RECORDING --shape HAND.toml.
     """
     from posetrack_cli.hand.autodetect import calibrate
     from posetrack_cli.hand.shape_fit import CalibrationOptions, write_hand_file
@@ -203,7 +203,7 @@ def hand_calibrate(recording: Path, output: Path, **options: Any) -> None:
     side = None if options["side"] == "auto" else options["side"]
     source = open_for_reading(recording, options)
     chosen = CalibrationOptions(side, options["fit_frames"])
-    with compiling_said():
+    with announce_compiling():
         found = calibrate(source, config, chosen)
     write_hand_file(output, found, config.hand.mesh, recording.name)
     _show(found)
@@ -213,7 +213,7 @@ def hand_calibrate(recording: Path, output: Path, **options: Any) -> None:
     if warning := found.warning:
         print_note(f"{recording}: a {found.side} hand, {found.length_mm:.0f} mm long{warning}")
     result = Path(f"{recording.resolve().stem}-tracked.mcap")
-    tell_next(("hand", "run", recording, "--shape", output, "-o", result))
+    print_next(("hand", "run", recording, "--shape", output, "-o", result))
     if source.losses:
         print_note(f"{recording}: {loss_line(source.losses)}")
         click.get_current_context().exit(EXIT_DATA_LOST)
@@ -228,7 +228,7 @@ def _configuration(options: dict[str, Any]) -> HandConfig:
 
 
 def _show(calibration: Calibration) -> None:
-    """A table: what the hand measures, with standard deviations."""
+    """Print a table of hand measurements and their standard deviations."""
     print_line(f"{'side':<18}{calibration.side:>8}")
     print_line(f"{'mm':<18}{'':>8}{'sd':>8}")
     for name, value in calibration.measured.values.items():

@@ -1,4 +1,4 @@
-"""What every command is made of: options in groups, examples, and names that options had before."""
+"""Command and option classes: grouped help, examples, and pointers from former option names."""
 
 from __future__ import annotations
 
@@ -9,37 +9,40 @@ from typing import Any, Protocol, TypeVar
 import click
 
 from posetrack_cli.cli.process import check_memory
-from posetrack_cli.cli.terminal import QUIET, USUAL, VERBOSE, phase_shown, print_detail, print_line, volume
+from posetrack_cli.cli.terminal import QUIET, USUAL, VERBOSE, print_detail, print_line, show_phase, volume
 from posetrack_cli.phases import phases_shown
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 OTHERS = "Other options"
 HELP_NAMES = {"help_option_names": ["-h", "--help"]}
 HELP_ALL = "--help-all"
-"""Also where a command is called by itself: click keeps the option that it made first."""
 _VOLUME = "posetrack.volume"
 _BEGAN = "posetrack.began_s"
 
 
 class Option(click.Option):
-    """An option that belongs to a group of the help.
+    """An option with a heading in the help.
 
     Args:
-        group: its heading; none stands below ``Other options``.
-        rare: shown by --help-all alone.
+        group: heading; ``Other options`` if empty.
+        rare: whether only --help-all lists the option.
+        meaning: what the option means in every command that has it, for the reference; the first sentence
+            of the help if empty.
     """
 
-    def __init__(self, *arguments: Any, group: str = "", rare: bool = False, **attributes: Any) -> None:
+    def __init__(
+        self, *arguments: Any, group: str = "", rare: bool = False, meaning: str = "", **attributes: Any
+    ) -> None:
         super().__init__(*arguments, **attributes)
-        self.group, self.rare = group, rare
+        self.group, self.rare, self.meaning = group, rare, meaning
 
 
 class Command(click.Command):
-    """A command whose help has groups and examples, and that knows what its options were called before.
+    """A command with grouped options and examples in its help.
 
     Args:
-        examples: command lines below the help, each a list of what is typed, one line each.
-        former: what options were called, with what they are called now, in words of a command line.
+        examples: command lines shown below the help.
+        former: former option names and their current names, for error messages.
     """
 
     def __init__(
@@ -54,37 +57,37 @@ class Command(click.Command):
         self.examples, self.former = tuple(examples), dict(former or {})
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the command, as loud as it was asked to be."""
+        """Run the command at the requested verbosity."""
         check_memory()
         began_s = time.perf_counter(), time.process_time()
         ctx.meta[_BEGAN] = began_s[0]
-        with volume(ctx.meta.get(_VOLUME, USUAL)), phases_shown(phase_shown):
+        with volume(ctx.meta.get(_VOLUME, USUAL)), phases_shown(show_phase):
             try:
                 return super().invoke(ctx)
             finally:
                 spent = (time.perf_counter() - began_s[0], time.process_time() - began_s[1])
-                print_detail(f"took {spent[0]:.1f} s, {spent[1]:.1f} s of processor time")
+                print_detail(f"took {spent[0]:.1f} s, {spent[1]:.1f} s CPU time")
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Parse a command line; a former name is told with the one it has now."""
+        """Parse a command line; the error for a former option name gives the current one."""
         try:
             return super().parse_args(ctx, args)
         except click.NoSuchOption as error:
             if (now := self.former.get(error.option_name)) is None:
                 raise
-            raise click.UsageError(f"{error.option_name} is called {now} now", ctx) from error
+            raise click.UsageError(f"{error.option_name} was renamed to {now}", ctx) from error
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
-        """Return the parameters; a command with rare options has --help-all, too."""
+        """Return the parameters, including --help-all if the command has rare options."""
         parameters = super().get_params(ctx)
         if not any(getattr(one, "rare", False) for one in parameters):
             return parameters
         more: dict[str, Any] = {"is_flag": True, "is_eager": True, "expose_value": False}
-        shown = Option([HELP_ALL], help="Show all options, also rare ones.", callback=_show_all, **more)
+        shown = Option([HELP_ALL], help="Show all options and exit.", callback=_show_all, **more)
         return [*parameters[:-1], shown, parameters[-1]]
 
     def groups(self, context: click.Context, *, rare: bool) -> dict[str, list[tuple[str, str]]]:
-        """Return the help of the options by the headings they stand below, in the order of their first."""
+        """Return the help records of the options by heading, in order of declaration."""
         found: dict[str, list[tuple[str, str]]] = {}
         for parameter in self.get_params(context):
             is_shown = isinstance(parameter, click.Option) and (rare or not getattr(parameter, "rare", False))
@@ -92,27 +95,26 @@ class Command(click.Command):
             if record is not None:
                 found.setdefault(getattr(parameter, "group", "") or OTHERS, []).append(record)
         if OTHERS in found:
-            found[OTHERS] = found.pop(OTHERS)  # comes last
+            found[OTHERS] = found.pop(OTHERS)  # dicts keep insertion order: this moves it to the end
         return found
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the groups."""
+        """Write the options by heading."""
         for heading, records in self.groups(ctx, rare=ctx.meta.get(HELP_ALL, False)).items():
             with formatter.section(heading):
                 formatter.write_dl(records)
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the examples, one a line, as they are typed."""
+        """Write the examples, one per line."""
         if self.examples:
             with formatter.section("Examples"):
-                for line in self.examples:
+                for line in self.examples:  # write_text would wrap them
                     formatter.write(f"{'':>{formatter.current_indent}}{line}\n")
         super().format_epilog(ctx, formatter)
 
 
-def _show_all(context: click.Context, parameter: click.Parameter, asked: bool) -> None:
-    """Callback of --help-all."""
-    if asked and not context.resilient_parsing:
+def _show_all(context: click.Context, parameter: click.Parameter, value: bool) -> None:
+    if value and not context.resilient_parsing:
         context.meta[HELP_ALL] = True
         for line in context.get_help().splitlines():
             print_line(line)
@@ -120,46 +122,36 @@ def _show_all(context: click.Context, parameter: click.Parameter, asked: bool) -
 
 
 def seconds_since_start() -> float:
-    """Return how long the command that runs has taken so far."""
+    """Return the seconds since the current command started."""
     return time.perf_counter() - float(click.get_current_context().meta[_BEGAN])
 
 
-class Adding(Protocol):
-    """What adds one option, or several, to a command."""
+class OptionDecorator(Protocol):
+    """A decorator that adds one or more options to a command."""
 
     def __call__(self, function: Function, /) -> Function:
-        """Return the command's function with them."""
+        """Return the function with the options attached."""
 
 
-def option(*names: str, **attributes: Any) -> Adding:
-    """Return what adds an ``Option`` to a command, as ``click.option`` does."""
+def option(*names: str, **attributes: Any) -> OptionDecorator:
+    """Return a decorator that adds an ``Option``, like ``click.option``."""
     return click.option(*names, cls=Option, **attributes)
 
 
-def _set_volume(context: click.Context, parameter: click.Parameter, asked: bool) -> None:
-    """Callback of --quiet and --verbose.
-
-    Raises:
-        click.BadParameter: both are given.
-    """
-    if not asked:
+def _set_volume(context: click.Context, parameter: click.Parameter, value: bool) -> None:
+    if not value:
         return
     own = QUIET if parameter.name == "quiet" else VERBOSE
     if context.meta.setdefault(_VOLUME, own) != own:
-        raise click.BadParameter("--quiet and --verbose exclude each other", context, parameter)
+        raise click.BadParameter("--quiet and --verbose are mutually exclusive", context, parameter)
 
 
 def volume_options(function: Function) -> Function:
-    """Add --quiet and --verbose to a command that runs for more than an instant."""
+    """Add --quiet and --verbose to a command."""
     more: dict[str, Any] = {"is_flag": True, "expose_value": False, "callback": _set_volume, "group": OTHERS}
     for adding in (
-        option("-v", "--verbose", help="Also say what is read and used, and what it took.", **more),
-        option(
-            "-q",
-            "--quiet",
-            help="Say nothing but what went wrong, and show no progress.",
-            **more,
-        ),
+        option("-v", "--verbose", help="Also print inputs, non-default settings and run time.", **more),
+        option("-q", "--quiet", help="Print only errors and warnings; hide the progress bar.", **more),
     ):
         function = adding(function)
     return function
@@ -168,7 +160,7 @@ def volume_options(function: Function) -> Function:
 def commands_of(
     command: click.Command, name: str, parent: click.Context | None = None
 ) -> Iterator[tuple[click.Command, click.Context]]:
-    """Yield a command and all below it that are shown, each with a context that knows its path."""
+    """Yield a command and its visible subcommands, each with a context that has its full path."""
     context = click.Context(command, info_name=name, parent=parent, **command.context_settings)
     yield command, context
     if isinstance(command, click.Group):

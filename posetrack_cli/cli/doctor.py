@@ -1,4 +1,4 @@
-"""``posetrack doctor``: which renderer is used, how fast it is, and what is missing if none works."""
+"""``posetrack doctor``: list renderers, their speed and missing system packages."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import click
 
 from posetrack_cli.cli.command import Command
 from posetrack_cli.cli.options import device_option, particles_option
-from posetrack_cli.cli.running import compiling_said
+from posetrack_cli.cli.running import announce_compiling
 from posetrack_cli.cli.terminal import print_line, print_note
 from posetrack_cli.errors import EXIT_FAILED, PosetrackError
 from posetrack_cli.phases import phase
@@ -47,21 +47,22 @@ LIBRARIES = (
 @click.command(
     cls=Command,
     examples=("posetrack doctor", "posetrack doctor --device cpu"),
-    short_help="Report what draws, and how fast it is.",
+    short_help="Check renderers and measure their speed.",
 )
-@device_option("Only this one is tried.  [default: all]")
+@device_option("EGL device to test, or cpu.  [default: all]")
 @particles_option(PARTICLES)
 def doctor(device: int | str | None, particles: int | None) -> None:
-    """Report what draws and how fast it scores particles, or what is missing.
+    """List the available renderers, their speed, and missing packages.
 
-    Hands are scored on a GPU if there is one, else by the processor; all else is drawn with OpenGL.
+    Hand particles are scored on the GPU if there is one, else on the CPU; everything else is rendered with
+    OpenGL.
     """
     from posetrack_cli.rendering.devices import CPU
 
     _print_versions()
     particles = particles or PARTICLES
     if device is None or device == CPU:
-        with compiling_said():
+        with announce_compiling():
             _check_processor(particles)
     if not (device is None or isinstance(device, int)):
         return
@@ -85,16 +86,16 @@ def _print_versions() -> None:
         try:
             print_line(f"  {name} {metadata.version(name)}")
         except metadata.PackageNotFoundError:
-            print_line(f"  {name} is missing: install posetrack again with pip")
+            print_line(f"  {name} is missing: reinstall posetrack with pip")
     print_line(f"  {processor_features()}")
 
 
 def _working_devices() -> list[int]:
-    """Numbers of the EGL devices that open; they need not be consecutive."""
+    """Return the numbers of usable EGL devices, which need not be consecutive."""
     from posetrack_cli.rendering.devices import open_device
 
     numbers = []
-    with phase("looking for further devices", "number", MOST_DEVICES) as advance:
+    with phase("probing EGL devices", "number", MOST_DEVICES) as advance:
         for number in range(MOST_DEVICES):
             with suppress(PosetrackError):
                 open_device(number).close()
@@ -104,7 +105,7 @@ def _working_devices() -> list[int]:
 
 
 def _check(label: str, device: int | None, particles: int) -> bool:
-    """Print what a device draws with and how fast, or what is missing; return whether it works."""
+    """Print name and speed of a device, or the reason why it fails; return whether it works."""
     from posetrack_cli.rendering.devices import open_device
 
     try:
@@ -122,7 +123,6 @@ def _check(label: str, device: int | None, particles: int) -> bool:
 
 
 def _check_processor(particles: int) -> None:
-    """Print how fast the processor draws."""
     from posetrack_cli.rendering.cpu import CpuDevice
 
     with closing(CpuDevice()) as drawing:
@@ -136,7 +136,7 @@ def _print_times(device: RenderingDevice, particles: int) -> None:
 
 
 def _scoring_times(device: RenderingDevice, particles: int) -> Iterator[tuple[int, float]]:
-    """Yield tile sizes, and median milliseconds for open hands around one pose."""
+    """Yield tile sizes (px) and median times (ms) to score open hands near one pose."""
     import numpy as np
 
     from posetrack_cli.hand.model.anatomy import make_anatomy
@@ -146,7 +146,7 @@ def _scoring_times(device: RenderingDevice, particles: int) -> Iterator[tuple[in
     from posetrack_cli.rendering.devices import WARM_UP, scoring_milliseconds
 
     anatomy = make_anatomy()
-    with phase("posing hands", "hand", particles) as advance:
+    with phase("generating hand poses", "hand", particles) as advance:
         poses = scattered_poses(anatomy, particles, np.random.default_rng(0))
         transforms, mesh = skinning_transforms(anatomy, poses), hand_mesh(anatomy)
         advance(particles)

@@ -1,4 +1,4 @@
-"""``posetrack eval``: how good results are, and whether that is good enough."""
+"""``posetrack eval``: measure results, compare them and check gates."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ from posetrack_cli.cli.options import (
 from posetrack_cli.cli.terminal import (
     STANDARD_OUTPUT,
     bar,
+    ignore_closed_pipe,
     is_quiet,
     print_data,
     print_line,
     print_note,
-    reader_may_leave,
 )
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_FAILED, UsageError
 
@@ -46,13 +46,12 @@ if TYPE_CHECKING:
     from posetrack_cli.losses import Loss
 
 TEXT_REPORTS = ("json", "csv", "curve", "junit", "markdown")
-"""Reports that are text, by the names of their options."""
+"""Option names of the reports that are text."""
 WORST_FRAMES = 6
 
 
-def _list_metrics(context: click.Context, parameter: click.Parameter, asked: bool) -> None:
-    """Print the catalogue and end."""
-    if asked:
+def _list_metrics(context: click.Context, parameter: click.Parameter, value: bool) -> None:
+    if value:
         from posetrack_cli.evaluation.reports.table import catalogue_lines
 
         for line in catalogue_lines():
@@ -71,18 +70,20 @@ def _list_metrics(context: click.Context, parameter: click.Parameter, asked: boo
         "posetrack eval results/*.mcap --baseline baseline.json --junit junit.xml",
     ),
     former={"--layout": "--rows or --columns", "--tolerance-ms": "--truth-tolerance-ms"},
-    short_help="Measure results against truth; compare them; gate on figures.",
+    short_help="Measure results against ground truth, compare them, check gates.",
 )
 @click.argument("results", metavar="RESULT...", nargs=-1, type=FILE)
 @option_group(
-    truth_option("A recording, result, CSV, or folder of .pts files.  [default: what the result carries]"),
+    truth_option(
+        "Ground truth: a recording, result, CSV file or folder of .pts files.  [default: from the result]"
+    ),
     option(
         "--truth-tolerance-ms",
         metavar="MS",
         type=float,
         default=5.0,
         show_default=True,
-        help="How far apart the stamps of an estimate and its truth may be.",
+        help="Maximum timestamp difference between an estimate and its ground truth.",
         rare=True,
     ),
     option(
@@ -90,7 +91,7 @@ def _list_metrics(context: click.Context, parameter: click.Parameter, asked: boo
         metavar="S",
         type=float,
         default=0.0,
-        help="Seconds to add to the stamps of the truth.  [default: 0]",
+        help="Seconds to add to the ground truth timestamps.  [default: 0]",
         rare=True,
     ),
     option(
@@ -98,49 +99,49 @@ def _list_metrics(context: click.Context, parameter: click.Parameter, asked: boo
         type=click.Choice(["none", "rigid", "rigid+points", "similarity"]),
         default="none",
         show_default=True,
-        help="Remove one constant rigid offset first; or also each point's own; or also one scale, which one "
-        "camera does not see.",
+        help="Align before measuring: one constant rigid offset (rigid), plus a constant offset per point "
+        "(rigid+points), or plus one scale, for a single camera (similarity).",
     ),
     option(
         "--joint-offsets",
         type=click.Choice(["bone", "palm", "camera"]),
-        help="Of a hand, also remove each joint's constant offset, a median, for a truth whose joints are "
-        "marked by another convention: in the axes of the bone that ends in it, the palm's or the camera's.",
+        help="Remove each hand joint's median offset, for ground truth with other joint definitions: in the "
+        "axes of the bone that ends at the joint, of the palm or of the camera.",
         rare=True,
     ),
-    title="Truth",
+    title="Ground truth",
 )
 @option_group(
     track_option(
         *TRACKS,
         BOTH,
         default=None,
-        details="Both stand beside each other and are compared.  [default: filtered; a page shows both]",
+        text="Track to measure; both measures and compares the two.  [default: filtered; both with --html]",
     ),
     option(
         "--group",
         "groups",
         metavar="NAME=PATTERN",
         multiple=True,
-        help="Compare groups of results, such as pf='out/pf-*.mcap', paired by recording; repeatable.",
+        help="Compare groups of results, e.g. pf='out/pf-*.mcap', paired by recording. Repeatable.",
     ),
-    recording_option("Measures residuals against its images."),
+    recording_option("Recording of the result; adds residuals against its images."),
     option(
         "--list-metrics",
         is_flag=True,
         is_eager=True,
         expose_value=False,
         callback=_list_metrics,
-        help="Show every metric, its unit and meaning, and exit.",
+        help="List all metrics with unit and meaning, and exit.",
     ),
-    title="What is measured",
+    title="Measurement",
 )
 @option_group(
     option(
         "--rows/--columns",
         default=None,
-        help="A row for each result, the worst first, and one of all together; or results beside each other, "
-        "compared where they are of one recording.  [default: rows from five recordings on]",
+        help="One row per result, worst first, and a pooled row; or one column per result, compared if of "
+        "the same recording.  [default: rows for five or more recordings]",
     ),
     option(
         "--worst",
@@ -148,20 +149,20 @@ def _list_metrics(context: click.Context, parameter: click.Parameter, asked: boo
         type=click.IntRange(min=0),
         default=50,
         show_default=True,
-        help="How many rows are shown here and in Markdown, the worst; 0 for all.",
+        help="Maximum number of rows in the terminal and in Markdown, worst first; 0 for all.",
         rare=True,
     ),
     option(
         "--parts",
         is_flag=True,
-        help="Show every joint, finger, angle or point; of rows in JSON and CSV.",
+        help="Also list every joint, finger, angle or point; with --rows only in JSON and CSV.",
         rare=True,
     ),
     option(
         "--honesty",
         is_flag=True,
-        help="Also show how many frames of each confidence are right, and of several results the figures "
-        "pooled.",
+        help="Also show a reliability table (share of correct frames by confidence), and pooled metrics for "
+        "several results.",
         rare=True,
     ),
     title="Tables",
@@ -171,47 +172,47 @@ def _list_metrics(context: click.Context, parameter: click.Parameter, asked: boo
         "--html",
         type=FILE,
         metavar="FILE",
-        help="Write a page with tables and plots; in rows one table to be sorted and filtered.",
+        help="Write an HTML page with tables and plots; with --rows a sortable table.",
     ),
     option(
         "--mcap",
         type=FILE,
         metavar="OUT",
-        help="Write the result with errors and other metrics of every frame as topics /eval/..., and totals, "
-        "gates and the origin of the truth as metadata. A file named *.mcap; of several results a folder.",
+        help="Write a copy of the result with metrics per frame as /eval/... topics, and totals, gates and "
+        "ground truth source as metadata. OUT is a *.mcap file, or a folder for several results.",
     ),
-    json_option("Serves as --baseline."),
+    json_option("Write the full report as JSON, usable as --baseline."),
     option(
         "--csv",
         type=FILE_OR_STANDARD_OUTPUT,
         metavar="FILE|-",
-        help="Write CSV: one figure a line, in rows one result a line.",
+        help="Write CSV: one metric per line; with --rows one result per line.",
     ),
     option(
         "--curve",
         type=FILE_OR_STANDARD_OUTPUT,
         metavar="FILE|-",
-        help="Write the share of frames with joint errors below D = 0..100 mm as CSV.",
+        help="Write CSV with the share of frames whose joint errors are below D = 0..100 mm.",
         rare=True,
     ),
-    junit_option("One test for each and each result."),
+    junit_option("Write gates as JUnit XML: one test per gate and result."),
     markdown_option(),
-    overwrite_option("Reports", "Reports"),
+    overwrite_option("existing reports", "Reports"),
     title="Reports",
 )
 @gate_options
 @volume_options
 def evaluate(results: tuple[Path, ...], **options: Any) -> None:
-    """Measure RESULTs against truth, by themselves without it; also of unfinished or running runs.
+    """Measure RESULTs against ground truth, or without it. Unfinished results can be measured as well.
 
-    Several results stand beside each other; those of one recording are compared second by second with the
-    first, groups recording by recording: Wilcoxon's signed-rank test and a bootstrap interval. Results of
-    many recordings have a row each, the worst first, and a total; of five results or more one that cannot be
-    read fails, and the others are measured.
+    Results of the same recording are compared with the first one, second by second; groups are compared
+    recording by recording (Wilcoxon signed-rank test, bootstrap interval). Results of many recordings get one
+    row each, worst first, and a pooled row. With five or more results, an unreadable one fails and the others
+    are still measured.
 
-    Exit code 1: a gate failed or could not be judged, and a line on standard error names it with its figure.
-    Exit code 3: a result is unfinished or damaged and was measured over what it holds. A failed gate comes
-    first.
+    Exit code 1: a gate failed or could not be evaluated; each is printed with its value on stderr. Exit code
+    3: a result is unfinished or damaged, and its readable part was measured. If both apply, the exit code
+    is 1.
     """
     from posetrack_cli.evaluation.judging.assessment import assess
 
@@ -221,14 +222,14 @@ def evaluate(results: tuple[Path, ...], **options: Any) -> None:
         found = assess(request, report)
     _write_reports(found, request, options)
     lost = _write_mcaps(found, request, outputs, options["track"])
-    with reader_may_leave():
+    with ignore_closed_pipe():
         _show(found, len(results), options)
         _show_files(outputs, options)
     _close(found, lost)
 
 
 def _request(results: tuple[Path, ...], options: dict[str, Any]) -> Request:
-    """Everything that can be refused is refused here, before the first result is read."""
+    """Return what to measure, checked before the first result is read."""
     from posetrack_cli.evaluation.judging.assessment import Request
     from posetrack_cli.evaluation.judging.baseline import read_baseline
     from posetrack_cli.evaluation.judging.comparing import expand_groups
@@ -262,18 +263,18 @@ def _layout(rows: bool | None) -> Layout | None:
 
 
 def _check_reports(request: Request, options: dict[str, Any]) -> dict[Path, Path]:
-    """Refuse reports that cannot be written; return where each result goes with its metrics."""
+    """Check that the reports can be written; return the --mcap output of each result."""
     from posetrack_cli.evaluation.reports.mcap_report import mcap_outputs
     from posetrack_cli.evaluation.reports.report_files import check_reports
 
     if options["junit"] is not None and not (request.gates or request.baseline):
-        raise UsageError("--junit tells of gates", expected="--fail-if, --gates or --baseline, too")
+        raise UsageError("--junit requires gates", expected="--fail-if, --gates or --baseline")
     names = (*TEXT_REPORTS, "html")
     reports = [options[name] for name in names if options[name] is not None]
     if reports.count(STANDARD_OUTPUT) > 1:
-        raise UsageError("only one report can go to standard output")
+        raise UsageError("more than one report goes to standard output", hint="write the others to files")
     if STANDARD_OUTPUT in reports and sys.stdout is None:
-        raise UsageError("standard output is closed", hint="name a file for the report")
+        raise UsageError("standard output is closed", hint="write the report to a file")
     if options["html"] is not None:
         from posetrack_cli.evaluation.html import check_page
 
@@ -290,7 +291,7 @@ def _check_reports(request: Request, options: dict[str, Any]) -> dict[Path, Path
 
 @contextmanager
 def _progress(total: int) -> Iterator[Callable[[], Any]]:
-    """Yield a function that counts results; a bar only for several, and where a person looks."""
+    """Yield a function that advances a progress bar; no bar for a single result."""
     if total < 2:
         yield lambda: None
         return
@@ -299,7 +300,7 @@ def _progress(total: int) -> Iterator[Callable[[], Any]]:
 
 
 def _write_reports(found: Assessment, request: Request, options: dict[str, Any]) -> None:
-    """Write what was asked for, also when a gate failed."""
+    """Write the text reports and the page, also if a gate failed."""
     from posetrack_cli.evaluation.reports.writing import Reports, report_texts
 
     reports = Reports(**{name: options[name] for name in TEXT_REPORTS})
@@ -312,7 +313,7 @@ def _write_reports(found: Assessment, request: Request, options: dict[str, Any])
 def _write_mcaps(
     found: Assessment, request: Request, outputs: dict[Path, Path], track: str | None
 ) -> dict[str, tuple[Loss, ...]]:
-    """Write results with their metrics; return what could not be read of each, by name."""
+    """Write copies of the results with metrics; return the losses of each by name."""
     from posetrack_cli.evaluation.reports.mcap_report import write_mcaps
 
     lost = {}
@@ -333,12 +334,12 @@ def _write(path: Path, text: str) -> None:
 
 
 def write_page(found: Assessment, path: Path, recording: Path | None) -> None:
-    """Write a page about results, with the worst frames as pictures where they can be drawn.
+    """Write the HTML page of results, with pictures of the worst frames if they can be rendered.
 
     Args:
-        found: what was measured, with tracks kept.
-        path: of the page.
-        recording: to draw on; None looks for the one that each result was made from.
+        found: the assessment, with tracks.
+        path: output file.
+        recording: recording to draw on; None searches for that of each result.
     """
     from posetrack_cli.evaluation.html import write_html, write_rows_html
     from posetrack_cli.evaluation.html.writer import ReportPage
@@ -352,7 +353,7 @@ def write_page(found: Assessment, path: Path, recording: Path | None) -> None:
 
 
 def _pictures(evaluation: Evaluation, given: Path | None) -> list[Picture] | str:
-    """The worst frames; where they cannot be drawn, why, which is also told here."""
+    """Return pictures of the worst frames, or the reason why there are none, which is also printed."""
     from posetrack_cli.errors import RenderingError
 
     try:
@@ -366,7 +367,7 @@ def _pictures(evaluation: Evaluation, given: Path | None) -> list[Picture] | str
 
 
 def _worst_frames(evaluation: Evaluation, given: Path | None) -> tuple[list[Picture] | None, str]:
-    """The worst frames on the recording, None without one and why there is none."""
+    """Return pictures of the worst frames, or None and the reason why there are none."""
     from posetrack_cli.evaluation.reading.recording_of import search_recording
     from posetrack_cli.evaluation.viewing.pictures import worst_frame_pictures
     from posetrack_cli.results.reader import read_result
@@ -379,7 +380,7 @@ def _worst_frames(evaluation: Evaluation, given: Path | None) -> tuple[list[Pict
 
 
 def _show(found: Assessment, given: int, options: dict[str, Any]) -> None:
-    """Print the tables, unless a report goes where they would, or that is closed."""
+    """Print the tables, unless standard output is closed or used by a report."""
     from posetrack_cli.evaluation.reports.table import (
         NOT_COMPARED,
         comparison_lines,
@@ -395,8 +396,8 @@ def _show(found: Assessment, given: int, options: dict[str, Any]) -> None:
         return
     made, lines = _rows(found, options) if found.rows else _columns(found, given, options)
     if options["honesty"]:
-        beside = () if found.rows else found.evaluations
-        more = (reliability_table(beside, found.pools), pooled_table(found.pools))
+        columns = () if found.rows else found.evaluations
+        more = (reliability_table(columns, found.pools), pooled_table(found.pools))
         made += [table for table in more if table is not None]
         lines += criterion_lines(found.evaluations) + ([] if found.rows else pool_lines(found.pools))
     if found.comparison is not None:
@@ -411,7 +412,7 @@ def _show(found: Assessment, given: int, options: dict[str, Any]) -> None:
 
 
 def _show_files(outputs: dict[Path, Path], options: dict[str, Any]) -> None:
-    """Print which files were written, unless a report goes where that would."""
+    """Print the written files, unless standard output is used by a report."""
     if STANDARD_OUTPUT in [options[name] for name in TEXT_REPORTS]:
         return
     written = [(name, options[name]) for name in (*TEXT_REPORTS, "html") if options[name] is not None]
@@ -420,7 +421,7 @@ def _show_files(outputs: dict[Path, Path], options: dict[str, Any]) -> None:
 
 
 def _columns(found: Assessment, given: int, options: dict[str, Any]) -> tuple[list[Table], list[str]]:
-    """The tables of results beside each other, and what belongs below them."""
+    """Return tables with one column per result, and the lines below them."""
     from posetrack_cli.evaluation.reports.table import closing_lines, tables
 
     shown = found.evaluations[:given] if found.grouped else found.evaluations
@@ -428,21 +429,21 @@ def _columns(found: Assessment, given: int, options: dict[str, Any]) -> tuple[li
 
 
 def _rows(found: Assessment, options: dict[str, Any]) -> tuple[list[Table], list[str]]:
-    """The tables of results below each other, and what belongs below them."""
+    """Return tables with one row per result, and the lines below them."""
     from posetrack_cli.evaluation.reports.table import closing_lines, fewer, row_lines, row_table
 
     most = options["worst"]
-    sets = [one for one in found.sets if not one.pool.grouped]  # groups have a table that compares them
+    sets = [one for one in found.sets if not one.pool.grouped]  # groups have their own comparison table
     lines = fewer(closing_lines(found.evaluations))
     return [row_table(one, most) for one in sets], [*row_lines(sets, most), *lines]
 
 
 def _close(found: Assessment, lost: dict[str, tuple[Loss, ...]]) -> None:
-    """Say on standard error what failed and what was lost, and choose the exit code.
+    """Print failed gates and losses on standard error, and set the exit code.
 
     Args:
-        found: what was found out.
-        lost: what results that were written with their metrics lack, by name.
+        found: the assessment.
+        lost: losses while copying results for --mcap, by name.
     """
     from posetrack_cli.losses import loss_line
 
@@ -452,11 +453,11 @@ def _close(found: Assessment, lost: dict[str, tuple[Loss, ...]]) -> None:
         print_note(outcome.line)
     damaged = [one for one in found.evaluations if one.losses]
     for one in damaged:
-        print_note(f"{one.name}: measured over what can be read: {loss_line(one.losses)}")
+        print_note(f"{one.name}: only the readable part was measured: {loss_line(one.losses)}")
     known = {one.name for one in damaged}
     cut = {name: losses for name, losses in lost.items() if losses and name not in known}
     for name, losses in cut.items():
-        print_note(f"{name}: written as far as it can be read: {loss_line(losses)}")
+        print_note(f"{name}: only the readable part was written: {loss_line(losses)}")
     context = click.get_current_context()
     if found.failed:
         context.exit(EXIT_FAILED)

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from posetrack_cli.results.export.source import ExportSource
 
 
-# ``posetrack convert``: write a recording as one MCAP file
+# posetrack convert
 
 
 @click.command(
@@ -40,23 +40,26 @@ if TYPE_CHECKING:
         "posetrack convert depth/ --fps 30 -o recording.mcap",
         "posetrack convert depth/ --truth joints.csv -o recording.mcap",
     ),
-    short_help="Write a recording as one MCAP file, without loss.",
+    short_help="Convert a depth recording to MCAP without loss.",
 )
 @click.argument("recording", metavar="IN", type=FILE)
-@output_option("The recording, an MCAP file.", "OUT.mcap")
-@overwrite_option("The recording")
+@output_option("Output file (MCAP).", "OUT.mcap")
+@overwrite_option("OUT.mcap if it exists")
 @option_group(
-    truth_option("Joints of a hand, CSV: stamp_ns or t_s, and <joint>_x_mm, _y_mm, _z_mm in camera axes."),
-    title="Truth",
+    truth_option(
+        "Ground truth of hand joints to add, CSV: stamp_ns or t_s, and <joint>_x_mm, _y_mm, _z_mm in camera "
+        "axes."
+    ),
+    title="Ground truth",
 )
 @recording_options
 @volume_options
 def convert(recording: Path, output: Path, truth: Path | None, overwrite: bool, **options: Any) -> None:
-    """Write IN, whatever recording of depth it is, as Foxglove MCAP without loss.
+    """Convert the depth recording IN, in any supported format, to Foxglove MCAP without loss.
 
-    Depth in whole millimetres is stored as 16-bit PNG, copied unchanged where IN has just that; other
-    depth as 32-bit metres. Truth that IN carries goes along; --truth adds joints as /truth/hand/points, which
-    eval measures results by. Exit code 3 means that frames were lost.
+    Depth in whole millimetres is stored as 16-bit PNG (copied unchanged if IN has that format), other depth
+    as 32-bit float metres. Ground truth in IN is copied; --truth adds joints as /truth/hand/points, used by
+    eval. Exit code 3: frames were lost.
     """
     from posetrack_cli.losses import loss_line
     from posetrack_cli.recording.conversion import convert_recording
@@ -71,7 +74,7 @@ def convert(recording: Path, output: Path, truth: Path | None, overwrite: bool, 
 
 
 def _joints(path: Path, source: Recording) -> list[TruthMessage]:
-    """The joints of a CSV file as messages of truth, for a recording that has none on their topic."""
+    """Read joints from CSV as ground truth messages; refuse recordings that already have some."""
     from posetrack_cli.evaluation.reading.truth_tables import load_csv_track
     from posetrack_cli.evaluation.reading.truth_topics import points_messages, points_topic
     from posetrack_cli.hand.model.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS
@@ -79,11 +82,11 @@ def _joints(path: Path, source: Recording) -> list[TruthMessage]:
 
     subject = Subject("hand", source.cameras[0].name, ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS)
     if any(message.topic == points_topic(subject.name) for message in source.truth()):
-        raise UsageError("has true joints already", where=source.path, hint="leave --truth out")
+        raise UsageError("recording already has ground truth joints", where=source.path, hint="omit --truth")
     return list(points_messages(load_csv_track(path, subject)))
 
 
-# ``posetrack export``: write a result for other tools
+# posetrack export
 
 
 FORMATS = ("csv", "tum", "npz", "json", "bvh", "c3d", "mcap")
@@ -101,30 +104,30 @@ _BY_SUFFIX = {f".{name}": name for name in FORMATS}
         "posetrack export result.mcap --estimate-topic /truth/hand/estimate",
     ),
     former={"--topic": "--estimate-topic"},
-    short_help="Write a result for other tools: CSV, TUM, numpy, JSON, BVH, C3D, ROS 2.",
+    short_help="Export a result as CSV, TUM, NumPy, JSON, BVH, C3D or ROS 2 messages.",
 )
 @click.argument("path", metavar="RESULT", type=FILE)
 @option(
     "--format",
     "format_name",
     type=click.Choice(FORMATS),
-    help="What to write.  [default: as FILE is named; without an ending csv]",
+    help="Output format.  [default: by the suffix of FILE, else csv]",
 )
 @option(
     "--schemas",
     type=click.Choice(SCHEMAS),
-    help="Whose messages an MCAP file holds; RESULT itself has Foxglove's.  [default: ros2]",
+    help="Message schemas of an exported MCAP file; RESULT itself uses Foxglove schemas.  [default: ros2]",
 )
-@output_option("Nothing or - is standard output.", "FILE|-", required=False)
-@overwrite_option("The file of -o")
-@track_option(*TRACKS, default=FILTERED)
+@output_option("Output file.  [default: standard output]", "FILE|-", required=False)
+@overwrite_option("FILE if it exists")
+@track_option(*TRACKS, default=FILTERED, text="Track to export.")
 @option(
     "--estimate-topic",
     "topic",
     metavar="TOPIC",
-    help="MCAP topic of the estimates, such as /truth/hand/estimate.  [default: the result's own]",
+    help="MCAP topic to export, e.g. /truth/hand/estimate.  [default: the estimates of RESULT]",
 )
-@option("--no-lost", is_flag=True, help="Leave out frames whose status is lost.")
+@option("--no-lost", is_flag=True, help="Omit frames with status lost.")
 @volume_options
 def export(
     path: Path,
@@ -136,21 +139,20 @@ def export(
     no_lost: bool,
     overwrite: bool,
 ) -> None:
-    """Write the estimates of RESULT, finished or not, for other tools.
+    """Export the estimates of RESULT, which may be unfinished.
 
     \b
-    csv   a header row and a row per frame: mm, rad, deg, as columns are named
+    csv   header row and one row per frame; units (mm, rad, deg) in column names
     tum   timestamp tx ty tz qx qy qz qw, in s and m, for trajectory tools
-    json  the columns of csv as lists, below their meanings and the run record
-    npz   an array per field of an estimate, for numpy; needs -o
-    bvh   a hand's skeleton for Blender: m, y up, a fixed frame rate
-    c3d   joints or points as markers: mm, a fixed frame rate; needs -o
-    mcap  messages of ROS 2 (tf2, nav_msgs, sensor_msgs); needs -o
+    json  the columns of csv as lists, with their meanings and the run record
+    npz   one array per field of an estimate, for NumPy; requires -o
+    bvh   hand skeleton for Blender: m, y up, fixed frame rate
+    c3d   joints or points as markers: mm, fixed frame rate; requires -o
+    mcap  ROS 2 messages (tf2, nav_msgs, sensor_msgs); requires -o
 
-    Euler angles: R = R_y(yaw) R_x(pitch) R_z(roll), in camera axes. Lost frames are in, with their last pose;
-    their status says so in all formats but tum and bvh: there leave them out with --no-lost. In c3d they are
-    markers that are not seen. Exit code 3 means that RESULT is truncated or damaged; what can be read is
-    written all the same.
+    Euler angles: R = R_y(yaw) R_x(pitch) R_z(roll), in camera axes. Lost frames are exported with their last
+    pose and status lost; c3d marks their points as occluded. tum and bvh have no status: use --no-lost. Exit
+    code 3: RESULT is truncated or damaged, and its readable part was exported.
     """
     from posetrack_cli.losses import loss_line
     from posetrack_cli.results.export.export import export_file, save_text, text_pieces
@@ -160,7 +162,8 @@ def export(
     output = None if output == STANDARD_OUTPUT else output
     chosen = _chosen_format(format_name, schemas, output)
     if topic is not None and track != FILTERED:
-        raise UsageError("--estimate-topic and --track exclude each other", found=f"{topic} and {track}")
+        what = "--estimate-topic and --track are mutually exclusive"
+        raise UsageError(what, found=f"{topic} and {track}")
     result = read_result(path)
     source = export_source(result, topic or result.topic_of_track(track), lost=not no_lost)
     notes: tuple[str, ...] = ()
@@ -169,7 +172,7 @@ def export(
         pieces, notes = _bvh(source)
     if output is None:
         if sys.stdout is None:
-            raise UsageError("standard output is closed", hint="name a file with -o")
+            raise UsageError("standard output is closed", hint="write to a file with -o")
         for piece in text_pieces(source, chosen) if pieces is None else pieces:
             print_data(piece)
     else:
@@ -186,22 +189,21 @@ def export(
 
 
 def _chosen_format(format_name: str | None, schemas: str | None, output: Path | None) -> str:
-    """What is asked for, else what the output is named as; schemas are of MCAP files only."""
+    """Return the output format from --format, --schemas or the suffix of the output."""
     suffix = output.suffix.lower() if output else ""
     chosen = format_name or _BY_SUFFIX.get(suffix) or ("mcap" if schemas else "csv")
     if suffix and not (format_name or schemas or suffix in _BY_SUFFIX):
         known = ", ".join(_BY_SUFFIX)
         hint = "or choose one with --format"
-        raise UsageError("no such format", where=output, found=suffix, expected=known, hint=hint)
+        raise UsageError("unknown format", where=output, found=suffix, expected=known, hint=hint)
     if schemas and chosen != "mcap":
-        raise UsageError(
-            "--schemas is of MCAP files", found=chosen, expected="--format mcap, or -o NAME.mcap"
-        )
+        expected = "--format mcap or -o NAME.mcap"
+        raise UsageError("--schemas requires MCAP output", found=chosen, expected=expected)
     return chosen
 
 
 def _bvh(source: ExportSource) -> tuple[Iterable[str], tuple[str, ...]]:
-    """The text of a hand's animation, and what there is to say of its frames."""
+    """Return the BVH text of a hand, and notes on its frame rate."""
     from posetrack_cli.evaluation.reading.recording_of import anatomy_of
     from posetrack_cli.hand.bvh import bvh_text, check_hand
 

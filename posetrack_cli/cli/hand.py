@@ -1,4 +1,4 @@
-"""``posetrack hand``: the commands for hands."""
+"""``posetrack hand``: hand commands."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ from posetrack_cli.cli.options import (
 )
 from posetrack_cli.cli.process import stop_signals
 from posetrack_cli.cli.running import (
+    announce_compiling,
     close,
-    compiling_said,
-    kept,
+    name_partial_result,
     open_for_reading,
     print_remark,
+    print_settings,
     progress,
-    tell_settings,
 )
 from posetrack_cli.cli.synth import hand_synth
-from posetrack_cli.cli.terminal import print_aside, print_detail
+from posetrack_cli.cli.terminal import print_detail, print_info
 from posetrack_cli.errors import UsageError
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ CONFIGURED = {
 
 @click.group()
 def hand() -> None:
-    """Track a hand, or make recordings of one."""
+    """Track a hand, calibrate its shape, or generate recordings."""
 
 
 hand.add_command(hand_calibrate)
@@ -79,44 +79,49 @@ hand.add_command(hand_synth)
         "posetrack hand run depth/ --fps 30 --hand-side left -o hand.mcap",
         "posetrack hand run depth.mcap --shape hand.toml --smooth -o hand.mcap",
     ),
-    short_help="Track the hand in recorded depth.",
+    short_help="Track a hand in recorded depth images.",
 )
 @click.argument("recording", type=FILE)
-@result_options("The result")
+@result_options("RESULT.mcap if it exists")
 @option_group(
-    hand_side_option("auto", "right", "left", details="auto tells from the first seconds.  [default: auto]"),
+    hand_side_option(
+        "auto",
+        "right",
+        "left",
+        text="Hand to track; auto decides from the first seconds.  [default: auto]",
+    ),
     option(
         "--shape",
         metavar="auto|average|FILE",
         type=NameOrFile("auto", "average"),
-        help="Size and shape of the hand: auto estimates them from the recording, average is the average "
-        "hand, FILE is one of hand calibrate or a result of hand run.  [default: auto]",
+        help="Hand size and shape: estimated from the recording (auto), average, or from FILE, written by "
+        "hand calibrate or an earlier hand run.  [default: auto]",
     ),
     scale_option,
     hand_mesh_option,
     init_option(
         "auto|center|FILE",
-        "auto finds the hand, center takes an open one in the middle, palm to the sensor, FILE has a pose.  "
-        "[default: auto]",
+        "Initial pose: detected (auto), an open hand at the image centre with the palm towards the sensor "
+        "(center), or from FILE.  [default: auto]",
     ),
     option(
         "--keypoints",
         "keypoint_file",
         metavar="FILE",
         type=FILE,
-        help="21 points per frame that another program found, CSV or JSON (docs/keypoints.md).",
+        help="21 hand keypoints per frame from another detector, CSV or JSON (docs/keypoints.md).",
     ),
     option(
         "--keypoints-unit",
         type=click.Choice(["px", "normalised", "mm", "m"]),
-        help="Of their coordinates; px and normalised in the depth images.  [default: as FILE says or looks]",
+        help="Unit of the keypoints; px and normalised refer to the depth image.  [default: from FILE]",
         rare=True,
     ),
     option(
         "--keypoints-swap-sides",
         is_flag=True,
-        help="Exchange right and left: for handedness of MediaPipe before 0.10.15, multi_handedness of "
-        "mirrored images, or wrong sides.",
+        help="Swap left and right, e.g. for MediaPipe before 0.10.15 or for multi_handedness of mirrored "
+        "images.",
         rare=True,
     ),
     title="Hand",
@@ -126,7 +131,8 @@ hand.add_command(hand_synth)
         "--filter",
         "filter_kind",
         type=click.Choice(["rbpf", "pf", "pso"]),
-        help="Filter, or pso, the optimiser of Oikonomidis and others, 2011.  [default: rbpf]",
+        help="Particle filter (rbpf, pf) or particle swarm optimiser (pso; Oikonomidis et al. 2011).  "
+        "[default: rbpf]",
     ),
     particles_option("256; 64 for pso"),
     option(
@@ -144,42 +150,42 @@ hand.add_command(hand_synth)
     option(
         "--cost",
         type=click.Choice(["mixture", "union", "paper"]),
-        help="Cost function over the image.  [default: mixture]",
+        help="Cost function between rendered and observed depth.  [default: mixture]",
         rare=True,
     ),
-    device_option("[default: a GPU if there is one, else cpu]"),
+    device_option("EGL device to render with, or cpu.  [default: a GPU if available, else cpu]"),
     title="Configuration",
 )
-@configuration_options("hand (the defaults), hand-fast, hand-paper, hand-pso", "observation.sigma_mm=5")
+@configuration_options("hand (default), hand-fast, hand-paper, hand-pso", "observation.sigma_mm=5")
 @frame_options
 @recording_options
 @volume_options
 def hand_run(recording: Path, **options: Any) -> None:
-    """Track the hand in RECORDING: MCAP, a bag of ROS, a folder of 16-bit depth images or a Kinect file.
+    """Track the hand in RECORDING: an MCAP file, ROS bag, folder of 16-bit depth images or Kinect file.
 
-    The result is MCAP with pose, velocity, their variances and the 21 joints of every frame. The same input,
-    configuration and seed give the same bytes. Exit code 3: some data could not be used, or less than 5 % of
+    The result (MCAP) holds pose, velocity, their variances and the 21 joints of every frame. The same input,
+    configuration and seed give an identical file. Exit code 3: some data was unusable, or fewer than 5 % of
     the frames were tracked.
     """
     output = options["output"]
-    with compiling_said(output) as is_compiling:
+    with announce_compiling(output) as is_compiling:
         run, total, found = _prepare(recording, options)
         with (
             stop_signals(is_compiling) as stopped,
             progress(total, options["start"], options["stride"], "hand") as report,
-            kept(output),
+            name_partial_result(output),
         ):
             outcome = run.track(report, stopped)
     if found.line and not outcome.failure:
         if found.is_doubtful:
             print_remark(recording, found.line)
         else:
-            print_aside(f"{recording}: {found.line}")
+            print_info(f"{recording}: {found.line}")
     close(recording, output, outcome)
 
 
 def _prepare(recording: Path, options: dict[str, Any]) -> tuple[HandRun, int | None, DetectedHand]:
-    """Refuse what can be refused before the first frame, and settle what is left open."""
+    """Check recording, configuration and options before the first frame, and detect side and shape."""
     from posetrack_cli.hand.autodetect import detect_hand
     from posetrack_cli.hand.run import HandRun, RunOptions, check_run
     from posetrack_cli.rendering.devices import open_fastest_device
@@ -191,26 +197,26 @@ def _prepare(recording: Path, options: dict[str, Any]) -> tuple[HandRun, int | N
     own = {name: options[name] for name in (*RUN_OPTIONS, "init", "smooth")}
     run_options = RunOptions(**own, keypoints=keypoints)
     device = open_fastest_device(options["device"])
-    print_detail(f"draws with {device.info}")
+    print_detail(f"rendering with {device.info}")
     check_run(source, config, run_options)
     found = detect_hand(source, config, options["start"], keypoints)
-    tell_settings(found.config)
+    print_settings(found.config)
     run = HandRun(source, found.config, run_options, device)
     return run, frames_ahead(source, run_options), found
 
 
 def open_hand_recording(recording: Path, options: dict[str, Any]) -> Recording:
-    """Return the recording of depth."""
+    """Open a depth recording."""
     return open_for_reading(recording, options)
 
 
 def _keypoints(options: dict[str, Any], source: Recording) -> KeypointFile | None:
-    """Read the keypoints that are given, and say what they are taken for."""
+    """Read --keypoints and print how the file was interpreted."""
     path, unit, swap = (options[f"keypoint{name}"] for name in ("_file", "s_unit", "s_swap_sides"))
     if path is None:
         if unit is not None or swap:
             option = "--keypoints-unit" if unit is not None else "--keypoints-swap-sides"
-            raise UsageError(f"{option} is about keypoints, and none are given", hint="--keypoints FILE")
+            raise UsageError(f"{option} requires --keypoints", hint="add --keypoints FILE or leave it out")
         return None
     from posetrack_cli.hand.keypoints.file import read_keypoints
     from posetrack_cli.recording.keypoints.reading import fitted_to
@@ -218,7 +224,7 @@ def _keypoints(options: dict[str, Any], source: Recording) -> KeypointFile | Non
     keypoints = read_keypoints(path, source.cameras[0], unit, swap)
     sets, words = fitted_to(keypoints.sets, source)
     keypoints = replace(keypoints, sets=sets)
-    print_aside(f"{path}: {keypoints.line}{words and f'; {words}'}")
+    print_info(f"{path}: {keypoints.line}{words and f'; {words}'}")
     return keypoints
 
 
@@ -229,20 +235,20 @@ def _configuration(options: dict[str, Any]) -> HandConfig:
     config = configuration_of(HandConfig, options, CONFIGURED)
     if config.filter.kind != "pso":
         return config
-    swarms = {"swarm": options["particles"]}  # --particles says a swarm's, too
+    swarms = {"swarm": options["particles"]}  # for pso, --particles sets the size of the swarm
     return configuration_of(HandConfig, options | swarms, CONFIGURED | {"swarm": "pso.particles"})
 
 
 def _with_shape(options: dict[str, Any]) -> dict[str, Any]:
-    """The options with what ``--shape`` stands for: a key of the configuration, or a file of it."""
+    """Replace ``--shape`` by the configuration key, file or assignments that it stands for."""
     shape = options["shape"]
     if shape is None and options["scale"] is not None:
-        shape = "average"  # of that size
+        shape = "average"  # --scale alone fixes the size, so nothing is estimated
     if shape in (None, "auto", "average"):
         return options | {"shape": {"auto": "auto", "average": "given"}.get(shape)}
     if Path(shape).suffix == ".mcap":
         from posetrack_cli.hand.shape_fit import hand_assignments
 
-        told = hand_assignments(Path(shape))
-        return options | {"shape": "given", "settings": (*told, *options["settings"])}
+        assignments = hand_assignments(Path(shape))
+        return options | {"shape": "given", "settings": (*assignments, *options["settings"])}
     return options | {"shape": None, "configs": (*options["configs"], shape)}

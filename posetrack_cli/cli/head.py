@@ -1,4 +1,4 @@
-"""``posetrack head``: the commands for heads."""
+"""``posetrack head``: head commands."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from posetrack_cli.head.multilinear.learning import LearnedModel, ObservedFace
 
 
-# ``posetrack head build-model``: a face model for the one-camera tracker from stereo results
+# posetrack head build-model
 
 
 @click.command(
@@ -32,18 +32,18 @@ if TYPE_CHECKING:
         "posetrack head mono video.mp4 --face-model face.npz -o head.mcap",
     ),
     former={"--identity": "--identity-size", "--deformation": "--deformation-size"},
-    short_help="Learn a face model for head mono from stereo results.",
+    short_help="Build a face model for head mono from stereo results.",
 )
 @click.argument("results", metavar="RESULT...", nargs=-1, required=True, type=FILE)
-@output_option("The model.", "FACE.npz")
-@overwrite_option("FACE.npz and FILE.png")
+@output_option("Output file: the face model.", "FACE.npz")
+@overwrite_option("FACE.npz and the --picture file if they exist")
 @option(
     "--identity-size",
     metavar="N",
     type=click.IntRange(min=1, max=100),
     default=10,
     show_default=True,
-    help="How many parameters say who a face is (S').",
+    help="Number of identity parameters (S').",
     group="Model",
 )
 @option(
@@ -52,14 +52,14 @@ if TYPE_CHECKING:
     type=click.IntRange(min=1, max=10),
     default=5,
     show_default=True,
-    help="How many parameters say what it does (A').",
+    help="Number of deformation (action) parameters (A').",
     group="Model",
 )
 @option(
     "--picture",
     metavar="FILE.png",
     type=FILE,
-    help="Draw what the model knows: identities downwards, deformations across.",
+    help="Also draw the model: identities in rows, deformations in columns.",
     group=WRITTEN,
 )
 @volume_options
@@ -71,11 +71,11 @@ def head_build_model(
     picture: Path | None,
     overwrite: bool,
 ) -> None:
-    """Learn a face model from each RESULT of posetrack head stereo, one of each person.
+    """Build a face model from RESULTs of posetrack head stereo, one per person.
 
-    In every recording the mouth should be made wide and narrow, and the whole face long and short, brows and
-    jaw together, each several times. Two people or more are needed; 10 identity parameters take five.
-    Use it with posetrack head mono RECORDING --face-model FACE.npz.
+    In each recording, the person makes the mouth wide and narrow and the face long and short (brows and jaw
+    together), each several times. At least two people are required, five for 10 identity parameters. Use
+    the model with posetrack head mono RECORDING --face-model FACE.npz.
     """
     from posetrack_cli.head.multilinear.face_model import save_face_model
     from posetrack_cli.head.multilinear.learning import learn_model, read_face
@@ -97,15 +97,13 @@ def _check_outputs(results: Sequence[Path], output: Path, picture: Path | None, 
     from posetrack_cli.outputs import check_target
 
     if picture is not None and picture.suffix.lower() != ".png":
-        raise UsageError(
-            "picture is not named as a PNG file", where=picture, expected="a name that ends in .png"
-        )
+        raise UsageError("--picture is not a PNG file name", where=picture, expected="a name ending in .png")
     if picture is not None and picture.resolve() == output.resolve():
-        raise UsageError("model and picture have the same name", where=output)
+        raise UsageError("--output and --picture are the same file", where=output)
     files = [path.resolve() for path in results]
     again = [path for number, path in enumerate(results) if files[number] in files[:number]]
     if again:
-        raise UsageError("result is named twice", where=again[0], expected="one result of each person")
+        raise UsageError("result given twice", where=again[0], expected="one result per person")
     for written in (output,) if picture is None else (output, picture):
         for source in results:
             check_target(written, overwrite=overwrite, source=source, source_name="result")
@@ -115,13 +113,11 @@ def _say_limits(learned: LearnedModel, *asked: int) -> None:
     people, names = len(learned.faces), ("identity", "deformation")
     for name, wanted, possible in zip(names, asked, learned.possible, strict=True):
         if wanted > possible:
-            print_note(
-                f"{name}: {possible} instead of {wanted} parameters, as {people} people tell of no more"
-            )
+            print_note(f"{name}: {possible} instead of {wanted} parameters, the most for {people} people")
 
 
 def _show(learned: LearnedModel) -> None:
-    """Tables: people and their frames, what the model leaves, and what its parameters hold."""
+    """Print tables of the people, the approximation error and the variance per parameter."""
     from posetrack_cli.head.multilinear.build import cumulative_contribution, distances_by_kind
 
     _show_people(learned)
@@ -180,12 +176,9 @@ def _say_losses(faces: Sequence[ObservedFace]) -> None:
         click.get_current_context().exit(EXIT_DATA_LOST)
 
 
-# ``posetrack head``: the commands about heads
-
-
 @click.group()
 def head() -> None:
-    """Track a head, or make recordings of one."""
+    """Track a head, build face models, or generate recordings."""
 
 
 head.add_command(head_build_model)

@@ -29,19 +29,23 @@ from posetrack_cli.cli.options import (
     result_options,
 )
 from posetrack_cli.cli.process import stop_signals
-from posetrack_cli.cli.running import close, compiling_said, kept, open_for_reading, progress, tell_settings
-from posetrack_cli.cli.terminal import print_aside, print_note
+from posetrack_cli.cli.running import (
+    announce_compiling,
+    close,
+    name_partial_result,
+    open_for_reading,
+    print_settings,
+    progress,
+)
+from posetrack_cli.cli.terminal import print_info, print_note
 from posetrack_cli.errors import UsageError
 
 if TYPE_CHECKING:
     from posetrack_cli.head.config import HeadMonoConfig, HeadStereoConfig
     from posetrack_cli.head.landmarks.faces import LandmarkFile
-    from posetrack_cli.head.multilinear.face_model import FaceModel
     from posetrack_cli.head.run import HeadRun, HeadRunOptions
-    from posetrack_cli.head.tracker.given_person import GivenPerson
     from posetrack_cli.recording.recording import Recording
     from posetrack_cli.tracking.run import Report
-    from posetrack_cli.tracking.two_pass import Learned, LearningTracker
 
 
 # Shared by head stereo and head mono
@@ -135,7 +139,7 @@ def head_configuration(
         UsageError: invalid settings, such as a model for a detector without one.
     """
     config = configuration_of(kind, options, {**CONFIGURED, **own})
-    tell_settings(config)
+    print_settings(config)
     detector = config.start.detection.detector
     if options["detector_model"] is not None and detector != "yunet":
         raise UsageError(
@@ -172,7 +176,7 @@ def _landmarks(options: Mapping[str, Any], source: Recording) -> LandmarkFile | 
     landmarks = read_landmarks(path, source.cameras[0], unit)
     sets, words = fitted_to(landmarks.sets, source)
     landmarks = replace(landmarks, sets=sets)
-    print_aside(f"{path}: {landmarks.line}{words and f'; {words}'}")
+    print_info(f"{path}: {landmarks.line}{words and f'; {words}'}")
     return landmarks
 
 
@@ -191,9 +195,9 @@ def track_head(
 
     names = ("head",) if passes == 1 else ("pass 1", "pass 2")
     with (
-        compiling_said(options.output) as is_compiling,
+        announce_compiling(options.output) as is_compiling,
         stop_signals(is_compiling) as stopped,
-        kept(options.output),
+        name_partial_result(options.output),
         ExitStack() as stack,
     ):
         reports: list[Report] = []
@@ -228,7 +232,7 @@ def track_head(
 @learning_options
 @option_group(start_options, title=START)
 @option_group(particles_option(1000), title=CONFIGURATION)
-@configuration_options("head-stereo (the defaults), head-stereo-paper", "model.components=3")
+@configuration_options("head-stereo (default), head-stereo-paper", "model.components=3")
 @frame_options
 @image_options
 @volume_options
@@ -241,12 +245,13 @@ def head_stereo(recording: Path, **options: Any) -> None:
     unusable, or fewer than 5 % of the frames were tracked.
     """
     from posetrack_cli.head.config import HeadStereoConfig
+    from posetrack_cli.head.runs import make_stereo_run
 
     source = open_stereo_recording(recording, options)
     config = head_configuration(HeadStereoConfig, options, {"model": "model.kind"})
     chosen = head_run_options(options, source)
     passes = config.run.passes
-    track_head(source, passes, chosen, lambda first_pass: _stereo_run(source, config, chosen, first_pass))
+    track_head(source, passes, chosen, lambda first_pass: make_stereo_run(source, config, chosen, first_pass))
 
 
 def open_stereo_recording(recording: Path, options: dict[str, Any]) -> Recording:
@@ -261,32 +266,6 @@ def open_stereo_recording(recording: Path, options: dict[str, Any]) -> Recording
             hint="a folder needs one image folder per camera, such as left/ and right/",
         )
     return source
-
-
-def _stereo_run(
-    source: Recording, config: HeadStereoConfig, options: HeadRunOptions, first_pass: Report
-) -> HeadRun:
-    from posetrack_cli.head.run import HeadRun
-    from posetrack_cli.head.subject import head_subject
-    from posetrack_cli.head.tracker.stereo import components_of, make_stereo_tracker
-
-    clicked = None if options.init is None else Path(options.init)
-
-    def make_tracker(known: Learned | None) -> LearningTracker[Any]:
-        return make_stereo_tracker(
-            config, source.cameras, known, clicked=clicked, landmarks=options.landmarks
-        )
-
-    return HeadRun(
-        source,
-        config,
-        options,
-        name="head-stereo",
-        subject=head_subject(source.cameras[0].name, components_of(config)),
-        flush_frames=config.output.flush_frames,
-        make_tracker=make_tracker,
-        first_pass=first_pass,
-    )
 
 
 # posetrack head mono
@@ -349,12 +328,12 @@ OWN_CONFIGURED = {
         type=click.IntRange(min=1, max=limits.FACES),
         default=1,
         show_default=True,
-        help="Rank by size of the face to track in the first frames; 1 is the largest.",
+        help="Face to track, by size in the first frames; 1 is the largest.",
     ),
     title=START,
 )
 @option_group(particles_option(750), title=CONFIGURATION)
-@configuration_options("head-mono (the defaults), head-mono-paper", "adjustment.views=10")
+@configuration_options("head-mono (default), head-mono-paper", "adjustment.views=10")
 @frame_options
 @one_camera_options
 @option(
@@ -384,7 +363,9 @@ def head_mono(recording: Path, **options: Any) -> None:
         raise UsageError("--face cannot be combined with --init FILE", found=face, hint="leave it out")
 
     def made(first_pass: Report) -> HeadRun:
-        run = _mono_run(source, config, chosen, face, first_pass)
+        from posetrack_cli.head.runs import make_mono_run
+
+        run = make_mono_run(source, config, chosen, face, first_pass)
         _say_guess(source, options["fov"])
         return run
 
@@ -422,91 +403,3 @@ def _say_guess(source: Recording, fov: float | None) -> None:
 
 def _focal(source: Recording) -> str:
     return f"{source.cameras[0].fx:.0f} px"
-
-
-def _mono_run(
-    source: Recording,
-    config: HeadMonoConfig,
-    options: HeadRunOptions,
-    face: int,
-    first_pass: Report,
-) -> HeadRun:
-    from posetrack_cli.head.multilinear.face_model import load_face_model
-    from posetrack_cli.head.run import HeadRun
-    from posetrack_cli.head.subject import mono_subject
-    from posetrack_cli.head.tracker.mono import make_mono_tracker
-
-    (camera,) = source.cameras
-    file = None if config.model.file is None else Path(config.model.file)
-    clicked = None if options.init is None else Path(options.init)
-    model = load_face_model(file)
-    given = _given_person(options, config, model)
-    person = {} if given is None else {"systematic_sd": given.systematic_sd}
-
-    def make_tracker(known: Learned | None) -> LearningTracker[Any]:
-        if known is None and given is not None:
-            known = given.learned
-        return make_mono_tracker(
-            config, camera, known, face=face - 1, clicked=clicked, landmarks=options.landmarks, **person
-        )
-
-    return HeadRun(
-        source,
-        config,
-        options,
-        name="head-mono",
-        subject=mono_subject(camera.name, model),
-        flush_frames=config.output.flush_frames,
-        make_tracker=make_tracker,
-        origin=model.deformation_mean,
-        first_pass=first_pass,
-        extra_record=_stated(source, file, face, _scale_from(config, given)),
-    )
-
-
-def _given_person(options: HeadRunOptions, config: HeadMonoConfig, model: FaceModel) -> GivenPerson | None:
-    """Read the person of --person, if given.
-
-    Raises:
-        UsageError: --person conflicts with another option.
-    """
-    from posetrack_cli.head.tracker.given_person import read_person
-
-    if options.person is None:
-        return None
-    others = {"--load-model": options.load_model, "--init": options.init}
-    for name, given in others.items():
-        if given is not None:
-            what = f"--person and {name} are mutually exclusive"
-            raise UsageError(what, found=given, hint="leave one of them out")
-    person = read_person(options.person, model, config.adjustment)
-    if person.size is not None and config.person.interpupillary_mm is not None:
-        raise UsageError(
-            "--person and --interpupillary-mm both set the size of the head",
-            where=options.person,
-            found=f"{config.person.interpupillary_mm:g} mm",
-            hint="leave one of them out",
-        )
-    return person
-
-
-def _scale_from(config: HeadMonoConfig, given: GivenPerson | None) -> str:
-    """Return the source of the head's size, for the run record."""
-    if config.person.interpupillary_mm is not None:
-        return "interpupillary"
-    return "prior" if given is None or given.size is None else "person"
-
-
-def _stated(source: Recording, face_model: Path | None, face: int, scale: str) -> dict[str, str]:
-    """Return entries of the run record: assumptions that the images do not determine."""
-    from posetrack_cli.recording.identity import file_digest, shown_name
-
-    stated = {
-        "scale": scale,
-        "intrinsics": "guessed" if source.is_guessed else "given",
-        "face": str(face),
-        "face_model": "shipped",
-    }
-    if face_model is None:
-        return stated
-    return stated | {"face_model": shown_name(face_model), "face_model.sha256": file_digest(face_model)[1]}

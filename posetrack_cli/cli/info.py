@@ -1,4 +1,4 @@
-"""``posetrack info``: tell what a recording or a result holds."""
+"""``posetrack info``: list the contents of a recording or result."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ Values = Mapping[str, Any]
 @click.command(
     cls=Command,
     examples=("posetrack info recording.mcap", "posetrack info recording.mcap --json -"),
-    short_help="Tell what a recording or a result holds.",
+    short_help="List the contents of a recording or result.",
 )
 @click.argument("path", metavar="FILE", type=FILE)
-@option_group(json_option(), title=WRITTEN)
-@overwrite_option("The file of --json")
+@option_group(json_option("Write the full report as JSON."), title=WRITTEN)
+@overwrite_option("the --json file if it exists")
 def info(path: Path, json: Path | None, overwrite: bool) -> None:
-    """Tell what FILE holds: folders of images, a video, a recording or a result, also an unfinished one.
+    """List the contents of FILE: an image folder, video, recording or result, finished or not.
 
-    Exit code 3 means that the file is truncated or damaged; what can be read is listed all the same.
+    Exit code 3: the file is truncated or damaged, and its readable part was listed.
     """
     from posetrack_cli.files import write_output
     from posetrack_cli.outputs import check_target, whole_or_nothing
@@ -57,7 +57,7 @@ def _json_text(report: Values) -> str:
 
 
 def report_lines(report: Values) -> Iterator[str]:
-    """Yield the lines that tell a report of ``describe`` to people."""
+    """Yield a report of ``describe`` as lines of text."""
     lines = {
         "folder": _folder_lines,
         "images": _image_lines,
@@ -159,7 +159,7 @@ def _message_lines(report: Values) -> Iterator[str]:
 
 
 def _use_lines(report: Values) -> Iterator[str]:
-    """Yield the camera that each command would use, and why."""
+    """Yield the camera that each command would use, and the reason."""
     for use in report["used"]:
         for camera in use["cameras"]:
             yield f"{use['command']} uses {_intrinsics(camera)} ({camera['why']})"
@@ -169,7 +169,7 @@ def _use_lines(report: Values) -> Iterator[str]:
 
 
 def _rig_lines(report: Values) -> Iterator[str]:
-    """Tell how the cameras of a file of messages stand to each other."""
+    """Yield the extrinsics of the cameras of a message file."""
     if report["no_rig"]:
         yield f"cameras together: {report['no_rig']}"
     if report["rig"]:

@@ -1,4 +1,4 @@
-"""The command ``posetrack``: one group, and the way every error becomes one line and an exit code."""
+"""The ``posetrack`` command group; turns every error into one line and an exit code."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from posetrack_cli.cli.hand import hand
 from posetrack_cli.cli.head import head
 from posetrack_cli.cli.info import info
 from posetrack_cli.cli.process import (
+    fork_under_memory_limit,
     is_debugging,
     leave_process,
     prepare_process,
-    survive_memory_limit,
     terminate_as_interrupted,
 )
 from posetrack_cli.cli.terminal import discard_output, print_line, print_note
@@ -31,23 +31,21 @@ from posetrack_cli.cli.view import view
 from posetrack_cli.errors import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED, PosetrackError, error_words
 
 _NO_THREAD = "can't start new thread"
-"""What Python says of any limit that keeps a thread from starting."""
+"""CPython's message for every limit on threads; it raises a plain RuntimeError."""
 
 
 class _Group(click.Group):
-    """Click would print an empty line when it is interrupted, before ours."""
-
     def invoke(self, ctx: click.Context) -> Any:
         try:
             return super().invoke(ctx)
-        except KeyboardInterrupt as interruption:
+        except KeyboardInterrupt as interruption:  # click itself would print an empty line first
             raise click.Abort from interruption
 
 
-def _print_version(context: click.Context, _: click.Parameter, asked: bool) -> None:
+def _print_version(context: click.Context, _: click.Parameter, value: bool) -> None:
     from posetrack_cli.build import build_name
 
-    if asked:
+    if value:
         print_line(f"posetrack, version {build_name()}")
         context.exit()
 
@@ -62,12 +60,14 @@ def _print_version(context: click.Context, _: click.Parameter, asked: bool) -> N
     help="Show the version and exit.",
 )
 def cli() -> None:
-    """Track hands in recorded depth and heads in recorded video: pose, velocity and shape, with their
-    uncertainty, from MCAP files, bags, videos and folders of images.
+    """Track hands in recorded depth and heads in recorded video.
 
-    Exit codes: 0 done; 1 failed; 2 wrong usage; 3 finished, but some data was lost or skipped; 130 stopped by
-    Ctrl-C. Results go to standard output, diagnostics and progress to standard error; POSETRACK_DEBUG=1 also
-    shows tracebacks and what libraries say.
+    Reads MCAP files, ROS bags, videos and image folders; estimates pose, velocity and shape with
+    uncertainties.
+
+    Exit codes: 0 success; 1 error; 2 usage error; 3 finished, but some data was lost or skipped; 130
+    interrupted. Results go to stdout, diagnostics to stderr; progress bars appear only on a terminal. Set
+    POSETRACK_DEBUG=1 to see tracebacks and library output.
     """
 
 
@@ -76,20 +76,20 @@ for command in (hand, head, batch, evaluate, view, export, info, convert, calibr
 
 
 def main() -> None:
-    """Run the command line and exit."""
+    """Run posetrack on ``sys.argv`` and exit."""
     prepare_process()
     terminate_as_interrupted()
-    survive_memory_limit()
+    fork_under_memory_limit()
     leave_process(run(sys.argv[1:]))
 
 
 def run(arguments: list[str]) -> int:
-    """Run a command line, print an error as one line, and return the exit code."""
+    """Run a command line, print any error as one line, and return the exit code."""
     return run_safely(lambda: _done(arguments))
 
 
 def run_safely(work: Callable[[], int]) -> int:
-    """Do what gives an exit code, print an error as one line, and return the code."""
+    """Call ``work``, print any error as one line, and return the exit code."""
     try:
         return work()
     except PosetrackError as error:
@@ -114,7 +114,7 @@ def run_safely(work: Callable[[], int]) -> int:
             return _failed(
                 "out of memory or threads: raise ulimit -v or -u, or set POSETRACK_THREADS=1", EXIT_FAILED
             )
-        # The last net, for users: what gets here is a bug, and the fuzzing harness counts it as a failure.
+        # Any other exception is a bug; the fuzzing harness counts this line as a failure.
         return _failed(_bug_line(error), EXIT_FAILED)
 
 
@@ -126,8 +126,7 @@ def _done(arguments: list[str]) -> int:
 
 
 def _failed(message: str, code: int) -> int:
-    """Print one line on standard error, if anyone can read it, and return the exit code."""
-    with suppress(OSError):
+    with suppress(OSError):  # standard error may be closed or full
         if is_debugging():
             traceback.print_exc()
         print_note(f"posetrack: {message}")
@@ -135,20 +134,19 @@ def _failed(message: str, code: int) -> int:
 
 
 def _memory_line(error: MemoryError) -> str:
-    asked = f" ({error})" if str(error) else ""
-    return f"out of memory{asked}; smaller images, fewer frames or fewer --particles need less"
+    detail = f" ({error})" if str(error) else ""
+    return f"out of memory{detail}; use smaller images, fewer frames or fewer --particles"
 
 
 def _bug_line(error: Exception) -> str:
-    """What happened, and in which line of ours; the rest tells only those who mend it."""
     return (
-        f"internal error: {error_words(error)}; this is a bug, please report it with what "
-        "POSETRACK_DEBUG=1 shows"
+        f"internal error: {error_words(error)}; this is a bug, please report it with the output of "
+        "POSETRACK_DEBUG=1"
     )
 
 
 def _usage_line(error: click.ClickException) -> str:
-    """Click's message on one line, and which help to read."""
+    """Return click's message on one line, with a pointer to the command's help."""
     message = " ".join(error.format_message().split()).removesuffix(".")
     context = getattr(error, "ctx", None)
     return message if context is None else f"{message}; see: {context.command_path} --help"

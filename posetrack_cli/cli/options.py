@@ -1,4 +1,4 @@
-"""Options that several commands share, their types, and what their values mean."""
+"""Options shared by several commands, their types and the interpretation of their values."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from posetrack_cli.cli.command import Adding, Function, Option, option
+from posetrack_cli.cli.command import Function, Option, OptionDecorator, option
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
@@ -18,21 +18,21 @@ if TYPE_CHECKING:
 
 
 FILE = click.Path(path_type=Path)
-"""A path, of a file or folder; the shell completes it."""
+"""Path of a file or folder, with shell completion."""
 FILE_OR_STANDARD_OUTPUT = click.Path(path_type=Path, allow_dash=True)
 
 
-def option_group(*options: Adding, title: str = "") -> Adding:
-    """Return what adds options to a command, in this order; its function gets them as keyword arguments.
+def option_group(*options: OptionDecorator, title: str = "") -> OptionDecorator:
+    """Return a decorator that adds options to a command, in this order.
 
     Args:
-        options: of the group.
-        title: their heading in the help, of those that have none yet.
+        options: decorators of the single options.
+        title: heading in the help, for options that have none yet.
     """
 
     def add(function: Function) -> Function:
         before = len(getattr(function, "__click_params__", ()))
-        for one in reversed(options):
+        for one in reversed(options):  # click reverses the order of decorators
             function = one(function)
         for parameter in getattr(function, "__click_params__", ())[before:]:
             parameter.group = parameter.group or title
@@ -41,8 +41,8 @@ def option_group(*options: Adding, title: str = "") -> Adding:
     return add
 
 
-def options_of(group: Adding) -> tuple[Option, ...]:
-    """Return the options of a group, for a command that is made without a function of its own."""
+def options_of(group: OptionDecorator) -> tuple[Option, ...]:
+    """Return the options of a group, for commands that are built without a decorated function."""
 
     def nothing() -> None:
         pass
@@ -52,22 +52,22 @@ def options_of(group: Adding) -> tuple[Option, ...]:
 
 
 class FiniteRange(click.FloatRange):
-    """A number within limits; unlike click's own range it takes neither NaN nor an infinity."""
+    """A finite number within limits; click's own range accepts NaN and infinities."""
 
     def convert(self, value: Any, parameter: click.Parameter | None, context: click.Context | None) -> float:
         """Return the number.
 
         Raises:
-            click.BadParameter: it is none, not finite, or out of range.
+            click.BadParameter: the value is not a number, not finite or out of range.
         """
         number = float(super().convert(value, parameter, context))
         if not math.isfinite(number):
-            self.fail(f"{value} is no finite number.", parameter, context)
+            self.fail(f"{value} is not a finite number.", parameter, context)
         return number
 
 
-class DrawingDevice(click.IntRange):
-    """The index of an EGL device, or ``cpu``."""
+class DeviceIndex(click.IntRange):
+    """Index of an EGL device, or ``cpu``."""
 
     name = "integer or cpu"
 
@@ -75,24 +75,24 @@ class DrawingDevice(click.IntRange):
         super().__init__(min=0)
 
     def _describe_range(self) -> str:
-        return ""  # the help says what it is
+        return ""  # "[x>=0]" in the help would be wrong for cpu
 
     def convert(  # type: ignore[override]
         self, value: Any, parameter: click.Parameter | None, context: click.Context | None
     ) -> int | str:
-        """Return the index, or ``cpu`` as it is.
+        """Return the index, or ``"cpu"``.
 
         Raises:
-            click.BadParameter: it is neither.
+            click.BadParameter: the value is neither.
         """
         return "cpu" if value == "cpu" else int(super().convert(value, parameter, context))
 
 
 class NameOrFile(click.ParamType[str]):
-    """One of some names, or a file; the shell completes both.
+    """A keyword or a file, with shell completion of both.
 
     Args:
-        names: that are no files.
+        names: keywords.
     """
 
     name = "text"
@@ -103,18 +103,21 @@ class NameOrFile(click.ParamType[str]):
     def shell_complete(
         self, ctx: click.Context, param: click.Parameter, incomplete: str
     ) -> list[CompletionItem]:
-        """Return the names that begin so, and that files are to be completed."""
+        """Return the matching keywords, else a request for file completion."""
         from click.shell_completion import CompletionItem
 
+        # Nothing typed yet: a list of keywords would hide the files.
         names = [CompletionItem(name) for name in self._names if incomplete and name.startswith(incomplete)]
         return names or [CompletionItem(incomplete, type="file")]
 
 
 def only_once(context: click.Context, parameter: click.Parameter, values: tuple[Any, ...]) -> Any:
-    """Callback of an option with ``multiple=True`` that may be given once: a second one is not passed over.
+    """Return the single value of an option with ``multiple=True`` (callback).
+
+    Click would silently use the last value of a plain option.
 
     Raises:
-        click.BadParameter: it is given several times.
+        click.BadParameter: the option is given several times.
     """
     if len(values) > 1:
         raise click.BadParameter("given more than once", context, parameter)
@@ -123,17 +126,17 @@ def only_once(context: click.Context, parameter: click.Parameter, values: tuple[
 
 FILTERED, SMOOTHED = "filtered", "smoothed"
 TRACKS = (FILTERED, SMOOTHED)
-"""As ``results.channels`` has them, which would take long to load for the help."""
+"""As in ``results.channels``, whose import would slow down --help."""
 BOTH = "both"
 
 
 def chosen_tracks(track: str | None) -> tuple[str, ...]:
-    """Return the tracks that an option's value names, the filtered one for none."""
+    """Return the tracks selected by a --track value; the filtered one if None."""
     return TRACKS if track == BOTH else (track or FILTERED,)
 
 
-# What several commands have is declared here, once: the first sentence of its help is what it means
-# everywhere (a test compares), the rest what is particular to a command.
+# Shared options. An option has the same meaning in every command (a test checks this); the help may add
+# details for one command.
 
 
 WRITTEN = "Output"
@@ -141,58 +144,62 @@ READ = "Recording"
 CONFIGURATION = "Configuration"
 
 
-def _told(meaning: str, details: str) -> str:
-    """What an option means, and what is particular to a command; a default stands a little apart."""
-    return f"{meaning}{'  ' if details.startswith('[') else ' '}{details}".strip()
-
-
-def output_option(what: str, metavar: str = "FILE", *, required: bool = True) -> Adding:
-    """Return -o of a command, told in words what it writes."""
+def output_option(text: str, metavar: str = "FILE", *, required: bool = True) -> OptionDecorator:
+    """Return -o with this help."""
     return option(
         "-o",
         "--output",
         metavar=metavar,
         required=required,
         type=FILE,
-        help=f"Where to write. {what}",
+        help=text,
+        meaning="Output file or folder",
         group=WRITTEN,
     )
 
 
-def overwrite_option(what: str, group: str = WRITTEN) -> Adding:
-    """Return --overwrite of a command, told in words what it replaces."""
-    return option("--overwrite", is_flag=True, help=f"Replace existing files. {what}.", group=group)
+def overwrite_option(what: str, group: str = WRITTEN) -> OptionDecorator:
+    """Return --overwrite.
+
+    Args:
+        what: files and condition, such as ``"OUT.mcap if it exists"``.
+        group: heading in the help.
+    """
+    text = f"Overwrite {what}."
+    return option("--overwrite", is_flag=True, help=text, meaning="Overwrite existing output", group=group)
 
 
 smooth_option = option("--smooth", is_flag=True, help="Also write a smoothed track.", group=WRITTEN)
 
 
-def seed_option(details: str = "") -> Adding:
-    """Return --seed."""
+def seed_option(text: str = "Random seed.") -> OptionDecorator:
+    """Return --seed with this help."""
     return option(
         "--seed",
         type=click.IntRange(min=0),
         metavar="N",
         default=0,
         show_default=True,
-        help=_told("Random seed.", details),
+        help=text,
+        meaning="Random seed",
     )
 
 
-def fps_option(details: str, default: float | None = None) -> Adding:
-    """Return --fps, of a recording that is read or made."""
+def fps_option(text: str, default: float | None = None) -> OptionDecorator:
+    """Return --fps with this help, for a recording that is read or generated."""
     return option(
         "--fps",
         metavar="HZ",
         type=float,
         default=default,
         show_default=default is not None,
-        help=_told("Frame rate of the recording.", details),
+        help=text,
+        meaning="Frame rate of the recording",
     )
 
 
-def particles_option(default: int | str) -> Adding:
-    """Return --particles, whose default, as help states it, is in the configuration, or the command's own."""
+def particles_option(default: int | str) -> OptionDecorator:
+    """Return --particles; ``default`` is only shown, the value comes from the configuration or command."""
     return option(
         "--particles",
         metavar="N",
@@ -202,53 +209,51 @@ def particles_option(default: int | str) -> Adding:
     )
 
 
-def track_option(*choices: str, default: str | None, details: str = "") -> Adding:
-    """Return --track of a command that reads results."""
+def track_option(*choices: str, default: str | None, text: str) -> OptionDecorator:
+    """Return --track with this help, for commands that read results."""
     return option(
         "--track",
         type=click.Choice(choices),
         default=default,
         show_default=default is not None,
-        help=_told("Which track of the result.", details),
+        help=text,
+        meaning="Track of the result to use",
     )
 
 
-def truth_option(details: str) -> Adding:
-    """Return --truth, a file."""
-    return option("--truth", metavar="FILE", type=FILE, help=_told("File with the truth.", details))
+def truth_option(text: str) -> OptionDecorator:
+    """Return --truth (a file) with this help."""
+    return option("--truth", metavar="FILE", type=FILE, help=text, meaning="Ground truth file")
 
 
-def recording_option(details: str) -> Adding:
-    """Return --recording of a command that reads results."""
-    return option(
-        "--recording",
-        metavar="PATH",
-        type=FILE,
-        help=_told("The recording of the result.", details),
-        group=READ,
-    )
+def recording_option(text: str) -> OptionDecorator:
+    """Return --recording with this help, for commands that read results."""
+    meaning = "Recording that the result was tracked in"
+    return option("--recording", metavar="PATH", type=FILE, help=text, meaning=meaning, group=READ)
 
 
-def device_option(details: str) -> Adding:
-    """Return --device, what draws."""
+def device_option(text: str) -> OptionDecorator:
+    """Return --device with this help."""
     return option(
         "--device",
         metavar="N|cpu",
-        type=DrawingDevice(),
-        help=_told("What draws. The number of an EGL device, or cpu.", details),
+        type=DeviceIndex(),
+        help=text,
+        meaning="Rendering device: EGL device number or cpu",
         rare=True,
     )
 
 
-def hand_side_option(*choices: str, details: str, default: str | None = None) -> Adding:
-    """Return --hand-side."""
+def hand_side_option(*choices: str, text: str, default: str | None = None) -> OptionDecorator:
+    """Return --hand-side with this help."""
     return option(
         "--hand-side",
         "side",
         type=click.Choice(choices),
         default=default,
         show_default=default is not None,
-        help=_told("Which hand.", details),
+        help=text,
+        meaning="Left or right hand",
     )
 
 
@@ -256,7 +261,8 @@ scale_option = option(
     "--scale",
     metavar="FACTOR",
     type=float,
-    help="Size of the hand. 1 is the average adult's, 179 mm long.",
+    help="Hand size; 1 is the average adult hand (179 mm).",
+    meaning="Hand size",
     rare=True,
 )
 hand_mesh_option = option(
@@ -264,13 +270,13 @@ hand_mesh_option = option(
     "mesh",
     metavar="FILE.glb",
     type=NameOrFile(),
-    help="Hand in place of the average one. Skinned, glTF with WebXR joint names.",
+    help="Hand mesh to use instead of the average hand: skinned glTF with WebXR joint names.",
     rare=True,
 )
 
 
-def init_option(metavar: str, details: str, default: str | None = None) -> Adding:
-    """Return --init."""
+def init_option(metavar: str, text: str, default: str | None = None) -> OptionDecorator:
+    """Return --init with this help; the lower-case words of ``metavar`` are its keywords."""
     names = [name for name in metavar.split("|") if name.islower()]
     return option(
         "--init",
@@ -278,56 +284,47 @@ def init_option(metavar: str, details: str, default: str | None = None) -> Addin
         type=NameOrFile(*names),
         default=default,
         show_default=default is not None,
-        help=_told("How the track begins.", details),
+        help=text,
+        meaning="Initialisation of the track",
         rare=True,
     )
 
 
-def frames_option(default: int, details: str) -> Adding:
-    """Return --frames of a command that makes recordings."""
-    return option(
-        "--frames", metavar="N", default=default, show_default=True, help=_told("Number of frames.", details)
-    )
+def frames_option(default: int, text: str) -> OptionDecorator:
+    """Return --frames with this help, for commands that generate recordings."""
+    meaning = "Number of frames"
+    return option("--frames", metavar="N", default=default, show_default=True, help=text, meaning=meaning)
 
 
-def motion_option(*choices: str, default: str, details: str) -> Adding:
-    """Return --motion of a command that makes recordings."""
+def motion_option(*choices: str, default: str, text: str) -> OptionDecorator:
+    """Return --motion with this help, for commands that generate recordings."""
     return option(
         "--motion",
         type=click.Choice(choices, case_sensitive=False),
         metavar=f"[{'|'.join(choices)}]",  # click would show the choices in lower case
         default=default,
         show_default=True,
-        help=_told("How it moves.", details),
+        help=text,
+        meaning="Type of motion",
     )
 
 
-def speed_option(details: str) -> Adding:
-    """Return --speed of a command that makes recordings."""
-    return option(
-        "--speed",
-        metavar="FACTOR",
-        default=1.0,
-        show_default=True,
-        help=_told("How fast it moves, a factor.", details),
-    )
+def speed_option(text: str) -> OptionDecorator:
+    """Return --speed with this help, for commands that generate recordings."""
+    meaning = "Speed of the motion, a factor"
+    return option("--speed", metavar="FACTOR", default=1.0, show_default=True, help=text, meaning=meaning)
 
 
-def json_option(details: str = "") -> Adding:
-    """Return --json of a command that reports."""
-    return option(
-        "--json",
-        type=FILE_OR_STANDARD_OUTPUT,
-        metavar="FILE|-",
-        help=_told("Write everything as JSON.", details),
-    )
+def json_option(text: str) -> OptionDecorator:
+    """Return --json with this help."""
+    meaning = "Write the full report as JSON"
+    return option("--json", type=FILE_OR_STANDARD_OUTPUT, metavar="FILE|-", help=text, meaning=meaning)
 
 
-def cameras_option(details: str, group: str = READ) -> Adding:
-    """Return --cameras, which of a recording's cameras."""
-    return option(
-        "--cameras", metavar="NAME,...", help=_told("Which of the recording's cameras.", details), group=group
-    )
+def cameras_option(text: str, group: str = READ) -> OptionDecorator:
+    """Return --cameras with this help."""
+    meaning = "Cameras of the recording to use"
+    return option("--cameras", metavar="NAME,...", help=text, meaning=meaning, group=group)
 
 
 _CAMERA = option(
@@ -335,58 +332,61 @@ _CAMERA = option(
     "camera_file",
     metavar="FILE.toml|NAME",
     type=FILE,
-    help="Camera file to use in place of the recording's own calibration, or the name of a nominal camera.",
+    help="Camera file, or name of a nominal camera; replaces the recording's calibration.",
 )
 _MIRROR = option(
-    "--mirror/--no-mirror", default=None, help="Flip images left to right, or do not.", rare=True
+    "--mirror/--no-mirror",
+    default=None,
+    help="Flip the images horizontally, or not; overrides the camera file.",
+    rare=True,
 )
 
 recording_options = option_group(
-    option("--topic", metavar="TOPIC", help="Topic of the depth images.  [default: the likeliest]"),
+    option("--topic", metavar="TOPIC", help="Topic of the depth images.  [default: best match]"),
     option(
         "--camera-topic",
         metavar="TOPIC",
-        help="Topic of the calibration.  [default: by frame id or namespace]",
+        help="Topic of the camera calibration.  [default: by frame id or namespace]",
         rare=True,
     ),
     _CAMERA,
-    fps_option("Of a folder of images, which may not tell it."),
+    fps_option("Frame rate of an image folder without timestamps."),
     option(
         "--depth-unit-mm",
         metavar="MM",
         type=float,
-        help="Millimetres per stored unit of depth.  [default: by what the images hold; integers are mm, "
-        "floats m]",
+        help="Millimetres per stored depth unit.  [default: mm for integers, m for floats, unless the "
+        "images show otherwise]",
         rare=True,
     ),
     option(
         "--missing",
         metavar="N",
         type=int,
-        help="Stored integer that means no reading; 0 always does.",
+        help="Stored integer for missing readings, in addition to 0.",
         rare=True,
     ),
     _MIRROR,
     title=READ,
 )
 image_options = option_group(
-    cameras_option("The reference first; of an MCAP file also topics.  [default: all]"),
+    cameras_option("Cameras to use, reference first; for MCAP files also topics.  [default: all]"),
     _CAMERA,
-    fps_option("Of a folder of images or a video, which may not tell it."),
+    fps_option("Frame rate of an image folder or video without timestamps."),
     _MIRROR,
     option(
         "--tolerance-ms",
         metavar="MS",
         type=float,
-        help="Largest difference of stamps within a frame.  [default: 10]",
+        help="Maximum difference between the timestamps of a frame's images.  [default: 10]",
         rare=True,
     ),
     title=READ,
 )
 one_camera_options = option_group(
-    cameras_option("One of several; of an MCAP file also its topic."),
+    cameras_option("Camera to use if there are several; for MCAP files also a topic."),
     _CAMERA,
-    fps_option("Of a folder of images or a video, which may not tell it."),
+    fps_option("Frame rate of an image folder or video without timestamps."),
     _MIRROR,
     title=READ,
 )
@@ -397,7 +397,7 @@ NAMES = (
 
 
 def reading_options(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what a command's options say of how ``open_recording`` is to read."""
+    """Return the keyword arguments for ``open_recording`` from a command's options."""
     given = {name: options[name] for name in NAMES if options.get(name) is not None}
     if "cameras" in given:
         given["cameras"] = camera_names(given["cameras"])
@@ -405,7 +405,7 @@ def reading_options(options: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def camera_names(text: str) -> list[str]:
-    """Return the names that --cameras gives."""
+    """Split the value of --cameras."""
     return [name.strip() for name in text.split(",")]
 
 
@@ -415,9 +415,9 @@ gate_options = option_group(
         "conditions",
         metavar="CONDITION",
         multiple=True,
-        help="Gate on each result, such as 'joint_error_mm.mean > 10' or 'coverage < 0.99'; on the frames of "
-        "all together, 'pooled.joint_error_mm.mean > 8'; or on the figures over results, "
-        "'p95(joint_error_mm.mean) > 12', 'count(coverage) < 100'; repeatable.",
+        help="Fail if the condition holds for a result, e.g. 'joint_error_mm.mean > 10' or "
+        "'coverage < 0.99'; for the pooled frames of all results, 'pooled.joint_error_mm.mean > 8'; or for "
+        "a statistic over results, 'p95(joint_error_mm.mean) > 12'. Repeatable.",
     ),
     option(
         "--gates",
@@ -425,7 +425,7 @@ gate_options = option_group(
         metavar="FILE",
         type=FILE,
         multiple=True,
-        help="File of gates, one a line; repeatable.",
+        help="File of --fail-if conditions, one per line. Repeatable.",
     ),
     option(
         "--baseline",
@@ -433,8 +433,8 @@ gate_options = option_group(
         type=FILE,
         multiple=True,
         callback=only_once,
-        help="Earlier --json of eval, or summary.json of a batch; worse figures fail, of each result of the "
-        "same name and of all together. Results that only the baseline has fail, new ones are told.",
+        help="Report to compare with: --json of eval or summary.json of a batch. Metrics that got worse, per "
+        "result or pooled, fail, and so do missing results; new results are listed.",
     ),
     option(
         "--baseline-tolerance",
@@ -442,62 +442,64 @@ gate_options = option_group(
         type=FiniteRange(min=0.0),
         default=0.05,
         show_default=True,
-        help="How much worse may pass: a share of an error, an absolute difference of a coverage.",
+        help="Allowed deterioration: relative for errors, absolute for coverage.",
         rare=True,
     ),
     title="Gates",
 )
 
 
-def junit_option(details: str) -> Adding:
-    """Return --junit."""
-    return option("--junit", type=FILE, metavar="FILE", help=_told("Write the gates as JUnit XML.", details))
+def junit_option(text: str) -> OptionDecorator:
+    """Return --junit with this help."""
+    meaning = "Write the gates as JUnit XML"
+    return option("--junit", type=FILE, metavar="FILE", help=text, meaning=meaning)
 
 
-def markdown_option() -> Adding:
+def markdown_option() -> OptionDecorator:
     """Return --markdown."""
     return option(
         "--markdown",
         type=FILE_OR_STANDARD_OUTPUT,
         metavar="FILE|-",
-        help="Write a summary as Markdown: failed gates first, totals, results, changes against the "
-        "baseline.",
+        help="Write a Markdown summary: failed gates, totals, results and changes against the baseline.",
     )
 
 
 Config = TypeVar("Config", bound="Settings")
 
 RUN_OPTIONS = ("output", "seed", "start", "end", "stride", "resume", "overwrite", "timings")
-"""Names of those that ``tracking.options.RunOptions`` has, too."""
+"""Options that are also fields of ``tracking.options.RunOptions``."""
 
 
-def config_option(shipped: str) -> Adding:
-    """Return --config, told in words which configurations are shipped for a command."""
+def config_option(shipped: str) -> OptionDecorator:
+    """Return --config; the help lists the shipped configurations."""
     return option(
         "--config",
         "configs",
         metavar="FILE|NAME",
         type=NameOrFile(),
         multiple=True,
-        help=f"Configuration, a TOML file or a shipped one. {shipped}; repeatable, later ones override.",
+        help=f"Configuration: a TOML file or one of {shipped}. Repeatable; later ones override.",
+        meaning="Configuration: a TOML file or the name of a shipped one",
     )
 
 
-def configuration_options(shipped: str, example: str) -> Adding:
-    """Return what adds --config, --set and --seed to a command.
+def configuration_options(shipped: str, example: str) -> OptionDecorator:
+    """Return a decorator that adds --config, --set and --seed.
 
     Args:
-        shipped: the configurations that are shipped for it, in words.
-        example: of an assignment.
+        shipped: names of the shipped configurations, for the help.
+        example: an assignment, for the help.
     """
     return option_group(
-        config_option(f"Shipped: {shipped}"),
+        config_option(shipped),
         option(
             "--set",
             "settings",
             metavar="KEY=VALUE",
             multiple=True,
-            help=f"Set any key of the configuration. Such as {example}; repeatable.",
+            help=f"Set a configuration key, e.g. {example}. Repeatable.",
+            meaning="Set a configuration key",
         ),
         seed_option(),
         title=CONFIGURATION,
@@ -510,51 +512,51 @@ frame_options = option_group(
         "--end",
         metavar="N",
         type=click.IntRange(min=1),
-        help="Frame to stop before.  [default: behind the last]",
+        help="End frame, exclusive.  [default: all frames]",
     ),
     option(
         "--stride",
         metavar="N",
         type=click.IntRange(min=1),
         default=1,
-        help="Track every so many frames.  [default: 1]",
+        help="Track every N-th frame.  [default: 1]",
         rare=True,
     ),
     title="Frames",
 )
 
 
-def result_options(replaced: str) -> Adding:
-    """Return what adds -o, --smooth, --timings, --resume and --overwrite to a command.
+def result_options(replaced: str) -> OptionDecorator:
+    """Return a decorator that adds -o, --smooth, --timings, --resume and --overwrite.
 
     Args:
-        replaced: what --overwrite replaces, in words.
+        replaced: for ``overwrite_option``.
     """
     return option_group(
-        output_option("The result, an MCAP file.", "RESULT.mcap"),
+        output_option("Output file (MCAP).", "RESULT.mcap"),
         smooth_option,
         option(
             "--timings",
             is_flag=True,
-            help="Write each frame's milliseconds (bytes then differ from run to run).",
+            help="Also write run times per frame; the output is then not reproducible to the byte.",
             rare=True,
         ),
-        option("--resume", is_flag=True, help="Go on with an interrupted run."),
+        option("--resume", is_flag=True, help="Continue an interrupted run."),
         overwrite_option(replaced),
         title=WRITTEN,
     )
 
 
 def configuration_of(kind: type[Config], options: Mapping[str, Any], configured: Mapping[str, str]) -> Config:
-    """Return the configuration: defaults < --config < --set < options.
+    """Return the configuration; precedence: defaults < --config < --set < options.
 
     Args:
-        kind: of configuration.
-        options: of the command.
-        configured: configuration key of each option that stands for one.
+        kind: class of the configuration.
+        options: values of the command's options.
+        configured: configuration key by option name, for options that set a key.
 
     Raises:
-        UsageError: what cannot be meant.
+        UsageError: an unknown key or an invalid value.
     """
     from posetrack_cli.configuration import find_configuration, load_settings, parse_assignments
 

@@ -1,10 +1,10 @@
-"""What the process of a command line does once, before it runs: streams, what libraries print, and signals.
+"""Process set-up of the command line: standard streams, library output, memory limits and signals.
 
-A failure is one line on standard error, and C libraries do not know that: libpng, libtiff, FFmpeg, OpenCV and
-GL drivers write to file descriptor 2 whatever they think of a file. So Python's standard error moves to
-another descriptor, and the second one leads nowhere. With POSETRACK_DEBUG=1 everything is shown.
+An error is one line on standard error, but C libraries (libpng, libtiff, FFmpeg, OpenCV, GL drivers) print
+warnings to file descriptor 2. Python's standard error is therefore moved to another descriptor, and
+descriptor 2 is redirected to /dev/null. POSETRACK_DEBUG=1 shows everything.
 
-Ctrl-C ends a command after the frame at hand, and waits for no compiler.
+Ctrl-C stops a command after the current frame, and at once while a kernel is being compiled.
 """
 
 from __future__ import annotations
@@ -32,73 +32,71 @@ _STANDARD = (0, 1, 2)
 _ERROR = 2
 _BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 _NEW_OBJECTS = 20_000
-"""After so many Python looks for what may go, not after 700: most are made as a run starts and as kernels
-compile, and they stay. A tenth of a short run went into looking."""
+"""Threshold of the garbage collector, 700 by default. Most objects are created by imports and compilation
+and stay alive; looking for garbage took a tenth of a short run."""
 
 
 def is_debugging() -> bool:
-    """Whether the user asked for what libraries print, and for tracebacks: POSETRACK_DEBUG=1."""
+    """Return whether POSETRACK_DEBUG asks for tracebacks and library output."""
     return os.environ.get(_DEBUG, "") not in ("", "0")
 
 
 def prepare_process() -> None:
-    """Make standard streams safe to use, and silence what is not ours to say unless it was asked for.
+    """Make standard streams safe to use, and silence libraries unless debugging.
 
-    BLAS gets one thread, whatever was asked for: how it shares out a product decides how that is rounded, and
-    results would differ from one number of cores to another. Our matrices are too small to share.
+    BLAS is limited to one thread: its partition of a product determines the rounding, so results would
+    depend on the number of cores. The matrices are too small to gain from threads.
     """
-    os.environ.update(dict.fromkeys(_BLAS_THREADS, "1"))  # read as numpy and scipy are loaded, which is later
+    os.environ.update(dict.fromkeys(_BLAS_THREADS, "1"))  # must precede the import of numpy and scipy
     gc.set_threshold(_NEW_OBJECTS)
     _fill_closed_descriptors()
     if sys.stderr is None:
-        sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115 as long as the process
+        sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115 open until exit
     elif not is_debugging():
         _divert_libraries()
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, TextIOWrapper):  # not so where it is closed
-            stream.reconfigure(errors="backslashreplace")  # a name that it cannot show is no reason to fail
+        if isinstance(stream, TextIOWrapper):  # None if closed
+            stream.reconfigure(errors="backslashreplace")  # file names may not be encodable
     faulthandler.enable(sys.stderr)
     if not is_debugging():
         _silence_python_libraries()
 
 
 def leave_process(code: int) -> NoReturn:
-    """Exit; after an interruption at once, as threads may be compiling, which cannot be stopped."""
+    """Exit; after an interruption without waiting for threads, which may be compiling."""
     if code == EXIT_INTERRUPTED:
         for stream in (sys.stdout, sys.stderr):
-            with suppress(AttributeError, OSError):  # closed, or full
+            with suppress(AttributeError, OSError):  # the stream may be closed or full
                 stream.flush()
         os._exit(code)
     sys.exit(code)
 
 
 def _fill_closed_descriptors() -> None:
-    """Open what is closed of the standard descriptors: the next file would take its number, and be written
-    to by whoever means standard error.
-    """
+    """Open closed standard descriptors, else the next opened file would receive standard error."""
     for descriptor in _STANDARD:
         try:
             os.fstat(descriptor)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)  # takes the lowest free number, which is this one
+            os.open(os.devnull, os.O_RDWR)  # gets the lowest free number, which is this one
 
 
 def _divert_libraries() -> None:
-    """Move Python's standard error to a descriptor that C libraries do not know."""
+    """Move Python's standard error to another descriptor, and redirect descriptor 2 to /dev/null."""
     own = os.dup(_ERROR)
     sys.stderr.flush()
     encoding = sys.stderr.encoding
-    sys.stderr = open(own, "w", buffering=1, encoding=encoding)  # noqa: PTH123, SIM115 as long as the process
+    sys.stderr = open(own, "w", buffering=1, encoding=encoding)  # noqa: PTH123, SIM115 open until exit
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, _ERROR)
     os.close(nowhere)
 
 
 def _silence_python_libraries() -> None:
-    """Show no log lines, and warnings only where they were asked for: they are no lines of ours."""
-    if not sys.warnoptions:  # of -W and PYTHONWARNINGS
+    """Hide log messages, and warnings unless -W or PYTHONWARNINGS is set."""
+    if not sys.warnoptions:
         warnings.simplefilter("ignore")
-    logging.getLogger().addHandler(logging.NullHandler())  # without any, warnings go to standard error
+    logging.getLogger().addHandler(logging.NullHandler())  # without a handler, logging prints warnings
 
 
 LEAST_DATA_BYTES = 1 << 29
@@ -106,11 +104,11 @@ _LEAST = {
     "ulimit -v": (resource.RLIMIT_AS, 5 << 28),
     "ulimit -d": (resource.RLIMIT_DATA, LEAST_DATA_BYTES),
 }
-"""What tracking takes with its libraries, which abort or hang on less: address space, and data alone."""
+"""Minimum limits of address space and data, bytes; below them libraries abort or hang while loading."""
 
 
 def check_memory() -> None:
-    """Refuse to work under a limit of memory that libraries do not survive.
+    """Check that the memory limits suffice for loading the libraries.
 
     Raises:
         UsageError: ``ulimit -v`` or ``ulimit -d`` is too low.
@@ -120,17 +118,17 @@ def check_memory() -> None:
         if limit != resource.RLIM_INFINITY and limit < least:
             found, expected = f"{limit >> 10} KiB", f"{least >> 10} KiB or more"
             raise UsageError(
-                f"limit of memory is too low ({name})",
+                f"memory limit is too low ({name})",
                 found=found,
                 expected=expected,
-                hint=f"type: {name} unlimited",
+                hint=f"run: {name} unlimited",
             )
 
 
-def survive_memory_limit() -> None:
-    """Go on in a process of its own where memory is limited: libraries abort for want of it.
+def fork_under_memory_limit() -> None:
+    """Continue in a child process if memory is limited, and report it in one line if a library aborts.
 
-    This process waits for that one, and says in one line that it was aborted.
+    Native libraries call ``abort`` when out of memory, which Python cannot catch.
     """
     limited = [
         name for name, (which, _) in _LEAST.items() if resource.getrlimit(which)[0] != resource.RLIM_INFINITY
@@ -142,12 +140,12 @@ def survive_memory_limit() -> None:
         faulthandler.disable()
         ctypes.CDLL(None).prctl(_SET_SIGNAL_AT_PARENTS_END, signal.SIGKILL)
         return
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to both
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the terminal also sends it to the child
     signal.signal(signal.SIGTERM, lambda number, frame: os.kill(child, number))
     code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
     if code in (-signal.SIGABRT, -signal.SIGSEGV, -signal.SIGBUS):
         print_note(
-            f"posetrack: a library aborted, likely for want of memory ({', '.join(limited)}); raise the limit"
+            f"posetrack: a library aborted, probably out of memory ({', '.join(limited)}); raise the limit"
         )
         code = EXIT_FAILED
     os._exit(code if code >= 0 else 128 - code)
@@ -158,53 +156,54 @@ _SET_SIGNAL_AT_PARENTS_END = 1
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 GRACE_S = 1.0
-"""How long a stop may take while kernels are compiled: a compiler's single steps take up to 10 s."""
+"""Time a stop may take while kernels compile; a single step of the compiler takes up to 10 s."""
 
 
 def terminate_as_interrupted() -> None:
-    """Let SIGTERM end a command as Ctrl-C does, so that nothing half-written stays behind."""
-    if signal.getsignal(signal.SIGTERM) != signal.SIG_IGN:  # whoever started this wants it to be ignored
+    """Handle SIGTERM like Ctrl-C, so that no partial files are left."""
+    if signal.getsignal(signal.SIGTERM) != signal.SIG_IGN:  # the parent wants it to be ignored
         signal.signal(signal.SIGTERM, signal.default_int_handler)
 
 
 @contextmanager
 def stop_signals(at_once: Callable[[], bool] = lambda: False) -> Iterator[Callable[[], bool]]:
-    """Yield a function that tells whether Ctrl-C or SIGTERM came.
+    """Yield a function that returns whether Ctrl-C or SIGTERM was received.
 
-    A second Ctrl-C stops at once, by KeyboardInterrupt, and so does what comes while ``at_once`` says so.
+    A second Ctrl-C, or any signal while ``at_once`` returns True, raises KeyboardInterrupt.
     """
-    asked = threading.Event()
+    requested = threading.Event()
 
     def stop(number: int, frame: object) -> None:
-        asked.set()
+        requested.set()
         signal.signal(signal.SIGINT, signal.default_int_handler)
         if at_once():
             raise KeyboardInterrupt
 
     before = {number: signal.signal(number, stop) for number in SIGNALS}
     try:
-        yield asked.is_set
+        yield requested.is_set
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
 
 
 @contextmanager
-def signals_watched(is_stuck: Callable[[], bool], give_up: Callable[[], None]) -> Iterator[threading.Event]:
-    """Yield an event that a signal to stop sets, also while the main thread is in a library and handles none.
+def watch_signals(is_stuck: Callable[[], bool], give_up: Callable[[], None]) -> Iterator[threading.Event]:
+    """Yield an event that is set by a stop signal, even while the main thread is in native code.
 
     Args:
-        is_stuck: asked ``GRACE_S`` after a signal, unless the context is left by then.
-        give_up: called where it is, in a thread of its own.
+        is_stuck: called ``GRACE_S`` after a signal, unless the context has been left.
+        give_up: called in another thread if ``is_stuck`` returns True.
     """
-    asked, left = threading.Event(), threading.Event()
+    # Python runs signal handlers between bytecodes only; the wakeup descriptor is written immediately.
+    requested, left = threading.Event(), threading.Event()
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
 
     def watch() -> None:
         while number := os.read(reading, 1):
             if number[0] in SIGNALS:
-                asked.set()
+                requested.set()
                 if not left.wait(GRACE_S) and is_stuck():
                     give_up()
 
@@ -212,7 +211,7 @@ def signals_watched(is_stuck: Callable[[], bool], give_up: Callable[[], None]) -
     thread.start()
     before = signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
     try:
-        yield asked
+        yield requested
     finally:
         signal.set_wakeup_fd(before)
         left.set()

@@ -1,4 +1,4 @@
-"""What every command that tracks shows: compiling, progress, what is kept after a failure, the end."""
+"""Output shared by the tracking commands: compilation, progress, closing lines, suggested commands."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ import click
 
 from posetrack_cli.cli.command import seconds_since_start
 from posetrack_cli.cli.options import reading_options
-from posetrack_cli.cli.process import leave_process, signals_watched
+from posetrack_cli.cli.process import leave_process, watch_signals
 from posetrack_cli.cli.terminal import (
     bar,
     close_bars,
-    print_aside,
     print_detail,
+    print_info,
     print_line,
     print_note,
-    say_meanwhile,
+    show_on_bar,
 )
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_INTERRUPTED, PosetrackError, UsageError
 from posetrack_cli.text import printable
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 def open_for_reading(
     path: Path, options: Mapping[str, Any], pixels: PixelKind = "depth", **further: Any
 ) -> Recording:
-    """Open a recording as a command's options say; tell what was taken of several things that would do."""
+    """Open a recording with a command's options, and print the remarks on how it was opened."""
     from posetrack_cli.recording.opening import open_recording
 
     recording = open_recording(path, pixels, **reading_options(options), **further)
@@ -49,13 +49,13 @@ def open_for_reading(
 
 
 @contextmanager
-def compiling_said(resumable: Path | None = None) -> Iterator[Callable[[], bool]]:
-    """Say on standard error, above any progress bar, that kernels are compiled; wait for none to stop.
+def announce_compiling(resumable: Path | None = None) -> Iterator[Callable[[], bool]]:
+    """Announce kernel compilation on standard error, and let signals stop it.
 
-    Yields a function that tells whether one is being compiled just now.
+    Yields a function that returns whether a kernel is being compiled.
 
     Args:
-        resumable: output that a stopped run can be resumed to.
+        resumable: output file, if the run can be resumed.
     """
     from posetrack_cli.compiled import announced, watched
 
@@ -65,15 +65,16 @@ def compiling_said(resumable: Path | None = None) -> Iterator[Callable[[], bool]
         leave_process(EXIT_INTERRUPTED)
 
     def check() -> None:
-        if asked.is_set():  # before this kernel, or between two of a frame
+        if stopped.is_set():  # before the first kernel, or between two kernels of a frame
             raise KeyboardInterrupt
 
     with (
         announced(
-            lambda line: print_aside(f"{line} ..."), lambda count: say_meanwhile(f"compiling kernel {count}")
+            lambda line: print_info(f"{line} ..."),
+            lambda count: show_on_bar(f"compiling kernel {count}"),
         ),
         watched(lambda: check()) as is_compiling,
-        signals_watched(is_compiling, give_up) as asked,
+        watch_signals(is_compiling, give_up) as stopped,
     ):
         yield is_compiling
 
@@ -83,34 +84,34 @@ def _interrupted(resumable: Path | None) -> str:
 
     if resumable is None or not (state_path(resumable).is_file() and part_path(resumable).is_file()):
         return "posetrack: interrupted"
-    return f"interrupted while kernels were compiled: {part_path(resumable)}; --resume goes on"
+    return f"interrupted during compilation: {part_path(resumable)}; continue with --resume"
 
 
 class Listener:
-    """What is told of commands that track, besides what they print; a subclass keeps what it is after.
+    """Callbacks of the tracking commands, for programs that run them; the default does nothing.
 
     Attributes:
-        is_alone: whether somebody has typed the command, and may type the next one.
+        is_alone: whether a user runs the command, so that it may suggest the next one.
     """
 
     is_alone = True
 
     def on_frame(self, pass_name: str, done: int, total: int | None) -> None:
-        """A frame is tracked: so many of so many, where that is known."""
+        """Handle a tracked frame; ``total`` is None if unknown."""
 
     def on_remark(self, text: str) -> None:
-        """A user should know this of the recording."""
+        """Handle a remark on the recording."""
 
     def on_end(self, tracked: int) -> None:
-        """All frames are done, or it was stopped: so many were tracked now."""
+        """Handle the end, given the number of frames tracked in this run."""
 
 
 _listener: ContextVar[Listener] = ContextVar("listener", default=Listener())  # noqa: B039 has no state
 
 
 @contextmanager
-def told_to(listener: Listener) -> Iterator[None]:
-    """Have a listener told of the commands that run inside."""
+def use_listener(listener: Listener) -> Iterator[None]:
+    """Use a listener for the commands that run inside."""
     before = _listener.set(listener)
     try:
         yield
@@ -119,17 +120,17 @@ def told_to(listener: Listener) -> Iterator[None]:
 
 
 def print_remark(recording: Path, text: str) -> None:
-    """Print what a user should know of a recording once it is tracked."""
+    """Print a remark on a recording, and pass it to the listener."""
     _listener.get().on_remark(text)
     print_note(f"{recording}: {text}")
 
 
 @contextmanager
 def progress(total: int | None, start: int, stride: int, name: str) -> Iterator[Any]:
-    """Yield a function that shows an estimate on the progress bar; a bar only where a person looks.
+    """Yield a function that moves the progress bar to an estimate's frame.
 
-    The bar stands at the estimate's frame, so a resumed run begins where the interrupted one ended, and a
-    second pass begins anew.
+    The position follows the frame index: a resumed run continues where the interrupted one stopped, and a
+    second pass starts again.
     """
     listener, statuses = _listener.get(), [""]
     with bar(name, "frame", total) as shown:
@@ -137,7 +138,7 @@ def progress(total: int | None, start: int, stride: int, name: str) -> Iterator[
         def report(estimate: Estimate) -> None:
             done = len(range(start, estimate.frame_index + 1, stride))
             if shown.done == 0:
-                shown.begin_at(done - 1)  # frames before this run took it no time
+                shown.begin_at(done - 1)  # keeps frames of an earlier run out of the rate
             size = estimate.effective_sample_size
             weights = "" if size is None else f"ESS {size:.0f} "
             shown.advance(done - shown.done, f"{weights}{estimate.status}")
@@ -149,8 +150,8 @@ def progress(total: int | None, start: int, stride: int, name: str) -> Iterator[
         yield report
 
 
-def tell_settings(config: Settings) -> None:
-    """Say which settings differ from the defaults, if --verbose asks for it."""
+def print_settings(config: Settings) -> None:
+    """Print the settings that differ from the defaults (with --verbose)."""
     for key, value in _differences(config.model_dump(), type(config)().model_dump()):
         print_detail(f"{key} = {value}")
 
@@ -164,8 +165,8 @@ def _differences(given: Mapping[str, Any], usual: Mapping[str, Any]) -> Iterator
 
 
 @contextmanager
-def kept(output: Path) -> Iterator[None]:
-    """When the run fails, its line also says what can still be read; what is refused has tracked nothing."""
+def name_partial_result(output: Path) -> Iterator[None]:
+    """Add the path of the partial result to errors; usage errors occur before there is one."""
     from posetrack_cli.outputs import part_path
 
     try:
@@ -173,29 +174,26 @@ def kept(output: Path) -> Iterator[None]:
     except PosetrackError as error:
         part = part_path(output)
         if part.is_file() and not isinstance(error, UsageError):
-            error.args = (f"{error}; kept: {part} holds what was tracked before",)
+            error.args = (f"{error}; frames tracked so far are kept in {part}",)
         raise
 
 
-def tell_next(*commands: Sequence[str | Path]) -> None:
-    """Say what can be typed next, as a shell takes it.
-
-    Nothing is said of names that no terminal shows as they are, nor where a batch runs the command.
-    """
+def print_next(*commands: Sequence[str | Path]) -> None:
+    """Print suggested next commands, quoted for the shell; nothing within a batch."""
     if _listener.get().is_alone:
         for words in commands:
             line = shlex.join(map(_typed, words))
-            if printable(line) == line:
+            if printable(line) == line:  # an escaped name could not be copied
                 print_line(f"next: posetrack {line}")
 
 
 def _typed(word: str | Path) -> str:
-    """A word of a command line; a path that begins with a dash is no option."""
+    """Return a word of a command line; a path that starts with a dash must not look like an option."""
     return f"./{word}" if isinstance(word, Path) and str(word).startswith("-") else str(word)
 
 
 def next_of_result(recording: Path, result: Path) -> Iterator[Sequence[str | Path]]:
-    """Yield what makes a report, and a video."""
+    """Yield the commands for a report and a video of a result."""
     page, video = result.with_suffix(".html"), result.with_suffix(".mp4")
     yield ("eval", result, "--html", page, *(["--overwrite"] if page.exists() else []))
     is_recording = video.exists() and recording.exists() and video.samefile(recording)
@@ -204,18 +202,18 @@ def next_of_result(recording: Path, result: Path) -> Iterator[Sequence[str | Pat
     yield ("view", result, "-o", video, *(["--overwrite"] if video.exists() else []))
 
 
-_LEAST_SAID_S = 1.0
-"""Time of compiling that is worth a word."""
+_LEAST_COMPILING_S = 1.0
+"""Shorter compilation is not reported."""
 
 
 def _rate(frames: int, seconds: float) -> str:
-    """Frames per second, with two digits at least."""
+    """Format frames per second with at least two digits."""
     rate = frames / seconds if seconds > 0.0 else 0.0
     return f"{rate:.1f}" if rate >= 1.0 else f"{rate:.2g}"
 
 
 def close(recording: Path, output: Path, outcome: RunOutcome, passes: int = 1) -> None:
-    """Print the closing line and what there is to remark, and set the exit code."""
+    """Print the closing line, remarks and suggested commands, and set the exit code."""
     from posetrack_cli.compiled import compiling_s
     from posetrack_cli.losses import loss_line
     from posetrack_cli.outputs import part_path
@@ -227,20 +225,20 @@ def close(recording: Path, output: Path, outcome: RunOutcome, passes: int = 1) -
         f"tracking alone {_rate(outcome.tracked, outcome.seconds)} frames/s)"
     )
     if passes > 1:
-        what += f" of {passes} passes, {outcome.frames} in the last"
+        what += f" over {passes} passes, {outcome.frames} in the last"
     elif outcome.frames != outcome.tracked:
-        what += f", {outcome.frames} with those before"
+        what += f", {outcome.frames} including earlier runs"
     what += f", {outcome.lost} lost"
-    if compiled_s >= _LEAST_SAID_S:
+    if compiled_s >= _LEAST_COMPILING_S:
         what += f", {compiled_s:.0f} s spent compiling"
     if outcome.stopped:
-        print_note(f"interrupted after {what}: {part_path(output)}; --resume goes on")
+        print_note(f"interrupted after {what}: {part_path(output)}; continue with --resume")
         click.get_current_context().exit(EXIT_INTERRUPTED)
     print_line(f"{what}: {output}")
     for remark in outcome.remarks:
         print_remark(recording, remark)
     if not outcome.failure:
-        tell_next(*next_of_result(recording, output))
+        print_next(*next_of_result(recording, output))
     if outcome.losses:
         print_remark(recording, loss_line(outcome.losses))
     if outcome.failure:

@@ -24,27 +24,27 @@ from posetrack_cli.cli.options import (
     seed_option,
     speed_option,
 )
-from posetrack_cli.cli.running import tell_next
+from posetrack_cli.cli.running import print_next
 from posetrack_cli.cli.terminal import bar, print_line
 from posetrack_cli.errors import UsageError
 
-# ``posetrack hand synth``: make a recording of a moving hand whose truth is known
+# posetrack hand synth
 
 
 SWITCHES = (
-    ("noise", "Depth noise, and no readings outside 0.5 to 4.5 m."),
+    ("noise", "Depth noise, and range limits of 0.5 to 4.5 m."),
     ("edges", "Missing readings at depth edges."),
-    ("background", "A room behind the hand."),
-    ("body", "Trunk and head behind the hand."),
-    ("forearm", "The forearm behind the wrist."),
-    ("drops", "Missing frames."),
-    ("late", "Late frames."),
+    ("background", "Render a room behind the hand."),
+    ("body", "Render trunk and head behind the hand."),
+    ("forearm", "Render the forearm."),
+    ("drops", "Drop frames."),
+    ("late", "Delay frames."),
 )
-FINGERS = (("lengths", "the fingers' lengths, thumb first"), ("widths", "the fingers' radii, thumb first"))
+FINGERS = (("lengths", "the finger lengths, thumb first"), ("widths", "the finger radii, thumb first"))
 PALM = (
-    ("width", "from side to side"),
-    ("length", "from wrist to knuckles"),
-    ("thickness", "from back to front"),
+    ("width", "side to side"),
+    ("length", "wrist to knuckles"),
+    ("thickness", "back to front"),
 )
 SHAPE = (
     "scale",
@@ -60,9 +60,9 @@ switch_options = option_group(
     *(option(f"--{name}/--no-{name}", default=None, help=text) for name, text in SWITCHES),
     title="Switches",
 )
-"""None, their default, means the motion's own default."""
+"""Their default, None, stands for the default of the motion."""
 shape_options = option_group(
-    option("--random-hand", is_flag=True, help="Draw the hand's size and shape from the seed."),
+    option("--random-hand", is_flag=True, help="Choose hand size and shape at random from the seed."),
     hand_mesh_option,
     scale_option,
     *(
@@ -70,21 +70,21 @@ shape_options = option_group(
         for name, text in FINGERS
     ),
     *(
-        option(f"--palm-{name}", metavar="FACTOR", type=float, help=f"Factor on the palm's {name}, {text}.")
+        option(f"--palm-{name}", metavar="FACTOR", type=float, help=f"Factor on the palm {name} ({text}).")
         for name, text in PALM
     ),
-    option("--wrist-width", metavar="FACTOR", type=float, help="Factor on the wrist's width."),
+    option("--wrist-width", metavar="FACTOR", type=float, help="Factor on the wrist width."),
     option(
         "--thumb-place",
         metavar="FACTOR",
         type=float,
-        help="Factor on how far along the palm the thumb begins.",
+        help="Factor on the distance of the thumb base along the palm.",
     ),
     option(
         "--padding-mm",
         metavar="MM",
         type=float,
-        help="By how much the skin stands out, as in a glove, 0 to 12.  [default: 0]",
+        help="Thickness of a layer on the skin, e.g. a glove, 0 to 12.  [default: 0]",
     ),
     title="Hand",
 )
@@ -97,33 +97,32 @@ shape_options = option_group(
         "posetrack hand synth -o depth.mcap",
         "posetrack hand synth --frames 90 --seed 3 --random-hand -o depth.mcap",
     ),
-    short_help="Make a recording of a moving hand whose truth is known.",
+    short_help="Generate a recording of a moving hand with ground truth.",
 )
-@output_option("The recording, an MCAP file.", "OUT.mcap")
-@overwrite_option("The recording")
+@output_option("Output file (MCAP).", "OUT.mcap")
+@overwrite_option("OUT.mcap if it exists")
 @option_group(
     motion_option(
         "A",
         "B",
         "C",
         default="C",
-        details="A pose random walk, B pose and velocity random walk, C smooth natural motion.",
+        text="Motion: random walk of the pose (A), of pose and velocity (B), or smooth natural motion (C).",
     ),
-    speed_option("A, B: on the noise; C: on the rate of time."),
-    frames_option(300, "At the nominal rate, dropped ones included."),
-    fps_option("The nominal one.", 30.0),
+    speed_option("Factor on the speed: on the noise for A and B, on the time scale for C."),
+    frames_option(300, "Number of frames at the nominal rate, including dropped ones."),
+    fps_option("Nominal frame rate.", 30.0),
     seed_option(),
     title="Motion",
 )
-@option_group(hand_side_option("right", "left", details="", default="right"), title="Hand")
+@option_group(hand_side_option("right", "left", text="Left or right hand.", default="right"), title="Hand")
 @shape_options
 @switch_options
 @volume_options
 def hand_synth(output: Path, overwrite: bool, **values: Any) -> None:
-    """Make OUT.mcap, a recording of a moving hand as a Kinect v2 would see it, with truth on /truth/hand.
+    """Generate OUT.mcap, a Kinect v2 depth recording of a moving hand with ground truth on /truth/hand.
 
-    All switches are on for motion C and off for A and B unless they are given. The same options give
-    the same bytes.
+    By default, all switches are on for motion C and off for A and B. The same options give an identical file.
     """
     import time
 
@@ -137,14 +136,14 @@ def hand_synth(output: Path, overwrite: bool, **values: Any) -> None:
         f"{output}: {made.frames} frames, {made.missing} dropped, {made.seconds:.3f} s long, "
         f"made in {time.perf_counter() - began:.1f} s"
     )
-    tell_next(("hand", "run", output, "-o", output.with_stem(f"{output.stem}-tracked")))
+    print_next(("hand", "run", output, "-o", output.with_stem(f"{output.stem}-tracked")))
 
 
 def synth_options(values: dict[str, Any]) -> Any:
-    """Return the SynthOptions of the command's values.
+    """Return the SynthOptions for the command's values.
 
     Raises:
-        UsageError: a value that cannot be used.
+        UsageError: an invalid value or combination.
     """
     from dataclasses import asdict, replace
 
@@ -159,25 +158,26 @@ def synth_options(values: dict[str, Any]) -> Any:
         return options
     if shape:
         option = f"--{next(iter(shape))}".replace("_", "-")
-        raise UsageError("--random-hand draws the hand itself", found=option, hint="leave one of them out")
+        what = "--random-hand cannot be combined with options of the hand's shape"
+        raise UsageError(what, found=option, hint="leave one of them out")
     return replace(options, **asdict(hand_of_seed(options.seed)))
 
 
 def _given_shape(values: dict[str, Any]) -> dict[str, Any]:
-    """Take the options of the hand's size and proportions out of the values; return those given."""
+    """Remove the shape options from ``values``; return those that are given."""
     given = {name: values.pop(name, None) for name in SHAPE}
     return {name: value for name, value in given.items() if value is not None}
 
 
 @contextmanager
 def _hand_progress(frames: int) -> Iterator[Callable[[Any], None]]:
-    """A bar on stderr if that is a terminal; it counts the instants that the frames have reached."""
+    """Yield a function that advances a bar to the nominal time of a frame; dropped frames count."""
     with bar("synth", "frame", frames) as shown:
         yield lambda frame: shown.advance(frame.instant + 1 - shown.done)
         shown.advance(frames - shown.done)
 
 
-# ``posetrack head synth``: make a recording of a moving, deforming head whose truth is known
+# posetrack head synth
 
 
 @click.command(
@@ -194,16 +194,16 @@ def _hand_progress(frames: int) -> Iterator[Callable[[Any], None]]:
         "--distance": "--distance-mm",
         "--baseline": "--baseline-mm",
     },
-    short_help="Make a recording of a head whose truth is known.",
+    short_help="Generate a recording of a moving head with ground truth.",
 )
-@output_option("The recording, an MCAP file or a folder of images with camera.toml.", "OUT.mcap|FOLDER")
-@overwrite_option("The recording")
+@output_option("Output: an MCAP file, or a folder of images with camera.toml.", "OUT.mcap|FOLDER")
+@overwrite_option("the output if it exists")
 @option(
     "--image-format",
     type=click.Choice(["jpeg", "png", "raw"]),
     default="jpeg",
     show_default=True,
-    help="How images are stored; raw only in an MCAP file.",
+    help="Image encoding; raw is for MCAP files only.",
     group=WRITTEN,
 )
 @option_group(
@@ -213,39 +213,42 @@ def _hand_progress(frames: int) -> Iterator[Callable[[Any], None]]:
         "turn",
         "still",
         default="natural",
-        details="slight: a fifth of the natural one; turn: also two sudden turns of 200 deg/s after three "
-        "quarters.",
+        text="Motion; slight has a fifth of the natural amplitude, turn adds two sudden turns of 200 deg/s "
+        "after three quarters of the recording.",
     ),
-    speed_option("On the natural motion's rate of time."),
-    frames_option(600, ""),
-    fps_option("", 30.0),
-    seed_option("Of everything random but the person."),
+    speed_option("Factor on the speed of the natural motion."),
+    frames_option(600, "Number of frames."),
+    fps_option("Frame rate.", 30.0),
+    seed_option("Random seed; does not affect the person (--identity)."),
     option(
         "--expressions/--no-expressions",
         default=True,
-        help="The face deforms and blinks.  [default: expressions]",
+        help="Facial expressions and blinks.  [default: expressions]",
     ),
     option(
         "--script",
         type=click.Choice(["free", "two-motions"]),
         default="free",
         show_default=True,
-        help="free: all expressions in the first two thirds, then only the head moves; two-motions: the "
-        "mouth grows wide and narrow, then the face long and short, for build-model.",
+        help="Expressions: any in the first two thirds, then none (free); or mouth wide and narrow, then "
+        "face long and short, for build-model (two-motions).",
     ),
     title="Motion",
 )
 @option_group(
-    option("--identity", default=1, show_default=True, metavar="SEED", help="Who is seen: seed of a person."),
-    option("--distance-mm", metavar="MM", default=700.0, show_default=True, help="How far the head is."),
+    option("--identity", default=1, show_default=True, metavar="SEED", help="Seed of the person."),
+    option(
+        "--distance-mm", metavar="MM", default=700.0, show_default=True, help="Distance of the head in mm."
+    ),
     option(
         "--light",
         type=click.Choice(["slow", "sudden", "steady"]),
         default="slow",
         show_default=True,
-        help="Light that drifts, also changes at once in the middle, or stays.",
+        help="Illumination: slow drift (slow), drift with a jump in the middle (sudden), or constant "
+        "(steady).",
     ),
-    option("--occlusion", is_flag=True, help="An object covers half the face for one second."),
+    option("--occlusion", is_flag=True, help="Cover half the face by an object for one second."),
     title="Scene",
 )
 @option_group(
@@ -255,15 +258,21 @@ def _hand_progress(frames: int) -> Iterator[Callable[[Any], None]]:
         metavar="1|2",
         default=2,
         show_default=True,
-        help="How many cameras; two are toed in.",
+        help="Number of cameras; two converge on the head.",
     ),
-    option("--baseline-mm", metavar="MM", default=120.0, show_default=True, help="Between two cameras."),
+    option(
+        "--baseline-mm",
+        metavar="MM",
+        default=120.0,
+        show_default=True,
+        help="Distance between two cameras in mm.",
+    ),
     option(
         "--image-size",
         metavar="WIDTHxHEIGHT",
         default="640x480",
         show_default=True,
-        help="Of the images, pixels.",
+        help="Image size in pixels.",
     ),
     option(
         "--noise-factor",
@@ -271,19 +280,23 @@ def _hand_progress(frames: int) -> Iterator[Callable[[Any], None]]:
         metavar="FACTOR",
         default=1.0,
         show_default=True,
-        help="Factor on the sensor's noise; 0 for none.",
+        help="Factor on the sensor noise; 0 for none.",
     ),
-    option("--lens-distortion", "distortion", is_flag=True, help="The lenses distort."),
+    option("--lens-distortion", "distortion", is_flag=True, help="Apply lens distortion."),
     option(
-        "--drops/--no-drops", default=False, help="Missing frames. Each camera's own.  [default: no-drops]"
+        "--drops/--no-drops",
+        default=False,
+        help="Drop frames, independently for each camera.  [default: no-drops]",
+        meaning="Drop frames",
     ),
     title="Cameras",
 )
 @volume_options
 def head_synth(output: Path, image_format: str, overwrite: bool, **values: Any) -> None:
-    """Make a recording of a head as one or two grey cameras see it, with truth on /truth/head.
+    """Generate a recording of a moving head from one or two grey cameras, with ground truth on /truth/head.
 
-    The head is drawn by OpenGL and is nobody's. The same options give the same bytes on the same machine.
+    The head is synthetic and rendered with OpenGL. The same options give an identical file on the same
+    machine.
     """
     import time
 
@@ -299,14 +312,14 @@ def head_synth(output: Path, image_format: str, overwrite: bool, **values: Any) 
         f"{made.missing} images missing, {made.seconds:.3f} s long, made in {seconds:.1f} s"
     )
     tracked = output.with_name(f"{output.stem}-tracked.mcap")
-    tell_next(("head", "stereo" if options.cameras == 2 else "mono", output, "-o", tracked))
+    print_next(("head", "stereo" if options.cameras == 2 else "mono", output, "-o", tracked))
 
 
 def head_synth_options(values: dict[str, Any]) -> Any:
-    """Return the HeadSynthOptions of the command's values.
+    """Return the HeadSynthOptions for the command's values.
 
     Raises:
-        UsageError: a value that cannot be meant.
+        UsageError: an invalid value.
     """
     from posetrack_cli.synthesis.head.options import HeadSynthOptions
 
@@ -318,12 +331,11 @@ def head_synth_options(values: dict[str, Any]) -> Any:
 def _size(text: str) -> tuple[int, int]:
     width, _, height = text.partition("x")
     if not (width.isdecimal() and height.isdecimal()):
-        raise UsageError("--image-size cannot be used", found=text, expected="WIDTHxHEIGHT, such as 640x480")
+        raise UsageError("invalid --image-size", found=text, expected="WIDTHxHEIGHT, such as 640x480")
     return int(width), int(height)
 
 
 @contextmanager
 def _head_progress(frames: int) -> Iterator[Callable[[Any], None]]:
-    """A bar on stderr if that is a terminal."""
     with bar("synth", "frame", frames) as shown:
         yield lambda frame: shown.advance()

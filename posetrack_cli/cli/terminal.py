@@ -1,4 +1,4 @@
-"""What a command says and shows: lines, notes, bars."""
+"""Terminal output of the commands: lines, notes and progress bars."""
 
 from __future__ import annotations
 
@@ -14,29 +14,27 @@ from typing import IO, Any
 from posetrack_cli.phases import Advance
 from posetrack_cli.text import one_line, printable
 
-# What commands print: every line of every command goes through here.
-#
-# Topic names, metadata and messages come from files, and files from strangers: what a terminal would obey is
-# escaped. Only data that programs read goes out as it is, and not to a terminal.
+# All output goes through this module. Topic names, metadata and messages come from untrusted files, so
+# control characters are escaped; only data for other programs is written unchanged, and not to a terminal.
 
 
 STANDARD_OUTPUT = Path("-")
-"""What stands for it as the name of a file."""
+"""Value of a path option that stands for standard output."""
 
 
 QUIET, USUAL, VERBOSE = -1, 0, 1
 _volume = [USUAL]
-"""What is said of the command that runs."""
+"""Stack of verbosity levels."""
 
 
 drawn_bars: list[Any] = []
-"""The bar of tqdm's that is drawn now, if there is one; lines go above it."""
+"""The tqdm bar on the screen, if any; lines are printed above it."""
 
 
 @contextmanager
-def volume(asked: int) -> Iterator[None]:
-    """Say less or more than usual of what is done inside."""
-    _volume.append(asked)
+def volume(level: int) -> Iterator[None]:
+    """Set the verbosity inside the context."""
+    _volume.append(level)
     try:
         yield
     finally:
@@ -44,7 +42,7 @@ def volume(asked: int) -> Iterator[None]:
 
 
 def is_quiet() -> bool:
-    """Whether only what went wrong is to be said."""
+    """Return whether only errors and warnings are printed."""
     return _volume[-1] <= QUIET
 
 
@@ -55,75 +53,72 @@ def _print(text: str, file: IO[str]) -> None:
 
 
 def print_line(text: str = "") -> None:
-    """Print one line of a command's answer on standard output, without control characters.
-
-    --quiet leaves it out.
-    """
+    """Print one line on standard output, without control characters; nothing with --quiet."""
     if not is_quiet():
         _print(text, sys.stdout)
 
 
 def print_note(text: str) -> None:
-    """Print one line on standard error, without control characters: what the user should know."""
+    """Print a warning or error, one line on standard error without control characters."""
     _print(text, sys.stderr)
 
 
-def print_aside(text: str) -> None:
-    """Print what is good to know, and nothing has gone wrong; not for --quiet."""
+def print_info(text: str) -> None:
+    """Print information on standard error; nothing with --quiet."""
     if not is_quiet():
         print_note(text)
 
 
 def print_detail(text: str) -> None:
-    """Print what only --verbose asks for."""
+    """Print a detail on standard error, with --verbose only."""
     if _volume[-1] >= VERBOSE:
         print_note(text)
 
 
 def print_data(text: str) -> None:
-    """Print text for programs on standard output, exactly and as UTF-8; a terminal gets it escaped, too."""
+    """Print text on standard output unchanged, as UTF-8; escape it if that is a terminal."""
     if sys.stdout is None:
         return
-    sys.stdout.flush()  # lines before it come before it
+    sys.stdout.flush()  # the text bypasses the buffer of sys.stdout
     shown = printable(text) if sys.stdout.isatty() else text
     sys.stdout.buffer.write(shown.encode("utf-8", "backslashreplace"))
 
 
 def discard_output() -> None:
-    """What is buffered for an output that cannot be written goes nowhere: exit must not try again."""
+    """Redirect standard output to /dev/null, so that Python does not retry a failed flush at exit."""
     if sys.stdout is not None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 @contextmanager
-def reader_may_leave() -> Iterator[None]:
-    """Print what a reader such as ``head`` need not read to its end: nothing else depends on that."""
+def ignore_closed_pipe() -> Iterator[None]:
+    """Ignore a closed pipe inside the context, for output piped to programs such as ``head``."""
     try:
         yield
         if sys.stdout is not None:
-            sys.stdout.flush()  # a log that takes both shows this before what follows on standard error
+            sys.stdout.flush()  # keeps the order with later lines on standard error in a shared log
     except BrokenPipeError:
         discard_output()
 
 
-# How far a command is: bars on standard error, drawn only where a person looks and wants to be told
+# Progress bars on standard error, only on a terminal and without --quiet
 
 
 _USUAL_COLUMNS = 80
 _ECHO_COLUMNS = 3
-"""Kept free behind a bar: a terminal shows ^C there, and a longer line would break."""
+"""Left free after a bar: terminals echo ^C there, which would wrap a full line."""
 
 _REDRAWN_EVERY_S = 1.0
-"""Of a bar whose count stands still for long: its time goes on."""
+"""Redraw interval that keeps the elapsed time running while the count stands still."""
 
 _LOCK = RLock()
 
 
 class Bar:
-    """How much of something is done.
+    """A progress bar.
 
     Args:
-        options: of tqdm's bar; None where nobody looks.
+        options: arguments of ``tqdm.tqdm``; None shows nothing.
     """
 
     def __init__(self, options: Mapping[str, Any] | None) -> None:
@@ -134,16 +129,16 @@ class Bar:
 
     @property
     def done(self) -> int:
-        """How much is done."""
+        """Current count."""
         return self._done
 
     @property
     def is_drawn(self) -> bool:
-        """Whether anybody sees it."""
+        """Whether the bar is shown."""
         return self._options is not None
 
     def begin_at(self, done: int) -> None:
-        """So much was done before, and took no time of this run."""
+        """Set the initial count, which does not enter the rate."""
         self._done = done
         self._draw()
         if self._drawn is not None:
@@ -151,12 +146,12 @@ class Bar:
             self._drawn.initial = self._drawn.n = self._drawn.last_print_n = done
 
     def advance(self, count: int = 1, note: str | None = None, total: int | None = None) -> None:
-        """So much more is done.
+        """Add to the count.
 
         Args:
-            count: how much.
-            note: shown beside the bar from now on; None leaves what is shown.
-            total: how much there is, where that was not known.
+            count: increment.
+            note: new text after the bar; None keeps the current one.
+            total: total count, if it was unknown.
         """
         self._done += count
         self._draw()
@@ -167,18 +162,18 @@ class Bar:
             self._drawn.total = total
         if note is not None:
             self._note = one_line(note)
-        self._drawn.set_postfix_str(self._note, refresh=False)  # also in place of what was said meanwhile
+        self._drawn.set_postfix_str(self._note, refresh=False)  # also replaces a temporary text
         self._drawn.update(count)
 
     def _draw(self) -> None:
-        """Draw it from now on, below the one before, which is over."""
+        """Show the bar below the previous one, which is closed."""
         if self._options is None or self._drawn is not None:
             return
         from tqdm import tqdm
 
         close_bars()
-        tqdm.monitor_interval = 0  # its thread looks every ten seconds only
-        tqdm.set_lock(_LOCK)  # by default it is one of all processes
+        tqdm.monitor_interval = 0  # tqdm's monitor thread only redraws every ten seconds
+        tqdm.set_lock(_LOCK)  # the default lock is shared by all processes
         sizes = {"ncols": _columns(), "nrows": 2}
         self._drawn = tqdm(**self._options, **sizes, file=sys.stderr, miniters=0)
         drawn_bars.append(self._drawn)
@@ -186,7 +181,7 @@ class Bar:
 
 
 def _redraw(drawn: Any) -> None:
-    """Draw a bar of tqdm's again and again, as long as it is the one that is drawn."""
+    """Redraw a tqdm bar periodically while it is on the screen."""
     while True:
         sleep(_REDRAWN_EVERY_S)
         with _LOCK:
@@ -199,31 +194,31 @@ def _is_drawn(bar_of_tqdm: Any) -> bool:
     return any(one is bar_of_tqdm for one in drawn_bars)
 
 
-def say_meanwhile(text: str) -> None:
-    """Show a text on the bar that is drawn, if there is one, until it advances."""
+def show_on_bar(text: str) -> None:
+    """Show a temporary text on the current bar, until the bar advances."""
     with _LOCK:
         for drawn in drawn_bars:
             drawn.set_postfix_str(one_line(text))
 
 
 @contextmanager
-def phase_shown(name: str, unit: str, total: int | None) -> Iterator[Advance]:
-    """Show a phase (``posetrack_cli.phases``): a bar where a person looks, else a line when it begins."""
+def show_phase(name: str, unit: str, total: int | None) -> Iterator[Advance]:
+    """Show a phase (``posetrack_cli.phases``) as a bar on a terminal, else as one line."""
     with bar(name, unit, total) as shown:
         if not shown.is_drawn:
-            print_aside(f"{name} ...")
+            print_info(f"{name} ...")
         yield shown.advance
 
 
 @contextmanager
 def bar(name: str, unit: str, total: int | None = None, *, stays: bool = True) -> Iterator[Bar]:
-    """Yield a bar; one that another context surrounds is drawn once something is done, and ends the other's.
+    """Yield a progress bar. A nested bar appears at its first count, and closes the outer one.
 
     Args:
-        name: what is done.
-        unit: of what is counted.
-        total: None where it is not known.
-        stays: whether its last state is left to be read.
+        name: label.
+        unit: unit of the count.
+        total: total count; None if unknown.
+        stays: whether the bar stays on the screen at the end.
     """
     is_seen = sys.stderr.isatty() and not is_quiet()
     try:
@@ -233,16 +228,15 @@ def bar(name: str, unit: str, total: int | None = None, *, stays: bool = True) -
 
 
 def _columns() -> int:
-    """Return how wide a bar may be."""
     try:
         columns = os.get_terminal_size(sys.stderr.fileno()).columns
     except OSError:
-        columns = 0  # as some terminals say themselves
+        columns = 0  # some terminals report 0 as well
     return (columns or _USUAL_COLUMNS) - _ECHO_COLUMNS
 
 
 def close_bars() -> None:
-    """Leave the terminal as it was: also for a process that ends at once, from whichever thread."""
+    """Close all bars and restore the terminal; callable from any thread."""
     with _LOCK:
         while drawn_bars:
             drawn_bars.pop().close()

@@ -1,4 +1,4 @@
-"""``posetrack view``: draw results on the recording they were made from."""
+"""``posetrack view``: render results over their recording."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ DRAWN = {
     "truth": "show_truth",
     "skeleton": "skeleton",
 }
-"""What ``ViewOptions`` calls them, and what the options are called."""
+"""Fields of ``ViewOptions``, and the names of their options."""
 
 
 @click.command(
@@ -58,76 +58,79 @@ DRAWN = {
         "posetrack view result.mcap -o pictures/ --recording /data/recording.mcap",
     ),
     former={"--frames": "--select", "--scale": "--zoom", "--truth": "--show-truth"},
-    short_help="Draw a result on its recording: a video, pictures, or one sheet.",
+    short_help="Render a result over its recording as a video, images or a contact sheet.",
 )
 @click.argument("paths", metavar="RESULT [RESULT2]", nargs=-1, required=True, type=FILE)
 @output_option(
-    "FILE.mp4, a folder (frame_000123.png, ...), or FILE.png: the chosen frames on one sheet.",
+    "Output: video (FILE.mp4), folder of images (frame_000123.png, ...), or contact sheet (FILE.png).",
     "FILE.mp4|FILE.png|FOLDER",
 )
-@overwrite_option("A video, a sheet or earlier pictures")
+@overwrite_option("existing output")
 @option_group(
     option(
         "--select",
         metavar="CHOICE",
-        help="Which frames: all, 0:300:5, 7,12,100:120, spread:6, or worst:8, a second or more apart.  "
-        "[default: all; of a sheet spread:6]",
+        help="Frames to draw: all, 0:300:5, 7,12,100:120, spread:6, or worst:8 (at least one second apart).  "
+        "[default: all; spread:6 for a contact sheet]",
     ),
-    track_option(*TRACKS, BOTH, default=FILTERED, details="Both are drawn beside each other."),
+    track_option(*TRACKS, BOTH, default=FILTERED, text="Track to draw; both draws the two side by side."),
     option(
         "--layout",
         type=click.Choice(LAYOUTS),
-        help="beside: observed, rendered and both beside each other; over: only both; paper: observed above "
-        "and rendered below, as in the paper; segments: observed and, around the estimate, hand (green), "
-        "forearm (orange), other surfaces (blue) and missing readings (purple); side-by-side: two results.  "
-        "[default: beside; of two results side-by-side]",
+        help="beside: observed, rendered and overlaid, side by side; over: overlaid only; paper: observed "
+        "above rendered, as in the paper; segments: observed, and labels near the estimate: hand (green), "
+        "forearm (orange), other surfaces (blue), missing readings (purple); side-by-side: two results.  "
+        "[default: beside; side-by-side for two results]",
     ),
     option(
         "--crop",
         type=click.Choice(["full", "hand", "head"]),
-        help="All of the image, or where hand or head go.  [default: full; of layout paper hand]",
+        help="Image region: the full image, or the region of the hand or head.  [default: full; hand for "
+        "layout paper]",
     ),
     option(
         "--zoom",
         metavar="FACTOR",
         type=FiniteRange(0.05, 16.0),
-        help="Picture pixels per image pixel.  [default: 1, more for small images; of a sheet what fits]",
+        help="Output pixels per image pixel.  [default: 1, more for small images; contact sheets are fitted]",
     ),
     option(
         "--rate",
         metavar="HZ",
         type=FiniteRange(0.1, 240.0),
-        help="Pictures per second of a video.  [default: as fast as recorded]",
+        help="Frame rate of the video.  [default: that of the recording]",
     ),
     option(
         "--range-mm",
         type=(float, float),
         metavar="NEAR FAR",
-        help="Depths drawn red and blue.  [default: the hand's]",
+        help="Depths drawn in red and in blue.  [default: range of the hand]",
     ),
-    option("--show-truth", is_flag=True, help="Also draw the truth, green: contour, or points and axes."),
+    option(
+        "--show-truth", is_flag=True, help="Also draw ground truth in green: contour, or points and axes."
+    ),
     option("--skeleton", is_flag=True, help="Draw joints, bones and the axes of the pose."),
-    title="What is drawn",
+    title="Drawing",
 )
-@recording_option("Found by itself where it was, or beside the result or above it.")
+@recording_option("Recording of the result.  [default: searched at its original path and near the result]")
 @option(
-    "--any-recording", is_flag=True, help="Draw on --recording even if it is not that of the run.", group=READ
+    "--any-recording", is_flag=True, help="Accept a --recording other than that of the result.", group=READ
 )
 @recording_options
-@device_option("[default: the driver's, else cpu]")
+@device_option("EGL device to render with, or cpu.  [default: chosen by the driver, else cpu]")
 @volume_options
 def view(paths: tuple[Path, ...], output: Path, **options: Any) -> None:
-    """Draw RESULT on its recording: depth in false colour (near red, far blue), with the rendered hand.
+    """Render RESULT over its recording: depth in false colour (red near, blue far) and the tracked hand.
 
-    A head is drawn on the images of its cameras: ten points, lines between them, and the axes of the pose, x
-    to the subject's left red, y up green, z out of the face blue.
+    A head is drawn on the camera images: ten face points, lines between them, and the axes of the pose (x
+    red, to the subject's left; y green, up; z blue, out of the face).
 
-    Two results of one recording are drawn beside each other. Lost frames have a red border, those found anew
-    an orange one. Captions tell frame, time, status, confidence and, where the result carries truth, the mean
-    error of its points. Images of a camera with lens distortion are drawn without it.
+    Two results of the same recording are drawn side by side. Lost frames have a red border, reinitialised
+    ones an orange border. Captions show frame, time, status, confidence and, with ground truth in the result,
+    the mean point error. Lens distortion is removed from the images.
 
-    Videos are H.264, which browsers, players and chats play. Ctrl-C leaves what was drawn, readable. Exit
-    code 3 means that the result is truncated, or frames of it are not in the recording.
+    Videos are H.264. After Ctrl-C, the part drawn so far is a valid output. Exit code 3: the result is
+    truncated, or some of its frames are not in the recording.
     """
     from posetrack_cli.evaluation.viewing.outputs import check_view_output, open_output
     from posetrack_cli.results.reader import read_result
@@ -141,7 +144,7 @@ def view(paths: tuple[Path, ...], output: Path, **options: Any) -> None:
 
 
 def _prepare(results: Sequence[Result], output: Path, options: dict[str, Any]) -> ResultView:
-    """Everything that can be refused is refused here, before the first frame."""
+    """Return the view, checked before the first frame is drawn."""
     from posetrack_cli.evaluation.reading.recording_of import required_recording
     from posetrack_cli.evaluation.viewing.layers import ViewOptions
     from posetrack_cli.evaluation.viewing.outputs import is_sheet
@@ -159,21 +162,21 @@ def _prepare(results: Sequence[Result], output: Path, options: dict[str, Any]) -
 
 
 def _check_one_recording(results: Sequence[Result], options: dict[str, Any]) -> None:
-    """Refuse results of several recordings, unless any will do."""
+    """Raise UsageError for results of different recordings, unless --any-recording is given."""
     from posetrack_cli.recording.base import RECORDING_KEY
 
     given, any_recording = options["recording"], options["any_recording"]
     if any_recording and given is None:
-        raise UsageError("--any-recording needs --recording")
+        raise UsageError("--any-recording requires --recording")
     inputs = {result.run.get(RECORDING_KEY) for result in results}
     if len(inputs) > 1 and not any_recording:
         found = ", ".join(str(result.path) for result in results)
-        raise UsageError("results are of different recordings", found=found)
+        raise UsageError("results belong to different recordings", found=found)
 
 
 @contextmanager
 def _finished(out: Output) -> Iterator[Output]:
-    """Yield an output; it is finished at the end, and nothing of it is left after a failure."""
+    """Yield an output; close it at the end, or discard it after an exception."""
     try:
         yield out
         out.close()
@@ -183,7 +186,7 @@ def _finished(out: Output) -> Iterator[Output]:
 
 
 def _draw(drawn: ResultView, out: Output, stopped: Any) -> int:
-    """Draw the frames until it is stopped; return how many there are."""
+    """Draw frames until stopped; return the number of drawn frames."""
     from contextlib import closing
 
     count = 0
@@ -200,12 +203,12 @@ def _draw(drawn: ResultView, out: Output, stopped: Any) -> int:
 def _close(
     output: Path, count: int, drawn: ResultView, results: Sequence[Result], *, interrupted: bool
 ) -> None:
-    """The closing line, and the exit code."""
+    """Print the closing lines and set the exit code."""
     from posetrack_cli.losses import loss_line
 
-    context, asked = click.get_current_context(), len(drawn.rows)
+    context, total = click.get_current_context(), len(drawn.rows)
     if interrupted:
-        what = f"after {count} of {asked} frames: {output}" if count else "before the first frame"
+        what = f"after {count} of {total} frames: {output}" if count else "before the first frame"
         print_note(f"interrupted {what}")
         context.exit(EXIT_INTERRUPTED)
     if not count:

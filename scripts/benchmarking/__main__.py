@@ -17,7 +17,7 @@ from benchmarking.hands import evaluation, hands, scoring
 from benchmarking.heads import heads
 from benchmarking.processes import start_up
 from benchmarking.rows import Row, describe_machine, rows_json
-from posetrack_cli.cli.options import DrawingDevice
+from posetrack_cli.cli.options import DeviceIndex
 from posetrack_cli.rendering.devices import open_fastest_device
 
 
@@ -53,7 +53,7 @@ PARTS: Mapping[str, Callable[[Any, Lengths], Iterator[Row]]] = {
 )
 @click.option(
     "--device",
-    type=DrawingDevice(),
+    type=DeviceIndex(),
     help="Index of an EGL device, or cpu.  [default: as posetrack hand run]",
 )
 @click.option("--quick", is_flag=True, help="See that everything works; its figures are not to be quoted.")
@@ -61,7 +61,7 @@ PARTS: Mapping[str, Callable[[Any, Lengths], Iterator[Row]]] = {
 def main(json_path: Path, device: int | str | None, quick: bool, parts: Sequence[str]) -> None:
     """Measure posetrack on this machine."""
     drawing, lengths = open_fastest_device(device), QUICK if quick else FULL
-    machine = describe_machine(drawing) | {"length": "quick" if quick else "full"}
+    machine = describe_machine(drawing, "scripts/bench") | {"length": "quick" if quick else "full"}
     for key, value in machine.items():
         print(f"{key}: {value}")
     rows = []

@@ -259,7 +259,7 @@ def test_ctrl_c_stops_and_the_same_command_goes_on(
         process.send_signal(signal.SIGINT)
         _, said = process.communicate(timeout=120.0)
     assert process.returncode == 130
-    assert "interrupted; the same command goes on" in said
+    assert "interrupted; run the same command again to continue" in said
     assert states(out) == {"long": "stopped", "a1": "stopped"}
     assert state_path(out / "long.mcap").is_file()
     assert subprocess.run(line, check=False, capture_output=True).returncode == 0
@@ -297,7 +297,7 @@ def test_results_of_another_default_are_not_kept_and_those_of_another_processor_
     monkeypatch.setattr(build, "processor_features", lambda: f"{features}, openblas Newest")
     done = run_here(*line)
     assert (done.returncode, states(tmp_path / "out")) == (0, {"a1": "kept"})
-    assert "results of several kinds of processor differ in their last digits: " in done.stderr
+    assert "results come from different processor types and may differ in the last digits: " in done.stderr
     assert "openblas Newest" in done.stderr
 
 
@@ -384,7 +384,7 @@ def test_a_dry_run_changes_nothing(
     [
         (["nothing/*.mcap"], "no matching recording"),
         (["{a1}", "{a1}"], "two recordings have the same result name"),
-        (["{a1}", "--scheduler", "tcp://127.0.0.1:9", "--scheduler-file", "x"], "both say where"),
+        (["{a1}", "--scheduler", "tcp://127.0.0.1:9", "--scheduler-file", "x"], "mutually exclusive"),
         (["{a1}", "--hand-side", "middle"], "'middle' is not one of"),
         (["{a1}", "--memory-limit", "much"], "'much' is no size such as 2G"),
         (["{a1}", "--memory-limit", "1M"], "less than any run needs"),
@@ -415,7 +415,9 @@ def test_a_recording_called_index_keeps_its_page_from_the_batchs_own(
     dry = ["batch", "hand", "run", "-o", str(tmp_path / "out"), "--dry-run"]
     assert run([*dry, str(tmp_path / "index.mcap")]) == 2
     said = capsys.readouterr().err
-    assert f"{tmp_path / 'index.mcap'}: its page would be the batch's own, found index.html" in said
+    assert (
+        f"{tmp_path / 'index.mcap'}: its page would overwrite a file of the batch, found index.html" in said
+    )
     assert run([*dry, str(tmp_path / "index.mcap"), "--no-reports"]) == 0
     assert run([*dry, f"{tmp_path}/*/index.mcap"]) == 0  # below a folder it is another page
 
@@ -423,11 +425,11 @@ def test_a_recording_called_index_keeps_its_page_from_the_batchs_own(
 @pytest.mark.parametrize(
     ("first", "second", "words"),
     [
-        ("a", "a.mcap/b", "its folder would be that of {first}, found a.mcap"),
-        ("a", "a.html/b", "its folder would be that of {first}, found a.html"),
-        ("a", "summary.csv/b", "its folder would be the batch's own, found summary.csv"),
-        ("a", ".batch/b", "its folder would be the batch's own, found .batch"),
-        ("a", "A", "its result would be that of {first}, found A.mcap"),
+        ("a", "a.mcap/b", "its folder would overwrite the result of {first}, found a.mcap"),
+        ("a", "a.html/b", "its folder would overwrite the page of {first}, found a.html"),
+        ("a", "summary.csv/b", "its folder would overwrite a file of the batch, found summary.csv"),
+        ("a", ".batch/b", "its folder would overwrite a file of the batch, found .batch"),
+        ("a", "A", "its result would overwrite the result of {first}, found A.mcap"),
         ("lock", "lock/b", ""),
         ("records", "records/records", ""),
         ("a", "a.pieces/00000", ""),
@@ -550,7 +552,7 @@ def test_two_batches_do_not_share_a_folder(recordings: Path, tmp_path: Path, run
         lock(stream)
         done = run_here(recordings / "a1.mcap", "-o", tmp_path / "out", *KNOWN)
     assert done.returncode == 2
-    assert "another batch writes there" in done.stderr
+    assert "output folder is in use by another batch" in done.stderr
 
 
 @pytest.mark.parametrize("command", BATCH_COMMANDS.values(), ids=lambda one: " ".join(one.words))

@@ -66,7 +66,7 @@ def test_cameras_that_do_not_fit_together_are_not_written(views: Path, tmp_path:
         for name, other in zip(names, names[shift:] + names[:shift], strict=True):
             (tmp_path / side / name).write_bytes((views / side / other).read_bytes())
     output = tmp_path / "out.toml"
-    with pytest.raises(RecordingError, match="cameras do not fit together, no camera file is written"):
+    with pytest.raises(RecordingError, match="cameras are inconsistent, camera file not written"):
         run(tmp_path, "-o", output, *BOARD)
     assert not output.exists()
 
@@ -74,7 +74,7 @@ def test_cameras_that_do_not_fit_together_are_not_written(views: Path, tmp_path:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--squares", "7", "--square-mm", "26"), "--squares cannot be used, found '7'"),
+        (("--squares", "7", "--square-mm", "26"), "invalid --squares, found '7'"),
         (("--squares", "2x5", "--square-mm", "26"), "board cannot be used, found 2x5 squares"),
         (("--squares", "7x5", "--square-mm", "-1"), "squares of -1 mm"),
         (("--squares", "7x5", "--square-mm", "26", "--marker-mm", "30"), "markers do not fit"),

@@ -206,7 +206,7 @@ def test_a_killed_run_is_evaluated_over_what_it_holds(
     assert evaluate(killed, "--json", tmp_path / "r.json") == 3
     out, err = capsys.readouterr()
     (line,) = lines(err)
-    assert line.startswith("r: measured over what can be read: ")
+    assert line.startswith("r: only the readable part was measured: ")
     assert shown(out)["frames"] == ["40"]
     assert "did not finish" in out
     assert json.loads((tmp_path / "r.json").read_text())["results"][0]["losses"]
@@ -217,7 +217,7 @@ def test_a_failed_gate_wins_over_lost_data_and_both_are_told(
 ) -> None:
     assert evaluate(killed, "--fail-if", FAILS) == 1
     gate, loss = lines(capsys.readouterr().err)
-    assert "failed" in gate and "measured over what can be read" in loss
+    assert "failed" in gate and "only the readable part was measured" in loss
 
 
 def test_a_name_whose_run_was_killed_says_where_it_is(
@@ -249,7 +249,7 @@ def test_a_run_that_is_going_on_is_evaluated(tmp_path: Path, capsys: pytest.Capt
 def test_a_damaged_chunk_costs_its_own_frames(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert evaluate(damaged(tmp_path / "r.mcap")) == 3
     out, err = capsys.readouterr()
-    assert len(lines(err)) == 1 and "measured over what can be read" in err
+    assert len(lines(err)) == 1 and "only the readable part was measured" in err
     assert shown(out)["frames"] == ["80"]  # 90 in chunks of ten
 
 

@@ -340,7 +340,7 @@ def test_a_killed_run_is_written_as_far_as_it_goes(
     assert "output would replace the result" in capsys.readouterr().err
     assert evaluate(killed, "--mcap", out, "--json", tmp_path / "j.json") == 3
     (line,) = capsys.readouterr().err.splitlines()
-    assert "measured over what can be read: file is truncated" in line
+    assert "only the readable part was measured: file is truncated" in line
     assert contents(out) == contents(killed) and len(metrics(out)) == 40
     assert not read_result(out).finished
     assert [loss["what"] for loss in record(out)["losses"]] == ["file is truncated, the rest is missing"]

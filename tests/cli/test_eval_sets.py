@@ -124,7 +124,7 @@ def test_gates_on_all_together_and_over_results(
         (["--fail-if", "pooled.joint_error_mm.wrist.mean > 1"], "parts of 'joint_error_mm' are not pooled"),
         (["--fail-if", "p99(coverage) < 1"], "no figure over results, expected one of mean(...)"),
         (["--fail-if", "p95(coverag) < 1"], "did you mean 'coverage'"),
-        (["--junit", "/tmp/none.xml"], "--junit tells of gates, expected --fail-if, --gates or --baseline"),
+        (["--junit", "/tmp/none.xml"], "--junit requires gates, expected --fail-if, --gates or --baseline"),
         (["--worst", "-1"], "-1"),
         (["--markdown", "-", "--json", "-"], "only one report can go to standard output"),
     ],

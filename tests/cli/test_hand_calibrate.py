@@ -99,7 +99,8 @@ def test_an_existing_file_is_kept_or_replaced_by_the_same_hand(
 
 
 @pytest.mark.parametrize(
-    ("shape", "said"), [(HandShape(1.3), "a right hand, 233 mm long, outside 120 to 225 mm"), (HandShape(), None)]
+    ("shape", "said"),
+    [(HandShape(1.3), "a right hand, 233 mm long, outside 120 to 225 mm"), (HandShape(), None)],
 )
 def test_what_is_doubtful_is_said(
     recording: Path,

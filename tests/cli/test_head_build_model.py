@@ -111,7 +111,7 @@ def test_names_that_cannot_be_meant(
     other_name = results[0].parent / "." / ".." / results[0].parent.name / results[0].name
     for again in (results[0], other_name):
         assert build(again, *results, "-o", output) == 2
-        assert "result is named twice" in one_line(capsys)
+        assert "result given twice" in one_line(capsys)
     assert build(*results, "-o", results[0], "--overwrite") == 2
     assert "output would replace the result" in one_line(capsys)
     assert build(tmp_path / "none.mcap", *results, "-o", output) == 1

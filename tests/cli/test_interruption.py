@@ -19,7 +19,7 @@ COMPILING = """
 import ctypes, pathlib, signal, sys, time
 import click
 from numba.core.event import trigger_event
-from posetrack_cli.cli.running import compiling_said
+from posetrack_cli.cli.running import announce_compiling
 from posetrack_cli.cli.main import cli, main
 from posetrack_cli.cli.process import stop_signals
 from posetrack_cli.cli.terminal import print_note
@@ -40,7 +40,7 @@ def compile(kind, out):
     if kind == "none":
         print("compiling", flush=True)
         time.sleep(60)
-    with compiling_said(out) as is_compiling:
+    with announce_compiling(out) as is_compiling:
         if kind == "before":
             kernel(kind)
         with stop_signals(is_compiling) as stopped:
@@ -103,7 +103,7 @@ def test_a_library_that_returns_to_nobody_is_left_too(tmp_path: Path) -> None:
     part_path(out).touch()
     state_path(out).touch()
     assert interrupted("library", out) == (
-        f"interrupted while kernels were compiled: {part_path(out)}; --resume goes on\n"
+        f"interrupted during compilation: {part_path(out)}; continue with --resume\n"
     )
 
 

@@ -59,7 +59,7 @@ def test_a_link_in_the_place_of_an_unfinished_file_is_refused(
     before = sorted(folder.rglob("*"))
     assert run([*arguments, "--overwrite"]) == EXIT_USAGE
     *remarks, told = capsys.readouterr().err.splitlines()
-    assert all("taken for light" in remark for remark in remarks)  # depth is given to a tracker of heads
+    assert all("read as intensities" in remark for remark in remarks)  # depth is given to a tracker of heads
     assert "is a symbolic link" in told and link.name in told
     assert sorted(folder.rglob("*")) == before
     assert (folder / "victim").read_bytes() == PRECIOUS

@@ -66,7 +66,7 @@ def test_a_former_name_is_told_with_the_new_one(
 ) -> None:
     assert run(arguments) == 2
     error = capsys.readouterr().err
-    assert error.startswith(f"posetrack: {former} is called {now} now; see: ") and error.count("\n") == 1
+    assert error.startswith(f"posetrack: {former} was renamed to {now}; see: ") and error.count("\n") == 1
 
 
 def test_without_a_command_it_helps(capsys: pytest.CaptureFixture[str]) -> None:

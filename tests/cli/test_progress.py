@@ -23,7 +23,15 @@ from posetrack_cli.batch.engine import JobProgress
 from posetrack_cli.batch.jobs import Outcome, State
 from posetrack_cli.cli.batch_commands import BatchProgress
 from posetrack_cli.cli.running import progress
-from posetrack_cli.cli.terminal import QUIET, bar, phase_shown, print_line, print_note, say_meanwhile, volume
+from posetrack_cli.cli.terminal import (
+    QUIET,
+    bar,
+    print_line,
+    print_note,
+    show_on_bar,
+    show_phase,
+    volume,
+)
 from posetrack_cli.errors import EXIT_INTERRUPTED
 from posetrack_cli.phases import phase, phases_shown
 from support.terminal import Terminal, screen
@@ -168,7 +176,7 @@ def counted(advance: Callable[[int], None]) -> None:
 
 def test_a_phase_is_a_bar_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     terminal = opened_terminal(monkeypatch)
-    with phases_shown(phase_shown):
+    with phases_shown(show_phase):
         for total in (3, None):
             with phase("finding", "frame", total) as advance:
                 counted(advance)
@@ -186,7 +194,7 @@ def test_a_phase_is_a_line_in_a_pipe_and_nothing_for_quiet(
     monkeypatch.setattr(sys, "stderr", shown)
     with ExitStack() as stack:
         stack.enter_context(volume(QUIET) if quiet else ExitStack())
-        stack.enter_context(phases_shown(phase_shown))
+        stack.enter_context(phases_shown(show_phase))
         counted(stack.enter_context(phase("finding", "frame", 3)))
     assert shown.getvalue() == said
 
@@ -218,11 +226,11 @@ def test_the_time_of_a_bar_goes_on_while_its_count_stands_still(
 def test_what_is_said_meanwhile_stands_on_the_bar_until_it_advances(
     monkeypatch: pytest.MonkeyPatch, clock: list[float]
 ) -> None:
-    say_meanwhile("of no bar")
+    show_on_bar("of no bar")
     terminal = opened_terminal(monkeypatch)
     with bar("hand", "frame", 4) as shown:
         shown.advance(1, "tracking")
-        say_meanwhile("compiling kernel 7")
+        show_on_bar("compiling kernel 7")
         assert terminal.lines[0].endswith(", compiling kernel 7]")
         clock[0] += 1.0
         shown.advance()
@@ -260,13 +268,13 @@ import click
 from numba.core.event import trigger_event
 from posetrack_cli.cli.main import cli, main
 from posetrack_cli.cli.terminal import bar
-from posetrack_cli.cli.running import compiling_said
+from posetrack_cli.cli.running import announce_compiling
 from posetrack_cli.cli.terminal import print_note
 
 @cli.command()
 @click.argument("where")
 def wait(where):
-    with compiling_said(), bar("hand", "frame", 4) as shown:
+    with announce_compiling(), bar("hand", "frame", 4) as shown:
         shown.advance(2, "tracking")
         print_note("waiting")
         if where == "python":

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from posetrack_cli.cli.main import cli, run
-from posetrack_cli.cli.running import Listener, next_of_result, tell_next, told_to
+from posetrack_cli.cli.running import Listener, next_of_result, print_next, use_listener
 from support.markdown import check
 
 SYNTH = ["hand", "synth", "--frames", "2", "--motion", "A"]
@@ -29,7 +29,7 @@ def test_quiet_says_nothing_and_verbose_more(capsys: pytest.CaptureFixture[str],
     assert len(usual) == 2 and nothing == []
     assert said(capsys, *SYNTH, "-o", str(path), "--overwrite", "-q") == ([], [])
     _, details = said(capsys, *SYNTH, "-o", str(path), "--overwrite", "-v")
-    assert details[-1].startswith("took ") and details[-1].endswith(" s of processor time")
+    assert details[-1].startswith("took ") and details[-1].endswith(" s CPU time")
     assert len(said(capsys, *SYNTH, "-o", str(path), "--overwrite")[0]) == 2  # each command anew
 
 
@@ -42,7 +42,7 @@ def test_quiet_is_not_silent_about_what_went_wrong(
 
 def test_quiet_and_verbose_exclude_each_other(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert run([*SYNTH, "-o", str(tmp_path / "r.mcap"), "-q", "-v"]) == 2
-    assert "--quiet and --verbose exclude each other" in capsys.readouterr().err
+    assert "--quiet and --verbose are mutually exclusive" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", ["it's here", "-dash", "a;b $(c) *"])
@@ -51,7 +51,7 @@ def test_what_is_next_can_be_typed(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     result, recording = Path(f"{name}.mcap"), tmp_path / "rec.mcap"
-    tell_next(*next_of_result(recording, result))
+    print_next(*next_of_result(recording, result))
     lines = capsys.readouterr().out.splitlines()
     words = [shlex.split(line.removeprefix("next: posetrack ")) for line in lines]
     assert [one[0] for one in words] == ["eval", "view"]
@@ -71,7 +71,7 @@ def test_what_is_next_replaces_nothing_unasked(tmp_path: Path) -> None:
 
 
 def test_names_that_no_terminal_shows_are_not_suggested(capsys: pytest.CaptureFixture[str]) -> None:
-    tell_next(("info", Path("a\x1b[2Jb.mcap")))
+    print_next(("info", Path("a\x1b[2Jb.mcap")))
     assert capsys.readouterr().out == ""
 
 
@@ -79,8 +79,8 @@ def test_a_batch_suggests_nothing(capsys: pytest.CaptureFixture[str]) -> None:
     class Elsewhere(Listener):
         is_alone = False
 
-    with told_to(Elsewhere()):
-        tell_next(("info", Path("a.mcap")))
+    with use_listener(Elsewhere()):
+        print_next(("info", Path("a.mcap")))
     assert capsys.readouterr().out == ""
 
 

@@ -120,7 +120,7 @@ def test_export_writes_either_track(both: Path, tmp_path: Path) -> None:
 
 def test_export_takes_a_topic_or_a_track(both: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["export", str(both), "--estimate-topic", "/hand/estimate", "--track", "smoothed"]) == 2
-    assert "--estimate-topic and --track exclude each other" in capsys.readouterr().err
+    assert "--estimate-topic and --track are mutually exclusive" in capsys.readouterr().err
 
 
 def test_view_draws_both_tracks_beside_each_other(tmp_path: Path) -> None:

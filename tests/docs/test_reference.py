@@ -100,7 +100,7 @@ def test_a_second_meaning_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(view, "params", [*view.params, other])
     uses = reference.uses_of_options()["--scale"]
     assert {use.kind for use in uses} == {"float", "switch"}
-    assert {use.meaning for use in uses} == {"Size of the hand", "Draw a scale"}
+    assert {use.meaning for use in uses} == {"Hand size", "Draw a scale"}
 
 
 def test_every_command_writes_to_the_same_option() -> None:
