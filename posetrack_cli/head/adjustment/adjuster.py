@@ -48,7 +48,7 @@ class PointView:
     pose: HeadPose
     deformation: FloatArray
 
-    def seen_larger(self, ratio: float) -> PointView:
+    def rescaled(self, ratio: float) -> PointView:
         """Return the frame as an image shows it that is so many times as large."""
         return replace(self, pixels=scaled_pixels(self.pixels, ratio))
 
@@ -119,11 +119,11 @@ class Album:
             return views
         return tuple(views[i] for i in np.linspace(0, len(views) - 1, count).astype(int))
 
-    def seen_larger(self, ratio: float) -> Album:
+    def rescaled(self, ratio: float) -> Album:
         """Return the same frames as images show them that are so many times as large."""
         return Album(
             {
-                cell: tuple((score, view.seen_larger(ratio)) for score, view in page)
+                cell: tuple((score, view.rescaled(ratio)) for score, view in page)
                 for cell, page in self.pages.items()
             }
         )

@@ -171,7 +171,7 @@ class TemplateSet:
     seen: Annotated[BoolArray, Layout("bool", (CAMERAS, POINT_COUNT))]
     facing: Annotated[FloatArray, units(3)]
 
-    def of_size(self, factor: float) -> TemplateSet:
+    def resized(self, factor: float) -> TemplateSet:
         """Return the templates of a head that is so many times as large, as far away, and looks the same."""
         return self if factor == 1.0 else replace(self, tangents=self.tangents / factor)
 

@@ -1,1 +1,1 @@
-"""Where a head's track begins: the ten points in space, from several calibrated cameras or from one."""
+"""Initialisation of a head's track: the ten points in space, from one or several calibrated cameras."""

@@ -1,8 +1,8 @@
-"""An average face laid on measured points: which of them are wrong, and where the others must be.
+"""An average face fitted to measured points, to detect outliers and fill in missing points.
 
-It also tells whether images belong to other cameras than they are said to **[ours]**. The epipolar error
-tells where the cameras' heights or directions differ. Cameras that converge on the face from the sides see it
-on the same lines either way; but exchanged, they see it hollow.
+It also detects images assigned to the wrong cameras **[ours]**. Epipolar errors show it if the cameras differ
+in height or direction. Cameras that converge symmetrically on the face have the same epipolar lines either
+way, but with swapped images the face becomes hollow.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from posetrack_cli.geometry.rigid import better_order, rigid_alignment, triangul
 from posetrack_cli.head.face.points import FEATURE_SD, FEATURES
 from posetrack_cli.head.face.rig_images import CameraImage
 
-# A point so many standard deviations from an average face's was matched with something else.
-OUTLYING = 2.0
-# With more of them taken away anything can be made a face.
+# A point this many standard deviations from the average face's was matched wrongly.
+OUTLIER_SD = 2.0
+# Removing more points would make anything a face.
 MOST_OUTLIERS = 2
 
 
 @dataclass(frozen=True, eq=False)
 class MeasuredFace:
-    """The points of a face of which some were measured.
+    """Measured points of a face, possibly incomplete.
 
     Attributes:
-        points: (K, 3) mm, in the reference camera's axes; anything where not known.
-        known: (K,) which of them are measured, at least three.
+        points: (K, 3) mm, in the reference camera's axes; arbitrary where not known.
+        known: (K,) which points are measured, at least three.
     """
 
     points: FloatArray
@@ -39,12 +39,12 @@ class MeasuredFace:
 
     @property
     def size(self) -> float:
-        """How large the face is, 1 for an average one: the ratio of the known points' weighted spreads."""
+        """Size of the face relative to the average, from the weighted spread of the known points."""
         return float(np.sqrt(_spread(self.points, self._weights) / _spread(FEATURES, self._weights)))
 
     @property
     def average(self) -> FloatArray:
-        """The points (K, 3) of an average face, scaled, turned and moved onto the known ones."""
+        """The average face (K, 3), scaled and aligned to the known points."""
         size = self.size
         rotation, shift = rigid_alignment(size * FEATURES, self.points, self._weights)
         average: FloatArray = size * FEATURES @ rotation.T + shift
@@ -52,10 +52,7 @@ class MeasuredFace:
 
     @property
     def deviations(self) -> FloatArray:
-        """How far all points lie from an average face on the known ones, in standard deviations.
-
-        The face is as large as the known points; each distance (K,) is a root mean square over coordinates.
-        """
+        """(K,) RMS distance of each coordinate from the aligned average face, in standard deviations."""
         distances: FloatArray = np.sqrt(np.mean((self.points - self.average) ** 2, axis=1)) / FEATURE_SD
         return distances
 
@@ -65,9 +62,9 @@ class MeasuredFace:
         return float(np.sqrt(np.mean(self.deviations[self.known] ** 2)))
 
     def without_outliers(self) -> MeasuredFace:
-        """Return the face without the worst points, two at most, that lie unlike a face's.
+        """Return the face without up to two points that deviate from the face of the others.
 
-        More than five must be known.
+        More than five points must be known.
         """
         face = self
         for _ in range(MOST_OUTLIERS):
@@ -75,18 +72,18 @@ class MeasuredFace:
                 [face._from_others(k) if known else 0.0 for k, known in enumerate(face.known)]
             )
             worst = int(np.argmax(distances))
-            if distances[worst] <= OUTLYING:
+            if distances[worst] <= OUTLIER_SD:
                 break
             face = face._without(worst)
         return face
 
     def completed(self, view: CameraImage, pixels: FloatArray) -> FloatArray:
-        """Return the points (K, 3), mm, with those filled in that are not known.
+        """Return the points (K, 3), mm, with missing ones filled in.
 
         Args:
-            view: the camera that saw all points.
-            pixels: (K, 2) where it saw them; an unknown point lies on the ray of its pixel, as deep as an
-                average face has it.
+            view: a camera that sees all points.
+            pixels: (K, 2) in its image; a missing point lies on the ray of its pixel at the average face's
+                depth.
         """
         depths = in_camera_axes(view.camera, self.average)[:, 2]
         return np.where(self.known[:, None], self.points, view.points_at(pixels, depths))
@@ -99,7 +96,7 @@ class MeasuredFace:
         return MeasuredFace(self.points, self.known & (np.arange(len(self.known)) != point))
 
     def _from_others(self, point: int) -> float:
-        """Return the deviation of one point from the face that the other known ones make."""
+        """Return the deviation of one point from the face fitted to the others."""
         return float(self._without(point).deviations[point])
 
 
@@ -108,34 +105,34 @@ def _spread(points: FloatArray, weights: FloatArray) -> float:
     return float(share @ np.sum((points - share @ points) ** 2, axis=1))
 
 
-# Another order must be so many times more like a face, and as like one as this, to be believed.
-CLEARLY_BETTER = 1.6
-LIKE_A_FACE = 2.0
-# So many points must be in front of the cameras for a shape to be looked at.
+# Another order is accepted if its face deviates less by this factor, and by at most MOST_DEVIATION.
+BETTER_FACTOR = 1.6
+MOST_DEVIATION = 2.0
+# Minimum number of points in front of the cameras.
 LEAST_POINTS = 8
 
 
-def exchanged_order(cameras: Sequence[Camera], faces: FloatArray) -> tuple[int, ...]:
-    """Return which image each camera should get, if that fits clearly better than as recorded; else nothing.
+def swapped_order(cameras: Sequence[Camera], faces: FloatArray) -> tuple[int, ...]:
+    """Return the image order that fits clearly better than the recorded one; empty if there is none.
 
     Args:
         cameras: C of them.
-        faces: (C, K, 2) pixels of a face's points, found in each image by itself; NaN where there is none.
+        faces: (C, K, 2) pixels of a face's points, detected in each image separately; NaN without a face.
     """
     if np.isnan(faces).any():
         return ()
-    by_lines = better_order(cameras, faces)
+    by_lines = better_order(cameras, faces)  # epipolar errors first: they need no model of a face
     if by_lines is not None:
         return by_lines.order
     as_recorded, *others = permutations(range(len(cameras)))
     best = min(others, key=lambda order: face_deviation(cameras, faces[list(order)]))
     deviation = face_deviation(cameras, faces[list(best)])
-    limit = min(LIKE_A_FACE, face_deviation(cameras, faces[list(as_recorded)]) / CLEARLY_BETTER)
+    limit = min(MOST_DEVIATION, face_deviation(cameras, faces[list(as_recorded)]) / BETTER_FACTOR)
     return best if deviation < limit else ()
 
 
 def face_deviation(cameras: Sequence[Camera], pixels: FloatArray) -> float:
-    """Return how unlike an average face the points with pixels (C, K, 2) are, root mean square deviations.
+    """Return the RMS deviation from an average face of points at pixels (C, K, 2).
 
     Infinite if too few of them lie in front of the cameras.
     """

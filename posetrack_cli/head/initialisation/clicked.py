@@ -1,4 +1,4 @@
-"""A head from points that a person clicked: a CSV file with the columns camera, point, x, y."""
+"""Initialisation from clicked points: a CSV file with the columns camera, point, x, y."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from posetrack_cli.head.initialisation.search import InitFailure
 from posetrack_cli.head.initialisation.stereo import (
     StereoInitialisation,
     StereoInitialiser,
-    clicked_camera,
+    complete_camera,
 )
 from posetrack_cli.head.landmarks.faces import Landmarks
 from posetrack_cli.recording.base import Frame
@@ -25,16 +25,16 @@ from posetrack_cli.tables import TextFile, number_of
 from posetrack_cli.tracking.two_pass import NothingFoundError
 
 COLUMNS = ("camera", "point", "x", "y")
-EXPECTED = "clicked points are a CSV file in UTF-8"
+EXPECTED = "clicked points must be a CSV file in UTF-8"
 
 
 @dataclass(frozen=True, eq=False)
 class ClickedPoints:
-    """Points that a person clicked in the first frame.
+    """Clicked points of the first frame.
 
     Attributes:
         path: of the table.
-        pixels: (C, K, 2), NaN where none was clicked.
+        pixels: (C, K, 2), NaN where no point was clicked.
     """
 
     path: Path
@@ -45,23 +45,23 @@ class ClickedPoints:
         """Read a table; see ``read_clicked``."""
         return cls(path, read_clicked(path, cameras))
 
-    def unusable(self, failure: InitFailure) -> NothingFoundError:
-        """Return the error that says why these points begin no head."""
+    def no_head_error(self, failure: InitFailure) -> NothingFoundError:
+        """Return the error for points that do not form a head."""
         return NothingFoundError(
-            "clicked points begin no head",
+            "clicked points do not form a head",
             where=self.path,
             found=failure.reason,
-            hint="were they clicked in the first frame that is tracked? right is the subject's right",
+            hint="click them in the first tracked frame; right means the subject's right",
         )
 
 
 class ClickedInitialiser(StereoInitialiser):
-    """Finds the face where its points were clicked in the first frame, and by itself in later ones.
+    """Uses clicked points in the first frame, and detection in later ones.
 
     Args:
-        settings: what is good enough.
+        settings: of the initialisation.
         cameras: C >= 2, calibrated.
-        clicked: the points.
+        clicked: points.
         landmarks: for later frames.
 
     Raises:
@@ -79,7 +79,7 @@ class ClickedInitialiser(StereoInitialiser):
         self._clicked = clicked
 
     def find(self, frame: Frame, *, is_first: bool) -> StereoInitialisation | InitFailure:
-        """Return where the face is in a frame, or why none was found.
+        """Return the head in a frame, or the reason why there is none.
 
         Raises:
             NothingFoundError: the clicked points are not those of a face.
@@ -88,20 +88,20 @@ class ClickedInitialiser(StereoInitialiser):
             return super().find(frame, is_first=False)
         found = self._attempt(frame).from_clicked(self._clicked.pixels)
         if isinstance(found, InitFailure):
-            raise self._clicked.unusable(found)
+            raise self._clicked.no_head_error(found)
         return found
 
 
 def read_clicked(path: Path, cameras: Sequence[Camera]) -> FloatArray:
-    """Return clicked points as pixels (C, K, 2), NaN where none was clicked.
+    """Read clicked points as pixels (C, K, 2), NaN where no point was clicked.
 
-    The file has a header line and one line per point: the camera's name, the point's (``face.POINT_NAMES``)
-    and its pixel. One camera at least has all ten points; those of the others are found by matching.
+    The file has a header line and a line for each point: camera name, point name (``face.POINT_NAMES``) and
+    pixel. At least one camera needs all ten points; those of the others are matched.
 
     Raises:
-        UsageError: no such file, no such table, or no number.
-        PosetrackError: an unknown camera or point, a pixel outside the image, a point twice, or no camera
-            with all ten.
+        UsageError: no such file, not a table, or not a number.
+        PosetrackError: an unknown camera or point, a pixel outside the image, a duplicate point, or no camera
+            with all ten points.
     """
     pixels = np.full((len(cameras), POINT_COUNT, 2), np.nan)
     names = [camera.name for camera in cameras]
@@ -111,23 +111,23 @@ def read_clicked(path: Path, cameras: Sequence[Camera]) -> FloatArray:
     for line, row in table:
         where = file.where(line)
         camera_name, point_name, x, y = (row[place].strip() for place in places)
-        camera = _index(camera_name, names, "camera", where)
-        point = _index(point_name, POINT_NAMES, "point", where)
+        camera = _lookup(camera_name, names, "camera", where)
+        point = _lookup(point_name, POINT_NAMES, "point", where)
         pixel = _pixel(x, y, cameras[camera], where)
         if not np.isnan(pixels[camera, point, 0]):
             raise PosetrackError("point clicked twice", where=where, found=f"{point_name} in {camera_name}")
         pixels[camera, point] = pixel
-    if clicked_camera(pixels) is None:
+    if complete_camera(pixels) is None:
         raise PosetrackError(
             "no camera has all points",
             where=path,
             found=_missing(pixels, names),
-            hint="click them all in one image",
+            hint="click all ten points in one image",
         )
     return pixels
 
 
-def _index(name: str, names: Sequence[str], kind: str, where: str) -> int:
+def _lookup(name: str, names: Sequence[str], kind: str, where: str) -> int:
     if name not in names:
         raise PosetrackError(f"unknown {kind}", where=where, found=name, hint=nearest_name(name, names))
     return list(names).index(name)
@@ -137,7 +137,7 @@ def _pixel(x: str, y: str, camera: Camera, where: str) -> FloatArray:
     pixel = np.array([number_of(cell, where, UsageError) for cell in (x, y)])
     if not (np.all(pixel >= -0.5) and np.all(pixel < np.array([camera.width, camera.height]) - 0.5)):
         raise PosetrackError(
-            "no pixel of the image",
+            "pixel outside the image",
             where=where,
             found=f"{x}, {y}",
             expected=f"0 to {camera.width - 1}, 0 to {camera.height - 1}",
@@ -146,7 +146,7 @@ def _pixel(x: str, y: str, camera: Camera, where: str) -> FloatArray:
 
 
 def _missing(pixels: FloatArray, names: Sequence[str]) -> str:
-    """Name the points that the camera with most of them lacks."""
+    """List the missing points of the most complete camera."""
     known = ~np.isnan(pixels[..., 0])
     camera = int(np.argmax(known.sum(axis=1)))
     lacking = ", ".join(POINT_NAMES[k] for k in np.flatnonzero(~known[camera]))

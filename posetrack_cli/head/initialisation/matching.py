@@ -1,9 +1,8 @@
-"""The points of one camera's image found in another's, along epipolar lines (thesis, 3.2.1).
+"""Stereo matching of feature points along epipolar lines (thesis, 3.2.1).
 
-A point's pixel and a depth give a place in space, and so a pixel in the other image; the image around the
-first, warped as a plane at that depth would be seen, is correlated with the other image there. First one
-depth is looked for that all points share, up to the relief of an average face; then each point's own near it
-**[ours]**.
+A pixel and a depth determine a pixel in the other image. The patch around the first, warped as a plane at
+that depth, is correlated with the other image there. A depth common to all points, up to the relief of an
+average face, is found first; each point's own depth near it follows **[ours]**.
 """
 
 from __future__ import annotations
@@ -19,33 +18,33 @@ from posetrack_cli.geometry.camera import in_camera_axes
 from posetrack_cli.head.detection.points import find_peak
 from posetrack_cli.head.face.rig_images import CameraImage
 
-# The face's depth follows from its size in the image, for heads of these sizes.
+# Depth range for a face of known image size, for heads of these relative sizes.
 NEAREST, FARTHEST = 0.65, 1.5
 # Steps along the epipolar line, pixels.
 STEP_PX = 0.5
 MOST_STEPS = 600
-# A point's own depth is looked for so far before and behind the shared one; nearer is likelier.
+# Search range of a point's own depth about the shared one, and the standard deviation of its prior.
 OWN_DEPTH_MM = 55.0
 OWN_DEPTH_SD_MM = 30.0
-# Faces differ so much in relief: the shared depth may differ by this from point to point.
+# Relief differs between faces: the shared depth may vary by this from point to point.
 RELIEF_MM = 8.0
-# Half the side of what is compared, mm on the face, and its limits in pixels.
+# Half the side of a compared patch, mm on the face, and its limits in pixels.
 HALF_SIDE_MM = 6.0
 HALF_SIDES_PX = (6, 24)
-# A calibration is right to about a pixel: so far from the epipolar line the peak may lie.
+# Distance of a peak from the epipolar line: calibrations are accurate to about a pixel.
 OFF_LINE_SD_PX = 0.8
-# On the way back a point is looked for so far around, in half sides.
+# Search radius of the backward match, in half sides.
 RETURN_REACH = 1.0
 
 
 @dataclass(frozen=True, eq=False)
 class Matches:
-    """Points of one image in another.
+    """Points of one image matched in another.
 
     Attributes:
         pixels: (K, 2).
-        correlations: (K,) of each point's surroundings in both images.
-        returns_px: (K,) how far from where it began each point comes out on the way back, pixels.
+        correlations: (K,) of each point's patches.
+        returns_px: (K,) forward-backward error of each point, pixels.
     """
 
     pixels: FloatArray
@@ -56,12 +55,12 @@ class Matches:
 def match_points(
     first: CameraImage, second: CameraImage, pixels: FloatArray, relief: FloatArray, pixels_per_mm: float
 ) -> Matches:
-    """Find points of the first view's image in the second's.
+    """Match points of the first view's image in the second's.
 
     Args:
         first, second: two calibrated views.
         pixels: (K, 2) in the first image.
-        relief: (K,) mm, how much farther than the head's origin each point of an average face is.
+        relief: (K,) mm, depth of each point of an average face relative to the head's origin.
         pixels_per_mm: scale of the face in the first image.
     """
     about = np.sqrt(first.camera.fx * first.camera.fy) / pixels_per_mm
@@ -82,13 +81,13 @@ def match_points(
 
 @dataclass(frozen=True, eq=False)
 class _Trace:
-    """Correlations of one point over a piece of the second image, and where each depth is in it.
+    """Correlations of one point in a region of the second image, and the pixel for each depth.
 
     Attributes:
         response: (height, width), 0 where negative or outside.
-        corner: (2,) pixel of the second image that the map's first pixel is.
+        corner: (2,) pixel of the second image at the map's origin.
         places: (D, 2) pixels of the map for each depth.
-        scores: (D,) the responses there.
+        scores: (D,) responses there.
     """
 
     response: Float32Array
@@ -100,7 +99,7 @@ class _Trace:
 def _depths(
     first: CameraImage, second: CameraImage, pixel: FloatArray, limits: tuple[float, float]
 ) -> FloatArray:
-    """Return depths whose inverses are evenly spaced, STEP_PX apart in the second image."""
+    """Return depths with evenly spaced inverses, STEP_PX apart in the second image."""
     ends, _ = second.pixels_of(first.points_at(np.stack([pixel, pixel]), np.array(limits)))
     count = int(np.clip(np.hypot(*(ends[1] - ends[0])) / STEP_PX, 20, MOST_STEPS))
     depths: FloatArray = 1.0 / np.linspace(1.0 / limits[0], 1.0 / limits[1], count)
@@ -121,7 +120,7 @@ def _trace(
 def _template(
     source: CameraImage, target: CameraImage, pixel: FloatArray, depth: float, half: int
 ) -> ImageArray:
-    """Return a pixel's surroundings as the target would see them, were they a plane facing the source."""
+    """Return the patch around a pixel as seen by the target, assuming a fronto-parallel plane."""
     around = pixel + np.array([[0.0, 0.0], [half, 0.0], [0.0, half]])
     seen, _ = target.pixels_of(source.points_at(around, np.full(3, depth)))
     source_from_target = np.linalg.inv((seen[1:] - seen[0]).T / half)
@@ -132,10 +131,10 @@ def _template(
 
 
 def _response(image: ImageArray, template: ImageArray, places: FloatArray) -> tuple[Float32Array, FloatArray]:
-    """Correlate a template with the piece of an image that covers places (n, 2) and three pixels around.
+    """Correlate a template with the image region of places (n, 2), with a margin of three pixels.
 
     Returns:
-        The map, and the pixel of the image that its first pixel is. A map of one zero if the piece is empty.
+        The map, and the pixel of the image at its origin; a single 0 for an empty region.
     """
     half = template.shape[0] // 2
     size = np.array(image.shape[::-1])
@@ -158,7 +157,7 @@ def _look_up(response: Float32Array, places: FloatArray) -> FloatArray:
 
 
 def _shared_scores(depths: FloatArray, traces: Sequence[_Trace]) -> FloatArray:
-    """Return for each depth (D,) the sum over points of the best score within the relief's uncertainty."""
+    """Return for each depth (D,) the sum over points of the best score within the relief's tolerance."""
     first = np.searchsorted(depths, depths - RELIEF_MM)
     last = np.searchsorted(depths, depths + RELIEF_MM, side="right")
     total = np.zeros(len(depths))
@@ -179,7 +178,7 @@ def _own_match(trace: _Trace, depths: FloatArray, shared: float) -> tuple[FloatA
 def _returned(
     source: CameraImage, target: CameraImage, pixel: FloatArray, began: FloatArray, depth: float, half: int
 ) -> float:
-    """Return how far from where it began a point is found in the target, looked for around there."""
+    """Return the forward-backward error of a point."""
     source_depth = float(in_camera_axes(source.camera, target.points_at(began, np.array(depth)))[2])
     template = _template(source, target, pixel, source_depth, half)
     reach = RETURN_REACH * half

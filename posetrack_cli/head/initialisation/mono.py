@@ -1,4 +1,4 @@
-"""Pose and shape of a head from its points in a few frames of one camera (thesis, 4.4.1)."""
+"""Pose and identity of a head from its points in a few frames of one camera (thesis, 4.4.1)."""
 
 from __future__ import annotations
 
@@ -19,37 +19,37 @@ from posetrack_cli.head.face.rig_images import RigImages, project
 from posetrack_cli.head.face.templates import TemplateSet, take_templates, tangents
 from posetrack_cli.head.initialisation.search import NO_FACE, InitFailure
 from posetrack_cli.head.initialisation.single_view import NEAREST_MM, pose_of
-from posetrack_cli.head.landmarks.faces import Landmarks, ToldFace
+from posetrack_cli.head.landmarks.faces import LandmarkFace, Landmarks
 from posetrack_cli.recording.base import Frame
 
-Face = TypeVar("Face", FacePoints, ToldFace)
+Face = TypeVar("Face", FacePoints, LandmarkFace)
 EYE_DISTANCE_MM = 63.0
 SAME_FACE = 1.0
-"""A face that moved farther from one frame to the next, in eye distances, is another one."""
+"""Farthest motion of a face between two frames, in eye distances."""
 MEAN_FACE_WEIGHTS = (FEATURE_SD.min() / FEATURE_SD) ** 2
-"""(K,) how well an average face's points tell where a face is: eyes best."""
+"""(K,) weights of the points in fits of an average face: eyes vary least."""
 SLOPE_DEG = 4.0
-"""The lines between left and right points differ by no more in slope (standard deviation)."""
+"""Maximum standard deviation of the slopes of lines between left and right points."""
 MOST_RESIDUAL = 0.12
-"""Points lie so near an average face's, and once adjusted the person's: root mean square, eye distances."""
+"""Maximum RMS distance of the points from the average and the adjusted face, eye distances."""
 DISTANCES_MM = (100.0, 5000.0)
-"""Between them lie heads that a camera sees well; others come of a wrong focal length or of no head."""
+"""Plausible distances of a head; others indicate a wrong focal length or a false detection."""
 CLICKED = np.ones(POINT_COUNT)
-"""(K,) responses of points that a person clicked."""
+"""(K,) responses of clicked points."""
 
 
 @dataclass(frozen=True, eq=False)
 class DetectedFace:
-    """The ten points of one face in one frame.
+    """The ten points of a face in one frame.
 
     Attributes:
         stamp_ns: of the frame.
-        pixels: (K, 2) as recorded.
-        responses: (K,) 0 to 1, how much each place looks like its point; 1 where a person clicked.
+        pixels: (K, 2) in the image, with lens distortion.
+        responses: (K,) 0 to 1, similarity of each place to its point; 1 for clicked points.
         score: 0 to 1, their mean.
-        eye_distance: pixels between the eyes' centres, as if the face looked at the camera.
+        eye_distance: pixels, as if the face looked at the camera.
         pose: rough, of an average face.
-        misfit: weighted root mean square of how far the points lie from the average face's, eye distances.
+        misfit: weighted RMS distance of the points from the average face, eye distances.
     """
 
     stamp_ns: int
@@ -64,7 +64,7 @@ class DetectedFace:
 def face_at(
     pixels: FloatArray, stamp_ns: int, camera: Camera, responses: FloatArray = CLICKED
 ) -> DetectedFace:
-    """Return the face whose ten points (K, 2) were detected or, without responses (K,), clicked."""
+    """Return the face with detected or, without responses (K,), clicked points (K, 2)."""
     pose, rms_px = pose_of(pixels, MEAN_FACE_WEIGHTS, camera, FEATURES)
     distance = eye_distance_px(pose, camera)
     score = float(responses.mean())
@@ -72,22 +72,22 @@ def face_at(
 
 
 def eye_distance_px(pose: HeadPose, camera: Camera) -> float:
-    """Return how many pixels an average face's eyes are apart, as if it looked at the camera."""
+    """Return the eye distance, pixels, of an average face that looks at the camera."""
     depth = max(float(pose.position[2]), NEAREST_MM)
     return float(EYE_DISTANCE_MM * np.sqrt(camera.fx * camera.fy) / depth)
 
 
 @dataclass(frozen=True, eq=False)
 class MonoInitialisation:
-    """A head that was found.
+    """Initialisation of a person from several frames.
 
     Attributes:
-        views: the frames, adjusted, in the order given.
+        views: adjusted frames, in the order given.
         person: identity and offsets.
-        pixels: (K, 2) of the points in the first frame, as detected.
-        residual: root mean square of how far the adjusted points lie from the detected, eye distances.
-        score: 0 to 1, mean of the detections'.
-        adjusted: all that the adjustment came to.
+        pixels: (K, 2) detected points of the first frame.
+        residual: RMS distance of the adjusted from the detected points, eye distances.
+        score: 0 to 1, mean of the detections.
+        adjusted: full result of the adjustment.
     """
 
     views: tuple[PointView, ...]
@@ -99,14 +99,14 @@ class MonoInitialisation:
 
 
 class MonoInitialiser:
-    """Finds a face in images of one camera.
+    """Detects faces in images of one camera and initialises people from them.
 
     Args:
-        config: of the whole run; where it never adjusts a person, the mean one stays.
-        adjuster: of views of the camera that takes the images.
+        config: of the run; without adjustments the person remains the mean.
+        adjuster: for views of the camera.
         detector: of faces.
-        choice: which face, 0 the largest in the image, 1 the next.
-        landmarks: of the same images; frames that have none are searched by the detector.
+        choice: face to use, 0 is the largest in the image.
+        landmarks: of the same images; frames without landmarks use the detector.
     """
 
     def __init__(
@@ -122,19 +122,20 @@ class MonoInitialiser:
         self._detector, self._choice, self._landmarks = detector, choice, landmarks
 
     def detect(self, frame: Frame, near: FloatArray | None = None) -> DetectedFace | InitFailure:
-        """Return a face in a frame with its points, or why there is none.
+        """Return a face in a frame with its points, or the reason why there is none.
 
         Args:
-            frame: of one image.
-            near: (K, 2) pixels of the face in an earlier frame. The face there is taken, whatever the choice:
-                a second person who comes nearer meanwhile does not take over.
+            frame: with one image.
+            near: (K, 2) pixels of the face in an earlier frame. The face there is used, whatever the choice,
+                so that another person who approaches does not take over.
         """
         (image,) = frame.images
         if image is None:
             return InitFailure("no image")
-        told = self.told(frame, near)
-        if told is not None:
-            return face_at(self._placed(image, told), frame.stamp_ns, self._camera, told.responses)
+        landmark_face = self.landmark_face(frame, near)
+        if landmark_face is not None:
+            pixels = self._start_pixels(image, landmark_face)
+            return face_at(pixels, frame.stamp_ns, self._camera, landmark_face.responses)
         roll = None if near is None else _roll(near)
         detection = self._detector.detect(image, wanted=self._choice + 1 if near is None else 1, roll=roll)
         faces = sorted(detection.faces, key=lambda face: -face.pixels_per_mm)
@@ -143,24 +144,26 @@ class MonoInitialiser:
             return InitFailure(face, detection.best_score)
         deviation = np.rad2deg(slope_deviation(face.pixels, self._camera))
         if deviation > SLOPE_DEG:
-            reason = f"left and right points at slopes that differ by {deviation:.0f} deg"
+            reason = f"slopes between left and right points differ by {deviation:.0f} deg"
             return InitFailure(reason, face.score)
         return face_at(face.pixels, frame.stamp_ns, self._camera, face.responses)
 
-    def told(self, frame: Frame, near: FloatArray | None = None) -> ToldFace | None:
-        """Return the face that landmarks tell of a frame, chosen as a detected one; None for none."""
+    def landmark_face(self, frame: Frame, near: FloatArray | None = None) -> LandmarkFace | None:
+        """Return the face from landmarks, chosen like a detected one; None without landmarks."""
         faces = () if self._landmarks is None else self._landmarks.faces(frame)
         face = self._chosen(faces) if near is None else _same(faces, near)
         return None if isinstance(face, str) else face
 
-    def _placed(self, image: ImageArray, told: ToldFace) -> FloatArray:
-        """Where a track of a face that landmarks tell begins, (K, 2)."""
-        seen = self._detector.points_at(image, told.pixels)
-        return told.pixels if seen is None or self._landmarks is None else self._landmarks.placed(seen, told)
+    def _start_pixels(self, image: ImageArray, face: LandmarkFace) -> FloatArray:
+        """Return the pixels (K, 2) at which a face from landmarks is tracked."""
+        seen = self._detector.points_at(image, face.pixels)
+        if seen is None or self._landmarks is None:
+            return face.pixels
+        return self._landmarks.start_pixels(seen, face)
 
-    def has_slid(self, pixels: FloatArray, told: ToldFace) -> bool:
-        """Whether tracked points (K, 2) have left where landmarks tell them."""
-        return self._landmarks is not None and self._landmarks.has_slid(pixels, told)
+    def has_slid(self, pixels: FloatArray, face: LandmarkFace) -> bool:
+        """Whether tracked points (K, 2) have left their landmarks."""
+        return self._landmarks is not None and self._landmarks.has_slid(pixels, face)
 
     def _chosen(self, faces: Sequence[Face]) -> Face | str:
         if self._choice < len(faces):
@@ -168,15 +171,14 @@ class MonoInitialiser:
         return f"{len(faces)} face{'s' * (len(faces) > 1)}, not {self._choice + 1}" if faces else NO_FACE
 
     def initialise(self, detected: Sequence[DetectedFace]) -> MonoInitialisation | InitFailure:
-        """Return the head whose points were found in one frame or more, or why they are no head's.
+        """Adjust a person to the detected points of one or more frames, or return why that fails.
 
-        The adjustment begins with the mean person and with the pose that each frame's points alone give an
-        average face **[ours]**; the thesis's begins with a face in the middle of the image that looks at the
-        camera. Points are compared with a face's before it, too: constant offsets would make any points a
-        face's.
+        The adjustment starts with the mean person and the pose of each frame's own points **[ours]**; the
+        thesis starts with a face in the image centre that looks at the camera. The points must resemble a
+        face before the adjustment as well, because constant offsets could fit any points.
 
         Args:
-            detected: of one face, in the order of time.
+            detected: faces of one person, in the order of time.
         """
         if not detected:
             return InitFailure(NO_FACE)
@@ -201,12 +203,12 @@ class MonoInitialiser:
         )
 
     def templates(self, frame: Frame, found: DetectedFace, start: MonoInitialisation) -> TemplateSet:
-        """Return the templates of a frame with a face, the last of those that the head was found in."""
+        """Return the templates of the last frame of an initialisation."""
         images = RigImages((self._camera,), frame.images)
         return take_templates(images, start.views[-1].pose, self._shape(start), found.pixels[None])
 
     def reference(self, first: TemplateSet, start: MonoInitialisation) -> TemplateSet:
-        """Return the templates of the first frame, at the pose that the adjustment came to."""
+        """Return the templates of the first frame at its adjusted pose."""
         pose = start.views[0].pose
         projection = project((self._camera,), pose.points(self._shape(start)))
         return replace(first, tangents=tangents(projection, pose), facing=pose.facing)
@@ -215,17 +217,16 @@ class MonoInitialiser:
         return self._model.of_person(start.person.identity, start.person.offsets).mean
 
     def _view(self, face: DetectedFace) -> PointView:
-        """Return a frame as the adjustment takes it: points count by their noise beside tracked ones'."""
+        """Return a frame for the adjustment, its points weighted by their noise relative to tracked ones."""
         noise = np.full(POINT_COUNT, self._config.start.pixel_sd)
         if self._landmarks is not None:
-            told = self._landmarks.noise_px / self._config.adjustment.pixel_sd.values
-            noise = np.maximum(noise, told)
+            noise = np.maximum(noise, self._landmarks.noise_px / self._config.adjustment.pixel_sd.values)
         weights = np.minimum(noise**-2, 1.0) * (face.responses > 0.0)
         return PointView(face.stamp_ns, face.pixels, weights, face.pose, self._model.deformation_mean)
 
 
 def _roll(pixels: FloatArray) -> float:
-    """Rad, clockwise, of the line through the eyes of a face with points (K, 2)."""
+    """Return the roll, rad, clockwise, of a face with points (K, 2)."""
     across = pixels[2:4].mean(axis=0) - pixels[:2].mean(axis=0)
     return float(np.arctan2(across[1], across[0]))
 
@@ -239,7 +240,7 @@ def _same(faces: Sequence[Face], near: FloatArray) -> Face | str:
         for face in faces
     ]
     nearest = int(np.argmin(ways))
-    return faces[nearest] if ways[nearest] <= SAME_FACE else "only faces elsewhere than before"
+    return faces[nearest] if ways[nearest] <= SAME_FACE else "no face near the last position"
 
 
 RIGHT = tuple(k for k, other in enumerate(MIRRORED) if k < other)
@@ -249,14 +250,14 @@ LEFT = tuple(MIRRORED[k] for k in RIGHT)
 def slope_deviation(pixels: FloatArray, camera: Camera) -> float:
     """Return the standard deviation, rad, of the slopes of the K/2 segments from right to left points.
 
-    The segments of a symmetric face are parallel in space, and so, but for perspective, in the image: a turn
-    of the head does not matter. Slopes are angles to their mean direction **[ours]**, so that roll does not
-    either, and are weighted by the squares of the segments' lengths **[ours]**: an error of a pixel turns
-    the nostrils' segment five times as far as that of the eyes' outer corners.
+    The segments of a symmetric face are parallel in space and, up to perspective, in the image, whatever the
+    yaw and pitch. Slopes are measured against their mean direction **[ours]**, which makes them independent
+    of roll, and weighted by squared length **[ours]**: a pixel error turns the nostrils' segment five times
+    as far as that of the outer eye corners.
 
     Args:
-        pixels: (K, 2) as recorded.
-        camera: that saw them; its lens bends the segments.
+        pixels: (K, 2) with lens distortion.
+        camera: of the image.
     """
     flat = undistorted_pixels(camera, pixels)
     segments = flat[list(LEFT)] - flat[list(RIGHT)]
@@ -274,14 +275,14 @@ def _residual(adjusted: Adjusted, detected: Sequence[DetectedFace]) -> float:
 
 
 def _implausible(poses: Sequence[HeadPose], residual: float) -> str:
-    """Say what about adjusted poses is not a head's before a camera; empty if nothing is."""
+    """Return why adjusted poses or residuals are implausible; empty if they are not."""
     nearest, farthest = DISTANCES_MM
     for pose in poses:
         distance = float(pose.position[2])
         if not nearest <= distance <= farthest:
-            return f"a face {distance / 1000.0:.2g} m before the camera"
+            return f"face at an implausible distance of {distance / 1000.0:.2g} m"
         if pose.facing @ pose.position >= 0.0:
-            return "a face that looks away from the camera"
+            return "face looks away from the camera"
     if not residual <= MOST_RESIDUAL:
         return _unlike(residual)
     return ""
@@ -289,5 +290,5 @@ def _implausible(poses: Sequence[HeadPose], residual: float) -> str:
 
 def _unlike(distance: float) -> str:
     if not np.isfinite(distance):
-        return "points that no face before this camera has"
-    return f"points {distance:.2f} eye distances from a face's"
+        return "points do not match any face"
+    return f"points deviate from a face by {distance:.2f} eye distances"

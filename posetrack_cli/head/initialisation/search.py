@@ -1,4 +1,4 @@
-"""Why no head was found in a frame, and what looking for one has come to."""
+"""Outcome of a failed detection, and statistics of the search for a head."""
 
 from __future__ import annotations
 
@@ -6,18 +6,18 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 NO_FACE = "no face"
-# Images are exchanged for good if so many frames in a row say so; one may err.
-EXCHANGED_FRAMES = 3
+# Consecutive frames that must agree before images count as swapped; a single one may be wrong.
+SWAPPED_FRAMES = 3
 
 
 @dataclass(frozen=True)
 class InitFailure:
-    """Why no head was found.
+    """Reason why no head was found in a frame.
 
     Attributes:
-        reason: in a few words.
-        score: 0 to 1, the surest face's score; 0 where there is none.
-        order: the order of images that fits the calibration better than the recorded one, empty if none.
+        reason: short text.
+        score: 0 to 1, of the best face; 0 without one.
+        order: image order that fits the calibration better than the recorded one; empty if none.
     """
 
     reason: str
@@ -27,38 +27,38 @@ class InitFailure:
 
 @dataclass(frozen=True)
 class Search:
-    """What a search has come to.
+    """Statistics of a search.
 
     Attributes:
-        frames: how many were searched.
-        best_score: 0 to 1, of the surest face.
-        reasons: how often each failed for which reason.
-        order: the order of images that the last frames with faces fit better, empty if none.
-        exchanged: how many frames in a row fit it.
+        frames: number of frames searched.
+        best_score: 0 to 1, of the best face.
+        reasons: number of failures by reason.
+        order: image order that the last frames with faces fit better; empty if none.
+        swapped: number of consecutive frames that fit it.
     """
 
     frames: int = 0
     best_score: float = 0.0
     reasons: Counter[str] = field(default_factory=Counter)
     order: tuple[int, ...] = ()
-    exchanged: int = 0
+    swapped: int = 0
 
     def failed(self, failure: InitFailure) -> Search:
-        """Return the search after one more frame without a start."""
-        order, exchanged = self.order, self.exchanged
+        """Return the search after another failed frame."""
+        order, swapped = self.order, self.swapped
         if failure.reason != NO_FACE:
-            before = self.exchanged if failure.order == self.order else 0
-            order, exchanged = failure.order, before + 1 if failure.order else 0
+            before = self.swapped if failure.order == self.order else 0
+            order, swapped = failure.order, before + 1 if failure.order else 0
         best = max(self.best_score, failure.score)
         reasons = self.reasons + Counter([failure.reason])
-        return Search(self.frames + 1, best, reasons, order, exchanged)
+        return Search(self.frames + 1, best, reasons, order, swapped)
 
     @property
-    def images_exchanged(self) -> bool:
-        """Whether the images seem to belong to other cameras than they are said to."""
-        return self.exchanged >= EXCHANGED_FRAMES
+    def images_swapped(self) -> bool:
+        """Whether the images seem to belong to other cameras."""
+        return self.swapped >= SWAPPED_FRAMES
 
     def __str__(self) -> str:
-        """Such as ``600 frames searched, best score 0.31, mostly: no face``."""
+        """Return a summary such as ``600 frames searched, best score 0.31, mostly: no face``."""
         said = f"{self.frames} frame{'s' * (self.frames != 1)} searched, best score {self.best_score:.2f}"
         return f"{said}, mostly: {self.reasons.most_common(1)[0][0]}" if self.reasons else said

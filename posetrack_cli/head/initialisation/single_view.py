@@ -1,11 +1,10 @@
-"""The pose of a known shape from its pixels in one image (perspective n points) **[ours]**.
+"""Pose of a known shape from its pixels in one image (perspective-n-point) **[ours]**.
 
-The thesis begins its bundle adjustment with a face in the middle of the image that looks at the camera; here
-each frame's pose is found first, so that the adjustment begins near where it ends.
+The thesis starts its bundle adjustment with a face in the image centre that looks at the camera; here each
+frame's pose is estimated first.
 
-A face is nearly flat: under weak perspective a plane and its mirror image in depth look the same, which
-exchanges looking up with looking down, left with right. A descent starts from both, and the better end is
-kept.
+A face is nearly planar: under weak perspective a plane and its mirror image in depth look the same, which
+confuses up with down and left with right. The optimisation starts from both, and the better result is kept.
 """
 
 from __future__ import annotations
@@ -22,34 +21,34 @@ from posetrack_cli.head.face.points import POSE_SIZE, HeadPose
 
 LEAST_POINTS = 4
 MOST_STEPS = 30
-# A step is the last that lowers the cost by less than this part of it, or than this many squared pixels.
+# Convergence: a step lowers the cost by less than this share of it, or by fewer squared pixels.
 ROUGHLY, CONVERGED, CONVERGED_PX2 = 1e-3, 1e-6, 1e-9
 FIRST_DAMPING, MORE_DAMPING, LESS_DAMPING = 1e-4, 10.0, 0.1
 MOST_DAMPING = 1e6
 NEAREST_MM = 10.0
-"""No point of a face comes nearer to the camera's plane."""
+"""Minimum distance of a face's points from the camera's plane."""
 FARTHEST_MM = 1e6
-"""Where a descent begins at most: points in one place look like a face at infinity."""
+"""Maximum starting distance: coincident points look like a face at infinity."""
 HUBER = 2.0
-"""Influence of a point is bounded at so many standard deviations of a coordinate's error."""
+"""Huber threshold, in standard deviations of a coordinate."""
 LEAST_ERROR_PX = 0.05
-# How large an error is shows once its influence is bounded: the bound is estimated again while it falls.
+# The threshold is re-estimated while it decreases, because bounding outliers lowers the median error.
 ROUNDS, SETTLED = 4, 0.8
-# The median length of a normal vector in two dimensions, in standard deviations of a coordinate.
+# Median length of a 2D normal vector, in standard deviations of a coordinate.
 MEDIAN_LENGTH = 1.177
-# Poses nearer to each other than this, mm and rad, are one.
+# Poses closer than this, mm and rad, are the same optimum.
 ONE_POSE = np.array([1.0, 1.0, 1.0, 0.01, 0.01, 0.01])
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
-    """The points that count.
+class _Residuals:
+    """Weighted points of the least-squares problem.
 
     Attributes:
         places: (n, 2) normalised coordinates.
-        scales: (n, 2, 2) roots of weights times pixels per normalised coordinate, lens included: an error's
-            length is in pixels as recorded, to first order.
-        roots: (n,) of the weights, the largest 1.
+        scales: (n, 2, 2) roots of weights times pixels per normalised coordinate, including the lens: error
+            lengths are in pixels, to first order.
+        roots: (n,) of the weights, the largest is 1.
         shape: (n, 3) mm.
     """
 
@@ -59,7 +58,7 @@ class _Seen:
     shape: FloatArray
 
     def starts(self) -> tuple[HeadPose, ...]:
-        """Return the weak-perspective pose about the ray to the points' middle, and its mirror image."""
+        """Return the weak-perspective pose about the ray to the points' centre, and its mirror image."""
         rays = np.column_stack([self.places, np.ones(len(self.places))])
         towards = rays.mean(axis=0) / np.linalg.norm(rays.mean(axis=0))
         turn = _turned_to_z(towards)
@@ -73,7 +72,7 @@ class _Seen:
         return tuple(HeadPose(position, quaternions_from_matrices(one)) for one in (rotation, mirrored))
 
     def descended(self, pose: HeadPose, bound: float, tolerance: float) -> HeadPose:
-        """Return the pose of least cost near a start."""
+        """Return the pose of least cost near a start (Levenberg-Marquardt)."""
         damping = FIRST_DAMPING
         lengths, matrix, vector = self.normal_equations(pose, bound)
         cost = _cost(lengths, bound)
@@ -94,7 +93,7 @@ class _Seen:
         return pose
 
     def normal_equations(self, pose: HeadPose, bound: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the errors' lengths (n,), J^T W J (6, 6) and J^T W e (6,) in the pose's tangent vector."""
+        """Return error lengths (n,), J^T W J (6, 6) and J^T W e (6,) in the pose's tangent space."""
         arms = self.shape @ pose.rotation.T
         x, y, z = (arms + pose.position).T
         u, v = x / z, y / z
@@ -109,7 +108,7 @@ class _Seen:
         return lengths, rows.T @ rows, rows.T @ (roots[:, None] * errors).ravel()
 
     def lengths(self, pose: HeadPose) -> FloatArray:
-        """Return the weighted lengths (n,) of the points' errors; infinite if one is behind the camera."""
+        """Return the weighted error lengths (n,) of the points; infinite if one is behind the camera."""
         points = self.shape @ pose.rotation.T + pose.position
         if points[:, 2].min() < NEAREST_MM:
             return np.full(len(points), np.inf)
@@ -118,7 +117,7 @@ class _Seen:
         return lengths
 
     def bound(self, pose: HeadPose) -> float:
-        """Return where Huber's function ends to be a square, from the median error."""
+        """Return the Huber threshold from the median error."""
         lengths = self.lengths(pose)
         freedom = np.sqrt(max(1.0 - POSE_SIZE / (2.0 * len(lengths)), 0.1))
         spread = float(np.median(lengths)) / (MEDIAN_LENGTH * freedom)
@@ -128,27 +127,27 @@ class _Seen:
 def pose_of(
     pixels: FloatArray, weights: FloatArray, camera: Camera, shape: FloatArray
 ) -> tuple[HeadPose, float]:
-    """Return the pose that lays a shape's projection on pixels, and how far off the points remain.
+    """Fit the pose of a shape to pixels.
 
-    Minimises sum_k h(w_k |m_k - P(R M_k + t)|^2), h Huber's function with its bound from the median error, by
-    Levenberg and Marquardt's method. The lens is taken as linear about each pixel.
+    Minimises sum_k h(w_k |m_k - P(R M_k + t)|^2), h Huber's function with its threshold from the median
+    error, by Levenberg-Marquardt. The lens is linearised at each pixel.
 
     Args:
-        pixels: (K, 2) as recorded.
-        weights: (K,) relative; points of weight 0, without a pixel or beyond what the lens sees do not count.
-        camera: that sees them, in its own axes.
+        pixels: (K, 2) with lens distortion.
+        weights: (K,) relative; points with weight 0, without a pixel or outside the lens's range are ignored.
+        camera: of the image; poses are in its axes.
         shape: (K, 3) in the head's frame, mm.
 
     Returns:
-        The pose, and the weighted root mean square, pixels, of the points' distances.
+        The pose, and the weighted RMS distance of the points, pixels.
 
     Raises:
-        ValueError: fewer than four points count.
+        ValueError: fewer than four usable points.
     """
-    used = _counts(pixels, weights, camera)
+    used = _usable(pixels, weights, camera)
     if used.sum() < LEAST_POINTS:
         raise ValueError(f"a pose needs {LEAST_POINTS} points, found {used.sum()}")
-    seen = _seen(pixels[used], weights[used], camera, shape[used])
+    seen = _residuals(pixels[used], weights[used], camera, shape[used])
     poses = [seen.descended(start, np.inf, ROUGHLY) for start in seen.starts()]
     poses.sort(key=lambda pose: _cost(seen.lengths(pose), np.inf))
     if np.all(np.abs(poses[0].difference(poses[1])) <= ONE_POSE):
@@ -166,45 +165,44 @@ def pose_of(
 def pose_near(
     pose: HeadPose, pixels: FloatArray, weights: FloatArray, camera: Camera, shape: FloatArray
 ) -> HeadPose:
-    """Return the pose nearest to a given one that lays a shape's projection on pixels.
+    """Fit the pose of a shape to pixels, starting near a given pose.
 
-    The cost and the arguments are those of ``pose_of``; no mirror image is considered. Where fewer than four
-    points count it is the pose given.
+    Cost and arguments are those of ``pose_of``; mirror images are not tried. With fewer than four usable
+    points the given pose is returned.
     """
-    used = _counts(pixels, weights, camera)
+    used = _usable(pixels, weights, camera)
     if used.sum() < LEAST_POINTS:
         return pose
-    seen = _seen(pixels[used], weights[used], camera, shape[used])
+    seen = _residuals(pixels[used], weights[used], camera, shape[used])
     for _ in range(ROUNDS):
         pose = seen.descended(pose, seen.bound(pose), ROUGHLY)
     return pose
 
 
-def _counts(pixels: FloatArray, weights: FloatArray, camera: Camera) -> BoolArray:
-    """Return (K,) which points count: those with a weight and a pixel that the lens sees."""
-    counts: BoolArray = (weights > 0.0) & np.isfinite(normalised_from_pixels(camera, pixels)).all(axis=1)
-    return counts
+def _usable(pixels: FloatArray, weights: FloatArray, camera: Camera) -> BoolArray:
+    """Return (K,) which points have a weight and a pixel within the lens's range."""
+    usable: BoolArray = (weights > 0.0) & np.isfinite(normalised_from_pixels(camera, pixels)).all(axis=1)
+    return usable
 
 
-def _seen(pixels: FloatArray, weights: FloatArray, camera: Camera, shape: FloatArray) -> _Seen:
-    """What is seen of points (n, 3) of a shape that count."""
+def _residuals(pixels: FloatArray, weights: FloatArray, camera: Camera, shape: FloatArray) -> _Residuals:
     places, roots = normalised_from_pixels(camera, pixels), np.sqrt(weights / weights.max())
     lens = np.array(distortion_jacobian(camera, *places.T)).reshape(2, 2, -1)
     scales = np.array([camera.fx, camera.fy])[:, None] * np.moveaxis(lens, -1, 0)
-    return _Seen(places, roots[:, None, None] * scales, roots, shape)
+    return _Residuals(places, roots[:, None, None] * scales, roots, shape)
 
 
 def weak_perspective(
     shape: FloatArray, places: FloatArray, roots: FloatArray
 ) -> tuple[float, FloatArray, FloatArray]:
-    """Return scale, rotation (3, 3) and shift (2,) that lay a shape on places, in weak perspective.
+    """Fit scale, rotation (3, 3) and shift (2,) of a shape under weak perspective.
 
-    Weighted least squares for a 2 x 3 matrix (POS, DeMenthon and Davis 1995), its rows made orthonormal.
+    Weighted least squares for a 2 x 3 matrix (POS, DeMenthon and Davis 1995), with orthonormalised rows.
 
     Args:
         shape: (n, 3) mm.
-        places: (n, 2), of which the scale is so many per mm.
-        roots: (n,) of the points' weights.
+        places: (n, 2) image coordinates; the scale is in their units per mm.
+        roots: (n,) square roots of the points' weights.
     """
     columns = np.column_stack([shape, np.ones(len(places))])
     solution, *_ = np.linalg.lstsq(roots[:, None] * columns, roots[:, None] * places, rcond=None)
@@ -214,7 +212,7 @@ def weak_perspective(
 
 
 def _turned_to_z(direction: FloatArray) -> FloatArray:
-    """Return the smallest rotation (3, 3) that takes a unit vector with z > 0 to the z axis."""
+    """Return the smallest rotation (3, 3) from a unit vector with z > 0 to the z axis."""
     x, y, z = direction
     rotation = np.array([[1.0, 0.0, -x], [0.0, 1.0, -y], [x, y, z]])
     rotation[:2, :2] -= np.outer(direction[:2], direction[:2]) / (1.0 + z)

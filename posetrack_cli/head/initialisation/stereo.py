@@ -1,4 +1,4 @@
-"""One attempt to find a head in the images that several calibrated cameras took at one time."""
+"""Initialisation of a head from simultaneous images of several calibrated cameras."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from posetrack_cli.head.detection.fit import relief_of
 from posetrack_cli.head.detection.points import FacePoints
 from posetrack_cli.head.face.points import EYES, FEATURE_SD, FEATURES, POINT_COUNT, HeadPose
 from posetrack_cli.head.face.rig_images import CameraImage, RigImages, is_reference, required
-from posetrack_cli.head.initialisation.average_face import MeasuredFace, exchanged_order
+from posetrack_cli.head.initialisation.average_face import MeasuredFace, swapped_order
 from posetrack_cli.head.initialisation.matching import match_points
 from posetrack_cli.head.initialisation.search import NO_FACE, InitFailure
 from posetrack_cli.head.initialisation.single_view import weak_perspective
@@ -26,28 +26,27 @@ from posetrack_cli.head.landmarks.faces import Landmarks
 from posetrack_cli.recording.base import Frame
 
 CORRELATION, RETURN_MM = 0.5, 4.0
-"""A point is matched in another image from this correlation on, if on the way back it is found again within
-this distance."""
+"""Minimum correlation and maximum forward-backward error of a match."""
 MATCHED_POINTS = 7
-"""So many of the ten must be."""
+"""Minimum number of matched points."""
 DEVIATION = 1.1
-"""Root mean square distance from an average face, in its standard deviations, at most."""
+"""Maximum RMS distance from an average face, in its standard deviations."""
 LEAST_SIZE, MOST_SIZE = 0.7, 1.3
-"""Of a face, as factors of the average's."""
+"""Limits of a face's size relative to the average."""
 
 
 @dataclass(frozen=True, eq=False)
 class StereoInitialisation:
-    """A head that was found.
+    """A head found in one frame.
 
     Attributes:
         pose: ``camera_T_head`` in the reference camera.
         shape: (K, 3) in the head's frame, mm.
         pixels: (C, K, 2) of the points in every image; NaN for a camera without one.
-        matched: (K,) which points were found in more than one image; the others' depth is an average face's.
+        matched: (K,) points found in more than one image; the others have an average face's depth.
         score: 0 to 1, mean correlation of the matched points.
-        doubt: an order of images that faces found in each by itself fit better, though the head was found in
-            the order recorded; empty if none.
+        alternative_order: image order that separately detected faces fit better, although the head was found
+            in the recorded order; empty if none.
     """
 
     pose: HeadPose
@@ -55,10 +54,10 @@ class StereoInitialisation:
     pixels: FloatArray
     matched: BoolArray
     score: float
-    doubt: tuple[int, ...] = ()
+    alternative_order: tuple[int, ...] = ()
 
-    def is_surer_than(self, other: StereoInitialisation) -> bool:
-        """Whether more points were matched than in another order of images, and lie more like a face's."""
+    def is_better_than(self, other: StereoInitialisation) -> bool:
+        """Whether more points match than in another image order, and resemble a face more closely."""
         deviations = [
             MeasuredFace(one.pose.points(one.shape), np.ones(POINT_COUNT, dtype=bool)).deviation
             for one in (self, other)
@@ -70,9 +69,9 @@ class StereoInitialiser:
     """Finds the face in the images of one frame.
 
     Args:
-        settings: what is good enough.
+        settings: of the initialisation.
         cameras: C >= 2, calibrated.
-        landmarks: of the reference camera's images; frames that have none are searched by a detector.
+        landmarks: of the reference camera's images; frames without landmarks use the detector.
 
     Raises:
         UsageError: a face detector without its model.
@@ -88,16 +87,16 @@ class StereoInitialiser:
         self._detector = FaceDetector(settings.detection)
 
     def find(self, frame: Frame, *, is_first: bool) -> StereoInitialisation | InitFailure:
-        """Return where the face is in a frame, the first of the run or another, or why none was found."""
-        told = self.from_landmarks(frame)
-        return self._attempt(frame).find(self._detector) if told is None else told
+        """Return the head in a frame, or the reason why there is none."""
+        found = self.from_landmarks(frame)
+        return self._attempt(frame).find(self._detector) if found is None else found
 
     def from_landmarks(self, frame: Frame, tracked: FloatArray | None = None) -> StereoInitialisation | None:
-        """Return where landmarks tell the largest face, None where they tell none.
+        """Return the head from the landmarks of the largest face, None without landmarks.
 
         Args:
             frame: of all cameras.
-            tracked: (K, 2) pixels of a track in the reference camera: None is returned if it has not slid.
+            tracked: (K, 2) pixels of a track in the reference camera; returns None if it has not slid.
         """
         faces = () if self._landmarks is None else self._landmarks.faces(frame)
         if not faces or self._landmarks is None:
@@ -115,11 +114,11 @@ class StereoInitialiser:
 
 @dataclass(frozen=True, eq=False)
 class StereoAttempt:
-    """An attempt to find a head in the images of one instant.
+    """One attempt to find a head in simultaneous images.
 
     Attributes:
         images: of C >= 2 calibrated cameras.
-        settings: what is good enough.
+        settings: of the initialisation.
     """
 
     images: RigImages
@@ -131,14 +130,14 @@ class StereoAttempt:
         return self.images.views
 
     def find(self, detector: FaceDetector) -> StereoInitialisation | InitFailure:
-        """Return the head of a face that a detector finds, or why there is none.
+        """Detect a face and return its head, or the reason why there is none.
 
-        The face is looked for in the reference camera's image first; where that fails, in the others'.
+        The reference camera's image is searched first, then the others'.
         """
         cameras = self.images.cameras
         present = [c for c, view in enumerate(self.views) if view is not None]
         if len(present) < 2:
-            return InitFailure("images of fewer than two cameras")
+            return InitFailure("fewer than two cameras have an image")
         detections: dict[int, Detection] = {}
         failures = [InitFailure(NO_FACE)]
         for camera in sorted(present, key=lambda c: not is_reference(cameras[c])):
@@ -148,22 +147,21 @@ class StereoAttempt:
             failures += [one for one in outcomes if isinstance(one, InitFailure)]
             starts = [one for one in outcomes if isinstance(one, StereoInitialisation)]
             if starts:
-                return self._checked(starts[0], detections, detector)
+                return self._check_order(starts[0], detections, detector)
         worst = max(failures, key=lambda one: (one.reason != NO_FACE, one.score))
-        return self._checked(worst, detections, detector)
+        return self._check_order(worst, detections, detector)
 
     def from_clicked(self, clicked: FloatArray) -> StereoInitialisation | InitFailure:
-        """Return the head whose points were clicked.
+        """Return the head from clicked points.
 
-        Where a point was clicked in several images they are believed; else it is matched as a found one would
-        be.
+        Points clicked in several images are used as they are; others are matched like detected ones.
 
         Args:
-            clicked: (C, K, 2) pixels, NaN where none was clicked.
+            clicked: (C, K, 2) pixels, NaN where no point was clicked.
         """
-        camera = clicked_camera(clicked)
+        camera = complete_camera(clicked)
         if camera is None or self.views[camera] is None:
-            return InitFailure("no image of the camera whose points were clicked")
+            return InitFailure("the camera with clicked points has no image")
         scale, rotation, _ = weak_perspective(FEATURES, clicked[camera], 1.0 / FEATURE_SD)
         pixels, correlations = self._matched(camera, clicked[camera], scale, FEATURES @ rotation[2])
         given = ~np.isnan(clicked[..., 0])
@@ -174,12 +172,12 @@ class StereoAttempt:
     def from_pixels(
         self, camera: int, pixels: FloatArray, correlations: FloatArray
     ) -> StereoInitialisation | InitFailure:
-        """Return the head whose points have pixels (C, K, 2), NaN where not found, if they are a face's.
+        """Triangulate points at pixels (C, K, 2), NaN where not found, and check that they form a face.
 
         Args:
-            camera: index of one that has all points.
+            camera: index of a camera with all points.
             pixels: (C, K, 2).
-            correlations: (K,) how well the points were matched, for the score.
+            correlations: (K,) of the matches, for the score.
         """
         views, most_px = self.views, self.settings.reprojection_px
         used = [c for c, view in enumerate(views) if view is not None]
@@ -200,7 +198,7 @@ class StereoAttempt:
         pose, shape = pose_and_shape(points)
         pixels = np.where((known | (np.arange(len(views)) == camera)[:, None])[..., None], pixels, np.nan)
         return StereoInitialisation(
-            pose, shape, self._everywhere(points, pixels), known, float(correlations[known].mean())
+            pose, shape, self._filled(points, pixels), known, float(correlations[known].mean())
         )
 
     def _from_face(self, camera: int, face: FacePoints) -> StereoInitialisation | InitFailure:
@@ -213,10 +211,10 @@ class StereoAttempt:
         """Match the ten points of one camera's image in all others.
 
         Args:
-            camera: index of the one that the points were found in.
+            camera: index of the camera with the points.
             pixels: (K, 2) in its image.
-            pixels_per_mm: the face's scale there.
-            relief: (K,) mm, how much farther than the head's origin each point of an average face is.
+            pixels_per_mm: scale of the face there.
+            relief: (K,) mm, depth of each point of an average face relative to the head's origin.
 
         Returns:
             (C, K, 2) pixels, NaN where a point was not matched, and (K,) each point's best correlation.
@@ -235,16 +233,16 @@ class StereoAttempt:
         return found, correlations.max(axis=0)
 
     def _implausible(self, face: MeasuredFace) -> str:
-        """Say what about the known points is not a face's; empty if nothing is."""
+        """Return why the known points are not a face's; empty if they are."""
         size, deviation = face.size, face.deviation
         if not LEAST_SIZE <= size <= MOST_SIZE:
-            return f"points {size:.2f} times as far apart as a face's"
+            return f"implausible size: {size:.2f} times an average face"
         if deviation > DEVIATION:
-            return f"points {deviation:.1f} standard deviations from a face's"
+            return f"points deviate from a face by {deviation:.1f} standard deviations"
         return ""
 
-    def _everywhere(self, points: FloatArray, pixels: FloatArray) -> FloatArray:
-        """Return pixels (C, K, 2) with the projections of points where an image exists and none was found."""
+    def _filled(self, points: FloatArray, pixels: FloatArray) -> FloatArray:
+        """Return pixels (C, K, 2) with missing ones replaced by projections where an image exists."""
         filled = pixels.copy()
         for own, view in zip(filled, self.views, strict=True):
             if view is not None:
@@ -252,18 +250,18 @@ class StereoAttempt:
                 own[:] = np.where(np.isnan(own), projected, own)
         return filled
 
-    def _checked(
+    def _check_order(
         self,
         outcome: StereoInitialisation | InitFailure,
         detections: dict[int, Detection],
         detector: FaceDetector,
     ) -> StereoInitialisation | InitFailure:
-        """Return the outcome, or that images look exchanged if all evidence says so.
+        """Return the outcome, or a failure if the images are clearly swapped.
 
-        Faces found in each image by itself may fit another order better by chance: on a wide baseline they
-        lie off by more than a point's width. So a head must be found in that order, too, and if one was found
-        as recorded match in more points and be more like a face; else the outcome stays, with a doubt
-        **[ours]**.
+        Separately detected faces may fit another order by chance, since on a wide baseline they are off by
+        more than a point's width. A head must therefore also be found in that order and, if one was found as
+        recorded, match more points and resemble a face more closely; otherwise the outcome only notes the
+        other order **[ours]**.
         """
         views, cameras = self.views, self.images.cameras
         if any(view is None for view in views) or not any(one.faces for one in detections.values()):
@@ -273,22 +271,22 @@ class StereoAttempt:
             detection = detections.get(camera) or detector.detect(required(view).image)
             if detection.faces:
                 faces[camera] = detection.faces[0].pixels
-        order = exchanged_order(cameras, faces)
+        order = swapped_order(cameras, faces)
         if not order:
             return outcome
-        other = self._found_in(order, faces)
+        other = self._find_in_order(order, faces)
         if isinstance(outcome, StereoInitialisation):
-            if other is None or not other.is_surer_than(outcome):
-                return replace(outcome, doubt=order)
+            if other is None or not other.is_better_than(outcome):
+                return replace(outcome, alternative_order=order)
         elif other is None:
             return outcome
         names = ", ".join(cameras[c].name for c in order)
         return InitFailure(
-            f"images look exchanged: they fit the calibration in the order {names}", outcome.score, order
+            f"images seem swapped: they fit the calibration in the order {names}", outcome.score, order
         )
 
-    def _found_in(self, order: Sequence[int], faces: FloatArray) -> StereoInitialisation | None:
-        """Return the head of faces (C, K, 2), one in each image, with the images in another order."""
+    def _find_in_order(self, order: Sequence[int], faces: FloatArray) -> StereoInitialisation | None:
+        """Return the head of faces (C, K, 2), one per image, with the images reordered."""
         images = [self.images.images[c] for c in order]
         attempt = StereoAttempt(RigImages(self.images.cameras, images), self.settings)
         for camera in range(len(order)):
@@ -300,17 +298,17 @@ class StereoAttempt:
         return None
 
 
-def clicked_camera(pixels: FloatArray) -> int | None:
-    """Return the first camera with all of the clicked points (C, K, 2), None if there is none."""
+def complete_camera(pixels: FloatArray) -> int | None:
+    """Return the first camera with all clicked points (C, K, 2), None if there is none."""
     complete = np.flatnonzero(~np.isnan(pixels[..., 0]).any(axis=1))
     return int(complete[0]) if len(complete) else None
 
 
 def pose_and_shape(points: FloatArray) -> tuple[HeadPose, FloatArray]:
-    """Return the pose and the shape of a head whose ten points are given.
+    """Return pose and shape of a head with given points, so that R M_k + t are the points.
 
-    The rotation lays an average face on the points (weighted least squares); the origin is the mean of the
-    eye corners. So R M_k + t are the points.
+    The rotation aligns an average face with the points (weighted least squares); the origin is the mean of
+    the eye corners.
 
     Args:
         points: (K, 3) in the reference camera's axes, mm.

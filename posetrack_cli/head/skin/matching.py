@@ -51,11 +51,11 @@ class SkinView:
     crop: ImageArray
     placement: FloatArray
 
-    def seen_larger(self, ratio: float) -> SkinView:
+    def rescaled(self, ratio: float) -> SkinView:
         """Return the frame as an image shows it that is so many times as large."""
         placement = ratio * self.placement
         placement[:, 2] += 0.5 * (ratio - 1.0)
-        return replace(self, view=self.view.seen_larger(ratio), placement=placement)
+        return replace(self, view=self.view.rescaled(ratio), placement=placement)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,9 +85,9 @@ class SkinAlbum:
             return replace(self, views=views)
         return SkinAlbum(views[::2], 2 * self.every_ns)
 
-    def seen_larger(self, ratio: float) -> SkinAlbum:
+    def rescaled(self, ratio: float) -> SkinAlbum:
         """Return the same frames as images show them that are so many times as large."""
-        return replace(self, views=tuple(one.seen_larger(ratio) for one in self.views))
+        return replace(self, views=tuple(one.rescaled(ratio) for one in self.views))
 
 
 def place_crop(camera: Camera, pose: HeadPose) -> FloatArray:

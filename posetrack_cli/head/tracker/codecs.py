@@ -1,4 +1,4 @@
-"""A head tracker's state, in memory and as bytes."""
+"""State of the one-camera tracker, and conversion of tracker states to arrays."""
 
 from __future__ import annotations
 
@@ -57,32 +57,31 @@ from posetrack_cli.tracking.state_codec import (
     whole,
 )
 
-# How what head trackers keep becomes arrays: for checkpoints, model files and second passes
-
+# Codecs shared by checkpoints, model files and second passes
 
 PEOPLE = "people"
-"""Name of the array that says how many there are."""
+"""Name of the array with the number of people."""
 FOCAL_PX = "focal_px"
-"""Name of the array that says at which focal length people were seen."""
+"""Name of the array with the focal length at which people were observed."""
 _ScoredView: TypeAlias = tuple[float, PointView]
 ONE = {CAMERAS: 1}
-"""Sizes of templates of one camera."""
+"""Dimensions of the templates of one camera."""
 _LEAST_AREA = 1e-18
-"""Pixels of an image that one of a crop takes."""
+"""Minimum area, image pixels, of a crop's pixel."""
 
 
 def search_codec(cameras: int) -> Codec[Search]:
-    """Return the codec of a search with so many cameras."""
+    """Return the codec of a search with this number of cameras."""
 
     def build(best: float, counts: Array, order: Array, reasons: Array, times: Array) -> Search:
-        frames, exchanged = (int(value) for value in counts)
+        frames, swapped = (int(value) for value in counts)
         failures = Counter(dict(zip(reasons.tolist(), times.tolist(), strict=True)))
-        return Search(frames, best, failures, tuple(order.tolist()), exchanged)
+        return Search(frames, best, failures, tuple(order.tolist()), swapped)
 
     return Fields(
         build,
         best=("best_score", real(floats(least=0.0))),
-        counts=(lambda one: [one.frames, one.exchanged], Value(counts(2))),
+        counts=(lambda one: [one.frames, one.swapped], Value(counts(2))),
         order=Value(counts("order?", most=cameras - 1)),
         reasons=(lambda one: list(one.reasons.keys()), Value(Layout("str", ("reasons?",)))),
         times=(lambda one: list(one.reasons.values()), Value(counts("reasons?"))),
@@ -90,7 +89,7 @@ def search_codec(cameras: int) -> Codec[Search]:
 
 
 def people_codec(model: FaceModel, settings: AdjustmentSettings) -> Codec[tuple[KnownPerson, ...]]:
-    """Return the codec of people whose faces a model makes."""
+    """Return the codec of people described by a face model."""
 
     def known(
         identity: Array,
@@ -111,7 +110,7 @@ def people_codec(model: FaceModel, settings: AdjustmentSettings) -> Codec[tuple[
             templates=sets,
             adjusted_frames=counts,
             rms_px=float(single[0]),
-            usual_score=float(single[1]),
+            mean_score=float(single[1]),
             **parts,
         )
 
@@ -121,7 +120,7 @@ def people_codec(model: FaceModel, settings: AdjustmentSettings) -> Codec[tuple[
         offsets=("person.offsets", Value(floats(POINT_COUNT, 3))),
         history=("history.identities", Value(floats("history", model.identity_size))),
         counts=("adjusted_frames", whole()),
-        single=(lambda known: [known.rms_px, known.usual_score], Value(floats(2, missing=True))),
+        single=(lambda known: [known.rms_px, known.mean_score], Value(floats(2, missing=True))),
         is_settled=flag(),
         is_held=flag(),
         size=Maybe(codec_of(Size)),
@@ -135,26 +134,26 @@ def people_codec(model: FaceModel, settings: AdjustmentSettings) -> Codec[tuple[
 
 
 def known_people(learned: Arrays, people: Codec[tuple[KnownPerson, ...]]) -> tuple[KnownPerson, ...]:
-    """Return the people whom another tracker with the same face model has learned, by their codec.
+    """Decode people learned by another tracker with the same face model.
 
     Raises:
-        ResultError: an array is missing, or not as ``people_codec`` states it.
+        ResultError: an array is missing or does not have the layout of ``people_codec``.
     """
     try:
         if PEOPLE not in learned:
-            raise LayoutError(f"no array '{PEOPLE}'")
+            raise LayoutError(f"array '{PEOPLE}' is missing")
         return people.from_arrays(learned)
     except LayoutError as error:
-        raise unusable_people(error) from error
+        raise damaged_people(error) from error
 
 
-def unusable_people(found: object) -> ResultError:
-    """Return the error that says what of learned arrays is not as it must be."""
+def damaged_people(found: object) -> ResultError:
+    """Return the error for learned people with an unexpected layout."""
     return damaged_model(found, "a model saved by a run with this face model")
 
 
 class _AlbumCodec(Codec[Album]):
-    """An album's frames with their scores, page by page; of an empty one there are no scores."""
+    """Codec of an album's frames with their scores; an empty album has no scores."""
 
     def __init__(self, model: FaceModel) -> None:
         of_view = {name: (_second(take), codec) for name, (take, codec) in _view_parts(model).items()}
@@ -168,7 +167,7 @@ class _AlbumCodec(Codec[Album]):
         )
 
     def to_arrays(self, value: Album) -> dict[str, Array]:
-        """Return the scores and what ``Stacked`` makes of the frames."""
+        """Return the scores and the stacked frames."""
         pages: Sequence[_ScoredView] = [scored for page in value.pages.values() for scored in page]
         return self._frames.to_arrays(pages) or {"scores": np.zeros(0)}
 
@@ -179,7 +178,7 @@ class _AlbumCodec(Codec[Album]):
         return {name: floats(0) for name in arrays}
 
     def build(self, arrays: Arrays) -> Album:
-        """Return the album that the frames were put into one after the other."""
+        """Rebuild the album by adding the frames in order."""
         album = Album()
         for score, view in self._frames.build(arrays):
             album = album.with_view(view, score)
@@ -187,12 +186,13 @@ class _AlbumCodec(Codec[Album]):
 
 
 def _skin_codec(model: FaceModel) -> Codec[SkinAlbum]:
-    """Return the codec of the frames that show the skin."""
+    """Return the codec of the frames with skin."""
 
     def build(placement: Array, **parts: Any) -> SkinView:
         (a, b), (c, d) = turn = placement[:, :2]
-        if a * d - b * c < max(_LEAST_AREA, 0.4 * np.sum(turn**2)):  # .5 of what is only turned and scaled
-            raise LayoutError("'placement' that does not just turn, scale and move a crop")
+        # a rotation with scale has a determinant of half the squared norm; 0.4 allows for rounding
+        if a * d - b * c < max(_LEAST_AREA, 0.4 * np.sum(turn**2)):
+            raise LayoutError("'placement' is not a similarity transform")
         return SkinView(placement=placement, **parts)
 
     view: Codec[SkinView] = Fields(
@@ -205,11 +205,11 @@ def _skin_codec(model: FaceModel) -> Codec[SkinAlbum]:
 
 
 def _map_codec() -> Codec[SkinMap]:
-    """Return the codec of a map of the skin."""
+    """Return the codec of a skin map."""
 
     def build(views: Array, positions: Array, quaternions: Array, **parts: Any) -> SkinMap:
         if np.any(np.diff(views) < 0) or views[-1] >= len(parts["stamps"]):
-            raise LayoutError("'views' that do not rise from view to view")
+            raise LayoutError("'views' is not in ascending order")
         return SkinMap(views=views, poses=HeadPose(positions, quaternions), **parts)
 
     return Fields(
@@ -226,7 +226,7 @@ def _map_codec() -> Codec[SkinMap]:
 
 
 def _view_parts(model: FaceModel) -> dict[str, tuple[Callable[[PointView], Any], Codec[Any]]]:
-    """What a view is taken apart into."""
+    """Return the fields of a view with their codecs."""
     return {
         "stamps": (lambda view: view.stamp_ns, stamp()),
         "pixels": (lambda view: view.pixels, Value(places(POINT_COUNT, 2))),
@@ -247,28 +247,27 @@ def _second(take: Callable[[PointView], Any]) -> Callable[[_ScoredView], Any]:
     return lambda pair: take(pair[1])
 
 
-# What a one-camera tracker knows after a frame, and whether the scene was cut to another.
+# Tracker state and detection of scene cuts.
 #
-# A video goes on with another scene, perhaps another person, from one frame to the next **[ours]**. The
-# feature points cannot tell: ten small patches find something like themselves in any face. But the whole
-# image changes in a cut, as it never does within a thirtieth of a second of one scene.
-
+# A video may cut to another scene, perhaps with another person **[ours]**. The feature points do not show it,
+# because ten small patches match something in any face, but the whole image changes more than it ever does
+# between two frames of one scene.
 
 SCENE_WIDTH, SCENE_HEIGHT = 32, 24
-"""Of thumbnails."""
+"""Size of thumbnails."""
 SAME_SCENE = 0.9
-"""Correlation of two thumbnails. Heads that move fast before a camera leave it above .95; cuts came to .55,
-and to .83 where only the face changed."""
+"""Minimum correlation of two thumbnails of one scene. Fast heads near the camera stay above 0.95; cuts reach
+0.55 to 0.83."""
 _LEAST_EYES_PX, _LEAST_SCALE = 1e-3, 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Stated:
-    """What a result says of a frame.
+class ReportedPose:
+    """Pose and deformation reported for a frame.
 
     Attributes:
         pose: of the head.
-        coefficients: of its deformation, less the mean.
+        coefficients: of its deformation, relative to the mean.
     """
 
     pose: HeadPose
@@ -277,22 +276,22 @@ class Stated:
 
 @dataclass(frozen=True, eq=False)
 class MonoState(HeadState):
-    """What a one-camera tracker knows after a frame.
+    """State of a one-camera tracker after a frame.
 
     Attributes:
-        people: who was seen so far; empty before a head is first found.
-        current: index of the one who is tracked.
-        strange: how often since then a face was found that looks like none of the people.
-        candidates: frames with a face that is to be found in more of them, in the order of time.
-        reference: templates of the first of these.
-        checked_ns: when a poor fit was last compared with a detection.
+        people: learned so far; empty before the first detection.
+        current: index of the tracked person.
+        strange: number of detections unlike all people since the last recognised frame.
+        candidates: frames with a face to initialise from, in order of time.
+        reference: templates of the first candidate.
+        checked_ns: stamp of the last comparison of a poor fit with a detection.
         scene: thumbnail of the last frame; None before the first.
         cut: whether the scene changed since a head was last tracked.
-        elsewhere: whether a face that looks like nobody was then found at another place, or of another size.
-        changes: (frame, and index of the person) of every change to another person.
-        trust: the score of the last tracked frame, 0 to 1.
-        scale: that images are looked at at, 1 for as recorded; None before a face is first found.
-        stated: what the result says of the last frame that was tracked, where that is not the track.
+        elsewhere: whether an unknown face was found at another place or of another size after the cut.
+        changes: (frame, index of the person) of each change of the person.
+        trust: score of the last tracked frame, 0 to 1.
+        scale: of the processed images, 1 is unscaled; None before the first detection.
+        stated: reported pose of the last tracked frame, if it differs from the track.
     """
 
     people: tuple[KnownPerson, ...] = ()
@@ -307,7 +306,7 @@ class MonoState(HeadState):
     changes: tuple[tuple[int, int], ...] = ()
     trust: Annotated[float, floats(least=0.0, most=1.0)] = 0.0
     scale: Annotated[float, floats(least=_LEAST_SCALE, most=LARGEST_SCALE)] | None = None
-    stated: Stated | None = None
+    stated: ReportedPose | None = None
 
     @property
     def is_found(self) -> bool:
@@ -316,34 +315,34 @@ class MonoState(HeadState):
 
     @property
     def is_continuous(self) -> bool:
-        """Whether the head may still be about where it was last tracked."""
+        """Whether the head may still be near its last tracked pose."""
         return not self.cut
 
     @property
     def person(self) -> KnownPerson:
-        """The person who is tracked."""
+        """The tracked person."""
         return self.people[self.current]
 
     @property
     def first_templates(self) -> TemplateSet:
         """Templates of the first candidate."""
         if self.reference is None:
-            raise RuntimeError("no face was detected yet")  # a state that the tracker never asks so
+            raise RuntimeError("no face was detected yet")
         return self.reference
 
     def update_person(self, person: KnownPerson) -> MonoState:
-        """Return the state in which more is known of the person tracked."""
+        """Return the state with the tracked person updated."""
         people = (*self.people[: self.current], person, *self.people[self.current + 1 :])
         return replace(self, people=people)
 
     def switch_person(self, index: int, frame_index: int) -> MonoState:
-        """Return the state that tracks another of the people, or still the same."""
+        """Return the state with another person tracked."""
         if index == self.current:
             return self
         return replace(self, current=index, changes=(*self.changes, (frame_index, index)))
 
     def with_new_person(self, person: KnownPerson, track: TrackState, frame_index: int) -> MonoState:
-        """Return the state that tracks a head that was just found."""
+        """Return the state with a newly initialised person tracked."""
         index = len(self.people)
         return replace(
             self.clear_candidates(),
@@ -359,31 +358,31 @@ class MonoState(HeadState):
         )
 
     def at_scale(self, scale: float) -> MonoState:
-        """Return the state that looks at images of another scale; a search that was begun begins anew."""
+        """Return the state for another image scale; collected candidates are discarded."""
         if self.scale is None or scale == self.scale:
             return self
-        people = tuple(one.seen_larger(scale / self.scale) for one in self.people)
+        people = tuple(one.rescaled(scale / self.scale) for one in self.people)
         return replace(self.clear_candidates(), people=people, scale=scale)
 
     def with_candidate(self, face: DetectedFace, templates: TemplateSet) -> MonoState:
-        """Return the state with another frame with a face."""
+        """Return the state with another candidate frame."""
         reference = templates if self.reference is None else self.reference
         return replace(self, candidates=(*self.candidates, face), reference=reference)
 
     def drop_before(self, stamp_ns: int) -> MonoState:
-        """Return the state without candidates if the first is older: then they are collected anew."""
+        """Discard all candidates if the first is older than a time stamp."""
         outdated = self.candidates and self.candidates[0].stamp_ns < stamp_ns
         return self.clear_candidates() if outdated else self
 
     def clear_candidates(self) -> MonoState:
-        """Return the state without the frames collected: they begin no head."""
+        """Return the state without candidate frames."""
         return replace(self, candidates=(), reference=None)
 
 
 def thumbnail(image: ImageArray) -> FloatArray:
-    """Return a small version (SCENE_HEIGHT * SCENE_WIDTH,) of an image, zero mean and unit norm.
+    """Return a thumbnail (SCENE_HEIGHT * SCENE_WIDTH,) of an image, zero mean and unit norm.
 
-    An even image gives zeros.
+    A uniform image gives zeros.
     """
     small = (
         cv2.resize(image, (SCENE_WIDTH, SCENE_HEIGHT), interpolation=cv2.INTER_AREA)
@@ -397,12 +396,12 @@ def thumbnail(image: ImageArray) -> FloatArray:
 
 
 def is_cut(before: FloatArray, after: FloatArray) -> bool:
-    """Whether two thumbnails are of different scenes."""
+    """Whether two thumbnails show different scenes."""
     return float(before @ after) < SAME_SCENE
 
 
 def mono_codec(people: Codec[tuple[KnownPerson, ...]]) -> Codec[MonoState]:
-    """Return how the states of a tracker are kept, given how its people are."""
+    """Return the codec of the tracker's state, given that of its people."""
     candidate: Codec[DetectedFace] = Fields(
         _detected_face,
         stamps=("stamp_ns", stamp()),
@@ -431,20 +430,20 @@ def mono_codec(people: Codec[tuple[KnownPerson, ...]]) -> Codec[MonoState]:
 
 
 def _state(**parts: Any) -> MonoState:
-    """Only people who are known are tracked, at a scale, and candidates have their templates."""
+    """Build a state; a track requires a known person and a scale, and candidates their templates."""
     state = MonoState(**parts)
     if state.current > max(len(state.people) - 1, 0) or (state.track is not None and not state.people):
-        raise LayoutError(f"'current' as {state.current}, of {len(state.people)} people")
+        raise LayoutError(f"'current' is {state.current}, with {len(state.people)} people")
     if state.candidates and state.reference is None:
-        raise LayoutError("no array 'reference.windows'")
+        raise LayoutError("array 'reference.windows' is missing")
     if (state.candidates or state.people) and state.scale is None:
-        raise LayoutError("no array 'scale'")
+        raise LayoutError("array 'scale' is missing")
     return state
 
 
 def _thumbnail_or_none(array: FloatArray) -> FloatArray | None:
     if array.size not in (0, SCENE_WIDTH * SCENE_HEIGHT):
-        raise LayoutError(f"'scene' of {array.size} pixels, not {SCENE_WIDTH * SCENE_HEIGHT}")
+        raise LayoutError(f"'scene' has {array.size} pixels, expected {SCENE_WIDTH * SCENE_HEIGHT}")
     return array if array.size else None
 
 

@@ -1,4 +1,4 @@
-"""One frame of a head's track: pose, points, confidence."""
+"""Tracking of one frame: pose, deformation, points and confidence."""
 
 from __future__ import annotations
 
@@ -41,106 +41,94 @@ from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.columns import Stamp, floats
 from posetrack_cli.tracking.confidence import PROBABLY, Regression, RunningSigns, signs_codec
 
-# How probable it is that a head's estimate is right **[ours]**.
+# Confidence: the probability that a head's estimate is correct **[ours]**.
 #
-# Confidence is the probability that the head's rotation is right to ``RIGHT_DEG`` and its points, on average,
-# to ``RIGHT_MM`` in the head (``head.subject``). Where the head's frame sits and which places its points mark
-# are conventions: the errors meant are those beside their constant offsets. It is a logistic regression on
-# running means (``tracking.confidence``) of
+# Correct means a rotation error below ``RIGHT_DEG`` and a mean point error in the head below ``RIGHT_MM``
+# (``head.subject``), after removal of constant offsets: the placement of the head's frame and of its points
+# is a convention. It is a logistic regression on running means (``tracking.confidence``) of
 #
-#     misfit          log (r + .4)    r the root mean square distance of the points from where the face's
-#                                     model has them, % of the eyes' distance
-#     smallness       log (80 / e)    e the eyes' distance, pixels, of a face that looks at the camera
-#     unsteadiness    log (u + .2)    u how many degrees off the head is from where its velocity led
-#     unseen          1 - W           W how much the points counted on average, 0 (hidden or unlike) to 1
-#     unmatched       1 - M           M how much of the skin looked for was found again; in the second pass of
-#                                     one camera, else 0 with a weight of 0
+#     misfit          log (r + .4)    r: RMS distance of the points from the face model, % of the eye distance
+#     smallness       log (80 / e)    e: eye distance of a face that looks at the camera, pixels
+#     unsteadiness    log (u + .2)    u: rotation error of the constant-velocity prediction, degrees
+#     unseen          1 - W           W: mean weight of the points, 0 (hidden or unlike) to 1
+#     unmatched       1 - M           M: share of the skin points found again; second pass of one camera only,
+#                                     otherwise 0 with a weight of 0
 #
-# The weights were fitted (``scripts/build confidence``) to twelve rendered heads (person-a to person-l of the
-# study) and five drawn ones, as they are, which count four times, and the rendered ones also at .3 of their
-# size and with their eyes 44, 31 and 22 pixels apart, blurred and three times as fast, with something passing
-# before the face, and dark and noisy, for as they are few frames are wrong: none with one camera that knows
-# the skin, 2 % without and with two. One camera was told nothing that was learned from the person tracked
-# (but a and b), and went over all of them in two passes, with the skin and without. With it four videos of
-# real faces count a quarter as much as all of these, three of them also at every second and fourth frame:
-# rendered heads alone make one doubt real ones, of which right frames fit worse. Their reference are the
-# points of another detector and the pose that they tell; that errs by 1.4 to 4 degrees, so frames that differ
-# by 6 to 9 do not count. Each person left out in turn, the area under the ROC curve of one camera with skin
-# is .88 in all (.83 without the fifth sign; calibration error .004) and .96 (.04) of the real ones alone,
-# without skin .78 (.02) in all and .86 (.04) as they are. With two cameras they are .81 (.02) in all and .84
-# (.01).
-
+# ``scripts/build confidence`` fits the weights to rendered and drawn heads, also at reduced size, blurred,
+# fast, occluded, dark and noisy, because few regular frames fail. With skin, real videos are included:
+# rendered heads alone give real faces too little confidence.
 
 MONO = Regression(4.43, np.array([-0.75, -0.59, -0.17, -9.04, 0.0]))
 MONO_WITH_SKIN = Regression(7.64, np.array([0.0, -0.12, -0.03, -5.27, -7.24]))
 STEREO = Regression(3.70, np.array([-1.22, -1.00, -1.54, -7.07, 0.0]))
 _USUAL_PX, _STEADY_DEG, _EXACT = 80.0, 0.2, 0.4
 _LONGEST_S = 0.2
-"""A gap counts for no longer, as velocities do not last."""
+"""Time step limit, s: velocities do not last longer."""
 
 
 NO_SIGNS: FloatArray = np.full(len(SIGNS), np.nan)
 NO_SIGNS.setflags(write=False)
 DOUBTFUL_SHARE, LONG_S = 0.1, 1.0
-"""More doubtful frames than this, and a head that was gone for longer, are told at a run's end."""
+"""Thresholds of the warnings at the end of a run: share of doubtful frames, and length of a gap."""
 
 
-def doubts(record: TrackRecord) -> tuple[str, ...]:
-    """Return what to know of a track at its end, in one line with what may help; () of a good one."""
+def track_warnings(record: TrackRecord) -> tuple[str, ...]:
+    """Return a warning about an unreliable track, in one line with advice; () for a good one."""
     found = []
     if record.doubtful > DOUBTFUL_SHARE * record.frames:
-        found.append(
-            f"{record.doubtful} of {record.frames} frames are more probably wrong than right (confidence"
-            f" below {PROBABLY:g})"
-        )
+        found.append(f"{record.doubtful} of {record.frames} frames have low confidence (below {PROBABLY:g})")
     if record.gap_ns > LONG_S * 1e9:
         found.append(f"no face for {record.gap_ns * 1e-9:.1f} s after frame {record.gap_frame}")
     if not found:
         return ()
-    help_ = "posetrack view shows them; larger, sharper images of the whole face help, and so do --landmarks"
+    help_ = (
+        "inspect them with posetrack view; larger, sharper images of the whole face or --landmarks may help"
+    )
     return (f"{'; '.join(found)}: {help_}",)
 
 
-def signs_of(before: TrackState | None, fit: FrameFit, stated: FrameFit, camera: Camera) -> FloatArray:
-    """Return the signs (5,) of a frame in which a head was followed.
+def confidence_signs(
+    before: TrackState | None, fit: FrameFit, reported: FrameFit, camera: Camera
+) -> FloatArray:
+    """Return the inputs (5,) of the confidence model for a tracked frame.
 
     Args:
-        before: the head after the frame before; None without.
-        fit: of the frame, by its feature points.
-        stated: of the frame, where the skin may tell, too.
+        before: the track after the previous frame; None without one.
+        fit: of the frame, from its feature points.
+        reported: of the frame, possibly refined by skin.
         camera: of the recorded image, the reference.
     """
     track = fit.track
-    beside = track.shape - track.particles.model.shapes(fit.coefficients)
+    off_model = track.shape - track.particles.model.shapes(fit.coefficients)
     seen = (fit.weights > 0.0) & np.isfinite(fit.pixels).all(axis=2).any(axis=0)
-    rms = float(np.sqrt(np.mean(np.sum(beside[seen] ** 2, axis=1)))) if seen.any() else EYE_DISTANCE_MM
+    rms = float(np.sqrt(np.mean(np.sum(off_model[seen] ** 2, axis=1)))) if seen.any() else EYE_DISTANCE_MM
     return np.array(
         [
             np.log(100.0 * rms / EYE_DISTANCE_MM + _EXACT),
             np.log(_USUAL_PX / eye_distance_px(track.pose, camera)),
-            np.log(_off_deg(before, fit) + _STEADY_DEG),
+            np.log(_turn_error_deg(before, fit) + _STEADY_DEG),
             1.0 - float(fit.weights.mean()),
-            0.0 if stated.unmatched is None else stated.unmatched,
+            0.0 if reported.unmatched is None else reported.unmatched,
         ]
     )
 
 
-def _off_deg(before: TrackState | None, fit: FrameFit) -> float:
-    """By how much the head turned otherwise than in the frame before."""
+def _turn_error_deg(before: TrackState | None, fit: FrameFit) -> float:
+    """Rotation error of the constant-velocity prediction."""
     velocity = np.zeros(3) if before is None else before.velocity[3:]
     turned = np.linalg.norm(fit.track.velocity[3:] - velocity) * min(fit.dt, _LONGEST_S)
     return float(np.degrees(turned))
 
 
-# A found head followed from frame to frame: filter, refinement, the points' own places
+# Frame-to-frame tracking: particle filter, refinement, individual points
 
 
 @dataclass(frozen=True, eq=False)
 class SeededFrame:
-    """A frame, with the randomness that its step draws from.
+    """A frame and the random generator for its step.
 
     Attributes:
-        frame: as it is tracked in.
+        frame: in the scale of the tracker.
         rng: source of randomness.
     """
 
@@ -149,26 +137,26 @@ class SeededFrame:
 
     @property
     def index(self) -> int:
-        """Its number in the recording."""
+        """Frame number in the recording."""
         return self.frame.index
 
     @property
     def stamp_ns(self) -> int:
-        """When it was taken."""
+        """Time stamp of the frame."""
         return self.frame.stamp_ns
 
 
 @dataclass(frozen=True, eq=False)
 class TrackState:
-    """A head that is being followed, after a frame.
+    """State of a tracked head after a frame.
 
     Attributes:
         stamp_ns: of the frame.
         pose: of the head.
         velocity: tangent vector per second.
-        particles: about that pose.
-        shape: M', the points' own places in the head's frame, mm.
-        templates: of this frame; None if the head was put here and not seen here.
+        particles: relative to that pose.
+        shape: M', the refined points in the head's frame, mm.
+        templates: of this frame; None if the head was placed without being observed.
     """
 
     stamp_ns: Stamp
@@ -179,28 +167,29 @@ class TrackState:
     templates: TemplateSet | None
 
     def at_rest(self) -> TrackState:
-        """Return the head without its velocity, which does not tell where it is next."""
+        """Return the track with zero velocity."""
         return replace(self, velocity=np.zeros_like(self.velocity))
 
 
 @dataclass(frozen=True, eq=False)
 class FrameFit:
-    """What one frame says about a head.
+    """Result of tracking one frame.
 
     Attributes:
-        track: to go on with.
+        track: state from which tracking continues.
         coefficients: (B,) deformation, mm.
-        coefficient_rate: (B,) its change since the frame before, mm/s.
+        coefficient_rate: (B,) its change since the previous frame, mm/s.
         variance: (6 + B,) of pose (tangent vector) and coefficients.
-        dt: s since the frame before.
-        correlations: (K,) of each point at its own place, the best camera's; NaN where no camera sees it.
+        dt: s since the previous frame.
+        correlations: (K,) of each refined point, in the best camera; NaN where no camera sees it.
         weights: (K,) visibility of each point times its correlation, 0 to 1.
-        score: mean correlation of the points, weighted by their visibility; 0 if none is visible.
-        pixels: (C, K, 2) where the points are on the images.
+        score: visibility-weighted mean correlation of the points; 0 if none is visible.
+        pixels: (C, K, 2) of the points in the images.
         effective_sample_size: of the particles.
-        is_anchored: whether the points were found anew, not compared with what they looked like before.
-        unmatched: share of the skin looked for that was not found; None where none was looked for.
-        skin_share: how far the pose is the skin's, 0 to 1.
+        is_anchored: the points were detected or compared with the previous frame only, not with stored
+            templates.
+        unmatched: share of the skin points that were not found; None without a skin map.
+        skin_share: share of the skin in the pose, 0 to 1.
     """
 
     track: TrackState
@@ -222,14 +211,14 @@ LONG_AGO_NS = -(2**62)
 
 
 class TrackRecord(NamedTuple):
-    """How a track went since its head was first found.
+    """Statistics of a track since the head was first found.
 
     Attributes:
-        frames: in which it was tracked, or should have been.
-        doubtful: of these those that are more probably wrong than right; all others were tracked, or lost.
-        gap_ns: the longest time without a head, up to the last frame.
-        gap_frame: with which that began, the last one with a head.
-        last_frame: with a head.
+        frames: number of frames, tracked or lost.
+        doubtful: tracked frames with a confidence below one half.
+        gap_ns: longest time without a head, up to the last frame.
+        gap_frame: last frame with a head before that gap.
+        last_frame: last frame with a head.
     """
 
     frames: int = 0
@@ -239,12 +228,12 @@ class TrackRecord(NamedTuple):
     last_frame: int = 0
 
     def tracked(self, frame_index: int, *, doubtful: bool) -> TrackRecord:
-        """Return the record after a frame with a head."""
+        """Return the record after a tracked frame."""
         counted = self._replace(frames=self.frames + 1, doubtful=self.doubtful + int(doubtful))
         return counted._replace(last_frame=frame_index)
 
     def missed(self, gone_ns: int) -> TrackRecord:
-        """Return the record after a frame without a head, so long after the last with one."""
+        """Return the record after a lost frame, ``gone_ns`` after the last tracked one."""
         counted = self._replace(frames=self.frames + 1)
         if gone_ns <= self.gap_ns:
             return counted
@@ -252,20 +241,20 @@ class TrackRecord(NamedTuple):
 
 
 NO_EVIDENCE, NO_RECORD = RunningSigns.before(len(SIGNS)), TrackRecord()
-"""Before any frame."""
+"""Values before any frame."""
 
 
 @dataclass(frozen=True, eq=False)
 class HeadState:
-    """What a head tracker knows after a frame; what it knows of the face is added by subclasses.
+    """State of a head tracker after a frame; subclasses add the learned face.
 
     Attributes:
-        track: the head when it was last tracked; None before.
-        lost: frames in a row, up to the last one, in which it was not.
-        search: what looking for a head came to before one was first found.
-        first_ns: stamp of the first frame, the one that points were clicked in.
-        evidence: of whether the track is right (``head.tracker.frame_tracker``).
-        record: how the track went.
+        track: at the last tracked frame; None before the first.
+        lost: number of consecutive lost frames up to the last one.
+        search: statistics of the search before the first detection.
+        first_ns: stamp of the first frame, to which clicked points refer.
+        evidence: running confidence signs.
+        record: statistics of the track.
     """
 
     track: TrackState | None = None
@@ -281,20 +270,20 @@ class HeadState:
         return self.track is not None
 
     def last_seen_ns(self, frame: SeededFrame) -> int:
-        """Return when the head was last tracked; if it was not, as long ago as between two frames."""
+        """Return the stamp of the last tracked frame; a frame interval ago before the first."""
         return frame.stamp_ns - round(FRAME_S * 1e9) if self.track is None else self.track.stamp_ns
 
     @property
     def is_continuous(self) -> bool:
-        """Whether the head may still be about where it was last tracked."""
+        """Whether the head may still be near its last tracked pose."""
         return True
 
 
 class FrameTracker:
-    """One step of the method of chapters 3 and 4, for a head that was found.
+    """One tracking step of chapters 3 and 4: filter, refinement and point recalculation.
 
     Args:
-        config: of the filter, and of the refinement that follows it.
+        config: of filter and refinement.
         cameras: of the recording, one or more.
     """
 
@@ -305,7 +294,7 @@ class FrameTracker:
         self._gate = adjustment if adjustment is not None and adjustment.gates_points else None
 
     def images(self, frame: SeededFrame) -> RigImages:
-        """Return a frame's images with the cameras that took them."""
+        """Return a frame's images with their cameras."""
         return RigImages(self._cameras, frame.frame.images)
 
     def start(
@@ -316,7 +305,7 @@ class FrameTracker:
         model: ShapeModel,
         seen: TemplateSet | None = None,
     ) -> TrackState:
-        """Return a head at rest, its points at ``shape`` (K, 3), mm: ``seen`` there, or put there."""
+        """Return a track at rest with points at ``shape`` (K, 3), mm, and their templates if observed."""
         particles = self._filter.start(pose, model, frame.rng)
         return TrackState(frame.stamp_ns, pose, np.zeros(POSE_SIZE), particles, shape, seen)
 
@@ -327,11 +316,11 @@ class FrameTracker:
         templates: Sequence[TemplateSet],
         model: ShapeModel,
     ) -> FrameFit:
-        """Advance by one frame.
+        """Track one frame.
 
         Args:
-            before: the head after the frame before.
-            frame: one grey image a camera; None where a camera gave none.
+            before: state after the previous frame.
+            frame: one grey image per camera; None for a missing image.
             templates: reference first.
             model: of the face.
         """
@@ -346,6 +335,7 @@ class FrameTracker:
         places = model.shapes(refined.coefficients)
         correlations, score = agreement(refined.correlations, refined.visibility)
         settings, start = self._settings, before.shape
+        # without iterations the points stay at the model's places, and only their correlations are computed
         if not self._recalculates(refined.pose, score):
             settings, start = settings.model_copy(update={"recalculation_iterations": 0}), places
         own = recalculate(refined.scene, refined.pose, places, start, settings)
@@ -372,7 +362,7 @@ class FrameTracker:
         )
 
     def _recalculates(self, pose: HeadPose, score: float) -> bool:
-        """Whether points are looked for off their model; as printed, in clear frames alone (4.4.3)."""
+        """Whether points may leave the model; as printed, only in frames that pass the gate (4.4.3)."""
         gate = self._gate
         return gate is None or (off_axis_deg(pose) < gate.facing_deg and score > gate.score)
 
@@ -380,7 +370,7 @@ class FrameTracker:
 def _expected(
     images: RigImages, templates: Sequence[TemplateSet], pose: HeadPose, particles: HeadParticles
 ) -> PatchObservation:
-    """What the points should look like at a predicted pose, and how far they are visible."""
+    """Predict templates and visibilities of the points at a pose."""
     shape = particles.model.shapes(particles.coefficients)
     projection = project(images.cameras, pose.points(shape))
     patches, known = warped(nearest_templates(templates, pose.facing)[-1], tangents(projection, pose))
@@ -388,15 +378,15 @@ def _expected(
 
 
 def initial_fit(track: TrackState, score: float, pixels: FloatArray) -> FrameFit:
-    """Return what the frame says in which a head was first found.
+    """Return the fit of the frame in which a head was first found.
 
     Args:
-        track: the head, at rest.
-        score: of the start.
-        pixels: (C, K, 2) where its points were found.
+        track: of the head, at rest.
+        score: of the initialisation.
+        pixels: (C, K, 2) of the detected points.
     """
     particles = track.particles
-    nothing = np.zeros(particles.model.size)  # of a face that is not known to deform yet
+    nothing = np.zeros(particles.model.size)  # the deformation is not observed yet
     return FrameFit(
         track,
         coefficients=nothing,
@@ -412,10 +402,10 @@ def initial_fit(track: TrackState, score: float, pixels: FloatArray) -> FrameFit
 
 
 def agreement(correlations: FloatArray, seen: FloatArray) -> tuple[FloatArray, float]:
-    """Return each point's best correlation (K,) over cameras, and their mean weighted by visibility.
+    """Return each point's best correlation (K,) over cameras and their visibility-weighted mean.
 
     Args:
-        correlations: (C, K); NaN where a camera has nothing to compare.
+        correlations: (C, K); NaN where a camera has no comparison.
         seen: (C, K) visibility, 0 to 1.
     """
     known = np.where(np.isnan(correlations) | (seen <= 0.0), -np.inf, correlations)

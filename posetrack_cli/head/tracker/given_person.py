@@ -1,12 +1,12 @@
-"""The person of another result, for a run with one camera: who it is, how large, and what it looks like.
+"""The person of an earlier result, as identity, size and templates for a run with one camera.
 
-A result of one camera says all of it. Two cameras or more measured the face: its mean shape F (K, 3), mm, in
-true size, is taken as it is. The identity is the likeliest of such a shape, for how the face deforms,
+A one-camera result contains all of them. Several cameras measured the face: its mean shape F (K, 3), mm, in
+true size, is kept. The identity, which determines the deformation, is the most likely one for that shape,
 
     u = argmin |(R F' + t - M(u)) / D|^2 + prior |u|^2,    F' = F + d
 
-with M(u) the model's mean deformation, d how far that is from the neutral face (``head.actions``) and D the
-deviations of offsets; R, t lie F' on the mean person. Offsets then make the shape F'. **[ours]**
+with M(u) the model's mean deformation, d its difference from the neutral face (``head.actions``) and D the
+standard deviations of offsets; R, t align F' with the mean person. Offsets then reproduce F'. **[ours]**
 """
 
 from __future__ import annotations
@@ -35,20 +35,19 @@ from posetrack_cli.results.reader import read_result
 from posetrack_cli.tracking.two_pass import Learned
 
 STEREO_SIZE_SD = 0.005
-"""Of the logarithm of what several cameras measure: boards and calibrations are right to some tenths of a per
-cent."""
+"""Of the logarithm of a size measured by several cameras: calibrations are accurate to a few per mille."""
 LEAST_PRIOR = 1e-6
-"""Without any the identity of a shape might be anything."""
+"""Keeps the identity of a shape determined when the prior is switched off."""
 STEREO = "head-stereo"
 
 
 @dataclass(frozen=True, eq=False)
 class GivenPerson:
-    """A person whom another run has learned.
+    """A person learned in an earlier run.
 
     Attributes:
-        learned: for a tracker to begin with, as one that knows this person alone exports it.
-        size: how large the person is; None where that run did not know.
+        learned: exported arrays of a tracker that knows only this person.
+        size: size of the person; None if unknown.
         is_measured: whether several cameras measured the person.
     """
 
@@ -58,21 +57,21 @@ class GivenPerson:
 
     @property
     def systematic_sd(self) -> FloatArray:
-        """(6,) what a track of the person is wrong by: the head's frame sits where that run laid it."""
+        """(6,) systematic error of a track, due to the earlier run's placement of the head's frame."""
         return (STEREO_TRACK if self.is_measured else MONO_TRACK).systematic_sd
 
 
 def read_person(path: Path, model: FaceModel, settings: AdjustmentSettings) -> GivenPerson:
-    """Read the first person of a result, whom the tracker then holds.
+    """Read the first person of a result, to be kept fixed.
 
     Args:
-        path: a result of ``posetrack head``, or what ``--save-model`` of one camera wrote.
-        model: of faces, the one that a result of one camera was made with.
+        path: a result of ``posetrack head``, or a file from ``--save-model`` with one camera.
+        model: face model; for a one-camera result it must be the one of that run.
         settings: of the adjustment.
 
     Raises:
-        UsageError: there is no such file, or it says nothing of a camera.
-        ResultError: it is no such file, damaged, or of another face model.
+        UsageError: the file does not exist, or does not contain a camera.
+        ResultError: not such a file, damaged, or made with another face model.
     """
     header, learned = read_model(path)
     people = people_codec(model, settings)
@@ -80,7 +79,7 @@ def read_person(path: Path, model: FaceModel, settings: AdjustmentSettings) -> G
         if header["tracker"] == STEREO:
             cameras = len(header["cameras"])
             state = StereoCodecs(cameras, ModelSettings()).from_model(learned)
-            person, focal = _measured(state, model, settings), np.array(_focal_px(path))
+            person, focal = _person_from_stereo(state, model, settings), np.array(_focal_px(path))
         else:
             (person, *_), focal = known_people(learned, people), _focal_of(learned)
     except ResultError as error:
@@ -92,31 +91,31 @@ def read_person(path: Path, model: FaceModel, settings: AdjustmentSettings) -> G
 
 def _focal_of(learned: Arrays) -> FloatArray:
     if FOCAL_PX not in learned:
-        raise ResultError("model is incomplete or damaged", found=f"no array '{FOCAL_PX}'")
+        raise ResultError("model is incomplete or damaged", found=f"array '{FOCAL_PX}' is missing")
     return learned[FOCAL_PX]
 
 
 def _focal_px(path: Path) -> float:
-    """The focal length with which several cameras' reference saw the face."""
+    """Return the focal length of the reference camera of a stereo result."""
     if is_mcap(path):
         return read_result(path).camera().fx
     raise UsageError(
-        "a model of several cameras does not say what their images were like",
+        "a model file of several cameras does not contain their intrinsics",
         where=path,
         expected="the result of that run",
     )
 
 
-def _measured(state: StereoState, model: FaceModel, settings: AdjustmentSettings) -> KnownPerson:
-    """The face that several cameras measured, with what it looked like to the reference."""
-    person, size = person_like(state.known_face.model.mean, model, settings), Size(1.0, STEREO_SIZE_SD)
+def _person_from_stereo(state: StereoState, model: FaceModel, settings: AdjustmentSettings) -> KnownPerson:
+    """Return the person measured by several cameras, with the reference camera's templates."""
+    person, size = person_from_shape(state.known_face.model.mean, model, settings), Size(1.0, STEREO_SIZE_SD)
     history = IdentityHistory.starting_with(person.identity, settings.average)
-    seen = tuple(_of_reference(one) for one in state.templates)
+    seen = tuple(_reference_camera_only(one) for one in state.templates)
     return KnownPerson(person, history, (), Album(), person_shape(model, person, size), seen, size=size)
 
 
-def person_like(shape: FloatArray, model: FaceModel, settings: AdjustmentSettings) -> PersonParameters:
-    """Return the person whose neutral face is a shape (K, 3), mm."""
+def person_from_shape(shape: FloatArray, model: FaceModel, settings: AdjustmentSettings) -> PersonParameters:
+    """Fit the person whose neutral face is a shape (K, 3), mm."""
     deformed, usual = shape + MEAN_DISPLACEMENTS, model.of_person(model.identity_mean).mean
     R, t = rigid_alignment(deformed, usual, 1.0 / np.square(OFFSET_SD_MM).mean(axis=1))
     basis = np.einsum("kisa,a->kis", model.core, model.deformation_mean) * model.identity_deviations
@@ -128,7 +127,7 @@ def person_like(shape: FloatArray, model: FaceModel, settings: AdjustmentSetting
     return PersonParameters(identity, deformed - model.of_person(identity).mean)
 
 
-def _of_reference(templates: TemplateSet) -> TemplateSet:
-    """What one camera of several saw."""
+def _reference_camera_only(templates: TemplateSet) -> TemplateSet:
+    """Return the templates of the first camera."""
     each = ("windows", "centres", "tangents", "seen")
     return replace(templates, **{name: getattr(templates, name)[:1] for name in each})

@@ -1,4 +1,9 @@
-"""What stereo and mono trackers share, and the estimates they state."""
+"""The head tracker: finds a head, follows it from frame to frame and learns its face.
+
+The same steps serve several calibrated cameras (thesis, chapter 3) and one (chapter 4). The differences, how
+a face is detected, recognised and learned, are behind the protocol ``Faces``, implemented by ``StereoFace``
+and ``MonoPeople``.
+"""
 
 from __future__ import annotations
 
@@ -20,8 +25,8 @@ from posetrack_cli.head.tracker.frame_tracker import (
     HeadState,
     SeededFrame,
     TrackState,
-    doubts,
-    signs_of,
+    confidence_signs,
+    track_warnings,
 )
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate, Status
@@ -29,25 +34,22 @@ from posetrack_cli.tracking.confidence import PROBABLY, Regression
 from posetrack_cli.tracking.state_codec import Codec
 from posetrack_cli.tracking.two_pass import Learned, NothingFoundError
 
-# What a head tracker says about a frame, as results hold it
-
-
 UNSEEN = HeadPose(np.array([0.0, 0.0, 700.0]), np.array([1.0, 0.0, 0.0, 0.0]))
-"""Pose reported before the first detection: before the camera, looking at it; its status is lost."""
+"""Pose reported before the first detection, with status lost: in front of the camera and facing it."""
 UNKNOWN_SD = np.array([300.0] * 3 + [1.0] * 3)
-"""(6,) mm and rad, of a head whose place is not known."""
+"""(6,) mm and rad, standard deviations of a pose that was not observed."""
 
 
 @dataclass(frozen=True, eq=False)
-class Description:
-    """A face as the result of a frame states it.
+class FaceDescription:
+    """Deformation and diagnostics of a frame, as stored in results.
 
     Attributes:
-        coefficients: (B,) deformation; where a fit has fewer, the rest of its variances and rates is 0.
-        deviations: (B,) standard deviations of the coefficients while the face is not seen.
-        diagnostics: (M,) what ``head.subject`` names.
-        systematic: (6,) variances of what the whole track is wrong by, mm^2 in camera axes and rad^2 in the
-            head's, beside those of a frame; None where nothing is known.
+        coefficients: (B,) deformation; missing variances and rates of a fit with fewer coefficients are 0.
+        deviations: (B,) standard deviations of the coefficients while the face is not visible.
+        diagnostics: (M,) numbers named in ``head.subject``.
+        systematic: (6,) variances of the systematic error of the track, mm^2 in camera axes and rad^2 in head
+            axes, added to those of the frame; None if unknown.
     """
 
     coefficients: FloatArray
@@ -61,12 +63,12 @@ def tracked_estimate(
     fit: FrameFit,
     status: Status,
     confidence: float,
-    face: Description,
+    face: FaceDescription,
     signs: FloatArray,
 ) -> Estimate:
-    """Return the estimate of a frame in which the head was followed, and what its confidence rests on.
+    """Return the estimate of a tracked frame, including its confidence signs.
 
-    Velocities are differences of two frames' estimates, whose errors are taken for independent.
+    Velocity variances are those of a difference of two frames with independent errors.
     """
     count, now = len(face.coefficients), fit.track
     rotation = now.pose.rotation
@@ -95,8 +97,8 @@ def tracked_estimate(
     )
 
 
-def lost_estimate(frame: Frame, track: TrackState | None, face: Description) -> Estimate:
-    """Return the estimate of a frame in which the head was not found: where it was last, status lost."""
+def lost_estimate(frame: Frame, track: TrackState | None, face: FaceDescription) -> Estimate:
+    """Return the estimate of a lost frame: the last known pose, with status lost."""
     pose = UNSEEN if track is None else track.pose
     shape = MEAN_SHAPE if track is None else track.shape
     count = len(face.coefficients)
@@ -122,24 +124,17 @@ def lost_estimate(frame: Frame, track: TrackState | None, face: Description) -> 
 
 
 def padded(values: FloatArray, count: int) -> FloatArray:
-    """Return the first ``count`` values; zeros where there are fewer."""
+    """Return the first ``count`` values, padded with zeros."""
     filled = np.zeros(count)
     filled[: len(values)] = values[:count]
     return filled
 
 
 def in_body_axes(variance: FloatArray, rotation: FloatArray) -> FloatArray:
-    """Variances (6 + B,) whose rotation part is about the head's axes instead of the camera's."""
+    """Convert the rotation part of variances (6 + B,) from camera axes to head axes."""
     turned = variance.copy()
     turned[3:6] = np.square(rotation.T) @ variance[3:6]
     return turned
-
-
-# The head tracker: it finds a head, follows it from frame to frame, and learns its face.
-#
-# The same steps serve several calibrated cameras (thesis, chapter 3) and one (chapter 4). What differs
-# between the two, how a face is found, recognised and learned, is asked of ``Faces``: a ``StereoFace`` or
-# ``MonoPeople``.
 
 
 State = TypeVar("State", bound=HeadState)
@@ -147,74 +142,74 @@ Found = TypeVar("Found")
 
 
 class Faces(Protocol[State, Found]):
-    """What differs between one camera and several: how a face is found, recognised, learned and described."""
+    """Camera-specific part of the tracker: detect, recognise, learn and describe faces."""
 
     @property
     def codec(self) -> Codec[State]:
-        """How states become arrays, for a checkpoint, and back."""
+        """Conversion of states to arrays, for checkpoints, and back."""
 
     @property
     def status(self) -> HeadStatusSettings:
-        """When a head counts as tracked."""
+        """Thresholds for a tracked head."""
 
     @property
     def cameras(self) -> Sequence[Camera]:
-        """The recording's."""
+        """Cameras of the recording."""
 
     def start(self) -> State:
-        """Return the state before a first frame: nothing is known, or what another tracker has learned."""
+        """Return the state before the first frame, empty or with a previously learned face."""
 
-    def look(self, state: State, frame: Frame) -> tuple[State, Frame]:
-        """Return the frame as it is tracked in, and the state that knows what the whole image tells."""
+    def prepare(self, state: State, frame: Frame) -> tuple[State, Frame]:
+        """Return the frame in the scale of the tracker, and the state updated from the whole image."""
 
     def is_known(self, state: State) -> bool:
-        """Whether a face is known, so that one that is found can be recognised."""
+        """Whether a face has been learned, so that a detected one can be recognised."""
 
     def detect(self, state: State, frame: SeededFrame) -> Found | InitFailure:
-        """Look for a face in a frame."""
+        """Detect a face in a frame."""
 
     def begin(self, state: State, frame: SeededFrame) -> tuple[State, FrameFit | InitFailure]:
-        """Look for a face that is not known, and begin to know it where there is one."""
+        """Detect an unknown face and start to learn it."""
 
     def fit(self, state: State, track: TrackState, frame: SeededFrame) -> tuple[State, FrameFit]:
-        """Follow the head that was tracked before into a frame."""
+        """Track the head from its last state into a frame."""
 
     def recognise(self, state: State, found: Found, frame: SeededFrame) -> Iterator[tuple[State, FrameFit]]:
-        """Follow a face that was found as each of the known ones, the likeliest first; it is at rest."""
+        """Fit each known face, the most likely first, to a detected one; the fits have no velocity."""
 
     def least_score(self, state: State) -> float:
-        """Return the score from which on a face counts as the known one."""
+        """Return the minimum score for a known face."""
 
     def not_recognised(self, state: State, found: Found) -> tuple[State, bool]:
-        """Note a face that is none of the known ones; tell whether it is to be begun with."""
+        """Count an unrecognised face; return whether to start a new one."""
 
     def learn(self, state: State, frame: SeededFrame, fit: FrameFit) -> tuple[State, FrameFit]:
-        """Learn from a frame in which the head was tracked; return what the frame then says."""
+        """Learn from a tracked frame; return the fit with the updated face."""
 
-    def state_fit(self, state: State, frame: SeededFrame, fit: FrameFit) -> tuple[State, FrameFit]:
-        """Return what the result says of a frame, which may be better than what the track goes on from."""
+    def report_fit(self, state: State, frame: SeededFrame, fit: FrameFit) -> tuple[State, FrameFit]:
+        """Return the fit for the result, which may be better than the one to continue from."""
 
-    def regression(self, stated: FrameFit) -> Regression:
-        """Return how probable it is that a frame of which this is stated is right, by its signs."""
+    def regression(self, reported: FrameFit) -> Regression:
+        """Return the confidence model for a frame."""
 
-    def describe(self, state: State, fit: FrameFit | None) -> Description:
-        """Return the face as the result of a frame states it; without a fit, of one without a head."""
+    def describe(self, state: State, fit: FrameFit | None) -> FaceDescription:
+        """Return deformation and diagnostics of a frame; without a fit, those of a lost frame."""
 
     def export_model(self, state: State, *, for_second_pass: bool) -> Learned:
-        """Return what was learned of a known face, as arrays by name.
+        """Return the learned face as arrays by name.
 
-        For a second pass over the same images also what holds in them alone.
+        With ``for_second_pass``, include data that is valid only for the same images.
         """
 
     def remarks(self, state: State) -> tuple[str, ...]:
-        """Say what a user should know about a finished run beside its numbers; each is one line."""
+        """Return warnings about a finished run, one line each."""
 
 
 class HeadTracker(Generic[State, Found]):
-    """Follows one head.
+    """Tracker of one head.
 
     Args:
-        faces: of several cameras, or of one.
+        faces: camera-specific part, for several cameras or one.
     """
 
     def __init__(self, faces: Faces[State, Found]) -> None:
@@ -222,70 +217,67 @@ class HeadTracker(Generic[State, Found]):
 
     @property
     def codec(self) -> Codec[State]:
-        """How states become arrays, for a checkpoint, and back."""
+        """Conversion of states to arrays, for checkpoints, and back."""
         return self._faces.codec
 
     def start(self, frame: Frame, rng: np.random.Generator) -> State:
-        """Return the state before a first frame, in which the head has yet to be found."""
+        """Return the state before the first frame."""
         return replace(self._faces.start(), first_ns=frame.stamp_ns)
 
     def step(self, state: State, frame: Frame, rng: np.random.Generator) -> tuple[State, Estimate]:
-        """Advance by one frame; the state given is left as it is."""
-        state, seen = self._faces.look(state, frame)
-        now = SeededFrame(seen, rng)
-        if state.track is None:  # of a face known from elsewhere, or anybody's
+        """Advance by one frame; the given state is not modified."""
+        state, prepared = self._faces.prepare(state, frame)
+        now = SeededFrame(prepared, rng)
+        if state.track is None:  # the face may be known from a model file or the first pass
             return (
                 self._reacquire(state, now) if self._faces.is_known(state) else self._initialise(state, now)
             )
         state, fit = self._faces.fit(state, state.track, now)
         if self._accepts(state, fit):
-            return self._update(state, now, fit, found_anew=self._patience(state) < 0)
+            return self._update(state, now, fit, reinitialised=self._patience(state) < 0)
         if state.is_continuous and self._patience(state) > 0:
             return self._coast(state, now)
         return self._reacquire(state, now)
 
     def learned(self, state: State, *, for_second_pass: bool = False) -> Learned:
-        """Return what was learned of the face as arrays by name; empty before it is known."""
+        """Return the learned face as arrays by name; empty while no face is known."""
         known = self._faces.is_known(state)
         return self._faces.export_model(state, for_second_pass=for_second_pass) if known else {}
 
     def not_found(self, state: State) -> str:
-        """Say how a head was looked for that was found in no frame yet; empty once it was found."""
+        """Summarise an unsuccessful search; empty once a head was found."""
         return "" if state.is_found else str(state.search)
 
     def remarks(self, state: State) -> tuple[str, ...]:
-        """Say what a user should know about a finished run beside its numbers; each is one line."""
+        """Return warnings about a finished run, one line each."""
         if not self._faces.is_known(state):
             return ()
-        return (*self._faces.remarks(state), *doubts(state.record))
+        return (*self._faces.remarks(state), *track_warnings(state.record))
 
     def _accepts(self, state: State, fit: FrameFit) -> bool:
-        """Whether a frame shows the face that is known."""
         return fit.score >= self._faces.least_score(state)
 
     def _patience(self, state: State) -> int:
-        """In how many more frames the head may be missed before it is searched for; below 0 when it was."""
+        """Return how many more frames may be lost before a new detection; negative after one."""
         return self._faces.status.lost_after_frames - 1 - state.lost
 
     def _initialise(self, state: State, frame: SeededFrame) -> tuple[State, Estimate]:
-        """Look for a face that is not known."""
-        is_another = self._faces.is_known(state)
+        is_new_person = self._faces.is_known(state)
         state, fit = self._faces.begin(state, frame)
         if isinstance(fit, InitFailure):
             return self._coast(self._failed(state, fit), frame)
-        return self._tracked(state, None, frame, fit, fit, found_anew=is_another)
+        return self._tracked(state, None, frame, fit, fit, reinitialised=is_new_person)
 
     def _update(
-        self, state: State, frame: SeededFrame, fit: FrameFit, *, found_anew: bool
+        self, state: State, frame: SeededFrame, fit: FrameFit, *, reinitialised: bool
     ) -> tuple[State, Estimate]:
-        """Learn from a frame in which the head was tracked."""
         before = state.track
         state, fit = self._faces.learn(state, frame, fit)
-        state, stated = self._faces.state_fit(replace(state, track=fit.track, lost=0), frame, fit)
-        return self._tracked(state, before, frame, fit, stated, found_anew=found_anew)
+        state, reported = self._faces.report_fit(replace(state, track=fit.track, lost=0), frame, fit)
+        return self._tracked(state, before, frame, fit, reported, reinitialised=reinitialised)
 
     def _coast(self, state: State, frame: SeededFrame) -> tuple[State, Estimate]:
-        """Miss the head: nothing is learnt, and it is looked for where it was last."""
+        """Report a lost frame: nothing is learned, and the pose stays at rest."""
         track = None if state.track is None else state.track.at_rest()
         state = replace(state, track=track, lost=state.lost + 1)
         if track is not None:
@@ -293,32 +285,32 @@ class HeadTracker(Generic[State, Found]):
         return state, lost_estimate(frame.frame, track, self._faces.describe(state, None))
 
     def _reacquire(self, state: State, frame: SeededFrame) -> tuple[State, Estimate]:
-        """Look for a face that is known; it must then look as it did."""
+        """Detect a known face; it must resemble the learned one."""
         found = self._faces.detect(state, frame)
         if isinstance(found, InitFailure):
             return self._coast(self._failed(state, found), frame)
         for recognised, fit in self._faces.recognise(state, found, frame):
             if self._accepts(recognised, fit):
-                return self._update(recognised, frame, fit, found_anew=state.track is not None)
+                return self._update(recognised, frame, fit, reinitialised=state.track is not None)
         state, is_new = self._faces.not_recognised(state, found)
         return self._initialise(state, frame) if is_new else self._coast(state, frame)
 
     def _failed(self, state: State, failure: InitFailure) -> State:
-        """Count a search that failed before a head was found.
+        """Count a failed search before the first detection.
 
         Raises:
-            NothingFoundError: the images belong to other cameras than they are said to.
+            NothingFoundError: the images of the cameras are swapped.
         """
         if state.track is not None:
             return state
         search, names = state.search.failed(failure), [camera.name for camera in self._faces.cameras]
-        if search.images_exchanged:
+        if search.images_swapped:
             raise NothingFoundError(
-                "the cameras' images seem to be exchanged",
-                found=f"in {search.exchanged} frames with a face the images fit the calibration in the order "
+                "the cameras' images seem to be swapped",
+                found=f"{search.swapped} frames with a face fit the calibration in the order "
                 + ", ".join(names[c] for c in search.order),
                 expected=", ".join(names),
-                hint="exchange the folders or topics, or calibrate again",
+                hint="swap the folders or topics, or calibrate again",
             )
         return replace(state, search=search)
 
@@ -328,16 +320,16 @@ class HeadTracker(Generic[State, Found]):
         before: TrackState | None,
         frame: SeededFrame,
         fit: FrameFit,
-        stated: FrameFit,
+        reported: FrameFit,
         *,
-        found_anew: bool,
+        reinitialised: bool,
     ) -> tuple[State, Estimate]:
-        """Tell of a frame with the head; of what is more probably wrong than right, that it is lost."""
-        face = self._faces.describe(state, stated)
-        evidence = state.evidence.after(signs_of(before, fit, stated, self._faces.cameras[0]))
-        confidence = self._faces.regression(stated).probability(evidence.signs)
+        face = self._faces.describe(state, reported)
+        evidence = state.evidence.after(confidence_signs(before, fit, reported, self._faces.cameras[0]))
+        confidence = self._faces.regression(reported).probability(evidence.signs)
         record = state.record.tracked(frame.index, doubtful=confidence < PROBABLY)
-        status = Status.REINITIALISED if found_anew else Status.TRACKING
+        status = Status.REINITIALISED if reinitialised else Status.TRACKING
+        # a doubtful frame is reported as lost, but tracking continues from it
         status = Status.LOST if confidence < self._faces.status.doubtful_below else status
-        estimate = tracked_estimate(frame.frame, stated, status, confidence, face, evidence.signs)
+        estimate = tracked_estimate(frame.frame, reported, status, confidence, face, evidence.signs)
         return replace(state, evidence=evidence, record=record), estimate

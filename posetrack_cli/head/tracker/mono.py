@@ -1,4 +1,4 @@
-"""The people whom one camera sees, as the head tracker finds, recognises and learns them (chapter 4)."""
+"""One-camera part of the head tracker: detects, recognises and learns people (chapter 4)."""
 
 from __future__ import annotations
 
@@ -43,17 +43,17 @@ from posetrack_cli.head.subject import MONO_TRACK, MonoDiagnostics
 from posetrack_cli.head.tracker.codecs import (
     FOCAL_PX,
     MonoState,
-    Stated,
+    ReportedPose,
+    damaged_people,
     is_cut,
     known_people,
     mono_codec,
     people_codec,
     thumbnail,
-    unusable_people,
 )
 from posetrack_cli.head.tracker.face_learning import off_axis_deg, shift_of
 from posetrack_cli.head.tracker.frame_tracker import MONO, MONO_WITH_SKIN, FrameFit, SeededFrame, TrackState
-from posetrack_cli.head.tracker.head_tracker import Description, HeadTracker
+from posetrack_cli.head.tracker.head_tracker import FaceDescription, HeadTracker
 from posetrack_cli.head.tracker.person import (
     CORNERS_SD_MM,
     PRIOR_SD,
@@ -70,39 +70,39 @@ from posetrack_cli.tracking.confidence import Regression
 from posetrack_cli.tracking.state_codec import Codec
 from posetrack_cli.tracking.two_pass import Learned
 
-STRANGER_FRAMES = 45
-"""A face that looks like none of the known ones in so many frames is another person's **[ours]**."""
-STRANGER_FRAMES_AFTER_CUT = 6
-"""The same after a cut to a face elsewhere, or of another size: reason enough to expect another person."""
-OTHER_PLACE, OTHER_SIZE = 1.2, 1.35
-"""A face is elsewhere if it is so many eye distances away, and of another size if the ratio is so large. A
-quick head near the camera changes an image as a cut does, but stays where it was."""
-RECOGNISED = 0.85
-"""After a cut a face is surely a known person's if its score is so much of the usual one. Until it is, the
-person is followed, but nothing is learnt: a quick head near the camera changes an image as a cut does."""
-LEAST_LIKE = 0.2
-"""A face where the last one was, of its size and at least so much like it, is followed by what it looks like
-now: turned or blurred it looks like no template."""
-STRANGER_OFF_AXIS_DEG = 25.0
-"""Only a face that looks at the camera tells: from the side one's own looks strange, too."""
-WHOLE_FACE_LIKE = 0.4
-"""Mean correlation of a face's windows from which on it is the same face a moment later."""
-KEPT, THE_SAME = 0.98, 0.8
-"""What is left of a score after a frame that only looks like the one before, and the mean correlation from
-which on the two look the same: between sharp and blurred it is no more."""
-CLEARLY_BETTER = 0.03
+NEW_PERSON_FRAMES = 45
+"""Frames with a face unlike all known ones after which it becomes a new person **[ours]**."""
+NEW_PERSON_FRAMES_AFTER_CUT = 6
+"""The same after a scene cut to a face at another place or of another size."""
+JUMP_EYES, JUMP_RATIO = 1.2, 1.35
+"""Distance, in eye distances, and size ratio from which a face is elsewhere. A fast head near the camera
+changes the image like a cut but stays near its place."""
+RECOGNITION_SHARE = 0.85
+"""After a cut, share of the usual score that a known person must reach. Until then the face is tracked
+without learning."""
+LEAST_SIMILARITY = 0.2
+"""Minimum score for following a face at the last place and size without its templates, which do not match a
+turned or blurred face."""
+NEW_PERSON_OFF_AXIS_DEG = 25.0
+"""Only faces that look at the camera count as a new person: profiles differ from the templates anyway."""
+WHOLE_FACE_CORRELATION = 0.4
+"""Minimum mean correlation of a face's windows between two frames of the same face."""
+SCORE_DECAY, SAME_FACE_CORRELATION = 0.98, 0.8
+"""Factor on the score after each frame followed only from the previous one, and the mean correlation of equal
+faces; between a sharp and a blurred frame it is not higher."""
+SWITCH_MARGIN = 0.03
 """Minimum score gain for a new detection to replace the track."""
-SPAN_S = 2.0
-"""Frames that a face is found in lie no farther apart, so that a face seen now and then is not made one."""
+CANDIDATE_SPAN_S = 2.0
+"""Longest time span of the frames that initialise a face."""
 CHECK_EVERY_S = 0.5
-"""A face is detected again, where the fit is poor, no more often than this."""
-FORGOTTEN_S = 1.0
-"""A face that was gone for so long may come back elsewhere in the image."""
+"""Minimum time between detections in frames with a poor fit."""
+POSITION_TIMEOUT_S = 1.0
+"""After this time without the face, it may return anywhere in the image."""
 
 
 @dataclass(frozen=True, eq=False)
-class _Scaled:
-    """What looks at images of one scale; the adjuster's camera would take them."""
+class _ScalePipeline:
+    """Objects that depend on the camera of scaled images."""
 
     adjuster: Adjuster
     initialiser: MonoInitialiser
@@ -110,24 +110,24 @@ class _Scaled:
 
 
 class MonoPeople:
-    """The people in the images of one camera; a ``Faces``.
+    """People in the images of one camera; implements ``Faces``.
 
-    Images are scaled to where faces are as large as patches ask for; see ``face.points``. Until a face is
-    found they are looked at as they are, and so are those in which a small face is looked for.
+    Images are scaled to the face size for which patches are made; see ``face.points``. Until a face is found,
+    and for detecting small faces, images are used unscaled.
 
     Args:
-        config: parameters.
+        config: of the run.
         camera: of the recording.
-        model: of faces.
-        choice: which face to begin with, 0 the largest.
-        clicked: points of the first frame; without them the face is found there, too.
-        known: what another tracker has exported: people and templates to begin with.
-        landmarks: of the recorded images, from elsewhere.
-        systematic_sd: (6,) what a track of the person is wrong by.
+        model: face model.
+        choice: face to start with, 0 is the largest.
+        clicked: points in the first frame; without them the face is detected there as well.
+        known: exported people and templates to start from.
+        landmarks: of the recorded images, from another program.
+        systematic_sd: (6,) standard deviations of the systematic error of a track.
 
     Raises:
         UsageError: a face detector without its model.
-        ResultError: ``known`` is not what a one-camera tracker with this model exports.
+        ResultError: ``known`` was not exported by a one-camera tracker with this model.
     """
 
     def __init__(
@@ -144,25 +144,23 @@ class MonoPeople:
     ) -> None:
         self._config, self._recorded, self._model = config, camera, model
         self._systematic_sd = systematic_sd
-        self._landmarks, self._told = landmarks, told_distance(config.person)
+        self._landmarks = landmarks
+        self._pupil_distance = interpupillary_distance(config.person)
         self.cameras, self.status = (camera,), config.status
         self._detector, self._choice, self._clicked = FaceDetector(config.start.detection), choice, clicked
         self._scaling = Scaling(config.start.eye_distance_px, config.start.largest_scale, camera)
-        self._scaled: dict[float, _Scaled] = {}
+        self._pipelines: dict[float, _ScalePipeline] = {}
         self._people = people_codec(model, config.adjustment)
         self.codec: Codec[MonoState] = mono_codec(self._people)
         self._first = self._known_state(known) if known else MonoState(scale=self._clicked_scale())
 
     def start(self) -> MonoState:
-        """Return the state before a first frame."""
+        """Return the state before the first frame."""
         return self._first
 
-    def look(self, state: MonoState, frame: Frame) -> tuple[MonoState, Frame]:
-        """Return the frame, reduced for a large face, and the state that knows of a cut to another scene.
-
-        Of a head that came nearer or went away the state is at another scale.
-        """
-        state = self._at_fitting_scale(state)
+    def prepare(self, state: MonoState, frame: Frame) -> tuple[MonoState, Frame]:
+        """Return the frame, reduced for a large face, and the state with its scale and scene."""
+        state = self._rescaled(state)
         frame = reduced(frame, state.scale or WHOLE)
         (image,) = frame.images
         if image is None:
@@ -172,36 +170,37 @@ class MonoPeople:
         return replace(state, scene=scene, cut=cut), frame
 
     def is_known(self, state: MonoState) -> bool:
-        """Whether a person is known."""
+        """Whether a person has been learned."""
         return bool(state.people)
 
     def detect(self, state: MonoState, frame: SeededFrame) -> DetectedFace | InitFailure:
-        """Look for a face, where the head was last if that was not long ago."""
+        """Detect a face, near the last position unless that is outdated."""
         return self._detect_near(state, frame, self._last_pixels(state, frame))
 
     def begin(self, state: MonoState, frame: SeededFrame) -> tuple[MonoState, FrameFit | InitFailure]:
-        """Look for a person who is not known; the first who is found decides the scale of images.
+        """Detect a new person.
 
-        The frame is then looked at again at that scale.
+        The first one determines the image scale; the frame is then processed again.
         """
         after, fit = self._begin(state, frame)
         scale = state.scale if state.scale is not None else self._scale_of(after)
         after = replace(after, scale=scale)
         if state.scale == scale or scale == WHOLE:
             return after, fit
-        afresh = replace(self._first, scale=scale, search=state.search, first_ns=state.first_ns)
-        afresh, again = self.look(afresh, frame.frame)
-        return self._begin(afresh, SeededFrame(again, frame.rng))
+        # templates and pixels of the unscaled image are of no use at the new scale
+        rescaled = replace(self._first, scale=scale, search=state.search, first_ns=state.first_ns)
+        rescaled, again = self.prepare(rescaled, frame.frame)
+        return self._begin(rescaled, SeededFrame(again, frame.rng))
 
     def fit(self, state: MonoState, track: TrackState, frame: SeededFrame) -> tuple[MonoState, FrameFit]:
-        """Follow the person into a frame; where the fit is poor, compare it with a detection **[ours]**.
+        """Track the person into a frame; compare a poor fit with a new detection **[ours]**.
 
-        After a blink or a smile points may have slid to places that they do not come back from; landmarks
-        from elsewhere tell that where the fit does not.
+        After a blink or a smile points may slide to places from which they do not return. Landmarks detect
+        that even where the fit's score does not.
         """
-        fitter, settings = self._at(state).fitter, self._config.status
+        fitter, settings = self._pipeline(state).fitter, self._config.status
         here = self._enlarged(state, frame, self._pixels_of(state, track))
-        fit = self._or_followed(state, track, here, fitter.fit(state.person, track, here))
+        fit = self._or_whole_face_fit(state, track, here, fitter.fit(state.person, track, here))
         recent = frame.stamp_ns - state.checked_ns < CHECK_EVERY_S * 1e9
         if recent or (fit.score >= settings.check_below and not self._has_slid(state, frame, fit)):
             return state, fit
@@ -211,50 +210,48 @@ class MonoPeople:
             return state, fit
         there = self._enlarged(state, frame, found.pixels)
         again = fitter.fit_detection(state.person, found, track.stamp_ns, there)
-        return state, again if again.score > fit.score + CLEARLY_BETTER else fit
+        return state, again if again.score > fit.score + SWITCH_MARGIN else fit
 
-    def _or_followed(
+    def _or_whole_face_fit(
         self, state: MonoState, track: TrackState, frame: SeededFrame, fit: FrameFit
     ) -> FrameFit:
-        """Return a fit, or where it is poor a better one that begins where the whole face went **[ours]**.
+        """Return the fit, or for a poor one a better fit from the whole face's motion **[ours]**.
 
-        A head that moves otherwise than before is not where its velocity leads, and its points find other
-        places that look a little like theirs. A face that is blurred, looks where it never was seen to or
-        has an expression of its own looks hardly like its templates wherever it is, but as a moment ago: the
-        score of being followed by that is the frame's before times how alike they are, so that what slides
-        is doubted in time.
+        After an unexpected motion the points lock onto similar places near the predicted pose. A blurred or
+        turned face, or one with a new expression, resembles its templates nowhere, but it resembles the
+        previous frame. The score of a fit to the previous frame is that frame's score times their similarity,
+        so that a sliding track loses confidence over time.
         """
         clear = max(self.least_score(state), self._config.status.check_below)
         if fit.score >= clear or track.templates is None:
             return fit
-        (image,), fitter = frame.frame.images, self._at(state).fitter
-        there = None if image is None else self._moved_as_a_whole(state, track, image)
+        (image,), fitter = frame.frame.images, self._pipeline(state).fitter
+        there = None if image is None else self._whole_face_pose(state, track, image)
         if there is None:
             return fit
         again = fitter.fit_from(state.person, track, there, frame)
-        # by weights, not by scores: for a place beyond the image the points that are not seen say nothing
+        # compare weights, not scores: the score ignores points outside the image
         best = again if again.weights.mean() > fit.weights.mean() else fit
         if best.score >= clear:
             return best
         as_before = replace(state.person, templates=(track.templates,))
         followed = fitter.fit_from(as_before, track, there, frame)
-        alike = float(np.clip(followed.score / THE_SAME, 0.0, 1.0))
-        score = KEPT * state.trust * alike
+        alike = float(np.clip(followed.score / SAME_FACE_CORRELATION, 0.0, 1.0))
+        score = SCORE_DECAY * state.trust * alike
         if score <= best.score:
             return best
-        weights = np.minimum(followed.weights, best.weights)  # a moment ago it may have been wrong already
+        weights = np.minimum(followed.weights, best.weights)  # the previous frame may have been wrong already
         return replace(followed, score=score, weights=weights, is_anchored=True)
 
-    def _moved_as_a_whole(self, state: MonoState, track: TrackState, image: ImageArray) -> HeadPose | None:
-        """Return a track's pose where its whole face went in an image, None where that is not seen.
+    def _whole_face_pose(self, state: MonoState, track: TrackState, image: ImageArray) -> HeadPose | None:
+        """Return the pose after the motion of the whole face in the image; None if it is not found.
 
-        The shift comes first; places that the points then have by themselves tell how the head turned and
-        came nearer.
+        The common shift comes first; the individual places of the points then give rotation and distance.
         """
-        camera, templates = self._at(state).adjuster.camera, track.templates
+        camera, templates = self._pipeline(state).adjuster.camera, track.templates
         before = project((camera,), track.pose.points(track.shape)).pixels[0]
         shift = None if templates is None else shift_of(image, templates, before)
-        if shift is None or shift.likeness < WHOLE_FACE_LIKE:
+        if shift is None or shift.likeness < WHOLE_FACE_CORRELATION:
             return None
         aside = shift.pixels / np.array([camera.fx, camera.fy]) * track.pose.position[2]
         moved = replace(track.pose, position=track.pose.position + np.append(aside, 0.0))
@@ -263,98 +260,99 @@ class MonoPeople:
     def recognise(
         self, state: MonoState, found: DetectedFace, frame: SeededFrame
     ) -> Iterator[tuple[MonoState, FrameFit]]:
-        """Follow a face for one frame as each of the known people, the last one first."""
+        """Fit each known person to a detected face for one frame, the current one first."""
         frame = self._enlarged(state, frame, found.pixels)
-        fitter, last_seen_ns = self._at(state).fitter, state.last_seen_ns(frame)
+        fitter, last_seen_ns = self._pipeline(state).fitter, state.last_seen_ns(frame)
         last: FrameFit | None = None
         for index in sorted(range(len(state.people)), key=lambda one: one != state.current):
             fit = fitter.fit_detection(state.people[index], found, last_seen_ns, frame)
             last = fit if last is None else last
             yield state.switch_person(index, frame.index), fit
-        if last is not None and last.score > LEAST_LIKE and not self._is_elsewhere(state, found):
-            yield state, self._at(state).fitter.fit_anchored(state.person, found, last_seen_ns, frame)
+        if last is not None and last.score > LEAST_SIMILARITY and not self._is_elsewhere(state, found):
+            yield state, self._pipeline(state).fitter.fit_anchored(state.person, found, last_seen_ns, frame)
 
     def least_score(self, state: MonoState) -> float:
-        """Return the score of a tracked face; long after a cut it must look as the person usually does."""
+        """Return the minimum score of a tracked face, higher for some time after a cut."""
         least = self._config.status.tracking_above
         if not state.cut or state.strange < self._patience(state):
             return least
-        return max(least, RECOGNISED * state.person.usual_score)
+        return max(least, RECOGNITION_SHARE * state.person.mean_score)
 
     def not_recognised(self, state: MonoState, found: DetectedFace) -> tuple[MonoState, bool]:
-        """Count a face that looks like none of the known ones: after some frames it is another person's."""
-        if off_axis_deg(found.pose) > STRANGER_OFF_AXIS_DEG:
+        """Count an unknown face; after enough frames it becomes a new person."""
+        if off_axis_deg(found.pose) > NEW_PERSON_OFF_AXIS_DEG:
             return state, False
         state = replace(state, strange=state.strange + 1, elsewhere=self._is_elsewhere(state, found))
         return state, state.strange >= self._patience(state)
 
     def _patience(self, state: MonoState) -> int:
-        """In how many frames a face must look like nobody to be another person's."""
-        return STRANGER_FRAMES_AFTER_CUT if state.cut and state.elsewhere else STRANGER_FRAMES
+        """Return the number of frames after which an unknown face becomes a new person."""
+        return NEW_PERSON_FRAMES_AFTER_CUT if state.cut and state.elsewhere else NEW_PERSON_FRAMES
 
     def _is_elsewhere(self, state: MonoState, found: DetectedFace) -> bool:
-        """Whether a face is not where the head was last, or not as large."""
+        """Whether a face is away from the last position of the head or of another size."""
         track = state.track
         if track is None or state.elsewhere:
             return True
-        camera = self._at(state).adjuster.camera
+        camera = self._pipeline(state).adjuster.camera
         last = project((camera,), track.pose.points(track.shape)).pixels[0]
         away = float(np.linalg.norm(found.pixels.mean(axis=0) - last.mean(axis=0))) / found.eye_distance
         ratio = found.eye_distance / eye_distance_px(track.pose, camera)
-        return not (away < OTHER_PLACE and 1.0 / OTHER_SIZE < ratio < OTHER_SIZE)
+        return not (away < JUMP_EYES and 1.0 / JUMP_RATIO < ratio < JUMP_RATIO)
 
     def learn(self, state: MonoState, frame: SeededFrame, fit: FrameFit) -> tuple[MonoState, FrameFit]:
-        """Adjust the person by a frame in which the head was tracked; not by a doubtful one."""
+        """Update the person from a tracked frame, unless the frame is doubtful."""
         state = replace(state, trust=min(fit.score, 1.0))
-        if fit.is_anchored:
+        if fit.is_anchored:  # no templates matched, so the frame cannot confirm the person
             seen = self._keep_skin(state, state.person, frame, fit)
             return replace(seen, strange=state.strange + 1), fit
-        if state.cut and fit.score < RECOGNISED * state.person.usual_score:
+        if state.cut and fit.score < RECOGNITION_SHARE * state.person.mean_score:
             return (replace(state, strange=state.strange + 1) if state.elsewhere else state), fit
-        fitter, told = self._at(state).fitter, self._told_of(state.current)
-        person, fit = fitter.update_person(state.person, state.track, frame, fit, told)
+        fitter, measured = self._pipeline(state).fitter, self._size_measurement(state.current)
+        person, fit = fitter.update_person(state.person, state.track, frame, fit, measured)
         state = self._keep_skin(state, person, frame, fit).clear_candidates()
         return replace(state, strange=0, cut=False, elsewhere=False), fit
 
     def _keep_skin(
         self, state: MonoState, person: KnownPerson, frame: SeededFrame, fit: FrameFit
     ) -> MonoState:
-        """Return the state with a person, and what the frame shows of the skin.
+        """Return the state with the person and the frame's skin.
 
-        Where a face turns as it was never seen to, points are found anew, and are off; skin mends them.
+        Frames with new directions are included: their points were re-detected and are inaccurate, which the
+        skin corrects.
         """
-        fitter = self._at(state).fitter
+        fitter = self._pipeline(state).fitter
         if fitter.wants_skin(person, frame, fit):
             person = fitter.keep_skin(person, self._enlarged(state, frame, fit.pixels[0]), fit)
         return state.update_person(person)
 
-    def state_fit(self, state: MonoState, frame: SeededFrame, fit: FrameFit) -> tuple[MonoState, FrameFit]:
-        """Return what the result says: in a second pass a pose that the skin tells, too **[ours]**.
+    def report_fit(self, state: MonoState, frame: SeededFrame, fit: FrameFit) -> tuple[MonoState, FrameFit]:
+        """Return the fit for the result, in a second pass refined by the skin **[ours]**.
 
-        The track goes on from its feature points, so that what goes wrong with the skin stays in its frame.
+        Tracking continues from the feature points, so a wrong skin match affects only its own frame.
         """
         before = state.stated
         if state.person.skin_map is None:
             return replace(state, stated=None), fit
-        stated = self._at(state).fitter.fit_on_skin(
+        reported = self._pipeline(state).fitter.fit_on_skin(
             state.person, self._enlarged(state, frame, fit.pixels[0]), fit
         )
-        now = stated.track
+        now = reported.track
         if before is not None and np.any(now.velocity):
             velocity = velocity_between(before.pose, now.pose, fit.dt)
-            rate = (stated.coefficients - before.coefficients) / fit.dt
-            stated = replace(stated, track=replace(now, velocity=velocity), coefficient_rate=rate)
-        return replace(state, stated=Stated(now.pose, stated.coefficients)), stated
+            rate = (reported.coefficients - before.coefficients) / fit.dt
+            reported = replace(reported, track=replace(now, velocity=velocity), coefficient_rate=rate)
+        return replace(state, stated=ReportedPose(now.pose, reported.coefficients)), reported
 
-    def regression(self, stated: FrameFit) -> Regression:
-        """Return how probable it is that a frame is right."""
-        return MONO if stated.unmatched is None else MONO_WITH_SKIN
+    def regression(self, reported: FrameFit) -> Regression:
+        """Return the confidence model for a frame."""
+        return MONO if reported.unmatched is None else MONO_WITH_SKIN
 
-    def describe(self, state: MonoState, fit: FrameFit | None) -> Description:
+    def describe(self, state: MonoState, fit: FrameFit | None) -> FaceDescription:
         """Return deformation and diagnostics of a frame."""
         mean = self._model.deformation_mean
         size = state.person.size if state.people else None
-        return Description(
+        return FaceDescription(
             mean if fit is None else fit.coefficients + mean,
             self._model.deformation_deviations,
             self._diagnostics(state, fit).numbers(),
@@ -362,12 +360,12 @@ class MonoPeople:
         )
 
     def export_model(self, state: MonoState, *, for_second_pass: bool) -> Learned:
-        """Return what was learned of the people seen, and how large they were seen."""
-        adjuster = self._at(state).adjuster
-        people = tuple(one.over_album(adjuster) for one in state.people)
+        """Return the learned people and the focal length at which they were observed."""
+        adjuster = self._pipeline(state).adjuster
+        people = tuple(one.adjusted_over_album(adjuster) for one in state.people)
         people = tuple(
             (one.with_skin_map(adjuster) if for_second_pass else one.without_skin()).with_size(
-                self._told_of(index), self._model
+                self._size_measurement(index), self._model
             )
             for index, one in enumerate(people)
         )
@@ -375,26 +373,29 @@ class MonoPeople:
         return self._people.to_arrays(people) | {FOCAL_PX: np.array(focal)}
 
     def remarks(self, state: MonoState) -> tuple[str, ...]:
-        """Say when another person was seen, and whether the camera seems to be another one."""
-        people = (f"from frame {frame} on it is person {who}; the first is 0" for frame, who in state.changes)
-        check = focal_length_check(state.person, self._at(state).adjuster, state.scale or WHOLE)
-        return (*people, *check, *self._size_doubt(state))
+        """Warn about changes of the person, wrong intrinsics and an implausible size."""
+        people = (
+            f"person {who} is tracked from frame {frame} on (the first person is 0)"
+            for frame, who in state.changes
+        )
+        check = focal_length_check(state.person, self._pipeline(state).adjuster, state.scale or WHOLE)
+        return (*people, *check, *self._size_warning(state))
 
-    def _size_doubt(self, state: MonoState) -> tuple[str, ...]:
-        """Say whether the first person would be of a size that hardly anybody has."""
-        if self._told is None:
+    def _size_warning(self, state: MonoState) -> tuple[str, ...]:
+        """Warn if the interpupillary distance implies an unlikely size of the first person."""
+        if self._pupil_distance is None:
             return ()
-        return self._told.doubt(person_shape(self._model, state.people[0].person).mean)
+        return self._pupil_distance.warnings(person_shape(self._model, state.people[0].person).mean)
 
     def _begin(self, state: MonoState, frame: SeededFrame) -> tuple[MonoState, FrameFit | InitFailure]:
         """Collect n frames with the face, then adjust them together (4.4.1).
 
-        Until then each frame is given the pose that it has alone **[ours]**.
+        Until then each frame is reported with the pose from its own points **[ours]**.
         """
         if self._clicked is not None and frame.stamp_ns == state.first_ns:
             return self._begin_with_clicks(self._clicked, state, frame)
-        initialiser = self._at(state).initialiser
-        state = state.drop_before(frame.stamp_ns - round(SPAN_S * 1e9))
+        initialiser = self._pipeline(state).initialiser
+        state = state.drop_before(frame.stamp_ns - round(CANDIDATE_SPAN_S * 1e9))
         found = self._detect_near(state, frame, state.candidates[-1].pixels if state.candidates else None)
         if isinstance(found, InitFailure):
             return state, found
@@ -405,8 +406,8 @@ class MonoPeople:
         seen = initialiser.templates(frame.frame, found, alone)
         state = state.with_candidate(found, seen)
         if len(state.candidates) < self._config.start.frames:
-            told = self._told_of(len(state.people))
-            return state, self._at(state).fitter.initial_fit(frame, found, alone, seen, told)
+            measured = self._size_measurement(len(state.people))
+            return state, self._pipeline(state).fitter.initial_fit(frame, found, alone, seen, measured)
         start = initialiser.initialise(state.candidates)
         if isinstance(start, InitFailure):
             return state.clear_candidates(), start
@@ -415,70 +416,70 @@ class MonoPeople:
     def _begin_with_clicks(
         self, clicked: ClickedPoints, state: MonoState, frame: SeededFrame
     ) -> tuple[MonoState, FrameFit]:
-        """Begin at once, from points that a person clicked."""
-        at = self._at(state)
+        """Initialise from the clicked points of the first frame."""
+        pipeline = self._pipeline(state)
         pixels = scaled_pixels(clicked.pixels[0], state.scale or WHOLE)
         frame = self._enlarged(state, frame, pixels)
-        face = face_at(pixels, frame.stamp_ns, at.adjuster.camera)
-        start = at.initialiser.initialise((face,))
+        face = face_at(pixels, frame.stamp_ns, pipeline.adjuster.camera)
+        start = pipeline.initialiser.initialise((face,))
         if isinstance(start, InitFailure):
-            raise clicked.unusable(start)
-        state = state.with_candidate(face, at.initialiser.templates(frame.frame, face, start))
+            raise clicked.no_head_error(start)
+        state = state.with_candidate(face, pipeline.initialiser.templates(frame.frame, face, start))
         return self._found(state, start, frame)
 
     def _found(
         self, state: MonoState, start: MonoInitialisation, frame: SeededFrame
     ) -> tuple[MonoState, FrameFit]:
-        """Begin to know a person, whose reference is what the first of the frames showed."""
-        at, last = self._at(state), state.candidates[-1]
-        reference = at.initialiser.reference(state.first_templates, start)
-        told = self._told_of(len(state.people))
-        person = new_person(start.person, reference, at.adjuster).with_size(told, self._model)
-        seen = at.initialiser.templates(frame.frame, last, start)
-        fit = at.fitter.initial_fit(frame, last, start, seen, told)
+        """Create a person from the adjusted frames; the first frame is the reference."""
+        pipeline, last = self._pipeline(state), state.candidates[-1]
+        reference = pipeline.initialiser.reference(state.first_templates, start)
+        measured = self._size_measurement(len(state.people))
+        person = new_person(start.person, reference, pipeline.adjuster).with_size(measured, self._model)
+        seen = pipeline.initialiser.templates(frame.frame, last, start)
+        fit = pipeline.fitter.initial_fit(frame, last, start, seen, measured)
         return state.with_new_person(person, fit.track, frame.index), fit
 
     def _has_slid(self, state: MonoState, frame: SeededFrame, fit: FrameFit) -> bool:
-        """Whether points are elsewhere than the landmarks of a frame, if it has any."""
-        initialiser = self._at(state).initialiser
-        told = initialiser.told(frame.frame, fit.pixels[0])
-        return told is not None and initialiser.has_slid(fit.pixels[0], told)
+        """Whether points have left the landmarks of the frame, if it has any."""
+        initialiser = self._pipeline(state).initialiser
+        face = initialiser.landmark_face(frame.frame, fit.pixels[0])
+        return face is not None and initialiser.has_slid(fit.pixels[0], face)
 
     def _last_pixels(self, state: MonoState, frame: SeededFrame) -> FloatArray | None:
-        """Where the points were when the head was last tracked, unless that was long ago or before a cut."""
+        """Return the points of the last track, None if that is outdated or before a cut."""
         track = state.track
-        if track is None or state.cut or frame.stamp_ns - track.stamp_ns > FORGOTTEN_S * 1e9:
+        if track is None or state.cut or frame.stamp_ns - track.stamp_ns > POSITION_TIMEOUT_S * 1e9:
             return None
         return self._pixels_of(state, track)
 
     def _pixels_of(self, state: MonoState, track: TrackState) -> FloatArray:
-        """Where a tracked head's points (K, 2) are in images of the state's scale."""
-        camera = self._at(state).adjuster.camera
+        """Return the pixels (K, 2) of a track's points at the state's image scale."""
+        camera = self._pipeline(state).adjuster.camera
         pixels: FloatArray = project((camera,), track.pose.points(track.shape)).pixels[0]
         return pixels
 
     def _detect_near(
         self, state: MonoState, frame: SeededFrame, near: FloatArray | None
     ) -> DetectedFace | InitFailure:
-        """Look for a face; a small one in the image as recorded, as a larger one would show no more of it."""
+        """Detect a face; small faces in the unscaled image, as magnification adds no information."""
         scale = state.scale or WHOLE
         if scale <= WHOLE:
-            return self._at(state).initialiser.detect(frame.frame, near)
+            return self._pipeline(state).initialiser.detect(frame.frame, near)
         recorded = None if near is None else scaled_pixels(near, 1.0 / scale)
-        found = self._at_scale(WHOLE).initialiser.detect(frame.frame, recorded)
+        found = self._pipeline_at(WHOLE).initialiser.detect(frame.frame, recorded)
         if isinstance(found, InitFailure):
             return found
-        pixels, camera = scaled_pixels(found.pixels, scale), self._at(state).adjuster.camera
+        pixels, camera = scaled_pixels(found.pixels, scale), self._pipeline(state).adjuster.camera
         return face_at(pixels, found.stamp_ns, camera, found.responses)
 
     def _enlarged(self, state: MonoState, frame: SeededFrame, pixels: FloatArray) -> SeededFrame:
-        """The frame, about a face with points (K, 2) as large as the state's scale asks for."""
+        """Return the frame, magnified around points (K, 2) if the state's scale requires it."""
         scale = state.scale or WHOLE
         return frame if scale <= WHOLE else replace(frame, frame=enlarged(frame.frame, scale, pixels))
 
     def _diagnostics(self, state: MonoState, fit: FrameFit | None) -> MonoDiagnostics:
         score, weights = (np.nan, None) if fit is None else (fit.score, fit.weights)
-        if not state.people or (fit is not None and state.candidates):  # somebody who is not known yet
+        if not state.people or (fit is not None and state.candidates):  # the person is not initialised yet
             unknown = np.full(self._model.identity_size, np.nan)
             return MonoDiagnostics(unknown, unknown, len(state.people), score=score, weights=weights)
         known = state.person
@@ -497,22 +498,21 @@ class MonoPeople:
             None if fit is None else fit.track.shape - neutral,
         )
 
-    def _at(self, state: MonoState) -> _Scaled:
-        """What looks at images of a state's scale; at whole ones before a face is first found."""
-        return self._at_scale(state.scale or WHOLE)
+    def _pipeline(self, state: MonoState) -> _ScalePipeline:
+        """Return the pipeline for the state's image scale; unscaled before a face is found."""
+        return self._pipeline_at(state.scale or WHOLE)
 
-    def _at_scale(self, scale: float) -> _Scaled:
-        """What looks at images of a scale."""
-        if scale not in self._scaled:
+    def _pipeline_at(self, scale: float) -> _ScalePipeline:
+        if scale not in self._pipelines:
             config, camera = self._config, scaled_camera(self._recorded, scale)
             adjuster = Adjuster(self._model, camera, config.adjustment)
-            told = None if self._landmarks is None else Landmarks(self._landmarks, camera, scale)
-            initialiser = MonoInitialiser(config, adjuster, self._detector, self._choice, told)
-            self._scaled[scale] = _Scaled(adjuster, initialiser, PersonFitter(config, adjuster))
-        return self._scaled[scale]
+            landmarks = None if self._landmarks is None else Landmarks(self._landmarks, camera, scale)
+            initialiser = MonoInitialiser(config, adjuster, self._detector, self._choice, landmarks)
+            self._pipelines[scale] = _ScalePipeline(adjuster, initialiser, PersonFitter(config, adjuster))
+        return self._pipelines[scale]
 
     def _scale_of(self, state: MonoState) -> float | None:
-        """The scale for the face that was found in a whole image; None where none was found yet."""
+        """Return the scale for a face found in an unscaled image; None if there is none."""
         if state.candidates:
             distance = state.candidates[0].eye_distance
         elif state.track is not None:
@@ -521,34 +521,34 @@ class MonoPeople:
             return None
         return self._scaling.of_face(distance)
 
-    def _at_fitting_scale(self, state: MonoState) -> MonoState:
-        """The state at the scale that a head which is tracked asks for."""
+    def _rescaled(self, state: MonoState) -> MonoState:
+        """Return the state at the scale that fits the tracked head."""
         if state.track is None or state.scale is None or state.lost:
             return state
         distance = eye_distance_px(state.track.pose, self._recorded)
         return state.at_scale(self._scaling.fitting(state.scale, distance))
 
     def _clicked_scale(self) -> float | None:
-        """The scale for the face whose points were clicked; None where none were."""
+        """Return the scale for the clicked face; None without clicked points."""
         if self._clicked is None:
             return None
         face = face_at(self._clicked.pixels[0], 0, self._recorded)
         return self._scaling.of_face(face.eye_distance)
 
     def _known_state(self, known: Arrays) -> MonoState:
-        """The state that begins with people whom another tracker has learned."""
+        """Return the state that starts with exported people."""
         scale = _known_scale(known, self._scaling)
         people = known_people(known, self._people)
-        sized = (one.with_size(self._told_of(who), self._model) for who, one in enumerate(people))
+        sized = (one.with_size(self._size_measurement(who), self._model) for who, one in enumerate(people))
         return MonoState(people=tuple(sized), scale=scale)
 
-    def _told_of(self, who: int) -> PupilDistance | None:
-        """What was told of a person's size: of the first alone."""
-        return self._told if who == 0 else None
+    def _size_measurement(self, who: int) -> PupilDistance | None:
+        """Return the measured size, which applies to the first person only."""
+        return self._pupil_distance if who == 0 else None
 
 
-def told_distance(person: PersonSettings) -> PupilDistance | None:
-    """Return the distance of the pupils that a configuration tells; None where it tells none."""
+def interpupillary_distance(person: PersonSettings) -> PupilDistance | None:
+    """Return the configured interpupillary distance; None if not set."""
     if person.interpupillary_mm is None:
         return None
     sd = float(np.hypot(person.interpupillary_sd_mm, CORNERS_SD_MM))
@@ -556,10 +556,10 @@ def told_distance(person: PersonSettings) -> PupilDistance | None:
 
 
 def size_and_systematic_variance(pose: HeadPose, systematic_sd: FloatArray, size: Size | None) -> FloatArray:
-    """Return (6,) what a track is wrong by in all frames alike, its size included.
+    """Return the (6,) variances of the systematic error of a track, including its scale.
 
-    Another size moves a head along its ray: t' = c t has the variance (sd(log c) t)^2, with the deviation of
-    the size that was told or, without, ``PRIOR_SD``.
+    Another size moves the head along its ray: t' = c t has the variance (sd(log c) t)^2, with the standard
+    deviation of the measured size or, without a measurement, ``PRIOR_SD``.
     """
     sd, variance = PRIOR_SD if size is None else size.sd, np.square(systematic_sd)
     variance[:3] += np.square(sd * pose.position)
@@ -579,20 +579,20 @@ def make_mono_tracker(
     landmarks: LandmarkFile | None = None,
     systematic_sd: FloatArray = MONO_TRACK.systematic_sd,
 ) -> MonoTracker:
-    """Return the tracker that a run uses.
+    """Create the tracker of a run.
 
     Args:
-        config: parameters; names the face model's file.
+        config: of the run; names the face model's file.
         camera: of the recording.
-        known: what another tracker has exported.
-        face: which one to begin with, 0 the largest.
-        clicked: table of points in the first frame; without it the face is found there, too.
-        landmarks: of the recorded images, from elsewhere.
-        systematic_sd: (6,) what a track of the person is wrong by.
+        known: arrays exported by another tracker.
+        face: face to start with, 0 is the largest.
+        clicked: table of points in the first frame; without it the face is detected there as well.
+        landmarks: of the recorded images, from another program.
+        systematic_sd: (6,) standard deviations of the systematic error of a track.
 
     Raises:
-        UsageError, ResultError: a file that is missing or cannot be used.
-        PosetrackError: clicked points that are none.
+        UsageError, ResultError: a file is missing or invalid.
+        PosetrackError: invalid clicked points.
     """
     model = load_face_model(None if config.model.file is None else Path(config.model.file))
     points = None if clicked is None else ClickedPoints.read(clicked, (camera,))
@@ -610,10 +610,10 @@ def make_mono_tracker(
 
 
 def _known_scale(known: Arrays, scaling: Scaling) -> float:
-    """The scale at which a learned face was seen, or the nearest."""
+    """Return the usable scale nearest to the one at which a face was learned."""
     if FOCAL_PX not in known:
-        raise unusable_people(f"no array '{FOCAL_PX}'")
+        raise damaged_people(f"array '{FOCAL_PX}' is missing")
     focal = known[FOCAL_PX]
     if focal.dtype.kind != "f" or focal.shape != () or not 0.0 < focal < np.inf:
-        raise unusable_people(f"'{FOCAL_PX}' as {focal.dtype} {focal.shape}, or not above 0")
+        raise damaged_people(f"'{FOCAL_PX}' is {focal.dtype} {focal.shape}, or not above 0")
     return scaling.usable(float(focal) / scaling.camera.fx)

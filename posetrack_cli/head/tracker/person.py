@@ -1,4 +1,4 @@
-"""Who is tracked: identity and size, learned while tracking."""
+"""People tracked with one camera: identity and size, learned while tracking."""
 
 from __future__ import annotations
 
@@ -39,73 +39,67 @@ from posetrack_cli.head.tracker.frame_tracker import (
 )
 from posetrack_cli.results.columns import floats
 
-# How large a head is, where that is told: one camera does not see it **[ours]**.
+# Size of the head from the interpupillary distance: one camera does not observe scale **[ours]**.
 #
-# Images stay the same where all lengths are multiplied by one factor c. Of c alone is known that the
-# likeliest face has 1: log c ~ N(0, m^2). A distance X of the pupils, measured with the standard deviation
-# s_X, tells
+# Multiplying all lengths by a factor c does not change the images. The prior is log c ~ N(0, m^2), with c = 1
+# for the most likely face. An interpupillary distance X, measured with the standard deviation s_X, gives
 #
 #     log X = log c + log D + e,    e ~ N(0, s^2),    s^2 = (s_X^2 + s_D^2) / X^2
 #
-# with D the same distance of the person whom the images were adjusted to, c = 1, known to s_D. So
+# with D the distance in the adjusted person (c = 1), known to s_D. Therefore
 #
 #     log c = k log (X / D),    sd(log c) = m sqrt(1 - k),    k = m^2 / (m^2 + s^2).
 #
-# Pupils are taken to lie midway between the corners of their eye. In the statistics that the shipped model
-# comes from, ICT-FaceKit's, these middles are 63.0 mm apart on average, and people's pupils 63.4 (Dodgson
-# 2004, 3976 adults). The corners that are followed lie ``CORNERS_OUTSIDE_MM`` farther out than those
-# landmarks.
-
+# A pupil is assumed midway between the corners of its eye. In ICT-FaceKit's statistics, on which the shipped
+# model is based, these midpoints are 63.0 mm apart on average; the mean interpupillary distance of adults is
+# 63.4 mm (Dodgson 2004, n = 3976). Tracked corners lie outside of those landmarks by ``CORNERS_OUTSIDE_MM``.
 
 CORNERS_OUTSIDE_MM = 2.1
-"""So much farther apart are the middles of eyes' corners as they are followed, in true mm, than as the
-statistics' landmarks have them: over ten people of the study, whose recordings have the landmarks' places; it
-spreads by 1.0 mm between them. It is 2.7 and 4.9 mm for two more. Where corners are found by what was learned
-without the person it is 1.1 mm, and spreads by 2.1 mm (1.4 mm without one of them)."""
+"""Tracked midpoints of the eye corners are farther apart than the statistics' landmarks by this much, true
+mm."""
 SMALLEST_SIZE, LARGEST_SIZE = 0.2, 5.0
-"""Of any head beside the likeliest; a measurement that tells more is of something else."""
+"""Limits of a head's size relative to the most likely one; other measurements are mistakes."""
 CORNERS_SD_MM = 1.1
-"""s_D: the middles of eyes' corners, as followed, are pupils to within this, by nine of ten people of the
-study."""
+"""s_D: deviation of the pupils from the midpoints of the tracked eye corners."""
 PRIOR_SD = 0.035
-"""m: one camera does not see how large a head is. Chosen on the same people."""
-DOUBTFUL = 2.5
-"""Standard deviations between what is told and what is likely: one person in eighty."""
+"""m: one camera does not observe the size of a head."""
+UNLIKELY_SD = 2.5
+"""Standard deviations between measured and most likely distance that cause a warning: 1 person in 80."""
 LEAST_MM = 1.0
-"""A model may have faces whose eyes touch: even then logarithms are numbers."""
+"""Keeps logarithms finite if a model contains faces whose eyes touch."""
 _RIGHT_EYE, _LEFT_EYE = slice(0, 2), slice(2, 4)
 
 
 class Size(NamedTuple):
-    """What all lengths of a person are multiplied by.
+    """Scale factor of a person.
 
     Attributes:
-        factor: c.
+        factor: c, applied to all lengths.
         sd: of log c.
     """
 
     factor: Annotated[float, floats(least=SMALLEST_SIZE, most=LARGEST_SIZE)]
     sd: Annotated[float, floats(least=0.0, most=1.0)]
 
-    def of_shape(self, shape: ShapeModel) -> ShapeModel:
-        """Return how a face of that size deforms."""
+    def scale_shape(self, shape: ShapeModel) -> ShapeModel:
+        """Return the shape model of a face of that size."""
         return ShapeModel(self.factor * shape.mean, self.factor * shape.basis, shape.deviations)
 
 
 class SizeMeasurement(Protocol):
-    """What tells how large a person is."""
+    """A measurement of a person's size."""
 
     def size_of(self, shape: FloatArray) -> Size:
-        """Return the size of a person whom images were adjusted to as the neutral shape (K, 3), mm."""
+        """Return the size of a person with the adjusted neutral shape (K, 3), mm."""
 
 
 @dataclass(frozen=True)
 class PupilDistance:
-    """A measured distance of the pupils.
+    """A measured interpupillary distance.
 
     Attributes:
         distance_mm: X.
-        sd_mm: of X beside D, s times X.
+        sd_mm: combined standard deviation of X and D, s times X.
         prior_sd: m.
     """
 
@@ -114,65 +108,64 @@ class PupilDistance:
     prior_sd: float = PRIOR_SD
 
     def size_of(self, shape: FloatArray) -> Size:
-        """Return c and its deviation."""
-        return _updated(self.distance_mm / pupil_distance(shape), self._sd, self.prior_sd)
+        """Return c and its standard deviation."""
+        return _kalman_update(self.distance_mm / pupil_distance(shape), self._sd, self.prior_sd)
 
-    def doubt(self, shape: FloatArray) -> tuple[str, ...]:
-        """Return a line where the person (K, 3) would be of a size that hardly anybody has."""
+    def warnings(self, shape: FloatArray) -> tuple[str, ...]:
+        """Return a warning if the shape (K, 3) would imply an unlikely size."""
         seen = pupil_distance(shape)
-        if abs(np.log(self.distance_mm / seen)) <= DOUBTFUL * float(np.hypot(self._sd, self.prior_sd)):
+        if abs(np.log(self.distance_mm / seen)) <= UNLIKELY_SD * float(np.hypot(self._sd, self.prior_sd)):
             return ()
         return (
-            f"pupils {self.distance_mm:.3g} mm apart are told, but those of the likeliest such face are"
-            f" {seen:.0f} mm apart: is the distance right, and does posetrack view show points at the corners"
-            " of the eyes?",
+            f"interpupillary distance {self.distance_mm:.3g} mm, but the most likely face has {seen:.0f} mm:"
+            " check the distance, and with posetrack view that the points are at the eye corners",
         )
 
     @property
     def _sd(self) -> float:
-        """s."""
+        """s, of the logarithm."""
         return self.sd_mm / self.distance_mm
 
 
 def pupil_distance(shape: FloatArray) -> float:
-    """Return D, mm, of a shape (K, 3) of followed points."""
+    """Return D, mm, of a shape (K, 3) of tracked points."""
     middles = shape[_LEFT_EYE].mean(axis=0) - shape[_RIGHT_EYE].mean(axis=0)
     return max(float(np.linalg.norm(middles)) - CORNERS_OUTSIDE_MM, LEAST_MM)
 
 
-def _updated(ratio: float, sd: float, prior_sd: float) -> Size:
-    """Return the size after one measurement of c: the Kalman step of its logarithm."""
+def _kalman_update(ratio: float, sd: float, prior_sd: float) -> Size:
+    """Return the size after one measurement of c: the Kalman update of its logarithm."""
     gain = prior_sd**2 / (prior_sd**2 + sd**2) if prior_sd > 0.0 else 0.0
     factor = float(np.clip(np.exp(gain * np.log(ratio)), SMALLEST_SIZE, LARGEST_SIZE))
     return Size(factor, float(prior_sd * np.sqrt(1.0 - gain)))
 
 
-# The person before a camera: what is known, tracking into a frame, and what the frame adds (4.3.2, 4.4)
+# Learning the person: adjustment after each frame (4.3.2, 4.4)
 
-
-USUAL_RATE = 0.05
-"""Share of a frame in the running mean of scores: twenty frames, longer than a blink or a word, count."""
+SCORE_RATE = 0.05
+"""Rate of the running mean of scores: twenty frames, longer than a blink or a word."""
 
 
 @dataclass(frozen=True, eq=False)
 class KnownPerson:
-    """One person as far as frames have told.
+    """A person as learned so far.
 
     Attributes:
-        person: identity and offsets; the views, too, are as large as these make the face.
+        person: identity and offsets, in the scale of the views.
         history: of identities, (4.36).
         views: n frames that are adjusted together.
-        album: frames that show the face from all sides, for an adjustment over the whole recording.
-        shape: how this person's face deforms, in true size.
+        album: frames from all directions, for the adjustment over the whole recording.
+        shape: deformation model of the face, in true size.
         templates: reference first.
-        adjusted_frames: how many frames the person was adjusted from.
-        rms_px: of the last adjustment, root mean square.
-        usual_score: running mean of the scores of tracked frames; NaN before the first.
-        is_settled: whether a whole recording has said who it is; single frames then do no more **[ours]**.
-        is_held: whether a user has said who it is: nothing is adjusted.
-        size: what was told of it; None where nothing was.
-        skin: frames of this recording that show it, for a second pass; as large as the views.
-        skin_map: made of those of a first pass; None in a first one.
+        adjusted_frames: number of frames used for adjustments.
+        rms_px: residual of the last adjustment, root mean square.
+        mean_score: running mean of the scores of tracked frames; NaN before the first.
+        is_settled: identity determined over a whole recording, and no longer adjusted by single frames
+            **[ours]**.
+        is_held: identity given by the user; nothing is adjusted.
+        size: measured size; None without a measurement.
+        skin: frames of this recording for the skin map of a second pass, in the scale of the views.
+        skin_map: from a first pass; None during it.
     """
 
     person: PersonParameters
@@ -183,7 +176,7 @@ class KnownPerson:
     templates: tuple[TemplateSet, ...]
     adjusted_frames: int = 0
     rms_px: float = np.nan
-    usual_score: float = np.nan
+    mean_score: float = np.nan
     is_settled: bool = False
     is_held: bool = False
     size: Size | None = None
@@ -192,46 +185,46 @@ class KnownPerson:
 
     @property
     def factor(self) -> float:
-        """What lengths of the views are multiplied by to be true ones."""
+        """Factor from the scale of the views to true size."""
         return 1.0 if self.size is None else self.size.factor
 
-    def with_size(self, told: SizeMeasurement | None, model: FaceModel) -> KnownPerson:
-        """Return the person as large as a measurement tells; without one unchanged."""
-        if told is None:
+    def with_size(self, measured: SizeMeasurement | None, model: FaceModel) -> KnownPerson:
+        """Return the person with a measured size; unchanged without a measurement."""
+        if measured is None:
             return self
-        size = told.size_of(person_shape(model, self.person).mean)
-        templates = tuple(one.of_size(size.factor / self.factor) for one in self.templates)
+        size = measured.size_of(person_shape(model, self.person).mean)
+        templates = tuple(one.resized(size.factor / self.factor) for one in self.templates)
         return replace(self, size=size, shape=person_shape(model, self.person, size), templates=templates)
 
-    def seen_larger(self, ratio: float) -> KnownPerson:
-        """Return the person as images show it that are so many times as large.
+    def rescaled(self, ratio: float) -> KnownPerson:
+        """Return the person for images scaled by a ratio.
 
-        Templates know how large they are, and stay.
+        Templates contain their scale and do not change.
         """
         return replace(
             self,
-            views=tuple(one.seen_larger(ratio) for one in self.views),
-            album=self.album.seen_larger(ratio),
-            skin=self.skin.seen_larger(ratio),
+            views=tuple(one.rescaled(ratio) for one in self.views),
+            album=self.album.rescaled(ratio),
+            skin=self.skin.rescaled(ratio),
             rms_px=ratio * self.rms_px,
         )
 
     def with_score(self, score: float) -> KnownPerson:
-        """Return what is known after a frame with a score."""
-        before = score if np.isnan(self.usual_score) else self.usual_score
-        return replace(self, usual_score=before + USUAL_RATE * (score - before))
+        """Update the running mean of scores."""
+        before = score if np.isnan(self.mean_score) else self.mean_score
+        return replace(self, mean_score=before + SCORE_RATE * (score - before))
 
     def after(self, view: PointView, score: float, adjuster: Adjuster) -> KnownPerson:
-        """Return what is known after a frame; ``views`` then ends with that frame, adjusted.
+        """Adjust the person after a frame; ``views`` then ends with that frame, adjusted.
 
         Args:
-            view: the frame, its pose and deformation as the filter has them.
+            view: the frame with its tracked pose and deformation.
             score: mean correlation of its points.
-            adjuster: of views of that camera.
+            adjuster: for views of that camera.
         """
         settings = adjuster.settings
         if self.is_settled:
-            return self._seen_again(view, score, adjuster)
+            return self._with_settled_view(view, score, adjuster)
         by_angles = settings.spread == "angles"
         views = choose_views(self.views, view, settings.views, by_angles=by_angles)
         start = PersonParameters(self.history.mean, self.person.offsets)
@@ -247,8 +240,8 @@ class KnownPerson:
             rms_px=rms(adjusted.residuals),
         )
 
-    def _seen_again(self, view: PointView, score: float, adjuster: Adjuster) -> KnownPerson:
-        """Return the same person after a frame: its pose and deformation alone are adjusted."""
+    def _with_settled_view(self, view: PointView, score: float, adjuster: Adjuster) -> KnownPerson:
+        """Adjust only pose and deformation of a frame to a settled person."""
         adjusted = self._adjusted_views((view,), adjuster, adjuster.settings.iterations)
         return replace(
             self,
@@ -259,16 +252,16 @@ class KnownPerson:
         )
 
     def _adjusted_views(self, views: Sequence[PointView], adjuster: Adjuster, iterations: int) -> Adjusted:
-        """Adjust poses and deformations of views to the person as known, who is held."""
+        """Adjust poses and deformations of views, with the person fixed."""
         closely = adjuster.over_recording
         return closely.adjust(
             views, self.person, iterations=iterations, hold_person=True, wide=True, deviations=False
         )
 
     def with_skin_map(self, adjuster: Adjuster) -> KnownPerson:
-        """Return the person with a map of the skin, for a second pass over these images **[ours]**.
+        """Return the person with a skin map for a second pass over the same images **[ours]**.
 
-        The frames' poses are those that the person's points, as they are now known, have there.
+        The frames' poses are first adjusted to the person as now known.
         """
         shown, bare = self.skin.views, self.without_skin()
         if not shown:
@@ -280,11 +273,11 @@ class KnownPerson:
         return replace(bare, skin_map=make_map(posed, shape, adjuster.camera))
 
     def without_skin(self) -> KnownPerson:
-        """Return the person without what holds for images of one recording alone."""
+        """Return the person without data that is valid only for the images of one recording."""
         return replace(self, skin=SkinAlbum(), skin_map=None)
 
-    def over_album(self, adjuster: Adjuster) -> KnownPerson:
-        """Return the person adjusted from the whole album, for a second pass **[ours]**."""
+    def adjusted_over_album(self, adjuster: Adjuster) -> KnownPerson:
+        """Return the person adjusted over the whole album, for a second pass **[ours]**."""
         if self.is_held:
             return replace(self, views=(), album=Album())
         views, settings = self.album.views, adjuster.settings
@@ -305,26 +298,26 @@ class KnownPerson:
 
 
 def new_person(person: PersonParameters, reference: TemplateSet, adjuster: Adjuster) -> KnownPerson:
-    """Return what is known of a person who was just found, or whom another tracker has learned."""
+    """Return a newly initialised person."""
     history = IdentityHistory.starting_with(person.identity, adjuster.settings.average)
     return KnownPerson(person, history, (), Album(), person_shape(adjuster.model, person), (reference,))
 
 
 def person_shape(model: FaceModel, person: PersonParameters, size: Size | None = None) -> ShapeModel:
-    """Return how a person's face deforms, in the size that was told or, without, in the likeliest."""
+    """Return the shape model of a person in the measured or, by default, the most likely size."""
     shape = model.of_person(person.identity, person.offsets)
-    return shape if size is None else size.of_shape(shape)
+    return shape if size is None else size.scale_shape(shape)
 
 
 def rms(residuals: FloatArray) -> float:
-    """Return the root mean square of distances, NaN left out; NaN of none."""
+    """Return the root mean square without NaN; NaN without values."""
     known = residuals[np.isfinite(residuals)]
     return float(np.sqrt(np.mean(known**2))) if known.size else float("nan")
 
 
 @dataclass(frozen=True, eq=False)
 class IdentityHistory:
-    """The last N_s identities; ``identities`` and ``size`` are all that a checkpoint must keep.
+    """The last N_s identities.
 
     Attributes:
         identities: (m, S), 1 <= m <= N_s, the newest last.
@@ -336,11 +329,11 @@ class IdentityHistory:
 
     @classmethod
     def starting_with(cls, identity: FloatArray, size: int) -> IdentityHistory:
-        """Return a history that begins with one identity (S,) and keeps ``size`` of them."""
+        """Return a history of up to ``size`` identities, starting with one (S,)."""
         return cls(np.array(identity, dtype=np.float64)[None], size)
 
     def with_identity(self, identity: FloatArray) -> IdentityHistory:
-        """Return the history after another adjustment; the oldest goes where there are too many."""
+        """Append the identity of another adjustment; the oldest is dropped when full."""
         return replace(self, identities=np.vstack([self.identities, identity])[-self.size :])
 
     @property
@@ -351,17 +344,17 @@ class IdentityHistory:
 
     @property
     def spread(self) -> FloatArray:
-        """(S,) standard deviations about the mean: how far estimates still wander; 0 of one."""
+        """(S,) standard deviations about the mean; 0 for a single identity."""
         spread: FloatArray = self.identities.std(axis=0)
         return spread
 
 
 class PersonFitter:
-    """One step of the method of chapter 4 for a person who was found.
+    """Fits and updates a known person, frame by frame (chapter 4).
 
     Args:
-        config: parameters.
-        adjuster: of a person to views of the camera that sees the person.
+        config: of the run.
+        adjuster: for views of the camera.
     """
 
     def __init__(self, config: HeadMonoConfig, adjuster: Adjuster) -> None:
@@ -370,15 +363,15 @@ class PersonFitter:
         self._frame_tracker = FrameTracker(config, (adjuster.camera,))
 
     def fit(self, person: KnownPerson, track: TrackState, frame: SeededFrame) -> FrameFit:
-        """Return what a frame says of a person who was tracked before."""
-        now = replace(track.particles, model=person.shape)  # a means the same, whoever s says it is
+        """Track a person into a frame."""
+        now = replace(track.particles, model=person.shape)  # the meaning of a does not depend on s
         before = replace(track, particles=now)
         return self._frame_tracker.step(before, frame, person.templates, person.shape)
 
     def fit_from(
         self, person: KnownPerson, track: TrackState, there: HeadPose, frame: SeededFrame
     ) -> FrameFit:
-        """Return what a frame says of a person who was tracked before and now is about elsewhere."""
+        """Track a person into a frame, starting at another pose."""
         about = replace(track.at_rest(), pose=there, particles=replace(track.particles, pose=there))
         fit = self.fit(person, about, frame)
         velocity = velocity_between(track.pose, fit.track.pose, fit.dt)
@@ -387,7 +380,7 @@ class PersonFitter:
     def fit_detection(
         self, person: KnownPerson, found: DetectedFace, last_seen_ns: int, frame: SeededFrame
     ) -> FrameFit:
-        """Return what a frame says of a detected face if it is a person's; it is at rest."""
+        """Fit a person to a detected face; the fit has no velocity."""
         mean = person.shape.mean
         pose, _ = pose_of(found.pixels, found.responses, self._camera, mean)
         track = self._frame_tracker.start(frame, pose, mean, person.shape)
@@ -397,9 +390,10 @@ class PersonFitter:
     def fit_anchored(
         self, person: KnownPerson, found: DetectedFace, last_seen_ns: int, frame: SeededFrame
     ) -> FrameFit:
-        """Return what a frame says of a face that is a person's, but looks like none of its templates.
+        """Fit a detected face that resembles none of the person's templates.
 
-        The points are held by what they look like in this very frame; its score is the detection's.
+        Templates are taken from this frame at the detected points, so that they stay there; the score is
+        limited to the detection's.
         """
         mean = person.shape.mean
         pose, _ = pose_of(found.pixels, found.responses, self._camera, mean)
@@ -413,14 +407,18 @@ class PersonFitter:
         found: DetectedFace,
         start: MonoInitialisation,
         seen: TemplateSet,
-        told: SizeMeasurement | None,
+        measured: SizeMeasurement | None,
     ) -> FrameFit:
-        """Return what a frame says in which a face was detected that is not tracked yet."""
+        """Return the fit of a frame with a detected face before tracking starts."""
         shape = person_shape(self._model, start.person)
         pose = start.views[-1].pose
-        if told is not None:
-            size = told.size_of(shape.mean)
-            pose, shape, seen = farther(pose, size.factor), size.of_shape(shape), seen.of_size(size.factor)
+        if measured is not None:
+            size = measured.size_of(shape.mean)
+            pose, shape, seen = (
+                scaled_pose(pose, size.factor),
+                size.scale_shape(shape),
+                seen.resized(size.factor),
+            )
         own = self._on_rays(pose, shape.mean, found.pixels)
         track = self._frame_tracker.start(frame, pose, own, shape, seen)
         return initial_fit(track, found.score, found.pixels[None])
@@ -431,15 +429,15 @@ class PersonFitter:
         before: TrackState | None,
         frame: SeededFrame,
         fit: FrameFit,
-        told: SizeMeasurement | None = None,
+        measured: SizeMeasurement | None = None,
     ) -> tuple[KnownPerson, FrameFit]:
-        """Adjust the person by a frame in which it was found; return it and what the frame then says."""
+        """Adjust the person by a tracked frame; return it and the adjusted fit."""
         person = person.with_score(fit.score)
         if self._shows_person(person, fit):
             person = person.after(self._view(person, frame, fit), fit.score, self._adjuster)
             if not person.is_settled:
-                before_size, person = person.factor, person.with_size(told, self._model)
-                fit = _of_size(fit, person.factor / before_size)
+                before_size, person = person.factor, person.with_size(measured, self._model)
+                fit = _with_size(fit, person.factor / before_size)
             fit = self._adjusted(before, person, fit)
         if fit.track.templates is not None and self._is_keyframe(person, fit):
             keyframe = self._keyframe(fit.track.templates, fit.correlations)
@@ -447,16 +445,16 @@ class PersonFitter:
         return person, fit
 
     def wants_skin(self, person: KnownPerson, frame: SeededFrame, fit: FrameFit) -> bool:
-        """Whether a frame of a first pass is to be kept for what it shows of the skin."""
+        """Whether the frame of a first pass is kept for the skin map."""
         wanted = self._config.skin.use and person.skin_map is None
         return wanted and person.skin.wants(frame.stamp_ns, fit.track.pose)
 
     def keep_skin(self, person: KnownPerson, frame: SeededFrame, fit: FrameFit) -> KnownPerson:
-        """Return the person with what a frame shows of the skin **[ours]**.
+        """Return the person with a frame's skin **[ours]**.
 
         Args:
             person: who is seen.
-            frame: its image as large as the face's points are in it.
+            frame: with the image in the scale of the face.
             fit: of the frame.
         """
         (image,) = frame.frame.images
@@ -467,26 +465,26 @@ class PersonFitter:
         return replace(person, skin=album.with_view(shown, MOST_VIEWS))
 
     def fit_on_skin(self, person: KnownPerson, frame: SeededFrame, fit: FrameFit) -> FrameFit:
-        """Return what a frame says with a pose between its feature points' and its skin's **[ours]**.
+        """Return the fit with a pose between those of feature points and skin **[ours]**.
 
-        The points stay where they are in the image, the deformation is the likeliest of those.
+        The points stay at their pixels; the deformation becomes the most likely one for them.
         """
         (image,) = frame.frame.images
         if person.skin_map is None or image is None:
             return fit
         by_points, factor = fit.track.pose, person.factor
-        told = farther(by_points, 1.0 / factor)
-        found = pose_on_map(person.skin_map, image, frame.stamp_ns, told, self._camera)
-        pose, pixels = farther(found.pose, factor), fit.pixels[0]
+        in_map = scaled_pose(by_points, 1.0 / factor)  # the map has the scale of the views
+        found = pose_on_map(person.skin_map, image, frame.stamp_ns, in_map, self._camera)
+        pose, pixels = scaled_pose(found.pose, factor), fit.pixels[0]
         coefficients = self._deformation_at(pose, person.shape, pixels, fit.weights)
         shape = self._on_rays(pose, person.shape.shapes(coefficients), pixels)
-        stated = replace(fit, track=replace(fit.track, pose=pose, shape=shape), coefficients=coefficients)
-        return replace(stated, unmatched=found.unmatched, skin_share=found.share)
+        refined = replace(fit, track=replace(fit.track, pose=pose, shape=shape), coefficients=coefficients)
+        return replace(refined, unmatched=found.unmatched, skin_share=found.share)
 
     def _deformation_at(
         self, pose: HeadPose, face: ShapeModel, pixels: FloatArray, weights: FloatArray
     ) -> FloatArray:
-        """The likeliest coefficients (B,) of a face at a pose whose points are seen at pixels (K, 2)."""
+        """Return the most likely coefficients (B,) of points at pixels (K, 2), with the pose fixed."""
         expected, slopes = pixels_and_jacobian(self._camera, pose.points(face.mean))
         seen = np.isfinite(pixels).all(axis=1) & (weights > 0.0)
         scale = np.sqrt(weights[seen]) / self._adjuster.over_recording.settings.pixel_sd.values[seen]
@@ -497,9 +495,10 @@ class PersonFitter:
         return np.linalg.solve(matrix, np.einsum("kia,ki->a", J, rest))
 
     def _shows_person(self, person: KnownPerson, fit: FrameFit) -> bool:
-        """Whether a face looks at the camera and like itself (4.4.3), and is little deformed **[ours]**.
+        """Whether a frame is suitable to adjust the person (4.4.3).
 
-        Of a person who is settled a deformed face tells nothing wrong.
+        The face must look at the camera, match its templates and, unless the person is settled, be nearly
+        neutral **[ours]**.
         """
         settings = self._config.adjustment
         clear = off_axis_deg(fit.track.pose) < settings.facing_deg and fit.score > settings.score
@@ -509,15 +508,15 @@ class PersonFitter:
     def _view(self, person: KnownPerson, frame: SeededFrame, fit: FrameFit) -> PointView:
         a = fit.coefficients + self._model.deformation_mean
         weights = np.where(np.isfinite(fit.pixels[0, :, 0]), fit.weights, 0.0)
-        pose = farther(fit.track.pose, 1.0 / person.factor)
+        pose = scaled_pose(fit.track.pose, 1.0 / person.factor)
         return PointView(frame.stamp_ns, fit.pixels[0], weights, pose, a)
 
     def _adjusted(self, before: TrackState | None, person: KnownPerson, fit: FrameFit) -> FrameFit:
-        """Return what a frame says after the adjustment that it took part in."""
+        """Return the fit with pose and deformation of the adjustment."""
         view, now = person.views[-1], fit.track
         coefficients, pose = (
             view.deformation - self._model.deformation_mean,
-            farther(view.pose, person.factor),
+            scaled_pose(view.pose, person.factor),
         )
         velocity, rate = now.velocity, fit.coefficient_rate
         if before is not None and np.any(velocity):
@@ -533,36 +532,36 @@ class PersonFitter:
         return replace(fit, track=track, coefficients=coefficients, coefficient_rate=rate)
 
     def _on_rays(self, pose: HeadPose, shape: FloatArray, pixels: FloatArray) -> FloatArray:
-        """The points (K, 3) in the head's frame that are seen at pixels (K, 2), as deep as a shape's."""
+        """Return the points (K, 3) in the head's frame at pixels (K, 2) and a shape's depths."""
         depths = pose.points(shape)[:, 2:]
         points = np.hstack([normalised_from_pixels(self._camera, pixels) * depths, depths])
         return np.where(np.isfinite(points), (points - pose.position) @ pose.rotation, shape)
 
     def _is_keyframe(self, person: KnownPerson, fit: FrameFit) -> bool:
-        """Whether a frame shows the nearly neutral face from a direction of which nothing is kept."""
+        """Whether a nearly neutral face is seen from a direction without templates."""
         neutral = _deformed_mm(person, fit) < KEYFRAME_NEUTRAL_MM
         clear = neutral and fit.score > KEYFRAME_CORRELATION
         apart_deg = self._config.refinement.keyframe_deg
         return clear and is_new_direction(person.templates, fit.track.pose.facing, apart_deg)
 
     def _keyframe(self, templates: TemplateSet, correlations: FloatArray) -> TemplateSet:
-        """A frame's templates without the points that do not look like themselves: they may have left."""
+        """Return a frame's templates without poorly correlated points."""
         alike = np.nan_to_num(correlations) > KEYFRAME_CORRELATION
         return replace(templates, seen=templates.seen & alike)
 
 
-def farther(pose: HeadPose, factor: float) -> HeadPose:
-    """Return where a head so many times as large looks the same."""
+def scaled_pose(pose: HeadPose, factor: float) -> HeadPose:
+    """Return the pose at which a head scaled by a factor looks the same."""
     return pose if factor == 1.0 else HeadPose(factor * pose.position, pose.quaternion)
 
 
-def _of_size(fit: FrameFit, factor: float) -> FrameFit:
-    """Return a fit whose frame's templates are of a head so many times as large."""
+def _with_size(fit: FrameFit, factor: float) -> FrameFit:
+    """Return a fit whose templates belong to a head scaled by a factor."""
     if fit.track.templates is None:
         return fit
-    return replace(fit, track=replace(fit.track, templates=fit.track.templates.of_size(factor)))
+    return replace(fit, track=replace(fit.track, templates=fit.track.templates.resized(factor)))
 
 
 def _deformed_mm(person: KnownPerson, fit: FrameFit) -> float:
-    """How far the face is from its mean deformation: the length of 3K numbers, mm."""
+    """Return the distance from the mean deformation, mm (norm of 3K values)."""
     return float(np.linalg.norm(person.shape.basis @ fit.coefficients))

@@ -1,4 +1,4 @@
-"""A face that several calibrated cameras see, as the head tracker knows and learns it (chapter 3)."""
+"""Several-camera part of the head tracker: detects, recognises and learns one face (chapter 3)."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from posetrack_cli.head.tracker.frame_tracker import (
     TrackState,
     initial_fit,
 )
-from posetrack_cli.head.tracker.head_tracker import Description, HeadTracker, padded
+from posetrack_cli.head.tracker.head_tracker import FaceDescription, HeadTracker, padded
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.columns import Arrays, LayoutError, counts, floats
 from posetrack_cli.tracking.confidence import Regression
@@ -58,11 +58,11 @@ from posetrack_cli.tracking.two_pass import Learned
 
 @dataclass(frozen=True, eq=False)
 class StereoState(HeadState):
-    """What a stereo tracker knows after a frame.
+    """State of a stereo tracker after a frame.
 
     Attributes:
-        face: what was learnt of the face; None before it is first found.
-        templates: reference first; empty before.
+        face: the learned face; None before the first detection.
+        templates: reference first; empty before the first detection.
     """
 
     face: FaceLearning | None = None
@@ -70,23 +70,23 @@ class StereoState(HeadState):
 
     @property
     def known_face(self) -> FaceLearning:
-        """What was learnt of a face that was found."""
+        """The learned face of a head that was found."""
         if self.face is None:
-            raise RuntimeError("no face is known yet")  # a state that the tracker never asks so
+            raise RuntimeError("no face is known yet")
         return self.face
 
 
 class StereoFace:
-    """One face in the images of calibrated cameras; a ``Faces``.
+    """One face in the images of calibrated cameras; implements ``Faces``.
 
     Args:
-        config: parameters.
+        config: of the run.
         cameras: of the recording, the reference first.
         initialiser: finds a face in one frame.
-        known: what another tracker has exported: model and templates to begin with.
+        known: exported model and templates to start from.
 
     Raises:
-        ResultError: ``known`` is not what a stereo tracker with these cameras exports.
+        ResultError: ``known`` was not exported by a stereo tracker with these cameras.
     """
 
     def __init__(
@@ -105,27 +105,27 @@ class StereoFace:
 
     @property
     def codec(self) -> Codec[StereoState]:
-        """How states are kept."""
+        """Conversion of states to arrays and back."""
         return self._codecs.state
 
     def start(self) -> StereoState:
-        """Return the state before a first frame."""
+        """Return the state before the first frame."""
         return self._first
 
-    def look(self, state: StereoState, frame: Frame) -> tuple[StereoState, Frame]:
-        """Return both as they are: images are tracked in as recorded."""
+    def prepare(self, state: StereoState, frame: Frame) -> tuple[StereoState, Frame]:
+        """Return both unchanged: images are not scaled."""
         return state, frame
 
     def is_known(self, state: StereoState) -> bool:
-        """Whether the face is known."""
+        """Whether the face has been learned."""
         return state.face is not None
 
     def detect(self, state: StereoState, frame: SeededFrame) -> StereoInitialisation | InitFailure:
-        """Look for a face in a frame."""
+        """Detect a face in a frame."""
         return self._initialiser.find(frame.frame, is_first=frame.stamp_ns == state.first_ns)
 
     def begin(self, state: StereoState, frame: SeededFrame) -> tuple[StereoState, FrameFit | InitFailure]:
-        """Look for anybody's face, and begin to learn it."""
+        """Detect a face and start to learn it."""
         found = self.detect(state, frame)
         if isinstance(found, InitFailure):
             return state, found
@@ -134,35 +134,35 @@ class StereoFace:
         face = new_face(shape, self._config.model)
         reference = take_templates(images, found.pose, shape)
         track = self._frame_tracker.start(frame, found.pose, shape, face.model, reference)
-        search = replace(state.search, order=found.doubt, exchanged=0)
+        search = replace(state.search, order=found.alternative_order, swapped=0)
         state = replace(state, face=face, templates=(reference,), track=track, lost=0, search=search)
         return state, initial_fit(track, found.score, found.pixels)
 
     def fit(self, state: StereoState, track: TrackState, frame: SeededFrame) -> tuple[StereoState, FrameFit]:
-        """Follow the head into a frame; where landmarks say that it slid, begin there again **[ours]**."""
+        """Track the head into a frame; restart from landmarks if the points slid **[ours]**."""
         fit = self._frame_tracker.step(track, frame, state.templates, state.known_face.model)
-        told = self._initialiser.from_landmarks(frame.frame, fit.pixels[0])
-        if told is None:
+        landmarks = self._initialiser.from_landmarks(frame.frame, fit.pixels[0])
+        if landmarks is None:
             return state, fit
-        again = self._from_points(state, told, frame, track.stamp_ns)
+        again = self._from_points(state, landmarks, frame, track.stamp_ns)
         return state, again if again.score > fit.score else fit
 
     def recognise(
         self, state: StereoState, found: StereoInitialisation, frame: SeededFrame
     ) -> Iterator[tuple[StereoState, FrameFit]]:
-        """Lay the known face on the points that were found, and follow it from there."""
+        """Align the known face with the detected points, and track it from there."""
         yield state, self._from_points(state, found, frame, state.last_seen_ns(frame))
 
     def least_score(self, state: StereoState) -> float:
-        """Return the score from which on a face counts as the known one."""
+        """Return the minimum score for the known face."""
         return self._config.status.tracking_above
 
     def not_recognised(self, state: StereoState, found: StereoInitialisation) -> tuple[StereoState, bool]:
-        """Return that there is no other face to begin with: templates are of one person."""
+        """Return False: templates belong to one person, so no new face is started."""
         return state, False
 
     def learn(self, state: StereoState, frame: SeededFrame, fit: FrameFit) -> tuple[StereoState, FrameFit]:
-        """Learn how the face deforms, and what it looks like from new directions."""
+        """Learn the deformation, and templates from new directions."""
         now, templates = fit.track, state.templates
         expected = state.known_face.model.shapes(fit.coefficients)
         face = state.known_face.after(now.shape, self._steadiness, now.pose, fit.correlations, expected)
@@ -170,21 +170,21 @@ class StereoFace:
             templates = (*templates, now.templates)
         return replace(state, face=face, templates=templates), fit
 
-    def state_fit(
+    def report_fit(
         self, state: StereoState, frame: SeededFrame, fit: FrameFit
     ) -> tuple[StereoState, FrameFit]:
-        """Return what the track goes on from."""
+        """Return the tracked fit."""
         return state, fit
 
-    def regression(self, stated: FrameFit) -> Regression:
-        """Return how probable it is that a frame is right."""
+    def regression(self, reported: FrameFit) -> Regression:
+        """Return the confidence model for a frame."""
         return STEREO
 
-    def describe(self, state: StereoState, fit: FrameFit | None) -> Description:
+    def describe(self, state: StereoState, fit: FrameFit | None) -> FaceDescription:
         """Return deformation and diagnostics of a frame."""
         count, face = components_of(self._config), state.face
         nothing = np.zeros(0)
-        return Description(
+        return FaceDescription(
             padded(nothing if fit is None else fit.coefficients, count),
             padded(nothing if face is None else face.model.deviations, count),
             _diagnostics(face, fit).numbers(count),
@@ -192,22 +192,21 @@ class StereoFace:
         )
 
     def export_model(self, state: StereoState, *, for_second_pass: bool) -> Learned:
-        """Return what was learned of the face, shape model and templates."""
+        """Return the learned shape model and templates."""
         return self._codecs.to_model(state)
 
     def remarks(self, state: StereoState) -> tuple[str, ...]:
-        """Say whether the images may belong to other cameras; what else a run finds is in its diagnostics."""
+        """Warn if the images may belong to other cameras."""
         if not state.search.order:
             return ()
         names = ", ".join(self.cameras[c].name for c in state.search.order)
         return (
-            "where the head was found, faces fit the calibration better with images in the order"
-            f" {names}; its points matched as recorded, so the run went on: are cameras or calibration"
-            " mixed up?",
+            f"at initialisation, faces fitted the calibration better with the images in the order {names},"
+            " but the points matched as recorded: check the assignment of cameras and the calibration",
         )
 
     def _is_keyframe(self, templates: Sequence[TemplateSet], fit: FrameFit) -> bool:
-        """Whether a frame shows the nearly neutral face from a direction of which nothing is kept."""
+        """Whether a nearly neutral face is seen from a direction without templates."""
         neutral = float(np.linalg.norm(fit.coefficients)) < KEYFRAME_NEUTRAL_MM
         clear = fit.score > KEYFRAME_CORRELATION
         apart_deg = self._config.refinement.keyframe_deg
@@ -216,15 +215,15 @@ class StereoFace:
     def _from_points(
         self, state: StereoState, found: StereoInitialisation, frame: SeededFrame, last_ns: int
     ) -> FrameFit:
-        """Follow the known face from where its points were found; it is at rest."""
+        """Track the known face from detected points; the fit has no velocity."""
         model = state.known_face.model
-        pose = self._laid_on(model.mean, found)
+        pose = self._aligned_pose(model.mean, found)
         track = replace(self._frame_tracker.start(frame, pose, model.mean, model), stamp_ns=last_ns)
         fit = self._frame_tracker.step(track, frame, state.templates, model)
         return replace(fit, track=fit.track.at_rest())
 
-    def _laid_on(self, mean: FloatArray, found: StereoInitialisation) -> HeadPose:
-        """The pose in which the known shape lies best on the points that were found."""
+    def _aligned_pose(self, mean: FloatArray, found: StereoInitialisation) -> HeadPose:
+        """Return the pose that aligns the known shape with detected points."""
         R, t = rigid_alignment(mean, found.pose.points(found.shape), self._steadiness)
         return HeadPose(t, quaternions_from_matrices(R))
 
@@ -237,27 +236,27 @@ def make_stereo_tracker(
     clicked: Path | None = None,
     landmarks: LandmarkFile | None = None,
 ) -> StereoTracker:
-    """Return the tracker that a run uses.
+    """Create the tracker of a run.
 
     Args:
-        config: parameters.
+        config: of the run.
         cameras: of the recording, the reference first.
-        known: what another tracker has exported.
-        clicked: table of points in the first frame; without it the face is found there, too.
-        landmarks: of the reference camera's images, from elsewhere.
+        known: arrays exported by another tracker.
+        clicked: table of points in the first frame; without it the face is detected there as well.
+        landmarks: of the reference camera's images, from another program.
 
     Raises:
-        UsageError: a face detector without its model, or no such table.
-        PosetrackError: clicked points that are none.
-        ResultError: ``known`` is not what such a tracker exports.
+        UsageError: a face detector without its model, or a missing table.
+        PosetrackError: invalid clicked points.
+        ResultError: ``known`` was not exported by such a tracker.
     """
     settings = config.start
-    told = None if landmarks is None else Landmarks(landmarks, cameras[0])
+    faces = None if landmarks is None else Landmarks(landmarks, cameras[0])
     if clicked is None:
-        initialiser = StereoInitialiser(settings, cameras, told)
+        initialiser = StereoInitialiser(settings, cameras, faces)
     else:
         points = ClickedPoints.read(clicked, cameras)
-        initialiser = ClickedInitialiser(settings, cameras, points, told)
+        initialiser = ClickedInitialiser(settings, cameras, points, faces)
     return HeadTracker(StereoFace(config, cameras, initialiser, known))
 
 
@@ -280,11 +279,11 @@ def _diagnostics(face: FaceLearning | None, fit: FrameFit | None) -> StereoDiagn
 
 
 class StereoCodecs:
-    """How a stereo tracker's states, and what they have learned, become arrays.
+    """Conversion of a stereo tracker's states, and of learned faces, to arrays and back.
 
     Args:
-        cameras: how many there are.
-        settings: of the face's model.
+        cameras: number of cameras.
+        settings: of the face model.
     """
 
     def __init__(self, cameras: int, settings: ModelSettings) -> None:
@@ -322,14 +321,14 @@ class StereoCodecs:
         self.state: Codec[StereoState] = Fields(_state, **(learned | own))
 
     def to_model(self, state: StereoState) -> Learned:
-        """Return what was learned, as model files have it: face, templates, and how it was searched for."""
+        """Return the arrays of a model file: face, templates and search statistics."""
         return self._model.to_arrays(state)
 
     def from_model(self, learned: Mapping[str, Array]) -> StereoState:
-        """Return the state that begins with a face and templates that another tracker has learned.
+        """Return the state that starts with an exported face and templates.
 
         Raises:
-            ResultError: arrays are missing, or not what a stereo tracker with so many cameras learns.
+            ResultError: arrays are missing, or not from a stereo tracker with this number of cameras.
         """
         try:
             return self._known.from_arrays(learned)
@@ -338,9 +337,9 @@ class StereoCodecs:
 
 
 def _state(sets: tuple[TemplateSet, ...], **parts: Any) -> StereoState:
-    """A head is only tracked once its face is known, and a face is known with its templates."""
+    """Build a state; a tracked head requires a face, and a face its templates."""
     state = StereoState(templates=sets, **parts)
     known = (state.face is not None, bool(state.templates))
     if known != (True, True) and (any(known) or state.track is not None):
-        raise LayoutError("a head that is tracked, without its face or its templates")
+        raise LayoutError("a tracked head without face or templates")
     return state

@@ -9,8 +9,8 @@ from posetrack_cli.head.face.points import FEATURES
 from posetrack_cli.head.face.rig_images import CameraImage
 from posetrack_cli.head.initialisation.average_face import (
     MeasuredFace,
-    exchanged_order,
     face_deviation,
+    swapped_order,
 )
 from support.rig import LEFT, face_pixels, right_camera, turned_head
 
@@ -62,8 +62,8 @@ def test_exchanged_images_are_noticed_and_right_ones_are_not(toe_in: float, seed
     pose = turned_head(rng.uniform(-0.3, 0.3), rng.uniform(-0.2, 0.2))
     faces = face_pixels(cameras, pose)
     faces += rng.normal(0.0, NOISE_PX, faces.shape)
-    assert exchanged_order(cameras, faces) == ()
-    assert exchanged_order(cameras, faces[::-1]) == (1, 0)
+    assert swapped_order(cameras, faces) == ()
+    assert swapped_order(cameras, faces[::-1]) == (1, 0)
 
 
 def test_converging_cameras_see_a_hollow_face_when_exchanged() -> None:
@@ -77,4 +77,4 @@ def test_without_a_face_in_every_image_nothing_is_said() -> None:
     cameras = (LEFT, right_camera(0.17))
     faces = face_pixels(cameras, turned_head())[::-1].copy()
     faces[1] = np.nan
-    assert exchanged_order(cameras, faces) == ()
+    assert swapped_order(cameras, faces) == ()

@@ -10,7 +10,7 @@ import pytest
 from posetrack_cli.errors import PosetrackError, UsageError
 from posetrack_cli.head.face.points import POINT_NAMES
 from posetrack_cli.head.initialisation.clicked import read_clicked
-from posetrack_cli.head.initialisation.stereo import clicked_camera
+from posetrack_cli.head.initialisation.stereo import complete_camera
 from support.rig import LEFT, right_camera
 
 CAMERAS = (LEFT, right_camera(0.17))
@@ -31,7 +31,7 @@ def test_points_are_read_by_name_in_any_order(tmp_path: Path) -> None:
     np.testing.assert_array_equal(pixels[0], [[100 + k, 200.5 + k] for k in range(10)])
     np.testing.assert_array_equal(pixels[1, 7], [7.0, 8.0])
     assert np.isnan(pixels[1]).sum() == 18
-    assert clicked_camera(pixels) == 0
+    assert complete_camera(pixels) == 0
 
 
 @pytest.mark.parametrize(
@@ -39,7 +39,7 @@ def test_points_are_read_by_name_in_any_order(tmp_path: Path) -> None:
     [
         ("front,left_nostril,1,2", "unknown camera, found front"),
         ("left,left_nostrl,1,2", "did you mean 'left_nostril'"),
-        ("left,left_nostril,640,2", "no pixel of the image, found 640, 2"),
+        ("left,left_nostril,640,2", "pixel outside the image, found 640, 2"),
         ("left,left_nostril,here,2", "is not a number, found 'here'"),
         ("left,left_nostril,nan,2", "is not finite"),
         ("left,left_nostril,5", "row does not fit the header"),
@@ -60,7 +60,7 @@ def test_some_camera_must_have_all_ten(tmp_path: Path) -> None:
 
 def test_a_missing_file_and_another_table_are_refused(tmp_path: Path) -> None:
     with pytest.raises(
-        UsageError, match="cannot be read, found No such file or directory; clicked points are"
+        UsageError, match="cannot be read, found No such file or directory; clicked points must be"
     ):
         read_clicked(tmp_path / "none.csv", CAMERAS)
     other = tmp_path / "other.csv"

@@ -64,7 +64,7 @@ def test_the_face_of_the_frame_before_is_kept_when_another_becomes_larger():
 def test_a_face_elsewhere_is_not_the_face_of_the_frame_before():
     before = detect([found(NEAR)])
     failure = detect([found(FAR)], near=before.pixels)
-    assert failure == InitFailure("only faces elsewhere than before", 0.9)
+    assert failure == InitFailure("no face near the last position", 0.9)
 
 
 def test_without_a_face_there_is_none():
@@ -77,7 +77,7 @@ def test_points_that_are_not_symmetric_are_refused():
     face.pixels[3, 1] += 25.0
     failure = detect([face])
     assert isinstance(failure, InitFailure)
-    assert "slopes that differ by" in failure.reason
+    assert "slopes between left and right points differ by" in failure.reason
     assert failure.score == pytest.approx(0.8)
 
 

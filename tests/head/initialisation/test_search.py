@@ -23,6 +23,6 @@ def test_it_says_how_many_frames_the_best_score_and_the_usual_reason() -> None:
 
 def test_images_are_exchanged_when_frames_in_a_row_say_so_and_faceless_ones_do_not_count() -> None:
     exchanged = InitFailure("exchanged", 0.5, (1, 0))
-    assert after(exchanged, InitFailure(NO_FACE), exchanged, exchanged).images_exchanged
-    assert not after(exchanged, exchanged).images_exchanged
-    assert not after(exchanged, exchanged, InitFailure("else", 0.5), exchanged).images_exchanged
+    assert after(exchanged, InitFailure(NO_FACE), exchanged, exchanged).images_swapped
+    assert not after(exchanged, exchanged).images_swapped
+    assert not after(exchanged, exchanged, InitFailure("else", 0.5), exchanged).images_swapped

@@ -73,7 +73,7 @@ def test_pixels_off_the_epipolar_lines_do_not_count() -> None:
 def test_a_giant_is_no_start_and_says_how_large() -> None:
     failure = started(face_pixels(CAMERAS, turned_head(distance=1400.0), 2.0 * FEATURES))
     assert isinstance(failure, InitFailure)
-    assert failure.reason == "points 2.00 times as far apart as a face's"
+    assert failure.reason == "implausible size: 2.00 times an average face"
 
 
 def test_a_hollow_face_is_no_start() -> None:
@@ -92,7 +92,7 @@ def test_weak_perspective_recovers_scale_and_rotation() -> None:
 def test_fewer_than_two_images_are_no_start() -> None:
     failure = StereoAttempt(RigImages(CAMERAS, (BLANK, None))).find(FaceDetector())
     assert isinstance(failure, InitFailure)
-    assert failure.reason == "images of fewer than two cameras"
+    assert failure.reason == "fewer than two cameras have an image"
 
 
 def test_a_blank_image_has_no_face() -> None:
@@ -151,19 +151,19 @@ def test_right_images_are_not_refused_whatever_single_faces_say(
     person: Person, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As on a wide baseline, where ten points found in each image by itself fit the other order better."""
-    monkeypatch.setattr(stereo, "exchanged_order", lambda cameras, faces: (1, 0))
+    monkeypatch.setattr(stereo, "swapped_order", lambda cameras, faces: (1, 0))
     attempts = [StereoAttempt(RigImages(person.cameras, person.images(index))) for index in (0, 40)]
     starts = [attempt.find(FaceDetector()) for attempt in attempts]
-    assert [one.doubt for one in starts if isinstance(one, StereoInitialisation)] == [(1, 0)] * 2
+    assert [one.alternative_order for one in starts if isinstance(one, StereoInitialisation)] == [(1, 0)] * 2
 
 
 def test_what_matches_more_points_and_is_more_like_a_face_is_surer() -> None:
     pose, known = HeadPose(np.array([0.0, 0.0, 700.0]), np.array([1.0, 0.0, 0.0, 0.0])), np.arange(10) < 8
     face = StereoInitialisation(pose, FEATURES, np.zeros((2, 10, 2)), np.ones(10, dtype=bool), 0.9)
     hollow = replace(face, shape=FEATURES * [1.0, 1.0, -1.0], matched=known)
-    assert face.is_surer_than(hollow) and not hollow.is_surer_than(face)
-    assert not face.is_surer_than(replace(hollow, matched=face.matched))
-    assert not face.is_surer_than(replace(face, matched=known))
+    assert face.is_better_than(hollow) and not hollow.is_better_than(face)
+    assert not face.is_better_than(replace(hollow, matched=face.matched))
+    assert not face.is_better_than(replace(face, matched=known))
 
 
 def test_clicked_points_start_where_found_ones_do(person: Person) -> None:

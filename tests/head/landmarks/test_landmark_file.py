@@ -16,7 +16,7 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.detection.finders import FaceGuess
 from posetrack_cli.head.detection.points import EYE_DISTANCE_MM, FacePoints
 from posetrack_cli.head.face.points import FEATURES, POINT_COUNT, POINT_NAMES, HeadPose
-from posetrack_cli.head.landmarks.faces import OF_68, OF_478, LandmarkFile, Landmarks, read_landmarks
+from posetrack_cli.head.landmarks.faces import IBUG_68, MEDIAPIPE_478, LandmarkFile, Landmarks, read_landmarks
 from posetrack_cli.recording.base import Frame
 
 CAMERA = Camera(640, 480, 900.0, 900.0, 319.5, 239.5, name="left")
@@ -60,7 +60,7 @@ def openface(folder: Path, pixels: FloatArray) -> Path:
     rows = []
     for t, frame in enumerate(pixels):
         x, y = np.full(68, 3.0), np.full(68, 4.0)
-        x[list(OF_68)], y[list(OF_68)] = frame.T + 0.0
+        x[list(IBUG_68)], y[list(IBUG_68)] = frame.T + 0.0
         cells = [str(t + 1), "0", text(t / 30), "0.98", "1", "0.1", "5.0", "7.0"]
         rows.append([*cells, *map(text, [*x, *y, *np.full(204, 9.0)]), "1.0", "2.0", "0.3"])
     lost = [*rows[0][:4], "0", *rows[0][5:]]
@@ -73,7 +73,7 @@ def _meshes(pixels: FloatArray) -> list[list[dict[str, float]]]:
     meshes = []
     for frame in pixels:
         mesh = np.full((478, 2), 0.5)
-        mesh[list(OF_478)] = (frame + 0.5) / (CAMERA.width, CAMERA.height)
+        mesh[list(MEDIAPIPE_478)] = (frame + 0.5) / (CAMERA.width, CAMERA.height)
         meshes.append([{"x": float(x), "y": float(y), "z": -0.01} for x, y in mesh])
     return meshes
 
@@ -104,7 +104,7 @@ def test_every_layout_gives_the_same_points(tmp_path: Path, write: Write) -> Non
     found = read_landmarks(write(tmp_path, pixels), CAMERA)
     np.testing.assert_array_equal(found.sets.keys, np.arange(8))
     np.testing.assert_allclose(found.sets.points[..., :2], pixels, atol=1e-3)
-    assert found.wild == 0
+    assert found.outliers == 0
     assert found.unit == ("normalised" if "json" in found.name else "px")
 
 
@@ -133,7 +133,7 @@ def test_noise_is_estimated_and_wild_points_are_left_out(tmp_path: Path) -> None
     left_out = np.isnan(found.sets.points[..., 0])
     assert left_out[kept].mean() > 0.9
     assert left_out[~kept].mean() < 0.02
-    assert "60 faces" not in found.line and f"{found.wild} wild points left out" in found.line
+    assert "60 faces" not in found.line and f"{found.outliers} outliers ignored" in found.line
 
 
 def frame(index: int) -> Frame:
@@ -204,7 +204,7 @@ HOSTILE = {
         ",".join(["frame", "success", *(f"{a}_{k}" for a in "xy" for k in range(68))])
         + "\n"
         + ",".join(["0", "1", *["5"] * 136]),
-        "frame cannot be used, found frame 0, expected frames from 1 on",
+        "invalid frame number, found frame 0, expected frames from 1 on",
     ),
 }
 
@@ -219,7 +219,7 @@ def test_what_cannot_be_meant_is_told(tmp_path: Path, case: str) -> None:
 
 
 def test_ten_points_are_ten() -> None:
-    assert len(set(OF_68)) == len(set(OF_478)) == POINT_COUNT
+    assert len(set(IBUG_68)) == len(set(MEDIAPIPE_478)) == POINT_COUNT
 
 
 def test_a_track_begins_at_features_that_are_seen_near_its_landmarks(tmp_path: Path) -> None:
@@ -233,4 +233,4 @@ def test_a_track_begins_at_features_that_are_seen_near_its_landmarks(tmp_path: P
     guess = FaceGuess(np.zeros(2), eye_distance, 0.0, 1.0)
     seen = FacePoints(told.pixels + beside, responses, told.pixels_per_mm, np.zeros(3), guess)
     beside[[3, 5]] = 0.0
-    np.testing.assert_allclose(landmarks.placed(seen, told), told.pixels + beside)
+    np.testing.assert_allclose(landmarks.start_pixels(seen, told), told.pixels + beside)

@@ -167,19 +167,19 @@ def test_a_frame_seen_larger_has_its_crop_where_the_image_is_larger(
     placement: np.ndarray, ratio: float, column: float, row: float
 ) -> None:
     view, place = view_at(5, placement), np.array([column, row])
-    larger = view.seen_larger(ratio)
+    larger = view.rescaled(ratio)
     wanted = scaled_pixels(to_image(placement, place), ratio)
     np.testing.assert_allclose(to_image(larger.placement, place), wanted, atol=ROUNDING)
     np.testing.assert_array_equal(larger.view.pixels, scaled_pixels(view.view.pixels, ratio))
     assert larger.crop is view.crop and larger.view.pose is view.view.pose
-    back = larger.seen_larger(1.0 / ratio)
+    back = larger.rescaled(1.0 / ratio)
     np.testing.assert_allclose(back.placement, placement, atol=ROUNDING)
 
 
 def test_an_album_is_seen_larger_frame_by_frame() -> None:
-    album = SkinAlbum((view_at(0, MOVED), view_at(9, MOVED)), 7).seen_larger(2.0)
+    album = SkinAlbum((view_at(0, MOVED), view_at(9, MOVED)), 7).rescaled(2.0)
     assert album.every_ns == 7 and [one.view.stamp_ns for one in album.views] == [0, 9]
-    np.testing.assert_array_equal(album.views[1].placement, view_at(9, MOVED).seen_larger(2.0).placement)
+    np.testing.assert_array_equal(album.views[1].placement, view_at(9, MOVED).rescaled(2.0).placement)
 
 
 def kept(stamps: list[int], every_ns: int, most: int) -> list[SkinAlbum]:

@@ -99,7 +99,7 @@ def test_a_map_whose_arrays_are_of_other_lengths_is_refused(name: str) -> None:
 def test_a_map_with_numbers_that_are_none_is_refused(name: str, bad: float) -> None:
     array = mapped()[f"{MAP}.{name}"].copy()
     array.flat[-1] = bad
-    assert_refused(mapped() | {f"{MAP}.{name}": array}, f"'{MAP}.{name}' with ")
+    assert_refused(mapped() | {f"{MAP}.{name}": array}, f"'{MAP}.{name}' has ")
 
 
 @pytest.mark.parametrize("share", [-0.1, 1.1])
@@ -119,7 +119,7 @@ def test_points_of_a_map_belong_to_its_views_in_order(views: list[int]) -> None:
 
 
 def test_points_of_no_view_at_all_are_refused() -> None:
-    assert_refused(mapped() | {f"{MAP}.views": np.array([-1, 0, 0, 1, 1, 2, 2])}, f"'{MAP}.views' with")
+    assert_refused(mapped() | {f"{MAP}.views": np.array([-1, 0, 0, 1, 1, 2, 2])}, f"'{MAP}.views' has")
 
 
 @pytest.mark.parametrize(
@@ -146,7 +146,7 @@ def test_frames_of_skin_need_all_their_arrays(name: str) -> None:
 
 def test_crops_of_another_size_are_refused() -> None:
     for name in (f"{VIEWS}.crop", f"{MAP}.crops"):
-        assert_refused(mapped() | {name: mapped()[name][:, 1:]}, f"'{name}' as uint8")
+        assert_refused(mapped() | {name: mapped()[name][:, 1:]}, f"'{name}' is uint8")
 
 
 def test_arrays_are_plain() -> None:

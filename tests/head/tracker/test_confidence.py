@@ -21,9 +21,9 @@ from posetrack_cli.head.tracker.frame_tracker import (
     FrameFit,
     TrackRecord,
     TrackState,
-    doubts,
+    confidence_signs,
     initial_fit,
-    signs_of,
+    track_warnings,
 )
 from posetrack_cli.results.estimate import Status
 from posetrack_cli.tracking.confidence import Regression
@@ -45,18 +45,19 @@ def fit_of(beside_mm: float = 0.63, weight: float = 0.6) -> FrameFit:
 def test_signs_are_what_is_stated() -> None:
     """1 % of the eyes' distance; eyes 90 px apart; at rest; .4 unseen; .2 of the skin not found."""
     fit = fit_of()
-    signs = signs_of(None, fit, replace(fit, unmatched=0.2), CAMERA)
+    signs = confidence_signs(None, fit, replace(fit, unmatched=0.2), CAMERA)
     np.testing.assert_allclose(signs, [np.log(1.4), np.log(80 / 90), np.log(0.2), 0.4, 0.2], rtol=1e-6)
     assert len(signs) == len(SIGN_NAMES) == len(NO_SIGNS)
-    assert signs_of(None, fit, fit, CAMERA)[-1] == 0.0, "no skin was looked for"
+    assert confidence_signs(None, fit, fit, CAMERA)[-1] == 0.0, "no skin was looked for"
 
 
 def test_a_small_face_tells_less() -> None:
     small, smaller = (
-        signs_of(None, fit_of(), fit_of(), replace(CAMERA, fx=focal, fy=focal)) for focal in (250.0, 200.0)
+        confidence_signs(None, fit_of(), fit_of(), replace(CAMERA, fx=focal, fy=focal))
+        for focal in (250.0, 200.0)
     )
     assert (small[1], smaller[1]) == pytest.approx((np.log(80 / 25), np.log(80 / 20)))
-    larger = signs_of(None, fit_of(), fit_of(), CAMERA)
+    larger = confidence_signs(None, fit_of(), fit_of(), CAMERA)
     for regression in REGRESSIONS:
         assert (
             regression.probability(smaller) < regression.probability(small) < regression.probability(larger)
@@ -68,10 +69,10 @@ def test_points_that_no_camera_sees_do_not_tell() -> None:
     shape, pixels = fit.track.shape.copy(), fit.pixels.copy()
     shape[3], pixels[0, 3] = 100.0, np.nan
     hidden = replace(fit, track=replace(fit.track, shape=shape), pixels=pixels)
-    one, other = (signs_of(None, which, which, CAMERA) for which in (hidden, fit))
+    one, other = (confidence_signs(None, which, which, CAMERA) for which in (hidden, fit))
     np.testing.assert_allclose(one, other)
     unseen = replace(fit, weights=np.zeros(POINT_COUNT))
-    none = signs_of(None, unseen, unseen, CAMERA)
+    none = confidence_signs(None, unseen, unseen, CAMERA)
     assert (none[0], none[3]) == pytest.approx((np.log(100.4), 1.0))  # as far off as eyes are apart
 
 
@@ -81,7 +82,7 @@ def test_unsteady_is_what_turns_otherwise_than_before() -> None:
     fast = replace(fit.track, velocity=np.array([0.0, 0.0, 0.0, 2.0, 0.0, 0.0]))
     faster = replace(fit, track=replace(fast, velocity=1.15 * fast.velocity))
     for before, now, off_deg in ((fast, faster, np.degrees(0.01)), (fast, replace(fit, track=fast), 0.0)):
-        unsteady = signs_of(before, now, now, CAMERA)[2]
+        unsteady = confidence_signs(before, now, now, CAMERA)[2]
         assert np.exp(unsteady) == pytest.approx(off_deg + 0.2)
 
 
@@ -107,7 +108,7 @@ def test_a_frame_that_is_more_probably_wrong_is_not_tracked(monkeypatch: pytest.
         np.testing.assert_array_equal(one.position, other.position)
         np.testing.assert_array_equal(one.quaternion, other.quaternion)
     (line,) = doubtful.tracker.remarks(doubtful.state)
-    assert line.startswith("9 of 9 frames are more probably wrong than right (confidence below 0.5): ")
+    assert line.startswith("9 of 9 frames have low confidence (below 0.5): ")
     assert scene.tracker.remarks(scene.state) == ()
 
 
@@ -134,7 +135,7 @@ def test_a_track_is_recorded() -> None:
 
 def test_a_good_track_has_nothing_to_be_said() -> None:
     good = TrackRecord(frames=100, doubtful=10, gap_ns=900_000_000, gap_frame=3, last_frame=99)
-    assert doubts(good) == ()
-    (line,) = doubts(good._replace(doubtful=11, gap_ns=2_100_000_000))
-    assert "11 of 100 frames are more probably wrong than right" in line
-    assert "no face for 2.1 s after frame 3: posetrack view shows them" in line
+    assert track_warnings(good) == ()
+    (line,) = track_warnings(good._replace(doubtful=11, gap_ns=2_100_000_000))
+    assert "11 of 100 frames have low confidence" in line
+    assert "no face for 2.1 s after frame 3: inspect them with posetrack view" in line

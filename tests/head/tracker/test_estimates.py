@@ -13,7 +13,7 @@ from posetrack_cli.errors import ResultError
 from posetrack_cli.head.actions import ACTION_NAMES
 from posetrack_cli.head.face.points import POINT_NAMES, HeadPose
 from posetrack_cli.head.subject import MonoDiagnostics, mono_diagnostic_names, mono_subject
-from posetrack_cli.head.tracker.head_tracker import Description, lost_estimate
+from posetrack_cli.head.tracker.head_tracker import FaceDescription, lost_estimate
 from posetrack_cli.head.tracker.mono import size_and_systematic_variance
 from posetrack_cli.head.tracker.person import PRIOR_SD, Size
 from posetrack_cli.recording.base import Frame
@@ -61,7 +61,7 @@ def test_a_subject_fits_what_the_tracker_says(identities: int, deformations: int
     model = random_model(0, identities, deformations)
     subject = mono_subject("left", model)
     mean, deviations = model.deformation_mean, model.deformation_deviations
-    face = Description(mean, deviations, numbers(identities).numbers())
+    face = FaceDescription(mean, deviations, numbers(identities).numbers())
     estimate = lost_estimate(Frame(0, 0, (None,)), None, face)
     check_estimate(estimate, subject)
     assert subject.camera_frame == "left" and len(subject.shape_names) == deformations

@@ -18,7 +18,7 @@ from posetrack_cli.head.tracker.codecs import (
     SCENE_HEIGHT,
     SCENE_WIDTH,
     MonoState,
-    Stated,
+    ReportedPose,
     is_cut,
     mono_codec,
     people_codec,
@@ -47,7 +47,9 @@ STATES = {
     "collecting": MonoState(candidates=CANDIDATES, reference=random_templates(4), search=SEARCHED, scale=0.4),
     "known, not yet found": KNOWN,
     "tracked": MonoState(people=(ONE,), track=TRACK, checked_ns=STAMP - 5, trust=0.8, scale=1.0),
-    "stated": replace(KNOWN, track=TRACK, stated=Stated(TRACK.pose.moved(np.full(6, 0.1)), np.arange(5.0))),
+    "stated": replace(
+        KNOWN, track=TRACK, stated=ReportedPose(TRACK.pose.moved(np.full(6, 0.1)), np.arange(5.0))
+    ),
     "put there": MonoState(people=(ONE,), track=random_track(6, MODEL, seen=False), scale=0.5),
     "with a past": replace(
         KNOWN,
@@ -97,7 +99,7 @@ def test_arrays_are_plain(state: MonoState) -> None:
 
 
 def test_nothing_is_no_state() -> None:
-    with pytest.raises(LayoutError, match="no array"):
+    with pytest.raises(LayoutError, match="is missing"):
         CODEC.from_arrays({})
 
 
@@ -118,7 +120,7 @@ def test_what_was_stated_deforms_as_what_is_tracked() -> None:
 
 def test_a_thumbnail_has_its_size() -> None:
     arrays = CODEC.to_arrays(STATES["after a cut"])
-    with pytest.raises(LayoutError, match="'scene' of 10 pixels, not 768"):
+    with pytest.raises(LayoutError, match="'scene' has 10 pixels, expected 768"):
         CODEC.from_arrays(arrays | {"scene": np.zeros(10)})
 
 

@@ -376,7 +376,7 @@ def test_clicked_points_begin_at_once() -> None:
 def test_clicked_points_that_are_no_face_are_refused() -> None:
     pixels = project((CAMERA,), pose_at(0).points(SHAPE)).pixels[0]
     scene = Scene(clicked=pixels[[8, 5, 4, 1, 0, 3, 9, 2, 6, 7]])
-    with pytest.raises(NothingFoundError, match="clicked points begin no head"):
+    with pytest.raises(NothingFoundError, match="clicked points do not form a head"):
         scene.step(0)
 
 

@@ -144,7 +144,7 @@ def test_a_frame_leaves_what_was_known_before_as_it_was() -> None:
     bundle = at_rest(2)
     before, same = after(bundle, USUAL, 3)[-1], after(bundle, USUAL, 3)[-1]
     before.after(as_tracked(bundle, 3), 0.9, adjuster(bundle, USUAL))
-    before.over_album(adjuster(bundle, USUAL))
+    before.adjusted_over_album(adjuster(bundle, USUAL))
     assert_same(before, same)
 
 
@@ -152,8 +152,8 @@ def test_a_frame_leaves_what_was_known_before_as_it_was() -> None:
 def test_over_all_frames_the_person_comes_nearer_still(seed: int) -> None:
     bundle = at_rest(seed)
     known = after(bundle, USUAL, 20)[-1]
-    over_album = known.over_album(adjuster(bundle, USUAL))
-    assert unlike(over_album, bundle) < unlike(known, bundle)
+    adjusted_over_album = known.adjusted_over_album(adjuster(bundle, USUAL))
+    assert unlike(adjusted_over_album, bundle) < unlike(known, bundle)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -161,27 +161,30 @@ def test_over_all_frames_no_cost_grows(seed: int) -> None:
     """F of the album with the person held, of a face that deforms, before and after."""
     bundle = random_bundle(seed, 20)
     known = after(bundle, USUAL, 20)[-1]
-    over_album = known.over_album(adjuster(bundle, USUAL))
+    adjusted_over_album = known.adjusted_over_album(adjuster(bundle, USUAL))
 
     def cost(person: PersonParameters) -> float:
         held = {"iterations": 50, "hold_person": True, "wide": True}
         closely = adjuster(bundle, USUAL).over_recording
         return closely.adjust(known.album.views, person, **held).cost
 
-    assert cost(over_album.person) <= cost(known.person)
+    assert cost(adjusted_over_album.person) <= cost(known.person)
 
 
 def test_over_all_frames_begins_a_second_pass() -> None:
     """Nothing is kept of frames that the second pass sees again."""
     bundle = at_rest(3)
     known = after(bundle, USUAL, 12)[-1]
-    over_album = known.over_album(adjuster(bundle, USUAL))
-    assert over_album.views == () and over_album.album.views == ()
-    assert_same(over_album.history, IdentityHistory.starting_with(over_album.person.identity, USUAL.average))
-    assert over_album.templates is known.templates and over_album.adjusted_frames == 12
+    adjusted_over_album = known.adjusted_over_album(adjuster(bundle, USUAL))
+    assert adjusted_over_album.views == () and adjusted_over_album.album.views == ()
+    assert_same(
+        adjusted_over_album.history,
+        IdentityHistory.starting_with(adjusted_over_album.person.identity, USUAL.average),
+    )
+    assert adjusted_over_album.templates is known.templates and adjusted_over_album.adjusted_frames == 12
     np.testing.assert_array_equal(
-        over_album.shape.mean,
-        bundle.model.of_person(over_album.person.identity, over_album.person.offsets).mean,
+        adjusted_over_album.shape.mean,
+        bundle.model.of_person(adjusted_over_album.person.identity, adjusted_over_album.person.offsets).mean,
     )
 
 
@@ -189,13 +192,13 @@ def test_over_all_frames_begins_a_second_pass() -> None:
 def test_a_person_who_is_not_adjusted_stays(when: str) -> None:
     bundle = at_rest(4)
     known = after(bundle, USUAL, 5)[-1]
-    assert known.over_album(adjuster(bundle, USUAL.model_copy(update={"when": when}))) is known
+    assert known.adjusted_over_album(adjuster(bundle, USUAL.model_copy(update={"when": when}))) is known
 
 
 def test_one_frame_is_not_adjusted_over_album() -> None:
     bundle = at_rest(5)
     known = after(bundle, USUAL, 1)[-1]
-    assert known.over_album(adjuster(bundle, USUAL)) is known
+    assert known.adjusted_over_album(adjuster(bundle, USUAL)) is known
 
 
 def test_rms_is_of_the_known_distances() -> None:

@@ -12,8 +12,14 @@ from hypothesis import strategies as st
 from posetrack_cli.head.config import PersonSettings
 from posetrack_cli.head.face.points import MEAN_SHAPE, HeadPose
 from posetrack_cli.head.face.rig_images import project
-from posetrack_cli.head.tracker.mono import told_distance
-from posetrack_cli.head.tracker.person import CORNERS_OUTSIDE_MM, PupilDistance, Size, farther, pupil_distance
+from posetrack_cli.head.tracker.mono import interpupillary_distance
+from posetrack_cli.head.tracker.person import (
+    CORNERS_OUTSIDE_MM,
+    PupilDistance,
+    Size,
+    pupil_distance,
+    scaled_pose,
+)
 from support.mono_scene import CAMERA, FEW, MODEL, Scene
 
 SEEN = pupil_distance(MEAN_SHAPE)
@@ -47,28 +53,28 @@ def test_pupils_are_midway_between_the_corners_as_the_statistics_have_them() -> 
 
 def test_a_larger_head_farther_away_looks_the_same() -> None:
     shape, pose = MODEL.of_person(MODEL.identity_mean), HeadPose(np.array([30.0, -20.0, 700.0]), ONWARDS)
-    larger = Size(1.07, 0.01).of_shape(shape)
+    larger = Size(1.07, 0.01).scale_shape(shape)
     a = 0.5 * shape.deviations
-    here, there = pose.points(shape.shapes(a)), farther(pose, 1.07).points(larger.shapes(a))
+    here, there = pose.points(shape.shapes(a)), scaled_pose(pose, 1.07).points(larger.shapes(a))
     one, other = (project((CAMERA,), points).pixels for points in (here, there))
     np.testing.assert_allclose(one, other)
 
 
 def test_what_is_told_must_be_somebodys() -> None:
-    assert told_distance(PersonSettings()) is None
-    told = told_distance(PersonSettings(interpupillary_mm=61.0, interpupillary_sd_mm=3.0))
+    assert interpupillary_distance(PersonSettings()) is None
+    told = interpupillary_distance(PersonSettings(interpupillary_mm=61.0, interpupillary_sd_mm=3.0))
     assert told == PupilDistance(61.0, float(np.hypot(3.0, 1.1)), 0.035)
     likely = PupilDistance(SEEN, 1.0)
-    assert likely.doubt(MEAN_SHAPE) == ()
-    (line,) = replace(likely, distance_mm=1.15 * SEEN).doubt(MEAN_SHAPE)
-    assert "pupils 70 mm apart are told, but those of the likeliest such face are 61 mm apart" in line
+    assert likely.warnings(MEAN_SHAPE) == ()
+    (line,) = replace(likely, distance_mm=1.15 * SEEN).warnings(MEAN_SHAPE)
+    assert "interpupillary distance 70 mm, but the most likely face has 61 mm" in line
 
 
 def test_a_told_distance_scales_a_track_and_narrows_its_depth() -> None:
     """Everything but the length of things is as without: pixels, angles, coefficients."""
     mean = MODEL.of_person(MODEL.identity_mean).mean
     told = PersonSettings(interpupillary_mm=1.1 * pupil_distance(mean), interpupillary_sd_mm=0.0)
-    config, size = FEW.model_copy(update={"person": told}), told_distance(told).size_of(mean)
+    config, size = FEW.model_copy(update={"person": told}), interpupillary_distance(told).size_of(mean)
     plain, sized = Scene(), Scene(config=config)
     for index in range(FEW.start.frames + 6):
         one, other = plain.step(index), sized.step(index)

@@ -22,7 +22,7 @@ from posetrack_cli.head.subject import SIGN_NAMES
 from posetrack_cli.head.tracker.codecs import ONE, MonoState
 from posetrack_cli.head.tracker.frame_tracker import MONO, MONO_WITH_SKIN, FrameFit, SeededFrame, TrackState
 from posetrack_cli.head.tracker.mono import MonoPeople
-from posetrack_cli.head.tracker.person import farther
+from posetrack_cli.head.tracker.person import scaled_pose
 from posetrack_cli.results.columns import LayoutError
 from posetrack_cli.results.estimate import Estimate, Status
 from posetrack_cli.tracking.confidence import RunningSigns
@@ -170,9 +170,9 @@ def test_a_pose_between_track_and_skin_is_stated(config: HeadMonoConfig) -> None
         assert found is not None
         factor, (image,) = state.person.factor, scene.frame(index).images
         assert (factor > 1.05) == (config is LARGE)
-        usual, whole = farther(told, 1.0 / factor), replace(found, share=1.0)
+        usual, whole = scaled_pose(told, 1.0 / factor), replace(found, share=1.0)
         on_skin = pose_on_map(whole, image, estimate.stamp_ns, usual, CAMERA)
-        apart.append(usual.difference(farther(pose_of(estimate), 1.0 / factor)))
+        apart.append(usual.difference(scaled_pose(pose_of(estimate), 1.0 / factor)))
         np.testing.assert_allclose(apart[-1], SHARE * usual.difference(on_skin.pose), atol=ROUNDING)
         assert_same(pose_of(estimate), state.stated.pose)
         running, signs = running.after(np.array([on_skin.unmatched])), signs_of_frame(scene, estimate)

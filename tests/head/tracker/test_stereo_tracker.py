@@ -143,7 +143,7 @@ def test_a_head_that_is_found_in_spite_of_a_doubt_is_tracked_and_the_doubt_is_sa
     scene = Scene(told=Told(doubt=(1, 0)))
     assert [scene.step(index).status for index in range(4)] == [Status.TRACKING] * 4
     (remark,) = scene.tracker.remarks(scene.state)
-    assert "in the order camera1, camera0" in remark and "the run went on" in remark
+    assert "in the order camera1, camera0" in remark and "matched as recorded" in remark
     plain = Scene()
     plain.step(0)
     assert plain.tracker.remarks(plain.state) == ()
