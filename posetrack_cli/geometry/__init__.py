@@ -1,1 +1,1 @@
-"""Rotations, rigid transforms and cameras. Millimetres, radians; camera axes x right, y down, z forward."""
+"""Rotations, rigid transforms and cameras, in mm and rad; camera axes x right, y down, z forward."""

@@ -1,4 +1,4 @@
-"""Cameras: pinholes, lenses, projection with them."""
+"""Pinhole cameras with lens distortion, and projection."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ DISTORTION_LENGTHS = {
     "equidistant": (4,),
     "inverse_brown_conrady": (4, 5),
 }
-# Beyond those of any camera; within them no arithmetic on pixels overflows.
+# Beyond any real camera; within these limits no arithmetic on pixels overflows.
 SMALLEST_FOCAL_PX, LARGEST_PX, LARGEST_COEFFICIENT = 0.1, 1e6, 1e6
-# p2, the thin prism's s1 and s2, the sensor's tilt about y: with them x' keeps terms even in x
+# p2, thin prism s1 and s2, sensor tilt about y: their terms in x' are even in x
 _CHANGE_SIGN_IN_A_MIRROR = (3, 8, 9, 13)
 IN_PLACE = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0))
 """Transform of the reference camera."""
@@ -33,7 +33,7 @@ IN_PLACE = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0))
 
 @dataclass(frozen=True)
 class Camera:
-    """A calibrated camera: u = fx x/z + cx, v = fy y/z + cy, after lens distortion.
+    """Calibrated camera: u = fx x/z + cx, v = fy y/z + cy, after lens distortion.
 
     Attributes:
         width, height: image size, pixels.
@@ -41,7 +41,7 @@ class Camera:
         distortion: coefficients in OpenCV's order; empty for none.
         distortion_model: ``plumb_bob`` (k1 k2 p1 p2 k3), ``rational_polynomial``, ``equidistant`` or
             ``inverse_brown_conrady`` (plumb_bob's polynomial, from distorted to undistorted coordinates).
-        name: frame id or folder name; topics of results carry it.
+        name: frame id or folder name; used in result topics.
         camera_T_reference: (3, 4) transform from the recording's reference camera, mm.
     """
 
@@ -61,18 +61,16 @@ class Camera:
         focal_lengths = min(self.fx, self.fy) >= SMALLEST_FOCAL_PX
         if not all(np.isfinite(values)) or max(np.abs(values[:4])) > LARGEST_PX or not focal_lengths:
             raise PosetrackError(
-                "intrinsics cannot be used",
+                "invalid intrinsics",
                 where=self.name,
                 found=f"fx {self.fx} fy {self.fy} cx {self.cx} cy {self.cy}",
-                expected=f"finite values up to {LARGEST_PX:g}, and fx, fy from {SMALLEST_FOCAL_PX:g} pixels",
+                expected=f"finite values up to {LARGEST_PX:g}, fx and fy at least {SMALLEST_FOCAL_PX:g} px",
             )
         if self.width <= 0 or self.height <= 0:
-            raise PosetrackError(
-                "image size cannot be used", where=self.name, found=f"{self.width}x{self.height}"
-            )
+            raise PosetrackError("invalid image size", where=self.name, found=f"{self.width}x{self.height}")
         if max(np.abs(self.distortion), default=0.0) > LARGEST_COEFFICIENT:
             raise PosetrackError(
-                "distortion cannot be used",
+                "invalid distortion",
                 where=self.name,
                 found=f"coefficients {' '.join(f'{value:g}' for value in self.distortion)}",
                 expected=f"up to {LARGEST_COEFFICIENT:g}",
@@ -80,7 +78,7 @@ class Camera:
         lengths = DISTORTION_LENGTHS.get(self.distortion_model)
         if self.distortion and (lengths is None or len(self.distortion) not in lengths):
             raise PosetrackError(
-                "distortion cannot be used",
+                "invalid distortion",
                 where=self.name,
                 found=f"{self.distortion_model} with {len(self.distortion)} coefficients",
                 expected="; ".join(f"{k} with {v}" for k, v in DISTORTION_LENGTHS.items()),
@@ -88,21 +86,21 @@ class Camera:
 
     @property
     def matrix(self) -> FloatArray:
-        """The (3, 3) intrinsic matrix K, pixels."""
+        """Intrinsic matrix K (3, 3), pixels."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     def values(self) -> dict[str, Any]:
-        """Name, size, intrinsics and distortion as plain values, for records and JSON."""
+        """Return name, size, intrinsics and distortion as plain values, for records and JSON."""
         keys = ("name", "width", "height", "fx", "fy", "cx", "cy", "distortion", "distortion_model")
         return {key: getattr(self, key) for key in keys} | {"distortion": list(self.distortion)}
 
     @property
     def is_distorted(self) -> bool:
-        """Whether any distortion coefficient differs from zero."""
+        """Whether any distortion coefficient is non-zero."""
         return any(self.distortion)
 
     def scaled(self, width: int, height: int) -> Camera:
-        """Return the camera of the same picture at another resolution: cx' = (cx + 1/2) s - 1/2."""
+        """Return the camera of the same image at another resolution: cx' = (cx + 1/2) s - 1/2."""
         across, down = width / self.width, height / self.height
         return replace(
             self,
@@ -115,9 +113,9 @@ class Camera:
         )
 
     def mirrored(self) -> Camera:
-        """Return the camera of the image flipped left to right: cx' = width - 1 - cx.
+        """Return the camera of the horizontally flipped image: cx' = width - 1 - cx.
 
-        With other cameras mirrored too it sees the mirrored scene, x to -x in the reference's axes as well.
+        If all cameras are mirrored, they see the mirrored scene, x to -x in the reference axes.
         """
         signs = [-1.0 if k in _CHANGE_SIGN_IN_A_MIRROR else 1.0 for k in range(len(self.distortion))]
         if self.distortion_model == "equidistant":
@@ -155,35 +153,34 @@ class Camera:
 
 # Lens distortion: from points to distorted pixels and back, in OpenCV's models.
 #
-# Normalised coordinates are x = X/Z, y = Y/Z of a point in the camera's axes, without unit. ``distort`` takes
-# them to where the lens puts them; pixels follow from the intrinsics, u = fx x' + cx.
+# Normalised coordinates are x = X/Z, y = Y/Z of a point in camera axes, without unit. ``distort`` maps them
+# to distorted coordinates, and the intrinsics map these to pixels, u = fx x' + cx.
 #
-# Component functions take x and y apart, keep their shape and float type, and cost nothing for a camera
-# without distortion: what a particle filter projects with.
-
+# Functions take x and y as separate arrays, keep shape and float type, and return at once for cameras without
+# distortion, as particle filters call them for every pose.
 
 NEWTON_STEPS = 20
 CONVERGED = 1e-12
-"""Change of a normalised coordinate below which undistortion has arrived: 1e-9 px at fx = 1000."""
+"""Convergence threshold of undistortion in normalised coordinates: 1e-9 px at fx = 1000."""
 SMALL_ANGLE = 1e-8
 
 F: TypeAlias = NDArray[Any]
-"""One component of many coordinates, of any floating type."""
+"""One component of many coordinates, of any float type."""
 Jacobian: TypeAlias = tuple[F, F, F, F]
 """dx'/dx, dx'/dy, dy'/dx, dy'/dy."""
 
 
 def distort(camera: Camera, x: F, y: F) -> tuple[F, F]:
-    """Return where the lens puts normalised coordinates.
+    """Return the distorted coordinates of normalised ones.
 
-    plumb_bob, rational_polynomial: x' = x f(r) + 2 p1 x y + p2 (r^2 + 2 x^2) + s1 r^2 + s2 r^4, y' alike,
-    f = (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6), then the sensor's tilt.
+    plumb_bob, rational_polynomial: x' = x f(r) + 2 p1 x y + p2 (r^2 + 2 x^2) + s1 r^2 + s2 r^4, y'
+    likewise, f = (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6), then the sensor tilt.
     equidistant: x' = x/r theta (1 + k1 theta^2 + ... + k4 theta^8), theta = atan r.
     inverse_brown_conrady (librealsense, rsutil.h): the x' whose plumb_bob distortion is x.
 
     Args:
-        camera: whose distortion it is.
-        x, y: normalised, one shape; float32 stays float32.
+        camera: camera with the distortion.
+        x, y: normalised coordinates of equal shape; float32 stays float32.
     """
     return _lens(camera).distort(x, y) if camera.is_distorted else (x, y)
 
@@ -197,11 +194,10 @@ def distortion_jacobian(camera: Camera, x: F, y: F) -> Jacobian:
 
 
 def undistort(camera: Camera, x: F, y: F) -> tuple[F, F]:
-    """Return the normalised coordinates that the lens puts at x, y.
+    """Return the normalised coordinates of distorted ones.
 
-    By Newton's method on ``distort``; of inverse_brown_conrady by its polynomial.
-
-    Coordinates that no point in front of the lens is put at come back as whatever Newton's method ends with.
+    Uses Newton's method on ``distort``, or the polynomial of inverse_brown_conrady. Coordinates outside the
+    range of ``distort`` give arbitrary results.
     """
     if not camera.is_distorted:
         return x, y
@@ -209,7 +205,7 @@ def undistort(camera: Camera, x: F, y: F) -> tuple[F, F]:
 
 
 def _lens(camera: Camera) -> _Polynomial | _Equidistant | _Inverse:
-    """The lens of a camera with distortion; of fourteen coefficients those not given are 0."""
+    """Return the lens model; missing polynomial coefficients are 0."""
     if camera.distortion_model == "equidistant":
         return _Equidistant(*camera.distortion)
     polynomial = _Polynomial(*camera.distortion, *(0.0,) * (14 - len(camera.distortion)))
@@ -217,9 +213,9 @@ def _lens(camera: Camera) -> _Polynomial | _Equidistant | _Inverse:
 
 
 def _inverted(lens: _Polynomial | _Equidistant, x: F, y: F) -> tuple[F, F]:
-    """Return the coordinates that a lens puts at x, y, by Newton's method."""
+    """Invert a lens by Newton's method."""
     found_x, found_y = x, y
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # coefficients of no lens diverge
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # unrealistic coefficients diverge
         for _ in range(NEWTON_STEPS):
             seen_x, seen_y = lens.distort(found_x, found_y)
             step_x, step_y = _solved(lens.jacobian(found_x, found_y), x - seen_x, y - seen_y)
@@ -230,7 +226,7 @@ def _inverted(lens: _Polynomial | _Equidistant, x: F, y: F) -> tuple[F, F]:
 
 
 class _Polynomial(NamedTuple):
-    """Radial and tangential distortion, thin prism and a tilted sensor, as OpenCV has them."""
+    """Radial, tangential and thin prism distortion and sensor tilt, as in OpenCV."""
 
     k1: float
     k2: float
@@ -282,7 +278,7 @@ class _Polynomial(NamedTuple):
         return over / under, (slope - over / under * under_slope) / under
 
     def _straight(self, x: F, y: F) -> tuple[F, F]:
-        """Where coordinates were put if the sensor were not tilted."""
+        """Return the distorted coordinates before sensor tilt."""
         p1, p2, s1, s2, s3, s4 = self.p1, self.p2, self.s1, self.s2, self.s3, self.s4
         r2 = x * x + y * y
         f = self._radial(r2)[0]
@@ -305,7 +301,7 @@ class _Polynomial(NamedTuple):
 
     @property
     def _tilt(self) -> FloatArray | None:
-        """The (3, 3) homography of a tilted sensor as in OpenCV; None if it is not tilted."""
+        """Homography (3, 3) of a tilted sensor as in OpenCV; None without tilt."""
         if not (self.tx or self.ty):
             return None
         cx, sx, cy, sy = np.cos(self.tx), np.sin(self.tx), np.cos(self.ty), np.sin(self.ty)
@@ -320,7 +316,7 @@ class _Polynomial(NamedTuple):
 
 
 class _Equidistant(NamedTuple):
-    """A fisheye, whose radius in the image is a polynomial of the angle."""
+    """Fisheye lens whose image radius is a polynomial of the angle."""
 
     k1: float
     k2: float
@@ -345,7 +341,7 @@ class _Equidistant(NamedTuple):
         return _inverted(self, x, y)
 
     def _scale(self, r2: F) -> F:
-        """Return distorted over undistorted radius; 1 on the axis."""
+        """Return distorted divided by undistorted radius; 1 on the axis."""
         k1, k2, k3, k4 = self
         r = np.sqrt(r2)
         theta = np.arctan(r)
@@ -356,7 +352,7 @@ class _Equidistant(NamedTuple):
 
 
 class _Inverse(NamedTuple):
-    """A lens whose polynomial leads from distorted to undistorted coordinates."""
+    """Lens whose polynomial maps distorted to undistorted coordinates."""
 
     polynomial: _Polynomial
 
@@ -379,7 +375,7 @@ def _product(first: Jacobian, second: Jacobian) -> Jacobian:
 
 
 def _solved(matrix: Jacobian, right_x: F, right_y: F) -> tuple[F, F]:
-    """Solve 2x2 systems; where one is singular no step is taken."""
+    """Solve 2x2 systems; singular ones give a step of zero."""
     a, b, c, d = matrix
     determinant = a * d - b * c
     safe = np.where(np.abs(determinant) > 1e-9, determinant, np.inf).astype(determinant.dtype)
@@ -388,16 +384,15 @@ def _solved(matrix: Jacobian, right_x: F, right_y: F) -> tuple[F, F]:
 
 # Projection into cameras with lens distortion, and back.
 #
-# ``Camera.pixels_from_points`` is the same without distortion. Points of several cameras are in the axes of
-# the recording's reference camera; ``in_camera_axes`` takes them into another's.
-
+# ``Camera.pixels_from_points`` is the same without distortion. With several cameras, points are in the axes
+# of the recording's reference camera, and ``in_camera_axes`` transforms them to another's.
 
 WIDEST_TAN, RADII = 4.0, 4001
-"""Distortion is looked at up to 76 degrees off the axis, in steps of 0.001 of the tangent."""
+"""Distortion is checked up to 76 degrees off the axis, in steps of 0.001 of the tangent."""
 
 
 def in_camera_axes(camera: Camera, points: FloatArray) -> FloatArray:
-    """Return points (..., 3) mm given in the reference camera's axes in this camera's: R p + t."""
+    """Transform points (..., 3), mm, from the reference camera's axes to this camera's: R p + t."""
     transform = np.array(camera.camera_T_reference)
     moved: FloatArray = points @ transform[:, :3].T + transform[:, 3]
     return moved
@@ -407,12 +402,12 @@ def pixels_from_points(camera: Camera, points: FloatArray) -> tuple[FloatArray, 
     """Project with lens distortion.
 
     Args:
-        camera: that sees them.
+        camera: the camera.
         points: (..., 3) in the camera's own axes, mm.
 
     Returns:
-        (..., 2) pixels, and (...) whether the point lies in front of the camera and within the angle up to
-        which the distortion grows outwards; beyond it polynomials fold back into the image.
+        (..., 2) pixels, and (...) whether the point is in front of the camera and within the angle up to
+        which distorted radii increase; beyond it polynomials fold back into the image.
     """
     normalised = _normalised(points)
     radius = np.hypot(normalised[..., 0], normalised[..., 1])
@@ -421,25 +416,25 @@ def pixels_from_points(camera: Camera, points: FloatArray) -> tuple[FloatArray, 
 
 
 def pixels_wherever(camera: Camera, points: FloatArray) -> FloatArray:
-    """Return the pixels (..., 2) of ``pixels_from_points``, not asking whether the camera can see them.
+    """Return the pixels (..., 2) of ``pixels_from_points`` without checking visibility.
 
-    For many cameras: how far the distortion of each grows takes longer than to project a few points.
+    For use with many cameras and few points, where determining each camera's valid angle would dominate.
     """
     return pixels_from_normalised(camera, _normalised(points))
 
 
 def _normalised(points: FloatArray) -> FloatArray:
-    """Normalised coordinates (..., 2) of points (..., 3); finite behind the camera, too."""
+    """Return normalised coordinates (..., 2) of points (..., 3), finite even behind the camera."""
     z = np.where(points[..., 2] > 0.0, points[..., 2], 1.0)
     return np.stack([points[..., 0] / z, points[..., 1] / z], axis=-1)
 
 
 def pixels_and_jacobian(camera: Camera, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the distorted pixels (..., 2) of points (..., 3) in the camera's axes and their derivatives.
+    """Return distorted pixels (..., 2) of points (..., 3) in camera axes, and their derivatives.
 
     Returns:
-        Pixels, and (..., 2, 3) their derivatives with respect to the points, pixels per mm. Points must lie
-        in front of the camera.
+        Pixels, and (..., 2, 3) derivatives with respect to the points, pixels per mm. Points must be in
+        front of the camera.
     """
     x, y = points[..., 0] / points[..., 2], points[..., 1] / points[..., 2]
     lens = np.array(distortion_jacobian(camera, x, y)).reshape(2, 2, *x.shape)
@@ -457,14 +452,14 @@ def pixels_from_normalised(camera: Camera, normalised: FloatArray) -> FloatArray
 
 
 def normalised_from_pixels(camera: Camera, pixels: FloatArray) -> FloatArray:
-    """Return the normalised coordinates (..., 2) of distorted pixels (..., 2): rays (x, y, 1)."""
+    """Return normalised coordinates (..., 2) of distorted pixels (..., 2), i.e. rays (x, y, 1)."""
     x = (pixels[..., 0] - camera.cx) / camera.fx
     y = (pixels[..., 1] - camera.cy) / camera.fy
     return np.stack(undistort(camera, x, y), axis=-1)
 
 
 def undistorted_pixels(camera: Camera, pixels: FloatArray) -> FloatArray:
-    """Return where pixels (..., 2) would be without distortion: straight lines are straight there."""
+    """Return the pixels (..., 2) of an undistorted camera with the same intrinsics."""
     if not camera.is_distorted:
         return pixels
     flat: FloatArray = normalised_from_pixels(camera, pixels) * [camera.fx, camera.fy]
@@ -473,9 +468,9 @@ def undistorted_pixels(camera: Camera, pixels: FloatArray) -> FloatArray:
 
 
 def pixel_map(target: Camera, source: Camera) -> tuple[Float32Array, Float32Array]:
-    """Return u and v (height, width) in a source camera's image of every pixel of a target camera's.
+    """Return u and v (height, width) in the source image for every pixel of the target image.
 
-    Both cameras are in one place with the same axes, and differ in intrinsics, distortion and size.
+    The cameras share position and axes, but differ in intrinsics, distortion and size.
     """
     v, u = np.mgrid[: target.height, : target.width].astype(float)
     rays = normalised_from_pixels(target, np.stack([u, v], axis=-1))
@@ -485,9 +480,9 @@ def pixel_map(target: Camera, source: Camera) -> tuple[Float32Array, Float32Arra
 
 @lru_cache(maxsize=64)
 def largest_radius(camera: Camera) -> float:
-    """Return the largest sqrt(x^2 + y^2) up to which distorted radii grow; inf if they always do.
+    """Return the largest sqrt(x^2 + y^2) up to which distorted radii increase; inf if they always do.
 
-    Looked at along the axes of x and y in both directions, up to ``WIDEST_TAN``.
+    Checked along both axes in both directions, up to ``WIDEST_TAN``.
     """
     if not camera.is_distorted:
         return float("inf")

@@ -1,7 +1,7 @@
-"""Rotations of one body at a time, compiled: what the kernels of the trackers share.
+"""Compiled rotations of single bodies, shared by the trackers' kernels.
 
-``rotations`` does many at once. Conventions are the same: quaternions x y z w with the scalar last,
-Hamilton's product, rotation vectors of axis times angle in radians.
+``rotations`` is the vectorised counterpart with the same conventions: quaternions x y z w with the scalar
+last, Hamilton product, rotation vectors of axis times angle in radians.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.compiled import inlined, kernel
 
 SMALL_SQUARED_ANGLE = 1e-6
-"""Below it three terms of the series in ``rotate_with_jacobian`` are exact to rounding."""
+"""Below it, three terms of the series in ``rotate_with_jacobian`` are exact to rounding."""
 SMALL_SQUARED_SINE = 1e-3
-"""Of half an angle or its sine: below it four terms of a series leave a relative error of 4e-14."""
+"""Squared half angle or its sine below which four series terms have a relative error of 4e-14."""
 
 
 @inlined
 def quaternion_product(
     ax: float, ay: float, az: float, aw: float, bx: float, by: float, bz: float, bw: float
 ) -> tuple[float, float, float, float]:
-    """Return Hamilton's product a b, operation by operation that of ``rotations.multiply``."""
+    """Return the Hamilton product a b, with the same operations as ``rotations.multiply``."""
     return (
         aw * bx + ax * bw + ay * bz - az * by,
         aw * by - ax * bz + ay * bw + az * bx,
@@ -47,14 +47,14 @@ def quaternion_from_vector(x: float, y: float, z: float) -> tuple[float, float, 
 
 @inlined
 def vector_from_quaternion(x: float, y: float, z: float, w: float) -> tuple[float, float, float]:
-    """Return the rotation vector, of length pi at most, of a unit quaternion of either sign."""
+    """Return the rotation vector, of length <= pi, of a unit quaternion of either sign."""
     factor = math.copysign(2.0 * _arc_over_sine(x * x + y * y + z * z, abs(w)), w)
     return factor * x, factor * y, factor * z
 
 
 @inlined
 def _arc_over_sine(square: float, cosine: float) -> float:
-    """Return a / sin a of an angle up to a right one, from the square of its sine and its cosine >= 0."""
+    """Return a / sin a for 0 <= a <= pi / 2, from the squared sine and the cosine >= 0."""
     if square < SMALL_SQUARED_SINE:
         return 1.0 + square / 6.0 * (1.0 + square * 9.0 / 20.0 * (1.0 + square * 25.0 / 42.0))
     sine = math.sqrt(square)
@@ -72,7 +72,7 @@ def rotation_matrix(q: FloatArray, out: FloatArray) -> None:
 
 @kernel
 def matrix_product(a: FloatArray, b: FloatArray, out: FloatArray) -> None:
-    """Write the product a b of (3, 3) matrices; ``out`` is neither of them."""
+    """Write the product a b of (3, 3) matrices; ``out`` must not alias them."""
     for i in range(3):
         for j in range(3):
             out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
@@ -80,9 +80,9 @@ def matrix_product(a: FloatArray, b: FloatArray, out: FloatArray) -> None:
 
 @kernel
 def rotate_in_place(R: FloatArray, w: FloatArray) -> None:
-    """Replace a matrix R (3, 3) by exp(w) R: Rodrigues' formula on its columns.
+    """Replace R (3, 3) by exp(w) R, applying Rodrigues' formula to its columns.
 
-    v cos a + (n x v) sin a + n (n . v) (1 - cos a), with the angle a = |w| about the axis n = w / a.
+    v cos a + (n x v) sin a + n (n . v) (1 - cos a), with angle a = |w| and axis n = w / a.
     """
     angle = np.sqrt(w[0] ** 2 + w[1] ** 2 + w[2] ** 2)
     if not angle > 0.0:

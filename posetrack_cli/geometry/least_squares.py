@@ -1,4 +1,4 @@
-"""Least squares: normal equations solved, blocks of them eliminated, steps bounded, residuals reweighted.
+"""Least squares: normal equations, elimination of blocks, bounded steps, robust weights.
 
 Residuals r(x (+) d) ~ r - J d with weights W have the normal equations H d = g, with H = J^T W J, which is
 symmetric and positive definite, and g = J^T W r.
@@ -19,9 +19,9 @@ Value = TypeVar("Value", float, FloatArray)
 def eliminated(
     matrix: FloatArray, vector: FloatArray, kept: slice, gone: slice
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the equations of the kept unknowns alone (Schur complement).
+    """Return the equations of the kept unknowns (Schur complement).
 
-    H_kk - H_kg H_gg^-1 H_gk and g_k - H_kg H_gg^-1 g_g: the others are integrated out.
+    H_kk - H_kg H_gg^-1 H_gk and g_k - H_kg H_gg^-1 g_g: the other unknowns are marginalised.
     """
     carried = np.linalg.solve(matrix[gone, gone], np.column_stack([matrix[gone, kept], vector[gone]]))
     across = matrix[kept, gone]
@@ -31,16 +31,16 @@ def eliminated(
 def back_substituted(
     matrix: FloatArray, vector: FloatArray, kept: slice, gone: slice, step: FloatArray
 ) -> FloatArray:
-    """Return the step of the unknowns that were eliminated, given that of the kept ones."""
+    """Return the step of the eliminated unknowns given that of the kept ones."""
     left = vector[gone] - matrix[gone, kept] @ step
     return np.asarray(np.linalg.solve(matrix[gone, gone], left), dtype=np.float64)
 
 
 def bounded_step(matrix: FloatArray, vector: FloatArray, least: FloatArray, most: FloatArray) -> FloatArray:
-    """Return the d between two bounds for which d^T H d / 2 - g^T d is least.
+    """Return the d within bounds that minimises d^T H d / 2 - g^T d.
 
-    An unknown at its bound is as if it were known: all others are the likeliest for it there, not for where
-    it would have gone.
+    Unknowns at a bound count as known: all others are optimal given the bound, instead of being clipped
+    separately.
     """
     from scipy.optimize import lsq_linear
 
@@ -50,7 +50,7 @@ def bounded_step(matrix: FloatArray, vector: FloatArray, least: FloatArray, most
 
 
 def damped_step(matrix: FloatArray, vector: FloatArray, damping: float) -> FloatArray:
-    """Return the step of Levenberg and Marquardt; the shortest where H tells nothing in some direction."""
+    """Return the Levenberg-Marquardt step; the minimum-norm one if H is singular."""
     damped = matrix + damping * np.diag(np.diagonal(matrix))
     try:
         step = np.linalg.solve(damped, vector)
@@ -59,41 +59,42 @@ def damped_step(matrix: FloatArray, vector: FloatArray, damping: float) -> Float
     return np.asarray(step, dtype=np.float64)
 
 
-# Robust weights rho'(e) / e of residuals e with a cost rho; of numbers and of arrays alike; compiled.
+# Robust weights rho'(e) / e of residuals e with cost rho, for scalars and arrays; compiled.
 
 
 @inlined
 def geman_mcclure(square: Value) -> Value:
-    """Return (1 + s)^-2, s the square of e / tau: of rho = tau^2 / 2 s / (1 + s) (Geman and McClure 1987)."""
+    """Return (1 + s)^-2, s the square of e / tau; rho = tau^2 / 2 s / (1 + s) (Geman and McClure 1987)."""
     spread = 1.0 + square
     return 1.0 / (spread * spread)
 
 
 @inlined
 def cauchy(square: Value) -> Value:
-    """Return 1 / (1 + s), s the square of e / tau: of rho = tau^2 / 2 log(1 + s)."""
+    """Return 1 / (1 + s), s the square of e / tau, for rho = tau^2 / 2 log(1 + s)."""
     return 1.0 / (1.0 + square)
 
 
 @inlined
 def student_t(square: float, dimensions: float, freedom: float, scale: float) -> float:
-    """Return (nu + D) / (nu scale^2 + e^2): of rho = (nu + D) / 2 log(1 + e^2 / (nu scale^2)).
+    """Return (nu + D) / (nu scale^2 + e^2), for rho = (nu + D) / 2 log(1 + e^2 / (nu scale^2)).
 
-    That is the negative log-density of a Student-t residual of D dimensions; the weight is its precision.
+    rho is the negative log-density of a Student-t residual in D dimensions, the weight its expected
+    precision.
     """
     return (freedom + dimensions) / (freedom * scale * scale + square)
 
 
 @inlined
 def huber(length: Value, bound: float) -> Value:
-    """Return rho = e^2 / 2, or bound (e - bound / 2) where e >= 0 is larger than the bound (Huber 1964)."""
+    """Return rho = e^2 / 2, or bound (e - bound / 2) for e >= bound; e >= 0 (Huber 1964)."""
     small: Value = np.minimum(length, bound)
     return small * (length - 0.5 * small)
 
 
 @inlined
 def huber_weight(length: Value, bound: float) -> Value:
-    """Return the weight of ``huber``: 1, or bound / e."""
+    """Return the weight of ``huber``: 1 or bound / e."""
     weight: Value = np.minimum(1.0, bound / length)
     return weight
 
@@ -111,7 +112,7 @@ def solve(matrix: FloatArray, vector: FloatArray, out: FloatArray) -> None:
 
 @kernel
 def invert_symmetric(A: FloatArray, added: float, out: FloatArray) -> None:
-    """Write (A + added 1)^-1 of a symmetric (3, 3) by cofactors."""
+    """Write (A + added 1)^-1 of a symmetric (3, 3) matrix, by cofactors."""
     a, b, c = A[0, 0] + added, A[0, 1], A[0, 2]
     d, e, f = A[1, 1] + added, A[1, 2], A[2, 2] + added
     out[0, 0], out[0, 1], out[0, 2] = d * f - e * e, c * e - b * f, b * e - c * d
@@ -125,7 +126,7 @@ def invert_symmetric(A: FloatArray, added: float, out: FloatArray) -> None:
 
 @kernel
 def factorise(matrix: FloatArray) -> bool:
-    """Write the Cholesky factor L over the lower triangle; return False where there is none."""
+    """Write the Cholesky factor L over the lower triangle; return False if not positive definite."""
     for i in range(len(matrix)):
         for j in range(i + 1):
             total = matrix[i, j]
@@ -160,7 +161,7 @@ def backward(factor: FloatArray, vector: FloatArray) -> None:
 
 @kernel
 def inverse_diagonal(factor: FloatArray, out: FloatArray) -> None:
-    """Write the first entries of the diagonal of (L L^T)^-1."""
+    """Write the first diagonal entries of (L L^T)^-1."""
     column = np.empty(len(factor))
     for j in range(len(out)):
         column[:] = 0.0
@@ -173,14 +174,14 @@ def inverse_diagonal(factor: FloatArray, out: FloatArray) -> None:
 def eliminate(
     factor: FloatArray, cross: FloatArray, own: FloatArray, kept: FloatArray, right: FloatArray
 ) -> None:
-    """Take a block of unknowns with the Cholesky factor L out of the equations of the kept ones.
+    """Eliminate a block of unknowns with Cholesky factor L from the equations of the kept ones.
 
     Args:
         factor: (m, m) L.
-        cross: (m, q) B between the block and what is kept; L^-1 B is written over it.
-        own: (m,) the block's right side; L^-1 times it is written over it.
-        kept: (q, q) of which B^T (L L^T)^-1 B is taken away, on and below the diagonal.
-        right: (q,) of which B^T (L L^T)^-1 own is taken away.
+        cross: (m, q) B between the block and the kept unknowns; overwritten by L^-1 B.
+        own: (m,) right side of the block; overwritten by L^-1 times it.
+        kept: (q, q), reduced by B^T (L L^T)^-1 B on and below the diagonal.
+        right: (q,), reduced by B^T (L L^T)^-1 own.
     """
     forward(factor, own)
     for a in range(len(factor)):
@@ -200,7 +201,7 @@ def eliminate(
 def back_substitute(
     factor: FloatArray, cross: FloatArray, own: FloatArray, step: FloatArray, out: FloatArray
 ) -> None:
-    """Write the step of a block, given that of what was kept; the others as ``eliminate`` wrote them."""
+    """Write the step of a block given that of the kept unknowns; inputs as written by ``eliminate``."""
     for a in range(len(out)):
         out[a] = own[a]
         for j in range(len(step)):

@@ -1,4 +1,4 @@
-"""Rigid transforms, and two cameras: triangulation and epipolar geometry."""
+"""Rigid transforms and multi-view geometry: triangulation, epipolar geometry."""
 
 from __future__ import annotations
 
@@ -21,25 +21,24 @@ from posetrack_cli.geometry.camera import (
 )
 from posetrack_cli.geometry.rotations import conjugate, rotate
 
-# Rigid transforms, mm: an object's pose, a camera's place beside another's, one shape laid on another.
+# Rigid transforms, mm: object poses, relative camera poses, alignment of point sets.
 #
-# A pose ``camera_T_object`` is a position t and the quaternion of R: p = R m + t goes from object to camera
-# axes; leading axes broadcast. Between cameras it is a matrix (3, 4), [R | t], that takes points p to R p +
-# t.
+# A pose ``camera_T_object`` is a position t and the quaternion of R: p = R m + t maps object to camera axes;
+# leading axes broadcast. Transforms between cameras are matrices (3, 4), [R | t], mapping p to R p + t.
 
 
 def in_camera(points: FloatArray, position: FloatArray, quaternion: FloatArray) -> FloatArray:
-    """Return p = R m + t, (..., 3), of points m (..., 3) in object axes; unit quaternions (..., 4)."""
+    """Return p = R m + t (..., 3) for points m (..., 3) in object axes; unit quaternions (..., 4)."""
     return rotate(quaternion, points) + position
 
 
 def in_object(points: FloatArray, position: FloatArray, quaternion: FloatArray) -> FloatArray:
-    """Return m = R^T (p - t), (..., 3), of points p (..., 3) in camera axes."""
+    """Return m = R^T (p - t) (..., 3) for points p (..., 3) in camera axes."""
     return rotate(conjugate(quaternion), points - position)
 
 
 ROUNDED = 1e-3
-"""A rotation written with three decimals is one; what differs more is none."""
+"""Tolerance of rotation matrices, which files may round to three decimals."""
 
 
 def inverse(transform: FloatArray) -> FloatArray:
@@ -49,16 +48,16 @@ def inverse(transform: FloatArray) -> FloatArray:
 
 
 def composed(after: FloatArray, before: FloatArray) -> FloatArray:
-    """Return the transform (3, 4) that does ``before`` and then ``after``."""
+    """Return the transform (3, 4) that applies ``before``, then ``after``."""
     rotation = after[:, :3] @ before[:, :3]
     return np.column_stack([rotation, after[:, :3] @ before[:, 3] + after[:, 3]])
 
 
 def rotation_from_rows(values: Sequence[float], where: object) -> FloatArray:
-    """Return the rotation matrix (3, 3) nearest to nine numbers, row after row.
+    """Return the rotation matrix (3, 3) nearest to nine numbers in row order.
 
     Raises:
-        PosetrackError: they are no rotation, by more than rounding to three decimals explains.
+        PosetrackError: the deviation from a rotation exceeds rounding to three decimals.
     """
     matrix = np.array(values, dtype=float).reshape(3, 3)
     if not np.isfinite(matrix).all() or np.abs(matrix).max() > 2.0:
@@ -71,13 +70,13 @@ def rotation_from_rows(values: Sequence[float], where: object) -> FloatArray:
 
 
 def placed(camera: Camera, camera_T_reference: FloatArray) -> Camera:
-    """Return the camera at another place."""
+    """Return the camera with another pose."""
     rows = tuple(tuple(float(value) + 0.0 for value in row) for row in camera_T_reference)  # no -0.0
     return replace(camera, camera_T_reference=rows)
 
 
 def relative_to(reference: Camera, cameras: Sequence[Camera]) -> tuple[Camera, ...]:
-    """Return cameras whose transforms are from the axes of ``reference``, whatever they were from."""
+    """Return the cameras with their poses relative to ``reference``."""
     from_reference = inverse(np.array(reference.camera_T_reference))
     return tuple(
         replace(camera, camera_T_reference=IN_PLACE)
@@ -90,7 +89,7 @@ def relative_to(reference: Camera, cameras: Sequence[Camera]) -> tuple[Camera, .
 def _no_rotation(matrix: FloatArray, where: object) -> PosetrackError:
     found = ", ".join(f"{value:g}" for value in matrix.ravel())
     return PosetrackError(
-        "is no rotation", where=where, found=found, expected="nine numbers, orthonormal rows"
+        "is not a rotation", where=where, found=found, expected="nine numbers, orthonormal rows"
     )
 
 
@@ -99,8 +98,8 @@ def rigid_alignment(
 ) -> tuple[FloatArray, FloatArray]:
     """Return R (..., 3, 3) and t (..., 3) that minimise sum_k w_k |R a_k + t - b_k|^2 (Kabsch 1976).
 
-    With both sets about their weighted means, H = sum_k w_k a_k b_k^T = U S V^T and R = V D U^T, with
-    D = diag(1, 1, det(V U^T)) so that no mirror image is taken.
+    With both sets centred at their weighted means, H = sum_k w_k a_k b_k^T = U S V^T and R = V D U^T, with
+    D = diag(1, 1, det(V U^T)) to exclude reflections.
 
     Args:
         source: (..., K, 3) a.
@@ -121,8 +120,7 @@ def _transposed(matrices: FloatArray) -> FloatArray:
     return np.swapaxes(matrices, -1, -2)
 
 
-# Points in space from their pixels in two or more calibrated cameras
-
+# Triangulation from two or more calibrated cameras
 
 STEPS = 5
 """Gauss-Newton steps; from the linear solution two suffice for errors of a few pixels."""
@@ -131,20 +129,20 @@ STEPS = 5
 def triangulate(
     cameras: Sequence[Camera], pixels: FloatArray, seen: BoolArray | None = None, *, refine: bool = True
 ) -> tuple[FloatArray, BoolArray]:
-    """Return the points that project nearest to given pixels.
+    """Return the points with the smallest reprojection error.
 
-    Linear solution on undistorted rays, then Gauss-Newton on the squared distance to the distorted pixels:
-    the maximum likelihood estimate for equal Gaussian noise in every image.
+    Linear solution on undistorted rays, then Gauss-Newton on the squared distance to the distorted pixels,
+    which is the maximum likelihood estimate for equal Gaussian noise in all images.
 
     Args:
-        cameras: C >= 2 of them.
-        pixels: (C, ..., 2) distorted pixels of each point; NaN where it is not seen.
-        seen: (C, ...) which pixels count, None for all that are finite.
-        refine: whether the linear solution is refined.
+        cameras: C >= 2 cameras.
+        pixels: (C, ..., 2) distorted pixels of each point; NaN where it is not visible.
+        seen: (C, ...) pixels to use; None for all finite ones.
+        refine: whether to refine the linear solution.
 
     Returns:
         (..., 3) points in the reference camera's axes, mm, and (...) whether at least two cameras with
-        different rays see the point in front of them. Points that are not valid are 0.
+        different rays see the point in front of them. Invalid points are 0.
     """
     used = _usable(pixels, seen)
     flat = np.where(used[..., None], pixels, 0.0).reshape(len(cameras), -1, 2)
@@ -158,9 +156,10 @@ def triangulate(
 
 
 def reprojection_errors(cameras: Sequence[Camera], points: FloatArray, pixels: FloatArray) -> FloatArray:
-    """Return the distances (C, ...), px, of points (..., 3) in the reference's axes to pixels (C, ..., 2).
+    """Return distances (C, ...), px, between projections of points (..., 3) and pixels (C, ..., 2).
 
-    Infinite where a point lies behind the camera or outside what its lens shows.
+    Points are in the reference axes. Infinite where a point is behind the camera or outside the lens's
+    range.
     """
     errors = np.full(pixels.shape[:-1], np.inf)
     for camera, own, error in zip(cameras, pixels, errors, strict=True):
@@ -175,7 +174,7 @@ def _usable(pixels: FloatArray, seen: BoolArray | None) -> BoolArray:
 
 
 def _linear(cameras: Sequence[Camera], pixels: FloatArray, seen: BoolArray) -> tuple[FloatArray, BoolArray]:
-    """Least squares of (I - r r^T)(R p + t) = 0 over cameras, r the unit ray: p nearest to all rays."""
+    """Return the points nearest to all rays, least squares of (I - r r^T)(R p + t) = 0, r the unit ray."""
     matrix, right = np.zeros((pixels.shape[1], 3, 3)), np.zeros((pixels.shape[1], 3))
     for camera, own, mask in zip(cameras, pixels, seen, strict=True):
         transform = np.array(camera.camera_T_reference)
@@ -205,7 +204,7 @@ def _in_front(cameras: Sequence[Camera], points: FloatArray, seen: BoolArray) ->
 def _refined(
     cameras: Sequence[Camera], points: FloatArray, pixels: FloatArray, seen: BoolArray
 ) -> FloatArray:
-    """Gauss-Newton on the sum of |projection - pixel|^2; a step to behind a camera is not taken."""
+    """Refine by Gauss-Newton on sum |projection - pixel|^2; skip steps to behind a camera."""
     for _ in range(STEPS):
         matrix, right = np.zeros((len(points), 3, 3)), np.zeros((len(points), 3))
         for camera, own, mask in zip(cameras, pixels, seen, strict=True):
@@ -219,13 +218,12 @@ def _refined(
     return points
 
 
-# Epipolar geometry of two cameras, and what it tells about images in the wrong order
-
+# Epipolar geometry, and detection of images assigned to the wrong cameras
 
 CLEARLY_BETTER = 3.0
-"""Exchanged images fit clearly better if their epipolar error is so many times smaller."""
+"""Factor by which the epipolar error of exchanged images must be smaller."""
 EPIPOLAR_LIMIT_PX = 2.0
-"""What careless clicks and a fair calibration stay below: smaller errors are no reason to doubt an order."""
+"""Error of careless clicks or a fair calibration; up to this, the recorded order is accepted."""
 
 
 @dataclass(frozen=True)
@@ -233,7 +231,7 @@ class CameraPair:
     """Two calibrated cameras.
 
     Attributes:
-        first, second: with their places.
+        first, second: the cameras, with their poses.
     """
 
     first: Camera
@@ -250,7 +248,7 @@ class CameraPair:
     def fundamental(self) -> FloatArray:
         """F (3, 3): u_second^T F u_first = 0 for undistorted pixels (u, v, 1) of one point.
 
-        E = [t]x R between them is the same for normalised coordinates: p2^T E p1 = 0.
+        For normalised coordinates, p2^T E p1 = 0 with E = [t]x R.
         """
         rotation, (x, y, z) = self.transform
         essential = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) @ rotation
@@ -259,12 +257,12 @@ class CameraPair:
         return matrix
 
     def epipolar_errors(self, pixels: FloatArray, others: FloatArray) -> FloatArray:
-        """Return Sampson's distances (...) of distorted pixels (..., 2) in the first and the second image."""
+        """Return Sampson distances (...) of distorted pixels (..., 2) in the first and the second image."""
         flat = undistorted_pixels(self.first, pixels), undistorted_pixels(self.second, others)
         return sampson_distance(self.fundamental, *flat)
 
     def in_front(self, pixels: FloatArray, others: FloatArray) -> BoolArray:
-        """Return whether the rays of pixels (..., 2) in both images come nearest in front of both cameras.
+        """Return whether the rays of pixels (..., 2) in both images are closest in front of both cameras.
 
         The depths z1, z2 minimise |R z1 r1 + t - z2 r2|^2.
         """
@@ -273,13 +271,13 @@ class CameraPair:
         two = _homogeneous(normalised_from_pixels(self.second, others))
         aa, bb, ab = np.sum(one * one, -1), np.sum(two * two, -1), np.sum(one * two, -1)
         at, bt = one @ t, two @ t
-        determinant = aa * bb - ab * ab  # never negative; signs suffice
+        determinant = aa * bb - ab * ab  # >= 0, so the numerators' signs are those of the depths
         in_front: BoolArray = (ab * bt - bb * at > 0.0) & (aa * bt - ab * at > 0.0) & (determinant > 0.0)
         return in_front
 
 
 def sampson_distance(fundamental: FloatArray, first: FloatArray, second: FloatArray) -> FloatArray:
-    """Return Sampson's distance, pixels: to first order, how far the four coordinates are from a true pair.
+    """Return the Sampson distance, px: first-order distance of the four coordinates to a valid pair.
 
     d = |u2^T F u1| / sqrt((F u1)_1^2 + (F u1)_2^2 + (F^T u2)_1^2 + (F^T u2)_2^2).
 
@@ -297,12 +295,12 @@ def sampson_distance(fundamental: FloatArray, first: FloatArray, second: FloatAr
 
 @dataclass(frozen=True)
 class OrderFit:
-    """How well points found in every image fit the calibration when the images are dealt out in some order.
+    """Agreement of detected points with the calibration for one assignment of images to cameras.
 
     Attributes:
-        order: which image each camera gets; (0, 1, ...) is as recorded.
+        order: image index of each camera; (0, 1, ...) is as recorded.
         error_px: median Sampson distance over points and pairs of cameras, pixels.
-        in_front: fraction of points and pairs that meet in front of both cameras.
+        in_front: fraction of points and pairs whose rays meet in front of both cameras.
     """
 
     order: tuple[int, ...]
@@ -311,12 +309,12 @@ class OrderFit:
 
     @property
     def is_possible(self) -> bool:
-        """Whether most points lie in front of the cameras."""
+        """Whether most points are in front of the cameras."""
         return self.in_front > 0.5
 
 
 def order_fit(cameras: Sequence[Camera], pixels: FloatArray, order: tuple[int, ...]) -> OrderFit:
-    """Return how points (C, K, 2), NaN where not found, fit if camera c sees image ``order[c]``."""
+    """Return the fit of points (C, K, 2), NaN where not detected, if camera c has image ``order[c]``."""
     errors, in_front = [], []
     for i, j in combinations(range(len(cameras)), 2):
         pair = CameraPair(cameras[i], cameras[j])
@@ -331,15 +329,15 @@ def order_fit(cameras: Sequence[Camera], pixels: FloatArray, order: tuple[int, .
 
 
 def better_order(cameras: Sequence[Camera], pixels: FloatArray) -> OrderFit | None:
-    """Return the order of images that fits the calibration clearly better than the one recorded, if any does.
+    """Return the order of images that fits the calibration clearly better than the recorded one, or None.
 
-    The epipolar error tells, or where it cannot (parallel cameras: both orders lie on the same lines) the
-    side on which the points would be. The search is over all C! orders.
+    The criterion is the epipolar error or, where it is ambiguous (parallel cameras: both orders have the
+    same epipolar lines), whether points lie in front of the cameras. All C! orders are tested.
 
     Args:
-        cameras: C of them.
-        pixels: (C, K, 2) distorted pixels of the same K points, found in each image independently; NaN where
-            a point was not found.
+        cameras: C cameras.
+        pixels: (C, K, 2) distorted pixels of the same K points, detected independently in each image; NaN
+            where a point was not detected.
     """
     as_recorded, *others = [order_fit(cameras, pixels, order) for order in permutations(range(len(cameras)))]
     limit = as_recorded.error_px / CLEARLY_BETTER

@@ -1,4 +1,4 @@
-"""Rotations: quaternions, vectors, Euler angles."""
+"""Rotations: quaternions, rotation vectors, Euler angles."""
 
 from __future__ import annotations
 
@@ -9,36 +9,35 @@ from posetrack_cli.errors import PosetrackError
 
 # Rotations as unit quaternions, vectorised over leading axes.
 #
-# A quaternion is stored ``x y z w``, the scalar **last**, as ROS, Foxglove and scipy do. Its canonical form
-# has unit length and w >= 0; q and -q are the same rotation. Products are Hamilton's:
+# Quaternions are stored as ``x y z w``, the scalar **last**, as in ROS, Foxglove and scipy. The canonical
+# form has unit length and w >= 0; q and -q are the same rotation. Products are Hamilton products:
 # ``matrices_from_quaternions(multiply(p, q)) = matrices_from_quaternions(p) @ matrices_from_quaternions(q)``.
-# A rotation vector is axis times angle, rad. Every function returns new float64 arrays and broadcasts.
+# Rotation vectors are axis times angle, rad. All functions return new float64 arrays and broadcast.
 #
-# ``scipy.spatial.transform.Rotation`` says the same, and tests compare with it. It is used where rotations
-# are few (Euler angles, ``hand.model.webxr``); what is done with many a frame stays here: one expression over
-# arrays without an object in between, of equal bits whatever version of scipy is there. Poses of particles
-# are moved and subtracted by kernels (``tracking.velocity``).
-
+# ``scipy.spatial.transform.Rotation`` has the same conventions, and tests compare with it. It is used for few
+# rotations (Euler angles, ``hand.model.webxr``). Per-frame work uses these functions, which are plain array
+# expressions with results independent of the scipy version. Particles' poses are moved and subtracted by
+# kernels (``tracking.velocity``).
 
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
 
 ORTHONORMAL_TOLERANCE = 1e-4
-"""Largest |R R^T - I| taken for a rotation: ten float32 products stay far below, a scale in mm does not."""
+"""Largest |R R^T - I| of a rotation: far above ten float32 products, far below a scale in mm."""
 
 SMALL_HALF_ANGLE = 1e-8
-"""Below it arctan(s / w) / s = 1 / w to the last bit: the next term is s^2 / 3 < 4e-17."""
+"""Below it, arctan(s / w) / s = 1 / w to the last bit: the next term is s^2 / 3 < 4e-17."""
 
 
 def canonical(q: FloatArray) -> FloatArray:
     """Return the unit quaternion of the same rotation with w >= 0.
 
-    With w = 0 (half a turn) the first of x, y, z that is not zero is made positive.
+    If w = 0 (half a turn), the first non-zero of x, y, z is made positive.
 
     Args:
-        q: (..., 4) quaternions of any length but zero.
+        q: (..., 4) quaternions of any non-zero length.
 
     Raises:
-        PosetrackError: a quaternion has no direction (zero, NaN or infinite).
+        PosetrackError: a quaternion is zero, NaN or infinite.
     """
     q = np.asarray(q, dtype=np.float64)
     length = np.sqrt(np.einsum("...i,...i->...", q, q))
@@ -49,14 +48,14 @@ def canonical(q: FloatArray) -> FloatArray:
 
 
 def without_direction() -> PosetrackError:
-    """Return the error of a quaternion that is no rotation: zero, NaN or infinite."""
+    """Return the error for a quaternion that is zero, NaN or infinite."""
     return PosetrackError(
-        "a quaternion without direction", found="length 0, NaN or infinite", expected="a finite length > 0"
+        "invalid quaternion", found="length 0, NaN or infinite", expected="a finite length > 0"
     )
 
 
 def multiply(p: FloatArray, q: FloatArray) -> FloatArray:
-    """Return Hamilton's product p q: first q, then p, seen from fixed axes. Shapes (..., 4); any length."""
+    """Return the Hamilton product p q: first q, then p, about fixed axes. Shapes (..., 4); any length."""
     p, q = np.asarray(p, dtype=np.float64), np.asarray(q, dtype=np.float64)
     px, py, pz, pw = (p[..., i] for i in range(4))
     qx, qy, qz, qw = (q[..., i] for i in range(4))
@@ -69,7 +68,7 @@ def multiply(p: FloatArray, q: FloatArray) -> FloatArray:
 
 
 def conjugate(q: FloatArray) -> FloatArray:
-    """Return (-x, -y, -z, w), for a unit quaternion the inverse rotation. Shape (..., 4)."""
+    """Return (-x, -y, -z, w), the inverse rotation of a unit quaternion. Shape (..., 4)."""
     opposite: FloatArray = np.multiply(q, [-1.0, -1.0, -1.0, 1.0])
     return opposite
 
@@ -106,11 +105,11 @@ def matrices_from_quaternions(q: FloatArray) -> FloatArray:
 def quaternions_from_matrices(R: FloatArray) -> FloatArray:
     """Return the canonical quaternions (..., 4) of rotation matrices (..., 3, 3).
 
-    4 q q^T is linear in R; of its rows the one with the largest diagonal is normalised (Shepperd 1978), so
-    that no division by a small number occurs at any angle.
+    4 q q^T is linear in R; its row with the largest diagonal is normalised (Shepperd 1978), which avoids
+    divisions by small numbers at any angle.
 
     Raises:
-        PosetrackError: a matrix is no rotation: not orthonormal, a reflection, or not finite.
+        PosetrackError: a matrix is not a rotation: not orthonormal, a reflection, or not finite.
     """
     R = np.asarray(R, dtype=np.float64)
     _check_rotations(R)
@@ -136,8 +135,8 @@ def exponential(rotation_vectors: FloatArray) -> FloatArray:
 def logarithm(q: FloatArray) -> FloatArray:
     """Return the rotation vectors (..., 3), rad, of length <= pi: 2 atan2(|u|, |w|) u / |u|, u = (x, y, z).
 
-    q and -q give the same vector. The arctangent of two arguments loses nothing near 0 or near pi, where the
-    arc cosine of w or the trace would.
+    q and -q give the same vector. Unlike the arc cosine of w or of the trace, atan2 is accurate near 0 and
+    pi.
 
     Args:
         q: (..., 4) unit quaternions.
@@ -155,12 +154,12 @@ def mean_quaternion(q: FloatArray, weights: FloatArray) -> FloatArray:
     """Return the weighted mean rotation: the dominant eigenvector of sum_i w_i q_i q_i^T.
 
     Markley, Cheng, Crassidis and Oshman 2007, eqs. (12)-(13). It minimises the weighted sum of squared
-    chordal distances and does not see the signs of the q_i. Where the two largest eigenvalues are equal
-    (rotations spread evenly) no mean is defined and some eigenvector is returned.
+    chordal distances and is independent of the signs of the q_i. If the two largest eigenvalues are equal
+    (evenly spread rotations), the mean is undefined and an arbitrary eigenvector is returned.
 
     Args:
         q: (N, 4) unit quaternions.
-        weights: (N,) weights >= 0, of any positive sum.
+        weights: (N,) weights >= 0, with any positive sum.
 
     Returns:
         (4,) canonical quaternion.
@@ -193,7 +192,7 @@ def quaternion_rate(q: FloatArray, body_angular_velocity: FloatArray) -> FloatAr
 
 
 def _canonical_sign(q: FloatArray) -> FloatArray:
-    """Return the sign (...) of w, or where w is 0 of the first of x, y, z that is not."""
+    """Return the sign (...) of w or, if it is 0, of the first non-zero of x, y, z."""
     sign = np.sign(q[..., 3])
     if np.all(sign):
         return sign
@@ -212,7 +211,7 @@ def cross_matrices(v: FloatArray) -> FloatArray:
 
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the cross product of (..., 3) vectors; np.cross takes several times as long on small arrays."""
+    """Return the cross product of (..., 3) vectors; np.cross is several times slower on small arrays."""
     product = np.empty(np.broadcast_shapes(a.shape, b.shape))
     product[..., 0] = a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1]
     product[..., 1] = a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2]
@@ -221,7 +220,7 @@ def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def _four_outer_products(R: FloatArray) -> FloatArray:
-    """Return 4 q q^T, (..., 4, 4), from R (..., 3, 3): the quadratic terms of R solved for."""
+    """Return 4 q q^T (..., 4, 4), linear in R (..., 3, 3)."""
     outer = np.empty((*R.shape[:-2], 4, 4))
     transposed = np.swapaxes(R, -1, -2)
     diagonal = np.diagonal(R, axis1=-2, axis2=-1)
@@ -241,52 +240,49 @@ def _check_rotations(R: FloatArray) -> None:
     error = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3))
     if not np.all(error < ORTHONORMAL_TOLERANCE):
         raise PosetrackError(
-            "a matrix is no rotation", found=f"|R R^T - I| {np.max(error):.3g}", expected="orthonormal rows"
+            "matrix is not a rotation", found=f"|R R^T - I| {np.max(error):.3g}", expected="orthonormal rows"
         )
     if np.any(np.linalg.det(R) < 0.0):
         raise PosetrackError(
-            "a matrix is no rotation", found="determinant -1", expected="1", hint="the axes are left-handed"
+            "matrix is not a rotation", found="determinant -1", expected="1", hint="the axes are left-handed"
         )
 
 
-# Euler angles of rotations: one order for every report, table and file.
+# Euler angles, in one order for all reports, tables and files.
 #
-# R = R_y(yaw) R_x(pitch) R_z(roll), intrinsic y-x'-z'': first yaw, then pitch about the turned x axis, then
-# roll about the twice turned z axis. In camera axes (x right, y down, z forward) roll turns the image, yaw
-# shakes the head and pitch nods. Angles are computed from the quaternion itself, as Bernardes and Viollet
-# 2022 ("Quaternion to Euler angles conversion", PLOS ONE) do, so none loses digits near gimbal lock, where
-# scipy only warns.
-
+# R = R_y(yaw) R_x(pitch) R_z(roll), intrinsic y-x'-z'': first yaw, then pitch about the rotated x axis, then
+# roll about the twice rotated z axis. In camera axes (x right, y down, z forward) roll rotates the image, yaw
+# is shaking and pitch nodding of the head. Angles are computed directly from the quaternion (Bernardes and
+# Viollet 2022, "Quaternion to Euler angles conversion", PLOS ONE), which stays accurate near gimbal lock.
 
 EULER_ORDER = (
     "R = R_y(yaw) R_x(pitch) R_z(roll), intrinsic y-x'-z'', camera axes (x right, y down, z forward)"
 )
-"""For the headers of files and tables."""
+"""Definition for headers of files and tables."""
 
 FACING = (1.0, 0.0, 0.0, 0.0)
 """Rotation of a head that looks into the camera: half a turn about x.
 
-A head's own axes are x to the subject's left, y up, z out of the face.
+Head axes are x to the subject's left, y up, z out of the face.
 """
 
 GIMBAL_LOCK = 1e-9
-"""How near to +-90 deg, rad, pitch leaves only the sum or the difference of roll and yaw determined.
+"""Within this angle, rad, of pitch = +-90 deg only the sum or difference of roll and yaw is defined.
 
-Roll is set to 0 there, which turns the rotation by no more than this.
+Roll is set to 0 there, which changes the rotation by at most this angle.
 """
 
 
 def roll_pitch_yaw(q: FloatArray) -> FloatArray:
-    """Return roll, pitch, yaw (..., 3), rad, in this order, of quaternions (..., 4) of any length but zero.
+    """Return roll, pitch, yaw (..., 3), rad, of quaternions (..., 4) of any non-zero length.
 
     With the half angles a of yaw, b of pitch, c of roll and q = q_y(a) q_x(b) q_z(c)::
 
         (w + x, y - z) = (cos b + sin b) (cos(a - c), sin(a - c))
         (w - x, y + z) = (cos b - sin b) (cos(a + c), sin(a + c))
 
-    Pitch lies in [-pi/2, pi/2], roll and yaw in (-pi, pi]. Where pitch is within ``GIMBAL_LOCK`` of +-pi/2,
-    one of the two vectors vanishes: roll is 0 then and yaw takes all of the turn. q and -q give the same
-    angles.
+    Pitch is in [-pi/2, pi/2], roll and yaw in (-pi, pi]. If pitch is within ``GIMBAL_LOCK`` of +-pi/2, one
+    of the two vectors vanishes; roll is then 0. q and -q give the same angles.
     """
     q = np.asarray(q, dtype=np.float64)
     x, y, z, w = (q[..., i] for i in range(4))
@@ -301,7 +297,7 @@ def roll_pitch_yaw(q: FloatArray) -> FloatArray:
 
 def quaternion_from_roll_pitch_yaw(angles: FloatArray) -> FloatArray:
     """Return the canonical quaternions (..., 4) of roll, pitch and yaw (..., 3), rad."""
-    from scipy.spatial.transform import Rotation  # half of the time that `info` takes to start
+    from scipy.spatial.transform import Rotation  # slow import, half the start-up time of `info`
 
     angles = np.asarray(angles, dtype=np.float64)
     turned = Rotation.from_euler("YXZ", angles[..., [2, 1, 0]].reshape(-1, 3))
@@ -309,12 +305,12 @@ def quaternion_from_roll_pitch_yaw(angles: FloatArray) -> FloatArray:
 
 
 def head_roll_pitch_yaw(q: FloatArray) -> FloatArray:
-    """Return roll, pitch, yaw (..., 3), rad, of heads: how far each is turned from looking at the camera.
+    """Return roll, pitch, yaw (..., 3), rad, of heads relative to looking at the camera.
 
-    They are the angles of camera_T_head FACING^-1, in camera axes: all three are 0 for a head that looks
-    along the camera's axis at the camera. As axes go (x right, y down, z forward), roll is positive when the
-    head tilts to its own left shoulder (clockwise in the image), pitch when the face is lowered, yaw when it
-    turns to its own right (the image's left).
+    These are the angles of camera_T_head FACING^-1 in camera axes (x right, y down, z forward): all are 0
+    for a head that looks along the camera's axis at the camera. Roll is positive when the head tilts to its
+    own left shoulder (clockwise in the image), pitch when the face is lowered, yaw when it turns to its own
+    right (the image's left).
 
     Args:
         q: (..., 4) rotations of ``camera_T_head``.
@@ -323,11 +319,11 @@ def head_roll_pitch_yaw(q: FloatArray) -> FloatArray:
 
 
 def head_quaternion_from_roll_pitch_yaw(angles: FloatArray) -> FloatArray:
-    """Return the rotations (..., 4) of ``camera_T_head``, canonical: what ``head_roll_pitch_yaw`` undoes."""
+    """Return canonical rotations (..., 4) of ``camera_T_head``, the inverse of ``head_roll_pitch_yaw``."""
     return canonical(multiply(quaternion_from_roll_pitch_yaw(angles), np.array(FACING)))
 
 
 def _wrapped(angle: FloatArray) -> FloatArray:
-    """Return angles of (-2 pi, 2 pi] as angles of (-pi, pi], without a rounding where nothing changes."""
+    """Return angles in (-2 pi, 2 pi] wrapped to (-pi, pi], exact where nothing changes."""
     turns: FloatArray = np.where(angle > np.pi, 2.0 * np.pi, np.where(angle <= -np.pi, -2.0 * np.pi, 0.0))
     return angle - turns

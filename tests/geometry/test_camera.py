@@ -106,7 +106,7 @@ def check_mirrored(camera: Camera) -> None:
         ({"cx": 1e300}, "intrinsics"),
         ({"fy": 1e-300}, "intrinsics"),
         ({"distortion": (np.nan, 0.0, 0.0, 0.0)}, "intrinsics"),
-        ({"width": 0}, "image size cannot be used, found 0x424"),
+        ({"width": 0}, "invalid image size, found 0x424"),
         ({"height": -3}, "512x-3"),
         ({"distortion": (0.1, 0.2)}, "plumb_bob with 2 coefficients"),
         ({"distortion": (0.1,) * 5, "distortion_model": "rational_polynomial"}, "with 5 coefficients"),

@@ -144,7 +144,7 @@ def test_parts_of_arrays_and_one_pose_beside_many_are_taken() -> None:
 def test_a_rotation_that_is_not_finite_is_refused(value: float) -> None:
     delta = np.zeros((3, 21))
     delta[1, 4] = value
-    with pytest.raises(PosetrackError, match="without direction"):
+    with pytest.raises(PosetrackError, match="invalid quaternion"):
         SPACE.retract(random_poses(3), delta)
 
 

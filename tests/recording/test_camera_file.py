@@ -66,9 +66,9 @@ def test_one_camera_without_a_table(tmp_path: Path) -> None:
         (TWO.replace("translation_mm = [-100, 0, 0]\n", ""), "place of camera 'right' is half there"),
         (
             TWO.replace("rotation = [1,", "rotation = [2,"),
-            "rotation of camera 'right': is no rotation, found 2",
+            "rotation of camera 'right': is not a rotation, found 2",
         ),
-        (TWO.replace("rotation = [1,", "rotation = [-1,"), "is no rotation"),
+        (TWO.replace("rotation = [1,", "rotation = [-1,"), "is not a rotation"),
         (
             TWO.replace("[-100, 0, 0]", "[-0.1, 0, 0]"),
             "'left' and 'right' are in one place, found 0.1 mm apart",

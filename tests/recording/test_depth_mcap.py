@@ -281,7 +281,7 @@ def test_unknown_distortion_model_is_refused(tmp_path: Path, make: SimpleNamespa
     frames = [("/cam/image", "Image", 5, 5, make.raw_fields(make.depth_codes(1)[0], "16UC1"))]
     odd = {"distortion_model": "fisheye62", "D": [0.1] * 6}
     path = make.write_foxglove(tmp_path / "r.mcap", with_camera(make, "foxglove", frames, **odd))
-    with pytest.raises(PosetrackError, match="distortion cannot be used"):
+    with pytest.raises(PosetrackError, match="invalid distortion"):
         open_recording(path)
 
 
