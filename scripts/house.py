@@ -1,4 +1,4 @@
-"""Print size and shape of the code base: lines, comments, helpers called once, settings and options."""
+"""Print statistics of the code base: lines, comments, helpers called once, settings and options."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 
 def lines_of(sources: Mapping[Path, str]) -> dict[str, int]:
-    """Return the lines of sources: all, blank, comments, docstrings, code."""
+    """Count the lines of sources: all, blank, comments, docstrings, code."""
     lines = [line.strip() for text in sources.values() for line in text.splitlines()]
     found = {
         "lines": len(lines),
@@ -38,7 +38,7 @@ def lines_of(sources: Mapping[Path, str]) -> dict[str, int]:
 
 
 def functions_of(sources: Mapping[Path, str]) -> Iterator[tuple[Path, Function]]:
-    """Yield all functions and methods, with their files."""
+    """Yield all functions and methods with their files."""
     for path, text in sources.items():
         for node in ast.walk(ast.parse(text)):
             if isinstance(node, Function):
@@ -46,14 +46,15 @@ def functions_of(sources: Mapping[Path, str]) -> Iterator[tuple[Path, Function]]
 
 
 def called_once(sources: Mapping[Path, str]) -> float:
-    """Return the share of private functions whose name appears in its file only twice: defined and called."""
+    """Return the share of private functions that are called once."""
+    # A name that occurs twice in its file is defined and called once.
     words = {path: Counter(re.findall(r"[A-Za-z_]\w*", text)) for path, text in sources.items()}
     private = [(path, f.name) for path, f in functions_of(sources) if re.match(r"_(?!_)", f.name)]
     return sum(words[path][name] == 2 for path, name in private) / max(len(private), 1)
 
 
 def passed_on(function: Function) -> list[bool]:
-    """Return of each parameter whether it is used, and only as an argument of calls."""
+    """Return for each parameter whether it is used only as an argument of calls."""
     names = [node for node in ast.walk(function) if isinstance(node, ast.Name)]
     calls = [node for node in ast.walk(function) if isinstance(node, ast.Call)]
     given = [one for call in calls for one in (*call.args, *(keyword.value for keyword in call.keywords))]
@@ -68,13 +69,13 @@ def passed_on(function: Function) -> list[bool]:
 
 
 def settings_of(model: type[BaseModel]) -> int:
-    """Return how many settings a configuration has."""
+    """Return the number of settings of a configuration."""
     nested = (field.annotation for field in model.model_fields.values())
     return sum(settings_of(of) if isinstance(of, type) and issubclass(of, BaseModel) else 1 for of in nested)
 
 
 def options_of(command: Any) -> Iterator[str]:
-    """Yield the options of every command that does something."""
+    """Yield the options of every command that is not a group."""
     for child in getattr(command, "commands", {}).values():
         yield from options_of(child)
         options = (one for one in child.params if isinstance(one, click.Option))
@@ -82,7 +83,7 @@ def options_of(command: Any) -> Iterator[str]:
 
 
 def main(folder: str = "posetrack_cli") -> None:
-    """Print a line for each figure."""
+    """Print one line per figure."""
     sources = {path: path.read_text("utf-8") for path in sorted((ROOT / folder).rglob("*.py"))}
     lines, functions = lines_of(sources), list(functions_of(sources))
     print(f"{folder}: {len(sources)} files, " + ", ".join(f"{count} {name}" for name, count in lines.items()))
@@ -104,9 +105,9 @@ def main(folder: str = "posetrack_cli") -> None:
 
         models: dict[str, type[BaseModel]] = {"hand": HandConfig, "head-mono": HeadMonoConfig}
         models["head-stereo"] = HeadStereoConfig
-        told = {name: settings_of(model) for name, model in models.items()}
-        each = ", ".join(f"{name} {count}" for name, count in told.items())
-        print(f"settings: {sum(told.values())}: {each}")
+        counts = {name: settings_of(model) for name, model in models.items()}
+        each = ", ".join(f"{name} {count}" for name, count in counts.items())
+        print(f"settings: {sum(counts.values())}: {each}")
         options = list(options_of(cli))
         print(f"command-line options: {len(options)}, {len(set(options))} distinct")
 

@@ -1,8 +1,8 @@
-"""Compile every kernel, unless that was done: short runs of all trackers, before processes that need them.
+"""Compile and cache all kernels by short runs of all trackers, unless the cache is current.
 
-Without, each process of a parallel test run would compile what it comes to first, some of it twice. Each run
-is done once more with the kernels that were kept: it must compile nothing and give the same bytes. Freshly
-compiled and loaded code once added up in different orders.
+Otherwise the processes of a parallel test run would compile kernels several times. Each tracking run is
+repeated with cached kernels; it must compile nothing and give an identical file, since freshly compiled and
+cached code could sum in different orders.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from posetrack_cli.compiled import kernel_folder
 
 _ALL = """
 import gc, sys
-gc.disable()  # a compiler's objects stay; an eighth of its time went into looking for those that do not
+gc.disable()  # a compiler's objects stay alive; collection would take an eighth of the time
 from posetrack_cli.cli.main import run
 sys.exit(next((code for code in map(run, map(str.split, sys.argv[1:])) if code), 0))
 """
 POSETRACK = (sys.executable, "-c", _ALL)
-"""Runs command lines, each an argument, one after the other in one process, up to one that fails."""
+"""Program that runs command lines (one per argument) in one process until one fails."""
 RUNS = (
     (
         "hand synth --frames 3 -o hand.mcap",
@@ -40,13 +40,13 @@ RUNS = (
         "head mono head.mcap --cameras left --particles 20 -o mono.mcap",
     ),
 )
-"""Command lines that come to every kernel; each tuple's one after the other, the tuples side by side. The
-head is seen for long enough to make a map of its skin."""
-TRACKERS = ("run", "stereo", "mono")  # commands of which a second run must give the same bytes
+"""Command lines that use every kernel; tuples run in parallel, the lines of a tuple in sequence. The head
+recording is long enough for a skin map."""
+TRACKERS = ("run", "stereo", "mono")  # commands whose second run must give an identical file
 
 
 def main() -> None:
-    """Do the runs if this checkout's kernels are not in the cache."""
+    """Run the commands unless the kernels of this checkout are cached."""
     folder = kernel_folder()
     if folder is None:
         return
@@ -61,19 +61,19 @@ def main() -> None:
 
 
 def warm(lines: Sequence[str], folder: Path) -> None:
-    """Do runs, then those of trackers once more, with what was compiled."""
+    """Run the commands, then repeat those of trackers with cached kernels."""
     _posetrack(lines, folder)
     tracked = [line.rsplit(maxsplit=1) for line in lines if line.split()[1] in TRACKERS]
     said = _posetrack([f"{command} again-{output}" for command, output in tracked], folder)
     if "compiling" in said:
-        raise SystemExit(f"the kernels are not kept: {said.strip()}")
+        raise SystemExit(f"kernels were not cached: {said.strip()}")
     for command, output in tracked:
         if not filecmp.cmp(folder / output, folder / f"again-{output}", shallow=False):
-            raise SystemExit(f"posetrack {command}: compiled and loaded kernels give different bytes")
+            raise SystemExit(f"posetrack {command}: compiled and cached kernels give different results")
 
 
 def _posetrack(lines: Sequence[str], folder: Path) -> str:
-    """Run commands in a process of their own, and return what they say on standard error."""
+    """Run commands in one process, and return its standard error."""
     done = subprocess.run([*POSETRACK, *lines], cwd=folder, capture_output=True, text=True)
     if done.returncode != 0:
         raise SystemExit(f"posetrack, one of {'; '.join(lines)}: {done.stderr.strip()}")
@@ -81,5 +81,5 @@ def _posetrack(lines: Sequence[str], folder: Path) -> str:
 
 
 if __name__ == "__main__":
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # and not at once: what is temporary goes
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # exit normally: deletes temporary files
     main()

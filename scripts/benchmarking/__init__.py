@@ -1,1 +1,1 @@
-"""What scripts/bench measures, by subject; every part yields rows of one table."""
+"""Parts of scripts/bench; each yields rows of one table."""

@@ -1,7 +1,7 @@
-"""Speed and memory of posetrack on this machine: a table on standard output, and JSON.
+"""Benchmark of speed and memory on this machine: prints a table and writes JSON.
 
-Times are medians over repeats in this one run. Ratios are of pairs measured in turn, so that a drifting
-clock rate touches both sides alike. Quote ratios rather than milliseconds from a shared machine.
+Times are medians over repeats. Ratios come from alternating measurements, so that a drifting clock rate
+affects both sides. On a shared machine, quote ratios rather than milliseconds.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from posetrack_cli.rendering.devices import open_fastest_device
 
 
 class Lengths(NamedTuple):
-    """How long each part measures."""
+    """Extent of each part."""
 
     repeats: int  # of each timing of the renderer
     hand_frames: int  # of the synthetic hand, for times per frame
-    head_frames: int  # of the synthetic head, seen to and fro
-    head_steps: int  # tracked of it
+    head_frames: int  # of the synthetic head, repeated forwards and backwards
+    head_steps: int  # frames tracked of it
     hand_memory: int  # frames of a long run; the short one has a tenth
     head_memory: int
     eval_frames: int  # of a long result
-    batch_frames: int  # of each of the recordings of a batch
-    batch_jobs: int  # very short ones
+    batch_frames: int  # of each recording of a batch
+    batch_jobs: int  # very short jobs, for the scheduling overhead
 
 
 FULL = Lengths(31, 120, 120, 300, 1500, 2400, 100_000, 300, 2000)
@@ -54,10 +54,10 @@ PARTS: Mapping[str, Callable[[Any, Lengths], Iterator[Row]]] = {
 @click.option(
     "--device",
     type=DeviceIndex(),
-    help="Index of an EGL device, or cpu.  [default: as posetrack hand run]",
+    help="EGL device to render with, or cpu.  [default: as for posetrack hand run]",
 )
-@click.option("--quick", is_flag=True, help="See that everything works; its figures are not to be quoted.")
-@click.option("--part", "parts", type=click.Choice(list(PARTS)), multiple=True, help="Only this; repeatable.")
+@click.option("--quick", is_flag=True, help="Short smoke test; the figures are not representative.")
+@click.option("--part", "parts", type=click.Choice(list(PARTS)), multiple=True, help="Only this. Repeatable.")
 def main(json_path: Path, device: int | str | None, quick: bool, parts: Sequence[str]) -> None:
     """Measure posetrack on this machine."""
     drawing, lengths = open_fastest_device(device), QUICK if quick else FULL

@@ -1,4 +1,4 @@
-"""What a batch gains and costs: recordings side by side against one after the other, and many short jobs."""
+"""Batches: parallel against sequential recordings, and the overhead of many short jobs."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ FASTER = 1.6
 OVERHEAD_S = 1.0
 STAND_IN_S = 0.02
 WORKERS = 16
-CHUNK = 250  # jobs after which the client's memory is looked at first: what is made once is there by then
+CHUNK = 250  # jobs before the first look at the client's memory, which excludes one-time allocations
 
 
 def batches(frames: int, jobs: int) -> Iterator[Row]:
-    """Rows of throughput, of what a recording costs besides its own process, and of scheduling."""
+    """Yield throughput, overhead per recording and scheduling overhead."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for kind, least, more in (("hand", 0, ["--motion", "C"]), ("head", 30, [])):
@@ -42,7 +42,7 @@ def batches(frames: int, jobs: int) -> Iterator[Row]:
 def throughput(
     folder: Path, command: tuple[str, ...], recordings: Sequence[Path], *options: str
 ) -> Iterator[Row]:
-    """Time of a batch over that of its recordings one after the other, and its processor time over theirs."""
+    """Yield wall-clock and CPU time of a batch against those of its recordings run one after the other."""
     name = " ".join(command)
 
     def alone() -> float:
@@ -76,16 +76,16 @@ def _clocked(work: Callable[[], float]) -> tuple[float, float]:
 
 
 def stand_in(job: Job, limits: Limits, progress: object, stopped: object) -> Outcome:
-    """Take the time of a very short job."""
+    """Stand in for a very short job."""
     time.sleep(STAND_IN_S)
     return Outcome(job.name, State.DONE)
 
 
 def scheduling(folder: Path, count: int) -> Iterator[Row]:
-    """What scheduling costs where jobs are very short: on many workers, in processes of this machine."""
+    """Yield the scheduling overhead for very short jobs on many local workers."""
     from posetrack_cli.batch.engine import EngineOptions, open_engine  # Dask takes half a second
 
-    scripts = Path(__file__).parents[1]  # the workers do what this module says
+    scripts = Path(__file__).parents[1]  # workers must be able to import this module
     paths = [str(scripts), str(scripts.parent), os.environ.get("PYTHONPATH", "")]
     environment = {"PYTHONPATH": os.pathsep.join(filter(None, paths))}
     none = (folder / "none.mcap", (), folder / "none", folder / "none.json", folder)

@@ -1,4 +1,4 @@
-"""What a hand costs: drawing and scoring poses, a frame with each configuration, measuring a long result."""
+"""Hands: scoring poses, time per frame by configuration, evaluation of a long result."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ WARM_UP = 5
 
 
 def scoring(device: RenderingDevice, repeats: int) -> Iterator[Row]:
-    """Draw and reduce N poses: the paper's 128 x 128 window, and the same window sampled at 64 x 64."""
+    """Yield times to render and score N poses: the paper's 128 x 128 window, and its 64 x 64 sampling."""
     anatomy = make_anatomy()
     poses = scattered_poses(anatomy, PARTICLES, np.random.default_rng(0))
     transforms, mesh = skinning_transforms(anatomy, poses), hand_mesh(anatomy)
@@ -42,9 +42,9 @@ def scoring(device: RenderingDevice, repeats: int) -> Iterator[Row]:
 
 
 def hands(device: RenderingDevice, frames: int, memory_frames: int) -> Iterator[Row]:
-    """Every configuration in the tracker alone and from file to file; two filters in turn; a long run.
+    """Yield times of every configuration (tracker alone, file to file), a filter comparison, peak memory.
 
-    File to file is from PNGs in an MCAP file to a result, the search for the hand included.
+    File to file is from PNG images in an MCAP file to a result, including detection.
     """
     synthetic = synthesise(SynthOptions(frames=frames), device=device)
     depths = [frame.depth.astype(np.float32) for frame in synthetic]
@@ -76,7 +76,7 @@ def hands(device: RenderingDevice, frames: int, memory_frames: int) -> Iterator[
 
 
 def evaluation(frames: int) -> Iterator[Row]:
-    """Time and peak memory of eval over a long result, and the size of the HTML page of a tenth of it."""
+    """Yield time and peak memory of eval for a long result, and the size of the HTML page for a tenth."""
     with tempfile.TemporaryDirectory() as folder:
         long, short, page = (Path(folder, name) for name in ("long.mcap", "short.mcap", "page.html"))
         write_long_result(long, frames)

@@ -1,4 +1,4 @@
-"""What a frame of a head costs: with two cameras and with one, in the tracker alone and from file to file."""
+"""Heads: time per frame with two cameras and with one, for the tracker alone and from file to file."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from posetrack_cli.tracking.two_pass import Learned
 FPS = 30.0
 FEW, MANY = 1000, 5000
 STEREO_MS, STEREO_FILES_MS, STEREO_CPU_MS = 1e3 / 150.0, 1e3 / 60.0, 7.0
-INDEPENDENT = 1.25  # five times the particles may cost a quarter more
+INDEPENDENT = 1.25  # allowed ratio of frame times with MANY and FEW particles
 MONO_MS, ADJUSTING_MS, START_MS, MONO_FILES_MS, MONO_CPU_MS = 3.0, 6.0, 70.0, 10.0, 10.0
 VIEWS = (5, 10, 20, 40, 60)
 LINEAR_PERCENT = 15.0
@@ -49,7 +49,14 @@ BEGINNINGS = 15
 
 
 def heads(frames: int, steps: int, memory_frames: int, repeats: int) -> Iterator[Row]:
-    """Rows of a synthetic head, which is made once: frames of it, seen to and fro in so many steps."""
+    """Yield all rows of one synthetic head, whose frames are repeated forwards and backwards.
+
+    Args:
+        frames: frames to generate.
+        steps: frames to track.
+        memory_frames: frames of the long run.
+        repeats: repetitions of short timings.
+    """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         write_synthetic(HeadSynthOptions(frames=frames, fps=FPS), folder / "seen")
@@ -84,15 +91,15 @@ def _lost(walkers: Mapping[Any, Walker]) -> Row:
 
 
 def stereo_settings(particles: int, **model: float) -> HeadStereoConfig:
-    """The defaults with so many particles, and changes of ``model``."""
+    """Return the defaults with a number of particles, and changes of ``model``."""
     changes = {f"model.{name}": value for name, value in model.items()}
     return load_settings(HeadStereoConfig, None, {"particles.count": particles} | changes)
 
 
 def stereo_alone(path: Path, steps: int) -> Iterator[Row]:
-    """The same images through four trackers in turn: few and many particles, a new face and a learnt one.
+    """Yield times of four trackers on the same images: few and many particles, new and learned face.
 
-    A new face is rigid. A learnt one deforms, which costs more.
+    A new face is rigid; a learned one deforms, which takes longer.
     """
     recording = open_recording(path, "grey")
     images = [frame.images for frame in recording.frames()]
@@ -117,7 +124,7 @@ def stereo_alone(path: Path, steps: int) -> Iterator[Row]:
 
 
 def learnt_face(cameras: Sequence[Camera], shown: Sequence[Any]) -> Learned:
-    """What a tracker learns with gates wide open, for a short recording has no expressions to speak of."""
+    """Return a model learned with open gates, since a short recording has hardly any expressions."""
     usual, face_learning.LEAST_MM = face_learning.LEAST_MM, 0.1
     try:
         walker = Walker(make_stereo_tracker(stereo_settings(FEW, rigid_frames=10), cameras))
@@ -130,14 +137,14 @@ def learnt_face(cameras: Sequence[Camera], shown: Sequence[Any]) -> Learned:
 
 
 def deformations_of(estimate: Estimate | None) -> int:
-    """How many components a learnt head's model had in a frame."""
+    """Return the number of components of the learned model in a frame."""
     if estimate is None or estimate.numbers is None:
         return 0
     return int(np.isfinite(estimate.numbers[: len(estimate.shape)]).sum())  # eigenvalues come first
 
 
 def stereo_files(folder: Path, frames: int) -> Iterator[Row]:
-    """A whole run from JPEG files to a finished result, the search for the face included."""
+    """Yield times of a complete run from JPEG files to a result, including face detection."""
     recording, config = open_recording(folder / "long", "grey", fps=FPS), stereo_settings(FEW)
     subject = head_subject(recording.cameras[0].name, components_of(config))
     options = HeadRunOptions(folder / "result.mcap", end=frames)
@@ -166,7 +173,7 @@ def _run(recording: Any, config: Any, options: HeadRunOptions, subject: Subject,
 
 
 def mono_alone(camera: Camera, shown: Sequence[Any]) -> Iterator[Row]:
-    """The same images through two trackers in turn: one adjusts the face at the start only."""
+    """Yield times of two trackers on the same images, one of which adjusts the face only at the start."""
     configs = {w: load_settings(HeadMonoConfig, None, {"adjustment.when": w}) for w in ("start", "always")}
     walkers = {when: Walker(make_mono_tracker(config, camera)) for when, config in configs.items()}
     times = in_turn(walkers, shown, SETTLING)
@@ -185,7 +192,7 @@ def _timed(function: Callable[[], Any]) -> tuple[float, Any]:
 
 
 def beginning(camera: Camera, frames: Sequence[Frame]) -> Iterator[Row]:
-    """The search for a face in one frame, and what follows once it was detected in n."""
+    """Yield times of face detection in one frame, and of initialisation after detection in n frames."""
     config = HeadMonoConfig()
     adjuster = Adjuster(load_face_model(None), camera, config.adjustment)
     initialiser = MonoInitialiser(config, adjuster, FaceDetector(config.start.detection))
@@ -202,7 +209,7 @@ def beginning(camera: Camera, frames: Sequence[Frame]) -> Iterator[Row]:
 
 
 def adjusting(camera: Camera, repeats: int) -> Iterator[Row]:
-    """Time of an adjustment against its n views, in turn, and how far it is from a straight line."""
+    """Yield times of an adjustment by number of views n, and their deviation from a linear fit."""
     model, settings = load_face_model(None), HeadMonoConfig().adjustment
     person = PersonParameters(model.identity_mean, np.zeros_like(model.mean))
     views = {count: seen_views(model, camera, count) for count in VIEWS}
@@ -223,7 +230,7 @@ def adjusting(camera: Camera, repeats: int) -> Iterator[Row]:
 
 
 def seen_views(model: FaceModel, camera: Camera, count: int) -> tuple[PointView, ...]:
-    """Views of a random person in random poses, with noise on the pixels; they start elsewhere."""
+    """Return noisy views of a random person in random poses, with other start values."""
     rng = np.random.default_rng(0)
     identity = model.identity_mean + model.identity_deviations * rng.uniform(-1.5, 1.5, model.identity_size)
     views = []
@@ -241,7 +248,7 @@ def seen_views(model: FaceModel, camera: Camera, count: int) -> tuple[PointView,
 
 
 def mono_files(folder: Path, images: Sequence[Any]) -> Iterator[Row]:
-    """Whole runs from a video to a finished result, the search for the face included."""
+    """Yield times of complete runs from a video to a result, including face detection."""
     height, width = images[0].shape
     writer = cv2.VideoWriter(str(folder / "long.mp4"), cv2.VideoWriter.fourcc(*"mp4v"), FPS, (width, height))
     for image in images:

@@ -1,4 +1,4 @@
-"""posetrack's commands as processes of their own: CPU time, peak memory, a cluster of them."""
+"""posetrack commands as processes: CPU time, peak memory, and a Dask cluster."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from benchmarking.rows import Row
 
 POSETRACK = (sys.executable, "-m", "posetrack_cli.cli.main")
 
-# A child's ru_maxrss begins at the size of whoever forked it, so a small process has to do that.
+# ru_maxrss of a child starts at the size of the process that forked it, so a small one has to fork.
 _LAUNCHER = """
 import json, os, sys
 quiet = os.open(os.devnull, os.O_WRONLY)
@@ -38,7 +38,7 @@ def usage_of(command: Sequence[str]) -> tuple[float, float]:
 
 
 def start_up() -> Iterator[Row]:
-    """CPU time of --help."""
+    """Yield the CPU time of --help."""
     for names in ((), ("head", "stereo"), ("head", "mono")):
         times = [usage_of([*POSETRACK, *names, "--help"])[0] for _ in range(6)]
         yield Row(" ".join(["posetrack", *names, "--help, CPU time"]), float(np.median(times[1:])), "s", 0.3)
@@ -47,9 +47,9 @@ def start_up() -> Iterator[Row]:
 def peak_memory(
     subject: str, command: Sequence[str], frames: int, folder: Path, target: float | None = None
 ) -> Iterator[Row]:
-    """Peak memory of a run over a tenth of a recording of so many frames and over all of it, in MiB.
+    """Yield the peak memory (MiB) of a run over a tenth of a recording and over all of it.
 
-    The command is without output and frames; results go to the folder.
+    ``command`` has no output or frame options; results go to ``folder``.
     """
     peaks = []
     for end in (frames // 10, frames):
@@ -60,7 +60,7 @@ def peak_memory(
 
 
 class Cluster:
-    """A Dask scheduler and workers of one thread each, which may be killed; as a context they end with it."""
+    """A Dask scheduler and single-threaded workers, which may be killed; a context that ends them."""
 
     def __init__(self, folder: Path, workers: int, environment: Mapping[str, str] | None = None) -> None:
         self.file = folder / "scheduler.json"
@@ -70,7 +70,7 @@ class Cluster:
         self.workers: list[subprocess.Popen[bytes]] = []
 
     def __enter__(self) -> Cluster:
-        self.file.unlink(missing_ok=True)  # of a scheduler that was killed
+        self.file.unlink(missing_ok=True)  # left by a killed scheduler
         self._scheduler = [self._started("scheduler", "--port", "0")]
         for _ in range(self._count):
             self.add_worker()
@@ -80,19 +80,19 @@ class Cluster:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         every = [*self.workers, *self._scheduler]
-        for one in every:  # without asking: a worker whose scheduler is gone waits for it
+        for one in every:  # SIGKILL: a worker without scheduler would wait for it
             one.kill()
         for one in every:
             one.wait()
         self.workers = []
 
     def add_worker(self) -> None:
-        """Start one more."""
+        """Start another worker."""
         scratch = ("--local-directory", str(self._folder))
         self.workers.append(self._started("worker", "--nthreads", "1", "--no-nanny", *scratch))
 
     def kill_worker(self, worker: subprocess.Popen[bytes]) -> None:
-        """Kill one."""
+        """Kill a worker."""
         self.workers.remove(worker)
         worker.kill()
         worker.wait()

@@ -1,4 +1,4 @@
-"""Recordings and results as long as one likes: a few synthetic frames to and fro, or natural motion."""
+"""Recordings and results of any length, from a few synthetic frames or from synthetic motion."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ from posetrack_cli.tracking.velocity import BodySpace, pose_rates
 
 
 def there_and_back(count: int, length: int) -> Iterator[int]:
-    """Indices 0, 1, ..., count - 1, count - 2, ..., 1, 0, 1, ... of a length: motion stays continuous."""
+    """Yield ``length`` indices 0, 1, ..., count - 1, count - 2, ..., 0, 1, ...; keeps motion continuous."""
     period = [*range(count), *range(count - 2, 0, -1)]
     return (period[index % len(period)] for index in range(length))
 
 
 def write_hand_recording(path: Path, depths: Sequence[Any], frames: int) -> None:
-    """An MCAP file of these depth images, mm, as PNG."""
+    """Write depth images (mm) as PNG to an MCAP file, repeated forwards and backwards."""
     from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
     from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 
@@ -54,9 +54,9 @@ def write_hand_recording(path: Path, depths: Sequence[Any], frames: int) -> None
 
 
 def link_recording(path: Path, folder: Path, frames: int) -> None:
-    """Make a folder whose images are those of another one, so many; it has no stamps but needs ``--fps``.
+    """Link the images of a folder repeatedly into a longer one; it has no timestamps and needs ``--fps``.
 
-    The other one holds images, or a folder of images per camera, and a camera file.
+    The source has images, or one image folder per camera, and a camera file.
     """
     path.mkdir()
     shutil.copy(folder / CAMERA_FILE_NAME, path)
@@ -68,16 +68,16 @@ def link_recording(path: Path, folder: Path, frames: int) -> None:
             (into / f"{index:06d}{images[shown].suffix}").symlink_to(images[shown].path.resolve())
 
 
-# A result with truth: natural motion, and estimates off by noise of known strength
+# A result with ground truth: natural motion, and estimates with known noise
 
 SD = np.r_[np.full(3, 5.0), np.full(3, 0.06), np.full(15, 0.12)]
-"""Of the estimates' errors, mm and rad; also stated as their covariance."""
+"""Standard deviations of the errors, mm and rad; also stated as covariance."""
 SCRIPT_S = 300.0
 LOST_EVERY, LOST_FOR = 1000, 10
 
 
 def write_long_result(path: Path, frames: int) -> None:
-    """Write a hand's result of so many frames; every thousandth begins ten that are lost."""
+    """Write a hand result; ten of every thousand frames are lost."""
     rng, seconds = np.random.default_rng(0), 1e-9 * FRAME_NS
     times: FloatArray = np.mod(seconds * np.arange(frames), SCRIPT_S, dtype=np.float64)
     script = natural_motion(min(SCRIPT_S, frames * seconds), 1.0, rng)

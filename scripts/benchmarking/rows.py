@@ -1,10 +1,12 @@
-"""Measured figures, what they are held against, and what they were measured on."""
+"""Measured figures, their targets, and a description of the machine."""
 
 from __future__ import annotations
 
 import json
 import os
 import platform
+import shlex
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -19,7 +21,7 @@ from posetrack_cli.rendering.port import RenderingDevice
 
 @dataclass(frozen=True)
 class Row:
-    """One measured figure; its unit is empty for a ratio, its target what it should be at most."""
+    """One measured figure; the unit is empty for a ratio, the target is an upper limit."""
 
     name: str
     value: float
@@ -28,29 +30,36 @@ class Row:
 
     @property
     def verdict(self) -> str:
-        """Whether the target is met."""
+        """Whether the target is met, in words."""
         return "" if self.target is None else ("ok" if self.value <= self.target else "MISSED")
 
     @property
     def line(self) -> str:
-        """The row of the printed table."""
+        """Row of the printed table."""
         held = "" if self.target is None else f"target {self.target:g}  {self.verdict}"
         return f"{self.name:66} {self.value:10.3f} {self.unit:9} {held}".rstrip()
 
 
 def rows_json(machine: Mapping[str, str], rows: Iterable[Row], **more: Any) -> str:
-    """Return figures as JSON, with what they were measured on."""
+    """Return figures and machine as JSON."""
     table = [asdict(row) | {"verdict": row.verdict} for row in rows]
-    return json.dumps({"machine": dict(machine), "rows": table, **more}, indent=1) + "\n"
+    return json.dumps({"source": dict(machine), "rows": table, **more}, indent=1) + "\n"
 
 
-def describe_machine(device: RenderingDevice) -> dict[str, str]:
-    """Processor, cores, load, Python, renderer."""
+def source(script: str) -> dict[str, str]:
+    """Return version, processor and command line of a script, for ``scripts/benchmark_page.py``."""
     lines = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").exists() else []
     models = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
     return {
         "posetrack": build_name(),
         "processor": models[0] if models else platform.processor(),
+        "command": shlex.join([script, *sys.argv[1:]]),
+    }
+
+
+def describe_machine(device: RenderingDevice, script: str) -> dict[str, str]:
+    """Return processor, cores, load, Python and renderer."""
+    return source(script) | {
         "cores": str(os.cpu_count()),
         "load": f"{os.getloadavg()[0]:.2f}",
         "system": platform.platform(),
@@ -60,17 +69,17 @@ def describe_machine(device: RenderingDevice) -> dict[str, str]:
 
 
 def median_ms(seconds: Sequence[float]) -> float:
-    """The median of times, in ms."""
+    """Return the median of times in ms."""
     return 1e3 * float(np.median(seconds))
 
 
 def median_of_pairs(one: Sequence[float], other: Sequence[float]) -> float:
-    """The median ratio of times that were measured in turn."""
+    """Return the median ratio of times measured alternately."""
     return float(np.median(np.divide(one, other)))
 
 
 def fitted_line(numbers: FloatArray, milliseconds: FloatArray) -> tuple[float, float]:
-    """Offset and slope with the least squared relative residuals: every number counts alike."""
+    """Return offset and slope of the least-squares fit of relative residuals."""
     design = np.stack([np.ones_like(numbers), numbers], axis=1) / milliseconds[:, None]
     (offset, slope), *_ = np.linalg.lstsq(design, np.ones_like(numbers), rcond=None)
     return float(offset), float(slope)

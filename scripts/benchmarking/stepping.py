@@ -1,4 +1,4 @@
-"""Trackers that are timed step by step, in turn, so that a drifting clock rate touches all alike."""
+"""Trackers timed frame by frame in alternation, so that a drifting clock rate affects all of them."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from posetrack_cli.synthesis.hand.frames import CAMERA
 
 Name = TypeVar("Name")
 FRAME_NS = 33_333_333
-SETTLING = 10  # steps of a head left out before times are taken: the search for the face, and caches
+SETTLING = 10  # untimed first frames of a head: face detection, cold caches
 
 
 class Walker:
-    """A tracker that is timed step by step; one of heads starts with the first frame it sees."""
+    """A tracker that is timed frame by frame; a head tracker initialises in its first frame."""
 
     def __init__(self, tracker: Any, state: Any = None, rng: np.random.Generator | None = None) -> None:
         self.tracker, self.state = tracker, state
@@ -32,7 +32,7 @@ class Walker:
         self.last: Estimate | None = None
 
     def step(self, index: int, shown: Any) -> float:
-        """Track one frame of images; return the seconds it took."""
+        """Track one frame; return the duration in seconds."""
         frame = Frame(index, (index + 1) * FRAME_NS, shown)
         if self.state is None:
             self.state = self.tracker.start(frame, self._rng)
@@ -44,7 +44,7 @@ class Walker:
 
 
 def hand_walker(device: RenderingDevice, config: HandConfig, first: Any) -> Walker:
-    """Return a hand tracker that starts in the middle of the depth image ``first``."""
+    """Return a hand tracker that starts at the centre of the depth image ``first``."""
     hand, rng = average_hand(), np.random.default_rng(0)
     tracker = make_tracker(config, hand, CAMERA, device)
     pose = centre_pose(first, CAMERA, hand.anatomy, config.init.depth_mm)
@@ -52,9 +52,9 @@ def hand_walker(device: RenderingDevice, config: HandConfig, first: Any) -> Walk
 
 
 def in_turn(walkers: Mapping[Name, Any], recorded: Sequence[Any], warm_up: int) -> dict[Name, list[float]]:
-    """Let walkers track the same frames, one by one in turn and in both orders.
+    """Track the same frames with all walkers alternately, in both orders.
 
-    Return for each the seconds of every frame after the first ``warm_up``.
+    Returns the seconds of every frame after the first ``warm_up`` by walker.
     """
     times: dict[Name, list[float]] = {name: [] for name in walkers}
     for index, shown in enumerate(recorded):
@@ -66,21 +66,18 @@ def in_turn(walkers: Mapping[Name, Any], recorded: Sequence[Any], warm_up: int) 
 
 
 class FrameClock:
-    """CPU time of a head's run, of all threads, from one of its first estimates to its last.
-
-    ``SETTLING`` estimates are the start; no more than half of those that come.
-    """
+    """CPU time (all threads) per frame of a head run, without the first ``SETTLING`` estimates."""
 
     def __init__(self, now: Callable[[], float] = time.process_time) -> None:
         self._now = now
         self._times: list[float] = []
 
     def note(self, estimate: object) -> None:
-        """See an estimate that was written."""
+        """Record the time of an estimate."""
         self._times.append(self._now())
 
     @property
     def ms_a_frame(self) -> float:
-        """Milliseconds; NaN of fewer than two estimates."""
-        times = self._times[min(SETTLING, len(self._times) // 2) :]
+        """CPU milliseconds per frame; NaN for fewer than two estimates."""
+        times = self._times[min(SETTLING, len(self._times) // 2) :]  # keeps half of a short run
         return 1e3 * (times[-1] - times[0]) / (len(times) - 1) if len(times) > 1 else float("nan")

@@ -1,1 +1,1 @@
-"""Digests of everything that the commands write, to compare two states of the code."""
+"""Digests of all command output, to compare two states of the code."""

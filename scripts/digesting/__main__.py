@@ -1,8 +1,7 @@
-"""Digests what every command writes, over recordings that it makes itself.
+"""Compute digests of the output of every command, on generated recordings.
 
-Every step is a command line as a user types it, in a folder of its own with relative names: nothing but
-the code and the machine decides what is written. Two runs on one machine give the same digests; runs
-before and after a change of the code therefore show whether any result changed.
+Steps are command lines with relative paths in a new folder, so their output depends only on the code and the
+machine. Runs before and after a change of the code show whether any result changed.
 """
 
 from __future__ import annotations
@@ -21,30 +20,28 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def check_package(package: Path) -> None:
-    """Refuse a checkout whose package the commands would not run."""
+    """Check that the commands would run the package of a checkout, and not an installed one."""
     line = [sys.executable, "-c", "import posetrack_cli; print(posetrack_cli.__file__)"]
     with tempfile.TemporaryDirectory() as elsewhere:
         found = subprocess.run(
             line, cwd=elsewhere, env={"PYTHONPATH": str(package)}, capture_output=True, text=True, check=True
         )
     if Path(found.stdout.strip()).parents[1].resolve() != package:
-        raise click.UsageError(f"{package} holds no posetrack_cli; {found.stdout.strip()} would run")
+        raise click.UsageError(f"{package} does not contain posetrack_cli; {found.stdout.strip()} would run")
 
 
 @click.command()
-@click.option("-o", "--output", type=click.Path(path_type=Path), help="Write the digests here, JSON.")
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="Write the digests as JSON.")
+@click.option("--against", type=click.Path(path_type=Path, exists=True), help="Compare with earlier digests.")
+@click.option("--only", multiple=True, metavar="NAME", help="Only this group or step, and its dependencies.")
 @click.option(
-    "--against", type=click.Path(path_type=Path, exists=True), help="Compare with these earlier digests."
+    "--package", type=click.Path(path_type=Path, exists=True), help="Checkout to run.  [default: this one]"
 )
-@click.option("--only", multiple=True, metavar="NAME", help="Only this group or step, and what it needs.")
-@click.option(
-    "--package", type=click.Path(path_type=Path, exists=True), help="Checkout to run.  [default: this]"
-)
-@click.option("--keep", type=click.Path(path_type=Path), help="Work in this new folder and leave it.")
+@click.option("--keep", type=click.Path(path_type=Path), help="Work in this new folder and keep it.")
 def main(
     output: Path | None, against: Path | None, only: Sequence[str], package: Path | None, keep: Path | None
 ) -> None:
-    """Digest what every command writes; exit code 1 if anything differs from before or a step fails.
+    """Compute digests of the output of every command; exit code 1 if any differs or a step fails.
 
     Groups: recordings, conversions, hand, head, exports, reports, pictures, calibrations, batches.
     """
@@ -62,7 +59,7 @@ def main(
         for step in chosen(groups(), only):
             try:
                 now[step.name] = workplace.digest(step)
-            except Exception as error:  # the other steps still count
+            except Exception as error:  # continue with the other steps
                 failed += 1
                 now[step.name] = {"failed": repr(error)}
                 print(f"failed: {step.name}: {error!r}", file=sys.stderr)

@@ -1,6 +1,6 @@
-"""What counts of a written file: its content without run record, configuration, version and measured times.
+"""Digests of written files, without run record, configuration, version and measured times.
 
-An MCAP file is digested topic by topic, so that a difference names the stream that changed.
+MCAP files have one digest per topic, so that a difference names the stream that changed.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ RUN_RECORD = "posetrack.run"
 LEFT_OUT = frozenset(
     {"version", "run", "configuration", "bytes", "seconds", "cpu_s", "frames_per_s", "peak_mb", "peak_bytes"}
 )
-"""Keys of JSON objects and columns of CSV tables that state the run or its cost, not its result."""
+"""JSON keys and CSV columns that describe the run or its cost."""
 _VERSION = re.compile(r"\bposetrack \d+\.\d\S*(?: \(sources \w+\))?")
 _RECORD_TABLE = re.compile(r'<table class="record">.*?</table>', re.DOTALL)
 _PRINTED_RECORD = re.compile(rf"^metadata {re.escape(RUN_RECORD)}:.*\n(?:    .*\n)*", re.MULTILINE)
@@ -29,9 +29,9 @@ _PRINTED_SIZE = re.compile(r"\b[\d.]+ (?:B|kB|MB)\b")
 
 
 def digests_of(path: Path) -> dict[str, str]:
-    """Return the digests of a file: one by the name "", or one for each part of an MCAP or npz file."""
+    """Return the digests of a file: one with the name "", or one per part of an MCAP or npz file."""
     content = path.read_bytes()
-    if path.suffix == ".mkv":  # FFmpeg gives every file a random number of its own
+    if path.suffix == ".mkv":  # FFmpeg writes a random identifier
         return {}
     parts = _PARTS[path.suffix](content) if path.suffix in _PARTS else [("", content)]
     return {name: digest_of(part) for name, part in parts}
@@ -56,7 +56,7 @@ def _without_version(text: bytes) -> bytes:
 
 
 def _mcap(content: bytes) -> Parts:
-    """Yield each topic's messages, their order across topics, other metadata and attachments."""
+    """Yield the messages of each topic, the order of topics, metadata and attachments."""
     streams: dict[str, Any] = {}
     order = hashlib.sha256()
     for schema, channel, message in make_reader(io.BytesIO(content)).iter_messages(log_time_order=False):
@@ -80,7 +80,7 @@ def _mcap(content: bytes) -> Parts:
 
 
 def _npz(content: bytes) -> Parts:
-    """Yield each array; an array of JSON text without what states the run."""
+    """Yield each array; JSON texts without the description of the run."""
     with np.load(io.BytesIO(content)) as arrays:
         for name in arrays.files:
             array = arrays[name]
@@ -94,7 +94,7 @@ def _json_text(content: bytes) -> bytes:
 
 
 def _counts(key: str) -> bool:
-    """Return whether a value of this name belongs to a result; digests of inputs do not."""
+    """Return whether a key belongs to a result; digests of inputs do not."""
     return key not in LEFT_OUT and not key.endswith("sha256")
 
 
@@ -108,7 +108,7 @@ def _without_run(value: Any) -> Any:
 
 
 def _csv(content: bytes) -> bytes:
-    """Return the table without columns of cost, and the comments without the run record."""
+    """Return a table without cost columns and without the run record in its comments."""
     lines = content.decode().splitlines()
     comments = [line for line in lines if line.startswith("#") and not line.startswith("# run:")]
     rows = list(csv.reader(line for line in lines if not line.startswith("#")))

@@ -1,6 +1,6 @@
-"""Inputs that no command writes: folders of images, a video, bags, points of other programs, boards, ...
+"""Inputs that no command writes: image folders, a video, bags, keypoints, calibration boards, ...
 
-They are made from synthetic recordings in the same folder, with the helpers that the tests use.
+They are derived from synthetic recordings in the same folder, with the helpers of the tests.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from mcap.reader import make_reader
 
 DEPTH_TOPIC, INFO_TOPIC = "/camera/depth/image_rect_raw", "/camera/depth/camera_info"
 GREY_TOPIC, GREY_INFO_TOPIC = "/camera/left/image_raw", "/camera/left/camera_info"
-TENTHS_MISSING = 65535  # stored in the folder of tenths of a millimetre where there is no reading
+TENTHS_MISSING = 65535  # missing reading in the folder with tenths of a millimetre
 KEYPOINT_SCATTER_PX = 3.0
 CLICK_ERROR_PX = 0.5
 
@@ -31,14 +31,14 @@ def helper(name: str) -> Any:
 
 
 def opened(recording: Path, pixels: str) -> Any:
-    """Return a recording; the package decodes it."""
+    """Open a recording."""
     from posetrack_cli.recording.opening import open_recording
 
     return open_recording(recording, pixels)  # type: ignore[arg-type]
 
 
 def truth_of(recording: Path, topic: str) -> list[tuple[dict[str, Any], Any]]:
-    """Return the true estimates of a synthetic recording, with their points (N, 3), mm."""
+    """Return the ground truth of a synthetic recording, with points (N, 3), mm."""
     with recording.open("rb") as stream:
         estimates = [json.loads(m.data) for _, _, m in make_reader(stream).iter_messages([topic])]
     return [
@@ -52,7 +52,7 @@ def write_depth_folder(folder: Path) -> None:
 
 
 def write_tenths_folder(folder: Path) -> None:
-    """Write depth in tenths of a millimetre with a value for no reading, and a separate camera file."""
+    """Write depth in tenths of a millimetre with a value for missing readings, and a camera file."""
     _write_depth(folder / "tenths", folder / "near.mcap", folder / "tenths.toml", 10.0)
 
 
@@ -69,7 +69,7 @@ def _write_depth(target: Path, path: Path, camera: Path, per_mm: float) -> None:
 
 
 def copy_images(folder: Path) -> None:
-    """Copy the images of one camera of a folder without their calibration."""
+    """Copy the images of one camera without calibration."""
     (folder / "uncalibrated").mkdir()
     for path in sorted((folder / "faces" / "left").glob("*.png")):
         shutil.copy(path, folder / "uncalibrated" / path.name)
@@ -90,7 +90,7 @@ def write_video(folder: Path) -> None:
 
 
 def write_bags(folder: Path) -> None:
-    """Write the depth as a bag of ROS 1 and a camera's grey images as another."""
+    """Write depth as one ROS 1 bag and grey images of a camera as another."""
     write_bag = helper("bags").write_bag
     write_bag(folder / "depth.bag", "lz4", lambda messages: _depth_messages(folder, messages))
     grey = (GREY_TOPIC, GREY_INFO_TOPIC, "mono8", np.uint8)
@@ -98,7 +98,7 @@ def write_bags(folder: Path) -> None:
 
 
 def write_ros2_folder(folder: Path) -> None:
-    """Write the depth as a folder of ROS 2 (SQLite)."""
+    """Write depth as a ROS 2 bag (SQLite)."""
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores
 
@@ -114,7 +114,7 @@ def _depth_messages(folder: Path, messages: Any) -> Iterator[tuple[str, int, Any
 def _messages(
     path: Path, messages: Any, topic: str, info: str, encoding: str, kind: Any
 ) -> Iterator[tuple[str, int, Any]]:
-    """Yield topic, number and message of the calibration and every image of a recording's first camera."""
+    """Yield topic, number and message of the calibration and images of the first camera."""
     recording = opened(path, "depth" if kind is np.uint16 else "grey")
     camera = recording.cameras[0]
     k = np.array([camera.fx, 0, camera.cx, 0, camera.fy, camera.cy, 0, 0, 1.0])
@@ -128,12 +128,12 @@ def _messages(
 
 
 def write_kinect_file(folder: Path) -> None:
-    """Write a Matroska file as an Azure Kinect's recorder does."""
+    """Write a Matroska file like the Azure Kinect recorder."""
     helper("kinect").write_kinect(folder / "kinect.mkv")
 
 
 def write_keypoints(folder: Path) -> None:
-    """Write a hand's joints in pixels with scatter, and the truth as ``eval`` and ``--keypoints`` read it."""
+    """Write noisy hand joints in pixels, and ground truth in the format of ``eval`` and ``--keypoints``."""
     from posetrack_cli.hand.model.anatomy import JOINT_NAMES
 
     recording = folder / "hand-C.mcap"
@@ -154,7 +154,7 @@ def write_keypoints(folder: Path) -> None:
 
 
 def write_landmarks(folder: Path) -> None:
-    """Write a face's ten points in pixels with scatter, and those of the first frame as clicked ones."""
+    """Write noisy face points in pixels, and those of the first frame in the format of ``--init``."""
     from posetrack_cli.head.face.points import POINT_NAMES
 
     camera, rng = opened(folder / "two.mcap", "grey").cameras[0], np.random.default_rng(6)
@@ -177,21 +177,21 @@ def write_mesh(folder: Path) -> None:
 
 
 def write_people(folder: Path) -> None:
-    """Write results of three people whose faces move as ``head build-model`` asks for."""
+    """Write results of three people with the motions that ``head build-model`` requires."""
     faces = helper("face_people")
     for number, face in enumerate(faces.people(3)):
         faces.write_stereo_result(folder / f"person-{number}.mcap", faces.performance(face, 120))
 
 
 def write_boards(folder: Path) -> None:
-    """Write views of a chessboard and of a ChArUco board by two cameras."""
+    """Write images of a chessboard and a ChArUco board from two cameras."""
     boards = helper("boards")
     boards.write_views(folder / "chessboard", boards.CHESSBOARD, boards.cameras(), boards.poses(6))
     boards.write_views(folder / "charuco", boards.CHARUCO, boards.cameras(), boards.poses(6, seed=2))
 
 
 def write_lists(folder: Path) -> None:
-    """Write a manifest of two recordings, a list of one, and a file of gates."""
+    """Write a manifest of two recordings, a list of one, and a gate file."""
     (folder / "manifest.toml").write_text(
         'gates = ["coverage < 0.5"]\n[options]\nparticles = 64\nend = 6\n'
         '[[recordings]]\npath = "hand-C.mcap"\ntruth = "joints.csv"\n'

@@ -1,4 +1,4 @@
-"""The steps: every command, with every option that changes what is written."""
+"""Steps: every command with every option that affects its output."""
 
 from __future__ import annotations
 
@@ -16,31 +16,31 @@ _NAMED = re.compile(r"\{([^:}]+)(?::(\d))?\}")
 
 @dataclass(frozen=True)
 class Step:
-    """A command line, or a function that makes inputs."""
+    """A command line, or a function that writes inputs."""
 
     name: str  # unique
     # arguments of ``posetrack``; ``{name}`` stands for the first output of the step of that name,
     # ``{name:1}`` for the second
     arguments: tuple[str, ...] = ()
-    outputs: tuple[str, ...] = ()  # files or folders that it writes; none if only its standard output counts
-    # names of steps that must be done first, in addition to those in ``arguments``
+    outputs: tuple[str, ...] = ()  # written files or folders; empty if only standard output is digested
+    # dependencies in addition to those in ``arguments``
     needed: tuple[str, ...] = ()
-    printed: bool = False  # whether standard output counts
-    interrupted: bool = False  # whether it is stopped by Ctrl-C after its first checkpoint and resumed
-    make: Callable[[Path], object] | None = None  # writes inputs into a folder; then there are no arguments
+    printed: bool = False  # whether to digest standard output
+    interrupted: bool = False  # whether to stop it with Ctrl-C after the first checkpoint and resume it
+    make: Callable[[Path], object] | None = None  # writes inputs into a folder, instead of arguments
 
     @property
     def needs(self) -> tuple[str, ...]:
-        """Names of all steps that must be done first."""
+        """Names of all steps that must run first."""
         return (*self.needed, *(name for text in self.arguments for name, _ in _NAMED.findall(text)))
 
     def filled(self, outputs: Mapping[str, Sequence[str]]) -> list[str]:
-        """Return the arguments with the names of outputs in place of those of steps."""
+        """Return the arguments with placeholders replaced by outputs."""
         return [_NAMED.sub(lambda m: outputs[m[1]][int(m[2] or 0)], text) for text in self.arguments]
 
 
 def command(name: str, line: str, *outputs: str, printed: bool = False, interrupted: bool = False) -> Step:
-    """Return the step of a command line that writes the path after its ``-o``, and further ``outputs``."""
+    """Return the step of a command line; its outputs are the path after ``-o`` and ``outputs``."""
     arguments = tuple(shlex.split(line))
     written = [arguments[arguments.index("-o") + 1]] if "-o" in arguments else []
     shown = tuple(path for path in (*written, *outputs) if path != "-")
@@ -48,21 +48,21 @@ def command(name: str, line: str, *outputs: str, printed: bool = False, interrup
 
 
 def made(name: str, make: Callable[[Path], object], outputs: str, needed: str = "") -> Step:
-    """Return the step that makes inputs by code; names are separated by spaces."""
+    """Return a step that writes inputs by a function; names are separated by spaces."""
     return Step(name, outputs=tuple(outputs.split()), needed=tuple(needed.split()), make=make)
 
 
 FEW = "--particles 64"
 FEWER = "--particles 200"
 GIVEN = "--hand-side right --shape average --init {hand-C}"
-"""Options of ``hand run`` that leave nothing to be found before the first frame."""
+"""Options of ``hand run`` that skip the detection before the first frame."""
 FLUSH = "--set output.flush_frames=3"
 OF_BAG = f"--topic {DEPTH_TOPIC} --camera-topic {INFO_TOPIC}"
 OF_TENTHS = f"--depth-unit-mm .1 --missing {TENTHS_MISSING} --camera {{tenths:1}} --fps 30"
 
 
 def recordings() -> Iterator[Step]:
-    """Yield the steps that make recordings and other inputs."""
+    """Yield steps that generate recordings and other inputs."""
     hand, head = "hand synth --seed 3 --frames", "head synth --seed 4 --frames"
     fingers = "--finger-lengths 1.02 1 1 1 .98 --finger-widths 1 1 1.05 1 1 --thumb-place 1.1"
     palm = "--palm-width 1.03 --palm-length .97 --palm-thickness 1.05 --wrist-width 1.05"
@@ -101,7 +101,7 @@ def recordings() -> Iterator[Step]:
 
 
 def conversions() -> Iterator[Step]:
-    """Yield conversions of every container of depth."""
+    """Yield conversions of every depth format."""
     converted = {
         "mcap": "{hand-C} --overwrite",
         "truth": "{depth} --fps 30 --truth {keypoints:1}",
@@ -115,7 +115,7 @@ def conversions() -> Iterator[Step]:
 
 
 def hand_runs() -> Iterator[Step]:
-    """Yield runs of every hand tracker, and calibrations of hands."""
+    """Yield runs of every hand tracker, and hand calibrations."""
     runs = {
         "rbpf": "{hand-C}",
         "smooth": f"{{hand-C}} --smooth {FEW}",
@@ -158,7 +158,7 @@ def hand_runs() -> Iterator[Step]:
 
 
 def head_runs() -> Iterator[Step]:
-    """Yield runs of both head trackers, and the building of a face model."""
+    """Yield runs of both head trackers, and a face model."""
     people = "{people} {people:1} {people:2} --identity-size 2 --deformation-size 3"
     picture = "--picture face.png --overwrite"
     yield command("face", f"head build-model {people} {picture} -o face.npz", "face.png")
@@ -207,7 +207,7 @@ def head_runs() -> Iterator[Step]:
 
 
 def exports() -> Iterator[Step]:
-    """Yield what ``info`` reports and ``export`` writes."""
+    """Yield runs of ``info`` and ``export``."""
     for name in ("hand-C", "one", "depth", "faces", "video", "bags", "ros2", "kinect", "smooth", "mono"):
         yield command(f"info-{name}", f"info {{{name}}} --json -", printed=True)
         yield command(f"info-text-{name}", f"info {{{name}}}", printed=True)
@@ -227,7 +227,7 @@ def exports() -> Iterator[Step]:
 
 
 def reports() -> Iterator[Step]:
-    """Yield what ``eval`` measures and writes."""
+    """Yield runs of ``eval``."""
     suffixes = {"html": "html", "json": "json", "csv": "csv", "junit": "xml", "markdown": "md"}
     gates = "--fail-if joint_error_mm.mean>1"
     of_heads = "--fail-if point_error_mm.mean>5"
@@ -258,7 +258,7 @@ def reports() -> Iterator[Step]:
 
 
 def pictures() -> Iterator[Step]:
-    """Yield what ``view`` draws: folders, sheets and videos."""
+    """Yield runs of ``view``: folders, contact sheets and videos."""
     of_folder = "--any-recording --depth-unit-mm .1 --missing 65535 --fps 30 --camera {tenths:1} --no-mirror"
     drawn = {
         "rbpf": "{rbpf} --recording {hand-C} --show-truth --skeleton --select 3,10 --overwrite -o view-rbpf",
@@ -276,7 +276,7 @@ def pictures() -> Iterator[Step]:
 
 
 def calibrations() -> Iterator[Step]:
-    """Yield calibrations of cameras."""
+    """Yield camera calibrations."""
     charuco = "--squares 7x5 --square-mm 26 --marker-mm 19 --dictionary 4X4_50 --distortion five"
     boards = {
         "chessboard": "{boards} --squares 8x6 --square-mm 22 --overwrite",
@@ -287,7 +287,7 @@ def calibrations() -> Iterator[Step]:
 
 
 def batches() -> Iterator[Step]:
-    """Yield batches: many recordings, one, pieces of long ones."""
+    """Yield batches: several recordings, one recording, chunks of a long one."""
     gates = "--fail-if coverage<.5 --gates {lists:2} --baseline {eval-rbpf} --baseline-tolerance .5"
     reported = "--junit batch.xml --markdown batch.md"
     bounds = "--timeout 600 --memory-limit 8G --jobs 1"
@@ -307,7 +307,7 @@ def batches() -> Iterator[Step]:
 
 
 def groups() -> Mapping[str, Sequence[Step]]:
-    """Return all steps by group, in the order in which they are done."""
+    """Return all steps by group, in execution order."""
     made_by: Mapping[str, Callable[[], Iterator[Step]]] = {
         "recordings": recordings,
         "conversions": conversions,

@@ -1,4 +1,4 @@
-"""Does steps in a folder, one after the other, and digests what they write."""
+"""Run steps in a folder and compute digests of their output."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Digests = Mapping[str, Mapping[str, str]]
 
 
 class Workplace:
-    """A folder in which steps are done, with the ``posetrack_cli`` of a checkout."""
+    """A folder for running steps with the ``posetrack_cli`` of a checkout."""
 
     def __init__(self, folder: Path, package: Path) -> None:
         self._folder = folder
@@ -31,7 +31,7 @@ class Workplace:
         self._environment = {**os.environ, "PYTHONPATH": str(package), "COLUMNS": "100"}
 
     def digest(self, step: Step) -> dict[str, str]:
-        """Do a step and return the digests of everything it wrote, by name."""
+        """Run a step and return the digests of its output by name."""
         digests = {} if step.make is not None else self._run(step)
         if step.make is not None:
             step.make(self._folder)
@@ -59,7 +59,7 @@ class Workplace:
         return digests
 
     def _interrupt(self, arguments: Sequence[str], step: Step) -> None:
-        """Start a run and stop it as Ctrl-C does once it can be resumed."""
+        """Start a run and interrupt it (SIGINT) as soon as it can be resumed."""
         output = self._folder / step.outputs[0]
         state = output.with_name(f"{output.name}.part.state")
         null = subprocess.DEVNULL
@@ -77,7 +77,7 @@ class Workplace:
 
 
 def _files_of(path: Path) -> list[Path]:
-    """Return a file, or the visible files of a folder in order; a batch keeps its records in a hidden one."""
+    """Return a file, or the files of a folder without hidden ones, such as the records of a batch."""
     if not path.is_dir():
         return [path]
     below = ((p, p.relative_to(path).parts) for p in path.rglob("*") if p.is_file())
@@ -85,7 +85,7 @@ def _files_of(path: Path) -> list[Path]:
 
 
 def chosen(groups: Mapping[str, Sequence[Step]], names: Iterable[str]) -> list[Step]:
-    """Return the steps of the named groups or of these names, all for none, and those they need, in order."""
+    """Return the steps of the named groups and steps (all if none) with dependencies, in order."""
     steps = {step.name: step for group in groups.values() for step in group}
     wanted = [step for name in names for step in groups.get(name, (name,))]
     pending = [step.name if isinstance(step, Step) else step for step in wanted] or list(steps)
@@ -101,7 +101,7 @@ def chosen(groups: Mapping[str, Sequence[Step]], names: Iterable[str]) -> list[S
 
 
 def differences(before: Digests, now: Digests) -> Iterator[str]:
-    """Yield one line for each output of the steps done now that is not as it was before."""
+    """Yield one line per output of the current steps that differs from the earlier digests."""
     for step, digests in now.items():
         known = before.get(step, {})
         for name in sorted(digests.keys() | known.keys()):

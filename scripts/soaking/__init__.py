@@ -1,1 +1,1 @@
-"""What scripts/soak does to whole runs: length, kills, full disks, cold caches; every part yields rows."""
+"""Parts of scripts/soak: long runs, kills, full disks, cold caches; each yields rows of one table."""

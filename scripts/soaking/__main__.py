@@ -1,7 +1,7 @@
-"""Long runs, 100 kills, full disks and cold kernel caches: nothing may grow, and nothing may be lost.
+"""Soak test: long runs, kills, full disks and cold kernel caches; checks memory growth and data loss.
 
-Every run is a process of its own, started as a user starts it. Prints a table, and one line for whatever is
-not as it must be; the exit code is 1 if there is any.
+Every run is a process, started like a user's. Prints a table of figures and one line per failed check; the
+exit code is 1 if a check failed.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ PARTS = ("frames", "batches", "kills", "disk", "cold")
 
 
 @click.command()
-@click.option("--only", type=click.Choice(PARTS), multiple=True, help="Only this; repeatable.")
-@click.option("--tracker", type=click.Choice(TRACKERS), multiple=True, help="Only this; repeatable.")
-@click.option("--frames", type=click.IntRange(min=60), help="Of each long run.  [default: 20000]")
-@click.option("--kills", type=click.IntRange(min=1), help="Of runs, and of batches.  [default: 100]")
-@click.option("--disks", type=click.IntRange(min=1), help="Sizes for each tracker.  [default: 10]")
-@click.option("--seed", type=int, default=0, show_default=True, help="Of the moments of the kills.")
-@click.option("--json", "as_json", type=click.Path(path_type=Path), help="Write the figures here.")
-@click.option("--markdown", "as_markdown", type=click.Path(path_type=Path), help="Write them as tables.")
-@click.option("--keep", type=click.Path(path_type=Path), help="Work in this new folder and leave it.")
-@click.option("--quick", is_flag=True, help="See that everything works; its figures are not to be quoted.")
+@click.option("--only", type=click.Choice(PARTS), multiple=True, help="Run only this part. Repeatable.")
+@click.option("--tracker", type=click.Choice(TRACKERS), multiple=True, help="Only this tracker. Repeatable.")
+@click.option("--frames", type=click.IntRange(min=60), help="Frames per long run.  [default: 20000]")
+@click.option("--kills", type=click.IntRange(min=1), help="Kills of runs and of batches.  [default: 100]")
+@click.option("--disks", type=click.IntRange(min=1), help="Disk sizes per tracker.  [default: 10]")
+@click.option("--seed", type=int, default=0, show_default=True, help="Random seed of the kill times.")
+@click.option("--json", "as_json", type=click.Path(path_type=Path), help="Write the figures as JSON.")
+@click.option("--markdown", "as_markdown", type=click.Path(path_type=Path), help="Write Markdown tables.")
+@click.option("--keep", type=click.Path(path_type=Path), help="Work in this new folder and keep it.")
+@click.option("--quick", is_flag=True, help="Short smoke test; the figures are not representative.")
 def main(
     only: Sequence[str],
     tracker: Sequence[str],
@@ -48,8 +48,8 @@ def main(
     quick: bool,
     **given: int | None,
 ) -> None:
-    """Let trackers run long, kill them, fill their disk, start them cold; exit code 1 if any suffers."""
-    signal.signal(signal.SIGTERM, _leave)  # what is mounted is unmounted
+    """Run trackers for long, kill them, fill their disks, start them cold; exit code 1 if a check fails."""
+    signal.signal(signal.SIGTERM, _leave)  # exit normally, so that small disks are unmounted
     amounts = (QUICK if quick else FULL)._replace(**{name: n for name, n in given.items() if n is not None})
     machine = describe(amounts, seed)
     for key, value in machine.items():
@@ -64,7 +64,7 @@ def main(
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(text)
             print(f"written: {path}")
-    print(f"not as it must be: {len(findings.troubles)}")
+    print(f"failed checks: {len(findings.troubles)}")
     sys.exit(1 if findings.troubles else 0)
 
 
@@ -73,10 +73,10 @@ def _leave(number: int, frame: FrameType | None) -> None:
 
 
 def describe(amounts: Amounts, seed: int) -> dict[str, str]:
-    """Return what figures were measured on, and how."""
+    """Return machine and settings for the report."""
     device = open_fastest_device()
     try:
-        return describe_machine(device) | {"amounts": str(amounts), "seed": str(seed)}
+        return describe_machine(device, "scripts/soak") | {"amounts": str(amounts), "seed": str(seed)}
     finally:
         device.close()
 
@@ -89,7 +89,7 @@ def soak(
     folder: Path,
     findings: Findings,
 ) -> None:
-    """Go through parts, each over all trackers, in an empty folder; ``seed`` is of the kills' moments."""
+    """Run the parts for all trackers in an empty folder; ``seed`` determines the kill times."""
     recordings = Recordings(folder, amounts)
     if "frames" in parts:
         with _timed("frames", findings):

@@ -1,4 +1,4 @@
-"""Runs whose disk is full at some moment, and runs that begin together on an empty kernel cache."""
+"""Runs that fill their disk, and simultaneous runs with an empty kernel cache."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from soaking.runs import DONE, FAILED, Case, Findings, Reference, run_to_end, st
 
 PAGE = 4096
 LARGEST = 0.85
-"""Of the room that a run needs, which is known from above: a checkpoint counts twice at its later, larger
-size, with all that was written since. On a disk of this size a run does not come to its end."""
+"""Share of the estimated disk space of a run. The estimate is an upper bound (it counts the last, largest
+checkpoint twice), so the share must be small enough for the run to fail."""
 
 
 class Disk(NamedTuple):
-    """A place that holds so many bytes, and what gives it room for everything.
+    """A folder of limited size, and a function that lifts the limit.
 
-    Where there is no file system of its own, no file may exceed ``file_bytes``; None where there is.
+    Without a mounted file system, ``file_bytes`` limits the size of a file instead; else it is None.
     """
 
     folder: Path
@@ -34,22 +34,22 @@ class Disk(NamedTuple):
 
 @contextmanager
 def small_disk(folder: Path, size: int) -> Iterator[Disk]:
-    """Mount a file system of so many bytes, unmounted at the end of the context.
+    """Mount a file system of ``size`` bytes; unmount it at the end of the context.
 
     Raises:
-        OSError: it cannot be mounted: not root, or not allowed to.
+        OSError: mounting failed, for example without root privileges.
     """
     folder.mkdir()
-    try:  # around the mounting, too: Ctrl-C may come at its end
+    try:  # includes the mounting: Ctrl-C may arrive right after it
         _mount("-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(folder))
         yield Disk(folder, None, lambda: _mount("-o", f"remount,size={64 * size + (64 << 20)}", str(folder)))
     finally:
-        subprocess.run(["umount", "--lazy", str(folder)], capture_output=True)  # or was not mounted
+        subprocess.run(["umount", "--lazy", str(folder)], capture_output=True)  # fails if not mounted
 
 
 @contextmanager
 def small_files(folder: Path, size: int) -> Iterator[Disk]:
-    """A folder in which no file of a process may exceed so many bytes: what comes next to a full disk."""
+    """Yield a folder with a limit on the file size, the closest substitute for a full disk without root."""
     folder.mkdir()
     yield Disk(folder, size, lambda: None)
 
@@ -62,7 +62,7 @@ def _mount(*arguments: str) -> None:
 
 
 def can_mount(folder: Path) -> bool:
-    """Whether this process may mount a small file system."""
+    """Return whether this process may mount a small file system."""
     if os.getuid() != 0:
         return False
     with suppress(OSError), small_disk(folder, PAGE):
@@ -71,12 +71,12 @@ def can_mount(folder: Path) -> bool:
 
 
 def sizes_of(count: int, needed: int) -> list[int]:
-    """Return so many sizes, evenly up to ``LARGEST`` of what is needed, of whole pages."""
+    """Return ``count`` evenly spaced disk sizes up to ``LARGEST * needed``, in whole pages."""
     return [max(PAGE, int(LARGEST * needed * (k + 1) / count) // PAGE * PAGE) for k in range(count)]
 
 
 def fill(case: Case, reference: Reference, disk: Disk, folder: Path) -> Iterator[str]:
-    """Run a case on a disk that is too small, then enlarge it and go on; yield what is not as it must be."""
+    """Run a case on a disk that is too small, enlarge it and resume; yield failed checks."""
     output = disk.folder / "result.mcap"
     ended = run_to_end(case.command(output), folder / "full.txt", file_bytes=disk.file_bytes)
     yield from ended.troubles((FAILED,))
@@ -90,7 +90,7 @@ def fill(case: Case, reference: Reference, disk: Disk, folder: Path) -> Iterator
 
 
 def soak_disk(case: Case, reference: Reference, count: int, folder: Path, findings: Findings) -> None:
-    """Let a case run out of disk at so many sizes."""
+    """Run a case on ``count`` disks that are too small."""
     folder.mkdir()
     mounts = can_mount(folder / "probe")
     make, needed = (small_disk, reference.room) if mounts else (small_files, len(reference.data))
@@ -108,7 +108,7 @@ def soak_disk(case: Case, reference: Reference, count: int, folder: Path, findin
 
 
 def soak_cold(case: Case, reference: Reference, at_once: int, folder: Path, findings: Findings) -> None:
-    """Start so many equal runs at once, each compiling while the others do; all must come to one result."""
+    """Start identical runs that compile at the same time; all must give the same result."""
     folder.mkdir()
     environment = {"NUMBA_CACHE_DIR": str(folder / "cache")}
     outputs = [folder / f"{number}.mcap" for number in range(at_once)]

@@ -1,4 +1,4 @@
-"""Long runs: whether memory and time per frame stay what they were in the first thousand frames."""
+"""Long runs: check that memory and time per frame do not grow after the first thousand frames."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from posetrack_cli.cli.terminal import bar
 from posetrack_cli.results import load_arrays
 from soaking.runs import DONE, Case, Findings, Looker, run_to_end, started
 
-GROWTH_MIB = 16.0  # by so much memory may grow after the first thousand frames
+GROWTH_MIB = 16.0  # allowed growth of memory after the first thousand frames
 SLOWER = 1.10
-"""So much more CPU time the last thousand frames may take than the first. This ratio is judged, as
-other work on the machine does not touch it, and reading, writing and checkpoints count in it."""
-WARM_UP = 60  # frames of the run before, enough to come to every kernel
+"""Allowed ratio of CPU times, last over first thousand frames. CPU time includes reading, writing and
+checkpoints, and does not depend on the load of the machine."""
+WARM_UP = 60  # frames of the preceding run, enough to compile every kernel
 MARKS = (1_000, 5_000, 10_000, 20_000)
 FIRST = 1_000
 SAMPLE_S = 0.25
 
 
 class Sample(NamedTuple):
-    """A look at a process: frames done, resident and peak memory, MiB, CPU time, s."""
+    """State of a process: frames done, resident and peak memory (MiB), CPU time (s)."""
 
     frames: int
     resident: float
@@ -36,10 +36,7 @@ class Sample(NamedTuple):
 
 
 def soak_frames(case: Case, folder: Path, findings: Findings) -> None:
-    """Run a case to its end and note memory and time per frame.
-
-    A short run goes before it, so that no kernel is compiled in the long one.
-    """
+    """Run a case to its end and record memory and time per frame; a short run compiles the kernels first."""
     folder.mkdir()
     output, warm = folder / "long.mcap", folder / "warm.mcap"
     ended = run_to_end(case.command(warm, "--end", str(WARM_UP)), folder / "warm.txt")
@@ -70,7 +67,7 @@ def soak_frames(case: Case, folder: Path, findings: Findings) -> None:
 
 
 def watch(case: Case, output: Path, process: int) -> Iterator[Sample]:
-    """Yield a sample whenever a process has gone further, until it ends."""
+    """Yield a sample after each progress of a process, until it ends."""
     last, looker = 0, Looker(case, output)
     while (memory := memory_of(process)) is not None:
         if (steps := looker.steps) > last:
@@ -87,14 +84,14 @@ def memory_of(process: int) -> tuple[float, float, float] | None:
     except (FileNotFoundError, ProcessLookupError):
         return None
     values = dict(line.split(":", 1) for line in status.splitlines())
-    if "VmRSS" not in values:  # a process that has ended and was not waited for
+    if "VmRSS" not in values:  # a zombie
         return None
     resident, peak = (float(values[name].split()[0]) / 1024 for name in ("VmRSS", "VmHWM"))
     return resident, peak, (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def memory_rows(name: str, samples: Sequence[Sample], frames: int) -> Iterator[Row]:
-    """Memory after each mark, in a short run after a third, and by how much it grew after the first."""
+    """Yield memory after each mark (a third and all of a short run), and its growth after the first."""
     if not samples:
         return
     marks = [frames // 3, frames]
@@ -109,14 +106,14 @@ def memory_rows(name: str, samples: Sequence[Sample], frames: int) -> Iterator[R
 
 
 def memory_after(samples: Sequence[Sample], frames: int) -> float:
-    """The median of memory over the last tenth of so many frames, MiB, as garbage comes and goes."""
+    """Return the median memory (MiB) over the last tenth before a frame, which averages out garbage."""
     seen = [sample.resident for sample in samples if 0.9 * frames <= sample.frames <= frames]
     nearest = min(samples, key=lambda sample: abs(sample.frames - frames))
     return float(np.median(seen or [nearest.resident]))
 
 
 def time_rows(name: str, milliseconds: FloatArray) -> Iterator[Row]:
-    """The median time of a tracker's step in the first and the last thousand frames, and their ratio."""
+    """Yield the median time per frame of the first and last thousand frames, and their ratio."""
     count = window_of(len(milliseconds))
     first, last = (float(np.median(part)) for part in (milliseconds[:count], milliseconds[-count:]))
     yield Row(f"{name}, time per frame, first {count}, median", first, "ms")
@@ -125,7 +122,7 @@ def time_rows(name: str, milliseconds: FloatArray) -> Iterator[Row]:
 
 
 def cpu_rows(name: str, samples: Sequence[Sample], frames: int) -> Iterator[Row]:
-    """CPU time of the last thousand frames over that of the first; nothing where too few samples are."""
+    """Yield the ratio of CPU times, last over first thousand frames; nothing with too few samples."""
     count = window_of(frames)
     done, cpu = [sample.frames for sample in samples], [sample.cpu for sample in samples]
     if not samples or done[-1] - done[0] < count:
@@ -137,5 +134,5 @@ def cpu_rows(name: str, samples: Sequence[Sample], frames: int) -> Iterator[Row]
 
 
 def window_of(frames: int) -> int:
-    """How many frames are compared at either end: a thousand, of a short run a third."""
+    """Return the number of frames compared at either end: a thousand, or a third of a short run."""
     return min(FIRST, frames // 3)

@@ -1,4 +1,4 @@
-"""Runs and batches that are killed at random moments and resumed: their bytes must not differ."""
+"""Runs and batches that are killed at random times and resumed; their bytes must not change."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from posetrack_cli.outputs import part_path, state_path
 from soaking import runs
 
 PHASES = ("start-up", "compiling", "first pass", "second pass", "finishing")
-COMPILING_S = 20.0  # within so many seconds of its announcement a compilation is killed
-COLD_EVERY = 4  # of so many runs one begins with an empty kernel cache
-MISSES = 3  # so many times as many kills may come too late before the rest is given up
+COMPILING_S = 20.0  # longest delay of a kill after a compilation is announced
+COLD_EVERY = 4  # every fourth run starts with an empty kernel cache
+MISSES = 3  # allowed ratio of kills that come too late to all wanted kills
 HERE, ON_CLUSTER = ("batch", "process of a job"), ("client of a cluster", "worker", "scheduler")
 WORKERS = 2
 KILLS_A_BATCH = 6
@@ -31,12 +31,12 @@ _LEFT = (".part", ".state", ".frames", ".pieces", "scratch")
 
 
 class Attempt(NamedTuple):
-    """Something that is killed and resumed until it is done."""
+    """A run or batch that is killed and resumed until it finishes."""
 
-    name: str  # for people
+    name: str  # for messages
     planned: int  # kills
-    killed: Counter[str]  # those that did not come too late, by what or when, once it is done
-    troubles: Iterator[str]  # does it, and yields what is not as it must be
+    killed: Counter[str]  # kills that were in time, by victim or phase; final after ``troubles``
+    troubles: Iterator[str]  # performs the attempt and yields failed checks
 
 
 def kill_until_enough(
@@ -47,15 +47,15 @@ def kill_until_enough(
     attempt: Callable[[int, int], Attempt],
     findings: runs.Findings,
 ) -> None:
-    """Make one attempt after another until there were so many kills, and note what came of them.
+    """Make attempts until the wanted number of kills is reached, and record the outcome.
 
     Args:
-        what: is killed, in the plural.
-        total: what the number of all kills is called.
-        names: what the numbers of kills of each kind are called.
-        kills: wanted.
-        attempt: begins the attempt of a number, with so many kills at most.
-        findings: to add to.
+        what: victims in the plural, for row names.
+        total: row name of the number of kills.
+        names: row name of the number of kills by kind.
+        kills: number of kills wanted.
+        attempt: starts an attempt, given its number and the maximum number of kills.
+        findings: receives the figures.
     """
     killed, missed, attempts, wrong = Counter[str](), 0, 0, 0
     with bar(total, "kill", kills) as shown:
@@ -79,31 +79,35 @@ def kill_until_enough(
 
 
 class Moment(NamedTuple):
-    """When a process is killed: after a share of a phase's duration; more than 1 may be after its end."""
+    """Time of a kill, as a share of a phase's duration; above 1 it may fall after the end."""
 
     phase: str
     share: float
 
 
 def plan(rng: random.Random, most: int, *, cold: bool) -> list[Moment]:
-    """Return the moments of at most so many kills of one run, in the order that it comes to them.
+    """Return the moments of at most ``most`` kills of one run, in the order of the phases.
 
-    If it begins with an empty kernel cache the first kill is while it compiles.
+    With an empty kernel cache (``cold``), the first kill is during compilation.
     """
     count = min(most, rng.randint(1, 4))
     phases = ["compiling"] if cold else []
     phases += rng.choices([phase for phase in PHASES if phase != "compiling"], k=count - len(phases))
     resumed = [phase for phase in phases if phase != "start-up"]
     ordered = sorted(resumed, key=PHASES.index)
-    for _ in range(len(phases) - len(resumed)):  # start-up comes again with every resumption
+    for _ in range(len(phases) - len(resumed)):  # every resumed run has a start-up phase
         ordered.insert(rng.randint(1 if cold else 0, len(ordered)), "start-up")
     return [Moment(phase, rng.uniform(0.0, 1.2 if phase == "finishing" else 1.0)) for phase in ordered]
 
 
 class Killing:
-    """One run, killed at planned moments and resumed until it comes to its reference.
+    """One run in a new folder, killed at planned moments and resumed until it finishes.
 
-    Everything it writes goes to a new folder; ``cold`` is whether it begins with an empty kernel cache.
+    Args:
+        case: the run.
+        reference: uninterrupted run with the expected result.
+        folder: new folder for all files.
+        cold: whether to start with an empty kernel cache.
     """
 
     def __init__(
@@ -117,7 +121,7 @@ class Killing:
         self._environment: Mapping[str, str] = {"NUMBA_CACHE_DIR": str(folder / "cache")} if cold else {}
 
     def run(self, moments: Sequence[Moment]) -> Iterator[str]:
-        """Kill and resume; yield what is not as it must be, one line each."""
+        """Kill and resume; yield failed checks, one line each."""
         for moment in moments:
             if self.output.exists():
                 break
@@ -128,13 +132,13 @@ class Killing:
             self.killed[moment.phase] += 1
             left = (*ended.troubles((-signal.SIGKILL,)), *unreadable(self._case, self.output))
             yield from (f"killed in {moment.phase}: {line}" for line in left)
-        if self.output.exists():  # killed after the result had its name
+        if self.output.exists():  # killed after the result was renamed to its final name
             yield from self._judge_bytes()
             return
         yield from self._judge_end(self._attempt(None))
 
     def _attempt(self, moment: Moment | None) -> runs.Ended:
-        """Start the run, or go on with it, and kill it at a moment if it comes to it."""
+        """Start or resume the run, and kill it at the moment, if given and reached."""
         self.attempts += 1
         more = ["--resume"] if state_path(self.output).exists() else []
         command = self._case.command(self.output, *more)
@@ -159,7 +163,7 @@ class Killing:
         return reached and run.wait_until(lambda: time.perf_counter() >= until)
 
     def _window(self, moment: Moment) -> tuple[int, float]:
-        """Return the frames tracked when a moment's phase begins, and how long after that it comes, s."""
+        """Return the frame count at which a moment's phase begins, and the delay after that, s."""
         times, case = self._reference, self._case
         if moment.phase == "finishing" and case.smoothed:  # the end of the backward pass
             return case.steps, (0.8 + 0.2 * moment.share) * (times.end - times.last)
@@ -173,14 +177,14 @@ class Killing:
         return begins, moment.share * lasts
 
     def _judge_end(self, ended: runs.Ended) -> Iterator[str]:
-        """Yield what is wrong with a run that ended by itself."""
+        """Yield failed checks of a run that ended by itself."""
         troubles = list(ended.troubles((runs.DONE,)))
         yield from troubles
         if not troubles:
             yield from self._judge_bytes()
             others = sorted(path.name for path in self.output.parent.iterdir() if path != self.output)
             if others:
-                yield f"left beside the result: {', '.join(others)}"
+                yield f"left next to the result: {', '.join(others)}"
 
     def _judge_bytes(self) -> Iterator[str]:
         if self.output.read_bytes() != self._reference.data:
@@ -188,13 +192,13 @@ class Killing:
 
 
 def unreadable(case: runs.Case, output: Path) -> Iterator[str]:
-    """Yield what is wrong with an unfinished result: every frame up to its checkpoint must be readable."""
+    """Check that every frame of an unfinished result up to its checkpoint is readable; yield failures."""
     part = part_path(output)
     if output.exists() or not part.exists():
         return
     standing = runs.standing_of(case, output)
     found, ended = runs.frames_readable(part)
-    if standing is None:  # nothing was flushed yet, and so nothing promised
+    if standing is None:  # nothing was flushed yet
         yield from ended.troubles((runs.DONE, runs.DATA_LOST, runs.FAILED))
         return
     yield from ended.troubles((runs.DONE, runs.DATA_LOST))
@@ -209,7 +213,7 @@ def soak_kills(
     folder: Path,
     findings: runs.Findings,
 ) -> None:
-    """Kill runs of all cases in turn, so many times in all, and note how many came to other bytes."""
+    """Kill runs of all cases in turn, and record how many gave a different result."""
     folder.mkdir()
     rng, cases = random.Random(seed), list(references.values())
 
@@ -229,14 +233,14 @@ def soak_kills(
 
 
 class WholeBatch(NamedTuple):
-    """A batch that nothing happened to: bytes of each result by name, and the seconds that it took."""
+    """An uninterrupted batch: bytes of the results by name, and its duration in seconds."""
 
     results: dict[str, bytes]
     seconds: float
 
 
 class BatchKilling:
-    """One batch, killed again and again until it comes to the whole one's results, in a new folder."""
+    """One batch in a new folder, killed and resumed until it finishes."""
 
     def __init__(self, case: runs.Case, whole: WholeBatch, folder: Path, rng: random.Random) -> None:
         self._case, self._whole, self._folder, self._rng = case, whole, folder, rng
@@ -246,7 +250,7 @@ class BatchKilling:
         folder.mkdir(parents=True)
 
     def run(self, victims: Sequence[str]) -> Iterator[str]:
-        """Kill these in turn, all here or all of a cluster; yield what is not as it must be."""
+        """Kill the victims in turn (all local or all of a cluster); yield failed checks."""
         allowed = {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "3"}
         on_cluster = victims[0] in ON_CLUSTER
         with Cluster(self._folder, WORKERS, allowed) if on_cluster else nullcontext() as cluster:
@@ -282,7 +286,7 @@ class BatchKilling:
             return run.end()
 
     def _kill(self, victim: str, run: runs.Started, cluster: Cluster | None) -> bool:
-        """Kill it, and put another one into the place of what a cluster lost; return whether it was there."""
+        """Kill a victim, and replace a lost part of a cluster; return whether it was running."""
         if victim == "process of a job":
             while run.running:
                 with suppress(IndexError, ProcessLookupError):  # none yet, or ended meanwhile
@@ -305,7 +309,7 @@ class BatchKilling:
 
 
 def _odd(ended: runs.Ended, codes: Sequence[int]) -> Iterator[str]:
-    """Yield what is not as it must be of a batch, which also tells in lines of its own what failed."""
+    """Yield failed checks of a batch; unlike a run, it may print several lines about failures."""
     last = ended.said.splitlines()[-1:] or [""]
     if ended.code not in codes:
         yield f"exit code {ended.code}, expected {' or '.join(map(str, codes))}; said: {last[0][:300]}"
@@ -314,10 +318,10 @@ def _odd(ended: runs.Ended, codes: Sequence[int]) -> Iterator[str]:
 
 
 def jobs_of(process: int) -> list[int]:
-    """Return the processes of jobs that a process has started."""
+    """Return the job processes that are children of a process."""
     found = []
     for path in Path("/proc").glob("[0-9]*"):
-        with suppress(OSError, ValueError):  # ended meanwhile
+        with suppress(OSError, ValueError):  # the process has ended
             parent = int((path / "stat").read_text().rpartition(")")[2].split()[1])
             if parent == process and b"posetrack_cli.cli.batch_child" in (path / "cmdline").read_bytes():
                 found.append(int(path.name))
@@ -330,9 +334,9 @@ def read_results(folder: Path) -> dict[str, bytes]:
 
 
 def soak_batches(case: runs.Case, kills: int, seed: int, folder: Path, findings: runs.Findings) -> None:
-    """Kill parts of batches, so many times in all, and note how many batches came to other bytes.
+    """Kill parts of batches, and record how many batches gave different results.
 
-    Two batches that nothing happens to go before, the first one for its kernels to be compiled.
+    Two uninterrupted batches come first; the first of them compiles the kernels.
     """
     (folder / "whole").mkdir(parents=True)
     found = []
@@ -348,7 +352,7 @@ def soak_batches(case: runs.Case, kills: int, seed: int, folder: Path, findings:
     rng = random.Random(seed)
 
     def attempt(number: int, most: int) -> Attempt:
-        kind = ON_CLUSTER if number % 3 else HERE  # of five victims three are of a cluster
+        kind = ON_CLUSTER if number % 3 else HERE  # three of the five victims belong to a cluster
         victims = rng.choices(kind, k=min(KILLS_A_BATCH, most))
         killing = BatchKilling(case, found[1], folder / f"batch-{number}", rng)
         name = f"{case.name}, killed batch {number}"

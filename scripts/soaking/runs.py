@@ -1,4 +1,4 @@
-"""The trackers' runs as processes, what was found of them, and the runs that nothing happens to."""
+"""Runs of the trackers as processes, findings, and uninterrupted reference runs."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from posetrack_cli.errors import ResultError
 from posetrack_cli.outputs import state_path
 from posetrack_cli.recording.base import CAMERA_FILE_NAME, TRUTH_PREFIX
 from posetrack_cli.rendering.devices import open_device
-from posetrack_cli.results.channels import SMOOTHED_PREFIX
 from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA_NAME
 from posetrack_cli.results.spool import load
+from posetrack_cli.results.topics import SMOOTHED_PREFIX
 from posetrack_cli.synthesis.hand.frames import CAMERA, synthesise
 from posetrack_cli.synthesis.hand.options import SynthOptions
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
@@ -42,13 +42,13 @@ _SHORT = ("--set", f"output.flush_frames={FLUSH_FRAMES}")
 
 
 class Amounts(NamedTuple):
-    """How much is done."""
+    """Extent of a soak test."""
 
     frames: int  # of each tracker's long run
-    kills: int  # of runs in all, and of batches
-    disks: int  # sizes of a full disk, for each tracker
-    at_once: int  # runs that begin together on an empty kernel cache
-    recorded: int  # synthetic frames, which long recordings show to and fro
+    kills: int  # of runs, and of batches
+    disks: int  # disk sizes per tracker
+    at_once: int  # simultaneous runs with an empty kernel cache
+    recorded: int  # synthetic frames, which long recordings repeat forwards and backwards
     short: int  # frames of the runs that are killed or run out of disk; a multiple of FLUSH_FRAMES
 
     def __str__(self) -> str:
@@ -60,14 +60,14 @@ QUICK = Amounts(90, 3, 1, 2, 20, 20)
 
 
 class Findings:
-    """Figures and troubles, printed as they come: figures on standard output, troubles on standard error."""
+    """Figures and failed checks, printed immediately on standard output and standard error."""
 
     def __init__(self) -> None:
         self.rows: list[Row] = []
         self.troubles: list[str] = []
 
     def add(self, row: Row) -> None:
-        """Note a figure; one beyond what it may be is a trouble."""
+        """Record a figure; one above its target is a failed check."""
         self.rows.append(row)
         print(row.line, flush=True)
         if row.verdict == "MISSED":
@@ -75,19 +75,19 @@ class Findings:
             self.trouble(f"{row.name}: {row.value:.4g}{unit}, at most {row.target:g}{unit}")
 
     def trouble(self, line: str) -> None:
-        """Note what is not as it must be, in one line."""
+        """Record a failed check, in one line."""
         self.troubles.append(line)
         print_note(f"soak: {line}")
 
     def troubles_of(self, name: str, lines: Iterable[str]) -> bool:
-        """Note troubles of one run; return whether there was none."""
+        """Record the failed checks of one run; return whether there were none."""
         told = [f"{name}: {line}" for line in lines]
         for line in told:
             self.trouble(line)
         return not told
 
     def as_json(self, machine: Mapping[str, str]) -> str:
-        """Everything, as scripts/bench writes it, with the troubles."""
+        """Return all findings as JSON, in the format of scripts/bench plus failed checks."""
         return rows_json(machine, self.rows, troubles=self.troubles)
 
     def as_markdown(self, machine: Mapping[str, str]) -> str:
@@ -102,44 +102,44 @@ class Findings:
         return "\n".join(lines) + "\n"
 
 
-# Which runs, over which recordings
+# Cases and their recordings
 
 
 class Case(NamedTuple):
     """A run, as a user starts it."""
 
-    name: str  # of the tracker, as rows say it
-    arguments: tuple[str, ...]  # all but the output
+    name: str  # of the tracker, for row names
+    arguments: tuple[str, ...]  # without the output
     frames: int  # of the recording
-    passes: int = 1  # in which every frame is tracked
-    smoothed: bool = False  # whether a backward pass follows, which no checkpoint covers
-    program: tuple[str, ...] = POSETRACK  # that takes the arguments
+    passes: int = 1  # over all frames
+    smoothed: bool = False  # whether a backward pass follows, which has no checkpoints
+    program: tuple[str, ...] = POSETRACK
 
     @property
     def steps(self) -> int:
-        """Frames tracked in all passes."""
+        """Number of frames tracked in all passes."""
         return self.passes * self.frames
 
     def command(self, output: Path, *more: str) -> list[str]:
-        """Return the command line that writes this output."""
+        """Return the command line with an output and further arguments."""
         return [*self.program, *self.arguments, "-o", str(output), *more]
 
 
 class Recordings:
-    """Synthetic recordings in a folder, made when they are first asked for."""
+    """Synthetic recordings in a folder, generated on first use."""
 
     def __init__(self, folder: Path, amounts: Amounts) -> None:
         self._folder, self._amounts = folder, amounts
 
     def long_case(self, tracker: str) -> Case:
-        """The run of many frames, in one pass, with the time of each frame in the result."""
+        """Return the long run: one pass, with the time of each frame in the result."""
         more = {"hand": (), "stereo": (), "mono": ("--cameras", "left", "--passes", "1")}[tracker]
         frames = self._amounts.frames
         command, reading = self._reading(tracker, frames)
         return Case(" ".join(command), (*command, *reading, "--timings", *more), frames)
 
     def short_case(self, tracker: str) -> Case:
-        """The run that is interrupted: with a smoothed track or in two passes."""
+        """Return the run to interrupt: with a smoothed track or two passes."""
         more = {"hand": ("--smooth",), "stereo": (), "mono": ("--cameras", "left")}[tracker]
         passes, frames = () if tracker == "hand" else ("--passes", "2"), self._amounts.short
         command, reading = self._reading(tracker, frames)
@@ -147,7 +147,7 @@ class Recordings:
         return Case(" ".join(command), arguments, frames, len(passes) or 1, tracker == "hand")
 
     def batch_case(self) -> Case:
-        """The batch of one recording in pieces, of a known hand: its processes start at once."""
+        """Return the batch of one recording in pieces, with a given hand so that jobs start immediately."""
         frames = self._amounts.short
         command, (recording, *_) = self._reading("hand", frames)
         pieces = ("--fps", str(frames / PIECES), "--chunk-s", "1", "--overlap-s", ".2", "--no-reports")
@@ -155,7 +155,7 @@ class Recordings:
         return Case("batch hand run", ("batch", *command, recording, *pieces, *known, *_SHORT), frames)
 
     def _reading(self, tracker: str, frames: int) -> tuple[tuple[str, str], tuple[str, ...]]:
-        """Return a tracker's command, and the arguments that read its recording of so many frames."""
+        """Return a tracker's command, and the arguments that read its recording."""
         kind = "hand" if tracker == "hand" else "head"
         path, recorded = (self._folder / name for name in (f"{kind}-{frames}", kind))
         if not recorded.exists() and kind == "hand":
@@ -168,7 +168,7 @@ class Recordings:
 
 
 def write_hand_folder(path: Path, frames: int) -> None:
-    """A folder of depth images of a synthetic hand, with its camera file."""
+    """Write a folder of depth images of a synthetic hand, with a camera file."""
     device = open_device()
     try:
         path.mkdir()
@@ -184,13 +184,13 @@ def write_hand_folder(path: Path, frames: int) -> None:
 
 
 class Ended(NamedTuple):
-    """How a process ended: its exit code and what it wrote on standard error."""
+    """Exit code and standard error of a process."""
 
     code: int
     said: str
 
     def troubles(self, codes: Sequence[int]) -> Iterator[str]:
-        """Yield what is not as it must be: another exit code, a traceback, not one line for a failure."""
+        """Yield failed checks: wrong exit code, a traceback, or not exactly one line for a failure."""
         lines = self.said.splitlines()
         told = [line for line in lines if line.startswith(LINE)]
         wanted = 1 if self.code == FAILED else 0
@@ -204,23 +204,23 @@ class Ended(NamedTuple):
 
 
 class Started:
-    """A process that was started, with its standard error in a file."""
+    """A running process with its standard error in a file."""
 
     def __init__(self, process: subprocess.Popen[bytes], said: Path) -> None:
         self.process, self._said = process, said
 
     @property
     def said(self) -> str:
-        """What it has written on standard error."""
+        """Standard error until now."""
         return self._said.read_text(errors="replace")
 
     @property
     def running(self) -> bool:
-        """Whether it has not ended."""
+        """Whether the process is still running."""
         return self.process.poll() is None
 
     def wait_until(self, reached: Callable[[], bool]) -> bool:
-        """Wait until it has come somewhere; return False if it ended before."""
+        """Wait for a condition; return False if the process ended before."""
         while not reached():
             if not self.running:
                 return False
@@ -228,7 +228,7 @@ class Started:
         return True
 
     def end(self) -> Ended:
-        """Wait for its end."""
+        """Wait for the end of the process."""
         return Ended(self.process.wait(), self.said)
 
 
@@ -240,16 +240,15 @@ def started(
     *,
     file_bytes: int | None = None,
 ) -> Iterator[Started]:
-    """Start a command with its standard error in a file, and kill it if it still runs at the end.
+    """Start a command with standard error in a file; kill it if it still runs at the end of the context.
 
-    Variables of the environment are in addition to this process's own. No file may grow larger than
-    ``file_bytes``, if there is such a limit.
+    ``environment`` is added to that of this process; ``file_bytes`` limits the size of files.
     """
     null, variables = subprocess.DEVNULL, {**os.environ, **(environment or {})}
     with said.open("wb") as stream:
         process = subprocess.Popen(command, stdin=null, stdout=null, stderr=stream, env=variables)
     try:
-        if file_bytes is not None:  # long before it has loaded what it writes with
+        if file_bytes is not None:  # set well before the process has loaded its libraries and writes
             resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (file_bytes, file_bytes))
         yield Started(process, said)
     finally:
@@ -259,13 +258,13 @@ def started(
 
 
 def run_to_end(command: Sequence[str], said: Path, *, file_bytes: int | None = None) -> Ended:
-    """Run a command and wait for it."""
+    """Run a command to its end."""
     with started(command, said, file_bytes=file_bytes) as run:
         return run.end()
 
 
 def frames_readable(path: Path) -> tuple[int, Ended]:
-    """Ask ``posetrack info`` how many frames an unfinished result holds; 0 where it cannot be read."""
+    """Return the number of frames in an unfinished result by ``posetrack info``; 0 if unreadable."""
     asked = subprocess.run([*POSETRACK, "info", str(path), "--json", "-"], capture_output=True, text=True)
     ended = Ended(asked.returncode, asked.stderr)
     if ended.code not in (DONE, DATA_LOST):
@@ -276,18 +275,18 @@ def frames_readable(path: Path) -> tuple[int, Ended]:
     return sum(t["messages"] for t in estimates if not t["topic"].startswith(others)), ended
 
 
-# How far a run has come, read from its checkpoint from outside
+# Progress of a run, read from its checkpoint
 
 
 class Standing(NamedTuple):
-    """A checkpoint: frames tracked in all passes, and frames in the result."""
+    """Checkpoint: frames tracked in all passes, and frames in the result."""
 
     steps: int
     written: int
 
 
 def standing_of(case: Case, output: Path) -> Standing | None:
-    """Return where the run that writes this output stands; None before its first checkpoint."""
+    """Return the last checkpoint of a run; None before the first one."""
     try:
         checkpoint, _ = load(state_path(output))
     except ResultError as error:
@@ -295,7 +294,7 @@ def standing_of(case: Case, output: Path) -> Standing | None:
             return None
         raise
     written = checkpoint.frames_written
-    first_pass = checkpoint.state.get("first_pass_frame")  # as tracking.two_pass calls it
+    first_pass = checkpoint.state.get("first_pass_frame")  # key of tracking.two_pass
     if first_pass is not None:
         return Standing(int(first_pass) + 1, 0)
     in_second = case.passes == 2 and bool(learned_before(checkpoint))
@@ -303,7 +302,7 @@ def standing_of(case: Case, output: Path) -> Standing | None:
 
 
 class Looker:
-    """Looks at a run's checkpoint and reads it again only when it has changed."""
+    """Cached reader of a run's checkpoint."""
 
     def __init__(self, case: Case, output: Path) -> None:
         self._case, self._output = case, output
@@ -312,7 +311,7 @@ class Looker:
 
     @property
     def steps(self) -> int:
-        """Frames tracked in all passes; -1 before the first checkpoint."""
+        """Number of frames tracked in all passes; -1 before the first checkpoint."""
         try:
             status = state_path(self._output).stat()
         except FileNotFoundError:
@@ -323,24 +322,22 @@ class Looker:
         return self._steps
 
 
-# What an interrupted run must come to
-
-
 class Reference(NamedTuple):
-    """A run that nothing happened to."""
+    """An uninterrupted run."""
 
-    data: bytes  # bytes of the result
-    # seconds from its start to its first checkpoint, to the end of the first pass, to its last checkpoint, to
-    # its end
+    data: bytes  # of the result
+    # seconds from the start to the first checkpoint, end of the first pass, last checkpoint and end
     first: float
     second: float
     last: float
     end: float
-    room: int  # bytes that its output took at most, with a checkpoint that is written beside the last
+    room: (
+        int  # largest size of its files, bytes, with two checkpoints: a new one is written before it replaces
+    )
 
 
 def reference_of(case: Case, folder: Path, findings: Findings) -> Reference | None:
-    """Run a case twice, the first time for its kernels to be compiled; None if that fails."""
+    """Run a case twice, first to compile the kernels; return None if a run fails."""
     folder.mkdir()
     results = []
     for number in range(2):
@@ -366,12 +363,12 @@ def reference_of(case: Case, folder: Path, findings: Findings) -> Reference | No
 
 
 def _room_of(output: Path) -> int:
-    """Return what lies in the output's folder by its name, with its checkpoint once more."""
+    """Return the bytes of a run's files, counting the checkpoint twice."""
     sizes = {}
     for path in output.parent.glob(f"{output.name}*"):
         try:
             sizes[path] = path.stat().st_size
         except FileNotFoundError:
-            continue  # renamed meanwhile
+            continue  # renamed since the listing
     temporary = sum(size for path, size in sizes.items() if path.name.endswith(".tmp"))
     return sum(sizes.values()) - temporary + sizes.get(state_path(output), 0)

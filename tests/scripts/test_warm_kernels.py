@@ -36,8 +36,8 @@ def test_a_tracker_runs_twice_and_what_makes_its_recording_once(tmp_path: Path) 
 @pytest.mark.parametrize(
     ("kind", "told"),
     [
-        ("drifting", "posetrack drifting run -o: compiled and loaded kernels give different bytes"),
-        ("forgetful", "the kernels are not kept: compiling kernels"),
+        ("drifting", "posetrack drifting run -o: compiled and cached kernels give different results"),
+        ("forgetful", "kernels were not cached: compiling kernels"),
         ("failing", "posetrack, one of failing run -o out: no kernel"),
     ],
 )
