@@ -1,1 +1,1 @@
-"""What draws (`port`, implemented in `gl`), and the meshes that it draws. Knows no hands and no heads."""
+"""Meshes and renderers (interface ``port``; ``gl`` and ``cpu``), independent of hands and heads."""

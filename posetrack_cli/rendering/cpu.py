@@ -1,4 +1,4 @@
-"""Rendering on the CPU."""
+"""Depth rendering on the CPU."""
 
 from __future__ import annotations
 
@@ -35,28 +35,26 @@ from posetrack_cli.rendering.port import (
 )
 from posetrack_cli.rendering.raster import Drawing, RestMesh, View, draw_depth, empty_drawing, rest_mesh
 
-# The sums over one drawn tile that ``port.sums_in_numpy`` defines; compiled.
-#
-# The processor's counterpart of ``gl/shaders/tile_sums.comp``.
+# Sums over one rendered tile, as defined by ``port.sums_in_numpy``; compiled. CPU version of
+# ``gl/shaders/tile_sums.comp``.
 
-
-_FAR = 40.0  # beyond that logarithm of odds the smaller share is below the last bit of the larger one
-_SMALL = 0.1  # a polynomial stands for exp of less
-_MUCH = np.exp(LOOKS_BESIDE)  # the ratio of densities whose logarithm that misfit is
-_LARGE, _TINY = 1e150, 1e-150  # products of densities are kept between them
+_FAR = 40.0  # log odds beyond which the smaller share is below the last bit of the larger one
+_SMALL = 0.1  # exp of smaller arguments is computed by a polynomial
+_MUCH = np.exp(LOOKS_BESIDE)  # ratio of densities at a misfit of LOOKS_BESIDE
+_LARGE, _TINY = 1e150, 1e-150  # range of products of densities, far from overflow
 ROW = 8
-"""Sums of a tile, in the order of ``TileSums.from_rows``."""
+"""Sums per tile, in the order of ``TileSums.from_rows``."""
 
 
 class Reading(NamedTuple):
-    """What a tile is compared with, as the kernels read it.
+    """Observation that tiles are compared with, in the form used by the kernels.
 
     Attributes:
         image: (h, w) as ``Comparison.observed``.
         off: (h, w) distance to the nearest target pixel, pixels.
-        before: (h, w) of target pixels exp(-l y), with l the rate of what hides a surface.
-        clamp_mm, match_mm: as in ``Comparison``.
-        slope: a pixel's width, mm, per mm of depth.
+        before: (h, w) exp(-l y) of target pixels, with l the rate of occluders.
+        clamp_mm, match_mm: see ``Comparison``.
+        slope: width of a pixel, mm, per mm of depth.
     """
 
     image: FloatArray
@@ -68,7 +66,7 @@ class Reading(NamedTuple):
 
 
 class Mixture(NamedTuple):
-    """The numbers of a ``PixelMixture``; ``is_asked`` is False where there is none."""
+    """Parameters of a ``PixelMixture``; ``is_asked`` is False without one."""
 
     is_asked: bool
     near_sd: float = 1.0
@@ -81,12 +79,12 @@ class Mixture(NamedTuple):
 
 
 def mixture_of(model: PixelMixture | None) -> Mixture:
-    """Return a pixel's model as the kernels read it."""
+    """Return a pixel model in the form used by the kernels."""
     return Mixture(False) if model is None else Mixture(True, **model.uniforms)
 
 
 def reading_of(comparison: Comparison, off: FloatArray, slope: float) -> Reading:
-    """Return an observed image, and how it is compared, as the kernels read it."""
+    """Return an observation and comparison parameters in the form used by the kernels."""
     image = comparison.observed.astype(np.float64)
     rate = 0.0 if comparison.model is None else comparison.model.uniforms["occluder_rate"]
     before = np.exp(-rate * np.maximum(image, 0.0))
@@ -94,13 +92,13 @@ def reading_of(comparison: Comparison, off: FloatArray, slope: float) -> Reading
 
 
 def empty_depths(height: int, width: int) -> FloatArray:
-    """Return depths (h + 2 r, w + 2 r) of a tile and r = ``REACH_PX`` around it: inf, nothing is drawn."""
+    """Return depths (h + 2 r, w + 2 r) of a tile with a border of r = ``REACH_PX``, all inf (empty)."""
     return np.full((height + 2 * REACH_PX, width + 2 * REACH_PX), np.inf)
 
 
 @inlined
 def _exponential(x: float) -> float:
-    """exp(x), to 2e-11 where x is small: between two depths of one hand it is."""
+    """Return exp(x), with relative error 2e-11 for small x, as between two depths of one hand."""
     if abs(x) > _SMALL:
         return float(np.exp(x))
     return 1.0 + x * (1.0 + x * (1.0 / 2 + x * (1.0 / 6 + x * (1.0 / 24 + x * (1.0 / 120 + x / 720)))))
@@ -108,7 +106,10 @@ def _exponential(x: float) -> float:
 
 @inlined
 def _densities(d: float, y: float, before: float, off: float, model: Mixture) -> tuple[float, float]:
-    """Of the most probable reading and of y, both times the same: the log of their ratio is the misfit."""
+    """Return the densities of the best possible reading and of y, up to a common factor.
+
+    The logarithm of their ratio is the misfit.
+    """
     sd = model.near_sd + model.sd_growth * d * d
     outlier, occluded = model.outlier_per_sd * sd, model.occluded_per_sd * sd
     t, s = (y - d) / sd, off / model.outline_sd
@@ -120,11 +121,11 @@ def _densities(d: float, y: float, before: float, off: float, model: Mixture) ->
 
 @inlined
 def _misfit_of_other(d: float, y: float, off: float, model: Mixture) -> float:
-    """``PixelMixture.misfit_of_other`` of a reading -y, and of none where y is 0."""
+    """Return ``PixelMixture.misfit_of_other`` of a reading -y, or ``misfit_of_unread`` for y = 0."""
     sd = model.near_sd + model.sd_growth * d * d
     outlier, t = model.outlier_per_sd * sd, off / model.outline_sd
     behind = -LOGISTIC_OF_NORMAL * (d + y) / sd
-    if y < 0.0 and behind < -_FAR:  # it lies in front
+    if y < 0.0 and behind < -_FAR:  # clearly in front: explained as an occluder
         return 0.0
     beside = (np.exp(-0.5 * t * t) + outlier) / (1.0 + outlier)
     if y == 0.0:
@@ -135,14 +136,14 @@ def _misfit_of_other(d: float, y: float, off: float, model: Mixture) -> float:
 
 @inlined
 def _unexplained(y: float, model: Mixture) -> float:
-    """``PixelMixture.unexplained``."""
+    """Return ``PixelMixture.unexplained``."""
     outlier = model.outlier_per_sd * (model.near_sd + model.sd_growth * y * y)
     return float(np.log(1.0 + 1.0 / outlier))
 
 
 @kernel
 def _fill_depths(inverses: FloatArray, depths: FloatArray) -> None:
-    """Write a tile's depths, inf where nothing is drawn, into the middle of ``empty_depths``."""
+    """Write a tile's depths, inf where empty, into the interior of ``empty_depths``."""
     for j in range(inverses.shape[0]):
         for i in range(inverses.shape[1]):
             depths[j + REACH_PX, i + REACH_PX] = 1.0 / inverses[j, i]
@@ -150,7 +151,7 @@ def _fill_depths(inverses: FloatArray, depths: FloatArray) -> None:
 
 @kernel
 def _misfit_beside(depths: FloatArray, i: int, j: int, reading: Reading, model: Mixture) -> float:
-    """The misfit of a target pixel with what fits best of what is drawn ``REACH_PX`` beside it."""
+    """Return the misfit of a target pixel with the best-fitting surface within ``REACH_PX``."""
     y = reading.image[j, i]
     per_sd, pixel = 1.0 / (model.near_sd + model.sd_growth * y * y), reading.slope * y
     per_pixel2 = (pixel / model.outline_sd) ** 2
@@ -172,21 +173,21 @@ def _misfit_beside(depths: FloatArray, i: int, j: int, reading: Reading, model: 
 
 @inlined
 def _relief(depths: FloatArray, i: int, j: int, reading: Reading, model: Mixture) -> float:
-    """How much less a target pixel costs that nothing covers because of what is drawn beside it."""
+    """Return the cost reduction of an uncovered target pixel due to a surface next to it."""
     beside = _misfit_beside(depths, i, j, reading, model)
     return max(0.0, _unexplained(reading.image[j, i], model) - beside) if beside < np.inf else 0.0
 
 
 @kernel
 def _box(drawing: Drawing) -> tuple[int, int, int, int]:
-    """First column and row, then one past the last, of what is covered and what lies beside it."""
+    """Return first column and row, then one past the last, of the covered area and its surroundings."""
     screen, (height, width) = drawing.screen, drawing.inverse.shape
     left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
     for v in range(len(screen)):
         x, y = screen[v, 0], screen[v, 1]
         left, right = min(left, x), max(right, x)
         top, bottom = min(top, y), max(bottom, y)
-    reach = REACH_PX + 1.0  # and what rounding leaves
+    reach = REACH_PX + 1.0  # one more pixel for rounding
     return (
         int(min(max(left - reach, 0.0), width)),
         int(min(max(top - reach, 0.0), height)),
@@ -197,15 +198,15 @@ def _box(drawing: Drawing) -> tuple[int, int, int, int]:
 
 @kernel
 def add_sums(drawing: Drawing, depths: FloatArray, reading: Reading, model: Mixture, row: FloatArray) -> None:
-    """Write the sums over a drawn tile to a row (8,).
+    """Write the sums over a rendered tile to a row (8,).
 
-    Misfits are added as the logarithm of a ratio of products: one logarithm for many pixels.
+    Misfits are summed as the logarithm of a ratio of products, i.e. one logarithm for many pixels.
 
     Args:
-        drawing: the tile.
-        depths: of ``empty_depths``, is written to.
-        reading, model: what it is compared with.
-        row: is written to.
+        drawing: rendered tile.
+        depths: buffer of ``empty_depths``; overwritten.
+        reading, model: observation and pixel model.
+        row: output.
     """
     image = reading.image
     _fill_depths(drawing.inverse, depths)
@@ -256,7 +257,7 @@ def sum_poses(
     depths: FloatArray,
     rows: FloatArray,
 ) -> None:
-    """Draw every ``stride``-th of poses (N, B, 3, 4) and write its sums (N, 8)."""
+    """Render every ``stride``-th of poses (N, B, 3, 4) and write its sums (N, 8)."""
     for n in range(first, len(bones), stride):
         rows[n, :] = 0.0
         if draw_depth(mesh, bones[n], view, drawing):
@@ -273,7 +274,7 @@ def draw_poses(
     drawing: Drawing,
     depth: FloatArray,
 ) -> None:
-    """Draw every ``stride``-th of poses (N, B, 3, 4) and write its depth (N, h, w), mm; 0 for nothing."""
+    """Render every ``stride``-th of poses (N, B, 3, 4) and write its depth (N, h, w), mm; 0 if empty."""
     for n in range(first, len(bones), stride):
         drawn = draw_depth(mesh, bones[n], view, drawing)
         for j in range(depth.shape[1]):
@@ -282,17 +283,17 @@ def draw_poses(
                 depth[n, j, i] = 1.0 / inverse if drawn and inverse > 0.0 else 0.0
 
 
-# Depth of one skinned mesh in many poses, drawn on all cores (``rendering.port.DepthRenderer``)
+# Multithreaded ``rendering.port.DepthRenderer``
 
 
 class CompiledDepthRenderer:
-    """Depth images, or sums over them, of one mesh in N poses.
+    """Depth images of one mesh in N poses, or sums over them.
 
-    A mesh of which anything comes nearer than ``raster.NEAR_MM`` is not drawn at all. Sums do not depend on
-    how many cores there are.
+    Poses with any vertex closer than ``raster.NEAR_MM`` are not rendered. Sums do not depend on the number
+    of threads.
 
     Args:
-        mesh: the mesh that all poses share.
+        mesh: mesh shared by all poses.
         tile: (width, height) of a tile, pixels.
     """
 
@@ -304,7 +305,7 @@ class CompiledDepthRenderer:
         self._pool = ThreadPoolExecutor(self._threads)
 
     def depth(self, transforms: Float32Array, camera: Camera, window: Window) -> Float32Array:
-        """Draw, and return depth (N, height, width), mm."""
+        """Render and return depth (N, height, width), mm."""
         check_poses(self, transforms, window)
         bones, view = _bones_of(transforms), View(*window.tile_projection(camera))
         depth = np.empty((len(bones), self.tile[1], self.tile[0]))
@@ -318,7 +319,7 @@ class CompiledDepthRenderer:
     def sums(
         self, transforms: Float32Array, camera: Camera, window: Window, comparison: Comparison
     ) -> TileSums:
-        """Draw, and sum what ``port.sums_in_numpy`` defines."""
+        """Render and return the sums defined by ``port.sums_in_numpy``."""
         check_observed(comparison.observed, window)
         check_poses(self, transforms, window)
         bones, view = _bones_of(transforms), View(*window.tile_projection(camera))
@@ -335,10 +336,7 @@ class CompiledDepthRenderer:
         return TileSums.from_rows(rows, float(np.count_nonzero(comparison.observed > 0)))
 
     def _on_all_threads(self, work: Callable[[int], None], count: int) -> None:
-        """Do each thread's part of the work, on as many as poses need.
-
-        One of them is this thread.
-        """
+        """Run the work of each thread, including the current one, on at most one thread per pose."""
         parts = range(1, min(count, self._threads))
         others = [self._pool.submit(work, thread) for thread in parts]
         work(0)
@@ -350,13 +348,13 @@ def _bones_of(transforms: Float32Array) -> FloatArray:
     return np.ascontiguousarray(transforms, dtype=np.float64)
 
 
-# The processor as a device
+# CPU device
 
 
 class CpuDevice:
-    """Draws depth on the processor, compiled by numba (``rendering.port.RenderingDevice``).
+    """Depth rendering on the CPU with numba (``rendering.port.RenderingDevice``).
 
-    Textured surfaces are drawn by OpenGL, which is opened for them when the first is asked for.
+    Textured surfaces are rendered by OpenGL, which is opened on first use.
     """
 
     def __init__(self) -> None:
@@ -365,7 +363,7 @@ class CpuDevice:
 
     @property
     def info(self) -> RendererInfo:
-        """The processor's architecture, and what compiles for it."""
+        """CPU architecture and compiler."""
         import numba
 
         return RendererInfo(f"processor ({platform.machine()})", "posetrack", f"numba {numba.__version__}")
@@ -373,13 +371,13 @@ class CpuDevice:
     def depth_renderer(
         self, mesh: SkinnedMesh, tile: tuple[int, int], most: int = MOST_TILES
     ) -> CompiledDepthRenderer:
-        """Return what draws a mesh in tiles of (width, height) pixels, as many as are asked for."""
+        """Return a renderer of a mesh in tiles of (width, height) pixels, for any number of poses."""
         return CompiledDepthRenderer(mesh, tile)
 
     def surface_renderer(
         self, size: tuple[int, int], surfaces: list[Surface], lights: int
     ) -> SurfaceRenderer:
-        """Return what draws lit surfaces in images of (width, height) pixels."""
+        """Return a renderer of lit surfaces in images of (width, height) pixels."""
         from posetrack_cli.rendering.gl.device import GlDevice
 
         if self._gl is None:
@@ -387,6 +385,6 @@ class CpuDevice:
         return self._gl.surface_renderer(size, surfaces, lights)
 
     def close(self) -> None:
-        """Release what was opened."""
+        """Close the OpenGL device if one was opened."""
         self._gl = None
         self._opened.close()

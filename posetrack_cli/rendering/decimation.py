@@ -1,4 +1,4 @@
-"""Meshes with fewer triangles."""
+"""Repair and decimation of skinned meshes."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from posetrack_cli.cache import kept_arrays
 from posetrack_cli.npz import Arrays
 from posetrack_cli.rendering.mesh import SkinnedMesh, closest_points, edges_of
 
-# Fewer triangles for a skinned mesh: edges collapsed by quadric error (Garland and Heckbert 1997)
+# Repair, and decimation of the rest pose (Garland and Heckbert 1997)
 
 
 def welded(mesh: SkinnedMesh, tolerance: float) -> SkinnedMesh:
-    """Join vertices that lie together, as exporters double them at the seams of textures.
+    """Merge duplicate vertices, as exporters create at texture seams.
 
     Args:
-        mesh: any mesh; what is left without a triangle is left out.
-        tolerance: how far apart vertices of one place are at most, in its units.
+        mesh: any mesh; vertices without triangles are removed.
+        tolerance: maximum distance of duplicates, in mesh units.
     """
     cells = np.round(mesh.vertices / tolerance).astype(np.int64)
     _, first, index = np.unique(cells, axis=0, return_index=True, return_inverse=True)
@@ -31,7 +31,7 @@ def welded(mesh: SkinnedMesh, tolerance: float) -> SkinnedMesh:
 
 
 def closed(mesh: SkinnedMesh) -> SkinnedMesh:
-    """Close every hole by a fan around the middle of its rim, whose weights are the rim's mean."""
+    """Close every hole by a triangle fan around its centroid, with the mean of the boundary's weights."""
     vertices, weights, triangles = [mesh.vertices], [mesh.weights], [mesh.triangles]
     count = len(mesh.vertices)
     for rim in rims(mesh.triangles):
@@ -43,19 +43,19 @@ def closed(mesh: SkinnedMesh) -> SkinnedMesh:
 
 
 def rims(triangles: IntArray) -> list[IntArray]:
-    """The rims of holes: loops of vertices along edges of one triangle only, in the triangles' sense."""
+    """Return hole boundaries as loops of vertices, oriented like the triangles next to them."""
     directed = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).tolist()
     there = set(map(tuple, directed))
     following: dict[int, list[int]] = {}
     for a, b in directed:
         if (b, a) not in there:
-            following.setdefault(a, []).append(b)  # two where holes touch at a vertex
+            following.setdefault(a, []).append(b)  # two entries where holes touch at a vertex
     loops: list[IntArray] = []
     for start in following:
         path, places = [start], {start: 0}
         while following.get(path[-1]):
             vertex = following[path[-1]].pop()
-            if vertex in places:  # round: what began there is a loop, the path goes on from it
+            if vertex in places:  # a loop is closed; cut it off and continue the path
                 first = places[vertex]
                 loops.append(np.array(path[first:]))
                 for gone in path[first:]:
@@ -67,7 +67,7 @@ def rims(triangles: IntArray) -> list[IntArray]:
 
 
 def _proper(triangles: IntArray) -> IntArray:
-    """The triangles with three different vertices, each once."""
+    """Return the distinct triangles with three different vertices."""
     a, b, c = triangles.T
     kept = triangles[(a != b) & (b != c) & (c != a)]
     _, first = np.unique(np.sort(kept, axis=1), axis=0, return_index=True)
@@ -75,7 +75,7 @@ def _proper(triangles: IntArray) -> IntArray:
 
 
 def _used(mesh: SkinnedMesh, triangles: IntArray) -> SkinnedMesh:
-    """The mesh of some of its triangles, without the vertices that none of them has."""
+    """Return the mesh with these triangles, without unused vertices."""
     used, index = np.unique(triangles, return_inverse=True)
     return SkinnedMesh(mesh.vertices[used], mesh.weights[used], index.reshape(-1, 3))
 
@@ -84,9 +84,9 @@ _NEIGHBOURS = 4
 
 
 def simplified(mesh: SkinnedMesh, triangles: int) -> SkinnedMesh:
-    """Return a mesh of about this many triangles, or the mesh itself if it has no more.
+    """Return a mesh with about this many triangles, or the mesh itself if it has no more.
 
-    Weights are those of the nearest old vertices, by inverse distance.
+    Weights are interpolated from the nearest original vertices by inverse distance.
     """
     import fast_simplification
 
@@ -98,7 +98,7 @@ def simplified(mesh: SkinnedMesh, triangles: int) -> SkinnedMesh:
 
 
 def weights_at(mesh: SkinnedMesh, points: FloatArray) -> FloatArray:
-    """Skinning weights (N, B) at points (N, 3) near a mesh's vertices."""
+    """Return skinning weights (N, B) at points (N, 3) near the mesh."""
     from scipy.spatial import cKDTree
 
     distance, index = cKDTree(mesh.vertices).query(points, k=min(_NEIGHBOURS, len(mesh.vertices)))
@@ -108,34 +108,33 @@ def weights_at(mesh: SkinnedMesh, points: FloatArray) -> FloatArray:
     return weights
 
 
-# Fewer triangles for a skinned mesh: edges collapse where that changes its surface least, in many poses.
+# Decimation in many poses: edges are collapsed where this changes the posed surface least.
 #
-# Quadric error metrics (Garland and Heckbert 1997), summed over poses of the bones so that a straight finger
-# keeps the rings that it bends at (Mohr and Gleicher 2003, deformation sensitive decimation).
-
+# Quadric error metrics (Garland and Heckbert 1997), summed over poses so that straight fingers keep the edge
+# loops at their joints (Mohr and Gleicher 2003, deformation sensitive decimation).
 
 SHARES = (0.0, 0.5, 1.0)
-"""Of an edge's second end in the weights of the vertex that replaces both."""
+"""Candidate shares of the second end in the weights of a collapsed edge."""
 REGULAR = 1e-4
-"""Share of a quadric's trace that pulls a new vertex to its edge: a flat surface leaves it free."""
+"""Regularisation towards the edge, relative to a quadric's trace; a flat surface leaves the vertex free."""
 LEAST_COSINE = 0.2
-"""Of the angle by which a triangle may turn when an edge beside it collapses: it must not fold over."""
+"""Minimum cosine of a triangle's rotation in a collapse, to prevent fold-overs."""
 RIM_WEIGHT = 10.0
-"""Of the planes that hold an open mesh's rim, relative to those of its triangles."""
+"""Weight of the planes that preserve an open boundary, relative to triangles."""
 FIT_RIDGE = 1e-3
-"""How firmly a vertex of the fit holds to the surface's nearest vertex, relative to the median one's area."""
+"""Regularisation of the fit towards the nearest vertex, relative to the median vertex area."""
 _IDENTITY = np.eye(3)
 _SOURCES = ("rendering/decimation.py", "rendering/mesh.py")
 
 
 @dataclass(frozen=True, eq=False)
 class Decimation:
-    """How a mesh with fewer triangles follows another whose triangles and weights stay, in any shape.
+    """Linear map from a mesh of fixed triangles and weights, in any shape, to a coarser mesh.
 
     Attributes:
-        fit: (W, V) takes the other's vertices to the new ones.
-        weights: (W, B) of the new vertices.
-        triangles: (T, 3) of them.
+        fit: (W, V) maps the original vertices to the coarse ones.
+        weights: (W, B) of the coarse vertices.
+        triangles: (T, 3) of the coarse mesh.
     """
 
     fit: FloatArray
@@ -143,27 +142,27 @@ class Decimation:
     triangles: IntArray
 
     def of(self, vertices: FloatArray) -> SkinnedMesh:
-        """The mesh with fewer triangles of the other one with these vertices (V, 3)."""
+        """Return the coarse mesh for original vertices (V, 3)."""
         return SkinnedMesh(self.fit @ vertices, self.weights, self.triangles)
 
 
 def decimated(mesh: SkinnedMesh, triangles: int, transforms: FloatArray | None = None) -> SkinnedMesh:
-    """Return a mesh of at most this many triangles with nearly the same surface; see ``decimation``."""
+    """Return a mesh with at most this many triangles and nearly the same surface; see ``decimation``."""
     return decimation(mesh, triangles, transforms).of(mesh.vertices)
 
 
 def decimation(mesh: SkinnedMesh, triangles: int, transforms: FloatArray | None = None) -> Decimation:
-    """Collapse edges of a mesh until few triangles are left, then fit what is left to the whole surface.
+    """Collapse edges until few triangles are left, then fit the coarse mesh to the original surface.
 
     The cost of a collapse is the sum over poses of the area-weighted squared distances of the new vertex
-    from the planes of the triangles that it stands for; the vertex lies where that is least. Planes touch
-    a round surface from outside and chords run inside, so at last the vertices are moved to where the
-    mean squared distance of the surfaces is least: the mean distance vanishes with it.
+    from the planes of the merged triangles; the vertex is placed at the minimum. As planes are outside a
+    curved surface and chords inside, the vertices are finally moved to minimise the mean squared distance
+    between the surfaces, which also removes the mean offset.
 
     Args:
-        mesh: closed or with a rim.
-        triangles: how many are wanted; more are left where the mesh's topology asks for them.
-        transforms: (K, B, 3, 4) of the bones in the poses that count; by default only the rest pose.
+        mesh: closed or open mesh.
+        triangles: target number; more may be left if the topology requires it.
+        transforms: (K, B, 3, 4) bone transforms of the poses to preserve; default: the rest pose.
     """
     if transforms is None:
         transforms = np.tile(np.eye(3, 4), (1, mesh.weights.shape[1], 1, 1))
@@ -183,7 +182,7 @@ def _decimation(mesh: SkinnedMesh, triangles: int, transforms: FloatArray) -> De
 
 
 class _Placements(NamedTuple):
-    """Where the vertices that replace edges would lie: costs (E,), rest positions (E, 3), weights (E, B)."""
+    """Replacement vertices of edges: costs (E,), rest positions (E, 3), weights (E, B)."""
 
     costs: FloatArray
     vertices: FloatArray
@@ -191,7 +190,7 @@ class _Placements(NamedTuple):
 
 
 class _Collapsing:
-    """A mesh while its edges collapse; a vertex keeps its number, one that is gone is used no more."""
+    """Mesh during edge collapses; vertices keep their indices, removed ones are unused."""
 
     def __init__(self, mesh: SkinnedMesh, transforms: FloatArray) -> None:
         self._vertices, self._weights = mesh.vertices.copy(), mesh.weights.copy()
@@ -204,11 +203,11 @@ class _Collapsing:
             for corner in corners:
                 self._around[corner].add(index)
         self._changes = [0] * len(mesh.vertices)
-        self._order = itertools.count()  # among equal costs the earlier offer is first
+        self._order = itertools.count()  # breaks ties deterministically
         self._heap: list[tuple[float, int, int, int, int, FloatArray, FloatArray]] = []
 
     def run(self, wanted: int) -> None:
-        """Collapse the cheapest edge until few enough triangles are left, or no edge may collapse."""
+        """Collapse the cheapest edge until the target is reached or no edge may collapse."""
         left = len(self._triangles)
         if left > wanted:
             self._offer(edges_of(self._triangles)[0])
@@ -220,7 +219,7 @@ class _Collapsing:
             self._offer(np.array([(min(a, c), max(a, c)) for c in sorted(self._neighbours(a))]))
 
     def result(self) -> SkinnedMesh:
-        """Return what is left."""
+        """Return the remaining mesh."""
         used, index = np.unique(self._triangles[self._alive], return_inverse=True)
         return SkinnedMesh(self._vertices[used], self._weights[used], index.reshape(-1, 3))
 
@@ -231,20 +230,20 @@ class _Collapsing:
             heapq.heappush(self._heap, (float(cost), next(self._order), a, b, stamp, vertex, weights))
 
     def _placed(self, edges: IntArray) -> _Placements:
-        """The cheapest placements over all shares."""
+        """Return the cheapest placements over all shares."""
         options = self._placed_with(np.tile(edges, (len(SHARES), 1)), np.repeat(SHARES, len(edges)))
         best = options.costs.reshape(len(SHARES), -1).argmin(axis=0) * len(edges) + np.arange(len(edges))
         return _Placements(*(values[best] for values in options))
 
     def _placed_with(self, edges: IntArray, shares: FloatArray) -> _Placements:
-        """The least of sum_k |T_k r|^2_Q over rest positions r, T_k being linear in the weights."""
+        """Minimise sum_k |T_k r|^2_Q over rest positions r, with T_k linear in the weights."""
         a, b = edges.T
         weights = (1.0 - shares)[:, None] * self._weights[a] + shares[:, None] * self._weights[b]
         middle = 0.5 * (self._vertices[a] + self._vertices[b])
         rest = _pulled_back(self._quadrics[a] + self._quadrics[b], weights, self._transforms)
         matrix, vector = rest[:, :3, :3], rest[:, :3, 3]
         trace = np.trace(matrix, axis1=1, axis2=2)
-        # an edge without area has no quadric: it collapses in its middle
+        # Edges without adjacent area have a zero quadric and collapse to their midpoint.
         regular = matrix + (REGULAR * trace + np.finfo(np.float64).tiny)[:, None, None] * _IDENTITY
         gradient = (matrix @ middle[..., None])[..., 0] + vector
         r = np.ones((len(edges), 4))
@@ -257,7 +256,7 @@ class _Collapsing:
         return set(self._triangles[list(self._around[vertex])].ravel().tolist()) - {vertex}
 
     def _may_collapse(self, a: int, b: int, vertex: FloatArray, weights: FloatArray) -> bool:
-        """Whether the surface stays a surface (the link condition) and nothing folds over in any pose."""
+        """Return whether the mesh stays manifold (link condition) and no triangle folds over in any pose."""
         dying = self._around[a] & self._around[b]
         kept = sorted((self._around[a] | self._around[b]) - dying)
         if not kept or len(self._neighbours(a) & self._neighbours(b)) != len(dying):
@@ -278,7 +277,7 @@ class _Collapsing:
         return bool(((cosine > 0) & (cosine**2 > limit2)).all())
 
     def _collapse(self, a: int, b: int, vertex: FloatArray, weights: FloatArray) -> int:
-        """Put a in the place of both; return how many triangles vanish."""
+        """Replace both ends by a; return the number of removed triangles."""
         dying = self._around[a] & self._around[b]
         for index in dying:
             self._alive[index] = False
@@ -291,14 +290,14 @@ class _Collapsing:
         self._around[b] = set()
         self._vertices[a], self._weights[a] = vertex, weights
         self._quadrics[a] += self._quadrics[b]
-        # counts only grow, so the sum over an edge's ends is the same only if neither has changed
+        # Counts only grow, so an edge's sum is unchanged only if neither end has changed.
         self._changes[a] += 1
         self._changes[b] += 1
         return len(dying)
 
 
 def _vertex_quadrics(mesh: SkinnedMesh, transforms: FloatArray) -> FloatArray:
-    """(V, K, 4, 4): sums over a vertex's triangles of area times the squared distance from their planes."""
+    """Return (V, K, 4, 4): sums over a vertex's triangles of area times squared distance from the plane."""
     corners = np.moveaxis(mesh.posed(transforms), 0, 1)[mesh.triangles]  # (T, 3, K, 3)
     normals = _normals(corners)
     planes = _plane_quadrics(0.5 * normals, corners[:, 0])
@@ -317,7 +316,7 @@ def _vertex_quadrics(mesh: SkinnedMesh, transforms: FloatArray) -> FloatArray:
 
 
 def _plane_quadrics(normals: FloatArray, points: FloatArray) -> FloatArray:
-    """(..., 4, 4) of planes through points, weighted by their normals' lengths."""
+    """Return quadrics (..., 4, 4) of planes through points, weighted by the normals' lengths."""
     weight = np.linalg.norm(normals, axis=-1)[..., None]
     unit = np.divide(normals, weight, out=np.zeros_like(normals), where=weight > 0)
     plane = np.concatenate([unit, -np.einsum("...i,...i->...", unit, points)[..., None]], axis=-1)
@@ -326,7 +325,7 @@ def _plane_quadrics(normals: FloatArray, points: FloatArray) -> FloatArray:
 
 
 def _rim(triangles: IntArray) -> list[tuple[int, int]]:
-    """Triangles and their corners from which an edge runs that no other triangle has."""
+    """Return triangles and start corners of boundary edges."""
     directed = {
         (row[k], row[(k + 1) % 3]): (index, k)
         for index, row in enumerate(triangles.tolist())
@@ -336,7 +335,7 @@ def _rim(triangles: IntArray) -> list[tuple[int, int]]:
 
 
 def _pulled_back(quadrics: FloatArray, weights: FloatArray, transforms: FloatArray) -> FloatArray:
-    """Quadrics (E, K, 4, 4) of posed points as one (E, 4, 4) of the rest point: sum_k T_k^T Q_k T_k."""
+    """Return quadrics (E, 4, 4) of rest points from (E, K, 4, 4) of posed points: sum_k T_k^T Q_k T_k."""
     blended = np.zeros((len(weights), len(transforms), 4, 4))
     blended[:, :, :3] = _blended(weights, transforms)
     blended[:, :, 3, 3] = 1.0
@@ -345,7 +344,7 @@ def _pulled_back(quadrics: FloatArray, weights: FloatArray, transforms: FloatArr
 
 
 def _blended(weights: FloatArray, transforms: FloatArray) -> FloatArray:
-    """Blends (N, K, 3, 4) of the bones' transforms (K, B, 3, 4) with weights (N, B)."""
+    """Return blends (N, K, 3, 4) of bone transforms (K, B, 3, 4) with weights (N, B)."""
     poses, bones = transforms.shape[:2]
     by_bone = np.swapaxes(transforms.reshape(poses, bones, 12), 0, 1).reshape(bones, poses * 12)
     blended: FloatArray = (weights @ by_bone).reshape(-1, poses, 3, 4)
@@ -353,23 +352,23 @@ def _blended(weights: FloatArray, transforms: FloatArray) -> FloatArray:
 
 
 def _posed(vertices: FloatArray, weights: FloatArray, transforms: FloatArray) -> FloatArray:
-    """Points (N, 3) with weights (N, B) in every pose: (N, K, 3)."""
+    """Return points (N, 3) with weights (N, B) in every pose, (N, K, 3)."""
     blended = _blended(weights, transforms)
     posed: FloatArray = (blended[..., :3] @ vertices[:, None, :, None])[..., 0] + blended[..., 3]
     return posed
 
 
 def _normals(corners: FloatArray) -> FloatArray:
-    """Twice the vector areas (T, K, 3) of triangles (T, 3, K, 3)."""
+    """Return twice the vector areas (T, K, 3) of triangles (T, 3, K, 3)."""
     normals: FloatArray = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return normals
 
 
 def _fit(coarse: SkinnedMesh, mesh: SkinnedMesh) -> FloatArray:
-    """(W, V): the coarse vertices whose surface is nearest to points all over a mesh, in the mean square.
+    """Return the map (W, V) to the coarse vertices with the least mean squared surface distance.
 
-    With s = S v the points (vertices and middles of triangles), a their areas and B their barycentric
-    coordinates on the coarse surface where they are nearest: min over x of sum a |B x - S v|^2.
+    With s = S v the sample points (vertices and triangle centroids), a their areas and B their barycentric
+    coordinates at the nearest points of the coarse surface: min over x of sum a |B x - S v|^2.
     """
     points, areas = _surface_points(mesh)
     triangle, shares = closest_points(points @ mesh.vertices, coarse.vertices[coarse.triangles])
@@ -385,11 +384,11 @@ def _fit(coarse: SkinnedMesh, mesh: SkinnedMesh) -> FloatArray:
 
 
 def _surface_points(mesh: SkinnedMesh) -> tuple[FloatArray, FloatArray]:
-    """Points all over a mesh as averages (P, V) of its vertices, and the area (P,) each stands for."""
+    """Return surface samples as averages (P, V) of the vertices, and the area (P,) of each."""
     count, faces = len(mesh.vertices), len(mesh.triangles)
     middles = np.zeros((faces, count))
     middles[np.arange(faces)[:, None], mesh.triangles] = 1.0 / 3.0
     areas = 0.5 * np.linalg.norm(_normals(mesh.vertices[mesh.triangles][:, :, None])[:, 0], axis=-1)
-    # a triangle's middle stands for one half of it and its corners for the other
+    # A triangle's centroid represents half of its area, its corners the other half.
     at_vertices = np.bincount(mesh.triangles.ravel(), np.repeat(areas / 6.0, 3), minlength=count)
     return np.concatenate([np.eye(count), middles]), np.concatenate([at_vertices, 0.5 * areas])

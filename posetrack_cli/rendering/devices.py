@@ -1,4 +1,4 @@
-"""Which device draws: the one place that knows implementations of the port; and how fast one scores."""
+"""Selection of rendering devices, the only module that knows their implementations; and their speed."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from posetrack_cli.rendering.port import Comparison, RenderingDevice, Window
 
 
 def open_device(index: int | None = None) -> RenderingDevice:
-    """Return a device that draws without a display; the caller closes it.
+    """Open an OpenGL device without a display; the caller closes it.
 
     Args:
-        index: of an EGL device, None for the driver's default.
+        index: index of an EGL device; None for the driver's default.
 
     Raises:
-        RenderingError: nothing can be drawn with it here.
+        RenderingError: the device is not usable.
     """
     from posetrack_cli.rendering.gl.device import GlDevice
 
@@ -31,40 +31,40 @@ def open_device(index: int | None = None) -> RenderingDevice:
 
 
 CPU = "cpu"
-"""Names the processor as a device."""
-_SOFTWARE = ("llvmpipe", "softpipe", "swrast", "SwiftShader")  # what draws OpenGL without a GPU
+"""Name of the CPU device."""
+_SOFTWARE = ("llvmpipe", "softpipe", "swrast", "SwiftShader")  # software OpenGL renderers
 _GPUS = ("dri/renderD*", "nvidia[0-9]*", "dxg")  # below /dev
 
 
 def open_fastest_device(choice: int | str | None = None) -> RenderingDevice:
-    """Return the device that draws many small depth images fastest; the caller closes it.
+    """Open the fastest device for many small depth images; the caller closes it.
 
-    That is a GPU, if there is one. Where OpenGL is drawn by the processor, kernels compiled for depth alone
-    are some three times as fast, and need no OpenGL.
+    This is a GPU if there is one. Otherwise depth kernels compiled for the CPU are about three times as
+    fast as software OpenGL and do not need OpenGL.
 
     Args:
         choice: index of an EGL device, or ``CPU``; None for the fastest.
 
     Raises:
-        RenderingError: nothing can be drawn with what is chosen.
+        RenderingError: the chosen device is not usable.
     """
     return _opened(choice, is_fast=True)
 
 
 def open_usual_device(choice: int | str | None = None) -> RenderingDevice:
-    """Return the driver's default device, or the processor where there is no OpenGL; the caller closes it.
+    """Open the driver's default device, or the CPU if there is no OpenGL; the caller closes it.
 
     Args:
         choice: index of an EGL device, or ``CPU``; None for the default.
 
     Raises:
-        RenderingError: nothing can be drawn with what is chosen.
+        RenderingError: the chosen device is not usable.
     """
     return _opened(choice, is_fast=False)
 
 
 def _opened(choice: int | str | None, *, is_fast: bool) -> RenderingDevice:
-    """The chosen device; else the default, if it works (and is a GPU, if it must be fast); else the CPU."""
+    """Open the chosen device, or else the default (with ``is_fast``: if it is a GPU), or else the CPU."""
     from posetrack_cli.rendering.cpu import CpuDevice
 
     if isinstance(choice, int):
@@ -79,13 +79,13 @@ def _opened(choice: int | str | None, *, is_fast: bool) -> RenderingDevice:
 
 
 def _has_gpu() -> bool:
-    """Whether this may be a machine with a GPU; OpenGL takes long to say so."""
+    """Return whether a GPU may be present; a quick check, as opening OpenGL is slow."""
     return any(any(Path("/dev").glob(pattern)) for pattern in _GPUS)
 
 
 @contextmanager
 def device_or_default(device: RenderingDevice | None) -> Iterator[RenderingDevice]:
-    """Yield the device, or without one the usual, which is closed at the end."""
+    """Yield the device, or the usual one if None, which is closed at the end."""
     if device is not None:
         yield device
         return
@@ -97,13 +97,13 @@ KINECT2 = Camera(512, 424, 365.0, 365.0, 255.5, 211.5, name="kinect2")
 
 
 WARM_UP = 2
-"""Times that some work is done before it is measured."""
+"""Unmeasured repetitions before a measurement."""
 
 
 def median_milliseconds(
     work: Callable[[], object], repeats: int, advance: Callable[[int], object] = lambda count: None
 ) -> float:
-    """The median wall-clock time of some work, ms; ``advance`` counts how often it is done."""
+    """Return the median wall-clock time of ``work``, ms; ``advance`` is called after each repetition."""
     times = []
     for k in range(WARM_UP + repeats):
         began = time.perf_counter()
@@ -123,7 +123,7 @@ def scoring_milliseconds(
     repeats: int,
     advance: Callable[[int], object] = lambda count: None,
 ) -> float:
-    """Median time to draw and reduce all poses (N, B, 3, 4) in a Kinect v2's window, ms."""
+    """Return the median time to render and score all poses (N, B, 3, 4) in a Kinect v2 window, ms."""
     renderer = device.depth_renderer(mesh, (tile, tile), len(transforms))
     window = Window.around(np.array([KINECT2.cx, KINECT2.cy]), tile, step)
     observed = renderer.depth(transforms[:1], KINECT2, window)[0]

@@ -1,4 +1,4 @@
-"""Skinned meshes in glTF files."""
+"""Reading of skinned meshes from glTF files."""
 
 from __future__ import annotations
 
@@ -19,11 +19,10 @@ from posetrack_cli.errors import UsageError
 from posetrack_cli.files import read_input
 from posetrack_cli.geometry import rotations
 
-# Binary glTF 2.0 (GLB): the container and its numbers.
+# Binary glTF 2.0 (GLB): container and accessors.
 #
-# Khronos Group, glTF 2.0 specification, sections 3.6 (accessors) and 4 (GLB). Read is what skinned meshes
-# need: one JSON and one BIN chunk; no sparse accessors, no compression, no buffers in other files.
-
+# Khronos Group, glTF 2.0 specification, sections 3.6 (accessors) and 4 (GLB). Supported are one JSON and one
+# BIN chunk, but not sparse accessors, compression or external buffers.
 
 _MAGIC, _JSON, _BIN = b"glTF", b"JSON", b"BIN\0"
 _HARMLESS = {"KHR_mesh_quantization", "KHR_texture_transform", "KHR_materials_unlit", "EXT_texture_webp"}
@@ -33,12 +32,12 @@ _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 
 @dataclass(frozen=True)
 class Gltf:
-    """One GLB file.
+    """GLB file.
 
     Attributes:
-        path: where it was read from.
-        content: the JSON chunk.
-        binary: the BIN chunk.
+        path: path of the file.
+        content: JSON chunk.
+        binary: BIN chunk.
     """
 
     path: Path
@@ -46,27 +45,27 @@ class Gltf:
     binary: bytes
 
     def items(self, name: str) -> list[dict[str, Any]]:
-        """The list ``nodes``, ``meshes``, ``skins`` ...; empty where there is none."""
+        """Return the list ``nodes``, ``meshes``, ``skins`` ...; empty if missing."""
         found: list[dict[str, Any]] = self.content.get(name, [])
         if not isinstance(found, list):
-            raise TypeError(f"'{name}' is no list")
+            raise TypeError(f"'{name}' is not a list")
         return found
 
     def item(self, name: str, index: Any) -> dict[str, Any]:
-        """One of ``items``; an index that is no whole number from 0 on, or too large, is damage."""
+        """Return one of ``items``; an invalid index is reported as damage."""
         items = self.items(name)
         return items[whole(index, name, len(items) - 1)]
 
     def count(self, index: Any) -> int:
-        """How many elements an accessor has; it is known that the file holds them."""
+        """Return the number of elements of an accessor, after checking that the file contains them."""
         return self._placed(self.item("accessors", index)).elements
 
     def integers(self, index: Any) -> NDArray[np.int64]:
-        """The whole numbers of an accessor: (count,) or (count, width)."""
+        """Return the integers of an accessor, (count,) or (count, width)."""
         return self._values(index).astype(np.int64)
 
     def numbers(self, index: Any) -> FloatArray:
-        """The numbers of an accessor, integers that are marked as normalised as shares of their largest."""
+        """Return the numbers of an accessor; normalised integers are scaled to their maximum."""
         values = self._values(index)
         if values.dtype.kind == "f" or not self.item("accessors", index).get("normalized", False):
             return values.astype(np.float64)
@@ -85,10 +84,10 @@ class Gltf:
         return values[:, 0] if accessor["type"] == "SCALAR" else values
 
     def _placed(self, accessor: dict[str, Any]) -> _Placed:
-        """Where an accessor's elements lie: one behind the other, within their view of the BIN chunk."""
+        """Return the location of an accessor's elements, checked against its view of the BIN chunk."""
         if "sparse" in accessor:
             raise UsageError(
-                "sparse accessors are not read", where=self.path, hint="export the file without them"
+                "sparse accessors are not supported", where=self.path, hint="export the file without them"
             )
         kind, width = np.dtype(_KINDS[accessor["componentType"]]), _WIDTHS[accessor["type"]]
         size = kind.itemsize * width
@@ -99,14 +98,14 @@ class Gltf:
         stride = whole(view.get("byteStride", size), "byteStride", most)
         count = whole(accessor["count"], "count", most)
         if stride < size:
-            raise ValueError(f"byteStride {stride} of elements of {size} bytes")
+            raise ValueError(f"byteStride {stride} for elements of {size} bytes")
         if count and offset + (count - 1) * stride + size > length:
             raise ValueError(f"{count} elements in a view of {length} bytes")
         return _Placed(kind, width, first + offset, stride, count)
 
 
 class _Placed(NamedTuple):
-    """Where an accessor's elements lie in the BIN chunk, bytes."""
+    """Location of an accessor's elements in the BIN chunk, bytes."""
 
     kind: np.dtype[Any]
     width: int
@@ -116,29 +115,28 @@ class _Placed(NamedTuple):
 
 
 def whole(value: Any, name: str, most: int) -> int:
-    """Return a whole number from 0 to ``most`` as a file states it.
+    """Return an integer from 0 to ``most``.
 
     Raises:
-        ValueError: it is something else.
+        ValueError: the value is anything else.
     """
     if type(value) is not int or not 0 <= value <= most:
-        raise ValueError(f"{name} {value if type(value) is int else type(value).__name__}")
+        raise ValueError(f"invalid {name} {value if type(value) is int else type(value).__name__}")
     return value
 
 
 @contextmanager
 def damage_named(path: Path) -> Iterator[None]:
-    """Turn what goes wrong when a glTF's parts do not fit each other into one line.
+    """Convert errors from inconsistent parts of a glTF file into a one-line error.
 
     Raises:
-        UsageError: instead of the errors that wrong indices, types and sizes give, and of the warnings about
-            numbers that no other number comes of.
+        UsageError: in place of errors by invalid indices, types and sizes, and of floating point warnings.
     """
     try:
         with np.errstate(over="raise", invalid="raise", divide="raise"):
             yield
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
-        what = "glTF file is damaged: its parts do not fit each other"
+        what = "glTF file is damaged: its parts are inconsistent"
         raise UsageError(what, where=path, found=f"{type(error).__name__} {error}") from error
 
 
@@ -146,7 +144,7 @@ def read_glb(path: Path) -> Gltf:
     """Read a GLB file.
 
     Raises:
-        UsageError: no such file, another kind of file, a truncated one, or one that needs an extension.
+        UsageError: the file is missing, truncated, of another format, or requires an extension.
     """
     try:
         container = _Container(path, read_input(path, limits.MESH_BYTES))
@@ -161,7 +159,7 @@ def read_glb(path: Path) -> Gltf:
 
 
 class _Container(NamedTuple):
-    """The bytes of a GLB file."""
+    """Bytes of a GLB file."""
 
     path: Path
     data: bytes
@@ -173,13 +171,13 @@ class _Container(NamedTuple):
             raise UsageError("not a GLB file", where=path, expected=expected, hint=hint)
         version, length = struct.unpack_from("<II", data, 4)
         if version != 2:
-            raise UsageError("glTF of another version", where=path, found=version, expected=expected)
+            raise UsageError("unsupported glTF version", where=path, found=version, expected=expected)
         if length > len(data):
             found = f"{len(data)} of {length} bytes"
             raise UsageError("GLB file is truncated", where=path, found=found, hint="copy it again")
 
     def chunks(self) -> Iterator[tuple[bytes, bytes]]:
-        """The chunks' kinds and bytes, the last of a kind first: only the first of each counts."""
+        """Yield kinds and bytes of the chunks, last first, so that the first of each kind wins in a dict."""
         found, position, data = [], 12, self.data
         while position + 8 <= len(data):
             length, kind = struct.unpack_from("<I4s", data, position)
@@ -195,10 +193,10 @@ class _Container(NamedTuple):
         try:
             content = json.loads(text)
         except (ValueError, RecursionError) as error:
-            raise UsageError("GLB file without readable JSON", where=self.path, found=error) from error
+            raise UsageError("GLB file has no valid JSON", where=self.path, found=error) from error
         if not isinstance(content, dict):
             found = type(content).__name__
-            raise UsageError("GLB file without a JSON object", where=self.path, found=found)
+            raise UsageError("GLB file has no JSON object", where=self.path, found=found)
         return content
 
 
@@ -206,36 +204,35 @@ def _check_needs(gltf: Gltf) -> None:
     needed = [name for name in gltf.content.get("extensionsRequired", []) if name not in _HARMLESS]
     if needed:
         raise UsageError(
-            "glTF file needs an extension that is not read",
+            "glTF file requires an unsupported extension",
             where=gltf.path,
             found=", ".join(needed),
             hint="export the file without compression",
         )
     if any("uri" in buffer for buffer in gltf.items("buffers")):
-        what = "GLB file with its numbers in another file"
+        what = "GLB file with external buffers"
         raise UsageError(what, where=gltf.path, hint="export it as one binary file")
 
 
-# The skinned mesh in a glTF file, as the file shows it at rest
-
+# Skinned mesh of a glTF file in its rest pose
 
 _TRIANGLES = 4
 _MOST_WEIGHT = 1e3
-"""Of one joint; weights add up to 1, or nearly."""
+"""Maximum weight of one joint; weights sum to about 1."""
 _LEAST_LENGTH = 1e-9
-"""Of a rotation, and of a point's weights, whose length is 1, or nearly."""
+"""Minimum norm of a rotation, and minimum sum of a point's weights; both are about 1."""
 
 
 @dataclass(frozen=True)
 class GltfSkin:
-    """A skin with all that is bound to it, in the scene's axes and units.
+    """Skin with all meshes bound to it, in scene axes and units.
 
     Attributes:
-        joint_names: (J) of the joints' nodes.
-        joint_parents: (J) the nearest joint above each joint, -1 where there is none.
+        joint_names: (J) names of the joints' nodes.
+        joint_parents: (J) nearest joint above each joint, -1 for none.
         joint_positions: (J, 3).
         vertices: (V, 3) as skinned by the nodes' transforms.
-        weights: (V, J), each row sums to 1.
+        weights: (V, J), rows sum to 1.
         triangles: (T, 3).
     """
 
@@ -248,13 +245,13 @@ class GltfSkin:
 
 
 def read_skin(gltf: Gltf) -> GltfSkin:
-    """Return the first skin that triangles are bound to.
+    """Return the first skin with triangles bound to it.
 
-    A vertex is shown at sum_j w_j G_j B_j v with G_j the joint's transform in the scene and B_j its inverse
-    bind matrix; the mesh's own node does not count (glTF 2.0, section 3.7.3.1).
+    A vertex is placed at sum_j w_j G_j B_j v with G_j the joint's transform in the scene and B_j its
+    inverse bind matrix; the mesh's own node is ignored (glTF 2.0, section 3.7.3.1).
 
     Raises:
-        UsageError: there is no skin, or parts of the file do not fit each other.
+        UsageError: there is no skin, or parts of the file are inconsistent.
     """
     with damage_named(gltf.path):
         nodes, skins = gltf.items("nodes"), gltf.items("skins")
@@ -297,17 +294,17 @@ def _assembled(gltf: Gltf, skin: dict[str, Any], primitives: list[dict[str, Any]
 
 
 def _joints(gltf: Gltf, skin: dict[str, Any]) -> list[int]:
-    """The nodes of a skin's joints, each of which is there once."""
+    """Return the nodes of a skin's joints, which must be distinct."""
     nodes = len(gltf.items("nodes"))
     joints = [whole(joint, "joint", nodes - 1) for joint in skin["joints"]]
     _check_count(gltf, "joints", len(joints), limits.MESH_JOINTS)
     if len(set(joints)) < len(joints):
-        raise ValueError("a joint that is listed twice")
+        raise ValueError("duplicate joint")
     return joints
 
 
 def _check_sizes(gltf: Gltf, primitives: list[dict[str, Any]], joints: int) -> None:
-    """Refuse a mesh that is too large, before any of it is read."""
+    """Check the size of a mesh before reading its data."""
     points = [gltf.count(primitive["attributes"]["POSITION"]) for primitive in primitives]
     corners = [
         gltf.count(primitive["indices"]) if "indices" in primitive else count
@@ -326,9 +323,9 @@ def _check_count(gltf: Gltf, what: str, count: int, most: int) -> None:
 
 
 def _check_reach(gltf: Gltf, *numbers: FloatArray) -> None:
-    """Refuse coordinates of no mesh; where they are not finite, too."""
+    """Check that coordinates are finite and of plausible size."""
     if not all(np.all(np.abs(values) <= limits.MESH_REACH) for values in numbers):
-        what = "glTF mesh has points that are no numbers, or too far away"
+        what = "glTF mesh has invalid or too large coordinates"
         raise UsageError(what, where=gltf.path, expected=f"at most {limits.MESH_REACH:g}")
 
 
@@ -338,13 +335,13 @@ def _parents(gltf: Gltf) -> list[int]:
     for index, node in enumerate(nodes):
         for child in node.get("children", []):
             if parents[whole(child, "child", len(nodes) - 1)] >= 0:
-                raise ValueError(f"node {child} with two parents")
+                raise ValueError(f"node {child} has two parents")
             parents[child] = index
     return parents
 
 
 def _joints_above(joints: list[int], parents: list[int]) -> tuple[int, ...]:
-    """(J) the nearest joint above each joint, -1 where there is none."""
+    """Return the nearest joint above each joint (J), -1 for none."""
     places = {node: place for place, node in enumerate(joints)}
     above: dict[int, int] = {-1: -1}  # by node: itself if it is a joint, else the nearest above it
     for joint in joints:
@@ -358,7 +355,7 @@ def _joints_above(joints: list[int], parents: list[int]) -> tuple[int, ...]:
 
 
 def _scene_transforms(gltf: Gltf, parents: list[int], joints: list[int]) -> FloatArray:
-    """(J, 4, 4) scene_T_node of the joints' nodes."""
+    """Return scene_T_node (J, 4, 4) of the joints' nodes."""
     nodes, found = gltf.items("nodes"), {-1: np.eye(4)}
     for joint in joints:
         way, node = [], joint
@@ -366,7 +363,7 @@ def _scene_transforms(gltf: Gltf, parents: list[int], joints: list[int]) -> Floa
             way.append(node)
             node = parents[node]
             if len(way) > len(parents):
-                raise UsageError("nodes of the glTF file form a ring", where=gltf.path)
+                raise UsageError("nodes of the glTF file form a cycle", where=gltf.path)
         for below in reversed(way):
             found[below] = found[parents[below]] @ _local_transform(nodes[below])
     return np.array([found[joint] for joint in joints])
@@ -379,7 +376,7 @@ def _local_transform(node: dict[str, Any]) -> FloatArray:
     quaternion = _numbers(node, "rotation", np.array([0.0, 0.0, 0.0, 1.0]))
     length = float(np.linalg.norm(quaternion))
     if length < _LEAST_LENGTH:
-        raise ValueError("a rotation of length 0")
+        raise ValueError("rotation of length 0")
     rotation = rotations.matrices_from_quaternions((quaternion / length)[None])[0]
     transform[:3, :3] = rotation * _numbers(node, "scale", np.ones(3))
     transform[:3, 3] = _numbers(node, "translation", np.zeros(3))
@@ -387,19 +384,17 @@ def _local_transform(node: dict[str, Any]) -> FloatArray:
 
 
 def _numbers(node: dict[str, Any], name: str, default: FloatArray) -> FloatArray:
-    """The numbers of a node's property; as many as of its default."""
+    """Return the numbers of a node's property, with the shape of its default."""
     values = np.array(node.get(name, default), dtype=np.float64)
     if values.shape != default.shape or not np.all(np.abs(values) <= limits.MESH_REACH):
-        raise ValueError(f"a {name} that is none")
+        raise ValueError(f"invalid {name}")
     return values
 
 
 def _primitive(gltf: Gltf, primitive: dict[str, Any], joints: int) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Points (V, 3), weights (V, J) and triangles (T, 3) of one part of a mesh."""
+    """Return points (V, 3), weights (V, J) and triangles (T, 3) of one part of a mesh."""
     if primitive.get("mode", _TRIANGLES) != _TRIANGLES:
-        raise UsageError(
-            "glTF mesh of other things than triangles", where=gltf.path, hint="export it as triangles"
-        )
+        raise UsageError("glTF mesh is not made of triangles", where=gltf.path, hint="export it as triangles")
     attributes = primitive["attributes"]
     points = gltf.numbers(attributes["POSITION"])
     if points.ndim != 2 or points.shape[1] != 3:
@@ -413,13 +408,13 @@ def _primitive(gltf: Gltf, primitive: dict[str, Any], joints: int) -> tuple[Floa
         if not bones.shape == shares.shape == (len(points), 4):
             raise ValueError(f"joints of shape {bones.shape} and weights of {shares.shape}")
         if not np.all((np.abs(shares) <= _MOST_WEIGHT) & (bones >= 0)):
-            raise ValueError("weights that are none")
+            raise ValueError("invalid weights")
         np.add.at(weights, (rows, bones), shares)
         count += 1
     total = weights.sum(axis=1, keepdims=True)
     if not (total > _LEAST_LENGTH).all():
         found = f"{np.count_nonzero(~(total > _LEAST_LENGTH))} of {len(points)} points without a weight"
-        raise UsageError("glTF mesh is not wholly bound to its joints", where=gltf.path, found=found)
+        raise UsageError("glTF mesh is not completely bound to its joints", where=gltf.path, found=found)
     if "indices" in primitive:
         corners = gltf.integers(primitive["indices"])
         if corners.ndim != 1:
@@ -428,5 +423,5 @@ def _primitive(gltf: Gltf, primitive: dict[str, Any], joints: int) -> tuple[Floa
     else:
         faces = np.arange(len(points)).reshape(-1, 3)
     if faces.size and not 0 <= faces.min() <= faces.max() < len(points):
-        raise UsageError("glTF mesh has triangles of points that it lacks", where=gltf.path)
+        raise UsageError("glTF mesh has invalid triangle indices", where=gltf.path)
     return points, weights / total, faces

@@ -1,4 +1,4 @@
-"""Triangle meshes: skinned, closed ones smoothly subdivided, and where points are nearest to them."""
+"""Triangle meshes: skinning, smooth subdivision, closest points."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from posetrack_cli.arrays import FloatArray, IntArray
 
 @dataclass(frozen=True)
 class SkinnedMesh:
-    """A triangle mesh bound to bones by linear blend skinning.
+    """Triangle mesh with linear blend skinning.
 
     Attributes:
         vertices: (V, 3) rest positions, mm.
-        weights: (V, B) skinning weights, each row sums to 1.
+        weights: (V, B) skinning weights; rows sum to 1.
         triangles: (T, 3) vertex indices, counter-clockwise seen from outside.
     """
 
@@ -25,14 +25,14 @@ class SkinnedMesh:
     triangles: IntArray
 
     def posed(self, transforms: FloatArray) -> FloatArray:
-        """Vertices under bone transforms camera_T_rest (N, B, 3, 4): (N, V, 3), mm."""
+        """Return vertices (N, V, 3), mm, for bone transforms camera_T_rest (N, B, 3, 4)."""
         n, bones = transforms.shape[:2]
         rows = np.moveaxis(transforms, 1, 2).reshape(n * 3, bones * 4)
         return np.moveaxis((rows @ self.skinning_matrix).reshape(n, 3, -1), 1, 2)
 
     @cached_property
     def skinning_matrix(self) -> FloatArray:
-        """The constant (4 B, V) matrix S of skinning: [T_1 .. T_B] S are the posed vertices.
+        """Constant skinning matrix S (4 B, V): [T_1 .. T_B] S are the posed vertices.
 
         Linear blend skinning, v' = sum_b w_b T_b (v, 1), is linear in the bone transforms.
         """
@@ -42,7 +42,7 @@ class SkinnedMesh:
         )
 
     def grown(self, mm: float) -> SkinnedMesh:
-        """The mesh with every vertex moved outwards along the mean normal, by area, of its triangles."""
+        """Return the mesh with every vertex moved outwards along its area-weighted normal."""
         if mm == 0.0:
             return self
         a, b, c = (self.vertices[self.triangles[:, k]] for k in range(3))
@@ -54,12 +54,12 @@ class SkinnedMesh:
         return SkinnedMesh(self.vertices + mm * outwards, self.weights, self.triangles)
 
     def flipped(self, axis_signs: FloatArray) -> SkinnedMesh:
-        """The mirror image under an odd number of sign changes (3,), faces still outside."""
+        """Return the mirror image under an odd number of sign changes (3,), with faces still outwards."""
         return SkinnedMesh(self.vertices * axis_signs, self.weights, self.triangles[:, ::-1].copy())
 
 
 def joined(meshes: list[SkinnedMesh]) -> SkinnedMesh:
-    """One mesh of several, each keeping bones of its own, in order."""
+    """Return one mesh of several, with their bones concatenated."""
     bones = sum(m.weights.shape[1] for m in meshes)
     bound, first_bone = [], 0
     for mesh in meshes:
@@ -69,14 +69,14 @@ def joined(meshes: list[SkinnedMesh]) -> SkinnedMesh:
 
 
 def bound_to(mesh: SkinnedMesh, bones: int, first: int = 0) -> SkinnedMesh:
-    """A mesh bound to so many bones, of which its own are those from ``first`` on."""
+    """Return the mesh with ``bones`` bones, its own starting at ``first``."""
     weights = np.zeros((len(mesh.vertices), bones))
     weights[:, first : first + mesh.weights.shape[1]] = mesh.weights
     return SkinnedMesh(mesh.vertices, weights, mesh.triangles)
 
 
 def merged(meshes: list[SkinnedMesh]) -> SkinnedMesh:
-    """One mesh of several that are bound to the same bones."""
+    """Return one mesh of several that share their bones."""
     first = np.cumsum([0, *(len(m.vertices) for m in meshes)])
     return SkinnedMesh(
         np.concatenate([m.vertices for m in meshes]),
@@ -86,21 +86,21 @@ def merged(meshes: list[SkinnedMesh]) -> SkinnedMesh:
 
 
 def edges_of(triangles: IntArray) -> tuple[IntArray, IntArray]:
-    """Undirected edges (E, 2), lower vertex first, and (T, 3) the edges ab, bc, ca of each triangle abc."""
+    """Return edges (E, 2), lower vertex first, and the edge indices (T, 3) of ab, bc, ca of each triangle."""
     directed = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     edges, index = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True)
     return edges, index.reshape(-1, 3)
 
 
 def is_closed(triangles: IntArray) -> bool:
-    """Whether every edge is shared by exactly two triangles that run along it in opposite directions."""
+    """Return whether every edge is shared by exactly two triangles with opposite directions."""
     directed = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     there = set(map(tuple, directed.tolist()))
     return len(there) == len(directed) and all((b, a) in there for a, b in there)
 
 
 def _adjacency(triangles: IntArray, count: int) -> FloatArray:
-    """(V, V) with ones between neighbours."""
+    """Return the adjacency matrix (V, V)."""
     matrix = np.zeros((count, count))
     edges, _ = edges_of(triangles)
     matrix[edges[:, 0], edges[:, 1]] = matrix[edges[:, 1], edges[:, 0]] = 1.0
@@ -108,12 +108,12 @@ def _adjacency(triangles: IntArray, count: int) -> FloatArray:
 
 
 def _loop_beta(valence: FloatArray) -> FloatArray:
-    """Loop's weight of a neighbour: 5/8 - (3/8 + cos(2 pi / n) / 4)^2, divided by n."""
+    """Return Loop's neighbour weight, (5/8 - (3/8 + cos(2 pi / n) / 4)^2) / n."""
     return (0.625 - (0.375 + 0.25 * np.cos(2.0 * np.pi / valence)) ** 2) / valence
 
 
 def loop_limit_matrix(triangles: IntArray, count: int) -> FloatArray:
-    """(V, V) matrix that takes the vertices of a closed mesh to their Loop limit positions.
+    """Return the matrix (V, V) from the vertices of a closed mesh to their Loop limit positions.
 
     v_limit = (1 - n w) v + w sum of neighbours, w = 1 / (3 / (8 beta) + n) (Loop 1987).
     """
@@ -125,7 +125,7 @@ def loop_limit_matrix(triangles: IntArray, count: int) -> FloatArray:
 
 
 def loop_subdivided(mesh: SkinnedMesh) -> SkinnedMesh:
-    """One step of Loop subdivision of a closed mesh; weights follow the same stencils."""
+    """Return a closed mesh after one step of Loop subdivision, which is also applied to the weights."""
     count = len(mesh.vertices)
     values = np.concatenate([mesh.vertices, mesh.weights], axis=1)
     neighbours = _adjacency(mesh.triangles, count)
@@ -133,7 +133,7 @@ def loop_subdivided(mesh: SkinnedMesh) -> SkinnedMesh:
     beta = _loop_beta(valence)
     even = (1.0 - valence * beta)[:, None] * values + beta[:, None] * (neighbours @ values)
     edges, of_triangle = edges_of(mesh.triangles)
-    # 3/8 of each end and 1/8 of each opposite corner; a triangle adds (its three corners) / 8
+    # Edge rule: 3/8 of each end, 1/8 of each opposite corner. Each triangle adds 1/8 of all its corners.
     odd = 0.25 * values[edges].sum(axis=1)
     np.add.at(odd, of_triangle.ravel(), np.repeat(0.125 * values[mesh.triangles].sum(axis=1), 3, axis=0))
     odd -= 0.125 * values[edges].sum(axis=1)
@@ -148,12 +148,12 @@ def loop_subdivided(mesh: SkinnedMesh) -> SkinnedMesh:
 
 @dataclass(frozen=True)
 class Smoothing:
-    """How a smooth surface follows from a closed mesh with any vertices and weights.
+    """Linear map from a closed mesh to a smooth surface, for any vertices and weights.
 
     Attributes:
-        through: (W, V) takes the mesh's vertices to those of the surface, which passes through them.
-        blend: (W, V) takes the mesh's weights to those of the surface: averages, so no share turns negative.
-        triangles: (T, 3) of the surface; its first V vertices are the mesh's.
+        through: (W, V) maps the vertices to those of the surface, which interpolates them.
+        blend: (W, V) maps the weights to those of the surface; averages, so weights stay non-negative.
+        triangles: (T, 3) of the surface; its first V vertices correspond to the mesh's.
     """
 
     through: FloatArray
@@ -164,7 +164,7 @@ class Smoothing:
 def smoothing(triangles: IntArray, steps: int) -> Smoothing:
     """Return ``steps`` of subdivision of a closed mesh with these triangles.
 
-    Loop's scheme shrinks; solving its limit equation first gives the control mesh whose limit
+    Loop's scheme shrinks the surface; inverting its limit map first gives the control mesh whose limit
     interpolates the given vertices.
     """
     count = int(triangles.max()) + 1
@@ -177,18 +177,18 @@ def smoothing(triangles: IntArray, steps: int) -> Smoothing:
 
 
 CANDIDATES = 32
-"""Triangles a point is held against: those with the nearest middles."""
+"""Number of triangles, by nearest centroid, that are tested per point."""
 
 
 def closest_points(points: FloatArray, corners: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Return the nearest triangle (P,) of each point, and where on it, as barycentric coordinates (P, 3).
+    """Return the nearest triangle (P,) of each point, and the barycentric coordinates (P, 3) on it.
 
-    The nearest of the ``CANDIDATES`` triangles whose middles are nearest: exact for points near a surface
-    of triangles that are not much longer than wide.
+    Only the ``CANDIDATES`` triangles with the nearest centroids are tested: exact for points near a surface
+    without elongated triangles.
 
     Args:
         points: (P, 3).
-        corners: (T, 3, 3) of the triangles.
+        corners: (T, 3, 3) corners of the triangles.
     """
     from scipy.spatial import KDTree
 
@@ -204,7 +204,7 @@ def closest_points(points: FloatArray, corners: FloatArray) -> tuple[IntArray, F
 
 
 def _within(points: FloatArray, corners: FloatArray) -> FloatArray:
-    """Barycentric coordinates (P, K, 3) of the points' projections on the planes of triangles (P, K, 3, 3).
+    """Return barycentric coordinates (P, K, 3) of projections on the planes of triangles (P, K, 3, 3).
 
     With sides a and b: s = ((p.a)(b.b) - (p.b)(a.b)) / |a x b|^2, t likewise.
     """
@@ -218,7 +218,7 @@ def _within(points: FloatArray, corners: FloatArray) -> FloatArray:
 
 
 def _on_edge(points: FloatArray, corners: FloatArray, first: int) -> FloatArray:
-    """The same of the nearest points on the edges from one corner to the next."""
+    """Return those of the nearest points on the edges from one corner to the next."""
     second = (first + 1) % 3
     start = corners[..., first, :]
     along = corners[..., second, :] - start

@@ -1,7 +1,7 @@
-"""How a reading of depth comes about where a surface is rendered: visible, occluded or an outlier.
+"""Pixel model of depth readings at a rendered surface: visible, occluded or outlier.
 
-The model of a pixel is that of Wüthrich et al. 2013 (dbot): Gaussian noise about the surface, an
-exponential density before it for what hides it, and a small uniform one for everything else.
+As in Wüthrich et al. 2013 (dbot): Gaussian noise about the surface, an exponential density in front of it
+for occluders, and a small uniform density for everything else.
 """
 
 from __future__ import annotations
@@ -13,46 +13,47 @@ import numpy as np
 from posetrack_cli.arrays import Float32Array, FloatArray
 
 LOGISTIC_OF_NORMAL = 1.702
-"""1 / (1 + exp(-1.702 t)) is the normal distribution function to .01 (Camilli 1994)."""
+"""1 / (1 + exp(-1.702 t)) approximates the normal distribution function to .01 (Camilli 1994)."""
 REACH_PX = 2
-"""How far beside itself a target pixel looks for what is drawn."""
+"""Radius in which a target pixel is matched with rendered surfaces next to it."""
 LOOKS_BESIDE = 2.0
 FAR_PX = 1e4
 
 
 @dataclass(frozen=True)
 class PixelMixture:
-    """The density of a reading y where the surface is at depth d, and its misfit.
+    """Density of a reading y for a surface at depth d, and its misfit.
 
         p(y | d) = v N(y; d, s(d)^2) + o l exp(-l y) [y <= d] / (1 - exp(-l d)) + u / range
 
-    with v = 1 - o - u. The misfit is rho(y, d) = log p(d | d) - log p(y | d): 0 for a perfect reading.
-    It grows like a square, bends at some 3 s and goes to ``unexplained(d)`` behind the surface and less
-    in front of it.
+    with v = 1 - o - u. The misfit is rho(y, d) = log p(d | d) - log p(y | d), which is 0 for a perfect
+    reading. It is quadratic near 0, flattens at about 3 s, and tends to ``unexplained(d)`` behind the
+    surface and to less in front of it.
 
-    A reading known to be of something else (the image's negative numbers) is there whether or not the
-    surface is behind it: y = min(surface, other things), so where it lies in front it says nothing about
-    the surface and costs nothing. Where it lies behind, one would look through the surface: an outlier, or
-    an outline that is off by the distance x to the nearest target pixel **[ours]**. With F the probability
-    that noise of s(d) has not exchanged the two, and b(x) the share that an outline leaves,
+    Readings known to belong to something else (negative in the image) exist independently of the surface: y
+    = min(surface, other objects). In front of the surface they have no information on it and cost nothing.
+    Behind it they contradict the surface, unless they are outliers or the outline is off by the distance x
+    to the nearest target pixel **[ours]**. With F the probability that noise of s(d) has not exchanged the
+    two, and b(x) the probability of an outline error,
 
         b(x) = (exp(-x^2 / (2 s_o^2)) + e) / (1 + e)      e = 1 / (exp(unexplained(d)) - 1)
         rho(-y, d, x) = -log(F((d - y) / s) + (1 - F) b(x))
 
-    A missing reading costs ``unread_weight`` times -log b(x): beside a hand most readings are missing. A
-    target pixel that nothing covers costs ``unexplained``. It, and one whose misfit is above
-    ``LOOKS_BESIDE``, may be explained by what is drawn up to ``REACH_PX`` beside it, x away, as if the
-    outline were off there: then v N(y; d, s^2) is times exp(-x^2 / (2 s_o^2)). So an outline, also one
-    finger's before another, counts as a square near the truth, as depth does, not as an edge.
+    A missing reading costs ``unread_weight`` times -log b(x), as most missing readings are near the hand's
+    outline. An uncovered target pixel costs ``unexplained``. Such pixels, and those with a misfit above
+    ``LOOKS_BESIDE``, may be explained by a surface rendered up to ``REACH_PX`` away, at distance x, as an
+    outline error: v N(y; d, s^2) is then multiplied by exp(-x^2 / (2 s_o^2)). The cost of outlines,
+    including that of one finger in front of another, is thus quadratic near the truth like that of depth,
+    instead of a step.
 
     Attributes:
         near_sd_mm, sd_mm_per_m2: s(d) = near_sd_mm + sd_mm_per_m2 d^2, d in metres.
-        occluded: o, the share of readings that are of unknown things in front.
-        half_life_mm: ln 2 / l, over which such things get half as frequent.
-        outlier: u, the share of readings that nothing explains.
-        range_mm: of the sensor, over which they are spread.
-        outline_sd_mm: s_o, of where the target's outline is seen against where it is drawn.
-        unread_weight: what a missing reading counts of one behind.
+        occluded: o, probability of an unknown occluder in front.
+        half_life_mm: ln 2 / l, distance over which the density of occluders halves.
+        outlier: u, probability of an outlier.
+        range_mm: sensor range, over which outliers are uniform.
+        outline_sd_mm: s_o, deviation between the observed and the rendered outline.
+        unread_weight: cost of a missing reading relative to one behind the surface.
     """
 
     near_sd_mm: float = 1.5
@@ -66,7 +67,7 @@ class PixelMixture:
 
     @property
     def uniforms(self) -> dict[str, float]:
-        """The numbers that ``tile_sums.comp`` computes misfits of, by name."""
+        """Parameters of the misfit in ``tile_sums.comp``, by name."""
         peak = np.sqrt(2.0 * np.pi) / (1.0 - self.occluded - self.outlier)
         rate = np.log(2.0) / self.half_life_mm
         return {
@@ -80,15 +81,15 @@ class PixelMixture:
         }
 
     def noise_sd(self, depth: FloatArray) -> FloatArray:
-        """s(d), mm, of depths, mm."""
+        """Return s(d), mm, for depths in mm."""
         return self.near_sd_mm + self.sd_mm_per_m2 * 1e-6 * depth * depth
 
     def unexplained(self, depth: FloatArray) -> FloatArray:
-        """The misfit of a reading far behind a surface at a depth, mm."""
+        """Return the misfit of a reading far behind a surface at a depth, mm."""
         return np.log1p(1.0 / (self.uniforms["outlier_per_sd"] * self.noise_sd(depth)))
 
     def misfit(self, depth: FloatArray, reading: FloatArray, off_mm: FloatArray | float = 0.0) -> FloatArray:
-        """rho of readings of the surface, > 0, where it is at a depth and drawn ``off_mm`` aside."""
+        """Return rho of target readings > 0 for a surface at a depth that is rendered ``off_mm`` away."""
         constants, sd = self.uniforms, self.noise_sd(depth)
         rate = constants["occluder_rate"]
         hidden = constants["occluded_per_sd"] * sd / -np.expm1(-rate * depth)
@@ -99,24 +100,24 @@ class PixelMixture:
         return np.log(best / (here + before + outlier))
 
     def beside(self, depth: FloatArray, off_mm: FloatArray) -> FloatArray:
-        """b of an outline that is off by ``off_mm``, at a depth, mm."""
+        """Return b for an outline error of ``off_mm`` at a depth, mm."""
         outlier = self.uniforms["outlier_per_sd"] * self.noise_sd(depth)
         return (np.exp(-0.5 * np.square(off_mm / self.outline_sd_mm)) + outlier) / (1.0 + outlier)
 
     def misfit_of_other(self, depth: FloatArray, reading: FloatArray, off_mm: FloatArray) -> FloatArray:
-        """rho of readings, > 0, mm, known to be of something else, ``off_mm`` beside the target."""
+        """Return rho of readings > 0, mm, of other objects, ``off_mm`` from the target."""
         t = LOGISTIC_OF_NORMAL * (depth - reading) / self.noise_sd(depth)
-        # the exponent is bounded: beyond, both shares are 0 or 1 in float32 too
+        # bounded exponent: beyond it, both shares are 0 or 1 even in float32
         front = 1.0 / (1.0 + np.exp(np.clip(-t, -80.0, 80.0)))
         return -np.log(front + (1.0 - front) * self.beside(depth, off_mm))
 
     def misfit_of_unread(self, depth: FloatArray, off_mm: FloatArray) -> FloatArray:
-        """rho where there is no reading, ``off_mm`` beside the target."""
+        """Return rho of missing readings, ``off_mm`` from the target."""
         return -self.unread_weight * np.log(self.beside(depth, off_mm))
 
 
 def outline_distances(observed: Float32Array) -> Float32Array:
-    """(h, w) distance of each pixel from the nearest target pixel (> 0), pixels; FAR where there is none."""
+    """Return the distance (h, w) of each pixel to the nearest target pixel, pixels; FAR_PX without any."""
     import cv2
 
     target = observed > 0
@@ -128,16 +129,16 @@ def outline_distances(observed: Float32Array) -> Float32Array:
 def misfits_in_numpy(
     depth: Float32Array, observed: Float32Array, model: PixelMixture, slope: float
 ) -> tuple[FloatArray, FloatArray]:
-    """The reference for the device's sums: misfits (N,) over the drawn pixels, and relief (N,).
+    """Return misfits (N,) over the rendered pixels, and relief (N,); reference for the devices' sums.
 
-    The relief is what target pixels that nothing covers cost less than ``unexplained`` because of what is
-    drawn beside them.
+    The relief is the cost reduction below ``unexplained`` of uncovered target pixels due to surfaces next
+    to them.
 
     Args:
-        depth: (N, h, w) rendered depth, mm, 0 where nothing is drawn.
-        observed: (h, w) depth of target pixels, mm; negative other reading; 0 no reading.
-        model: of a pixel.
-        slope: a pixel's width, mm, per mm of depth.
+        depth: (N, h, w) rendered depth, mm, 0 where empty.
+        observed: (h, w) depth of target pixels, mm; negative for other readings; 0 for none.
+        model: pixel model.
+        slope: width of a pixel, mm, per mm of depth.
     """
     d = depth.astype(np.float64)
     y = np.broadcast_to(observed.astype(np.float64), d.shape)
@@ -156,9 +157,9 @@ def misfits_in_numpy(
 def _misfits_with_neighbours(
     depth: FloatArray, reading: FloatArray, model: PixelMixture, slope: float
 ) -> FloatArray:
-    """(N, h, w) misfit of each target pixel with what fits best of what is drawn ``REACH_PX`` beside it.
+    """Return the misfit (N, h, w) of each target pixel with the best-fitting surface within ``REACH_PX``.
 
-    Best is where (y - d)^2 / s(y)^2 + x^2 / s_o^2 is least; infinite where nothing is drawn.
+    The best minimises (y - d)^2 / s(y)^2 + x^2 / s_o^2; infinite if there is no surface.
     """
     _, height, width = depth.shape
     reach = REACH_PX

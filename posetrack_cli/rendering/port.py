@@ -1,4 +1,4 @@
-"""What renderers offer: windows, sums over tiles."""
+"""Renderer interface: windows, sums over tiles, devices."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.rendering.mesh import SkinnedMesh
 from posetrack_cli.rendering.pixel_model import PixelMixture, misfits_in_numpy
 
-# The part of a camera's image that a tile shows, and how finely
+# Part of a camera's image shown by a tile, and its sampling
 
 
 @dataclass(frozen=True)
 class Window:
-    """A grid of image pixels, every ``step``-th in both directions, that one tile samples.
+    """Grid of image pixels sampled by one tile: every ``step``-th in both directions.
 
-    Tile pixel (i, j) shows image pixel (left + i step, top + j step): both are rays through pixel
-    centres, so nothing is blurred. The window may reach over the image's edge.
+    Tile pixel (i, j) shows image pixel (left + i step, top + j step). Both are rays through pixel centres,
+    so nothing is blurred. The window may extend beyond the image.
     """
 
     left: int
@@ -32,56 +32,55 @@ class Window:
 
     @classmethod
     def whole(cls, camera: Camera) -> Window:
-        """The whole image, every pixel."""
+        """Return the whole image, every pixel."""
         return cls(0, 0, 1, camera.width, camera.height)
 
     @classmethod
     def around(cls, pixel: FloatArray, size: int, step: int) -> Window:
-        """A square of size tile pixels centred on an image pixel (2,)."""
+        """Return a square of ``size`` tile pixels centred on an image pixel (2,)."""
         half = 0.5 * (size - 1) * step
         left, top = (round(float(p) - half) for p in pixel)
         return cls(left, top, step, size, size)
 
     @property
     def centre(self) -> FloatArray:
-        """The image pixel (2,) in the middle."""
+        """Image pixel (2,) at the centre."""
         half = 0.5 * self.step * np.array([self.width - 1, self.height - 1])
         return np.array([self.left, self.top]) + half
 
     def columns(self) -> IntArray:
-        """Image columns of the tile's columns, also those outside the image."""
+        """Return image columns of the tile's columns, including those outside the image."""
         return self.left + self.step * np.arange(self.width)
 
     def rows(self) -> IntArray:
-        """Image rows of the tile's rows, also those outside the image."""
+        """Return image rows of the tile's rows, including those outside the image."""
         return self.top + self.step * np.arange(self.height)
 
     def tile_projection(self, camera: Camera) -> tuple[float, float, float, float]:
-        """(a, b, c, d): a point falls on tile x = a X/Z + b, y = c Y/Z + d; pixel (0, 0) spans 0..1."""
+        """Return (a, b, c, d): tile x = a X/Z + b, y = c Y/Z + d; pixel (0, 0) spans 0..1."""
         a, c = camera.fx / self.step, camera.fy / self.step
         b = (camera.cx - self.left) / self.step + 0.5
         d = (camera.cy - self.top) / self.step + 0.5
         return a, b, c, d
 
 
-# What the device hands back per tile, and the same sums in numpy.
+# Sums per tile computed on the device, and their numpy reference.
 #
-# With r the pixels that a tile's rendering covers and o the target pixels of the observed image:
-# the sum over r and o of min(|d - y|, c_max); |r and o|; |r \ o| where there is another reading, and how
-# many of those readings are in front; |r \ o| where there is none; the sum of the readings' misfits; how many
-# pixels of r and o agree; the relief of o \ r. Every cost of the papers and of ours is made of these and of
-# |o|.
+# With r the rendered pixels of a tile and o the target pixels of the observed image:
+# the sum over r and o of min(|d - y|, c_max); |r and o|; |r \ o| with other readings, and how many of these
+# are in front; |r \ o| without a reading; the sum of misfits; the number of matching pixels in r and o; the
+# relief of o \ r. All costs, the papers' and ours, are functions of these and |o|.
 
 
 class Comparison(NamedTuple):
-    """What rendered depth is compared with, and how.
+    """Observed image, and parameters of the comparison with rendered depth.
 
     Attributes:
-        observed: (h, w) float32: depth of a target pixel, mm; negative where the reading is of something
-            else; 0 where there is none.
+        observed: (h, w) float32: depth of target pixels, mm; negative for readings of other objects; 0 for
+            none.
         clamp_mm: c_max of eq. (4).
-        model: of a pixel, for the misfits; without one they are 0.
-        match_mm: depths that differ by less agree; at 0 none do.
+        model: pixel model for the misfits; None for misfits of 0.
+        match_mm: depths that differ by less match; 0 disables matching.
     """
 
     observed: Float32Array
@@ -95,16 +94,16 @@ class TileSums:
     """Sums over the pixels of each of N tiles.
 
     Attributes:
-        error: (N,) sum of min(|d - y|, c_max) where both are, mm.
+        error: (N,) sum of min(|d - y|, c_max) over pixels rendered and observed, mm.
         both: (N,) number of pixels rendered and observed.
-        rendered_only: (N,) rendered, but the reading there is not of the target.
-        unread: (N,) rendered where the sensor has no reading.
-        misfit: (N,) sum of rho of a pixel model over the rendered pixels; 0 where no model is given.
-        occluded: (N,) those of ``rendered_only`` whose reading is in front of what is rendered.
-        matched: (N,) those of ``both`` with |d - y| below the distance asked for; 0 where none is.
-        relief: (N,) what the target pixels that nothing covers cost less because something beside them is
-            covered; 0 where no model is given.
-        observed: number of target pixels, the same for all tiles.
+        rendered_only: (N,) rendered, with a reading of another object.
+        unread: (N,) rendered, without a reading.
+        misfit: (N,) sum of the pixel model's rho over the rendered pixels; 0 without a model.
+        occluded: (N,) pixels of ``rendered_only`` with the reading in front of the rendered surface.
+        matched: (N,) pixels of ``both`` with |d - y| < ``match_mm``.
+        relief: (N,) cost reduction of uncovered target pixels due to surfaces next to them; 0 without a
+            model.
+        observed: number of target pixels, equal for all tiles.
     """
 
     error: FloatArray
@@ -119,18 +118,18 @@ class TileSums:
 
     @classmethod
     def from_rows(cls, rows: Float32Array | FloatArray, observed: float) -> TileSums:
-        """From the (N, 8) array that the device returns."""
+        """Return the sums from the device's (N, 8) array."""
         error, both, rendered_only, unread, misfit, occluded, matched, relief = rows.astype(np.float64).T
         return cls(error, both, rendered_only, unread, misfit, occluded, matched, relief, observed)
 
 
 def sums_in_numpy(depth: Float32Array, comparison: Comparison, slope: float = 0.0) -> TileSums:
-    """The reference for the device's sums.
+    """Return the sums in plain numpy, as reference for the devices.
 
     Args:
-        depth: (N, h, w) rendered depth, mm, 0 where nothing is drawn.
-        comparison: what it is compared with.
-        slope: a pixel's width, mm, per mm of depth, for the misfits.
+        depth: (N, h, w) rendered depth, mm, 0 where empty.
+        comparison: observation and comparison parameters.
+        slope: width of a pixel, mm, per mm of depth, for the misfits.
     """
     observed, clamp_mm, model, match_mm = comparison
     r = depth > 0
@@ -152,24 +151,23 @@ def sums_in_numpy(depth: Float32Array, comparison: Comparison, slope: float = 0.
     )
 
 
-# What draws, as all layers above see it.
+# Interface of renderers.
 #
-# A `RenderingDevice` makes renderers. `rendering.gl` is one; another needs a folder of its own and a line in
-# `rendering.devices`.
-
+# A ``RenderingDevice`` creates renderers. To add an implementation besides ``rendering.gl`` and
+# ``rendering.cpu``, select it in ``rendering.devices``.
 
 MOST_TILES = 512
-"""Tiles that a call asks a depth renderer for, unless said otherwise."""
+"""Default maximum number of tiles per call of a depth renderer."""
 
 
 @dataclass(frozen=True)
 class RendererInfo:
-    """What a device draws with, as results state it.
+    """Description of a device, for run records.
 
     Attributes:
-        renderer: the hardware's or the library's name.
-        vendor: who made it.
-        version: interface and version, ``OpenGL 4.5``, say.
+        renderer: name of the hardware or library.
+        vendor: its vendor.
+        version: interface and version, e.g. ``OpenGL 4.5``.
     """
 
     renderer: str
@@ -182,11 +180,11 @@ class RendererInfo:
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """What does not change about a textured surface.
+    """Constant part of a textured surface.
 
     Attributes:
-        triangles: (T, 3) vertex indices, counter-clockwise seen from outside; from inside nothing is drawn.
-        texcoords: (V, 2) place of each vertex in the texture, 0 to 1; (0, 0) is the first texel's corner.
+        triangles: (T, 3) vertex indices, counter-clockwise seen from outside; back faces are culled.
+        texcoords: (V, 2) texture coordinates, 0 to 1; (0, 0) is the corner of the first texel.
         texture: (height, width, 2) uint8, reflectance and gloss.
     """
 
@@ -197,13 +195,13 @@ class Surface:
 
 @dataclass(frozen=True, eq=False)
 class Lighting:
-    """Distant lights, and light from all sides.
+    """Directional lights and ambient light.
 
     Attributes:
         directions: (L, 3) unit vectors towards the lights, reference axes.
-        strengths: (L,) of the lights.
-        ambient: from all sides.
-        from_above: (3,) further ambient light a n of a surface with normal n.
+        strengths: (L,) strengths of the lights.
+        ambient: uniform ambient light.
+        from_above: (3,) a, additional ambient light a . n for surface normals n.
     """
 
     directions: FloatArray
@@ -213,7 +211,7 @@ class Lighting:
 
 
 class DepthRenderer(Protocol):
-    """Draws one skinned mesh in N poses, each into a tile of its own."""
+    """Renderer of one skinned mesh in N poses, each in its own tile."""
 
     @property
     def tile(self) -> tuple[int, int]:
@@ -221,15 +219,15 @@ class DepthRenderer(Protocol):
 
     @property
     def bones(self) -> int:
-        """How many bones a pose has."""
+        """Number of bones of a pose."""
 
     def depth(self, transforms: Float32Array, camera: Camera, window: Window) -> Float32Array:
-        """Return the depth z of N poses, mm, (N, height, width); 0 where nothing is drawn.
+        """Return the depth z of N poses, mm, (N, height, width); 0 where empty.
 
         Args:
             transforms: (N, B, 3, 4) camera_T_rest of every bone, mm.
-            camera: pinhole intrinsics; lens distortion is the caller's matter.
-            window: what the tiles show.
+            camera: pinhole intrinsics; lens distortion is ignored.
+            window: window shown by the tiles.
 
         Raises:
             RenderingError: transforms or window do not fit.
@@ -238,13 +236,13 @@ class DepthRenderer(Protocol):
     def sums(
         self, transforms: Float32Array, camera: Camera, window: Window, comparison: Comparison
     ) -> TileSums:
-        """Return the sums over the depth of N poses that ``sums_in_numpy`` defines.
+        """Return the sums over the depth of N poses, as defined by ``sums_in_numpy``.
 
         Args:
             transforms: (N, B, 3, 4) rigid camera_T_rest of every bone, mm.
             camera: pinhole intrinsics.
-            window: what the tiles and the observed image show.
-            comparison: the observed image, and how depth is compared with it.
+            window: window shown by the tiles and the observed image.
+            comparison: observed image and comparison parameters.
 
         Raises:
             RenderingError: transforms, window or observed image do not fit.
@@ -252,24 +250,24 @@ class DepthRenderer(Protocol):
 
 
 class SurfaceRenderer(Protocol):
-    """Draws textured, lit surfaces whose vertices move, as a grey camera sees them."""
+    """Renderer of textured, lit surfaces with moving vertices, seen by a grey camera."""
 
     def place(self, index: int, vertices: FloatArray, normals: FloatArray) -> None:
-        """Move a surface: vertices (V, 3) mm and normals (V, 3); a zero normal shows plain reflectance."""
+        """Move a surface: vertices (V, 3) mm and normals (V, 3); zero normals disable shading."""
 
     def image(self, camera: Camera, lighting: Lighting) -> Float32Array:
-        """Return what a camera sees, (height, width), reflectance times light; 0 where there is nothing."""
+        """Return the camera's image (height, width), reflectance times light; 0 where empty."""
 
     def release(self) -> None:
-        """Give the device's memory back."""
+        """Release the device memory."""
 
 
 class RenderingDevice(Protocol):
-    """Makes renderers, which are of use until it is closed."""
+    """Factory of renderers, which are valid until it is closed."""
 
     @property
     def info(self) -> RendererInfo:
-        """What it draws with."""
+        """Description of the device."""
 
     def depth_renderer(
         self, mesh: SkinnedMesh, tile: tuple[int, int], most: int = MOST_TILES
@@ -277,12 +275,12 @@ class RenderingDevice(Protocol):
         """Return a renderer of one mesh.
 
         Args:
-            mesh: the mesh that all poses share.
+            mesh: mesh shared by all poses.
             tile: (width, height) of a tile, pixels.
-            most: how many poses a call has at most, usually; more are allowed.
+            most: usual maximum number of poses per call; more are allowed.
 
         Raises:
-            RenderingError: the device cannot draw such tiles, or has too little memory.
+            RenderingError: the device cannot render such tiles, or has too little memory.
         """
 
     def surface_renderer(
@@ -291,17 +289,16 @@ class RenderingDevice(Protocol):
         """Return a renderer of grey images of (width, height) pixels.
 
         Args:
-            size: of the images.
-            surfaces: what is drawn; their vertices and normals are given in the axes of the recording's
-                reference camera.
-            lights: how many directions a ``Lighting`` has.
+            size: size of the images.
+            surfaces: surfaces to render; vertices and normals are in the recording's reference axes.
+            lights: number of lights in ``Lighting``.
 
         Raises:
-            RenderingError: the device cannot make what is needed.
+            RenderingError: the device cannot create the required objects.
         """
 
     def close(self) -> None:
-        """Release everything that it holds."""
+        """Release all resources."""
 
 
 def check_poses(renderer: DepthRenderer, transforms: Float32Array, window: Window) -> None:

@@ -1,7 +1,7 @@
-"""A small depth rasteriser for one skinned mesh in one pose; compiled.
+"""Compiled depth rasteriser for one skinned mesh in one pose.
 
-It draws what ``rendering.gl.device`` draws, without a device and with the triangle behind every pixel, which
-derivatives need.
+It is the counterpart of ``rendering.gl.device`` without a device, and also returns the triangle at every
+pixel, which is needed for derivatives.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ from posetrack_cli.compiled import inlined, kernel
 from posetrack_cli.rendering.mesh import SkinnedMesh
 
 NEAR_MM = 50.0
-NOTHING = -1  # the triangle of a pixel on which nothing is drawn
+NOTHING = -1  # triangle index of an empty pixel
 
 
 class RestMesh(NamedTuple):
-    """A skinned mesh as the kernels read it.
+    """Skinned mesh in the form used by the kernels.
 
     Attributes:
         vertices: (V, 3) at rest, mm.
-        bones: (V, k) bones of a vertex, heaviest first.
+        bones: (V, k) bones of each vertex, heaviest first.
         weights: (V, k).
         triangles: (T, 3).
     """
@@ -35,7 +35,7 @@ class RestMesh(NamedTuple):
 
 
 class View(NamedTuple):
-    """What a tile shows: a point falls on tile x = a X/Z + b, y = c Y/Z + d; pixel (0, 0) spans 0..1."""
+    """Projection to a tile: x = a X/Z + b, y = c Y/Z + d; pixel (0, 0) spans 0..1."""
 
     a: float
     b: float
@@ -44,14 +44,14 @@ class View(NamedTuple):
 
 
 class Drawing(NamedTuple):
-    """What ``draw`` writes.
+    """Output buffers of ``draw``.
 
     Attributes:
         vertices: (V, 3) posed, camera coordinates, mm.
         screen: (V, 3) tile x, y and 1 / z.
-        inverse: (h, w) 1 / z, 0 where nothing is drawn.
-        triangle: (h, w) the nearest triangle, or NOTHING.
-        normals: (T, 3) unit normals of the triangles, towards the camera; of those that face it.
+        inverse: (h, w) 1 / z, 0 where empty.
+        triangle: (h, w) nearest triangle, or NOTHING.
+        normals: (T, 3) unit normals of the triangles that face the camera, towards it.
         facing: (V,) whether a vertex belongs to a triangle that faces the camera.
     """
 
@@ -64,7 +64,7 @@ class Drawing(NamedTuple):
 
 
 def rest_mesh(mesh: SkinnedMesh) -> RestMesh:
-    """Return a mesh as the kernels read it."""
+    """Return a mesh in the form used by the kernels."""
     most = int((mesh.weights > 0).sum(axis=1).max())
     order = np.argsort(-mesh.weights, axis=1, kind="stable")[:, :most]
     return RestMesh(
@@ -76,7 +76,7 @@ def rest_mesh(mesh: SkinnedMesh) -> RestMesh:
 
 
 def empty_drawing(mesh: RestMesh, height: int, width: int) -> Drawing:
-    """Return a drawing to be filled in."""
+    """Return empty output buffers."""
     count = len(mesh.vertices)
     return Drawing(
         np.zeros((count, 3)),
@@ -90,7 +90,7 @@ def empty_drawing(mesh: RestMesh, height: int, width: int) -> Drawing:
 
 @kernel
 def _place(mesh: RestMesh, bones: FloatArray, view: View, out: Drawing) -> bool:
-    """Pose and project the vertices; False if one is too near to be drawn."""
+    """Pose and project the vertices; return False if one is too near."""
     vertices, indices, weights = mesh.vertices, mesh.bones, mesh.weights
     for v in range(len(vertices)):
         x, y, z = vertices[v, 0], vertices[v, 1], vertices[v, 2]
@@ -102,7 +102,7 @@ def _place(mesh: RestMesh, bones: FloatArray, view: View, out: Drawing) -> bool:
             px += w * (bones[b, 0, 0] * x + bones[b, 0, 1] * y + bones[b, 0, 2] * z + bones[b, 0, 3])
             py += w * (bones[b, 1, 0] * x + bones[b, 1, 1] * y + bones[b, 1, 2] * z + bones[b, 1, 3])
             pz += w * (bones[b, 2, 0] * x + bones[b, 2, 1] * y + bones[b, 2, 2] * z + bones[b, 2, 3])
-        if not pz >= NEAR_MM:  # nor where it is no number
+        if not pz >= NEAR_MM:  # also true for NaN
             return False
         out.vertices[v, 0], out.vertices[v, 1], out.vertices[v, 2] = px, py, pz
         inverse = 1.0 / pz
@@ -114,10 +114,10 @@ def _place(mesh: RestMesh, bones: FloatArray, view: View, out: Drawing) -> bool:
 
 @inlined
 def _fill(out: Drawing, t: int, a: int, b: int, c: int, area: float, with_faces: bool) -> None:
-    """Draw one triangle of vertices a, b, c that faces the camera; 1 / z is linear in the image.
+    """Rasterise one front-facing triangle a, b, c; 1 / z is linear in the image.
 
-    No pixel asks whether it is inside: of those around a small triangle every other one is, and a processor
-    that guesses wrong has done half the drawing for nothing. Greater and least numbers need no guess.
+    The inner loop is free of branches, since half of the pixels around a small triangle are outside and
+    mispredictions would dominate; min and max select instead.
     """
     height, width = out.inverse.shape
     screen, inverses, triangles = out.screen, out.inverse, out.triangle
@@ -141,7 +141,7 @@ def _fill(out: Drawing, t: int, a: int, b: int, c: int, area: float, with_faces:
             inverse = az + beta * uz + gamma * vz if inside >= 0.0 else 0.0
             before = inverses[j, i]
             inverses[j, i] = max(before, inverse)
-            if with_faces:  # they come in order
+            if with_faces:  # triangles come in index order, so max() keeps the latest
                 triangles[j, i] = max(triangles[j, i], t if inverse > before else NOTHING)
 
 
@@ -157,13 +157,13 @@ def _write_normal(out: Drawing, t: int, a: int, b: int, c: int) -> None:
 
 @kernel
 def draw(mesh: RestMesh, bones: FloatArray, view: View, out: Drawing) -> bool:
-    """Draw the mesh posed by bones (B, 3, 4); False, and nothing drawn, if it is too near the camera."""
+    """Render the mesh posed by bones (B, 3, 4); return False, with empty buffers, if it is too near."""
     return _draw(mesh, bones, view, True, out)
 
 
 @kernel
 def draw_depth(mesh: RestMesh, bones: FloatArray, view: View, out: Drawing) -> bool:
-    """The same without triangles, normals and what faces the camera, for what looks at depth alone."""
+    """Render like ``draw``, but without triangles, normals and facing vertices."""
     return _draw(mesh, bones, view, False, out)
 
 

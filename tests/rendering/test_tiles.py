@@ -225,5 +225,5 @@ def test_what_the_device_refuses_is_one_line(
         raise moderngl.Error("the framebuffer is not complete\n(UNSUPPORTED)")
 
     monkeypatch.setattr(TiledDepthRenderer, "_make_targets", refuse)
-    with pytest.raises(RenderingError, match=r"not complete \(UNSUPPORTED\); free memory"):
+    with pytest.raises(RenderingError, match=r"not complete \(UNSUPPORTED\); free GPU memory"):
         device.depth_renderer(sphere(10.0, 0), (SIZE, SIZE))

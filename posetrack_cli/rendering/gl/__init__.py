@@ -1,1 +1,1 @@
-"""The OpenGL implementation of the renderers: context, shaders, tiles, textured surfaces."""
+"""OpenGL renderers: context, shaders, tiles, textured surfaces."""

@@ -1,4 +1,4 @@
-"""Rendering with OpenGL."""
+"""Headless OpenGL rendering."""
 
 from __future__ import annotations
 
@@ -26,37 +26,36 @@ from posetrack_cli.rendering.port import (
     check_poses,
 )
 
-# The text of a shader, with the constants that the program which loads it sets
+# Shader sources
 
 
 def shader_source(name: str, defines: Mapping[str, int]) -> str:
-    """Return a file of ``shaders``, each define a line after its version line."""
+    """Return a file of ``shaders`` with the defines inserted after its version line."""
     source = resources.files(__package__).joinpath("shaders", name).read_text(encoding="utf-8")
     version, rest = source.split("\n", 1)
     return "\n".join([version, *(f"#define {key} {value}" for key, value in defines.items()), rest])
 
 
-# Draws textured, lit surfaces as a grey camera sees them; for synthetic recordings
-
+# Textured, lit surfaces seen by a grey camera, for synthetic recordings
 
 RANGE_MM = (50.0, 20000.0)
 SAMPLES = 4
-"""Samples a pixel at edges, where the device has that many; inside a surface the texture's filter does."""
+"""Samples per pixel for antialiased edges, if supported; surfaces use texture filtering."""
 SHININESS = 24.0
-FLOATS = 6  # of a vertex that change: position, normal
+FLOATS = 6  # per-frame floats of a vertex: position, normal
 
 
 class TexturedRenderer:
-    """Grey images of a fixed set of surfaces whose vertices move (``rendering.port.SurfaceRenderer``).
+    """Grey images of surfaces with moving vertices (``rendering.port.SurfaceRenderer``).
 
     Args:
-        context: of moderngl.
+        context: moderngl context.
         size: (width, height) of the images, pixels.
-        surfaces: what is drawn.
-        lights: L, the number of lights.
+        surfaces: surfaces to render.
+        lights: L, number of lights.
 
     Raises:
-        RenderingError: the device cannot make what is needed.
+        RenderingError: the device cannot create the required objects.
     """
 
     def __init__(self, context: Any, size: tuple[int, int], surfaces: list[Surface], lights: int) -> None:
@@ -68,16 +67,16 @@ class TexturedRenderer:
             self._surfaces = [_Drawn(context, self._program, surface) for surface in surfaces]
         except moderngl.Error as error:
             found = " ".join(str(error).split())
-            raise RenderingError("OpenGL refuses what is drawn with", found=found) from error
+            raise RenderingError("OpenGL resources cannot be created", found=found) from error
         self._program["image_size"], self._program["range_mm"] = size, RANGE_MM
         self._program["shininess"] = SHININESS
 
     def place(self, index: int, vertices: FloatArray, normals: FloatArray) -> None:
-        """Move a surface: vertices (V, 3) mm and normals (V, 3); a zero normal shows plain reflectance."""
+        """Move a surface: vertices (V, 3) mm and normals (V, 3); zero normals disable shading."""
         self._surfaces[index].place(vertices, normals)
 
     def image(self, camera: Camera, lighting: Lighting) -> Float32Array:
-        """Return what a camera sees, (height, width), reflectance times light; 0 where there is nothing."""
+        """Return the camera's image (height, width), reflectance times light; 0 where empty."""
         transform = np.array(camera.camera_T_reference)
         program = self._program
         program["camera_T_reference"] = tuple(transform.T.ravel().tolist())
@@ -94,7 +93,7 @@ class TexturedRenderer:
     def _draw(self) -> None:
         self._target.use()
         self._context.viewport = (0, 0, *self._size)
-        self._context.front_face = "cw"  # rows of the image run upwards in OpenGL
+        self._context.front_face = "cw"  # image rows run upwards in OpenGL, which flips the winding
         self._context.enable_only(moderngl.CULL_FACE | moderngl.DEPTH_TEST)
         self._target.clear()
         for surface in self._surfaces:
@@ -102,7 +101,7 @@ class TexturedRenderer:
         self._context.copy_framebuffer(self._resolved, self._target)
 
     def release(self) -> None:
-        """Give the device's memory back."""
+        """Release the device memory."""
         for surface in self._surfaces:
             surface.release()
         for made in (self._target, self._resolved, self._program):
@@ -110,7 +109,7 @@ class TexturedRenderer:
 
 
 class _Drawn:
-    """A surface on the device."""
+    """Surface on the device."""
 
     def __init__(self, context: Any, program: Any, surface: Surface) -> None:
         height, width = surface.texture.shape[:2]
@@ -149,17 +148,17 @@ def _framebuffer(context: Any, size: tuple[int, int], samples: int) -> Any:
     return context.framebuffer([colour], context.depth_renderbuffer(size, samples=samples))
 
 
-# Draws one skinned mesh in many poses at once, each into a tile of one depth texture
+# Depth of one skinned mesh in many poses at once, each in a tile of one depth texture
 
 
 class BoneSpheres:
-    """A sphere around what each bone moves.
+    """Bounding spheres of the vertices moved by each bone.
 
-    A skinned vertex is a convex combination of where its bones take it, so a posed mesh lies in the
-    convex hull of the posed spheres, and its image in the box around their images.
+    A skinned vertex is a convex combination of its bones' transforms of it, so a posed mesh lies in the
+    convex hull of the posed spheres, and its image in the bounding box of their images.
 
     Args:
-        mesh: the mesh; bones that move nothing have no sphere.
+        mesh: the mesh; bones without vertices have no sphere.
     """
 
     def __init__(self, mesh: SkinnedMesh) -> None:
@@ -181,13 +180,13 @@ class BoneSpheres:
         tile: tuple[int, int],
         near_mm: float,
     ) -> np.ndarray[tuple[int, int], np.dtype[np.int32]]:
-        """Boxes (N, 4): first column and row, then one past the last, of pixels that may be covered.
+        """Return boxes (N, 4) of possibly covered pixels: first column and row, then one past the last.
 
         Args:
             transforms: (N, B, 3, 4) rigid camera_T_rest, mm.
-            projection: of ``Window.tile_projection``.
+            projection: result of ``Window.tile_projection``.
             tile: (width, height), pixels.
-            near_mm: what is nearer is not drawn.
+            near_mm: near clipping distance.
         """
         centres = np.einsum("nbij,bj->inb", transforms[:, self._bones], self._centres)
         scale_x, shift_x, scale_y, shift_y = projection
@@ -198,10 +197,10 @@ class BoneSpheres:
     def _extent(
         self, x: Float32Array, z: Float32Array, near_mm: float, scale: float, shift: float, size: int
     ) -> tuple[Float32Array, Float32Array]:
-        """First and one past the last pixel along one axis, (N,) each.
+        """Return the first and one past the last pixel along one axis, (N,) each.
 
-        Of a sphere, x / z lies between (x - r) / z' and (x + r) / z', z' its nearest or farthest depth,
-        whichever is the more extreme; the part nearer than near_mm is not drawn.
+        Within a sphere, x / z is between (x - r) / z' and (x + r) / z', with z' the nearest or farthest
+        depth, whichever is more extreme. The part nearer than near_mm is not rendered.
         """
         nearest, farthest = np.maximum(z - self._radii, near_mm), np.maximum(z + self._radii, near_mm)
         low, high = x - self._radii, x + self._radii
@@ -214,28 +213,28 @@ class BoneSpheres:
 
 
 NEAR_MM = 50.0
-# An atlas of this many pixels (32 MiB) keeps a pass long enough to fill a GPU and small enough for any.
+# 32 MiB: large enough to keep a GPU busy, small enough for any device.
 ATLAS_PIXELS = 512 * 128 * 128
-LESS_HINT = "free memory of the GPU, or choose another with --device; posetrack doctor tells which there are"
-ROW_FLOATS = 8  # two vec4 a tile, see TileSums.from_rows
-LANES = 64  # work items that share a tile: 32 to 128 are alike on llvmpipe
+LESS_HINT = "free GPU memory, or choose another device with --device (posetrack doctor lists them)"
+ROW_FLOATS = 8  # two vec4 per tile, see TileSums.from_rows
+LANES = 64  # work items per tile; 32 to 128 are equally fast on llvmpipe
 _GL_CLIP_DISTANCE0 = 0x3000
 
 
 class TiledDepthRenderer:
-    """Depth images, or sums over them, of one mesh in N poses (``rendering.port.DepthRenderer``).
+    """Depth images of one mesh in N poses, or sums over them (``rendering.port.DepthRenderer``).
 
-    One instanced draw renders up to ``capacity`` tiles; more are drawn in several passes. The sums are
-    reduced on the device: ROW_FLOATS numbers a tile come back, no image.
+    One instanced draw call renders up to ``capacity`` tiles; more tiles need several passes. Sums are
+    reduced on the device, so that only ROW_FLOATS numbers per tile are read back.
 
     Args:
-        context: of moderngl.
-        mesh: the mesh that all poses share.
+        context: moderngl context.
+        mesh: mesh shared by all poses.
         tile: (width, height) of a tile, pixels.
-        most: how many tiles a call asks for at most; sizes the atlas.
+        most: usual maximum number of poses per call; determines the atlas size.
 
     Raises:
-        RenderingError: the device has too little memory, or cannot make the textures and programs.
+        RenderingError: the device has too little memory, or cannot create the textures and programs.
     """
 
     def __init__(self, context: Any, mesh: SkinnedMesh, tile: tuple[int, int], most: int) -> None:
@@ -250,12 +249,12 @@ class TiledDepthRenderer:
             self._make_programs(mesh)
         except moderngl.Error as error:
             found = " ".join(str(error).split())
-            raise RenderingError("OpenGL refuses what is drawn with", found=found, hint=LESS_HINT) from error
+            raise RenderingError("OpenGL resources cannot be created", found=found, hint=LESS_HINT) from error
 
     def _make_targets(self) -> None:
         (width, height), (columns, rows) = self.tile, self.grid
         self._atlas = self.context.depth_texture((width * columns, height * rows))
-        self._atlas.compare_func = ""  # read values, do not compare them
+        self._atlas.compare_func = ""  # sample depth values instead of comparison results
         self._atlas.filter = (self.context.NEAREST, self.context.NEAREST)
         self._framebuffer = self.context.framebuffer([], self._atlas)
         self._observed = self.context.texture((width, height), 2, dtype="f4")
@@ -282,14 +281,14 @@ class TiledDepthRenderer:
         self._draw["near_mm"] = NEAR_MM
 
     def _reducer(self, mixture: bool) -> Any:
-        """The program that sums over tiles, with or without the misfits of a pixel's model."""
+        """Return the program that sums over tiles, with or without a pixel model's misfits."""
         names = {"LANES": LANES, "MIXTURE": int(mixture)}
         program = self.context.compute_shader(shader_source("tile_sums.comp", names))
         program["tile_size"], program["columns"], program["near_mm"] = self.tile, self.grid[0], NEAR_MM
         return program
 
     def depth(self, transforms: Float32Array, camera: Camera, window: Window) -> Float32Array:
-        """Render and read back."""
+        """Render and read back depth."""
         check_poses(self, transforms, window)
         parts = []
         for part in self._passes(transforms, camera, window):
@@ -305,7 +304,7 @@ class TiledDepthRenderer:
         """Render and reduce on the device."""
         observed, clamp_mm, model, match_mm = comparison
         check_observed(observed, window)
-        check_poses(self, transforms, window)  # before anything is written to the device
+        check_poses(self, transforms, window)  # before writing to the device
         self._readings[..., 0] = observed
         if model is not None:
             self._readings[..., 1] = outline_distances(observed)
@@ -324,18 +323,18 @@ class TiledDepthRenderer:
         return TileSums.from_rows(rows, float(np.count_nonzero(observed > 0)))
 
     def _reduced(self, program: Any, count: int) -> Float32Array:
-        """The sums (count, ROW_FLOATS) of the tiles that are drawn."""
+        """Return the sums (count, ROW_FLOATS) of the rendered tiles."""
         self._atlas.use(0)
         self._observed.use(1)
         self._sums.bind_to_storage_buffer(1)
         self._boxes.bind_to_storage_buffer(3)
         program.run(count)
-        self.context.memory_barrier()  # only then is a read promised what a shader wrote
+        self.context.memory_barrier()  # makes shader writes visible to the read
         self._sums.read_into(self._rows, size=count * 4 * ROW_FLOATS)
         return self._rows[:count]
 
     def _passes(self, transforms: Float32Array, camera: Camera, window: Window) -> Any:
-        """Draw the tiles, as many a time as the atlas holds; yield each part once it is drawn."""
+        """Render the tiles in passes of up to ``capacity``; yield each part after rendering."""
         self._draw["to_tile"] = window.tile_projection(camera)
         for first in range(0, len(transforms), self.capacity):
             part = transforms[first : first + self.capacity]
@@ -347,7 +346,7 @@ class TiledDepthRenderer:
         gl = self.context
         gl.enable_only(gl.DEPTH_TEST | gl.CULL_FACE)
         gl.depth_func = ">"
-        # image rows run downwards and texture rows upwards, so what faces the camera winds clockwise
+        # Image rows run downwards and texture rows upwards, so front faces wind clockwise.
         gl.front_face, gl.cull_face = "cw", "back"
         for k in range(4):
             gl.enable_direct(_GL_CLIP_DISTANCE0 + k)
@@ -364,7 +363,7 @@ class TiledDepthRenderer:
 
 
 def _grid(context: Any, tile: tuple[int, int], most: int) -> tuple[int, int]:
-    """Columns and rows of tiles: as many as asked for, within the budget and what a texture may have."""
+    """Return columns and rows of tiles: as many as requested, within memory budget and texture limits."""
     width, height = tile
     largest = min(context.info["GL_MAX_TEXTURE_SIZE"], 16384)
     if max(width, height) > largest:
@@ -378,15 +377,14 @@ def _grid(context: Any, tile: tuple[int, int], most: int) -> tuple[int, int]:
 
 
 def _influences(mesh: SkinnedMesh) -> Float32Array:
-    """Each vertex's bones and weights, heaviest first: (V, k, 2), k the most that any vertex has."""
+    """Return each vertex's bones and weights, heaviest first, (V, k, 2), k the maximum number of bones."""
     most = int((mesh.weights > 0).sum(axis=1).max())
     order = np.argsort(-mesh.weights, axis=1, kind="stable")[:, :most]
     weights = np.take_along_axis(mesh.weights, order, axis=1)
     return np.stack([order, weights], axis=-1).astype(np.float32)
 
 
-# The headless OpenGL device
-
+# Headless OpenGL device
 
 REQUIRED_GL = 430
 INSTALL_HINT = (
@@ -396,13 +394,13 @@ INSTALL_HINT = (
 
 
 class GlDevice:
-    """A standalone moderngl context over EGL, OpenGL 4.3 or later (``rendering.port.RenderingDevice``).
+    """Standalone moderngl context over EGL, OpenGL 4.3 or later (``rendering.port.RenderingDevice``).
 
     Args:
-        index: of the EGL device, None for the driver's default.
+        index: index of the EGL device; None for the driver's default.
 
     Raises:
-        RenderingError: no EGL, no such device, or an OpenGL older than 4.3.
+        RenderingError: no EGL, no such device, or OpenGL older than 4.3.
     """
 
     def __init__(self, index: int | None = None) -> None:
@@ -410,20 +408,20 @@ class GlDevice:
 
     @property
     def info(self) -> RendererInfo:
-        """The driver's names."""
+        """Names reported by the driver."""
         names = self.context.info
         return RendererInfo(names["GL_RENDERER"], names["GL_VENDOR"], f"OpenGL {names['GL_VERSION']}")
 
     def depth_renderer(
         self, mesh: SkinnedMesh, tile: tuple[int, int], most: int = MOST_TILES
     ) -> TiledDepthRenderer:
-        """Return what draws a mesh in up to ``most`` poses at once, in tiles of (width, height) pixels."""
+        """Return a renderer of a mesh in up to ``most`` poses at once, in tiles of (width, height) pixels."""
         return TiledDepthRenderer(self.context, mesh, tile, most)
 
     def surface_renderer(
         self, size: tuple[int, int], surfaces: list[Surface], lights: int
     ) -> TexturedRenderer:
-        """Return what draws lit surfaces in images of (width, height) pixels."""
+        """Return a renderer of lit surfaces in images of (width, height) pixels."""
         return TexturedRenderer(self.context, size, surfaces, lights)
 
     def close(self) -> None:

@@ -1,6 +1,6 @@
 #version 430
 // Skins one vertex of one instance and projects it into that instance's tile of the atlas.
-// INFLUENCES (most bones a vertex has) and BONES are defined by the program that loads this file.
+// INFLUENCES (maximum bones per vertex) and BONES are defined by the program that loads this file.
 
 layout(std430, binding = 0) readonly buffer Transforms { vec4 row[]; };  // per instance and bone: 3 rows
 
@@ -22,11 +22,11 @@ void main() {
         int at = first + int(bone.x) * 3;
         p += bone.y * vec3(dot(row[at], r), dot(row[at + 1], r), dot(row[at + 2], r));
     }
-    // tile coordinates times z: clip space is homogeneous, so nothing is divided here
+    // tile coordinates times z: clip space is homogeneous, so no division is needed
     vec2 t = to_tile.xz * p.xy + to_tile.yw * p.z;
     vec2 corner = vec2(gl_InstanceID % grid.x, gl_InstanceID / grid.x) * tile_size;
     vec2 ndc = 2.0 * (t + corner * p.z) / (tile_size * vec2(grid)) - p.z;
-    // depth value near / z: linear on the screen, so it is interpolated exactly; 0 is infinitely far
+    // depth value near / z: linear in screen space, hence interpolated exactly; 0 is at infinity
     gl_Position = vec4(ndc, 2.0 * near_mm - p.z, p.z);
     gl_ClipDistance[0] = t.x;
     gl_ClipDistance[1] = tile_size.x * p.z - t.x;

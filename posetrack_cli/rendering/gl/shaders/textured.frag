@@ -1,5 +1,5 @@
 #version 430
-// Lambert's diffuse and Blinn's specular reflection of LIGHTS distant lights, and light from all sides.
+// Lambertian diffuse and Blinn specular reflection of LIGHTS directional lights, and ambient light.
 
 in vec3 at;
 in vec3 facing;
@@ -8,7 +8,7 @@ in vec2 texel;
 uniform sampler2D surface;      // red: reflectance, green: gloss
 uniform vec3 eye;               // the camera's centre, mm, reference axes
 uniform vec4 light[LIGHTS];     // xyz: unit direction towards the light; w: strength
-uniform vec4 ambient;           // light from all sides: w + dot(xyz, normal)
+uniform vec4 ambient;           // ambient light: w + dot(xyz, normal)
 uniform float shininess;
 
 out float grey;

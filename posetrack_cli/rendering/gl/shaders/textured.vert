@@ -8,7 +8,7 @@ in vec2 texcoord;
 uniform mat4x3 camera_T_reference;  // columns: rotation, then translation, mm
 uniform vec4 to_image;    // x: u + 0.5 = to_image.x * x / z + to_image.y, likewise v with .z and .w
 uniform vec2 image_size;  // pixels
-uniform vec2 range_mm;    // nearest and farthest depth that is drawn
+uniform vec2 range_mm;    // near and far clipping depth
 
 out vec3 at;
 out vec3 facing;

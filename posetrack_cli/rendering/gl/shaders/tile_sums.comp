@@ -1,24 +1,24 @@
 #version 430
-// One work group a tile: sums over its pixels of what a cost needs (see sums.py).
-// LANES and MIXTURE (whether misfits are asked for) are defined by the program that loads this file.
+// Sums over the pixels of a tile, one work group per tile; see TileSums in rendering/port.py.
+// LANES and MIXTURE (whether to compute misfits) are defined by the program that loads this file.
 
 layout(local_size_x = LANES) in;
 
-layout(binding = 0) uniform sampler2D atlas;      // near / z, 0 where nothing is drawn
+layout(binding = 0) uniform sampler2D atlas;      // near / z, 0 where empty
 // x: z of a target pixel, < 0 other reading, 0 no reading; y: distance to the nearest target pixel, pixels
 layout(binding = 1) uniform sampler2D observed;
-layout(std430, binding = 1) writeonly buffer Sums { vec4 sums[]; };  // two a tile
+layout(std430, binding = 1) writeonly buffer Sums { vec4 sums[]; };  // two per tile
 
-layout(std430, binding = 3) readonly buffer Boxes { ivec4 boxes[]; };  // what a tile's mesh can cover
+layout(std430, binding = 3) readonly buffer Boxes { ivec4 boxes[]; };  // possibly covered pixels of a tile
 
 uniform ivec2 tile_size;
-uniform int columns;  // of tiles in the atlas
+uniform int columns;  // tile columns of the atlas
 uniform float near_mm;
 uniform float clamp_mm;
-uniform float match_mm;  // depths that differ by less agree
+uniform float match_mm;  // depths that differ by less match
 
-#if MIXTURE  // compiled only where asked for: on a CPU even a branch not taken costs
-// the pixel's model (pixel_model.py)
+#if MIXTURE  // compile-time switch: in software OpenGL even an untaken branch costs time
+// pixel model (pixel_model.py)
 uniform float near_sd;
 uniform float sd_growth;
 uniform float occluder_rate;
@@ -26,15 +26,15 @@ uniform float occluded_per_sd;
 uniform float outlier_per_sd;
 uniform float outline_sd;
 uniform float unread_weight;
-uniform float slope;  // of rays through neighbouring pixels: a pixel's width, mm, per mm of depth
+uniform float slope;  // width of a pixel, mm, per mm of depth
 
-const float LOOKS_BESIDE = 2.0;  // a misfit that an outline a little off may explain better
+const float LOOKS_BESIDE = 2.0;  // misfit above which an outline error is considered
 const ivec2 NEAR[12] = ivec2[](
     ivec2(-1, 0), ivec2(1, 0), ivec2(0, -1), ivec2(0, 1),
     ivec2(-1, -1), ivec2(1, -1), ivec2(-1, 1), ivec2(1, 1),
     ivec2(-2, 0), ivec2(2, 0), ivec2(0, -2), ivec2(0, 2));
 
-// log of the density's share that an outline off by so many mm leaves, besides outliers
+// probability b(x) of an outline error of off mm, including outliers
 float beside(float off, float outlier) {
     float t = off / outline_sd;
     return (exp(-0.5 * t * t) + outlier) / (1.0 + outlier);
@@ -63,7 +63,7 @@ float misfit(float d, float y, float off) {
     return log((1.0 + hidden * far_end + outlier) / (exp(-0.5 * (t * t + s * s)) + before + outlier));
 }
 
-// misfit of a target pixel with what fits best of what is drawn beside it
+// misfit of a target pixel with the best-fitting surface next to it
 float misfit_with_neighbours(float y, ivec2 at, ivec2 corner) {
     float per_sd2 = 1.0 / pow2(near_sd + sd_growth * y * y);
     float per_outline2 = pow2(slope * y / outline_sd);
@@ -95,14 +95,14 @@ void main() {
     ivec2 corner = ivec2(tile % columns, tile / columns) * tile_size;
     ivec4 box = boxes[tile];
 #if MIXTURE
-    if (box.z > box.x) {  // pixels beside what is covered count, too
+    if (box.z > box.x) {  // uncovered pixels next to the surface contribute relief
         box = ivec4(max(box.xy - 2, ivec2(0)), min(box.zw + 2, tile_size));
     }
 #endif
     int width = max(box.z - box.x, 0);
     int pixels = width * max(box.w - box.y, 0);
     vec4 sum = vec4(0.0);
-    vec4 more = vec4(0.0);  // sum of misfits, how many pixels are hidden, how many agree, nearly met
+    vec4 more = vec4(0.0);  // misfit, occluded, matched, relief
     for (int i = lane; i < pixels; i += LANES) {
         ivec2 at = box.xy + ivec2(i % width, i / width);
         float inverse = texelFetch(atlas, corner + at, 0).x;
