@@ -1,13 +1,13 @@
-"""A hand's track as BVH, the animation format that Blender and motion editors read.
+"""Export of a hand track to BVH, the animation format of Blender and motion editors.
 
-BVH (Biovision's hierarchy; Meredith and Maddock, "Motion capture file formats explained", 2001) states a
+BVH (Biovision hierarchy; Meredith and Maddock, "Motion capture file formats explained", 2001) stores a
 skeleton by the offset of each joint from its parent, then for every frame the rotation R of each joint in the
-axes of its parent: ``p = p_parent + G_parent offset``, ``G = G_parent R``. It knows no units, no axes, no
-times but a fixed step, and not that a track may be lost. What is written:
+axes of its parent: ``p = p_parent + G_parent offset``, ``G = G_parent R``. It has no units, axes, lost frames
+or times other than a fixed step. We write:
 
-- metres, Blender's unit, and axes with y up, as its importer expects: camera axes after half a turn about x;
-- a skeleton at rest, all angles 0: a flat hand, fingers up, palm to the viewer;
-- frames of a fixed rate (``results.export.table``). One without an estimate lies between its neighbours.
+- metres, Blender's unit, with y up as its importer expects: camera axes after half a turn about x;
+- a rest skeleton with all angles 0: a flat hand, fingers up, palm to the viewer;
+- frames of a fixed rate (``results.export.table``), interpolated where there is no estimate.
 """
 
 from __future__ import annotations
@@ -38,29 +38,29 @@ from posetrack_cli.units import METRES_PER_MM
 
 SUBJECT = "hand"
 FIELDS = ("stamp_ns", "position", "quaternion", "shape", "points")
-"""Those that are needed, with the inner numbers of a result that has them."""
+"""Required columns; inner numbers are added if the result has them."""
 Y_UP: FloatArray = np.array([1.0, -1.0, -1.0])
 """Half a turn about x, from camera axes to y up, z towards the viewer."""
 SAME_HAND_MM = 0.01
-"""Joints of the track and of the skeleton may differ by rounding, far below any difference of two hands."""
+"""Tolerance of joints between track and skeleton: rounding, far below the difference of two hands."""
 
 _WRIST_ORDER = ("Y", "X", "Z")
 _FINGER_ORDER = ("X", "Y", "Z")
-"""Outermost first. A finger bends about x and hardly twists about y, so it stays away from the middle angle's
-quarter turn, beyond which three angles jump."""
+"""Outermost first. A finger bends about x and hardly twists about y, which keeps the middle angle away from
+90 degrees, where Euler angles jump."""
 _FRAMES_AT_ONCE = 1000
 
 
 def bvh_text(source: ExportSource, anatomy: HandAnatomy) -> tuple[FixedRate, Iterator[str]]:
-    """Return the frames of a hand's track, and its BVH, piece by piece.
+    """Return the frames of a hand track, and its BVH in pieces.
 
     Args:
-        source: a hand's track.
-        anatomy: of the hand that was tracked.
+        source: a hand track.
+        anatomy: of the tracked hand.
 
     Raises:
-        UsageError: as of ``check_hand``.
-        ResultError: it is of another hand; or as of ``results.export.table``.
+        UsageError: see ``check_hand``.
+        ResultError: the track is of another hand, or see ``results.export.table``.
     """
     check_hand(source)
     where = f"{source.result.path}, {source.topic}"
@@ -70,21 +70,21 @@ def bvh_text(source: ExportSource, anatomy: HandAnatomy) -> tuple[FixedRate, Ite
     poses = _poses(columns)
     thumbs = thumbs_of(columns.get(NUMBERS), len(poses))
     off = np.abs(joint_positions(anatomy, poses, thumbs) - columns["points"]).max(initial=0.0)
-    if not off <= SAME_HAND_MM:
+    if not off <= SAME_HAND_MM:  # also refuses NaN
         expected = "the joints of the hand that the run tracked"
         raise ResultError(
-            "is of another hand", where=where, found=f"joints {off:.3g} mm off", expected=expected
+            "track is of another hand", where=where, found=f"joints off by {off:.3g} mm", expected=expected
         )
     poses = _filled(poses, rate)
     return rate, _pieces(anatomy, rate, poses, _interpolated(thumbs, rate))
 
 
 def check_hand(source: ExportSource) -> None:
-    """Raise UsageError unless a track is of a hand with our joints and angles."""
+    """Raise UsageError unless a track has our hand's joints and angles."""
     subject = source.result.subject
     if (subject.name, subject.point_names, subject.shape_names) != (SUBJECT, JOINT_NAMES, ANGLE_NAMES):
-        what = f"BVH is of hands of posetrack hand run, and this is of a {subject.name}"
-        raise UsageError(what, where=source.result.path, hint="tum states a pose, c3d points")
+        what = f"BVH requires a result of posetrack hand run, not of a {subject.name}"
+        raise UsageError(what, where=source.result.path, hint="use --format tum for poses, c3d for points")
 
 
 def _poses(columns: Columns) -> FloatArray:
@@ -96,7 +96,7 @@ def _poses(columns: Columns) -> FloatArray:
 
 
 def _filled(poses: FloatArray, rate: FixedRate) -> FloatArray:
-    """The pose of each frame; of one without an estimate what lies between those of its neighbours."""
+    """Return the pose of each frame, interpolated without an estimate."""
     known, frames = np.flatnonzero(rate.known), np.arange(len(rate.rows))
     stated = poses[rate.rows[known]]
     if len(known) == len(frames):
@@ -107,7 +107,7 @@ def _filled(poses: FloatArray, rate: FixedRate) -> FloatArray:
 
 
 def _interpolated(numbers: FloatArray, rate: FixedRate) -> FloatArray:
-    """Numbers (N, K) of estimates at each frame (F, K); without an estimate between the neighbours'."""
+    """Return estimates' numbers (N, K) at each frame (F, K), interpolated without an estimate."""
     known, frames = np.flatnonzero(rate.known), np.arange(len(rate.rows))
     return np.stack([np.interp(frames, known, column) for column in numbers[rate.rows[known]].T], axis=1)
 
@@ -121,12 +121,12 @@ def _pieces(anatomy: HandAnatomy, rate: FixedRate, poses: FloatArray, thumbs: Fl
 
 
 def _numbers(values: FloatArray) -> str:
-    """Micrometres and millionths of a degree; no minus before 0."""
+    """Format values to 1e-6 (micrometres, microdegrees), without minus zero."""
     return " ".join(f"{value:.6f}" for value in (values.round(6) + 0.0).tolist())
 
 
 def _offsets(anatomy: HandAnatomy) -> FloatArray:
-    """Each joint (21, 3) seen from its parent at rest, in metres, y up."""
+    """Return the offset of each joint (21, 3) from its parent at rest, in metres, y up."""
     rest = np.zeros((1, POSE_SIZE))
     rest[0, 6] = 1.0
     joints = joint_positions(anatomy, rest)[0]
@@ -136,7 +136,7 @@ def _offsets(anatomy: HandAnatomy) -> FloatArray:
 
 
 def _joint(offsets: FloatArray, joint: int, indent: str) -> Iterator[str]:
-    """Yield the lines of a joint and of all beyond it; a fingertip is an end without a name."""
+    """Yield the lines of a joint and its descendants; a fingertip is an unnamed end site."""
     children = [child for child, parent in enumerate(JOINT_PARENTS) if parent == joint]
     inner = indent + "\t"
     kind = "End Site" if not children else f"{'JOINT' if joint else 'ROOT'} {JOINT_NAMES[joint]}"
@@ -153,7 +153,7 @@ def _joint(offsets: FloatArray, joint: int, indent: str) -> Iterator[str]:
 
 
 def _channels(anatomy: HandAnatomy, poses: FloatArray, thumbs: FloatArray) -> FloatArray:
-    """Numbers (F, 51), as the skeleton lists them: where the wrist is, then every bone's angles, deg."""
+    """Return channels (F, 51) in the skeleton's order: wrist position, then every bone's angles, deg."""
     turns = skinning_transforms(anatomy, poses, thumbs)[..., :3].astype(np.float64)
     turns *= Y_UP[:, None] * Y_UP  # the same rotation in the other axes
     local = turns.copy()

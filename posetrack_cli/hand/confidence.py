@@ -1,24 +1,18 @@
-"""How probable it is that an estimate is right **[ours]**.
+"""Probability that an estimate is right **[ours]**.
 
-Confidence is the probability that the mean error of the joints is below ``RIGHT_MM``, by logistic regression
-on five signs, each a running mean over some five frames (``tracking.confidence``):
+Confidence is the probability that the mean joint error is below ``RIGHT_MM``, from logistic regression on
+five signs. Each is a running mean over about five frames (``tracking.confidence``):
 
     logit p = w_0 + w_1 log U + w_2 log(J + 0.5) + w_3 M + w_4 c + w_5 log R
 
-with U the usual cost of the fits, mm; J the innovation, the mean distance of the joints from where they were
-expected, mm; M how many local fits explain the frame about alike; c how clearly the hand stands out
-(``observer.Outline.contrast``); R what the best fit costs over what good fits of the recording do, at
-least 1 (``policy.TrackMonitor.raised``). A hand that is followed well moves as expected, and one fit
-explains it.
+with U the mean cost of the fits, mm; J the innovation, the mean distance of the joints from their prediction,
+mm; M the number of local fits of similar cost; c the contrast of the outline (``observer.Outline.contrast``);
+R the ratio of the best fit's cost to that of good fits in the recording, at least 1
+(``policy.TrackMonitor.cost_ratio``).
 
-The weights were fitted by ``scripts/build confidence`` to 6,695 frames of synthetic and of real recordings,
-which count alike, for rendered hands alone make one doubt real ones: 14 people of the synthetic strangers
-(600-605, 610-617, motions alike, a quarter at double speed, a third from the back), each by default, with the
-average hand and with the person's own; CVAR's P1, P4 and P7, offsets removed; and 24 frames of a Kinect v2's
-hand that were looked at, 23 of them right. Each person left out in turn, the area under the ROC curve is .91
-and the calibration error .02. Before, weights were of synthetic hands foremost, information counted, too, and
-good fits were those of the frames so far: 12 and 31 per cent of P1's and P7's frames were right and below .5,
-2 and 8 (of another seed 3 and 2) now, and 35 of the Kinect's 181 below .5, 7 now.
+The weights were fitted by ``scripts/build confidence`` to 6,695 frames of synthetic and real recordings,
+weighted equally: on rendered hands alone the regression underrates real ones. Leaving each person out in
+turn, the area under the ROC curve is .91 and the calibration error .02.
 """
 
 from __future__ import annotations
@@ -38,15 +32,14 @@ _LEAST_COST_MM, _LEAST_INNOVATION_MM = 1.0, 0.5
 
 
 def with_model_error(pose_variance: FloatArray, mean_cost_mm: float) -> FloatArray:
-    """Return the variance (21,) of a pose, mm^2 and rad^2, with what the hand's shape adds to its position.
+    """Return the variance (21,) of a pose, mm^2 and rad^2, including the position error of the hand's shape.
 
-    A filter knows of the sensor's noise alone. What fits leave beyond that, as U is above 2 mm, is an error
-    of the model, which shifts the hand as a whole: sd 0.6 (U - 2 mm) along each axis. With that, 90 per cent
-    of the wrist's coordinates lay in their 90 per cent intervals for 14 people (600-605, 610-617, 120 frames
-    each) with their own mesh, 50 without; with the average hand, whose wrist is marked elsewhere, 56.
+    The filter models the sensor's noise alone. The residual beyond that, U above 2 mm, is an error of the
+    shape, which shifts the whole hand: sd 0.6 (U - 2 mm) along each axis. Calibrated for 90 % coverage of the
+    wrist's coordinates with the person's own mesh.
 
     Args:
-        pose_variance: (21,) as the filter states it.
+        pose_variance: (21,) of the filter.
         mean_cost_mm: U, running mean of the fits' costs.
     """
     variance = pose_variance.copy()
@@ -55,16 +48,16 @@ def with_model_error(pose_variance: FloatArray, mean_cost_mm: float) -> FloatArr
 
 
 def signs_of(
-    mean_cost_mm: float, innovation_mm: float, fits: int, contrast: float, raised: float
+    mean_cost_mm: float, innovation_mm: float, fits: int, contrast: float, cost_ratio: float
 ) -> FloatArray:
-    """Return the signs (5,) of a frame, which ``SIGN_NAMES`` name.
+    """Return the signs (5,) of a frame, in the order of ``SIGN_NAMES``.
 
     Args:
         mean_cost_mm: running mean of the fits' costs.
         innovation_mm: mean distance of the joints from their prediction.
-        fits: how many local fits explain the frame about alike.
+        fits: number of local fits of similar cost.
         contrast: of the outline.
-        raised: what the frame's best fit costs, over what good fits of the recording do, at least 1.
+        cost_ratio: of the best fit's cost to that of good fits in the recording, at least 1.
     """
     return np.array(
         [
@@ -72,7 +65,7 @@ def signs_of(
             np.log(innovation_mm + _LEAST_INNOVATION_MM),
             float(fits),
             contrast,
-            np.log(raised),
+            np.log(cost_ratio),
         ]
     )
 

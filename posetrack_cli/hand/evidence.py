@@ -1,4 +1,4 @@
-"""What depth images show of which no or hardly any frame was tracked, and the likeliest reason."""
+"""Diagnosis of depth images in which few or no frames were tracked."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from posetrack_cli.recording.depth import MM_PER_M, Depth, content_of, length_wo
 from posetrack_cli.recording.recording import Recording
 
 NARROWEST_DEG, WIDEST_DEG = 15.0, 150.0
-"""Fields of view that depth cameras have: from 40 to 120 degrees."""
+"""Plausible fields of view of depth cameras; common ones have 40 to 120 degrees."""
 _MANY = 0.5
-"""Share of frames with a region like a hand, from which on the hand is there and does not fit."""
+"""Share of frames with a hand-like region above which the hand is present but does not fit."""
 
 
 _ALL_PIXELS = 0.9999
-"""Share of pixels with a value, of brightness: depth lacks readings at edges and in shadows."""
+"""Share of valid pixels above which images are not depth: that lacks readings at edges and in shadows."""
 
 
 class DepthEvidence:
-    """What some frames of a recording show.
+    """Evidence from some frames of a recording.
 
     Args:
-        recording: that they are of.
+        recording: the recording.
         config: of the run.
-        frames: a few of its frames.
+        frames: some of its frames.
     """
 
     def __init__(self, recording: Recording, config: HandConfig, frames: Sequence[Frame]) -> None:
@@ -42,36 +42,36 @@ class DepthEvidence:
 
     @property
     def line(self) -> str:
-        """What was seen, and the likeliest reason if there is evidence for one."""
+        """Return a summary, with the likeliest reason if there is one."""
         return f"{self.seen}{f'; {self.reason}' if self.reason else ''}"
 
     @property
     def seen(self) -> str:
-        """Say in how many frames there is a region like a hand, at which depths, and how large it is."""
+        """Return how many frames show a hand-like region, at which depths and of what size."""
         if not self.content.images:
-            return f"no reading in the {len(self._frames)} frames looked at"
+            return f"no reading in {len(self._frames)} sampled frames"
         found = [hands for hands in self._hands if hands]
-        where = f"depths lie at {self.content.range_words(1.0)}"
+        where = f"depths {self.content.range_words(1.0)}"
         if not found:
-            size = f"the nearest surface, {length_words(self.content.surface)} across"
-            return f"no region like a hand in the {len(self._frames)} frames looked at; {where}, {size}"
+            size = f"nearest surface {length_words(self.content.surface)} across"
+            return f"no hand-like region in {len(self._frames)} sampled frames; {where}, {size}"
         palms: list[Detection] = [hand for hands in found for hand in hands]
         depths = np.percentile([float(hand.palm[2]) for hand in palms], (10, 90))
         radius = float(np.median([hand.palm_radius_mm for hand in palms]))
         at = f"at {range_words(float(depths[0]), float(depths[1]))}"
-        of = f"{len(found)} of the {len(self._frames)} frames looked at"
-        return f"a region like a hand in {of}, {at}, palm radius {radius:.0f} mm; {where}"
+        of = f"{len(found)} of {len(self._frames)} sampled frames"
+        return f"hand-like region in {of}, {at}, palm radius {radius:.0f} mm; {where}"
 
     @property
     def reason(self) -> str:
-        """The likeliest reason, with the option that mends it; empty without evidence for one."""
+        """Return the likeliest reason and the option to change; empty without evidence."""
         if not self.content.images:
             return ""
         return self._of_camera or self._of_unit or self._of_hand or self._of_brightness
 
     @property
     def is_in_range(self) -> bool:
-        """Whether some depths are where hands are searched for."""
+        """Return whether some depths are in the search range."""
         low, high = self._config.detection.nearest_mm, self._config.detection.farthest_mm
         return bool(self.content.images) and self.content.near <= high and self.content.far >= low
 
@@ -82,12 +82,12 @@ class DepthEvidence:
         fault = principal_point_fault(camera)
         if fault is not None:
             where = f"({camera.cx:.0f}, {camera.cy:.0f}) in {size}"
-            return f"the principal point is {fault}, {where}: --camera with the camera of these images"
+            return f"the principal point is {fault}, {where}; set --camera to the camera of these images"
         angle = degrees(2.0 * atan(0.5 * camera.width / camera.fx))
         if NARROWEST_DEG <= angle <= WIDEST_DEG:
             return ""
-        view = f"a focal length of {camera.fx:.0f} px is a field of view of {angle:.0f} degrees"
-        return f"{view} in {size}: --camera with the camera of these images"
+        view = f"a focal length of {camera.fx:.0f} px means a field of view of {angle:.0f} degrees"
+        return f"{view} at {size}; set --camera to the camera of these images"
 
     @property
     def _of_unit(self) -> str:
@@ -99,19 +99,19 @@ class DepthEvidence:
         fitting = " or ".join(f"{unit:g}" for unit in units)
         if not self.is_in_range:
             low, high = detection.nearest_mm / MM_PER_M, detection.farthest_mm / MM_PER_M
-            searched = f"hands are searched for from {low:g} to {high:g} m"
-            advice = f"--depth-unit-mm {fitting} would fit" if units else "--depth-unit-mm states another"
-            return f"{searched}, and {known}: {advice}"
+            searched = f"hands are searched from {low:g} to {high:g} m"
+            advice = f"--depth-unit-mm {fitting} would fit" if units else "set --depth-unit-mm"
+            return f"{searched}, but {known}; {advice}"
         if units and not any(self._hands):
             size = f"the nearest surface is {length_words(content.surface)} across"
-            return f"{size}, and {known}: with --depth-unit-mm {fitting} it would be as large as a hand"
+            return f"{size}, and {known}; with --depth-unit-mm {fitting} it would have the size of a hand"
         return ""
 
     @property
     def _of_brightness(self) -> str:
         if self.content.share < _ALL_PIXELS:
             return ""
-        return "every pixel has a value, as brightness has and depth hardly: are these images infrared?"
+        return "every pixel has a value, which is unusual for depth; are these infrared images?"
 
     @property
     def _of_hand(self) -> str:
@@ -120,5 +120,5 @@ class DepthEvidence:
             return ""
         stated = [f"a {hand.side} hand (--hand-side)"] if hand.side != "auto" else []
         stated += [f"of scale {hand.scale:g} (--scale)"] if hand.scale != 1.0 else []
-        taken = " ".join(stated) or "the average hand"
-        return f"they do not fit {taken}, or the intrinsics are of another image"
+        assumed = " ".join(stated) or "the average hand"
+        return f"they do not fit {assumed}, or the intrinsics belong to another image"

@@ -1,4 +1,4 @@
-"""One run of a hand tracker over a recording."""
+"""A run of a hand tracker over a recording."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ from posetrack_cli.tracking.run import Run
 from posetrack_cli.tracking.smoothing import FrameFacts, Kept, SmoothedTrack, smoothing_path
 from posetrack_cli.tracking.velocity import VelocityModel, smoothed_velocities
 
-# Which hand tracker a configuration asks for
+# Tracker of a configuration
 
 
 def make_tracker(
@@ -69,21 +69,21 @@ def make_tracker(
 
     Args:
         config: parameters.
-        hand: whose motion is tracked.
+        hand: the tracked hand.
         camera: of the depth images.
-        device: draws the poses.
-        keypoints: from elsewhere, for a proposal that fits frames.
+        device: renders the poses.
+        keypoints: from another program, for a proposal that fits frames.
 
     Raises:
-        RenderingError: a window that the device cannot draw.
-        FilterError: a swarm that would not converge.
+        RenderingError: the device cannot render such a window.
+        FilterError: the swarm would not converge.
     """
     scorer = RenderedCosts(device, hand, camera, config.observation, config.filter.particles)
     finder, proposal = None, PROPOSALS[config.filter.proposal]
     if proposal.fits_frames or config.init.method == "auto":
         finder = Acquisition(config, hand, camera)
     is_swarm = config.filter.kind == "pso"
-    # the paper's cost takes all readings for the hand's; fits, and a swarm, have to know which are
+    # the paper's cost uses all readings; fits and the swarm need the hand's
     segment = is_swarm or proposal.fits_frames or config.observation.cost != "paper"
     with_arm = segment and not is_swarm
     observer = Observer(config, hand.anatomy, camera, segment=segment, with_arm=with_arm, follows=True)
@@ -94,42 +94,41 @@ def make_tracker(
     return HandTracker(config, hand.anatomy, scorer, observer, finder, told)
 
 
-# A hand run: every frame of a recording through the tracker into a result
-
+# A run
 
 INIT_METHODS = ("auto", "center")
 _REST: FloatArray = np.eye(1, POSE_SIZE, 6)[0]
-"""(22,) a pose: at the origin, not turned, all angles 0."""
+"""(22,) pose at the origin, without rotation, all angles 0."""
 _ACCELERATION = ComponentSettings(position_mm=130.0, rotation_rad=4.0, flexion_rad=7.0, abduction_rad=5.0)
-"""Square root of the density of a hand's acceleration, for the velocity that a result states."""
+"""Square root of the density of a hand's acceleration, for the velocities in the result."""
 _POSE_ERROR = ComponentSettings(position_mm=0.25, rotation_rad=0.005, flexion_rad=0.013, abduction_rad=0.02)
-"""Standard deviation of the poses' errors, likewise."""
+"""Standard deviation of the pose errors, likewise."""
 
 
 @dataclass(frozen=True)
 class RunOptions(tracking_options.RunOptions):
-    """What a hand run depends on besides recording and configuration.
+    """Options of a hand run.
 
     Attributes:
-        init: ``auto``, ``center`` or the path of a pose (see ``read_pose``); None as configured.
-        keypoints: from elsewhere.
+        init: ``auto``, ``center`` or the path of a pose (see ``read_pose``); None for the configuration's.
+        keypoints: from another program.
     """
 
     keypoints: KeypointFile | None = None
 
 
 class HandRun(Run):
-    """One run of the hand tracker over a recording.
+    """A run of the hand tracker over a recording.
 
     Args:
         recording: depth frames.
         config: parameters.
         options: the rest.
-        device: draws the poses.
+        device: renders the poses.
 
     Raises:
-        UsageError: the output may not be written, no frame to track, or no start pose in ``options.init``.
-        RenderingError: a window that the device cannot draw.
+        UsageError: output not writable, no frame to track, or no start pose in ``options.init``.
+        RenderingError: the device cannot render such a window.
     """
 
     tracker: HandTrackerProtocol[Any]
@@ -167,7 +166,7 @@ class HandRun(Run):
         )
 
     def start_state(self, frame: Frame, rng: np.random.Generator) -> Any:
-        """Return the state at the pose that is given, or as the configuration says."""
+        """Return the state at the given start pose, or as configured."""
         if self._start_pose is not None:
             return self.tracker.start(self._start_pose, frame.stamp_ns, rng)
         init = self._config.init
@@ -177,7 +176,7 @@ class HandRun(Run):
         return self.tracker.start(pose, frame.stamp_ns, rng)
 
     def vertices(self, estimate: Estimate) -> FloatArray | None:
-        """Return the skin of an estimate; None if none is written."""
+        """Return the skin of an estimate; None if no mesh is written."""
         if self._mesh is None:
             return None
         pose = np.concatenate([estimate.position, estimate.quaternion, estimate.shape])
@@ -188,7 +187,7 @@ class HandRun(Run):
 
     @contextmanager
     def open_memory(self, writer: ResultWriter) -> Iterator[_Smoothing | None]:
-        """Open what will be smoothed; None if nothing is."""
+        """Open the smoother's memory; None without smoothing."""
         if not self._options.smooth:
             yield None
             return
@@ -204,30 +203,29 @@ class HandRun(Run):
             yield _Smoothing(self, track, fits)
 
     def on_frame(self, frame: Frame) -> None:
-        """Remember frames without any reading, and whose keypoints were there."""
+        """Record frames without readings and frames with keypoints."""
         if self._use is not None:
             self._use.see(frame.index, frame.stamp_ns)
         if not frame.depth.any():
             self._blank.append(frame.index)
 
     def remarks(self, state: Any) -> tuple[str, ...]:
-        """Return whether few frames had keypoints, whether most frames are doubtful, and what helps."""
+        """Return warnings about missing keypoints and about mostly doubtful frames."""
         unused = () if self._use is None else self._use.remarks
         if not isinstance(state, HandState) or 2 * state.doubtful <= state.frames:
             return unused
-        told = "the hand's size and shape (--shape, --hand-mesh), its side (--hand-side)"
         return (
             *unused,
-            f"{state.doubtful} of {state.frames} frames are more probably wrong than right (confidence below"
-            f" 0.5); posetrack view shows them, and what may help is to tell {told}",
+            f"{state.doubtful} of {state.frames} frames are probably wrong (confidence below 0.5); check them"
+            " with posetrack view, and set the hand's shape (--shape, --hand-mesh) or side (--hand-side)",
         )
 
     def evidence(self, frames: Sequence[Frame]) -> str:
-        """Return what frames show, and the likeliest reason why hardly any was tracked: part of a line."""
+        """Return what frames show and the likeliest reason why few were tracked, as part of a line."""
         return DepthEvidence(self._recording, self._config, frames).line
 
     def losses(self) -> tuple[Loss, ...]:
-        """Return what could not be read, and frames without any reading."""
+        """Return unreadable data and frames without readings."""
         blank = self._blank
         where = f"frame {blank[0]}" if blank else ""
         return self._recording.losses + (
@@ -236,7 +234,7 @@ class HandRun(Run):
 
 
 class _Smoothing:
-    """The memory of a run that is smoothed (``tracking.run.FrameMemory``)."""
+    """Memory of a smoothed run (``tracking.run.FrameMemory``)."""
 
     def __init__(self, run: HandRun, track: SmoothedTrack[Estimate], fits: HandFits | None) -> None:
         self._run, self._track, self._fits = run, track, fits
@@ -261,14 +259,14 @@ class _Smoothing:
 
 
 def with_init_method(config: HandConfig, options: RunOptions) -> HandConfig:
-    """The configuration with the way to start that the options ask for."""
+    """Return the configuration with the start method of the options."""
     if options.init not in INIT_METHODS:
         return config
     return config.model_copy(update={"init": config.init.model_copy(update={"method": options.init})})
 
 
 def velocity_model(config: HandConfig) -> VelocityModel | None:
-    """Return what a result's velocities are estimated with; None for those of the filter."""
+    """Return the model of the result's velocities; None for those of the filter."""
     if config.velocity.method == "filter":
         return None
     return VelocityModel(
@@ -284,16 +282,16 @@ def _given_pose(options: RunOptions) -> FloatArray | None:
 
 
 def check_run(recording: Recording, config: HandConfig, options: RunOptions) -> None:
-    """Refuse what can be refused without looking at a frame: before a shape is estimated from many.
+    """Check options before the shape is estimated.
 
     Raises:
-        UsageError: the output may not be written, or cannot be smoothed; no frame to track, or no start pose.
-        ResultError: nothing is there to resume.
+        UsageError: output not writable, smoothing unavailable, no frame to track, or no start pose.
+        ResultError: no unfinished result to resume.
     """
     if options.smooth and config.filter.kind == "pso":
         raise UsageError(
             "--smooth cannot be used",
-            found="--filter pso, which states no distribution",
+            found="--filter pso, which has no distribution",
             expected="rbpf or pf",
         )
     fits = config.filter.kind != "pso" and PROPOSALS[config.filter.proposal].fits_frames
@@ -319,15 +317,15 @@ def run_record(
     renderer: str,
     start_pose: FloatArray | None = None,
 ) -> dict[str, str]:
-    """What a result states about its run: all that its bytes depend on but the machine, nothing else.
+    """Return the run record: everything the result's bytes depend on, apart from the machine.
 
     Args:
-        recording: its identity is stated, not its path.
-        camera: intrinsics that are used.
-        config: resolved, with the defaults.
+        recording: recorded by its identity, not its path.
+        camera: intrinsics in use.
+        config: resolved configuration.
         options: frames, seed and start.
-        renderer: the driver's names.
-        start_pose: (22,) if it was read from a file; stated as ``init.pose``, for the file may change.
+        renderer: name of the driver.
+        start_pose: (22,) if read from a file; recorded as ``init.pose``, since the file may change.
     """
     return {
         **common_record("hand", recording, camera, config, options),

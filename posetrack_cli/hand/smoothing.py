@@ -1,4 +1,4 @@
-"""How a hand is smoothed: which smoother, and what an estimate says of a smoothed state."""
+"""Smoothers of a hand track, and estimates from smoothed states."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from posetrack_cli.results.estimate import Estimate
 from posetrack_cli.tracking.smoothing import Describe, FrameFacts
 
 BLOCKS = (np.arange(6), *np.arange(6, 21).reshape(5, 3))
-"""Components of the tangent space that err together: the palm, then each finger."""
+"""Tangent components with a common error: the palm, then each finger."""
 SMOOTH_POSE = ComponentSettings(position_mm=5.0, rotation_rad=0.1, flexion_rad=0.1, abduction_rad=0.05)
 SMOOTH_VELOCITY = ComponentSettings(
     position_mm=3000.0, rotation_rad=50.0, flexion_rad=50.0, abduction_rad=12.0
 )
-"""Noise densities of the motion among the fits, as `MotionSettings` has them: nearly all is velocity."""
+"""Noise densities of the motion between fits, as in `MotionSettings`; mostly velocity."""
 _FREEDOM = 4.0
-"""Of the Student-t density of a fit's error: the smaller, the more outliers."""
+"""Degrees of freedom of the Student-t density of a fit's error."""
 
 
 def smoothed_hand(anatomy: HandAnatomy) -> Describe[Estimate]:
-    """Return what makes estimates of a hand's smoothed states.
+    """Return a function that makes estimates of smoothed states.
 
-    Status and confidences are those of the filter, which say whether the frame itself was understood; inner
-    numbers are those that its fits found, with which poses are smoothed.
+    Status and confidences are the filter's, which assess the frame itself. Inner numbers are those of the
+    filter's fits, which the poses are smoothed with.
     """
 
     def describe(smoothed: Smoothed, facts: FrameFacts, memory: Memory) -> Estimate:
@@ -54,16 +54,16 @@ def smoothed_hand(anatomy: HandAnatomy) -> Describe[Estimate]:
 
 
 def frame_fits(config: HandConfig, hand: HandModel, camera: Camera) -> HandFits | None:
-    """Return what looks at frames again; None where the proposal fits no frames."""
+    """Return the refitting of frames; None if the proposal fits no frames."""
     return HandFits(config, hand, camera) if PROPOSALS[config.filter.proposal].fits_frames else None
 
 
 def make_smoother(config: HandConfig, dynamics: Dynamics, fits: HandFits | None = None) -> Smoother:
-    """Return the smoother of the local fits; where there are none, that of the filter's moments.
+    """Return the smoother of the local fits, or without them that of the filter's moments.
 
     Args:
         config: parameters.
-        dynamics: those of the filter.
+        dynamics: of the filter.
         fits: of `frame_fits`.
     """
     space = space_of(config.filter)

@@ -1,4 +1,4 @@
-"""How a track begins, and what a tracker offers to whoever runs it."""
+"""Start of a track, and what hand trackers have in common."""
 
 from __future__ import annotations
 
@@ -32,14 +32,13 @@ from posetrack_cli.tracking.confidence import RunningSigns
 from posetrack_cli.tracking.loop import Tracker
 from posetrack_cli.tracking.velocity import BodySpace, pose_rates
 
-# Where a hand run starts: the middle of the image, or a pose from a file
-
+# Start pose: the middle of the image, or a file
 
 ESTIMATE_TOPICS = ("/hand/estimate", "/truth/hand/estimate")
 START_SPREAD = ComponentSettings(position_mm=20.0, rotation_rad=0.15, flexion_rad=0.15, abduction_rad=0.08)
 """Standard deviations of the first pose."""
 USUAL_DEPTH_MM = 650.0
-# The hand is the nearest thing in the middle half of the image, as deep as a hand is.
+# The hand is the nearest surface in the middle half of the image; a percentile ignores outliers.
 _HAND_DEPTH_MM = 100.0
 _NEAREST_PERCENT = 2.0
 
@@ -47,7 +46,7 @@ Number = Annotated[float, Field(ge=-1e6, le=1e6)]
 
 
 class PoseFile(Settings):
-    """A pose in a TOML or JSON file; what is left out is as in the rest pose."""
+    """A pose in a TOML or JSON file; omitted values are those of the rest pose."""
 
     position_mm: tuple[Number, Number, Number]
     quaternion_xyzw: tuple[Number, Number, Number, Number] = (0.0, 0.0, 0.0, 1.0)
@@ -55,7 +54,7 @@ class PoseFile(Settings):
 
 
 def rest_pose(anatomy: HandAnatomy, centre: FloatArray) -> FloatArray:
-    """The pose (22,) of an open hand, palm to the sensor, with the mean of its joints at a point (3,), mm."""
+    """Return the pose (22,) of an open hand, palm facing the sensor, with its joints' mean at (3,), mm."""
     pose = np.zeros(POSE_SIZE)
     pose[6] = 1.0
     pose[:3] = centre - joint_positions(anatomy, pose[None])[0].mean(axis=0)
@@ -63,7 +62,7 @@ def rest_pose(anatomy: HandAnatomy, centre: FloatArray) -> FloatArray:
 
 
 def scattered_poses(anatomy: HandAnatomy, count: int, rng: np.random.Generator) -> FloatArray:
-    """Poses (N, 22) as the start's prior spreads them, 650 mm away: what benchmarks draw."""
+    """Return poses (N, 22) drawn from the start's prior, 650 mm away, for benchmarks."""
     start = np.tile(rest_pose(anatomy, np.array([0.0, 0.0, USUAL_DEPTH_MM])), (count, 1))
     spread = tangent_vector(START_SPREAD)
     return inside_limits(BodySpace().retract(start, spread * rng.standard_normal((count, spread.size))))
@@ -72,10 +71,10 @@ def scattered_poses(anatomy: HandAnatomy, count: int, rng: np.random.Generator) 
 def centre_pose(
     depth: ImageArray, camera: Camera, anatomy: HandAnatomy, depth_mm: float | None
 ) -> FloatArray:
-    """The paper's start (7.3): an open hand, its palm to the sensor, in the middle of the image.
+    """Return the paper's start (7.3): an open hand, palm facing the sensor, in the middle of the image.
 
-    Without ``depth_mm`` the nearest surface in the middle half of the image says where exactly **[ours]**;
-    if nothing is read there the hand is put 650 mm away.
+    Without ``depth_mm`` its position is that of the nearest surface in the middle half of the image
+    **[ours]**; without a reading there, the hand is 650 mm away.
 
     Returns:
         (22,) pose.
@@ -108,13 +107,13 @@ def read_pose(path: Path) -> FloatArray:
         UsageError: no such file, or no pose in it.
     """
     if not path.exists():
-        raise UsageError("no such file to start from", where=path, expected="a pose file, or --init center")
+        raise UsageError("no such start pose file", where=path, expected="a pose file, or --init center")
     if path.suffix == ".mcap" or is_mcap(path):  # also NAME.mcap.part
         return _first_pose(path)
     values = validated(PoseFile, _parse(path), path)
     quaternion = np.array(values.quaternion_xyzw)
     if np.linalg.norm(quaternion) < 1e-3:
-        raise UsageError("'quaternion_xyzw' cannot be used", where=path, found="zero length")
+        raise UsageError("invalid 'quaternion_xyzw'", where=path, found="zero length")
     unit = rotations.canonical(quaternion / np.linalg.norm(quaternion))
     return np.concatenate([values.position_mm, unit, values.angles_rad])
 
@@ -128,7 +127,7 @@ def _parse(path: Path) -> dict[str, Any]:
         raise UsageError("start pose cannot be read", where=path, found=found) from error
     if not isinstance(parsed, dict):
         raise UsageError(
-            "start pose cannot be used",
+            "invalid start pose",
             where=path,
             found=repr(parsed),
             expected="an object with position_mm, quaternion_xyzw and angles_rad",
@@ -137,46 +136,41 @@ def _parse(path: Path) -> dict[str, Any]:
 
 
 def _first_pose(path: Path) -> FloatArray:
-    """The first estimate in a result, or the first true pose in a recording."""
+    """Return the first estimate in a result, or the first true pose in a recording."""
     for topic in ESTIMATE_TOPICS:
         for _, _, message in McapFile(path).messages([topic]):
             first = estimate_from_json(message.data)
             if first.shape.size == POSE_SIZE - 7:
                 return np.concatenate([first.position, first.quaternion, first.shape])
             break
-    raise UsageError("holds no hand pose", where=path, expected=" or ".join(ESTIMATE_TOPICS))
+    raise UsageError("no hand pose in file", where=path, expected=" or ".join(ESTIMATE_TOPICS))
 
 
-# What hand trackers have in common: how they begin, and what their estimates say of a pose
-
+# Interface of hand trackers, and their estimates
 
 NUMBER_NAMES = (*INNER_NUMBERS, *SIGN_NAMES, "forearm_confidence")
-"""Of an estimate's numbers: the inner ones, what its confidence is made of, and the forearm's own; NaN where
-it has none."""
+"""Numbers of an estimate: inner numbers, confidence signs, and the forearm's confidence (NaN without one)."""
 
 State = TypeVar("State")
 
 
 class HandTrackerProtocol(Tracker[State], Protocol[State]):
-    """A hand tracker: begins at a pose, or without one."""
+    """A hand tracker that starts at a pose or with a detection."""
 
     def start(self, pose: FloatArray, stamp_ns: int, rng: np.random.Generator) -> State:
-        """Return the state about a pose (22,) before the first frame, whose stamp is given."""
+        """Return the state around a pose (22,) before the first frame, whose stamp is given."""
 
     def start_unknown(self, pose: FloatArray, frame: Frame, rng: np.random.Generator) -> State:
-        """Return the state before a first frame in which the hand is not found yet, else at a pose (22,)."""
+        """Return the state before a first frame in which the hand is to be detected, else at a pose (22,)."""
 
 
 def forearm_confidence_of(numbers: FloatArray | None) -> float:
-    """The confidence of the forearm that an estimate's numbers tell; NaN where there is none.
-
-    Results of before it was stated have none either.
-    """
+    """Return the forearm's confidence among an estimate's numbers; NaN without one, as in older results."""
     return float(numbers[-1]) if numbers is not None and len(numbers) == len(NUMBER_NAMES) else np.nan
 
 
 def detected_pose(finder: Acquisition | None, frame: Frame, otherwise: FloatArray) -> FloatArray:
-    """Return the pose (22,) of the hand that is found in a frame, else the one given."""
+    """Return the pose (22,) of the hand detected in a frame, else the given one."""
     found = None if finder is None else finder.search(frame.depth)
     return otherwise if found is None else found.pose
 
@@ -195,10 +189,10 @@ def hand_estimate(
     Args:
         anatomy: the hand.
         pose: (22,).
-        velocity: (21,) in the tangent space; None where it is not known.
-        inner: (6,) inner numbers; None of a tracker that has none.
-        evidence: of what its confidence is made; none of a pose that has none of its own.
-        forearm_confidence: of the forearm, if it has one; NaN of a pose of which it is not known.
+        velocity: (21,) in the tangent space; None if unknown.
+        inner: (6,) inner numbers; None for a tracker without them.
+        evidence: signs of the confidence; empty for a pose without its own.
+        forearm_confidence: of the forearm, NaN if unknown.
         others: the estimate's further fields.
     """
     thumb = NO_THUMB if inner is None else inner[THUMB]

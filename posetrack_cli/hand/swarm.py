@@ -1,17 +1,17 @@
-"""Tracking by optimisation: every frame a swarm looks for the hand around the last frame's (BMVC 2011).
+"""Tracking by particle swarm optimisation around the last solution (Oikonomidis et al., BMVC 2011).
 
-Taken over from the paper: the swarm and its constriction, 64 particles and 25 generations, the swarm's start
-(the last solution and perturbations of it, at rest), the finger angles that are redrawn every third
-generation in half of the particles, the objective and its numbers.
+As in the paper: swarm and constriction, 64 particles and 25 generations, start (the last solution and
+perturbations of it, at rest), finger angles redrawn every third generation in half of the particles, and the
+objective with its constants.
 
-Otherwise: their hand has 27 numbers (position, quaternion, four angles a finger). Ours has 22, of which the
-swarm moves 21: position, body-frame rotation vector from the last solution, and 15 angles; a joint next to a
-fingertip is not free but follows its neighbour. Bounds are the joint limits and, beyond them, a box about the
-last solution. The standard deviations of the perturbations were "experimentally determined" there, as here
-(the authors' later public tracker has 10 mm, .1 per component of the quaternion, that is .2 rad, and .1 rad).
-Window and segmentation are those of our filters, in depth alone; theirs used skin colour.
+Different: their hand has 27 numbers (position, quaternion, four angles per finger). Ours has 22, of which the
+swarm moves 21: position, body-frame rotation vector from the last solution, and 15 angles; the joint next to
+a fingertip follows its neighbour. Bounds are the joint limits and a box around the last solution. The
+perturbations' standard deviations are not published ("experimentally determined"); ours are tuned (the
+authors' later public tracker uses 10 mm, .1 per quaternion component, that is .2 rad, and .1 rad). Window and
+segmentation are those of our filters, from depth alone; theirs used skin colour.
 
-The objective says how far a hand pose is from what is seen (section 2.3):
+The objective measures the discrepancy of a pose and the observation (section 2.3):
 
     E = D + lambda_k kc
     D = sum min(|o_d - r_d|, d_M) / (sum (o_s or r_m) + eps)
@@ -19,12 +19,12 @@ The objective says how far a hand pose is from what is seen (section 2.3):
 
 with o_d and r_d observed and rendered depth, o_s the observed hand, and r_m the rendered pixels whose depth
 differs from the observed by less than d_m, or where none is observed. kc = sum over adjacent fingers of
--min(phi, 0), rad, with phi the difference of their abductions: below 0 they go through each other.
+-min(phi, 0), rad, with phi the difference of their abductions: negative where they cross.
 
-What is taken how: o_s comes from depth alone (the paper: skin colour), and there is no o_d outside of it. A
-rendered pixel where the sensor has no reading counts as ``unread_weight`` of one beside the hand, as in every
-cost of ours: o_s is not known there. lambda = 20 and lambda_k = 10 are printed without the unit that depth is
-in: they are taken with millimetres, which tracked as well as or better than with centimetres (200, 100).
+Choices: o_s comes from depth, and o_d exists on o_s only. A rendered pixel without a sensor reading counts as
+``unread_weight`` of one next to the hand, as in our other costs, since o_s is unknown there. lambda = 20 and
+lambda_k = 10 are printed without the unit of depth; with millimetres they track at least as well as with
+centimetres (200, 100).
 """
 
 from __future__ import annotations
@@ -64,11 +64,11 @@ _ABDUCTIONS = [ANGLE_NAMES.index(f"{finger}_mcp_abduction") for finger in FINGER
 
 
 class Objective(NamedTuple):
-    """E of N poses and the part of it that is a distance in depth.
+    """E of N poses and its depth term.
 
     Attributes:
         total: (N,) E, mm.
-        depth: (N,) its first term, 0..d_M, mm: the same number as ``union_cost`` with c_max = d_M.
+        depth: (N,) its first term, 0..d_M, mm: the same as ``union_cost`` with c_max = d_M.
     """
 
     total: FloatArray
@@ -76,23 +76,23 @@ class Objective(NamedTuple):
 
 
 class SwarmObjective(Protocol):
-    """What the swarm's tracker asks for."""
+    """Objective of the swarm's tracker."""
 
     def evaluate(self, poses: FloatArray, observation: Observation) -> Objective:
-        """E of poses (N, 22)."""
+        """Return E of poses (N, 22)."""
 
 
 def discrepancy(sums: TileSums, settings: PsoSettings, unread_weight: float) -> Objective:
-    """D (N,), mm, of its sums over the pixels; both sums empty count as the largest discrepancy **[ours]**.
+    """Return D (N,), mm, from sums over pixels; empty sums count as the largest discrepancy **[ours]**.
 
     Args:
         sums: with ``matched`` for d_m and ``error`` for d_M.
         settings: d_M and lambda.
         unread_weight: of a rendered pixel without a reading.
     """
-    beside = sums.rendered_only + unread_weight * sums.unread  # in r_m, for nothing is observed there
-    either = sums.observed + beside
-    apart = sums.error + settings.clamp_mm * (sums.observed - sums.both + beside)
+    outside = sums.rendered_only + unread_weight * sums.unread  # in r_m, as nothing is observed there
+    either = sums.observed + outside
+    apart = sums.error + settings.clamp_mm * (sums.observed - sums.both + outside)
     seen = either > 0
     depth = np.divide(apart, either, out=np.full_like(apart, settings.clamp_mm), where=seen)
     agreeing = 2.0 * sums.matched
@@ -101,10 +101,10 @@ def discrepancy(sums: TileSums, settings: PsoSettings, unread_weight: float) -> 
 
 
 def crossing(anatomy: HandAnatomy, poses: FloatArray) -> FloatArray:
-    """kc (N,), rad, of poses (N, 22).
+    """Return kc (N,), rad, of poses (N, 22).
 
-    phi is taken between the fingers' directions in the palm, fan of the rest pose included: it is 0 where
-    neighbours are parallel. The three pairs leave out the thumb.
+    phi is taken between finger directions in the palm, including the rest pose's fan: it is 0 for parallel
+    neighbours. The three pairs exclude the thumb.
     """
     mirrored = -1.0 if anatomy.is_left else 1.0
     fan = mirrored * np.arctan2(anatomy.base_rotations[1:, 1, 0], anatomy.base_rotations[1:, 0, 0])
@@ -114,13 +114,13 @@ def crossing(anatomy: HandAnatomy, poses: FloatArray) -> FloatArray:
 
 
 class RenderedObjective:
-    """E of hand poses by rendering them: one draw for all poses of a call.
+    """E of hand poses by rendering, one draw call for all poses.
 
     Args:
-        device: draws the poses.
-        hand: its bones, and its lean skin, which is drawn.
+        device: renders the poses.
+        hand: bones, and the lean skin, which is rendered.
         camera: pinhole intrinsics of the depth images.
-        config: objective, size of a tile, size of the swarm.
+        config: objective, tile and swarm size.
     """
 
     def __init__(self, device: RenderingDevice, hand: HandModel, camera: Camera, config: HandConfig) -> None:
@@ -130,7 +130,7 @@ class RenderedObjective:
         self._renderer = device.depth_renderer(hand.lean, tile, config.pso.particles)
 
     def evaluate(self, poses: FloatArray, observation: Observation) -> Objective:
-        """E of poses (N, 22)."""
+        """Return E of poses (N, 22)."""
         transforms, settings = skinning_transforms(self._anatomy, poses), self._settings
         sums = self._renderer.sums(
             transforms,
@@ -144,18 +144,18 @@ class RenderedObjective:
 
 
 REDRAWN = np.arange(TANGENT_ANGLES.start, TANGENT_ANGLES.stop)
-"""The components that are redrawn: the paper's 20 of the fingers, here 15."""
+"""Redrawn components: the paper's 20 of the fingers, here 15."""
 
 
 @dataclass(frozen=True, eq=False)
 class SwarmState:
-    """Everything the next step needs: a swarm keeps nothing from frame to frame but its solution.
+    """Everything the next step needs; a swarm keeps only its solution between frames.
 
     Attributes:
         pose: (22,) last solution.
         stamp_ns: of the last frame; None before the first.
-        misses: frames in a row without confidence. It starts at the number that makes a hand lost, as the
-            start pose is only assumed.
+        misses: frames in a row without confidence. It starts at the limit of a lost hand, as the start pose
+            is only assumed.
     """
 
     pose: FloatArray
@@ -169,9 +169,9 @@ class SwarmTracker:
     Args:
         config: parameters.
         anatomy: the hand.
-        objective: what is minimised.
+        objective: to be minimised.
         observer: cuts out and segments windows.
-        finder: the search for a hand of which no pose is known, for the start.
+        finder: detection at the start.
     """
 
     def __init__(
@@ -190,19 +190,18 @@ class SwarmTracker:
         self.codec = Fields(SwarmState, pose=Value(pose_layout()), stamp_ns=stamp(), misses=whole())
 
     def start(self, pose: FloatArray, stamp_ns: int, rng: np.random.Generator) -> SwarmState:
-        """Return the state in which the hand is at a pose (22,)."""
+        """Return the state with the hand at a pose (22,)."""
         return SwarmState(inside_limits(pose[None])[0], misses=self.config.status.lost_after_frames)
 
     def start_unknown(self, pose: FloatArray, frame: Frame, rng: np.random.Generator) -> SwarmState:
-        """Return the state before a first frame: the hand that is found in it, else a pose (22,)."""
+        """Return the state before a first frame: the hand detected in it, else a pose (22,)."""
         return self.start(detected_pose(self._finder, frame, pose), frame.stamp_ns, rng)
 
     def step(self, state: SwarmState, frame: Frame, rng: np.random.Generator) -> tuple[SwarmState, Estimate]:
-        """Advance by one frame; the state given is left as it is.
+        """Advance by one frame; the given state is not modified.
 
-        Where there is nothing to compare with, the hand stays where it was. The estimate's cost is the
-        objective's first term, its confidence 1 - cost / d_M, and 0 where the frame shows no outline of a
-        hand there: the same measures as a filter's.
+        Without target pixels the hand does not move. The estimate's cost is the first term of E; its
+        confidence is 1 - cost / d_M, or 0 without the outline of a hand: the same measures as a filter's.
 
         Raises:
             FilterError: stamps do not increase.
@@ -225,7 +224,7 @@ class SwarmTracker:
     def _search(
         self, last: FloatArray, observation: Observation, rng: np.random.Generator
     ) -> tuple[FloatArray, Optimum]:
-        """The best pose (22,) that a swarm finds around the last one."""
+        """Return the best pose (22,) of a swarm around the last one."""
         box = search_box(last, self.config.pso.reach_mm)
         start = scattered(np.zeros(TANGENT_SIZE), self._spread, self.config.pso.particles, box, rng)
         around = np.broadcast_to(last, (len(start), len(last)))
@@ -235,7 +234,7 @@ class SwarmTracker:
 
         optimum = minimise(total, start, box, self._rules, rng)
         moved = self._space.retract(last[None], optimum.position[None])
-        return inside_limits(moved)[0], optimum  # limit - angle + angle may round to beyond the limit
+        return inside_limits(moved)[0], optimum  # limit - angle + angle may exceed the limit by rounding
 
     def _estimate(
         self, frame: Frame, state: SwarmState, cost: float | None, confidence: float | None, evaluations: int
@@ -259,7 +258,7 @@ class SwarmTracker:
 
 
 def swarm_rules(settings: PsoSettings) -> SwarmRules:
-    """The rules of the swarm's motion that a configuration states.
+    """Return the swarm's rules of motion from a configuration.
 
     Raises:
         FilterError: with these coefficients the swarm does not converge.
@@ -274,10 +273,10 @@ def swarm_rules(settings: PsoSettings) -> SwarmRules:
 
 
 def search_box(last: FloatArray, reach_mm: float) -> Box:
-    """Where the swarm looks, as tangent vectors (21,) from the last solution (22,).
+    """Return the search box as tangent vectors (21,) from the last solution (22,).
 
-    The position is within ``reach_mm`` along each axis, the rotation vector within pi, and the angles are
-    within their limits.
+    The position is within ``reach_mm`` along each axis, the rotation vector within pi, and angles are within
+    their limits.
     """
     rigid = np.repeat([reach_mm, np.pi], 3)
     low = np.concatenate([-rigid, ANGLE_LIMITS[:, 0] - last[ANGLES]])

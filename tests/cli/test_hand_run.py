@@ -414,7 +414,7 @@ def test_nothing_but_zeros(track: Track, tmp_path: Path, capsys: pytest.CaptureF
     assert track(tmp_path, tmp_path / "r.mcap") == 3
     lost, seen = error_lines(capsys)
     assert "frames without any reading: 3" in lost
-    assert "only 0 of 3 frames tracked: no reading in the 3 frames looked at" in seen
+    assert "only 0 of 3 frames tracked: no reading in 3 sampled frames" in seen
     arrays = load_arrays(tmp_path / "r.mcap")
     assert set(arrays["status"]) == {"lost"} and not arrays["confidence"].any()
 

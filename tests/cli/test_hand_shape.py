@@ -175,7 +175,7 @@ def test_another_shape_gives_other_joints(recording: Path, hand_file: Path, tmp_
     ("options", "said", "code"),
     [
         (("--start", "100"), "no frames to track", 2),
-        (("--init", "none.toml"), "none.toml: no such file to start from", 2),
+        (("--init", "none.toml"), "none.toml: no such start pose file", 2),
         (("--resume",), "no unfinished result to resume", 1),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",

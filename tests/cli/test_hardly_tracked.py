@@ -104,9 +104,9 @@ def test_depth_eight_times_too_far(players: Path, tmp_path: Path, capsys: pytest
     """The hand is 0.6 to 0.8 m away."""
     assert track(players, tmp_path / "r.mcap", "--depth-unit-mm", "1") == EXIT_DATA_LOST
     (said,) = lines(capsys)
-    assert f"only 0 of {FRAMES} frames tracked: no region like a hand in the {FRAMES} frames" in said
-    assert "depths lie at 4.8 to 6.4 m" in said and "searched for from 0.12 to 1.5 m" in said
-    assert "depth was read as 1 mm per stored unit: --depth-unit-mm 0.1 or 0.125" in said
+    assert f"only 0 of {FRAMES} frames tracked: no hand-like region in {FRAMES} sampled frames" in said
+    assert "depths 4.8 to 6.4 m" in said and "searched from 0.12 to 1.5 m" in said
+    assert "depth was read as 1 mm per stored unit; --depth-unit-mm 0.1 or 0.125" in said
     assert "--hand-side" not in said
     result = read_result(tmp_path / "r.mcap")
     assert result.finished and said.endswith(result.summary["remarks"])
@@ -120,7 +120,7 @@ def test_the_line_of_the_start_names_depths(
     from posetrack_cli.hand.config import HandConfig
 
     found = detect_hand(open_recording(players, depth_unit_mm=1.0), HandConfig(), 0)
-    assert found.is_doubtful and found.line.startswith("no hand in the first 10 s: no region like a hand")
+    assert found.is_doubtful and found.line.startswith("no hand in the first 10 s: no hand-like region")
     assert "4.8 to 6.4 m" in found.line and "--depth-unit-mm" in found.line
     assert "--hand-side" not in found.line
 
@@ -150,8 +150,8 @@ def test_floats_read_as_metres(
     )
     assert track(path, tmp_path / "r.mcap", "--depth-unit-mm", "1000") == EXIT_DATA_LOST
     (said,) = lines(capsys)
-    assert "depths lie at 60" in said and " m, the nearest surface" in said  # 600 m
-    assert "depth was read as 1000 mm per stored unit: --depth-unit-mm 1 would fit" in said
+    assert "depths 60" in said and " m, nearest surface" in said  # 600 m
+    assert "depth was read as 1000 mm per stored unit; --depth-unit-mm 1 would fit" in said
 
 
 def test_infrared(
@@ -165,4 +165,4 @@ def test_infrared(
     assert said.endswith("; --topic /ir/image_raw takes it all the same")
     assert track(path, tmp_path / "r.mcap", "--topic", "/ir/image_raw") == EXIT_DATA_LOST
     (said,) = lines(capsys)
-    assert "every pixel has a value, as brightness has and depth hardly: are these images infrared?" in said
+    assert "every pixel has a value, which is unusual for depth; are these infrared images?" in said

@@ -182,7 +182,7 @@ def test_dropped_frames_lie_between_their_neighbours(
 
 def test_a_track_of_another_hand_is_refused(tmp_path: Path) -> None:
     source = export_source(read_result(write(tmp_path / "r.mcap", hand("right"))))
-    with pytest.raises(ResultError, match=r"is of another hand, found joints [\d.]+ mm off"):
+    with pytest.raises(ResultError, match=r"is of another hand, found joints off by [\d.]+ mm"):
         bvh_text(source, make_anatomy())
 
 

@@ -306,7 +306,7 @@ def test_a_folder_of_openpose_has_a_file_per_frame(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.sets.right, 1.0)
     assert read(tmp_path / "openpose" / "take_000000000001_keypoints.json").sets.keys.tolist() == [1]
     (tmp_path / "openpose" / "readme.json").write_text("[]")
-    with pytest.raises(UsageError, match=r"readme\.json: name has no frame number"):
+    with pytest.raises(UsageError, match=r"readme\.json: no frame number in file name"):
         read(tmp_path / "openpose")
 
 
@@ -342,7 +342,9 @@ def test_stamps_count_before_numbers_only_if_they_are_the_recording_s(tmp_path: 
         (own,) = sets.points[sets.of(k, stamp)]
         np.testing.assert_allclose(own[:, :2], PIXELS[0] + k)
     if not is_right:
-        assert "its stamps are up to 0.45 s" in words and "frame numbers are used" in words
+        assert (
+            "stamps differ from the recording's by up to 0.45 s" in words and "using frame numbers" in words
+        )
 
 
 def test_a_neighbour_s_stamp_is_no_match_at_a_high_rate(tmp_path: Path) -> None:
@@ -361,7 +363,7 @@ def test_a_neighbour_s_stamp_is_no_match_at_a_high_rate(tmp_path: Path) -> None:
 
 def test_a_header_of_deeplabcut_that_ends_early(tmp_path: Path) -> None:
     text = "\n".join(deeplabcut().splitlines()[:2]) + "\n"
-    with pytest.raises(UsageError, match="header of DeepLabCut is not complete"):
+    with pytest.raises(UsageError, match="incomplete DeepLabCut header"):
         read(written(tmp_path, text))
 
 
@@ -500,23 +502,23 @@ def test_a_frame_may_have_several_hands(tmp_path: Path) -> None:
 GOOD = LAYOUTS["wide, x0 y0"][1]
 HEADER, ROW = GOOD.splitlines()[:2]
 FAULTS: dict[str, tuple[str, Any, str]] = {
-    "empty": ("k.csv", "", r"k\.csv: is empty.*expected columns of points"),
-    "no rows": ("k.csv", HEADER, "holds no keypoint"),
+    "empty": ("k.csv", "", r"k\.csv: is empty.*expected point columns"),
+    "no rows": ("k.csv", HEADER, "no keypoints"),
     "no frame": (
         "k.csv",
         GOOD.replace("frame", "foo", 1),
-        "line 1: no column tells the frame, found foo.*stamp_ns",
+        "line 1: no frame or stamp column, found foo.*stamp_ns",
     ),
-    "no points": ("k.csv", "frame,a,b\n1,2,3\n", "line 1: no column is of a keypoint"),
+    "no points": ("k.csv", "frame,a,b\n1,2,3\n", "line 1: no keypoint columns"),
     "20 points": (
         "k.csv",
         GOOD.replace("x20", "u").replace("y20", "v"),
-        "columns of points are missing, found 20 points, no x of point 20",
+        "missing point columns, found 20 points, no x of point 20",
     ),
     "22 points": (
         "k.csv",
         GOOD.replace("x20", "x21").replace("y20", "y21"),
-        "has other points, found point 21, expected 21 points",
+        "unknown set of points, found point 21, expected 21 points",
     ),
     "short row": (
         "k.csv",
@@ -545,7 +547,7 @@ FAULTS: dict[str, tuple[str, Any, str]] = {
     "two units": (
         "k.csv",
         GOOD.replace("x0", "x0_mm").replace("y0", "y0_px", 1),
-        "columns are in several units",
+        "columns differ in unit",
     ),
     "point twice": (
         "k.csv",
@@ -561,7 +563,7 @@ FAULTS: dict[str, tuple[str, Any, str]] = {
     "score": (
         "k.csv",
         "frame,landmark,x,y,score\n0,1,1,2,1.5\n",
-        "line 2, score: score cannot be used, found '1.5', expected 0 to 1",
+        "line 2, score: score out of range, found '1.5', expected 0 to 1",
     ),
     "side": (
         "k.csv",
@@ -572,20 +574,20 @@ FAULTS: dict[str, tuple[str, Any, str]] = {
     "no JSON": ("k.json", "{", r"k\.json: is not valid JSON"),
     "JSON NaN": ("k.json", "[[[NaN, 1]]]", "NaN, which JSON does not have"),
     "deep JSON": ("k.json", "[" * 100_000, "nested too deeply"),
-    "JSON number": ("k.json", "3", "holds no frames, found int"),
-    "JSON object": ("k.json", {"a": 1}, "holds no frames, found a"),
+    "JSON number": ("k.json", "3", "no frames, found int"),
+    "JSON object": ("k.json", {"a": 1}, "no frames, found a"),
     "JSON count": (
         "k.json",
         [{"landmarks": PIXELS[0, :5].tolist()}],
-        "frame entry 0: has another number of points, found 5",
+        "frame entry 0: unexpected number of points, found 5",
     ),
     "JSON text": ("k.json", [{"landmarks": [["a", 1]] * 21}], "point 0: is not a number, found 'a'"),
-    "JSON pair": ("k.json", [{"landmarks": [[1]] * 21}], r"is no point, found 1 numbers, expected \[x, y\]"),
+    "JSON pair": ("k.json", [{"landmarks": [[1]] * 21}], r"not a point, found 1 numbers, expected \[x, y\]"),
     "JSON unit": ("k.json", {"unit": "inch", "frames": []}, "unknown unit, found 'inch'"),
     "JSON stamps": (
         "k.json",
         [{"stamp_ns": 0, "landmarks": PIXELS[0].tolist()}, {"landmarks": PIXELS[0].tolist()}],
-        "frame entry 1: has no stamp",
+        "frame entry 1: no stamp",
     ),
     "JSON line": ("k.jsonl", "[]\n{\n", r"k\.jsonl line 2: is not valid JSON"),
     "two kinds of sides": (
@@ -594,17 +596,17 @@ FAULTS: dict[str, tuple[str, Any, str]] = {
             {"landmarks": PIXELS[0].tolist(), "side": "left"},
             {"landmarks": PIXELS[0].tolist(), "handedness": "Left"},
         ],
-        "sides are told in two ways",
+        "sides given in two fields",
     ),
     "COCO image": (
         "k.json",
         {"images": [], "annotations": [{"image_id": 3, "keypoints": [1] * 63}]},
-        "image is not listed, found 3",
+        "unknown image_id, found 3",
     ),
     "COCO image that is a list": (
         "k.json",
         {"images": [], "annotations": [{"image_id": [3], "keypoints": [1] * 63}]},
-        r"image is not listed, found \[3\]",
+        r"unknown image_id, found \[3\]",
     ),
     "COCO points": (
         "k.json",
@@ -623,7 +625,7 @@ FAULTS: dict[str, tuple[str, Any, str]] = {
     "another image": (
         "k.csv",
         wide(lambda k, a: f"{a}{k}", 9.0 * PIXELS, "xy"),
-        "unit cannot be told.*512 x 424.*--keypoints-unit",
+        "unknown unit.*512x424.*--keypoints-unit",
     ),
 }
 
@@ -676,11 +678,11 @@ def test_a_unit_that_is_told_is_believed(tmp_path: Path) -> None:
 def test_missing_files_and_large_ones_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(UsageError, match=r"none\.csv: cannot be read, found No such file"):
         read(tmp_path / "none.csv")
-    with pytest.raises(UsageError, match="folder holds no keypoints"):
+    with pytest.raises(UsageError, match="no keypoint files in folder"):
         read(tmp_path)
     path = written(tmp_path, GOOD)
     monkeypatch.setattr(limits, "KEYPOINT_SETS", 2)
-    with pytest.raises(UsageError, match="line 4: too many sets of keypoints, found more, expected 2"):
+    with pytest.raises(UsageError, match="line 4: too many keypoint sets, found more, expected at most 2"):
         read(path)
     for content in (
         [None] * 3,
@@ -690,7 +692,7 @@ def test_missing_files_and_large_ones_are_refused(tmp_path: Path, monkeypatch: p
         with pytest.raises(UsageError, match=r"k\.json: too many frames, found more, expected 2 at most"):
             read(written(tmp_path, content, "k.json"))
     monkeypatch.setattr(limits, "KEYPOINT_JSON_BYTES", 20)
-    with pytest.raises(UsageError, match=r"exceeds the limit of 20; a longer file is one of JSON lines"):
+    with pytest.raises(UsageError, match=r"exceeds the limit of 20; use JSON lines"):
         read(written(tmp_path, LAYOUTS["JSON, lists"][1], "k.json"))
     monkeypatch.setattr(limits, "KEYPOINT_BYTES", 20)
     with pytest.raises(UsageError, match=r"is too large, found .* bytes, expected 20 at most"):
@@ -717,7 +719,7 @@ def test_a_run_whose_frames_have_hardly_any_keypoints_is_remarked_on(tmp_path: P
         use.see(index, 0)
     assert use.remarks == ()  # two of four
     use.see(5, 0)
-    assert use.remarks == ("k.csv has keypoints for 2 of 5 frames, matched by number, counted from 0",)
+    assert use.remarks == ("k.csv has keypoints for 2 of 5 frames, matched by frame number from 0",)
 
 
 _VALUES = st.recursive(

@@ -15,7 +15,7 @@ from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.fit.likelihood import RenderedCosts
 from posetrack_cli.hand.keypoints.file import UNSURE, KeypointFile
 from posetrack_cli.hand.keypoints.hands import (
-    MOST_HANDS,
+    MAX_HANDS,
     KeypointHands,
     KeypointSide,
     best_candidate,
@@ -213,7 +213,7 @@ def test_a_lost_hand_is_found_where_it_is_told_during_a_pause(device: RenderingD
     for keypoints in (None, told_of([noisy])):
         tracking = tracker(device, keypoints)
         state = tracking.start(relaxed(250.0, 0.0, 900.0), 0, np.random.default_rng(0))
-        state = replace(state, monitor=TrackMonitor(lost=True, mean_cost_mm=2.0, wait=4))
+        state = replace(state, monitor=TrackMonitor(lost=True, mean_cost_mm=2.0, search_wait=4))
         after, estimate = tracking.step(state, frame, np.random.default_rng(1))
         found[keypoints is not None] = (after.monitor.lost, error(pose_of(estimate), pose))
     assert found[False][0] and found[False][1] > 100.0
@@ -241,7 +241,7 @@ def test_a_track_that_is_on_something_else_leaves_for_the_hand_that_is_told(
     doubting = HandConfig.model_validate(
         {"status": {"doubt_above_mm": 1.0}}
     )  # no fit to the limb ends the pause
-    pausing = TrackMonitor(mean_cost_mm=12.0, wait=6, next_search_wait=6)
+    pausing = TrackMonitor(mean_cost_mm=12.0, search_wait=6, next_search_wait=6)
     silent = tracked(tracker(device, None, doubting), depths, start, pausing)
     assert min(error(pose_of(e), there) for e in silent) > 200.0
     file = told_of([joints_of(there)] * len(depths))
@@ -262,9 +262,9 @@ def test_a_frame_that_fits_and_tells_of_nothing_better_ends_the_row(
     frame = Frame(0, FRAME_NS, (stage.depth(pose),))
     tracking = tracker(device, told_of([joints_of(pose)]))
     state = tracking.start(pose, FRAME_NS, np.random.default_rng(0))
-    state = replace(state, monitor=TrackMonitor(mean_cost_mm=2.0, elsewhere=LEAVE_AFTER_SEARCHES - 1))
+    state = replace(state, monitor=TrackMonitor(mean_cost_mm=2.0, better_elsewhere=LEAVE_AFTER_SEARCHES - 1))
     after, _ = tracking.step(state, frame, np.random.default_rng(1))
-    assert after.monitor.elsewhere == 0 and not after.cut
+    assert after.monitor.better_elsewhere == 0 and not after.cut
 
 
 def test_a_fit_from_what_is_told_is_a_mode_of_the_likelihood(device: RenderingDevice, stage: Stage) -> None:
@@ -320,7 +320,7 @@ def test_hands_near_the_track_are_starts_and_others_places() -> None:
     sets = KeypointSets(np.zeros(5, np.int64), False, values, np.ones((5, 21)), np.full(5, np.nan))
     sets.scores[4] = 0.5
     hands = KeypointHands(KeypointFile("k", "", sets, False, "mm", "none"), KINECT, RIGHT.anatomy).of(frame)
-    assert len(hands) == MOST_HANDS and min(hand.score for hand in hands) == 1.0
+    assert len(hands) == MAX_HANDS and min(hand.score for hand in hands) == 1.0
     near, elsewhere = split_by_distance(hands, pose, RIGHT.anatomy)
     assert near.shape == (2, 22) and len(elsewhere) == 2
     assert split_by_distance((), pose, RIGHT.anatomy)[0].shape == (0, 22)

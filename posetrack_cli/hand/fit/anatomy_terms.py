@@ -1,23 +1,23 @@
-"""How plausible a pose is in itself: joint limits, abduction with flexion, fingers that collide; compiled.
+"""Anatomical plausibility of a pose: joint limits, abduction with flexion, finger collisions; compiled.
 
 A potential U(x) = sum of w e^2 / 2 over violations e; exp(-U) is a factor of the likelihood, as if anatomy
 were observed in every frame.
 
-    joint limits          e = excess, rad
-    abduction of a bent finger    e = abduction - that at which it points at the scaphoid, the more so the
-                          more it is bent: collateral ligaments are taut then
-    relaxed hand          e = angle - relaxed angle, weakly: what nothing shows stays plausible
-    resting thumb         or e = angle of a thumb - resting angle, the more so the more probably it rests: one
-                          that nothing shows mostly does, and one that is seen may be anywhere
-    closing finger        or e = angle of joint 2 - what joint 3 makes it where fingers close, and, weaker,
-                          angle of joint 3 - closed angle, the more so the more probably it closes:
-                          nothing shows how far the fingers of a hand seen from the back are closed
-    straight finger       or e = angle of joint 2 - straight angle, and, weaker, angle of joint 3 - its
-                          middle, the more so the more probably it is straight: people bend straight
-                          fingers at the knuckle, too
-    neighbours            e = difference of two neighbours' joints 2, the less the more their joints 3 differ:
-                          where one of two fingers that are bent alike is hidden, the other tells of it
-    collision             e = overlap of two fingers' spheres, mm
+    joint limits       e = excess, rad
+    bent finger        e = abduction - that of the scaphoid's direction, more strongly the more it is bent:
+                       the collateral ligaments are taut then
+    relaxed hand       e = angle - relaxed angle, weakly, for hidden joints
+    resting thumb      or e = angle of a thumb - resting angle, weighted by the probability that it rests:
+                       most hidden thumbs do, visible ones may be anywhere
+    closing finger     or e = angle of joint 2 - that coupled to joint 3 in closing fingers, and, more weakly,
+                       angle of joint 3 - closed angle, weighted by the probability that it closes: from the
+                       back of the hand, closing is hidden
+    straight finger    or e = angle of joint 2 - straight angle, and, more weakly, angle of joint 3 - its
+                       mean, weighted by the probability that it is straight: straight fingers also bend at the
+                       knuckle
+    neighbours         e = difference of two neighbours' joints 2, less the more their joints 3 differ: a
+                       visible finger is evidence for a hidden one bent alike
+    collision          e = overlap of two fingers' spheres, mm
 """
 
 from __future__ import annotations
@@ -40,37 +40,28 @@ RELAXED: FloatArray = _D * np.array(
 )
 """(15,) angles of a relaxed hand, rad."""
 _REST: FloatArray = np.array([4.0, 4.0, 8.0, *[0.5] * 12])
-"""(15,) 1 / rad^2: standard deviations of 29 degrees for a thumb's flexions and of 20 for its abduction; a
+"""(15,) 1 / rad^2: standard deviations of 29 degrees for a thumb's flexions and 20 for its abduction; a
 finger's 81 degrees leave it free."""
 _RESTING: FloatArray = _D * np.array([14.0, 24.0, 16.0])
 _RESTING_WEIGHTS: FloatArray = 1.0 / np.square(_D * np.array([12.0, 12.0, 10.0]))
-"""Angles of a thumb that rests, and what differing from them weighs. The thumbs of our hands, laid on the
-joints of people 640 to 753, have 14, 18 and 10 degrees (sd 7, 13 and 8); where the back of the hand hides
-the tip, these place it best."""
+"""Angles of a resting thumb and their weights, tuned around the means of people 640 to 753 (14, 18 and
+10 degrees, sd 7, 13 and 8)."""
 _CLOSED: FloatArray = _D * np.array([76.0, 87.0])
-"""Flexion of joints 3 and 2 of a closed finger: between the fist that ``hand synth`` draws (80, 95) and the
-closed fingers of strangers who show their palms (66, 79; people 640-650, each with the own mesh). On the way
-there joint 2 bends with joint 3 (``Plausibility.coupling``), as people's fingers do on average: where joint 3
-is bent by 37, 52, 67 and 82 degrees, joint 2 of CVAR's P1 is by 46, 55, 70 and 74, sd 30, and that of P7, who
-points, by 87, 81, 83 and 83."""
+"""Flexion of joints 3 and 2 of a closed finger, between the synthetic fist (80, 95) and closed fingers seen
+from the palm (66, 79). While closing, joint 2 follows joint 3 (``Plausibility.coupling``)."""
 
 _STRAIGHT: FloatArray = _D * np.array([30.0, 5.0])
 _STRAIGHT_WEIGHTS: FloatArray = 1.0 / np.square(_D * np.array([40.0, 12.0]))
-"""Flexion of joints 3 and 2 of a finger that is straight, bent at the knuckle or not, and what differing
-from it weighs. Where joint 3 is bent by 40 to 70 degrees, joint 2 is by less than 15 in .18 of CVAR's P1, .49
-of P4, .05 of P7 and .29 of people 640-753, and by more than 60 in .42, .09, .89 and .40. Without this a flat
-hand whose fingers are hidden costs ten nats more than a fist."""
+"""Flexion of joints 3 and 2 of a straight finger, whether bent at the knuckle or not, and their weights.
+Without this mode a flat hand with hidden fingers costs ten nats more than a fist."""
 
 ALIKE_WEIGHT = 1.0 / (20.0 * _D) ** 2
-"""Of the difference of two neighbours' joints 2, where their joints 3 are bent alike. Where these differ by
-less than 15 degrees, those of CVAR's P1 and P4 differ by 22 to 36 (rms; the median is 10 to 23), P7's by 14
-to 17 but for the index, who points (92), and those of people 700-753, whose motions bend most fingers alike,
-by 5 to 11; where joints 3 differ by more than 25 degrees, P1's, P4's and the people's by 29 to 69."""
+"""Weight of the difference of two neighbours' joints 2 at equal joints 3, in 1 / rad^2."""
 
 
 _SCAPHOID = 1.0 / 3.0
-"""Where the scaphoid's tubercle is, which bent fingers point at: as a share of the way from the wrist's joint
-to the thumb's base."""
+"""Position of the scaphoid's tubercle, which bent fingers point at, as a share of the way from the wrist
+joint to the thumb's base."""
 
 
 class Plausibility(NamedTuple):
@@ -81,22 +72,22 @@ class Plausibility(NamedTuple):
         relaxed: (15,) rad.
         radii: (5, 5) of the fingers' spheres, mm.
         rest: (15,) weights of the relaxed angles, 1 / rad^2.
-        resting: (3,) angles of a thumb that rests, rad.
+        resting: (3,) angles of a resting thumb, rad.
         resting_weights: (3,) of these, 1 / rad^2.
         closed: (2,) flexion of joints 3 and 2 of a closed finger, rad.
-        coupling: how far joint 2 of a finger that closes bends for each radian of joint 3.
+        coupling: flexion of a closing finger's joint 2 per radian of joint 3.
         converging: (4,) abduction of a bent finger, rad.
         limit, taut: weights of the limits and of a bent finger's abduction, 1 / rad^2.
-        closing_weight, knuckle_weight: of joints 2 and 3 of a finger that closes, 1 / rad^2.
-        resting_odds: log odds of a thumb that rests, the heights of both densities included: four of five do.
-        closing_odds: log odds of a finger that closes, like ``resting_odds``.
+        closing_weight, knuckle_weight: of joints 2 and 3 of a closing finger, 1 / rad^2.
+        resting_odds: log odds of a resting thumb, including the heights of both densities: four of five rest.
+        closing_odds: log odds of a closing finger, like ``resting_odds``.
         straight: (2,) flexion of joints 3 and 2 of a straight finger, rad.
         straight_weights: (2,) of these, 1 / rad^2.
         straight_odds: log odds of a straight finger, like ``resting_odds``.
-        alike_weight: of neighbours' joints 2 where joints 3 are bent alike, 1 / rad^2.
-        alike_sd: how far joints 3 differ, rad, where that counts exp(-1/2) of it.
+        alike_weight: of neighbours' joints 2 at equal joints 3, 1 / rad^2.
+        alike_sd: difference of joints 3, rad, at which that weight falls to exp(-1/2).
         overlap: weight of a collision, 1 / mm^2.
-        allowed_mm: how far skins may sink into each other.
+        allowed_mm: overlap of skins without penalty.
     """
 
     low: FloatArray
@@ -125,7 +116,7 @@ class Plausibility(NamedTuple):
 
 
 def plausibility_of(anatomy: HandAnatomy) -> Plausibility:
-    """Return the constants for a hand: limits of the tables, spheres of its own radii."""
+    """Return the constants of a hand: limits from the tables, spheres from its radii."""
     r = anatomy.radii
     radii = np.stack(
         [r[:, 1], 0.5 * (r[:, 1] + r[:, 2]), r[:, 2], 0.5 * (r[:, 2] + r[:, 3]), r[:, 3]], axis=1
@@ -147,13 +138,10 @@ def plausibility_of(anatomy: HandAnatomy) -> Plausibility:
 
 
 def _converging(anatomy: HandAnatomy) -> FloatArray:
-    """Abductions (4,), rad, at which the planes that fingers bend in meet at the scaphoid's tubercle.
+    """Return abductions (4,), rad, at which the fingers' bending planes meet at the scaphoid's tubercle.
 
-    Bent fingers converge on it (Kapandji, The Physiology of the Joints, vol. 1): tips that nothing shows are
-    nearer to the thumb's side than those of fingers that bend where they point when they are straight. Planes
-    of closed ring and little fingers are turned by 18 and 30 degrees of people 642-747, and of CVAR's P7 by
-    6 and 11 (joint 2 to tip) to 17 and 26 (joint 3 to 2). This asks 17 and 30; straight fingers fan out by 4
-    and 10.
+    Bent fingers converge on it (Kapandji, The Physiology of the Joints, vol. 1): their tips are closer to the
+    thumb than if they bent in the direction of the straight fingers.
     """
     from_scaphoid = anatomy.base_positions[1:] - _SCAPHOID * anatomy.base_positions[0]
     fan = -anatomy.base_rotations[1:, :, 1]
@@ -164,7 +152,7 @@ def _converging(anatomy: HandAnatomy) -> FloatArray:
 
 @kernel
 def _add_angle(equations: NormalEquations, k: int, residual: float, weight: float) -> float:
-    """Pull angle k by a residual, and return the potential."""
+    """Add a residual of angle k; return its potential."""
     equations.matrix[6 + k, 6 + k] += weight
     equations.vector[6 + k] += weight * residual
     return 0.5 * weight * residual * residual
@@ -190,11 +178,11 @@ def _add_limits(about: Plausibility, angles: FloatArray, equations: NormalEquati
 
 @kernel
 def _add_rest(about: Plausibility, angles: FloatArray, equations: NormalEquations) -> float:
-    """Pull a thumb to where thumbs rest instead of to the relaxed angles, as far as it probably rests.
+    """Replace a thumb's relaxed prior by the resting one, with the probability that it rests.
 
-    With U_w and U_r = sum of w e^2 / 2 what the relaxed and the resting angles cost, and o the odds, its
-    potential is -log((exp(-U_w) + exp(o - U_r)) / (1 + exp(o))), at least 0. As in ``_add_folds``,
-    ``_add_limits`` has U_w.
+    With U_w and U_r = sum of w e^2 / 2 for the relaxed and the resting angles, and o the log odds, the
+    potential is -log((exp(-U_w) + exp(o - U_r)) / (1 + exp(o))), at least 0. ``_add_limits`` has already
+    added U_w.
     """
     log_odds = about.resting_odds
     for k in range(3):
@@ -211,12 +199,12 @@ def _add_rest(about: Plausibility, angles: FloatArray, equations: NormalEquation
 
 @kernel
 def _add_folds(about: Plausibility, angles: FloatArray, equations: NormalEquations) -> float:
-    """Pull fingers to where closing or straight fingers are instead of to where relaxed ones are.
+    """Replace fingers' relaxed prior by a mixture with closing and straight fingers.
 
-    With U_r what the relaxed angles, and U_c and U_s = sum of w e^2 / 2 what closing and being straight cost
-    a finger, and o their odds, its potential is -log(exp(-U_r) + exp(o_c - U_c) + exp(o_s - U_s)).
-    ``_add_limits`` has U_r; the difference is -log(1 + exp(o_c - U_c + U_r) + exp(o_s - U_s + U_r)), whose
-    gradient is that of s_c (U_c - U_r) + s_s (U_s - U_r), s the probabilities that it closes or is straight.
+    With U_r, U_c and U_s = sum of w e^2 / 2 for relaxed, closing and straight fingers, and o their log odds,
+    the potential is -log(exp(-U_r) + exp(o_c - U_c) + exp(o_s - U_s)). ``_add_limits`` has already added U_r;
+    the difference is -log(1 + exp(o_c - U_c + U_r) + exp(o_s - U_s + U_r)), whose gradient is that of s_c
+    (U_c - U_r) + s_s (U_s - U_r), with s the probabilities that it closes or is straight.
     """
     value = 0.0
     for f in range(1, 5):
@@ -249,7 +237,7 @@ def _add_folds(about: Plausibility, angles: FloatArray, equations: NormalEquatio
 
 @kernel
 def _add_neighbours(about: Plausibility, angles: FloatArray, equations: NormalEquations) -> float:
-    """Pull joints 2 of neighbouring fingers to each other; how much it counts is held as ligaments' is."""
+    """Pull joints 2 of neighbouring fingers together; the weight is treated as constant, as in ``taut``."""
     value = 0.0
     for f in range(1, 4):
         a, b = 3 * f, 3 * f + 3
@@ -265,7 +253,7 @@ def _add_neighbours(about: Plausibility, angles: FloatArray, equations: NormalEq
 def _add_coupled(
     equations: NormalEquations, a: int, b: int, coupling: float, residual: float, weight: float
 ) -> None:
-    """Pull angle b by a residual, and against it angle a, which it is coupled to."""
+    """Add a residual of angle b coupled to angle a."""
     i, j, H, g = 6 + a, 6 + b, equations.matrix, equations.vector
     H[i, i] += weight * coupling * coupling
     H[j, j] += weight
@@ -298,7 +286,7 @@ def _add_overlap(
     weight: float,
     equations: NormalEquations,
 ) -> None:
-    """Push spheres k and m (at p and q) of fingers f < h apart; palm motion moves both alike."""
+    """Push spheres k and m (at p and q) of fingers f < h apart; the palm moves both alike."""
     f, h, k, m = pair
     dx, dy, dz = p[0] - q[0], p[1] - q[1], p[2] - q[2]
     share = 1.0 / (np.sqrt(dx * dx + dy * dy + dz * dz) + 1e-9)
@@ -334,7 +322,7 @@ def _add_overlap(
 def _add_collisions(
     about: Plausibility, posed: Posed, spheres: FloatArray, f: int, h: int, equations: NormalEquations
 ) -> float:
-    """The potential of two fingers' overlaps."""
+    """Add the overlaps of two fingers; return their potential."""
     value = 0.0
     for k in range(SPHERES):
         x, y, z = spheres[f, k, 0], spheres[f, k, 1], spheres[f, k, 2]
@@ -354,12 +342,12 @@ def _add_collisions(
 def add_anatomy(
     about: Plausibility, pose: FloatArray, posed: Posed, spheres: FloatArray, equations: NormalEquations
 ) -> float:
-    """Add the potential's residuals at a pose (22,) to matrix and vector, and return U.
+    """Add the potential's residuals at a pose (22,) to matrix and vector; return U.
 
     Args:
         about: constants.
         pose, posed: the pose and its bones.
-        spheres: (5, SPHERES, 3), is written to.
+        spheres: (5, SPHERES, 3), overwritten.
         equations: to add to.
     """
     angles = pose[7:]
@@ -368,7 +356,7 @@ def add_anatomy(
     value += _add_neighbours(about, angles, equations)
     place_spheres(posed, spheres)
     for f in range(5):
-        for h in range(f + 1, 5 if f == 0 else min(f + 2, 5)):  # the thumb meets all, a finger its neighbour
+        for h in range(f + 1, 5 if f == 0 else min(f + 2, 5)):  # the thumb reaches all fingers
             value += _add_collisions(about, posed, spheres, f, h, equations)
     return value
 

@@ -1,4 +1,4 @@
-"""Fits of a hand's pose to one observation from several starts: what is expected, and hands like it."""
+"""Fits of a hand's pose to one observation from several starts."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ _THUMB_FOLDS = np.array(
 _REFOLDED = 0.5  # probability that a finger of a scattered start takes another fold
 _FINGER_SD = (0.3, 0.08, 0.36)  # MCP flexion, abduction, PIP flexion, rad
 SCATTER: FloatArray = np.array([8.0] * 3 + [0.15] * 3 + [0.3, 0.3, 0.08] + list(_FINGER_SD) * 4)
-"""(21,) standard deviations of a scattered start, mm and rad (hand-findings.md)."""
+"""(21,) standard deviations of a random start, mm and rad."""
 
 
 def fit_starts(
@@ -69,21 +69,20 @@ def fit_starts(
     *,
     ahead: bool = False,
 ) -> FloatArray:
-    """Return start poses (count, 22): the expected pose, others, then scattered ones about all of these.
+    """Return start poses (count, 22): the prediction, others, then random ones around all of these.
 
-    A finger that moved between two frames is mostly found from another fold, not from a nearby angle. In
-    every second scattered pose all four take one fold, as in a fist: seen from the back, a fist with its
-    fingers a little open and the palm pulled back to the elbow is another minimum, and no single finger's
-    fold leads out of it.
+    After a fast motion a finger is usually found from another fold, not from a nearby angle. In every second
+    random pose all four fingers take one fold, as in a fist: seen from the back, a slightly open fist with
+    its palm towards the elbow is a separate minimum that no single finger's fold leads out of.
 
     Args:
         expected: (22,) the prediction.
-        others: (M, 22) further poses worth a try.
-        count: how many starts.
+        others: (M, 22) further poses to try.
+        count: number of starts.
         space: of poses.
-        rng: draws the scatter.
-        ahead: whether a finger that takes another fold is scattered about straight ahead instead of about
-            where it points: a search knows of it by a fit alone, which may have laid it on its neighbour.
+        rng: for the random starts.
+        ahead: draw the abduction of a refolded finger around straight ahead instead of around the given one.
+            In a search it comes from a fit, which may have placed the finger on its neighbour.
     """
     given = np.concatenate([expected[None], others])[:count]
     more = count - len(given)
@@ -109,7 +108,7 @@ def fit_starts(
 
 
 def refolds(pose: FloatArray) -> FloatArray:
-    """Return a pose (22,) with each finger in each fold, one at a time: (26, 22)."""
+    """Return a pose (22,) with one finger at a time in each fold: (26, 22)."""
     count = 4 * len(_FOLDS)
     poses = np.tile(pose, (count + len(_THUMB_FOLDS), 1))
     for row, (finger, fold) in enumerate(product(range(1, 5), _FOLDS)):
@@ -123,7 +122,7 @@ FINGER_ANGLES = tuple(slice(7 + 3 * f, 10 + 3 * f) for f in range(5))  # of a po
 
 @dataclass(frozen=True, eq=False)
 class PosePrior:
-    """What is known before the image: N(mean, diag 1 / precision) in the tangent space.
+    """Prior N(mean, diag 1 / precision) in the tangent space.
 
     Attributes:
         mean: (22,) pose.
@@ -134,17 +133,17 @@ class PosePrior:
     precision: FloatArray
 
     def about(self, position: FloatArray) -> PosePrior:
-        """The same prior about another position (3,)."""
+        """Return the prior moved to another position (3,)."""
         return PosePrior(np.concatenate([position, self.mean[3:]]), self.precision)
 
     @property
     def anywhere(self) -> PosePrior:
-        """The same prior without a position."""
+        """Return the prior without a position."""
         return PosePrior(self.mean, np.concatenate([np.zeros(3), self.precision[3:]]))
 
 
+# zero precision everywhere
 FLAT_PRIOR = PosePrior(np.concatenate([np.zeros(6), [1.0], np.zeros(15)]), np.zeros(TANGENT_SIZE))
-"""One that every pose meets alike."""
 
 
 class HandFitter:
@@ -155,9 +154,9 @@ class HandFitter:
         camera: pinhole intrinsics.
         tile_px: side of the observations.
         terms: weights of the residuals.
-        steps: largest steps.
-        skin: of the hand and its forearm, by default the smooth one.
-        thumb: what is expected of its thumb.
+        steps: step limits.
+        skin: of hand and forearm, by default the smooth one.
+        thumb: prior of its thumb.
     """
 
     def __init__(
@@ -171,20 +170,20 @@ class HandFitter:
         thumb: ThumbPrior = FREE_THUMB,
     ) -> None:
         anatomy, skin = model.anatomy, skin or model.smooth_with_arm
-        about = plausibility_of(anatomy)
-        about = about if thumb.rests else about._replace(resting_odds=-np.inf)
-        self.hand = Hand(skeleton_of(anatomy), skin_of(skin), about, thumb.precision)
+        potential = plausibility_of(anatomy)
+        potential = potential if thumb.rests else potential._replace(resting_odds=-np.inf)
+        self.hand = Hand(skeleton_of(anatomy), skin_of(skin), potential, thumb.precision)
         self._camera, self._terms, self._steps = camera, terms or Terms(), steps or Steps()
         self._space = BodySpace()
         self._free = [make_workspace(self.hand, tile_px, tile_px) for _ in range(thread_count())]
         self._threads = ThreadPoolExecutor(len(self._free))
 
     def tile(self, observation: Observation) -> Tile:
-        """Return an observation as the fits read it."""
+        """Return an observation as the kernels read it."""
         return tile_of(observation, self._camera)
 
     def aligned(self, tile: Tile, poses: FloatArray) -> FloatArray:
-        """Return poses (K, 22) shifted so that what is drawn has the observed hand's middle."""
+        """Return poses (K, 22) shifted so that the rendered hand has the observed hand's centroid."""
         out = np.array(poses, order="C")
 
         def align_some(first: int, stride: int, workspace: Workspace) -> None:
@@ -196,7 +195,7 @@ class HandFitter:
     def descend(
         self, tile: Tile, starts: FloatArray, priors: Sequence[PosePrior], iterations: int
     ) -> list[Fit]:
-        """Return a fit from each start (K, 22), with a prior of its own."""
+        """Return a fit from each start (K, 22), with its own prior."""
         if not priors:
             return []
         fits, starts = empty_fits(len(priors)), np.ascontiguousarray(starts)
@@ -223,7 +222,7 @@ class HandFitter:
         return unstack_fits(fits)
 
     def objectives(self, tile: Tile, fits: Sequence[Fit], prior: PosePrior = FLAT_PRIOR) -> FloatArray:
-        """Return what fits are compared by (N,), mm: their costs, and what else speaks against them.
+        """Return the objectives (N,), mm, of fits: costs plus prior and anatomical potential.
 
         As in ``gauss_newton.descend``, but with one prior and the tile's inner numbers for all.
 
@@ -244,11 +243,11 @@ class HandFitter:
     def swapped(
         self, tile: Tile, groups: Sequence[Sequence[Fit]], prior: PosePrior = FLAT_PRIOR
     ) -> FloatArray:
-        """Return of each of G groups the best fit's pose with each finger from the fit where it fits best.
+        """Return for each group the best fit's pose, with each finger from the fit where it fits best.
 
         Args:
             tile: the observation.
-            groups: of the same number of fits each, at least one.
+            groups: G groups with the same number of fits, at least one.
             prior: of all poses.
 
         Returns:
@@ -279,13 +278,13 @@ class HandFitter:
         return out
 
     def assessed(self, tile: Tile, pose: FloatArray) -> Fit:
-        """Return the fit of a pose as it is."""
+        """Return the fit of a pose without a step."""
         fit = empty_fit()
         assess(self.hand, tile, pose, self._terms, self._free[0], fit)
         return fit
 
     def anatomy(self, fit: Fit) -> NormalEquations:
-        """Return gradient and information of exp(-U) where a fit is, U the anatomical potential."""
+        """Return gradient and information of exp(-U) at a fit, with U the anatomical potential."""
         equations, workspace = empty_equations(), self._free[0]
         pose_bones(self.hand.skeleton, fit.pose, fit.inner, workspace.posed)
         add_anatomy(self.hand.plausibility, fit.pose, workspace.posed, workspace.spheres, equations)
@@ -329,15 +328,13 @@ class HandFitter:
         return out
 
     def _share_out(self, count: int, some: Callable[[int, int, Workspace], None]) -> None:
-        """Have compiled work on so many items done on all threads, this one among them.
-
-        Handing a hand and a tile to compiled code takes as long as a third of a drawing: it is done once a
-        thread, not once an item.
+        """Run compiled work on ``count`` items in all threads, including this one.
 
         Args:
-            count: of the items.
-            some: does every so many-th item from a first one on; each thread has a workspace of its own.
+            count: number of items.
+            some: processes every n-th item from a first one, with the thread's own workspace.
         """
+        # passing hand and tile to compiled code costs a third of a rendering: once per thread, not per item
         threads = min(len(self._free), count)
         others = [self._threads.submit(some, k, threads, self._free[k]) for k in range(1, threads)]
         if threads:
@@ -347,7 +344,7 @@ class HandFitter:
 
 
 def tile_of(observation: Observation, camera: Camera) -> Tile:
-    """Return an observation by a camera as fits read it."""
+    """Return a camera's observation as the kernels read it."""
     image = observation.image.astype(np.float64)
     view = View(*observation.window.tile_projection(camera))
     nearest, inner = nearest_pixels(image > 0), observation.inner
@@ -355,10 +352,10 @@ def tile_of(observation: Observation, camera: Camera) -> Tile:
 
 
 def nearest_pixels(mask: BoolArray) -> FloatArray:
-    """Return column and row (2, h, w) of a mask's nearest pixel; a pixel's own where the mask is empty."""
+    """Return column and row (2, h, w) of the nearest mask pixel; of the pixel itself for an empty mask."""
     height, width = mask.shape
     rows, columns = np.mgrid[:height, :width]
-    if not mask.any():  # laid out in memory as below, or kernels would be compiled for it anew
+    if not mask.any():  # same memory layout as below, or kernels would be compiled a second time
         return np.stack([columns, rows], axis=-1).astype(np.float64).transpose(2, 0, 1)
     _, labels = cv2.distanceTransformWithLabels(
         (~mask).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL

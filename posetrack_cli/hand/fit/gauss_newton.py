@@ -1,4 +1,4 @@
-"""Gauss-Newton on a hand's pose: draw, compare, solve, step; compiled."""
+"""Gauss-Newton on a hand's pose: render, compare, solve, step; compiled."""
 
 from __future__ import annotations
 
@@ -36,22 +36,22 @@ from posetrack_cli.hand.model.anatomy import POSE_SIZE, TANGENT_SIZE
 from posetrack_cli.hand.observe.observation import IGNORED
 from posetrack_cli.rendering.raster import Drawing, View, draw, draw_depth, empty_drawing
 
-STRIDE_FROM_AFAR, LAST_STEPS = 2, 2  # all pixels of the surface count in the last steps alone
-WIDENING = 1.3  # factor on the robust scales per iteration left
+STRIDE_FROM_AFAR, LAST_STEPS = 2, 2  # only the last steps use all surface pixels
+WIDENING = 1.3  # factor on the robust scales per remaining iteration
 SWING_SD, GIRTH_SD = 0.25, 0.1
-"""Of the forearm about what is expected of it: rad, and of the girth's logarithm."""
+"""Of the forearm around its prediction, rad, and of the logarithm of its girth."""
 IP_SD, ABDUCTION_SD = np.deg2rad(8.0), np.deg2rad(8.0)
-"""Of the thumb's inner angles about what is expected of them, rad."""
+"""Of the thumb's inner angles around their prediction, rad."""
 MOST_GIRTH, MOST_THUMB = 0.5, np.deg2rad(40.0)
 FREE_BEND, STIFF_BEND = np.deg2rad(60.0), 30.0
-"""Up to where a wrist bends freely, rad, and the weight beyond, 1 / rad^2."""
+"""Wrist flexion up to which there is no potential, rad, and its weight beyond, 1 / rad^2."""
 
 
 class ThumbPrior(NamedTuple):
-    """What is expected of a thumb.
+    """Prior of a thumb.
 
     Attributes:
-        precision: (2,) of its inner angles about what is expected of them, 1 / rad^2.
+        precision: (2,) of its inner angles around their prediction, 1 / rad^2.
         rests: whether it probably rests.
     """
 
@@ -61,7 +61,7 @@ class ThumbPrior(NamedTuple):
 
 FREE_THUMB = ThumbPrior(1.0 / np.square([IP_SD, ABDUCTION_SD]), rests=True)
 STIFF_THUMB = ThumbPrior(np.full(2, 1e9), rests=False)
-"""Of a thumb that is followed, and of one without inner angles, which is not expected to rest either."""
+"""Priors of a tracked thumb, and of one without inner angles, which is not expected to rest."""
 
 
 class Hand(NamedTuple):
@@ -69,7 +69,7 @@ class Hand(NamedTuple):
 
     Attributes:
         skeleton, skin, plausibility: its parts.
-        thumb: (2,) precisions of its thumb's inner angles about what is expected of them, 1 / rad^2.
+        thumb: (2,) precision of the thumb's inner angles around their prediction, 1 / rad^2.
     """
 
     skeleton: Skeleton
@@ -79,7 +79,7 @@ class Hand(NamedTuple):
 
 
 class Steps(NamedTuple):
-    """How far one iteration goes at most: mm, rad of the rotation, rad of an angle."""
+    """Step limits of one iteration: mm, rad of the rotation, rad of an angle."""
 
     translation_mm: float = 30.0
     rotation_rad: float = 0.4
@@ -87,7 +87,7 @@ class Steps(NamedTuple):
 
 
 class Workspace(NamedTuple):
-    """What one fit at a time writes to."""
+    """Buffers of one fit at a time."""
 
     posed: Posed
     drawing: Drawing
@@ -98,12 +98,12 @@ class Workspace(NamedTuple):
 
 
 class Fit(NamedTuple):
-    """The best pose of one descent; written by ``descend``.
+    """Best pose of a descent; written by ``descend``.
 
     Attributes:
         pose: (22,).
         inner: (6,) inner numbers (``hand.fit.skeleton``).
-        data: of the image's residuals at the pose.
+        data: normal equations of the image's residuals at the pose.
         cost: (1,) union cost D, mm.
     """
 
@@ -114,7 +114,7 @@ class Fit(NamedTuple):
 
 
 def make_workspace(hand: Hand, height: int, width: int) -> Workspace:
-    """Return the workspace of fits to images of one size."""
+    """Return the buffers of fits to images of one size."""
     return Workspace(
         empty_posed(),
         empty_drawing(hand.skin.mesh, height, width),
@@ -126,12 +126,12 @@ def make_workspace(hand: Hand, height: int, width: int) -> Workspace:
 
 
 def empty_fit() -> Fit:
-    """Return a fit to be filled in."""
+    """Return an empty fit."""
     return Fit(np.zeros(POSE_SIZE), np.zeros(INNER_SIZE), empty_equations(), np.zeros(1))
 
 
 def empty_fits(count: int) -> Fit:
-    """Return so many fits to be filled in, as one whose arrays have an axis more, the first."""
+    """Return ``count`` empty fits, stacked along a first axis."""
     one = empty_fit()
     data = NormalEquations(*(np.zeros((count, *array.shape)) for array in one.data))
     shapes = one.pose.shape, one.inner.shape, one.cost.shape
@@ -140,7 +140,7 @@ def empty_fits(count: int) -> Fit:
 
 
 def unstack_fits(fits: Fit) -> list[Fit]:
-    """Return the single ones of several fits, which share their memory."""
+    """Return views of the single fits."""
     data = [NormalEquations(*arrays) for arrays in zip(*fits.data, strict=True)]
     return [Fit(*parts) for parts in zip(fits.pose, fits.inner, data, fits.cost, strict=True)]
 
@@ -169,7 +169,7 @@ def _difference(mean: FloatArray, pose: FloatArray, out: FloatArray) -> None:
 
 @kernel
 def step_pose(pose: FloatArray, delta: FloatArray, most: Steps) -> None:
-    """Move a pose by a tangent vector, no farther than ``most``."""
+    """Move a pose by a tangent vector, within the limits of ``most``."""
     length = np.sqrt(delta[0] ** 2 + delta[1] ** 2 + delta[2] ** 2)
     shrink = min(1.0, most.translation_mm / (length + 1e-30))
     for i in range(3):
@@ -191,7 +191,7 @@ def step_pose(pose: FloatArray, delta: FloatArray, most: Steps) -> None:
 def add_inner_prior(
     expected: FloatArray, inner: FloatArray, thumb: FloatArray, posed: Posed, equations: NormalEquations
 ) -> None:
-    """Pull inner numbers (6,) to what is expected, and the wrist back from where it cannot bend to."""
+    """Add the priors of the inner numbers (6,) and of the wrist's range."""
     for k in range(2):
         i, precision = THUMB_PLACE + k, thumb[k]
         equations.matrix[i, i] += precision
@@ -201,7 +201,7 @@ def add_inner_prior(
 
 @kernel
 def _add_arm_prior(expected: FloatArray, arm: FloatArray, posed: Posed, equations: NormalEquations) -> None:
-    """Pull the forearm to what is expected of it, and the wrist back from where it cannot bend to."""
+    """Add the priors of the forearm and of the wrist's range."""
     H, g, axes = equations.matrix, equations.vector, posed.axes
     swing, girth = 1.0 / (SWING_SD * SWING_SD), 1.0 / (GIRTH_SD * GIRTH_SD)
     x = arm[1] * expected[2] - arm[2] * expected[1]
@@ -235,7 +235,7 @@ def _add_arm_prior(expected: FloatArray, arm: FloatArray, posed: Posed, equation
 
 @kernel
 def _move_inner(inner: FloatArray, delta: FloatArray, posed: Posed, most: Steps) -> None:
-    """Move inner numbers by the last of a step (26,): bend the thumb, swing the forearm and widen it."""
+    """Move the inner numbers by the last part of a step (26,): thumb angles, forearm swing and girth."""
     for k in range(2):
         angle = inner[IP_OFFSET + k] + min(max(delta[THUMB_PLACE + k], -most.angle_rad), most.angle_rad)
         inner[IP_OFFSET + k] = min(max(angle, -MOST_THUMB), MOST_THUMB)
@@ -244,7 +244,7 @@ def _move_inner(inner: FloatArray, delta: FloatArray, posed: Posed, most: Steps)
 
 @kernel
 def _move_arm(arm: FloatArray, delta: FloatArray, posed: Posed, most: Steps) -> None:
-    """Swing the forearm by two angles about its axes, and widen it by the third of ``delta``."""
+    """Swing the forearm by two angles about its axes, and scale its girth by the third of ``delta``."""
     axes, x, y, z = posed.axes, arm[0], arm[1], arm[2]
     if x == 0.0 and y == 0.0 and z == 0.0:
         return
@@ -270,7 +270,7 @@ def _keep(pose: FloatArray, inner: FloatArray, data: NormalEquations, cost: floa
 
 
 @kernel
-def _add_doubt(
+def _add_prior_terms(
     hand: Hand,
     pose: FloatArray,
     mean: FloatArray,
@@ -278,20 +278,19 @@ def _add_doubt(
     workspace: Workspace,
     off: FloatArray,
 ) -> float:
-    """Add prior (mean, precision) and anatomy to the workspace's ``whole``, and return what they have against
-    a pose that is posed there, nats.
+    """Add prior (mean, precision) and anatomy at the current pose to ``whole``; return their potential, nats.
 
-    Writes the mean's distance from the pose (21,) to ``off``.
+    Writes the mean's difference from the pose (21,) to ``off``.
     """
     whole = workspace.whole
     _difference(mean, pose, off)
     for i in range(TANGENT_SIZE):
         whole.matrix[i, i] += precision[i]
         whole.vector[i] += precision[i] * off[i]
-    doubt = add_anatomy(hand.plausibility, pose, workspace.posed, workspace.spheres, whole)
+    potential = add_anatomy(hand.plausibility, pose, workspace.posed, workspace.spheres, whole)
     for i in range(TANGENT_SIZE):
-        doubt += 0.5 * precision[i] * off[i] * off[i]
-    return doubt
+        potential += 0.5 * precision[i] * off[i] * off[i]
+    return potential
 
 
 @kernel
@@ -307,22 +306,22 @@ def descend(
     workspace: Workspace,
     out: Fit,
 ) -> None:
-    """Descend from a start pose and keep the best pose on the way.
+    """Descend from a start pose and keep the best pose.
 
-    The best is what the step is towards, the most probable one: of D + u (U + e^T P e / 2) the least, with D
-    the union cost, U the anatomy's potential, e the pose's distance from the prior's mean, P its precision
-    and u the tile's ``mm_per_nat``. D alone is least where noise happens to fit, the more so the more poses
-    are tried: a finger that nothing shows would be taken from anywhere for a tenth of a millimetre.
+    The objective is that of the steps, D + u (U + e^T P e / 2), with D the union cost, U the anatomical
+    potential, e the pose's difference from the prior's mean, P its precision and u the tile's ``mm_per_nat``.
+    D alone would select the pose that happens to fit the noise: a hidden finger could be anywhere for a tenth
+    of a millimetre.
 
     Args:
         hand: the model.
         tile: the observation.
         start: (22,).
         mean, precision: (22,), (21,) prior of the pose, in the tangent space.
-        terms, most: weights, step sizes.
-        iterations: Gauss-Newton steps; one more pose is drawn.
-        workspace: is written to.
-        out: the fit. Its cost is c_max if the hand cannot be drawn.
+        terms, most: weights, step limits.
+        iterations: Gauss-Newton steps; one more pose is rendered.
+        workspace: overwritten.
+        out: the fit. Its cost is c_max if the hand cannot be rendered.
     """
     pose, inner, delta = start.copy(), tile.inner.copy(), np.empty(UNKNOWNS)
     _keep(pose, inner, workspace.data, np.inf, out)
@@ -346,7 +345,7 @@ def descend(
             )
             gather(workspace.data)
         copy(workspace.data, workspace.whole)
-        objective = cost + tile.mm_per_nat * _add_doubt(hand, pose, mean, precision, workspace, delta)
+        objective = cost + tile.mm_per_nat * _add_prior_terms(hand, pose, mean, precision, workspace, delta)
         if objective < least:
             least = objective
             _keep(pose, inner, workspace.data, cost, out)
@@ -408,17 +407,17 @@ def swap_fingers_each(
     workspace: Workspace,
     out: FloatArray,
 ) -> None:
-    """Write the best pose of each group (G, 22) with every finger taken from the pose where it fits best.
+    """Write each group's best pose (G, 22) with every finger from the pose where it fits best.
 
-    A finger after the other, the thumb first, each with those before it as they were chosen.
+    Greedy: one finger after the other, thumb first.
 
     Args:
         hand, tile, terms, workspace: as in ``cost_of``.
-        poses: (G, K, 22) the best of each group first.
+        poses: (G, K, 22), the best of each group first.
         objectives: (G,) of these, as in ``descend``.
         mean, precision: (22,), (21,) prior of all.
         first, stride: which groups.
-        out: is written to.
+        out: overwritten.
     """
     trial, off = np.empty(POSE_SIZE), np.empty(TANGENT_SIZE)
     for g in range(first, len(poses), stride):
@@ -432,7 +431,7 @@ def swap_fingers_each(
                 other = cost_of(hand, tile, trial, terms, workspace)
                 if tile.mm_per_nat > 0.0:
                     clear(workspace.whole)
-                    other += tile.mm_per_nat * _add_doubt(hand, trial, mean, precision, workspace, off)
+                    other += tile.mm_per_nat * _add_prior_terms(hand, trial, mean, precision, workspace, off)
                 if other < least:
                     chosen, least = k, other
             if chosen > 0:
@@ -443,14 +442,14 @@ def swap_fingers_each(
 def align_each(
     hand: Hand, tile: Tile, poses: FloatArray, first: int, stride: int, workspace: Workspace
 ) -> None:
-    """``align`` every ``stride``-th of poses (N, 22)."""
+    """Apply ``align`` to every ``stride``-th of poses (N, 22)."""
     for n in range(first, len(poses), stride):
         align(hand, tile, poses[n], workspace)
 
 
 @kernel
 def cost_of(hand: Hand, tile: Tile, pose: FloatArray, terms: Terms, workspace: Workspace) -> float:
-    """The union cost D, mm, of a pose (22,)."""
+    """Return the union cost D, mm, of a pose (22,)."""
     pose_bones(hand.skeleton, pose, tile.inner, workspace.posed)
     if not draw_depth(hand.skin.mesh, workspace.posed.bones, tile.projection, workspace.drawing):
         return terms.clamp_mm
@@ -459,7 +458,7 @@ def cost_of(hand: Hand, tile: Tile, pose: FloatArray, terms: Terms, workspace: W
 
 @kernel
 def assess(hand: Hand, tile: Tile, pose: FloatArray, terms: Terms, workspace: Workspace, out: Fit) -> None:
-    """Make the fit of a pose as it is, without a step."""
+    """Write the fit of a pose without a step."""
     pose_bones(hand.skeleton, pose, tile.inner, workspace.posed)
     clear(workspace.data)
     cost = terms.clamp_mm
@@ -481,9 +480,9 @@ def assess(hand: Hand, tile: Tile, pose: FloatArray, terms: Terms, workspace: Wo
 
 @kernel
 def align(hand: Hand, tile: Tile, pose: FloatArray, workspace: Workspace) -> bool:
-    """Shift a pose (22,) so that the middle of what is drawn meets the middle of the hand's pixels.
+    """Shift a pose (22,) so that rendered and observed hand have the same centroid.
 
-    The middles are means of column, row and depth. False, and nothing moved, if either shows nothing.
+    The centroids are means of column, row and depth. Return False, without a shift, if either is empty.
     """
     pose_bones(hand.skeleton, pose, tile.inner, workspace.posed)
     bones, drawing = workspace.posed.bones, workspace.drawing
@@ -502,7 +501,7 @@ def align(hand: Hand, tile: Tile, pose: FloatArray, workspace: Workspace) -> boo
 
 @kernel
 def _add_middle(image: FloatArray, seen: FloatArray, inverted: bool, total: FloatArray) -> int:
-    """Add up column, row and depth of the pixels above 0, but where what is seen is ignored; count them."""
+    """Sum column, row and depth of positive pixels where ``seen`` is not ignored; return their number."""
     count = 0
     for j in range(image.shape[0]):
         for i in range(image.shape[1]):
@@ -517,7 +516,7 @@ def _add_middle(image: FloatArray, seen: FloatArray, inverted: bool, total: Floa
 
 @kernel
 def _place_middle(total: FloatArray, count: int, view: View) -> None:
-    """Turn sums over pixels into the point, mm, on which their mean falls."""
+    """Convert sums over pixels to the 3-D point, mm, of their mean."""
     z = total[2] / count
     total[0] = (total[0] / count - view.b) / view.a * z
     total[1] = (total[1] / count - view.d) / view.c * z

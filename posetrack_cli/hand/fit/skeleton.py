@@ -1,4 +1,4 @@
-"""Bones and skin of one pose, their derivatives, and the inner numbers that fits estimate beside it."""
+"""Bones and skin of one pose, their derivatives, and the inner numbers fitted in addition to the pose."""
 
 from __future__ import annotations
 
@@ -13,15 +13,11 @@ from posetrack_cli.hand.model.anatomy import ARM_BONE, BONE_COUNT, HandAnatomy
 from posetrack_cli.rendering.mesh import SkinnedMesh
 from posetrack_cli.rendering.raster import RestMesh, rest_mesh
 
-# The hand's bones for one pose, and how a point of its skin moves with the pose; compiled.
-#
-# ``hand.model.kinematics`` asks it for many poses at once.
-
+# Bones of one pose and derivatives of skin points; compiled. ``hand.model.kinematics`` handles many poses.
 
 HALF = 0.5  # joint 1 bends half as far as joint 2 (paper, appendix A.1)
-THUMB_ROW = 0  # the finger of a point of the thumb
-PALM = -1  # that of a point that no finger moves
-ARM = 5  # that of a point of the forearm
+# finger indices of skin points on the thumb, the palm and the forearm
+THUMB_ROW, PALM, ARM = 0, -1, 5
 
 
 class Skeleton(NamedTuple):
@@ -43,13 +39,13 @@ class Skeleton(NamedTuple):
 
 
 class Posed(NamedTuple):
-    """One pose's bones; written by ``pose_bones``.
+    """Bones of one pose; written by ``pose_bones``.
 
     Attributes:
-        bones: (17, 3, 4) camera_T_rest, mm; the last is the forearm's behind the wrist.
-        axes: (6, 3, 3) hinge axes in camera coordinates: of a finger flexion and abduction (the third is not
-            used), of the thumb CMC flexion, MCP and IP flexion, CMC and MCP abduction, of the forearm the two
-            that it swings about and its direction towards the elbow, 0 where there is none.
+        bones: (17, 3, 4) camera_T_rest, mm; the last is the forearm's.
+        axes: (6, 3, 3) hinge axes in camera coordinates. Fingers: flexion, abduction (third unused). Thumb:
+            CMC flexion; MCP and IP flexion; CMC and MCP abduction. Forearm: its two swing axes and its
+            direction to the elbow; 0 without one.
         centres: (5, 3, 3) joints 3, 2, 1 in camera coordinates, mm.
         tips: (5, 3) mm.
     """
@@ -72,14 +68,14 @@ def skeleton_of(anatomy: HandAnatomy) -> Skeleton:
 
 
 def empty_posed() -> Posed:
-    """Return the bones of one pose, to be filled in."""
+    """Return empty bones of one pose."""
     bones, axes = np.zeros((BONE_COUNT + 1, 3, 4)), np.zeros((6, 3, 3))
     return Posed(bones, axes, np.zeros((5, 3, 3)), np.zeros((5, 3)))
 
 
 @kernel
 def _bent(s: float, a: float, t: float, out: FloatArray) -> None:
-    """Rx(s) Rz(a) Rx(t)."""
+    """Write Rx(s) Rz(a) Rx(t)."""
     cs, ss, ca, sa, ct, st = np.cos(s), np.sin(s), np.cos(a), np.sin(a), np.cos(t), np.sin(t)
     out[0, 0], out[0, 1], out[0, 2] = ca, -sa * ct, sa * st
     out[1, 0], out[1, 1], out[1, 2] = cs * sa, cs * ca * ct - ss * st, -cs * ca * st - ss * ct
@@ -88,7 +84,7 @@ def _bent(s: float, a: float, t: float, out: FloatArray) -> None:
 
 @kernel
 def _finger_turns(pose: FloatArray, inner: FloatArray, f: int, sign: float, turns: FloatArray) -> None:
-    """Turns (3, 3, 3) of a finger's bones from rest, in the finger's frame."""
+    """Write rotations (3, 3, 3) of a finger's bones from rest, in the finger's frame."""
     k, aside, more = 7 + 3 * f, 0.0, 0.0
     if f == THUMB_ROW:
         base, spread, first, second = pose[k], sign * pose[k + 2], 0.0, pose[k + 1]
@@ -104,7 +100,7 @@ def _finger_turns(pose: FloatArray, inner: FloatArray, f: int, sign: float, turn
 def _finger_axes(
     pose: FloatArray, inner: FloatArray, f: int, sign: float, frame: FloatArray, axes: FloatArray
 ) -> None:
-    """Hinge axes (3, 3) in camera coordinates; ``frame`` is camera_R_finger."""
+    """Write hinge axes (3, 3) in camera coordinates; ``frame`` is camera_R_finger."""
     k = 7 + 3 * f
     s, a = (
         (pose[k], sign * (pose[k + 2] + inner[MCP_ABDUCTION]))
@@ -124,9 +120,9 @@ def _finger_axes(
 
 @kernel
 def pose_bones(skeleton: Skeleton, pose: FloatArray, inner: FloatArray, posed: Posed) -> None:
-    """Write the bones, hinge axes and joint centres of one pose (22,) with inner numbers (6,).
+    """Write bones, hinge axes and joint centres of one pose (22,) with inner numbers (6,).
 
-    A forearm is drawn together into the wrist, where nothing of it is seen.
+    Without a visible forearm its bone collapses into the wrist.
     """
     posed.bones[ARM_BONE, :, :3], posed.axes[ARM] = 0.0, 0.0
     palm, frame, turned, turns = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3, 3))
@@ -165,7 +161,8 @@ def pose_many(
 def place_joints(
     skeleton: Skeleton, poses: FloatArray, inner: FloatArray, posed: Posed, joints: FloatArray
 ) -> None:
-    """Write the joints (N, 21, 3), mm, of poses (N, 22) with inner numbers (N, 6), in the joints' order."""
+    """Write joints (N, 21, 3), mm, of poses (N, 22) with inner numbers (N, 6), in the order of
+    ``JOINT_NAMES``."""
     for n in range(len(poses)):
         pose_bones(skeleton, poses[n], inner[n], posed)
         joints[n, 0] = poses[n, :3]
@@ -176,17 +173,17 @@ def place_joints(
 
 @kernel
 def _place_arm(arm: FloatArray, posed: Posed) -> None:
-    """Write the forearm's bone and axes behind the wrist of a hand that is posed, of inner numbers (6,).
+    """Write the forearm's bone and axes of a posed hand, from inner numbers (6,).
 
-    Its rest coordinates have the wrist at the origin and y towards the elbow; x stays as near to the palm's
-    as can be. Without a forearm all of it stays in the wrist.
+    Its rest coordinates have the wrist at the origin and y towards the elbow; x is as close as possible to
+    the palm's. Without a forearm it stays collapsed in the wrist.
     """
     bone, axes = posed.bones[ARM_BONE], posed.axes[ARM]
     if arm[0] == 0.0 and arm[1] == 0.0 and arm[2] == 0.0:
         return
     palm, girth = posed.bones[0], np.exp(arm[3])
     along = palm[0, 0] * arm[0] + palm[1, 0] * arm[1] + palm[2, 0] * arm[2]
-    column = 0 if abs(along) < 0.9 else 2  # an arm along the palm's own x turns with its normal
+    column = 0 if abs(along) < 0.9 else 2  # x is degenerate for an arm along it: use the palm's normal
     if column == 2:
         along = palm[0, 2] * arm[0] + palm[1, 2] * arm[1] + palm[2, 2] * arm[2]
     square = 0.0
@@ -219,7 +216,7 @@ def _place_bone(skeleton: Skeleton, f: int, k: int, turned: FloatArray, at: Floa
 def _arm_row(
     posed: Posed, lx: float, ly: float, lz: float, dx: float, dy: float, dz: float, row: FloatArray
 ) -> None:
-    """Of a point of the forearm, l from the wrist: it swings about the two axes and widens from the third."""
+    """Write the derivatives of a forearm point at l from the wrist: two swings, and its girth."""
     tx, ty, tz = ly * dz - lz * dy, lz * dx - lx * dz, lx * dy - ly * dx
     first, second, along = posed.axes[ARM, 0], posed.axes[ARM, 1], posed.axes[ARM, 2]
     for k in range(3):
@@ -232,7 +229,7 @@ def _arm_row(
 
 @inlined
 def _add_thumb(joint: int, first: float, second: float, aside: float, row: FloatArray) -> None:
-    """Of a point beyond a joint of the thumb: how fast CMC flexion, MCP and IP flexion, abduction move it."""
+    """Add the derivatives of a point beyond a joint of the thumb: CMC, MCP and IP flexion, and abduction."""
     if joint == 0:
         row[6] += first
         row[8] += aside
@@ -258,19 +255,19 @@ def point_row(
     dz: float,
     row: FloatArray,
 ) -> None:
-    """Write how fast a skin point moves along a direction, by tangent component: d . dp/dx.
+    """Write the derivatives of a skin point along a direction by tangent component: d . dp/dx.
 
-    A point moved by the bones beyond a hinge with total skinning weight W turns by W of the hinge's angle.
+    A point with total skinning weight W on the bones beyond a hinge turns by W times the hinge's angle.
 
     Args:
         posed: the pose's bones.
         finger: that moves the point, or PALM, or ARM.
         reaches: (M, 3), row n: skinning weight of the finger's bones from joint 3, 2, 1 outwards.
-        n: which row.
+        n: row index.
         px, py, pz: the point, camera coordinates, mm.
         dx, dy, dz: unit direction.
-        row: (12,) translation, body rotation, the finger's three angles (0 for the palm), or for the forearm
-            its two swings and the logarithm of its girth; the next is left; the thumb's two inner angles.
+        row: (12,) translation; body rotation; the finger's three angles (0 for the palm), or the forearm's
+            two swings and log girth; one entry left for the residual; the thumb's two inner angles.
     """
     palm = posed.bones
     lx, ly, lz = px - palm[0, 0, 3], py - palm[0, 1, 3], pz - palm[0, 2, 3]
@@ -306,17 +303,17 @@ def point_row(
             row[8] += first if joint == 1 else HALF * first
 
 
-# A hand's skin as the fits' kernels read it: a mesh, and which finger moves which part of it
+# Skin with its fingers
 
 
 class Skin(NamedTuple):
-    """A hand's mesh, and what moves it.
+    """A hand's mesh and the fingers that move it.
 
     Attributes:
         mesh: the mesh.
-        fingers: (V,) finger that moves the vertex most, or PALM, or ARM.
+        fingers: (V,) finger of greatest weight on the vertex, or PALM, or ARM.
         reaches: (V, 3) skinning weight of its bones from joint 3, 2, 1 outwards.
-        triangle_fingers: (T,) the same of a triangle.
+        triangle_fingers: (T,) the same per triangle.
         triangle_reaches: (T, 3).
     """
 
@@ -328,7 +325,7 @@ class Skin(NamedTuple):
 
 
 def skin_of(mesh: SkinnedMesh) -> Skin:
-    """Return a mesh bound to the hand's 16 bones, or 17 with a forearm's, as the kernels read it."""
+    """Return a mesh bound to the hand's 16 bones, or 17 with a forearm, as the kernels read it."""
     by_finger = mesh.weights[:, 1:ARM_BONE].reshape(-1, 5, 3)
     outwards = np.cumsum(by_finger[:, :, ::-1], axis=2)[:, :, ::-1]
     fingers, reaches = _strongest(outwards)
@@ -339,17 +336,18 @@ def skin_of(mesh: SkinnedMesh) -> Skin:
 
 
 def _strongest(outwards: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Of reaches (M, 5, 3) the finger with the most weight (M,), or PALM, and its reaches (M, 3)."""
+    """Return for reaches (M, 5, 3) the finger of most weight (M,), or PALM, and its reaches (M, 3)."""
     finger = outwards[:, :, 0].argmax(axis=1)
     reach = np.take_along_axis(outwards, finger[:, None, None], axis=1)[:, 0]
     return np.where(reach[:, 0] > 0.0, finger, PALM).astype(np.int64), np.ascontiguousarray(reach)
 
 
-# What is estimated of a frame inside, beside a hand's 22 numbers **[ours]**.
+# Inner numbers **[ours]**
 #
-# Six inner numbers, integrated out of what a frame tells of a pose, and then the same for all its particles:
+# Six numbers of a frame in addition to the pose's 22. They are marginalised in the likelihood of the pose,
+# and all particles of a frame share them:
 #
-#     0:3    forearm: unit direction from wrist to elbow, camera axes; 0 where none is explained
+#     0:3    forearm: unit direction from wrist to elbow, camera axes; 0 without a forearm
 #     3      forearm: logarithm of its girth's factor
 #     4      thumb: flexion of its last joint (IP) beyond the half of the MCP's that the pose gives it, rad
 #     5      thumb: abduction of its MCP, rad, with the sign of the CMC's
@@ -361,29 +359,28 @@ LOG_GIRTH, IP_OFFSET, MCP_ABDUCTION = 3, 4, 5
 NO_INNER: FloatArray = np.zeros(INNER_SIZE)
 NO_THUMB: FloatArray = np.zeros(2)
 RELAXED_INNER: FloatArray = np.array([0.0, 0.0, 0.0, 0.0, np.deg2rad(14.0), 0.0])
-"""(6,) what is expected before any frame told: the last joint of a thumb that rests bends farther than by
-half of what its MCP does. Our hands, laid on the joints of people 640 to 753, have 17 degrees, sd 13."""
+"""(6,) prior before any frame: the last joint of a resting thumb bends more than half of its MCP (17 degrees,
+sd 13, over people 640 to 753)."""
 
 FOREARM_NUMBERS = ("forearm_x", "forearm_y", "forearm_z", "forearm_girth")
-"""What estimates say of it: the unit direction from wrist to elbow, camera axes, and the girth as a
-factor on that which the hand's wrist lets expect; not known where none is explained."""
+"""Unit direction from wrist to elbow, camera axes, and girth relative to that expected from the hand's wrist;
+NaN without a forearm."""
 THUMB_NUMBERS = ("thumb_ip_offset", "thumb_mcp_abduction")
 """The thumb's two inner angles, rad."""
 INNER_NUMBERS = (*FOREARM_NUMBERS, *THUMB_NUMBERS)
 
 
 def inner_numbers(inner: FloatArray) -> FloatArray:
-    """What ``INNER_NUMBERS`` name (6,) of inner numbers (6,); NaN for a forearm that there is not."""
+    """Return the values of ``INNER_NUMBERS`` (6,) for inner numbers (6,); NaN without a forearm."""
     arm = np.append(inner[:3], np.exp(inner[LOG_GIRTH])) if inner[:3].any() else np.full(4, np.nan)
     return np.concatenate([arm, inner[THUMB]])
 
 
 def inner_of(numbers: FloatArray | None) -> FloatArray:
-    """The inner numbers (6,) that numbers of ``inner_numbers`` tell; 0 for those that a result has not got.
+    """Return the inner numbers (6,) for values of ``inner_numbers``; 0 for missing ones.
 
     Args:
-        numbers: (6,) and what comes after them, (4,) of a result that has a forearm's alone, or anything
-            shorter of one with neither.
+        numbers: at least (6,); (4,) from a result with a forearm only; or shorter from one with neither.
     """
     inner = NO_INNER.copy()
     if numbers is None or len(numbers) < len(FOREARM_NUMBERS):
@@ -396,7 +393,7 @@ def inner_of(numbers: FloatArray | None) -> FloatArray:
 
 
 def thumbs_of(numbers: FloatArray | None, count: int) -> FloatArray:
-    """The thumbs' inner angles (count, 2), rad, of numbers (count, M) as in ``inner_of``."""
+    """Return the thumbs' inner angles (count, 2), rad, for numbers (count, M) as in ``inner_of``."""
     if numbers is None or numbers.shape[1] < INNER_SIZE:
         return np.zeros((count, len(NO_THUMB)))
     thumbs = numbers[:, THUMB]

@@ -1,13 +1,13 @@
-"""What pulls a pose towards a depth image: residuals of pixels and their derivatives; compiled.
+"""Residuals of a depth image and their derivatives; compiled.
 
-With r the pixels on which the model is drawn and o the hand's observed pixels (hand-findings.md):
+With r the rendered pixels and o the observed hand pixels:
 
     r and o, |dz| < gate     projective point-to-plane: n . (observed - drawn)
     r and o, drawn far in front of the reading     a weak push along z
     r, a reading behind it   pull in the image plane to the nearest hand pixel
-    o, not explained         the nearest point of the skin that faces the camera is pulled there
+    o, not explained         pull of the nearest visible skin vertex to the point
 
-A reading that is no hand's and in front of the model hides it; where there is none, nothing is known.
+A reading in front of the model that is not the hand's occludes it; a missing reading is no evidence.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ from posetrack_cli.rendering.raster import Drawing, View
 
 
 class Tile(NamedTuple):
-    """What was observed, as the kernels read it.
+    """An observation as the kernels read it.
 
     Attributes:
-        image: (h, w) depth of the pixels of hand and forearm, mm; negative: other readings; 0: none.
+        image: (h, w) depth of hand and forearm pixels, mm; negative: other readings; 0: none.
         nearest: (2, h, w) column and row of the nearest hand pixel.
-        observed: number of the target pixels.
-        projection: how points fall on it.
-        inner: (6,) where fits begin, and what poses are drawn with (``hand.fit.skeleton``).
-        expected: (6,) the mean of their prior.
-        mm_per_nat: how much cost D a nat that anatomy or prior has against a pose is worth where poses are
-            compared; 0 where the image alone counts.
+        observed: number of target pixels.
+        projection: of points to tile pixels.
+        inner: (6,) inner numbers: start of fits, and those of rendered poses (``hand.fit.skeleton``).
+        expected: (6,) mean of their prior.
+        mm_per_nat: cost D equivalent to one nat of anatomy and prior when poses are compared; 0 to compare by
+            the image alone.
     """
 
     image: FloatArray
@@ -54,11 +54,11 @@ class Terms(NamedTuple):
         sigma_mm: of a point-to-plane residual, and of a pull in the image plane.
         closest_mm: of an unexplained pixel's distance from the skin.
         push: weight of the push along z, 1 / mm^2.
-        gate_mm: up to here a depth difference is one of corresponding points.
-        explained_mm: beyond it an observed pixel looks for another part of the skin.
-        surface_tau_mm, silhouette_tau_mm, closest_tau_mm: scales of the robust factor.
+        gate_mm: largest depth difference of corresponding points.
+        explained_mm: depth difference beyond which an observed pixel is unexplained.
+        surface_tau_mm, silhouette_tau_mm, closest_tau_mm: scales of the robust loss.
         clamp_mm, unread_weight: of the union cost.
-        most_unexplained: unexplained pixels that are used at most, evenly chosen.
+        most_unexplained: largest number of unexplained pixels in use, evenly chosen.
     """
 
     sigma_mm: float = 4.0
@@ -75,17 +75,17 @@ class Terms(NamedTuple):
 
 
 Pull: TypeAlias = tuple[float, float, float, float, float]
-"""Of a residual: the direction of the point (3), mm that it is off, the weight, 1 / mm^2 (0 for none)."""
+"""Direction of the point (3), residual, mm, and weight, 1 / mm^2 (0 for none)."""
 
 
 class TermBuffers(NamedTuple):
     """Buffers of ``add_terms``.
 
     Attributes:
-        points: (h w, 3) unexplained.
-        vertices: (V,) that face the camera.
-        places: (3, V) where these lie, a coordinate after the other.
-        squares: (V,) of their distances from a point.
+        points: (h w, 3) unexplained points.
+        vertices: (V,) visible vertices.
+        places: (3, V) their positions, one row per coordinate.
+        squares: (V,) squared distances from a point.
     """
 
     points: FloatArray
@@ -113,7 +113,7 @@ def add_terms(
     buffers: TermBuffers,
     equations: NormalEquations,
 ) -> float:
-    """Add all residuals of a drawn pose, and return its union cost D, mm (hand.md, observation model).
+    """Add all residuals of a rendered pose; return its union cost D, mm (docs/method.md).
 
     Args:
         tile: the observation.
@@ -121,9 +121,9 @@ def add_terms(
         skin: the mesh.
         terms: weights.
         widening: factor on the robust scales.
-        stride: of the surface's pixels, which one in so many stands for; 2 is a chequerboard. Neighbours
-            err alike, so a step loses little; the cost is of all pixels.
-        buffers: are written to.
+        stride: use one in ``stride`` surface pixels; 2 is a chequerboard. Errors of neighbours are
+            correlated, so a step loses little; the cost uses all pixels.
+        buffers: overwritten.
         equations: residuals are added to its blocks.
     """
     view, row, (image, inverses) = tile.projection, np.empty(ROW), (tile.image, drawing.inverse)
@@ -165,14 +165,14 @@ def add_terms(
 
 @inlined
 def _note(points: FloatArray, count: int, x: float, y: float, z: float) -> int:
-    """Write the point (x, y, 1) z behind the first ``count``, and return how many there are."""
+    """Append the point (x, y, 1) z to the first ``count``; return the new count."""
     points[count, 0], points[count, 1], points[count, 2] = x * z, y * z, z
     return count + 1
 
 
 @inlined
 def _missed(observed: float, z: float, terms: Terms) -> float:
-    """How much a pixel without the hand counts that it is drawn on at z: 0 where something hides it."""
+    """Return the weight of a pixel rendered at depth z without a hand reading: 0 if occluded."""
     if observed == 0.0:
         return terms.unread_weight
     return 1.0 if -observed > z - terms.explained_mm else 0.0
@@ -180,7 +180,7 @@ def _missed(observed: float, z: float, terms: Terms) -> float:
 
 @inlined
 def _union(error: float, both: int, missed: float, observed: int, clamp_mm: float) -> float:
-    """The union cost of pixels drawn and observed, drawn only, and all that are observed."""
+    """Return the union cost from error, pixels in both, rendered only, and observed."""
     disagree = missed + (observed - both)
     union = both + disagree
     return (error + clamp_mm * disagree) / union if union > 0.0 else clamp_mm
@@ -190,7 +190,7 @@ def _union(error: float, both: int, missed: float, observed: int, clamp_mm: floa
 def _depth_pull(
     offset: float, x: float, y: float, normal: tuple[float, float, float], widening: float, terms: Terms
 ) -> Pull:
-    """Where it is drawn on the ray (x, y, 1) and observed ``offset`` behind: to its plane, or a push."""
+    """Return the pull on the ray (x, y, 1) to a reading ``offset`` behind: to its plane, or a push."""
     nx, ny, nz = normal
     if abs(offset) < terms.gate_mm:
         residual = offset * (nx * x + ny * y + nz)
@@ -203,14 +203,14 @@ def _depth_pull(
 def _outline_pull(
     share: float, aside: tuple[float, float], x: float, y: float, z: float, widening: float, terms: Terms
 ) -> Pull:
-    """Where the hand is drawn at (x, y, 1) z and is not: in the image plane, by ``aside`` on the ray."""
+    """Return the pull in the image plane for a hand rendered at (x, y, 1) z outside the observed one."""
     px, py = aside[0] * z, aside[1] * z
     distance = np.sqrt(px * px + py * py)
     if share == 0.0 or distance == 0.0:
         return 0.0, 0.0, 0.0, 0.0, 0.0
     dx, dy = px / distance, py / distance
     weight = geman_mcclure((distance / (widening * terms.silhouette_tau_mm)) ** 2) / terms.sigma_mm**2
-    return dx, dy, -(dx * x + dy * y), distance, share * weight  # how fast z (x, y) moves on the image
+    return dx, dy, -(dx * x + dy * y), distance, share * weight  # orthogonal to the ray
 
 
 @kernel
@@ -224,7 +224,7 @@ def _add_closest(
     count: int,
     equations: NormalEquations,
 ) -> None:
-    """Pull the nearest vertices that face the camera to the unexplained points."""
+    """Pull the nearest visible vertices to the unexplained points."""
     if count == 0:
         return
     facing = _note_facing(drawing, buffers)
@@ -250,7 +250,7 @@ def _add_closest(
 
 @inlined
 def _note_facing(drawing: Drawing, buffers: TermBuffers) -> int:
-    """Write which vertices face the camera and where they lie, and return how many do."""
+    """Write indices and positions of the visible vertices; return their number."""
     count = 0
     for v in range(len(drawing.facing)):
         if drawing.facing[v]:
@@ -263,13 +263,11 @@ def _note_facing(drawing: Drawing, buffers: TermBuffers) -> int:
 
 @kernel
 def _nearest(places: FloatArray, squares: FloatArray, count: int, x: float, y: float, z: float) -> int:
-    """The first of the ``count`` first places (3, V) that none is nearer to a point than.
-
-    Numbers of 0 and above are in the order of their bits, and the least whole number is found many at a time.
-    """
+    """Return the index of the first nearest one of the ``count`` first places (3, V)."""
     for m in range(count):
         ex, ey, ez = x - places[0, m], y - places[1, m], z - places[2, m]
         squares[m] = ex * ex + ey * ey + ez * ez
+    # non-negative floats sort like their bits, and a minimum of integers vectorises
     bits = squares.view(np.int64)
     least = bits[0]
     for m in range(1, count):
@@ -282,7 +280,7 @@ def _nearest(places: FloatArray, squares: FloatArray, count: int, x: float, y: f
 
 @kernel
 def union_cost(tile: Tile, drawing: Drawing, terms: Terms) -> float:
-    """The union cost D of a drawn pose, mm."""
+    """Return the union cost D of a rendered pose, mm."""
     error, both, missed = 0.0, 0, 0.0
     for j in range(tile.image.shape[0]):
         for i in range(tile.image.shape[1]):

@@ -1,1 +1,1 @@
-"""What a hand is; nothing here knows an image."""
+"""Models of a hand, independent of images."""

@@ -1,4 +1,4 @@
-"""Anatomy of a hand: bones, joint axes and limits, size and proportions, modes in which people differ."""
+"""Anatomy of a hand: bones, joint axes and limits, size, proportions, and the population's shape modes."""
 
 from __future__ import annotations
 
@@ -15,28 +15,25 @@ from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.npz import read_npz
 from posetrack_cli.rendering.mesh import SkinnedMesh
 
-# What hands are like: the mean hand and the ways in which hands differ, learned from people.
+# Population: mean and modes of hands
 #
-# ``population.npz`` is built by ``scripts/build hand-model`` from the skins and joints of hundreds of drawn
-# people (`scripts/research/README.md`). A hand is the mean plus modes times coefficients, all of
-# them in lengths of a hand of 179 mm from the wrist to the middle finger's tip. Coefficients are in standard
-# deviations: among people each is normal, of mean 0 and variance 1, and independent of the others.
-
+# ``population.npz`` is built by ``scripts/build hand-model`` from skins and joints of hundreds of synthetic
+# people (`scripts/research/README.md`). A hand is the mean plus modes times coefficients, at a length of
+# 179 mm from the wrist to the middle finger's tip. Coefficients are independent standard normal variables.
 
 SHIPPED = Path(__file__).with_name("population.npz")
 HAND_LENGTH_MM = 179.0
-"""From the wrist to the tip of the straight middle finger, where its skin ends, at scale 1: the mean of women
-and men."""
+"""From the wrist to the skin at the tip of the straight middle finger, at scale 1: the mean adult."""
 COEFFICIENTS = 24
-"""How many coefficients the hand that is shipped has."""
+"""Number of coefficients of the shipped hand."""
 
 
 class RestHand(NamedTuple):
     """A right hand of scale 1 at zero angles, hand coordinates, mm.
 
     Attributes:
-        cage: (C, 3) points of the skin; a smooth surface goes through them.
-        bases: (5, 3) where each finger's joint 3 sits.
+        cage: (C, 3) control points of the skin, on its smooth surface.
+        bases: (5, 3) position of each finger's joint 3.
         segments: (5, 3) lengths from joint 3 to 2, 2 to 1, 1 to the tip.
         radii: (5, 4) of the fingers at the three joints and near the tip.
     """
@@ -49,11 +46,11 @@ class RestHand(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Population:
-    """Mean and modes of hands, and the cage that their skins share.
+    """Mean and modes of hands, and the cage shared by their skins.
 
     Attributes:
-        mean: (D,) a ``RestHand`` after another, flattened.
-        modes: (K, D) what one standard deviation of each coefficient adds.
+        mean: (D,) flattened ``RestHand``.
+        modes: (K, D) change per standard deviation of each coefficient.
         weights: (C, 16) skinning weights of the cage.
         triangles: (T, 3) of the cage.
     """
@@ -64,7 +61,7 @@ class Population:
     triangles: IntArray
 
     def hand(self, coefficients: Sequence[float] = ()) -> RestHand:
-        """Return the hand of up to K coefficients; those that are not given are 0."""
+        """Return the hand for up to K coefficients; missing ones are 0."""
         c = np.asarray(coefficients, dtype=np.float64)
         row = self.mean + c @ self.modes[: c.size]
         ends = np.cumsum([3 * len(self.weights), 15, 15])
@@ -74,25 +71,24 @@ class Population:
 
 @functools.cache
 def population() -> Population:
-    """Return the people's hands that are shipped."""
+    """Return the shipped population."""
     with SHIPPED.open("rb") as stream:
         arrays = read_npz(stream)
     mean, modes, weights = (arrays[name].astype(np.float64) for name in ("mean", "modes", "weights"))
     return Population(mean, modes, weights, arrays["triangles"].astype(np.int64))
 
 
-# The hand's bones: names, lengths, rest frames, joint limits, for the right hand.
+# Bones of the right hand: names, lengths, rest frames, joint limits
 #
 # Hand coordinates: origin at the wrist; with the identity rotation the fingers point up in the image
 # (-y), the palm faces the sensor (-z) and the thumb of a right hand points to +x. A left hand is the
 # mirror image x -> -x; its angles mean the same anatomical motion.
 #
-# Angles (hand.md, appendix A.1 of the paper), 15 of them, radians: for the thumb joint 3 (CMC) about x and
-# z, joint 2 (MCP) about x; for each finger joint 3 (MCP) about x and z, joint 2 (PIP) about x. About x,
-# positive bends towards the palm; about z, positive moves towards the thumb's side. Joint 1 is not free: half
-# of joint 2's x angle. In the paper it is the thumb's joint 2 that turns about z, too; a thumb abducts at its
-# saddle joint, about an axis of the metacarpal **[ours]**.
-
+# 15 angles (appendix A.1 of the paper), radians: for the thumb joint 3 (CMC) about x and z, joint 2 (MCP)
+# about x; for each finger joint 3 (MCP) about x and z, joint 2 (PIP) about x. About x, positive bends towards
+# the palm; about z, positive moves towards the thumb's side. Joint 1 turns about x by half of joint 2. In the
+# paper the thumb's joint 2 also turns about z; ours abducts at its saddle joint, about an axis of the
+# metacarpal **[ours]**.
 
 FINGERS = ("thumb", "index", "middle", "ring", "little")
 _FINGER_ANGLES = ("mcp_flexion", "mcp_abduction", "pip_flexion")
@@ -112,7 +108,7 @@ JOINT_NAMES: tuple[str, ...] = (
 )
 JOINT_PARENTS: tuple[int, ...] = (-1, *(0 if k == 0 else 4 * f + k for f in range(5) for k in range(4)))
 BONE_COUNT = 16  # the palm, then three per finger
-ARM_BONE = 16  # a forearm's, where one is drawn behind the hand
+ARM_BONE = 16  # the forearm, if drawn
 POSE_SIZE = 22
 TANGENT_SIZE = 21
 ANGLES = slice(7, 22)  # of a pose
@@ -130,10 +126,10 @@ ANGLE_LIMITS: FloatArray = _D * np.array(
         *((-15.0, 90.0), (-39.0, 28.0), (0.0, 108.0)),  # little
     ]
 )
-"""(15, 2) lower and upper joint limits, rad (generous; hand.md, facts for the models)."""
+"""(15, 2) lower and upper joint limits, rad; generous."""
 
 _FINGER_FAN = _D * np.array([5.0, 0.0, -5.0, -11.0])
-"""How the straight fingers fan out at zero angles, rad."""
+"""Fan of the straight fingers at zero angles, rad."""
 _THUMB_DIRECTION = np.array([0.72, -0.60, -0.35])
 _THUMB_BENDS_TOWARDS = np.array([-0.65, -0.15, -0.75])
 MIRROR: FloatArray = np.array([-1.0, 1.0, 1.0])
@@ -145,14 +141,14 @@ class HandAnatomy:
 
     Attributes:
         side: ``right`` or ``left``.
-        base_positions: (5, 3) where each finger's joint 3 sits in hand coordinates, mm.
+        base_positions: (5, 3) position of each finger's joint 3, hand coordinates, mm.
         base_rotations: (5, 3, 3) hand_R_finger at zero angles.
         segments: (5, 3) lengths from joint 3 to 2, 2 to 1, 1 to the tip, mm.
         radii: (5, 4) finger radii, mm.
-        scale: all lengths relative to the population's hand of these coefficients.
+        scale: of all lengths, relative to the population's hand of these coefficients.
         palm: further factors on the palm's width (x), length (y) and thickness (z).
         wrist: further factor on the width of the skin around the wrist.
-        coefficients: of the population's modes; what the skin of the average hand is made with.
+        coefficients: of the population's modes, which determine the average hand's skin.
     """
 
     side: str
@@ -167,12 +163,12 @@ class HandAnatomy:
 
     @property
     def is_left(self) -> bool:
-        """Whether this is a left hand."""
+        """Return whether this is a left hand."""
         return self.side == "left"
 
     @cached_property
     def rest_origins(self) -> FloatArray:
-        """(5, 3, 3) where the fingers' joints 3, 2, 1 sit at zero angles, hand coordinates, mm."""
+        """Return joints 3, 2, 1 of the fingers (5, 3, 3) at zero angles, hand coordinates, mm."""
         along = np.concatenate([np.zeros((5, 1)), np.cumsum(self.segments, axis=1)[:, :2]], axis=1)
         return self.base_positions[:, None] - along[..., None] * self.base_rotations[:, None, :, 1]
 
@@ -194,11 +190,11 @@ def make_anatomy(
         scale: factor on every length.
         finger_lengths: further factor on each finger's segments, thumb first.
         finger_widths: further factor on each finger's radii, thumb first.
-        palm: further factors on the palm's width, length and thickness: where the fingers' bases lie in
-            x, y and z, and how wide and thick the skin between them and the wrist is.
+        palm: further factors on the palm's width, length and thickness: positions of the fingers' bases in x,
+            y and z, and width and thickness of the skin between them and the wrist.
         wrist: further factor on the width of the skin around the wrist.
         thumb_place: further factor on the distance of the thumb's base from the wrist along the palm.
-        coefficients: of the population's modes, in standard deviations; none is the average hand.
+        coefficients: of the population's modes, in standard deviations; none for the average hand.
     """
     hand, rotations = population().hand(coefficients), rest_rotations()
     positions = hand.bases * np.asarray(palm)
@@ -223,18 +219,14 @@ def rest_rotations() -> FloatArray:
 
 
 def _thumb_rotation() -> FloatArray:
-    """hand_R_thumb: -y along the metacarpal, positive rotation about x sweeps it across the palm."""
+    """Return hand_R_thumb: -y along the metacarpal; positive rotation about x sweeps it across the palm."""
     y = -_THUMB_DIRECTION / np.linalg.norm(_THUMB_DIRECTION)
     x = np.cross(-y, _THUMB_BENDS_TOWARDS)
     x /= np.linalg.norm(x)
     return np.stack([x, y, np.cross(x, y)], axis=1)
 
 
-# What hands differ by: coefficients of the population's modes, and factors on the lengths of a hand.
-#
-# The average hand becomes another of the population by its coefficients. Factors reshape any hand, one from a
-# file too, of which nothing is known but its bones and its skin.
-
+# Shape: coefficients of the population's modes, and factors on lengths, which also apply to hands from files
 
 SHAPE_NAMES: tuple[str, ...] = (
     "scale",
@@ -249,42 +241,40 @@ SHAPE_NAMES: tuple[str, ...] = (
 SHAPE_SIZE = len(SHAPE_NAMES)
 _LENGTHS, _WIDTHS = slice(1, 6), slice(6, 11)
 MOST_DRAWN, MOST_COEFFICIENT = 2.0, 5.0
-"""Standard deviations from the average: of hands that are drawn, and of any that can be meant."""
+"""Largest coefficients, in standard deviations: of random hands, and of any valid hand."""
 MOST_PADDING_MM, PADDING_SD_MM = 12.0, 3.0
-"""By how much skin may stand out, and what is usual **[ours]**: hands are 4 to 7 mm wider on each side than
-their lengths tell in images of a Senz3D (CVAR P1, P4, P7) and a Kinect v2, 2 of a RealSense, 0 to 1.3 among
-the synthetic strangers. With 5 for 3 all come out the same; with 2 wider hands are taken for longer ones."""
+"""Limit and standard deviation of the skin's extra thickness **[ours]**: images of a Senz3D and a Kinect v2
+widen hands by 4 to 7 mm per side, a RealSense by 2."""
 _DECIMALS = 4
 PerFinger = tuple[float, float, float, float, float]
 _ONES: PerFinger = (1.0, 1.0, 1.0, 1.0, 1.0)
 
 POPULATION_SD: FloatArray = np.array([0.08, *[0.05] * 5, *[0.07] * 5, 0.06, 0.03, 0.08, 0.15, 0.3])
-"""(16,) standard deviations of the factors' logarithms among adults **[ours]**.
+"""(16,) standard deviations of the log factors among adults **[ours]**.
 
-The length and the breadth of adult hands vary by some 5 per cent within a sex and by 6 to 8 over both.
-Proportions are guessed; where the thumb begins and how the wrist narrows is what hand models differ most in.
+Hand length and breadth vary by about 5 per cent within a sex and 6 to 8 overall. Proportions are estimates;
+hand models differ most in the thumb's base and the wrist.
 """
 
 
 @dataclass(frozen=True)
 class HandShape:
-    """Which hand of the population, and factors on its lengths, or on those of a hand from a file.
+    """A hand of the population, with factors on its lengths or on those of a hand from a file.
 
-    Coefficients 0 and factors 1 are the average hand, or that of the file, itself.
+    Coefficients 0 and factors 1 give the average hand, or the file's own.
 
     Attributes:
         scale: on every length.
-        finger_lengths: further, on each finger's segments, thumb first.
-        finger_widths: further, on each finger's radii, thumb first.
-        palm_width: further, on the palm across.
-        palm_length: further, on the palm from the wrist to the knuckles.
-        palm_thickness: further, on the palm from its back to its front.
-        wrist_width: further, on the skin around the wrist across; no bone moves with it.
-        thumb_place: further, on the distance of the thumb's base from the wrist along the palm.
-        coefficients: of the population's modes, in standard deviations, strongest first; those that are not
-            given are 0. Of a hand from a file there are none.
-        padding_mm: by how much the skin stands out: hands are wider in the images of a sensor that smears
-            edges, or in gloves, than they are. No bone moves with it.
+        finger_lengths: on each finger's segments, thumb first.
+        finger_widths: on each finger's radii, thumb first.
+        palm_width: across the palm.
+        palm_length: on the palm from the wrist to the knuckles.
+        palm_thickness: on the palm from back to front.
+        wrist_width: on the skin across the wrist; it moves no bone.
+        thumb_place: on the distance of the thumb's base from the wrist along the palm.
+        coefficients: of the population's modes, in standard deviations, strongest first; missing ones are 0.
+            None for a hand from a file.
+        padding_mm: extra thickness of the skin, for sensors that smear edges or for gloves. It moves no bone.
     """
 
     scale: float = 1.0
@@ -300,12 +290,12 @@ class HandShape:
 
     @property
     def palm(self) -> tuple[float, float, float]:
-        """Factors along the hand's x, y and z."""
+        """Return factors along the hand's x, y and z."""
         return self.palm_width, self.palm_length, self.palm_thickness
 
     @property
     def factors(self) -> FloatArray:
-        """(16,) in the order of ``SHAPE_NAMES``."""
+        """Return the factors (16,) in the order of ``SHAPE_NAMES``."""
         return np.array(
             [
                 self.scale,
@@ -319,20 +309,20 @@ class HandShape:
 
     @classmethod
     def of_factors(cls, factors: FloatArray) -> HandShape:
-        """The shape of (16,) factors in the order of ``SHAPE_NAMES``."""
+        """Return the shape for factors (16,) in the order of ``SHAPE_NAMES``."""
         values = [float(factor) for factor in factors]
         lengths, widths = tuple(values[_LENGTHS]), tuple(values[_WIDTHS])
         return cls(values[0], lengths, widths, *values[11:])  # type: ignore[arg-type]
 
 
 class ShapeSpace(Protocol):
-    """Numbers theta that stand for a shape, of which a calibration finds the likeliest.
+    """Parameters theta of a shape, estimated by a calibration.
 
     Attributes:
-        names: of the numbers.
+        names: of the parameters.
         sd: (S,) standard deviations among hands; theta 0 is the mean.
         low, high: (S,) bounds.
-        steps: (S,) differences for derivatives: a change of a millimetre or so.
+        steps: (S,) finite-difference steps: a change of about a millimetre.
     """
 
     names: tuple[str, ...]
@@ -342,16 +332,16 @@ class ShapeSpace(Protocol):
     steps: FloatArray
 
     def shape(self, theta: FloatArray) -> HandShape:
-        """The shape that numbers (S,) stand for."""
+        """Return the shape for parameters (S,)."""
         ...
 
     def theta(self, shape: HandShape) -> FloatArray:
-        """The numbers (S,) of a shape."""
+        """Return the parameters (S,) of a shape."""
         ...
 
 
 class FactorSpace:
-    """Logarithms of the sixteen factors: how a hand from a file may differ from the one that is tracked."""
+    """Logarithms of the sixteen factors, for a hand from a file."""
 
     names = SHAPE_NAMES
     sd = POPULATION_SD
@@ -359,19 +349,19 @@ class FactorSpace:
     steps = np.full(SHAPE_SIZE, 0.01)
 
     def shape(self, theta: FloatArray) -> HandShape:
-        """The shape that numbers (16,) stand for."""
+        """Return the shape for parameters (16,)."""
         return HandShape.of_factors(np.exp(theta))
 
     def theta(self, shape: HandShape) -> FloatArray:
-        """The numbers (16,) of a shape."""
+        """Return the parameters (16,) of a shape."""
         return np.log(shape.factors)
 
 
 class PopulationSpace:
-    """The logarithm of the scale, the population's coefficients, the padding: how images of hands differ.
+    """Log scale, the population's coefficients, and the padding.
 
-    Sensors and their filters spread a finger over the pixels beside it. Without the padding, whatever covers
-    these would be a larger hand.
+    Sensors and their filters spread fingers over neighbouring pixels; without the padding only a larger hand
+    would cover these.
     """
 
     names = ("scale", *(f"coefficient_{k + 1}" for k in range(COEFFICIENTS)), "padding_mm")
@@ -381,31 +371,31 @@ class PopulationSpace:
     steps = np.array([0.01, *[0.25] * COEFFICIENTS, 0.5])
 
     def shape(self, theta: FloatArray) -> HandShape:
-        """The shape that numbers (26,) stand for."""
+        """Return the shape for parameters (26,)."""
         coefficients = tuple(float(c) for c in theta[1:-1])
         return HandShape(float(np.exp(theta[0])), coefficients=coefficients, padding_mm=float(theta[-1]))
 
     def theta(self, shape: HandShape) -> FloatArray:
-        """The numbers (26,) of a shape; its factors but the scale are not among them."""
+        """Return the parameters (26,) of a shape; factors other than the scale are not included."""
         given = np.zeros(COEFFICIENTS)
         given[: len(shape.coefficients)] = shape.coefficients
         return np.concatenate([[np.log(shape.scale)], given, [shape.padding_mm]])
 
 
 def shape_space(mesh: str | None) -> ShapeSpace:
-    """Return what is unknown of a hand: of a file's its factors, else which of the population it is."""
+    """Return the shape parameters of a hand: factors for one from a file, else the population's."""
     return PopulationSpace() if mesh is None else FactorSpace()
 
 
 def random_shape(rng: np.random.Generator) -> HandShape:
-    """A hand of the population, of a scale of .85 to 1.15."""
+    """Return a random hand of the population with a scale of .85 to 1.15."""
     scale = 1.0 + 0.15 * rng.uniform(-1.0, 1.0)
     drawn = np.clip(rng.normal(size=COEFFICIENTS), -MOST_DRAWN, MOST_DRAWN)
     return HandShape(scale, coefficients=tuple(float(c) for c in drawn.round(_DECIMALS)))
 
 
 def shape_between(one: HandAnatomy, other: HandAnatomy) -> HandShape:
-    """The factors that take a right hand to another, of either side, that differs by factors alone."""
+    """Return the factors from a right hand to another of either side, which differs by factors only."""
     lengths, widths = (
         tuple(float(factor) for factor in after[:, 0] / before[:, 0] * (one.scale / other.scale))
         for before, after in ((one.segments, other.segments), (one.radii, other.radii))
@@ -422,7 +412,7 @@ def shape_between(one: HandAnatomy, other: HandAnatomy) -> HandShape:
 
 
 def reshaped_anatomy(anatomy: HandAnatomy, side: str, shape: HandShape) -> HandAnatomy:
-    """The bones of a right hand in a shape, on a side; as ``make_anatomy`` does with the average hand's."""
+    """Return a right hand's bones with a shape and side, as ``make_anatomy`` does for the average hand."""
     scale = shape.scale
     positions = anatomy.base_positions * shape.palm
     positions[0, 1] *= shape.thumb_place
@@ -442,15 +432,15 @@ def reshaped_anatomy(anatomy: HandAnatomy, side: str, shape: HandShape) -> HandA
 
 
 def reshaped_skin(mesh: SkinnedMesh, anatomy: HandAnatomy, side: str, shape: HandShape) -> SkinnedMesh:
-    """The skin of a right hand at zero angles in a shape, on a side.
+    """Return a right hand's skin at zero angles with a shape and side.
 
-    Every bone stretches what is bound to it, v' = o' + S (v - o): along itself by the finger's length, across
-    by its width, and in the palm by the palm's factors; o and o' are where it begins before and after.
-    Linear blend skinning joins them.
+    Every bone stretches its vertices, v' = o' + S (v - o): along itself by the finger's length, across by its
+    width, and in the palm by the palm's factors; o and o' are its origin before and after. Linear blend
+    skinning joins the bones.
 
     Args:
         mesh: bound to the 16 bones.
-        anatomy: of the right hand that it is the skin of.
+        anatomy: of the mesh's right hand.
         side: ``right`` or ``left``.
         shape: factors.
     """
@@ -461,7 +451,7 @@ def reshaped_skin(mesh: SkinnedMesh, anatomy: HandAnatomy, side: str, shape: Han
 
 
 def _with_wrist(mesh: SkinnedMesh, anatomy: HandAnatomy, factor: float) -> FloatArray:
-    """Vertices with the palm's widths multiplied: fully at the wrist, less towards the knuckles."""
+    """Scale the palm's width: fully at the wrist, less towards the knuckles."""
     knuckles = -float(anatomy.base_positions[1:, 1].mean())
     share = mesh.weights[:, 0] * np.clip(1.0 + mesh.vertices[:, 1] / knuckles, 0.0, 1.0)
     vertices = mesh.vertices.copy()
@@ -470,7 +460,7 @@ def _with_wrist(mesh: SkinnedMesh, anatomy: HandAnatomy, factor: float) -> Float
 
 
 def _stretches(anatomy: HandAnatomy, shape: HandShape) -> FloatArray:
-    """The affine maps (16, 3, 4) of the bones, without the scale."""
+    """Return the affine maps (16, 3, 4) of the bones, without the scale."""
     after = reshaped_anatomy(anatomy, "right", replace(shape, scale=1.0)).rest_origins
     maps = np.zeros((BONE_COUNT, 3, 4))
     maps[0, :, :3] = np.diag(shape.palm)

@@ -1,4 +1,4 @@
-"""The forearm behind a hand, and how far it is to be believed."""
+"""Forearm behind a hand, and its confidence."""
 
 from __future__ import annotations
 
@@ -11,48 +11,46 @@ from posetrack_cli.hand.model.anatomy import ARM_BONE, BONE_COUNT, HandAnatomy
 from posetrack_cli.rendering.mesh import SkinnedMesh, bound_to, merged
 from posetrack_cli.rendering.port import Window
 
-# A forearm behind a hand: its skin, and where it lies **[ours]**.
+# Skin of the forearm **[ours]**
 #
-# Its surface explains the pixels beyond the wrist, so that no cut has to be made through a limb whose end is
-# what is asked for: a hand that slid along its arm would leave its fingertips unexplained, and gain nothing.
-#
-# The forearm is a tapered tube of elliptic rings about an axis through the wrist joint. Three numbers a frame
-# are estimated beside the hand's 22: its direction (two), and its girth as a factor on both half axes.
-
+# It explains the pixels beyond the wrist, so the limb need not be cut at an unknown wrist: a hand that slid
+# along its arm would leave the fingertips unexplained. The forearm is a tapered tube of elliptic rings around
+# an axis through the wrist joint, with three unknowns per frame in addition to the hand's 22: direction (two)
+# and girth, a factor on both half axes.
 
 SEEN_MM = 80.0
-"""How much of a forearm of scale 1 is looked at, behind the wrist that is expected."""
+"""Length of the forearm behind the predicted wrist that is observed, at scale 1."""
 LENGTH_MM = 160.0
-"""Of the tube: a wrist that is found farther out still has an arm up to where one is looked at."""
+"""Of the tube: longer than observed, for wrists found farther out."""
 _WIDTH_PER_MM, _DEPTH_PER_MM = 0.0020, 0.0045
-"""By how much of the wrist's a forearm's width and thickness grow per mm towards its belly: from a flat
-wrist, 57 x 40 mm, to a nearly round forearm, 1.3 times as far around, 100 mm behind it."""
+"""Relative growth of the forearm's width and thickness per mm from the wrist: from a flat wrist, 57 x 40 mm,
+to a nearly round forearm of 1.3 times the circumference 100 mm behind it."""
 _END_MM = 10.0
-"""The hand's skin this near to where it ends tells the wrist's ellipse."""
+"""Length of the hand's skin, from its end, that determines the wrist's ellipse."""
 _INSIDE = 0.92
-"""Half axes of the first two rings, inside the hand, as a share of the wrist's."""
+"""Half axes of the first two rings, inside the hand, relative to the wrist's."""
 _INTO_HAND_MM = 13.0
-"""How far before the wrist's joint, or before where the skin ends if it does not reach that far, the first
-ring lies, which moves with the palm: a hand of a file may end at the joint, where a bent wrist would open."""
+"""Distance of the first ring in front of the wrist joint or the skin's end; it moves with the palm, as a
+file's hand may end at the joint, where a bent wrist would open."""
 
 
 def with_forearm(
     hand: SkinnedMesh, smooth: SkinnedMesh, anatomy: HandAnatomy, sides: int, rings: int
 ) -> SkinnedMesh:
-    """Return a hand's skin with a forearm's behind it, which is bound to a bone of its own, ``ARM_BONE``.
+    """Return a hand's skin with a forearm bound to its own bone, ``ARM_BONE``.
 
     Args:
         hand: bound to the 16 bones.
-        smooth: the hand's skin that tells where it ends, and the wrist's ellipse. It is the same for all
-            levels of detail: few vertices tell a wrist that is up to a third too narrow.
+        smooth: skin that determines the wrist's ellipse for all levels of detail: with few vertices the wrist
+            appears up to a third too narrow.
         anatomy: of the hand.
-        sides, rings: how many points a ring has, and how many rings there are.
+        sides, rings: points per ring, and number of rings.
     """
     return merged([bound_to(hand, BONE_COUNT + 1), _tube(smooth, anatomy, sides, rings)])
 
 
 def _tube(hand: SkinnedMesh, anatomy: HandAnatomy, sides: int, rings: int) -> SkinnedMesh:
-    """A tube along y, closed at its far end, bound to 17 bones.
+    """Return a tube along y, closed at its far end, bound to 17 bones.
 
     Its first ring moves with the palm, the others with the forearm.
     """
@@ -84,14 +82,14 @@ def _tube(hand: SkinnedMesh, anatomy: HandAnatomy, sides: int, rings: int) -> Sk
 
 
 def _wrist(hand: SkinnedMesh, scale: float) -> tuple[FloatArray, FloatArray]:
-    """The least and the greatest x and z (2,) of a hand's skin where it ends, mm."""
+    """Return the least and greatest x and z (2,) of a hand's skin at its end, mm."""
     y = hand.vertices[:, 1]
     ends = hand.vertices[y > y.max() - _END_MM * scale][:, [0, 2]]
     return ends.min(axis=0), ends.max(axis=0)
 
 
 def transforms_with_forearm(anatomy: HandAnatomy, poses: FloatArray, inner: FloatArray) -> Float32Array:
-    """camera_T_rest (N, 17, 3, 4) of hands in poses (N, 22), and of a forearm behind them.
+    """Return camera_T_rest (N, 17, 3, 4) of hands in poses (N, 22) with a forearm.
 
     Args:
         anatomy: the hand.
@@ -104,35 +102,31 @@ def transforms_with_forearm(anatomy: HandAnatomy, poses: FloatArray, inner: Floa
     return bones
 
 
-# How far a depth image explains a forearm that is drawn behind a hand **[ours]**.
+# Confidence of a drawn forearm **[ours]**
 #
 # With E the area, mm^2 of a hand of scale 1, of the drawn forearm whose readings lie within ``NEAR_MM`` of
 # it, W that of all other readings there, in front or behind, and U that without a reading:
 #
 #     confidence = E / (E + W + w U + E_0)
 #
-# with the weight w of a missing reading in the likelihood's cost. What lies outside the image or behind the
-# hand counts as nothing, so a forearm of which little is seen has little to set against ``E_0``.
-#
-# In 420 frames of seven people (503 to 731 of the synthetic strangers) 388 of the 392 forearms that point to
-# within 10 degrees of the true direction have 0.5 or more, and none of the 13 that are 15 degrees off or
-# more. Of four others (800 to 803) it is 164 of 165 and none of 40.
-
+# with the weight w of a missing reading in the likelihood's cost. Parts outside the image or behind the hand
+# do not count, so a hardly visible forearm has little weight against ``E_0``. On synthetic people, 0.5
+# separates directions within 10 degrees of the truth from those off by 15 or more.
 
 LEAST_CONFIDENCE = 0.5
-"""A forearm of less is not drawn."""
+"""Forearms below this confidence are not drawn."""
 NEAR_MM = 15.0
-"""Distance of a reading that is the forearm's: people's forearms are not tubes."""
+"""Distance of readings explained by the tube; forearms are not exact tubes."""
 _ENOUGH_MM2 = 300.0
-"""E_0: a strip of the forearm, 6 mm long, which tells no direction."""
+"""E_0: a 6 mm strip of the forearm, too short for a direction."""
 _HALF_WIDTH_MM, _NEAREST_MM = 60.0, 50.0
-"""Of the window around the forearm, and the depth up to which it reaches."""
+"""Half width of the window around the forearm, and its nearest depth."""
 
 
 def forearm_window(
     wrist: FloatArray, direction: FloatArray, scale: float, camera: Camera, tile: int
 ) -> Window:
-    """Return the window of (tile, tile) pixels that shows the whole of a drawn forearm.
+    """Return the window of (tile, tile) pixels around a drawn forearm.
 
     Args:
         wrist: (3,) mm, camera axes.
@@ -160,10 +154,10 @@ def forearm_confidence(
     """Return the confidence of a forearm, 0 to 1.
 
     Args:
-        drawn: (h, w) its depth, mm, 0 where it is not seen.
+        drawn: (h, w) its depth, mm, 0 where not visible.
         readings: (h, w) of the image, mm, 0 for none.
-        inside: (h, w) which pixels lie in the image.
-        mm_per_pixel: (h, w) what a pixel spans there, mm of a hand of scale 1.
+        inside: (h, w) pixels inside the image.
+        mm_per_pixel: (h, w) pixel distance on the forearm, mm at scale 1.
         unread_weight: w.
     """
     arm, read = (drawn > 0) & inside, readings > 0

@@ -1,4 +1,4 @@
-"""The hand that is tracked: its mesh, its pose's space."""
+"""Hand models (bones and skin), and the space of hand poses."""
 
 from __future__ import annotations
 
@@ -35,12 +35,11 @@ from posetrack_cli.rendering.mesh import SkinnedMesh, smoothing
 from posetrack_cli.results.columns import Layout
 from posetrack_cli.tracking.velocity import BodySpace
 
-# One hand as the tracker knows it: its bones and its skin. This is the one place that makes hands
-
+# Hand models: bones and skin
 
 LEAN_TRIANGLES = 410
 _LEAN_ARM, _SMOOTH_ARM = (10, 5), (16, 7)
-# flexion of joint 3 and 2, rad: open, half closed, a fist, hooked, and bent at the knuckles alone
+# flexion of joints 3 and 2, rad: open, half closed, fist, hooked, bent at the knuckles only
 _BENDS = ((0.0, 0.0), (0.8, 0.9), (1.4, 1.6), (0.2, 1.3), (1.3, 0.2))
 _THUMB_SHARE = 0.5  # of the fingers' bends in the thumb's
 
@@ -48,11 +47,11 @@ _THUMB_SHARE = 0.5  # of the fingers' bends in the thumb's
 def lean_mesh(anatomy: HandAnatomy, smooth: SkinnedMesh | None = None) -> SkinnedMesh:
     """Return the skin of an average hand in any shape with ``LEAN_TRIANGLES`` triangles.
 
-    All hands have the same triangles and weights, and vertices that are linear in those of the smooth skin.
+    All hands share triangles and weights; vertices are linear in those of the smooth skin.
 
     Args:
         anatomy: of ``make_anatomy``.
-        smooth: its ``medium`` mesh, where that is at hand.
+        smooth: its ``medium`` mesh, if available.
     """
     smooth = smooth or hand_mesh(anatomy, "medium")
     mesh = _average_decimation().of(smooth.vertices)
@@ -62,7 +61,7 @@ def lean_mesh(anatomy: HandAnatomy, smooth: SkinnedMesh | None = None) -> Skinne
 
 
 def bent_hands(anatomy: HandAnatomy) -> FloatArray:
-    """Bone transforms (K, B, 3, 4) of open to closed hands: the poses in which a simpler skin has to fit."""
+    """Return bone transforms (K, B, 3, 4) of open to closed hands, for fitting simplified skins."""
     poses = np.zeros((len(_BENDS), POSE_SIZE))
     poses[:, 6] = 1.0
     for pose, (first, second) in zip(poses, _BENDS, strict=True):
@@ -79,17 +78,17 @@ def _is_first(name: str) -> bool:
 
 @functools.cache
 def _average_decimation() -> Decimation:
-    """How the lean skin follows the smooth one, found once for the average right hand."""
+    """Return the map from smooth to lean skin, computed once for the average right hand."""
     average = make_anatomy()
     return decimation(hand_mesh(average, "medium"), LEAN_TRIANGLES, bent_hands(average))
 
 
 MESH_DIGEST = "hand.mesh_sha256"
-"""Key of a run's record that tells a file's hand from any other."""
+"""Key of the run record with the digest of a hand file."""
 SMOOTH_TRIANGLES = 1640
-"""What is drawn of a hand from a file: as many as the average hand has."""
+"""Triangles of the smooth skin of a hand from a file, as many as the average hand's."""
 _MOST_TRIANGLES = 2 * SMOOTH_TRIANGLES
-"""What is left of a skin whose parts cannot be joined; what follows takes the square of it."""
+"""Largest skin after simplification (of parts that cannot be joined); memory grows with its square."""
 
 HandMaker = Callable[[str, HandShape], "HandModel"]
 """Makes a hand of a side (``right`` or ``left``) and a shape."""
@@ -101,10 +100,9 @@ class HandModel:
 
     Attributes:
         anatomy: joints, segments, radii, side.
-        lean: few triangles: what many poses are drawn with at once.
-        smooth: more triangles, on the skin itself: what a pose is fitted and shown with.
-        whole: makes the skin with all the triangles that there are: what pictures are drawn with;
-            None where the smooth one has them all.
+        lean: few triangles, for rendering many poses.
+        smooth: more triangles, on the skin's surface, for fits and results.
+        whole: makes the skin with all triangles, for pictures; None if the smooth one has them all.
     """
 
     anatomy: HandAnatomy
@@ -114,38 +112,38 @@ class HandModel:
 
     @cached_property
     def lean_with_arm(self) -> SkinnedMesh:
-        """The lean skin with a forearm's: what many poses are drawn with where arms are explained."""
+        """Return the lean skin with a forearm, for likelihoods that model it."""
         return with_forearm(self.lean, self.smooth, self.anatomy, *_LEAN_ARM)
 
     @cached_property
     def smooth_with_arm(self) -> SkinnedMesh:
-        """The smooth skin with a forearm's."""
+        """Return the smooth skin with a forearm."""
         return with_forearm(self.smooth, self.smooth, self.anatomy, *_SMOOTH_ARM)
 
     def skin(self, level: str) -> SkinnedMesh:
-        """The skin of a level: ``lean``, ``medium`` (the smooth one) or ``fine`` (the whole)."""
+        """Return the skin of a level: ``lean``, ``medium`` (smooth) or ``fine`` (whole)."""
         if level == "fine" and self.whole is not None:
             return self.whole()
         return self.lean if level == "lean" else self.smooth
 
 
 def hand_model(settings: HandSettings) -> HandModel:
-    """Return the hand that a configuration's ``[hand]`` table describes; one of open side as a right one.
+    """Return the hand of a ``[hand]`` table; a right one for side ``auto``.
 
     Raises:
-        UsageError: ``settings.mesh`` is no hand that can be used.
+        UsageError: ``settings.mesh`` is not a usable hand.
     """
     side = "right" if settings.side == "auto" else settings.side
     return hand_maker(settings.mesh)(side, settings.shape)
 
 
 def hand_maker(mesh: str | None) -> HandMaker:
-    """Return what makes hands of any side and shape: from the average hand, or from that of a GLB file."""
+    """Return the maker of hands of any side and shape, from the average hand or from a GLB file."""
     return average_hand if mesh is None else _file_hand(Path(mesh))
 
 
 def average_hand(side: str = "right", shape: HandShape | None = None) -> HandModel:
-    """Return the average adult hand in a shape."""
+    """Return the average adult hand with a shape."""
     shape = shape or HandShape()
     anatomy = make_anatomy(
         side,
@@ -172,14 +170,14 @@ def _file_hand(path: Path) -> HandMaker:
     from posetrack_cli.rendering.gltf import damage_named
 
     hand = load_hand(path)
-    with damage_named(path), np.errstate(all="ignore"):  # triangles without area divide by nothing
+    with damage_named(path), np.errstate(all="ignore"):  # triangles without area divide by zero
         smooth = simplified(hand.skin, SMOOTH_TRIANGLES)
         if max(len(smooth.triangles), len(smooth.vertices)) > _MOST_TRIANGLES:
-            what = "skin falls into too many parts to be simplified"
-            raise UsageError(what, where=path, found=f"{len(smooth.triangles)} triangles left")
+            what = "skin has too many separate parts to be simplified"
+            raise UsageError(what, where=path, found=f"{len(smooth.triangles)} remaining triangles")
         lean = decimated(smooth, LEAN_TRIANGLES, bent_hands(hand.anatomy))
     if not (np.isfinite(smooth.vertices).all() and np.isfinite(lean.vertices).all()):
-        raise UsageError("skin cannot be simplified", where=path, found="vertices that are no numbers")
+        raise UsageError("skin cannot be simplified", where=path, found="NaN vertices")
 
     def make(side: str, shape: HandShape) -> HandModel:
         def skin(mesh: SkinnedMesh) -> SkinnedMesh:
@@ -191,17 +189,16 @@ def _file_hand(path: Path) -> HandMaker:
     return make
 
 
-# The hand's skin: one closed mesh over palm and five fingers, a cage and smooth surfaces through it
-
+# Skin of the average hand: a cage over palm and fingers, and smooth surfaces through it
 
 LEVELS = {"lean": 0, "medium": 1, "fine": 2}
 
 
 def hand_mesh(anatomy: HandAnatomy, level: str = "lean") -> SkinnedMesh:
-    """The skinned mesh of a hand in its rest pose, hand coordinates, mm, bound to its 16 bones.
+    """Return the skinned mesh of a hand at rest, hand coordinates, mm, bound to its 16 bones.
 
-    All hands have the same triangles and weights, and vertices that are smooth functions of the shape: the
-    population's, stretched with the bones (``reshaped_skin``).
+    All hands share triangles and weights; vertices are smooth functions of the shape: the population's,
+    stretched with the bones (``reshaped_skin``).
 
     Args:
         anatomy: of ``make_anatomy``.
@@ -217,7 +214,7 @@ def hand_mesh(anatomy: HandAnatomy, level: str = "lean") -> SkinnedMesh:
 
 @dataclass(frozen=True)
 class _Topology:
-    """What all hands' meshes of a level share; ``refining`` (V, C) makes their vertices of the cage's."""
+    """Shared part of the meshes of a level; ``refining`` (V, C) maps the cage to their vertices."""
 
     weights: FloatArray
     triangles: IntArray
@@ -233,29 +230,27 @@ def _topology(level: str) -> _Topology:
     return _Topology(np.asarray(smooth.blend @ people.weights), smooth.triangles, smooth.through)
 
 
-# What hand poses have beyond ``BodySpace``: limits, motion and its noise, and sums of quaternions
-
+# Pose space: limits, motion noise, and additive quaternions
 
 _ABDUCTIONS = np.array(["abduction" in name for name in ANGLE_NAMES])
 
 
 def inside_limits(poses: FloatArray) -> FloatArray:
-    """The poses (N, 22) with their angles put back to the nearest joint limit."""
+    """Clamp the angles of poses (N, 22) to the joint limits."""
     out = poses.copy()
     np.clip(out[:, ANGLES], ANGLE_LIMITS[:, 0], ANGLE_LIMITS[:, 1], out=out[:, ANGLES])
     return out
 
 
 class AdditiveSpace(BodySpace):
-    """Poses whose quaternions add like all other numbers, as the hand paper prints (44), (58) and (62).
+    """Poses with quaternions added componentwise, as printed in the hand paper: (44), (58) and (62).
 
-    q becomes q + q (w, 0) / 2, its sum with its rate for a rotation vector w, scaled to length 1 again, as
-    other quaternions are no rotations. Noise along q itself, which scaling removes, is left out.
-    Tangent vectors equal those of ``BodySpace`` to first order.
+    q becomes q + q (w, 0) / 2, its sum with its rate for a rotation vector w, normalised. Noise along q,
+    which the normalisation removes, is omitted. Tangent vectors equal those of ``BodySpace`` to first order.
     """
 
     def retract(self, x: FloatArray, delta: FloatArray) -> FloatArray:
-        """Return x (+) delta: all numbers add, quaternions are scaled to length 1 with w >= 0."""
+        """Return x (+) delta: componentwise sums, quaternions normalised with w >= 0."""
         half = np.concatenate([0.5 * delta[:, 3:6], np.ones((len(delta), 1))], axis=1)
         out = np.array(x, dtype=np.float64)
         out[:, :3] += delta[:, :3]
@@ -264,7 +259,7 @@ class AdditiveSpace(BodySpace):
         return out
 
     def local(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Return y (-) x (..., 6 + K), so that x (+) (y (-) x) is y; half a turn apart it is endless."""
+        """Return y (-) x (..., 6 + K), with x (+) (y (-) x) = y; it diverges at half a turn."""
         q = rotations.multiply(rotations.conjugate(x[..., 3:7]), y[..., 3:7])
         w = np.where(np.abs(q[..., 3:]) < LEAST_COSINE, np.copysign(LEAST_COSINE, q[..., 3:]), q[..., 3:])
         return np.concatenate(
@@ -272,40 +267,40 @@ class AdditiveSpace(BodySpace):
         )
 
     def mean(self, x: FloatArray, weights: FloatArray) -> FloatArray:
-        """Return the weighted mean (7 + K,), (62), its quaternion scaled to length 1."""
+        """Return the weighted mean (7 + K,), (62), with its quaternion normalised."""
         out: FloatArray = weights @ x
         out[3:7] = rotations.canonical(out[3:7])
         return out
 
     def log_volume(self, delta: FloatArray) -> FloatArray:
-        """Return log of (1 + |w / 2|^2)^-2 (...): what the sum does to the volume of rotations."""
+        """Return log of (1 + |w / 2|^2)^-2 (...), the change of the rotations' volume."""
         squares = 0.25 * np.einsum("...i,...i->...", delta[..., 3:6], delta[..., 3:6])
         log_volume: FloatArray = -2.0 * np.log1p(squares)
         return log_volume
 
 
 LEAST_COSINE = 1e-9
-"""Of half the angle between two rotations: nearer half a turn their tangent vector stays finite."""
+"""Bound on the cosine of half the angle between two rotations, to keep tangent vectors finite."""
 
 
 def space_of(settings: FilterSettings) -> BodySpace:
-    """Return the space that a filter's poses move in."""
+    """Return the pose space of a filter."""
     return AdditiveSpace() if settings.rotations == "additive" else BodySpace()
 
 
 def tangent_vector(components: ComponentSettings) -> FloatArray:
-    """One number per kind of component as a tangent vector (21,)."""
+    """Return one number per kind of component as a tangent vector (21,)."""
     angles = np.where(_ABDUCTIONS, components.abduction_rad, components.flexion_rad)
     return np.concatenate([np.full(3, components.position_mm), np.full(3, components.rotation_rad), angles])
 
 
 def pose_layout(*shape: int) -> Layout:
-    """Return what an array (..., 22) of poses must be."""
+    """Return the layout of an array (..., 22) of poses."""
     return Layout("float64", (*shape, POSE_SIZE), unit=(3, 7))
 
 
 def dynamics(config: HandConfig) -> Dynamics:
-    """The motion model of eq. (44) with the configuration's noise densities."""
+    """Return the motion model of eq. (44) with the configured noise densities."""
     settings = config.motion
     pose = settings.pose if FILTERS.find(config.filter.kind).has_velocity else settings.pose_alone
     return Dynamics(

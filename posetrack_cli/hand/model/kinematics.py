@@ -1,7 +1,7 @@
-"""Forward kinematics of the 22-D hand for many poses at once, and its derivative.
+"""Forward kinematics of many 22-D hand poses, and its derivative.
 
 A pose is (position mm, unit quaternion xyzw, 15 angles rad); a tangent vector is (position mm, body-frame
-rotation vector rad, 15 angles rad), 21 numbers (hand.md, "State").
+rotation vector rad, 15 angles rad), 21 numbers.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from posetrack_cli.hand.model.anatomy import BONE_COUNT, JOINT_NAMES, HandAnatom
 
 
 def _spread_and_bend(a: FloatArray, t: FloatArray) -> FloatArray:
-    """Rz(a) Rx(t), flattened by rows: (...) -> (..., 9)."""
+    """Return Rz(a) Rx(t), flattened by rows: (...) -> (..., 9)."""
     ca, sa, ct, st = np.cos(a), np.sin(a), np.cos(t), np.sin(t)
     turn = np.empty((*a.shape, 9))
     turn[..., 0], turn[..., 1], turn[..., 2] = ca, -sa * ct, sa * st
@@ -34,7 +34,7 @@ def _spread_and_bend(a: FloatArray, t: FloatArray) -> FloatArray:
 
 
 def _bend_base(turns: FloatArray, s: FloatArray) -> None:
-    """Premultiply flattened turns (..., N, 9) by Rx(s), s (N,), in place."""
+    """Premultiply flattened rotations (..., N, 9) by Rx(s), s (N,), in place."""
     cs, ss = np.cos(s)[:, None], np.sin(s)[:, None]
     middle, last = turns[..., 3:6].copy(), turns[..., 6:9].copy()
     turns[..., 3:6] = cs * middle - ss * last
@@ -44,7 +44,7 @@ def _bend_base(turns: FloatArray, s: FloatArray) -> None:
 def skinning_transforms(
     anatomy: HandAnatomy, poses: FloatArray, thumb: FloatArray = NO_THUMB
 ) -> Float32Array:
-    """camera_T_rest of every bone: takes a vertex of the rest mesh to camera coordinates.
+    """Return camera_T_rest of every bone, which maps vertices of the rest mesh to camera coordinates.
 
     Args:
         anatomy: the hand.
@@ -52,7 +52,7 @@ def skinning_transforms(
         thumb: (2,) or (N, 2) its inner angles (``hand.fit.skeleton``), rad.
 
     Returns:
-        (N, 16, 3, 4), translations in mm: the palm, then three bones a finger, thumb first.
+        (N, 16, 3, 4), translations in mm: the palm, then three bones per finger, thumb first.
     """
     bones = np.empty((len(poses), BONE_COUNT, 3, 4), dtype=np.float32)
     pose_many(skeleton_of(anatomy), _own(poses), _inner_with(thumb, len(poses)), empty_posed(), bones)
@@ -60,7 +60,7 @@ def skinning_transforms(
 
 
 def joint_positions(anatomy: HandAnatomy, poses: FloatArray, thumb: FloatArray = NO_THUMB) -> FloatArray:
-    """The 21 joints in camera coordinates, mm: (N, 22) -> (N, 21, 3), in the order of JOINT_NAMES.
+    """Return the 21 joints in camera coordinates, mm: (N, 22) -> (N, 21, 3), in the order of JOINT_NAMES.
 
     The thumb's inner angles (``hand.fit.skeleton``) are (2,) or (N, 2), rad.
     """
@@ -70,30 +70,30 @@ def joint_positions(anatomy: HandAnatomy, poses: FloatArray, thumb: FloatArray =
 
 
 def _own(poses: FloatArray) -> FloatArray:
-    """A copy as kernels are compiled for: what is handed on may be read-only, or a part of something."""
+    """Return a contiguous, writable copy, as the kernels are compiled for."""
     return np.array(poses, dtype=np.float64, order="C")
 
 
 def _inner_with(thumb: FloatArray, count: int) -> FloatArray:
-    """Inner numbers (N, 6) without a forearm."""
+    """Return inner numbers (N, 6) without a forearm."""
     inner = np.zeros((count, INNER_SIZE))
     inner[:, THUMB] = thumb
     return inner
 
 
 def mean_joint_distances(anatomy: HandAnatomy, pose: FloatArray, others: FloatArray) -> FloatArray:
-    """How far the joints of other poses (N, 22) are from those of a pose (22,), on average, mm: (N,)."""
+    """Return the mean joint distances (N,) of poses (N, 22) from a pose (22,), mm."""
     joints = joint_positions(anatomy, np.concatenate([pose[None], others]))
     distances: FloatArray = np.linalg.norm(joints[1:] - joints[0], axis=2).mean(axis=1)
     return distances
 
 
 def joint_set_distance(anatomy: HandAnatomy, pose: FloatArray, other: FloatArray) -> float:
-    """How far apart the joints of two poses (22,) lie, whichever joints these are, mm.
+    """Return the distance of two poses' joints as point sets, mm.
 
-    The mean distance from a joint of one to the nearest of the other, the larger one of both ways. A hand
-    that is explained with its palm pulled back to the elbow and its fingers open, or with another finger
-    than the one that points, lies where it does; its joints do not.
+    This is the larger of both mean distances from joints of one pose to the nearest joints of the other. It
+    is small for a hand fitted back to front or with another pointing finger, whose corresponding joints are
+    far apart.
     """
     first, second = joint_positions(anatomy, np.stack([pose, other]))
     apart = np.linalg.norm(first[:, None] - second, axis=2)
@@ -101,7 +101,7 @@ def joint_set_distance(anatomy: HandAnatomy, pose: FloatArray, other: FloatArray
 
 
 def joint_jacobian(anatomy: HandAnatomy, poses: FloatArray, thumb: FloatArray = NO_THUMB) -> FloatArray:
-    """Derivative of the joints by the tangent vector, (N, 22) -> (N, 21, 3, 21).
+    """Return the derivative of the joints by the tangent vector, (N, 22) -> (N, 21, 3, 21).
 
     Translation moves every joint alike; a body rotation w moves R p by R (w x p); an angle about the
     camera-frame axis u through the joint at c moves a point p beyond it by u x (p - c). The thumb's inner
@@ -127,7 +127,7 @@ def joint_jacobian(anatomy: HandAnatomy, poses: FloatArray, thumb: FloatArray = 
 def _hinges(
     anatomy: HandAnatomy, angles: FloatArray, thumb: FloatArray
 ) -> list[tuple[int, FloatArray, int, int, float]]:
-    """All hinges: (angle index, axis in hand coordinates (N, 3), finger, joint 0..2, rate)."""
+    """Return all hinges: (angle index, axis in hand coordinates (N, 3), finger, joint 0..2, rate)."""
     sign = -1.0 if anatomy.is_left else 1.0
     base = anatomy.base_rotations
     zero = np.zeros(angles.shape[0])
@@ -135,7 +135,9 @@ def _hinges(
     for f in range(5):
         k = 3 * f
         cmc, abduction = (angles[:, 0], angles[:, 2]) if f == 0 else (zero, angles[:, k + 1])
-        spread_here = abduction + thumb[..., 1] if f == 0 else abduction  # where it flexes: at the MCP
+        spread_here = (
+            abduction + thumb[..., 1] if f == 0 else abduction
+        )  # the thumb flexes at the MCP, after its abduction there
         turn = _spread_and_bend(np.stack([sign * spread_here, zero]), np.zeros((2, len(zero))))
         _bend_base(turn, cmc)
         flexion = turn[0, :, 0::3] @ base[f].T  # the x axis after the abduction
@@ -151,7 +153,7 @@ def _hinges(
 
 
 def mirrored_poses(poses: FloatArray) -> FloatArray:
-    """The poses of the other hand seen in a mirror x -> -x: (N, 22) -> (N, 22)."""
+    """Return the poses of the mirrored hand, x -> -x: (N, 22) -> (N, 22)."""
     out = poses.copy()
     out[:, 0] *= -1.0
     out[:, 4:6] *= -1.0  # reflecting a rotation negates the components of its axis along the mirror

@@ -1,8 +1,8 @@
-"""Hands from skinned glTF files with the joint names of WebXR, straightened and rebound to our bones.
+"""Import of skinned glTF hands with WebXR joint names, straightened and rebound to our bones.
 
-WebXR Hand Input names 25 joints. Ours are the wrist, the thumb's four and four of every finger; the
-fingers' metacarpals belong to the palm. A file shows its hand in some rest pose, on any axes; linear
-blend skinning takes it to zero angles in hand coordinates.
+WebXR Hand Input has 25 joints. We use the wrist, the thumb's four and four of every finger; the fingers'
+metacarpals belong to the palm. Files have arbitrary rest poses and axes; linear blend skinning takes them to
+zero angles in hand coordinates.
 """
 
 from __future__ import annotations
@@ -29,24 +29,24 @@ WEBXR_JOINTS: tuple[str, ...] = (
 )
 _METACARPALS = tuple(name for name in WEBXR_JOINTS if name.endswith("finger-metacarpal"))
 OUR_JOINTS: tuple[str, ...] = tuple(name for name in WEBXR_JOINTS if name not in _METACARPALS)
-"""The 21 of them that are joints of ours, in our order."""
+"""The 21 of them that we use, in our order."""
 
 PER_METRE = 1000.0
-_LENGTHS_MM = (90.0, 360.0)  # from the wrist to the middle finger's tip: half and twice an adult's
+_LENGTHS_MM = (90.0, 360.0)  # wrist to middle fingertip: half and twice an adult's
 _WELD_MM = 0.01
-_WRIST_END_MM = 8.0  # as far behind the wrist joint as the average hand's mesh ends; further is forearm
-_LEAST_PALM_MM2 = 100.0  # twice the area between wrist, index and little finger: a hundredth of a hand's
+_WRIST_END_MM = 8.0  # end of the average hand's mesh behind the wrist joint; beyond it is forearm
+_LEAST_PALM_MM2 = 100.0  # twice the area between wrist, index and little finger: 1 % of a hand's
 _MOST_OPEN = 1.0 / 3.0  # share of the edges; a skin is open at the wrist, and perhaps around nails
-_FLAT = 0.03  # thumb and fingers this little out of the palm's plane do not tell its side
+_FLAT = 0.03  # thumb and fingers closer to the palm's plane do not determine its side
 
 
 @dataclass(frozen=True, eq=False)
 class FileHand:
-    """A right hand of a file at zero angles, in hand coordinates, mm.
+    """A right hand from a file at zero angles, in hand coordinates, mm.
 
     Attributes:
         anatomy: its bones.
-        skin: its whole mesh, bound to the 16 bones.
+        skin: its full mesh, bound to the 16 bones.
     """
 
     anatomy: HandAnatomy
@@ -54,10 +54,10 @@ class FileHand:
 
 
 def load_hand(path: Path) -> FileHand:
-    """Read a hand from a GLB file; a left hand is mirrored to the right.
+    """Read a hand from a GLB file; a left hand is mirrored.
 
     Raises:
-        UsageError: no skinned mesh, a joint that is missing, or no hand by its measures.
+        UsageError: no skinned mesh, missing joint, or implausible measures.
     """
     gltf = read_glb(path)
     with damage_named(path):
@@ -70,7 +70,7 @@ def straightened(skin: GltfSkin, path: Path, average: HandAnatomy | None = None)
     Args:
         skin: of a hand.
         path: its file, for errors.
-        average: the hand whose palm it is laid on; ours by default.
+        average: the hand to whose palm it is aligned; ours by default.
     """
     places = joint_places(skin, path)
     joints, vertices = PER_METRE * skin.joint_positions[places], PER_METRE * skin.vertices
@@ -89,7 +89,7 @@ def straightened(skin: GltfSkin, path: Path, average: HandAnatomy | None = None)
 
 
 def joint_places(skin: GltfSkin, path: Path) -> list[int]:
-    """Return where our 21 joints are among the skin's.
+    """Return the indices of our 21 joints among the skin's.
 
     Raises:
         UsageError: one of the 25 is missing.
@@ -111,12 +111,12 @@ def joint_places(skin: GltfSkin, path: Path) -> list[int]:
 
 
 def _check_size(joints: FloatArray, path: Path) -> None:
-    """Refuse what is no hand in metres."""
+    """Refuse skins that are not a hand in metres."""
     chain = joints[[0, 9, 10, 11, 12]]
     length = float(np.linalg.norm(np.diff(chain, axis=0), axis=1).sum())
     if not _LENGTHS_MM[0] <= length <= _LENGTHS_MM[1]:
         raise UsageError(
-            "hand of impossible size",
+            "implausible hand size",
             where=path,
             found=f"{length:.3g} mm from wrist to middle fingertip",
             expected="{:g} to {:g} mm".format(*_LENGTHS_MM),
@@ -125,17 +125,17 @@ def _check_size(joints: FloatArray, path: Path) -> None:
     parts = np.linalg.norm(np.diff(joints[1:].reshape(5, 4, 3), axis=1), axis=2)
     if parts.min() < 1.0:
         finger = FINGERS[int(parts.min(axis=1).argmin())]
-        raise UsageError(f"{finger} has joints that lie together", where=path)
+        raise UsageError(f"joints of the {finger} coincide", where=path)
     index, little = joints[5] - joints[0], joints[17] - joints[0]
     if np.linalg.norm(np.cross(index, little)) < _LEAST_PALM_MM2:
-        raise UsageError("wrist and knuckles of the index and little finger lie on one line", where=path)
+        raise UsageError("wrist, index and little finger knuckles are collinear", where=path)
 
 
 def _side(joints: FloatArray, path: Path) -> str:
-    """Which hand it is: fingers and thumb lie on the palm's side of wrist and knuckles, if only a little.
+    """Return the side: fingers and thumb lie at least slightly on the palm's side of wrist and knuckles.
 
     Raises:
-        UsageError: the hand is flat, and the file's name does not tell either.
+        UsageError: a flat hand, and no side in the file name.
     """
     index, little = joints[5] - joints[0], joints[17] - joints[0]
     normal = np.cross(index, little)  # out of the palm of a right hand
@@ -149,16 +149,16 @@ def _side(joints: FloatArray, path: Path) -> str:
     if len(named) == 1:
         return named[0]
     raise UsageError(
-        "a flat hand, right or left cannot be determined",
+        "side of a flat hand cannot be determined",
         where=path,
         hint="name the file right.glb or left.glb",
     )
 
 
 def _hand_axes(joints: FloatArray, average: HandAnatomy) -> tuple[FloatArray, float]:
-    """The rotation (3, 3) into hand coordinates, and the size relative to the average hand.
+    """Return the rotation (3, 3) to hand coordinates, and the size relative to the average hand.
 
-    Wrist and knuckles are laid on those of the average hand (Kabsch 1976).
+    Wrist and knuckles are aligned with those of the average hand (Kabsch 1976).
     """
     from scipy.spatial.transform import Rotation
 
@@ -170,7 +170,7 @@ def _hand_axes(joints: FloatArray, average: HandAnatomy) -> tuple[FloatArray, fl
 
 
 def _bone_weights(skin: GltfSkin, places: list[int]) -> FloatArray:
-    """(V, 16) weights of our bones: of the joint that each begins at and of what hangs there."""
+    """Return the weights (V, 16) of our bones: of the joint each starts at, and of its descendants."""
     out = np.zeros((len(skin.vertices), BONE_COUNT))
     for joint in range(len(skin.joint_names)):
         above = joint
@@ -181,7 +181,7 @@ def _bone_weights(skin: GltfSkin, places: list[int]) -> FloatArray:
 
 
 def _bone_of(joint: int) -> int:
-    """The bone that begins at one of our joints; a tip belongs to the last."""
+    """Return the bone that starts at one of our joints; a tip belongs to the last bone."""
     if joint == 0:
         return 0
     finger, place = divmod(joint - 1, 4)
@@ -189,7 +189,7 @@ def _bone_of(joint: int) -> int:
 
 
 def _zero_angles(joints: FloatArray, average: HandAnatomy, scale: float) -> tuple[HandAnatomy, FloatArray]:
-    """The bones at zero angles, and the transforms (16, 3, 4) that straighten the skin of joints (21, 3)."""
+    """Return the bones at zero angles, and the transforms (16, 3, 4) that straighten the skin."""
     chains = joints[1:].reshape(5, 4, 3)
     ways = np.diff(chains, axis=1)
     segments = np.linalg.norm(ways, axis=2)
@@ -208,11 +208,11 @@ def _zero_angles(joints: FloatArray, average: HandAnatomy, scale: float) -> tupl
 
 
 def _bends(directions: FloatArray, thumb: bool) -> list[FloatArray]:
-    """Rotations (3, 3) from zero angles of bones with these directions (3, 3), in their finger's frame.
+    """Return rotations (3, 3) of bones with these directions (3, 3) from zero angles, in their finger's
+    frame.
 
-    Those of our kinematics as far as it can follow, Rz(a) Rx(t), or for the thumb Rx(s) Rz(a) Rx(t) with
-    its first bone at Rx(s) Rz(a); then the smallest rotation that does the rest, so no bone twists without
-    need.
+    Those of our kinematics, Rz(a) Rx(t), or for the thumb Rx(s) Rz(a) Rx(t) with its first bone at Rx(s)
+    Rz(a), followed by the smallest remaining rotation, so that bones do not twist.
     """
     first = _flexion(directions[0]) if thumb else np.eye(3)
     base = first @ _abduction(first.T @ directions[0])
@@ -224,21 +224,21 @@ def _bends(directions: FloatArray, thumb: bool) -> list[FloatArray]:
 
 
 def _flexion(direction: FloatArray) -> FloatArray:
-    """Rx(t) that takes -e_y as near to a direction as can be; t beyond half a turn is bending too."""
+    """Return the Rx(t) that takes -e_y closest to a direction."""
     t = float(np.arctan2(-direction[2], -direction[1]))
     c, s = np.cos(t), np.sin(t)
     return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
 
 
 def _abduction(direction: FloatArray) -> FloatArray:
-    """Rz(a) for the first bone that has it; a finger bent so far that it points away from -e_y has none."""
+    """Return the Rz(a) of the first bone; identity for a finger bent away from -e_y."""
     a = float(np.arctan2(direction[0], -direction[1])) if direction[1] < -0.3 else 0.0
     c, s = np.cos(a), np.sin(a)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def _between(one: FloatArray, other: FloatArray) -> FloatArray:
-    """The smallest rotation that takes a unit vector to another: I + [v] + [v]^2 / (1 + cos)."""
+    """Return the smallest rotation between unit vectors: I + [v] + [v]^2 / (1 + cos)."""
     v, cosine = np.cross(one, other), float(one @ other)
     cross = np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
     turn: FloatArray = np.eye(3) + cross + cross @ cross / (1.0 + cosine)
@@ -246,10 +246,10 @@ def _between(one: FloatArray, other: FloatArray) -> FloatArray:
 
 
 def _without_forearm(mesh: SkinnedMesh, scale: float, path: Path) -> SkinnedMesh:
-    """Flatten what lies behind the wrist onto a plane, and close the hole that a sleeve leaves.
+    """Flatten the mesh behind the wrist onto a plane, and close the hole that a sleeve leaves.
 
     Raises:
-        UsageError: the mesh is no surface with a few holes.
+        UsageError: the mesh is not a surface with few holes.
     """
     vertices = mesh.vertices.copy()
     vertices[:, 1] = np.minimum(vertices[:, 1], _WRIST_END_MM * scale)
@@ -257,25 +257,25 @@ def _without_forearm(mesh: SkinnedMesh, scale: float, path: Path) -> SkinnedMesh
     edges, of_triangle = edges_of(flat.triangles)
     single = np.count_nonzero(np.bincount(of_triangle.ravel(), minlength=len(edges)) == 1)
     if single > _MOST_OPEN * len(edges):
-        found = f"{single} of {len(edges)} edges with one triangle only"
-        raise UsageError("skin is no surface", where=path, found=found)
+        found = f"{single} of {len(edges)} edges with only one triangle"
+        raise UsageError("skin is not a surface", where=path, found=found)
     whole = closed(flat)
     most = int(np.bincount(whole.triangles.ravel(), minlength=1).max())
     if most > limits.MESH_VALENCE:
         found = f"{most} triangles at one point"
         raise UsageError(
-            "skin is no surface", where=path, found=found, expected=f"at most {limits.MESH_VALENCE}"
+            "skin is not a surface", where=path, found=found, expected=f"at most {limits.MESH_VALENCE}"
         )
     return whole
 
 
 def _radii(anatomy: HandAnatomy, mesh: SkinnedMesh, path: Path) -> FloatArray:
-    """(5, 4) distances of the skin from the fingers' axes where ``HandAnatomy.radii`` are meant."""
+    """Return the skin's distances (5, 4) from the fingers' axes at the stations of ``HandAnatomy.radii``."""
     out = np.empty((5, 4))
     for finger in range(5):
         mine = mesh.weights[:, 1 + 3 * finger : 4 + 3 * finger].sum(axis=1) > 0.6
         if not mine.any():
-            raise UsageError(f"{FINGERS[finger]} without skin", where=path)
+            raise UsageError(f"{FINGERS[finger]} has no skin", where=path)
         local = (mesh.vertices[mine] - anatomy.base_positions[finger]) @ anatomy.base_rotations[finger]
         along, radius = -local[:, 1], np.hypot(local[:, 0], local[:, 2])
         first, second, third = anatomy.segments[finger]

@@ -1,1 +1,1 @@
-"""What a frame shows around a prediction, and hands in a whole image."""
+"""Windows around a prediction, and hand detection in whole images."""

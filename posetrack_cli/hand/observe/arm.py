@@ -1,4 +1,4 @@
-"""The forearm behind a hand: its direction, and where the hand ends, found from widths along it."""
+"""Forearm direction and wrist position from widths along the arm."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from posetrack_cli.hand.observe.surfaces import View
 BIN_MM = 4.0
 """Length of a slice."""
 _WRIST_SD_MM = 40.0
-"""How far along the arm a prediction may be off."""
+"""Standard deviation of the predicted wrist along the arm."""
 _MOST_FORESHORTENED = 0.33
-"""An arm that points more at the camera is sliced as if it pointed no more."""
+"""Arms pointing more towards the camera are sliced at this foreshortening."""
 
 
 def slice_areas(
     along: FloatArray, areas: FloatArray, extent_mm: FloatArray, first_mm: float, count: int
 ) -> FloatArray:
-    """Area per length (count,), mm, that is the width seen, of slices across an arm.
+    """Return area per length (count,), mm, of slices across an arm: its visible width.
 
-    A pixel's area is spread over what the pixel covers: slices about as long as pixels are apart would else
-    hold now one row of them, now two, and courses of widths would fit where the rows do, not the hands.
+    Each pixel's area is spread over its extent. Otherwise slices about as long as the pixel distance would
+    contain one or two rows in turn, and width profiles would align with the rows instead of the hands.
 
     Args:
-        along: (P,) where pixels lie along the arm, mm.
-        areas: (P,) what each covers, mm^2.
-        extent_mm: (P,) over what length of the arm each does (``extents``), > 0.
-        first_mm: where the first slice begins; each is ``BIN_MM`` long.
-        count: how many slices.
+        along: (P,) positions of pixels along the arm, mm.
+        areas: (P,) their areas, mm^2.
+        extent_mm: (P,) their extents along the arm (``extents``), > 0.
+        first_mm: start of the first slice; each is ``BIN_MM`` long.
+        count: number of slices.
     """
     half = 0.5 * extent_mm
     begin, end = (along - half - first_mm) / BIN_MM, (along + half - first_mm) / BIN_MM
@@ -49,13 +49,13 @@ def slice_areas(
 
 
 def extents(apart: FloatArray, axis: FloatArray) -> FloatArray:
-    """Over what length of an arm each of its pixels reaches, mm (P,).
+    """Return the extent of each pixel along an arm, mm (P,).
 
-    Rows or columns of the image, ``apart`` where the arm lies across the view, are farther apart on one that
-    does not, and closer together on one that lies between them.
+    Rows or columns are ``apart`` on an arm across the view, farther apart on a foreshortened one, and closer
+    together on one diagonal to them.
 
     Args:
-        apart: (P,) distance of neighbouring pixels that face the camera, mm.
+        apart: (P,) distance of neighbouring pixels on a surface facing the camera, mm.
         axis: (3,) unit vector along the arm, camera axes.
     """
     x, y = np.abs(axis[:2])
@@ -65,18 +65,18 @@ def extents(apart: FloatArray, axis: FloatArray) -> FloatArray:
 
 
 def best_shift(observed: FloatArray, expected: FloatArray, last: int, most: int, stiffness: float) -> float:
-    """The shift t of an expected course of widths that an observed one shows, in slices.
+    """Return the shift t between an observed and an expected width profile, in slices.
 
         E(t) = sum over slices k < last + t of |observed_k - expected_(k - t)| + stiffness t^2 / 2
 
-    ``expected`` counts up to ``last`` only; what is observed beyond ``last + t`` is not compared. Between
-    whole slices the minimum is that of the parabola through the smallest E and its neighbours.
+    ``expected`` is used up to ``last``; slices beyond ``last + t`` are not compared. The minimum is refined
+    by the parabola through the smallest E and its neighbours.
 
     Args:
         observed, expected: (K,) widths, mm.
-        last: the slice before which the hand ends where it is expected.
+        last: end of the hand at its expected position, a slice.
         most: largest shift, in slices; at most K - ``last``.
-        stiffness: of the prior about t = 0.
+        stiffness: of the prior around t = 0.
     """
     padded = np.pad(expected[:last], most)
     errors = np.empty(2 * most + 1)
@@ -88,7 +88,7 @@ def best_shift(observed: FloatArray, expected: FloatArray, last: int, most: int,
 
 
 def _vertex(errors: FloatArray) -> float:
-    """Index of the smallest error, refined by the parabola through it and its neighbours."""
+    """Return the index of the smallest error, refined by the parabola through it and its neighbours."""
     k = int(np.argmin(errors))
     if k in (0, len(errors) - 1):
         return float(k)
@@ -99,22 +99,22 @@ def _vertex(errors: FloatArray) -> float:
 
 # Lengths are of a hand of scale 1.
 _ARM_MM = (20.0, 120.0)
-"""The part of the forearm, from the wrist, that tells its direction."""
+"""Part of the forearm, from the wrist, that determines its direction."""
 _HALF_WIDTH_MM, _OPENING = 55.0, 0.5
-"""It is searched for in a cone: its half-width at the wrist, and how much it widens per length."""
+"""Cone in which the forearm is searched: half width at the wrist, and its increase per length."""
 _WIDEST_MM, _LEAST_MM2 = 125.0, 900.0
-"""What is wider is a body; what is less is nothing."""
+"""Largest width of an arm, not a body, and smallest area."""
 _SKIN_MM = 25.0
-"""Distance of the forearm's skin before its axis."""
+"""Depth of the forearm's axis behind its skin."""
 _PASSES = 2
 _MOST_BENT = float(np.cos(np.deg2rad(75.0)))
 _FINGERS_MM, _BEYOND_MM = 240.0, 80.0
-"""How far slices reach from the wrist towards the fingers and towards the elbow."""
+"""Extent of the slices from the wrist towards fingers and elbow."""
 _COMPARED_MM = 8.0
-"""Where the drawn hand ends beyond its wrist joint; widths are compared up to there."""
+"""End of the compared widths beyond the wrist joint, where the drawn hand ends."""
 _MOST_SHIFT_MM = 40.0
 _AREA_PER_SD_MM2 = 1000.0
-"""Area of disagreement that is worth one standard deviation of the wrist's place."""
+"""Area of disagreement equivalent to one standard deviation of the wrist."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,10 +122,10 @@ class Arm:
     """A forearm.
 
     Attributes:
-        wrist: (3,) where it begins, mm.
-        cut: (3,) unit normal, towards the elbow, of the plane that parts hand and forearm there: midway
-            between palm and forearm, as the wrist's crease is.
-        direction: (3,) unit vector from the elbow to the wrist; None where no forearm is seen.
+        wrist: (3,) its start, mm.
+        cut: (3,) unit normal, towards the elbow, of the plane between hand and forearm: halfway between their
+            directions, like the crease of the wrist.
+        direction: (3,) unit vector from the elbow to the wrist; None if no forearm is visible.
     """
 
     wrist: FloatArray
@@ -142,17 +142,16 @@ def arm_of(
 ) -> Arm:
     """Find the forearm of a hand.
 
-    Its direction is that of the surface that continues beyond the wrist. Across it, widths of the
-    observed limb and of the predicted hand are compared for every shift of the wrist (``best_shift``):
-    fingertips, palm and the narrowing behind it all say where the hand is, and the forearm, which is not
-    compared, says nothing.
+    Its direction is that of the surface beyond the wrist. The wrist is found by comparing widths across it of
+    the observed limb and the predicted hand for every shift (``best_shift``). Fingertips, palm and narrowing
+    determine the shift; the forearm, which is not compared, does not.
 
     Args:
         view: the window.
-        limb: (h, w) the surfaces of the hand and of what they are connected to.
-        hand: (h, w) what of them lies beside the prediction.
+        limb: (h, w) surfaces of the hand and what is connected to them.
+        hand: (h, w) the part near the prediction.
         silhouette: the predicted hand.
-        predicted: the hand as expected.
+        predicted: the predicted hand.
     """
     offset = view.points[limb].astype(np.float64) - predicted.wrist
     apart = view.apart[limb].astype(np.float64)
@@ -171,13 +170,13 @@ def arm_of(
 
 
 def _direction(offset: FloatArray, area: FloatArray, predicted: PredictedHand) -> FloatArray | None:
-    """Unit vector (3,) from wrist to elbow: to the middle of what the limb is beyond the wrist.
+    """Return the unit vector (3,) from the wrist to the centre of the limb beyond it.
 
-    None where there is no limb beyond it, or one that is no arm but a body.
+    None without a limb there, or if it is too wide for an arm.
 
     Args:
-        offset: (P, 3) the limb's points from the wrist, mm.
-        area: (P,) what each covers, mm^2.
+        offset: (P, 3) the limb's points relative to the wrist, mm.
+        area: (P,) their areas, mm^2.
         predicted: the hand.
     """
     scale, direction = predicted.scale, predicted.towards_elbow
@@ -193,7 +192,7 @@ def _direction(offset: FloatArray, area: FloatArray, predicted: PredictedHand) -
 
 
 def _in_cone(offset: FloatArray, direction: FloatArray, scale: float) -> tuple[BoolArray, float]:
-    """Which points (P, 3) may be the forearm's, and over what length they go along it, mm."""
+    """Return which points (P, 3) may be the forearm's, and their extent along it, mm."""
     along = offset @ direction
     first, last = _ARM_MM
     in_length = (along > scale * first) & (along < scale * last)
@@ -202,13 +201,13 @@ def _in_cone(offset: FloatArray, direction: FloatArray, scale: float) -> tuple[B
 
 
 def is_forearm(offset: FloatArray, towards_elbow: FloatArray, scale: float) -> BoolArray:
-    """Which points (P, 3) of a limb, from the wrist, a forearm explains: near its axis and the wrist."""
+    """Return which points (P, 3) of a limb, from the wrist, are near the forearm's axis and the wrist."""
     seen: BoolArray = offset @ towards_elbow < scale * SEEN_MM
     return seen & _beside_axis(offset, towards_elbow, scale)
 
 
 def _beside_axis(offset: FloatArray, direction: FloatArray, scale: float) -> BoolArray:
-    """Which points (P, 3) lie in the cone, and are not the body's that a hand lies before."""
+    """Return which points (P, 3) lie in the cone around the arm's axis, not on a body behind the hand."""
     along = offset @ direction
     squared_aside = np.einsum("ij,ij->i", offset, offset) - along**2
     most = scale * _HALF_WIDTH_MM + _OPENING * np.maximum(along, 0.0)
@@ -217,7 +216,7 @@ def _beside_axis(offset: FloatArray, direction: FloatArray, scale: float) -> Boo
 
 
 def _towards(direction: FloatArray, palm: FloatArray) -> FloatArray:
-    """A direction, turned back towards the palm's by as much as a wrist cannot bend."""
+    """Limit the angle between a direction and the palm's to the wrist's range."""
     cosine = float(direction @ palm)
     aside = direction - cosine * palm
     length = float(np.linalg.norm(aside))
@@ -232,7 +231,7 @@ def _towards(direction: FloatArray, palm: FloatArray) -> FloatArray:
 def _expected_widths(
     view: View, silhouette: Silhouette, cut: FloatArray, predicted: PredictedHand
 ) -> FloatArray:
-    """Widths of the predicted hand, as the window sees it."""
+    """Return the widths of the predicted hand in the window."""
     depth = np.where(silhouette.mask, silhouette.depth, np.float32(0.0))
     drawn = View.of(depth, view.window, view.camera)
     points, apart = (part[silhouette.mask].astype(np.float64) for part in (drawn.points, drawn.apart))

@@ -1,4 +1,4 @@
-"""Hands in a whole depth image, without any prediction."""
+"""Hand detection in a whole depth image."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ from posetrack_cli.hand.observe.region import (
 from posetrack_cli.rendering.port import Window
 
 _APART_MM, _MOST_ACROSS = 3.5, 240
-"""Least distance of pixels on the nearest surface, and the most pixels across the shorter side."""
+"""Smallest distance of pixels on the nearest surface, and largest number of pixels along the shorter side."""
 _NEAREST_PERCENT, _SPARSE = 10.0, 4
 _MOST_SHARED = 0.2
 _REACH_MM = 170.0
-"""So far from its palm a hand does not reach: only the arm goes on."""
+"""Distance from the palm beyond which a hand does not reach; only the arm continues."""
 _TWO_PALMS_MM = 110.0
 _MOST_HANDS, _LEAST_SCORE = 4, 0.4
-"""How many are told; a score of 1 is all like a hand at the end of an arm."""
+"""Largest number of detections, and smallest score."""
 _AS_LIKELY = 0.85
 _STEPS_OUTWARDS = 3
 _SURE, _SAME_PALM_MM = 0.9, 60.0
 _REACH_OF_RADIUS = 3.4
-"""The reach of a large hand, in radii of its palm."""
+"""Reach of a large hand, in palm radii."""
 _SHORTEST_FROM_PALM_MM, _LONGEST_FROM_PALM_MM = 60.0, 130.0
-"""From the palm's middle to the end of a fist, and of an outstretched hand."""
+"""Distance from the palm's centre to the end of a fist, and of an extended hand."""
 _WRIST_FROM_PALM_MM, _USUAL_WRIST_MM = (20.0, 100.0), 52.0
 _OFF_USUAL = 0.01
-"""Millimetres of the arm's width per mm^2 of the wrist's distance from its usual place."""
+"""Penalty on the squared deviation from the usual wrist position, mm of arm width per mm^2."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,15 +49,15 @@ class Detection:
     """A surface that may be a hand.
 
     Attributes:
-        window: the pixels that the mask is of: the whole image in steps.
+        window: pixels of the mask: the whole image at a coarse step.
         mask: (h, w) the hand's pixels, without the forearm.
-        palm: (3,) middle of the palm on the surface that is seen, camera axes, mm.
+        palm: (3,) centre of the palm on the visible surface, camera axes, mm.
         palm_radius_mm: of the largest disc around it.
-        wrist: (3,) where the forearm begins, on the surface that is seen, mm; None where none is seen.
-        arm: (3,) unit vector from the elbow to the wrist, camera axes; None where no forearm is seen.
-        extent_mm: how far the hand reaches from the palm.
-        score: 0 to 1: how much it is like a hand at the end of an arm.
-        fingers_mm2: how much of the mask is as thin as fingers are; an elbow's rim alone.
+        wrist: (3,) start of the forearm on the visible surface, mm; None if not visible.
+        arm: (3,) unit vector from the elbow to the wrist, camera axes; None if no forearm is visible.
+        extent_mm: reach of the hand from the palm.
+        score: 0 to 1, similarity to a hand at the end of an arm.
+        fingers_mm2: area of the mask that is as thin as fingers; for an elbow only its rim.
     """
 
     window: Window
@@ -71,7 +71,7 @@ class Detection:
     fingers_mm2: float
 
     def enlarged(self, factor: float) -> Detection:
-        """The same where all lengths are larger; areas of fingers stay those of a hand of usual size."""
+        """Return the detection with all lengths scaled; finger areas still refer to a hand of usual size."""
         return replace(
             self,
             palm=factor * self.palm,
@@ -84,17 +84,17 @@ class Detection:
 def detect(
     depth: ImageArray, camera: Camera, settings: DetectionSettings, sampler: PixelSampler | None = None
 ) -> list[Detection]:
-    """Find hands, the nearest first.
+    """Detect hands, the nearest first.
 
-    A hand is the end of an arm: a surface as wide as a palm, within whose reach it goes on at one place at
-    most, which is as wide as an arm (after the extremities of Plagemann et al. 2010, told by width instead of
-    geodesic distance) **[ours]**. No direction is preferred and no body expected.
+    A hand is the end of an arm: a surface as wide as a palm which continues beyond its reach in at most one
+    place, as wide as an arm (after the extremities of Plagemann et al. 2010, with width instead of geodesic
+    distance) **[ours]**. Neither a direction nor a visible body is assumed.
 
     Args:
         depth: (height, width) mm, 0 = no reading.
-        camera: its camera; lens distortion is taken out.
-        settings: the depths at which hands are searched for.
-        sampler: of the camera, kept by callers that look at many images.
+        camera: its camera; lens distortion is removed.
+        settings: the depth range.
+        sampler: of the camera, for callers with many images.
     """
     window = coarse_window(depth, camera, settings)
     tile = (sampler or PixelSampler(camera)).sample(depth, window)
@@ -116,7 +116,7 @@ def detect(
 
 
 def coarse_window(depth: ImageArray, camera: Camera, settings: DetectionSettings) -> Window:
-    """The whole image in whole steps of pixels, as fine as a hand where the nearest things are needs."""
+    """Return the whole image at a step that suits a hand at the depth of the nearest surfaces."""
     few = depth[::_SPARSE, ::_SPARSE]
     in_range = few[(few >= settings.nearest_mm) & (few <= settings.farthest_mm)]
     near = float(np.percentile(in_range, _NEAREST_PERCENT)) if in_range.size else settings.farthest_mm
@@ -127,7 +127,7 @@ def coarse_window(depth: ImageArray, camera: Camera, settings: DetectionSettings
 
 @dataclass(frozen=True, eq=False)
 class _Candidate:
-    """A place that may be a palm, and how likely."""
+    """A possible palm and its score."""
 
     region: Region
     score: float
@@ -135,20 +135,20 @@ class _Candidate:
 
 
 def _is_of(surfaces: Surfaces, place: list[int], candidate: _Candidate) -> bool:
-    """Whether a place is on the palm of a hand that is already certain."""
+    """Return whether a place is on the palm of a certain candidate."""
     if candidate.score < _SURE:
         return False
     return float(np.linalg.norm(surfaces.points[*place] - candidate.region.palm)) < _SAME_PALM_MM
 
 
 def _rank(candidate: _Candidate) -> float:
-    """Of places on one limb the palm comes first: likely, wide, and held out towards the camera."""
+    """Return the sort key for places on one limb: score, width, and closeness to the camera."""
     region = candidate.region
     return candidate.score * region.radius_mm / max(float(region.palm[2]), 1.0)
 
 
 def _better(surfaces: Surfaces, place: list[int]) -> _Candidate:
-    """The hand at a place, or farther out on the same limb if that is about as much like one."""
+    """Return the candidate at a place, or one farther out on the limb of about the same score."""
     here = _candidate(surfaces, place)
     for _ in range(_STEPS_OUTWARDS):
         outwards = None if here.score == 0.0 else _farther_out(surfaces, here)
@@ -173,7 +173,7 @@ def _candidate(surfaces: Surfaces, place: list[int]) -> _Candidate:
 
 
 def _farther_out(surfaces: Surfaces, candidate: _Candidate) -> list[int] | None:
-    """Where the palm is if a region reaches farther from the arm than a hand does from its palm."""
+    """Return the palm's place if the region extends farther from the arm than a hand from its palm."""
     region, arm = candidate.region, candidate.arm
     if arm is None:
         return None
@@ -213,7 +213,7 @@ def _detection(surfaces: Surfaces, candidate: _Candidate) -> Detection:
 
 
 def _without_arm(region: Region, surfaces: Surfaces, arm: FloatArray) -> tuple[BoolArray, FloatArray]:
-    """Cut the forearm off at the wrist: the narrowest place about where a palm ends.
+    """Cut the forearm at the wrist: the narrowest place near the usual wrist position.
 
     Returns:
         The rest of the region's mask, and the wrist (3,), mm.
@@ -229,7 +229,7 @@ def _without_arm(region: Region, surfaces: Surfaces, arm: FloatArray) -> tuple[B
 
 
 def _are_two(first: Detection, second: Detection) -> bool:
-    """Whether two detections are of two hands."""
+    """Return whether two detections are different hands."""
     apart = float(np.linalg.norm(first.palm - second.palm))
     shared = int(np.count_nonzero(first.mask & second.mask))
     least = min(int(np.count_nonzero(d.mask)) for d in (first, second))

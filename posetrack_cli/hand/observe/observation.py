@@ -1,4 +1,4 @@
-"""What of a depth image the likelihood looks at: a window around the prediction, and in it the hand."""
+"""Window of a depth image, as used by the likelihood."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ from posetrack_cli.hand.fit.skeleton import NO_INNER
 from posetrack_cli.rendering.port import Window
 
 _LEAST_SHARE = 0.8
-"""Of ``window_mm``: a window is at least so large."""
+"""Smallest window, as a share of ``window_mm``."""
 _MARGIN_MM = 12.0
-"""Around the joints: a finger's radius and a little of its motion."""
+"""Margin around the joints: a finger's radius and some motion."""
 
 
 IGNORED = -1.0
-"""What an image holds where nothing counts: a reading so near that it hides whatever may be there."""
+"""Value of ignored pixels: readings so near that they may hide anything."""
 
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """A window of a depth image.
+    """A segmented window of a depth image.
 
     Attributes:
-        window: which pixels.
-        image: (tile, tile) float32: depth of target pixels, mm: the hand's, and its forearm's where one is
-            explained; negative: reading of something else, ``IGNORED`` where nothing counts; 0: no reading.
-        target_pixels: how many there are.
-        inner: (6,) as expected of the frame, or as fits found them (``hand.fit.skeleton``); the direction
-            of a forearm is 0 where none is explained.
-        wrist: (3,) where hand and forearm are expected to meet, mm.
-        reversed: whether the limb goes on where fingers are expected, and ends where the forearm is.
+        window: its pixels.
+        image: (tile, tile) float32 depth of target pixels, mm: the hand's, and its forearm's if modelled;
+            negative: other readings, ``IGNORED`` for pixels that do not count; 0: no reading.
+        target_pixels: number of target pixels.
+        inner: (6,) inner numbers (``hand.fit.skeleton``), predicted or fitted; the forearm's direction is 0
+            without one.
+        wrist: (3,) expected boundary of hand and forearm, mm.
+        reversed: whether the limb continues where fingers are expected, and ends where the forearm is.
     """
 
     window: Window
@@ -47,7 +47,7 @@ class Observation:
     reversed: bool = False
 
     def every(self, step: int) -> Observation:
-        """The same, of every ``step``-th pixel in both directions."""
+        """Return the observation at every ``step``-th pixel in both directions."""
         image = np.ascontiguousarray(self.image[::step, ::step])
         shape, window = image.shape, self.window
         coarser = Window(window.left, window.top, step * window.step, shape[1], shape[0])
@@ -57,7 +57,7 @@ class Observation:
 class PixelSampler:
     """Samples depth images at the undistorted pixels of a window; 0 outside the image.
 
-    Depth is never interpolated: a value between hand and wall exists nowhere.
+    Nearest pixel, as interpolated depth between hand and wall exists nowhere.
     """
 
     def __init__(self, camera: Camera) -> None:
@@ -84,7 +84,7 @@ class PixelSampler:
 
 
 def _undistorting_lookup(camera: Camera) -> tuple[IntArray, IntArray]:
-    """For every undistorted pixel the nearest row and column in the image as the sensor gives it."""
+    """Return row and column in the distorted image for every undistorted pixel."""
     if camera.distortion_model == "inverse_brown_conrady":  # which OpenCV does not have
         across, down = pixel_map(replace(camera, distortion=()), camera)
         return _nearest(down, camera.height), _nearest(across, camera.width)
@@ -97,17 +97,17 @@ def _undistorting_lookup(camera: Camera) -> tuple[IntArray, IntArray]:
 
 
 def _nearest(at: Float32Array, size: int) -> IntArray:
-    """The nearest of ``size`` pixels; -1 or ``size`` where a strong distortion leads outside, or nowhere."""
+    """Return the nearest of ``size`` pixels; -1 or ``size`` where the distortion leads outside the image."""
     inside = np.clip(np.nan_to_num(at, nan=-1.0), -1.0, size)
     return np.rint(inside).astype(np.int64)
 
 
 def window_around(joints: FloatArray, camera: Camera, settings: ObservationSettings) -> Window:
-    """The square window around the projection of a hand's joints (21, 3), mm.
+    """Return the square window around the projected joints (21, 3), mm, of a hand.
 
-    ``window_px`` fixes its size as the paper does (128); else it spans about ``window_mm`` at the hand's
-    depth, in whole steps of pixels, so that every camera and distance is sampled alike, and all joints with a
-    margin in any case **[ours]**.
+    ``window_px`` fixes its size as in the paper (128). Otherwise it spans about ``window_mm`` at the hand's
+    depth, in whole pixel steps, so that sampling does not depend on camera and distance; it always includes
+    all joints with a margin **[ours]**.
     """
     centre = joints.mean(axis=0)
     z = max(float(centre[2]), 1.0)
@@ -121,12 +121,12 @@ def window_around(joints: FloatArray, camera: Camera, settings: ObservationSetti
 
 
 def _covering_step(pixels: FloatArray, px_per_mm: float, settings: ObservationSettings) -> int:
-    """The least whole step of a tile that spans most of ``window_mm``, and pixels (N, 2) with a margin."""
+    """Return the least step of a tile that covers most of ``window_mm`` and pixels (N, 2) with a margin."""
     extent_px = float(np.ptp(pixels, axis=0).max())
     needed = max(_LEAST_SHARE * settings.window_mm * px_per_mm, extent_px + 2.0 * _MARGIN_MM * px_per_mm)
     return max(1, int(np.ceil(needed / settings.tile_px)))
 
 
 def everything(tile: Float32Array, window: Window) -> Observation:
-    """The paper's observation: every reading in the window is a target."""
+    """Return the paper's observation: every reading in the window is a target."""
     return Observation(window, tile, int(np.count_nonzero(tile)))

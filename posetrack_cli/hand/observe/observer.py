@@ -1,8 +1,8 @@
-"""What a tracker observes of a frame, given where it expects the hand.
+"""Observations of a frame, given the predicted hand.
 
-A cost alone cannot tell a hand from a wall: the pixels that it compares a hand with are cut out around the
-hand's own prediction, from a wall as readily as from a body that the hand touches. What a wall lacks is an
-outline, which is measured here, too.
+The cost alone cannot distinguish a hand from a wall: its pixels are cut out around the prediction, from a
+wall as readily as from a body that the hand touches. But a wall has no outline, which is measured here as
+well.
 """
 
 from __future__ import annotations
@@ -29,59 +29,60 @@ from posetrack_cli.hand.observe.surfaces import pixel_mm, points_of, without_pin
 from posetrack_cli.rendering.port import Window
 
 LEAST_CONTRAST, LEAST_BROKEN = 0.25, 0.15
-"""What a frame must have to show a hand: the first where none was known, the second where one was.
+"""Thresholds for an untracked hand (contrast) and a tracked one (broken share).
 
-Contrast: a bare wall has 0.0, a noisy one 0.1 at most, a step in a wall 0.15; hands that are tracked have 0.3
-to 1.0, and less where the estimate lies beside them. Broken: walls and steps have 0.05 at most.
+Contrast is 0.0 on a bare wall, at most 0.1 on a noisy one and 0.15 at a step; on tracked hands 0.3 to 1.0,
+less where the estimate is misplaced. The broken share is at most 0.05 on walls and steps.
 """
 _VIEW = ObservationSettings(window_mm=300.0)
-"""The window of a hand and its surroundings, independent of the likelihood's own."""
+"""Window for the hand and its surroundings, independent of the likelihood's."""
 _BESIDE_MM = (8.0, 20.0)
-"""The surroundings: distances outside the drawn bones that no skin reaches."""
+"""Distance of the surroundings from the drawn bones: beyond any skin."""
 _CLEAR_STEP_MM, _BREAK_MM = 10.0, 15.0
-"""A step in depth that is as good as any larger one, a finger's height above what it lies on; and one that is
-no noise."""
+"""Depth step that counts fully, a finger's height above its background; and the smallest one above noise."""
 _FAR_MM = np.float32(1e9)
 _BLOCK = np.ones((3, 3), np.uint8)
 
 
 class Outline(NamedTuple):
-    """How a frame continues beside a hand **[ours]**.
+    """Depth steps around a hand's outline **[ours]**.
 
-    With y_out the readings beside the hand and y_in that of the nearest pixel well on the hand, each; a
+    With y_out the readings next to the hand and y_in the reading of the nearest pixel well inside it; a
     missing reading counts as far away.
 
     Attributes:
-        contrast: -1 to 1, the mean of clip((y_out - y_in) / 10 mm, -1, 1): how clearly the hand stands out.
-            Exchanging y_out and y_in changes its sign: on a surface that is alike on both sides of the
-            outline, be it bare, tilted, noisy or full of holes, it is 0.
-        broken: the share at which y_out and y_in differ by more than 15 mm, whichever is nearer: also of an
-            estimate that lies beside the hand, whose fingers may be where the gaps are.
+        contrast: -1 to 1, the mean of clip((y_out - y_in) / 10 mm, -1, 1). It is antisymmetric in y_out and
+            y_in, so it is 0 on any surface that looks the same on both sides: bare, tilted, noisy or with
+            holes.
+        broken: share of |y_out - y_in| > 15 mm. It is also high for a misplaced estimate whose fingers lie
+            over gaps.
     """
 
     contrast: float
     broken: float
 
     def shows_hand(self, *, is_known: bool) -> bool:
-        """Whether there is the outline of a hand, however well its surface fits.
+        """Return whether there is the outline of a hand, regardless of the fit of its surface.
 
         Args:
-            is_known: whether frames before showed one: this then shows none only if nothing is left of it.
+            is_known: whether the hand was tracked before; then it is only lost if nothing is left of its
+                outline.
         """
         return self.contrast >= LEAST_CONTRAST or (is_known and self.broken >= LEAST_BROKEN)
 
 
 def outline_of(depth: ImageArray, sampler: PixelSampler, camera: Camera, hand: PredictedHand) -> Outline:
-    """Look at the outline of a hand in a frame.
+    """Measure the outline of a hand in a frame.
 
     Args:
         depth: (height, width) the frame, mm, 0 = no reading.
         sampler: of the camera.
         camera: its camera.
-        hand: as estimated.
+        hand: the estimated hand.
 
     Returns:
-        The outline; all of it is broken where nothing around the hand lies in the image: that tells nothing.
+        The outline; fully broken if its surroundings lie outside the image, which is not evidence against a
+        hand.
     """
     window = window_around(hand.joints, camera, _VIEW)
     silhouette = silhouette_of(hand.joints, hand.scale, window, camera)
@@ -100,7 +101,7 @@ def outline_of(depth: ImageArray, sampler: PixelSampler, camera: Camera, hand: P
 
 
 def _nearest_inside(readings: Float32Array, silhouette: Silhouette) -> tuple[Float32Array, Float32Array]:
-    """Distance (h, w), pixels, to the nearest pixel well inside a silhouette, and its reading (h, w), mm."""
+    """Return distance (h, w), pixels, to the nearest pixel well inside a silhouette, and its reading, mm."""
     core = cv2.erode(silhouette.mask.astype(np.uint8), _BLOCK) > 0
     core = core if core.any() else silhouette.mask
     distance, nearest = cv2.distanceTransformWithLabels(
@@ -112,19 +113,19 @@ def _nearest_inside(readings: Float32Array, silhouette: Silhouette) -> tuple[Flo
 
 
 def _in_image(window: Window, camera: Camera) -> ImageArray:
-    """(h, w) which pixels of a window lie in the image."""
+    """Return the mask (h, w) of a window's pixels inside the image."""
     rows, columns = window.rows(), window.columns()
     return np.outer((rows >= 0) & (rows < camera.height), (columns >= 0) & (columns < camera.width))
 
 
 class ThinPart(NamedTuple):
-    """What of an observed hand is as thin as fingers are.
+    """The parts of an observed hand that are as thin as fingers.
 
     Attributes:
         points: (h, w, 3) of all pixels, camera axes, mm.
         apart: distance of neighbouring pixels at the hand's depth, mm.
-        hand: (h, w) target pixels before the forearm; all of them where none is seen.
-        thin: (h, w) those of them that are thin.
+        hand: (h, w) target pixels in front of the forearm; all of them without one.
+        thin: (h, w) the thin ones among them.
     """
 
     points: FloatArray
@@ -134,7 +135,7 @@ class ThinPart(NamedTuple):
 
 
 def thin_part(observation: Observation, camera: Camera, scale: float = 1.0) -> ThinPart:
-    """Look for what no disc inside a hand covers that is thicker than a finger (``region.thin_mask``).
+    """Return the parts that no disc thicker than a finger covers (``region.thin_mask``).
 
     Args:
         observation: with at least one target pixel.
@@ -150,21 +151,21 @@ def thin_part(observation: Observation, camera: Camera, scale: float = 1.0) -> T
 
 
 _FOREARM_MM = 160.0
-"""Length of a detected arm behind the wrist that is ignored, besides what lies beyond the window."""
+"""Length of a detected arm behind the wrist that is ignored."""
 _STEP_MM = 25.0
-"""A reading farther from the nearest pixel of a detection's coarse mask is of another surface."""
+"""Depth difference to the detection's coarse mask from which a reading is on another surface."""
 
 
 class Observer:
-    """Cuts windows out of depth images and finds the target pixels in them.
+    """Cuts windows out of depth images and segments them.
 
     Args:
         config: window and segmentation.
         anatomy: the hand.
         camera: of the depth images.
-        segment: whether the hand is separated from its surroundings; else all readings are targets.
-        with_arm: whether the forearm is a target, too, for a likelihood that explains it; else it is cut off.
-        follows: whether predictions are of a hand that is followed, not of one that may be there.
+        segment: separate the hand from its surroundings; else all readings are targets.
+        with_arm: include the forearm in the targets, for a likelihood that models it; else it is cut off.
+        follows: whether predictions are of a tracked hand, not hypotheses.
     """
 
     def __init__(
@@ -184,12 +185,12 @@ class Observer:
     def observe(
         self, depth: ImageArray, predicted: FloatArray, expected: FloatArray = NO_INNER
     ) -> Observation:
-        """Cut the window around a predicted pose (22,) and find the target pixels in it.
+        """Cut the window around a predicted pose (22,) and find its target pixels.
 
         Args:
             depth: (height, width) the frame, mm.
             predicted: (22,).
-            expected: (6,) inner numbers, as far as they are known; the forearm's direction is not asked for.
+            expected: (6,) predicted inner numbers; the forearm's direction is not used.
         """
         hand = PredictedHand.of(self.anatomy, predicted, expected[THUMB])
         window = window_around(hand.joints, self._camera, self._config.observation)
@@ -202,7 +203,7 @@ class Observer:
         return found.observation_with_inner(expected) if self._with_arm else found.observation
 
     def fingers_mm2(self, observation: Observation) -> float:
-        """How much of the hand before its forearm is as thin as fingers, mm^2 (``Detection.fingers_mm2``)."""
+        """Return the finger-thin area of the hand without forearm, mm^2 (``Detection.fingers_mm2``)."""
         if not observation.target_pixels:
             return 0.0
         thin = thin_part(observation, self._camera).thin
@@ -210,7 +211,7 @@ class Observer:
         return float(np.square(apart).sum())
 
     def outline(self, depth: ImageArray, pose: FloatArray, thumb: FloatArray = NO_THUMB) -> Outline:
-        """Look at the outline of a hand in a pose (22,) in a frame (height, width), mm.
+        """Measure the outline of a hand in a pose (22,) in a frame (height, width), mm.
 
         Args:
             depth: the frame.
@@ -220,7 +221,7 @@ class Observer:
         return outline_of(depth, self.sampler, self._camera, PredictedHand.of(self.anatomy, pose, thumb))
 
     def forearm_confidence(self, depth: ImageArray, window: Window, drawn: Float32Array) -> float:
-        """How far a frame (height, width), mm, explains a forearm that is drawn (h, w) in a window."""
+        """Return how well a frame (height, width), mm, supports a forearm rendered (h, w) in a window."""
         camera, step = self._camera, window.step
         return forearm_confidence(
             drawn,
@@ -231,7 +232,7 @@ class Observer:
         )
 
     def observe_detection(self, depth: ImageArray, detection: Detection) -> Observation:
-        """Cut the window around a detected hand; what lies beyond its wrist is forearm."""
+        """Cut the window around a detected hand; pixels beyond its wrist are forearm."""
         corners = _corners_of(detection, self._camera)
         window = window_around(corners, self._camera, self._config.observation)
         tile = self.sampler.sample(depth, window)
@@ -250,7 +251,7 @@ class Observer:
 
 
 def _corners_of(detection: Detection, camera: Camera) -> FloatArray:
-    """Opposite corners (2, 3) of a detection's mask in the image, at the palm's depth, mm."""
+    """Return opposite corners (2, 3) of a detection's mask, at the palm's depth, mm."""
     rows, columns = np.nonzero(detection.mask)
     us, vs = detection.window.columns()[columns], detection.window.rows()[rows]
     pixels = np.array([[us.min(), vs.min()], [us.max(), vs.max()]], dtype=np.float64)
@@ -258,7 +259,7 @@ def _corners_of(detection: Detection, camera: Camera) -> FloatArray:
 
 
 def _nearest_in(image: ImageArray, coarse: Window, window: Window) -> ImageArray:
-    """Values of an image over one window at the nearest pixels of another; 0 outside."""
+    """Resample an image from one window to another by nearest pixel; 0 outside."""
     rows = np.rint((window.rows() - coarse.top) / coarse.step).astype(np.int64)
     columns = np.rint((window.columns() - coarse.left) / coarse.step).astype(np.int64)
     inside = np.ix_((rows >= 0) & (rows < coarse.height), (columns >= 0) & (columns < coarse.width))

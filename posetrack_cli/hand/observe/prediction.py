@@ -1,4 +1,4 @@
-"""A predicted hand, and as thick bones: which pixels it covers, and how deep it lies there."""
+"""A predicted hand and its silhouette, drawn with thick bones."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from posetrack_cli.rendering.port import Window
 
 @dataclass(frozen=True, eq=False)
 class PredictedHand:
-    """A hand where it is expected.
+    """A hand at its predicted pose.
 
     Attributes:
         pose: (22,).
         joints: (21, 3) mm, camera axes, in the order of ``JOINT_NAMES``.
-        scale: of the hand; lengths in settings are of a hand of scale 1.
+        scale: of the hand; lengths in settings refer to scale 1.
     """
 
     pose: FloatArray
@@ -32,26 +32,26 @@ class PredictedHand:
 
     @classmethod
     def of(cls, anatomy: HandAnatomy, pose: FloatArray, thumb: FloatArray = NO_THUMB) -> PredictedHand:
-        """The hand of an anatomy in a pose (22,), with inner angles of its thumb (2,)."""
+        """Return the hand of an anatomy in a pose (22,), with inner angles (2,) of its thumb."""
         return cls(pose, joint_positions(anatomy, pose[None], thumb)[0], anatomy.scale)
 
     @property
     def wrist(self) -> FloatArray:
-        """(3,) the wrist joint, mm."""
+        """Return the wrist joint (3,), mm."""
         return np.asarray(self.joints[0], dtype=np.float64)
 
     @property
     def towards_elbow(self) -> FloatArray:
-        """(3,) unit vector along the palm, from the knuckles to the wrist."""
+        """Return the unit vector (3,) along the palm, from knuckles to wrist."""
         return np.asarray(rotations.matrices_from_quaternions(self.pose[3:7])[:, 1], dtype=np.float64)
 
 
 _FINGER_MM, _PALM_MM = 14.0, 24.0
-"""Thickness of the bones as drawn: fingers, and the palm's five, which together cover it."""
+"""Thickness of drawn bones: fingers, and the palm's five, which together cover it."""
 _PALM_SKIN_MM, _FINGER_SKIN_MM = 15.0, 7.0
-"""Distance of the skin before the bones."""
+"""Depth of the bones behind the skin."""
 _PIECES = 2
-"""Pieces that a bone is drawn in, each at one depth."""
+"""Pieces per bone, each drawn at constant depth."""
 _CHILDREN = np.arange(1, 21)
 _PARENTS = np.array(JOINT_PARENTS[1:])
 _OF_PALM = _PARENTS == 0
@@ -62,12 +62,12 @@ _FARTHEST_PX = 4000.0
 
 @dataclass(frozen=True, eq=False)
 class Silhouette:
-    """A predicted hand as a window sees it.
+    """A predicted hand in a window.
 
     Attributes:
-        mask: (h, w) which pixels it covers.
-        depth: (h, w) of its skin there, mm; elsewhere of the covered pixel that is nearest in the image.
-        outside_px: (h, w) distance to it, pixels; 0 on it.
+        mask: (h, w) its pixels.
+        depth: (h, w) of its skin, mm; elsewhere that of the nearest covered pixel.
+        outside_px: (h, w) distance to the mask, pixels; 0 inside.
     """
 
     mask: BoolArray
@@ -76,7 +76,7 @@ class Silhouette:
 
 
 def silhouette_of(joints: FloatArray, scale: float, window: Window, camera: Camera) -> Silhouette | None:
-    """Draw a hand of joints (21, 3), mm; None where it falls on no pixel of the window."""
+    """Draw a hand with joints (21, 3), mm; None outside the window."""
     depth = np.zeros((window.height, window.width), dtype=np.float32)
     for start, end, z, thickness in _pieces(joints, scale, window, camera):
         cv2.line(depth, start, end, z, thickness, cv2.LINE_8, _SUBPIXEL_BITS)
@@ -90,7 +90,7 @@ def silhouette_of(joints: FloatArray, scale: float, window: Window, camera: Came
 
 
 def _spread(depth: Float32Array, mask: BoolArray, nearest: ImageArray) -> Float32Array:
-    """Give every pixel the depth of the covered pixel that is nearest to it."""
+    """Assign to every pixel the depth of the nearest covered pixel."""
     of_label = np.zeros(int(nearest.max()) + 1, dtype=np.float32)
     of_label[nearest[mask]] = depth[mask]
     spread: Float32Array = of_label[nearest]
@@ -100,7 +100,7 @@ def _spread(depth: Float32Array, mask: BoolArray, nearest: ImageArray) -> Float3
 def _pieces(
     joints: FloatArray, scale: float, window: Window, camera: Camera
 ) -> list[tuple[tuple[int, int], tuple[int, int], float, int]]:
-    """Start, end (fixed point), depth and thickness of the drawn pieces, the farthest first."""
+    """Return start, end (fixed point), depth and thickness of the pieces, the farthest first."""
     shares = np.linspace(0.0, 1.0, _PIECES + 1)[:, None, None]
     starts, ends = joints[_PARENTS], joints[_CHILDREN].copy()
     ends[_TIPS] -= _inwards(ends[_TIPS] - starts[_TIPS], 0.5 * _FINGER_MM * scale)
@@ -117,11 +117,13 @@ def _pieces(
     drawn, order = (safe[:-1] & safe[1:]).ravel(), np.argsort(-middle, axis=None, kind="stable")
     order = order[drawn[order]]
     columns = fixed[:-1].reshape(-1, 2), fixed[1:].reshape(-1, 2), skin.ravel(), widths.ravel()
-    begin, end, depths, across_px = (column[order].tolist() for column in columns)  # numbers of Python's own
+    begin, end, depths, across_px = (
+        column[order].tolist() for column in columns
+    )  # OpenCV needs Python numbers
     return list(zip(map(tuple, begin), map(tuple, end), depths, across_px, strict=True))
 
 
 def _inwards(bones: FloatArray, mm: float) -> FloatArray:
-    """Vectors of a length along bones (N, 3): the amount by which a thick line overshoots its end."""
+    """Return vectors of a length along bones (N, 3), by which a thick line overshoots its end."""
     lengths = np.linalg.norm(bones, axis=1, keepdims=True)
     return np.asarray(bones * np.minimum(1.0, mm / np.maximum(lengths, 1e-9)), dtype=np.float64)

@@ -1,4 +1,4 @@
-"""The region of a hand in a depth image, and its palm."""
+"""Palm positions and the region of a hand around them."""
 
 from __future__ import annotations
 
@@ -22,32 +22,31 @@ from posetrack_cli.hand.observe.surfaces import (
 )
 from posetrack_cli.rendering.port import Window
 
-# Where a palm may be: the middles of the widest discs that fit into the surfaces of an image
-
+# Possible palms: centres of the widest discs in the surfaces of an image
 
 _BEHIND_JUMPS = 3.0
 _SPREAD_MM = 25.0
 _APART_MM = 12.0
 """Discs closer together than this are one place."""
 PALM_RADIUS_MM = (11.0, 85.0)
-"""Of the largest disc on a palm; of a hand seen edge-on the smallest."""
+"""Range of the largest disc on a palm; smallest for a hand seen edge-on."""
 _MOST_PLACES = 24
-"""Looked at, the nearest first."""
+"""Largest number of places, the nearest first."""
 
 
 @dataclass(frozen=True, eq=False)
 class Surfaces:
-    """A depth image taken apart.
+    """A depth image split into surfaces.
 
     Attributes:
         window: its pixels.
-        depth: (h, w) mm, 0 = no reading; single missing readings bridged.
+        depth: (h, w) mm, 0 = no reading; single missing readings filled.
         points: (h, w, 3) mm, camera axes.
-        numbers: (h, w) of the surface, 0 = none.
-        sizes: (S,) pixels of each surface, by number.
-        behind: (h, w) which readings have a nearer surface beside them.
-        radius: (h, w) of the largest disc around a pixel that stays on its surface, mm.
-        pixel_mm: (h, w) distance of neighbouring pixels that face the camera.
+        numbers: (h, w) surface labels, 0 = none.
+        sizes: (S,) pixels of each surface, by label.
+        behind: (h, w) readings next to a nearer surface.
+        radius: (h, w) of the largest disc around a pixel on its surface, mm.
+        pixel_mm: (h, w) distance of neighbouring pixels on a surface facing the camera.
     """
 
     window: Window
@@ -61,7 +60,7 @@ class Surfaces:
 
 
 def surfaces_of(depth: Float32Array, window: Window, camera: Camera) -> Surfaces:
-    """Take a depth image apart into surfaces.
+    """Split a depth image into surfaces.
 
     Args:
         depth: (h, w) the window's readings, mm, 0 = none.
@@ -75,7 +74,7 @@ def surfaces_of(depth: Float32Array, window: Window, camera: Camera) -> Surfaces
     count, numbers = surface_labels(whole, jump)
     sizes = np.bincount(numbers.ravel(), minlength=count)
     inside = ((whole > 0) & ~rims(whole, jump)).astype(np.uint8)
-    # without any rim the distance to one is as large as floats can be
+    # without a rim OpenCV returns the largest float
     to_rim = np.minimum(cv2.distanceTransform(inside, cv2.DIST_L2, 3), max(depth.shape))
     radius = (to_rim + 0.5) * apart  # a rim belongs half to its surface
     radius[whole <= 0] = 0.0
@@ -84,9 +83,9 @@ def surfaces_of(depth: Float32Array, window: Window, camera: Camera) -> Surfaces
 
 
 def palm_pixels(surfaces: Surfaces, settings: DetectionSettings) -> IntArray:
-    """Rows and columns (K, 2) of places where a palm may be, the nearest first.
+    """Return rows and columns (K, 2) of possible palms, the nearest first.
 
-    They are local maxima of the disc's radius that a palm can have, at a depth where hands are searched for.
+    These are local maxima of the disc radius within a palm's range, at depths in the search range.
     """
     depth, radius = surfaces.depth, surfaces.radius
     low, high = PALM_RADIUS_MM
@@ -103,9 +102,9 @@ def palm_pixels(surfaces: Surfaces, settings: DetectionSettings) -> IntArray:
 
 
 def _spread_out(maxima: IntArray, surfaces: Surfaces) -> IntArray:
-    """Of places (K, 2) closer together than a palm's parts the one with the widest disc.
+    """Keep the place with the widest disc among places (K, 2) of one palm.
 
-    The middle of an arm as wide everywhere is one maximum beside the other.
+    The centre line of an arm of constant width, for example, is a row of maxima.
     """
     rows, columns = maxima.T
     points = surfaces.points[rows, columns]
@@ -118,22 +117,21 @@ def _spread_out(maxima: IntArray, surfaces: Surfaces) -> IntArray:
     return maxima[chosen]
 
 
-# The part of a surface within reach of a palm: where it continues beyond, and how hand-like it is
-
+# Region within reach of a palm, its exits, and its similarity to a hand
 
 _RING_MM = 14.0
-"""Thickness of the shell in which a region's exits are searched for."""
+"""Thickness of the shell in which a region's exits are searched."""
 _LEAST_PIXELS = 3
 _NEAR_PALM_MM = 80.0
-"""A palm is the widest part of what is so near to it; a finger is not."""
+"""Distance within which a palm, unlike a finger, is the widest part."""
 _MOST_BEHIND = 0.25
 _ARM_MM = 150.0
-"""No arm is wider."""
+"""Largest width of an arm."""
 
 
 @dataclass(frozen=True, eq=False)
 class Exit:
-    """Where a surface leaves the reach of a palm, or the image.
+    """A place where a surface leaves the reach of a palm, or the image.
 
     Attributes:
         middle: (3,) mm.
@@ -146,18 +144,18 @@ class Exit:
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """What is connected to a palm within its reach.
+    """The surface connected to a palm within its reach.
 
     Attributes:
-        rows, columns: of the part of the image that it lies in.
+        rows, columns: its part of the image.
         mask: (h, w) its pixels in that part.
         points: (h, w, 3) of that part, mm.
-        palm: (3,) the point on the surface that reach is counted from, mm.
+        palm: (3,) point on the surface from which reach is measured, mm.
         radius_mm: of the largest disc around the palm.
-        widest_mm: the largest such disc near the palm.
+        widest_mm: of the largest disc near the palm.
         area_mm2: seen from the front.
-        behind: share of its rim that lies behind something nearer.
-        exits: where it continues.
+        behind: share of its rim behind a nearer surface.
+        exits: places where it continues.
     """
 
     rows: slice
@@ -173,12 +171,12 @@ class Region:
 
 
 def region_around(surfaces: Surfaces, row: int, column: int, reach_mm: float) -> Region:
-    """The region of the surface that a pixel shows.
+    """Return the region of the surface at a pixel.
 
     Args:
         surfaces: of the image.
         row, column: of the palm.
-        reach_mm: straight distance from the palm within which pixels belong to the region.
+        reach_mm: Euclidean distance from the palm up to which pixels belong to the region.
     """
     rows, columns = _part(surfaces, row, column, reach_mm)
     points = surfaces.points[rows, columns]
@@ -201,7 +199,7 @@ def region_around(surfaces: Surfaces, row: int, column: int, reach_mm: float) ->
 
 
 def _part(surfaces: Surfaces, row: int, column: int, reach_mm: float) -> tuple[slice, slice]:
-    """Rows and columns that the reach may cover; nearer things look larger."""
+    """Return the rows and columns that the reach may cover; nearer points appear larger."""
     z, apart = float(surfaces.depth[row, column]), float(surfaces.pixel_mm[row, column])
     half = int(np.ceil(reach_mm / apart * z / max(z - 0.5 * reach_mm, 0.5 * z)))
     height, width = surfaces.depth.shape
@@ -219,7 +217,7 @@ def _connected(mask: BoolArray, at: tuple[int, int]) -> BoolArray:
 def _islands(
     within: BoolArray, numbers: ImageArray, surfaces: Surfaces, rows: slice, columns: slice
 ) -> BoolArray:
-    """Surfaces wholly within reach, and not behind others: fingers before the palm are such."""
+    """Return surfaces entirely within reach and not behind others, such as fingers in front of the palm."""
     inside = np.bincount(numbers[within], minlength=int(numbers.max()) + 1)
     in_all = surfaces.sizes[: len(inside)]
     behind = np.bincount(numbers[within & surfaces.behind[rows, columns]], minlength=len(inside))
@@ -232,7 +230,7 @@ def _islands(
 def _exits(
     own: BoolArray, far: BoolArray, surfaces: Surfaces, rows: slice, columns: slice
 ) -> tuple[Exit, ...]:
-    """Where a region touches the end of its reach or the image's border."""
+    """Return the places where a region touches the limit of its reach or the image border."""
     height, width = surfaces.depth.shape
     leaving = own & far
     for at_border, edge in (
@@ -255,11 +253,11 @@ def _exits(
 
 
 _THICK_MM = 16.0
-"""No finger takes in a disc of this radius, all arms do."""
+"""Disc radius that fits into arms but not into fingers."""
 
 
 def thin_mask(mask: BoolArray, pixel_mm: float) -> BoolArray:
-    """What of a mask (h, w) no disc of ``_THICK_MM`` inside it covers: fingers, and the rim."""
+    """Return the part of a mask (h, w) that no inner disc of ``_THICK_MM`` covers: fingers, and the rim."""
     radius = _THICK_MM / pixel_mm
     reach = int(np.ceil(radius))
     rows, columns = np.mgrid[-reach : reach + 1, -reach : reach + 1]
@@ -271,29 +269,29 @@ def thin_mask(mask: BoolArray, pixel_mm: float) -> BoolArray:
 
 
 _FINGER_MM, _OF_DISC = 36.0, 0.8
-"""What is narrower than two fingers side by side, where it leads out of a hand's reach, is no arm, unless it
-is about as wide as the disc: a thin arm goes on as wide as it is, a finger is narrower than its palm."""
+"""An exit narrower than two fingers is not an arm, unless it is about as wide as the disc: a thin arm
+continues at constant width, a finger is narrower than its palm."""
 _AREAS_MM2 = (800.0, 2500.0, 42000.0, 65000.0)
-"""Of a hand with the part of its arm within reach: as small and as large as can be, usual in between."""
+"""Area of a hand with the part of its arm within reach: limits, with the usual range in between."""
 _NO_ARM, _MORE_ARMS, _LONG_FINGER = 0.75, 0.2, 0.9
-"""Factors for a hand alone, for each further arm, for each finger that reaches too far."""
+"""Factors for a hand without an arm, per further arm, and per finger that reaches too far."""
 _OF_WIDEST, _NARROW = (0.1, 0.6), 0.2
-"""A palm is the widest part of its surroundings: shares of the widest that count least and fully."""
+"""A palm is the widest part of its surroundings: shares of the widest disc that count least and fully."""
 _BEHIND = (0.3, 0.8)
-"""Shares of the rim behind something nearer: usual ones, and those of no hand."""
+"""Shares of the rim behind nearer surfaces: usual, and impossible for a hand."""
 _LARGER_FIRST = 0.1
 
 
 def arm_exit(region: Region) -> Exit | None:
-    """Where the arm leads out of a region: the widest way, if it is no finger; None without one."""
+    """Return the exit of the arm: the widest one that is not a finger; None without one."""
     return max(_arms(region), key=lambda way: way.width_mm, default=None)
 
 
 def likeness(region: Region) -> float:
-    """0 to 1, the product of what speaks for a hand: disc, area, one arm, and nothing before it.
+    """Return the similarity to a hand, 0 to 1: the product of factors for disc, area, exits and occlusion.
 
-    Nothing as wide as a body leads out of a hand's reach; the end of a finger is not the widest part of its
-    surroundings; what is seen between things nearer is background.
+    A hand's exit is not as wide as a body; a fingertip is not the widest part of its surroundings; a surface
+    visible between nearer ones is background.
     """
     low, high = PALM_RADIUS_MM
     disc = _plateau(region.radius_mm, 0.8 * low, 1.3 * low, 0.8 * high, 1.1 * high)
@@ -319,5 +317,5 @@ def _arms(region: Region) -> list[Exit]:
 
 
 def _plateau(value: float, low: float, first: float, last: float, high: float) -> float:
-    """1 from ``first`` to ``last``, falling linearly to 0 at ``low`` and ``high``."""
+    """Return 1 from ``first`` to ``last``, falling linearly to 0 at ``low`` and ``high``."""
     return float(np.interp(value, [low, first, last, high], [0.0, 1.0, 1.0, 0.0]))

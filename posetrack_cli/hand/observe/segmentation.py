@@ -1,4 +1,4 @@
-"""The hand in a window around a prediction."""
+"""Segmentation of the hand in a window around a prediction."""
 
 from __future__ import annotations
 
@@ -28,20 +28,18 @@ from posetrack_cli.rendering.port import Window
 
 # Lengths are of a hand of scale 1, mm.
 _IN_FRONT_MM, _BEHIND_MM, _ASIDE_MM = 70.0, 70.0, 60.0
-"""What lies so near to the predicted skin, in depth and in the image, may be the hand's."""
+"""Distances from the predicted skin, in depth and in the image, up to which pixels may be the hand's."""
 _REACH_MM, _LEAST_SHARE = 140.0, 0.5
-"""Of a surface what is so near to the joints' centre counts, and so much of it lies at the prediction ..."""
+"""A surface is the hand's if this share of its pixels within reach of the joints' centre lies at the
+prediction ..."""
 _VOTE_ASIDE_MM, _VOTE_MM = 15.0, 45.0
-"""... so near to it in the image, and in depth."""
+"""... that is, within these distances of it in the image and in depth."""
 _MARGIN_MM = 60.0
-"""Looked at around the window, where the arm goes."""
+"""Margin around the window that is searched for the arm."""
 
 
 class Label(IntEnum):
-    """What a pixel shows.
-
-    No reading, the hand, its forearm beyond the wrist, another surface, or limb that is not looked at.
-    """
+    """Class of a pixel: no reading, hand, forearm, another surface, or ignored part of the limb."""
 
     UNREAD = 0
     HAND = 1
@@ -52,15 +50,15 @@ class Label(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class Segmentation:
-    """The pixels of a window, classified.
+    """Labelled pixels of a window.
 
     Attributes:
-        window: which pixels.
+        window: its pixels.
         depth: (h, w) readings, mm, 0 = none.
         labels: (h, w) uint8, of ``Label``.
-        wrist: (3,) where the forearm begins, on its axis, camera axes, mm.
-        arm: (3,) unit vector from the elbow to the wrist, camera axes; None where no forearm is seen.
-        reversed: whether the limb goes on where fingers are expected, and ends where the forearm is.
+        wrist: (3,) start of the forearm, on its axis, camera axes, mm.
+        arm: (3,) unit vector from the elbow to the wrist, camera axes; None if no forearm is visible.
+        reversed: whether the limb continues where fingers are expected, and ends where the forearm is.
     """
 
     window: Window
@@ -71,23 +69,23 @@ class Segmentation:
     reversed: bool = False
 
     def is_labelled(self, label: Label) -> BoolArray:
-        """(h, w) which pixels carry a label."""
+        """Return the mask (h, w) of a label."""
         mask: BoolArray = self.labels == label
         return mask
 
     @property
     def observation(self) -> Observation:
-        """The window as a likelihood reads it that knows hands alone: their depths, minus the others'."""
+        """Return the observation for a likelihood of the hand alone: its depths, others negated."""
         hand = self.is_labelled(Label.HAND)
         image = np.where(hand, self.depth, -self.depth)
         image[self.is_labelled(Label.FOREARM) | self.is_labelled(Label.BEYOND)] = 0.0
         return Observation(self.window, image, int(np.count_nonzero(hand)))
 
     def observation_with_inner(self, expected: FloatArray) -> Observation:
-        """The window as a likelihood reads it that knows inner numbers, too, and what is expected of them.
+        """Return the observation for a likelihood with inner numbers.
 
         Args:
-            expected: (6,) but for the forearm's direction.
+            expected: (6,) their prior; the forearm's direction is replaced.
         """
         inner = expected.copy()
         if self.arm is None:
@@ -109,20 +107,20 @@ def segment(
     *,
     is_followed: bool = True,
 ) -> Segmentation:
-    """Tell the hand's pixels from its forearm, from other surfaces and from missing readings **[ours]**.
+    """Separate the hand from its forearm, other surfaces and missing readings **[ours]**.
 
-    A surface is the hand's if most of what lies within the hand's reach lies at the prediction; of such a
-    surface what lies beside it. The forearm is cut off at a wrist that the image tells (``arm_of``), with the
-    prediction as a prior only: a cut that followed the prediction would let the palm slide along the arm.
+    A surface is the hand's if most of it within the hand's reach lies at the prediction; of such a surface,
+    the part near the prediction is labelled hand. The forearm is cut at the observed wrist (``arm_of``), with
+    the prediction as prior only: a cut at the predicted wrist would let the palm slide along the arm.
 
     Args:
         depth: (height, width) the frame, mm, 0 = no reading.
         sampler: of the camera.
-        window: the pixels asked for; a margin around them is used too, for the arm.
+        window: the requested pixels; a margin around them is also used, for the arm.
         camera: its camera.
-        predicted: the hand as expected.
-        is_followed: whether the prediction is of a hand that is followed, not of one that may be there: only
-            such a hand has fingers where none are expected.
+        predicted: the predicted hand.
+        is_followed: whether the prediction is of a tracked hand, not a hypothesis: only a tracked hand may
+            have fingers away from the prediction.
     """
     margin = round(_MARGIN_MM / max(float(pixel_mm(predicted.wrist[2], window, camera)), 1e-3))
     margin = min(max(margin, 0), window.width)
@@ -134,7 +132,7 @@ def segment(
 
 
 def _widened(window: Window, margin: int) -> Window:
-    """The window, larger by a margin in tile pixels on every side."""
+    """Return the window with a margin in tile pixels on every side."""
     return replace(
         window,
         left=window.left - margin * window.step,
@@ -145,11 +143,11 @@ def _widened(window: Window, margin: int) -> Window:
 
 
 _WAY_OUT_MM, _PAST_WRIST_MM = 25.0, 40.0
-"""What leads out of a view is an arm if it is as wide, and so far beyond the wrist; of a hand of scale 1."""
+"""An arm leaving the view is at least this wide, and this far beyond the wrist; for a hand of scale 1."""
 
 
 def _goes_on(view: View, limb: BoolArray, arm: Arm, scale: float) -> bool:
-    """Whether a limb leads out of the view, or of the image, on the fingers' side alone."""
+    """Return whether a limb leaves the view or the image on the fingers' side only."""
     assert arm.direction is not None
     window, camera = view.window, view.camera
     rows, columns = window.rows(), window.columns()
@@ -187,11 +185,11 @@ def _limb(
     predicted: PredictedHand,
     is_followed: bool,
 ) -> tuple[BoolArray, BoolArray]:
-    """The surfaces connected to the hand, and what of them is the hand or forearm.
+    """Return masks of the surfaces connected to the hand, and of hand and forearm among them.
 
-    A surface is the hand's if most of what lies within the hand's reach lies at the prediction, or if it is a
-    finger of a hand that is followed (``_fingers``). The one with most pixels there is in any case: a hand
-    that touches a body is one with it, and is cut out closely.
+    A surface is included if most of it within the hand's reach lies at the prediction, or if it is a finger
+    of a tracked hand (``_fingers``). The one with most pixels there is always included: a hand that touches a
+    body forms one surface with it, and is cut out closely.
     """
     jump = jump_mm(view.apart)
     count, numbers = surface_labels(without_pinholes(view.depth, jump), jump)
@@ -216,13 +214,13 @@ def _limb(
 
 
 _FINGER_MM2, _LEAST_NEAR = 3000.0, 0.9
-"""What a finger covers at most, of a hand of scale 1, and how much of it lies within the hand's reach."""
+"""Largest area of a finger, for a hand of scale 1, and its smallest share within the hand's reach."""
 _LEAST_MM2, _LEAST_MM, _WIDEST_MM, _GAP_MM = 300.0, 30.0, 26.0, 10.0
-"""What a finger covers that stands out, how long it is and how wide at most, and how far from the limb it
-begins, behind the nearer finger's rim; of a hand of scale 1."""
+"""Smallest area and length of an extended finger, its largest width, and its largest gap to the limb behind
+the rim of a nearer finger; for a hand of scale 1."""
 _MOST_BEHIND = 0.4
-"""The share of a finger that lies behind something beside it: some 0.15 where a thumb hides its base,
-but most of a background that is seen between two fingers."""
+"""Largest share of a finger behind its neighbours: about 0.15 where a thumb hides its base, but most of a
+background visible between two fingers."""
 
 
 def _fingers(
@@ -234,21 +232,21 @@ def _fingers(
     jump: Float32Array,
     scale: float,
 ) -> BoolArray:
-    """Which surfaces (K,) are fingers apart from the limb, which the prediction need not know of **[ours]**.
+    """Return which surfaces (K,) are fingers separate from the limb, even away from the prediction
+    **[ours]**.
 
-    A thumb before its base, or a missing reading beside it, makes a finger a surface of its own; most of one
-    that has just been stretched is not where a fist is expected, nor will the next frame expect it there if
-    this one does not see it. Nothing else that begins at a hand ends within its reach, and is so small.
-    Where nothing of it lies at the prediction, as of a finger whose knuckle the thumb hides, it begins beside
-    the limb, has a finger's shape, and does not lie behind what surrounds it.
+    A thumb in front of its base, or a missing reading, separates a finger from the hand. A finger that has
+    just been stretched is not where the fist was predicted, nor would the next frame predict it. Only fingers
+    start at the hand, end within its reach and are this small. A surface away from the prediction must also
+    start next to the limb, be finger-shaped, and not lie behind its surroundings.
 
     Args:
         view: the window.
-        numbers: (h, w) of surfaces that are not the limb's, 0 elsewhere.
-        near: (h, w) what lies within the hand's reach.
-        at_prediction: (K,) surfaces of which something lies at the prediction.
+        numbers: (h, w) of surfaces outside the limb, 0 elsewhere.
+        near: (h, w) pixels within the hand's reach.
+        at_prediction: (K,) surfaces with a part at the prediction.
         limb: (h, w) the other surfaces connected to the hand.
-        jump: (h, w) the step in depth that parts surfaces, mm.
+        jump: (h, w) depth step between surfaces, mm.
         scale: of the hand.
     """
     whole, reached = (
@@ -278,14 +276,14 @@ def _beside(
     in_front: float,
     behind: float,
 ) -> BoolArray:
-    """The pixels so near to the predicted hand in the image, and in depth; mm of a hand of scale 1."""
+    """Return the pixels near the predicted hand in image and depth; limits in mm, for a hand of scale 1."""
     scale, beyond = predicted.scale, view.depth - silhouette.depth
     beside: BoolArray = silhouette.outside_px * view.apart < scale * aside
     return beside & (beyond > -scale * in_front) & (beyond < scale * behind)
 
 
 def _within_reach(points: Float32Array, predicted: PredictedHand) -> BoolArray:
-    """The points within the hand's reach, and not behind its wrist, where the arm is."""
+    """Return the points within the hand's reach, without those behind its wrist."""
     squared = np.zeros(points.shape[:2], dtype=np.float32)
     for axis, middle in enumerate(predicted.joints.mean(axis=0).tolist()):
         squared += (points[..., axis] - np.float32(middle)) ** 2

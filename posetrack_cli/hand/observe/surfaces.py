@@ -1,4 +1,4 @@
-"""Surfaces in a depth image: neighbouring readings without a jump of depth between them."""
+"""Surfaces in a depth image: connected readings without a depth jump between neighbours."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from posetrack_cli.rendering.port import Window
 _BESIDE = np.ones((3, 3), np.uint8)
 _NOISE_MM = 6.0
 _STEEPEST = 3.0
-"""Neighbours parted by more depth than so many pixel distances, and noise, are of two surfaces."""
+"""Neighbours belong to two surfaces if their depths differ by more than this slope and noise."""
 _FAR_MM = np.float32(1e9)
 _ACROSS_PX = 5
-"""About how many missing pixels part a surface from one behind it."""
+"""Width of the search for a nearer surface, so that a few missing pixels are bridged."""
 
 
 def points_of(depth: Float32Array, window: Window, camera: Camera) -> Float32Array:
-    """The points (h, w, 3) that the pixels of a window show, camera axes, mm; (0, 0, 0) without a reading."""
+    """Return the points (h, w, 3) of a window's pixels, camera axes, mm; (0, 0, 0) without a reading."""
     across = ((window.columns() - camera.cx) / camera.fx).astype(np.float32)
     down = ((window.rows() - camera.cy) / camera.fy).astype(np.float32)
     points = np.empty((*depth.shape, 3), dtype=np.float32)
@@ -32,7 +32,7 @@ def points_of(depth: Float32Array, window: Window, camera: Camera) -> Float32Arr
 
 
 def along(points: Float32Array, origin: FloatArray, direction: FloatArray) -> Float32Array:
-    """How far points (h, w, 3) lie from an origin along a unit vector, mm (h, w)."""
+    """Return the coordinate (h, w) of points (h, w, 3) along a unit vector from an origin, mm."""
     x, y, z = direction.astype(np.float32)
     distance: Float32Array = x * points[..., 0]
     distance += y * points[..., 1]
@@ -42,18 +42,18 @@ def along(points: Float32Array, origin: FloatArray, direction: FloatArray) -> Fl
 
 
 def pixel_mm(z: float | FloatArray | Float32Array, window: Window, camera: Camera) -> FloatArray:
-    """The distance of neighbouring pixels of a window on a surface that faces the camera at depth z, mm."""
+    """Return the distance of neighbouring pixels on a surface facing the camera at depth z, mm."""
     per_mm = window.step / float(np.sqrt(camera.fx * camera.fy))
     return np.multiply(z, per_mm, dtype=np.float64)
 
 
 def jump_mm(apart: Float32Array) -> Float32Array:
-    """The step in depth that parts surfaces, mm: more than noise, and than a slope over that distance."""
+    """Return the depth step between two surfaces, mm: above noise, and above a slope between neighbours."""
     return np.asarray(_NOISE_MM + _STEEPEST * apart, dtype=np.float32)
 
 
 def without_pinholes(depth: Float32Array, jump: Float32Array | float) -> Float32Array:
-    """Depth with single missing readings bridged where the readings around them are of one surface."""
+    """Fill single missing readings inside one surface."""
     farthest = cv2.dilate(depth, _BESIDE)
     nearest = nearest_around(depth, 3)
     bridged = (depth <= 0) & (farthest > 0) & (farthest - nearest < jump)
@@ -61,11 +61,11 @@ def without_pinholes(depth: Float32Array, jump: Float32Array | float) -> Float32
 
 
 def links(depth: Float32Array, jump: Float32Array | float) -> tuple[BoolArray, BoolArray]:
-    """Which neighbours are of one surface: both read, and their depths differ by less than a jump.
+    """Return which neighbours belong to one surface: both read, with a depth difference below a jump.
 
     Args:
         depth: (h, w) mm, 0 = no reading.
-        jump: mm, one for all or (h, w).
+        jump: mm, a scalar or (h, w).
 
     Returns:
         (h, w - 1) of pixels and their right neighbours, (h - 1, w) of pixels and those below.
@@ -78,17 +78,17 @@ def links(depth: Float32Array, jump: Float32Array | float) -> tuple[BoolArray, B
 
 
 def surface_labels(depth: Float32Array, jump: Float32Array | float) -> tuple[int, ImageArray]:
-    """Number the surfaces of a depth image.
+    """Label the surfaces of a depth image.
 
     Args:
         depth: (h, w) mm, 0 = no reading.
-        jump: neighbours whose depths differ by less are of one surface, mm, one for all or (h, w).
+        jump: depth difference between surfaces, mm, a scalar or (h, w).
 
     Returns:
-        How many numbers there are, and (h, w) int32: 0 without a reading, else the surface's number.
+        The number of labels, and (h, w) int32 labels; 0 without a reading.
     """
     right, below = links(depth, jump)
-    # OpenCV links all neighbours of a mask: in a grid twice as fine the links are pixels of their own.
+    # OpenCV connects all neighbours in a mask, so links become pixels of a grid twice as fine
     height, width = depth.shape
     fine = np.zeros((2 * height - 1, 2 * width - 1), dtype=np.uint8)
     fine[::2, ::2] = depth > 0
@@ -99,7 +99,7 @@ def surface_labels(depth: Float32Array, jump: Float32Array | float) -> tuple[int
 
 
 def rims(depth: Float32Array, jump: Float32Array | float) -> BoolArray:
-    """(h, w) which readings have a neighbour that is not of their surface, or no reading beside them."""
+    """Return the mask (h, w) of readings with a neighbour of another surface or without a reading."""
     right, below = links(depth, jump)
     rim = np.zeros(depth.shape, dtype=np.bool_)
     rim[:, :-1] |= ~right
@@ -110,22 +110,21 @@ def rims(depth: Float32Array, jump: Float32Array | float) -> BoolArray:
 
 
 def nearest_around(depth: Float32Array, size: int) -> Float32Array:
-    """The nearest reading (h, w) in a square around each pixel; far away where there is none."""
+    """Return the nearest reading (h, w) in a square around each pixel; a large depth without one."""
     read = np.where(depth > 0, depth, _FAR_MM)
     return np.asarray(cv2.erode(read, np.ones((size, size), np.uint8)), dtype=np.float32)
 
 
 def behind_others(depth: Float32Array, step: Float32Array) -> BoolArray:
-    """Return which readings (h, w) have one beside them that is nearer by more than a step (h, w), mm."""
+    """Return the mask (h, w) of readings behind a neighbour by more than a step (h, w), mm."""
     behind: BoolArray = nearest_around(depth, _ACROSS_PX) < depth - step
     return behind
 
 
 def extent_mm(points: FloatArray, pixel_mm: float) -> float:
-    """Return the largest extent of pixels' points (P, 3), along the axis of their largest variance.
+    """Return the largest extent of pixels' points (P, 3), along their principal axis.
 
-    It is the same whatever the direction in the image, and the size of the pixels, which reach half of
-    ``pixel_mm`` beyond their middles.
+    It includes half a pixel, ``pixel_mm``, at both ends, so it does not depend on direction and resolution.
     """
     offset = points - points.mean(axis=0)
     _, axes = np.linalg.eigh(offset.T @ offset)
@@ -134,14 +133,14 @@ def extent_mm(points: FloatArray, pixel_mm: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """What a window shows.
+    """A window with its points.
 
     Attributes:
-        window: which pixels.
-        camera: whose.
+        window: its pixels.
+        camera: its camera.
         depth: (h, w) readings, mm, 0 = none.
         points: (h, w, 3) mm, camera axes.
-        apart: (h, w) distance of neighbouring pixels that face the camera, mm.
+        apart: (h, w) distance of neighbouring pixels on a surface facing the camera, mm.
     """
 
     window: Window
@@ -152,6 +151,6 @@ class View:
 
     @classmethod
     def of(cls, depth: Float32Array, window: Window, camera: Camera) -> View:
-        """A window of a camera with its readings (h, w), mm."""
+        """Return the view of a window's readings (h, w), mm."""
         apart = pixel_mm(depth, window, camera).astype(np.float32)
         return cls(window, camera, depth, points_of(depth, window, camera), apart)

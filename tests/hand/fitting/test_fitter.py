@@ -15,7 +15,7 @@ from posetrack_cli.hand.fit.terms import Terms, Tile
 from posetrack_cli.hand.model.anatomy import ANGLES, POSE_SIZE, TANGENT_SIZE
 from posetrack_cli.hand.model.kinematics import joint_positions
 from posetrack_cli.hand.observe.observation import Observation
-from posetrack_cli.hand.search import ITERATIONS, SWAPPED
+from posetrack_cli.hand.search import ITERATIONS, MAX_SWAPPED
 from posetrack_cli.tracking.velocity import BodySpace
 from support.fitting import HANDS, RIGHT, TILE_PX, observed
 from support.hand import KINECT
@@ -413,7 +413,7 @@ def _searched(fitter: HandFitter, tile: Tile, pose: FloatArray, seed: int, ahead
     none = np.empty((0, POSE_SIZE))
     starts = fit_starts(pose, none, settings.scattered, SPACE, rng, ahead=ahead)
     fits = descended(fitter, tile, fitter.aligned(tile, starts), ITERATIONS)
-    likeliest = sorted(fits, key=lambda fit: float(fit.cost[0]))[:SWAPPED]
+    likeliest = sorted(fits, key=lambda fit: float(fit.cost[0]))[:MAX_SWAPPED]
     return best_of(fits + descended(fitter, tile, fitter.swapped(tile, [likeliest]), ITERATIONS))
 
 
