@@ -86,7 +86,7 @@ def test_videos_have_names_that_are_no_text(tmp_path: Path, capfd: pytest.Captur
     grey, out = write_grey(tmp_path / "grey"), tmp_path / "o.mcap"
     model = ["--detector", "yunet", "--detector-model", str(noise)]
     assert run(["head", "mono", str(grey), "-o", str(out), *model]) == EXIT_USAGE
-    assert "not a model of YuNet" in capfd.readouterr().err
+    assert "not a YuNet model" in capfd.readouterr().err
 
 
 def test_a_missing_file_whose_name_is_no_text_is_one_line(tmp_path: Path) -> None:

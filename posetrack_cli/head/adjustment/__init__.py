@@ -1,1 +1,1 @@
-"""Bundle adjustment: who it is, and where the head was, from the points of several frames (thesis, 4.3)."""
+"""Bundle adjustment of identity and head poses to the points of several frames (thesis, 4.3)."""

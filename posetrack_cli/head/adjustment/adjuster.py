@@ -1,4 +1,4 @@
-"""Incremental bundle adjustment of one camera: which views, and when."""
+"""Incremental bundle adjustment with one camera: selection of frames, and the adjustment itself."""
 
 from __future__ import annotations
 
@@ -17,27 +17,25 @@ from posetrack_cli.geometry.camera import (
     pixels_from_normalised,
 )
 from posetrack_cli.geometry.rotations import canonical, exponential, matrices_from_quaternions, multiply
-from posetrack_cli.head.adjustment.descent import adjust_in_stages, all_lengths, identity_variances
+from posetrack_cli.head.adjustment.descent import adjust_in_stages, identity_variances, residual_lengths
 from posetrack_cli.head.adjustment.problem import POSE, Boxes, Part, Problem, Unknowns, cost
 from posetrack_cli.head.config import AdjustmentSettings, PointSettings
 from posetrack_cli.head.face.points import HeadPose, of_kinds, scaled_pixels
 from posetrack_cli.head.multilinear.face_model import FaceModel
 
-# What is adjusted: frames in which a person was seen, and which of them are kept.
-#
-# Those that are adjusted together show the face in different directions (thesis, 4.3.2). They are few, and
-# change. For an adjustment over a whole recording an album keeps the frames of every direction that the face
-# was seen in whose points looked most like themselves **[ours]**.
+# Frames to adjust. The few that are adjusted together show the face from different directions (thesis,
+# 4.3.2). For an adjustment over the whole recording, an album keeps the best frames of every direction
+# **[ours]**.
 
 
 @dataclass(frozen=True, eq=False)
 class PointView:
-    """One frame with its feature points.
+    """A frame with its feature points.
 
     Attributes:
         stamp_ns: of the frame.
-        pixels: (K, 2) m^, where the points are on the image, as recorded (with the lens's distortion).
-        weights: (K,) 0 to 1, how far each is believed; 0 leaves it out.
+        pixels: (K, 2) m^, in the image, with lens distortion.
+        weights: (K,) of the points, 0 to 1; 0 excludes a point.
         pose: p, start or result of an adjustment.
         deformation: (A,) a, likewise.
     """
@@ -49,18 +47,18 @@ class PointView:
     deformation: FloatArray
 
     def rescaled(self, ratio: float) -> PointView:
-        """Return the frame as an image shows it that is so many times as large."""
+        """Return the frame for an image scaled by a ratio."""
         return replace(self, pixels=scaled_pixels(self.pixels, ratio))
 
 
 @dataclass(frozen=True, eq=False)
 class PersonParameters:
-    """What does not change from frame to frame.
+    """Parameters of a person, constant over all frames.
 
     Attributes:
         identity: (S,) s.
-        offsets: (K, 3) mm in the head's frame: how far each image feature lies from the model's point,
-            constant **[ours]**; the corner that a camera sees is not the vertex that the model has.
+        offsets: (K, 3) mm in the head's frame, constant offset of each image feature from the model's point
+            **[ours]**: a detected corner is not exactly the model's vertex.
     """
 
     identity: FloatArray
@@ -69,17 +67,17 @@ class PersonParameters:
 
 @dataclass(frozen=True, eq=False)
 class Adjusted:
-    """What an adjustment came to.
+    """Result of an adjustment.
 
     Attributes:
         views: with adjusted poses and deformations, in the order given.
         person: adjusted.
-        cost: F with priors, half a sum of squares, at the end.
-        residuals: (n, K) length of each point's error, pixels; NaN where its weight is 0.
-        iterations: steps taken in all.
-        identity_deviations: (S,) posterior standard deviations of s, from the Hessian at the end with poses,
-            deformations and offsets eliminated; those of the model's people where the person was held, NaN
-            where nobody asked for them.
+        cost: final F with priors, half a sum of squares.
+        residuals: (n, K) error of each point, pixels; NaN where its weight is 0.
+        iterations: total number of steps.
+        identity_deviations: (S,) posterior standard deviations of s, from the final Hessian with poses,
+            deformations and offsets eliminated; those of the model if the person was fixed, NaN if not
+            requested.
     """
 
     views: tuple[PointView, ...]
@@ -91,14 +89,14 @@ class Adjusted:
 
 
 CELL_DEG = 5.0
-"""Directions are told apart in cells of so many degrees of yaw and pitch."""
+"""Size of a direction cell, degrees of yaw and pitch."""
 PER_CELL = 2
-"""Frames kept of a cell: one view's error must not count for a direction alone."""
+"""Frames kept per cell: the error of a single view must not represent a direction."""
 
 
 @dataclass(frozen=True, eq=False)
 class Album:
-    """The frames kept.
+    """Frames from all directions.
 
     Attributes:
         pages: by cell, frames with their scores, the best first.
@@ -108,19 +106,19 @@ class Album:
 
     @property
     def views(self) -> tuple[PointView, ...]:
-        """All frames, in the order of their time."""
+        """All frames, in the order of time."""
         kept = (view for page in self.pages.values() for _, view in page)
         return tuple(sorted(kept, key=lambda view: view.stamp_ns))
 
     def sample(self, count: int) -> tuple[PointView, ...]:
-        """Return ``count`` frames evenly spread over the kept ones, all if there are no more."""
+        """Return up to ``count`` frames, evenly spaced over the album."""
         views = self.views
         if len(views) <= count:
             return views
         return tuple(views[i] for i in np.linspace(0, len(views) - 1, count).astype(int))
 
     def rescaled(self, ratio: float) -> Album:
-        """Return the same frames as images show them that are so many times as large."""
+        """Return the frames for images scaled by a ratio."""
         return Album(
             {
                 cell: tuple((score, view.rescaled(ratio)) for score, view in page)
@@ -129,20 +127,20 @@ class Album:
         )
 
     def with_view(self, view: PointView, score: float) -> Album:
-        """Return the album with a frame, if none better shows that direction."""
+        """Return the album with a frame, unless better ones show that direction."""
         cell = _cell(view.pose.facing)
         page = sorted((*self.pages.get(cell, ()), (score, view)), key=lambda one: -one[0])
         return Album({**self.pages, cell: tuple(page[:PER_CELL])})
 
 
 def _cell(facing: FloatArray) -> tuple[int, int]:
-    """The cell of a direction (3,): yaw and pitch from the camera's axis."""
+    """Return the cell of a direction (3,)."""
     yaw, pitch = np.degrees(angles_of(facing))
     return round(yaw / CELL_DEG), round(pitch / CELL_DEG)
 
 
 def angles_of(facing: FloatArray) -> FloatArray:
-    """Return yaw and pitch (..., 2), rad, of directions (..., 3) from the camera's axis."""
+    """Return yaw and pitch (..., 2), rad, of directions (..., 3) relative to the camera's axis."""
     yaw = np.arctan2(facing[..., 0], -facing[..., 2])
     return np.stack([yaw, np.arcsin(np.clip(facing[..., 1], -1.0, 1.0))], axis=-1)
 
@@ -150,17 +148,17 @@ def angles_of(facing: FloatArray) -> FloatArray:
 def choose_views(
     views: Sequence[PointView], new: PointView, count: int, *, by_angles: bool = False
 ) -> tuple[PointView, ...]:
-    """Return the frames for the next adjustment; the new one is the last.
+    """Return the frames for the next adjustment, the new one last.
 
-    While there are fewer than ``count`` it is added. Then it replaces one: that without which the directions
-    of the others and the new one vary most, ``spread``, or their angles, yaw and pitch. Of equal ones
-    the oldest in order goes.
+    The new frame is added while there are fewer than ``count``. Then it replaces the frame without which the
+    ``spread`` of the remaining directions, or the variance of their angles, is largest; of equal frames the
+    oldest.
 
     Args:
         views: frames of the last adjustment.
-        new: the present frame.
+        new: the current frame.
         count: n, at least 1.
-        by_angles: as printed (4.3.2), not by directions.
+        by_angles: use yaw and pitch, as printed (4.3.2), instead of directions.
     """
     kept = list(views)
     while len(kept) >= count:
@@ -171,10 +169,10 @@ def choose_views(
 
 
 def spread(facing: FloatArray) -> float:
-    """Return the variance of directions: the sum of the variances of unit vectors' components **[ours]**.
+    """Return the variance of directions, summed over the unit vectors' components **[ours]**.
 
-    It is 1 - |mean|^2, 0 for equal directions; about the variance of yaw plus that of pitch, rad^2, where
-    they are small, and unlike that the same however the camera is turned.
+    It is 1 - |mean|^2, 0 for equal directions and, for small angles, about the variance of yaw plus that of
+    pitch, rad^2. Unlike that, it does not depend on the orientation of the camera.
 
     Args:
         facing: (n, 3) unit vectors.
@@ -184,43 +182,41 @@ def spread(facing: FloatArray) -> float:
 
 
 def spreads_without(facing: FloatArray) -> FloatArray:
-    """Return (n,) the spread of the others without each of n >= 2 directions (n, 3); time linear in n."""
+    """Return (n,) the spread without each of n >= 2 directions (n, 3), in linear time."""
     means = (facing.sum(axis=0) - facing) / (len(facing) - 1)
     spreads: FloatArray = 1.0 - np.einsum("ni,ni->n", means, means)
     return spreads
 
 
 def angle_variances_without(facing: FloatArray) -> FloatArray:
-    """Return (n,) the variance of yaw plus that of pitch, rad^2, without each of n >= 2 directions (n, 3)."""
+    """Return (n,) the variance of yaw plus pitch, rad^2, without each of n >= 2 directions (n, 3)."""
     angles = angles_of(facing)
     return np.array([np.delete(angles, i, axis=0).var(axis=0).sum() for i in range(len(angles))])
 
 
-# Bundle adjustment of n views with a separated face model: poses, deformations, one person (thesis, 4.3).
-#
-# What the kernels read is whitened, and the lens is removed from it.
-
+# Bundle adjustment of n views with a multilinear face model: poses, deformations, one person (thesis, 4.3).
+# The kernels receive whitened, undistorted data.
 
 OFFSET_SD_MM = of_kinds(
     eyes=(1.8, 1.4, 2.0), mouth=(2.5, 1.4, 2.0), nostrils=(2.8, 1.4, 5.0), brows=(2.1, 1.4, 3.5)
 )
-"""(K, 3) standard deviations, in the head's frame, of how far what the camera sees of a point lies from the
-model's vertex, always alike."""
+"""(K, 3) standard deviations, in the head's frame, of the constant offsets between image features and the
+model's vertices."""
 STEP = np.array([20.0, 20.0, 60.0, 0.2, 0.2, 0.1])
-"""(6,) lambda_p, how far one adjustment moves a pose: mm along camera x, y, z; rad about them."""
+"""(6,) lambda_p, bounds of a pose's change in one adjustment: mm along camera x, y, z; rad about them."""
 DEFORMATION_STEP, IDENTITY_STEP = 1.0, 0.5
-"""lambda_a and lambda_s, the same in standard deviations; the latter is less, as a person does not change."""
+"""lambda_a and lambda_s, likewise in standard deviations; lambda_s is smaller: a person does not change."""
 UNDISTORTED_PX = 1e-3
-"""A pixel whose ray the lens does not put back there to within this has no ray."""
+"""A pixel has a ray only if distorting it returns the pixel to within this."""
 
 
 @dataclass(frozen=True, eq=False)
 class Adjuster:
-    """Adjusts a person, and the views that one camera took of the person, to each other.
+    """Joint adjustment of a person and views of one camera.
 
     Attributes:
-        model: what faces are like.
-        camera: that saw them, with its lens; must be the reference camera.
+        model: face model.
+        camera: of the views, with its lens; must be the reference camera.
         settings: of the adjustment.
     """
 
@@ -230,7 +226,7 @@ class Adjuster:
 
     @cached_property
     def over_recording(self) -> Adjuster:
-        """The adjuster of frames of a whole recording, whose points err less alike."""
+        """The adjuster for frames of a whole recording, whose errors are less correlated."""
         sd = self.settings.pixel_sd
         share = {name: value * self.settings.whole_share for name, value in sd.model_dump().items()}
         closer = self.settings.model_copy(update={"pixel_sd": PointSettings(**share)})
@@ -248,18 +244,18 @@ class Adjuster:
     ) -> Adjusted:
         """Adjust views and person to each other, (4.29)-(4.37).
 
-        Stage 1 moves the poses only; stage 2 poses, deformations, identity and, with ``settings.offsets``,
-        the constant offsets of points **[ours]**. What is minimised stands in ``head.adjustment.problem``:
-        Huber's function of residuals instead of their squares, and priors, are **[ours]**. The result's cost
-        is never above that of the start (moved into its bounds, should it be outside).
+        Stage 1 moves only the poses; stage 2 poses, deformations, identity and, with ``settings.offsets``,
+        constant offsets **[ours]**. The objective is in ``head.adjustment.problem``: Huber's function instead
+        of squares, and priors, are **[ours]**. The resulting cost never exceeds that of the start, after
+        moving it into its bounds.
 
         Args:
-            views: n frames with start poses and deformations; points without weight or pixel are left out.
+            views: n frames with start poses and deformations; points without weight or pixel are excluded.
             person: start.
-            iterations: steps of each of the two stages at most; fewer where F falls no more.
-            hold_person: leave identity and offsets as they are, also where they are out of bounds.
+            iterations: maximum steps of each stage; fewer once F stops decreasing.
+            hold_person: keep identity and offsets, even outside their bounds.
             wide: no bounds about the start, only those about the mean of identity and deformation.
-            deviations: whether to tell the identity's; NaN without.
+            deviations: compute those of the identity.
         """
         problem = self.problem(views)
         start = self.start(views, person)
@@ -282,10 +278,10 @@ class Adjuster:
         )
 
     def problem(self, views: Sequence[PointView]) -> Problem:
-        """Return what is minimised, with the views' poses as start.
+        """Return the least-squares problem with the views' poses as start.
 
-        Residuals are taken between rays and brought to recorded pixels by the lens's derivative at the
-        observed point: the lens is undone once. Points without weight, pixel or ray are left out.
+        Residuals are differences of rays, converted to pixels by the lens's derivative at the observed point,
+        so that the lens is undone only once. Points without weight, pixel or ray are excluded.
         """
         model, settings = self.model, self.settings
         count = len(views), len(model.mean)
@@ -296,7 +292,7 @@ class Adjuster:
         identity, deformation = model.identity_deviations, model.deformation_deviations
         quaternions = np.array([view.pose.quaternion for view in views], dtype=np.float64).reshape(-1, 4)
         return Problem(
-            np.array(model.mean, dtype=np.float64),  # its own: for numba read-only is another type
+            np.array(model.mean, dtype=np.float64),  # a copy: numba compiles read-only arrays as another type
             np.ascontiguousarray(model.core * (identity[:, None] * deformation)),
             model.identity_mean / identity,
             model.deformation_mean / deformation,
@@ -311,7 +307,7 @@ class Adjuster:
         )
 
     def start(self, views: Sequence[PointView], person: PersonParameters) -> Unknowns:
-        """Return the start: the views' own poses, deformations and the person, whitened."""
+        """Return the start: poses and deformations of the views and the person, whitened."""
         model, offsets = self.model, person.offsets / OFFSET_SD_MM
         local = np.zeros((len(views), POSE + model.deformation_size))
         for row, view in zip(local, views, strict=True):
@@ -325,8 +321,7 @@ class Adjuster:
     def boxes(self, start: Unknowns, wide: bool) -> Boxes:
         """Return C_p, C_a and C_s, (4.31), (4.35), (4.37); offsets have no bounds.
 
-        A start farther out than ``bound`` is taken for one at the bound. ``wide`` drops the bounds about the
-        start.
+        A start beyond ``bound`` is moved to the bound. ``wide`` drops the bounds about the start.
         """
         bound, who = self.settings.bound, slice(self.model.identity_size)
         local, shared = np.full_like(start.local, np.inf), np.full_like(start.shared, np.inf)
@@ -346,11 +341,11 @@ class Adjuster:
 
     @property
     def _shared_size(self) -> int:
-        """How many unknowns the views share."""
+        """Number of unknowns shared by the views."""
         return self.model.identity_size + (self.model.mean.size if self.settings.offsets else 0)
 
     def _rays(self, pixels: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Return rays (n, K, 2) of pixels, and (n, K) which pixels have one."""
+        """Return the rays (n, K, 2) of pixels, and (n, K) which pixels have one."""
         camera = self.camera
         finite = np.isfinite(pixels[..., 0]) & np.isfinite(pixels[..., 1])
         known = np.where(finite[..., None], pixels, [camera.cx, camera.cy])
@@ -364,7 +359,7 @@ class Adjuster:
         return rays, finite & same
 
     def _scales(self, rays: FloatArray, used: BoolArray) -> FloatArray:
-        """Return (n, K, 2, 2) d pixel / d ray at the rays, in units of each point's standard deviation."""
+        """Return (n, K, 2, 2) d pixel / d ray, in units of each point's standard deviation."""
         scales = np.zeros((*used.shape, 2, 2))
         focal = np.array([[self.camera.fx], [self.camera.fy]])
         if self.camera.is_distorted:
@@ -379,7 +374,6 @@ class Adjuster:
     def _views(
         self, views: Sequence[PointView], unknowns: Unknowns, problem: Problem
     ) -> tuple[PointView, ...]:
-        """Return the views with adjusted poses and deformations."""
         tangents, whitened = unknowns.local[:, :POSE], unknowns.local[:, POSE:]
         deformations = (whitened + problem.deformation_centre) * self.model.deformation_deviations
         before = np.array([view.pose.quaternion for view in views]).reshape(-1, 4)
@@ -393,15 +387,14 @@ class Adjuster:
         )
 
     def _person(self, unknowns: Unknowns, problem: Problem) -> PersonParameters:
-        """Return the adjusted person."""
         size = self.model.identity_size
         identity = (unknowns.shared[:size] + problem.identity_centre) * self.model.identity_deviations
         return PersonParameters(identity, unknowns.shared[size:].reshape(-1, 3) * problem.offset_deviations)
 
     def _residuals(self, problem: Problem, unknowns: Unknowns) -> FloatArray:
-        """Return (n, K) lengths of errors, recorded pixels."""
+        """Return (n, K) error lengths, pixels."""
         lengths, sd = np.empty(problem.weights.shape), self.settings.pixel_sd.values
-        all_lengths(problem, unknowns, lengths)
+        residual_lengths(problem, unknowns, lengths)
         pixels: FloatArray = np.where(problem.weights > 0.0, lengths * sd, np.nan)
         return pixels
 

@@ -1,4 +1,4 @@
-"""The solution of an adjustment: elimination of views, Levenberg-Marquardt."""
+"""Solver of the bundle adjustment: elimination of views and bounded Levenberg-Marquardt; compiled."""
 
 from __future__ import annotations
 
@@ -32,29 +32,30 @@ from posetrack_cli.head.adjustment.problem import (
     view_lengths,
 )
 
-# Solving the normal equations: the views are eliminated (Schur complement); compiled.
+# Normal equations with the views eliminated (Schur complement).
 #
 #     [A  B] [x]     [g]        A = L L^T, Y = L^-1 B, c = -L^-1 g for each view
 #     [B' C] [z] = - [h]        (C - sum Y' Y) z = -h - sum Y' c,   x = L^-T (c - Y z)
 #
-# with mu times the diagonal added to A and C (Marquardt's form of (4.23), which no unit changes **[ours]**).
+# with mu times the diagonal added to A and C (Marquardt's scaling of (4.23), independent of units
+# **[ours]**).
 
 
 class Held(NamedTuple):
-    """Which unknowns stay: (n, m) and (q,)."""
+    """Which unknowns are fixed: (n, m) and (q,)."""
 
     local: BoolArray
     shared: BoolArray
 
 
 class Elimination(NamedTuple):
-    """Room to solve, and the solution.
+    """Work arrays and solution.
 
     Attributes:
         factors: (n, m, m) L.
         halves: (n, m, q) Y.
         middles: (n, m) c.
-        reduced: (q, q) the Schur complement, then its Cholesky factor.
+        reduced: (q, q) Schur complement, then its Cholesky factor.
         local, shared: (n, m) and (q,) the step.
     """
 
@@ -68,7 +69,7 @@ class Elimination(NamedTuple):
 
 @kernel
 def make_elimination(equations: Equations) -> Elimination:
-    """Return room for equations."""
+    """Allocate work arrays."""
     return Elimination(
         np.empty_like(equations.local),
         np.empty_like(equations.cross),
@@ -81,7 +82,7 @@ def make_elimination(equations: Equations) -> Elimination:
 
 @kernel
 def solve(equations: Equations, held: Held, damping: float, work: Elimination) -> bool:
-    """Write the step of the unknowns that are not held; return False where a matrix is not positive."""
+    """Write the step of the free unknowns; return False if a matrix is not positive definite."""
     if not eliminate_views(equations, held, damping, work):
         return False
     forward(work.reduced, work.shared)
@@ -95,7 +96,7 @@ def solve(equations: Equations, held: Held, damping: float, work: Elimination) -
 
 @kernel
 def eliminate_views(equations: Equations, held: Held, damping: float, work: Elimination) -> bool:
-    """Eliminate the views and factorise what is left; return False where a matrix is not positive."""
+    """Eliminate the views and factorise the rest; return False if a matrix is not positive definite."""
     _damped(equations.shared, held.shared, damping, work.reduced)
     for j in range(len(work.shared)):
         work.shared[j] = 0.0 if held.shared[j] else -equations.shared_gradient[j]
@@ -114,36 +115,34 @@ def eliminate_views(equations: Equations, held: Held, damping: float, work: Elim
 
 @kernel
 def _damped(matrix: FloatArray, held: BoolArray, damping: float, out: FloatArray) -> None:
-    """Write the lower triangle, damped; rows and columns that are held become those of the identity."""
+    """Write the damped lower triangle, with identity rows and columns for fixed unknowns."""
     for a in range(len(matrix)):
         for b in range(a):
             out[a, b] = 0.0 if held[a] or held[b] else matrix[a, b]
-        # a column that nothing depends on has the diagonal 0, and gradient 0 with it
+        # an unknown without influence has diagonal and gradient 0
         out[a, a] = 1.0 if held[a] or matrix[a, a] <= 0.0 else matrix[a, a] * (1.0 + damping)
 
 
-# Levenberg-Marquardt within a box by projection, (4.23)-(4.28); compiled.
+# Projected Levenberg-Marquardt within a box, (4.23)-(4.28).
 #
-# Every iteration linearises once. Unknowns at a bound that the gradient pushes outwards are held; for the
+# Every iteration linearises once. Unknowns at a bound that the gradient pushes outwards are fixed; for the
 # others the damped equations are solved and the step is projected onto the box. A step that does not lower F
-# is halved along its projection, (4.28); if that fails too, steepest descent (scaled by the diagonal) is
-# searched the same way. F, the true robust cost, never rises. How well the person is then known is told by
-# the same equations.
-
+# is halved along its projection, (4.28); if that fails as well, steepest descent (scaled by the diagonal) is
+# searched in the same way. F, the true robust cost, never increases.
 
 DAMPING, LEAST_DAMPING = 1e-3, 1e-12
 EASIER, HARDER, STEEPEST = 0.1, 5.0, 100.0
-"""What the damping is multiplied by after a whole step, a shortened one, and one of steepest descent."""
+"""Factors on the damping after a full step, a shortened one, and one of steepest descent."""
 SHORTENED, TRIALS = 0.5, 12
 CONVERGED = 1e-13
-"""Share of F that a step must promise: less is rounding, a millionth of a standard deviation."""
+"""Minimum relative decrease of F promised by a step; less is rounding error."""
 
 
 @kernel
 def adjust_in_stages(problem: Problem, boxes: Boxes, unknowns: Unknowns, iterations: int, shared: int) -> int:
-    """Adjust the poses, then all with the first shared unknowns; return how many steps were taken.
+    """Adjust the poses, then all unknowns including ``shared`` ones; return the number of steps.
 
-    Where nothing is shared, and so in the first stage, every view descends on its own.
+    Without shared unknowns, and in the first stage, the views are independent.
     """
     views, size = unknowns.local.shape
     first = 0
@@ -161,7 +160,7 @@ def adjust_in_stages(problem: Problem, boxes: Boxes, unknowns: Unknowns, iterati
 
 @kernel
 def descend(problem: Problem, boxes: Boxes, unknowns: Unknowns, part: Part, iterations: int) -> int:
-    """Lower F over a part of the unknowns, written over; return how many steps were taken."""
+    """Minimise F over a part of the unknowns in place; return the number of steps."""
     equations, rows = make_equations(part), make_rows(problem)
     work, held = make_elimination(equations), make_held(part)
     trial = Unknowns(unknowns.local.copy(), unknowns.shared.copy())
@@ -172,6 +171,7 @@ def descend(problem: Problem, boxes: Boxes, unknowns: Unknowns, part: Part, iter
         find_held(boxes, unknowns, part, equations, held)
         below, factor = now, STEEPEST
         if solve(equations, held, damping, work):
+            # stop before evaluating F once the linear prediction is below rounding error
             if -predicted_rise(boxes, unknowns, part, equations, work, trial) <= CONVERGED * now:
                 return taken
             below, factor = search_along(problem, boxes, unknowns, trial, part, work, rows, now)
@@ -190,7 +190,7 @@ def descend(problem: Problem, boxes: Boxes, unknowns: Unknowns, part: Part, iter
 def predicted_rise(
     boxes: Boxes, unknowns: Unknowns, part: Part, equations: Equations, step: Elimination, trial: Unknowns
 ) -> float:
-    """Return how much F would rise along the whole projected step if it were linear."""
+    """Return the linear prediction of F's change along the full projected step."""
     project_step(boxes, unknowns, part, step, 1.0, trial)
     rise = 0.0
     for view in range(part.first, part.last):
@@ -204,14 +204,14 @@ def predicted_rise(
 
 @kernel
 def make_held(part: Part) -> Held:
-    """Return room for what is held."""
+    """Allocate the masks of fixed unknowns."""
     views = part.last - part.first
     return Held(np.empty((views, part.local), dtype=np.bool_), np.empty(part.shared, dtype=np.bool_))
 
 
 @kernel
 def find_held(boxes: Boxes, unknowns: Unknowns, part: Part, equations: Equations, held: Held) -> None:
-    """Write which unknowns are at a bound, with F falling beyond it."""
+    """Mark the unknowns at a bound beyond which F decreases."""
     for view in range(part.first, part.last):
         i = view - part.first
         _at_bounds(
@@ -246,10 +246,10 @@ def search_along(
     rows: Rows,
     now: float,
 ) -> tuple[float, float]:
-    """Write the first of ever shorter projected steps that lowers F to the trial, and the basis there.
+    """Write the first of successively halved projected steps that lowers F, and the basis there.
 
     Returns:
-        F there, or ``now`` where none does; what to multiply the damping by.
+        F there, or ``now`` if none does; the factor on the damping.
     """
     length = 1.0
     for _ in range(TRIALS):
@@ -279,7 +279,7 @@ def project_step(
 
 @kernel
 def steepest_step(equations: Equations, held: Held, step: Elimination) -> None:
-    """Write the step of steepest descent in units of the diagonal."""
+    """Write the step of steepest descent, scaled by the diagonal."""
     for view in range(len(step.local)):
         for a in range(len(step.local[view])):
             scale = equations.local[view, a, a]
@@ -293,7 +293,7 @@ def steepest_step(equations: Equations, held: Held, step: Elimination) -> None:
 
 @kernel
 def accept_trial(trial: Unknowns, part: Part, unknowns: Unknowns) -> None:
-    """Move to the trial."""
+    """Copy the trial to the unknowns."""
     for view in range(part.first, part.last):
         for a in range(part.local):
             unknowns.local[view, a] = trial.local[view, a]
@@ -302,8 +302,8 @@ def accept_trial(trial: Unknowns, part: Part, unknowns: Unknowns) -> None:
 
 
 @kernel
-def all_lengths(problem: Problem, unknowns: Unknowns, out: FloatArray) -> None:
-    """Write (n, K) how far each point is off, in standard deviations."""
+def residual_lengths(problem: Problem, unknowns: Unknowns, out: FloatArray) -> None:
+    """Write (n, K) the errors of the points, in standard deviations."""
     basis = np.empty((*problem.mean.shape, len(problem.deformation_centre)))
     deformation_basis(problem, unknowns.shared, basis)
     for view in range(len(out)):
@@ -312,7 +312,7 @@ def all_lengths(problem: Problem, unknowns: Unknowns, out: FloatArray) -> None:
 
 @kernel
 def identity_variances(problem: Problem, unknowns: Unknowns, part: Part, out: FloatArray) -> None:
-    """Write (S,) variances of u: the inverse Schur complement's diagonal; infinite where there is none."""
+    """Write (S,) variances of u: diagonal of the inverse Schur complement, infinite if singular."""
     equations, rows, held = make_equations(part), make_rows(problem), make_held(part)
     held.local[:], held.shared[:] = False, False
     work = make_elimination(equations)

@@ -1,4 +1,4 @@
-"""The adjustment as a least-squares problem: unknowns, residuals, normal equations."""
+"""The bundle adjustment as a least-squares problem: unknowns, residuals, normal equations; compiled."""
 
 from __future__ import annotations
 
@@ -11,20 +11,17 @@ from posetrack_cli.compiled import inlined, kernel
 from posetrack_cli.geometry.kernels import rotate_with_jacobian
 from posetrack_cli.geometry.least_squares import huber, huber_weight
 
-# What is minimised, and where a view's points are, as the compiled kernels read it.
-#
-# Everything is in units of its standard deviation:
+# Objective, with all unknowns in units of their standard deviations:
 #
 #     F = sum_ik w_ik H(|S_ik (pi(X_ik) - x_ik)|)  +  prior/2 (|u|^2 + sum_i |v_i|^2)  +  1/2 |q|^2     (4.18)
 #     X_ik = exp(d_i) R_i (Mbar_k + C_k (u + ubar) (v_i + vbar) + D_k q_k) + t_i + e_i                 (4.15)
 #
 # u, v, q are whitened identity, deformations and offsets, pi the pinhole camera of focal length 1, x rays, S
-# what takes rays to pixels in units of their standard deviation, H Huber's function: e^2/2 up to h, then h (e
-# - h/2). The prior of u and q counts once, that of v once a view: so F is minus the logarithm of what is
-# thought of one person seen n times, and n views outweigh what is thought of the person before **[ours]**.
+# the map from rays to pixels in units of their standard deviation, H Huber's function: e^2/2 up to h, then h
+# (e - h/2). The prior of u and q counts once, that of v once for each view: F is the negative log-posterior
+# of one person seen n times **[ours]**.
 #
-# Without priors and bounds s is known up to a factor only: (4.15) is the same for c s and a / c.
-
+# Without priors and bounds, s is determined only up to a factor: (4.15) is the same for c s and a / c.
 
 POSE = 6
 
@@ -62,7 +59,7 @@ class Problem(NamedTuple):
 
 
 class Unknowns(NamedTuple):
-    """What is sought; written over.
+    """Unknowns, modified in place.
 
     Attributes:
         local: (n, 6 + A) tangent vector from the start pose, mm and rad, then v.
@@ -74,7 +71,7 @@ class Unknowns(NamedTuple):
 
 
 class Boxes(NamedTuple):
-    """C of (4.26), of the shape of the unknowns; infinite where there is no bound."""
+    """C of (4.26), shaped like the unknowns; infinite without a bound."""
 
     local_lower: FloatArray
     local_upper: FloatArray
@@ -83,7 +80,7 @@ class Boxes(NamedTuple):
 
 
 class Part(NamedTuple):
-    """Which unknowns move: the first ``local`` of each view first..last-1, and the first ``shared``."""
+    """Active unknowns: the first ``local`` of each view first..last-1, and the first ``shared``."""
 
     first: int
     last: int
@@ -92,12 +89,12 @@ class Part(NamedTuple):
 
 
 NEAREST_MM = 1.0
-"""A point nearer than this, or behind the camera, cannot have been seen."""
+"""Minimum depth of a visible point."""
 
 
 @kernel
 def deformation_basis(problem: Problem, shared: FloatArray, out: FloatArray) -> None:
-    """Write (K, 3, A), how this person's points move with v: C (u + ubar)."""
+    """Write (K, 3, A), the derivative of this person's points by v: C (u + ubar)."""
     points, _, identities, deformations = problem.core.shape
     out[:] = 0.0
     for k in range(points):
@@ -110,7 +107,7 @@ def deformation_basis(problem: Problem, shared: FloatArray, out: FloatArray) -> 
 
 @kernel
 def identity_basis(problem: Problem, local: FloatArray, out: FloatArray) -> None:
-    """Write (K, 3, S), how a view's points move with u: C (v + vbar)."""
+    """Write (K, 3, S), the derivative of a view's points by u: C (v + vbar)."""
     points, _, identities, deformations = problem.core.shape
     for k in range(points):
         for i in range(3):
@@ -131,7 +128,7 @@ def point_in_camera(
     rotation: FloatArray,
     arm: FloatArray,
 ) -> None:
-    """Write R M_k (3,), the point from the head's origin in camera axes, mm."""
+    """Write R M_k (3,), the point relative to the head's origin in camera axes, mm."""
     arm[:] = 0.0
     first = len(problem.identity_centre) + 3 * k
     for i in range(3):
@@ -144,7 +141,7 @@ def point_in_camera(
 
 @inlined
 def residual(problem: Problem, view: int, k: int, x: float, y: float, z: float, out: FloatArray) -> float:
-    """Write how far the point at X is from where it was seen, in standard deviations; return the length."""
+    """Write the error of a point at X, in standard deviations; return its length."""
     dx, dy = x / z - problem.rays[view, k, 0], y / z - problem.rays[view, k, 1]
     scale = problem.scales[view, k]
     out[0] = scale[0, 0] * dx + scale[0, 1] * dy
@@ -154,7 +151,7 @@ def residual(problem: Problem, view: int, k: int, x: float, y: float, z: float, 
 
 @kernel
 def cost(problem: Problem, unknowns: Unknowns, part: Part) -> float:
-    """Return F over the views of the part; infinite if a point comes to lie behind the camera."""
+    """Return F over the views of the part; infinite if a point lies behind the camera."""
     basis = np.empty((*problem.mean.shape, len(problem.deformation_centre)))
     deformation_basis(problem, unknowns.shared, basis)
     return cost_with_basis(problem, unknowns, part, basis)
@@ -162,7 +159,7 @@ def cost(problem: Problem, unknowns: Unknowns, part: Part) -> float:
 
 @kernel
 def cost_with_basis(problem: Problem, unknowns: Unknowns, part: Part, basis: FloatArray) -> float:
-    """Return the same, with this person's deformation basis (K, 3, A) given."""
+    """Return F for a given deformation basis (K, 3, A) of the person."""
     lengths = np.empty(len(problem.mean))
     total = prior_of_person(problem, unknowns.shared)
     for view in range(part.first, part.last):
@@ -188,7 +185,7 @@ def prior_of_person(problem: Problem, shared: FloatArray) -> float:
 def view_lengths(
     problem: Problem, unknowns: Unknowns, view: int, basis: FloatArray, lengths: FloatArray
 ) -> None:
-    """Write (K,) how far each point of a view is off, in standard deviations; infinite behind the camera."""
+    """Write (K,) the errors of a view's points, in standard deviations; infinite behind the camera."""
     rotation, left, arm, error = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(2)
     local, position = unknowns.local[view], problem.positions[view]
     rotate_with_jacobian(local[3:6], problem.rotations[view], rotation, left)
@@ -202,11 +199,11 @@ def view_lengths(
         lengths[k] = residual(problem, view, k, x, y, z, error) if z > NEAREST_MM else np.inf
 
 
-# The normal equations, block by block; compiled.
+# Normal equations, block by block.
 #
-# A point's two rows of the Jacobian touch its view's pose and deformation (6 + A columns), the identity (S)
-# and its own offset (3). So J^T W J has a block (6 + A)^2 for each view, one (S + 3K)^2 shared by all, and
-# those between a view and what is shared: all linear in n.
+# A point's two rows of the Jacobian depend on its view's pose and deformation (6 + A columns), the identity
+# (S) and its own offset (3). So J^T W J has a block (6 + A)^2 for each view, a shared one (S + 3K)^2, and
+# those between a view and the shared unknowns: the cost is linear in n.
 
 
 class Equations(NamedTuple):
@@ -214,7 +211,7 @@ class Equations(NamedTuple):
 
     Attributes:
         local: (n, m, m) of each view.
-        cross: (n, m, q) of each view and what is shared.
+        cross: (n, m, q) between each view and the shared unknowns.
         shared: (q, q).
         local_gradient: (n, m).
         shared_gradient: (q,).
@@ -228,7 +225,7 @@ class Equations(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """Room for one view: its pose, bases and a point's rows.
+    """Work arrays of one view: its pose, bases and a point's rows.
 
     Attributes:
         rotation, left: (3, 3) of ``rotate_with_jacobian``.
@@ -250,7 +247,7 @@ class Rows(NamedTuple):
 
 @kernel
 def make_equations(part: Part) -> Equations:
-    """Return room for the equations of a part."""
+    """Allocate the equations of a part."""
     views, m, q = part.last - part.first, part.local, part.shared
     return Equations(
         np.empty((views, m, m)),
@@ -263,7 +260,7 @@ def make_equations(part: Part) -> Equations:
 
 @kernel
 def make_rows(problem: Problem) -> Rows:
-    """Return room for a view of the problem."""
+    """Allocate the rows of a view."""
     points, _, identities, deformations = problem.core.shape
     return Rows(
         np.empty((3, 3)),
@@ -279,7 +276,7 @@ def make_rows(problem: Problem) -> Rows:
 
 @kernel
 def linearise(problem: Problem, unknowns: Unknowns, part: Part, rows: Rows, equations: Equations) -> None:
-    """Write the equations at the unknowns, whose deformation basis stands in the rows."""
+    """Write the equations at the unknowns; the rows must contain the deformation basis."""
     start_equations(problem, unknowns, part, equations)
     for view in range(part.first, part.last):
         rotate_with_jacobian(unknowns.local[view, 3:6], problem.rotations[view], rows.rotation, rows.left)
@@ -292,7 +289,7 @@ def linearise(problem: Problem, unknowns: Unknowns, part: Part, rows: Rows, equa
 
 @kernel
 def start_equations(problem: Problem, unknowns: Unknowns, part: Part, equations: Equations) -> None:
-    """Write the equations of the priors alone."""
+    """Write the equations of the priors."""
     equations.local[:], equations.cross[:], equations.shared[:] = 0.0, 0.0, 0.0
     equations.local_gradient[:] = 0.0
     for view in range(part.first, part.last):
@@ -309,7 +306,7 @@ def start_equations(problem: Problem, unknowns: Unknowns, part: Part, equations:
 def add_point(
     problem: Problem, unknowns: Unknowns, part: Part, view: int, k: int, rows: Rows, equations: Equations
 ) -> None:
-    """Add what a point says, if it lies in front of the camera; beyond h it is weighed by h / e (Huber)."""
+    """Add a point in front of the camera, with Huber's weight h / e beyond h."""
     arm, error = np.empty(3), np.empty(2)
     local, position = unknowns.local[view], problem.positions[view]
     point_in_camera(problem, k, local, unknowns.shared, rows.deformations, rows.rotation, arm)
@@ -333,7 +330,7 @@ def add_point(
 
 @inlined
 def _by_point(scale: FloatArray, x: float, y: float, z: float, rows: Rows) -> None:
-    """Write d r / d X = S d pi / d X, and the same in the head's axes."""
+    """Write d r / d X = S d pi / d X, and the same in head axes."""
     for r in range(2):
         rows.by_point[r, 0] = scale[r, 0] / z
         rows.by_point[r, 1] = scale[r, 1] / z

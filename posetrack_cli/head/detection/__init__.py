@@ -1,1 +1,1 @@
-"""Faces and their ten points in one grey image."""
+"""Detection of faces and their ten points in one grey image."""

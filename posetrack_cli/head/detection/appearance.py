@@ -1,13 +1,14 @@
-"""What the ten points of an upright face look like, learned from many faces **[ours]**.
+"""Appearance of the ten points of an upright face, learned from many faces **[ours]**.
 
-About a place the picture is a set of gradient histograms: directions in ``BINS`` bins, weighed by how strong
-they are beside those around, blurred, their roots taken at ``TAPS`` x ``TAPS`` places ``SPACING`` pixels
-apart. How much more likely such a histogram h is at a point than near it is taken as linear in h
+The descriptor at a place consists of gradient histograms: orientations in ``BINS`` bins, weighted by their
+strength relative to the surroundings, blurred, square-rooted and sampled at ``TAPS`` x ``TAPS`` places
+``SPACING`` pixels apart. The log-odds of a histogram h at a point against its neighbourhood are linear in h,
 
     log p(h | point) / p(h | near it) = w . h + b,    w = C^-1 (mean at the point - mean near it)
 
-(linear discriminant analysis of gradient histograms: Hariharan, Malik and Ramanan 2012). The figures come
-from ``scripts/build face-features``: they are means and covariances over people, and hold nobody's picture.
+(linear discriminant analysis of gradient histograms: Hariharan, Malik and Ramanan 2012). ``scripts/build
+face-features`` estimates the parameters; they are means and covariances over people and contain no image of a
+person.
 """
 
 from __future__ import annotations
@@ -28,27 +29,27 @@ from posetrack_cli.head.face.points import MIRRORED, POINT_COUNT
 from posetrack_cli.npz import Arrays, read_npz
 
 BINS, TAPS, SPACING = 8, 7, 4
-"""Directions of gradients; places on a side; pixels between them."""
+"""Gradient orientations; sampling places per side; pixels between them."""
 SMOOTHING, SPREAD, SURROUNDINGS = 0.8, 1.6, 10.0
-"""Blurs, pixels: of the picture, of the histograms, and of what gradients are compared with."""
+"""Blurs, pixels: of the image, of the histograms, and of the surroundings that normalise gradients."""
 DARKEST, FULL = 16.0, 100.0
-"""Grey levels g count as ``FULL`` log(g + ``DARKEST``): a shadow takes no gradients away."""
+"""Grey levels g are mapped to ``FULL`` log(g + ``DARKEST``), which preserves gradients in shadows."""
 LEAST_GRADIENT = 1.5
-"""Of these per pixel: gradients this weak are noise."""
+"""Gradient noise per pixel, on that scale."""
 SHIPPED = Path(__file__).with_name("appearance.npz")
 RIGHT_SIDE = tuple(k for k, other in enumerate(MIRRORED) if k < other)
-"""The points whose figures are kept; those of the others are mirror images."""
+"""Points with stored parameters; those of the left side are mirror images."""
 
 
 @dataclass(frozen=True, eq=False)
 class Appearance:
-    """What the points look like, and how faces differ.
+    """Appearance of the points, and variation of face shapes.
 
     Attributes:
         weights: (K, BINS, TAPS, TAPS) w.
         constants: (K,) b.
-        shape_modes: (M, K, 3) mm, one standard deviation each: how neutral faces differ from ``FEATURES``,
-            and how they move.
+        shape_modes: (M, K, 3) mm, modes of one standard deviation in which neutral faces differ from
+            ``FEATURES`` and deform.
     """
 
     weights: Float32Array
@@ -63,7 +64,7 @@ class Appearance:
 
 
 def histograms(grey: ImageArray) -> Float32Array:
-    """Return (BINS, height, width): what gradients a picture has about every pixel."""
+    """Return the gradient histograms (BINS, height, width) of an image."""
     lightness = np.float32(FULL) * np.log(grey.astype(np.float32) + np.float32(DARKEST))
     smooth = cv2.GaussianBlur(lightness, (0, 0), SMOOTHING)
     across = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, ksize=1)
@@ -83,7 +84,7 @@ def histograms(grey: ImageArray) -> Float32Array:
 def _correlate(
     histograms: Float32Array, weights: Float32Array, left: int, top: int, scores: Float32Array
 ) -> None:
-    """Write w . h at every pixel of a window; beyond the picture its edge goes on."""
+    """Write w . h at every pixel of a window, with replicated image borders."""
     bins, height, width = histograms.shape
     taps = weights.shape[1]
     scores[:] = 0.0
@@ -101,22 +102,22 @@ def _correlate(
 
 @lru_cache(maxsize=4)
 def load_appearance(path: Path = SHIPPED) -> Appearance:
-    """Read what ``scripts/build face-features`` wrote.
+    """Read an appearance model from ``scripts/build face-features``.
 
     Raises:
         UsageError: the file does not exist.
-        ResultError: it is no such file, or damaged.
+        ResultError: not an appearance model, or damaged.
     """
     if not path.is_file():
-        raise UsageError("no such file of what faces look like", where=path)
+        raise UsageError("no such appearance model", where=path)
     try:
         return _checked(read_npz(read_input(path, limits.MODEL_BYTES)))
     except (OSError, ValueError, KeyError) as error:
         raise ResultError(
-            "does not say what faces look like",
+            "not an appearance model",
             where=path,
             found=error,
-            expected="what scripts/build face-features wrote",
+            expected="a file written by scripts/build face-features",
         ) from error
 
 
@@ -125,12 +126,12 @@ def _checked(arrays: Arrays) -> Appearance:
     wanted = {"weights": (count, BINS, TAPS, TAPS), "constants": (count,)}
     for name, shape in wanted.items():
         if arrays[name].shape != shape:
-            raise ValueError(f"array '{name}' of {arrays[name].shape}, not {shape}")
+            raise ValueError(f"array '{name}' has shape {arrays[name].shape}, expected {shape}")
     modes = arrays["shape_modes"]
     if modes.ndim != 3 or modes.shape[1:] != (POINT_COUNT, 3) or len(modes) > limits.FACE_PARAMETERS:
-        raise ValueError(f"array 'shape_modes' of {modes.shape}")
+        raise ValueError(f"array 'shape_modes' has shape {modes.shape}")
     if not all(np.isfinite(array).all() for array in (half, arrays["constants"], modes)):
-        raise ValueError("values that are not finite")
+        raise ValueError("non-finite values")
     weights = np.empty((POINT_COUNT, *half.shape[1:]), dtype=np.float32)
     constants = np.empty(POINT_COUNT)
     for one, constant, k in zip(half, arrays["constants"], RIGHT_SIDE, strict=True):
@@ -140,6 +141,6 @@ def _checked(arrays: Arrays) -> Appearance:
 
 
 def mirrored_weights(weights: Float32Array) -> Float32Array:
-    """Return the weights (BINS, TAPS, TAPS) of the mirror image: a direction a becomes pi - a."""
+    """Return mirrored weights (BINS, TAPS, TAPS): an orientation a becomes pi - a."""
     turned = (BINS // 2 - np.arange(BINS)) % BINS
     return np.ascontiguousarray(weights[turned][:, :, ::-1])

@@ -1,4 +1,4 @@
-"""Faces of an image with their points: what a tracker's start calls."""
+"""Detector of faces and their ten points."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ from posetrack_cli.errors import UsageError
 from posetrack_cli.head.config import DetectionSettings
 from posetrack_cli.head.detection.appearance import SHIPPED, Appearance, load_appearance
 from posetrack_cli.head.detection.finders import (
-    TURNS,
+    ROTATIONS,
     FaceFinder,
     FaceGuess,
     HaarFaces,
     YunetFaces,
-    find_turned,
+    find_rotated,
 )
 from posetrack_cli.head.detection.points import FacePoints, find_points
 from posetrack_cli.head.face.points import EYES
 
-UPRIGHT = 0.25
-"""Rad: a face turned less in the image is found as it is."""
+UPRIGHT_RAD = 0.25
+"""Maximum roll of a face that is detected without rotating the image."""
 
 
 @dataclass(frozen=True, eq=False)
 class Detection:
-    """What one image holds.
+    """Faces of one image.
 
     Attributes:
         faces: with their points, the largest first; empty if there is none.
-        best_score: 0 to 1, the surest face's, also of those that were not sure enough.
+        best_score: 0 to 1, of the best candidate, even if rejected.
     """
 
     faces: tuple[FacePoints, ...]
@@ -42,60 +42,60 @@ class Detection:
 
 
 class FaceDetector:
-    """Finds faces and their ten points in grey images.
+    """Detects faces and their ten points in grey images.
 
     Args:
-        settings: which finder, and what is sure enough.
+        settings: detector and score thresholds.
 
     Raises:
-        UsageError: ``yunet`` without its model file, or a file that is none or missing.
-        ResultError: a file of features that is none.
+        UsageError: ``yunet`` without its model file, or an invalid or missing file.
+        ResultError: an invalid appearance model.
     """
 
     def __init__(self, settings: DetectionSettings = DetectionSettings()) -> None:  # noqa: B008
         self._settings = settings
         self._finder = _finder(settings)
-        self._looks = _looks(settings)
+        self._appearance = _appearance(settings)
 
     def detect(self, image: ImageArray, *, wanted: int = 1, roll: float | None = None) -> Detection:
         """Return the faces in a (height, width) uint8 image.
 
         Args:
             image: grey.
-            wanted: so many faces are looked for, at most ``limits.FACES``: where fewer are upright, turned
-                ones are, too.
-            roll: rad, clockwise, how the face is turned that is looked for; None where that is not known.
+            wanted: number of faces, at most ``limits.FACES``; if fewer are upright, rotated images are
+                searched.
+            roll: rad, clockwise, expected roll of the face; None if unknown.
         """
-        if roll is not None and abs(roll) > UPRIGHT:
-            guesses = find_turned(self._finder, image, (roll,))
+        if roll is not None and abs(roll) > UPRIGHT_RAD:
+            guesses = find_rotated(self._finder, image, (roll,))
         else:
             guesses = self._finder.find(image)
         if roll is None and len(self._sure(guesses)) < wanted:
-            guesses = find_turned(self._finder, image, (0.0, *TURNS))
-        found = [find_points(image, guess, self._looks) for guess in self._sure(guesses)[: limits.FACES]]
+            guesses = find_rotated(self._finder, image, (0.0, *ROTATIONS))
+        found = [find_points(image, guess, self._appearance) for guess in self._sure(guesses)[: limits.FACES]]
         faces = tuple(face for face in found if face.score >= self._settings.least_point_score)
         return Detection(faces, max((guess.score for guess in guesses), default=0.0))
 
     def points_at(self, image: ImageArray, pixels: FloatArray) -> FacePoints | None:
-        """Return the points of a face that is known to be there, None where nothing looks like one.
+        """Return the points of a face at a known place, None if nothing there resembles a face.
 
         Args:
             image: grey.
-            pixels: (K, 2) roughly where its points are.
+            pixels: (K, 2) approximate points.
         """
         eyes = pixels[EYES].reshape(2, 2, 2).mean(axis=1)
         across = eyes[1] - eyes[0]
         roll = float(np.arctan2(across[1], across[0]))
         between = tuple(eye[None] for eye in eyes)
         guess = FaceGuess(eyes.mean(axis=0), float(np.hypot(*across)), roll, 1.0, (between[0], between[1]))
-        found = find_points(image, guess, self._looks)
+        found = find_points(image, guess, self._appearance)
         return found if found.score >= self._settings.least_point_score else None
 
     def _sure(self, guesses: Sequence[FaceGuess]) -> list[FaceGuess]:
         return [guess for guess in guesses if guess.score >= self._settings.least_face_score]
 
 
-def _looks(settings: DetectionSettings) -> Appearance | None:
+def _appearance(settings: DetectionSettings) -> Appearance | None:
     if settings.points == "corners":
         return None
     return load_appearance(SHIPPED if settings.features is None else Path(settings.features))

@@ -1,4 +1,4 @@
-"""Where a face roughly is in an image, by OpenCV's Haar cascades or by YuNet, a small neural network."""
+"""Face detectors: OpenCV's Haar cascades, and YuNet, a small neural network."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ import numpy as np
 from posetrack_cli import limits
 from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.errors import PosetrackError, UsageError
-from posetrack_cli.head.detection.model_trial import not_yunet, read_model
+from posetrack_cli.head.detection.model_trial import invalid_model, read_model
 
 NO_EYES = (np.zeros((0, 2)), np.zeros((0, 2)))
 
 
 @dataclass(frozen=True, eq=False)
 class FaceGuess:
-    """One face that a detector found.
+    """A face found by a detector.
 
     Attributes:
-        middle: (2,) pixels, middle between the eyes.
-        eye_distance: pixels between the eyes' centres, as if the face looked at the camera.
+        middle: (2,) pixels, midpoint between the eyes.
+        eye_distance: pixels between the eye centres, as if the face looked at the camera.
         roll: rad, clockwise in the image, of the line through the eyes.
-        score: 0 to 1, how sure the detector is; it takes what reaches 0.5.
-        eyes: (n, 2) pixels of possible centres of the subject's right eye, and of the left eye.
+        score: 0 to 1; the detector's own threshold is at 0.5.
+        eyes: (n, 2) pixels of candidate centres of the subject's right eye, and of the left eye.
     """
 
     middle: FloatArray
@@ -42,21 +42,21 @@ class FaceFinder(Protocol):
     """Finds faces in a grey image."""
 
     def find(self, image: ImageArray) -> tuple[FaceGuess, ...]:
-        """Return the faces in a (height, width) uint8 image, the largest first, also unsure ones."""
+        """Return the faces in a (height, width) uint8 image, largest first, also uncertain ones."""
 
 
-TURNS = tuple(np.radians([-28.0, 28.0, -54.0, 54.0]))
-"""Rad: a cascade finds faces that are turned in the image by some 17 degrees; these reach 70."""
+ROTATIONS = tuple(np.radians([-28.0, 28.0, -54.0, 54.0]))
+"""Rad: a cascade tolerates a roll of some 17 degrees; these rotations extend that to 70."""
 ONE_FACE = 0.6
-"""Faces nearer to each other than this, in eye distances, are one."""
+"""Faces closer than this, in eye distances, are the same."""
 
 
-def find_turned(finder: FaceFinder, image: ImageArray, turns: Sequence[float]) -> tuple[FaceGuess, ...]:
-    """Return the faces that a finder finds in an image turned by each of some angles, rad, the largest first.
+def find_rotated(finder: FaceFinder, image: ImageArray, turns: Sequence[float]) -> tuple[FaceGuess, ...]:
+    """Find faces in an image rotated by each of several angles, rad, the largest first.
 
-    Of guesses about one place the surest is kept.
+    Of overlapping detections the best is kept.
     """
-    found = [guess for turn in turns for guess in _found_turned(finder, image, turn)]
+    found = [guess for turn in turns for guess in _find_rotated(finder, image, turn)]
     kept: list[FaceGuess] = []
     for guess in sorted(found, key=lambda one: -one.score):
         apart = (float(np.linalg.norm(guess.middle - other.middle)) / other.eye_distance for other in kept)
@@ -65,8 +65,8 @@ def find_turned(finder: FaceFinder, image: ImageArray, turns: Sequence[float]) -
     return tuple(sorted(kept, key=lambda one: -one.eye_distance))
 
 
-def _found_turned(finder: FaceFinder, image: ImageArray, turn: float) -> Iterator[FaceGuess]:
-    """Yield faces whose roll is about ``turn``, clockwise, in the image's own pixels."""
+def _find_rotated(finder: FaceFinder, image: ImageArray, turn: float) -> Iterator[FaceGuess]:
+    """Yield faces with a roll near ``turn``, clockwise, in the pixels of the original image."""
     height, width = image.shape
     cos, sin = float(np.cos(turn)), float(np.sin(turn))
     size = (
@@ -85,27 +85,27 @@ def _found_turned(finder: FaceFinder, image: ImageArray, turn: float) -> Iterato
 
 FACE_CASCADE = "haarcascade_frontalface_alt2.xml"
 EYE_CASCADE = "haarcascade_eye_tree_eyeglasses.xml"
-# Measured on 72 faces (head.md), as fractions of the cascade's box.
+# Measured on 72 faces, as fractions of the cascade's box.
 EYES_MIDDLE = np.array([0.502, 0.402])
 EYE_DISTANCE = 0.365
 EYE_ROWS = (0.15, 0.62)
 EYE_COLUMNS = ((0.0, 0.6), (0.4, 1.0))
 EYE_WIDTH = (0.13, 0.43)
-# Cascades find small eyes badly: the box is enlarged to this width.
+# The eye cascade needs large eyes: the box is enlarged to this width.
 BOX_WIDTH_FOR_EYES = 300
-# The eye box's middle lies this far, in eye distances, from the middle of the eye's corners.
+# Offset of the eye box's centre from the midpoint of the eye corners, in eye distances.
 EYE_BOX_OFFSET = np.array([-0.02, -0.04])
 NEIGHBOURS_OF_A_FACE = 3
 
 
 class HaarFaces:
-    """The default face finder.
+    """The default face detector.
 
     Args:
-        least_width: pixels; narrower faces are not looked for. The cascade's box is about 2.7 eye distances.
+        least_width: minimum width of the cascade's box, pixels; it is about 2.7 eye distances wide.
 
     Raises:
-        PosetrackError: OpenCV has no cascades, as 5 has not.
+        PosetrackError: this OpenCV has no cascades (OpenCV 5).
     """
 
     def __init__(self, least_width: int = 50) -> None:
@@ -114,7 +114,7 @@ class HaarFaces:
         self._least = least_width
 
     def find(self, image: ImageArray) -> tuple[FaceGuess, ...]:
-        """Return the faces in a (height, width) uint8 image, the largest first, also unsure ones."""
+        """Return the faces in a (height, width) uint8 image, largest first, also uncertain ones."""
         least = (self._least, self._least)
         boxes, neighbours = self._faces.detectMultiScale2(
             image, scaleFactor=1.1, minNeighbors=1, minSize=least
@@ -153,58 +153,57 @@ def _cascade(name: str) -> Any:
     cascade = cv2.CascadeClassifier(str(path)) if hasattr(cv2, "CascadeClassifier") else None  # not in 5
     if cascade is None or cascade.empty():
         raise PosetrackError(
-            "OpenCV's Haar cascade cannot be loaded",
+            "cannot load OpenCV's Haar cascade",
             where=path.name,
             found=f"OpenCV {cv2.__version__}",
             expected="4.9 or later, below 5",
-            hint="another package may have replaced it: pip install --force-reinstall"
-            " 'opencv-python-headless<5'",
+            hint="reinstall it: pip install --force-reinstall 'opencv-python-headless<5'",
         )
     return cascade
 
 
-# YuNet's own threshold for a face is 0.9; it becomes 0.5 as with every finder.
-SURE = 0.9
-UNSURE = 0.3
-# The mouth's corners lie this many eye distances below the eyes (head.md).
+# YuNet's own threshold, which is mapped to a score of 0.5, and the minimum confidence of its candidates.
+FACE_THRESHOLD = 0.9
+LEAST_SCORE = 0.3
+# Distance of the mouth corners below the eyes, in eye distances.
 MOUTH_BELOW_EYES = 1.09
-# In larger images nothing is gained, and time grows with the area.
+# Larger images gain nothing, and the run time grows with the area.
 LONGEST_SIDE = 640
 FARTHEST_PX = 4.0 * LONGEST_SIDE
-"""Of a box and its points: a network of damaged weights finds faces of any size, of none, or of NaN."""
+"""Limit on coordinates: a network with damaged weights returns arbitrary sizes, or NaN."""
 
 
 class YunetFaces:
-    """Finds faces, eyes and mouths by YuNet.
+    """Detects faces, eyes and mouths with YuNet.
 
     Args:
         model: the network's ONNX file.
 
     Raises:
-        UsageError: the file is missing or is not a network that OpenCV can run.
+        UsageError: the file is missing, or OpenCV cannot run the network.
     """
 
     def __init__(self, model: Path) -> None:
         if not model.is_file():
-            raise UsageError("face detector's model not found", where=model)
+            raise UsageError("face detector model not found", where=model)
         self._model, data = model, np.frombuffer(read_model(model), np.uint8)
         nothing = np.zeros(0, np.uint8)
         try:
             self._network = cv2.FaceDetectorYN.create(
-                "onnx", data, nothing, (320, 320), score_threshold=UNSURE
+                "onnx", data, nothing, (320, 320), score_threshold=LEAST_SCORE
             )
         except cv2.error as error:
-            raise not_yunet(model, error.err) from None
+            raise invalid_model(model, error.err) from None
 
     def find(self, image: ImageArray) -> tuple[FaceGuess, ...]:
-        """Return the faces in a (height, width) uint8 image, the largest first, also unsure ones."""
+        """Return the faces in a (height, width) uint8 image, largest first, also uncertain ones."""
         scale = min(1.0, LONGEST_SIDE / max(image.shape))
         small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
         self._network.setInputSize((small.shape[1], small.shape[0]))
         try:
             _, rows = self._network.detect(cv2.cvtColor(small, cv2.COLOR_GRAY2BGR))
         except cv2.error as error:
-            raise not_yunet(self._model, error.err) from None
+            raise invalid_model(self._model, error.err) from None
         found = (
             [] if rows is None else [row for row in rows.astype(float) if np.all(np.abs(row) <= FARTHEST_PX)]
         )
@@ -214,12 +213,16 @@ class YunetFaces:
 
 
 def _guess(row: FloatArray, scale: float) -> FaceGuess:
-    """Read x, y, width, height, then five points (eyes, nose, mouth corners; right first), score."""
+    """Convert a row: x, y, width, height, five points (eyes, nose, mouth corners; right first), score."""
     points = row[4:14].reshape(5, 2) / scale
     right, left = points[:2]
     middle, across = (right + left) / 2.0, left - right
     down = points[3:].mean(axis=0) - middle
     distance = max(float(np.hypot(*across)), float(np.hypot(*down)) / MOUTH_BELOW_EYES)
     roll = float(np.arctan2(across[1], across[0]))
-    score = 0.5 + 0.5 * (row[14] - SURE) / (1.0 - SURE) if row[14] >= SURE else 0.5 * row[14] / SURE
+    score = (
+        0.5 + 0.5 * (row[14] - FACE_THRESHOLD) / (1.0 - FACE_THRESHOLD)
+        if row[14] >= FACE_THRESHOLD
+        else 0.5 * row[14] / FACE_THRESHOLD
+    )
     return FaceGuess(middle, distance, roll, float(min(score, 1.0)), (right[None], left[None]))

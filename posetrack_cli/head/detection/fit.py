@@ -1,4 +1,4 @@
-"""A pose laid on responses of points, and points placed jointly."""
+"""Fits of a face to response maps: its pose, and its points jointly."""
 
 from __future__ import annotations
 
@@ -14,23 +14,22 @@ from posetrack_cli.head.detection.appearance import Appearance, histograms
 from posetrack_cli.head.detection.responses import MIDDLE, PIXELS_PER_MM
 from posetrack_cli.head.face.points import FEATURES, FITTED, MOUTH, POINT_COUNT
 
-# A mean face laid over response maps: which pose in the image explains them best **[ours]**.
+# Fit of a mean face to response maps **[ours]**.
 #
 # The projection is weak perspective. A pose has eight numbers: u, v (patch pixels of the head's origin),
 # scale (pixels per mm), roll, yaw, pitch (rad, about the camera's z, y and x axes), and how much higher and
-# wider than an average face's the mouth is, mm. Scores of a fixed cloud of poses are read off the maps; the
-# best are the centres of smaller clouds.
-
+# wider than on an average face the mouth is, mm. A fixed cloud of poses is scored on the maps; the best poses
+# become the centres of smaller clouds.
 
 IN_CAMERA = np.array([1.0, -1.0, -1.0])
-"""The head's axes in the camera's, of a head that looks at the camera."""
+"""The head's axes in camera axes, for a head that looks at the camera."""
 POSE_SIZE = 8
 PRIOR_MEAN = np.array([MIDDLE[0], MIDDLE[1], PIXELS_PER_MM, 0.0, 0.0, 0.0, 0.0, 0.0])
 PRIOR_SD = np.array([4.0, 5.0, 0.09 * PIXELS_PER_MM, 0.18, 0.45, 0.25, 5.0, 3.0])
 WEIGHTS = np.array([1.0, 1.0, 1.0, 1.0, 1.2, 1.2, 0.7, 0.7, 0.6, 0.6, 3.0])
-# What a point contributes where its map is 0: no point may veto a pose.
+# Added to responses, so that a single missing point cannot veto a pose.
 LEAST_RESPONSE = 0.1
-# Detectors' eyes lie within these of the truth, pixels of the patch; now and then they are something else.
+# Standard deviations of detected eyes, pixels of the patch, and the likelihood of a false detection.
 EYE_SD = np.array([6.0, 3.0])
 EYE_DOUBT = 0.05
 FIRST_CLOUD = 3000
@@ -39,7 +38,7 @@ NARROWING = (0.4, 0.2, 0.1)
 
 
 def projected(poses: FloatArray, shape: FloatArray = FITTED) -> FloatArray:
-    """Return the patch pixels (N, L, 2) of points (L, 3), mm, under poses (N, 8)."""
+    """Project points (L, 3), mm, to patch pixels (N, L, 2) under poses (N, 8)."""
     rows = poses[:, 2, None, None] * (rotations_of(poses[:, 3:6]) * IN_CAMERA)[:, :2]
     pixels: FloatArray = np.einsum("nij,kj->nki", rows, shape) + poses[:, None, :2]
     up, out = rows[:, :, 1] * poses[:, 6, None], rows[:, :, 0] * poses[:, 7, None]
@@ -48,7 +47,7 @@ def projected(poses: FloatArray, shape: FloatArray = FITTED) -> FloatArray:
 
 
 def relief_of(angles: FloatArray, shape: FloatArray = FEATURES) -> FloatArray:
-    """Return how much farther from the camera than the head's origin each point is, (K,) mm.
+    """Return the depth (K,), mm, of each point relative to the head's origin.
 
     Args:
         angles: (3,) roll, yaw, pitch, rad.
@@ -61,12 +60,12 @@ def relief_of(angles: FloatArray, shape: FloatArray = FEATURES) -> FloatArray:
 def fit_face(
     maps: Float32Array, eyes: tuple[FloatArray, FloatArray], start: FloatArray | None = None
 ) -> FloatArray:
-    """Return the pose (8,) that explains response maps (K + 1, height, width) best.
+    """Return the pose (8,) that fits response maps (K + 1, height, width) best.
 
     Args:
         maps: one map per feature of ``FITTED``.
-        eyes: (n, 2) patch pixels of possible eye centres, right and left; empty where nothing is known.
-        start: (8,) a pose near which to search; without it the whole prior is searched.
+        eyes: (n, 2) patch pixels of candidate eye centres, right and left; empty if unknown.
+        start: (8,) a pose near which to search; by default the whole prior is searched.
     """
     coarse, fine = _blurred(maps, 5, 2.0), _blurred(maps, 3, 1.0)
     if start is None:
@@ -84,7 +83,7 @@ def fit_face(
 
 
 def _scores(poses: FloatArray, maps: Float32Array, eyes: tuple[FloatArray, FloatArray]) -> FloatArray:
-    """Return (N,) log-scores: weighted log responses, the eyes a detector found, half the prior."""
+    """Return (N,) log-scores: weighted log responses, detected eyes and half the log-prior."""
     pixels = projected(poses)
     height, width = maps.shape[1:]
     columns = np.clip(np.rint(pixels[..., 0]).astype(int), 0, width - 1)
@@ -98,7 +97,7 @@ def _scores(poses: FloatArray, maps: Float32Array, eyes: tuple[FloatArray, Float
 
 
 def _eye_score(centres: FloatArray, found: FloatArray) -> FloatArray:
-    """Return (N,) logarithms of how near an eye's centre (N, 2) is to the nearest one found (n, 2)."""
+    """Return (N,) log-likelihoods of eye centres (N, 2) given the nearest detected one (n, 2)."""
     if not len(found):
         return np.zeros(len(centres))
     squares: FloatArray = np.sum(((centres[:, None] - found) / EYE_SD) ** 2, axis=2).min(axis=1)
@@ -107,14 +106,14 @@ def _eye_score(centres: FloatArray, found: FloatArray) -> FloatArray:
 
 
 def _blurred(maps: Float32Array, spread: int, sigma: float) -> Float32Array:
-    """Widen every peak, so that a pose nearby scores too."""
+    """Widen every peak, so that nearby poses score as well."""
     box = np.ones((spread, spread), np.uint8)
     return np.stack([cv2.GaussianBlur(cv2.dilate(one, box), (0, 0), sigma) for one in maps])
 
 
 @cache
 def _normal(count: int) -> FloatArray:
-    """Return (count, POSE_SIZE) standard normal numbers, always the same: no start depends on chance."""
+    """Return (count, POSE_SIZE) fixed standard normal numbers: initialisation must be deterministic."""
     numbers = np.random.default_rng(0).normal(size=(count, POSE_SIZE))
     numbers.setflags(write=False)
     return numbers
@@ -131,23 +130,22 @@ def rotations_of(angles: FloatArray) -> FloatArray:
     return np.moveaxis(np.array(rows), -1, 0)
 
 
-# The ten points of a face, chosen together **[ours]**.
+# Joint localisation of the ten points **[ours]**.
 #
-# Each point's log-odds about where it is expected make a distribution over pixels; a face's shape, of an
-# average one with the modes in which faces differ, is fitted to the ten means of these distributions, each
-# narrowed about the shape's present point (regularised landmark mean shift: Saragih, Lucey and Cohn 2011). No
-# point alone can leave the others for something that merely looks like it, and no impossible face comes out.
-
+# Each point's log-odds near its expected place define a distribution over pixels. A face shape, the average
+# with modes of variation, is fitted to the means of these distributions, each narrowed about the shape's
+# current point (regularised landmark mean shift: Saragih, Lucey and Cohn 2011). The shape prevents single
+# points from moving to similar-looking places.
 
 REACH = 15
-"""Pixels of the patch about where a point is expected that are looked at."""
+"""Search radius about the expected place, pixels of the patch."""
 WIDTHS = (5.0, 3.5, 2.5, 1.8)
-"""Standard deviations, pixels, of a point about the shape's: one round each, two steps of the shape."""
+"""Standard deviations, pixels, of a point about the shape's: one round each, with two steps of the shape."""
 STEPS = 2
 BACKGROUND = -1.0
-"""Log-odds of a point that is hidden or looks like nobody's, at every pixel."""
+"""Log-odds, at every pixel, of a hidden or atypical point."""
 UNSURE_PX = 1.0
-"""Standard deviation of the mean of a distribution in itself."""
+"""Standard deviation of the mean of a distribution."""
 JOINT_POSE_SIZE = 6
 TURN_PRIOR = np.array([0.45, 0.3])
 """Standard deviations, rad, of yaw and pitch."""
@@ -155,14 +153,14 @@ STEP = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
-class JointPlaces:
-    """Where the points of one face are.
+class JointFit:
+    """Jointly located points of a face.
 
     Attributes:
         pixels: (K, 2) in the patch.
-        probabilities: (K,) that the point's surroundings look like the point's, at the best place near.
+        probabilities: (K,) that the best place nearby is the point.
         pose: (6,) u, v, scale (pixels per mm), roll, yaw, pitch of the shape.
-        misfit_px: root mean square of how far the places are from the shape's.
+        misfit_px: RMS distance of the places from the shape's.
     """
 
     pixels: FloatArray
@@ -171,25 +169,27 @@ class JointPlaces:
     misfit_px: float
 
 
-def find_jointly(grey: ImageArray, expected: FloatArray, pose: FloatArray, looks: Appearance) -> JointPlaces:
-    """Find the points in an upright patch.
+def fit_jointly(grey: ImageArray, expected: FloatArray, pose: FloatArray, appearance: Appearance) -> JointFit:
+    """Locate the points in an upright patch.
 
     Args:
         grey: (height, width) uint8.
-        expected: (K, 2) pixels, roughly.
+        expected: (K, 2) pixels, approximate.
         pose: (6,) of an average face there: u, v, scale, roll, yaw, pitch.
-        looks: what points look like.
+        appearance: appearance model.
     """
     picture = histograms(grey)
-    windows = [_Window.about(picture, k, place, looks) for k, place in enumerate(expected)]
-    return _settled(windows, expected, pose, looks)
+    windows = [_Window.about(picture, k, place, appearance) for k, place in enumerate(expected)]
+    return _mean_shift(windows, expected, pose, appearance)
 
 
-def _settled(
-    windows: Sequence[_Window], expected: FloatArray, pose: FloatArray, looks: Appearance
-) -> JointPlaces:
-    """Return where the points come to rest from a start."""
-    shape = _Shape(np.array(pose, dtype=np.float64), np.zeros(len(looks.shape_modes)), looks.shape_modes)
+def _mean_shift(
+    windows: Sequence[_Window], expected: FloatArray, pose: FloatArray, appearance: Appearance
+) -> JointFit:
+    """Iterate means and shape from a start."""
+    shape = _Shape(
+        np.array(pose, dtype=np.float64), np.zeros(len(appearance.shape_modes)), appearance.shape_modes
+    )
     shape = shape.fitted(expected, np.full(POINT_COUNT, WIDTHS[0]))
     places = expected
     for width in WIDTHS:
@@ -200,26 +200,26 @@ def _settled(
             shape = shape.fitted(places, np.hypot(UNSURE_PX, width * doubt))
     best = np.array([window.best(at, WIDTHS[-1]) for window, at in zip(windows, shape.points, strict=True)])
     misfit = float(np.sqrt(np.mean(np.sum((places - shape.points) ** 2, axis=1))))
-    return JointPlaces(places, 1.0 / (1.0 + np.exp(-best)), shape.pose, misfit)
+    return JointFit(places, 1.0 / (1.0 + np.exp(-best)), shape.pose, misfit)
 
 
 @dataclass(frozen=True, eq=False)
 class _Window:
-    """Log-odds (n, n) about a place, and the pixels (n, n, 2) they are of."""
+    """Log-odds (n, n) near a place, and their pixels (n, n, 2)."""
 
     log_odds: Float32Array
     pixels: FloatArray
 
     @classmethod
-    def about(cls, picture: Float32Array, k: int, place: FloatArray, looks: Appearance) -> _Window:
+    def about(cls, picture: Float32Array, k: int, place: FloatArray, appearance: Appearance) -> _Window:
         left, top = (round(float(value)) - REACH for value in place)
         side = 2 * REACH + 1
         y, x = np.mgrid[top : top + side, left : left + side]
         pixels = np.stack([x, y], axis=-1).astype(np.float64)
-        return cls(looks.log_odds(picture, k, (left, top), side), pixels)
+        return cls(appearance.log_odds(picture, k, (left, top), side), pixels)
 
     def mean(self, at: FloatArray, width: float) -> tuple[FloatArray, float]:
-        """Return the mean place (2,) near ``at``, and the share of the prior's variance that is left."""
+        """Return the mean place (2,) near ``at``, and its standard deviation over the prior's."""
         squares = np.sum((self.pixels - at) ** 2, axis=-1) / width**2
         near = np.exp(-0.5 * squares)
         weights = near * (np.exp(np.minimum(self.log_odds, 30.0)) + np.exp(BACKGROUND))
@@ -231,7 +231,7 @@ class _Window:
         return mean, float(np.sqrt(min(spread / (2.0 * width**2), 1.0)))
 
     def best(self, at: FloatArray, width: float) -> float:
-        """Return the log-odds of the likeliest place near ``at``."""
+        """Return the log-odds of the most likely place near ``at``."""
         squares = np.sum((self.pixels - at) ** 2, axis=-1) / width**2
         return float(self.log_odds.flat[int(np.argmax(self.log_odds - 0.5 * squares))])
 
@@ -250,7 +250,7 @@ class _Shape:
         return _projected(self.pose, FEATURES + np.tensordot(self.coefficients, self.modes, axes=1))
 
     def fitted(self, places: FloatArray, deviations: FloatArray) -> _Shape:
-        """Return the shape after one Gauss-Newton step towards places (K, 2) of deviations (K,)."""
+        """Take one Gauss-Newton step towards places (K, 2) with standard deviations (K,)."""
         face = FEATURES + np.tensordot(self.coefficients, self.modes, axes=1)
         now = _projected(self.pose, face)
         turned = [
@@ -270,7 +270,7 @@ class _Shape:
 
 
 def _rows(pose: FloatArray) -> FloatArray:
-    """(2, 3) what a mm in the head's frame is in the patch."""
+    """Return (2, 3) the weak-perspective projection from the head's frame, mm, to patch pixels."""
     rows: FloatArray = pose[2] * (rotations_of(pose[None, 3:6])[0] * IN_CAMERA)[:2]
     return rows
 

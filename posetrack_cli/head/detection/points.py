@@ -1,4 +1,4 @@
-"""The ten points of one face in one image."""
+"""Localisation of the ten points of one face in an image."""
 
 from __future__ import annotations
 
@@ -10,31 +10,32 @@ from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray, IntArray
 from posetrack_cli.head.detection.appearance import Appearance
 from posetrack_cli.head.detection.finders import NO_EYES, FaceGuess
 from posetrack_cli.head.detection.fit import JOINT_POSE_SIZE as JOINT_POSE
-from posetrack_cli.head.detection.fit import find_jointly, fit_face, projected
+from posetrack_cli.head.detection.fit import fit_face, fit_jointly, projected
 from posetrack_cli.head.detection.responses import FacePatch, cut_patch, response_maps
 from posetrack_cli.head.face.points import NOSTRILS, POINT_COUNT
 
-# Beyond so many standard deviations nothing is looked for.
+# Search radius, in standard deviations of the prior.
 REACH = 2.5
-# A prior draws a peak by a pixel or two; more uphill is another peak's slope.
+# The prior shifts a peak by a pixel or two; farther uphill is another peak.
 STEPS_UPHILL = 2
 
 
 def find_peak(
     response: Float32Array, expected: FloatArray, sd: tuple[float, float]
 ) -> tuple[FloatArray, float]:
-    """Return the peak of a response that a Gaussian prior chooses, and the response there.
+    """Return the peak of a response selected by a Gaussian prior, and the response there.
 
-    The prior chooses a pixel; from there the response itself is climbed, so that the prior shifts nothing.
+    The prior selects a pixel; the response alone is climbed from there, so that the prior causes no bias.
 
     Args:
         response: (height, width), not negative.
-        expected: (2,) pixels, the prior's mean.
+        expected: (2,) pixels, mean of the prior.
         sd: its standard deviations in x and y, pixels.
 
     Returns:
-        (2,) pixels, refined to a fraction by a parabola through the neighbours, and the response at the
-        nearest pixel; the expected place and 0 where it lies outside the map.
+        (2,) pixels, with subpixel refinement by a parabola, and the response at the nearest pixel; the
+            expected
+        place and 0 if it lies outside the map.
     """
     columns = _near(expected[0], sd[0], response.shape[1])
     rows = _near(expected[1], sd[1], response.shape[0])
@@ -44,14 +45,14 @@ def find_peak(
     prior_y = np.exp(-0.5 * ((rows - expected[1]) / sd[1]) ** 2)
     values = response[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] * prior_x * prior_y[:, None]
     row, column = np.unravel_index(int(np.argmax(values)), values.shape)
-    x, y = _climbed(response, int(columns[column]), int(rows[row]))
+    x, y = _uphill(response, int(columns[column]), int(rows[row]))
     shift_x = _vertex(response[y, x - 1 : x + 2])
     shift_y = _vertex(response[y - 1 : y + 2, x])
     return np.array([x + shift_x, y + shift_y]), float(response[y, x])
 
 
-def _climbed(response: Float32Array, x: int, y: int) -> tuple[int, int]:
-    """Return the pixel of the greatest response that a few steps uphill lead to."""
+def _uphill(response: Float32Array, x: int, y: int) -> tuple[int, int]:
+    """Climb the response by a few pixels."""
     height, width = response.shape
     for _ in range(STEPS_UPHILL):
         row, column = divmod(int(np.argmax(response[y - 1 : y + 2, x - 1 : x + 2])), 3)
@@ -67,7 +68,7 @@ def _near(expected: float, sd: float, size: int) -> IntArray:
 
 
 def _vertex(three: Float32Array) -> float:
-    """Return where, in -0.5..0.5, the parabola through three neighbouring values is greatest."""
+    """Return the maximum, -0.5 to 0.5, of a parabola through three neighbouring values."""
     before, at, after = (float(value) for value in three)
     curvature = before - 2.0 * at + after
     if curvature >= 0.0:
@@ -75,9 +76,9 @@ def _vertex(three: Float32Array) -> float:
     return float(np.clip(0.5 * (before - after) / curvature, -0.5, 0.5))
 
 
-# A point lies within these of where the fitted mean face has it, pixels of the patch.
+# Standard deviations of a point about the fitted mean face, pixels of the patch.
 POINT_SD = (3.5, 3.0)
-# The nose's base within these, and the nostrils of where it has them.
+# The same for the nose base, and for the nostrils relative to it.
 NOSE_SD = (5.0, 4.0)
 NOSTRIL_SD = (2.0, 2.0)
 EYE_DISTANCE_MM = 63.0
@@ -89,11 +90,11 @@ class FacePoints:
 
     Attributes:
         pixels: (K, 2) in the order of ``face.POINT_NAMES``.
-        responses: (K,) 0 to 1, how much each place looks like its point.
+        responses: (K,) 0 to 1, similarity of each place to its point.
         pixels_per_mm: scale of the face in the image.
-        angles: (3,) roll, yaw, pitch, rad, rough: turns about the camera's z, y and x axis of a head that
-            looked at the camera, pitch first.
-        guess: what the face detector said.
+        angles: (3,) approximate roll, yaw, pitch, rad: rotations about the camera's z, y and x axis of a head
+            that looked at the camera, pitch first.
+        guess: detection of the face.
     """
 
     pixels: FloatArray
@@ -108,17 +109,17 @@ class FacePoints:
         return float(self.responses.mean())
 
 
-def find_points(image: ImageArray, guess: FaceGuess, looks: Appearance | None = None) -> FacePoints:
-    """Find the ten points of a face in a (height, width) uint8 image.
+def find_points(image: ImageArray, guess: FaceGuess, appearance: Appearance | None = None) -> FacePoints:
+    """Locate the ten points of a face in a (height, width) uint8 image.
 
-    A mean face is fitted to response maps of the face's surroundings, these are made upright by it, and the
-    face is fitted again. From there all points are chosen together by what they are known to look like; or
-    each goes to the strongest corner nearby, which is not quite the same in every face, but good to follow.
+    A mean face is fitted to response maps around the face, which are then made upright and fitted again. From
+    there the points are located jointly with the appearance model, or each at the strongest corner nearby,
+    which varies slightly between faces but tracks well.
 
     Args:
         image: grey.
-        guess: where the face is.
-        looks: what points look like; without, they are the strongest corners.
+        guess: approximate place of the face.
+        appearance: appearance model; without it, the strongest corners are used.
     """
     first = cut_patch(image, guess.middle, guess.eye_distance / EYE_DISTANCE_MM, guess.roll)
     eyes = (first.from_image(guess.eyes[0]), first.from_image(guess.eyes[1]))
@@ -128,24 +129,24 @@ def find_points(image: ImageArray, guess: FaceGuess, looks: Appearance | None = 
     maps = response_maps(upright.grey)
     pose = fit_face(maps, NO_EYES, _carried_over(rough, first, upright))
     expected = projected(pose[None])[0]
-    if looks is None:
+    if appearance is None:
         pixels, responses = _strongest(maps, expected)
     else:
-        places = find_jointly(upright.grey, expected[:POINT_COUNT], pose[:JOINT_POSE], looks)
+        places = fit_jointly(upright.grey, expected[:POINT_COUNT], pose[:JOINT_POSE], appearance)
         pixels, responses, pose = places.pixels, places.probabilities, places.pose
     angles = np.array([upright.roll + pose[3], pose[4], pose[5]])
     return FacePoints(upright.to_image(pixels), responses, float(pose[2] / upright.scale), angles, guess)
 
 
 def _carried_over(pose: FloatArray, before: FacePatch, after: FacePatch) -> FloatArray:
-    """Return a pose (8,) in one patch as the same pose in another."""
+    """Convert a pose (8,) from one patch to another."""
     middle = after.from_image(before.to_image(pose[:2]))
     scale, roll = pose[2] * after.scale / before.scale, pose[3] + before.roll - after.roll
     return np.array([*middle, scale, roll, *pose[4:]])
 
 
 def _strongest(maps: Float32Array, expected: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the pixels (K, 2) and responses (K,) of the points near where they are expected (K + 1, 2)."""
+    """Return the strongest places (K, 2) near expected ones (K + 1, 2), and their responses (K,)."""
     nose, _ = find_peak(maps[-1], expected[-1], NOSE_SD)
     expected = expected.copy()
     expected[NOSTRILS] += nose - expected[-1]

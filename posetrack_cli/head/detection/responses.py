@@ -1,9 +1,9 @@
-"""A face's surroundings, upright and of one size, and maps of what in them looks like its points **[ours]**.
+"""Upright patches of a face at a standard size, and response maps of its points **[ours]**.
 
-Corners are found by the structure tensor's smaller eigenvalue (thesis, 3.2). On a face that alone is not
-enough - the iris is the strongest corner of all - so it is joined with drawn templates: a dark wedge that
-opens to one side (a lid's or the lips' corner), a dark bar that ends (a brow's inner end), a dark disc
-(a nostril) and an arc (the nose's wings and base).
+Corners are the structure tensor's smaller eigenvalue (thesis, 3.2). On a face that is not sufficient, since
+the iris is the strongest corner, so it is combined with drawn templates: a dark wedge (corner of a lid or of
+the lips), a dark bar that ends (inner end of a brow), a dark disc (nostril) and an arc (wings and base of the
+nose).
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ import numpy as np
 from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray
 
 PIXELS_PER_MM = 60.0 / 63.0
-"""An average face's eyes are 63 mm and 60 pixels apart in a patch."""
+"""An average face's eye distance is 63 mm, and 60 pixels in a patch."""
 WIDTH = HEIGHT = 220
 MIDDLE = np.array([110.0, 75.0])
-"""Where in a patch the middle between the eyes should lie."""
+"""Nominal midpoint between the eyes in a patch."""
 
 
 @dataclass(frozen=True, eq=False)
 class FacePatch:
-    """A piece of an image of standard size.
+    """A part of an image at standard size.
 
     Attributes:
         grey: (HEIGHT, WIDTH) uint8.
@@ -44,23 +44,23 @@ class FacePatch:
 
     @property
     def roll(self) -> float:
-        """Rad, how far the image was turned to make it upright."""
+        """Rotation, rad, that makes the image upright."""
         return float(np.arctan2(self.patch_T_image[0, 1], self.patch_T_image[0, 0]))
 
     def from_image(self, pixels: FloatArray) -> FloatArray:
-        """Return pixels (..., 2) of the image as pixels of the patch."""
+        """Convert pixels (..., 2) of the image to pixels of the patch."""
         moved: FloatArray = pixels @ self.patch_T_image[:, :2].T + self.patch_T_image[:, 2]
         return moved
 
     def to_image(self, pixels: FloatArray) -> FloatArray:
-        """Return pixels (..., 2) of the patch as pixels of the image."""
+        """Convert pixels (..., 2) of the patch to pixels of the image."""
         inverse = np.linalg.inv(self.patch_T_image[:, :2])
         moved: FloatArray = (pixels - self.patch_T_image[:, 2]) @ inverse.T
         return moved
 
 
 def cut_patch(image: ImageArray, middle: FloatArray, pixels_per_mm: float, roll: float) -> FacePatch:
-    """Cut the patch of a face whose eyes' middle (2,), scale and roll (rad, clockwise) are about known."""
+    """Cut the patch of a face with known eye midpoint (2,), scale and roll (rad, clockwise)."""
     scale = PIXELS_PER_MM / pixels_per_mm
     cos, sin = scale * np.cos(roll), scale * np.sin(roll)
     turn = np.array([[cos, sin], [-sin, cos]])
@@ -73,23 +73,23 @@ def cut_patch(image: ImageArray, middle: FloatArray, pixels_per_mm: float, roll:
 
 
 def _smoothed(image: ImageArray, scale: float) -> ImageArray:
-    """Blur an image that is to be made smaller, so that no detail aliases."""
+    """Blur an image before reduction, to avoid aliasing."""
     if scale >= 0.7:
         return image
     return cv2.GaussianBlur(image, (0, 0), 0.5 * np.sqrt(1.0 / scale**2 - 1.0))
 
 
 SMOOTHING = 0.7
-# How much a wedge's response loses where the opposite wedge fits too: inside a line both do.
+# Suppression of a wedge's response by the opposite wedge's: inside a line both respond.
 END_STOPPING = 0.6
-# The quantile of corner strength and contrast that counts as full.
+# Quantile of corner strength and contrast that is mapped to 1.
 FULL = 0.995
 
 
 def response_maps(grey: ImageArray) -> Float32Array:
-    """Return (K + 1, height, width) in 0..1: how well each pixel of an upright patch fits each feature.
+    """Return the responses (K + 1, height, width), 0..1, of each feature in an upright patch.
 
-    The features are the ten points and the nose's base, as in ``face.points.FITTED``.
+    The features are the ten points and the nose base, as in ``face.points.FITTED``.
     """
     smooth = _blurred(grey.astype(np.float32), SMOOTHING)
     opening_right, opening_left = _end_stopped(_matched(smooth, wedge(1)), _matched(smooth, wedge(-1)))
@@ -105,25 +105,25 @@ def response_maps(grey: ImageArray) -> Float32Array:
 
 @cache
 def wedge(side: int) -> Float32Array:
-    """Return a dark wedge on white, its tip in the middle, that opens to the right (side 1) or left (-1)."""
+    """Return a dark wedge on white, its tip at the centre, open to the right (1) or left (-1)."""
     return _drawn(7, 5, lambda x, y: (side * x > 0) & (abs(y) < 0.2 * side * x + 1.0))
 
 
 @cache
 def bar(side: int, half_thickness: float) -> Float32Array:
-    """Return a dark bar on white that begins in the middle and extends to one side."""
+    """Return a dark bar on white that starts at the centre and extends to one side."""
     return _drawn(13, 10, lambda x, y: (side * x > 0) & (abs(y) < half_thickness))
 
 
 @cache
 def disc(radius: float = 3.5) -> Float32Array:
-    """Return a dark disc on white, wider than high as a nostril is."""
+    """Return a dark disc on white, wider than high like a nostril."""
     return _drawn(8, 7, lambda x, y: (x / 1.4) ** 2 + y**2 < radius**2)
 
 
 @cache
 def arc(half_width: float = 19.0, half_thickness: float = 3.5) -> Float32Array:
-    """Return a dark arc on white, open at the top and half as high as wide: a nose's wings and base."""
+    """Return a dark arc on white, open at the top, like the wings and base of a nose."""
 
     def on_arc(x: Any, y: Any) -> Any:
         radius = np.hypot(x / half_width, (y + 3.0) / (0.5 * half_width))
@@ -133,7 +133,7 @@ def arc(half_width: float = 19.0, half_thickness: float = 3.5) -> Float32Array:
 
 
 def _drawn(half_width: int, half_height: int, dark: Callable[[Any, Any], Any]) -> Float32Array:
-    """Draw what is dark at pixel offsets (x, y) from the middle, antialiased and slightly blurred."""
+    """Draw the dark region at pixel offsets (x, y) from the centre, antialiased and slightly blurred."""
     samples = 8
     rows, columns = (2 * half_height + 1) * samples, (2 * half_width + 1) * samples
     y, x = np.mgrid[0:rows, 0:columns]
@@ -155,7 +155,7 @@ def _nose_and_brows(smooth: Float32Array) -> list[Float32Array]:
 
 
 def _matched(smooth: Float32Array, template: Float32Array) -> Float32Array:
-    """Return the normalised correlation of a template with every place; 0 where it is negative."""
+    """Return the normalised correlation of a template at every place; 0 where negative."""
     half_height, half_width = template.shape[0] // 2, template.shape[1] // 2
     border = cv2.copyMakeBorder(
         smooth, half_height, half_height, half_width, half_width, cv2.BORDER_REPLICATE
@@ -168,19 +168,19 @@ def _end_stopped(right: Float32Array, left: Float32Array) -> tuple[Float32Array,
 
 
 def _corners(smooth: Float32Array) -> Float32Array:
-    """Return the square root of the structure tensor's smaller eigenvalue, full at 1."""
+    """Return the square root of the structure tensor's smaller eigenvalue, normalised to 1."""
     return _full_at_one(_root(cv2.cornerMinEigenVal(smooth, 5, ksize=3)))
 
 
 def _darkness(smooth: Float32Array) -> Float32Array:
-    """Return 0..1: darker than the surroundings, by a logistic function of the grey levels' difference."""
+    """Return 0..1, a logistic function of the grey level difference to the surroundings."""
     difference = smooth - _blurred(smooth, 10.0)
     darkness: Float32Array = 1.0 / (1.0 + np.exp(difference / np.float32(6.0)))
     return darkness
 
 
 def _contrast(smooth: Float32Array) -> Float32Array:
-    """Return 0..1: how much the grey levels differ around a place; correlation does not see that."""
+    """Return the local contrast, 0..1, to which correlation is invariant."""
     detail = np.abs(smooth - _blurred(smooth, 8.0))
     return _root(_full_at_one(_blurred(detail, 4.0)))
 
@@ -192,7 +192,7 @@ def _full_at_one(values: Float32Array) -> Float32Array:
 
 
 def _root(values: ImageArray) -> Float32Array:
-    """Return the square root; rounding's negative values count as 0."""
+    """Return the square root; negative rounding errors count as 0."""
     root: Float32Array = np.sqrt(np.maximum(values, 0.0))
     return root
 

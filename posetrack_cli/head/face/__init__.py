@@ -1,1 +1,1 @@
-"""What all heads share: ten feature points, poses, shapes, and what the points look like in images."""
+"""Basics of a face: ten feature points, poses, shapes, and templates of the points in images."""

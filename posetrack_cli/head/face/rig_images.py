@@ -1,7 +1,7 @@
-"""The images that the cameras of a rig took at one time, and where its cameras see points.
+"""Images of a camera rig at one time, and projection of points into them.
 
-``geometry.camera`` projects for one camera and points in its own axes; ``project`` here takes points in
-the reference's, and keeps the lens as a matrix at each point, as the refinement's compiled kernels use it.
+``geometry.camera`` projects for one camera in its own axes. ``project`` takes points in the reference
+camera's axes and linearises the lens at each point, as required by the compiled refinement.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from posetrack_cli.geometry.rigid import inverse
 
 @dataclass(frozen=True, eq=False)
 class CameraImage:
-    """One camera's image.
+    """Image of one camera.
 
     Attributes:
-        camera: with its place.
+        camera: with its extrinsics.
         image: (height, width) uint8.
     """
 
@@ -37,7 +37,7 @@ class CameraImage:
     image: ImageArray
 
     def points_at(self, pixels: FloatArray, depths: FloatArray) -> FloatArray:
-        """Return the points (..., 3) in the reference's axes seen at pixels and depths, mm."""
+        """Return points (..., 3) in the reference's axes at pixels and depths, mm."""
         rays = normalised_from_pixels(self.camera, pixels)
         local = np.concatenate([rays, np.ones_like(rays[..., :1])], axis=-1) * depths[..., None]
         back = inverse(np.array(self.camera.camera_T_reference))
@@ -45,17 +45,17 @@ class CameraImage:
         return points
 
     def pixels_of(self, points: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Return where points (..., 3) in the reference's axes appear, and whether they can."""
+        """Project points (..., 3) in the reference's axes; return pixels and validity."""
         return pixels_from_points(self.camera, in_camera_axes(self.camera, points))
 
 
 @dataclass(frozen=True, eq=False)
 class RigImages:
-    """What the cameras of a rig, one or more, saw at one time.
+    """Simultaneous images of one or more cameras.
 
     Attributes:
         cameras: C of them.
-        images: (height, width) uint8, one a camera; None where a camera gave none.
+        images: (height, width) uint8 per camera; None for a missing image.
     """
 
     cameras: Sequence[Camera]
@@ -63,33 +63,33 @@ class RigImages:
 
     @property
     def views(self) -> tuple[CameraImage | None, ...]:
-        """Each camera with its image, None where it has none."""
+        """Each camera with its image, None where it is missing."""
         pairs = zip(self.cameras, self.images, strict=True)
         return tuple(None if image is None else CameraImage(camera, image) for camera, image in pairs)
 
 
 def is_reference(camera: Camera) -> bool:
-    """Whether a camera's axes are the recording's."""
+    """Whether a camera defines the recording's axes."""
     return bool(np.array_equal(np.array(camera.camera_T_reference), np.eye(3, 4)))
 
 
 def required(view: CameraImage | None) -> CameraImage:
-    """Return a view that is known to be there."""
+    """Return a view that must exist."""
     if view is None:
-        raise ValueError("a camera without an image")
+        raise ValueError("camera without an image")
     return view
 
 
 @dataclass(frozen=True, eq=False)
 class Projection:
-    """K points on the images of C cameras.
+    """Projections of K points into C cameras.
 
     Attributes:
         pixels: (C, K, 2).
         jacobians: (C, K, 2, 3) d pixel / d point in the reference camera's axes, pixels per mm.
         rays: (C, K, 3) unit vectors from the point to the camera, in the reference camera's axes.
-        lenses: (C, K, 2, 3) the lens about each point: x' = L (x, y, 1), normalised coordinates.
-        in_front: (C, K) whether a point lies in front of the camera; where not, the rest means nothing.
+        lenses: (C, K, 2, 3) linearised lens at each point: x' = L (x, y, 1), normalised coordinates.
+        in_front: (C, K) points in front of the camera; other entries are undefined where False.
     """
 
     pixels: FloatArray
@@ -100,7 +100,7 @@ class Projection:
 
 
 def project(cameras: Sequence[Camera], points: FloatArray) -> Projection:
-    """Project points (K, 3), mm in the reference camera's axes, through pinhole and lens of every camera."""
+    """Project points (K, 3), mm in the reference camera's axes, into every camera."""
     count, points = (len(cameras), len(points)), np.ascontiguousarray(points, dtype=np.float64)
     seen = Projection(
         np.empty((*count, 2)),
@@ -122,7 +122,7 @@ NO_LENS = np.eye(2, 3)
 
 
 def _lens(camera: Camera, points: FloatArray) -> FloatArray:
-    """Return (K, 2, 3) the lens linearised about where a camera sees points (K, 3): exact there."""
+    """Return (K, 2, 3) the lens linearised at the projections of points (K, 3)."""
     local = in_camera_axes(camera, points)
     z = np.where(local[:, 2] > 0.0, local[:, 2], 1.0)
     x, y = local[:, 0] / z, local[:, 1] / z
@@ -143,7 +143,7 @@ def _write_projection(
     rays: FloatArray,
     in_front: BoolArray,
 ) -> None:
-    """Write what ``Projection`` says of one camera.
+    """Write the ``Projection`` of one camera.
 
     Args:
         points: (K, 3) in the reference camera's axes, mm.

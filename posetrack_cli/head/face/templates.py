@@ -15,25 +15,24 @@ from posetrack_cli.head.face.points import POINT_COUNT, POINT_NORMALS, HeadPose
 from posetrack_cli.head.face.rig_images import Projection, RigImages, project
 from posetrack_cli.results.columns import Layout, places, units
 
-# Square patches of an image as vectors of zero mean and unit norm; compiled.
+# Square patches as vectors of zero mean and unit norm; compiled.
 #
 # A patch has ``PATCH`` x ``PATCH`` pixels at the offsets (i - 7.5, j - 7.5) from its centre, i along the
 # rows. With p = (I - mean I) / |I - mean I| the scalar product of two patches is their normalised correlation
-# (ncc), and |p - q|^2 = 2 (1 - ncc): a change of brightness or contrast leaves both alone **[ours]**.
-
+# (ncc), and |p - q|^2 = 2 (1 - ncc); both are invariant to brightness and contrast **[ours]**.
 
 PATCH = 16
 SIZE = PATCH * PATCH
 GRID = PATCH + 2
-"""A patch with one pixel more on each side, for the gradients."""
+"""A patch with a margin of one pixel for gradients."""
 CENTRE = 0.5 * (GRID - 1)
 LEAST_CONTRAST = 1.0
-"""Standard deviation, grey levels, below which a patch shows nothing: less than the noise of a camera."""
+"""Minimum standard deviation of a patch, grey levels: less than a camera's noise."""
 
 
 @inlined
 def covers(width: int, height: int, u: float, v: float, warp: FloatArray) -> bool:
-    """Whether a warped patch about (u, v), its gradients included, lies within an image."""
+    """Whether a warped patch at (u, v), including its gradients, lies within an image."""
     reach_u = CENTRE * (abs(warp[0, 0]) + abs(warp[0, 1]))
     reach_v = CENTRE * (abs(warp[1, 0]) + abs(warp[1, 1]))
     inside_u: bool = u - reach_u >= 0.0 and u + reach_u < width - 1.0
@@ -45,17 +44,17 @@ def covers(width: int, height: int, u: float, v: float, warp: FloatArray) -> boo
 def sample_grid(
     image: ImageArray, width: int, height: int, u: float, v: float, warp: FloatArray, out: FloatArray
 ) -> bool:
-    """Write the intensities at (u, v) + W (i - CENTRE, j - CENTRE), bilinear, into out (GRID, GRID).
+    """Sample intensities at (u, v) + W (i - CENTRE, j - CENTRE), bilinear, into out (GRID, GRID).
 
     Args:
         image: (>= height, >= width).
-        width, height: of the part that may be read.
+        width, height: of the readable part.
         u, v: centre, pixels.
         warp: (2, 2) W, pixels of the image per pixel of the patch.
         out: row j, column i.
 
     Returns:
-        Whether all of it lies in the image; else nothing is written.
+        Whether all samples lie in the image; otherwise nothing is written.
     """
     if not covers(width, height, u, v, warp):
         return False
@@ -75,7 +74,7 @@ def sample_grid(
 def normalise(grid: FloatArray, patch: FloatArray) -> float:
     """Write the patch (SIZE,) of a grid (GRID, GRID), zero mean and unit norm; return |I - mean I|.
 
-    A patch without contrast becomes 0 and its norm is returned as 0.
+    Patch and norm are 0 without contrast.
     """
     for j in range(PATCH):
         for i in range(PATCH):
@@ -93,9 +92,9 @@ def normalise(grid: FloatArray, patch: FloatArray) -> float:
 
 @kernel
 def differentiate(grid: FloatArray, patch: FloatArray, norm: float, gradient: FloatArray) -> None:
-    """Write dp / dc (2, SIZE), per pixel that the patch's centre c moves along columns and rows of the grid.
+    """Write dp / dc (2, SIZE), per pixel of motion of the centre c along columns and rows of the grid.
 
-    dp = (1 - p p^T) (dI - mean dI) / |I - mean I|, with dI the central differences of neighbouring samples.
+    dp = (1 - p p^T) (dI - mean dI) / |I - mean I|, with dI from central differences.
 
     Args:
         grid: (GRID, GRID) intensities.
@@ -115,7 +114,7 @@ def differentiate(grid: FloatArray, patch: FloatArray, norm: float, gradient: Fl
 
 @inlined
 def product(a: FloatArray, b: FloatArray) -> float:
-    """The scalar product of two vectors (SIZE,), in four partial sums: they are added side by side."""
+    """Return the scalar product of two vectors (SIZE,); four partial sums allow vectorisation."""
     s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0
     for n in range(0, SIZE, 4):
         s0 += a[n] * b[n]
@@ -127,7 +126,7 @@ def product(a: FloatArray, b: FloatArray) -> float:
 
 @inlined
 def total(a: FloatArray) -> float:
-    """The sum of a vector (SIZE,), in four partial sums."""
+    """Return the sum of a vector (SIZE,), in four partial sums."""
     s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0
     for n in range(0, SIZE, 4):
         s0 += a[n]
@@ -137,32 +136,31 @@ def total(a: FloatArray) -> float:
     return (s0 + s1) + (s2 + s3)
 
 
-# What the feature points looked like at some time, and how that looks from where the head is now.
+# Templates of the feature points, warped to the current pose.
 #
-# About each point the skin is taken for its tangent plane. With T the derivative (2, 2) of a camera's pixels
-# by coordinates in that plane, a shift d of pixels now is a shift T_then T_now^-1 d of pixels then: templates
-# are sampled under that affine warp **[ours]**, so that a head that turns or comes nearer keeps its
-# reference. Templates of further directions, the keyframes, are kept beside the reference.
-
+# The skin at each point is approximated by its tangent plane. With T the derivative (2, 2) of a camera's
+# pixels by coordinates in that plane, a shift d of current pixels is a shift T_then T_now^-1 d of the
+# template's pixels. Templates are sampled under that affine warp **[ours]**, so the reference stays valid
+# when the head turns or approaches. Templates from other directions (keyframes) are stored in addition.
 
 CAMERAS = "cameras"
-"""Name of how many there are, in layouts."""
+"""Name of the camera dimension in layouts."""
 WINDOW = 48
-"""Side of what is kept about a point, pixels: a patch at up to twice its size and turned."""
+"""Side of a stored window, pixels: a rotated patch at up to twice its size."""
 LARGEST_STRETCH = 4.0
-"""Pixels then for a pixel now at most; beyond, the plane is seen edge on."""
+"""Maximum template pixels per current pixel; beyond, the plane is seen edge-on."""
 
 
 @dataclass(frozen=True, eq=False)
 class TemplateSet:
-    """The K feature points on the images of C cameras at one time.
+    """The K feature points in the images of C cameras at one time.
 
     Attributes:
-        windows: (C, K, WINDOW, WINDOW) image about each point.
+        windows: (C, K, WINDOW, WINDOW) image around each point.
         centres: (C, K, 2) the point in its window, pixels.
         tangents: (C, K, 2, 2) T, pixels per mm in the tangent plane.
-        seen: (C, K) whether camera and point had a window.
-        facing: (3,) direction out of the face, in the reference camera's axes.
+        seen: (C, K) whether camera and point have a window.
+        facing: (3,) direction of the face, in the reference camera's axes.
     """
 
     windows: Annotated[ImageArray, Layout("uint8", (CAMERAS, POINT_COUNT, WINDOW, WINDOW))]
@@ -172,7 +170,7 @@ class TemplateSet:
     facing: Annotated[FloatArray, units(3)]
 
     def resized(self, factor: float) -> TemplateSet:
-        """Return the templates of a head that is so many times as large, as far away, and looks the same."""
+        """Return the templates of a head scaled by a factor, with the same distance and appearance."""
         return self if factor == 1.0 else replace(self, tangents=self.tangents / factor)
 
 
@@ -185,7 +183,7 @@ def take_templates(
         images: of all cameras of the recording.
         pose: of the head.
         shape: (K, 3) points in the head's frame, mm.
-        pixels: (C, K, 2) where the points are; without, where pose and shape put them.
+        pixels: (C, K, 2) of the points; projected from pose and shape by default.
     """
     projection = project(images.cameras, pose.points(shape))
     pixels = projection.pixels if pixels is None else pixels
@@ -200,29 +198,30 @@ def take_templates(
 
 
 def tangents(projection: Projection, pose: HeadPose) -> FloatArray:
-    """Return T (C, K, 2, 2): how pixels change with coordinates in each point's tangent plane, per mm."""
+    """Return T (C, K, 2, 2), the derivative of pixels by coordinates in each tangent plane, per mm."""
     planes = pose.rotation @ _planes()
     found: FloatArray = projection.jacobians @ planes
     return found
 
 
 def visibility(projection: Projection, pose: HeadPose) -> FloatArray:
-    """Return (C, K) how much each camera sees of each point: the cosine of normal and ray, 0 from behind."""
+    """Return (C, K) visibility: cosine between normal and ray, 0 from behind."""
     normals = POINT_NORMALS @ pose.rotation.T
     cosines = np.einsum("kj,ckj->ck", normals, projection.rays)
     return np.where(projection.in_front, np.maximum(cosines, 0.0), 0.0)
 
 
 def warped(templates: TemplateSet, now: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Return the templates as they look now.
+    """Return the templates warped to the current pose.
 
     Args:
-        templates: of some time.
-        now: (C, K, 2, 2) ``tangents`` at the head's present pose.
+        templates: of an earlier time.
+        now: (C, K, 2, 2) ``tangents`` at the current pose.
 
     Returns:
-        (C, K, SIZE) patches of zero mean and unit norm, row by row, and (C, K) whether there is one: the
-        point was seen then, with some contrast, and is not seen edge on now.
+        (C, K, SIZE) patches of zero mean and unit norm, row by row, and (C, K) whether they are valid: seen
+            then,
+        with contrast, and not edge-on now.
     """
     warps = warps_between(now, templates.tangents)
     patches = np.zeros((*templates.seen.shape, SIZE))
@@ -232,7 +231,7 @@ def warped(templates: TemplateSet, now: FloatArray) -> tuple[FloatArray, BoolArr
 
 
 def unwarped(templates: TemplateSet) -> FloatArray:
-    """Return the intensities (C, K, GRID, GRID) about each point as they were; NaN where it was not seen."""
+    """Return the stored intensities (C, K, GRID, GRID) at each point; NaN if it was not seen."""
     grids = np.full((*templates.seen.shape, GRID, GRID), np.nan)
     for c, k in np.argwhere(templates.seen):
         u, v = templates.centres[c, k]
@@ -249,7 +248,7 @@ ADJUGATE_SIGNS = np.array([[1.0, -1.0], [-1.0, 1.0]])
 
 
 def warps_between(source: FloatArray, target: FloatArray) -> FloatArray:
-    """Return T_target T_source^-1 (..., 2, 2), NaN where that cannot be told or stretches too much."""
+    """Return T_target T_source^-1 (..., 2, 2), NaN if undefined or stretched too much."""
     a, b, c, d = source[..., 0, 0], source[..., 0, 1], source[..., 1, 0], source[..., 1, 1]
     determinant = a * d - b * c
     determinant[determinant == 0.0] = np.nan
@@ -261,9 +260,9 @@ def warps_between(source: FloatArray, target: FloatArray) -> FloatArray:
 
 
 def _cut(image: ImageArray, pixels: FloatArray, windows: ImageArray) -> tuple[FloatArray, BoolArray]:
-    """Fill windows (K, WINDOW, WINDOW); return their corners (K, 2), and which lie wholly in the image.
+    """Fill windows (K, WINDOW, WINDOW); return their corners (K, 2), and which lie in the image.
 
-    A window at the image's edge is shifted into it.
+    Windows at the image's edge are shifted into it.
     """
     height, width = image.shape
     largest = np.array([width - WINDOW, height - WINDOW])
@@ -278,7 +277,7 @@ def _cut(image: ImageArray, pixels: FloatArray, windows: ImageArray) -> tuple[Fl
 
 @cache
 def _planes() -> FloatArray:
-    """Return (K, 3, 2) two unit vectors across each point's normal, in the head's frame."""
+    """Return (K, 3, 2) two unit vectors of each point's tangent plane, in the head's frame."""
     across = np.cross([0.0, 1.0, 0.0], POINT_NORMALS)
     across /= np.linalg.norm(across, axis=1, keepdims=True)
     return np.stack([across, np.cross(POINT_NORMALS, across)], axis=-1)
@@ -293,7 +292,7 @@ def _sample_all(
     patches: FloatArray,
     known: BoolArray,
 ) -> None:
-    """Write the normalised patch of every window under its warp, and whether there is one."""
+    """Write the normalised patch of every window under its warp, and its validity."""
     grid = np.empty((GRID, GRID))
     for c in range(seen.shape[0]):
         for k in range(seen.shape[1]):
@@ -305,13 +304,13 @@ def _sample_all(
 
 
 def nearest_templates(templates: Sequence[TemplateSet], facing: FloatArray) -> tuple[TemplateSet, ...]:
-    """Return the reference, and the keyframe whose direction is nearest to ``facing`` if it is nearer."""
+    """Return the reference, and the keyframe closest in direction if it is closer."""
     nearest = min(templates, key=lambda one: angle_deg(one.facing, facing))
     return (templates[0],) if nearest is templates[0] else (templates[0], nearest)
 
 
 def is_new_direction(templates: Sequence[TemplateSet], facing: FloatArray, apart_deg: float) -> bool:
-    """Whether a direction is farther than that from those of all templates."""
+    """Whether a direction differs by more than an angle from those of all templates."""
     return all(angle_deg(one.facing, facing) > apart_deg for one in templates)
 
 

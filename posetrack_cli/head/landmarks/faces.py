@@ -17,7 +17,7 @@ from posetrack_cli.head.face.points import (
     FEATURES,
     POINT_COUNT,
     POINT_NAMES,
-    WHOLE,
+    UNSCALED,
     scaled_pixels,
 )
 from posetrack_cli.head.face.rig_images import project
@@ -261,7 +261,7 @@ class Landmarks:
         scale: of these relative to the recorded ones.
     """
 
-    def __init__(self, file: LandmarkFile, camera: Camera, scale: float = WHOLE) -> None:
+    def __init__(self, file: LandmarkFile, camera: Camera, scale: float = UNSCALED) -> None:
         self._file, self._camera, self._scale = file, camera, scale
         self.noise_px: FloatArray = scale * file.noise_px
 

@@ -17,7 +17,7 @@ from posetrack_cli.head.multilinear.face_model import FaceModel
 
 SWEEPS = 200
 """Most sweeps of ``hooi``."""
-SETTLED = 1e-13
+CONVERGED = 1e-13
 """Share of a tensor's square by which a sweep must improve its approximation for another to follow."""
 
 
@@ -88,7 +88,7 @@ def hooi(tensor: FloatArray, ranks: Mapping[int, int]) -> Decomposition:
             others = {other: basis for other, basis in bases.items() if other != mode}
             bases[mode] = _leading(unfold(_projected(tensor, others), mode), rank)
         before, kept = kept, float(np.sum(_projected(tensor, bases) ** 2))
-        if kept - before <= SETTLED * square:
+        if kept - before <= CONVERGED * square:
             break
     return Decomposition(_projected(tensor, bases), bases)
 
@@ -115,7 +115,7 @@ PEOPLE, ACTIONS = 0, 1
 """Modes of the data tensor (2S, A, K, 3)."""
 LEAST_DEVIATION = 1e-4
 """Least standard deviation of a parameter, of its root mean square."""
-NOTHING = 1e-9
+RANK_TOLERANCE = 1e-9
 """Singular values below this share of the largest are rounding."""
 
 
@@ -218,7 +218,7 @@ def _data(shapes: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def _rank(values: FloatArray) -> int:
-    return int(np.sum(values > NOTHING * values[0]))
+    return int(np.sum(values > RANK_TOLERANCE * values[0]))
 
 
 def _deviations(rows: FloatArray) -> FloatArray:

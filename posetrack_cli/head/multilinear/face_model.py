@@ -102,7 +102,7 @@ def load_face_model(path: Path | None = None) -> FaceModel:
         raise ResultError(
             "is no face model",
             where=path,
-            found=_said(error),
+            found=_message(error),
             expected="what posetrack head build-model wrote",
         ) from error
 
@@ -176,6 +176,6 @@ def _check_values(name: str, array: np.ndarray[Any, Any]) -> None:
         raise ValueError(f"array '{name}' with values far beyond a face's")
 
 
-def _said(error: Exception) -> str:
+def _message(error: Exception) -> str:
     """The error's words; a KeyError's are only a name."""
     return f"no array {error}" if isinstance(error, KeyError) else str(error)

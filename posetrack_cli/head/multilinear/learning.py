@@ -62,7 +62,7 @@ def read_face(path: Path) -> ObservedFace:
     result = read_result(path)
     _check_tracker(result)
     columns = result.columns(fields=_FIELDS)
-    used = _relied_on(columns, result.subject.number_names)
+    used = _usable_frames(columns, result.subject.number_names)
     place = (columns[name][used][:, None] for name in ("position", "quaternion"))
     shapes = _symmetric_only(_centred(in_object(columns["points"][used], *place)))
     if len(shapes) < LEAST_FRAMES:
@@ -87,7 +87,9 @@ def _check_tracker(result: Result) -> None:
     )
 
 
-def _relied_on(columns: Columns, number_names: Sequence[str]) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+def _usable_frames(
+    columns: Columns, number_names: Sequence[str]
+) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
     """(N,) tracked, with every point seen; where the result states no weights, tracked."""
     tracked = columns["status"] == Status.TRACKING.value
     rows = [

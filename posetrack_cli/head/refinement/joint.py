@@ -107,7 +107,7 @@ def descend(scene: Scene, face: Face, prior: Prior, iterations: int, state: Face
         for k in range(count):
             pull, moved = gradients[k] + weights[k] * residuals[k], np.zeros(3)
             _add_along(hessians[k], rows[k], step, pull, moved)
-            give_way(hessians[k], weights[k], pull, state.rotation, state.residuals[k], e)
+            move_point(hessians[k], weights[k], pull, state.rotation, state.residuals[k], e)
             squared = (moved[0] + e[0]) ** 2 + (moved[1] + e[1]) ** 2 + (moved[2] + e[2]) ** 2
             farthest = max(farthest, np.sqrt(squared))
         apply_step(state, step)
@@ -227,7 +227,7 @@ def _add_along(H: FloatArray, T: FloatArray, step: FloatArray, pull: FloatArray,
 
 
 @kernel
-def give_way(
+def move_point(
     H: FloatArray, weight: float, pull: FloatArray, rotation: FloatArray, point: FloatArray, e: FloatArray
 ) -> None:
     """Write e = -(H + weight)^-1 pull, camera axes, and add it to a point (3,) in the head's."""

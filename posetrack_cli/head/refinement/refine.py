@@ -39,7 +39,7 @@ from posetrack_cli.head.refinement.joint import (
     FaceUnknowns,
     Prior,
     descend,
-    give_way,
+    move_point,
 )
 
 # The feature points' own places, with the pose held (thesis, 3.2.3); compiled.
@@ -100,14 +100,14 @@ def recalculate_points(
             transform(rotation, points[k] - shape[k], np.zeros(3), d)
             squared = d[0] ** 2 + d[1] ** 2 + d[2] ** 2
             weight = student_t(squared, 3.0, prior.freedom, prior.scales[k])
-            give_way(evidence.hessian, weight, evidence.gradient + weight * d, rotation, points[k], e)
+            move_point(evidence.hessian, weight, evidence.gradient + weight * d, rotation, points[k], e)
             if e[0] ** 2 + e[1] ** 2 + e[2] ** 2 < small * small:
                 break
-        write_place(evidence, k, correlations, pixels)
+        write_point(evidence, k, correlations, pixels)
 
 
 @inlined
-def write_place(evidence: Evidence, k: int, correlations: FloatArray, pixels: FloatArray) -> None:
+def write_point(evidence: Evidence, k: int, correlations: FloatArray, pixels: FloatArray) -> None:
     """Write where a point is seen, and how well; number by number, as slices compile for seconds."""
     for c in range(len(correlations)):
         correlations[c, k] = evidence.correlations[c]
@@ -122,7 +122,7 @@ def transform(R: FloatArray, v: FloatArray, t: FloatArray, out: FloatArray) -> N
         out[i] = t[i] + R[i, 0] * v[0] + R[i, 1] * v[1] + R[i, 2] * v[2]
 
 
-class Printed(NamedTuple):
+class PrintedConstants(NamedTuple):
     """The two constants, which belong to 8-bit intensities and mm."""
 
     rho: float
@@ -135,7 +135,7 @@ def recalculate_as_printed(
     rotation: FloatArray,
     position: FloatArray,
     shape: FloatArray,
-    printed: Printed,
+    printed: PrintedConstants,
     iterations: int,
     points: FloatArray,
     correlations: FloatArray,
@@ -151,10 +151,10 @@ def recalculate_as_printed(
             _gather_raw(scene, k, X, printed.rho, work, evidence)
             transform(rotation, points[k] - shape[k], np.zeros(3), d)
             pull = evidence.gradient + printed.epsilon * d
-            give_way(evidence.hessian, printed.epsilon, pull, rotation, points[k], e)
+            move_point(evidence.hessian, printed.epsilon, pull, rotation, points[k], e)
         transform(rotation, points[k], position, X)
         gather_evidence(scene, k, X, work, evidence)
-        write_place(evidence, k, correlations, pixels)
+        write_point(evidence, k, correlations, pixels)
 
 
 @kernel
@@ -200,7 +200,7 @@ REFERENCE, BEFORE = 0, 1
 def recalculate_2d_as_printed(
     scene: Scene,
     expected: FloatArray,
-    printed: Printed,
+    printed: PrintedConstants,
     iterations: int,
     pixels: FloatArray,
     correlations: FloatArray,
@@ -375,7 +375,7 @@ def recalculate(
     if settings.recalculation == "printed" and count[0] == 1:
         return _recalculated_in_image(scene, pose, shape, start, settings)
     if settings.recalculation == "printed":
-        printed = Printed(settings.rho, settings.epsilon)
+        printed = PrintedConstants(settings.rho, settings.epsilon)
         recalculate_as_printed(scene, R, t, shape, printed, most, points, correlations, pixels)
     else:
         prior = make_prior(RECALCULATION_MM)
@@ -389,7 +389,7 @@ def _recalculated_in_image(
     """(4.42) to (4.52), and the points at M's depths that are seen at the pixels found."""
     expected, jacobians = _seen_at(scene, pose.points(shape))
     pixels, _ = _seen_at(scene, pose.points(start))
-    correlations, printed = np.empty(len(shape)), Printed(settings.rho, settings.epsilon)
+    correlations, printed = np.empty(len(shape)), PrintedConstants(settings.rho, settings.epsilon)
     most = settings.recalculation_iterations
     recalculate_2d_as_printed(scene, expected, printed, most, pixels, correlations)
     across = np.linalg.solve(jacobians[:, :, :2], (pixels - expected)[..., None])[..., 0]

@@ -26,11 +26,11 @@ from posetrack_cli.head.skin.matching import (
     PX_PER_MM,
     SkinView,
     cut,
-    find_again,
     place_crop,
     surface_of,
     to_crop,
     to_image,
+    track_points,
     views_for,
 )
 from posetrack_cli.opencv import in_one_thread
@@ -84,7 +84,7 @@ class SkinMap:
         return slice(int(self.bounds[index]), int(self.bounds[index + 1]))
 
 
-class OnMap(NamedTuple):
+class SkinPose(NamedTuple):
     """Where a head is that was compared with a map.
 
     Attributes:
@@ -117,12 +117,12 @@ def make_map(views: Sequence[SkinView], shape: FloatArray, camera: Camera) -> Sk
     for _ in range(ROUNDS):
         observed = _observe(found, views, camera)
         poses, points = adjust_skin(observed, told, surface, focal, STEPS)
-        poses, points = _in_told_frame(*_of_told_size(poses, points, told), told)
+        poses, points = _in_prior_frame(*_at_prior_distance(poses, points, told), told)
         found = replace(found, points=points, poses=poses)
     return replace(found, share=_share(told.difference(found.poses)))
 
 
-def _of_told_size(poses: HeadPose, points: FloatArray, told: HeadPose) -> tuple[HeadPose, FloatArray]:
+def _at_prior_distance(poses: HeadPose, points: FloatArray, told: HeadPose) -> tuple[HeadPose, FloatArray]:
     """Return poses and points so many times as large that heads are as far away as they were told to be.
 
     A head twice as large and as far away looks the same, so skin says nothing of it.
@@ -133,7 +133,7 @@ def _of_told_size(poses: HeadPose, points: FloatArray, told: HeadPose) -> tuple[
     return HeadPose(factor * poses.position, poses.quaternion), factor * points
 
 
-def _in_told_frame(poses: HeadPose, points: FloatArray, told: HeadPose) -> tuple[HeadPose, FloatArray]:
+def _in_prior_frame(poses: HeadPose, points: FloatArray, told: HeadPose) -> tuple[HeadPose, FloatArray]:
     """Return poses and points in the head's frame that the feature points tell, on average over the views.
 
     With C the mean of R'^T R, of told rotations R' and the skin's R, and d the median of C R^T (t - t'):
@@ -195,7 +195,7 @@ def _matched(
     if which.start == which.stop:
         return np.zeros(0, dtype=np.int64), np.zeros((0, 2))
     expected = to_crop(placement, pixels_wherever(camera, pose.points(found.points[which])))
-    places, there = find_again(found.crops[view], found.places[which], crop, expected)
+    places, there = track_points(found.crops[view], found.places[which], crop, expected)
     return which.start + np.flatnonzero(there), places[there]
 
 
@@ -210,7 +210,7 @@ def _share(apart: FloatArray) -> float:
 
 
 @in_one_thread()
-def pose_on_map(found: SkinMap, image: ImageArray, stamp_ns: int, told: HeadPose, camera: Camera) -> OnMap:
+def pose_on_map(found: SkinMap, image: ImageArray, stamp_ns: int, told: HeadPose, camera: Camera) -> SkinPose:
     """Return the pose of a head, between what its feature points tell and where its skin lies on a map.
 
     Args:
@@ -228,14 +228,14 @@ def pose_on_map(found: SkinMap, image: ImageArray, stamp_ns: int, told: HeadPose
     looked_for = sum(len(found.places[found.of_view(view)]) for view in chosen)
     unmatched = 1.0 - count / max(looked_for, 1)
     if count <= LEAST_POINTS:
-        return OnMap(told, 0.0, unmatched)
+        return SkinPose(told, 0.0, unmatched)
     which = np.concatenate([one for one, _ in matches])
     pixels = to_image(placement, np.concatenate([places for _, places in matches]))
     rays, focal = normalised_from_pixels(camera, pixels), np.array([camera.fx, camera.fy])
     pose = adjust_pose(rays, found.points[which], told, told, focal, POSE_STEPS)
     sure = min((count - LEAST_POINTS) / (ENOUGH_POINTS - LEAST_POINTS), 1.0)
     share = found.share * sure
-    return OnMap(told.moved(share * told.difference(pose)), share, unmatched)
+    return SkinPose(told.moved(share * told.difference(pose)), share, unmatched)
 
 
 def cut_view(image: ImageArray, camera: Camera, view: PointView) -> SkinView:

@@ -239,7 +239,7 @@ SEEN_DEG, ALIKE_DEG = 30.0, 22.0
 """Skin looks no more like itself in a view that is turned by more: one near in time, or any other."""
 
 
-def find_again(
+def track_points(
     first: ImageArray, places: FloatArray, second: ImageArray, expected: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
     """Find points of one crop in another.

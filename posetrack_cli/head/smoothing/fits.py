@@ -38,13 +38,13 @@ from posetrack_cli.units import NS_PER_S
 #     a = argmin |V a - d|^2 / n^2 + sum_b (a_b / mu_b)^2
 
 
-PLACES_S = 0.05
+WINDOW_S = 0.05
 """Standard deviation of the Gaussian: places in the face are smoothed over so long."""
 REACH = 3.0
 """Times the Gaussian's standard deviation: frames farther away do not count."""
 LEAST_SHARE = 1e-3
 """Of the weight of a point that is not seen: alone it stays where the tracker left it."""
-FLAT = 0.01
+SLOPE_REGULARISATION = 0.01
 """Of the Gaussian's variance, added to that of the times: a frame without neighbours has a flat line."""
 
 
@@ -92,7 +92,7 @@ def posed_frame(smoothed: Smoothed, facts: FrameFacts, memory: Memory, cameras: 
     )
 
 
-def with_places(frames: Iterable[PosedFrame], origin: FloatArray) -> Iterator[Estimate]:
+def with_smoothed_points(frames: Iterable[PosedFrame], origin: FloatArray) -> Iterator[Estimate]:
     """Yield the estimates of frames whose points are smoothed.
 
     Args:
@@ -100,7 +100,7 @@ def with_places(frames: Iterable[PosedFrame], origin: FloatArray) -> Iterator[Es
         origin: (B,) what the coefficients of the neutral face are called in results.
     """
     window, done = list[PosedFrame](), 0
-    reach = REACH * PLACES_S
+    reach = REACH * WINDOW_S
     for frame in frames:
         if window and window[-1].memory["chain"] != frame.memory["chain"]:
             yield from (_estimate(window, index, origin) for index in range(done, len(window)))
@@ -125,7 +125,7 @@ def _estimate(window: list[PosedFrame], index: int, origin: FloatArray) -> Estim
         np.array([_seconds(frame, one) for one in window]),
         np.array([one.displacements for one in window]),
         np.array([one.weights for one in window]),
-        PLACES_S,
+        WINDOW_S,
     )
     coefficients, coefficient_rates, variance = _deformation(frame.memory, displacements, rates)
     twist = np.concatenate([frame.velocity, coefficient_rates])
@@ -139,7 +139,7 @@ def _estimate(window: list[PosedFrame], index: int, origin: FloatArray) -> Estim
         pose_rate=pose_rates(pose, twist),
         twist=twist,
         pose_variance=np.concatenate([frame.variance, variance]),
-        twist_variance=np.concatenate([frame.velocity_variance, variance / PLACES_S**2]),
+        twist_variance=np.concatenate([frame.velocity_variance, variance / WINDOW_S**2]),
         points=in_camera(places, pose[:3], pose[3:7]),
         effective_sample_size=None,
         resampled=False,
@@ -159,7 +159,7 @@ def local_line(
     """
     shares = weights * np.exp(-0.5 * np.square(times / width))[:, None]
     zeroth, first = shares.sum(axis=0)[:, None], (times @ shares)[:, None]
-    second = (np.square(times) @ shares)[:, None] + FLAT * width**2 * zeroth
+    second = (np.square(times) @ shares)[:, None] + SLOPE_REGULARISATION * width**2 * zeroth
     sums = np.einsum("nk,nkd->kd", shares, values)
     moments = np.einsum("n,nk,nkd->kd", times, shares, values)
     determinant = zeroth * second - first**2
@@ -198,7 +198,7 @@ def _deformation(
 # end: a face that is still being learnt would turn the head a little at each step.
 #
 # Errors of neighbouring frames are alike, as expressions last and templates slide; so a frame's say is
-# lowered to ``SHARE``.
+# lowered to ``INDEPENDENT_SHARE``.
 
 
 SPACE = BodySpace()
@@ -218,7 +218,7 @@ NOISE_MM, DEPTH_NOISE_MM = 0.25, 0.5
 """n and l: of the points found, across the ray and, where several cameras see them, along it."""
 FREEDOM = 4.0
 """nu, of the Student-t density of errors: the smaller, the more outliers."""
-SHARE = 0.1
+INDEPENDENT_SHARE = 0.1
 """What a frame says counts by so much: errors of its neighbours are like its own."""
 LEAST_WEIGHT = 0.02
 """Of a point that is hardly seen: ten of them still say where the head is."""
@@ -276,7 +276,7 @@ class HeadFits:
                 break
             pose = SPACE.retract(pose[None], step[None])[0]
         posed = _with_skin(pose, frame)
-        by_points = scaled(_mode(posed, gradient, information + vague), SHARE)
+        by_points = scaled(_mode(posed, gradient, information + vague), INDEPENDENT_SHARE)
         by_skin = frame["skin_share"] * np.diag(SKIN_SD**-2)
         return replace(by_points, information=by_points.information + by_skin)
 

@@ -21,7 +21,7 @@ from posetrack_cli.head.smoothing.fits import (
     PosedFrame,
     make_head_smoother,
     posed_frame,
-    with_places,
+    with_smoothed_points,
 )
 from posetrack_cli.head.subject import SKIN_SHARE, WEIGHT, track_model
 from posetrack_cli.head.tracker.frame_tracker import HeadState
@@ -85,7 +85,7 @@ class HeadFrame:
     @property
     def is_lost(self) -> bool:
         """Whether the frame says nothing about the head."""
-        return says_nothing(STATUSES[self.status], self.confidence)
+        return is_unobserved(STATUSES[self.status], self.confidence)
 
     @property
     def facts(self) -> FrameFacts:
@@ -109,7 +109,7 @@ class HeadFrame:
         return cls(**{**record, **single})
 
 
-class FrameKeeper:
+class FrameRecorder:
     """Makes of a tracker's frames what is kept of them.
 
     Args:
@@ -152,7 +152,7 @@ class FrameKeeper:
             np.pad(model.basis, ((0, 0), (0, 0), (0, missing))),
             np.pad(model.deviations, (0, missing)),
             _systematic(state, estimate),
-            _beside(state, estimate),
+            _offset_from_points(state, estimate),
             min(max(skin_share, 0.0), 1.0),
         )
 
@@ -182,12 +182,12 @@ class FrameKeeper:
         return {name: np.zeros(layout.shape, layout.dtype) for name, layout in self.layouts().items()}
 
 
-def says_nothing(status: Status, confidence: float) -> bool:
+def is_unobserved(status: Status, confidence: float) -> bool:
     """Whether no head was followed in a frame; one that was, and is doubted, has some confidence."""
     return status is Status.LOST and confidence <= 0.0
 
 
-def _beside(state: HeadState, estimate: Estimate) -> FloatArray:
+def _offset_from_points(state: HeadState, estimate: Estimate) -> FloatArray:
     """How far what is stated is from the pose that points tell; nothing without a head in the frame."""
     track = state.track
     if track is None or track.stamp_ns != estimate.stamp_ns or track.pose.position is estimate.position:
@@ -197,7 +197,7 @@ def _beside(state: HeadState, estimate: Estimate) -> FloatArray:
 
 def _systematic(state: HeadState, estimate: Estimate) -> FloatArray:
     """What an estimate's variances (6,) have beyond those of the frame; nothing where the head is lost."""
-    missed = says_nothing(estimate.status, estimate.confidence)
+    missed = is_unobserved(estimate.status, estimate.confidence)
     if state.track is None or missed or estimate.pose_variance is None:
         return np.zeros(POSE_SIZE)
     own = in_body_axes(state.track.particles.variance(), state.track.pose.rotation)[:POSE_SIZE]
@@ -218,7 +218,7 @@ class Link(NamedTuple):
     speed: FloatArray = AT_REST
 
 
-class Reach:
+class GapLimit:
     """How far a head may have moved while it was not seen, and how long it may have been away.
 
     Args:
@@ -240,7 +240,7 @@ class Reach:
         return bool(np.all(np.abs(velocity_between(earlier.pose, later.pose, dt)) <= SPEED_LIMITS))
 
 
-def chained(frames: Iterable[HeadFrame], reach: Reach) -> Iterator[Link]:
+def chained(frames: Iterable[HeadFrame], limit: GapLimit) -> Iterator[Link]:
     """Yield the frames with the chains that they belong to.
 
     Lost frames belong to the chain on both sides of them, or, where that breaks or they are at its end,
@@ -248,25 +248,25 @@ def chained(frames: Iterable[HeadFrame], reach: Reach) -> Iterator[Link]:
 
     Args:
         frames: the last one first.
-        reach: of a head that is not seen.
+        limit: of a head that is not seen.
     """
     later: HeadFrame | None = None
     waiting: list[HeadFrame] = []
     for frame in frames:
         if frame.is_lost:
             waiting.append(frame)
-            if later is None or not reach.in_time(frame, later):
-                yield from _alone(waiting)
+            if later is None or not limit.in_time(frame, later):
+                yield from _singletons(waiting)
                 later, waiting = None, []
             continue
-        joined = later is not None and reach.joins(frame, later)
-        yield from (Link(one, begins=False) for one in waiting) if joined else _alone(waiting)
+        joined = later is not None and limit.joins(frame, later)
+        yield from (Link(one, begins=False) for one in waiting) if joined else _singletons(waiting)
         yield Link(frame, begins=not joined)
         later, waiting = frame, []
-    yield from _alone(waiting)
+    yield from _singletons(waiting)
 
 
-def _alone(frames: Sequence[HeadFrame]) -> Iterator[Link]:
+def _singletons(frames: Sequence[HeadFrame]) -> Iterator[Link]:
     return (Link(one, begins=True) for one in frames)
 
 
@@ -338,8 +338,8 @@ class HeadMemory:
         self._path, self._cameras, self._origin = path, cameras, origin
         self._settings, self._model = config.smoothing, track_model(config)
         self._fits = HeadFits(self._model, cameras)
-        self._reach = Reach(self._settings.bridge_s)
-        self._keeper = FrameKeeper(subject)
+        self._limit = GapLimit(self._settings.bridge_s)
+        self._keeper = FrameRecorder(subject)
         self._spool = RecordSpool(path, kept, self._keeper.blank())
 
     def remember(self, state: Any, estimate: Estimate) -> None:
@@ -361,7 +361,7 @@ class HeadMemory:
                     memory = _memory(link, end, chain)
                     track.remember(self._fits.belief(memory), link.frame.facts, dt, link.begins, memory)
                     advance(1)
-            placed = with_places(track.backward(), self._origin)
+            placed = with_smoothed_points(track.backward(), self._origin)
             with phase("smoothing, way on", "frame", len(track)) as advance:
                 for estimate in smoothed_velocities(placed, self._model.velocity):
                     writer.write_smoothed(estimate)
@@ -379,7 +379,7 @@ class HeadMemory:
     def _linked(self) -> Iterator[tuple[Link, int, float, HeadFrame]]:
         """Yield frames, the last first, with their chain's number, s to the last one, and the chain's end."""
         chain, end, last_ns = 0, None, 0
-        for link in with_speeds(chained(self._frames(), self._reach)):
+        for link in with_speeds(chained(self._frames(), self._limit)):
             frame = link.frame
             if end is None or link.begins:
                 chain, end = chain + 1, frame

@@ -17,7 +17,7 @@ from posetrack_cli.head.adjustment.focal_length import focal_length_check
 from posetrack_cli.head.config import HeadMonoConfig, PersonSettings
 from posetrack_cli.head.detection.detector import FaceDetector
 from posetrack_cli.head.face.points import (
-    WHOLE,
+    UNSCALED,
     HeadPose,
     Scaling,
     enlarged,
@@ -161,7 +161,7 @@ class MonoPeople:
     def prepare(self, state: MonoState, frame: Frame) -> tuple[MonoState, Frame]:
         """Return the frame, reduced for a large face, and the state with its scale and scene."""
         state = self._rescaled(state)
-        frame = reduced(frame, state.scale or WHOLE)
+        frame = reduced(frame, state.scale or UNSCALED)
         (image,) = frame.images
         if image is None:
             return state, frame
@@ -185,7 +185,7 @@ class MonoPeople:
         after, fit = self._begin(state, frame)
         scale = state.scale if state.scale is not None else self._scale_of(after)
         after = replace(after, scale=scale)
-        if state.scale == scale or scale == WHOLE:
+        if state.scale == scale or scale == UNSCALED:
             return after, fit
         # templates and pixels of the unscaled image are of no use at the new scale
         rescaled = replace(self._first, scale=scale, search=state.search, first_ns=state.first_ns)
@@ -369,7 +369,7 @@ class MonoPeople:
             )
             for index, one in enumerate(people)
         )
-        focal = (state.scale or WHOLE) * self._recorded.fx
+        focal = (state.scale or UNSCALED) * self._recorded.fx
         return self._people.to_arrays(people) | {FOCAL_PX: np.array(focal)}
 
     def remarks(self, state: MonoState) -> tuple[str, ...]:
@@ -378,7 +378,7 @@ class MonoPeople:
             f"person {who} is tracked from frame {frame} on (the first person is 0)"
             for frame, who in state.changes
         )
-        check = focal_length_check(state.person, self._pipeline(state).adjuster, state.scale or WHOLE)
+        check = focal_length_check(state.person, self._pipeline(state).adjuster, state.scale or UNSCALED)
         return (*people, *check, *self._size_warning(state))
 
     def _size_warning(self, state: MonoState) -> tuple[str, ...]:
@@ -418,7 +418,7 @@ class MonoPeople:
     ) -> tuple[MonoState, FrameFit]:
         """Initialise from the clicked points of the first frame."""
         pipeline = self._pipeline(state)
-        pixels = scaled_pixels(clicked.pixels[0], state.scale or WHOLE)
+        pixels = scaled_pixels(clicked.pixels[0], state.scale or UNSCALED)
         frame = self._enlarged(state, frame, pixels)
         face = face_at(pixels, frame.stamp_ns, pipeline.adjuster.camera)
         start = pipeline.initialiser.initialise((face,))
@@ -462,11 +462,11 @@ class MonoPeople:
         self, state: MonoState, frame: SeededFrame, near: FloatArray | None
     ) -> DetectedFace | InitFailure:
         """Detect a face; small faces in the unscaled image, as magnification adds no information."""
-        scale = state.scale or WHOLE
-        if scale <= WHOLE:
+        scale = state.scale or UNSCALED
+        if scale <= UNSCALED:
             return self._pipeline(state).initialiser.detect(frame.frame, near)
         recorded = None if near is None else scaled_pixels(near, 1.0 / scale)
-        found = self._pipeline_at(WHOLE).initialiser.detect(frame.frame, recorded)
+        found = self._pipeline_at(UNSCALED).initialiser.detect(frame.frame, recorded)
         if isinstance(found, InitFailure):
             return found
         pixels, camera = scaled_pixels(found.pixels, scale), self._pipeline(state).adjuster.camera
@@ -474,8 +474,8 @@ class MonoPeople:
 
     def _enlarged(self, state: MonoState, frame: SeededFrame, pixels: FloatArray) -> SeededFrame:
         """Return the frame, magnified around points (K, 2) if the state's scale requires it."""
-        scale = state.scale or WHOLE
-        return frame if scale <= WHOLE else replace(frame, frame=enlarged(frame.frame, scale, pixels))
+        scale = state.scale or UNSCALED
+        return frame if scale <= UNSCALED else replace(frame, frame=enlarged(frame.frame, scale, pixels))
 
     def _diagnostics(self, state: MonoState, fit: FrameFit | None) -> MonoDiagnostics:
         score, weights = (np.nan, None) if fit is None else (fit.score, fit.weights)
@@ -491,7 +491,7 @@ class MonoPeople:
             known.factor,
             PRIOR_SD if known.size is None else known.size.sd,
             known.adjusted_frames,
-            known.rms_px / (state.scale or WHOLE),
+            known.rms_px / (state.scale or UNSCALED),
             np.nan if fit is None else fit.skin_share,
             score,
             weights,
@@ -500,7 +500,7 @@ class MonoPeople:
 
     def _pipeline(self, state: MonoState) -> _ScalePipeline:
         """Return the pipeline for the state's image scale; unscaled before a face is found."""
-        return self._pipeline_at(state.scale or WHOLE)
+        return self._pipeline_at(state.scale or UNSCALED)
 
     def _pipeline_at(self, scale: float) -> _ScalePipeline:
         if scale not in self._pipelines:
@@ -519,21 +519,21 @@ class MonoPeople:
             distance = eye_distance_px(state.track.pose, self._recorded)
         else:
             return None
-        return self._scaling.of_face(distance)
+        return self._scaling.for_face(distance)
 
     def _rescaled(self, state: MonoState) -> MonoState:
         """Return the state at the scale that fits the tracked head."""
         if state.track is None or state.scale is None or state.lost:
             return state
         distance = eye_distance_px(state.track.pose, self._recorded)
-        return state.at_scale(self._scaling.fitting(state.scale, distance))
+        return state.at_scale(self._scaling.updated(state.scale, distance))
 
     def _clicked_scale(self) -> float | None:
         """Return the scale for the clicked face; None without clicked points."""
         if self._clicked is None:
             return None
         face = face_at(self._clicked.pixels[0], 0, self._recorded)
-        return self._scaling.of_face(face.eye_distance)
+        return self._scaling.for_face(face.eye_distance)
 
     def _known_state(self, known: Arrays) -> MonoState:
         """Return the state that starts with exported people."""

@@ -45,9 +45,9 @@ def said(known: KnownPerson, model: FaceModel, camera: Camera = CAMERA, scale: f
 def test_half_the_focal_length_is_told_in_recorded_pixels() -> None:
     known, model = seen(0, FACTOR)
     (line,) = said(known, model)
-    assert line.startswith(f"focal length {CAMERA.fx:.0f} px, but the points fit ")
+    assert line.startswith(f"focal length is {CAMERA.fx:.0f} px, but the points fit ")
     (reduced,) = said(known, model, scale=0.5)  # the images were half as large as recorded
-    assert reduced.startswith(f"focal length {2.0 * CAMERA.fx:.0f} px, but the points fit ")
+    assert reduced.startswith(f"focal length is {2.0 * CAMERA.fx:.0f} px, but the points fit ")
     better = float(line.split("points fit ")[1].split(" px")[0])
     assert better > 1.5 * CAMERA.fx
     assert float(reduced.split("points fit ")[1].split(" px")[0]) == pytest.approx(2.0 * better, abs=2.0)

@@ -17,7 +17,7 @@ from posetrack_cli.head.detection.appearance import (
     histograms,
     load_appearance,
 )
-from posetrack_cli.head.detection.fit import find_jointly
+from posetrack_cli.head.detection.fit import fit_jointly
 from posetrack_cli.head.detection.responses import HEIGHT, WIDTH
 from posetrack_cli.head.face.points import FEATURES, MIRRORED, POINT_COUNT
 from research import face_features
@@ -89,21 +89,21 @@ def test_points_do_not_leave_a_face_for_what_alone_looks_like_them() -> None:
     flat = np.full((HEIGHT, WIDTH), 128, np.uint8)
     pose = np.array([110.0, 75.0, 0.95, 0.0, 0.0, 0.0])
     expected = 0.95 * (FEATURES[:, :2] * [1.0, -1.0]) + pose[:2]
-    found = find_jointly(flat, expected + np.array([2.0, -1.0]), pose, load_appearance())
+    found = fit_jointly(flat, expected + np.array([2.0, -1.0]), pose, load_appearance())
     assert np.abs(found.pixels - expected).max() < 8.0
     assert found.probabilities.max() < 0.9
     assert found.misfit_px < 2.0
 
 
 def test_files_that_hold_something_else_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="no such file"):
+    with pytest.raises(UsageError, match="no such appearance model"):
         load_appearance(tmp_path / "missing.npz")
     good = {"constants": np.zeros(5), "shape_modes": np.zeros((2, 10, 3))}
     shape = (len(RIGHT_SIDE), BINS, TAPS, TAPS)
     for number, weights in enumerate((np.zeros((2, 3)), np.full(shape, np.nan))):
         path = tmp_path / f"{number}.npz"
         np.savez(path, weights=weights, **good)  # type: ignore[arg-type]
-        with pytest.raises(ResultError, match="does not say what faces look like"):
+        with pytest.raises(ResultError, match="not an appearance model"):
             load_appearance(path)
     np.savez(tmp_path / "good.npz", weights=np.zeros(shape), **good)  # type: ignore[arg-type]
     assert not load_appearance(tmp_path / "good.npz").weights.any()

@@ -12,7 +12,7 @@ from posetrack_cli import limits
 from posetrack_cli.errors import PosetrackError, UsageError
 from posetrack_cli.head.config import DetectionSettings
 from posetrack_cli.head.detection.detector import FaceDetector
-from posetrack_cli.head.detection.finders import TURNS, FaceGuess, HaarFaces, YunetFaces, find_turned
+from posetrack_cli.head.detection.finders import ROTATIONS, FaceGuess, HaarFaces, YunetFaces, find_rotated
 from posetrack_cli.head.face.points import EYES, MIRRORED
 
 # The detector's points lie within these of the truth's vertices, mm, once each point's constant offset is
@@ -129,7 +129,7 @@ def test_a_missing_model_and_a_file_that_is_none_are_refused(tmp_path: Path) -> 
         FaceDetector(DetectionSettings(detector="yunet", model=str(tmp_path / "none.onnx")))
     wrong = tmp_path / "wrong.onnx"
     wrong.write_bytes(b"no network")
-    with pytest.raises(UsageError, match="not a model of YuNet"):
+    with pytest.raises(UsageError, match="not a YuNet model"):
         FaceDetector(DetectionSettings(detector="yunet", model=str(wrong)))
 
 
@@ -150,11 +150,11 @@ def test_a_rolled_face_is_found_where_it_is(degrees: float) -> None:
     for place, value in ((dark, 0), (bright, 255)):
         x, y = np.rint(place).astype(int)
         image[y - 6 : y + 7, x - 6 : x + 7] = value
-    (found,) = find_turned(Upright(), image, (0.0, *TURNS))
+    (found,) = find_rotated(Upright(), image, (0.0, *ROTATIONS))
     np.testing.assert_allclose(found.middle, dark, atol=1.0)
     np.testing.assert_allclose(found.eyes[0][0], dark, atol=1.0)
     assert abs(np.degrees(found.roll) - degrees) < 17.0 + 1.2
-    assert not find_turned(Upright(), image, (roll + np.pi,))
+    assert not find_rotated(Upright(), image, (roll + np.pi,))
 
 
 def test_an_opencv_without_cascades_is_named_with_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -179,11 +179,11 @@ ROW = ",".join(["0", *["5.0"] * 20])
 WIDE = ",".join(["frame", *(f"{name}_{axis}" for name in POINT_NAMES for axis in "xy")])
 HOSTILE = {
     "an empty file": ("l.csv", "", "is empty"),
-    "no points": ("l.csv", "frame,a,b\n1,2,3\n", "no column is of a keypoint"),
+    "no points": ("l.csv", "frame,a,b\n1,2,3\n", "no keypoint columns"),
     "51 points": (
         "l.csv",
         ",".join(["frame", *(f"{a}_{k}" for a in "xy" for k in range(51))]) + "\n",
-        "has other points, found point 50, expected 10, 68, 70, 468 or 478 points",
+        "unknown set of points, found point 50, expected 10, 68, 70, 468 or 478 points",
     ),
     "another name": (
         "l.csv",
@@ -191,13 +191,13 @@ HOSTILE = {
         "line 2: unknown point, found 'left_ear'",
     ),
     "in space": ("l.csv", WIDE.replace("_x", "_x_mm").replace("_y", "_y_mm") + f"\n{ROW}\n", "found mm"),
-    "far away": ("l.csv", f"{WIDE}\n{ROW.replace('5.0', '5e6')}\n", "unit cannot be told.*--landmarks-unit"),
+    "far away": ("l.csv", f"{WIDE}\n{ROW.replace('5.0', '5e6')}\n", "unknown unit.*--landmarks-unit"),
     "too few in a list": (
         "l.json",
         json.dumps([{"faceLandmarks": [[[1, 2]] * 71]}]),
-        "has another number of points, found 71, expected 10, 68, 70, 468 or 478",
+        "unexpected number of points, found 71, expected 10, 68, 70, 468 or 478",
     ),
-    "faces that are none": ("l.json", json.dumps([{"faces": 7}]), "faces are no list, found int"),
+    "faces that are none": ("l.json", json.dumps([{"faces": 7}]), "faces are not a list, found int"),
     "no JSON": ("l.json", "{", "is not valid JSON"),
     "a frame before the first": (
         "l.csv",

@@ -10,7 +10,7 @@ from posetrack_cli.head.config import RefinementSettings
 from posetrack_cli.head.face.rig_images import RigImages, project
 from posetrack_cli.head.face.templates import GRID, SIZE, normalise, sample_grid, take_templates
 from posetrack_cli.head.refinement.evidence import ComparedFrame
-from posetrack_cli.head.refinement.refine import Printed, recalculate_2d_as_printed
+from posetrack_cli.head.refinement.refine import PrintedConstants, recalculate_2d_as_printed
 from support.textured_face import FACING, SHAPE, stereo, textured_face
 
 CAMERAS = stereo(1)
@@ -51,7 +51,7 @@ def cost(printed, image, before, k, point_in_camera):
 @pytest.mark.parametrize("epsilon", [4000.0, 40.0])
 def test_no_place_nearby_costs_less(epsilon):
     """A simplex search from where it ended finds nothing better but for the kinks."""
-    printed = Printed(4.0, epsilon)
+    printed = PrintedConstants(4.0, epsilon)
     images = FACE.render(CAMERAS, FACING, SHAPE + OFFSETS_MM)
     before = FACE.render(CAMERAS, FACING, SHAPE, gain=0.95)
     previous = take_templates(RigImages(CAMERAS, before), FACING, SHAPE)
@@ -70,7 +70,7 @@ def test_an_image_that_moved_is_found_where_it_moved_to():
     """By whole pixels, so that the regions are equal and only their places differ."""
     shift = np.array([2.0, -1.0])
     moved = [np.roll(FIRST[0], (-1, 2), axis=(0, 1))]
-    _, pixels, correlations = recalculated(moved, Printed(4.0, 1e-3))
+    _, pixels, correlations = recalculated(moved, PrintedConstants(4.0, 1e-3))
     np.testing.assert_allclose(pixels - EXPECTED, np.broadcast_to(shift, (10, 2)), atol=0.02)
     # Templates are as those of the tracker, sampled at the true place: equal but for interpolation.
     assert correlations.min() > 0.99
@@ -78,20 +78,20 @@ def test_an_image_that_moved_is_found_where_it_moved_to():
 
 def test_without_noise_and_movement_nothing_moves():
     previous = take_templates(RigImages(CAMERAS, FIRST), FACING, SHAPE)
-    _, pixels, correlations = recalculated(FIRST, Printed(4.0, 4000.0), previous)
+    _, pixels, correlations = recalculated(FIRST, PrintedConstants(4.0, 4000.0), previous)
     np.testing.assert_allclose(pixels, EXPECTED, atol=1e-9)
     np.testing.assert_allclose(correlations, 1.0, atol=1e-9)
 
 
 def test_a_strong_prior_keeps_points_where_the_filter_has_them():
     expected = EXPECTED + np.array([1.5, -0.5])
-    _, pixels, _ = recalculated(FIRST, Printed(4.0, 1e9), start=EXPECTED, expected=expected)
+    _, pixels, _ = recalculated(FIRST, PrintedConstants(4.0, 1e9), start=EXPECTED, expected=expected)
     np.testing.assert_allclose(pixels, expected, atol=1e-2)
 
 
 def test_the_step_is_that_of_the_normal_equations_mended():
     """One step against D and d written out with matrices; the print's factor 2 would weigh E_M half."""
-    printed = Printed(4.0, 4000.0)
+    printed = PrintedConstants(4.0, 4000.0)
     images = FACE.render(CAMERAS, FACING, SHAPE + OFFSETS_MM)
     previous = take_templates(RigImages(CAMERAS, FIRST), FACING, SHAPE)
     expected = EXPECTED + np.array([0.4, 0.3])
@@ -108,7 +108,7 @@ def test_the_step_is_that_of_the_normal_equations_mended():
 
 def test_correlations_are_those_of_the_templates():
     images = FACE.render(CAMERAS, FACING, SHAPE + OFFSETS_MM, noise=3.0)
-    scene, pixels, correlations = recalculated(images, Printed(4.0, 4000.0))
+    scene, pixels, correlations = recalculated(images, PrintedConstants(4.0, 4000.0))
     for k in range(10):
         patch = np.empty(SIZE)
         normalise(region(images[0], pixels[k]), patch)
@@ -118,6 +118,6 @@ def test_correlations_are_those_of_the_templates():
 def test_a_point_outside_the_image_stays_and_has_no_correlation():
     start = EXPECTED.copy()
     start[3] = [-40.0, 10.0]
-    _, pixels, correlations = recalculated(FIRST, Printed(4.0, 4000.0), start=start)
+    _, pixels, correlations = recalculated(FIRST, PrintedConstants(4.0, 4000.0), start=start)
     np.testing.assert_array_equal(pixels[3], start[3])
     np.testing.assert_array_equal(np.isnan(correlations), np.arange(10) == 3)

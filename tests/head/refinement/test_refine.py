@@ -12,7 +12,7 @@ from posetrack_cli.head.config import RefinementSettings
 from posetrack_cli.head.face.rig_images import RigImages, project
 from posetrack_cli.head.face.templates import take_templates
 from posetrack_cli.head.refinement.evidence import ComparedFrame
-from posetrack_cli.head.refinement.refine import Printed, recalculate, recalculate_2d_as_printed
+from posetrack_cli.head.refinement.refine import PrintedConstants, recalculate, recalculate_2d_as_printed
 from support.textured_face import FACING, SHAPE, stereo, textured_face
 
 (CAMERA,) = stereo(1)
@@ -57,7 +57,7 @@ def test_points_are_moved_in_the_image_from_where_they_were_before():
     scene, result = found(start=start, settings=settings)
     pixels, expected = (project((CAMERA,), TURNED.points(shape)).pixels[0] for shape in (start, SHAPE))
     correlations = np.empty(10)
-    printed = Printed(settings.rho, settings.epsilon)
+    printed = PrintedConstants(settings.rho, settings.epsilon)
     recalculate_2d_as_printed(scene, expected, printed, 1, pixels, correlations)
     np.testing.assert_allclose(result.pixels[0], pixels, atol=ROUNDING)
     np.testing.assert_allclose(result.correlations[0], correlations, atol=ROUNDING)

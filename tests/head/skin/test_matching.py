@@ -19,7 +19,7 @@ from posetrack_cli.head.skin.matching import (
     SEEN_DEG,
     WIDTH,
     WINDOW,
-    find_again,
+    track_points,
     views_for,
 )
 
@@ -56,7 +56,7 @@ def textured(shift: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
 @pytest.mark.parametrize("shift", [(0.0, 0.0), (0.37, -0.61), (2.25, 1.4), (-3.8, 2.6)])
 def test_what_was_moved_is_found_to_a_part_of_a_pixel(shift: tuple[float, float]) -> None:
     """Without a word of where it went."""
-    places, found = find_again(textured(), GRID, textured(shift), GRID)
+    places, found = track_points(textured(), GRID, textured(shift), GRID)
     assert found.mean() > 0.95  # a window that looks like a line may slip
     np.testing.assert_allclose(places[found], GRID[found] + shift, atol=FOUND_PX)
 
@@ -65,7 +65,7 @@ def test_what_went_far_is_found_where_it_is_expected() -> None:
     shift = (24.3, -17.8)
     second = textured(shift)
     inside = GRID[(GRID[:, 1] > 50.0) & (GRID[:, 0] < 120.0)]
-    places, found = find_again(textured(), inside, second, inside + np.array([25.0, -19.0]))
+    places, found = track_points(textured(), inside, second, inside + np.array([25.0, -19.0]))
     assert found.mean() > 0.95
     np.testing.assert_allclose(places[found], inside[found] + shift, atol=FOUND_PX)
 
@@ -73,7 +73,7 @@ def test_what_went_far_is_found_where_it_is_expected() -> None:
 @pytest.mark.parametrize("shift", [(13.0, 0.0), (24.3, -17.8)])
 def test_nothing_is_found_far_from_where_it_is_expected(shift: tuple[float, float]) -> None:
     """What is found is something else, if by chance; never the place itself."""
-    places, found = find_again(textured(), GRID, textured(shift), GRID)
+    places, found = track_points(textured(), GRID, textured(shift), GRID)
     assert np.all(np.linalg.norm(places[found] - GRID[found], axis=1) < FAR_PX)
     assert found.mean() < CHANCE
 
@@ -82,7 +82,7 @@ def test_places_on_an_even_area_are_not_found() -> None:
     """A window that reaches into the texture has something to hold on to."""
     first, second = textured(), textured((0.5, 0.5))
     first[60:120, 60:120] = second[60:120, 60:120] = int(GREY)
-    _, found = find_again(first, GRID, second, GRID)
+    _, found = track_points(first, GRID, second, GRID)
     away = np.abs(GRID - 90.0).max(axis=1)  # from its middle
     on_it = away < 30 - WINDOW[0]
     assert on_it.sum() >= 4 and not found[on_it].any()
@@ -93,7 +93,7 @@ def test_places_on_an_even_area_are_not_found() -> None:
 def test_places_that_are_covered_are_not_found(by: str) -> None:
     first, second = textured(), textured((0.5, 0.5))
     second[60:150] = cv2.flip(second, 1)[60:150] if by == TEXTURE else int(GREY)
-    _, found = find_again(first, GRID, second, GRID)
+    _, found = track_points(first, GRID, second, GRID)
     covered = (GRID[:, 1] > 60 + WINDOW[1]) & (GRID[:, 1] < 150 - WINDOW[1])
     assert covered.sum() >= 20 and found[covered].mean() < (CHANCE if by == TEXTURE else 0.02)
     reached = (GRID[:, 1] > 60 - WINDOW[1]) & (GRID[:, 1] < 150 + WINDOW[1])
@@ -102,9 +102,9 @@ def test_places_that_are_covered_are_not_found(by: str) -> None:
 
 def test_places_outside_the_crops_are_not_found() -> None:
     outside = np.array([[-50.0, 40.0], [40.0, 1e6], [-1e9, -1e9]])
-    _, found = find_again(textured(), outside, textured(), outside)
+    _, found = track_points(textured(), outside, textured(), outside)
     assert not found.any()
-    _, found = find_again(textured(), GRID[:3], textured(), outside)
+    _, found = track_points(textured(), GRID[:3], textured(), outside)
     assert not found.any()
 
 

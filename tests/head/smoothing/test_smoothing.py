@@ -24,8 +24,14 @@ from posetrack_cli.head.face.points import BROWS, MEAN_SHAPE, POINT_COUNT, HeadP
 from posetrack_cli.head.multilinear.face_model import load_face_model
 from posetrack_cli.head.smoothing import fits as head_fits
 from posetrack_cli.head.smoothing import frames as track
-from posetrack_cli.head.smoothing.fits import FLAT, SKIN_SD, UNKNOWN_SPEED, HeadFits, local_line
-from posetrack_cli.head.smoothing.frames import HeadFrame, HeadMemory, Link, Reach, chained, with_speeds
+from posetrack_cli.head.smoothing.fits import (
+    SKIN_SD,
+    SLOPE_REGULARISATION,
+    UNKNOWN_SPEED,
+    HeadFits,
+    local_line,
+)
+from posetrack_cli.head.smoothing.frames import GapLimit, HeadFrame, HeadMemory, Link, chained, with_speeds
 from posetrack_cli.head.subject import MONO_TRACK, STEREO_TRACK, head_subject
 from posetrack_cli.results.estimate import Estimate, Status
 from posetrack_cli.tracking.smoothing import STATUSES
@@ -35,7 +41,7 @@ UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
 """A head that looks at the camera: y up is the camera's -y."""
 FRAME_NS, COMPONENTS = 40_000_000, 2
 SUBJECT = head_subject("left", COMPONENTS)
-REACH = Reach(0.2)
+REACH = GapLimit(0.2)
 
 
 def frame(index: int, position: FloatArray, lost: bool = False, **changes: object) -> HeadFrame:
@@ -304,7 +310,7 @@ def test_lines_stay_lines_and_one_frame_stays_where_it_is() -> None:
     values = lines + times[:, None, None] * 10.0
     value, slope = local_line(times, values, np.full((5, 2), 0.5), 0.05)
     np.testing.assert_allclose(value, lines, atol=0.01)  # the slope's share that is missing, times .04 s
-    np.testing.assert_allclose(slope, 10.0, rtol=3.0 * FLAT)
+    np.testing.assert_allclose(slope, 10.0, rtol=3.0 * SLOPE_REGULARISATION)
     alone, flat = local_line(np.zeros(1), lines[None], np.ones((1, 2)), 0.05)
     np.testing.assert_allclose(flat, 0.0, atol=1e-9)
     np.testing.assert_allclose(alone, lines)

@@ -24,9 +24,9 @@ from posetrack_cli.head.face.points import (
     LEAST_REDUCTION,
     MARGIN_PX,
     POINT_COUNT,
+    RESCALE_RATIO,
     STEP,
-    TOO_FAR,
-    WHOLE,
+    UNSCALED,
     HeadPose,
     Scaling,
     enlarged,
@@ -88,7 +88,7 @@ class Told:
 class Scene:
     """A tracker of the drawn face, in images of so much of their size."""
 
-    def __init__(self, config: HeadMonoConfig = SMALL, size: float = WHOLE, **how: object) -> None:
+    def __init__(self, config: HeadMonoConfig = SMALL, size: float = UNSCALED, **how: object) -> None:
         self.told, self.rng, self.size = Told(), np.random.default_rng(0), size
         camera = scaled_camera(SCENE_CAMERA, size)
         with patch.object(mono, "FaceDetector", lambda settings: self.told):
@@ -108,7 +108,7 @@ def eyes_px() -> float:
     """Between the drawn face's eyes in the first frame, as the tracker measures it."""
     scene = Scene(AS_IT_IS)
     scene.step(0)
-    assert scene.state is not None and scene.state.scale == WHOLE
+    assert scene.state is not None and scene.state.scale == UNSCALED
     return scene.state.candidates[0].eye_distance
 
 
@@ -206,13 +206,13 @@ def test_a_face_outside_is_looked_for_in_the_dark(pixels: np.ndarray) -> None:
 
 @pytest.mark.parametrize("eyes", [80.0 * LEAST_REDUCTION, 80.0, 80.0 / LEAST_REDUCTION - 0.01])
 def test_faces_of_nearly_the_size_wanted_stay(eyes: float) -> None:
-    assert USUAL.of_face(eyes) == WHOLE
+    assert USUAL.for_face(eyes) == UNSCALED
 
 
 @given(st.floats(1.0, 2000.0))
 def test_others_come_to_the_size_wanted_or_near_it(eyes: float) -> None:
-    scale = USUAL.of_face(eyes)
-    assert scale <= LARGEST_SCALE and (scale < WHOLE or scale % STEP == 0.0)
+    scale = USUAL.for_face(eyes)
+    assert scale <= LARGEST_SCALE and (scale < UNSCALED or scale % STEP == 0.0)
     if eyes > 80.0 / LARGEST_SCALE:
         assert 80.0 * LEAST_REDUCTION <= scale * eyes <= 80.0 / LEAST_REDUCTION
 
@@ -221,21 +221,21 @@ def test_no_image_is_enlarged_beyond_a_size() -> None:
     wide = replace(CAMERA, width=4000)
     assert USUAL.usable(10.0) == LARGEST_SCALE
     assert USUAL._replace(camera=wide).usable(10.0) * wide.width <= LARGEST_SIDE_PX
-    assert USUAL._replace(camera=replace(CAMERA, width=20_000)).usable(10.0) == WHOLE
+    assert USUAL._replace(camera=replace(CAMERA, width=20_000)).usable(10.0) == UNSCALED
     assert USUAL.usable(0.3) == 0.3
-    never = USUAL._replace(largest=WHOLE)
-    assert never.of_face(5.0) == WHOLE and never.of_face(160.0) == 0.5
+    never = USUAL._replace(largest=UNSCALED)
+    assert never.for_face(5.0) == UNSCALED and never.for_face(160.0) == 0.5
 
 
 @given(st.floats(10.0, 500.0), st.floats(10.0, 500.0))
 def test_a_scale_is_changed_only_where_another_is_much_better(first: float, later: float) -> None:
-    scale = USUAL.of_face(first)
-    changed = USUAL.fitting(scale, later)
-    if 1.0 / TOO_FAR < scale * later / 80.0 < TOO_FAR:
+    scale = USUAL.for_face(first)
+    changed = USUAL.updated(scale, later)
+    if 1.0 / RESCALE_RATIO < scale * later / 80.0 < RESCALE_RATIO:
         assert changed == scale
     else:
-        assert changed == USUAL.of_face(later)
-        assert USUAL.fitting(changed, later) == changed
+        assert changed == USUAL.for_face(later)
+        assert USUAL.updated(changed, later) == changed
 
 
 def test_a_large_face_is_tracked_in_reduced_images_from_the_frame_in_which_it_is_found() -> None:
@@ -304,7 +304,7 @@ def test_a_small_face_is_looked_for_in_recorded_images_and_tracked_in_enlarged_o
     for index in range(8):
         assert scene.step(index).status is Status.TRACKING
     assert scene.state is not None and scene.state.track is not None
-    assert scene.state.scale == USUAL.of_face(TINY * eyes_px()) > 3.0
+    assert scene.state.scale == USUAL.for_face(TINY * eyes_px()) > 3.0
     assert set(scene.told.sizes) == {(120, 160)}
     assert_lawful(scene.tracker.codec, scene.state)
 
@@ -319,7 +319,7 @@ def test_the_turn_of_a_small_face_is_seen_in_enlarged_images() -> None:
             errors.append(rotation_errors_deg(estimate.quaternion, pose_at(index).quaternion))
         return float(np.mean(errors[20:]))
 
-    as_recorded = AS_IT_IS.start.model_copy(update={"largest_scale": WHOLE})
+    as_recorded = AS_IT_IS.start.model_copy(update={"largest_scale": UNSCALED})
     assert wrong_deg(AS_IT_IS) < 0.5 * wrong_deg(AS_IT_IS.model_copy(update={"start": as_recorded}))
 
 
@@ -340,7 +340,7 @@ def test_a_head_that_comes_nearer_or_goes_away_is_looked_at_at_another_scale(
         estimate = scene.step(index)
         assert scene.state is not None and scene.state.scale is not None
         apparent = scene.state.scale * 63.0 * SCENE_CAMERA.fx / pose(index).position[2]
-        assert WANTED_PX / TOO_FAR / 1.1 < apparent < WANTED_PX * TOO_FAR * 1.1
+        assert WANTED_PX / RESCALE_RATIO / 1.1 < apparent < WANTED_PX * RESCALE_RATIO * 1.1
         scales.append(scene.state.scale)
     assert 1 <= len(set(scales[10:])) - 1 <= 2
     assert estimate.position[2] == pytest.approx(last_mm, rel=0.05)
@@ -352,7 +352,9 @@ def test_at_another_scale_the_same_is_known() -> None:
     for index in range(12):
         scene.step(index)
     before = scene.state
-    assert before is not None and before.scale == WHOLE and before.person.views and before.person.album.views
+    assert (
+        before is not None and before.scale == UNSCALED and before.person.views and before.person.album.views
+    )
     after = before.at_scale(2.5)
     assert after.scale == 2.5 and after.track is before.track
     assert after.person.templates is before.person.templates
@@ -363,7 +365,7 @@ def test_at_another_scale_the_same_is_known() -> None:
         for large, whole in zip(mine, theirs, strict=True):
             np.testing.assert_allclose(large.pixels, scaled_pixels(whole.pixels, 2.5))
             assert large.pose is whole.pose
-    assert before.at_scale(WHOLE) is before
+    assert before.at_scale(UNSCALED) is before
 
 
 @pytest.mark.parametrize("config", [SMALL, AS_IT_IS], ids=["reduced", "whole"])
