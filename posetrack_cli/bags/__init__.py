@@ -1,1 +1,1 @@
-"""Files of messages, whatever their container: MCAP, ROS 1 bags, ROS 2 databases and folders."""
+"""Files of messages in any container: MCAP, ROS 1 bags, ROS 2 databases and folders."""

@@ -1,4 +1,4 @@
-"""Which file holds messages, and what all of them give: schema, channel and message, as MCAP calls them."""
+"""Containers of messages, with MCAP's schema, channel and message as the common interface."""
 
 from __future__ import annotations
 
@@ -17,32 +17,32 @@ from posetrack_cli.mcap.stream import McapFile, McapItem, Topics, is_mcap
 
 
 class MessageFile(Protocol):
-    """A file or folder of messages, read as far as it can be."""
+    """A file or folder of messages, read as far as possible."""
 
     @property
     def path(self) -> Path:
-        """Where it is."""
+        """Path of the file or folder."""
 
     @property
     def losses(self) -> LossLog:
-        """What could not be read so far."""
+        """Unreadable data met by the passes made."""
 
     def messages(self, topics: Topics = None) -> Iterator[McapItem]:
         """Yield schema, channel and message of all messages, or of those on some topics."""
 
     def counts(self) -> list[tuple[Schema | None, Channel, int]] | None:
-        """Return every channel with the number of its messages; None where only reading all of it tells."""
+        """Return every channel with its number of messages; None if that requires reading the file."""
 
 
 @dataclass(frozen=True)
 class Container:
-    """A kind of such files.
+    """A kind of container.
 
     Attributes:
-        kind: as run records and descriptions call it.
-        words: as people do.
-        holds: whether a path that exists is one.
-        open: returns it; losses go to the log given.
+        kind: its name in run records and descriptions.
+        words: its name as text.
+        holds: returns whether an existing path is of this kind.
+        open: returns the container; losses go to the given log.
     """
 
     kind: str
@@ -56,16 +56,14 @@ CONTAINERS = (
     Container("bag", "ROS 1 bag", is_ros1_bag, Ros1Bag),
     Container("db3", "ROS 2 database", is_database, Ros2Database),
 )
-"""All that are files."""
 FOLDER = Container("ros2", "ROS 2 folder", is_ros2_folder, Ros2Folder)
-"""Of files of these containers."""
 
 
 def container_of(path: Path) -> Container | None:
-    """Return what kind of messages a path holds, None for none.
+    """Return the kind of container at a path, None if it is not one.
 
     Raises:
-        RecordingError: it cannot be read.
+        RecordingError: the path cannot be read.
     """
     if path.is_dir():
         return FOLDER if FOLDER.holds(path) else None
@@ -76,21 +74,21 @@ def container_of(path: Path) -> Container | None:
 
 
 def required_container(path: Path) -> Container:
-    """As ``container_of``, but that it holds none is an error.
+    """Return the kind of container at a path, as ``container_of`` does.
 
     Raises:
-        RecordingError: it cannot be read, or holds no messages.
+        RecordingError: the path cannot be read, or is not a container.
     """
     container = container_of(path)
     if container is None:
-        raise RecordingError("holds no messages", where=path, expected="MCAP, or a bag of ROS 1 or ROS 2")
+        raise RecordingError("not a file of messages", where=path, expected="MCAP, or a ROS 1 or ROS 2 bag")
     return container
 
 
 def message_file(path: Path, losses: LossLog | None = None) -> MessageFile:
-    """Open a file or folder of messages; what cannot be read goes to ``losses``, by default to nobody.
+    """Open a file or folder of messages; unreadable data go to ``losses`` if given.
 
     Raises:
-        RecordingError: it is none.
+        RecordingError: the path is not a container.
     """
     return required_container(path).open(path, losses)

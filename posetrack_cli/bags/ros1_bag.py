@@ -1,7 +1,7 @@
-"""ROS 1 bags, version 2.0, intact or not, read from the beginning: no index is needed, and none believed.
+"""ROS 1 bags, version 2.0, intact or damaged, read sequentially without relying on the index.
 
-A bag is a sequence of records: each a head of named fields and data. Chunks hold connections and messages, as
-they are or compressed by bz2 or LZ4 (ROS wiki, "Bags/Format/2.0").
+A bag is a sequence of records: a header of named fields, and data. Chunks hold connections and messages,
+raw or compressed with bz2 or LZ4 (ROS wiki, "Bags/Format/2.0").
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ from posetrack_cli.mcap.stream import (
 from posetrack_cli.units import NS_PER_S
 
 MAGIC = b"#ROSBAG V2.0\n"
+# Record kinds that are read; others are the bag header and chunk indices.
 MESSAGE, CHUNK, CHUNK_INFO, CONNECTION = 2, 5, 6, 7
-"""Kinds of records that are read; others are the bag's head and the index of a chunk."""
+# A bag's names of compressions, mapped to those of ``bounded_content``.
 COMPRESSIONS = {b"none": "", b"lz4": "lz4", b"bz2": "bz2"}
-"""By what a bag calls them, what ``bounded_content`` does."""
+# Exceptions of damaged records; bz2 and LZ4 raise the last three.
 DAMAGE = (ValueError, LookupError, struct.error, EOFError, RuntimeError, OSError)
-"""Errors of damaged records, the last three of bz2 and LZ4."""
 _LENGTH = struct.Struct("<I")
 _TIME = struct.Struct("<II")
 _PAIR = struct.Struct("<II")
@@ -53,7 +53,7 @@ _INDEX_AT = struct.Struct("<Q")
 
 @dataclass(frozen=True)
 class _Record:
-    """One record: its fields, where its data is and how much of it."""
+    """One record: header fields, and offset and length of its data."""
 
     fields: Mapping[bytes, bytes]
     start: int
@@ -72,32 +72,33 @@ class _Record:
 
 
 def is_ros1_bag(path: Path) -> bool:
-    """Whether a file begins as a ROS 1 bag does.
+    """Return whether a file begins like a ROS 1 bag.
 
     Raises:
-        OSError: it cannot be read.
+        OSError: the file cannot be read.
     """
     return begins_with(path, MAGIC)
 
 
 class Ros1Bag:
-    """A bag to be read, as far as it can be; also one whose recording was interrupted, which has no index.
+    """A bag, read as far as possible, including interrupted recordings without index.
 
     Args:
         path: the file.
-        losses: gets what cannot be read; by default nobody is told.
+        losses: receives unreadable data.
     """
 
     def __init__(self, path: Path, losses: LossLog | None = None) -> None:
         self.path, self.losses = path, LossLog() if losses is None else losses
 
     def messages(self, topics: Topics = None) -> Iterator[McapItem]:
-        """Yield schema, channel and message of all messages, or of those on some topics, in file order.
+        """Yield schema, channel and message, of all or some topics, in file order.
 
-        A damaged record is left out, and a chunk beyond ``limits``; of one that is cut what is whole is read.
+        Damaged records and chunks beyond ``limits`` are skipped; the intact part of a truncated chunk is
+        read.
 
         Raises:
-            RecordingError: chunks decompress to more than any recording's.
+            RecordingError: chunks expand beyond ``limits``.
         """
         reading = _Reading(self.path, self.losses, topics)
         with open_input(self.path) as stream:
@@ -121,7 +122,7 @@ class Ros1Bag:
                 position = record.end
 
     def counts(self) -> list[tuple[Schema | None, Channel, int]] | None:
-        """Return every channel with the number of its messages, as the index tells; None if there is none."""
+        """Return every channel with its number of messages in the index; None without an index."""
         reading, counted = _Reading(self.path, LossLog(), None), dict[int, int]()
         try:
             with open_input(self.path) as stream:
@@ -150,7 +151,7 @@ class Ros1Bag:
 
 
 class _Reading:
-    """One pass over a bag: its connections, and what of it is wanted."""
+    """One pass over a bag: its connections, and the wanted topics."""
 
     def __init__(self, path: Path, losses: LossLog, topics: Topics) -> None:
         self.known: dict[int, tuple[Schema, Channel]] = {}
@@ -160,7 +161,7 @@ class _Reading:
         self._definitions_left = limits.DEFINITION_BYTES
 
     def record(self, record: _Record, stream: IO[bytes]) -> Iterator[McapItem]:
-        """Yield what a record of the file holds."""
+        """Yield the messages of a record."""
         if record.kind == CHUNK:
             if record.length > limits.CHUNK_BYTES:
                 self._losses.add(
@@ -172,7 +173,7 @@ class _Reading:
             yield from self._item(record, stream.read(record.length), record.end)
 
     def chunk(self, record: _Record, data: bytes, *, cut: bool) -> Iterator[McapItem]:
-        """Yield the messages of a chunk; one that cannot be read is a loss and no error."""
+        """Yield the messages of a chunk; an unreadable one is a loss, not an error."""
         where = f"before byte {record.end} of {self._size}"
         try:
             yield from self._content(record, data, where, cut=cut)
@@ -182,13 +183,13 @@ class _Reading:
             self._losses.add(DAMAGED_CHUNK, where)
 
     def connection(self, record: _Record, data: bytes) -> None:
-        """Learn a connection: its topic and type; the type's definition is only compared."""
+        """Store a connection's topic and type; the type's definition is only compared later."""
         number = record.number(b"conn")
         if number in self.known:
             return
         self._definitions_left -= len(data)
         if self._definitions_left < 0:
-            raise ChunkLimitError("connections are larger than any recording's")
+            raise ChunkLimitError(f"connections exceed {limits.DEFINITION_BYTES} bytes")
         own = _fields(data)
         name, definition = _text(own[b"type"]), own[b"message_definition"]
         schema = Schema(id=number + 1, name=name, encoding="ros1msg", data=definition)
@@ -232,10 +233,10 @@ class _Reading:
 
 
 def _read_head(stream: IO[bytes], position: int, size: int) -> _Record | None:
-    """Read the head of a record and leave the stream at its data; None where the file ends before.
+    """Read a record header and leave the stream at its data; None at the end of the file.
 
     Raises:
-        ValueError: it is none.
+        ValueError: the bytes are not a header.
     """
     stream.seek(position)
     length = stream.read(_LENGTH.size)
@@ -243,7 +244,7 @@ def _read_head(stream: IO[bytes], position: int, size: int) -> _Record | None:
         return None
     (count,) = _LENGTH.unpack(length)
     if count > limits.BAG_HEAD_BYTES:
-        raise ValueError(f"head of {count} bytes")
+        raise ValueError(f"header of {count} bytes")
     head = stream.read(count + _LENGTH.size)
     if len(head) < count + _LENGTH.size:
         return None
@@ -253,7 +254,7 @@ def _read_head(stream: IO[bytes], position: int, size: int) -> _Record | None:
 
 
 def _head_in(content: bytes, position: int) -> _Record | None:
-    """As ``_read_head``, within the content of a chunk."""
+    """Return the record at a position of a chunk's content; None at its end."""
     begin = position + _LENGTH.size
     if begin > len(content):
         return None
@@ -266,10 +267,10 @@ def _head_in(content: bytes, position: int) -> _Record | None:
 
 
 def _fields(data: bytes) -> dict[bytes, bytes]:
-    """Return named fields: each a length, its name, an equals sign and its value.
+    """Return named fields: each a length, name, equals sign and value.
 
     Raises:
-        ValueError, struct.error: these are none.
+        ValueError, struct.error: the bytes are not fields.
     """
     fields, position = {}, 0
     while position < len(data):
@@ -277,16 +278,16 @@ def _fields(data: bytes) -> dict[bytes, bytes]:
         position += _LENGTH.size
         name, equals, value = data[position : position + length].partition(b"=")
         if not equals or position + length > len(data):
-            raise ValueError("no field of a bag")
+            raise ValueError("not a header field")
         fields[name] = value
         position += length
     return fields
 
 
 def _checked(fields: dict[bytes, bytes]) -> dict[bytes, bytes]:
-    """Raise ValueError for fields that do not tell the kind of a record."""
+    """Raise ValueError unless the fields state the kind of a record."""
     if len(fields.get(b"op", b"")) != 1:
-        raise ValueError("no record of a bag")
+        raise ValueError("not a record")
     return fields
 
 

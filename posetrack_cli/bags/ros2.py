@@ -1,4 +1,4 @@
-"""Bags of ROS 2: .db3 databases and folders with metadata.yaml."""
+"""ROS 2 bags: .db3 databases, and folders with metadata.yaml."""
 
 from __future__ import annotations
 
@@ -24,61 +24,59 @@ from posetrack_cli.mcap.decoding import NO_DEFINITION
 from posetrack_cli.mcap.records import ExpansionBudget, bounded_content, check_size
 from posetrack_cli.mcap.stream import DAMAGED, McapFile, McapItem, Topics, is_mcap, wanted_names
 
-# ROS 2 recordings in SQLite (``.db3``): all that the database is asked for is to walk its tables.
+# ROS 2 recordings in SQLite (``.db3``)
 #
-# A database can hold views that never end, columns that are computed, virtual tables and triggers. None of
-# that is run: only stored columns of stored tables are read, and a query ends after as many steps as a table
-# of that size can take.
+# A hostile database can have endless views, computed columns, virtual tables and triggers. None of them is
+# executed: only stored columns of stored tables are read, with a step limit derived from the file size.
 
 
 MAGIC = b"SQLite format 3\0"
+# Exceptions of damaged databases; Python's sqlite3 also fails to decode names and messages.
 DAMAGE = (sqlite3.Error, zstandard.ZstdError, TypeError, ValueError, LookupError)
-"""Errors of damaged databases; Python's sqlite3 decodes names and its own errors as UTF-8, or raises."""
+# Columns read from each table; older recordings lack the last table.
 COLUMNS = {
     "topics": ("id", "name", "type", "serialization_format"),
     "messages": ("topic_id", "timestamp", "data"),
     "message_definitions": ("topic_type", "encoding", "encoded_message_definition"),
 }
-"""What is read of which tables; the last one came later."""
 _READS = frozenset((table, column) for table, columns in COLUMNS.items() for column in columns)
 _MASTER = ("type", "name", "rootpage")
 _ALLOWED = frozenset({sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ})
+# Pragma whose last value is not 0 for computed columns.
 _COLUMNS_OF = "table_xinfo"
-"""A pragma whose last value is not 0 for columns that are not stored."""
-_STEPS = 1000
-"""Between two looks at how many there were."""
+_STEPS = 1000  # steps between two calls of the progress handler
+# First bytes of compressed messages; others begin with the zero of CDR's header.
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-"""How compressed messages begin; others begin with a zero, of CDR's head."""
 WAL = "-wal"
-UNREADABLE = "message of a database that is not bytes with a time and a topic, or larger than any"
-NOT_MERGED = "the last messages are in a log beside the database, which is not read"
+UNREADABLE = "message skipped, invalid time, topic or size"
+NOT_MERGED = "the latest messages are in the write-ahead log of the database, which is not read"
 
 
 def is_database(path: Path) -> bool:
-    """Whether a file begins as SQLite's do.
+    """Return whether a file begins like an SQLite database.
 
     Raises:
-        OSError: it cannot be read.
+        OSError: the file cannot be read.
     """
     return begins_with(path, MAGIC)
 
 
 class Ros2Database:
-    """A database to be read, as far as it can be.
+    """A database, read as far as possible.
 
     Args:
         path: the file.
-        losses: gets what cannot be read; by default nobody is told.
+        losses: receives unreadable data.
     """
 
     def __init__(self, path: Path, losses: LossLog | None = None) -> None:
         self.path, self.losses = path, LossLog() if losses is None else losses
 
     def messages(self, topics: Topics = None) -> Iterator[McapItem]:
-        """Yield schema, channel and message of all messages, or of those on some topics, as they were stored.
+        """Yield schema, channel and message, of all or some topics, in stored order.
 
         Raises:
-            RecordingError: it is no database of ROS 2, or its messages are larger than any recording's.
+            RecordingError: the file is not a ROS 2 database, or messages expand beyond ``limits``.
         """
         wants = wanted_names(topics)
         with self._opened() as database:
@@ -98,7 +96,7 @@ class Ros2Database:
                 yield schema, channel, message
 
     def counts(self) -> list[tuple[Schema | None, Channel, int]] | None:
-        """Return every channel with the number of its messages."""
+        """Return every channel with its number of messages."""
         with self._opened() as database:
             known = self._channels(database)
             counted = Counter(row[0] for row in self._rows(database, "messages", (), ("topic_id",)))
@@ -107,34 +105,34 @@ class Ros2Database:
     @contextmanager
     def _opened(self) -> Iterator[sqlite3.Connection]:
         if not is_database(self.path):
-            raise RecordingError("is no database", where=self.path)
+            raise RecordingError("not an SQLite database", where=self.path)
         if _log_bytes(self.path):
             self.losses.add(NOT_MERGED, f"{self.path.name}{WAL}")
-        # immutable: nothing is written beside it, no lock, no log merged
+        # immutable: no journal, lock or log merge is written next to the file
         name = f"file:{quote(os.fsencode(self.path.absolute()))}?mode=ro&immutable=1"
         try:
             with closing(sqlite3.connect(name, uri=True, check_same_thread=False)) as database:
                 _bound(database, self.path.stat().st_size)
                 yield database
         except DAMAGE as error:
-            what = "is no database that can be read"
+            what = "not a readable database"
             raise RecordingError(what, where=self.path, found=error) from error
 
     def _channels(self, database: sqlite3.Connection) -> dict[int, tuple[Schema, Channel]]:
-        """Return schema and channel by number of the topic.
+        """Return schema and channel by topic number.
 
         Raises:
-            RecordingError: it has not the tables of ROS 2.
+            RecordingError: the tables of ROS 2 are missing.
         """
         rows = self._rows(database, "sqlite_master", (), _MASTER)
         tables = {_text(row[1]) for row in rows if _is_stored(row)}
         stored = {table for table in COLUMNS if table in tables and not _computes(database, table)}
         if not {"topics", "messages"} <= stored:
             raise RecordingError(
-                "is no recording of ROS 2",
+                "not a ROS 2 recording",
                 where=self.path,
                 found=f"tables {', '.join(sorted(tables)) or 'none'}",
-                expected="topics and messages, without computed columns",
+                expected="tables topics and messages without computed columns",
             )
         definitions: dict[str, tuple[str, bytes]] = {}
         if "message_definitions" in stored:
@@ -155,13 +153,13 @@ class Ros2Database:
         topics: Collection[int] = (),
         columns: Collection[str] | None = None,
     ) -> Iterator[tuple[Any, ...]]:
-        """Yield some columns of a table; that of messages ends where it is damaged, with a loss.
+        """Yield columns of a table; damage in the messages table ends it with a loss.
 
         Args:
-            database: open.
-            table: one that is stored.
-            topics: numbers of those whose rows are wanted; empty for all.
-            columns: by default those of ``COLUMNS``.
+            database: open database.
+            table: a stored table.
+            topics: numbers of the wanted topics; empty for all.
+            columns: by default those in ``COLUMNS``.
         """
         words = f"SELECT {', '.join(columns or COLUMNS[table])} FROM {table}"
         if topics:
@@ -175,7 +173,7 @@ class Ros2Database:
 
 
 def _bound(database: sqlite3.Connection, size: int) -> None:
-    """Have a database do nothing but walk its tables, and no more of it than they can be long."""
+    """Restrict a database to reading its tables, within a step limit."""
     left = (limits.SPARE_DATABASE_STEPS + limits.DATABASE_STEPS_PER_BYTE * size) // _STEPS
 
     def spent() -> int:
@@ -193,7 +191,7 @@ def _bound(database: sqlite3.Connection, size: int) -> None:
 def _authorised(
     action: int, table: str | None, column: str | None, name: str | None, view: str | None
 ) -> int:
-    """Allow what reads a column of a table, and what lists columns; no function, view or trigger."""
+    """Allow reading table columns and listing columns; deny functions, views and triggers."""
     if action == sqlite3.SQLITE_PRAGMA and table == _COLUMNS_OF:
         return sqlite3.SQLITE_OK
     if action not in _ALLOWED or view is not None:
@@ -205,19 +203,19 @@ def _authorised(
 
 
 def _is_stored(row: tuple[Any, ...]) -> bool:
-    """Whether a row of the master table is of a table that has pages of its own: no view, nothing virtual."""
+    """Return whether a row of the master table is a table with pages, not a view or virtual table."""
     kind, _, page = row
     return bool(kind == b"table" and isinstance(page, int) and page > 0)
 
 
 def _computes(database: sqlite3.Connection, table: str) -> bool:
-    """Whether a table has columns that are computed, by whatever function takes long."""
+    """Return whether a table has computed columns, which may run arbitrary functions."""
     return any(row[-1] for row in database.execute(f"PRAGMA {_COLUMNS_OF}({table})"))
 
 
 def _message(number: int, stamp: Any, data: Any, budget: ExpansionBudget) -> Message:
     if not isinstance(stamp, int) or not isinstance(data, bytes):
-        raise TypeError("no time or no bytes")
+        raise TypeError("invalid time or data")
     budget.spend(len(data))
     if data.startswith(ZSTD_MAGIC):
         size = zstandard.frame_content_size(data)
@@ -232,7 +230,7 @@ def _text(value: Any) -> str:
 
 
 def _log_bytes(path: Path) -> int:
-    """How much of a database is in the log beside it, bytes."""
+    """Return the size of a database's write-ahead log, bytes."""
     log = path.with_name(path.name + WAL)
     try:
         return log.stat().st_size
@@ -240,42 +238,39 @@ def _log_bytes(path: Path) -> int:
         return 0
 
 
-# Folders that ROS 2 records into: metadata.yaml, and one file of messages after the other
-
-
+# ROS 2 bag folders: metadata.yaml, and a sequence of message files
 METADATA = "metadata.yaml"
 SUFFIXES = (".mcap", ".db3")
 COMPRESSED = ".zstd"
 MISSING = "file of the recording is missing"
 OTHER = "file of the recording is neither MCAP nor SQLite"
-METADATA_DAMAGE = (OSError, UnicodeDecodeError)
-"""Errors of metadata.yaml, which is not needed."""
+METADATA_DAMAGE = (OSError, UnicodeDecodeError)  # ignored: metadata.yaml only serves to find missing files
+# A file name of at most 255 characters, matched only at word starts so that the search stays linear.
 _NAMED = re.compile(
     r"(?<![^\s/\\'\",\[\]])[^\s/\\'\",\[\]]{1,255}+"
     r"(?:(?<=\.mcap)|(?<=\.db3)|(?<=\.mcap\.zstd)|(?<=\.db3\.zstd))(?![/\\\[])"
 )
-"""A name of at most 255 characters, tried only where a word begins: a text takes time as it is long."""
 _NUMBER = re.compile(r"(\d+)(?!.*\d)")
 
 
 def is_ros2_folder(path: Path) -> bool:
-    """Whether a folder holds metadata.yaml and files of messages."""
+    """Return whether a folder has metadata.yaml and message files."""
     return (path / METADATA).is_file() and any(_is_part(part) for part in path.iterdir())
 
 
 def parts_of(path: Path) -> list[Path]:
-    """Return the files of messages in a folder, by their numbers: NAME_0.mcap, NAME_1.mcap ..."""
+    """Return the message files of a folder, sorted by number: NAME_0.mcap, NAME_1.mcap ..."""
     return sorted((part for part in path.iterdir() if _is_part(part)), key=_place)
 
 
 class Ros2Folder:
-    """A folder to be read, as far as it can be: its files one after the other, whatever their format.
+    """A folder, read as far as possible: its files in sequence, whatever their format.
 
-    Of metadata.yaml only the names of files are taken, to tell which are missing.
+    metadata.yaml only serves to find missing files.
 
     Args:
         path: the folder.
-        losses: gets what cannot be read; by default nobody is told.
+        losses: receives unreadable data.
 
     Raises:
         RecordingError: files are compressed as a whole.
@@ -286,31 +281,31 @@ class Ros2Folder:
         self._parts = parts_of(path)
         packed = next((part for part in self._parts if part.suffix == COMPRESSED), None)
         if packed is not None:
-            hint = "unpack its files with zstd -d first, or convert it with ros2 bag convert"
-            raise RecordingError("is compressed as a whole", where=packed, hint=hint)
+            hint = "unpack its files with zstd -d, or convert the bag with ros2 bag convert"
+            raise RecordingError("file compression is not supported", where=packed, hint=hint)
 
     def messages(self, topics: Topics = None) -> Iterator[McapItem]:
-        """Yield schema, channel and message of all messages, or of those on some topics, file by file.
+        """Yield schema, channel and message, of all or some topics, file by file.
 
-        Channels of the files that are alike are one, by numbers of its own.
+        Equal channels of different files are merged under new numbers.
 
         Raises:
-            RecordingError: a file is no recording, or larger than any when decompressed.
+            RecordingError: a file is not a recording, or expands beyond ``limits``.
         """
-        self._tell_missing()
+        self._report_missing()
         merged = _Channels()
         for part in self._files():
             for schema, channel, message in part.messages(topics):
                 yield *merged.merged(schema, channel), message
 
     def counts(self) -> list[tuple[Schema | None, Channel, int]] | None:
-        """Return every channel with the number of its messages; None where a file does not tell."""
+        """Return every channel with its number of messages; None if a file has no index."""
         merged, counted = _Channels(), dict[int, tuple[Schema | None, Channel, int]]()
         for part in self._files():
-            told = part.counts()
-            if told is None:
+            known = part.counts()
+            if known is None:
                 return None
-            for schema, channel, count in told:
+            for schema, channel, count in known:
                 own_schema, own = merged.merged(schema, channel)
                 before = counted[own.id][2] if own.id in counted else 0
                 counted[own.id] = own_schema, own, before + count
@@ -328,7 +323,7 @@ class Ros2Folder:
             except OSError as error:
                 raise RecordingError("cannot be read", where=part, found=error.strerror or error) from error
 
-    def _tell_missing(self) -> None:
+    def _report_missing(self) -> None:
         try:
             text = read_text(self.path / METADATA, limits.TEXT_BYTES)
         except METADATA_DAMAGE:
@@ -340,13 +335,13 @@ class Ros2Folder:
 
 
 class _Channels:
-    """Channels of several files under numbers of their own: each file has its own."""
+    """Channels of several files under common numbers, as each file has its own."""
 
     def __init__(self) -> None:
         self._known: dict[tuple[object, ...], tuple[Schema | None, Channel]] = {}
 
     def merged(self, schema: Schema | None, channel: Channel) -> tuple[Schema | None, Channel]:
-        """Return schema and channel as those of all files."""
+        """Return schema and channel with common numbers."""
         of_schema = None if schema is None else (schema.name, schema.encoding, schema.data)
         key = (channel.topic, channel.message_encoding, of_schema)
         if key not in self._known:
@@ -361,6 +356,6 @@ def _is_part(path: Path) -> bool:
 
 
 def _place(path: Path) -> tuple[int, str]:
-    """By the last number in the name; ROS counts from 0 without leading zeros."""
+    """Return a sort key by the last number in the name; ROS counts from 0 without leading zeros."""
     found = _NUMBER.search(path.name.removesuffix(COMPRESSED).removesuffix(".db3").removesuffix(".mcap"))
     return (int(found.group(1)) if found else -1, path.name)

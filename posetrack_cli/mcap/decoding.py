@@ -1,4 +1,4 @@
-"""Decode messages: protobuf, ROS 1 and ROS 2, by layouts of our own; a file's schema only names them."""
+"""Decoding of protobuf, ROS 1 and ROS 2 messages with built-in layouts, chosen by schema name."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ DISPARITY_IMAGE = "disparity image"
 VIDEO_IMAGE = "video picture"
 IMAGES = (RAW_IMAGE, COMPRESSED_IMAGE, DISPARITY_IMAGE, VIDEO_IMAGE)
 
+# Kind of message by schema name.
 KINDS = {
     "foxglove.RawImage": RAW_IMAGE,
     "sensor_msgs/Image": RAW_IMAGE,
@@ -34,7 +35,6 @@ KINDS = {
     "sensor_msgs/CameraInfo": CALIBRATION,
     "sensor_msgs/msg/CameraInfo": CALIBRATION,
 }
-"""What a message is, by its schema's name."""
 
 TRANSFORM_TYPES = (
     "foxglove.FrameTransform",
@@ -44,26 +44,27 @@ TRANSFORM_TYPES = (
     "tf/tfMessage",
 )
 TRUTH_TYPES = ("foxglove.Odometry", "foxglove.JointStates")
+# Types of sensor settings
 VALUE_TYPES = ("std_msgs/Float32", "std_msgs/msg/Float32", "std_msgs/String", "std_msgs/msg/String")
-"""In which sensors tell their settings."""
+# Schema names of all decoded messages.
 READ = (*KINDS, *TRANSFORM_TYPES, *TRUTH_TYPES, *VALUE_TYPES)
-"""Names of the schemas of all messages that are decoded."""
 _FOXGLOVE = "foxglove."
+# MCAP's name of the definition language by message encoding.
 _DEFINITIONS: dict[Dialect, str] = {"ros1": "ros1msg", "cdr": "ros2msg"}
-"""What MCAP calls the language of ROS's definitions, by the encoding of messages."""
+# Definition language if types are only named, as in ROS 2 databases.
 NO_DEFINITION = "none"
-"""The language where a file names the types of its messages and defines none, as databases of ROS 2 do."""
 
 
 class UndecodableMessageError(Exception):
-    """One message does not decode; readers skip it and count a loss."""
+    """A message that cannot be decoded; readers skip it and count a loss."""
 
 
 class MessageDecoder:
-    """Decodes messages of one file; keeps one decoder per channel.
+    """Decodes messages of one file, with one decoder per channel.
 
-    Nothing is built from a schema of the file: protobuf messages are those of Foxglove that we know, which by
-    protobuf's rules take older and newer ones, and ROS messages those that ROS publishes (``ros_messages``).
+    No decoder is built from a file's schema. Protobuf messages use the bundled Foxglove types, which by
+    protobuf's rules also read older and newer versions; ROS messages use the published layouts
+    (``ros_messages``).
     """
 
     def __init__(self) -> None:
@@ -73,8 +74,8 @@ class MessageDecoder:
         """Return the decoded message.
 
         Raises:
-            UndecodableMessageError: if it does not fit its layout, the layout is not known, or it is larger
-                than any of its kind.
+            UndecodableMessageError: the message does not fit its layout or is too large, or the layout is
+                unknown.
         """
         try:
             if channel.id not in self._decoders:
@@ -83,26 +84,26 @@ class MessageDecoder:
             if isinstance(decoder, str):
                 raise OtherLayoutError(decoder)
             if len(message.data) > limits.MESSAGE_BYTES and kind_of(schema) not in IMAGES:
-                raise OtherLayoutError(f"it is larger than {limits.MESSAGE_BYTES} bytes")
+                raise OtherLayoutError(f"larger than {limits.MESSAGE_BYTES} bytes")
             return decoder(message.data)
         except OtherLayoutError as error:
             raise UndecodableMessageError(f"{_undecodable(channel)}, {error}") from error
-        except Exception as error:  # decoders raise whatever the bytes lead to
+        except Exception as error:  # decoders raise anything on damaged bytes
             raise UndecodableMessageError(_undecodable(channel)) from error
 
 
 def kind_of(schema: Schema | None) -> str | None:
-    """Return whether messages of a schema are images, compressed images, calibrations, or neither."""
+    """Return the kind of message of a schema, None if it is neither image nor calibration."""
     return KINDS.get(schema.name) if schema is not None else None
 
 
 def stamp_of(decoded: Any, message: Message) -> int:
-    """Return when an image or calibration was taken, ns: its own stamp, or the log time if that is 0."""
+    """Return the capture time of an image or calibration, ns: its own stamp, or log time if 0."""
     return own_stamp_of(decoded) or message.log_time
 
 
 def own_stamp_of(decoded: Any) -> int:
-    """Return the stamp that an image or calibration carries itself, ns; 0 for none."""
+    """Return the stamp in an image or calibration message, ns; 0 if not set."""
     header = getattr(decoded, "header", None)
     if header is None:
         stamp = decoded.timestamp
@@ -113,18 +114,18 @@ def own_stamp_of(decoded: Any) -> int:
 
 
 def frame_id_of(decoded: Any) -> str:
-    """Return the coordinate frame an image or calibration belongs to."""
+    """Return the coordinate frame of an image or calibration."""
     return str(getattr(decoded, "header", decoded).frame_id)
 
 
 def _undecodable(channel: Channel) -> str:
-    return f"message on {channel.topic} does not decode"
+    return f"message on {channel.topic} cannot be decoded"
 
 
 def _decoder(schema: Schema | None, channel: Channel) -> Callable[[bytes], Any] | str:
-    """Return what decodes a channel's messages, or why nothing does."""
+    """Return the decoder of a channel's messages, or why there is none."""
     if schema is None or schema.name not in READ:
-        return "its type is none that is read"
+        return "unsupported type"
     try:
         if channel.message_encoding == "protobuf" and schema.name.startswith(_FOXGLOVE):
             return _foxglove_decoder(schema.name.removeprefix(_FOXGLOVE))
@@ -133,11 +134,11 @@ def _decoder(schema: Schema | None, channel: Channel) -> Callable[[bytes], Any] 
                 return _ros_decoder(dialect, schema)
     except OtherLayoutError as error:
         return str(error)
-    return "its encoding is none that is read for its type"
+    return "unsupported encoding for its type"
 
 
 def _foxglove_decoder(name: str) -> Callable[[bytes], Any]:
-    generated = import_module(f"foxglove_schemas_protobuf.{name}_pb2")  # a name of READ, none from the file
+    generated = import_module(f"foxglove_schemas_protobuf.{name}_pb2")  # name is in READ: not user input
     decode: Callable[[bytes], Any] = getattr(generated, name).FromString
     return decode
 

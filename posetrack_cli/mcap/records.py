@@ -1,4 +1,4 @@
-"""Records of MCAP, and its compressed chunks."""
+"""Records of MCAP files, and bounded decompression of their chunks."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from mcap.records import Attachment, Channel, Chunk, DataEnd, Message, Metadata,
 from posetrack_cli import limits
 from posetrack_cli.errors import RecordingError
 
-# The content of MCAP chunks, decompressed within bounds: a chunk may claim anything of its size
+# Bounded decompression: the stated size of a chunk is not trusted
 
 
 class ChunkLimitError(ValueError):
-    """A chunk that is larger than any that is read, or holds more records than fit its bytes."""
+    """A chunk that exceeds ``limits`` in size or number of records."""
 
 
 class ExpansionBudget:
-    """How much the chunks of one file may decompress to, in one pass over it.
+    """Limit on the total decompressed size of a file's chunks, per pass.
 
     Args:
         where: the file, for the error.
@@ -39,74 +39,74 @@ class ExpansionBudget:
         self._most = self._left = max(limits.EXPANSION_FLOOR_BYTES, limits.EXPANSION * file_bytes)
 
     def spend(self, size: int) -> None:
-        """Count what a chunk says that it decompresses to, before that is done.
+        """Count a chunk's stated decompressed size, before decompressing it.
 
         Raises:
-            RecordingError: it is too much.
+            RecordingError: the budget is exceeded.
         """
         self._left -= size
         if self._left < 0:
             raise RecordingError(
-                "chunks decompress to more than any recording's do",
+                "chunks expand too much on decompression",
                 where=self._where,
                 found=f"more than {self._most} bytes",
-                expected=f"{limits.EXPANSION} times the file or {limits.EXPANSION_FLOOR_BYTES} bytes at most",
+                expected=f"at most {limits.EXPANSION} times the file or {limits.EXPANSION_FLOOR_BYTES} bytes",
             )
 
 
 def decompressed(chunk: Chunk) -> bytes:
-    """Return the records of a whole chunk, its size and checksum verified.
+    """Return the records of a chunk, with verified size and checksum.
 
     Raises:
-        ChunkLimitError: it says that it is larger than ``limits.CHUNK_BYTES``.
-        ValueError: its data is of another size than it says, or of another checksum.
-        Exception: whatever the decompressors raise of damaged bytes.
+        ChunkLimitError: the stated size exceeds ``limits.CHUNK_BYTES``.
+        ValueError: size or checksum differs from the stated one.
+        Exception: decompressors raise anything on damaged bytes.
     """
     data = bounded_content(chunk.compression, chunk.data, chunk.uncompressed_size)
     if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
-        raise ValueError("crc of a chunk differs")
+        raise ValueError("chunk checksum mismatch")
     return data
 
 
 def bounded_content(compression: str, data: bytes, size: int) -> bytes:
-    """Return what compressed data hold, which is ``size`` bytes; no more are ever made of them.
+    """Return decompressed data of exactly ``size`` bytes, never producing more.
 
     Raises:
-        ChunkLimitError: the size is larger than ``limits.CHUNK_BYTES``.
-        ValueError: it is another, or the compression is not known.
-        Exception: whatever the decompressors raise of damaged bytes.
+        ChunkLimitError: the size exceeds ``limits.CHUNK_BYTES``.
+        ValueError: the size differs, or the compression is unknown.
+        Exception: decompressors raise anything on damaged bytes.
     """
     check_size(size)
     content = _expanded(compression, data, size)
     if len(content) != size:
-        raise ValueError(f"chunk of {len(content)} bytes that says {size}")
+        raise ValueError(f"chunk of {len(content)} bytes, stated {size}")
     return content
 
 
 def bounded_begin(compression: str, data: bytes) -> bytes:
-    """Return the records of a chunk that is cut, as far as its blocks are whole: ``CHUNK_BYTES`` at most."""
+    """Return the decompressed whole blocks of a truncated chunk, at most ``CHUNK_BYTES``."""
     try:
         if compression == "zstd":
-            # Reads on as long as there are blocks; the cut is its end.
+            # Reads to the last complete block; truncation counts as the end.
             with zstandard.ZstdDecompressor().stream_reader(data) as stream:
                 return stream.read(limits.CHUNK_BYTES)
         if compression == "lz4":
             return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=limits.CHUNK_BYTES))
         if compression == "bz2":
             return bz2.BZ2Decompressor().decompress(data, limits.CHUNK_BYTES)
-    except (zstandard.ZstdError, RuntimeError, EOFError, OSError):  # RuntimeError and OSError: of lz4 and bz2
+    except (zstandard.ZstdError, RuntimeError, EOFError, OSError):  # lz4 raises RuntimeError, bz2 OSError
         return b""
     return data[: limits.CHUNK_BYTES] if not compression else b""
 
 
 def check_size(size: int) -> None:
-    """Raise ChunkLimitError unless a chunk of this size is read."""
+    """Raise ChunkLimitError if a chunk of this size is not supported."""
     if size > limits.CHUNK_BYTES:
-        raise ChunkLimitError(f"chunk of {size} bytes, at most {limits.CHUNK_BYTES} are read")
+        raise ChunkLimitError(f"chunk of {size} bytes, at most {limits.CHUNK_BYTES} supported")
 
 
 def most_records(compressed: int) -> int:
-    """Return how many records a chunk of so many compressed bytes may hold."""
+    """Return the maximum number of records in a chunk of this compressed size."""
     return compressed // limits.BYTES_PER_RECORD + limits.SPARE_RECORDS
 
 
@@ -114,7 +114,7 @@ def _expanded(compression: str, data: bytes, size: int) -> bytes:
     if not compression:
         return data
     if compression == "zstd":
-        stated = zstandard.frame_content_size(data)  # believed by the decompressor, whatever it is told
+        stated = zstandard.frame_content_size(data)  # allocated by the decompressor despite max_output_size
         if stated > size:
             raise ValueError(f"zstd frame of {stated} bytes in a chunk of {size}")
         return zstandard.ZstdDecompressor().decompress(data, max_output_size=size) if size else b""
@@ -122,17 +122,15 @@ def _expanded(compression: str, data: bytes, size: int) -> bytes:
         return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1))
     if compression == "bz2":
         return bz2.BZ2Decompressor().decompress(data, size + 1)
-    raise ValueError(f"chunk compressed by '{compression}'")
+    raise ValueError(f"unknown compression '{compression}'")
 
 
-# The records of an MCAP file, one by one, as far as they are whole: what every reader of MCAP here walks
+# Records of a file, as far as it is intact
 
-
-DAMAGE: tuple[type[Exception], ...] = (Exception,)
-"""Errors of damaged records: mcap and the decompressors raise whatever the bytes lead to."""
+DAMAGE: tuple[type[Exception], ...] = (Exception,)  # mcap and decompressors raise anything on damaged bytes
 MAGIC = b"\x89MCAP0\r\n"
 HEAD = struct.Struct("<BQ")  # opcode, length of the content
-CHUNK_HEAD_BYTES = 64  # what a chunk's record holds besides its data, rounded up
+CHUNK_HEAD_BYTES = 64  # size of a chunk record without its data, rounded up
 CHUNK_HEAD = struct.Struct("<QQQII")  # first and last time, size, checksum, length of the compression's name
 LENGTH = struct.Struct("<Q")
 _SCHEMA, _CHANNEL, _MESSAGE = map(
@@ -155,7 +153,7 @@ _KINDS: dict[int, type[Schema | Channel | Chunk | Metadata | Attachment | DataEn
 
 @dataclass(frozen=True, slots=True)
 class RecordSpan:
-    """Where a whole record lies in its file.
+    """Location of a complete record in its file.
 
     Attributes:
         opcode: kind of the record.
@@ -169,9 +167,9 @@ class RecordSpan:
 
 
 def record_spans(stream: IO[bytes]) -> Iterator[RecordSpan]:
-    """Yield the records of an open MCAP file in order, ending after the footer or before one cut short.
+    """Yield the records of an open MCAP file in order, up to the footer or a truncated record.
 
-    Only their heads are read; the caller may read elsewhere in between.
+    Only their headers are read; the caller may seek in between.
     """
     size, position = stream.seek(0, 2), len(MAGIC)
     while position + HEAD.size <= size:
@@ -186,10 +184,10 @@ def record_spans(stream: IO[bytes]) -> Iterator[RecordSpan]:
 
 
 def read_record(stream: IO[bytes], span: RecordSpan) -> Record:
-    """Read a record of any of the kinds of ``Record``; a damaged one raises whatever its bytes lead to.
+    """Read a record of a kind in ``Record``; a damaged one raises any exception.
 
     Raises:
-        ChunkLimitError: a chunk, or another record, is larger than any that is read.
+        ChunkLimitError: the chunk or record exceeds ``limits``.
     """
     if span.opcode == Opcode.CHUNK:
         check_size(span.end - span.start - CHUNK_HEAD_BYTES)
@@ -204,17 +202,17 @@ def read_record(stream: IO[bytes], span: RecordSpan) -> Record:
 
 
 class Definitions:
-    """The schemas and channels in the chunks of a file, which writers repeat: parsed where they are new."""
+    """Schemas and channels in the chunks of a file; repeated ones are parsed once."""
 
     def __init__(self) -> None:
         self._contents: dict[tuple[int, bytes], bytes] = {}
         self._left = {Opcode.SCHEMA: limits.DEFINITION_BYTES, Opcode.CHANNEL: limits.CHANNEL_BYTES}
 
     def parsed(self, opcode: int, content: bytes) -> Schema | Channel | None:
-        """Return a schema or channel, None if it is the one that its number was last given to.
+        """Return a schema or channel, None if it repeats the last one with its number.
 
         Raises:
-            ChunkLimitError: together they are larger than those of any recording.
+            ChunkLimitError: the total size exceeds ``limits``.
         """
         key = opcode, content[:2]  # the number
         if self._contents.get(key) == content:
@@ -222,7 +220,7 @@ class Definitions:
         kind = Opcode(opcode)
         self._left[kind] -= len(content)
         if self._left[kind] < 0:
-            raise ChunkLimitError("schemas or channels are larger than any recording's")
+            raise ChunkLimitError("total size of schemas or channels exceeds the limit")
         self._contents[key] = content
         record: Schema | Channel = (Schema if kind is Opcode.SCHEMA else Channel).read(_stream(content))
         return record
@@ -231,21 +229,21 @@ class Definitions:
 def chunk_records(
     chunk: Record, unwanted: Container[int] = (), definitions: Definitions | None = None
 ) -> Iterator[ChunkRecord]:
-    """Yield a chunk's schemas, channels and messages in order, its checksum verified.
+    """Yield a chunk's schemas, channels and messages in order, after verifying its checksum.
 
-    A damaged chunk raises whatever its bytes lead to, in the middle if it has no checksum.
+    A damaged chunk raises any exception, possibly midway if it has no checksum.
 
     Args:
         chunk: its record.
-        unwanted: ids of channels whose messages are left out, which costs little; looked at as it goes.
-        definitions: of the chunks before; schemas and channels that are known from there are left out.
+        unwanted: ids of channels whose messages are skipped cheaply; may change during iteration.
+        definitions: definitions of earlier chunks; known schemas and channels are skipped.
 
     Raises:
-        ChunkLimitError: it is larger than any that is read.
-        ValueError: it ends within a record, or is no chunk.
+        ChunkLimitError: the chunk exceeds ``limits``.
+        ValueError: it ends within a record, or is not a chunk.
     """
     if not isinstance(chunk, Chunk):
-        raise ValueError(f"{type(chunk).__name__} is no chunk")
+        raise ValueError(f"{type(chunk).__name__} is not a chunk")
     most = most_records(len(chunk.data))
     yield from content_records(decompressed(chunk), unwanted, definitions, most=most)
 
@@ -258,10 +256,10 @@ def content_records(
     most: int | None = None,
     cut: bool = False,
 ) -> Iterator[ChunkRecord]:
-    """Yield the records of a chunk's content as ``chunk_records`` does; content that is cut ends anywhere.
+    """Yield the records of a chunk's content as ``chunk_records`` does; ``cut`` allows truncation.
 
     Raises:
-        ChunkLimitError: there are more than ``most`` records; by default as many as fit uncompressed bytes.
+        ChunkLimitError: there are more than ``most`` records; by default the limit for uncompressed data.
     """
     most = most_records(len(data)) if most is None else most
     known = Definitions() if definitions is None else definitions
@@ -282,20 +280,20 @@ def content_records(
             if record is not None:
                 yield record
         elif opcode == 0:
-            raise ValueError("record without a kind")
+            raise ValueError("record without opcode")
     if position != size and not cut:
         raise ValueError(f"chunk ends within a record, at {position} of {size} bytes")
 
 
 def cut_chunk_records(stream: IO[bytes], position: int) -> Iterator[ChunkRecord]:
-    """Yield the whole schemas, channels and messages in the chunk that an open file breaks off in, if any.
+    """Yield the complete schemas, channels and messages of a chunk truncated by the file's end.
 
-    Compressed chunks give what their whole blocks hold. The checksum of the chunk covers what is missing,
-    so that none is verified; bytes that are no records raise whatever they lead to.
+    Compressed chunks are read up to their last complete block. The checksum covers the missing part and is
+    not verified; bytes that are not records raise any exception.
 
     Args:
         stream: the file.
-        position: offset of the record that is cut.
+        position: offset of the truncated record.
     """
     stream.seek(position)
     head = stream.read(HEAD.size)
@@ -316,7 +314,7 @@ def _message(data: bytes, start: int, end: int) -> Message:
 
 
 def _cut_content(content: bytes) -> tuple[bytes, int]:
-    """Return the records of a chunk's content as far as it goes, and how many there may be."""
+    """Return the available records of a truncated chunk, and their maximum number."""
     if len(content) < CHUNK_HEAD.size:
         return b"", 0
     name_end = CHUNK_HEAD.size + CHUNK_HEAD.unpack_from(content)[-1]

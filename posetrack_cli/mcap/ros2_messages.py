@@ -1,7 +1,7 @@
-"""The messages of ROS 2 that are written: their definitions as ROS publishes them, and plain CDR.
+"""Written ROS 2 messages: published definitions, and plain CDR encoding.
 
-Definitions are those of ROS 2 Humble; later ones differ in constants only. A file holds each with all its
-parts below it, as rosbag2 writes them, so that whoever reads it needs no installation of ROS.
+Definitions are those of ROS 2 Humble; later versions differ in constants only. As with rosbag2, each schema
+includes its nested types, so reading a file does not require ROS.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ _CODES = {
     **{"float32": "f", "float64": "d"},
 }
 
+# By type, ``package/Name``; written types have unique names across packages.
 DEFINITIONS: Mapping[str, str] = {
     "builtin_interfaces/Duration": "int32 sec\nuint32 nanosec",
     "builtin_interfaces/Time": "int32 sec\nuint32 nanosec",
@@ -68,14 +69,13 @@ DEFINITIONS: Mapping[str, str] = {
     "visualization_msgs/MeshFile": "string filename\nuint8[] data",
     "visualization_msgs/UVCoordinate": "float32 u\nfloat32 v",
 }
-"""By type, ``package/Name``; no two types that are written have the same name in different packages."""
 
 _NAMES = {kind.rpartition("/")[2]: kind for kind in DEFINITIONS}
 _LAYOUTS = {name: parse_fields(DEFINITIONS[kind]) for name, kind in _NAMES.items()}
 
 
 def ros2_schema(kind: str) -> SchemaText:
-    """Return the schema of a type, ``package/Name``: its definition, and those of all its parts."""
+    """Return the schema of a type, ``package/Name``, including its nested types."""
     package, name = kind.split("/")
     parts = dict.fromkeys(_parts(name))
     below = "".join(f"\n{_RULE}\nMSG: {_NAMES[part]}\n{DEFINITIONS[_NAMES[part]]}" for part in parts)
@@ -83,14 +83,13 @@ def ros2_schema(kind: str) -> SchemaText:
 
 
 def ros2_encoder(kind: str) -> Callable[[Mapping[str, Any]], bytes]:
-    """Return what makes plain CDR of a type's values.
+    """Return the plain CDR encoder of a type.
 
-    Values come by the names of fields, those of parts nested; what is left out is zero or empty. Raises
-    KeyError of a field that the type has not, ValueError of a number of entries and struct.error of a number
-    that do not fit.
+    It takes values by field name, nested for parts; missing ones are zero or empty. It raises KeyError for
+    an unknown field, ValueError for a wrong array length and struct.error for a number out of range.
     """
     name = kind.rpartition("/")[2]
-    _LAYOUTS[name]
+    _LAYOUTS[name]  # fail early for an unknown type
 
     def encode(values: Mapping[str, Any]) -> bytes:
         writer = _CdrWriter()
@@ -101,7 +100,7 @@ def ros2_encoder(kind: str) -> Callable[[Mapping[str, Any]], bytes]:
 
 
 def _parts(name: str) -> Iterator[str]:
-    """The types that a type is made of, each before its own parts, repeated as often as it occurs."""
+    """Yield the nested types of a type, each before its own parts, with repetitions."""
     for field in _LAYOUTS[name]:
         if field.kind in _LAYOUTS:
             yield field.kind
@@ -109,7 +108,7 @@ def _parts(name: str) -> Iterator[str]:
 
 
 class _CdrWriter:
-    """Appends values; a number lies at a multiple of its size, counted from behind the head."""
+    """Appends values; numbers are aligned to their size, counted from the end of the header."""
 
     def __init__(self) -> None:
         self.data = bytearray()

@@ -1,12 +1,11 @@
-"""The messages of ROS 1 and ROS 2 that are read, decoded by the layout that ROS publishes.
+"""Read ROS 1 and ROS 2 messages, decoded by the layouts that ROS publishes.
 
-A file carries definitions of its messages, too. They are from whoever wrote the file, so nothing is built
-from them: they are only compared. Layouts end with the last field that is read; what may follow is not looked
-at.
+Definitions in a file are untrusted, so they are only compared with the published ones. Layouts end with the
+last field that is read; further fields are ignored.
 
-Both serialise fields in order: ROS 1 little-endian and without gaps (ROS wiki, "msg", section 2.1), ROS 2 as
-plain CDR (OMG Common Data Representation, XCDR version 1), where a number lies at a multiple of its size,
-counted from behind a head of four bytes.
+Both serialise fields in order: ROS 1 little-endian and packed (ROS wiki, "msg", section 2.1), ROS 2 as
+plain CDR (OMG Common Data Representation, XCDR version 1), with numbers aligned to their size, counted from
+the end of a four-byte header.
 """
 
 from __future__ import annotations
@@ -20,8 +19,7 @@ from typing import Any, Literal
 
 from posetrack_cli import limits
 
-Dialect = Literal["ros1", "cdr"]
-"""What MCAP calls the encodings of their messages."""
+Dialect = Literal["ros1", "cdr"]  # MCAP's message encodings of ROS 1 and ROS 2
 
 _GEOMETRY = {
     "TransformStamped": "Header header\nstring child_frame_id\nTransform transform",
@@ -40,6 +38,7 @@ _VALUES = {"Float32": "float32 data", "String": "string data"}
 _CAMERA_INFO = "Header header\nuint32 height\nuint32 width\nstring distortion_model\n"
 _PART_OF_SENSOR = "\nuint32 binning_x\nuint32 binning_y\nRegionOfInterest roi"
 _REGION = "uint32 x_offset\nuint32 y_offset\nuint32 height\nuint32 width\nbool do_rectify"
+# In ROS notation, without packages: no two types that are read have the same name.
 DEFINITIONS: Mapping[Dialect, Mapping[str, str]] = {
     "ros1": {
         "Header": "uint32 seq\ntime stamp\nstring frame_id",
@@ -66,12 +65,11 @@ DEFINITIONS: Mapping[Dialect, Mapping[str, str]] = {
         **_VALUES,
     },
 }
-"""In ROS's own notation, without the packages of types: no two that are read have the same name."""
 
+# Layouts that may have further fields; others are nested and must end where they end here.
 _OPEN = ("Image", "CompressedImage", "CameraInfo", "DisparityImage")
-"""Layouts that more fields may follow; others are parts of messages and must end where they end here."""
+# Number of trailing fields that may be missing: some writers end a CameraInfo with P.
 _TAIL = {"CameraInfo": 3}
-"""How many of the last fields a message may lack: some writers end a CameraInfo with P."""
 _NUMBERS = {"uint8": "B", "bool": "B", "uint32": "I", "int32": "i", "float32": "f", "float64": "d"}
 _FIELD = re.compile(r"([A-Za-z][\w/]*)(\[(?:<=)?\d*\])?\s+([A-Za-z]\w*)\s*(=?)")
 _RULE = re.compile(r"^=+$", re.MULTILINE)
@@ -79,7 +77,7 @@ _PART = re.compile(r"\s*MSG:\s*(\S+)[^\n]*\n?")
 
 
 class OtherLayoutError(ValueError):
-    """A file's definition of a message is another one than ROS publishes."""
+    """A file's definition of a message differs from the one that ROS publishes."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +87,7 @@ class Field:
     Attributes:
         name: its name.
         kind: its type, without package.
-        array: "" for a single value, "[]" for any number of them, "[9]" for so many.
+        array: "" for a single value, "[]" for any number of them, "[9]" for a fixed number.
     """
 
     name: str
@@ -98,10 +96,10 @@ class Field:
 
 
 def parse_fields(text: str) -> tuple[Field, ...]:
-    """Return the fields that a definition in ROS's notation lists; constants and comments are none.
+    """Return the fields in a definition in ROS notation, without constants and comments.
 
     Raises:
-        OtherLayoutError: a line is no field.
+        OtherLayoutError: a line is not a field.
     """
     fields = []
     for line in text.splitlines():
@@ -110,7 +108,7 @@ def parse_fields(text: str) -> tuple[Field, ...]:
             continue
         found = _FIELD.match(line)
         if found is None:
-            raise OtherLayoutError("a line of its definition is no field")
+            raise OtherLayoutError("invalid line in its definition")
         kind, array, name, equals = found.groups()
         if not equals:
             bounded = array is None or "<" not in array
@@ -125,13 +123,13 @@ LAYOUTS = {
 
 
 def check_definition(dialect: Dialect, name: str, text: str) -> None:
-    """Compare the definition that a file gives of a message, and of its parts, with the published one.
+    """Compare a file's definition of a message and its nested types with the published one.
 
     Raises:
-        OtherLayoutError: they differ, or it is longer than any.
+        OtherLayoutError: they differ, or the definition is too long.
     """
     if len(text) > limits.DEFINITION_CHARACTERS:
-        raise OtherLayoutError("its definition is longer than any of ROS")
+        raise OtherLayoutError(f"its definition exceeds {limits.DEFINITION_CHARACTERS} characters")
     layouts = LAYOUTS[dialect]
     own, *parts = _RULE.split(text)
     _check_fields(name, parse_fields(own), layouts[name])
@@ -143,14 +141,14 @@ def check_definition(dialect: Dialect, name: str, text: str) -> None:
 
 
 def ros_decoder(dialect: Dialect, name: str) -> Callable[[bytes], Any]:
-    """Return what decodes messages of a type, given without its package, into objects with their fields.
+    """Return the decoder of a type, named without package, to objects with its fields.
 
     A stamp has ``sec`` and ``nanosec`` in both dialects.
 
     Raises:
-        KeyError: no such message is read.
+        KeyError: the type is not supported.
     """
-    LAYOUTS[dialect][name]
+    LAYOUTS[dialect][name]  # fail early for an unknown type
     reader = _Ros1Reader if dialect == "ros1" else _CdrReader
 
     def decode(data: bytes) -> Any:
@@ -165,14 +163,14 @@ def _check_fields(name: str, found: tuple[Field, ...], published: tuple[Field, .
         lacking = len(published) - len(found)
         published = published[: len(found)] if lacking == _TAIL.get(name) else published
     if found != published:
-        raise OtherLayoutError(f"its definition of {name} has other fields than ROS publishes")
+        raise OtherLayoutError(f"its definition of {name} differs from the one published by ROS")
 
 
 class _Ros1Reader:
-    """Reads values one after the other.
+    """Reads values in sequence.
 
     Raises:
-        ValueError, struct.error: in every method, where the message ends early.
+        ValueError, struct.error: in every method, if the message ends early.
     """
 
     dialect: Dialect = "ros1"
@@ -234,16 +232,16 @@ class _Ros1Reader:
         return self._data[begin : self._position]
 
     def _check(self, size: int) -> None:
-        """Before anything is made of a number of values that the message only claims."""
+        """Raise ValueError unless ``size`` bytes are left, before allocating for a stated count."""
         if self._position + size > len(self._data):
             raise ValueError(f"message of {len(self._data)} bytes ends early")
 
     def _align(self, size: int) -> None:
-        """Nothing is aligned in ROS 1."""
+        """Do nothing: ROS 1 messages are packed."""
 
 
 class _CdrReader(_Ros1Reader):
-    """Reads values that are aligned, and strings that end with a zero."""
+    """Reads aligned values and zero-terminated strings."""
 
     dialect: Dialect = "cdr"
     _HEAD = 4
@@ -251,7 +249,7 @@ class _CdrReader(_Ros1Reader):
     def __init__(self, data: bytes) -> None:
         super().__init__(data)
         if len(data) < self._HEAD or data[0] or data[1] > 1:
-            raise ValueError("message without the head of plain CDR")
+            raise ValueError("no plain CDR header")
         self._position, self._order = self._HEAD, "<" if data[1] else ">"
 
     def _string(self) -> str:

@@ -1,4 +1,4 @@
-"""Write MCAP files whose bytes depend on nothing but what is written."""
+"""Write MCAP files with reproducible bytes."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from posetrack_cli.errors import ResultError
 from posetrack_cli.files import open_output
 from posetrack_cli.outputs import lock
 
+# Fixed: the default includes a version and changes the bytes with every mcap update.
 LIBRARY = "posetrack"
-"""Fixed: the default would carry a version and change the bytes with every update of mcap."""
 
 CHUNK_BYTES = 64 * 1024 * 1024
 COMPRESSIONS = {"zstd": CompressionType.ZSTD, "none": CompressionType.NONE}
 
 
 class SchemaText(NamedTuple):
-    """What describes the messages of a channel; all empty for a channel without schema.
+    """Description of a channel's messages; all empty without schema.
 
     Attributes:
-        name: of the type.
+        name: name of the type.
         encoding: ``protobuf``, ``jsonschema``, ``ros1msg``...
         data: the definition.
     """
@@ -44,20 +44,20 @@ def serialised(message: Any) -> bytes:
 
 
 class McapSink:
-    """An MCAP file that is being written: channels, messages, metadata and attachments.
+    """An MCAP file being written: channels, messages, metadata and attachments.
 
-    A chunk ends when ``flush`` is called or when it holds ``chunk_bytes``; what was flushed can be
-    read even if the process is killed. Only ``finish`` writes the footer: leaving the ``with`` block,
-    also by an exception, closes the file as it is.
+    A chunk ends on ``flush`` or at ``chunk_bytes``; flushed data can be read even if the process is killed.
+    Only ``finish`` writes the footer: leaving the ``with`` block, also by an exception, closes the file
+    without one.
 
     Args:
-        path: the file, overwritten if it exists; no symbolic link.
-        compression: of the chunks; "none" for payloads that are compressed already.
-        chunk_bytes: uncompressed size at which a chunk ends by itself.
-        profile: of MCAP that the file follows, such as ``ros2``; empty for none.
+        path: the file, overwritten if it exists; not a symbolic link.
+        compression: compression of the chunks; "none" for compressed payloads.
+        chunk_bytes: uncompressed chunk size.
+        profile: MCAP profile, such as ``ros2``; empty for none.
 
     Raises:
-        ResultError: here and in every method, when the file cannot be written.
+        ResultError: in every method, if the file cannot be written.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class McapSink:
             self._writer.start(profile, LIBRARY)
 
     def channel(self, topic: str, message_class: Any, *, metadata: Mapping[str, str] | None = None) -> int:
-        """Register a topic of protobuf messages of one generated class and return its channel id."""
+        """Register a topic of protobuf messages of a generated class and return its channel id."""
         name = message_class.DESCRIPTOR.full_name
         data = build_file_descriptor_set(message_class).SerializeToString(deterministic=True)
         return self.raw_channel(topic, SchemaText(name, "protobuf", data), "protobuf", metadata)
@@ -97,12 +97,12 @@ class McapSink:
         message_encoding: str,
         metadata: Mapping[str, str] | None = None,
     ) -> int:
-        """Register a topic of messages that are encoded already and return its channel id.
+        """Register a topic of already encoded messages and return its channel id.
 
         Equal schemas are written once.
 
         Raises:
-            ResultError: there are as many channels as a file can have; and as of the class.
+            ResultError: there are too many channels; and as for the class.
         """
         if len(self._sequences) >= limits.CHANNELS:
             raise ResultError("too many topics", where=self.path, expected=f"at most {limits.CHANNELS}")
@@ -116,10 +116,10 @@ class McapSink:
         return channel_id
 
     def channel_of(self, topic: str) -> int:
-        """Return the id of the channel that a topic was registered as, the last of several.
+        """Return the channel id of a topic, the last of several.
 
         Raises:
-            ResultError: there is none.
+            ResultError: the topic is not registered.
         """
         if topic not in self._topics:
             raise ResultError("no such topic", where=self.path, found=topic)
@@ -128,38 +128,40 @@ class McapSink:
     def write(self, channel_id: int, stamp_ns: int, data: bytes) -> None:
         """Write one message with log time = publish time = ``stamp_ns``, numbered per channel from 0."""
         if not 0 <= stamp_ns < 1 << 64:
-            raise ResultError("stamp cannot be stored", where=self.path, found=f"{stamp_ns} ns")
+            raise ResultError(
+                "stamp out of range", where=self.path, found=f"{stamp_ns} ns", expected="0 to 2^64 - 1"
+            )
         sequence = self._sequences[channel_id]
         self._sequences[channel_id] = sequence + 1
         with self._reported():
             self._writer.add_message(channel_id, stamp_ns, data, stamp_ns, sequence & 0xFFFFFFFF)
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Write a metadata record, outside the chunk in progress."""
+        """Write a metadata record, outside the current chunk."""
         with self._reported():
             self._writer.add_metadata(name, dict(values))
 
     def attachment(
         self, name: str, media_type: str, data: bytes, stamp_ns: int = 0, created_ns: int | None = None
     ) -> None:
-        """Attach a file's bytes, logged at ``stamp_ns``, and created then if nothing else is given."""
+        """Attach data logged at ``stamp_ns``, by default also its creation time."""
         created_ns = stamp_ns if created_ns is None else created_ns
         with self._reported():
             self._writer.add_attachment(created_ns, stamp_ns, name, media_type, data)
 
     def flush(self) -> None:
-        """End the chunk and hand everything to the operating system."""
+        """End the chunk and hand all data to the operating system."""
         with self._reported():
             self._writer.flush()  # type: ignore[no-untyped-call]
 
     def finish(self) -> None:
-        """Write what is left, the index and the footer, and close the file."""
+        """Write the remaining data, index and footer, and close the file."""
         with self._reported():
             self._writer.finish()  # type: ignore[no-untyped-call]
         self.close()
 
     def close(self) -> None:
-        """Close the file without a footer, as a killed writer leaves it; harmless after ``finish``."""
+        """Close the file without a footer, like a killed writer; harmless after ``finish``."""
         if self._failed:
             self._abandon()
             return
@@ -182,7 +184,7 @@ class McapSink:
         return self._schemas[schema]
 
     def _abandon(self) -> None:
-        """Close after a failed write: the rest of the buffer fails again, which was told already."""
+        """Close after a failed write, ignoring the repeated error of the rest of the buffer."""
         with suppress(OSError):
             self._stream.close()
 

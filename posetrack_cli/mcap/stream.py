@@ -1,4 +1,4 @@
-"""Messages of MCAP files, intact or not: what is readable is read, what is not is a loss."""
+"""Messages of MCAP files, intact or damaged: unreadable data count as losses."""
 
 from __future__ import annotations
 
@@ -37,22 +37,23 @@ from posetrack_cli.mcap.summary import chunk_span, extra_spans, read_summary
 TRUNCATED = "file is truncated, the rest is missing"
 DAMAGED = "file is damaged, the rest is lost"
 DAMAGED_CHUNK = "chunk is damaged, its messages are lost"
-LARGE_CHUNK = "chunk is larger than any that is read, its messages are lost"
-DAMAGED_RECORD = "record is damaged and left out"
-DAMAGED_DATA = "data is damaged, its checksum differs"
-UNKNOWN_CHANNEL = "message of a topic that was lost with damaged data"
+LARGE_CHUNK = "chunk is too large, its messages are lost"
+DAMAGED_RECORD = "damaged record skipped"
+DAMAGED_DATA = "data is damaged, checksum mismatch"
+UNKNOWN_CHANNEL = "message skipped, its topic was lost with damaged data"
+# A record length up to this (or the file size) beyond the end of the file means truncation, not damage.
 SMALLEST_LIMIT = 1 << 30
 BLOCK_BYTES = 1 << 20
 McapItem: TypeAlias = tuple[Schema | None, Channel, Message]
+# Names of topics, or a predicate on names; None for all topics.
 Topics: TypeAlias = Collection[str] | Callable[[str], bool] | None
-"""Names of topics, or what tells of a name whether it is wanted; None for all topics."""
 
 
 def is_mcap(path: Path) -> bool:
-    """Whether a file begins as an MCAP file does.
+    """Return whether a file begins like an MCAP file.
 
     Raises:
-        RecordingError: if it cannot be read.
+        RecordingError: the file cannot be read.
     """
     try:
         return begins_with(path, MAGIC)
@@ -61,67 +62,66 @@ def is_mcap(path: Path) -> bool:
 
 
 def wanted_names(topics: Topics) -> Callable[[str], bool]:
-    """Return what tells of the name of a topic whether it is wanted."""
+    """Return a predicate on topic names."""
     names = topics if topics is None or callable(topics) else frozenset(topics)
     return names if callable(names) else (lambda topic: names is None or topic in names)
 
 
 class McapFile:
-    """A file to be read, as far as it can be.
+    """A file, read as far as possible.
 
     Args:
         path: the file.
-        losses: gets what cannot be read; by default nobody is told.
+        losses: receives unreadable data.
     """
 
     def __init__(self, path: Path, losses: LossLog | None = None) -> None:
         self.path, self.losses = path, LossLog() if losses is None else losses
 
     def messages(self, topics: Topics = None, *, in_file_order: bool = False) -> Iterator[McapItem]:
-        """Yield schema, channel and message of all messages, or of those on some topics.
+        """Yield schema, channel and message, of all or some topics.
 
-        With a usable index they come in order of log time, or if asked for as they lie in the file; without
-        one always so. At most the chunks that overlap in time are in memory. A damaged chunk is left out, and
-        one beyond ``limits``. Where the file is cut the messages end with the last whole one; where it is
-        damaged between chunks they end, too, if there is no index. ``losses`` gets each of these.
+        With a usable index they are in log-time order, or in file order on request; without one always in
+        file order. Memory holds at most the chunks that overlap in time. Damaged chunks and chunks beyond
+        ``limits`` are skipped. A truncated file yields messages up to the last complete one; a file damaged
+        between chunks ends there unless it has an index. All of this goes to ``losses``.
 
         Args:
-            topics: names, or what tells of a name whether it is wanted, which may change meanwhile.
-            in_file_order: whether an index is not to change the order.
+            topics: names, or a predicate on names, which may change during iteration.
+            in_file_order: do not sort by log time.
 
         Raises:
-            RecordingError: chunks decompress to more than any recording's, or too much of them overlaps in
-                time.
+            RecordingError: chunks expand beyond ``limits``, or too many overlap in time.
         """
         summary, wanted = read_summary(self.path), _Wanted(self, topics)
         if summary is None:
             yield from self._without_index(wanted)
         else:
-            wanted.learn_all(summary)
+            wanted.add_summary(summary)
             in_order = self._in_file_order if in_file_order else self._in_log_time_order
             yield from in_order(summary.chunk_indexes, wanted)
 
     def counts(self) -> list[tuple[Schema | None, Channel, int]] | None:
-        """Return every channel with the number of its messages, as the index tells; None if it does not."""
+        """Return every channel with its number of messages in the index; None without an index."""
         summary = read_summary(self.path)
         if summary is None or summary.statistics is None:
             return None
-        told = summary.statistics.channel_message_counts
+        counts = summary.statistics.channel_message_counts
         channels = summary.channels.values()
-        return [(summary.schemas.get(c.schema_id), c, told.get(c.id, 0)) for c in channels]
+        return [(summary.schemas.get(c.schema_id), c, counts.get(c.id, 0)) for c in channels]
 
     def channels(self) -> list[tuple[Schema | None, Channel]]:
-        """Return every channel with its schema: from the index, or by reading all of a file that has none."""
+        """Return every channel with its schema, from the index or by reading the whole file."""
         summary, found = read_summary(self.path), _Wanted(self, ())
         if summary is not None:
-            found.learn_all(summary)
+            found.add_summary(summary)
         else:
             for _ in self._without_index(found):
-                pass  # no topic is wanted
+                pass  # reads definitions only: no topic is wanted
         return found.channels()
 
     def extras(self) -> Iterator[Metadata | Attachment]:
-        """Yield the metadata and attachments: by the index, or else up to a cut or damage."""
+        """Yield metadata and attachments: by the index, else up to truncation or damage."""
         indexed = extra_spans(read_summary(self.path))
         with open_input(self.path) as stream:
             for span in self._spans(stream) if indexed is None else indexed:
@@ -131,11 +131,11 @@ class McapFile:
                         yield record
 
     def _size(self) -> int:
-        """Of the file, bytes; one that is being written grows."""
+        """Return the current size, bytes; the file may still be growing."""
         return self.path.stat().st_size
 
     def _in_log_time_order(self, indexes: Sequence[ChunkIndex], wanted: _Wanted) -> Iterator[McapItem]:
-        """Yield messages by log time, those of equal times as they lie in the file, chunk by chunk."""
+        """Yield messages by log time, ties in file order, chunk by chunk."""
         pending: list[tuple[int, int, int, McapItem]] = []
         waiting = 0  # bytes
         with open_input(self.path) as stream:
@@ -152,9 +152,9 @@ class McapFile:
                     raise RecordingError(
                         "chunks overlap in time",
                         where=self.path,
-                        found=f"{waiting} bytes of messages that wait for their turn",
+                        found=f"{waiting} bytes of pending messages",
                         expected=f"at most {limits.PENDING_BYTES}",
-                        hint="write it anew in order of time, for example with: mcap sort",
+                        hint="sort the file by time first, e.g. with: mcap sort",
                     )
         while pending:
             yield heappop(pending)[-1]
@@ -188,7 +188,7 @@ class McapFile:
         return []
 
     def _spans(self, stream: IO[bytes]) -> Iterator[RecordSpan]:
-        """Yield the whole records of the file; that they end before its footer is a loss."""
+        """Yield the complete records of the file; ending before its footer is a loss."""
         opcode, end = 0, len(MAGIC)
         for span in record_spans(stream):
             opcode, end = span.opcode, span.end
@@ -203,27 +203,27 @@ class McapFile:
             self.losses.add(DAMAGED, f"byte {end} of {size}")
 
     def _record(self, stream: IO[bytes], span: RecordSpan) -> Record | None:
-        """Return a record, or None if it cannot be read, which is a loss and no error."""
+        """Return a record, or None if it is unreadable, which is a loss, not an error."""
         try:
             return read_record(stream, span)
         except DAMAGE:
-            self.losses.add(DAMAGED_RECORD, f"the one before byte {span.end} of {self._size()}")
+            self.losses.add(DAMAGED_RECORD, f"before byte {span.end} of {self._size()}")
             return None
 
     @contextmanager
     def _chunk_damage(self, end: int) -> Iterator[None]:
-        """A chunk that cannot be read is a loss and no error; that all of them are too large is one."""
+        """Turn damage of a chunk into a loss; only an exceeded expansion budget is an error."""
         try:
             yield
         except RecordingError:
             raise
         except ChunkLimitError as error:
-            self.losses.add(LARGE_CHUNK, f"{error}, the one before byte {end} of {self._size()}")
+            self.losses.add(LARGE_CHUNK, f"{error}, before byte {end} of {self._size()}")
         except DAMAGE:
-            self.losses.add(DAMAGED_CHUNK, f"the one before byte {end} of {self._size()}")
+            self.losses.add(DAMAGED_CHUNK, f"before byte {end} of {self._size()}")
 
     def _check_data(self, stream: IO[bytes], span: RecordSpan) -> None:
-        """Check the checksum of all data, if any; a difference that nothing else showed is a loss."""
+        """Verify the checksum of the data section, if any, unless losses explain a mismatch."""
         record = self._record(stream, span)
         if not isinstance(record, DataEnd) or record.data_section_crc == 0 or self.losses.losses:
             return
@@ -237,7 +237,7 @@ class McapFile:
 
 
 class _Wanted:
-    """Puts messages together with their channels and schemas, and picks those on some topics."""
+    """Joins messages with their channels and schemas, and selects topics."""
 
     def __init__(self, file: McapFile, topics: Topics) -> None:
         self._wants = wanted_names(topics)
@@ -248,8 +248,8 @@ class _Wanted:
         self._channels: dict[int, Channel] = {}
         self._unwanted: set[int] = set()
 
-    def learn(self, record: Schema | Channel) -> None:
-        """Remember a schema or channel."""
+    def add(self, record: Schema | Channel) -> None:
+        """Store a schema or channel."""
         if isinstance(record, Schema):
             self._schemas[record.id] = record
         else:
@@ -257,33 +257,33 @@ class _Wanted:
             if not self._wants(record.topic):
                 self._unwanted.add(record.id)
 
-    def learn_all(self, summary: Summary) -> None:
-        """Remember the schemas and channels of an index."""
+    def add_summary(self, summary: Summary) -> None:
+        """Store the schemas and channels of an index."""
         for schema in summary.schemas.values():
-            self.learn(schema)
+            self.add(schema)
         for channel in summary.channels.values():
-            self.learn(channel)
+            self.add(channel)
 
     def channels(self) -> list[tuple[Schema | None, Channel]]:
-        """Every channel met, with its schema."""
+        """Return every known channel with its schema."""
         return [(self._schemas.get(channel.schema_id), channel) for channel in self._channels.values()]
 
     def is_in(self, index: ChunkIndex) -> bool:
-        """Whether a chunk may hold messages that are wanted."""
+        """Return whether a chunk may hold wanted messages."""
         ids = index.message_index_offsets
         return not ids or any(self._wants(self._channels[channel_id].topic) for channel_id in ids)
 
     def of_chunk(self, chunk: Record) -> list[McapItem]:
-        """Return the messages of a chunk that are wanted; a damaged one raises whatever its bytes lead to."""
+        """Return the wanted messages of a chunk; a damaged one raises any exception."""
         if isinstance(chunk, Chunk):
             self._budget.spend(chunk.uncompressed_size)
         return list(self.items(chunk_records(chunk, self._unwanted, self._definitions)))
 
     def items(self, records: Iterable[ChunkRecord]) -> Iterator[McapItem]:
-        """Yield the messages among some records that are wanted; learns from the others."""
+        """Yield the wanted messages among records, and store schemas and channels."""
         for record in records:
             if not isinstance(record, Message):
-                self.learn(record)
+                self.add(record)
             elif record.channel_id not in self._channels:
                 self._losses.add(UNKNOWN_CHANNEL, f"at {record.log_time} ns")
             elif record.channel_id not in self._unwanted:
@@ -292,9 +292,6 @@ class _Wanted:
 
 
 def _is_cut(head: bytes, size: int) -> bool:
-    """Whether a record that reaches beyond the end may well be as long as its head says.
-
-    Lengths above the limit are damage; one below that reaches beyond the end is a record cut short.
-    """
+    """Return whether a record beyond the end of the file is likely truncated, not damaged."""
     opcode, length = HEAD.unpack(head)
     return bool(opcode != 0 and length <= max(SMALLEST_LIMIT, size))

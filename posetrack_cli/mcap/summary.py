@@ -1,4 +1,4 @@
-"""The index at the end of an MCAP file: where its chunks, metadata and attachments are, if it is believed."""
+"""The index (summary section) of an MCAP file: locations of chunks, metadata and attachments."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ _SUMMARY_KINDS: dict[int, Any] = {
 
 
 def read_summary(path: Path) -> Summary | None:
-    """Return the index at the end of the file, or None if there is none that messages can be found by.
+    """Return a file's index, or None if messages cannot be found by it.
 
-    That is so for truncated files, for files written without chunks or without index, and for an index that
-    leads to one place twice or out of the file. None of its own records is decompressed.
+    That is so for truncated files, files without chunks or index, and an index that points to one place
+    twice or outside the file. None of its own records is decompressed.
     """
     with open_input(path) as stream:
         try:
@@ -48,13 +48,13 @@ def read_summary(path: Path) -> Summary | None:
 
 
 def chunk_span(index: ChunkIndex) -> RecordSpan:
-    """Return where the index says that a chunk is."""
+    """Return the location of a chunk according to the index."""
     end = index.chunk_start_offset + index.chunk_length
     return RecordSpan(Opcode.CHUNK, index.chunk_start_offset + HEAD.size, end)
 
 
 def extra_spans(summary: Summary | None) -> list[RecordSpan] | None:
-    """Return where the index says that metadata and attachments are, in order; None if it lacks some."""
+    """Return the locations of metadata and attachments in order; None if the index is incomplete."""
     if summary is None or summary.statistics is None:
         return None
     counts = (summary.statistics.metadata_count, summary.statistics.attachment_count)
@@ -70,7 +70,7 @@ def _extras(summary: Summary) -> list[RecordSpan]:
 
 
 def _summary_bytes(stream: IO[bytes]) -> bytes:
-    """Return the records of the summary, checked; none if there is no summary or no proper end."""
+    """Return the verified records of the summary; empty if there is no summary or no proper end."""
     footer_at = stream.seek(0, 2) - len(MAGIC) - _FOOTER.size
     if footer_at < len(MAGIC):
         return b""
@@ -118,7 +118,7 @@ def _keep(summary: Summary, record: Any) -> None:
 
 
 def _is_usable(summary: Summary, size: int) -> bool:
-    """Whether every message can be found: chunks are indexed, channels and schemas are repeated."""
+    """Return whether all messages can be found: chunks indexed, channels and schemas repeated."""
     statistics = summary.statistics
     if (
         not summary.chunk_indexes
@@ -135,7 +135,7 @@ def _is_usable(summary: Summary, size: int) -> bool:
 
 
 def _are_apart(spans: Iterable[RecordSpan], size: int) -> bool:
-    """Whether records lie in the file one behind the other: none twice, which would be read as often."""
+    """Return whether records do not overlap; a repeated one would be read again and again."""
     ordered = sorted(spans, key=lambda span: span.start)
     if any(span.end < span.start for span in ordered) or ordered[-1].end > size:
         return False

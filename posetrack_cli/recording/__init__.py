@@ -1,1 +1,1 @@
-"""What a run reads: frames and cameras, from folders and MCAP files."""
+"""Recordings: files and folders of images, messages or video, read as frames."""

@@ -1,4 +1,4 @@
-"""What recordings give: stored images, frames, truth; and the names by which results refer to them."""
+"""Data types of recordings: stored images, frames, truth messages, and the keys of run records."""
 
 from __future__ import annotations
 
@@ -13,19 +13,18 @@ from posetrack_cli.losses import LossLog
 if TYPE_CHECKING:
     from posetrack_cli.mcap.stream import McapItem
 
-TRUTH_PREFIX = "/truth/"
-"""Topics of ground truth begin so, in recordings and in results."""
+TRUTH_PREFIX = "/truth/"  # prefix of ground-truth topics, in recordings and in results
+# Ground-truth topics of an image folder.
 TRUTH_FILE_NAME = "truth.mcap"
-"""The file of a folder of images that has the topics of truth."""
+# Metadata record of a result: how it was made.
 RUN_RECORD = "posetrack.run"
-"""Name of the metadata that says how a result was made."""
+# Key of the recording's SHA-256 in the run record.
 RECORDING_KEY = "input.sha256"
-"""What it calls the identity of the recording."""
+# Key of the recording's path, as typed: equal commands then write equal records.
 PATH_KEY = "input.path"
-"""What it calls the recording's path, as it was typed: the same command states the same."""
 CAMERA_FILE_NAME = "camera.toml"
+# Key, below ``input``, of the text of a camera file given with --camera.
 CAMERA_FILE_KEY = "camera_file"
-"""What a run record calls the text of a camera file that is not the recording's own, below ``input``."""
 CAMERA_EXAMPLE = "fx = 365.0, fy = 365.0, cx = 255.5, cy = 211.5, each on its own line"
 
 
@@ -34,11 +33,11 @@ class Frame:
     """One instant of a recording.
 
     Attributes:
-        index: position in the recording, counted from 0 over all frames, also those left out.
-        stamp_ns: when it was taken, integer nanoseconds.
-        images: one (height, width) array per camera, in the order of ``Recording.cameras``; None at the
-            place of a camera that has no image of this instant. Depth is float32 millimetres, 0 = no
-            reading (never NaN, inf or negative), grey is uint8.
+        index: position in the recording, counted from 0 over all frames, including skipped ones.
+        stamp_ns: time of capture, integer nanoseconds.
+        images: one (height, width) array per camera, in the order of ``Recording.cameras``; None for a
+            camera without an image at this instant. Depth is float32 millimetres, 0 = no reading (never
+            NaN, inf or negative), grey is uint8.
     """
 
     index: int
@@ -47,16 +46,16 @@ class Frame:
 
     @property
     def depth(self) -> ImageArray:
-        """The image of a recording of one camera, whose frames always have one."""
+        """The image of a single-camera recording, whose frames always have one."""
         image = self.images[0]
         if image is None:
-            raise RecordingError("frame has no image of the first camera", found=f"frame {self.index}")
+            raise RecordingError("no image of the first camera", where=f"frame {self.index}")
         return image
 
 
 @dataclass(frozen=True)
 class TruthMessage:
-    """An undecoded message on a ``/truth/...`` topic, with all that is needed to write it again."""
+    """An undecoded message on a ``/truth/...`` topic, with everything needed to write it again."""
 
     topic: str
     schema_name: str
@@ -69,7 +68,7 @@ class TruthMessage:
 
 
 def truth_message(item: McapItem) -> TruthMessage:
-    """Return a message of truth as a file holds it."""
+    """Return a message from a file as an undecoded truth message."""
     schema, channel, message = item
     return TruthMessage(
         topic=channel.topic,
@@ -84,21 +83,21 @@ def truth_message(item: McapItem) -> TruthMessage:
 
 
 class NotCalibratedError(RecordingError):
-    """Nothing tells a camera's intrinsics."""
+    """No source provides a camera's intrinsics."""
 
 
 def not_calibrated(where: object) -> NotCalibratedError:
-    """Return the error for images without any camera file, with what to do."""
+    """Return the error for images without a camera file, with instructions."""
     return NotCalibratedError(
         "cameras are not calibrated",
         where=where,
-        expected=f"a {CAMERA_FILE_NAME} beside the images, or --camera",
-        hint="posetrack calibrate stereo measures cameras and writes it; for one fx, fy, cx, cy will do",
+        expected=f"{CAMERA_FILE_NAME} next to the images, or --camera",
+        hint="for one camera write fx, fy, cx, cy; for several run posetrack calibrate stereo",
     )
 
 
 def no_intrinsics(where: object, more: str = "") -> NotCalibratedError:
-    """Return the error for a recording without any camera, with what to write, and what else would do."""
+    """Return the error for a recording without intrinsics, with instructions and an alternative."""
     return NotCalibratedError(
         "no intrinsics",
         where=where,
@@ -107,11 +106,11 @@ def no_intrinsics(where: object, more: str = "") -> NotCalibratedError:
 
 
 class UnreadableImageError(Exception):
-    """One image cannot be decoded; readers skip it and count a loss."""
+    """An image that cannot be decoded; readers skip it and count a loss."""
 
 
 def no_png() -> None:
-    """Tell that no PNG of depth is stored."""
+    """Return None: no depth PNG is stored."""
 
 
 @dataclass(frozen=True)
@@ -119,11 +118,11 @@ class StoredImage:
     """One camera's image, decoded on demand.
 
     Attributes:
-        stamp_ns: when it was taken, integer nanoseconds.
+        stamp_ns: time of capture, integer nanoseconds.
         where: file name, or topic and time.
-        decode: returns (height, width) pixels as frames have them; raises UnreadableImageError to leave the
-            image out, RecordingError to end the pass.
-        png: returns the stored 16-bit PNG where its pixels are the decoded depth in mm already, else None.
+        decode: returns the (height, width) pixels of a frame; raises UnreadableImageError to skip the
+            image, RecordingError to end the pass.
+        png: returns the stored 16-bit PNG if its pixels already are depth in mm, else None.
     """
 
     stamp_ns: int
@@ -134,13 +133,13 @@ class StoredImage:
 
 @dataclass(frozen=True)
 class StoredFrame:
-    """What the cameras saw at one instant.
+    """The undecoded images of all cameras at one instant.
 
     Attributes:
-        stamp_ns: the reference camera's stamp, or the earliest where it has no image.
-        where: of the first image there is.
-        images: one per camera, None where it has none.
-        cameras: their names.
+        stamp_ns: the reference camera's stamp, or the earliest if it has no image.
+        where: location of the first image present.
+        images: one per camera, None if missing.
+        cameras: names of the cameras.
     """
 
     stamp_ns: int
@@ -150,9 +149,9 @@ class StoredFrame:
 
 
 def decode_frames(stored: Iterable[tuple[int, StoredFrame]], losses: LossLog) -> Iterator[Frame]:
-    """Decode frames one by one; a camera's image that is missing or cannot be decoded is None and counted.
+    """Decode frames one by one; missing or undecodable images become None and count as losses.
 
-    A frame of which no image can be decoded is left out.
+    Frames without any decodable image are skipped.
     """
     for index, frame in stored:
         images = tuple(

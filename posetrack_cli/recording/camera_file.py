@@ -1,4 +1,4 @@
-"""camera.toml, by hand or from a calibration: of one camera, or with a table ``[cameras.NAME]`` for each."""
+"""Camera files (camera.toml): one camera, or a table ``[cameras.NAME]`` for each of several."""
 
 from __future__ import annotations
 
@@ -40,21 +40,23 @@ from posetrack_cli.recording.orientation import UPRIGHT, Orientation, Picture
 from posetrack_cli.recording.pixels import Window
 from posetrack_cli.text import one_line, parse_toml, printable_json
 
+# Values of a nominal camera in its remark.
 NOMINAL_SHOWN = ("fx", "fy", "cx", "cy", "depth_unit_mm", "fps")
-"""What is reported of a nominal camera."""
-LONE_NAME = "camera"
-"""What frames and run records call the one camera to which no file gives a name."""
+# Name of an unnamed single camera in frames and run records.
+DEFAULT_CAMERA_NAME = "camera"
 TABLE = "cameras"
 RIG_KEYS = (TABLE, "reference", "mirror")
+# For rotated pictures: a principal point offset up to this, over half the image size, fits the picture; an
+# alternative must be worse by at least this.
 CENTRAL = 0.1
-"""A principal point within this share of half the image from the middle is that of the picture, and one that
-is farther off by this much is not, where a picture is turned."""
+# Shorter baselines mean that the extrinsics were not measured.
 NEAREST_MM = 1.0
-"""Cameras that are closer see no depth: their place was not measured."""
-NO_PLACE = "rotation = [9 numbers, row after row] and translation_mm = [3 numbers]: camera from reference"
+EXPECTED_EXTRINSICS = (
+    "rotation = [9 numbers, row by row] and translation_mm = [3 numbers]: camera from reference"
+)
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
-Unit = Annotated[float, Field(ge=1e-6, le=1e6)]  # 16-bit codes of it are depths that float32 holds
+Unit = Annotated[float, Field(ge=1e-6, le=1e6)]  # depth of 16-bit codes stays within float32
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Length = Annotated[float, Field(ge=-limits.LENGTH_MM, le=limits.LENGTH_MM)]
 Rate = Annotated[float, Field(ge=1e-6, le=1e6)]
@@ -64,17 +66,17 @@ AnyIntrinsics = TypeVar("AnyIntrinsics", bound="Intrinsics")
 
 
 class Intrinsics(Settings):
-    """What a camera file says about one camera's stored images, whatever they hold.
+    """Camera file settings of one camera's stored images, for any kind of pixels.
 
     Attributes:
-        width, height: of the images that the intrinsics are for, pixels; of stored images of another
-            resolution with the same aspect ratio they are scaled. None for the size of the stored images.
+        width, height: image size of the intrinsics, pixels; they are scaled to stored images of another
+            resolution with the same aspect ratio. None for the size of the stored images.
         fx, fy, cx, cy: intrinsics, pixels.
-        distortion, distortion_model: as in ``Camera``.
-        picture: which picture the intrinsics are for where EXIF or a video's container turns it; None decides
-            by sizes and the principal point.
-        fps: frame rate, Hz, of images that have no stamps.
-        crop: x, y, width, height of the part of the shown picture that is used; cut out before mirroring.
+        distortion, distortion_model: see ``Camera``.
+        picture: picture that the intrinsics describe if EXIF or a video container rotates it; None decides
+            by sizes and principal point.
+        fps: frame rate, Hz, for images without stamps.
+        crop: x, y, width, height of the used part of the shown picture; applied before mirroring.
     """
 
     width: Annotated[int, Field(gt=0)] | None = None
@@ -97,13 +99,13 @@ class Intrinsics(Settings):
         """Return the camera of images of this size.
 
         Args:
-            width, height: of the images.
-            name: of the camera.
-            picture: how the images are shown, where that is not as they are stored; of the same size.
+            width, height: size of the images.
+            name: name of the camera.
+            picture: how the images are shown if not as stored; of the same size.
 
         Raises:
-            RecordingError: if the file's intrinsics are not of such images, or it is not clear whether they
-                are of the stored or the shown picture.
+            RecordingError: the intrinsics do not fit such images, or it is unclear whether they describe
+                the stored or the shown picture.
         """
         orientation = UPRIGHT if picture is None else picture.orientation
         if orientation == UPRIGHT:
@@ -124,7 +126,7 @@ class Intrinsics(Settings):
             except PosetrackError as error:
                 problem = problem or error
         if not found:
-            raise problem or RecordingError("camera cannot be used", where=CAMERA_FILE_NAME)
+            raise problem or RecordingError("intrinsics do not fit the images", where=CAMERA_FILE_NAME)
         if len(found) == 1 or not orientation.transposed or is_same(found["shown"], found["stored"]):
             return next(iter(found.items()))
         kinds = sorted(found, key=lambda kind: off_centre(found[kind]))
@@ -132,14 +134,13 @@ class Intrinsics(Settings):
         if near <= CENTRAL and far - near >= CENTRAL:
             return kinds[0], found[kinds[0]]
         raise RecordingError(
-            "it is not clear which picture the camera is of",
+            "intrinsics may describe the stored or the shown picture",
             where=CAMERA_FILE_NAME,
-            found=f"pictures that are shown {orientation.words}",
-            hint='write picture = "stored" or picture = "shown" next to the intrinsics',
+            found=f"pictures {orientation.words}",
+            hint='add picture = "stored" or picture = "shown" next to the intrinsics',
         )
 
     def _of_size(self, width: int, height: int, name: str) -> Camera:
-        """Return the camera of images of this size."""
         stated = self._camera(self.width or width, self.height or height, name)
         camera = at_size(stated, width, height)
         if camera is None:
@@ -148,44 +149,44 @@ class Intrinsics(Settings):
                 where=CAMERA_FILE_NAME,
                 found=f"images of {width}x{height}",
                 expected=f"{stated.width}x{stated.height}",
-                hint="crop = [x, y, width, height] uses a part of the images",
+                hint="correct width and height, or use a part of the images: crop = [x, y, width, height]",
             )
         fault = principal_point_fault(camera)
         is_doubtful = fault is not None or is_off_centre(camera)
         if fault == OUTSIDE or (is_doubtful and self.width is None):
-            raise self._of_other_images(camera, fault or "far from the middle")
+            raise self._of_other_images(camera, fault or "far from the image centre")
         return camera
 
     def remarks(self, width: int, height: int, *, picture: Picture | None = None) -> tuple[str, ...]:
-        """Return what was converted for images of this size, or is unusual, one line each."""
+        """Return conversions for images of this size and unusual values, one line each."""
         orientation = UPRIGHT if picture is None else picture.orientation
         of, said = "shown", []
         if orientation != UPRIGHT:
-            of, _ = self._described(width, height, LONE_NAME, orientation)
-            said.append(f"pictures are {orientation.words}; the camera file describes the {of} picture")
+            of, _ = self._described(width, height, DEFAULT_CAMERA_NAME, orientation)
+            said.append(f"pictures are {orientation.words}; camera file describes the {of} picture")
         size = orientation.stored_size(width, height) if of == "stored" else (width, height)
         stated = (self.width or size[0], self.height or size[1])
         if stated != size:
             stored = f"{size[0]}x{size[1]}"
-            said.append(f"camera file is of {stated[0]}x{stated[1]}: intrinsics are scaled to {stored}")
+            said.append(f"camera file is for {stated[0]}x{stated[1]}: intrinsics are scaled to {stored}")
         return (*said, *off_centre_remark(self.stored_camera(width, height, picture=picture)))
 
     def _of_other_images(self, camera: Camera, fault: str) -> RecordingError:
-        """Return the error for intrinsics of images of another size, with those that would fit."""
+        """Return the error for intrinsics of another image size, with values that would fit."""
         width, height = likely_size(camera)
         size = f"{camera.width}x{camera.height}"
-        hint = f"if they are right, write width = {camera.width} and height = {camera.height} next to them"
+        hint = f"if they are right, add width = {camera.width} and height = {camera.height}"
         like = at_size(
             replace(camera, width=max(width, 1), height=max(height, 1)), camera.width, camera.height
         )
         if like is not None and (width, height) != (camera.width, camera.height):
             values = ", ".join(f"{key} = {getattr(like, key):.6g}" for key in ("fx", "fy", "cx", "cy"))
-            hint = f"if so, write width = {width} and height = {height} next to them, or scale them: {values}"
+            hint = f"if so, add width = {width} and height = {height}, or use the scaled values {values}"
         return RecordingError(
             f"principal point is {fault}",
             where=CAMERA_FILE_NAME,
-            found=f"cx {camera.cx:g} cy {camera.cy:g} for images of {size}",
-            expected=f"a camera of these images; is this the matrix of images of {width}x{height}?",
+            found=f"cx {camera.cx:g} cy {camera.cy:g} for {size} images",
+            expected=f"intrinsics of these images; do these belong to {width}x{height} images?",
             hint=hint,
         )
 
@@ -204,11 +205,11 @@ class Intrinsics(Settings):
 
 
 class DepthStorage(Settings):
-    """How depth is stored.
+    """Storage of depth.
 
     Attributes:
         depth_unit_mm: millimetres per stored unit; None decides by the images.
-        missing: stored code that means no reading; 0 always means it, too.
+        missing: stored code for no reading, in addition to 0.
     """
 
     depth_unit_mm: Unit | None = None
@@ -216,7 +217,7 @@ class DepthStorage(Settings):
 
 
 class DepthCamera(Intrinsics, DepthStorage):
-    """The one camera of a camera.toml for depth; all of it about the images before crop and mirror.
+    """The camera of a depth recording's camera.toml; all values are before crop and mirror.
 
     Attributes:
         mirror: flip the images left to right.
@@ -226,12 +227,12 @@ class DepthCamera(Intrinsics, DepthStorage):
 
     @property
     def window(self) -> Window:
-        """The part of the images that is used."""
+        """The used part of the images."""
         return Window(self.crop, self.mirror)
 
 
-class LoneCamera(Intrinsics, DepthStorage):
-    """The one camera of a camera.toml without ``[cameras.NAME]``, for grey images; depth may lie with them.
+class SingleCamera(Intrinsics, DepthStorage):
+    """The camera of a camera.toml without ``[cameras.NAME]``, for grey images; depth keys allowed.
 
     Attributes:
         mirror: flip the images left to right.
@@ -243,12 +244,12 @@ class LoneCamera(Intrinsics, DepthStorage):
 
 
 class RigCamera(Intrinsics):
-    """One camera among several.
+    """One of several cameras.
 
     Attributes:
-        rotation, translation_mm: camera_T_reference, R row after row and t: p_camera = R p_reference + t.
-            Only one camera may go without, which is then the one that they are relative to.
-        bits: as of ``LoneCamera``.
+        rotation, translation_mm: camera_T_reference, R row by row and t: p_camera = R p_reference + t. One
+            camera, the reference, may omit them.
+        bits: see ``SingleCamera``.
     """
 
     rotation: Annotated[tuple[Finite, ...], Field(min_length=9, max_length=9)] | None = None
@@ -258,62 +259,62 @@ class RigCamera(Intrinsics):
 
 @dataclass(frozen=True)
 class Rig:
-    """What a camera file says of all cameras, or what is guessed of one.
+    """All cameras of a camera file, or one guessed camera.
 
     Attributes:
-        path: the file; the recording where there is none.
-        cameras: settings by name, the reference first; the name is empty where the file gives none.
+        path: the file, or the recording if there is none.
+        cameras: settings by name, reference first; the name is empty if the file gives none.
         mirror: flip all images left to right.
     """
 
     path: Path
-    cameras: Mapping[str, RigCamera | LoneCamera | Guess]
+    cameras: Mapping[str, RigCamera | SingleCamera | Guess]
     mirror: bool = False
 
     @property
     def is_guessed(self) -> bool:
-        """Whether there is no camera file."""
+        """True if there is no camera file."""
         return any(isinstance(camera, Guess) for camera in self.cameras.values())
 
-    def chosen(self, names: Sequence[str]) -> Rig:
-        """Return the rig of some of its cameras, in its own order; one without a name goes by ``LONE_NAME``.
+    def subset(self, names: Sequence[str]) -> Rig:
+        """Return the rig with only the named cameras; an unnamed one is ``DEFAULT_CAMERA_NAME``.
 
         Raises:
-            RecordingError: if it has no camera of such a name.
+            RecordingError: it has no camera of a name.
         """
-        if "" in self.cameras and list(names) == [LONE_NAME]:
+        if "" in self.cameras and list(names) == [DEFAULT_CAMERA_NAME]:
             return self
         for name in names:
             if name not in self.cameras:
-                lone = "it is of one camera, which has no name: leave --cameras out"
+                lone = "it has one unnamed camera: omit --cameras"
                 hint = lone if "" in self.cameras else nearest_name(name, self.cameras)
                 raise RecordingError(f"no camera '{name}'", where=self.path, hint=hint)
         return Rig(self.path, {k: v for k, v in self.cameras.items() if k in names}, self.mirror)
 
     def window(self, name: str, mirror: bool | None = None) -> Window:
-        """Return the part of a camera's images that is used; ``mirror`` replaces the file's value."""
+        """Return the used part of a camera's images; ``mirror`` overrides the file's value."""
         return Window(self.cameras[name].crop, self.mirror if mirror is None else mirror)
 
     def stored_cameras(self, sizes: Mapping[str, Picture | tuple[int, int]]) -> tuple[Camera, ...]:
-        """Return the cameras of pictures, relative to the first.
+        """Return the cameras of the given pictures, relative to the first.
 
         Raises:
-            RecordingError: if the file gives other sizes, or no or an impossible place of a camera.
+            RecordingError: sizes do not match, or extrinsics are missing or invalid.
         """
-        placeless = [name for name, camera in self.cameras.items() if _is_placeless(camera)]
-        if len(placeless) > 1:
+        missing = [name for name, camera in self.cameras.items() if _has_no_extrinsics(camera)]
+        if len(missing) > 1:
             raise RecordingError(
-                f"places of cameras {', '.join(placeless)} are missing",
+                f"extrinsics of cameras {', '.join(missing)} are missing",
                 where=self.path,
-                hint=f"posetrack calibrate stereo measures them; or write {NO_PLACE}",
+                hint=f"run posetrack calibrate stereo, or add {EXPECTED_EXTRINSICS}",
             )
         cameras = [self._stored_camera(name, Picture(*sizes[name])) for name in self.cameras]
         rebased = relative_to(cameras[0], cameras)
-        check_apart(rebased, self.path)
+        check_baselines(rebased, self.path)
         return rebased
 
     def remarks(self, sizes: Mapping[str, Picture | tuple[int, int]]) -> tuple[str, ...]:
-        """Return what was converted for these pictures, or is unusual, one line each."""
+        """Return conversions for these pictures and unusual values, one line each."""
         said = []
         for name, camera in self.cameras.items():
             if not isinstance(camera, Guess):
@@ -325,15 +326,17 @@ class Rig:
     def _stored_camera(self, name: str, picture: Picture) -> Camera:
         settings = self.cameras[name]
         try:
-            camera = settings.stored_camera(*picture[:2], name or LONE_NAME, picture=picture)
+            camera = settings.stored_camera(*picture[:2], name or DEFAULT_CAMERA_NAME, picture=picture)
         except RecordingError as error:
-            raise _in_file(error, f"{self.path}, camera '{name}'" if name else self.path) from error
-        if not isinstance(settings, RigCamera) or _is_placeless(settings):
+            raise _with_path(error, f"{self.path}, camera '{name}'" if name else self.path) from error
+        if not isinstance(settings, RigCamera) or _has_no_extrinsics(settings):
             return camera
         where = f"{self.path}, rotation of camera '{name}'"
         if settings.rotation is None or settings.translation_mm is None:
             raise RecordingError(
-                f"place of camera '{name}' is half there", where=self.path, expected=NO_PLACE
+                f"extrinsics of camera '{name}' are incomplete",
+                where=self.path,
+                expected=EXPECTED_EXTRINSICS,
             )
         try:
             rotation = rotation_from_rows(settings.rotation, where)
@@ -343,7 +346,7 @@ class Rig:
 
 
 def camera_path(given: Path) -> Path:
-    """Return the camera file that --camera means: a file, or a nominal camera by name.
+    """Return the camera file given by --camera: a file, or the name of a nominal camera.
 
     Raises:
         UsageError: it is neither.
@@ -353,10 +356,10 @@ def camera_path(given: Path) -> Path:
     known = shipped_files("cameras")
     if str(given) not in known:
         raise UsageError(
-            "no such camera",
+            "unknown camera",
             where="--camera",
             found=str(given),
-            expected=f"a camera file, or one of {', '.join(known)}",
+            expected=f"a camera file or one of {', '.join(known)}",
             hint=nearest_name(str(given), known),
         )
     return known[str(given)]
@@ -372,14 +375,14 @@ def nominal_remark(path: Path) -> tuple[str, ...]:
 
 
 def nominal_names(width: int, height: int) -> list[str]:
-    """Return the names of the nominal cameras whose images have this size, also where two pixels make one."""
+    """Return the names of nominal cameras with this image size, or twice it (2x2 binning)."""
     every = {name: load_depth_camera(path) for name, path in shipped_files("cameras").items()}
     sizes = ((width, height), (2 * width, 2 * height))
     return [name for name, camera in every.items() if (camera.width, camera.height) in sizes]
 
 
 def nominal_hint(width: int, height: int) -> str:
-    """Return words about the nominal cameras whose images may have this size; none if there is none."""
+    """Return a hint listing the nominal cameras for this image size; empty if there are none."""
     names = nominal_names(width, height)
     return f"; or use a nominal camera for {width}x{height}: --camera {' | '.join(names)}" if names else ""
 
@@ -388,26 +391,26 @@ def image_camera(
     settings: DepthCamera,
     path: Path,
     size: tuple[int, int],
-    name: str = LONE_NAME,
+    name: str = DEFAULT_CAMERA_NAME,
     orientation: Orientation = UPRIGHT,
 ) -> ImageCamera:
-    """Return the camera that a camera file gives images of a width and height.
+    """Return the camera of images of a size from a camera file.
 
     Args:
-        settings: of the file.
+        settings: content of the file.
         path: the file.
-        size: of the decoded images, pixels.
-        name: of the camera.
-        orientation: of the decoded images against the stored ones.
+        size: width and height of the decoded images, pixels.
+        name: name of the camera.
+        orientation: orientation of the decoded images relative to the stored ones.
 
     Raises:
-        RecordingError: its intrinsics are not of such images.
+        RecordingError: the intrinsics do not fit such images.
     """
     try:
         picture = Picture(*size, orientation)
         camera = settings.stored_camera(*size, name, picture=picture)
     except RecordingError as error:
-        raise _in_file(error, path) from error
+        raise _with_path(error, path) from error
     return ImageCamera(camera, path.name, nominal_remark(path) + settings.remarks(*size, picture=picture))
 
 
@@ -415,16 +418,16 @@ def load_depth_camera(path: Path) -> DepthCamera:
     """Read the camera file of one depth camera.
 
     Raises:
-        RecordingError: if it is missing, not TOML, or a key is unknown, missing or of the wrong kind.
+        RecordingError: the file is missing or not TOML, or a key is unknown, missing or invalid.
     """
     return _checked(DepthCamera, _read_toml(path), path)
 
 
-def stated_depth(settings: DepthCamera | None, options: Mapping[str, Any]) -> tuple[float | None, int]:
-    """Return the unit of depth, mm, and the code of no reading that options or a camera file state.
+def depth_storage(settings: DepthCamera | None, options: Mapping[str, Any]) -> tuple[float | None, int]:
+    """Return the depth unit, mm, and the code for no reading from options or a camera file.
 
     Raises:
-        UsageError: an option has a value that cannot be used.
+        UsageError: an option is invalid.
     """
     known = {} if settings is None else {"depth_unit_mm": settings.depth_unit_mm, "missing": settings.missing}
     given = {key: options[key] for key in DepthStorage.model_fields if options.get(key) is not None}
@@ -432,45 +435,46 @@ def stated_depth(settings: DepthCamera | None, options: Mapping[str, Any]) -> tu
         stated = DepthStorage.model_validate(known | given)
     except ValueError as error:
         text = ", ".join(f"{key} {value}" for key, value in given.items())
-        raise UsageError("depth option cannot be used", found=text) from error
+        raise UsageError("invalid depth option", found=text) from error
     return stated.depth_unit_mm, stated.missing
 
 
 def load_rig(path: Path) -> Rig:
-    """Read the camera file of one or several cameras of grey images.
+    """Read the camera file of one or several grey cameras.
 
     Raises:
-        RecordingError: if it is missing, not TOML, or a key is unknown, missing or of the wrong kind.
+        RecordingError: the file is missing or not TOML, or a key is unknown, missing or invalid.
     """
     values = _read_toml(path)
     if TABLE not in values:
-        lone = _checked(LoneCamera, values, path)
+        lone = _checked(SingleCamera, values, path)
         return Rig(path, {"": lone}, lone.mirror)
     for key in values.keys() - set(RIG_KEYS):
         raise RecordingError(f"unknown key '{key}'", where=path, hint=nearest_name(key, RIG_KEYS))
     tables = values[TABLE]
     if not isinstance(tables, dict) or not tables or not all(isinstance(t, dict) for t in tables.values()):
-        raise RecordingError(f"'{TABLE}' cannot be used", where=path, expected="tables [cameras.NAME]")
+        raise RecordingError(f"invalid '{TABLE}'", where=path, expected="tables [cameras.NAME]")
     if len(tables) > limits.CAMERAS:
-        raise RecordingError("too many cameras", where=path, found=len(tables), expected=limits.CAMERAS)
+        expected = f"at most {limits.CAMERAS}"
+        raise RecordingError("too many cameras", where=path, found=len(tables), expected=expected)
     cameras = {
         name: _checked(RigCamera, table, f"{path}, [cameras.{name}]") for name, table in tables.items()
     }
     return Rig(path, _reference_first(cameras, values, path), _mirror(values, path))
 
 
-def found_rig(path: Path, file: Path | None, names: Iterable[str], guess: Guess | None) -> Rig:
-    """Return what a recording's camera file says, or what is guessed where it has none.
+def load_or_guess_rig(path: Path, file: Path | None, names: Iterable[str], guess: Guess | None) -> Rig:
+    """Return the rig of a recording's camera file, or a guessed camera if there is none.
 
     Args:
         path: the recording.
-        file: None for none.
-        names: of its cameras.
-        guess: of one camera; None if cameras must be calibrated.
+        file: its camera file, None for none.
+        names: names of its cameras.
+        guess: intrinsics of one camera; None if cameras must be calibrated.
 
     Raises:
         NotCalibratedError: there is neither file nor guess.
-        RecordingError: the file cannot be used.
+        RecordingError: the file is invalid.
     """
     if file is not None:
         return load_rig(file)
@@ -480,11 +484,11 @@ def found_rig(path: Path, file: Path | None, names: Iterable[str], guess: Guess 
 
 
 def camera_file_text(cameras: Iterable[Camera], comments: Sequence[str] = ()) -> str:
-    """Return a camera file of several cameras, the first of them the reference.
+    """Return the text of a camera file for several cameras, the first being the reference.
 
     Args:
-        cameras: with distinct names.
-        comments: lines to begin with, written after "# ".
+        cameras: cameras with distinct names.
+        comments: leading lines, written after "# ".
     """
     parts = ["".join(f"# {one_line(line)}".rstrip() + "\n" for line in comments)] if comments else []
     cameras = list(cameras)
@@ -493,24 +497,25 @@ def camera_file_text(cameras: Iterable[Camera], comments: Sequence[str] = ()) ->
 
 
 def camera_record(file: Path | None) -> dict[str, str]:
-    """Return what a run record says of a camera file that is no part of its input: the text.
+    """Return the run record's entry for a camera file given by option: its text. Empty for None.
 
-    Whoever opens the input again has it then, wherever the file is. Nothing for no file.
+    The text lets a result reopen the input wherever the file is.
     """
     return {} if file is None else {CAMERA_FILE_KEY: read_text(file, limits.TEXT_BYTES)}
 
 
-def check_apart(cameras: Sequence[Camera], where: object) -> None:
-    """Raise RecordingError if two cameras are in one place, so that they see no depth."""
+def check_baselines(cameras: Sequence[Camera], where: object) -> None:
+    """Raise RecordingError if two cameras share one position, so that they see no depth."""
     centres = [inverse(np.array(camera.camera_T_reference))[:, 3] for camera in cameras]
     for i, j in combinations(range(len(cameras)), 2):
         distance = float(np.linalg.norm(centres[i] - centres[j]))
         if distance < NEAREST_MM:
             raise RecordingError(
-                f"cameras '{cameras[i].name}' and '{cameras[j].name}' are in one place",
+                f"cameras '{cameras[i].name}' and '{cameras[j].name}' have no baseline",
                 where=where,
-                found=f"{distance:.3g} mm apart",
-                hint="translations are in mm; posetrack calibrate stereo measures them",
+                found=f"{distance:.3g} mm",
+                expected=f"at least {NEAREST_MM:g} mm",
+                hint="write translations in mm, or run posetrack calibrate stereo",
             )
 
 
@@ -532,7 +537,7 @@ def _numbers(values: Iterable[float]) -> str:
 
 
 def _key(name: str) -> str:
-    """A TOML key: bare where it can be."""
+    """Return a TOML key, bare if possible."""
     bare = name.replace("_", "").replace("-", "")
     if bare.isascii() and bare.isalnum():
         return name
@@ -540,16 +545,16 @@ def _key(name: str) -> str:
 
 
 def _quoted(text: str) -> str:
-    """A TOML string, which JSON's escapes suit."""
+    """Return a TOML string; JSON's escapes are valid in it."""
     return printable_json(json.dumps(text, ensure_ascii=False))
 
 
-def _in_file(error: RecordingError, where: object) -> RecordingError:
-    """Return the error of settings that do not know their file."""
+def _with_path(error: RecordingError, where: object) -> RecordingError:
+    """Return an error of settings, which do not know their file, with the file's path."""
     return RecordingError(str(error).removeprefix(f"{CAMERA_FILE_NAME}: "), where=where)
 
 
-def _is_placeless(camera: RigCamera | LoneCamera | Guess) -> bool:
+def _has_no_extrinsics(camera: RigCamera | SingleCamera | Guess) -> bool:
     return not isinstance(camera, RigCamera) or (camera.rotation is None and camera.translation_mm is None)
 
 
@@ -559,7 +564,7 @@ def _reference_first(
     reference = values.get("reference", next(iter(cameras)))
     if not isinstance(reference, str) or reference not in cameras:
         raise RecordingError(
-            f"reference '{reference}' is no camera", where=path, hint=nearest_name(str(reference), cameras)
+            f"reference '{reference}' is not a camera", where=path, hint=nearest_name(str(reference), cameras)
         )
     return {reference: cameras[reference]} | cameras
 
@@ -567,32 +572,20 @@ def _reference_first(
 def _mirror(values: Mapping[str, Any], path: Path) -> bool:
     mirror = values.get("mirror", False)
     if not isinstance(mirror, bool):
-        raise RecordingError(
-            "key 'mirror' cannot be used", where=path, found=mirror, expected="true or false"
-        )
+        raise RecordingError("invalid value for 'mirror'", where=path, found=mirror, expected="true or false")
     return mirror
 
 
 def _read_toml(path: Path) -> dict[str, Any]:
-    """Return what a TOML file says.
-
-    Raises:
-        RecordingError: if it is missing or not TOML.
-    """
     try:
         return parse_toml(read_text(path, limits.TEXT_BYTES))
     except OSError as error:
         raise RecordingError("cannot be read", where=path, found=error.strerror or error) from error
     except ValueError as error:
-        raise RecordingError("is not TOML", where=path, found=error) from error
+        raise RecordingError("not valid TOML", where=path, found=error) from error
 
 
 def _checked(kind: type[AnyIntrinsics], values: dict[str, Any], where: object) -> AnyIntrinsics:
-    """Return the settings of one camera that a table of a camera file holds.
-
-    Raises:
-        RecordingError: if a key is unknown, missing or of the wrong kind.
-    """
     try:
         settings = kind.model_validate(values)
         if settings.distortion:
@@ -612,5 +605,5 @@ def _first_problem(error: ValidationError, kind: type[Intrinsics], where: object
     if first["type"] == "missing":
         return RecordingError(f"key '{key}' is missing", where=where, hint=f"for example {CAMERA_EXAMPLE}")
     return RecordingError(
-        f"key '{key}' cannot be used", where=where, found=first["input"], expected=expected_words(first)
+        f"invalid value for '{key}'", where=where, found=first["input"], expected=expected_words(first)
     )

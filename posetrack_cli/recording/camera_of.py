@@ -1,4 +1,4 @@
-"""Which camera model an image has."""
+"""Camera models of images: guessed intrinsics, changing calibrations, and calibration messages."""
 
 from __future__ import annotations
 
@@ -23,31 +23,28 @@ from posetrack_cli.geometry.camera import (
 from posetrack_cli.recording.base import NotCalibratedError
 from posetrack_cli.recording.orientation import Picture
 
-# Intrinsics that are guessed, for images of one camera of which nothing tells them
+# Guessed intrinsics of a single uncalibrated camera
 
 
+# Source of a guessed model, in run records and descriptions.
 GUESSED = "guessed"
-"""Where the model of such a camera comes from, in run records and descriptions."""
+# Focal length over the longer image side: a field of view of 53 degrees. Webcams and phones film with 50 to
+# 70 degrees, and videos of a face are often cropped.
 LIKELY_FOCAL = 1.0
-"""Focal length over the image's longer side: a field of view of 53 degrees.
-
-Webcams and telephones have 50 to 70 degrees as they film, videos of one face are often cut to less.
-"""
-NARROWEST_DEG, WIDEST_DEG = 1.0, 170.0
-"""Of lenses whose images are those of a pinhole."""
+NARROWEST_DEG, WIDEST_DEG = 1.0, 170.0  # range in which a pinhole model holds
 
 
 @dataclass(frozen=True)
 class Guess:
-    """A camera that was not calibrated: square pixels, its axis through the middle, no distortion.
+    """An uncalibrated camera: square pixels, principal point at the centre, no distortion.
 
     Attributes:
-        focal: focal length over the image's longer side.
+        focal: focal length over the longer image side.
     """
 
     focal: float = LIKELY_FOCAL
 
-    # as of cameras in a camera file
+    # the attributes of cameras in a camera file
     fps: ClassVar[None] = None
     picture: ClassVar[None] = None
     crop: ClassVar[None] = None
@@ -56,60 +53,55 @@ class Guess:
     def stored_camera(
         self, width: int, height: int, name: str = "camera", *, picture: Picture | None = None
     ) -> Camera:
-        """Return the camera of images of this size; how they are shown does not matter to their middle."""
+        """Return the camera of images of this size; ``picture`` does not matter to a centred model."""
         focal_px = self.focal * max(width, height)
         return Camera(width, height, focal_px, focal_px, (width - 1) / 2, (height - 1) / 2, name=name)
 
 
 def guess_of_field(fov_deg: float) -> Guess:
-    """Return the guess for a field of view along the image's longer side, degrees.
+    """Return the guess for a field of view along the longer image side, degrees.
 
     Raises:
-        UsageError: it is that of no lens.
+        UsageError: the angle is out of range.
     """
     if not NARROWEST_DEG <= fov_deg <= WIDEST_DEG:
         expected = f"degrees from {NARROWEST_DEG:g} to {WIDEST_DEG:g}"
-        raise UsageError("--fov cannot be used", found=f"{fov_deg:g}", expected=expected)
+        raise UsageError("--fov out of range", found=f"{fov_deg:g}", expected=expected)
     return Guess(0.5 / math.tan(math.radians(fov_deg) / 2))
 
 
 def guess_of_camera(camera: Camera) -> Guess:
-    """Return the guess that a guessed camera was made by."""
+    """Return the guess from which a guessed camera was made."""
     return Guess(camera.fx / max(camera.width, camera.height))
 
 
-def check_one_camera(where: object, names: Iterable[str]) -> None:
-    """Refuse several cameras where one is to be used.
-
-    Raises:
-        UsageError: listing them.
-    """
+def require_single_camera(where: object, names: Iterable[str]) -> None:
+    """Raise UsageError, listing the cameras, if there are several."""
     known = list(names)
     if len(known) > 1:
         raise UsageError(
-            "several cameras, one can be used",
+            "several cameras",
             where=where,
             found=", ".join(known),
+            expected="one",
             hint="choose one with --cameras",
         )
 
 
-# Apply a calibration that changes during a recording, frame by frame.
+# Calibrations that change during a recording
 #
-# A recording has one camera model per camera. Images taken under another calibration of the same camera are
-# resampled to the pixels of the first, which is exact up to a pixel: both see the same rays from one place.
+# Frames of one camera share one model. Images taken under a later calibration are resampled to the pixels of
+# the first: same optical centre, so the mapping is exact up to pixel sampling.
 
-
-Dated = tuple[int, Any]
-"""Stamp, ns, and decoded message."""
+StampedMessage = tuple[int, Any]  # stamp, ns, and decoded message
 
 
 class CurrentCamera:
-    """The calibration that holds for an image.
+    """The calibration in effect for an image.
 
     Args:
-        first: camera of the recording's images as they are stored.
-        camera_of: makes a camera of a decoded calibration.
+        first: camera of the recording's stored images.
+        camera_of: returns the camera of a decoded calibration.
     """
 
     def __init__(self, first: Camera, camera_of: Callable[[Any], Camera]) -> None:
@@ -120,16 +112,16 @@ class CurrentCamera:
         self._map: Resampling | None = None
 
     def resampling(self, calibration: Any) -> Resampling | None:
-        """Return how images under a calibration become those of the first; None if they are.
+        """Return the resampling from a calibration's pixels to the first one's; None if they agree.
 
         Raises:
-            PosetrackError: the calibration is of another image size or cannot be used.
+            PosetrackError: the calibration has another image size or is invalid.
         """
         if calibration is None or calibration is self._latest:
             return self._map
         try:
             camera = self._camera_of(calibration)
-        except NotCalibratedError:  # an empty calibration says nothing new
+        except NotCalibratedError:  # some drivers publish empty calibrations now and then
             return self._map
         self._latest = calibration
         if camera != self._known:
@@ -139,7 +131,7 @@ class CurrentCamera:
 
 
 class Resampling:
-    """Resamples images of one camera to the pixels of another in the same place."""
+    """Resamples images of one camera to the pixels of another with the same optical centre."""
 
     def __init__(self, target: Camera, source: Camera) -> None:
         self._u, self._v = pixel_map(target, source)
@@ -148,7 +140,7 @@ class Resampling:
     def apply(self, image: ImageArray) -> ImageArray:
         """Return the image at the target's pixels, 0 where the source has none.
 
-        Depth is never interpolated: a value between hand and wall exists nowhere.
+        Depth uses the nearest neighbour: interpolation would invent depths between hand and wall.
         """
         is_depth = image.dtype == np.float32
         u, v = self._nearest if is_depth else (self._u, self._v)
@@ -156,16 +148,17 @@ class Resampling:
         return np.asarray(cv2.remap(image, u, v, how, borderMode=cv2.BORDER_CONSTANT, borderValue=0))
 
 
-def with_calibration(items: Iterable[tuple[bool, int, Any]]) -> Iterator[tuple[Any, Any]]:
-    """Yield each image with the calibration that holds for it, None before the first.
+def pair_with_calibration(items: Iterable[tuple[bool, int, Any]]) -> Iterator[tuple[Any, Any]]:
+    """Yield each image with the calibration in effect, None before the first.
 
-    That is the one of the same stamp, which drivers write before or after the image, else the latest before.
+    That is the one with the image's stamp, which drivers write before or after the image, else the latest
+    before it.
 
     Args:
-        items: in order of the file, whether it is a calibration, its stamp in ns, and what it is.
+        items: in file order, (is calibration, stamp in ns, item).
     """
     current: Any = None
-    waiting: Dated | None = None
+    waiting: StampedMessage | None = None
     for is_calibration, stamp, item in items:
         if not is_calibration:
             if waiting is not None:
@@ -180,15 +173,15 @@ def with_calibration(items: Iterable[tuple[bool, int, Any]]) -> Iterator[tuple[A
         yield waiting[1], current
 
 
-# Decide which camera model the pixels of an image follow.
+# Camera model of an image
 #
-# A calibration is about one grid of pixels: the raw or the rectified image of a sensor, at one resolution, of
-# all of it or a part. The images of a recording may be on another. Every source of images comes here:
-# messages with ``camera_of_message``, camera files with ``at_size`` and ``check_principal_point``.
+# A calibration describes one pixel grid: raw or rectified, at one resolution, of the whole sensor or a
+# region. Stored images may use another. Messages go through ``camera_of_message``, camera files through
+# ``at_size`` and ``principal_point_fault``.
 
 
 MODEL_NAMES = {
-    "Brown Conrady": "plumb_bob",  # as RealSense names it
+    "Brown Conrady": "plumb_bob",  # RealSense
     "Inverse Brown Conrady": "inverse_brown_conrady",
     "Kannala Brandt4": "equidistant",
     "kannala_brandt": "equidistant",
@@ -197,38 +190,38 @@ MODEL_NAMES = {
     "none": "plumb_bob",
     "None": "plumb_bob",
 }
+# Part of a topic name or frame id that ROS drivers give to rectified images.
 RECTIFIED = re.compile(r"(^|_)rect(ified)?(_|$)")
-"""A part of a topic's name or of a frame id that ROS's drivers give to rectified images."""
+# Part of a topic name of depth that was reprojected to the pixels of another camera.
 REPROJECTED = re.compile(r"(?:aligned_)?depth_to_(\w+)|(registered)")
-"""A part of a topic's name where depth was reprojected to the pixels of the camera that it names."""
 COLOUR_WORDS = ("color", "colour", "rgb")
+# Suffixes of an image topic's name.
 TRANSPORTS = ("compressed", "compressedDepth", "data", "theora", "ffmpeg")
-"""What a topic's name has behind that of its images."""
 
+# Calibrations closer than this are equal: online calibration refines the last digits.
 SAME_PX = 0.05
-"""Calibrations whose pixels differ by less are one: online calibration refines the last digits."""
-GRID = 9
-"""Rays across and down an image at which cameras are compared."""
+GRID = 9  # rays across and down an image at which cameras are compared
 OUTSIDE = "outside the image"
+# Offset of the principal point from the centre, over the image size, above which it is unusual; lenses
+# reach 0.05.
 OFF_CENTRE = 0.25
-"""A principal point farther from the middle than this share of the image is unusual; lenses reach 0.05."""
+# A principal point at the same multiple of the centre in x and y belongs to another resolution if the
+# multiple differs from 1 by the first value; x and y may differ by the second, twice what lenses do.
 OTHER_SCALE, SAME_SCALE = 0.2, 0.04
-"""A principal point that lies in both directions at one multiple of the middle, and off 1 by the first
-number, is that of another resolution: multiples differ by at most the second number, twice what lenses do."""
 
+# Image widths of common cameras, pixels.
 USUAL_WIDTHS = (256, 320, 384, 424, 480, 512, 640, 720, 848, 960, 1024, 1080, 1280, 1440, 1600, 1920, 2560)
-"""Of images of cameras, pixels."""
 
 
 @dataclass(frozen=True)
 class ImageCamera:
-    """The camera model of a topic's or a folder's stored images.
+    """The camera model of the stored images of a topic or folder.
 
     Attributes:
-        camera: of the images as they are stored.
-        why: where it comes from, for people.
-        remarks: what was converted or is unusual, one line each.
-        calibration, frame: topic and frame id of the messages that state it; empty for none.
+        camera: model of the images as stored.
+        why: its source, as text.
+        remarks: conversions and unusual values, one line each.
+        calibration, frame: topic and frame id of the calibration messages; empty for none.
     """
 
     camera: Camera
@@ -240,14 +233,14 @@ class ImageCamera:
 
 @dataclass(frozen=True)
 class Calibration:
-    """What a CameraInfo or CameraCalibration message states.
+    """The content of a CameraInfo or CameraCalibration message.
 
     Attributes:
-        width, height: of the whole sensor's image, pixels.
-        raw: intrinsics and distortion of the raw image; None where K is zero.
-        rectified: intrinsics of the rectified image, from P; None where P is zero.
+        width, height: size of the full sensor image, pixels.
+        raw: intrinsics and distortion of the raw image; None if K is zero.
+        rectified: intrinsics of the rectified image, from P; None if P is zero.
         binning: sensor pixels per image pixel, across and down.
-        roi: x, y, width, height of the part of the sensor that images have, before binning.
+        roi: x, y, width, height of the sensor region in the images, before binning.
     """
 
     width: int
@@ -259,10 +252,10 @@ class Calibration:
 
 
 def calibration_of(decoded: Any, where: str) -> Calibration:
-    """Return what a calibration message states.
+    """Return the content of a calibration message.
 
     Raises:
-        RecordingError: its values cannot be used.
+        RecordingError: its values are invalid.
     """
     width, height = int(decoded.width), int(decoded.height)
     k, p = matrix_of(decoded, "K", (3, 3)), matrix_of(decoded, "P", (3, 4))
@@ -273,14 +266,14 @@ def calibration_of(decoded: Any, where: str) -> Calibration:
         rectified = None if p is None or 0.0 in (p[0, 0], p[1, 1]) else _camera(width, height, p)
     except PosetrackError as error:
         found = str(error).partition(", found ")[2] or str(error)
-        what = "distortion cannot be used" if "distortion" in str(error) else "intrinsics cannot be used"
+        what = "unsupported distortion" if "distortion" in str(error) else "invalid intrinsics"
         raise RecordingError(f"{what}, found {found}", where=where, hint="pass --camera") from error
     binning = tuple(max(int(getattr(decoded, f"binning_{axis}", 0)), 1) for axis in "xy")
     return Calibration(width, height, raw, rectified, (binning[0], binning[1]), _roi(decoded))
 
 
 def is_empty(decoded: Any) -> bool:
-    """Return whether a calibration message states nothing, as some drivers' first ones do: K is zero."""
+    """Return whether a calibration message is empty (K is zero), as some drivers' first ones are."""
     k = matrix_of(decoded, "K", (3, 3))
     return k is None or k[0, 0] == 0.0
 
@@ -290,23 +283,23 @@ def camera_of_message(
 ) -> ImageCamera:
     """Return the camera of a topic's images.
 
-    Rectified images have P and no distortion, raw ones K and D. A part of the sensor (roi) and binning apply
-    where the images have that size; images of another resolution of the same shape get scaled intrinsics.
+    Rectified images use P without distortion, raw ones K and D. Region of interest and binning apply if the
+    images have that size; images of another resolution with the same aspect ratio get scaled intrinsics.
 
     Args:
-        calibration: that belongs to the images.
-        size: their width and height, pixels.
-        rectified: whether they are rectified.
-        name: of the camera.
-        topic, images: of the calibration and of the images, for messages.
+        calibration: calibration of the images.
+        size: width and height of the images, pixels.
+        rectified: True if the images are rectified.
+        name: name of the camera.
+        topic, images: topics of the calibration and of the images, for messages.
 
     Raises:
-        NotCalibratedError: the calibration is empty, which its K of zeros marks.
-        RecordingError: calibration and images do not fit together.
+        NotCalibratedError: the calibration is empty (K is zero).
+        RecordingError: calibration and images do not match.
     """
     choice = (calibration.rectified or calibration.raw) if rectified else calibration.raw
     if choice is None:
-        raise NotCalibratedError("camera is not calibrated", where=topic, found="K of zeros")
+        raise NotCalibratedError("camera is not calibrated", where=topic, found="K = 0")
     is_p = choice is calibration.rectified
     whole = replace(choice, distortion=(), distortion_model="plumb_bob") if rectified else choice
     fitting = list(_of_size(replace(whole, name=name), calibration, size))
@@ -319,17 +312,17 @@ def camera_of_message(
     fault = principal_point_fault(camera)
     if fault is not None:
         raise _off_centre(camera, fault, topic)
-    remarks = [f"images of {size[0]}x{size[1]}: camera is {why}"] if how else []
+    remarks = [f"camera of {size[0]}x{size[1]} images: {why}"] if how else []
     return ImageCamera(camera, why, tuple(remarks) + off_centre_remark(camera), topic)
 
 
 def is_rectified(topic: str, frame_id: str = "") -> bool:
-    """Return whether a topic's images are rectified, by the names that drivers give."""
+    """Return whether a topic's images are rectified, judged by driver naming conventions."""
     return any(RECTIFIED.search(part) for part in (*topic.lower().split("/"), frame_id.lower()))
 
 
 def reprojected_to(topic: str) -> tuple[str, ...]:
-    """Return words for the camera that depth was reprojected to; none where it is in its own pixels."""
+    """Return names of the camera that depth was reprojected to; empty for depth in its own pixels."""
     for part in topic.lower().split("/"):
         found = REPROJECTED.search(part)
         if found:
@@ -340,12 +333,12 @@ def reprojected_to(topic: str) -> tuple[str, ...]:
 
 
 def is_same_frame(frame: str, other: str) -> bool:
-    """Return whether two frame ids are one; ROS 1 had a leading slash for a while."""
+    """Return whether two frame ids are equal up to the leading slash of early ROS 1."""
     return frame.lstrip("/") == other.lstrip("/")
 
 
 def namespace_of(topic: str) -> str:
-    """Return the namespace that a camera's driver publishes a topic of images in."""
+    """Return the namespace in which a driver publishes an image topic."""
     parts = topic.split("/")
     while len(parts) > 2 and parts[-1] in TRANSPORTS:
         parts = parts[:-1]
@@ -353,53 +346,53 @@ def namespace_of(topic: str) -> str:
 
 
 def at_size(camera: Camera, width: int, height: int) -> Camera | None:
-    """Return the camera at another resolution of the same picture; None where the aspect ratios differ."""
+    """Return the camera at another resolution; None if the aspect ratios differ."""
     if (camera.width, camera.height) == (width, height):
         return camera
     across = width / camera.width
     down = height / camera.height
-    # the shorter side is rounded to whole pixels
+    # one side is rounded to whole pixels
     if abs(camera.height * across - height) > 1.0 and abs(camera.width * down - width) > 1.0:
         return None
-    if max(width, height, camera.width, camera.height) < 8:  # rounding is all there is
+    if max(width, height, camera.width, camera.height) < 8:  # rounding hides any aspect ratio
         return None
     return camera.scaled(width, height)
 
 
 def principal_point_fault(camera: Camera) -> str | None:
-    """Return why a camera's principal point cannot be that of its images; None where it can.
+    """Return why a principal point cannot belong to the images; None if it can.
 
-    It lies outside, or at one multiple of the middle in both directions, as that of another resolution does.
+    It lies outside, or at one multiple of the centre in both directions, as for another resolution.
     """
     across, down = _relative(camera)
     if not (0.0 <= across <= 2.0 and 0.0 <= down <= 2.0):
         return OUTSIDE
     scale = 0.5 * (across + down)
     if abs(scale - 1.0) > OTHER_SCALE and abs(across - down) < SAME_SCALE * scale:
-        return f"at {scale:.3g} times the middle"
+        return f"at {scale:.3g} times the image centre"
     return None
 
 
 def off_centre_remark(camera: Camera) -> tuple[str, ...]:
-    """Return a remark about a principal point far from the middle, if it is."""
+    """Return a remark if the principal point is far from the image centre."""
     if not is_off_centre(camera):
         return ()
     where = f"cx {camera.cx:g} cy {camera.cy:g} in {camera.width}x{camera.height}"
-    return (f"the principal point of the camera is far from the middle: {where}; is the image cropped?",)
+    return (f"principal point is far from the image centre: {where}; are the images cropped?",)
 
 
 def is_off_centre(camera: Camera) -> bool:
-    """Return whether the principal point is farther from the middle than a quarter of the image."""
+    """Return whether the principal point is off the centre by more than a quarter of the image."""
     return off_centre(camera) > 2.0 * OFF_CENTRE
 
 
 def off_centre(camera: Camera) -> float:
-    """Return how far the principal point is from the middle, as a share of half the image."""
+    """Return the offset of the principal point from the centre, over half the image size."""
     return max(abs(share - 1.0) for share in _relative(camera))
 
 
 def is_same(first: Camera, other: Camera) -> bool:
-    """Return whether two cameras see the same rays at the same pixels, to ``SAME_PX``."""
+    """Return whether two cameras map the same rays to the same pixels, within ``SAME_PX``."""
     if (first.width, first.height) != (other.width, other.height):
         return False
     if replace(other, name=first.name) == first:
@@ -412,9 +405,9 @@ def is_same(first: Camera, other: Camera) -> bool:
 
 
 def likely_size(camera: Camera) -> tuple[int, int]:
-    """Return the width and height of the images in whose middle the principal point lies.
+    """Return the width and height of images that have the principal point at their centre.
 
-    A usual size of the same aspect ratio is preferred where one is near.
+    Prefers a common size of the same aspect ratio if one is close.
     """
     width, height = 2.0 * camera.cx + 1.0, 2.0 * camera.cy + 1.0
     for usual in sorted(USUAL_WIDTHS, key=lambda usual: abs(usual - width)):
@@ -425,9 +418,9 @@ def likely_size(camera: Camera) -> tuple[int, int]:
 
 
 def matrix_of(decoded: Any, name: str, shape: tuple[int, int]) -> FloatArray | None:
-    """Return a matrix of a calibration message; None where it is absent, zero or not finite.
+    """Return a matrix of a calibration message; None if absent, zero or not finite.
 
-    ROS 1 and Foxglove write K, R and P, ROS 2 k, r and p.
+    ROS 1 and Foxglove name them K, R and P, ROS 2 k, r and p.
     """
     values: Any = getattr(decoded, name, None)
     matrix = np.array([float(v) for v in (getattr(decoded, name.lower(), ()) if values is None else values)])
@@ -437,19 +430,19 @@ def matrix_of(decoded: Any, name: str, shape: tuple[int, int]) -> FloatArray | N
 
 
 def _of_size(whole: Camera, calibration: Calibration, size: tuple[int, int]) -> Iterator[tuple[Camera, str]]:
-    """Yield the cameras of images of a size that a calibration may mean, and how; the likeliest first."""
+    """Yield possible cameras of images of a size, with the conversion; the likeliest first."""
     if (whole.width, whole.height) == size:
         yield whole, ""
     part, of_part = whole, ""
     if calibration.roi is not None:
         x, y, width, height = calibration.roi
         part = replace(whole, width=width, height=height, cx=whole.cx - x, cy=whole.cy - y)
-        of_part = f"the part of {width}x{height} at {x}, {y}"
+        of_part = f"region {width}x{height} at {x}, {y}"
         if (width, height) == size:
             yield part, of_part
     across, down = calibration.binning
     if (across, down) != (1, 1):
-        if (whole.width, whole.height) == size:  # a driver that states the size of what it delivers
+        if (whole.width, whole.height) == size:  # some drivers give the binned size as full size
             sensor = replace(whole, width=size[0] * across, height=size[1] * down)
             yield sensor.scaled(*size), f"binned {across}x{down}"
         binned = (part.width // across, part.height // down)
@@ -467,14 +460,14 @@ def _of_size(whole: Camera, calibration: Calibration, size: tuple[int, int]) -> 
 def _other_size(camera: Camera, size: tuple[int, int], topic: str, images: str) -> RecordingError:
     is_turned = at_size(camera, size[1], size[0]) is not None
     return RecordingError(
-        "images are rotated against their calibration"
+        "images are rotated relative to their calibration"
         if is_turned
         else "calibration and images differ in size",
         where=topic,
         found=f"{camera.width}x{camera.height}",
         expected=f"{size[0]}x{size[1]} as on {images}",
-        hint="pass --camera with the camera of the images"
-        + (" as they are stored" if is_turned else ", or choose another calibration with --camera-topic"),
+        hint="pass --camera with the intrinsics of the stored images"
+        + ("" if is_turned else ", or choose another calibration with --camera-topic"),
     )
 
 
@@ -483,14 +476,14 @@ def _off_centre(camera: Camera, fault: str, where: str) -> RecordingError:
     return RecordingError(
         f"principal point is {fault}",
         where=where,
-        found=f"cx {camera.cx:g} cy {camera.cy:g} in images of {camera.width}x{camera.height}",
-        expected=f"a calibration of these images; is this one of {width}x{height}?",
-        hint="pass --camera with the camera of these images",
+        found=f"cx {camera.cx:g} cy {camera.cy:g} in {camera.width}x{camera.height} images",
+        expected=f"a calibration of these images (this one fits {width}x{height})",
+        hint="pass --camera with the intrinsics of these images",
     )
 
 
 def _relative(camera: Camera) -> tuple[float, float]:
-    """The principal point as a multiple of the middle, across and down; edges are at 0 and 2."""
+    """Return the principal point over the centre, across and down; image edges are at 0 and 2."""
     return 2.0 * (camera.cx + 0.5) / camera.width, 2.0 * (camera.cy + 0.5) / camera.height
 
 
@@ -502,7 +495,7 @@ def _camera(
 
 
 def _lens(model: str, d: tuple[float, ...]) -> tuple[str, tuple[float, ...]]:
-    """Return model and coefficients; drivers state models by many names, and pad coefficients with zeros."""
+    """Return model and coefficients; drivers use many model names and pad coefficients with zeros."""
     if not any(d):
         return "plumb_bob", ()
     known = MODEL_NAMES.get(model, model)
@@ -523,6 +516,6 @@ def _roi(decoded: Any) -> tuple[int, int, int, int] | None:
 
 
 def _field(decoded: Any, name: str) -> Any:
-    """ROS 1 and Foxglove write D, ROS 2 d."""
+    """Return a field named D in ROS 1 and Foxglove, d in ROS 2."""
     value = getattr(decoded, name, None)
     return getattr(decoded, name.lower()) if value is None else value

@@ -11,24 +11,22 @@ from posetrack_cli.arrays import ImageArray
 from posetrack_cli.compiled import inlined, kernel
 from posetrack_cli.recording.base import UnreadableImageError
 
-# RVL, the run-length code of 16-bit depth images that ROS's compressedDepth uses besides PNG.
+# RVL, a run-length code for 16-bit depth that ROS's compressedDepth supports next to PNG
 #
-# A. D. Wilson, Fast Lossless Depth Image Compression, 2017. An image is a sequence of pairs of runs: a number
-# of pixels without a reading, a number of pixels with one, and for each of these the difference to the
-# reading before it. Numbers are split into groups of three bits, the lowest first, each with a fourth bit
-# that is set if another group follows. These nibbles fill little-endian words of 32 bits from the top.
+# A. D. Wilson, Fast Lossless Depth Image Compression, 2017. An image is a sequence of run pairs: the number
+# of pixels without a reading, the number with one, and for each of the latter the difference to the previous
+# reading. Numbers are split into groups of three bits, lowest first, each with a fourth bit that is set if
+# another group follows. The nibbles fill little-endian 32-bit words from the top.
 
-
-_LONGEST_BITS = 27
-"""Of a number, in groups of three: more than every number of pixels and every difference of an image has."""
+_LONGEST_BITS = 27  # bits of a number, above any pixel count or depth difference
 _WHOLE, _CUT, _DAMAGED = 0, 1, 2
 
 
 def decode_rvl(data: bytes, width: int, height: int) -> ImageArray:
-    """Return the (height, width) uint16 codes of an image that words hold.
+    """Return the (height, width) uint16 codes of an RVL image.
 
     Raises:
-        UnreadableImageError: the image is larger than any that is read, or the data are cut or damaged.
+        UnreadableImageError: the image exceeds ``limits``, or the data are truncated or damaged.
     """
     if not width * height:
         raise UnreadableImageError("image is empty")
@@ -44,7 +42,7 @@ def decode_rvl(data: bytes, width: int, height: int) -> ImageArray:
 
 @inlined
 def _number(words: ImageArray, nibble: int) -> tuple[int, int]:
-    """Return a number and where the next begins; -1 if it is cut, -2 if it is longer than any."""
+    """Return a number and the position of the next one; -1 if truncated, -2 if too long."""
     value: Any = 0
     shift = 0
     while nibble < 8 * len(words):
@@ -61,7 +59,7 @@ def _number(words: ImageArray, nibble: int) -> tuple[int, int]:
 
 @kernel
 def _decode_rvl(words: ImageArray, codes: ImageArray) -> int:
-    """Fill the codes of an image, zero before; return whether the words hold it."""
+    """Fill the codes of an image, initially zero; return its state."""
     pixel, nibble, code = 0, 0, 0
     while pixel < len(codes):
         empty, nibble = _number(words, nibble)
@@ -76,46 +74,42 @@ def _decode_rvl(words: ImageArray, codes: ImageArray) -> int:
             if folded < 0:
                 return _CUT if folded == -1 else _DAMAGED
             code += (folded >> 1) ^ -(folded & 1)
-            codes[at] = code & 0xFFFF  # as the encoder's 16-bit numbers, it wraps
+            codes[at] = code & 0xFFFF  # wraps like the encoder's 16-bit arithmetic
         pixel += count
     return _WHOLE
 
 
-# LZFSE, Apple's compression, as apps use it for images: matches and literals, coded by finite state entropy.
+# LZFSE, Apple's compression: Lempel-Ziv matches and literals with finite state entropy coding
 #
-# A stream is a row of blocks: ``bvx-`` holds bytes as they are, ``bvx2`` compressed ones, ``bvx$`` ends it.
-# ``bvxn``, which Apple's encoder writes for less than 4 kB only, is not read. A compressed block has tables
-# of frequencies, then literals, then triples: how many literals, how many bytes to copy, from how far back.
-# Both literals and triples are read from the last bit to the first.
+# A stream is a sequence of blocks: ``bvx-`` holds raw bytes, ``bvx2`` compressed ones, ``bvx$`` ends it.
+# ``bvxn``, which Apple's encoder writes below 4 kB only, is not supported. A compressed block has frequency
+# tables, literals, and triples: number of literals, length and distance of the match. Both bit streams are
+# read backwards.
 
 
 _RAW, _COMPRESSED, _END = 0x2D787662, 0x32787662, 0x24787662
-_HEADER = 32
-"""Bytes of a compressed block before its tables."""
+_HEADER = 32  # bytes of a compressed block before its tables
+# A block has at most 40,000 literals and a quarter as many triples; literals come in fours. Larger counts
+# mean damage and would cost time without output.
 _MOST_LITERALS, _MOST_MATCHES_TO_LITERALS, _SPARE_LITERALS = 40_000, 4, 3
-"""Of a block, which has a quarter as many triples at most; literals come in fours.
-
-A block that makes more work than output is damaged.
-"""
-_EXPANSION = 2
-"""Of data that do not compress, which encoders store as they are."""
+_EXPANSION = 2  # encoders store incompressible data raw, so no valid stream is longer than this
+# Extra bits per symbol: literal count, match length, distance; none for literals
 _TAKEN_BITS = np.array([0] * 16 + [2, 3, 5, 8])
 _COPIED_BITS = np.array([0] * 16 + [3, 5, 8, 11])
 _BACK_BITS = np.repeat(np.arange(16), 4)
 _LITERAL_BITS = np.zeros(256, np.int64)
-"""Plain bits behind each symbol: of numbers of literals, of bytes to copy, of distances; of literals none."""
+# Code length and value of a frequency by its lowest five bits; longer codes add the bits above four.
 _CODE_BITS = np.array([2, 3, 2, 5, 2, 3, 2, 8, 2, 3, 2, 5, 2, 3, 2, 14] * 2)
 _CODED = np.array(
     [0, 2, 1, 4, 0, 3, 1, 8, 0, 2, 1, 5, 0, 3, 1, 24, 0, 2, 1, 6, 0, 3, 1, 8, 0, 2, 1, 7, 0, 3, 1, 24]
 )
-"""Bits of a frequency's code, and the frequency, by the lowest five; longer codes add those above four."""
 
 
 def decode_lzfse(data: bytes, size: int) -> bytes:
-    """Return the ``size`` bytes that a stream holds.
+    """Return the ``size`` bytes of a stream.
 
     Raises:
-        UnreadableImageError: it is cut or damaged, or holds more or fewer.
+        UnreadableImageError: the stream is truncated, damaged, or of another size.
     """
     out = np.zeros(size, np.uint8)
     if len(data) > _EXPANSION * size + _HEADER or not _decode_lzfse(np.frombuffer(data, np.uint8), out):
@@ -125,7 +119,7 @@ def decode_lzfse(data: bytes, size: int) -> bytes:
 
 @inlined
 def _bits(data: ImageArray, position: int, count: int) -> int:
-    """Return up to 32 bits from a position in bits on, the first one lowest."""
+    """Return up to 32 bits starting at a bit position, the first one lowest."""
     byte = position >> 3
     value: Any = np.int64(0)
     for i in range(5):
@@ -137,9 +131,9 @@ def _bits(data: ImageArray, position: int, count: int) -> int:
 
 @kernel
 def _table(frequencies: ImageArray, extra: ImageArray, states: int) -> ImageArray:
-    """Return a row for each state: bits to read, state to add to, plain bits of these, value to add to.
+    """Return a row per state: bits to read, state base, extra bits of these, value base.
 
-    The first row's bits are negative if the frequencies are not those of so many states.
+    The first row's bits are negative if the frequencies do not sum to ``states``.
     """
     table = np.zeros((states, 4), np.int64)
     state, base = 0, np.int64(0)
@@ -166,7 +160,7 @@ def _table(frequencies: ImageArray, extra: ImageArray, states: int) -> ImageArra
 
 @inlined
 def _value(data: ImageArray, position: int, state: int, table: ImageArray) -> tuple[int, int, int]:
-    """Return a value, and the position and the state after it."""
+    """Return a value, and the bit position and state after it."""
     count, plain = table[state, 0], table[state, 2]
     position -= count
     read = _bits(data, position, count)
@@ -179,7 +173,7 @@ def _value(data: ImageArray, position: int, state: int, table: ImageArray) -> tu
 
 @kernel
 def _frequencies(data: ImageArray, at: int, end: int) -> ImageArray:
-    """Return the frequencies of 20, 20, 64 and 256 symbols; the first is -1 if they do not end there."""
+    """Return the frequencies of 20, 20, 64 and 256 symbols; the first is -1 if the length is wrong."""
     frequencies = np.zeros(360, np.int64)
     position = 8 * at
     for i in range(360 if end > at else 0):
@@ -196,7 +190,7 @@ def _frequencies(data: ImageArray, at: int, end: int) -> ImageArray:
 
 @kernel
 def _literals(data: ImageArray, at: int, begin: int, end: int, table: ImageArray) -> ImageArray:
-    """Return the literals of a block, coded between two bytes; none if they do not end there."""
+    """Return the literals of a block, coded between two bytes; empty if the length is wrong."""
     literals = np.zeros(_bits(data, 8 * at + 64, 20), np.uint8)
     position = 8 * end + _bits(data, 8 * at + 124, 3) - 7
     states = np.array([_bits(data, 8 * at + 128 + 10 * i, 10) for i in range(4)])
@@ -218,7 +212,7 @@ def _copy(
     out: ImageArray,
     filled: int,
 ) -> int:
-    """Carry out the triples of a block, coded between two bytes; return how much is filled, or -1."""
+    """Execute the triples of a block, coded between two bytes; return the output length, or -1."""
     position = 8 * end + _bits(data, 8 * at + 188, 3) - 7
     taken_state, copied_state = _bits(data, 8 * at + 224, 10) & 63, _bits(data, 8 * at + 234, 10) & 63
     back_state = _bits(data, 8 * at + 244, 10) & 255
@@ -246,7 +240,7 @@ def _copy(
 
 @kernel
 def _decode_block(data: ImageArray, at: int, out: ImageArray, filled: int) -> tuple[int, int]:
-    """Decode the compressed block at a byte; return where the next begins and how much is filled, or -1."""
+    """Decode a compressed block; return the position of the next and the output length, or -1."""
     counts = max(_bits(data, 8 * at + 64, 20), _MOST_MATCHES_TO_LITERALS * _bits(data, 8 * at + 104, 20))
     first = at + _bits(data, 8 * at + 192, 32)
     second = first + _bits(data, 8 * at + 84, 20)
@@ -269,7 +263,7 @@ def _decode_block(data: ImageArray, at: int, out: ImageArray, filled: int) -> tu
 
 @kernel
 def _decode_lzfse(data: ImageArray, out: ImageArray) -> bool:
-    """Fill the output; return whether the stream holds exactly so much."""
+    """Fill the output; return whether the stream holds exactly that many bytes."""
     at, filled = 0, 0
     while at + 4 <= len(data):
         magic = _bits(data, 8 * at, 32)

@@ -1,4 +1,4 @@
-"""Write a recording as Foxglove MCAP, without loss of any depth value."""
+"""Write a recording as Foxglove MCAP, lossless in depth."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ CHUNK_BYTES = 1024 * 1024
 
 @dataclass(frozen=True)
 class Conversion:
-    """What a conversion did: frames written, and what was lost."""
+    """Result of a conversion: number of frames written, and losses."""
 
     frames: int
     losses: tuple[Loss, ...]
@@ -50,20 +50,20 @@ def convert_recording(
 ) -> Conversion:
     """Write a recording's frames, camera and truth to an MCAP file; equal input gives equal bytes.
 
-    Whole millimetres go out as 16-bit PNG (foxglove.CompressedImage), copied unchanged where the
-    recording stores just that; other depths as 32FC1 metres (foxglove.RawImage) in zstd chunks. The file
-    is written as ``out`` + ``.part`` and renamed when it is complete.
+    Depth in whole millimetres is written as 16-bit PNG (foxglove.CompressedImage), copied unchanged if
+    stored that way; other depth as 32FC1 metres (foxglove.RawImage) in zstd chunks. The file is written as
+    ``out`` + ``.part`` and renamed when complete.
 
     Args:
-        recording: to write.
-        out: the file.
-        overwrite: whether an existing one may be replaced.
-        truth: more than what the recording carries, by log time.
+        recording: recording to write.
+        out: output file.
+        overwrite: replace an existing file.
+        truth: messages to add to the recording's own, in log-time order.
 
     Raises:
-        UsageError: if ``out`` exists and is not to be overwritten, or is the recording itself.
-        RecordingError: if the recording cannot be read or has no frame.
-        ResultError: if the file cannot be written.
+        UsageError: ``out`` exists without ``overwrite``, or is the recording itself.
+        RecordingError: the recording cannot be read or has no frames.
+        ResultError: the file cannot be written.
     """
     check_output(out, overwrite=overwrite, source=recording.path)
     with whole_or_nothing(out) as part:
@@ -91,7 +91,7 @@ def _write(recording: Recording, part: Path, truth: Iterable[TruthMessage]) -> C
 
 @dataclass
 class _Writer:
-    """Puts images and truth on their channels; the calibration goes out with the first image."""
+    """Writes images and truth to their channels; the calibration precedes the first image."""
 
     recording: Recording
     encoding: DepthEncoding
@@ -102,7 +102,7 @@ class _Writer:
     def images(
         self, frames: Iterable[tuple[int, StoredFrame]], losses: LossLog
     ) -> Iterator[_Image | TruthMessage]:
-        """Yield the serialised messages; an image that cannot be decoded is skipped and counted."""
+        """Yield the serialised messages; an undecodable image is skipped and counted."""
         for index, frame in frames:
             for image in filter(None, frame.images):
                 try:
@@ -139,7 +139,7 @@ class _Writer:
         return self._truth_channels[message.topic]
 
     def _serialised(self, stored: StoredImage) -> bytes:
-        # Decoded even if its PNG is copied: a damaged image must not pass as a good one.
+        # Decode even if the PNG is copied, so that a damaged image is not passed on.
         depth = stored.decode()
         message = _message_class(self.encoding)(
             frame_id=self.recording.cameras[0].name, **_content(stored, depth, self.encoding)
@@ -151,7 +151,7 @@ class _Writer:
 def _encoding(recording: Recording) -> DepthEncoding:
     pixels = recording.pixels[0]
     if not isinstance(pixels, Depth):
-        raise RecordingError("only depth can be converted", where=recording.path)
+        raise RecordingError("only depth recordings can be converted", where=recording.path)
     return pixels.encoding
 
 

@@ -1,4 +1,4 @@
-"""Depth in millimetres of what a recording stores, and what its values look like."""
+"""Stored depth: conversion to millimetres, and detection of its unit."""
 
 from __future__ import annotations
 
@@ -22,37 +22,34 @@ from posetrack_cli.recording.base import UnreadableImageError
 from posetrack_cli.recording.image_files import PNG_SIGNATURE, PNG_SIZE_AT, decode_codes
 from posetrack_cli.recording.pixels import check_size, raw_values
 
-# Depth images: which stored values and messages hold depth, and how they become millimetres
-
-
+# Stored depth and its conversion to millimetres
 DepthEncoding = Literal["16UC1", "32FC1"]
 
 MM_PER_M = 1000.0
+# Name of disparity (pixels) in topics, folders and encodings.
 DISPARITY = "disparity"
-"""How a topic, a folder and an encoding are named that hold the shift between two images, pixels."""
 RAW_DEPTH: dict[str, DepthEncoding] = {"16UC1": "16UC1", "mono16": "16UC1", "32FC1": "32FC1"}
 DTYPES: dict[DepthEncoding, str] = {"16UC1": "u2", "32FC1": "f4"}
 COMPRESSED_DEPTH_HEADER = struct.Struct("<iff")
 PNG_SIZE_AND_TYPE = struct.Struct(">IIBB")
+# Part of the format of compressedDepth messages with the RVL codec; the usual codec is PNG.
 RVL_FORMAT = "compressedDepth rvl"
-"""Part of the format of messages of compressedDepth's other codec; the usual one is PNG."""
-RVL_SIZE = struct.Struct("<II")
-"""Width and height, before the words of RVL (``compression``)."""
+RVL_SIZE = struct.Struct("<II")  # width and height, before the RVL words (``compression``)
 PNG_COLOUR_TYPES = {0: "grey", 2: "colour", 3: "palette", 4: "grey with alpha", 6: "colour with alpha"}
 
 
 @dataclass(frozen=True)
 class Depth:
-    """Depth as 16-bit codes or floating-point numbers of some unit; a kind of ``Pixels``.
+    """Depth as 16-bit codes or floats of some unit; implements ``Pixels``.
 
     Attributes:
-        width, height: of the stored images, pixels.
+        width, height: size of the stored images, pixels.
         encoding: ``16UC1`` if every depth is a whole number of millimetres, else ``32FC1``.
-        unit_mm: millimetres per stored unit, also of floating-point numbers.
-        missing: stored code that means no reading; 0 always means it, too.
-        stored: as people name how messages store it: ``16UC1``, ``png 16-bit grey``...
-        disparity_px_m: focal length times baseline, px m, where images hold disparity; else None.
-        is_float: whether image files hold floats.
+        unit_mm: millimetres per stored unit, also of floats.
+        missing: stored code for no reading, in addition to 0.
+        stored: name of the stored format in messages: ``16UC1``, ``png 16-bit grey``...
+        disparity_px_m: focal length times baseline, px m, if images hold disparity; else None.
+        is_float: True if image files hold floats.
     """
 
     width: int
@@ -67,35 +64,35 @@ class Depth:
     is_numbered_as_stored: ClassVar[bool] = True
 
     def from_file(self, data: bytes, where: object) -> Float32Array:
-        """Return (height, width) depth, mm, of an image file."""
+        """Return the (height, width) depth, mm, of an image file."""
         try:
             values = decode_codes(data, str(where))
-        except RecordingError as error:  # which names the file; the first image would have been refused
+        except RecordingError as error:  # names the file; a first image of this kind ends the pass instead
             raise UnreadableImageError(str(error).removeprefix(f"{where}: ")) from error
         if (values.dtype.kind == "f") != self.is_float:
             kinds = "16-bit integers", "32-bit floats"
             found, expected = kinds[not self.is_float], kinds[self.is_float]
-            raise UnreadableImageError(f"it has {found}, not {expected} as the others")
+            raise UnreadableImageError(f"values are {found}, not {expected} like the first")
         return self.from_stored(values)
 
     def from_stored(self, codes: ImageArray) -> Float32Array:
-        """Return (height, width) depth, mm, of codes as they are stored."""
+        """Return the (height, width) depth, mm, of stored values."""
         check_size(codes, self)
         return depth_from_stored(codes, self.unit_mm, self.missing)
 
     def from_message(self, decoded: Any, kind: str, where: str) -> Float32Array:
-        """Return (height, width) depth, mm, of an image message."""
+        """Return the (height, width) depth, mm, of an image message."""
         here = describe_image(decoded, kind)
         first = ImageDescription(self.stored, self.width, self.height, here.depth)
         if here.width and here != first:
             found = f"{here.width}x{here.height} {here.encoding}"
             expected = f"{first.width}x{first.height} {first.encoding}"
-            raise UnreadableImageError(f"it is {found}, not {expected} as the others")
+            raise UnreadableImageError(f"format is {found}, not {expected} like the first")
         values = stored_depth(decoded, kind, where, self.disparity_px_m)
         return depth_from_stored(values, self.unit_mm, self.missing)
 
     def png_of_message(self, decoded: Any, kind: str) -> bytes | None:
-        """Return the 16-bit PNG of depth in mm that a message carries, None if it does not carry one."""
+        """Return the 16-bit PNG of depth in mm in a message, None if there is none."""
         if kind != COMPRESSED_IMAGE or self.unit_mm != 1.0 or self.missing:
             return None
         data = bytes(decoded.data)
@@ -107,10 +104,10 @@ class Depth:
 
 @dataclass(frozen=True)
 class ImageDescription:
-    """What an image message holds, told without decoding its pixels.
+    """Content of an image message, determined without decoding its pixels.
 
     Attributes:
-        encoding: as people name it: ``16UC1``, ``png 16-bit grey``, ``jpeg``...
+        encoding: name of the format: ``16UC1``, ``png 16-bit grey``, ``jpeg``...
         width, height: pixels; 0 if unknown.
         depth: how it stores depth, None if it does not.
     """
@@ -122,7 +119,7 @@ class ImageDescription:
 
 
 def describe_image(decoded: Any, kind: str) -> ImageDescription:
-    """Describe an image message of kind RAW_IMAGE or COMPRESSED_IMAGE."""
+    """Return the content of an image message of any kind."""
     if kind == RAW_IMAGE:
         encoding = str(decoded.encoding)
         return ImageDescription(encoding, int(decoded.width), int(decoded.height), RAW_DEPTH.get(encoding))
@@ -136,15 +133,15 @@ def describe_image(decoded: Any, kind: str) -> ImageDescription:
 
 
 def stored_depth(decoded: Any, kind: str, where: str, disparity_px_m: float | None = None) -> ImageArray:
-    """Return the (height, width) values of a depth message: integer codes, or floats, in its own unit.
+    """Return the (height, width) values of a depth message: codes or floats, in its own unit.
 
     Args:
         decoded, kind: the message.
-        where: for errors.
-        disparity_px_m: focal length times baseline, where the values are disparities; depth in m is returned.
+        where: location, for errors.
+        disparity_px_m: focal length times baseline if the values are disparities; depth in m is returned.
 
     Raises:
-        UnreadableImageError: if the data are too short or damaged, or are no depth.
+        UnreadableImageError: the data are too short, damaged, or not depth.
     """
     if kind == COMPRESSED_IMAGE:
         return _decode_compressed(decoded, where)
@@ -152,22 +149,22 @@ def stored_depth(decoded: Any, kind: str, where: str, disparity_px_m: float | No
         baseline = decoded.T if hasattr(decoded, "T") else decoded.t  # in ROS 1 and in ROS 2
         decoded, disparity_px_m = decoded.image, float(decoded.f) * float(baseline)
     if decoded.encoding not in RAW_DEPTH:
-        raise UnreadableImageError(f"encoding {decoded.encoding} is no depth")
+        raise UnreadableImageError(f"encoding {decoded.encoding} is not depth")
     values = raw_values(decoded, DTYPES[RAW_DEPTH[decoded.encoding]])
     return values if disparity_px_m is None else depth_from_disparity(values, disparity_px_m)
 
 
 def depth_from_stored(values: ImageArray, unit_mm: float, missing: int = 0) -> Float32Array:
-    """Return depth, mm, of stored integer codes or floats of ``unit_mm`` each, 0 = no reading."""
+    """Return depth, mm, from stored integer codes or floats of ``unit_mm`` each; 0 = no reading."""
     if values.dtype.kind == "f":
         return depth_from_floats(values, unit_mm)
     return depth_from_codes(values, unit_mm, missing)
 
 
 def depth_from_codes(codes: ImageArray, unit_mm: float = 1.0, missing: int = 0) -> Float32Array:
-    """Return depth, mm, of unsigned integer codes of ``unit_mm`` each; 0 and ``missing`` become 0.
+    """Return depth, mm, from unsigned integer codes of ``unit_mm`` each.
 
-    So do depths that no camera reads (``limits``).
+    0, ``missing`` and depths outside any camera's range (``limits``) become 0.
     """
     depth = (codes * np.float64(unit_mm)).astype(np.float32) if unit_mm != 1.0 else codes.astype(np.float32)
     if missing:
@@ -177,26 +174,26 @@ def depth_from_codes(codes: ImageArray, unit_mm: float = 1.0, missing: int = 0) 
 
 
 def depth_from_floats(values: ImageArray, unit_mm: float = MM_PER_M) -> Float32Array:
-    """Return depth, mm, of floats of ``unit_mm`` each; NaN, inf and what no camera reads become 0."""
+    """Return depth, mm, from floats of ``unit_mm`` each; NaN, inf and implausible depths become 0."""
     with np.errstate(over="ignore", invalid="ignore"):
         depth = (values.astype(np.float64) * unit_mm).astype(np.float32)
     return _readings(depth)
 
 
 def depth_from_inverse(codes: ImageArray, a: float, b: float) -> FloatArray:
-    """Return depth, m, of compressedDepth's quantised inverse depth: z = a / (v - b), v = 0 none."""
+    """Return depth, m, of quantised inverse depth (compressedDepth): z = a / (v - b), v = 0 none."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(codes > 0, a / (codes.astype(np.float64) - b), 0.0)
 
 
 def depth_from_disparity(disparity: ImageArray, px_m: float) -> FloatArray:
-    """Return depth, m, of disparity, px: z = f B / d; 0 where d is not positive."""
+    """Return depth, m, from disparity, px: z = f B / d; 0 where d is not positive."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(disparity > 0, px_m / disparity.astype(np.float64), 0.0)
 
 
 def _readings(depth: Float32Array) -> Float32Array:
-    """Depth, mm, with 0 in the place of what is no reading: arithmetic on it would overflow."""
+    """Set depths, mm, outside ``limits`` to 0; arithmetic on them would overflow."""
     with np.errstate(invalid="ignore"):
         readable = (depth >= limits.NEAREST_MM) & (depth <= limits.FARTHEST_MM)
     depth[~readable] = 0.0
@@ -227,7 +224,7 @@ def _describe_compressed(image_format: str, data: bytes) -> ImageDescription:
 
 
 def _png_offset(data: bytes) -> int | None:
-    """Return where the PNG begins: 0, or after compressedDepth's header; None if there is no PNG."""
+    """Return where the PNG begins: 0, or after compressedDepth's header; None without a PNG."""
     for offset in (0, COMPRESSED_DEPTH_HEADER.size):
         header_end = offset + PNG_SIZE_AT + PNG_SIZE_AND_TYPE.size
         if data.startswith(PNG_SIGNATURE, offset) and len(data) >= header_end:
@@ -239,10 +236,10 @@ def _decode_compressed(decoded: Any, where: str) -> ImageArray:
     data = bytes(decoded.data)
     description = _describe_compressed(str(decoded.format), data)
     if description.depth is None:
-        raise UnreadableImageError(f"format {description.encoding or 'unknown'} is no depth")
+        raise UnreadableImageError(f"format {description.encoding or 'unknown'} is not depth")
     offset = _png_offset(data)
     if offset is None:
-        from posetrack_cli.recording.compression import decode_rvl  # loads numba
+        from posetrack_cli.recording.compression import decode_rvl  # imports numba: only when needed
 
         codes = decode_rvl(
             data[COMPRESSED_DEPTH_HEADER.size + RVL_SIZE.size :], description.width, description.height
@@ -254,49 +251,34 @@ def _decode_compressed(decoded: Any, where: str) -> ImageArray:
     return depth_from_inverse(codes, *COMPRESSED_DEPTH_HEADER.unpack_from(data)[1:])
 
 
-# Whether stored images are depth, by their names, and of which unit, by what early images hold
-
-
+# Detection of depth by names, and of its unit by the values of early images
 Item = TypeVar("Item")
 
+# Words in names of 16-bit and float images other than depth.
 _NO_DEPTH = re.compile(
     r"(?<![a-z])(disparity|infrared|infra|n?ir|confidence|amplitude|intensity|brightness|reflectivity)(?![a-z])"
 )
-"""Words in names of 16-bit images and float images that are not depth."""
+# Parts of a topic name that do not indicate the content.
 _PLAIN_PART = re.compile(r"(image|data|compressed)(_?(raw|rect|rect_raw|mono|16|depth))*")
-"""Parts of a topic's name that say nothing of what its images are."""
-EARLY_FRAMES = (0, 7, 15, 22, 30)
-"""Numbers of the images that are looked at: of about the first second."""
-MOST_PIXELS = 40_000
-"""Of one image; of a larger one every second or third row and column is used."""
+EARLY_FRAMES = (0, 7, 15, 22, 30)  # inspected images, within the first second
+MOST_PIXELS = 40_000  # larger images are subsampled
+# Depth range of the hand search (``hand.config``); a finer unit is considered only beyond it.
 SEARCHED_MM = (120.0, 1500.0)
-"""Depths at which hands are searched for, see ``hand.config``: a finer unit is considered only beyond."""
-HAND_MM = (50.0, 350.0)
-"""Square root of the area of a hand, with some of its forearm."""
+HAND_MM = (50.0, 350.0)  # square root of the area of a hand with some forearm
+# Unit by common divisor of the codes: whole millimetres stored in a finer unit.
 _STEPS = {10: 0.1, 8: 0.125, 5: 0.2, 4: 0.25}
-"""Unit by the common divisor of codes: whole millimetres of a sensor, stored in a finer unit."""
-USUAL_UNITS_MM = (*_STEPS.values(), 1.0, 10.0, MM_PER_M)
-"""In which depth is stored, millimetres."""
-_DIVISIBLE = 0.999
-"""Share of readings that a divisor must divide: some interpolate a few at edges."""
-_LEAST_VALUES = 64
-"""Different codes needed, or a flat scene would be a multiple of anything."""
-_LABEL_BITS = 3
-"""Of Kinect v1 images with the number of a player below the depth."""
-_LABELS_ALIKE = 0.9
-_LABELLED = 0.005
-"""Neighbours whose labels are equal, and share of readings with a player, of such images."""
-_FLOATS_IN_MM = (100.0, 200.0)
-"""First percentile and median of floats in mm at least: no hand is recorded 100 m away."""
-_TOO_FAR_MM = 10_000.0
-"""Median depth that no camera for hands has."""
-_TOUCHING_MM = 20.0
-"""Everything within this is too near for any depth camera."""
+USUAL_UNITS_MM = (*_STEPS.values(), 1.0, 10.0, MM_PER_M)  # common depth units, mm
+_DIVISIBLE = 0.999  # required share of multiples; some cameras interpolate at edges
+_LEAST_VALUES = 64  # distinct codes required, as a flat scene is a multiple of anything
+_LABEL_BITS = 3  # Kinect v1 images with a player index in the low bits
+_LABELS_ALIKE = 0.9  # minimum share of neighbours with equal index in such images
+_LABELLED = 0.005  # minimum share of readings with a player
+_FLOATS_IN_MM = (100.0, 200.0)  # least near and median depth of floats in mm: hands are not 100 m away
+_TOO_FAR_MM = 10_000.0  # median depth out of range for hands
+_TOUCHING_MM = 20.0  # closer than any depth camera measures
+# The nearest surface starts at one of these percentiles and covers at least this share of the image.
 _NEAREST_SHARES, _LEAST_SURFACE = (1.0, 2.0, 4.0, 8.0, 16.0), 0.008
-"""Percentiles of readings at one of which the nearest surface begins, and its least share of the image:
-nearer readings are specks."""
-_SURFACE_REACH = 1.25
-"""How far the nearest surface reaches in depth, a factor."""
+_SURFACE_REACH = 1.25  # depth extent of the nearest surface, as a factor
 
 
 @dataclass(frozen=True)
@@ -304,16 +286,16 @@ class DepthContent:
     """Statistics of stored depth values, in their own unit.
 
     Attributes:
-        images: images looked at that have a reading.
-        is_float: whether values are floats.
-        share: of pixels that have a reading.
-        near: where the nearest surface begins.
+        images: inspected images with readings.
+        is_float: True for float values.
+        share: share of pixels with a reading.
+        near: depth at which the nearest surface begins.
         middle, far: percentiles 50 and 99 of readings.
-        surface: square root of the area of the nearest surface, in the unit of depth; 0 for none.
-        values: different values, of integers.
+        surface: square root of the area of the nearest surface, in the unit of depth; 0 if there is none.
+        values: number of distinct integer values.
         step: largest of 10, 8, 5 and 4 that divides the integers, else 1.
-        labels_alike: share of neighbouring readings of different depth whose low three bits are equal.
-        labelled: share of readings whose low three bits are not 0.
+        labels_alike: share of neighbouring readings at different depth with equal low three bits.
+        labelled: share of readings with low three bits not 0.
     """
 
     images: int = 0
@@ -334,17 +316,17 @@ class DepthContent:
         return MM_PER_M if self.is_float else 1.0
 
     def range_words(self, unit_mm: float) -> str:
-        """Say at which depths readings lie: ``4.8 to 6.6 m``."""
+        """Return the range of readings as text: ``4.8 to 6.6 m``."""
         return range_words(self.near * unit_mm, self.far * unit_mm)
 
 
 @dataclass(frozen=True)
-class Decision:
+class UnitDecision:
     """The unit of stored depth.
 
     Attributes:
         unit_mm: millimetres per stored unit.
-        remark: why it is not the one by convention or the one given, one line; empty if it is.
+        remark: why it differs from the convention or the given unit, one line; empty if it does not.
     """
 
     unit_mm: float
@@ -357,25 +339,25 @@ class Decision:
 
 
 def other_content(name: str) -> str:
-    """Return the word in the name of a topic or folder that says that its images are not depth; else ""."""
+    """Return the word in a topic or folder name that indicates images other than depth; else ""."""
     parts = [part for part in name.lower().split("/") if part and not _PLAIN_PART.fullmatch(part)]
     found = _NO_DEPTH.search(parts[-1]) if parts and "depth" not in parts[-1] else None
     return "" if found is None else found.group(1)
 
 
 def early(items: Iterable[Item]) -> Iterator[Item]:
-    """Yield the items whose images are looked at."""
+    """Yield the items of the inspected frames."""
     wanted = frozenset(EARLY_FRAMES)
     return (item for number, item in enumerate(islice(items, max(wanted) + 1)) if number in wanted)
 
 
 def content_of(images: Iterable[ImageArray], camera: Camera, missing: int = 0) -> DepthContent:
-    """Return the statistics of depth images as they are stored.
+    """Return the statistics of stored depth images.
 
     Args:
         images: (height, width) integers or floats.
-        camera: of these images.
-        missing: code of no reading.
+        camera: camera of these images.
+        missing: code for no reading.
     """
     shown = [image for image in map(_thinned, images) if _are_readings(image, missing).any()]
     shown = [image for image in shown if (image.shape, image.dtype) == (shown[0].shape, shown[0].dtype)]
@@ -408,37 +390,37 @@ def content_of(images: Iterable[ImageArray], camera: Camera, missing: int = 0) -
     )
 
 
-def decide_unit(content: DepthContent, given_mm: float | None = None) -> Decision:
-    """Decide the unit of stored depth.
+def decide_unit(content: DepthContent, given_mm: float | None = None) -> UnitDecision:
+    """Return the unit of stored depth.
 
     Args:
-        content: of early images.
-        given_mm: mm per stored unit, where somebody has stated it.
+        content: statistics of early images.
+        given_mm: mm per stored unit if stated by the user or a camera file.
     """
     usual = content.convention_mm
     if not content.images:
-        return Decision(usual if given_mm is None else given_mm)
+        return UnitDecision(usual if given_mm is None else given_mm)
     if given_mm is not None:
-        return _given(content, given_mm)
+        return _checked(content, given_mm)
     if content.is_float:
         low, middle = _FLOATS_IN_MM
         if content.near >= low and content.middle >= middle and content.far < _TOO_FAR_MM * 2:
-            return _found(content, 1.0, "floats are millimetres, not metres")
-        return Decision(usual)
+            return _detected(content, 1.0, "floats are in millimetres, not metres")
+        return UnitDecision(usual)
     if _has_players(content):
-        return _found(content, 0.125, "Kinect v1 player numbers below the depth")
+        return _detected(content, 0.125, "low bits are Kinect v1 player indices")
     unit = _STEPS.get(content.step, usual)
     if unit != usual and content.values >= _LEAST_VALUES and _is_finer(content, unit):
-        return _found(content, unit, f"all values are multiples of {content.step}")
-    return Decision(usual)
+        return _detected(content, unit, f"all values are multiples of {content.step}")
+    return UnitDecision(usual)
 
 
 def likely_units(content: DepthContent, unit_mm: float = 1.0) -> tuple[float, ...]:
-    """Return the usual units in which the nearest surface is as far away as a hand, and as large as one.
+    """Return the common units, mm, in which the nearest surface could be a hand.
 
     Args:
-        content: of images, whose values are multiples of ``unit_mm``.
-        unit_mm: the unit that they were read in, mm; 1 of stored values.
+        content: statistics of images whose values are multiples of ``unit_mm``.
+        unit_mm: unit of the values, mm; 1 for stored values.
     """
     low, high = SEARCHED_MM
     return tuple(
@@ -450,41 +432,39 @@ def likely_units(content: DepthContent, unit_mm: float = 1.0) -> tuple[float, ..
 
 
 def range_words(low_mm: float, high_mm: float) -> str:
-    """Return a range of lengths for people: ``4.8 to 6.6 m``."""
+    """Return a range of lengths as text: ``4.8 to 6.6 m``."""
     low, high = length_words(low_mm), length_words(high_mm)
     unit = high.rpartition(" ")[2]
     return f"{low.removesuffix(f' {unit}')} to {high}"
 
 
 def length_words(mm: float) -> str:
-    """Return a length for people: ``0.6 mm``, ``35 mm``, ``4.8 m``, ``600 m``."""
+    """Return a length as text: ``0.6 mm``, ``35 mm``, ``4.8 m``, ``600 m``."""
     if mm < 99.5:
         return f"{mm:.2g} mm"
     metres = mm / MM_PER_M
     return f"{metres:.2f} m" if metres < 1.0 else f"{metres:.3g} m" if metres >= 100.0 else f"{metres:.1f} m"
 
 
-def _found(content: DepthContent, unit_mm: float, why: str) -> Decision:
-    taken = f"depth is taken as {unit_mm:g} mm per stored unit"
-    where = f"readings then lie at {content.range_words(unit_mm)}"
-    return Decision(unit_mm, f"{taken}: {why}; {where}; --depth-unit-mm overrides")
+def _detected(content: DepthContent, unit_mm: float, why: str) -> UnitDecision:
+    taken = f"depth unit detected as {unit_mm:g} mm"
+    where = f"readings from {content.range_words(unit_mm)}"
+    return UnitDecision(unit_mm, f"{taken}: {why}, {where}; override with --depth-unit-mm")
 
 
-def _given(content: DepthContent, given_mm: float) -> Decision:
-    """The unit given; one that only makes sense in metres per stored unit is taken as such."""
+def _checked(content: DepthContent, given_mm: float) -> UnitDecision:
+    """Return the given unit, or the same number of metres if only that makes sense."""
     metres = given_mm * MM_PER_M
     if content.far * given_mm >= _TOUCHING_MM or not (
         SEARCHED_MM[0] <= content.middle * metres <= 2 * _TOO_FAR_MM
     ):
-        return Decision(given_mm)
-    within = (
-        f"a depth unit of {given_mm:g} mm places everything within {length_words(content.far * given_mm)}"
-    )
-    return Decision(metres, f"{within}: taken as {given_mm:g} m, which is {metres:g} mm per stored unit")
+        return UnitDecision(given_mm)
+    within = f"a depth unit of {given_mm:g} mm puts everything within {length_words(content.far * given_mm)}"
+    return UnitDecision(metres, f"{within}: assuming {given_mm:g} m, i.e. {metres:g} mm per stored unit")
 
 
 def _has_players(content: DepthContent) -> bool:
-    """Whether codes are depth << 3 | player: low bits that stay where the depth changes are no depth."""
+    """Return whether codes are depth << 3 | player: low bits that stay equal where depth changes."""
     return (
         content.values >= _LEAST_VALUES
         and content.labelled >= _LABELLED
@@ -494,7 +474,7 @@ def _has_players(content: DepthContent) -> bool:
 
 
 def _is_finer(content: DepthContent, unit_mm: float) -> bool:
-    """Whether values are of a finer unit than mm: too far for mm, or the nearest surface a hand's size."""
+    """Return whether a finer unit fits: too far for mm, or the nearest surface has a hand's size."""
     low, high = SEARCHED_MM
     if content.near < high or not low <= content.near * unit_mm <= high:
         return False
@@ -515,7 +495,7 @@ def _are_readings(image: ImageArray, missing: int) -> ImageArray:
 
 
 def _nearest(image: ImageArray, mask: ImageArray, focal: float) -> tuple[float, float]:
-    """Where the nearest surface of some extent begins, and the square root of its area; both in its unit."""
+    """Return where the nearest large surface begins and the square root of its area, in its unit."""
     near, area = 0.0, 0
     for near in np.percentile(image[mask], _NEAREST_SHARES):
         surface = (mask & (image >= near) & (image <= _SURFACE_REACH * near)).astype(np.uint8)
@@ -527,7 +507,7 @@ def _nearest(image: ImageArray, mask: ImageArray, focal: float) -> tuple[float, 
 
 
 def _labels(image: ImageArray, mask: ImageArray) -> tuple[int, int]:
-    """How many neighbours of different depth have equal low bits, and how many there are."""
+    """Return the number of neighbours at different depth with equal low bits, and of all such."""
     alike = compared = 0
     codes = image.astype(np.int64)
     for one, other, both in (

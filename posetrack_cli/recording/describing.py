@@ -1,4 +1,4 @@
-"""What a recording holds, for people: of folders and of messages."""
+"""Descriptions of recordings in image folders and message files, in plain values."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from posetrack_cli.recording.description import (
     described_losses,
     described_stamps,
     described_use,
-    opened,
+    try_open,
 )
 from posetrack_cli.recording.folder import depth_camera_path, open_depth_folder, open_grey_folder
 from posetrack_cli.recording.grey import decode_shown, grey_like, holds_grey
@@ -52,18 +52,17 @@ from posetrack_cli.recording.message_source import open_depth_messages, open_gre
 from posetrack_cli.recording.message_topics import Topic, TopicScan
 from posetrack_cli.recording.timeline import Timeline
 
-# Describe folders of images: depth, or grey images of one or more cameras; what is missing has a reason
+# Folders of images: depth, or grey images of one or more cameras
 
 
+# For images without stamps: matching by name does not depend on the rate.
 ANY_RATE_HZ = 30.0
-"""Which images belong together does not depend on it."""
 
 
 def describe_folder(path: Path) -> dict[str, Any]:
-    """Describe a folder of 16-bit depth, or images of cameras; of depth only the first image is read.
+    """Describe a folder of 16-bit depth or camera images; of depth only the first is read.
 
-    Of a folder with depth below both this and the images of cameras are described, the latter under
-    ``colour``.
+    If depth is in a subfolder, the description is that of depth, with camera images under ``colour``.
     """
     if (depth := depth_below(path)) is not None:
         others = _others(path)
@@ -82,7 +81,7 @@ def describe_folder(path: Path) -> dict[str, Any]:
 
 
 def _others(path: Path) -> CameraFolders | None:
-    """Return the images of a folder that are not called depth, None if there are none."""
+    """Return the images in folders not named depth, None if there are none."""
     try:
         found = find_folders(path).without_depth()
     except RecordingError:
@@ -91,7 +90,7 @@ def _others(path: Path) -> CameraFolders | None:
 
 
 def _describe_depth(found: CameraFolders) -> dict[str, Any]:
-    """Describe a folder of depth images: number, size, stamps, camera; what is missing has a reason."""
+    """Return number, size, stamps and camera of depth images; each missing item has a reason."""
     path, (images,) = found.path, found.by_name.values()
     first = first_decoded(images, _as_stored)
     height, width = first.shape[:2]
@@ -119,11 +118,11 @@ def _describe_depth(found: CameraFolders) -> dict[str, Any]:
 
 
 def _describe_grey(folders: CameraFolders) -> dict[str, Any]:
-    """Describe the images of each camera, the frames that they make, and the cameras together."""
+    """Return the images of each camera, the matched frames, and the rig."""
     path, by_name = folders.path, folders.by_name
     timing, no_stamps = _timing(folders)
     fps = None if timing else ANY_RATE_HZ
-    recording, no_camera = opened(lambda: open_grey_folder(path, {"fps": fps}))
+    recording, no_camera = try_open(lambda: open_grey_folder(path, {"fps": fps}))
     matched = () if recording is None else recording.matched(LossLog())
     frames = [frame for frame in matched if frame is not None]
     return {
@@ -163,7 +162,7 @@ def _as_stored(image: ImageFile) -> ImageArray:
 
 
 def _timing(folders: CameraFolders) -> tuple[Timing | None, str | None]:
-    """Return the stamps of images without a rate, or why they have none."""
+    """Return the stamps of images without a given rate, or the reason why there are none."""
     try:
         return folders.timing(None), None
     except PosetrackError as error:
@@ -187,14 +186,14 @@ def _folder(name: str, images: Sequence[ImageFile]) -> dict[str, Any]:
     }
 
 
-# Describe a file of messages, intact or not, in one pass over its messages
+# Files of messages, intact or damaged, in one pass
 
 
-SHOWN_CHARACTERS = 60
+SHOWN_CHARACTERS = 60  # longest metadata value shown
 
 
 class MessageSurvey:
-    """Collects topics, stamps and losses from a file's messages.
+    """Topics, stamps and losses of a file of messages.
 
     Stamps are those a reader uses: the message's own for images and calibrations, else the log time.
     """
@@ -204,7 +203,7 @@ class MessageSurvey:
         self._scan = TopicScan()
         self._decoder = MessageDecoder()
         self._timelines: dict[str, Timeline] = {}
-        for schema, channel, _ in self._file.counts() or ():  # also of topics without any message
+        for schema, channel, _ in self._file.counts() or ():  # includes topics without messages
             self._scan.topic(schema, channel)
         for item in self._file.messages():
             self._add(item)
@@ -214,7 +213,7 @@ class MessageSurvey:
         return [self._topic(self._scan.topics[name]) for name in sorted(self._scan.topics)]
 
     def cameras(self) -> list[dict[str, Any]]:
-        """Return the intrinsics of every calibration topic, or why they cannot be used."""
+        """Return the intrinsics of every calibration topic, or why they are invalid."""
         topics = sorted(self._scan.topics.values(), key=lambda topic: topic.name)
         return [
             _message_camera(topic)
@@ -223,26 +222,26 @@ class MessageSurvey:
         ]
 
     def has_several_cameras(self) -> bool:
-        """Whether there are two topics of images that can be made grey, depth aside."""
+        """Return whether at least two topics hold grey or colour images, not depth."""
         images = [topic for topic in self._scan.topics.values() if topic.image is not None]
         return sum(holds_grey(topic.first, topic.kind) and not topic.is_depth for topic in images) > 1
 
     def has_grey(self) -> bool:
-        """Whether there is a topic of images that can be made grey, depth aside."""
+        """Return whether a topic holds grey or colour images, not depth."""
         images = [topic for topic in self._scan.topics.values() if topic.image is not None]
         return any(holds_grey(topic.first, topic.kind) and not topic.is_depth for topic in images)
 
     def has_depth(self) -> bool:
-        """Whether there is a topic of depth images."""
+        """Return whether a topic holds depth images."""
         return any(topic.is_depth for topic in self._scan.topics.values())
 
     @property
     def losses(self) -> tuple[Loss, ...]:
-        """What cannot be read."""
+        """Unreadable data."""
         return self._file.losses.losses
 
     def extras(self) -> list[tuple[str, dict[str, Any]]]:
-        """Describe metadata and attachments, each with the word for what it is."""
+        """Return metadata and attachments, each as (``metadata`` or ``attachment``, values)."""
         is_mcap = isinstance(self._file, McapFile)
         return [_extra(record) for record in McapFile(self._file.path).extras()] if is_mcap else []
 
@@ -275,13 +274,13 @@ class MessageSurvey:
 
 
 def describe_messages(path: Path) -> dict[str, Any]:
-    """Describe a file or folder of messages; what is cut off or damaged is in ``losses``."""
+    """Describe a file or folder of messages; truncation and damage are in ``losses``."""
     container = required_container(path)
     survey = MessageSurvey(path)
     extras = survey.extras()
     is_result = any(values["name"] == RUN_RECORD for _, values in extras)
     several = survey.has_several_cameras() and not is_result
-    rig, no_rig = opened(lambda: open_grey_messages(path, {})) if several else (None, None)
+    rig, no_rig = try_open(lambda: open_grey_messages(path, {})) if several else (None, None)
     used = []
     if survey.has_depth() and not is_result:
         used = [described_use(lambda: open_depth_messages(path, {}), "hand run")]
@@ -322,7 +321,7 @@ def _extra(record: Metadata | Attachment) -> tuple[str, dict[str, Any]]:
 
 
 def _metadata(record: Metadata) -> dict[str, Any]:
-    """Return a record's name and number of entries; of a run record also the entries, shortened."""
+    """Return name and number of entries; for a run record also the entries, shortened."""
     values: dict[str, Any] = {"name": record.name, "entries": len(record.metadata)}
     return values | {"values": _shortened(record.metadata)} if record.name == RUN_RECORD else values
 

@@ -1,4 +1,4 @@
-"""What descriptions of recordings have in common: cameras, stamps and losses as plain values."""
+"""Building blocks of recording descriptions: cameras, stamps and losses as plain values."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from posetrack_cli.recording.recording import Recording
 from posetrack_cli.recording.timeline import Timeline
 
 
-def opened(opening: Callable[[], Recording]) -> tuple[Recording | None, str | None]:
-    """Return a recording, or why it cannot be opened."""
+def try_open(open_: Callable[[], Recording]) -> tuple[Recording | None, str | None]:
+    """Return a recording, or the reason why it cannot be opened."""
     try:
-        return opening(), None
+        return open_(), None
     except PosetrackError as error:
         return None, str(error)
 
 
 def described_cameras(recording: Recording | None) -> list[dict[str, Any]]:
-    """Return a recording's cameras as plain values, with distance from the first, mm, and origin."""
+    """Return a recording's cameras as plain values, with baseline to the reference, mm, and source."""
     if recording is None:
         return []
     return [
@@ -34,9 +34,9 @@ def described_cameras(recording: Recording | None) -> list[dict[str, Any]]:
     ]
 
 
-def described_use(opening: Callable[[], Recording], command: str) -> dict[str, Any]:
-    """Return the cameras that a command would use and where they come from, or why it cannot read it."""
-    recording, problem = opened(opening)
+def described_use(open_: Callable[[], Recording], command: str) -> dict[str, Any]:
+    """Return the cameras that a command would use and their source, or why it cannot run."""
+    recording, problem = try_open(open_)
     return {
         "command": command,
         "cameras": described_cameras(recording),
@@ -46,7 +46,7 @@ def described_use(opening: Callable[[], Recording], command: str) -> dict[str, A
 
 
 def described_stamps(stamps: Iterable[int]) -> dict[str, Any]:
-    """Return rate, gaps and order of stamps, ns, and what of them cannot be meant."""
+    """Return rate, gaps and order of stamps, ns, with remarks on implausible values."""
     timeline = Timeline()
     for stamp in stamps:
         timeline.add(stamp)

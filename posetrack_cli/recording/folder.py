@@ -33,13 +33,13 @@ from posetrack_cli.recording.camera_file import (
     DepthCamera,
     Rig,
     camera_record,
-    found_rig,
     image_camera,
     load_depth_camera,
+    load_or_guess_rig,
     load_rig,
     nominal_hint,
 )
-from posetrack_cli.recording.camera_of import GUESSED, check_one_camera
+from posetrack_cli.recording.camera_of import GUESSED, require_single_camera
 from posetrack_cli.recording.depth import (
     Depth,
     DepthContent,
@@ -78,18 +78,17 @@ from posetrack_cli.recording.recording import (
     tolerance_ns,
 )
 
-SPREAD = 9
-"""Images of a folder whose significant bits are looked at."""
+SPREAD = 9  # images sampled across a folder to find the significant bits
 
 
 def open_depth_folder(path: Path, options: ReadingOptions) -> Recording:
     """Open a folder of 16-bit depth images, sorted by name, with camera.toml and stamps.
 
     Raises:
-        RecordingError: if there are no images, no intrinsics or no stamps, or the first readable image
-            is not 16-bit single-channel or does not fit the camera file. Later images of another size
-            or kind raise it while they are read; unreadable ones are skipped and counted.
-        UsageError: if an option has a value that cannot be used.
+        RecordingError: there are no images, intrinsics or stamps, or the first readable image is not 16-bit
+            single-channel or does not fit the camera file. Later images of another size or kind raise it
+            during reading; unreadable ones are skipped and counted.
+        UsageError: an option is invalid.
     """
     images_of = find_depth(path)
     (images,) = images_of.by_name.values()
@@ -100,10 +99,10 @@ def open_depth_folder(path: Path, options: ReadingOptions) -> Recording:
     settings = _overridden(load_depth_camera(file), options)
     if (other := other_content(placed_path(folder).name)) and settings.depth_unit_mm is None:
         raise RecordingError(
-            f"a folder called {other} holds no depth",
+            f"folder is named '{other}', so its images are not read as depth",
             where=folder,
             found=f"{len(images)} images",
-            hint="--depth-unit-mm 1 takes them for depth all the same",
+            hint="if they are depth, pass --depth-unit-mm, e.g. 1",
         )
     timing = images_of.timing(options.get("fps"), nominal_fps=settings.fps)
     found = image_camera(settings, file, (width, height), orientation=turn)
@@ -146,7 +145,7 @@ def _depth_and_turn(image: ImageFile) -> tuple[ImageArray, Orientation]:
 
 
 def _early_content(images: Sequence[ImageFile], camera: Camera, missing: int) -> DepthContent:
-    """What early images hold, as far as they can be decoded and are of one size and kind."""
+    """Return statistics of early images, skipping those that cannot be decoded."""
     decoded: list[ImageArray] = []
     for image in early(images):
         with suppress(UnreadableImageError, RecordingError):
@@ -155,13 +154,13 @@ def _early_content(images: Sequence[ImageFile], camera: Camera, missing: int) ->
 
 
 def open_grey_folder(path: Path, options: ReadingOptions) -> Recording:
-    """Open a folder of grey images (one camera), or one with a folder of images for each camera.
+    """Open a folder of grey images (one camera), or of one image folder per camera.
 
     Raises:
-        RecordingError: if there are no images, no stamps, a camera is not calibrated or has no folder, or
-            sizes do not fit. Later images of another size raise it while they are read; unreadable ones are
-            left out and counted.
-        UsageError: if an option has a value that cannot be used.
+        RecordingError: there are no images or stamps, a camera is not calibrated or has no folder, or sizes
+            do not match. Later images of another size raise it during reading; unreadable ones are skipped
+            and counted.
+        UsageError: an option is invalid.
     """
     every, tolerance = _without_depth(find_folders(path), options), tolerance_ns(options)
     rig = _rig_of(every, options)
@@ -203,7 +202,7 @@ def open_grey_folder(path: Path, options: ReadingOptions) -> Recording:
         streams,
         identity=identity,
         frame_count=count,
-        # not that of a scene that is mirrored, or whose stamps are made
+        # truth does not apply to a mirrored scene, nor can synthetic stamps be matched with it
         truth=no_truth if mirror or timing.fps else _truth(path),
         tolerance_ns=tolerance,
         is_guessed=rig.is_guessed,
@@ -213,7 +212,6 @@ def open_grey_folder(path: Path, options: ReadingOptions) -> Recording:
 
 
 def _truth(folder: Path) -> Callable[[], Iterator[TruthMessage]]:
-    """Return what yields the truth of a folder that has it in a file."""
     path = folder / TRUTH_FILE_NAME
     if not (path.is_file() and is_mcap(path)):
         return no_truth
@@ -222,12 +220,12 @@ def _truth(folder: Path) -> Callable[[], Iterator[TruthMessage]]:
 
 
 def depth_camera_path(folder: Path, camera_file: Path | None, images: Path, size: tuple[int, int]) -> Path:
-    """Return the camera file to use for images of a size: the one given, else the folder's.
+    """Return the camera file for images of a size: the given one, else the folder's.
 
-    A folder whose images lie in another one may have it there.
+    If the images are in a subfolder, it may hold the file instead.
 
     Raises:
-        RecordingError: if none is given and there is none.
+        RecordingError: no file is given and none exists.
     """
     own = folder / CAMERA_FILE_NAME
     path = camera_file or (own if own.exists() else images / CAMERA_FILE_NAME)
@@ -237,14 +235,13 @@ def depth_camera_path(folder: Path, camera_file: Path | None, images: Path, size
 
 
 def _overridden(settings: DepthCamera, options: ReadingOptions) -> DepthCamera:
-    """Return the settings with options in the place of their values."""
     given = {key: options.get(key) for key in ("depth_unit_mm", "missing", "mirror")}
     values = {key: value for key, value in given.items() if value is not None}
     try:
         return DepthCamera.model_validate(settings.model_dump() | values)
     except ValueError as error:
         text = ", ".join(f"{key} {value}" for key, value in values.items())
-        raise UsageError("depth option cannot be used", found=text) from error
+        raise UsageError("invalid depth option", found=text) from error
 
 
 def _stream(
@@ -256,7 +253,7 @@ def _stream(
     *,
     is_millimetres: bool = False,
 ) -> CameraStream:
-    """Return the images of one camera; ``is_millimetres`` if their codes are what frames have."""
+    """Return the stream of one camera; ``is_millimetres`` if stored codes equal the frames' depth."""
 
     def images(losses: LossLog) -> Iterator[StoredImage]:
         for stamp, image in stamped:
@@ -284,41 +281,41 @@ def _label(folder: str, image: ImageFile | Path) -> str:
 
 
 def _rig_of(folders: CameraFolders, options: ReadingOptions) -> Rig:
-    """Return the cameras to use; one of them if intrinsics may be guessed."""
+    """Return the cameras to use; at most one if intrinsics may be guessed."""
     guess, names = options.get("guess"), options.get("cameras")
     file = _camera_file(folders.path, options.get("camera_file"))
-    rig = found_rig(folders.path, file, folders.by_name, guess)
-    rig = _named_rig(folders, rig) if names is None else rig.chosen(names)
+    rig = load_or_guess_rig(folders.path, file, folders.by_name, guess)
+    rig = _named_rig(folders, rig) if names is None else rig.subset(names)
     if guess is not None:
-        check_one_camera(folders.path, rig.cameras)
+        require_single_camera(folders.path, rig.cameras)
     return rig
 
 
 def _named_rig(folders: CameraFolders, rig: Rig) -> Rig:
-    """Return the cameras to use where nobody chose, by what the folders and the camera file are called."""
+    """Return the default cameras, matched by names of folders and camera file."""
     unknown = [name for name in folders.by_name if name and name not in rig.cameras]
     if unknown and "" not in rig.cameras:
         raise RecordingError(
             f"camera '{unknown[0]}' is not calibrated",
             where=folders.path,
-            found=f"[cameras.NAME] of {', '.join(rig.cameras)} in {rig.path.name}",
-            hint="posetrack calibrate stereo measures cameras; --cameras leaves some out",
+            found=f"[cameras.NAME] for {', '.join(rig.cameras)} in {rig.path.name}",
+            hint="run posetrack calibrate stereo, or choose calibrated cameras with --cameras",
         )
     if "" not in folders.by_name or len(rig.cameras) == 1:
         return rig
     name = placed_path(folders.path).name
     if name not in rig.cameras:
         raise UsageError(
-            "one folder of images and several cameras",
+            "one image folder but several calibrated cameras",
             where=folders.path,
             found=", ".join(rig.cameras),
             hint="choose one with --cameras",
         )
-    return rig.chosen([name])
+    return rig.subset([name])
 
 
 def _camera_file(path: Path, given: Path | None) -> Path | None:
-    """The camera file given, the folder's own, or that of the recording the folder is a camera of, if any."""
+    """Return the given camera file, the folder's, or that of the parent recording with this camera."""
     above = placed_path(path).parent / CAMERA_FILE_NAME
     own = path / CAMERA_FILE_NAME
     if given is not None or own.exists():
@@ -329,15 +326,15 @@ def _camera_file(path: Path, given: Path | None) -> Path | None:
 
 
 def _is_of_rig(file: Path) -> bool:
-    """Whether a camera file is of several cameras, not of the depth of another recording."""
+    """Return whether a camera file describes several cameras rather than one depth camera."""
     try:
         return TABLE in read_text(file, limits.TEXT_BYTES)
     except (OSError, UnicodeDecodeError):
-        return True  # reading it says why it cannot be used
+        return True  # loading it reports the error
 
 
 def _without_depth(folders: CameraFolders, options: ReadingOptions) -> CameraFolders:
-    """Return the cameras but those of depth, unless options or the camera file name them."""
+    """Return all cameras except depth folders, unless options or the camera file name them."""
     file = _camera_file(folders.path, options.get("camera_file"))
     return folders.without_depth(
         [*(options.get("cameras") or ()), *(() if file is None else load_rig(file).cameras)]
@@ -348,11 +345,11 @@ def _folders_of(folders: CameraFolders, rig: Rig) -> CameraFolders:
     """Return the images of each camera of the rig, in its order."""
     path, by_name = folders.path, folders.by_name
     if len(by_name) == len(rig.cameras) == 1:
-        return folders.called(next(iter(rig.cameras)))
+        return folders.renamed(next(iter(rig.cameras)))
     found = ", ".join(by_name) if "" not in by_name else "images of one camera"
     if "" in rig.cameras:
-        hint = "write a table [cameras.NAME] for each; posetrack calibrate stereo measures them"
-        raise RecordingError("several cameras and the calibration of one", where=path, found=found, hint=hint)
+        hint = "write a table [cameras.NAME] for each, e.g. with posetrack calibrate stereo"
+        raise RecordingError("several cameras but the calibration of one", where=path, found=found, hint=hint)
     for name in rig.cameras:
         if name not in by_name:
             raise RecordingError(
@@ -366,22 +363,22 @@ def _orientation(image: ImageFile) -> Orientation:
 
 
 def _turned(turns: Mapping[str, Orientation]) -> Iterator[str]:
-    """Yield a remark for each camera whose images are not stored as they are shown."""
+    """Yield a remark for each camera whose images EXIF rotates or mirrors."""
     for name, orientation in turns.items():
         if orientation != UPRIGHT:
             of = f" of camera '{name}'" if name else ""
-            yield f"images{of} are {orientation.words}, as their EXIF states"
+            yield f"images{of} are {orientation.words} by their EXIF orientation"
 
 
 def _first_grey(rig: Rig, name: str, images: Sequence[ImageFile]) -> Grey:
-    """Tell what a camera's images are like from the first that can be decoded, and bits from several."""
+    """Return the pixel format from the first decodable image, with significant bits from several."""
     bits = rig.cameras[name].bits
     kind = first_decoded(images, lambda image: grey_like(decode_shown(read_image(image)), image, bits))
     return kind if bits is not None or kind.bits == PLAIN_BITS else with_bits_of(kind, _spread(images))
 
 
 def _spread(images: Sequence[ImageFile]) -> Iterator[ImageArray]:
-    """Yield some images of a folder that can be decoded, from its first to its last."""
+    """Yield decodable images sampled from the first to the last of a folder."""
     for place in np.unique(np.linspace(0, len(images) - 1, SPREAD).round().astype(int)):
         with suppress(UnreadableImageError):
             yield decode_shown(read_image(images[place]))

@@ -1,4 +1,4 @@
-"""8-bit grey images from whatever is stored: colour becomes luma, of more bits the upper 8 are kept."""
+"""8-bit grey from stored images: colour becomes luma, deeper values keep their upper 8 bits."""
 
 from __future__ import annotations
 
@@ -18,23 +18,21 @@ from posetrack_cli.recording.message_video import is_video_format
 from posetrack_cli.recording.orientation import UPRIGHT, Orientation, orientation_after_decoding
 from posetrack_cli.recording.pixels import check_size, raw_values
 
-PLAIN_BITS = 8
-"""Of pictures; more are of cameras for measuring, or of depth."""
-BITS = (10, 12, 14, 16)
-"""Significant bits that cameras deliver in 16-bit images."""
+PLAIN_BITS = 8  # ordinary pictures; more bits mean machine vision or depth
+BITS = (10, 12, 14, 16)  # significant bits that cameras deliver in 16-bit images
 GREY_FLAGS = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
 AS_STORED_FLAGS = cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION
 
 
 @dataclass(frozen=True)
 class RawEncoding:
-    """How a raw image stores its pixels.
+    """Pixel layout of a raw image.
 
     Attributes:
         dtype: of a value, without byte order.
         channels: values per pixel.
-        conversion: OpenCV's code to grey; None where it is grey.
-        to_colour: OpenCV's code to blue green red; None where it is that, or grey.
+        conversion: OpenCV's code to grey; None if it is grey.
+        to_colour: OpenCV's code to blue green red; None if it is that, or grey.
     """
 
     dtype: str
@@ -60,7 +58,7 @@ RAW_GREY = {
     "yuv422": RawEncoding("u1", 2, cv2.COLOR_YUV2GRAY_UYVY, cv2.COLOR_YUV2BGR_UYVY),
     "yuyv": RawEncoding("u1", 2, cv2.COLOR_YUV2GRAY_YUY2, cv2.COLOR_YUV2BGR_YUY2),
     "yuv422_yuy2": RawEncoding("u1", 2, cv2.COLOR_YUV2GRAY_YUY2, cv2.COLOR_YUV2BGR_YUY2),
-    # OpenCV names a Bayer pattern by its second row's second and third pixel
+    # OpenCV names a Bayer pattern by the second and third pixel of its second row
     "bayer_rggb8": RawEncoding("u1", 1, cv2.COLOR_BayerBG2GRAY, cv2.COLOR_BayerBG2BGR),
     "bayer_bggr8": RawEncoding("u1", 1, cv2.COLOR_BayerRG2GRAY, cv2.COLOR_BayerRG2BGR),
     "bayer_gbrg8": RawEncoding("u1", 1, cv2.COLOR_BayerGR2GRAY, cv2.COLOR_BayerGR2BGR),
@@ -70,13 +68,13 @@ RAW_GREY = {
 
 @dataclass(frozen=True)
 class Grey:
-    """Grey or colour values that become 8-bit grey; a kind of ``Pixels``.
+    """Grey or colour values that become 8-bit grey; implements ``Pixels``.
 
     Attributes:
-        width, height: of the stored images, pixels.
-        bits: significant bits of a value: 8, or what is cut to the upper 8.
-        colour: whether they are colour.
-        keeps_colour: whether that stays, as (height, width, 3) blue green red, else it becomes grey.
+        width, height: size of the stored images, pixels.
+        bits: significant bits of a value; above 8 the upper 8 are kept.
+        colour: True for colour images.
+        keeps_colour: keep colour as (height, width, 3) blue green red.
     """
 
     width: int
@@ -89,61 +87,61 @@ class Grey:
 
     @property
     def words(self) -> str:
-        """For people and run records: ``8-bit grey``, ``12-bit grey``, ``8-bit colour``."""
+        """The format, as in run records: ``8-bit grey``, ``12-bit grey``, ``8-bit colour``."""
         return f"{self.bits}-bit {'colour' if self.colour else 'grey'}"
 
     def from_file(self, data: bytes, where: object) -> ImageArray:
-        """Return the (height, width) uint8 grey of an image file, or its colour, turned as it is shown."""
+        """Return the (height, width) uint8 grey, or colour, of an image file, oriented by its EXIF."""
         return self._from_encoded(data, orientation_after_decoding(data))
 
     def _from_encoded(self, data: bytes, orientation: Orientation = UPRIGHT) -> ImageArray:
         image = orientation.apply(decode_any(data, AS_STORED_FLAGS if self.keeps_colour else GREY_FLAGS))
         if image.dtype not in (np.uint8, np.uint16):
-            raise UnreadableImageError(f"it has {image.dtype}, not 8 or 16 bits")
+            raise UnreadableImageError(f"data type is {image.dtype}, not 8- or 16-bit")
         return self.from_stored(image)
 
     def from_stored(self, image: ImageArray) -> ImageArray:
-        """Return the (height, width) uint8 grey, or the colour, of an image with channels B G R as stored."""
+        """Return the (height, width) uint8 grey, or colour, of a decoded image with channels B G R."""
         check_size(image, self)
         return self._shown(image)
 
     def from_message(self, decoded: Any, kind: str, where: str) -> ImageArray:
         """Return the (height, width) uint8 grey of an image message."""
         if kind == COMPRESSED_IMAGE:
-            return self._from_encoded(bytes(decoded.data))  # whose calibration is of the stored picture
+            return self._from_encoded(bytes(decoded.data))  # the calibration describes the stored picture
         encoding = str(decoded.encoding)
         if encoding not in RAW_GREY:
-            raise UnreadableImageError(f"encoding {encoding} is not known")
+            raise UnreadableImageError(f"unknown encoding {encoding}")
         values, stored = _raw_values(decoded), RAW_GREY[encoding]
         conversion = stored.to_colour if self.keeps_colour else stored.conversion
         check_size(values, self)
         try:
             return self._shown(values if conversion is None else cv2.cvtColor(values, conversion))
-        except cv2.error as error:  # a width or height that the encoding cannot have
-            raise UnreadableImageError(f"{encoding} cannot be {self.width}x{self.height}") from error
+        except cv2.error as error:  # e.g. an odd width of YUV 4:2:2
+            raise UnreadableImageError(f"{encoding} does not allow {self.width}x{self.height}") from error
 
     def _shown(self, image: ImageArray) -> ImageArray:
-        is_deeper = self.bits == PLAIN_BITS and image.dtype == np.uint16  # among images of 8 bits
+        is_deeper = self.bits == PLAIN_BITS and image.dtype == np.uint16  # a 16-bit image among 8-bit ones
         bits = bits_of(image) if is_deeper else self.bits
         if not self.keeps_colour or image.ndim == 2:
             return grey_of(image, bits)
         return eight_bits(image[..., :3], bits) if image.shape[2] > 2 else grey_of(image, bits)
 
     def png_of_message(self, decoded: Any, kind: str) -> bytes | None:
-        """Return None: a message of grey carries no depth."""
+        """Return None: grey messages have no depth."""
         return None
 
 
 def grey_like(image: ImageArray, where: object, bits: int | None = None) -> Grey:
-    """Tell what images are like from the first of them, as stored.
+    """Return the pixel format of a camera's images from the first stored one.
 
     Args:
         image: (height, width) or (height, width, channels), uint8 or uint16.
-        where: for the error.
-        bits: significant bits if they are known; else 16-bit values get the fewest that hold the image.
+        where: location, for the error.
+        bits: significant bits if known; else the fewest that hold a 16-bit image.
 
     Raises:
-        RecordingError: it is neither.
+        RecordingError: the data type is another one.
     """
     height, width = image.shape[:2]
     colour = image.ndim == 3 and image.shape[2] > 1
@@ -155,29 +153,29 @@ def grey_like(image: ImageArray, where: object, bits: int | None = None) -> Grey
 
 
 def bits_of(image: ImageArray) -> int:
-    """Return the fewest significant bits that hold the values of an image of 16 bits; 8 of one of 8."""
+    """Return the fewest significant bits that hold a 16-bit image's values; 8 for an 8-bit image."""
     if image.dtype != np.uint16:
         return PLAIN_BITS
     return next(bits for bits in BITS if image.max(initial=0) < 1 << bits)
 
 
 def with_bits_of(kind: Grey, images: Iterable[ImageArray]) -> Grey:
-    """Return a kind with the significant bits of several images: a dark first one does not decide."""
+    """Return a format with the significant bits of several images, as a dark first one may mislead."""
     return replace(kind, bits=max([kind.bits, *map(bits_of, images)]))
 
 
 def grey_like_message(decoded: Any, kind: str, where: str) -> Grey:
-    """Tell what a camera's images are like from its first message.
+    """Return the pixel format of a camera's images from its first message.
 
     Raises:
         UnreadableImageError: the data are damaged.
-        RecordingError: the pixels are of another kind.
+        RecordingError: the pixels have another data type.
     """
     return grey_like(stored_grey(decoded, kind), where)
 
 
 def stored_grey(decoded: Any, kind: str) -> ImageArray:
-    """Return the pixels of an image message as they are stored.
+    """Return the stored pixels of an image message.
 
     Raises:
         UnreadableImageError: the data are damaged.
@@ -186,7 +184,7 @@ def stored_grey(decoded: Any, kind: str) -> ImageArray:
 
 
 def holds_grey(decoded: Any, kind: str | None) -> bool:
-    """Whether an image message can be made grey, as far as its head tells."""
+    """Return whether an image message can be converted to grey, judged by its header."""
     if kind == RAW_IMAGE:
         return str(decoded.encoding) in RAW_GREY
     if kind == VIDEO_IMAGE:
@@ -197,7 +195,7 @@ def holds_grey(decoded: Any, kind: str | None) -> bool:
 
 
 def grey_of(image: ImageArray, bits: int) -> ImageArray:
-    """Return uint8 grey values of an image (height, width) or (height, width, channels), channels B G R."""
+    """Return uint8 grey of an image (height, width) or (height, width, channels), channels B G R."""
     if image.ndim == 3:
         code = {3: cv2.COLOR_BGR2GRAY, 4: cv2.COLOR_BGRA2GRAY}.get(image.shape[2])
         image = image[..., 0] if code is None else cv2.cvtColor(image, code)
@@ -212,19 +210,19 @@ def eight_bits(image: ImageArray, bits: int) -> ImageArray:
 
 
 def decode_as_stored(data: bytes) -> ImageArray:
-    """Decode an image file with the channels and bits it has.
+    """Decode an image file with its stored channels and bits.
 
     Raises:
-        UnreadableImageError: the bytes are no image or an incomplete one.
+        UnreadableImageError: the bytes are not an image, or incomplete.
     """
     return decode_any(data, AS_STORED_FLAGS)
 
 
 def decode_shown(data: bytes) -> ImageArray:
-    """Decode an image file with the channels and bits it has, turned as its EXIF states.
+    """Decode an image file with its stored channels and bits, oriented by its EXIF.
 
     Raises:
-        UnreadableImageError: the bytes are no image or an incomplete one.
+        UnreadableImageError: the bytes are not an image, or incomplete.
     """
     return orientation_after_decoding(data).apply(decode_as_stored(data))
 
@@ -235,4 +233,4 @@ def _raw_values(decoded: Any) -> ImageArray:
 
 
 def _unusable(image: ImageArray, where: object) -> RecordingError:
-    return RecordingError("image cannot be used", where=where, found=image.dtype, expected="8 or 16 bits")
+    return RecordingError("unsupported image", where=where, found=image.dtype, expected="8 or 16 bits")

@@ -1,4 +1,4 @@
-"""What identifies an input: sizes and SHA-256 of its bytes."""
+"""Identity of an input: size and SHA-256 of its bytes."""
 
 from __future__ import annotations
 
@@ -13,22 +13,21 @@ from posetrack_cli.files import open_input, placed_path
 from posetrack_cli.phases import Advance, phase
 
 READ_BYTES = 1024 * 1024
+# Takes more than a second or two to read, so it reports progress.
 LONG_BYTES = 512 * READ_BYTES
-"""What is read in more than a second or two, and so says how far it is."""
 _SILENT: AbstractContextManager[Advance] = nullcontext(lambda count: None)
-Digests = dict[str, tuple[int, str]]
-"""Size and SHA-256 by the state of the files (``files_state``)."""
+Digests = dict[str, tuple[int, str]]  # size and SHA-256 by ``files_state``
 _known: Digests = {}
 _MOST_KNOWN = 10_000
 
 
 def known_digests() -> Digests:
-    """Return the digests that this process has computed or was told."""
+    """Return the digests that this process has computed or received."""
     return dict(_known)
 
 
 def tell_digests(digests: Mapping[str, tuple[int, str]]) -> None:
-    """Tell digests that another process has computed: many read pieces of one long recording."""
+    """Add digests computed by another process, so that pieces of one long recording hash it once."""
     _known.update({state: (size, digest) for state, (size, digest) in digests.items()})
 
 
@@ -43,17 +42,17 @@ def file_digest(path: Path) -> tuple[int, str]:
 
 
 def files_digest(files: Iterable[tuple[str, Path]]) -> tuple[int, str]:
-    """Return the total size and one SHA-256 over names, sizes and contents of files, in the given order.
+    """Return the total size and one SHA-256 over names, sizes and contents of files, in order.
 
     Args:
-        files: pairs of the name that enters the hash and the path to read.
+        files: pairs of the hashed name and the path to read.
     """
     files = list(files)
 
     def compute(advance: Advance) -> tuple[int, str]:
         digest, total = hashlib.sha256(), 0
         for name, path in files:
-            # Sizes are hashed so that bytes cannot move from one file to the next unnoticed.
+            # Hash sizes too, or moving bytes from one file to the next would go unnoticed.
             digest.update(os.fsencode(name) + f"\0{_stat(path).st_size}\0".encode())
             total += _feed(digest, path, advance)
         return total, digest.hexdigest()
@@ -62,13 +61,13 @@ def files_digest(files: Iterable[tuple[str, Path]]) -> tuple[int, str]:
 
 
 def files_state(files: Sequence[tuple[str, Path]]) -> str:
-    """Return what tells a state of files from another without reading them: names, sizes, times of change.
+    """Return a fingerprint of files without reading them: names, sizes, modification times.
 
     Args:
-        files: pairs of the name that enters a digest and the path.
+        files: pairs of the hashed name and the path.
 
     Raises:
-        RecordingError: one of them is not there.
+        RecordingError: a file does not exist.
     """
     state = hashlib.sha256()
     for name, path in files:
@@ -81,7 +80,7 @@ def files_state(files: Sequence[tuple[str, Path]]) -> str:
 def _once(
     files: Sequence[tuple[str, Path]], compute: Callable[[Advance], tuple[int, str]]
 ) -> tuple[int, str]:
-    """Compute what is not known of the files as they are now."""
+    """Return the digest of the files in their present state, from the cache if possible."""
     state = files_state(files)
     if state not in _known:
         if len(_known) >= _MOST_KNOWN:
@@ -98,20 +97,20 @@ def identity_record(path: Path, kind: str, digested: tuple[int, str]) -> dict[st
 
     Args:
         path: the file or folder.
-        kind: ``video``, ``folder``, or that of a container of messages.
-        digested: size and SHA-256, of ``file_digest`` or ``files_digest``.
+        kind: ``video``, ``folder``, or the kind of a message container.
+        digested: size and SHA-256 from ``file_digest`` or ``files_digest``.
     """
     size, digest = digested
     return {"name": shown_name(placed_path(path)), "kind": kind, "bytes": str(size), "sha256": digest}
 
 
 def shown_name(path: Path) -> str:
-    """Return the name of a file or folder as ``shown_path`` does."""
+    """Return the name of a file or folder, decoded like ``shown_path``."""
     return shown_path(Path(path.name))
 
 
 def shown_path(path: Path) -> str:
-    """Return a path as text that every file can hold, whatever its bytes are."""
+    """Return a path as valid text, with undecodable bytes replaced."""
     return os.fsencode(path).decode(errors="replace")
 
 

@@ -1,4 +1,4 @@
-"""Images: finding them in a folder; decoding and encoding those of 16-bit depth."""
+"""Image files: listing a folder; decoding and encoding 16-bit depth."""
 
 from __future__ import annotations
 
@@ -29,29 +29,31 @@ PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 JPEG_BEGIN, JPEG_END = b"\xff\xd8", b"\xff\xd9"
 WEBP_BEGIN = b"RIFF"
 TIFF_ENTRY_BYTES, TIFF_SHORT, TIFF_TILE_TAGS = 12, 3, (322, 323)
+# First bytes of the decoded file types.
 SIGNATURES = (
     *(PNG_SIGNATURE, JPEG_BEGIN, WEBP_BEGIN, *TIFF_BEGIN, b"BM"),
     *(b"P%d" % kind for kind in range(1, 7)),
 )
-"""How the files begin that are decoded."""
 TIFF_SUFFIXES = (".tif", ".tiff")
+# If every file has the same small number of pages, they are channels of one image (depth, confidence,
+# infrared).
 MOST_CHANNELS = 4
-"""Pages of each of several files that may be channels of one image: depth, confidence, infrared ..."""
 JPEG_SCAN = b"\xff\xda"
 PNG_SIZE, PNG_SIZE_AT = struct.Struct(">II"), 16
+# Part of OpenCV's error for images beyond ``limits.IMAGE_PIXELS``, which the package passes to it on
+# import.
 TOO_LARGE = "CV_IO_MAX_IMAGE"
-"""In OpenCV's error for an image beyond ``limits.IMAGE_PIXELS``, which the package tells it at its import."""
 PNG_LEVEL = 9
 PNG_CHUNK = struct.Struct(">I4s")  # length of the content, type; content and checksum follow
 
 
 @dataclass(frozen=True)
 class ImageFile:
-    """An image in a file of its own, or a page of a TIFF.
+    """An image file, or one page of a TIFF.
 
     Attributes:
         path: the file.
-        page: of a TIFF with several, else None.
+        page: page of a multi-page TIFF, else None.
     """
 
     path: Path
@@ -59,7 +61,7 @@ class ImageFile:
 
     @property
     def name(self) -> str:
-        """File name, and the page counted from 1."""
+        """File name, with the page counted from 1."""
         return self.path.name if self.page is None else f"{self.path.name} page {self.page.number + 1}"
 
     @property
@@ -87,7 +89,7 @@ class ListedImages:
 
     Attributes:
         images: at least one.
-        remarks: on their order and on the pages of TIFFs.
+        remarks: remarks on order and TIFF pages.
     """
 
     images: list[ImageFile]
@@ -100,16 +102,16 @@ def list_images(folder: Path, suffixes: tuple[str, ...] = DEPTH_SUFFIXES) -> lis
 
 
 def listed_images(folder: Path, suffixes: tuple[str, ...] = DEPTH_SUFFIXES) -> ListedImages:
-    """Return the images of a folder, with all pages of TIFFs; hidden files are left out.
+    """Return the images of a folder, including all pages of TIFFs; hidden files are skipped.
 
-    They are in the order of the stamps in their names, else in natural order: 2 before 10.
+    Sorted by the stamps in their names, else in natural order: 2 before 10.
 
     Args:
-        folder: to look in.
-        suffixes: that images have, lower case.
+        folder: folder to list.
+        suffixes: image suffixes, lower case.
 
     Raises:
-        RecordingError: if the folder cannot be listed or holds no image.
+        RecordingError: the folder cannot be listed or has no images.
     """
     try:
         entries = list(folder.iterdir())
@@ -117,7 +119,7 @@ def listed_images(folder: Path, suffixes: tuple[str, ...] = DEPTH_SUFFIXES) -> L
         raise RecordingError("cannot be read", where=folder, found=error.strerror or error) from error
     files = [e for e in entries if e.suffix.lower() in suffixes and not e.name.startswith(".")]
     if not files:
-        found = f"{len(entries)} other files" if entries else "an empty folder"
+        found = f"{len(entries)} other files" if entries else "empty folder"
         raise RecordingError(
             "no images", where=folder, found=found, expected=f"files named *{', *'.join(suffixes)}"
         )
@@ -128,15 +130,15 @@ def listed_images(folder: Path, suffixes: tuple[str, ...] = DEPTH_SUFFIXES) -> L
 
 
 def _with_pages(files: Sequence[Path]) -> tuple[list[ImageFile], tuple[str, ...]]:
-    """Return the images of files, where all pages of a TIFF are frames, and remarks on them.
+    """Return the images of files, with every TIFF page as a frame, and remarks.
 
-    Of several files that have the same few pages each the first page is the image, the others are channels.
+    If all files have the same few pages, each first page is the image and the others are channels.
     """
     pages = {file: find_pages(file) for file in files if file.suffix.lower() in TIFF_SUFFIXES}
     stacks = {file: found for file, found in pages.items() if found is not None and len(found.images) > 1}
     each = {len(found.images) for found in stacks.values()}
     if len(stacks) == len(files) > 1 and len(each) == 1 and max(each) <= MOST_CHANNELS:
-        remark = f"each of {len(files)} files has {max(each)} pages: the first is read as the image"
+        remark = f"each of {len(files)} files has {max(each)} pages: only the first is read"
         return [ImageFile(file) for file in files], (remark,)
     images: list[ImageFile] = []
     for file in files:
@@ -148,12 +150,12 @@ def _with_pages(files: Sequence[Path]) -> tuple[list[ImageFile], tuple[str, ...]
     remarks = []
     if stacks:
         total, more = sum(len(found.images) for found in stacks.values()), _more(stacks)
-        remarks.append(f"all {total} pages of {next(iter(stacks)).name}{more} are frames")
+        remarks.append(f"{total} pages of {next(iter(stacks)).name}{more} are read as frames")
     others = {file: found.others for file, found in pages.items() if found is not None and found.others}
     if others:
         name = next(iter(others)).name
         remarks.append(
-            f"pages of another size or kind are left out: {sum(others.values())} of {name}{_more(others)}"
+            f"skipped {sum(others.values())} pages of another size or kind in {name}{_more(others)}"
         )
     return images, tuple(remarks)
 
@@ -168,10 +170,10 @@ def files_of(images: Iterable[ImageFile]) -> list[Path]:
 
 
 def read_image(image: ImageFile) -> bytes:
-    """Return an image's bytes: of its file, or a TIFF of its page alone.
+    """Return an image file's bytes, or a TIFF of one page only.
 
     Raises:
-        UnreadableImageError: if it cannot be read.
+        UnreadableImageError: it cannot be read.
     """
     try:
         if image.page is None:
@@ -185,14 +187,14 @@ def read_image(image: ImageFile) -> bytes:
 
 
 def first_decoded(images: Sequence[ImageFile], decode: Callable[[ImageFile], Decoded]) -> Decoded:
-    """Return what the first image that can be decoded gives.
+    """Return the result of the first image that can be decoded.
 
     Args:
-        images: of one folder, at least one.
-        decode: raises UnreadableImageError where it cannot be.
+        images: images of one folder, at least one.
+        decode: raises UnreadableImageError on failure.
 
     Raises:
-        RecordingError: none can.
+        RecordingError: no image can be decoded.
     """
     reason = ""
     for image in images:
@@ -200,16 +202,16 @@ def first_decoded(images: Sequence[ImageFile], decode: Callable[[ImageFile], Dec
             return decode(image)
         except UnreadableImageError as error:
             reason = reason or str(error)
-    found = f"{len(images)} files, of the first: {reason}"
+    found = f"{len(images)} files (first one: {reason})"
     raise RecordingError("no image can be decoded", where=images[0].parent, found=found)
 
 
 def decode_codes(data: bytes, where: str) -> ImageArray:
-    """Decode a single-channel image file to (height, width) uint16 codes, or float32 values of a TIFF.
+    """Decode a single-channel image to (height, width) uint16 codes, or float32 values of a TIFF.
 
     Raises:
-        UnreadableImageError: if the bytes are no image or an incomplete one.
-        RecordingError: if the image has colours or other numbers.
+        UnreadableImageError: the bytes are not an image, or incomplete.
+        RecordingError: the image has colour or another data type.
     """
     image = decode_any(data)
     if image.ndim != 2:
@@ -217,30 +219,30 @@ def decode_codes(data: bytes, where: str) -> ImageArray:
             "colour image given as depth",
             where=where,
             found=f"{image.shape[2]} channels",
-            expected="one",
-            hint="depth packed in two colours is read from folders of NYU's hand pose data only",
+            expected="1",
+            hint="depth packed in colour is supported for NYU hand pose folders only",
         )
     if image.dtype not in (np.uint16, np.float32):
         raise RecordingError(
             f"{8 * image.dtype.itemsize}-bit image given as depth",
             where=where,
             found=image.dtype,
-            expected="16-bit unsigned, or 32-bit floats",
+            expected="16-bit unsigned integers or 32-bit floats",
         )
     return image
 
 
 def decode_any(data: bytes, flags: int = cv2.IMREAD_UNCHANGED) -> ImageArray:
-    """Decode an image file of one of ``SIGNATURES``; unless flags say otherwise, bits and channels as stored.
+    """Decode an image file of a type in ``SIGNATURES``, by default with stored bits and channels.
 
     Raises:
-        UnreadableImageError: if the bytes are no such image, an incomplete one, or one beyond ``limits``.
+        UnreadableImageError: the bytes are not such an image, are incomplete, or exceed ``limits``.
     """
     if not data:
         raise UnreadableImageError("file is empty")
-    if not data.startswith(SIGNATURES):  # OpenCV knows many more kinds, and would try them
-        raise UnreadableImageError("image is of a kind that is not read")
-    if _is_cut(data):
+    if not data.startswith(SIGNATURES):  # keep OpenCV from trying its many other decoders on foreign data
+        raise UnreadableImageError("unsupported image format")
+    if _is_truncated(data):
         raise UnreadableImageError("image is incomplete")
     _check_bounds(data)
     try:
@@ -249,13 +251,13 @@ def decode_any(data: bytes, flags: int = cv2.IMREAD_UNCHANGED) -> ImageArray:
         if TOO_LARGE in str(error):
             raise UnreadableImageError(f"image has more than {limits.IMAGE_PIXELS} pixels") from error
         raise UnreadableImageError("image cannot be decoded") from error
-    if image is None:  # OpenCV's way to say so
+    if image is None:  # cv2.imdecode returns None on most failures
         raise UnreadableImageError("image cannot be decoded")
     return image
 
 
 def _check_bounds(data: bytes) -> None:
-    """Refuse what takes a decoder for ever; OpenCV itself refuses other images that are too large."""
+    """Refuse images that would keep a decoder busy; OpenCV itself refuses other oversized images."""
     if data.startswith(PNG_SIGNATURE):
         if data[PNG_SIZE_AT - 4 : PNG_SIZE_AT] != b"IHDR":
             raise UnreadableImageError("image cannot be decoded")
@@ -269,7 +271,7 @@ def _check_bounds(data: bytes) -> None:
 
 
 def _tile_pixels(data: bytes) -> int:
-    """Return the pixels of a TIFF's tiles, 0 where it has none (TIFF 6.0, sections 2 and 15)."""
+    """Return the pixels of a TIFF's tiles, 0 without tiles (TIFF 6.0, sections 2 and 15)."""
     order = "<" if data.startswith(b"II") else ">"
     entry, sides = struct.Struct(f"{order}HHI"), {}
     try:
@@ -280,20 +282,20 @@ def _tile_pixels(data: bytes) -> int:
             value = "H" if kind == TIFF_SHORT else "I"
             (sides[tag],) = struct.unpack_from(order + value, data, at + entry.size)
     except struct.error:
-        pass  # the directory is cut: the decoder will say so
+        pass  # truncated directory: the decoder reports it
     width, length = (sides.get(tag, 0) for tag in TIFF_TILE_TAGS)
     return int(width * length)
 
 
-def _is_cut(data: bytes) -> bool:
-    """Whether a PNG or JPEG ends early, which its decoder would fill up with grey."""
+def _is_truncated(data: bytes) -> bool:
+    """Return whether a PNG or JPEG ends early; their decoders would fill the rest with grey."""
     if data.startswith(PNG_SIGNATURE):
-        return not is_whole_png(data)
+        return not is_complete_png(data)
     return data.startswith(JPEG_BEGIN) and data.rfind(JPEG_END) < len(data) // 2
 
 
-def is_whole_png(data: bytes) -> bool:
-    """Whether all chunks are there and fit their checksums; libpng would print a line of its own if not."""
+def is_complete_png(data: bytes) -> bool:
+    """Return whether all chunks are present with valid checksums; libpng would print a warning."""
     view, position = memoryview(data), len(PNG_SIGNATURE)
     while position + PNG_CHUNK.size + 4 <= len(data):
         length, kind = PNG_CHUNK.unpack_from(data, position)

@@ -1,4 +1,4 @@
-"""Where the images of each camera lie, when they were taken, and which of them at the same time."""
+"""Image folders of cameras: finding them, stamps, and images taken at the same time."""
 
 from __future__ import annotations
 
@@ -49,32 +49,27 @@ from posetrack_cli.recording.stamps import (
     varying_numbers,
 )
 
-Stamped = list[tuple[int, ImageFile]]
-"""Stamp, ns, and image."""
-Instants = list[dict[str, ImageFile]]
-"""Images of each instant by camera."""
+Stamped = list[tuple[int, ImageFile]]  # stamp, ns, and image
+Instants = list[dict[str, ImageFile]]  # images of each instant by camera
 TOLERANCE_NS = round(DEFAULT_TOLERANCE_MS * NS_PER_MS)
-DEPTH_TYPES = (np.uint16, np.float32)
-"""Of images by which a folder of depth is found."""
+DEPTH_TYPES = (np.uint16, np.float32)  # data types that mark a folder as depth
+# Share of the smaller folder's names that all cameras must have, unless names count frames.
 SHARED = 0.5
-"""Share of the smaller folder's names that all cameras have, unless they count frames."""
-COLOUR_WORDS = ("color", "colour", "rgb")
-"""In names of colour images, where there are several other kinds, too."""
-RATE_DIFFERENCE = 0.05
-"""Relative: nobody calls 24 frames a second 25."""
+COLOUR_WORDS = ("color", "colour", "rgb")  # mark colour images among other kinds
+RATE_DIFFERENCE = 0.05  # relative tolerance of a stated rate: 24 frames/s is not called 25
+# Numbers further apart on average are times, not frame counts: times in ms are at least 8 apart.
 SPARSE = 5
-"""Numbers further apart on average do not count frames: times in ms are 8 and more apart."""
 
 
 @dataclass(frozen=True)
 class Timing:
-    """When the images of each camera were taken.
+    """Stamps of the images of each camera.
 
     Attributes:
         stamped: stamps and images by camera.
-        files: that were read for it.
-        remarks: where stamps come from if not from a timestamps.csv or the rate, and gaps.
-        fps: frame rate that stamps come from, Hz; None if there are others.
+        files: files read for the stamps.
+        remarks: source of the stamps unless timestamps.csv or a given rate, and gaps.
+        fps: frame rate of synthetic stamps, Hz; None if stamps are stored.
     """
 
     stamped: dict[str, Stamped]
@@ -85,13 +80,13 @@ class Timing:
 
 @dataclass(frozen=True)
 class CameraFolders:
-    """The images of the cameras of a folder.
+    """The images of a folder's cameras.
 
     Attributes:
         path: the recording.
-        by_name: images by camera; of the folder itself under "".
-        remarks: on what was found, by camera.
-        lists: of the cameras whose images and stamps a file lists.
+        by_name: images by camera; the folder itself is "".
+        remarks: remarks by camera.
+        lists: image lists by camera, if any.
     """
 
     path: Path
@@ -100,26 +95,26 @@ class CameraFolders:
     lists: Mapping[str, ImageList] = field(default_factory=dict)
 
     def of(self, names: Iterable[str]) -> CameraFolders:
-        """Return those of some cameras, in this order."""
+        """Return the named cameras only, in this order."""
         return self._renamed({name: name for name in names})
 
-    def called(self, name: str) -> CameraFolders:
-        """Return the only camera with another name."""
+    def renamed(self, name: str) -> CameraFolders:
+        """Return the only camera under another name."""
         (own,) = self.by_name
         return self._renamed({name: own})
 
     def without_depth(self, named: Iterable[str] = ()) -> CameraFolders:
-        """Return the cameras whose folders are not called depth, if there are any; ``named`` ones stay."""
+        """Return the cameras without depth folders, except ``named``; all if only depth remains."""
         kept = [name for name in self.by_name if DEPTH_WORD not in name.lower() or name in named]
         if not kept or len(kept) == len(self.by_name):
             return self
         left = ", ".join(name for name in self.by_name if name not in kept)
         chosen = self.of(kept)
-        said = (*chosen.remarks.get(kept[0], ()), f"images of {left} are left out")
+        said = (*chosen.remarks.get(kept[0], ()), f"folders not read: {left}")
         return replace(chosen, remarks={**chosen.remarks, kept[0]: said})
 
     def _renamed(self, names: Mapping[str, str]) -> CameraFolders:
-        """Return some cameras; ``names`` has the present one by the new one."""
+        """Return the cameras in ``names``, which maps new names to present ones."""
         return CameraFolders(
             self.path,
             {new: self.by_name[name] for new, name in names.items()},
@@ -129,29 +124,29 @@ class CameraFolders:
 
     @property
     def every_remark(self) -> tuple[str, ...]:
-        """The remarks on all cameras, each once."""
+        """The remarks on all cameras, without duplicates."""
         return tuple(dict.fromkeys(remark for remarks in self.remarks.values() for remark in remarks))
 
     def timing(
         self, fps: float | None, tolerance_ns: int = TOLERANCE_NS, nominal_fps: float | None = None
     ) -> Timing:
-        """Return stamp and path of every camera's images.
+        """Return the stamps and images of every camera.
 
-        Each camera's folder may have a timestamps.csv, or a list or the names hold its stamps. Else images
-        of one instant (``instants``) have a stamp from the recording's timestamps.csv or from the rate.
-        A rate replaces every timestamps.csv, but not stamps of lists and names that contradict it.
+        Stamps come from a timestamps.csv in each camera's folder, or from lists or file names; else images
+        of one instant (``instants``) get a stamp from the recording's timestamps.csv or from the rate. A
+        rate overrides every timestamps.csv, but not stamps in lists and names that contradict it.
 
         Args:
             fps: frame rate, Hz.
-            tolerance_ns: largest difference of stamps within an instant.
-            nominal_fps: rate of images that have no stamps.
+            tolerance_ns: maximum stamp difference within an instant.
+            nominal_fps: rate for images without stamps.
 
         Raises:
-            RecordingError: if there are no stamps, or they do not fit the images.
-            UsageError: the rate is not one that cameras have.
+            RecordingError: there are no stamps, or they do not match the images.
+            UsageError: the rate is out of range.
         """
         if fps is not None:
-            stamps_at_rate(0, fps)  # refuses what is not a rate
+            stamps_at_rate(0, fps)  # validates the rate
         own = self._own_stamps()
         if fps is None and all(file.exists() for file in own.values()):
             return Timing(
@@ -162,10 +157,10 @@ class CameraFolders:
                 list(own.values()),
             )
         common = self.path / STAMPS_FILE_NAME
-        held = self._held_stamps()
+        held = self._stamps_from_names()
         if held and (not common.exists() if fps is None else not all(s.fit_rate(fps) for s in held.values())):
             _check_rate(self.path, held, fps)
-            return self._held_timing(held, fps)
+            return self._timing_from_names(held, fps)
         together = self.instants(tolerance_ns)
         firsts = [next(iter(instant.values())) for instant in together]
         remarks: tuple[str, ...] = ()
@@ -178,7 +173,7 @@ class CameraFolders:
         else:
             fps = nominal_fps if fps is None else fps
             if fps is None:
-                _refuse_unstamped(self.path, firsts)
+                _raise_no_stamps(self.path, firsts)
             stamps, remarks = _at_rate(firsts, fps)
             files = []
         stamped = {
@@ -190,20 +185,20 @@ class CameraFolders:
     def instants(self, tolerance_ns: int = TOLERANCE_NS) -> Instants:
         """Return the images of each instant by camera.
 
-        Images belong together whose stamps in lists or names are nearest, or whose names are the same or have
-        the same number. Names without numbers, and numbers in equal steps, are matched by position.
+        Images are matched by nearest stamps in lists or names, or by equal names or numbers; names without
+        numbers, and numbers in equal steps, by position.
 
         Args:
-            tolerance_ns: largest difference of stamps.
+            tolerance_ns: maximum stamp difference.
 
         Raises:
-            RecordingError: names do not show which images belong together.
+            RecordingError: names do not determine which images belong together.
         """
         folders = self.by_name
         if len(folders) == 1:
             (name,) = folders
             return [{name: image} for image in folders[name]]
-        if held := self._held_stamps():
+        if held := self._stamps_from_names():
             return _nearest(folders, held, tolerance_ns)
         numbers = {name: varying_numbers([i.stem for i in images]) for name, images in folders.items()}
         keys: tuple[Mapping[str, Sequence[Hashable]], ...] = (
@@ -217,14 +212,14 @@ class CameraFolders:
         if len({len(images) for images in folders.values()}) == 1 and _in_step(list(numbers.values())):
             return [dict(zip(folders, images, strict=True)) for images in zip(*folders.values(), strict=True)]
         raise RecordingError(
-            "images of the cameras cannot be told to belong together",
+            "images of the cameras cannot be matched",
             where=self.path,
             found=", ".join(f"{len(images)} in {name}" for name, images in folders.items())
             + f" named {' and '.join(f'{i[0].name} to {i[-1].name}' for i in folders.values())}",
-            expected=f"the same names or numbers, stamps as names, or a {STAMPS_FILE_NAME} in each folder",
+            expected=f"equal names or numbers, stamps as names, or a {STAMPS_FILE_NAME} in each folder",
         )
 
-    def _held_timing(self, held: Mapping[str, NameStamps], fps: float | None) -> Timing:
+    def _timing_from_names(self, held: Mapping[str, NameStamps], fps: float | None) -> Timing:
         stamped = {
             name: list(zip(stamps.stamps_ns, self.by_name[name], strict=True))
             for name, stamps in held.items()
@@ -236,13 +231,13 @@ class CameraFolders:
             remarks.append(f"stamps from {source}{f' of {name}' if len(held) > 1 else ''}, {stamps.words}")
         if fps is not None:
             remarks.append(
-                f"{fps:g} frames/s is not used, the stamps contradict it; a {STAMPS_FILE_NAME} "
-                "without --fps gives others"
+                f"{fps:g} frames/s is ignored, the stamps contradict it; to override them, add a "
+                f"{STAMPS_FILE_NAME} and omit --fps"
             )
         return Timing(stamped, [one.path for one in self.lists.values()], tuple(remarks))
 
-    def _held_stamps(self) -> dict[str, NameStamps]:
-        """Return the stamps that lists or names hold; nothing unless those of all cameras do."""
+    def _stamps_from_names(self) -> dict[str, NameStamps]:
+        """Return the stamps in lists or names; empty unless all cameras have them."""
         held = {}
         for name, images in self.by_name.items():
             listed = self.lists.get(name)
@@ -254,28 +249,28 @@ class CameraFolders:
         return held
 
     def _own_stamps(self) -> dict[str, Path]:
-        """Where each camera's own timestamps.csv would be."""
+        """Return the path of each camera's own timestamps.csv, which may not exist."""
         return {name: images[0].parent / STAMPS_FILE_NAME for name, images in self.by_name.items()}
 
 
 def find_folders(path: Path) -> CameraFolders:
     """Return the images of each camera.
 
-    They are those of the folder itself, named "", or that its rgb.txt lists; else those of its subfolders by
+    They are those of the folder itself, named "", or listed in its rgb.txt; else those of its subfolders by
     name, or of a folder ``data`` in each of them.
 
     Raises:
-        RecordingError: if the folder cannot be listed or there are no images.
+        RecordingError: the folder cannot be listed or has no images.
     """
     folders, holds_images = _entries(path)
     if holds_images:
-        return _lone(path, _of_one_kind(path, listed_images(path, GREY_SUFFIXES), is_depth=False))
+        return _single(path, _of_one_kind(path, listed_images(path, GREY_SUFFIXES), is_depth=False))
     if (listed := camera_list(path, GREY_SUFFIXES)) is not None:
         return _of_list(path, "", listed)
     if (listed := colour_list(path)) is not None:
         return _of_list(path, listed.images[0].parent.name, listed)
     if not folders:
-        return _lone(path, listed_images(path, GREY_SUFFIXES))
+        return _single(path, listed_images(path, GREY_SUFFIXES))
     found = {folder.name: listed_images(folder, GREY_SUFFIXES) for folder in folders if _has_images(folder)}
     if found:
         return CameraFolders(
@@ -292,22 +287,22 @@ def find_folders(path: Path) -> CameraFolders:
             path if is_above else below[0], found_below.by_name, found_below.remarks, found_below.lists
         )
     raise RecordingError(
-        "no images", where=path, found=f"folders {', '.join(f.name for f in folders)} without images"
+        "no images", where=path, found=f"folders without images: {', '.join(f.name for f in folders)}"
     )
 
 
 def find_depth(path: Path) -> CameraFolders:
-    """Return the depth images of a folder as those of one camera.
+    """Return the depth images of a folder as one camera.
 
-    They are its own, those that its depth.txt or associations.txt lists, or those of the only subfolder with
-    16-bit images of one channel.
+    They are its own, those listed in its depth.txt or associations.txt, or those of the only subfolder with
+    16-bit single-channel images.
 
     Raises:
         RecordingError: there are no images, or several such folders.
     """
     folders, holds_images = _entries(path, DEPTH_SUFFIXES)
     if holds_images or not folders:
-        return _lone(path, _of_one_kind(path, listed_images(path), is_depth=True))
+        return _single(path, _of_one_kind(path, listed_images(path), is_depth=True))
     if (below := depth_below(path)) is not None:
         return below
     found = [folder for folder in folders if _has_images(folder, DEPTH_SUFFIXES) and _holds_depth(folder)]
@@ -316,37 +311,40 @@ def find_depth(path: Path) -> CameraFolders:
     if found:
         names = ", ".join(folder.name for folder in found)
         raise RecordingError(
-            "several folders of 16-bit images", where=path, found=names, hint=f"pass {path / found[0].name}"
+            "several folders of 16-bit images",
+            where=path,
+            found=names,
+            hint=f"pass one of them, e.g. {path / found[0].name}",
         )
     names = ", ".join(folder.name for folder in folders)
     raise RecordingError(
-        "no depth images", where=path, found=f"folders {names}", expected="16-bit images of one channel"
+        "no depth images", where=path, found=f"folders {names}", expected="16-bit single-channel images"
     )
 
 
 def depth_below(path: Path) -> CameraFolders | None:
-    """Return the depth images that a folder lists, or of the only subfolder called depth; None without.
+    """Return a folder's listed depth images, or those of its only depth subfolder; None without.
 
     Raises:
-        RecordingError: a list cannot be used.
+        RecordingError: a list is invalid.
     """
     folders, holds_images = _entries(path)
     if holds_images:
         return None
     if (listed := depth_list(path)) is not None:
         return _of_list(path, "", listed)
-    called = [folder for folder in folders if DEPTH_WORD in folder.name.lower() and _holds_depth(folder)]
-    return _subfolder(path, called[0]) if len(called) == 1 else None
+    named = [folder for folder in folders if DEPTH_WORD in folder.name.lower() and _holds_depth(folder)]
+    return _subfolder(path, named[0]) if len(named) == 1 else None
 
 
 def _subfolder(path: Path, folder: Path) -> CameraFolders:
     listed = listed_images(folder)
-    remark = f"depth images are those of {folder.name}"
+    remark = f"depth is read from {folder.name}/"
     return CameraFolders(path, {"": listed.images}, {"": (remark, *listed.remarks)})
 
 
 def _entries(path: Path, suffixes: tuple[str, ...] = GREY_SUFFIXES) -> tuple[list[Path], bool]:
-    """Return the folders in a folder, sorted, unless it holds images itself, and whether it does."""
+    """Return the sorted subfolders, empty if the folder has images, and whether it has any."""
     try:
         holds_images = any(_is_image(entry, suffixes) for entry in path.iterdir())
         return [] if holds_images else _subfolders(path), holds_images
@@ -360,7 +358,7 @@ def _subfolders(path: Path) -> list[Path]:
     return [found[i] for i in order]
 
 
-def _lone(path: Path, listed: ListedImages) -> CameraFolders:
+def _single(path: Path, listed: ListedImages) -> CameraFolders:
     return CameraFolders(path, {"": listed.images}, {"": listed.remarks})
 
 
@@ -369,31 +367,30 @@ def _of_list(path: Path, name: str, listed: ImageList) -> CameraFolders:
 
 
 def _of_one_kind(path: Path, listed: ListedImages, *, is_depth: bool) -> ListedImages:
-    """Return the images of depth, or the others, where a folder holds several kinds of each frame.
+    """Return the depth images, or the others, of a folder with several kinds per frame.
 
     Raises:
-        RecordingError: names do not show which ones these are.
+        RecordingError: names do not identify them.
     """
     kinds = layouts_of_one_sequence([image.stem for image in listed.images])
     if not kinds:
         return listed
-    called = [text for text in kinds if (DEPTH_WORD in text.lower()) == is_depth]
-    coloured = [text for text in called if any(word in text.lower() for word in COLOUR_WORDS)]
-    chosen = called if len(called) == 1 else coloured
+    named = [text for text in kinds if (DEPTH_WORD in text.lower()) == is_depth]
+    coloured = [text for text in named if any(word in text.lower() for word in COLOUR_WORDS)]
+    chosen = named if len(named) == 1 else coloured
     if len(chosen) != 1:
         raise RecordingError(
-            "images of several kinds in one folder",
+            "several kinds of images in one folder",
             where=path,
             found=", ".join(listed.images[positions[0]].name for positions in kinds.values()),
-            hint="move those of each camera to a folder of their own",
+            hint="move the images of each camera to their own folder",
         )
     images = [listed.images[i] for i in kinds[chosen[0]]]
-    remark = f"{len(images)} of {len(listed.images)} images are read, those named as {images[0].name}"
+    remark = f"read {len(images)} of {len(listed.images)} images, named like {images[0].name}"
     return ListedImages(images, (remark, *listed.remarks))
 
 
 def _joined(path: Path, cameras: Sequence[Path]) -> CameraFolders:
-    """Return the images in the folder ``data`` of each camera."""
     lists = {camera.name: camera_list(camera, GREY_SUFFIXES) for camera in cameras}
     listed = {name: one for name, one in lists.items() if one is not None}
     found = {
@@ -407,7 +404,7 @@ def _joined(path: Path, cameras: Sequence[Path]) -> CameraFolders:
 
 
 def _holds_depth(folder: Path) -> bool:
-    """Whether the first image that can be decoded has 16 bits and one channel."""
+    """Return whether the first decodable image has 16 bits (or float32) and one channel."""
     try:
         first = first_decoded(listed_images(folder).images, lambda image: decode_any(read_image(image)))
     except RecordingError:
@@ -416,39 +413,40 @@ def _holds_depth(folder: Path) -> bool:
 
 
 def _at_rate(images: Sequence[ImageFile], fps: float) -> tuple[list[int], tuple[str, ...]]:
-    """Return stamps at a rate, with gaps where a numbered sequence has them, and a remark on these."""
+    """Return stamps at a rate, with gaps for missing numbers of a sequence, and a remark on them."""
     stems = [image.stem for image in images]
     sequence = numbered_sequence(stems)
-    if sequence is None and len({image.parent for image in images}) > 1:  # instants with either camera
+    if sequence is None and len({image.parent for image in images}) > 1:  # instants missing one camera
         sequence = numbered_sequence([str(_last_number(image)) for image in images])
     if sequence is None:
         return stamps_at_rate(len(images), fps), ()
     lost = sequence.positions[-1] + 1 - len(images)
-    remark = f"images lack {sequence.words}: taken for {lost} frame{'s' if lost > 1 else ''} that were lost"
+    remark = f"{sequence.words} missing: assuming {lost} lost frame{'s' if lost > 1 else ''}"
     return [stamp_at_rate(position, fps) for position in sequence.positions], (remark,)
 
 
 def _check_rate(path: Path, held: Mapping[str, NameStamps], fps: float | None) -> None:
-    """Raise RecordingError if a rate is not that of stamps which only their rate shows to be such."""
+    """Raise RecordingError if a given rate contradicts stamps recognised by their rate alone."""
     for stamps in held.values():
         if fps is not None and stamps.is_count and abs(stamps.rate_hz / fps - 1.0) > RATE_DIFFERENCE:
             raise RecordingError(
-                "numbers in names look like stamps and contradict --fps",
+                "numbers in file names look like stamps that contradict --fps",
                 where=path,
-                found=f"{stamps.words}: {stamps.rate_hz:.4g} frames/s, not {fps:g}",
-                hint=f"leave --fps out to use them, or write a {STAMPS_FILE_NAME} instead",
+                found=f"{stamps.words}: {stamps.rate_hz:.4g} frames/s",
+                expected=f"{fps:g} frames/s",
+                hint=f"omit --fps to use them, or add a {STAMPS_FILE_NAME}",
             )
 
 
-def _refuse_unstamped(path: Path, images: Sequence[ImageFile]) -> NoReturn:
-    """Raise RecordingError for images without stamps; numbers that could be stamps are named."""
+def _raise_no_stamps(path: Path, images: Sequence[ImageFile]) -> NoReturn:
+    """Raise RecordingError for images without stamps, naming numbers that could be stamps."""
     numbers = [value[0] for value in varying_numbers([i.stem for i in images]) or [] if len(value) == 1]
     steps = {b - a for a, b in pairwise(numbers)}
     is_unclear = len(numbers) == len(images) and steps and min(steps) > 1
     raise RecordingError(
         "no stamps",
         where=path,
-        found=f"numbers {numbers[0]} to {numbers[-1]}, times or counts" if is_unclear else "",
+        found=f"numbers {numbers[0]} to {numbers[-1]}, either times or counts" if is_unclear else "",
         hint=f"pass --fps, or add a {STAMPS_FILE_NAME} with a stamp_ns column",
     )
 
@@ -456,7 +454,7 @@ def _refuse_unstamped(path: Path, images: Sequence[ImageFile]) -> NoReturn:
 def _nearest(
     folders: Mapping[str, list[ImageFile]], held: Mapping[str, NameStamps], tolerance_ns: int
 ) -> Instants:
-    """Put together images whose stamps differ by at most the tolerance, as ``match_images`` does."""
+    """Match images whose stamps differ by at most the tolerance, as ``match_images`` does."""
     by_stamp = {
         name: dict(zip(held[name].stamps_ns, images, strict=True)) for name, images in folders.items()
     }
@@ -471,11 +469,11 @@ def _nearest(
 
 
 def _no_pixels() -> NoReturn:
-    raise UnreadableImageError("only its stamp is used")
+    raise UnreadableImageError("placeholder for matching by stamp")
 
 
 def _by_key(folders: Mapping[str, list[ImageFile]], keys: Mapping[str, Sequence[Hashable]]) -> Instants:
-    """Return the images of each instant by a key of their names; nothing unless it identifies images."""
+    """Match images by a key of their names; empty unless the key identifies images."""
     keyed = {name: dict(zip(keys[name], images, strict=False)) for name, images in folders.items()}
     if any(
         len(keyed[name]) < len(images) or {None, ()} & set(keyed[name]) for name, images in folders.items()
@@ -483,7 +481,7 @@ def _by_key(folders: Mapping[str, list[ImageFile]], keys: Mapping[str, Sequence[
         return []
     shared = set.intersection(*(set(by_key) for by_key in keyed.values()))
     fewest = min(len(images) for images in folders.values())
-    is_chance = len(shared) < SHARED * fewest and not all(map(_count_frames, folders.values()))
+    is_chance = len(shared) < SHARED * fewest and not all(map(_is_frame_count, folders.values()))
     if not shared or is_chance:
         return []
     every: list[Any] = list(set.union(*(set(by_key) for by_key in keyed.values())))
@@ -491,16 +489,16 @@ def _by_key(folders: Mapping[str, list[ImageFile]], keys: Mapping[str, Sequence[
     return [{n: by_key[k] for n, by_key in keyed.items() if k in by_key} for k in ordered]
 
 
-def _count_frames(images: Sequence[ImageFile]) -> bool:
-    """Whether the last numbers of names are as dense as those of frames, of which some are left out."""
+def _is_frame_count(images: Sequence[ImageFile]) -> bool:
+    """Return whether the last numbers of names are dense enough for frame counts with gaps."""
     numbers = [value for value in map(_last_number, images) if value is not None]
     return bool(numbers) and max(numbers) - min(numbers) <= SPARSE * len(numbers)
 
 
 def _in_step(numbers: Sequence[list[tuple[int, ...]] | None]) -> bool:
-    """Whether nothing in names contradicts that images were taken together one by one.
+    """Return whether names are consistent with images taken together one by one.
 
-    Names have no numbers that vary, or those of all cameras increase by the same steps.
+    Names have no varying numbers, or those of all cameras increase by the same steps.
     """
     steps = {
         tuple(

@@ -1,6 +1,6 @@
-"""Lists of images with their stamps: depth.txt, rgb.txt and associations.txt of TUM, data.csv of EuRoC.
+"""Image lists with stamps: depth.txt, rgb.txt and associations.txt of TUM, data.csv of EuRoC.
 
-Names in a list are compared with those of the images that are there; none becomes a path.
+Listed names are compared with existing images and never used as paths.
 """
 
 from __future__ import annotations
@@ -21,14 +21,12 @@ from posetrack_cli.units import NS_PER_S
 
 DEPTH_LISTS, COLOUR_LISTS = ("depth.txt",), ("rgb.txt", "color.txt", "colour.txt")
 ASSOCIATIONS = re.compile(r"assoc\w*\.txt", re.IGNORECASE)
-CAMERA_LIST, CAMERA_IMAGES = "data.csv", "data"
-"""In the folder of a camera of EuRoC: the list, and the folder of images."""
-TIMES_FILES = ("times.txt", "timestamps.txt")
-"""With a stamp a line, as of KITTI."""
+CAMERA_LIST, CAMERA_IMAGES = "data.csv", "data"  # EuRoC camera folder: list, image folder
+TIMES_FILES = ("times.txt", "timestamps.txt")  # KITTI: one stamp per line
 DEPTH_WORD = "depth"
 STAMP = re.compile(r"[0-9]{1,20}(\.[0-9]{0,20})?([eE][+-]?[0-9]{1,2})?")
+# Smaller steps are image numbers: 0.1 ms would be 10,000 images per second.
 LEAST_STEP_NS = 100_000
-"""Smaller steps number images: 10,000 a second."""
 EXPECTED = "lines of a stamp and a file name"
 
 
@@ -38,9 +36,9 @@ class ImageList:
 
     Attributes:
         path: the list.
-        images: those that are there, in order of their stamps.
-        stamps: of the images, None if the list numbers them.
-        remarks: on images that are missing or not listed.
+        images: existing images, in stamp order.
+        stamps: their stamps, None if the list only numbers them.
+        remarks: remarks on missing and unlisted images.
     """
 
     path: Path
@@ -50,45 +48,45 @@ class ImageList:
 
 
 def depth_list(folder: Path) -> ImageList | None:
-    """Return the depth images that a folder's depth.txt or associations.txt lists, None without such a list.
+    """Return the depth images in a folder's depth.txt or associations.txt; None without a list.
 
     Raises:
-        RecordingError: the list cannot be read, or none of its images is there.
+        RecordingError: the list cannot be read, or none of its images exists.
     """
     return _tum_list(folder, DEPTH_LISTS, is_depth=True)
 
 
 def colour_list(folder: Path) -> ImageList | None:
-    """Return the images that a folder's rgb.txt or associations.txt lists, None without such a list.
+    """Return the images in a folder's rgb.txt or associations.txt; None without a list.
 
     Raises:
-        RecordingError: the list cannot be read, or none of its images is there.
+        RecordingError: the list cannot be read, or none of its images exists.
     """
     return _tum_list(folder, COLOUR_LISTS, is_depth=False)
 
 
 def camera_list(folder: Path, suffixes: tuple[str, ...]) -> ImageList | None:
-    """Return the images of a camera's folder with data.csv and data/, None without them.
+    """Return the images of a camera folder with data.csv and data/, None without them.
 
     Raises:
-        RecordingError: the list cannot be read, or none of its images is there.
+        RecordingError: the list cannot be read, or none of its images exists.
     """
     path, images = folder / CAMERA_LIST, folder / CAMERA_IMAGES
     if not path.is_file() or not images.is_dir():
         return None
-    there = {image.name: image for image in list_images(images, suffixes)}
-    return _listed(path, [(row[0], row[1]) for row in _rows(path)], there, "ns")
+    existing = {image.name: image for image in list_images(images, suffixes)}
+    return _listed(path, [(row[0], row[1]) for row in _rows(path)], existing, "ns")
 
 
 def load_times(folder: Path, count: int) -> tuple[Path, NameStamps] | None:
-    """Return the stamps of a folder's times.txt or timestamps.txt, one a line as of KITTI; None without it.
+    """Return the stamps in a folder's times.txt or timestamps.txt (KITTI); None without it.
 
     Args:
-        folder: of the recording.
-        count: of its images, each of which has a line.
+        folder: folder of the recording.
+        count: number of images, one line each.
 
     Raises:
-        RecordingError: a line is not a stamp, or there are more or fewer.
+        RecordingError: a line is not a stamp, or the number of lines differs.
     """
     path = next((folder / name for name in TIMES_FILES if (folder / name).is_file()), None)
     if path is None:
@@ -96,16 +94,16 @@ def load_times(folder: Path, count: int) -> tuple[Path, NameStamps] | None:
     texts = [line for _, line in _lines(path)]
     if len(texts) != count:
         raise RecordingError(
-            "stamps and images differ in number",
+            "numbers of stamps and images differ",
             where=path,
             found=f"{len(texts)} lines",
             expected=f"{count}, one per image",
-            hint="pass --fps to leave the file out",
+            hint="to ignore the file pass --fps",
         )
     stamps = stamps_in_names(texts) or _stamps(texts, "s", path)
     if stamps is None:
         raise RecordingError(
-            "lines may be times or count images",
+            "lines may be times or image numbers",
             where=path,
             found=f"{texts[0]} to {texts[-1]}",
             hint="pass --fps",
@@ -130,7 +128,7 @@ def _tum_list(folder: Path, names: Sequence[str], *, is_depth: bool) -> ImageLis
 
 
 def _of_kind(rows: Sequence[list[str]], *, is_depth: bool) -> Iterator[tuple[str, str]]:
-    """Yield stamp and name of depth, or of the other image, in rows that list both."""
+    """Yield stamp and name of the depth (or other) image in rows that list both."""
     for row in rows:
         for stamp, name in zip(row[::2], row[1::2], strict=False):
             if (DEPTH_WORD in name.lower()) == is_depth:
@@ -139,10 +137,10 @@ def _of_kind(rows: Sequence[list[str]], *, is_depth: bool) -> Iterator[tuple[str
 
 
 def _rows(path: Path) -> list[list[str]]:
-    """Return the cells of a list's lines that begin with a stamp, without comments and a header.
+    """Return the cells of lines that begin with a stamp, without comments and header.
 
     Raises:
-        RecordingError: the file is too large, or a line has no stamp or no name.
+        RecordingError: the file is too large, or a line lacks a stamp or name.
     """
     rows: list[list[str]] = []
     for number, line in _lines(path):
@@ -153,7 +151,7 @@ def _rows(path: Path) -> list[list[str]]:
             if not rows and not STAMP.fullmatch(cells[0]):  # a header
                 continue
             raise RecordingError(
-                "line is not of a list of images",
+                "not an entry of an image list",
                 where=f"{path} line {number}",
                 found=f"'{line.strip()[:80]}'",
                 expected="a stamp and a file name",
@@ -163,26 +161,26 @@ def _rows(path: Path) -> list[list[str]]:
 
 
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
-    """Yield the lines of a list with their numbers, without comments and empty ones."""
+    """Yield the numbered lines of a list, without comments and empty lines."""
     for number, line in TextFile(path, RecordingError, EXPECTED).lines():
         if line.strip() and not line.startswith(COMMENT):
             yield number, line.strip()
 
 
 def _images_below(folder: Path, entries: Sequence[tuple[str, str]]) -> dict[str, ImageFile]:
-    """Return images by their names in a list: of a folder and of those of its folders that entries name."""
+    """Return images by listed name: in the folder and in the subfolders that entries name."""
     wanted = {name.rpartition("/")[0] for name in map(_plain, (name for _, name in entries))}
-    there: dict[str, ImageFile] = {}
+    existing: dict[str, ImageFile] = {}
     try:
-        entries_there = sorted(folder.iterdir())
+        in_folder = sorted(folder.iterdir())
     except OSError as error:
         raise RecordingError("cannot be read", where=folder, found=error.strerror or error) from error
-    for entry in entries_there:
+    for entry in in_folder:
         if entry.name in wanted and entry.is_dir():
-            there |= {f"{entry.name}/{image.name}": image for image in list_images(entry, GREY_SUFFIXES)}
+            existing |= {f"{entry.name}/{image.name}": image for image in list_images(entry, GREY_SUFFIXES)}
     if "" in wanted:
-        there |= {image.name: image for image in list_images(folder, GREY_SUFFIXES)}
-    return there
+        existing |= {image.name: image for image in list_images(folder, GREY_SUFFIXES)}
+    return existing
 
 
 def _plain(name: str) -> str:
@@ -190,20 +188,22 @@ def _plain(name: str) -> str:
 
 
 def _listed(
-    path: Path, entries: Sequence[tuple[str, str]], there: dict[str, ImageFile], unit: str
+    path: Path, entries: Sequence[tuple[str, str]], existing: dict[str, ImageFile], unit: str
 ) -> ImageList:
-    known = [(stamp, there[name]) for stamp, name in ((s, _plain(n)) for s, n in entries) if name in there]
+    known = [
+        (stamp, existing[name]) for stamp, name in ((s, _plain(n)) for s, n in entries) if name in existing
+    ]
     if not known:
-        found = f"{len(entries)} lines, of the first: {entries[0][1]}" if entries else "no lines"
-        raise RecordingError("lists no image that is there", where=path, found=found)
+        found = f"{len(entries)} lines, the first for {entries[0][1]}" if entries else "no lines"
+        raise RecordingError("no listed image exists", where=path, found=found)
     remarks = []
     if len(known) < len(entries):
-        missing = next(name for _, name in entries if _plain(name) not in there)
+        missing = next(name for _, name in entries if _plain(name) not in existing)
         count = len(entries) - len(known)
-        remarks.append(f"{count} of {len(entries)} images of {path.name} are missing, the first is {missing}")
-    if len({image.name for _, image in known}) < len(there):
-        count = len(there) - len({image.name for _, image in known})
-        remarks.append(f"{count} images that {path.name} does not list are left out")
+        remarks.append(f"{count} of {len(entries)} images in {path.name} are missing, first {missing}")
+    if len({image.name for _, image in known}) < len(existing):
+        count = len(existing) - len({image.name for _, image in known})
+        remarks.append(f"skipped {count} images not listed in {path.name}")
     stamps = _stamps([stamp for stamp, _ in known], unit, path)
     if stamps is None:
         return ImageList(path, [image for _, image in known], None, tuple(remarks))
@@ -213,9 +213,9 @@ def _listed(
 
 
 def _stamps(texts: Sequence[str], unit: str, path: Path) -> NameStamps | None:
-    """Return the stamps of a list, in the unit that they give away, else in its usual one.
+    """Return the stamps of a list in their recognised unit, else the default one.
 
-    None if they are the numbers of images: integers in equal steps.
+    None if they are image numbers: integers in equal steps.
     """
     for text in texts:
         if not STAMP.fullmatch(text):

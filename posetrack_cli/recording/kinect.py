@@ -1,4 +1,4 @@
-"""Recordings of Kinects and RealSense cameras."""
+"""Depth of Azure Kinect recordings, and the depth unit of RealSense recordings."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.mcap.decoding import VALUE_TYPES, MessageDecoder, UndecodableMessageError
 from posetrack_cli.recording.base import UnreadableImageError, no_intrinsics
-from posetrack_cli.recording.camera_file import camera_record, image_camera, load_depth_camera, stated_depth
+from posetrack_cli.recording.camera_file import camera_record, depth_storage, image_camera, load_depth_camera
 from posetrack_cli.recording.camera_of import ImageCamera
 from posetrack_cli.recording.depth import MM_PER_M, Depth
-from posetrack_cli.recording.description import described_cameras, opened
+from posetrack_cli.recording.description import described_cameras, try_open
 from posetrack_cli.recording.identity import file_digest, identity_record
 from posetrack_cli.recording.message_topics import FileTopics, Topic
 from posetrack_cli.recording.pixels import Window
@@ -41,18 +41,18 @@ if TYPE_CHECKING:
     from av.video.frame import VideoFrame
 
 
-# Azure Kinect recordings (``.mkv`` of k4arecorder): their depth, and the camera of their attachment
+# Azure Kinect recordings (``.mkv`` of k4arecorder), with the calibration in an attachment
 
 
 CALIBRATION = "calibration.json"
 DEPTH_CAMERA = "CALIBRATION_CameraLocationD0"
 BROWN_CONRADY = "CALIBRATION_LensDistortionModelBrownConrady"
+# Like Brown-Conrady except for half the tangential terms.
 RATIONAL = "CALIBRATION_LensDistortionModelRational6KT"
-"""The same but for half the tangential terms."""
 PARAMETERS = 14
 SENSOR_PX = 1024
+# Depth modes by image size: sensor pixels per image pixel, and the offset of the image within them.
 MODES = {(320, 288): (2, 96, 90), (640, 576): (1, 192, 180), (512, 512): (2, 0, 0), (1024, 1024): (1, 0, 0)}
-"""By the size of images: pixels of the sensor to one of theirs, and where they lie among those."""
 
 
 class _Intrinsics(BaseModel):
@@ -76,21 +76,21 @@ class _Calibration(BaseModel):
 
 
 def open_kinect(path: Path, options: ReadingOptions) -> Recording:
-    """Open the depth of an Azure Kinect recording; its camera is a camera file's, else its own.
+    """Open the depth of an Azure Kinect recording, with its own camera unless a file is given.
 
     Raises:
-        RecordingError: it is none, or its calibration cannot be used.
+        RecordingError: the file is not such a recording, or its calibration is invalid.
     """
     if not is_video(path):
         raise RecordingError(
-            "is not a recording",
+            "not a recording",
             where=path,
-            found="an empty file" if path.stat().st_size == 0 else "a file of another kind",
-            expected="a folder of 16-bit images, an MCAP file or a bag of ROS",
+            found="an empty file" if path.stat().st_size == 0 else "an unknown file type",
+            expected="a folder of 16-bit images, an MCAP file or a ROS bag",
         )
     file = options.get("camera_file")
     settings = None if file is None else load_depth_camera(file)
-    stated_mm, missing = stated_depth(settings, options)
+    stated_mm, missing = depth_storage(settings, options)
     unit_mm = 1.0 if stated_mm is None else stated_mm
     video = VideoImages(path, None, opened_depth, _codes, lambda first: _depth(first, unit_mm, missing))
     width, height = video.pixels.width, video.pixels.height
@@ -126,15 +126,15 @@ def open_kinect(path: Path, options: ReadingOptions) -> Recording:
 
 
 def describe_kinect(path: Path) -> dict[str, Any]:
-    """Describe a video, and its depth if it is an Azure Kinect's recording.
+    """Describe a video, including depth if it is an Azure Kinect recording.
 
     Raises:
-        RecordingError: it is no video, or holds depth only.
+        RecordingError: the file is not a video, or has depth only.
     """
     described = describe_video(path)
     if not _holds_depth(path):
         return described
-    recording, no_camera = opened(lambda: open_kinect(path, {}))
+    recording, no_camera = try_open(lambda: open_kinect(path, {}))
     return described | {"depth": {"cameras": described_cameras(recording), "no_camera": no_camera}}
 
 
@@ -144,19 +144,18 @@ def _holds_depth(path: Path) -> bool:
 
 
 def camera_of_calibration(data: bytes, width: int, height: int, where: object) -> Camera:
-    """Return the depth camera of a calibration as the sensor has it, for images of a mode's size.
+    """Return the depth camera of a calibration for images of a mode's size.
 
-    The file's numbers are for the whole sensor, in parts of it from its corner on: a mode cuts out of it, or
-    puts two by two pixels together, and here pixels are counted from the middle of the first (as in the
-    sensor's SDK).
+    The file gives parameters for the whole sensor, as fractions of its size from the image corner. A mode
+    crops the sensor or bins it 2x2; here pixel centres are at integers, as in the sensor's SDK.
 
     Raises:
-        RecordingError: it tells no such camera, or its lens is of a model that cannot be used.
+        RecordingError: there is no such camera, or its lens model is not supported.
     """
     try:
         cameras = _Calibration.model_validate_json(data).CalibrationInformation.Cameras
     except ValidationError as error:
-        what, found, hint = "calibration cannot be read", error.errors()[0]["msg"], "pass --camera"
+        what, found, hint = "invalid calibration", error.errors()[0]["msg"], "pass --camera"
         raise RecordingError(what, where=where, found=found, hint=hint) from None
     camera = next((camera for camera in cameras if camera.Location == DEPTH_CAMERA), None)
     is_whole = camera is not None and (camera.SensorWidth, camera.SensorHeight) == (SENSOR_PX, SENSOR_PX)
@@ -167,7 +166,7 @@ def camera_of_calibration(data: bytes, width: int, height: int, where: object) -
     is_known = len(values) == PARAMETERS and not any(values[10:12])
     if not is_known or not (model == BROWN_CONRADY or (model == RATIONAL and not any(values[12:14]))):
         raise RecordingError(
-            "lens cannot be used", where=where, found=model, expected=BROWN_CONRADY, hint="pass --camera"
+            "unsupported lens model", where=where, found=model, expected=BROWN_CONRADY, hint="pass --camera"
         )
     binned, left, top = MODES[width, height]
     size = SENSOR_PX / binned
@@ -186,7 +185,7 @@ def camera_of_calibration(data: bytes, width: int, height: int, where: object) -
 
 def _codes(frame: VideoFrame) -> ImageArray:
     if frame.format.name != SENSOR_FORMAT:
-        raise UnreadableImageError(f"it is {frame.format.name}, not {SENSOR_FORMAT} as the others")
+        raise UnreadableImageError(f"pixel format is {frame.format.name}, not {SENSOR_FORMAT}")
     return np.asarray(frame_pixels(frame), dtype=np.uint16)
 
 
@@ -210,21 +209,21 @@ def _attachment(container: InputContainer) -> bytes | None:
     return None
 
 
-# What RealSense cameras say of themselves in recordings: how long a unit of depth is
+# Depth unit of RealSense recordings
 
 
 _SENSOR = re.compile(r"/device_\d+/sensor_\d+(?=/)")
+# Suffix of a sensor's topic with metres per depth code, as number or text.
 UNIT = "/option/Depth_Units/value"
-"""Of a sensor's topics: metres per code, a number or its digits."""
+# Plausible units; sensors range from 0.025 mm (close range) to 1 mm.
 SHORTEST_MM, LONGEST_MM = 1e-3, 100.0
-"""Cameras have from 0.025 mm, of a close-up, to 1 mm."""
 
 
 def depth_unit_mm(topics: FileTopics, images: Topic) -> float | None:
-    """Return how many millimetres a code of integer depth is, None if the sensor does not state it.
+    """Return the millimetres per integer depth code, None if the sensor does not state it.
 
     Raises:
-        RecordingError: what it tells is no unit.
+        RecordingError: the stated value is not a plausible unit.
     """
     sensor = _SENSOR.match(images.name)
     name = "" if sensor is None else sensor.group() + UNIT
@@ -232,13 +231,16 @@ def depth_unit_mm(topics: FileTopics, images: Topic) -> float | None:
         return None
     for item in topics.file.messages([name]):
         try:
-            # Stored as float32, whose nearest value to 0.001 is not it
+            # Stored as float32, so round 0.001 back to 6 digits
             unit = float(f"{float(MessageDecoder().decode(*item).data) * MM_PER_M:.6g}")
         except (UndecodableMessageError, ValueError):
             unit = math.nan
         if SHORTEST_MM <= unit <= LONGEST_MM:
             return unit
         raise RecordingError(
-            "depth unit cannot be used", where=f"{topics.path}, {name}", found=f"{unit:g} mm"
+            "implausible depth unit",
+            where=f"{topics.path}, {name}",
+            found=f"{unit:g} mm",
+            expected=f"{SHORTEST_MM:g} to {LONGEST_MM:g} mm",
         )
     return None

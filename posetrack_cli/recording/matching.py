@@ -1,4 +1,4 @@
-"""From the images of each camera to numbered frames: put together by time, in order, and selected."""
+"""Match the images of several cameras by time into numbered frames, and select a range of frames."""
 
 from __future__ import annotations
 
@@ -9,16 +9,15 @@ from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.base import StoredFrame, StoredImage
 
 NS_PER_MS = 1_000_000
-ALONE_LIMIT = 600
-"""So many frames from the beginning without one that two cameras saw: the stamps do not match."""
-NOT_LATER = "frame dropped, stamp not later than the frame before"
+# Give up after this many initial frames without a match: the stamps do not correspond.
+MAX_UNMATCHED_FRAMES = 600
+NOT_LATER = "frame dropped, stamp not later than the previous frame's"
 OUT_OF_RANGE = "frame dropped, stamp before 1970 or after 2262"
-LATEST_NS = 2**63 - 1
-"""What 64-bit integers, and so arrays of stamps, can hold."""
+LATEST_NS = 2**63 - 1  # stamps are stored in int64 arrays
 
 
 class _Stream:
-    """One camera's images in order of time, with a look at the one after the next."""
+    """One camera's images in time order, with one image of look-ahead."""
 
     def __init__(self, name: str, images: Iterator[StoredImage | None], losses: LossLog) -> None:
         self.name, self.losses = name, losses
@@ -45,8 +44,8 @@ class _Stream:
         return None
 
 
-def unmatched(camera: str, images: Iterable[StoredImage | None]) -> Iterator[StoredFrame | None]:
-    """Make a frame of every image of one camera; None of one that cannot be used, which keeps its number."""
+def single_camera_frames(camera: str, images: Iterable[StoredImage | None]) -> Iterator[StoredFrame | None]:
+    """Yield a frame for every image of one camera; None for an unusable one, which keeps its index."""
     for image in images:
         yield None if image is None else StoredFrame(image.stamp_ns, image.where, (image,), (camera,))
 
@@ -57,32 +56,32 @@ def match_images(
     tolerance_ns: int,
     losses: LossLog,
 ) -> Iterator[StoredFrame]:
-    """Put together what cameras took at the same time.
+    """Match images that cameras took at the same time.
 
-    The earliest image waiting begins a frame. Another camera's image belongs to it if it is at most the
-    tolerance later and the first camera's following image is not nearer to it. Cameras without such an image
-    have None.
+    The earliest pending image starts a frame. Another camera's image belongs to it if it is at most the
+    tolerance later and not nearer to the first camera's next image. Cameras without such an image have
+    None.
 
     Args:
-        names: of the cameras, the reference first.
-        streams: their images; None for one that cannot be used.
-        tolerance_ns: largest difference of stamps within a frame.
-        losses: gets images whose stamps go back.
+        names: names of the cameras, reference first.
+        streams: their images; None for an unusable one.
+        tolerance_ns: maximum stamp difference within a frame.
+        losses: receives images whose stamps go back.
 
     Raises:
-        RecordingError: no frame has images of two cameras, at the end or after ``ALONE_LIMIT`` frames.
+        RecordingError: no frame has images of two cameras, at the end or after ``MAX_UNMATCHED_FRAMES``.
     """
     waiting = [_Stream(name, iter(stream), losses) for name, stream in zip(names, streams, strict=True)]
-    is_shared, frames, nearest = False, 0, LATEST_NS
+    is_matched, frames, nearest = False, 0, LATEST_NS
     while any(stream.head for stream in waiting):
         nearest = min(nearest, _spread(waiting))
         frame = _next_frame(waiting, tolerance_ns)
-        is_shared, frames = is_shared or _is_shared(frame), frames + 1
-        if frames >= ALONE_LIMIT and not is_shared:
+        is_matched, frames = is_matched or _is_matched(frame), frames + 1
+        if frames >= MAX_UNMATCHED_FRAMES and not is_matched:
             break
         yield frame
-    if frames and not is_shared:
-        raise _never_together(names, nearest, tolerance_ns)
+    if frames and not is_matched:
+        raise _no_common_frame(names, nearest, tolerance_ns)
 
 
 def _next_frame(waiting: Sequence[_Stream], tolerance_ns: int) -> StoredFrame:
@@ -100,8 +99,8 @@ def _next_frame(waiting: Sequence[_Stream], tolerance_ns: int) -> StoredFrame:
     return StoredFrame((images[0] or present[0]).stamp_ns, present[0].where, tuple(images), names)
 
 
-def _is_shared(frame: StoredFrame) -> bool:
-    """Whether two cameras have an image, or the only one."""
+def _is_matched(frame: StoredFrame) -> bool:
+    """Return whether at least two cameras (or the only one) have an image."""
     return sum(image is not None for image in frame.images) >= min(2, len(frame.images))
 
 
@@ -110,17 +109,17 @@ def _head_stamp(stream: _Stream) -> int:
 
 
 def _spread(waiting: Sequence[_Stream]) -> int:
-    """The time between the first and the last image that wait; how far apart cameras are at best."""
+    """Return the time span of the pending images, a lower bound on how far cameras are apart."""
     stamps = [_head_stamp(stream) for stream in waiting]
     return max(stamps) - min(stamps)
 
 
-def _never_together(names: Sequence[str], nearest: int, tolerance_ns: int) -> RecordingError:
+def _no_common_frame(names: Sequence[str], nearest: int, tolerance_ns: int) -> RecordingError:
     return RecordingError(
-        f"cameras {', '.join(names)} have no frame in common",
-        found=f"stamps {nearest / NS_PER_MS:g} ms apart at best",
+        f"no matching stamps for cameras {', '.join(names)}",
+        found=f"at least {nearest / NS_PER_MS:g} ms apart",
         expected=f"within {tolerance_ns / NS_PER_MS:g} ms",
-        hint="pass a larger --tolerance-ms, or stamps of one clock",
+        hint="increase --tolerance-ms, or provide stamps of a common clock",
     )
 
 
@@ -134,19 +133,19 @@ def select_frames(
 ) -> Iterator[tuple[int, StoredFrame]]:
     """Yield (index, frame) for the indices start, start + stride, ... below end.
 
-    Which frames count as out of order does not depend on the range: every frame is compared with the
-    latest stamp before it, selected or not. Stamps that 64 bits cannot hold are dropped too, and are no
-    reason to drop what follows. Reading stops at ``end``.
+    The order check does not depend on the range: every frame is compared with the latest stamp before it,
+    selected or not. Frames with stamps beyond int64 are dropped and do not affect later ones. Reading stops
+    at ``end``.
 
     Args:
-        stored: all frames of the recording; None for one that could not be read, which keeps its index.
-        losses: gets the dropped frames of the range.
+        stored: all frames of the recording; None for an unreadable one, which keeps its index.
+        losses: receives the dropped frames of the range.
         start: first index.
         end: index to stop before, None for all.
         stride: distance between indices.
 
     Raises:
-        UsageError: for a negative start or end or a stride below 1.
+        UsageError: start or end is negative, or stride is below 1.
     """
     check_range(start, end, stride)
     latest = -1
@@ -167,7 +166,7 @@ def select_frames(
 
 
 def stamp_fault(stamp_ns: int, latest: int) -> str | None:
-    """Why a frame with this stamp is dropped after one with the latest; None if it is not."""
+    """Return why a frame with this stamp is dropped after ``latest``; None if it is kept."""
     if not 0 <= stamp_ns <= LATEST_NS:
         return OUT_OF_RANGE
     return NOT_LATER if stamp_ns <= latest else None
@@ -177,7 +176,7 @@ def check_range(start: int, end: int | None, stride: int) -> None:
     """Raise UsageError unless 0 <= start, 0 <= end and 1 <= stride."""
     if start < 0 or (end is not None and end < 0) or stride < 1:
         raise UsageError(
-            "frame range cannot be used",
+            "invalid frame range",
             found=f"start {start}, end {end}, stride {stride}",
-            expected="start and end from 0, stride from 1",
+            expected="start and end >= 0, stride >= 1",
         )

@@ -1,4 +1,4 @@
-"""Cameras of messages: calibration, extrinsics, which belongs to which images."""
+"""Cameras of message files: calibrations, extrinsics, and matching them to images."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from posetrack_cli.mcap.decoding import (
 )
 from posetrack_cli.mcap.stream import McapItem
 from posetrack_cli.recording.base import TRUTH_PREFIX, NotCalibratedError, UnreadableImageError, no_intrinsics
-from posetrack_cli.recording.camera_file import Rig, check_apart
+from posetrack_cli.recording.camera_file import Rig, check_baselines
 from posetrack_cli.recording.camera_of import (
     ImageCamera,
     calibration_of,
@@ -48,20 +48,20 @@ from posetrack_cli.recording.pixels import Pixels
 # Cameras from CameraCalibration and CameraInfo messages, and back
 
 
+# Names of distortion models in messages, where they differ from OpenCV's.
 MESSAGE_NAMES = {"equidistant": "kannala_brandt", "inverse_brown_conrady": "Inverse Brown Conrady"}
-"""How messages name models that are not named as OpenCV does."""
 
 
 def camera_from_message(decoded: Any, name: str, topic: str) -> Camera:
     """Return the camera of the raw image of a foxglove.CameraCalibration or a ROS CameraInfo.
 
     Raises:
-        NotCalibratedError: if it is uncalibrated, which both mark by K[0] = 0.
-        RecordingError: if its values cannot be used.
+        NotCalibratedError: it is uncalibrated, marked by K[0] = 0.
+        RecordingError: its values are invalid.
     """
     raw = calibration_of(decoded, topic).raw
     if raw is None:
-        raise NotCalibratedError("camera is not calibrated", where=topic, found="K of zeros")
+        raise NotCalibratedError("camera is not calibrated", where=topic, found="K = 0")
     return replace(raw, name=name or "camera")
 
 
@@ -92,43 +92,46 @@ def choose_calibration(
 ) -> str:
     """Return the topic of the calibration that belongs to an image topic.
 
-    That is the one asked for; else the one with the image's frame id; else the one in the same
-    namespace, nearest first. Depth that was reprojected to another camera has that camera's calibration.
+    That is the requested one; else the one with the image's frame id; else the one in the same namespace,
+    nearest first. Depth reprojected to another camera uses that camera's calibration.
 
     Args:
-        image_topic, frame_id: of the images.
+        image_topic, frame_id: topic and frame id of the images.
         calibrations: frame id by topic.
-        wanted: the --camera-topic option.
-        otherwise: what else to do where there is none, for the error.
+        wanted: value of --camera-topic.
+        otherwise: alternative for the error if there is no calibration.
 
     Raises:
-        RecordingError: if there is none, several fit equally well, or the only one is of another frame and
+        RecordingError: there is none, several fit equally well, or the only one has another frame and
             namespace.
     """
     if wanted is not None:
-        return _calibration_asked_for(wanted, calibrations)
+        return _requested_calibration(wanted, calibrations)
     if not calibrations:
         raise no_intrinsics(f"no camera calibration for {image_topic}", otherwise)
     candidates = _nearest_namespace(image_topic, _of_same_camera(image_topic, frame_id, calibrations))
     if len(candidates) > 1:
         listed = ", ".join(f"{topic} (frame '{calibrations[topic]}')" for topic in sorted(candidates))
         raise RecordingError(
-            "several calibrations fit", where=image_topic, found=listed, hint="choose one with --camera-topic"
+            "several matching calibrations",
+            where=image_topic,
+            found=listed,
+            hint="choose one with --camera-topic",
         )
     (topic,) = candidates
     if _is_elsewhere(image_topic, frame_id, topic, calibrations[topic]):
         raise RecordingError(
-            "the only calibration is of another camera",
+            "the only calibration belongs to another camera",
             where=image_topic,
-            found=f"{topic} of frame '{calibrations[topic]}'",
+            found=f"{topic} with frame '{calibrations[topic]}'",
             expected=f"frame '{frame_id}' or namespace {namespace_of(image_topic) or '/'}",
-            hint=f"--camera-topic {topic} uses it all the same; or pass --camera",
+            hint=f"pass --camera-topic {topic} if it is right, or --camera",
         )
     return topic
 
 
 def _of_same_camera(image_topic: str, frame_id: str, calibrations: Mapping[str, str]) -> list[str]:
-    """Return the calibrations of the camera whose pixels the images have, as far as names tell."""
+    """Return the calibrations that may belong to the images' camera, judged by names."""
     words = reprojected_to(image_topic)
     if not words:
         same_frame = [topic for topic, frame in calibrations.items() if is_same_frame(frame, frame_id)]
@@ -138,16 +141,16 @@ def _of_same_camera(image_topic: str, frame_id: str, calibrations: Mapping[str, 
     if own or named:
         return own or named
     raise RecordingError(
-        "no calibration of the camera that depth was reprojected to",
+        "no calibration of the camera to which depth was reprojected",
         where=image_topic,
         found=", ".join(sorted(calibrations)),
-        expected=f"one named {' or '.join(words)}",
+        expected=f"a topic or frame named {' or '.join(words)}",
         hint="pass --camera-topic or --camera",
     )
 
 
 def _is_elsewhere(image_topic: str, frame_id: str, calibration: str, frame: str) -> bool:
-    """Whether a calibration shares neither frame id nor namespace with the images, and has both."""
+    """Return whether a calibration differs from the images in frame id and namespace."""
     differs = bool(frame_id and frame) and not is_same_frame(frame, frame_id)
     return (
         differs
@@ -156,22 +159,21 @@ def _is_elsewhere(image_topic: str, frame_id: str, calibration: str, frame: str)
     )
 
 
-def _calibration_asked_for(wanted: str, calibrations: Mapping[str, str]) -> str:
+def _requested_calibration(wanted: str, calibrations: Mapping[str, str]) -> str:
     if wanted in calibrations:
         return wanted
     raise RecordingError(
         "no such calibration topic",
         where=wanted,
-        found=", ".join(sorted(calibrations)) or "no calibration at all",
+        found=", ".join(sorted(calibrations)) or "no calibrations",
         hint=nearest_name(wanted, calibrations) if calibrations else "pass --camera",
     )
 
 
 def _nearest_namespace(image_topic: str, topics: list[str]) -> list[str]:
-    """Return the topics in the image's longest namespace that has any, else all.
+    """Return the topics in the innermost namespace of the image topic that has any, else all.
 
-    What lies directly in it comes before what lies in one within: RealSense has both, .../image/data and
-    .../info/camera_info.
+    Direct members come before nested ones: RealSense has both .../image/data and .../info/camera_info.
     """
     namespace = image_topic
     while len(topics) > 1 and "/" in namespace.strip("/"):
@@ -183,27 +185,27 @@ def _nearest_namespace(image_topic: str, topics: list[str]) -> list[str]:
     return topics
 
 
-# Where cameras of an MCAP file are: from their calibration messages, or from transforms between frames
+# Extrinsics of cameras: from calibration messages, or from transforms between frames
 
 
+# Transform messages read: static ones come first, others repeat.
 MESSAGES = 1000
-"""How many messages of transforms are looked at; static ones come first or again and again."""
+# Transform (3, 4), mm, from the axes of the second frame to those of the first.
 Edges = dict[tuple[str, str], FloatArray]
-"""Transform (3, 4), mm, from the axes of the second frame to those of the first."""
 
 
-def place_of_calibration(decoded: Any, *, rectified: bool) -> FloatArray | None:
-    """Return camera_T_common (3, 4), mm, by P and R of a calibration.
+def extrinsics_of_calibration(decoded: Any, *, rectified: bool) -> FloatArray | None:
+    """Return camera_T_common (3, 4), mm, from P and R of a calibration.
 
-    Common are the rectified axes of all cameras of a stereo set; P = K' [I | t], so that a point X there is
-    at R^T (X + t) in the camera's own axes, and at X + t in its rectified image. t is 0 for the first camera.
+    The common axes are the rectified ones of the stereo set; P = K' [I | t], so a point X there is R^T (X +
+    t) in the camera's own axes, and X + t in its rectified axes. t is 0 for the first camera.
 
     Args:
         decoded: a foxglove.CameraCalibration or ROS CameraInfo.
-        rectified: whether the image was rectified.
+        rectified: True if the image was rectified.
 
     Returns:
-        None if it has no P.
+        None without P.
     """
     projection, turn = matrix_of(decoded, "P", (3, 4)), matrix_of(decoded, "R", (3, 3))
     if projection is None or projection[0, 0] == 0.0 or projection[1, 1] == 0.0:
@@ -216,27 +218,27 @@ def place_of_calibration(decoded: Any, *, rectified: bool) -> FloatArray | None:
     return np.column_stack([rotation, rotation @ t])
 
 
-def is_placed(places: Sequence[FloatArray | None]) -> bool:
-    """Whether calibrations tell where the cameras are: all have a place, and not all the same."""
+def have_baselines(places: Sequence[FloatArray | None]) -> bool:
+    """Return whether extrinsics of all cameras are known and not all at one position."""
     known = [place for place in places if place is not None]
     return len(known) == len(places) and any(not np.allclose(p[:, 3], known[0][:, 3]) for p in known)
 
 
-def camera_places(topics: FileTopics, frames: Sequence[str]) -> Sequence[FloatArray | None]:
+def extrinsics_of_transforms(topics: FileTopics, frames: Sequence[str]) -> Sequence[FloatArray | None]:
     """Return camera_T_first (3, 4), mm, of each camera's frame from the file's transforms.
 
-    The first transform between two frames counts: cameras do not move against each other.
+    The first transform between two frames is used: a rig is rigid.
 
     Returns:
         None for a frame that no transforms connect with the first.
     """
     names = [name for name, topic in topics.by_name.items() if topic.type_name in TRANSFORM_TYPES]
-    reached = _reached(_edges(topics.file.messages(names)) if names else {}, frames[0])
+    reached = _connected(_edges(topics.file.messages(names)) if names else {}, frames[0])
     return [reached.get(frame.lstrip("/")) for frame in frames]
 
 
 def _edges(messages: Iterator[McapItem]) -> Edges:
-    """Return the transforms of the first messages, both ways."""
+    """Return the transforms in the first messages, in both directions."""
     edges: Edges = {}
     decoder, left, left_bytes = MessageDecoder(), limits.TRANSFORMS, limits.TRANSFORM_BYTES
     for item in islice(messages, MESSAGES):
@@ -248,7 +250,7 @@ def _edges(messages: Iterator[McapItem]) -> Edges:
         except UndecodableMessageError:
             continue
         for transform in islice(transforms, left):
-            _learn(edges, transform)
+            _add_edge(edges, transform)
         left -= min(left, len(transforms))
     return edges
 
@@ -258,8 +260,8 @@ def _transforms(decoded: Any) -> Sequence[Any]:
     return transforms
 
 
-def _learn(edges: Edges, transform: Any) -> None:
-    """Keep a transform if none is known between its frames."""
+def _add_edge(edges: Edges, transform: Any) -> None:
+    """Store a transform unless one between its frames is known."""
     header = getattr(transform, "header", None)
     parent = str(header.frame_id if header is not None else transform.parent_frame_id).lstrip("/")
     child = str(transform.child_frame_id).lstrip("/")
@@ -278,8 +280,8 @@ def _rigid(translation: Any, rotation: Any) -> FloatArray | None:
     return np.column_stack([matrices_from_quaternions(canonical(quaternion)), t])
 
 
-def _reached(edges: Edges, start: str) -> dict[str, FloatArray]:
-    """Return frame_T_start of every frame that transforms connect with one, breadth first."""
+def _connected(edges: Edges, start: str) -> dict[str, FloatArray]:
+    """Return frame_T_start of every frame connected to ``start``, breadth first."""
     leading: dict[str, list[str]] = {}
     for to, source in edges:
         leading.setdefault(source, []).append(to)
@@ -295,7 +297,7 @@ def _reached(edges: Edges, start: str) -> dict[str, FloatArray]:
     return reached
 
 
-# Which topics of an MCAP file are its cameras' grey images, and the calibrated cameras of topics
+# Topics of grey images, and their calibrated cameras
 
 
 COMPRESSED = "/compressed"
@@ -310,9 +312,9 @@ class CameraTopic(Generic[P]):
     """One camera's topic.
 
     Attributes:
-        topic: of the images.
-        name: the camera's.
-        pixels: what the images hold.
+        topic: topic of the images.
+        name: name of the camera.
+        pixels: content of the images.
     """
 
     topic: Topic
@@ -329,65 +331,63 @@ GreyTopic = CameraTopic[Grey]
 
 
 def find_sources(topics: FileTopics, wanted: Sequence[str] | None = None) -> list[GreyTopic]:
-    """Return the topics to use: those asked for, in that order, else all that are images of cameras.
+    """Return the requested topics in order, else all image topics of cameras.
 
-    Images of 8 bits come before those of 16, which may be depth; of a topic that is there raw and compressed
-    the raw one counts. Left comes before right.
+    8-bit images are preferred to 16-bit ones, which may be depth, and raw topics to their compressed
+    copies. Left comes before right.
 
     Args:
-        topics: of the file.
-        wanted: names of topics, or of cameras.
+        topics: topics of the file.
+        wanted: names of topics or cameras.
 
     Raises:
-        RecordingError: listing the candidates, if there is none or none of a name.
+        RecordingError: no topic fits, or none of a name. Lists candidates.
     """
     images = [topic for topic in topics.by_name.values() if topic.image is not None and topic.count]
     images = [topic for topic in images if not topic.name.startswith(TRUTH_PREFIX)]
     grey = [topic for topic in images if holds_grey(topic.first, topic.kind)]
     if wanted is not None:
-        return [_asked_for(topics, name, grey) for name in wanted]
+        return [_requested_source(topics, name, grey) for name in wanted]
     sources = [_source(topics, topic) for topic in sorted(grey, key=_order)]
     eight = [source for source in sources if source.pixels.bits == 8] or sources
     names = {source.topic.name for source in eight}
     kept = [s for s in eight if s.topic.name.removesuffix(COMPRESSED) not in names - {s.topic.name}]
     if not kept:
         found = ", ".join(topic.label for topic in images) or "no image topics"
-        hint = "posetrack hand run tracks hands in depth" if topics.depth_topics else ""
-        raise RecordingError(
-            "no topic holds grey or colour images", where=topics.path, found=found, hint=hint
-        )
+        hint = "to track hands in depth use posetrack hand run" if topics.depth_topics else ""
+        raise RecordingError("no grey or colour image topics", where=topics.path, found=found, hint=hint)
     return distinct_names(kept)
 
 
 def sources_of_rig(topics: FileTopics, rig: Rig) -> list[GreyTopic]:
-    """Return the topic of each camera of a camera file, by topic, frame id or a part of the topic's name.
+    """Return the topic of each camera of a camera file, by topic, frame id or part of the name.
 
     Raises:
-        RecordingError: if none fits a camera.
-        UsageError: if several do.
+        RecordingError: no topic fits a camera.
+        UsageError: several topics fit a camera.
     """
     every = find_sources(topics)
     if len(rig.cameras) == 1 and len(every) == 1:
         return [replace(every[0], name=next(iter(rig.cameras)))]
     found = []
     for name in rig.cameras:
-        fitting = [source for source in every if _is_called(source.topic, name)]
+        fitting = [source for source in every if _has_name(source.topic, name)]
         if len(fitting) != 1:
             raise (UsageError if fitting else RecordingError)(
-                f"{'several topics fit' if fitting else 'no topic of'} camera '{name}' of {rig.path.name}",
+                f"{'several topics match' if fitting else 'no topic for'} camera '{name}' in {rig.path.name}",
                 where=topics.path,
                 found=", ".join(source.topic.label for source in fitting or every),
-                hint="name cameras in it by topic, frame id or a part of the topic's name",
+                hint="in the camera file, name cameras by topic, frame id or part of the topic name",
             )
         found.append(replace(fitting[0], name=name))
     return found
 
 
 def cameras_of_messages(topics: FileTopics, sources: Sequence[GreyTopic]) -> list[ImageCamera]:
-    """Return the cameras of stored images from the file's calibrations and transforms, relative to the first.
+    """Return the cameras of stored images, relative to the first, from calibrations and transforms.
 
     Raises:
-        RecordingError: if one is not calibrated, sizes differ, or nothing tells where the cameras are.
+        RecordingError: a camera is not calibrated, sizes differ, or extrinsics are unknown.
     """
     calibrations = _calibrations(topics, sources)
     found = [camera_of_topic(topics, s, name) for s, name in zip(sources, calibrations, strict=True)]
@@ -395,24 +395,24 @@ def cameras_of_messages(topics: FileTopics, sources: Sequence[GreyTopic]) -> lis
     if len(cameras) == 1:
         return found
     known: Sequence[FloatArray | None] = [
-        _place(topics.by_name[name], source) for source, name in zip(sources, calibrations, strict=True)
+        _extrinsics(topics.by_name[name], source) for source, name in zip(sources, calibrations, strict=True)
     ]
-    if not is_placed(known):
-        known = camera_places(topics, [source.topic.frame_id for source in sources])
-    if not is_placed(known):
+    if not have_baselines(known):
+        known = extrinsics_of_transforms(topics, [source.topic.frame_id for source in sources])
+    if not have_baselines(known):
         raise RecordingError(
-            f"places of cameras {', '.join(camera.name for camera in cameras)} are not known",
+            f"no extrinsics for cameras {', '.join(camera.name for camera in cameras)}",
             where=topics.path,
             found="no baseline in P of their calibrations and no transforms between their frames",
-            hint="pass --camera; posetrack calibrate stereo writes such a file",
+            hint="pass --camera with a file written by posetrack calibrate stereo",
         )
-    rebased = relative_to(*_placed(cameras, known, topics.path))
-    check_apart(rebased, topics.path)
+    rebased = relative_to(*_with_extrinsics(cameras, known, topics.path))
+    check_baselines(rebased, topics.path)
     return [replace(each, camera=camera) for each, camera in zip(found, rebased, strict=True)]
 
 
 def distinct_names(sources: Sequence[GreyTopic]) -> list[GreyTopic]:
-    """Return the sources named by frame id, or else by the part of the topic in which they differ."""
+    """Return the sources named by frame id, else by the topic part in which they differ."""
     names = [source.topic.frame_id for source in sources]
     if "" in names or len(set(names)) < len(names):
         parts = [source.topic.name.strip("/").split("/") for source in sources]
@@ -424,7 +424,7 @@ def distinct_names(sources: Sequence[GreyTopic]) -> list[GreyTopic]:
     return [replace(source, name=name) for source, name in zip(sources, names, strict=True)]
 
 
-def _placed(
+def _with_extrinsics(
     cameras: Sequence[Camera], places: Sequence[FloatArray | None], path: Path
 ) -> tuple[Camera, list[Camera]]:
     moved = []
@@ -439,23 +439,23 @@ def _placed(
 
 
 def _calibrations(topics: FileTopics, sources: Sequence[GreyTopic]) -> list[str]:
-    """Return the topic of each camera's calibration; no two cameras share one."""
+    """Return the calibration topic of each camera; no two cameras share one."""
     known = topics.calibration_frames
     chosen = [choose_calibration(s.topic.name, s.topic.frame_id, known) for s in sources]
     for name in set(chosen):
         sharing = [s.topic.name for s, c in zip(sources, chosen, strict=True) if c == name]
         if len(sharing) > 1:
             raise RecordingError(
-                f"{', '.join(sharing)} have one calibration",
+                f"{', '.join(sharing)} share one calibration",
                 where=topics.path,
                 found=name,
-                hint="choose the cameras with --cameras TOPIC,TOPIC, or pass --camera",
+                hint="choose cameras with --cameras TOPIC,TOPIC, or pass --camera",
             )
     return chosen
 
 
 def camera_of_topic(topics: FileTopics, source: CameraTopic[Pixels], calibration: str) -> ImageCamera:
-    """Return the camera of a topic's images by a calibration topic of the file.
+    """Return the camera of a topic's images from a calibration topic of the file.
 
     Raises:
         NotCalibratedError: the calibration is empty.
@@ -467,7 +467,7 @@ def camera_of_topic(topics: FileTopics, source: CameraTopic[Pixels], calibration
 
 
 def _message_of(topics: FileTopics, images: Topic, calibration: str) -> Any:
-    """Return the first message of a calibration topic that is of the frame of images, else the first."""
+    """Return the first message of a calibration topic with the images' frame id, else the first."""
     first = topics.by_name[calibration].first
     if not images.frame_id or is_same_frame(frame_id_of(first), images.frame_id):
         return first
@@ -481,7 +481,7 @@ def _message_of(topics: FileTopics, images: Topic, calibration: str) -> Any:
 
 
 def camera_by(message: Any, path: Path, source: CameraTopic[Pixels], calibration: str) -> ImageCamera:
-    """Return the camera of a topic's images by one message of a calibration topic.
+    """Return the camera of a topic's images from one calibration message.
 
     Raises:
         NotCalibratedError: the calibration is empty.
@@ -503,25 +503,25 @@ def camera_by(message: Any, path: Path, source: CameraTopic[Pixels], calibration
         raise RecordingError(str(error), where=path) from error
 
 
-def _place(calibration: Topic, source: GreyTopic) -> FloatArray | None:
+def _extrinsics(calibration: Topic, source: GreyTopic) -> FloatArray | None:
     topic = source.topic
-    return place_of_calibration(calibration.first, rectified=is_rectified(topic.name, topic.frame_id))
+    return extrinsics_of_calibration(calibration.first, rectified=is_rectified(topic.name, topic.frame_id))
 
 
-def _asked_for(topics: FileTopics, name: str, grey: Sequence[Topic]) -> GreyTopic:
+def _requested_source(topics: FileTopics, name: str, grey: Sequence[Topic]) -> GreyTopic:
     exact = [topic for topic in grey if topic.name == name]
-    fitting = exact or [topic for topic in grey if _is_called(topic, name)]
+    fitting = exact or [topic for topic in grey if _has_name(topic, name)]
     if len(fitting) == 1:
         return replace(_source(topics, fitting[0]), name=fitting[0].frame_id if exact else name)
     raise (UsageError if fitting else RecordingError)(
-        f"{'several topics' if fitting else 'no topic'} of camera '{name}'",
+        f"{'several topics' if fitting else 'no topic'} for camera '{name}'",
         where=topics.path,
-        found=", ".join(topic.label for topic in fitting or grey) or "no topic with grey or colour images",
-        hint="name topics with --cameras TOPIC,TOPIC",
+        found=", ".join(topic.label for topic in fitting or grey) or "no grey or colour image topics",
+        hint="choose topics with --cameras TOPIC,TOPIC",
     )
 
 
-def _is_called(topic: Topic, name: str) -> bool:
+def _has_name(topic: Topic, name: str) -> bool:
     return name in (topic.name, topic.frame_id, *topic.name.split("/"))
 
 
@@ -532,12 +532,12 @@ def _source(topics: FileTopics, topic: Topic) -> GreyTopic:
         else:
             pixels = grey_like_message(topic.first, str(topic.kind), topic.name)
     except UnreadableImageError as error:
-        raise RecordingError(f"first image cannot be used, {error}", where=topic.name) from error
+        raise RecordingError(f"unusable first image, {error}", where=topic.name) from error
     return CameraTopic(topic, topic.frame_id, pixels)
 
 
 def _first_of_video(topics: FileTopics, topic: Topic) -> Grey:
-    """Return what a topic of video holds, by its first picture, which may come after some messages."""
+    """Return the pixel format of a video topic from its first decodable picture."""
     decoder = MessageDecoder()
 
     def messages() -> Iterator[Any]:
@@ -552,6 +552,6 @@ def _first_of_video(topics: FileTopics, topic: Topic) -> Grey:
 
 
 def _order(topic: Topic) -> tuple[int, str]:
-    """Left, right, then by name."""
+    """Return a sort key: left, right, then by name."""
     sides = [SIDES[side] for side in SIDES if side in topic.name or side in topic.frame_id]
     return (sides[0] if len(sides) == 1 else len(SIDES), topic.name)

@@ -1,7 +1,7 @@
 """Files of messages as recordings: depth on one topic, or grey images of one or more cameras.
 
-Stamps are the messages' own, or log times where those are 0. A truncated or damaged file is read as far as it
-goes, which ends the frames with a loss, not an error.
+Stamps are the messages' own, or log times if those are 0. Truncation or damage ends the frames with a loss,
+not an error.
 """
 
 from __future__ import annotations
@@ -43,11 +43,11 @@ from posetrack_cli.recording.camera_file import (
     DepthCamera,
     Rig,
     camera_record,
+    depth_storage,
     image_camera,
     load_depth_camera,
     load_rig,
     nominal_hint,
-    stated_depth,
 )
 from posetrack_cli.recording.camera_of import (
     GUESSED,
@@ -55,17 +55,17 @@ from posetrack_cli.recording.camera_of import (
     Guess,
     ImageCamera,
     Resampling,
-    check_one_camera,
     is_same_frame,
-    with_calibration,
+    pair_with_calibration,
+    require_single_camera,
 )
 from posetrack_cli.recording.depth import (
     DISPARITY,
     MM_PER_M,
-    Decision,
     Depth,
     DepthContent,
     DepthEncoding,
+    UnitDecision,
     content_of,
     decide_unit,
     early,
@@ -93,23 +93,22 @@ from posetrack_cli.recording.pixels import Pixels, Window
 from posetrack_cli.recording.recording import CameraStream, ReadingOptions, Recording, no_truth, tolerance_ns
 from posetrack_cli.recording.timeline import Clock, Shifts, Timed
 
-FROM_FILE, FROM_MESSAGES = "camera file", "messages"
-"""Where cameras are from."""
+FROM_FILE, FROM_MESSAGES = "camera file", "messages"  # values of "calibration" in a run record
+# Significant bits come from every third of the first 31 messages: exposure settles within a second.
 BITS_OF_FIRST, BITS_EVERY = 31, 3
-"""Of how many messages of a topic which ones tell the significant bits: exposure settles in a second."""
 
 
 def open_depth_messages(path: Path, options: ReadingOptions) -> Recording:
-    """Open the depth frames of one topic; its calibration comes from a camera file or another topic.
+    """Open the depth frames of one topic; calibration is from a camera file or another topic.
 
     Raises:
-        RecordingError: if there is not exactly one topic or calibration that fits, or if the calibration is
-            of another image size. A later image of another size or encoding raises it while it is read.
-        UsageError: an option that cannot be used, or a calibration topic together with a camera file.
+        RecordingError: no unique topic or calibration fits, or the calibration has another image size. A
+            later image of another size or encoding raises it during reading.
+        UsageError: an option is invalid, or a calibration topic is given together with a camera file.
     """
     topics = scan_topics(path)
     settings = _camera_file(options)
-    stated_mm, missing = stated_depth(settings, options)
+    stated_mm, missing = depth_storage(settings, options)
     topic = topics.depth_topic(options.get("topic"))
     source = _depth_topic(topics, topic, is_depth=stated_mm is not None)
     name, frame_id = source.topic.name, source.topic.frame_id
@@ -127,9 +126,9 @@ def open_depth_messages(path: Path, options: ReadingOptions) -> Recording:
     decision = (
         decide_unit(_early_content(topics, source, found.camera, missing), stated_mm)
         if sensor_mm is None
-        else Decision(sensor_mm)
+        else UnitDecision(sensor_mm)
     )
-    source = replace(source, pixels=_of_unit(source, decision.unit_mm, missing))
+    source = replace(source, pixels=_with_unit(source, decision.unit_mm, missing))
 
     def identity() -> Mapping[str, str]:
         is_usual = sensor_mm is not None or decision.unit_mm == _usual_unit_mm(source)
@@ -152,8 +151,8 @@ def open_depth_messages(path: Path, options: ReadingOptions) -> Recording:
         truth=_truth(topics, mirror=window.mirror),
         why=[found.why],
         remarks=(
-            *_taken("depth", source, topics.depth_topics, "--topic"),
-            *_computed(source),
+            *_choice_remark("depth", source, topics.depth_topics, "--topic"),
+            *_disparity_remark(source),
             *found.remarks,
             *decision.remarks,
         ),
@@ -163,12 +162,11 @@ def open_depth_messages(path: Path, options: ReadingOptions) -> Recording:
 def open_grey_messages(path: Path, options: ReadingOptions) -> Recording:
     """Open the grey images of one or more cameras.
 
-    Every camera's images are read in a pass of its own over the file, so that memory does not grow where one
-    ends early.
+    Each camera reads the file in its own pass, so memory stays bounded if one camera ends early.
 
     Raises:
-        RecordingError: if no topic or no calibration fits, or nothing tells where the cameras are. A later
-            image of another size raises it while it is read.
+        RecordingError: no topic or calibration fits, or the extrinsics are unknown. A later image of
+            another size raises it during reading.
     """
     topics, tolerance = scan_topics(path), tolerance_ns(options)
     rig, sources, found, calibration, remarks = _grey_cameras(topics, options)
@@ -183,7 +181,7 @@ def open_grey_messages(path: Path, options: ReadingOptions) -> Recording:
         for source, window, each in zip(sources, windows, found, strict=True)
     ]
     counts = {source.topic.count for source in sources}
-    count = counts.pop() if len(counts) == 1 else None  # where they differ some have dropped out
+    count = counts.pop() if len(counts) == 1 else None  # different counts mean dropped images
 
     def identity() -> Mapping[str, str]:
         return {
@@ -212,19 +210,19 @@ def open_grey_messages(path: Path, options: ReadingOptions) -> Recording:
 
 
 def _identity(path: Path) -> dict[str, str]:
-    """What identifies a file of messages, or all files of a folder of them."""
+    """Return the identity of a file of messages, or of all files of a folder of them."""
     kind = required_container(path).kind
     parts = [(part.name, part) for part in parts_of(path)] if path.is_dir() else []
     return identity_record(path, kind, files_digest(parts) if parts else file_digest(path))
 
 
 def _depth_topic(topics: FileTopics, topic: Topic, *, is_depth: bool) -> CameraTopic[Depth]:
-    """Return the camera of a topic that holds depth, or disparity that becomes depth; named by its frame id.
+    """Return the depth (or disparity) camera of a topic, named by its frame id.
 
     Args:
-        topics: of the file.
-        topic: of the images.
-        is_depth: whether they are depth whatever the topic is called.
+        topics: topics of the file.
+        topic: topic of the images.
+        is_depth: True if the user states that they are depth, whatever the topic's name.
     """
     image = topic.image
     if image is None or image.depth is None:
@@ -241,12 +239,11 @@ def _depth_topic(topics: FileTopics, topic: Topic, *, is_depth: bool) -> CameraT
 
 
 def _usual_unit_mm(source: CameraTopic[Depth]) -> float:
-    """Millimetres per stored unit by ROS's convention."""
+    """Return millimetres per stored unit by ROS convention."""
     return MM_PER_M if source.pixels.encoding == "32FC1" else 1.0
 
 
-def _of_unit(source: CameraTopic[Depth], unit_mm: float, missing: int) -> Depth:
-    """Return what a topic's images hold, once their unit is known."""
+def _with_unit(source: CameraTopic[Depth], unit_mm: float, missing: int) -> Depth:
     is_whole = unit_mm == 1.0 and source.pixels.encoding == "16UC1"
     encoding: DepthEncoding = "16UC1" if is_whole else "32FC1"
     return replace(source.pixels, encoding=encoding, unit_mm=unit_mm, missing=missing)
@@ -255,7 +252,7 @@ def _of_unit(source: CameraTopic[Depth], unit_mm: float, missing: int) -> Depth:
 def _early_content(
     topics: FileTopics, source: CameraTopic[Depth], camera: Camera, missing: int
 ) -> DepthContent:
-    """What early images hold, as far as they can be decoded."""
+    """Return statistics of early images, skipping those that cannot be decoded."""
     decoder, decoded = MessageDecoder(), []
     for item in early(topics.file.messages([source.topic.name])):
         with suppress(UndecodableMessageError, UnreadableImageError, RecordingError):
@@ -264,15 +261,13 @@ def _early_content(
     return content_of(decoded, camera, missing)
 
 
-def _computed(source: CameraTopic[Depth]) -> tuple[str, ...]:
-    """Words about depth that is computed from disparity."""
+def _disparity_remark(source: CameraTopic[Depth]) -> tuple[str, ...]:
     if source.topic.kind != DISPARITY_IMAGE and source.pixels.disparity_px_m is None:
         return ()
-    return (f"{source.topic.name} holds disparity: depth is focal length times baseline over it",)
+    return (f"{source.topic.name} holds disparity d: depth is computed as z = f B / d",)
 
 
 def _camera_file(options: ReadingOptions) -> DepthCamera | None:
-    """Load the camera file, if one is given."""
     path = options.get("camera_file")
     return None if path is None else load_depth_camera(path)
 
@@ -280,23 +275,20 @@ def _camera_file(options: ReadingOptions) -> DepthCamera | None:
 def _grey_cameras(
     topics: FileTopics, options: ReadingOptions
 ) -> tuple[Rig | None, list[GreyTopic], Sequence[ImageCamera], str, tuple[str, ...]]:
-    """Return the camera file if there is one, topics and stored images' cameras, where these are from.
-
-    And what was taken of several topics where one camera is to be used.
-    """
+    """Return rig (None without camera file), topics, cameras, their source, and remarks."""
     file, wanted, guess = options.get("camera_file"), options.get("cameras"), options.get("guess")
     if file is None:
         every = distinct_names(find_sources(topics, wanted))
-        sources = _of_colour(every) if guess is not None else every
-        words = _taken("colour", sources[0], [source.topic for source in every], "--cameras")
+        sources = _only_colour(every) if guess is not None else every
+        words = _choice_remark("colour", sources[0], [source.topic for source in every], "--cameras")
         return None, sources, *_cameras(topics, sources, guess), words if len(sources) == 1 else ()
     rig = load_rig(file)
-    rig = rig if wanted is None else rig.chosen(wanted)
+    rig = rig if wanted is None else rig.subset(wanted)
     sources = sources_of_rig(topics, rig)
     sizes = {source.name: source.size for source in sources}
     cameras = [ImageCamera(camera, file.name) for camera in rig.stored_cameras(sizes)]
     if guess is not None:
-        check_one_camera(topics.path, rig.cameras)
+        require_single_camera(topics.path, rig.cameras)
     return rig, sources, cameras, FROM_FILE, rig.remarks(sizes)
 
 
@@ -305,7 +297,7 @@ def _cameras(
 ) -> tuple[list[ImageCamera], str]:
     """Return the cameras of stored images, and where they are from."""
     if guess is not None:
-        check_one_camera(topics.path, [source.name for source in sources])
+        require_single_camera(topics.path, [source.name for source in sources])
     try:
         return cameras_of_messages(topics, sources), FROM_MESSAGES
     except NotCalibratedError:
@@ -315,14 +307,14 @@ def _cameras(
     return [ImageCamera(camera, GUESSED) for camera in guessed], GUESSED
 
 
-def _of_colour(sources: list[GreyTopic]) -> list[GreyTopic]:
-    """The only camera of colour where one is to be used: beside it there are those of infrared, for depth."""
+def _only_colour(sources: list[GreyTopic]) -> list[GreyTopic]:
+    """Return the only colour topic if there is one: depth cameras also publish infrared images."""
     colour = [source for source in sources if source.pixels.colour]
     return colour if len(colour) == 1 else sources
 
 
 def _with_bits(topics: FileTopics, source: GreyTopic, bits: int | None) -> GreyTopic:
-    """Return the source with the significant bits that are given, or those of several early images."""
+    """Return the source with the given significant bits, or those of several early images."""
     if source.pixels.bits == PLAIN_BITS:
         return source
     if bits is not None:
@@ -335,10 +327,14 @@ def _with_bits(topics: FileTopics, source: GreyTopic, bits: int | None) -> GreyT
     return replace(source, pixels=with_bits_of(source.pixels, images))
 
 
-def _taken(what: str, source: CameraTopic[Pixels], several: Sequence[Topic], option: str) -> tuple[str, ...]:
-    """Words about the topic that was taken of several; none where there is only one."""
+def _choice_remark(
+    what: str, source: CameraTopic[Pixels], several: Sequence[Topic], option: str
+) -> tuple[str, ...]:
+    """Return a remark if other topics could have been chosen."""
     others = ", ".join(topic.name for topic in several if topic.name != source.topic.name)
-    return (f"{what} is taken from {source.topic.name}; {option} takes another: {others}",) if others else ()
+    return (
+        (f"{what} read from {source.topic.name}; choose another with {option}: {others}",) if others else ()
+    )
 
 
 def _window(
@@ -355,10 +351,10 @@ class _TopicImages:
     Attributes:
         path: the file.
         source: the topic.
-        window: the part of the images that is used.
-        calibration: topic of the calibration that is applied frame by frame; empty for none.
-        frame: of the calibration's messages that are this camera's.
-        shifts: of the clocks of all cameras of the recording.
+        window: used part of the images.
+        calibration: topic of a calibration applied frame by frame; empty for none.
+        frame: frame id of this camera's calibration messages.
+        shifts: clock shifts shared by the cameras of the recording.
     """
 
     path: Path
@@ -369,7 +365,7 @@ class _TopicImages:
     shifts: Shifts = field(default_factory=Shifts)
 
     def stream(self, stored: Camera) -> CameraStream:
-        """Return the stream, given the camera of the images as they are stored."""
+        """Return the stream, given the camera of the stored images."""
         return CameraStream(self.window.camera(stored), self.source.pixels, partial(self._images, stored))
 
     def _images(self, stored: Camera, losses: LossLog) -> Iterator[StoredImage | None]:
@@ -381,12 +377,12 @@ class _TopicImages:
                 yield None if image is None else replace(image, stamp_ns=stamp)
         finally:
             if not is_alone:
-                losses.include(file.losses.losses)  # every camera's pass meets the same damage
+                losses.include(file.losses.losses)  # each camera's pass sees the same damage: count it once
 
     def _timed(
         self, stored: Camera, file: MessageFile, losses: LossLog
     ) -> Iterator[Timed[StoredImage | None]]:
-        """Yield the images with their times; None for one that cannot be used and keeps its place."""
+        """Yield the images with their times; None for an unusable image that keeps its index."""
         current = CurrentCamera(stored, self._camera_by)
         for number, (image, calibration) in enumerate(self._pictures(file)):
             at = f"at {image.log_time} ns"
@@ -402,12 +398,12 @@ class _TopicImages:
             else:
                 usable = self._image(image, resampling)
             if usable is not None and resampling is not None:
-                losses.note(f"{self.calibration} changes: images are resampled to its first camera")
+                losses.note(f"{self.calibration} changes: images are resampled to the first calibration")
             yield Timed(usable, image.own_ns if usable is not None else -1, image.log_time)
 
     def _pictures(self, file: MessageFile) -> Iterator[tuple[_Decoded, Any]]:
-        """Yield images with their calibrations; of video decoded, in order."""
-        pairs = with_calibration(self._messages(file))
+        """Yield images with their calibrations; video is decoded in order."""
+        pairs = pair_with_calibration(self._messages(file))
         if self.source.topic.kind != VIDEO_IMAGE:
             yield from pairs
             return
@@ -419,19 +415,19 @@ class _TopicImages:
             yield image, calibration
 
     def _fault(self, image: _Decoded) -> str:
-        """Return why an image cannot be used; empty if it can."""
+        """Return why an image is unusable; empty if it is usable."""
         if isinstance(image.decoded, np.ndarray):
             return ""
         if isinstance(image.decoded, UndecodableMessageError):
             return f"message skipped, {image.decoded}"
         frame, own = frame_id_of(image.decoded), self.source.topic.frame_id
         if frame and own and not is_same_frame(frame, own):
-            other = f"images of another camera, frame '{frame}', are on the same topic"
+            other = f"topic also carries images of frame '{frame}'"
             return f"image skipped, {other}"
         return ""
 
     def _messages(self, file: MessageFile) -> Iterator[tuple[bool, int, Any]]:
-        """Yield images, and calibrations that decode, as ``with_calibration`` takes them."""
+        """Yield images and decodable calibrations in the form that ``pair_with_calibration`` takes."""
         decoder, topic = MessageDecoder(), self.source.topic
         names = [topic.name, self.calibration] if self.calibration else [topic.name]
         for item in file.messages(names):
@@ -470,7 +466,7 @@ class _TopicImages:
 
 
 class _Decoded(NamedTuple):
-    """An image message, or its picture if it is of a video, or why it does not decode; and its times."""
+    """A decoded message or video picture, or the decoding error; and its times."""
 
     decoded: Any
     own_ns: int
@@ -478,7 +474,7 @@ class _Decoded(NamedTuple):
 
 
 def _truth(topics: FileTopics, *, mirror: bool) -> Callable[[], Iterator[TruthMessage]]:
-    """Return what yields the truth: nothing if images are mirrored, as it is not about the mirrored scene."""
+    """Return the iterator over truth messages; empty if mirrored, which truth does not describe."""
     names = [name for name in topics.by_name if name.startswith(TRUTH_PREFIX)]
     if mirror or not names:
         return no_truth

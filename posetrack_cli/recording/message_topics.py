@@ -1,4 +1,4 @@
-"""What topics a file of messages has, and which one holds the depth."""
+"""Topics of a file of messages, and the choice of the depth topic."""
 
 from __future__ import annotations
 
@@ -23,14 +23,12 @@ from posetrack_cli.recording.camera_of import is_empty
 from posetrack_cli.recording.depth import DISPARITY, ImageDescription, describe_image, other_content
 
 DEPTH = "depth"
+# Suffixes of topics that image_transport adds for compressed copies.
 TRANSPORTS = ("/compressed", "/compressedDepth")
-"""What ROS adds to the name of a topic that is published compressed, too."""
+# Driver names for depth reprojected to another camera, usually colour.
 REDRAWN = ("aligned_depth", "depth_registered", "depth_to_", "registered_depth")
-"""How drivers name depth as another camera, that of colour, would see it."""
-SAMPLES = 3
-"""How many images of a topic are looked at: a first one that differs from the others does not count."""
-TRIES = 50
-"""How many messages of a topic are looked at until one decodes."""
+SAMPLES = 3  # images inspected per topic, so that an odd first one does not decide
+TRIES = 50  # messages inspected per topic until one decodes
 
 
 @dataclass
@@ -38,15 +36,15 @@ class Topic:
     """One topic of a file.
 
     Attributes:
-        name: the topic.
+        name: name of the topic.
         type_name: name of its schema.
         message_encoding: ``protobuf``, ``ros1``, ``cdr``, ``json``...
         kind: ``kind_of`` its schema.
-        count: number of messages that the file tells of, or that can be read from a truncated file.
-        first: first decoded message, of images and calibrations only; None if none decodes.
-        image: what the first image holds, None for other topics.
-        tries: how many messages were tried.
-        samples: first images with what they hold; the first that is like most of them counts.
+        count: number of messages in the index, or readable ones in a truncated file.
+        first: first decoded message of images and calibrations; None if none decodes.
+        image: content of the first image, None for other topics.
+        tries: number of messages tried.
+        samples: first images with their content; the first one of the majority is used.
     """
 
     name: str
@@ -61,17 +59,17 @@ class Topic:
 
     @property
     def is_depth(self) -> bool:
-        """Whether the topic holds depth images."""
+        """True if the topic holds depth images."""
         return self.image is not None and self.image.depth is not None
 
     @property
     def other_content(self) -> str:
-        """The word in its name that says that its images are not depth, such as ``infrared``; else empty."""
+        """The word in its name for images other than depth, such as ``infrared``; else empty."""
         return other_content(self.name)
 
     @property
     def is_settled(self) -> bool:
-        """Whether looking at more messages would tell nothing new about what the topic holds."""
+        """True if further messages would not change what is known of the topic."""
         if self.kind == CALIBRATION:
             found = self.first is not None and not is_empty(self.first)
         else:
@@ -80,25 +78,25 @@ class Topic:
 
     @property
     def frame_id(self) -> str:
-        """The coordinate frame of its first message, empty if there is none."""
+        """The coordinate frame of its first message, empty if unknown."""
         return frame_id_of(self.first) if self.first is not None else ""
 
     @property
     def label(self) -> str:
         """Name, type and encoding, for lists of candidates."""
-        encoding = self.image.encoding if self.image is not None else "does not decode"
+        encoding = self.image.encoding if self.image is not None else "cannot be decoded"
         return f"{self.name} ({self.type_name}, {encoding})"
 
 
 class TopicScan:
-    """Collects topics from messages."""
+    """Topics collected from messages."""
 
     def __init__(self) -> None:
         self.topics: dict[str, Topic] = {}
         self._decoder = MessageDecoder()
 
     def topic(self, schema: Schema | None, channel: Channel) -> Topic:
-        """Return the topic of a channel, new if it was not met before."""
+        """Return the topic of a channel, creating it if new."""
         if channel.topic not in self.topics:
             type_name = schema.name if schema is not None else ""
             kind = kind_of(schema)
@@ -106,7 +104,7 @@ class TopicScan:
         return self.topics[channel.topic]
 
     def inspect(self, item: McapItem) -> Topic:
-        """Decode a message if its topic is not settled yet, and return the topic; does not count it."""
+        """Decode a message unless its topic is settled, and return the topic; does not count it."""
         topic = self.topic(item[0], item[1])
         if topic.is_settled:
             return topic
@@ -117,7 +115,7 @@ class TopicScan:
                 topic.first = decoded
             else:
                 topic.samples.append((decoded, describe_image(decoded, str(topic.kind))))
-                topic.first, topic.image = _usual(topic.samples)
+                topic.first, topic.image = _typical_sample(topic.samples)
         except UndecodableMessageError:
             return topic
         return topic
@@ -129,7 +127,7 @@ class FileTopics:
 
     Attributes:
         file: the file.
-        by_name: its topics.
+        by_name: topics by name.
     """
 
     file: MessageFile
@@ -137,12 +135,12 @@ class FileTopics:
 
     @property
     def path(self) -> Path:
-        """Of the file."""
+        """Path of the file."""
         return self.file.path
 
     @property
     def images(self) -> list[Topic]:
-        """The topics of images that have any."""
+        """The image topics that have messages."""
         return [t for t in self.by_name.values() if t.kind not in (None, CALIBRATION) and t.count]
 
     @property
@@ -156,29 +154,29 @@ class FileTopics:
 
     @property
     def depth_topics(self) -> list[Topic]:
-        """The topics of depth images, or what may be depth: infrared has 16 bits, too."""
+        """The topics of depth images, or possibly depth: infrared also has 16 bits."""
         return [topic for topic in self.images if topic.is_depth]
 
     def depth_topic(self, wanted: str | None = None) -> Topic:
-        """Return the topic that holds depth: the one asked for, else the one that most likely is meant.
+        """Return the requested depth topic, else the most likely one.
 
         Raises:
-            RecordingError: listing the candidates, if the topic asked for does not exist or holds no depth,
-                or if there is none.
-            UsageError: listing them, if there are several and none is asked for, or likeliest.
+            RecordingError: the requested topic does not exist or holds no depth, or no topic does. Lists
+                candidates.
+            UsageError: several topics are equally likely and none is requested. Lists candidates.
         """
         depth = self.depth_topics
-        asked = None if wanted is None else self.by_name.get(wanted)
-        if asked is not None and asked.is_depth:
-            return asked
+        requested = None if wanted is None else self.by_name.get(wanted)
+        if requested is not None and requested.is_depth:
+            return requested
         if wanted is not None:
             names = [candidate.name for candidate in depth] or list(self.by_name)
             raise RecordingError(
-                "no such topic" if asked is None else "topic holds no depth",
+                "no such topic" if requested is None else "topic has no depth images",
                 where=self.path,
-                found=f"'{wanted}'" if asked is None else asked.label,
-                expected=_labels(depth) or "a topic with depth images, of which there is none",
-                hint=nearest_name(wanted, names) if asked is None and names else "",
+                found=f"'{wanted}'" if requested is None else requested.label,
+                expected=_labels(depth) or "a topic with depth images; this file has none",
+                hint=nearest_name(wanted, names) if requested is None and names else "",
             )
         likeliest = _likeliest_depth(depth)
         if likeliest and all(topic.other_content not in ("", DISPARITY) for topic in likeliest):
@@ -186,14 +184,14 @@ class FileTopics:
         if len(likeliest) == 1:
             return likeliest[0]
         if depth:
-            what, hint = "several topics hold depth", "choose one with --topic"
+            what, hint = "several depth topics", "choose one with --topic"
             raise UsageError(what, where=self.path, found=_labels(depth), hint=hint)
         among = f" among {', '.join(sorted(self.by_name))}" if self.by_name else ""
         raise RecordingError(
-            "no topic holds depth",
+            "no depth topic",
             where=self.path,
             found=_labels(self.images) or f"no image topics{among}",
-            expected="images of 16UC1, mono16, 32FC1 or 16-bit png",
+            expected="16UC1, mono16, 32FC1 or 16-bit PNG images",
         )
 
 
@@ -212,7 +210,7 @@ def scan_topics(path: Path) -> FileTopics:
 
 
 def _settle(file: MessageFile, scan: TopicScan) -> None:
-    """Look at messages until all topics that have any are settled: one pass for however many topics."""
+    """Inspect messages until all topics that have any are settled, in one pass."""
     waiting = {name for name, topic in scan.topics.items() if topic.count and not topic.is_settled}
     if not waiting:
         return
@@ -224,15 +222,15 @@ def _settle(file: MessageFile, scan: TopicScan) -> None:
                 return
 
 
-def _usual(samples: Sequence[tuple[Any, ImageDescription]]) -> tuple[Any, ImageDescription]:
-    """Return the first image, or the second where it is like the third and the first one is not."""
+def _typical_sample(samples: Sequence[tuple[Any, ImageDescription]]) -> tuple[Any, ImageDescription]:
+    """Return the first image, or the second if it agrees with the third but not with the first."""
     first, *others = samples
     is_agreed = len(others) == SAMPLES - 1 and len({image for _, image in others}) == 1
     return others[0] if is_agreed and others[0][1] != first[1] else first
 
 
 def _likeliest_depth(depth: Sequence[Topic]) -> Sequence[Topic]:
-    """Leave out what is there twice, infrared, and depth that was drawn anew for another camera."""
+    """Return depth topics without compressed copies, infrared, and reprojected depth."""
     depth = (
         [topic for topic in depth if not topic.other_content]
         or [topic for topic in depth if topic.other_content == DISPARITY]
@@ -246,13 +244,13 @@ def _likeliest_depth(depth: Sequence[Topic]) -> Sequence[Topic]:
 
 
 def not_depth(path: Path, topics: Sequence[Topic]) -> RecordingError:
-    """Return the error for a file whose only candidates are called infrared or the like."""
+    """Return the error for a file whose only candidates are named infrared or similar."""
     return RecordingError(
-        "no topic holds depth",
+        "no depth topic",
         where=path,
-        found=f"{_labels(list(topics))}, which is called {topics[0].other_content}",
+        found=f"{_labels(list(topics))}, named {topics[0].other_content}",
         expected="a topic of depth images",
-        hint=f"--topic {topics[0].name} takes it all the same",
+        hint=f"if it is depth, pass --topic {topics[0].name}",
     )
 
 

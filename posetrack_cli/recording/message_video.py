@@ -1,8 +1,8 @@
-"""Video in messages: ``foxglove.CompressedVideo``, a stream of which each message is one picture.
+"""Video in messages: ``foxglove.CompressedVideo``, one picture per message.
 
-By Foxglove's convention a message holds one picture in decoding order, without B-frames; H.264 and H.265 are
-Annex B with parameter sets at each keyframe. A decoder needs all pictures since a keyframe, so messages are
-decoded one after the other as they are read.
+By Foxglove's convention a message holds one picture in decoding order, without B-frames; H.264 and H.265
+are Annex B with parameter sets at each keyframe. A decoder needs all pictures since a keyframe, so messages
+are decoded in sequence.
 """
 
 from __future__ import annotations
@@ -15,14 +15,15 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from posetrack_cli import limits
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.recording.base import UnreadableImageError
-from posetrack_cli.recording.stamps import MOST_BEHIND
-from posetrack_cli.recording.video_file import damage, frame_pixels
+from posetrack_cli.recording.stamps import MAX_REORDERED
+from posetrack_cli.recording.video_file import decode_errors, frame_pixels
 
 if TYPE_CHECKING:
     from av.video.codeccontext import VideoCodecContext
 
 Item = TypeVar("Item")
 
+# FFmpeg's decoder by message format.
 DECODERS = {
     "h264": "h264",
     "h265": "hevc",
@@ -30,9 +31,7 @@ DECODERS = {
     "vp9": "vp9",
     "av1": "libdav1d",
 }
-"""FFmpeg's decoder by a message's format."""
-MOST_WITHOUT = 300
-"""Messages from the beginning in which a keyframe is looked for."""
+KEYFRAME_SEARCH = 300  # first messages searched for a keyframe
 
 
 def is_video_format(name: str) -> bool:
@@ -41,16 +40,16 @@ def is_video_format(name: str) -> bool:
 
 
 def decoded_video(messages: Iterable[tuple[Item, Any]]) -> Iterator[tuple[Item, ImageArray | None]]:
-    """Yield each item with its picture (height, width, 3), blue green red; None where none is decoded.
+    """Yield each item with its picture (height, width, 3), blue green red, or None if not decoded.
 
     Args:
-        messages: in order of the stream, each an item of the caller and its message, or None for none.
+        messages: in stream order, pairs of a caller's item and its message, or None.
     """
     waiting: deque[tuple[int, Item]] = deque()
     context: VideoCodecContext | None = None
     for number, (item, message) in enumerate(messages):
         waiting.append((number, item))
-        if len(waiting) > MOST_BEHIND:
+        if len(waiting) > MAX_REORDERED:
             yield waiting.popleft()[1], None
         decoder = None if message is None else DECODERS.get(str(message.format))
         if decoder is None:
@@ -65,15 +64,15 @@ def decoded_video(messages: Iterable[tuple[Item, Any]]) -> Iterator[tuple[Item, 
 
 
 def first_picture(messages: Iterable[Any]) -> ImageArray | None:
-    """Return the first picture that messages give; None if none of the first ones does."""
-    limited = ((None, message) for message, _ in zip(messages, range(MOST_WITHOUT), strict=False))
+    """Return the first decodable picture of the first messages; None if there is none."""
+    limited = ((None, message) for message, _ in zip(messages, range(KEYFRAME_SEARCH), strict=False))
     return next((picture for _, picture in decoded_video(limited) if picture is not None), None)
 
 
 def _until(
     waiting: deque[tuple[int, Item]], shown: int, picture: ImageArray
 ) -> Iterator[tuple[Item, ImageArray | None]]:
-    """Yield the items up to the one that a picture is of; those before it have none."""
+    """Yield the items up to a picture's own; earlier ones have no picture."""
     while waiting and waiting[0][0] <= shown:
         number, item = waiting.popleft()
         yield item, picture if number == shown else None
@@ -86,14 +85,14 @@ def _context(decoder: str) -> VideoCodecContext:
     context = av.CodecContext.create(decoder, "r")
     assert isinstance(context, VideoCodecContext)
     context.options = {"max_pixels": str(limits.IMAGE_PIXELS)}
-    context.thread_count = 1  # threads would hold pictures back
+    context.thread_count = 1  # frame threads would delay pictures by several packets
     return context
 
 
 def _pictures(
     context: VideoCodecContext, data: bytes | None, number: int
 ) -> Iterator[tuple[int, ImageArray]]:
-    """Yield the pictures that a message, or the end, brings out of a decoder, with their numbers."""
+    """Yield (number, picture) for what a message, or the end of the stream, makes a decoder output."""
     import av
 
     packet = None
@@ -102,7 +101,7 @@ def _pictures(
         packet.pts = packet.dts = number
     try:
         frames = context.decode(packet)
-    except damage():
+    except decode_errors():
         return
     for frame in frames:
         if frame.pts is not None:

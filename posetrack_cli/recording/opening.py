@@ -1,4 +1,4 @@
-"""Open or describe a recording by what it is: the registry of all files and folders that can be one."""
+"""Open or describe a recording: the registry of all supported kinds of files and folders."""
 
 from __future__ import annotations
 
@@ -34,23 +34,20 @@ from posetrack_cli.recording.pixels import PixelKind
 from posetrack_cli.recording.recording import ReadingOptions, Recording
 from posetrack_cli.recording.video import open_video
 
-MANY_RECORDINGS = "posetrack batch takes patterns of many recordings"
-ANY = frozenset({"camera_file", "mirror"})
-"""Options that apply to every source."""
-UNIT = frozenset({"depth_unit_mm", "missing"})
-"""Options that apply to every source of depth."""
-CAMERAS = ANY | {"cameras", "guess", "in_colour"}
-"""And to every source of grey images."""
+MANY_RECORDINGS = "for several recordings use posetrack batch with a pattern"
+ANY = frozenset({"camera_file", "mirror"})  # options of every source
+UNIT = frozenset({"depth_unit_mm", "missing"})  # options of every depth source
+CAMERAS = ANY | {"cameras", "guess", "in_colour"}  # options of every grey source
 
 
 @dataclass(frozen=True)
 class Opener:
-    """How a source is opened for frames of one kind of pixels.
+    """How a source is opened for one kind of pixels.
 
     Attributes:
         open: returns the recording, given its path and options.
-        options: names of those that apply.
-        excluded: options that do not apply together with another, by that one.
+        options: names of the options that apply.
+        excluded: options mapped to the ones they exclude.
     """
 
     open: Callable[[Path, ReadingOptions], Recording]
@@ -63,10 +60,10 @@ class Source:
     """A kind of file or folder that holds recordings.
 
     Attributes:
-        words: what errors call it.
-        holds: whether a path that exists is one, unless a source before it is.
-        openers: by what frames are to have.
-        describe: returns what it holds in plain values: name, kind, bytes, losses, and what the kind has.
+        words: its name in messages.
+        holds: returns True if an existing path is of this kind, unless an earlier source matches.
+        openers: openers by kind of pixels.
+        describe: returns a description in plain values: name, kind, bytes, losses, and kind-specific keys.
     """
 
     words: str
@@ -80,17 +77,18 @@ def _holds_messages(path: Path, *, mcap: bool) -> bool:
     return container is not None and (container.kind == "mcap") == mcap
 
 
+# Openers of messages, for every container.
 MESSAGES: Mapping[PixelKind, Opener] = {
     "depth": Opener(
         open_depth_messages, ANY | {"topic", "camera_topic"} | UNIT, {"camera_file": "camera_topic"}
     ),
     "grey": Opener(open_grey_messages, CAMERAS | {"tolerance_ms"}),
 }
-"""How messages are opened, whatever their container is."""
 
+# Ordered: the first source that holds a path is used.
 SOURCES = (
     Source("an MCAP file", partial(_holds_messages, mcap=True), MESSAGES, describe_messages),
-    Source("a recording of ROS", partial(_holds_messages, mcap=False), MESSAGES, describe_messages),
+    Source("a ROS bag", partial(_holds_messages, mcap=False), MESSAGES, describe_messages),
     Source(
         "a Stray Scanner recording",
         is_stray_scanner,
@@ -104,7 +102,7 @@ SOURCES = (
         describe_record3d,
     ),
     Source(
-        "a sequence of the Biwi Kinect head pose data",
+        "a Biwi Kinect head pose sequence",
         is_biwi,
         {
             "depth": Opener(open_biwi_depth, ANY | UNIT | {"fps"}),
@@ -113,7 +111,7 @@ SOURCES = (
         describe_biwi,
     ),
     Source(
-        "a folder of NYU's hand pose data",
+        "an NYU hand pose folder",
         is_nyu,
         {
             "depth": Opener(open_nyu_depth, ANY | UNIT | {"fps"}),
@@ -132,32 +130,31 @@ SOURCES = (
     ),
     Source(
         "a video",
-        lambda path: True,  # any other file; what is none is told when it is opened
+        lambda path: True,  # any other file; opening it reports what is not a video
         {"grey": Opener(open_video, CAMERAS | {"fps"}), "depth": Opener(open_kinect, ANY | UNIT)},
         describe_kinect,
     ),
 )
-"""All of them; the first that holds a path counts."""
 
 
 def open_recording(path: Path, pixels: PixelKind = "depth", **options: Unpack[ReadingOptions]) -> Recording:
     """Open a folder of images, a file or folder of messages, or a video.
 
-    Depth is of one camera. Grey images may be of several: ``cameras`` has the reference first, the others
-    placed relative to it, and frames have None at the place of a camera without an image at that instant.
+    Depth has one camera. Grey recordings may have several: ``cameras`` lists the reference first,
+    extrinsics are relative to it, and frames have None for a camera without an image at that instant.
 
     Args:
         path: folder or file.
-        pixels: what frames are to have.
-        options: how it is read.
+        pixels: kind of pixels in the frames.
+        options: reading options.
 
     Raises:
-        RecordingError: if it cannot be read, or its cameras are not calibrated.
-        UsageError: for an option that does not apply to what ``path`` is, or a value that cannot be used.
+        RecordingError: the recording cannot be read, or its cameras are not calibrated.
+        UsageError: an option does not apply to this kind of recording, or its value is invalid.
     """
     source = _source_of(path)
     opener = source.openers[pixels]
-    _refuse_others(source.words, opener, options)
+    _check_options(source.words, opener, options)
     file = options.get("camera_file")
     if file is not None:
         options["camera_file"] = camera_path(file)
@@ -166,20 +163,20 @@ def open_recording(path: Path, pixels: PixelKind = "depth", **options: Unpack[Re
 
 
 def options_for(path: Path, pixels: PixelKind) -> frozenset[str]:
-    """Return the names of the options that apply to what a path is."""
+    """Return the names of the reading options that apply to a path."""
     return _source_of(path).openers[pixels].options
 
 
 def describe(path: Path) -> dict[str, Any]:
-    """Describe folders of images, a video or a file of messages, recording or result, in plain values.
+    """Describe a recording or result (image folder, video, file of messages) in plain values.
 
-    Reads every message of a file, of a folder of depth only the first image. Keys: ``name``, ``kind``
-    (``folder`` of depth, ``images`` of one or more cameras, ``dataset`` of another tool, ``video``, or that
-    of a container of messages: ``mcap``, ``bag``, ``db3``, ``ros2``), ``bytes``, ``losses``
-    (what could not be read) and what the kind has.
+    Reads every message of a file, but only the first image of a depth folder. Keys: ``name``, ``kind``
+    (``folder`` of depth, ``images`` of one or more cameras, ``dataset`` of another tool, ``video``, or a
+    container of messages: ``mcap``, ``bag``, ``db3``, ``ros2``), ``bytes``, ``losses`` (unreadable data)
+    and kind-specific keys.
 
     Raises:
-        RecordingError: if there is nothing that could be described.
+        RecordingError: the path holds nothing that can be described.
     """
     source = _source_of(path)
     with damage_reported(lambda: path):
@@ -194,8 +191,7 @@ def _source_of(path: Path) -> Source:
     return next(source for source in SOURCES if source.holds(path))
 
 
-def _refuse_others(words: str, opener: Opener, options: Mapping[str, object]) -> None:
-    """Raise UsageError for an option that is given and does not apply."""
+def _check_options(words: str, opener: Opener, options: Mapping[str, object]) -> None:
     given = {name: value for name, value in options.items() if value is not None}
     for name, value in given.items():
         if name not in opener.options:

@@ -1,4 +1,4 @@
-"""How a stored picture is shown: one of the eight turns and reflections of EXIF and of videos' containers."""
+"""Picture orientation: the eight rotations and reflections of EXIF and video containers."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ JPEG_APP1, JPEG_SCAN = 0xE1, 0xDA
 TIFF_BEGIN = b"II*\0", b"MM\0*"
 PNG_BEGIN, PNG_EXIF = b"\x89PNG\r\n\x1a\n", b"eXIf"
 RIFF_BEGIN, WEBP_EXIF = b"RIFF", b"EXIF"
+# Limit on EXIF directory entries, JPEG segments and PNG or WebP chunks.
 MOST_ENTRIES = 512
-"""Of a directory of EXIF, segments of a JPEG and chunks of a PNG or WebP that are looked at."""
+# Order of polynomial distortion coefficients after exchanging x and y: swaps p1 and p2, s1 s2 and s3 s4.
 TRANSPOSED_COEFFICIENTS = (0, 1, 3, 2, 4, 5, 6, 7, 10, 11, 8, 9)
-"""Where a polynomial lens's coefficients come from if x and y are exchanged: p1 and p2, s1 s2 and s3 s4."""
+# Coefficients that change sign in a reflection of x or of y; the last ones are the sensor tilt.
 SIGNED_IN_X, SIGNED_IN_Y = (3, 8, 9, 13), (2, 10, 11, 12)
-"""Coefficients that change their sign in a reflection of x or of y; the last are the sensor's tilt."""
 TILT = slice(12, 14)
 
 
 class Orientation(NamedTuple):
-    """What is done with a stored picture to show it: transpose, then flip left to right, then upside down.
+    """How a stored picture is shown: transpose, then flip left to right, then upside down.
 
     Attributes:
-        transposed, flipped_x, flipped_y: whether each is done.
+        transposed, flipped_x, flipped_y: True for each operation that applies.
     """
 
     transposed: bool = False
@@ -41,7 +41,7 @@ class Orientation(NamedTuple):
 
     @property
     def words(self) -> str:
-        """For people: ``turned 90 degrees clockwise``, ``mirrored``..."""
+        """The orientation as text: ``turned 90 degrees clockwise``, ``mirrored``..."""
         return WORDS[self]
 
     def apply(self, image: ImageArray) -> ImageArray:
@@ -53,21 +53,26 @@ class Orientation(NamedTuple):
         return np.ascontiguousarray(shown[::-1] if self.flipped_y else shown)
 
     def stored_size(self, width: int, height: int) -> tuple[int, int]:
-        """Return width and height of the stored picture of a shown one, or the other way round."""
+        """Return width and height of the stored picture given the shown one, or vice versa."""
         return (height, width) if self.transposed else (width, height)
 
     def camera(self, stored: Camera) -> Camera:
         """Return the camera of the shown picture.
 
-        A turn takes the camera's axes with it. A reflection does not: what is shown is taken for the scene.
+        A rotation also rotates the camera axes. A reflection does not: the shown picture is taken as the
+        scene.
 
         Raises:
-            PosetrackError: the lens has a tilted sensor.
+            PosetrackError: the lens model has a tilted sensor.
         """
         if self == UPRIGHT:
             return stored
         if any(stored.distortion[TILT]):
-            raise PosetrackError("a picture of a tilted sensor is not turned", where=stored.name)
+            raise PosetrackError(
+                "cannot rotate pictures of a lens model with tilt",
+                where=stored.name,
+                hint="store the pictures upright, or calibrate without tilt",
+            )
         camera = _transposed(stored) if self.transposed else stored
         if self.flipped_x:
             camera = replace(camera, cx=camera.width - 1 - camera.cx, distortion=_signed(camera, SIGNED_IN_X))
@@ -86,7 +91,7 @@ class Orientation(NamedTuple):
 
     @property
     def _turn(self) -> ImageArray:
-        """The (3, 3) matrix from the axes of the stored picture's camera to those of the shown one's."""
+        """The (3, 3) rotation from the stored picture's camera axes to the shown one's."""
         turn = np.eye(3)
         if self.transposed:
             turn = turn[[1, 0, 2]]
@@ -97,11 +102,11 @@ UPRIGHT = Orientation()
 
 
 class Picture(NamedTuple):
-    """What a camera's pictures are like as they are shown.
+    """Size and orientation of a camera's shown pictures.
 
     Attributes:
-        width, height: pixels.
-        orientation: how the stored picture is shown so.
+        width, height: size of the shown picture, pixels.
+        orientation: how it is made from the stored picture.
     """
 
     width: int
@@ -119,30 +124,29 @@ WORDS = {
     Orientation(True, True, True): "mirrored and turned 90 degrees clockwise",
     Orientation(True, False, True): "turned 90 degrees counterclockwise",
 }
-"""In the order of EXIF's numbers, 1 to 8."""
-OF_EXIF = dict(enumerate(WORDS, 1))
+OF_EXIF = dict(enumerate(WORDS, 1))  # WORDS is in the order of EXIF's numbers
 
 
 def orientation_of_file(data: bytes) -> Orientation:
-    """Return the orientation that a TIFF, or the EXIF of a JPEG, PNG or WebP file, states."""
+    """Return the orientation stated in a TIFF, or in the EXIF of a JPEG, PNG or WebP file."""
     exif = _exif(data)
     return OF_EXIF.get(_stated(exif), UPRIGHT) if exif else UPRIGHT
 
 
 def orientation_of_decoding(data: bytes) -> Orientation:
-    """Return the orientation that OpenCV applies when it decodes a file: that of TIFF, whatever its flags."""
+    """Return the orientation that OpenCV applies on decoding: that of TIFF, whatever the flags."""
     return orientation_of_file(data) if data.startswith(TIFF_BEGIN) else UPRIGHT
 
 
 def orientation_after_decoding(data: bytes) -> Orientation:
-    """Return the orientation of a decoded image that remains to be applied."""
+    """Return the orientation that remains to be applied to a decoded image."""
     return UPRIGHT if data.startswith(TIFF_BEGIN) else orientation_of_file(data)
 
 
 def orientation_of_matrix(data: bytes) -> Orientation:
     """Return the orientation of a display matrix: nine 32-bit numbers, row by row, of [x y 1] M.
 
-    A matrix that turns by other than quarters is that of an upright picture.
+    Rotations other than by quarter turns count as upright.
     """
     if len(data) < 36:
         return UPRIGHT
@@ -175,7 +179,7 @@ def _signed(camera: Camera, places: tuple[int, ...]) -> tuple[float, ...]:
 
 
 def _exif(data: bytes) -> bytes:
-    """Return the EXIF block of a file, from its TIFF header on; empty for none."""
+    """Return the EXIF block of a file, starting at its TIFF header; empty if there is none."""
     if data.startswith(TIFF_BEGIN):
         return data
     if data.startswith(JPEG_BEGIN):
@@ -207,7 +211,7 @@ def _jpeg_exif(data: bytes) -> bytes:
 
 
 def _chunk(data: bytes, at: int, head: str, wanted: bytes, checksum: int, even: int) -> bytes:
-    """Return the content of a chunk of a PNG or RIFF file; its head is length and type in either order."""
+    """Return the content of a PNG or RIFF chunk; ``head`` is length and type in either order."""
     for _ in range(MOST_ENTRIES):
         if at + 8 > len(data):
             break
@@ -221,7 +225,7 @@ def _chunk(data: bytes, at: int, head: str, wanted: bytes, checksum: int, even: 
 
 
 def _stated(exif: bytes) -> int:
-    """Return the orientation's number in the first directory of EXIF (TIFF 6.0, section 2); 1 for none."""
+    """Return the orientation number in the first EXIF directory (TIFF 6.0, section 2); 1 if none."""
     order = {b"II": "<", b"MM": ">"}.get(exif[:2])
     if order is None or len(exif) < 8:
         return 1

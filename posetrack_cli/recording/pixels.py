@@ -1,4 +1,4 @@
-"""What images hold, and how that becomes the pixels of frames: the interface of the kinds, and their base."""
+"""Pixel formats: the interface between stored images and the pixels of frames."""
 
 from __future__ import annotations
 
@@ -12,47 +12,46 @@ from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.recording.base import UnreadableImageError
 
-PixelKind = Literal["depth", "grey"]
-"""What frames have: float32 depth, mm, 0 = no reading; or uint8 grey."""
+PixelKind = Literal["depth", "grey"]  # float32 depth, mm, 0 = no reading; or uint8 grey
 
 
 class Pixels(Protocol):
-    """What one camera's images hold.
+    """Content of one camera's images.
 
-    All decoding raises UnreadableImageError for data that are no image, damaged or incomplete, or an image of
-    another size or kind than the first.
+    All decoding raises UnreadableImageError for data that are not an image, damaged or incomplete, or an
+    image of another size or format than the first.
 
     Attributes:
-        is_numbered_as_stored: whether every stored image is a frame, also one that cannot be used; else
-            images are matched with those of other cameras, and what cannot be used is left out before.
+        is_numbered_as_stored: True if every stored image is a frame, even an unusable one; else unusable
+            images are dropped before images are matched across cameras.
     """
 
     is_numbered_as_stored: ClassVar[bool]
 
     @property
     def width(self) -> int:
-        """Of the stored images, pixels."""
+        """Width of the stored images, pixels."""
 
     @property
     def height(self) -> int:
-        """Of the stored images, pixels."""
+        """Height of the stored images, pixels."""
 
     def from_file(self, data: bytes, where: object) -> ImageArray:
         """Return the (height, width) pixels of an image file."""
 
     def from_stored(self, image: ImageArray) -> ImageArray:
-        """Return the (height, width) pixels of an image as it is stored, decoded."""
+        """Return the (height, width) pixels of a decoded image."""
 
     def from_message(self, decoded: Any, kind: str, where: str) -> ImageArray:
         """Return the (height, width) pixels of a message of kind RAW_IMAGE or COMPRESSED_IMAGE."""
 
     def png_of_message(self, decoded: Any, kind: str) -> bytes | None:
-        """Return the 16-bit PNG of depth in mm that a message carries, None if it does not carry one."""
+        """Return the 16-bit PNG of depth in mm in a message, None if there is none."""
 
 
 @dataclass(frozen=True)
 class Window:
-    """The part of the stored images that is used: first cut out, then flipped.
+    """The used part of the stored images: cropped, then flipped.
 
     Attributes:
         crop: x, y, width, height of the part, pixels of the stored image; None for all of it.
@@ -64,7 +63,7 @@ class Window:
 
     @property
     def keeps_pixels(self) -> bool:
-        """Whether images pass through unchanged."""
+        """True if images pass through unchanged."""
         return self.crop is None and not self.mirror
 
     def apply(self, image: ImageArray) -> ImageArray:
@@ -78,7 +77,7 @@ class Window:
         """Return the camera of the window, given the camera of the stored images.
 
         Raises:
-            RecordingError: if the crop does not lie in the image.
+            RecordingError: the crop exceeds the image.
         """
         if self.crop is not None:
             camera = _cropped(camera, self.crop)
@@ -90,19 +89,19 @@ def _cropped(camera: Camera, crop: tuple[int, int, int, int]) -> Camera:
     inside = min(x, y) >= 0 and min(width, height) > 0
     if not inside or x + width > camera.width or y + height > camera.height:
         raise RecordingError(
-            "crop does not lie in the image",
+            "crop exceeds the image",
             where="camera.toml",
             found=f"x {x}, y {y}, {width}x{height}",
-            expected=f"a part of {camera.width}x{camera.height}",
+            expected=f"a region within {camera.width}x{camera.height}",
         )
     return replace(camera, width=width, height=height, cx=camera.cx - x, cy=camera.cy - y)
 
 
 def check_size(image: ImageArray, pixels: Pixels) -> None:
-    """Raise UnreadableImageError if an image is not of the size of the first."""
+    """Raise UnreadableImageError if an image differs in size from the first."""
     if image.shape[:2] != (pixels.height, pixels.width):
         found, expected = f"{image.shape[1]}x{image.shape[0]}", f"{pixels.width}x{pixels.height}"
-        raise UnreadableImageError(f"its size is {found}, not {expected} as of the others")
+        raise UnreadableImageError(f"size is {found}, not {expected} like the first")
 
 
 def raw_values(decoded: Any, value: str, channels: int = 1) -> ImageArray:
@@ -122,7 +121,7 @@ def raw_values(decoded: Any, value: str, channels: int = 1) -> ImageArray:
     step = int(decoded.step) or width * pixel
     needed = step * (height - 1) + width * pixel
     if min(width, height) < 1 or step < width * pixel or len(data) < needed:
-        raise UnreadableImageError(f"{len(data)} bytes do not hold {width}x{height} {decoded.encoding}")
+        raise UnreadableImageError(f"{len(data)} bytes are too few for {width}x{height} {decoded.encoding}")
     shape = (height, width, channels)
     strided: ImageArray = np.ndarray(shape, dtype, data, strides=(step, pixel, dtype.itemsize))
     whole = strided.astype(dtype.newbyteorder("="))

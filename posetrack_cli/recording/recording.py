@@ -1,4 +1,4 @@
-"""A recording: its frames in order, read ahead."""
+"""Recordings: frames in order, decoded in a background thread."""
 
 from __future__ import annotations
 
@@ -15,29 +15,32 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.losses import Loss, LossLog
 from posetrack_cli.recording.base import Frame, StoredFrame, StoredImage, TruthMessage, decode_frames
 from posetrack_cli.recording.camera_of import Guess
-from posetrack_cli.recording.matching import NS_PER_MS, check_range, match_images, select_frames, unmatched
+from posetrack_cli.recording.matching import (
+    NS_PER_MS,
+    check_range,
+    match_images,
+    select_frames,
+    single_camera_frames,
+)
 from posetrack_cli.recording.pixels import Pixels
-
-# A recording: the images of its cameras, put together to frames, selected and decoded
-
 
 DEFAULT_TOLERANCE_MS, LONGEST_TOLERANCE_MS = 10.0, 1000.0
 
 
 class ReadingOptions(TypedDict, total=False):
-    """How a recording is read; what is missing or None is as the recording itself says.
+    """Options for reading a recording; missing or None means the recording's own value.
 
     Attributes:
-        topic, camera_topic: of an MCAP file's depth images and their calibration.
-        cameras: names (MCAP: or topics) of those to use; None for all.
-        camera_file: in place of the recording's own calibration.
-        fps: frame rate, Hz, in place of timestamps.csv or a video's own stamps.
-        depth_unit_mm, missing: of depth: mm per stored unit, code for no reading.
+        topic, camera_topic: topics of depth images and their calibration in an MCAP file or bag.
+        cameras: names of the cameras to use (of messages also topics); None for all.
+        camera_file: replaces the recording's own calibration.
+        fps: frame rate, Hz; replaces timestamps.csv or a video's own stamps.
+        depth_unit_mm, missing: mm per stored depth unit; code for no reading.
         mirror: flip images left to right.
-        tolerance_ms: largest difference of stamps within a frame; 10 if None.
-        in_colour: colour stays so, uint8 blue green red: to draw on, not to track in.
-        guess: what the only camera is taken for where nothing tells its intrinsics; with a guess several
-            cameras are refused.
+        tolerance_ms: maximum stamp difference within a frame; 10 if None.
+        in_colour: keep colour, uint8 blue green red, for drawing; not for tracking.
+        guess: intrinsics to assume for a single uncalibrated camera; with a guess several cameras are
+            refused.
     """
 
     topic: str | None
@@ -54,27 +57,27 @@ class ReadingOptions(TypedDict, total=False):
 
 
 def tolerance_ns(options: ReadingOptions) -> int:
-    """Return the largest difference of stamps within a frame.
+    """Return the maximum stamp difference within a frame, ns.
 
     Raises:
-        UsageError: the option has a value that cannot be used.
+        UsageError: the option is out of range.
     """
     given = options.get("tolerance_ms")
     tolerance = DEFAULT_TOLERANCE_MS if given is None else given
     if not 0.0 <= tolerance <= LONGEST_TOLERANCE_MS:
         expected = f"milliseconds from 0 to {LONGEST_TOLERANCE_MS:g}"
-        raise UsageError("--tolerance-ms cannot be used", found=f"{tolerance:g}", expected=expected)
+        raise UsageError("--tolerance-ms out of range", found=f"{tolerance:g}", expected=expected)
     return round(tolerance * NS_PER_MS)
 
 
 @dataclass(frozen=True)
 class CameraStream:
-    """One camera of a recording.
+    """The image stream of one camera.
 
     Attributes:
-        camera: of the images as frames have them, after crop and mirror.
-        pixels: what its images hold, and how they are decoded.
-        images: yields all images as they are stored, None for one that cannot be used; counts what is lost.
+        camera: model of the frames' images, after crop and mirror.
+        pixels: content of the images and how to decode it.
+        images: yields all stored images, None for an unusable one; counts losses.
     """
 
     camera: Camera
@@ -92,14 +95,15 @@ class Recording:
 
     Args:
         path: the file or folder.
-        streams: the cameras, the reference first.
-        identity: tells name, kind, size and SHA-256 of the input, and how it was read, for a result's record.
-        frame_count: how many frames there are before reading; None when unknown (a truncated file).
-        truth: yields the messages on ``/truth/...`` topics undecoded, in order of log time where indexed.
-        tolerance_ns: largest difference of stamps within a frame.
-        is_guessed: whether the intrinsics are a ``Guess``.
-        why: where each camera's model comes from, for people.
-        remarks: what was recognised, chosen or converted when it was opened, one line each.
+        streams: the cameras, reference first.
+        identity: returns name, kind, size and SHA-256 of the input and the reading options, for a run
+            record.
+        frame_count: number of frames before reading; None if unknown (a truncated file).
+        truth: yields the messages on ``/truth/...`` topics undecoded, in log-time order if indexed.
+        tolerance_ns: maximum stamp difference within a frame.
+        is_guessed: True if the intrinsics are a ``Guess``.
+        why: source of each camera's model, as text.
+        remarks: detections, choices and conversions made on opening, one line each.
     """
 
     def __init__(
@@ -125,12 +129,12 @@ class Recording:
 
     @property
     def losses(self) -> tuple[Loss, ...]:
-        """What the last pass over the frames had to skip; empty when nothing was lost."""
+        """Data skipped by the last pass over the frames; empty if none."""
         return self._log.losses
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the last pass over the frames noted, one line each."""
+        """Notes of the last pass over the frames, one line each."""
         return self._log.notes
 
     def frames(self, *, start: int = 0, end: int | None = None, stride: int = 1) -> Iterator[Frame]:
@@ -141,12 +145,12 @@ class Recording:
         return read_ahead(self._decoded(selected, log))
 
     def sample(self, count: int, *, start: int = 0, stride: int = 1, frames: int) -> Iterator[Frame]:
-        """Yield about ``count`` of the frames start, start + stride, ...; what is lost in it is not kept.
+        """Yield about ``count`` of the frames start, start + stride, ...; losses are not recorded.
 
         Args:
-            count: frames to yield, at most twice as many.
-            start, stride: of the frames to choose from.
-            frames: how many there are.
+            count: number of frames to yield, at most twice as many.
+            start, stride: frames to choose from.
+            frames: number of frames to choose from.
         """
         every, log = stride * max(1, frames // count), LossLog()
         selected = select_frames(
@@ -155,43 +159,42 @@ class Recording:
         return islice(self._decoded(selected, log), 2 * count)
 
     def stored_frames(self, losses: LossLog) -> Iterator[tuple[int, StoredFrame]]:
-        """Yield index and undecoded frame of all that ``frames`` gives."""
+        """Yield (index, undecoded frame) for every frame that ``frames`` yields."""
         return select_frames(self.matched(losses), losses)
 
     def matched(self, losses: LossLog) -> Iterator[StoredFrame | None]:
-        """Yield all frames undecoded; None for one that cannot be used and keeps its number all the same."""
+        """Yield all frames undecoded; None for an unusable frame, which keeps its index."""
         return read_from(self.path, match_streams(self._streams, self._tolerance_ns, losses), "frame")
 
     def truth(self) -> Iterator[TruthMessage]:
-        """Yield the messages on ``/truth/...`` topics undecoded, in order of log time where indexed."""
+        """Yield the messages on ``/truth/...`` topics undecoded, in log-time order if indexed."""
         return read_from(self.path, self._truth(), "message")
 
     def _decoded(self, stored: Iterator[tuple[int, StoredFrame]], losses: LossLog) -> Iterator[Frame]:
         try:
             yield from read_from(self.path, decode_frames(stored, losses), "frame")
         except RecordingError as error:
-            raise _at(self.path, error) from error
+            raise _with_path(self.path, error) from error
 
 
 def match_streams(
     streams: Sequence[CameraStream], tolerance_ns: int, losses: LossLog
 ) -> Iterator[StoredFrame | None]:
-    """Put together what cameras took at the same time; images numbered as stored are frames by themselves."""
+    """Match the cameras' images by time; images numbered as stored become frames one to one."""
     names = [stream.camera.name for stream in streams]
     images = [stream.images(losses) for stream in streams]
     if streams[0].pixels.is_numbered_as_stored:
-        return unmatched(names[0], images[0])
+        return single_camera_frames(names[0], images[0])
     return match_images(names, images, tolerance_ns, losses)
 
 
-def _at(path: Path, error: RecordingError) -> RecordingError:
-    """Return the error with the recording's path, if it does not tell it."""
+def _with_path(path: Path, error: RecordingError) -> RecordingError:
+    """Return the error prefixed with the recording's path unless it already is."""
     text = str(error)
     return error if text.startswith(str(path)) else RecordingError(text, where=path)
 
 
-# Read frames in a thread, a few ahead of whoever uses them
-
+# Read-ahead in a thread
 
 T = TypeVar("T")
 
@@ -201,7 +204,7 @@ JOIN_SECONDS = 5.0
 
 @dataclass(frozen=True)
 class _End:
-    """The last item in the queue: how reading ended."""
+    """The last item in the queue: end of the iterator, or its error."""
 
     error: BaseException | None
 
@@ -217,16 +220,16 @@ class _Reader(Generic[T]):
         self._thread.start()
 
     def stop(self) -> None:
-        """End the thread: it finishes the item at hand at most.
+        """Stop the thread after the current item.
 
-        After the queue is emptied the thread puts at most one more item, so it cannot block again.
+        The queue is emptied first, so the thread can put its last item without blocking.
         """
         self._stopped.set()
         self._make_room()
         self._thread.join(JOIN_SECONDS)
 
     def _make_room(self) -> None:
-        """Empty the queue, so that a thread blocked on a full one goes on and sees that it is to stop."""
+        """Empty the queue, so that a thread blocked on a full one sees the stop flag."""
         while True:
             try:
                 self.queue.get_nowait()
@@ -240,7 +243,7 @@ class _Reader(Generic[T]):
                 self.queue.put(item)
                 if self._stopped.is_set():
                     break
-        except BaseException as caught:  # handed to the consumer, whatever it is
+        except BaseException as caught:  # re-raised in the consumer
             error = caught
         finally:
             self._close_items()
@@ -250,14 +253,14 @@ class _Reader(Generic[T]):
     def _close_items(self) -> None:
         close = getattr(self._items, "close", None)
         if close is not None:
-            close()  # in this thread: a generator that holds files closes them now
+            close()  # in the thread that ran the generator, so its files are closed now
 
 
 def read_ahead(items: Iterator[T], ahead: int = FRAMES_AHEAD) -> Generator[T]:
-    """Yield the items of an iterator that runs in a thread, at most ``ahead`` + 1 items in front.
+    """Yield the items of an iterator that runs in a thread, at most ``ahead`` + 1 items ahead.
 
-    An exception of the iterator is raised here, after the items before it. Closing the generator, or
-    an exception such as KeyboardInterrupt while it waits, stops the thread.
+    Exceptions of the iterator are raised here, after the items before them. Closing the generator, or an
+    exception such as KeyboardInterrupt while it waits, stops the thread.
     """
     reader = _Reader(items, ahead)
     try:

@@ -1,4 +1,4 @@
-"""Time stamps of frames, their order, and those in names of files."""
+"""Stamps of frames: from files, at a fixed rate, from video, or in file names."""
 
 from __future__ import annotations
 
@@ -19,27 +19,25 @@ from posetrack_cli.recording.matching import LATEST_NS
 from posetrack_cli.tables import NS_PER_UNIT, TextFile, whole_of
 from posetrack_cli.units import NS_PER_S
 
-# When images were taken: by timestamps.csv, at a fixed rate, or as a video tells it
-
-
+# timestamps.csv, fixed rates, and video
 STAMPS_FILE_NAME = "timestamps.csv"
-EXPECTED = "stamps are a CSV file in UTF-8"
-EXPECTED_HEADER = "a header line: stamp_ns or time_s, with or without a column filename before it"
+EXPECTED = "a CSV file in UTF-8"
+EXPECTED_HEADER = "header 'stamp_ns' or 'time_s', optionally after 'filename'"
 STAMP_COLUMNS = ("stamp_ns", "time_s")
 SLOWEST_HZ, FASTEST_HZ = 1e-6, 1e6
-MOST_BEHIND = 16
-"""Frames in a row that may be earlier than the one before: as many as decoders hold back to put in order."""
+# Consecutive frames that may precede the latest one: the reordering depth of decoders.
+MAX_REORDERED = 16
 
 
 def stamps_at_rate(count: int, fps: float) -> list[int]:
     """Return stamps of frames 0 to count - 1 at a fixed rate: frame i at round(i / fps), ns.
 
     Raises:
-        UsageError: unless the rate is one that cameras have.
+        UsageError: the rate is out of range.
     """
     if not SLOWEST_HZ <= fps <= FASTEST_HZ:
-        expected = f"a number above 0, from {SLOWEST_HZ:g} to {FASTEST_HZ:g}"
-        raise UsageError("frame rate cannot be used", found=f"--fps {fps}", expected=expected)
+        expected = f"{SLOWEST_HZ:g} to {FASTEST_HZ:g}"
+        raise UsageError("frame rate out of range", found=f"--fps {fps}", expected=expected)
     return [stamp_at_rate(index, fps) for index in range(count)]
 
 
@@ -54,13 +52,13 @@ def load_stamps(path: Path, names: Sequence[str]) -> list[int]:
     Args:
         path: the file; its header is ``stamp_ns`` (integers) or ``time_s`` (seconds), optionally with
             ``filename`` before it.
-        names: the images' file names, sorted.
+        names: file names of the images, sorted.
 
     Returns:
         One stamp per name, ns.
 
     Raises:
-        RecordingError: if it cannot be read, or does not give exactly one stamp per image.
+        RecordingError: the file cannot be read, or does not give exactly one stamp per image.
     """
     file = TextFile(path, RecordingError, EXPECTED)
     table = file.table((), EXPECTED_HEADER)
@@ -73,7 +71,7 @@ def load_stamps(path: Path, names: Sequence[str]) -> list[int]:
     ]
     if len(entries) != len(names):
         raise RecordingError(
-            "stamps and images differ in number",
+            "numbers of stamps and images differ",
             where=path,
             found=f"{len(entries)} stamps",
             expected=f"{len(names)}, one per image",
@@ -83,19 +81,19 @@ def load_stamps(path: Path, names: Sequence[str]) -> list[int]:
     stamps = dict(entries)
     missing = next((name for name in names if name not in stamps), None)
     if missing is not None:
-        raise RecordingError("image has no stamp", where=path, found=f"no line for {missing}")
+        raise RecordingError(f"no stamp for image {missing}", where=path, expected="one line per image")
     return [stamps[name] for name in names]
 
 
 class VideoStamps:
-    """Turns the stamps that a video tells into stamps that increase, as far as the frames are in order.
+    """Makes a video's stamps increase as far as its frames are in order.
 
-    Behind damage a decoder may give out a frame that it had held back, long after its time. Such a frame
-    keeps its stamp, which is then not later than the one before: it is out of place, and whoever takes the
-    frames leaves it out. Where stamps begin anew, as in files that were put together, they go on.
+    After damage a decoder may output a frame it had held back, long after its time. Such a frame keeps its
+    stamp, which is then not later than the previous one, so readers drop it. Where stamps restart, as in
+    concatenated files, they continue instead.
 
     Args:
-        period_ns: time between frames where no stamp tells it, above 0.
+        period_ns: frame interval where stamps do not give it, above 0.
     """
 
     def __init__(self, period_ns: int) -> None:
@@ -103,39 +101,33 @@ class VideoStamps:
         self._latest: int | None = None
         self._offset, self._behind = 0, 0
 
-    def stamp(self, told_ns: int) -> int:
-        """Return the stamp, ns, of the frame that the video says was taken at ``told_ns``, 0 where untold."""
+    def stamp(self, pts_ns: int) -> int:
+        """Return the stamp, ns, of a frame with presentation time ``pts_ns``, 0 if unknown."""
         if self._latest is None:
-            self._offset = max(-told_ns, 0)
-        elif told_ns + self._offset <= self._latest:
-            if told_ns > 0 and self._behind < MOST_BEHIND:
+            self._offset = max(-pts_ns, 0)
+        elif pts_ns + self._offset <= self._latest:
+            if pts_ns > 0 and self._behind < MAX_REORDERED:
                 self._behind += 1
-                return told_ns + self._offset
-            self._offset = self._latest + self._period_ns - told_ns
+                return pts_ns + self._offset
+            self._offset = self._latest + self._period_ns - pts_ns
         self._behind = 0
-        self._latest = told_ns + self._offset
+        self._latest = pts_ns + self._offset
         return self._latest
 
 
-# Order and numbers of file names: 2 before 10, and which numbers of a sequence are missing
-
-
+# Natural order of file names, and missing numbers of sequences
 DIGITS = re.compile(r"[0-9]+")
-REGULAR_SHARE = 0.75
-"""Smallest share of steps between numbers that are one frame; the other steps are gaps."""
-FEWEST_NUMBERED = 4
-"""Fewer names are not a sequence whose missing numbers mean anything."""
-SHARED_SHARE = 0.5
-"""Share of the numbers of one layout that the other layouts have, too."""
-SHOWN_RANGES = 3
-"""Ranges of missing numbers that a remark lists."""
+REGULAR_SHARE = 0.75  # minimum share of single-frame steps between numbers; the others are gaps
+FEWEST_NUMBERED = 4  # gaps in shorter sequences mean nothing
+SHARED_SHARE = 0.5  # minimum share of numbers that layouts have in common
+SHOWN_RANGES = 3  # ranges of missing numbers listed in a remark
 
 
 def natural_key(name: str) -> tuple[str, str]:
-    """Return a key that sorts numbers by value and all else by character: ``a2`` before ``a10``.
+    """Return a sort key by value for numbers and by character otherwise: ``a2`` before ``a10``.
 
     A number becomes "0", its length and its digits without leading zeros, so it compares with other
-    characters as its first digit would. Names with zero-padded numbers sort as they do by character.
+    characters as its first digit would. Names with zero-padded numbers sort as by character.
     """
     return DIGITS.sub(_comparable, name), name
 
@@ -143,8 +135,8 @@ def natural_key(name: str) -> tuple[str, str]:
 def natural_order(names: Sequence[str]) -> list[int]:
     """Return the positions of names in natural order.
 
-    Names of one length that differ in more than their digits are hexadecimal or arbitrary (``1a``, ``10``);
-    they are sorted by character.
+    Names of equal length that differ in more than their digits are hexadecimal or arbitrary (``1a``,
+    ``10``) and sort by character.
     """
     by_character = sorted(range(len(names)), key=names.__getitem__)
     natural = sorted(range(len(names)), key=lambda i: natural_key(names[i]))
@@ -154,15 +146,15 @@ def natural_order(names: Sequence[str]) -> list[int]:
 
 
 def order_remark(names: Sequence[str]) -> tuple[str, ...]:
-    """Return a remark if ordered names are not in the order of their characters."""
+    """Return a remark if names are not in character order."""
     for name, following in pairwise(names):
         if name > following:
-            return (f"images are in the order of the numbers in their names: {name} before {following}",)
+            return (f"images are sorted by the numbers in their names: {name} before {following}",)
     return ()
 
 
 def varying_numbers(names: Sequence[str]) -> list[tuple[int, ...]] | None:
-    """Return for each name the numbers that differ between names, () if none; None if layouts differ."""
+    """Return each name's numbers that differ between names, () if none; None if layouts differ."""
     if not _has_one_layout(names):
         return None
     columns = list(zip(*(DIGITS.findall(name) for name in names), strict=True))
@@ -172,16 +164,16 @@ def varying_numbers(names: Sequence[str]) -> list[tuple[int, ...]] | None:
 
 def number(digits: str) -> int:
     """Return the value of digits in a file name."""
-    return int(digits)  # a name of a file has at most 255 bytes
+    return int(digits)  # bounded: a file name has at most 255 bytes
 
 
 @dataclass(frozen=True)
 class NumberedSequence:
-    """A sequence of images that are numbered.
+    """A numbered sequence of images.
 
     Attributes:
-        positions: of each image, frames from the first one; more than its index after a gap.
-        missing: first and last number of each range that no image has.
+        positions: frame offset of each image from the first; larger than its index after a gap.
+        missing: first and last number of each missing range.
     """
 
     positions: tuple[int, ...]
@@ -189,7 +181,7 @@ class NumberedSequence:
 
     @property
     def words(self) -> str:
-        """For people: ``number 5`` or ``numbers 5, 9 to 11``; at most some ranges."""
+        """The missing numbers as text: ``number 5`` or ``numbers 5, 9 to 11``, at most a few."""
         shown = [str(a) if a == b else f"{a} to {b}" for a, b in self.missing[:SHOWN_RANGES]]
         more = ", ..." if len(self.missing) > SHOWN_RANGES else ""
         one = len(self.missing) == 1 and self.missing[0][0] == self.missing[0][1]
@@ -197,10 +189,10 @@ class NumberedSequence:
 
 
 def numbered_sequence(names: Sequence[str]) -> NumberedSequence | None:
-    """Return the sequence that the only varying number of ordered names counts, None if it has no gap.
+    """Return the sequence counted by the only varying number of ordered names, None without gaps.
 
-    Most numbers are one step from the one before, the others a multiple of it, and no more numbers are
-    missing than there are images.
+    Most numbers are one step apart, the others a multiple of it, and at most as many numbers are missing as
+    there are images.
     """
     if len(names) < FEWEST_NUMBERED:
         return None
@@ -230,7 +222,7 @@ def layout(name: str) -> str:
 
 
 def layouts_of_one_sequence(names: Sequence[str]) -> dict[str, list[int]]:
-    """Return the positions of names by layout if most numbers are there in several layouts, else {}.
+    """Return the positions of names by layout if several layouts share most numbers, else {}.
 
     Such are images of several kinds or cameras: ``frame-1.color``, ``frame-1.depth``.
     """
@@ -245,51 +237,40 @@ def layouts_of_one_sequence(names: Sequence[str]) -> dict[str, list[int]]:
 
 
 def _has_one_layout(names: Sequence[str]) -> bool:
-    """Whether names differ in the values of their numbers only."""
+    """Return whether names differ in the values of their numbers only."""
     return len(set(map(layout, names))) == 1
 
 
-# Stamps in file names: seconds, ms, us or ns, recognised by their magnitude and the rate they give.
-#
-# A frame counter is never taken for stamps: what could be either is not recognised.
+# Stamps in file names, recognised by magnitude and rate; ambiguous numbers count as frame numbers
 
-
-EARLIEST_S, LATEST_S = 10**9, 4 * 10**9
-"""Seconds since 1970 of recordings: 2001 to 2096."""
-UNITS = {"s": NS_PER_S, "ms": 10**6, "us": 10**3, "ns": 1}
-"""Nanoseconds in one of each."""
-FRACTIONS = (3, 6, 9)
-"""Digits of a fraction of a second that stands alone: ms, us or ns."""
-SHORTEST_NS = 500_000
-"""Intervals are at least this long on average: 2000 Hz."""
+EARLIEST_S, LATEST_S = 10**9, 4 * 10**9  # plausible Unix times: 2001 to 2096
+UNITS = {"s": NS_PER_S, "ms": 10**6, "us": 10**3, "ns": 1}  # ns per unit
+FRACTIONS = (3, 6, 9)  # digits of a separate fraction of a second: ms, us or ns
+SHORTEST_NS = 500_000  # minimum median interval: 2000 Hz
 CAMERA_HZ = (1, 2, 5, 6, 7.5, 10, 12, 12.5, 15, 20, 24, 25, 30, 48, 50, 60, 75, 90, 100, 120)
+# Relative deviation of a mean rate from one of ``CAMERA_HZ``; consumer cameras stay within 1 %.
 RATE_TOLERANCE = 0.02
-"""Relative deviation of a mean rate from one of ``CAMERA_HZ``: those of consumer cameras stay within 1 %."""
-FEWEST_RELATIVE = 6
-"""Names with a clock that does not count from 1970."""
-EVEN_SHARE, EVENNESS = 0.9, 0.2
-"""Share of intervals that are a multiple of the usual one, within a part of it."""
-COUNTED_BY = 1000
-"""Nobody numbers images in steps that are larger and not a multiple."""
+FEWEST_RELATIVE = 6  # minimum number of names for a clock not counting from 1970
+EVEN_SHARE, EVENNESS = 0.9, 0.2  # share of intervals near a multiple of the median; relative tolerance
+COUNTED_BY = 1000  # image numbers do not have larger steps unless multiples of it
 NEVER_COUNTED_BY = 10**6
+# Median intervals of clocks that do not count from 1970: 0.5 to 500 Hz
 SLOWEST_RELATIVE_NS, FASTEST_RELATIVE_NS = 2 * NS_PER_S, 2_000_000
-"""Range of usual intervals of clocks that do not count from 1970: 0.5 to 500 Hz."""
+# Their longest interval: HHMMSS read as one number would jump by 40 s and more
 LONGEST_RELATIVE_NS = 10 * NS_PER_S
-"""Longest of their intervals: hours, minutes and seconds as one number would jump by 40 s and more."""
+# Dates with times; digits that may be their first number: year, date, or up to a fraction of a second
 DATE_FORMAT, DATE_DIGITS, DATE_STARTS = "%Y%m%d%H%M%S", 14, (4, 8, 14, 17, 20)
-"""Dates with times of day, and how many digits may begin them: of the year, the date, the second or less."""
 SEPARATORS = re.compile(r"[._-]")
 
 
 @dataclass(frozen=True)
 class NameStamps:
-    """Stamps that names hold.
+    """Stamps in file names.
 
     Attributes:
         unit: ``s``, ``ms``, ``us``, ``ns``, or ``dates``.
-        stamps_ns: of each name.
-        is_count: whether they are integers that do not count from 1970: only their rate shows that they are
-            stamps.
+        stamps_ns: stamp of each name.
+        is_count: True for integers not counting from 1970, recognised as stamps by their rate alone.
     """
 
     unit: str
@@ -298,7 +279,7 @@ class NameStamps:
 
     @property
     def words(self) -> str:
-        """For people: ``in s: 12 frames, 0.5 s, largest gap 0.133 s``."""
+        """Summary as text: ``in s: 12 frames, 0.5 s, largest gap 0.133 s``."""
         ordered = sorted(self.stamps_ns)
         gap = max((b - a for a, b in pairwise(ordered)), default=0)
         seconds, gap_s = (ordered[-1] - ordered[0]) / NS_PER_S, gap / NS_PER_S
@@ -306,11 +287,11 @@ class NameStamps:
 
     @property
     def rate_hz(self) -> float:
-        """Mean rate without the frames that are missing; infinity for one stamp."""
+        """Mean rate, corrected for missing frames; infinity for one stamp."""
         return _rate(self.stamps_ns) if len(self.stamps_ns) > 1 else math.inf
 
     def fit_rate(self, fps: float) -> bool:
-        """Whether frame i has its stamp at i / fps, within half a frame of the middle deviation."""
+        """Return whether frame i is at i / fps, within half a frame of the median deviation."""
         period = NS_PER_S / fps
         deviations = [stamp - i * period for i, stamp in enumerate(sorted(self.stamps_ns))]
         middle = median(deviations)
@@ -318,7 +299,7 @@ class NameStamps:
 
 
 def order_of_names(names: Sequence[str], stems: Sequence[str]) -> list[int]:
-    """Return the positions of names in order of the stamps that they hold, else in natural order."""
+    """Return the positions of names in order of their stamps, else in natural order."""
     stamps = stamps_in_names(stems)
     if stamps is None:
         return natural_order(names)
@@ -326,9 +307,9 @@ def order_of_names(names: Sequence[str], stems: Sequence[str]) -> list[int]:
 
 
 def stamps_in_names(stems: Sequence[str]) -> NameStamps | None:
-    """Return the stamps that names without suffix hold, None if that is not certain.
+    """Return the stamps in names without suffix, None unless certain.
 
-    Names are of one layout: the same text between numbers. A stamp counts from 1970 (10 digits of seconds,
+    Names have one layout: the same text between numbers. A stamp counts from 1970 (10 digits of seconds,
     with or without a fraction, 13 of ms, 16 of us, 19 of ns), or is a date with a time, a decimal number of
     seconds, or an integer that gives a camera's frame rate in exactly one unit and cannot be a counter.
     """
@@ -345,12 +326,11 @@ def stamps_in_names(stems: Sequence[str]) -> NameStamps | None:
     return None
 
 
-Reading = tuple[str, list[int], bool]
-"""Unit, stamps, ns, and whether these are stamps."""
+Reading = tuple[str, list[int], bool]  # unit, stamps in ns, and whether they pass as stamps
 
 
 def _readings(columns: Sequence[tuple[str, ...]], separators: Sequence[str]) -> Iterator[Reading]:
-    """Yield the stamps that numbers may be which count from 1970, dates, or decimal seconds."""
+    """Yield readings of numbers as Unix times, dates, or decimal seconds."""
     decimals = [
         (whole, fraction, separator)
         for whole, fraction, separator in zip(columns, columns[1:], separators, strict=False)
@@ -362,17 +342,17 @@ def _readings(columns: Sequence[tuple[str, ...]], separators: Sequence[str]) -> 
         if separator == "." and max(map(len, whole)) < 10:
             stamps = [_decimal(w, f) for w, f in zip(whole, fraction, strict=True)]
             digit = NS_PER_S // 10 ** min(9, max(map(len, fraction)))
-            yield "s", stamps, len(stamps) > 2 and _is_time(stamps, digit) and _is_usual(stamps)
+            yield "s", stamps, len(stamps) > 2 and _is_time(stamps, digit) and _is_regular(stamps)
 
 
 def _count_readings(columns: Sequence[tuple[str, ...]]) -> Iterator[Reading]:
-    """Yield the stamps that integers may be which do not count from 1970."""
+    """Yield readings of integers as stamps that do not count from 1970."""
     for column in columns:
-        if len(column) < FEWEST_RELATIVE or _could_count(counts := [number(text) for text in column]):
+        if len(column) < FEWEST_RELATIVE or _could_be_counter(counts := [number(text) for text in column]):
             continue
         for unit, ns in list(UNITS.items())[1:]:
             stamps = [count * ns for count in counts]
-            yield unit, stamps, _is_usual(stamps) and _is_camera_rate(stamps)
+            yield unit, stamps, _is_regular(stamps) and _is_camera_rate(stamps)
 
 
 def _epoch_readings(
@@ -394,7 +374,7 @@ def _epoch_readings(
 
 
 def _date_readings(columns: Sequence[tuple[str, ...]], separators: Sequence[str]) -> Iterator[Reading]:
-    """Yield the stamps that dates with times of day give, as of UTC: 20240131_120501_123 and the like."""
+    """Yield readings of dates with times, as UTC: 20240131_120501_123 and the like."""
     for first in range(len(columns)):
         if len(columns[first][0]) not in DATE_STARTS:
             continue
@@ -420,13 +400,13 @@ def _date_readings(columns: Sequence[tuple[str, ...]], separators: Sequence[str]
 
 
 def _is_fraction(column: Sequence[str], separator: str) -> bool:
-    """Whether numbers after seconds are a decimal fraction of them."""
+    """Return whether numbers after seconds are their decimal fraction."""
     widths = set(map(len, column))
     return separator == "." or (separator in ("_", "-") and len(widths) == 1 and widths <= set(FRACTIONS))
 
 
 def _date_seconds(digits: str) -> int | None:
-    """Return the seconds since 1970 of year, month, day, hour, minute, second; None if not a date."""
+    """Return the Unix time of year, month, day, hour, minute, second; None if not a date."""
     try:
         moment = datetime.strptime(digits[:DATE_DIGITS], DATE_FORMAT).replace(tzinfo=UTC)
     except ValueError:
@@ -436,15 +416,15 @@ def _date_seconds(digits: str) -> int | None:
 
 
 def _is_epoch(column: Sequence[str], ns: int) -> bool:
-    """Whether all are counts of units of so many ns since 1970, in the years of recordings."""
+    """Return whether all numbers are Unix times in units of ``ns``, in plausible years."""
     scale = NS_PER_S // ns
     return all(EARLIEST_S * scale <= number(text) < LATEST_S * scale for text in column)
 
 
 def _with_fraction(whole: Sequence[str], fraction: Sequence[str], separator: str) -> Iterator[list[int]]:
-    """Yield the stamps, ns, that seconds and what follows them give, the likelier first.
+    """Yield the stamps, ns, of seconds and the digits after them, the likelier first.
 
-    Fractions of different lengths are decimals whose zeros were cut off, or counts without leading zeros.
+    Fractions of different lengths are decimals without trailing zeros, or counts without leading zeros.
     """
     widths = {len(text) for text in fraction}
     longest = max(widths)
@@ -468,20 +448,20 @@ def _intervals(stamps: Sequence[int]) -> list[int]:
 
 
 def _unevenness(stamps: Sequence[int]) -> float:
-    """Return the mean deviation of intervals from the usual one, as a part of it."""
+    """Return the mean relative deviation of intervals from the median."""
     intervals = _intervals(stamps)
     usual = median(intervals) if intervals else 0
     return sum(abs(i - usual) for i in intervals) / (usual * len(intervals)) if usual else math.inf
 
 
 def _is_time(stamps: Sequence[int], digit_ns: int) -> bool:
-    """Whether stamps are of a rate that cameras have, and do not count their last digit."""
+    """Return whether stamps have a plausible rate and do not count their last digit."""
     intervals = _intervals(stamps)
     return not intervals or (median(intervals) >= SHORTEST_NS and median(intervals) > digit_ns)
 
 
-def _is_usual(stamps: Sequence[int]) -> bool:
-    """Whether nearly all intervals are multiples of the usual one, which a camera could have."""
+def _is_regular(stamps: Sequence[int]) -> bool:
+    """Return whether nearly all intervals are multiples of a median that a camera could have."""
     intervals = _intervals(stamps)
     usual = median(intervals)
     if not FASTEST_RELATIVE_NS <= usual <= SLOWEST_RELATIVE_NS or max(intervals) > LONGEST_RELATIVE_NS:
@@ -491,20 +471,20 @@ def _is_usual(stamps: Sequence[int]) -> bool:
 
 
 def _is_camera_rate(stamps: Sequence[int]) -> bool:
-    """Whether the mean rate, without the frames that are missing, is one that cameras have."""
+    """Return whether the mean rate, corrected for missing frames, is a common camera rate."""
     rate = _rate(stamps)
     return any(abs(rate / camera - 1.0) <= RATE_TOLERANCE for camera in CAMERA_HZ)
 
 
 def _rate(stamps: Sequence[int]) -> float:
-    """Return how often stamps come, Hz, as if none were missing."""
+    """Return the mean rate, Hz, corrected for missing frames."""
     intervals = _intervals(stamps)
     usual = median(intervals)
     return sum(max(1, round(i / usual)) for i in intervals) / (sum(intervals) / NS_PER_S)
 
 
-def _could_count(counts: Sequence[int]) -> bool:
-    """Whether integers may number images: in steps that people choose, some left out."""
+def _could_be_counter(counts: Sequence[int]) -> bool:
+    """Return whether integers may be image numbers: round steps, some left out."""
     steps = _intervals(counts)
     step = math.gcd(*steps)
     if step == 1:

@@ -1,4 +1,4 @@
-"""Pages of a TIFF: where they are, and each as a file of its own (TIFF 6.0, sections 2, 8 and 15)."""
+"""Pages of a TIFF: their location, and each as a separate file (TIFF 6.0, sections 2, 8 and 15)."""
 
 from __future__ import annotations
 
@@ -12,29 +12,24 @@ from pathlib import Path
 from posetrack_cli import limits
 from posetrack_cli.files import open_input
 
-HEADERS = {b"II*\0": "<", b"MM\0*": ">"}
-"""First bytes, and the byte order that they mean."""
+HEADERS = {b"II*\0": "<", b"MM\0*": ">"}  # first bytes: byte order
 ENTRY_BYTES, INLINE_BYTES = 12, 4
 SHORT, LONG = 3, 4
-NUMBERS = {SHORT: "H", LONG: "I"}
-"""Types of sizes, offsets and lengths, as ``struct`` calls them."""
+NUMBERS = {SHORT: "H", LONG: "I"}  # ``struct`` codes of the types of sizes, offsets and lengths
 TYPE_BYTES = {1: 1, 2: 1, SHORT: 2, LONG: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4}
 NEW_SUBFILE_TYPE, SUBFILE_TYPE = 254, 255
-REDUCED, MASK = 1, 4
-"""Bits of the new type: a smaller copy of another page, a transparency mask of it."""
+REDUCED, MASK = 1, 4  # bits of the new subfile type: thumbnail, transparency mask
 OLD_REDUCED = 2
 WIDTH, LENGTH, BITS, SAMPLES, SAMPLE_FORMAT = 256, 257, 258, 277, 339
-KIND_TAGS = (WIDTH, LENGTH, BITS, SAMPLES, SAMPLE_FORMAT)
-"""Tags by which pages are alike."""
+KIND_TAGS = (WIDTH, LENGTH, BITS, SAMPLES, SAMPLE_FORMAT)  # pages with equal values are of one kind
+# Tags of strip and tile offsets, mapped to the tags of their lengths.
 PIECES = {273: 279, 324: 325}
-"""Offsets of strips and of tiles, and the tags with their lengths."""
 STRIP_ROWS, PLANAR, TILE_WIDTH, TILE_LENGTH = 278, 284, 322, 323
 SEPARATE_PLANES = 2
-DROPPED = (330, 34665, 34853)
-"""Tags with offsets of further directories."""
+DROPPED = (330, 34665, 34853)  # tags with offsets of further directories
 
+# One page, or all, may have this many times the bytes of their file, as equal values may be stored once.
 LARGEST = 2
-"""One page, or all, have at most this many times the bytes of their file: equal values may be stored once."""
 
 
 @dataclass(frozen=True)
@@ -42,8 +37,8 @@ class Page:
     """A page of a TIFF.
 
     Attributes:
-        number: in the file, counted from 0.
-        offset: of its directory.
+        number: index in the file, from 0.
+        offset: offset of its directory.
     """
 
     number: int
@@ -52,11 +47,11 @@ class Page:
 
 @dataclass(frozen=True)
 class Pages:
-    """The pages of a file that hold images of one kind.
+    """The pages of a file with images of one kind.
 
     Attributes:
         images: pages of the most frequent size, bits and channels.
-        others: how many further pages are of another size or kind.
+        others: number of pages of another size or kind.
     """
 
     images: tuple[Page, ...]
@@ -66,8 +61,8 @@ class Pages:
 def find_pages(path: Path) -> Pages | None:
     """Return the pages of a TIFF, None if the file is not one or its first directory is damaged.
 
-    Smaller copies and masks are not pages. The chain of directories ends where it is damaged, comes back to
-    itself, or has more pages than the file has bytes for: of several pages the next one counts as damaged.
+    Thumbnails and masks are not pages. The chain of directories ends at damage, a cycle, or when the file
+    is too small for its pages; with several pages the next one then counts as damaged.
     """
     try:
         with open_input(path) as stream:
@@ -97,8 +92,8 @@ class _Entry:
     """An entry of a directory.
 
     Attributes:
-        tag, kind, count: what it is, of which type, and how many values.
-        value: four bytes: the values, or where they are.
+        tag, kind, count: tag, type and number of values.
+        value: four bytes: the values, or their offset.
     """
 
     tag: int
@@ -112,7 +107,7 @@ class _Entry:
         return TYPE_BYTES.get(self.kind, 1) * self.count
 
     def short(self, order: str) -> int | None:
-        """Return the first value as a number, None if it is not in the entry."""
+        """Return the first value as a number, None if it is not inline."""
         if self.bytes > INLINE_BYTES or self.kind not in NUMBERS:
             return None
         return int(struct.unpack_from(order + NUMBERS[self.kind], self.value)[0])
@@ -150,7 +145,7 @@ def _found(stream: BufferedReader, order: str) -> Pages | None:
 
 
 def _directory(stream: BufferedReader, order: str, offset: int) -> tuple[list[_Entry], int] | None:
-    """Return the entries of a directory and where the next one is, None if it is cut."""
+    """Return the entries of a directory and the offset of the next, None if truncated."""
     stream.seek(offset)
     head = stream.read(2)
     if len(head) < 2:
@@ -169,7 +164,7 @@ def _number_at(stream: BufferedReader, order: str, offset: int) -> int:
 
 
 def _file_of(stream: BufferedReader, header: bytes, order: str, entries: list[_Entry]) -> bytes:
-    """Return a TIFF of one page with these entries; empty if the page cannot be whole."""
+    """Return a TIFF of one page with these entries; empty if the page cannot be complete."""
     size = stream.seek(0, 2)
     by_tag = {entry.tag: entry for entry in reversed(entries) if entry.tag not in DROPPED}
     kept = sorted(by_tag.values(), key=lambda entry: entry.tag)
@@ -207,7 +202,7 @@ def _file_of(stream: BufferedReader, header: bytes, order: str, entries: list[_E
 
 
 def _pieces(order: str, by_tag: Mapping[int, _Entry]) -> int:
-    """Return how many strips or tiles a page needs at least."""
+    """Return the minimum number of strips or tiles of a page."""
 
     def value(tag: int, default: int) -> int:
         found = by_tag[tag].short(order) if tag in by_tag else None
@@ -221,7 +216,7 @@ def _pieces(order: str, by_tag: Mapping[int, _Entry]) -> int:
 
 
 def _data(stream: BufferedReader, order: str, entry: _Entry, size: int) -> bytes:
-    """Return the values of an entry as stored, as far as the file has them."""
+    """Return the stored values of an entry, as far as the file has them."""
     if entry.bytes <= INLINE_BYTES:
         return entry.value[: entry.bytes]
     (offset,) = struct.unpack(f"{order}I", entry.value)

@@ -15,10 +15,10 @@ from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.files import placed_path
 from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.base import CAMERA_FILE_NAME, StoredImage, UnreadableImageError
-from posetrack_cli.recording.camera_file import Rig, camera_record, found_rig
+from posetrack_cli.recording.camera_file import Rig, camera_record, load_or_guess_rig
 from posetrack_cli.recording.camera_of import GUESSED, Guess
 from posetrack_cli.recording.depth import Depth
-from posetrack_cli.recording.description import described_cameras, opened
+from posetrack_cli.recording.description import described_cameras, try_open
 from posetrack_cli.recording.grey import Grey, grey_like
 from posetrack_cli.recording.identity import file_digest, identity_record, shown_name
 from posetrack_cli.recording.orientation import Picture
@@ -42,28 +42,28 @@ UNDECODABLE, MISSING = "video frame cannot be decoded", "video frame missing"
 
 
 def open_video(path: Path, options: ReadingOptions, known: Rig | None = None) -> Recording:
-    """Open a video as a recording of one camera, its frames made grey.
+    """Open a video as a recording of one camera, converted to grey.
 
-    Its calibration is the camera file given, or NAME.toml or camera.toml beside the video.
+    Its calibration is the given camera file, or NAME.toml or camera.toml next to the video.
 
     Args:
         path: the file.
-        options: how it is read.
-        known: its camera where another file states it, in place of camera files.
+        options: reading options.
+        known: the camera if stated elsewhere, instead of camera files.
 
     Raises:
-        RecordingError: if it cannot be read, has no frame, or is not calibrated.
-        UsageError: if an option has a value that cannot be used.
+        RecordingError: the video cannot be read, has no frames, or is not calibrated.
+        UsageError: an option is invalid.
     """
     fps = options.get("fps")
-    file = None if known else options.get("camera_file") or _beside(path)
-    found = known or found_rig(path, file, [""], options.get("guess"))
+    file = None if known else options.get("camera_file") or _sidecar_camera_file(path)
+    found = known or load_or_guess_rig(path, file, [""], options.get("guess"))
     rig = _one_camera(found, options.get("cameras"))
     (name,) = rig.cameras
     shown, remarks = _shown(path, rig)
     video = VideoImages(path, fps, opened_video, shown, partial(_pixels, path, options))
     if fps is not None:
-        stamps_at_rate(0, fps)  # refuses what is no rate
+        stamps_at_rate(0, fps)  # validates the rate
     window = rig.window(name, options.get("mirror"))
     sizes = {name: video.picture}
     (stored,) = rig.stored_cameras(sizes)
@@ -95,36 +95,36 @@ P = TypeVar("P", Depth, Grey)
 
 
 def _shown(path: Path, rig: Rig) -> tuple[Callable[[VideoFrame], ImageArray], tuple[str, ...]]:
-    """Return what makes images of a video's frames, and remarks where these differ from ordinary video.
+    """Return the conversion of a video's frames to images, and remarks on unusual video.
 
-    A guessed camera has square pixels; a camera file is of the pixels that are stored.
+    A guessed camera assumes square pixels; a camera file describes the stored pixels.
     """
     with opened_video(path) as video:
         aspect = video.pixel_aspect
-        remarks = ("video is HDR (PQ): brightness is used as it is coded",) if video.is_pq else ()
+        remarks = ("video is HDR (PQ): coded brightness is used without tone mapping",) if video.is_pq else ()
     if aspect == 1.0:
         return shown_image, remarks
-    shape = f"pixels are {aspect:.4g} times as wide as high"
+    shape = f"pixel aspect ratio is {aspect:.4g}"
     if not rig.is_guessed:
-        return shown_image, (*remarks, f"{shape}: the camera file is taken to describe these")
-    remark = f"{shape}: pictures are resampled to square ones"
+        return shown_image, (*remarks, f"{shape}: intrinsics are taken to describe the stored pixels")
+    remark = f"{shape}: frames are resampled to square pixels"
     return partial(shown_image, pixel_aspect=aspect), (*remarks, remark)
 
 
 class VideoImages(Generic[P]):
-    """What a video tells of itself, and its images.
+    """Properties and images of a video.
 
     Args:
         path: a file that FFmpeg can read.
-        fps: frame rate, Hz, in place of the video's own stamps.
-        opened: opens the stream of its images.
-        stored: returns the image that a frame stores.
-        pixels_of: tells from the first image what all hold.
+        fps: frame rate, Hz; replaces the video's own stamps.
+        opened: opens the image stream.
+        stored: returns the stored image of a frame.
+        pixels_of: returns the pixel format, given the first image.
 
     Attributes:
-        count: the number of frames that it tells, None if it does not.
-        picture: what its frames are like as they are shown.
-        pixels: what its frames hold.
+        count: number of frames according to the container, None if unknown.
+        picture: size and orientation of shown frames.
+        pixels: pixel format of the frames.
     """
 
     def __init__(
@@ -141,14 +141,13 @@ class VideoImages(Generic[P]):
             first, image = _first_image(video, path, stored)
             self.pixels: P = pixels_of(image)
         self.picture = Picture(self.pixels.width, self.pixels.height, orientation_of_frame(first))
-        self._period_ns = NS_PER_S / rate if rate > 0 else 0.0  # 0 if it tells no rate
+        self._period_ns = NS_PER_S / rate if rate > 0 else 0.0  # 0 for an unknown rate
 
     def images(self, window: Window, losses: LossLog) -> Iterator[StoredImage | None]:
-        """Yield the frames, decoded: a video cannot go back to one that was passed.
+        """Yield the frames, decoded on the fly, as a video cannot seek back cheaply.
 
-        Pixels of another format or size than the first frame's are found when an image is used. Behind frames
-        that cannot be decoded those that can are looked for; where frames are numbered as they are stored,
-        those are None.
+        Frames whose format or size differs from the first are detected on use. Undecodable frames are
+        skipped; if frames are numbered as stored they are None.
         """
         index, failed, reached = 0, 0, -1.0
         stamps = VideoStamps(round(self._period_ns))
@@ -163,8 +162,8 @@ class VideoImages(Generic[P]):
                     if self.pixels.is_numbered_as_stored:
                         yield from repeat(None, failed)
                 index, failed = index + failed, 0
-                reached = max(reached, _told_ns(frame), _told_ns(frame, begin))
-                stamp = stamps.stamp(_told_ns(frame, begin))
+                reached = max(reached, _pts_ns(frame), _pts_ns(frame, begin))
+                stamp = stamps.stamp(_pts_ns(frame, begin))
                 if self._fps is not None:
                     stamp = stamp_at_rate(index, self._fps)
                 yield StoredImage(stamp, f"video frame {index}", partial(self._decoded, frame, window))
@@ -174,10 +173,10 @@ class VideoImages(Generic[P]):
             losses.add(MISSING, f"frame {index} of {self.count}", missing)
 
     def _end(self, index: int, reached: float) -> int:
-        """Return how many frames there should have been, where ``index`` of them came up to ``reached``, ns.
+        """Return the expected number of frames, given ``index`` frames up to ``reached``, ns.
 
-        Some videos tell a duration, which makes a number of frames at an even rate. So fewer that fill the
-        duration are all there are.
+        Some containers only state a duration, from which a constant rate gives a count. If fewer frames
+        fill the duration, none are missing.
         """
         if self.count is None:
             return index
@@ -192,33 +191,33 @@ def _pixels(path: Path, options: ReadingOptions, first: ImageArray) -> Grey:
     return replace(grey_like(first, path), keeps_colour=bool(options.get("in_colour")))
 
 
-def _told_ns(frame: VideoFrame, begin: int = 0) -> int:
-    """The stamp that a video tells of a frame, from ``begin`` on, which is in its own unit; 0 for none."""
+def _pts_ns(frame: VideoFrame, begin: int = 0) -> int:
+    """Return a frame's presentation time, ns, relative to ``begin`` in its time base; 0 if unknown."""
     if frame.pts is None or frame.time_base is None:
         return 0
     return round((frame.pts - begin) * frame.time_base * NS_PER_S)
 
 
 def describe_video(path: Path) -> dict[str, Any]:
-    """Describe a video: displayed size, rate, number of frames as it tells them, and its camera if known.
+    """Describe a video: displayed size, rate, stated number of frames, and its camera if known.
 
-    Remarks are those of a run, which guesses the camera where there is none.
+    Remarks are those of a run, which guesses the camera if it is unknown.
 
     Raises:
-        RecordingError: it is none.
+        RecordingError: the file is not a video.
     """
     if not is_video(path):
         raise RecordingError(
-            "is not a recording or result",
+            "not a recording or result",
             where=path,
-            expected="a folder of images, an MCAP file or a video",
+            expected="a folder of images, an MCAP file, a ROS bag or a video",
         )
     with opened_video(path) as video:
         rate, frames = video.rate_hz, video.frame_count
         _, image = _first_image(video, path, partial(shown_image, pixel_aspect=video.pixel_aspect))
         height, width = image.shape[:2]
-    recording, no_camera = opened(lambda: open_video(path, {}))
-    read = recording or opened(lambda: open_video(path, {"guess": Guess()}))[0]
+    recording, no_camera = try_open(lambda: open_video(path, {}))
+    read = recording or try_open(lambda: open_video(path, {"guess": Guess()}))[0]
     return {
         "name": shown_name(placed_path(path)),
         "kind": "video",
@@ -236,25 +235,25 @@ def describe_video(path: Path) -> dict[str, Any]:
 def _first_image(
     video: OpenVideo, path: Path, stored: Callable[[VideoFrame], ImageArray]
 ) -> tuple[VideoFrame, ImageArray]:
-    """Return the first frame that can be decoded, and the image that it stores."""
+    """Return the first decodable frame and its stored image."""
     for frame, _ in zip(video.frames(), range(MOST_FAILURES), strict=False):
         if frame is not None:
             with suppress(UnreadableImageError):
                 return frame, stored(frame)
-    raise RecordingError("video has no frame that can be decoded", where=path)
+    raise RecordingError("no video frame can be decoded", where=path)
 
 
-def _beside(path: Path) -> Path | None:
-    """The camera file that lies beside a video: NAME.toml, or camera.toml; None for none."""
+def _sidecar_camera_file(path: Path) -> Path | None:
+    """Return the camera file next to a video: NAME.toml or camera.toml; None without."""
     files = path.with_suffix(".toml"), path.parent / CAMERA_FILE_NAME
     return next((file for file in files if file.exists()), None)
 
 
 def _one_camera(rig: Rig, cameras: Sequence[str] | None) -> Rig:
-    chosen = rig if cameras is None else rig.chosen(cameras)
+    chosen = rig if cameras is None else rig.subset(cameras)
     if len(chosen.cameras) != 1:
         raise UsageError(
-            "a video is of one camera",
+            "several cameras for one video",
             where=rig.path,
             found=", ".join(chosen.cameras),
             hint="choose one with --cameras",

@@ -1,4 +1,4 @@
-"""Video files, read by FFmpeg as PyAV brings it: which are opened, and their frames one by one."""
+"""Video files read with FFmpeg (PyAV): accepted containers and codecs, streams, frames."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv", ".gif")
 BEGIN_BYTES = 189
 MATROSKA = b"\x1a\x45\xdf\xa3"
+# Signatures of videos: at this byte offset, one of these.
 CONTAINERS = (
     (4, (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip")),  # MP4 and QuickTime
     (8, (b"AVI ",)),
@@ -42,48 +43,45 @@ CONTAINERS = (
             b"GIF8",
         ),
     ),
-    (188, (b"G",)),  # MPEG transport stream: its second packet, as its first byte is no sign
+    (188, (b"G",)),  # MPEG transport stream: sync byte of its second packet, the first one proves little
 )
-"""How videos begin: from this byte on, one of these."""
+# Formats that FFmpeg may detect.
 FORMATS = "mov,mp4,m4a,3gp,3g2,mj2,avi,matroska,webm,mpeg,mpegvideo,mpegts,asf,ogg,flv,gif"
-"""What FFmpeg may take a file for."""
+# Accepted codecs, by FFmpeg's names; b16g of an Azure Kinect is a kind of rawvideo.
 CODECS = (
     *("h264", "hevc", "vp8", "vp9", "av1", "mpeg4", "mjpeg", "mpeg1video", "mpeg2video", "h263", "flv1"),
     *("wmv1", "wmv2", "wmv3", "vc1", "theora", "gif", "ffv1", "png", "rawvideo", "prores", "dnxhd"),
 )
-"""Codecs of recordings, by FFmpeg's names; b16g of an Azure Kinect is one of rawvideo's."""
+# FFmpeg's decoders of these codecs; only flv1 and av1 have other names.
 DECODERS = ",".join((*CODECS, "flv", "libdav1d"))
-"""FFmpeg's decoders of these, of which only those of flv1 and av1 have other names."""
+# FFmpeg also decodes while probing, hence the codec list. It gets an open file, so a protocol would only
+# serve references to other files.
 OPTIONS = {"format_whitelist": FORMATS, "protocol_whitelist": "none", "codec_whitelist": DECODERS}
-"""FFmpeg also decodes to find out what a file holds. It is handed an open file, so that a protocol would only
-be for what the file refers to."""
 SENSOR_FORMAT = "gray16be"
+# Stream titles of an Azure Kinect; Matroska names their codec b16g.
 DEPTH_TITLE, INFRARED_TITLE = "DEPTH", "IR"
-"""Of the streams of an Azure Kinect, whose codec Matroska calls b16g."""
 DISPLAY_MATRIX = "DISPLAYMATRIX"
-MOST_ASPECT = 8.0
-"""Of pixels: anamorphic film has 2."""
+MOST_ASPECT = 8.0  # of pixels; anamorphic film has 2
+# H.273's code for PQ (HDR10, Dolby Vision); HLG looks like ordinary video.
 PQ_TRANSFER = 16
-"""H.273's number of the brightness curve of HDR10 and Dolby Vision; HLG looks like ordinary video."""
-MICROSECONDS = 1_000_000
-"""FFmpeg's unit of durations."""
+MICROSECONDS = 1_000_000  # FFmpeg's unit of durations
 FFMPEG_LOGGER = "libav"
 BUFFER_BYTES = 1 << 20
+# If more initial frames cannot be decoded, the file is rejected.
 MOST_FAILURES = 300
-"""Frames in a row at the beginning that cannot be decoded; after more of them it is no video."""
+# FFmpeg's message for an MP4 file without index, which recorders write last.
 NO_INDEX = "moov atom not found"
-"""What FFmpeg says of MP4 without its index, which recorders write last."""
 
 
 @contextmanager
 def opened_container(path: Path) -> Iterator[InputContainer]:
-    """Yield an open container of video.
+    """Yield an open video container.
 
-    FFmpeg also takes text for a video, which names other files, or hosts, to read. So it is asked only for
-    files that begin as videos do, told which kinds to take them for, and handed the open file.
+    FFmpeg also accepts text files that name other files or hosts to read. So it only gets files that begin
+    like videos, as an open file, with a list of allowed formats.
 
     Raises:
-        RecordingError: it cannot be read, or is none.
+        RecordingError: the file cannot be read, or is not a video.
     """
     try:
         file = open_input(path)
@@ -95,11 +93,11 @@ def opened_container(path: Path) -> Iterator[InputContainer]:
 
 @dataclass(frozen=True)
 class OpenVideo:
-    """One stream of images of an open container.
+    """An image stream of an open container.
 
     Attributes:
-        container: that it is in.
-        stream: of FFmpeg.
+        container: the container.
+        stream: FFmpeg's stream.
     """
 
     container: InputContainer
@@ -107,23 +105,23 @@ class OpenVideo:
 
     @property
     def rate_hz(self) -> float:
-        """The rate that it states; 0 if it does not."""
+        """The stated frame rate; 0 if unknown."""
         return float(self.stream.average_rate or self.stream.guessed_rate or 0)
 
     @property
     def pixel_aspect(self) -> float:
-        """Width over height of a pixel; 1 if it does not state it."""
+        """Width over height of a pixel; 1 if not stated."""
         aspect = float(self.stream.sample_aspect_ratio or 1)
         return aspect if 1.0 / MOST_ASPECT <= aspect <= MOST_ASPECT else 1.0
 
     @property
     def is_pq(self) -> bool:
-        """Whether it states that brightness is coded by PQ, as HDR10 is."""
+        """True if brightness is coded by PQ, as in HDR10."""
         return bool(self.stream.codec_context.color_trc == PQ_TRANSFER)
 
     @property
     def frame_count(self) -> int | None:
-        """How many frames it says that it has, or its duration does; None if neither."""
+        """Number of frames by the container's count or duration; None if neither is stated."""
         if self.stream.frames > 0:
             return int(self.stream.frames)
         duration = self.container.duration
@@ -136,13 +134,13 @@ class OpenVideo:
         while True:
             try:
                 packet = next(packets, None)
-            except damage():
-                return  # the container is damaged from here on
+            except decode_errors():
+                return  # the container is unreadable from here on
             if packet is None:
                 return
             try:
                 frames = self.stream.codec_context.decode(packet)
-            except damage():
+            except decode_errors():
                 yield None
                 continue
             yield from frames
@@ -150,53 +148,52 @@ class OpenVideo:
 
 @contextmanager
 def opened_video(path: Path) -> Iterator[OpenVideo]:
-    """Yield the images of a video: those of colour or grey where a Kinect's file has depth, too.
+    """Yield the image stream of a video, for a Kinect file colour or grey rather than depth.
 
-    No frame is decoded that is larger than any of a recording, also where the size changes later.
+    No frame larger than ``limits`` is decoded, even if the size changes later.
 
     Raises:
-        RecordingError: it cannot be read, is none, or has larger frames than any that are read.
+        RecordingError: the file cannot be read, is not a video, or its frames are too large.
     """
     with opened_container(path) as container:
         stream = _image_stream(container)
         if stream is None and depth_stream(container) is not None:
-            hint = "posetrack hand run tracks hands in it"
-            raise RecordingError("holds depth, and no images of colour or grey", where=path, hint=hint)
+            hint = "to track hands in it use posetrack hand run"
+            raise RecordingError("only depth, no colour or grey images", where=path, hint=hint)
         yield opened_stream(container, stream, path)
 
 
 @contextmanager
 def opened_depth(path: Path) -> Iterator[OpenVideo]:
-    """Yield the depth of an Azure Kinect's recording.
+    """Yield the depth stream of an Azure Kinect recording.
 
     Raises:
-        RecordingError: it cannot be read, or holds none.
+        RecordingError: the file cannot be read, or has no depth.
     """
     with opened_container(path) as container:
         stream = depth_stream(container)
         if stream is None:
             raise RecordingError(
-                "is a video without depth",
+                "video has no depth stream",
                 where=path,
-                expected="the depth of an Azure Kinect, or another recording of depth",
-                hint="posetrack head mono tracks heads in videos",
+                expected="an Azure Kinect recording (.mkv) or another depth recording",
+                hint="to track heads in videos use posetrack head mono",
             )
         yield opened_stream(container, stream, path)
 
 
 def opened_stream(container: InputContainer, stream: VideoStream | None, path: Path) -> OpenVideo:
-    """Return a stream to be decoded within bounds.
+    """Return a stream to be decoded within ``limits``.
 
     Raises:
-        RecordingError: there is none, its codec is none of recordings', or it says that its frames are larger
-            than any that are read.
+        RecordingError: there is no stream, its codec is not supported, or its frames are too large.
     """
     if stream is None:
-        raise RecordingError("is no video that can be read", where=path, found="no stream of images")
+        raise RecordingError("not a readable video", where=path, found="no image stream")
     codec = stream.codec_context.codec.canonical_name
     if codec not in CODECS:
         raise RecordingError(
-            "is a video of a codec that is not read",
+            "unsupported video codec",
             where=path,
             found=codec,
             expected=", ".join(CODECS),
@@ -204,7 +201,7 @@ def opened_stream(container: InputContainer, stream: VideoStream | None, path: P
         )
     if stream.width * stream.height > limits.IMAGE_PIXELS:
         raise RecordingError(
-            "video is larger than any that is read",
+            "video frames are too large",
             where=path,
             found=f"{stream.width}x{stream.height}",
             expected=f"at most {limits.IMAGE_PIXELS} pixels",
@@ -213,8 +210,8 @@ def opened_stream(container: InputContainer, stream: VideoStream | None, path: P
     return OpenVideo(container, stream)
 
 
-def damage() -> tuple[type[Exception], ...]:
-    """Return the errors of damaged video."""
+def decode_errors() -> tuple[type[Exception], ...]:
+    """Return the exceptions that damaged video raises."""
     from av.error import FFmpegError
 
     return FFmpegError, ValueError
@@ -224,24 +221,24 @@ def frame_pixels(frame: VideoFrame, form: str | None = None) -> ImageArray:
     """Return the pixels of a frame in one of FFmpeg's formats, by default its own.
 
     Raises:
-        UnreadableImageError: they cannot be had.
+        UnreadableImageError: the conversion fails.
     """
     try:
         pixels: ImageArray = frame.to_ndarray(format=form)
-    except damage() as error:
-        raise UnreadableImageError(f"pixels of format {frame.format.name} cannot be read") from error
+    except decode_errors() as error:
+        raise UnreadableImageError(f"unreadable pixel format {frame.format.name}") from error
     return pixels
 
 
 def shown_image(frame: VideoFrame, pixel_aspect: float = 1.0) -> ImageArray:
-    """Return a frame (height, width, 3), blue green red, turned and mirrored as the container states.
+    """Return a frame (height, width, 3), blue green red, oriented as the container states.
 
     Args:
-        frame: of the video.
-        pixel_aspect: width over height of a stored pixel; of others than square ones as many more are made.
+        frame: frame of the video.
+        pixel_aspect: width over height of a stored pixel; others than 1 are upsampled to square pixels.
 
     Raises:
-        UnreadableImageError: it has no such pixels.
+        UnreadableImageError: the frame cannot be converted.
     """
     image = frame_pixels(frame, "bgr24")
     if pixel_aspect != 1.0:
@@ -252,14 +249,14 @@ def shown_image(frame: VideoFrame, pixel_aspect: float = 1.0) -> ImageArray:
 
 
 def orientation_of_frame(frame: VideoFrame) -> Orientation:
-    """Return how a frame is shown, by its display matrix."""
-    sides: Any = frame.side_data  # declared to be strings
+    """Return the orientation in a frame's display matrix."""
+    sides: Any = frame.side_data  # PyAV's stubs declare strings
     matrix = next((side for side in sides if side.type.name == DISPLAY_MATRIX), None)
     return UPRIGHT if matrix is None else orientation_of_matrix(bytes(matrix))
 
 
 def is_video(path: Path) -> bool:
-    """Whether a file is named as a video or begins as one."""
+    """Return whether a file is named like a video or begins like one."""
     if path.suffix.lower() in SUFFIXES:
         return True
     with open_input(path) as file:
@@ -273,41 +270,41 @@ def _begins_as_video(file: IO[bytes]) -> bool:
 
 
 def _container(file: IO[bytes], path: Path) -> InputContainer:
-    """Open a container; what FFmpeg says of one that it cannot open is kept, not printed."""
+    """Open a container, collecting FFmpeg's messages instead of printing them."""
     import av
 
     if not _begins_as_video(file):
-        raise RecordingError("is no video that can be read", where=path)
+        raise RecordingError("not a readable video", where=path)
     logging.getLogger(FFMPEG_LOGGER).addHandler(logging.NullHandler())
     logging.getLogger(FFMPEG_LOGGER).propagate = False
     av.logging.set_level(av.logging.ERROR)
     try:
         return av.open(file, "r", options=OPTIONS, buffer_size=BUFFER_BYTES, metadata_errors="replace")
-    except damage() as error:
-        found = "an MP4 file that ends before its index" if NO_INDEX in str(error) else ""
-        raise RecordingError("is no video that can be read", where=path, found=found) from error
+    except decode_errors() as error:
+        found = "an MP4 file without its index (interrupted recording)" if NO_INDEX in str(error) else ""
+        raise RecordingError("not a readable video", where=path, found=found) from error
     finally:
         av.logging.set_level(None)
 
 
 def depth_stream(container: InputContainer) -> VideoStream | None:
-    """Return the stream of depth of an Azure Kinect, which has infrared of the same kind beside it."""
+    """Return the depth stream of an Azure Kinect, next to which infrared has the same format."""
     titled = (s for s in _decodable(container) if s.metadata.get("title") == DEPTH_TITLE)
     return next(filter(_is_of_sensor, titled), None)
 
 
 def _image_stream(container: InputContainer) -> VideoStream | None:
-    """The stream that shows what people look at: not one of depth, and no picture of a cover."""
+    """Return the main picture stream, not depth and not cover art."""
     streams = [stream for stream in _decodable(container) if not _is_of_sensor(stream)]
     best = container.streams.best("video")
     return best if best in streams else next(iter(streams), None)
 
 
 def _decodable(container: InputContainer) -> list[VideoStream]:
-    """The streams whose codec FFmpeg knows."""
+    """Return the streams whose codec FFmpeg supports."""
     return [s for s in container.streams.video if getattr(s, "codec_context", None) is not None]
 
 
 def _is_of_sensor(stream: VideoStream) -> bool:
-    """Whether it is depth or infrared of an Azure Kinect, by its format and name."""
+    """Return whether a stream is an Azure Kinect's depth or infrared, by format and title."""
     return stream.pix_fmt == SENSOR_FORMAT and stream.metadata.get("title") in (DEPTH_TITLE, INFRARED_TITLE)

@@ -75,10 +75,10 @@ def test_cameras_that_do_not_fit_together_are_not_written(views: Path, tmp_path:
     ("arguments", "message"),
     [
         (("--squares", "7", "--square-mm", "26"), "invalid --squares, found '7'"),
-        (("--squares", "2x5", "--square-mm", "26"), "board cannot be used, found 2x5 squares"),
+        (("--squares", "2x5", "--square-mm", "26"), "invalid board, found 2x5 squares"),
         (("--squares", "7x5", "--square-mm", "-1"), "squares of -1 mm"),
         (("--squares", "7x5", "--square-mm", "26", "--marker-mm", "30"), "markers do not fit"),
-        ((*BOARD, "--dictionary", "9X9"), "no dictionary '9X9'"),
+        ((*BOARD, "--dictionary", "9X9"), "unknown dictionary '9X9'"),
         ((*BOARD, "--cameras", "left,up"), "no folder 'up'"),
     ],
 )

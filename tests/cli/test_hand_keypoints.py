@@ -245,5 +245,5 @@ def test_keypoints_of_other_frames_are_remarked_on(
     keypoints.write_text("\n".join([text[0], *(f"9{row}" for row in text[1:])]) + "\n")
     assert track(two_hands, tmp_path / "r.mcap", "--keypoints", keypoints, "--end", 2) == 0
     assert (
-        "k.csv has keypoints for 0 of 2 frames, matched by number, counted from 0" in capsys.readouterr().err
+        "k.csv has keypoints for 0 of 2 frames, matched by frame number from 0" in capsys.readouterr().err
     )

@@ -350,7 +350,7 @@ def test_an_image_of_another_size_costs_a_frame(
     write_folder(source, images)
     assert track(source, tmp_path / "r.mcap") == 3
     line = one_line(capsys)
-    assert "000003.png" in line and "its size is 500x400, not 512x424 as of the others: 1" in line
+    assert "000003.png" in line and "size is 500x400, not 512x424 like the first: 1" in line
     assert load_arrays(tmp_path / "r.mcap")["frame_index"].tolist() == [0, 1, 2, 4]
 
 

@@ -96,7 +96,7 @@ def test_player_numbers_below_the_depth(
     assert track(players, tmp_path / "r.mcap", *options) == EXIT_DONE
     said = lines(capsys)
     assert len(said) == (0 if options else 1)
-    assert all("depth is taken as 0.125 mm per stored unit: Kinect v1" in line for line in said)
+    assert all("depth unit detected as 0.125 mm: low bits are Kinect v1" in line for line in said)
     assert joint_error_mm(tmp_path / "r.mcap", made) < WELL_MM
 
 
@@ -162,7 +162,7 @@ def test_infrared(
     path = write_topic(tmp_path / "in.mcap", make, "/ir/image_raw", "mono16", frames, images)
     assert track(path, tmp_path / "r.mcap") == EXIT_FAILED
     (said,) = lines(capsys)
-    assert said.endswith("; --topic /ir/image_raw takes it all the same")
+    assert said.endswith("; if it is depth, pass --topic /ir/image_raw")
     assert track(path, tmp_path / "r.mcap", "--topic", "/ir/image_raw") == EXIT_DATA_LOST
     (said,) = lines(capsys)
     assert "every pixel has a value, which is unusual for depth; are these infrared images?" in said

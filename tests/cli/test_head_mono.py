@@ -100,7 +100,7 @@ def test_no_face_is_one_line_with_frames_and_score(
         (["--load-model", "nowhere.npz"], 2, "no such model file"),
         (["--init", "nowhere.csv"], 2, "nowhere.csv: cannot be read"),
         (["--start", "9"], 2, "no frames to track, found 3 frames"),
-        (["--fov", "200"], 2, "--fov cannot be used, found 200, expected degrees from 1 to 170"),
+        (["--fov", "200"], 2, "--fov out of range, found 200, expected degrees from 1 to 170"),
         (["--fov", "60"], 2, "--fov does not apply to a calibrated camera, found 250 px; leave it out"),
         (["--cameras", "left"], 1, "no camera 'left'"),
         (["--camera", "nowhere.toml"], 1, "nowhere.toml: cannot be read"),
@@ -148,7 +148,7 @@ def test_several_cameras_are_listed(
         (recording / "camera.toml").write_text(camera_file_text(cameras))
     assert mono(recording, tmp_path / "r.mcap", "--fps", "30") == 2
     (told,) = lines(capsys)
-    assert "several cameras, one can be used, found left, right; choose one with --cameras" in told
+    assert "several cameras, found left, right, expected one; choose one with --cameras" in told
     assert mono(recording, tmp_path / "r.mcap", "--fps", "30", "--cameras", "right") == EXIT_DATA_LOST
     assert "no face found" in lines(capsys)[-1]
 
@@ -207,7 +207,7 @@ def test_a_video_that_cannot_be_opened(tmp_path: Path, capsys: pytest.CaptureFix
     path = tmp_path / "face.mp4"
     path.write_bytes(b"\0\0\0\x18ftypisom no more")
     assert mono(path, tmp_path / "r.mcap") == 1
-    told = "is no video that can be read, found an MP4 file that ends before its index"
+    told = "not a readable video, found an MP4 file without its index (interrupted recording)"
     assert lines(capsys) == [f"posetrack: {path}: {told}"]
 
 

@@ -125,7 +125,7 @@ def test_cut_anywhere_is_listed(tmp_path: Path) -> None:
 
 def test_what_is_no_recording(tmp_path: Path) -> None:
     (tmp_path / "a.txt").write_text("hello")
-    with pytest.raises(RecordingError, match="is not a recording or result"):
+    with pytest.raises(RecordingError, match="not a recording or result"):
         run(tmp_path / "a.txt")
     with pytest.raises(RecordingError, match="no such file"):
         run(tmp_path / "gone")
@@ -170,6 +170,6 @@ def test_a_recording_of_another_tool(tmp_path: Path) -> None:
     assert printed[1].startswith("stamps: 3 messages, 0.033 s, 60.00 Hz")
     camera = "64x48, fx 60 fy 60.25 cx 31.5 cy 23.5, no distortion (metadata of the recording)"
     assert printed[2] == f"hand run uses {camera}"
-    assert "hand run: depth of confidence 0 is left out" in printed
+    assert "hand run: depth with confidence 0 is ignored" in printed
     camera = "256x192, fx 240 fy 241 cx 127.5 cy 95.5, no distortion (metadata of the recording)"
     assert f"head mono uses {camera}" in printed

@@ -81,7 +81,7 @@ def test_mcap_of_two_cameras_tells_how_they_stand(tmp_path: Path) -> None:
     assert report(path)["rig"][1]["distance_mm"] == pytest.approx(120.0)
     assert "cameras together: left is the reference, right at 120.0 mm" in lines(path)
     unplaced = write(tmp_path / "u.mcap", 0.0)
-    assert "places of cameras left, right are not known" in report(unplaced)["no_rig"]
+    assert "no extrinsics for cameras left, right" in report(unplaced)["no_rig"]
 
 
 def test_video(tmp_path: Path) -> None:

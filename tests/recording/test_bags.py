@@ -114,8 +114,8 @@ def test_realsense_tells_its_unit_and_its_cameras(tmp_path: Path) -> None:
     )
     colour = open_recording(path, "grey", guess=Guess())
     assert colour.remarks == (
-        "colour is taken from /device_0/sensor_1/Color_0/image/data; "
-        f"--cameras takes another: {SENSOR}/Infrared_1/image/data",
+        "colour read from /device_0/sensor_1/Color_0/image/data; "
+        f"choose another with --cameras: {SENSOR}/Infrared_1/image/data",
     )
     assert np.abs(next(colour.frames()).images[0] - colours(0) @ [0.299, 0.587, 0.114]).max() <= GREY_LEVELS
     converted = tmp_path / "r.mcap"
@@ -131,7 +131,7 @@ def test_a_unit_that_cannot_be_is_one_line(tmp_path: Path, unit: float) -> None:
             yield topic, number, messages.value(unit) if topic.endswith("Units/value") else message
 
     path = write_bag(tmp_path / "r.bag", rows=rows)
-    with pytest.raises(RecordingError, match=r"Depth_Units/value: depth unit cannot be used, found"):
+    with pytest.raises(RecordingError, match=r"Depth_Units/value: implausible depth unit, found"):
         open_recording(path)
 
 
@@ -153,7 +153,7 @@ def test_the_likeliest_depth_is_taken_and_said(tmp_path: Path, others: list[str]
 
     path = write_bag(tmp_path / "r.bag", rows=rows)
     recording = open_recording(path)
-    assert recording.remarks == (f"depth is taken from {DEPTH}; --topic takes another: {remark}",)
+    assert recording.remarks == (f"depth read from {DEPTH}; choose another with --topic: {remark}",)
     assert open_recording(path, topic=others[0], camera_topic=DEPTH_INFO).identity()["topic"] == others[0]
 
 
@@ -164,7 +164,7 @@ def test_of_two_cameras_of_depth_none_is_likelier(tmp_path: Path) -> None:
             yield topic.replace("/camera", "/other"), number, message
 
     path = write_bag(tmp_path / "r.bag", rows=rows)
-    with pytest.raises(UsageError, match=r"several topics hold depth, .*; choose one with --topic"):
+    with pytest.raises(UsageError, match=r"several depth topics, .*; choose one with --topic"):
         open_recording(path)
 
 

@@ -26,9 +26,9 @@ from posetrack_cli.recording.camera_of import (
     is_rectified,
     is_same,
     namespace_of,
+    pair_with_calibration,
     principal_point_fault,
     reprojected_to,
-    with_calibration,
 )
 from posetrack_cli.recording.opening import describe, open_recording
 
@@ -87,7 +87,7 @@ def test_a_part_of_the_sensor_is_counted_from_its_corner() -> None:
     calibration = Calibration(640, 480, RAW, RECTIFIED, roi=(100, 60, 400, 300))
     camera, why = of(calibration, (400, 300))
     assert parameters(camera) == (500.0, 505.0, 222.0, 176.0)
-    assert "the part of 400x300 at 100, 60" in why
+    assert "region 400x300 at 100, 60" in why
     binned = replace(calibration, binning=(2, 2))
     assert parameters(of(binned, (200, 150))[0]) == (250.0, 252.5, 110.75, 87.75)
     assert of(calibration)[0] == RAW, "images of the whole sensor have all of it"
@@ -104,7 +104,7 @@ def test_binning_that_the_stated_size_has_already() -> None:
 @pytest.mark.parametrize(
     ("size", "says"),
     [
-        ((480, 640), "images are rotated against their calibration, found 640x480, expected 480x640"),
+        ((480, 640), "images are rotated relative to their calibration, found 640x480, expected 480x640"),
         ((640, 400), "calibration and images differ in size, found 640x480, expected 640x400 as on /image"),
         ((848, 480), "differ in size"),
     ],
@@ -216,7 +216,7 @@ def test_binning_and_roi_of_a_message(tmp_path: Path, make: SimpleNamespace) -> 
     recording = open_recording(path)
     assert parameters(recording.cameras[0]) == (30.0, 31.0, 11.0, 7.5)
     assert recording.remarks == (
-        "images of 24x16: camera is K of /cam/info, raw images, the part of 48x32 at 22, 20, binned 2x2",
+        "camera of 24x16 images: K of /cam/info, raw images, region 48x32 at 22, 20, binned 2x2",
     )
 
 
@@ -234,7 +234,7 @@ def test_a_matrix_that_does_not_follow_the_mode_is_refused(tmp_path: Path, make:
     """The driver states the size of the images and the matrix of another mode."""
     fields = {"k": k_of(45.0, 46.0, 17.5, 11.5)}
     path = write(make, tmp_path / "r.mcap", [info(make, "/cam/info", **fields)], "/cam/image")
-    with pytest.raises(RecordingError, match=r"principal point is at 1\.5 times the middle") as caught:
+    with pytest.raises(RecordingError, match=r"principal point is at 1\.5 times the image centre") as caught:
         open_recording(path)
     assert "/cam/info" in str(caught.value)
     assert "--camera" in str(caught.value)
@@ -280,7 +280,7 @@ def test_depth_that_was_reprojected_has_the_calibration_of_that_camera(
     path = write(make, tmp_path / "own.mcap", [*infos, own], topic, **frame)
     assert open_recording(path).cameras[0].fx == 50.0
     path = write(make, tmp_path / "none.mcap", infos[:1], topic, **frame)
-    with pytest.raises(RecordingError, match="no calibration of the camera that depth was reprojected to"):
+    with pytest.raises(RecordingError, match="no calibration of the camera to which depth was reprojected"):
         open_recording(path)
 
 
@@ -313,7 +313,7 @@ def test_a_calibration_that_changes_is_applied_frame_by_frame(tmp_path: Path, ma
         # the nearest pixel is at most half a pixel away in both directions
         assert np.abs(depth - ramp(first))[there].max() <= 0.5 * (SLOPE_X + SLOPE_Y) * 31.0 / 33.0 + 1.0
         assert np.abs(depth - ramp(later))[there].mean() > 10.0, "it is another picture"
-    assert recording.notes == ("/cam/info changes: images are resampled to its first camera",)
+    assert recording.notes == ("/cam/info changes: images are resampled to the first calibration",)
 
 
 SLOPE_X, SLOPE_Y = 40.0, 50.0
@@ -341,7 +341,7 @@ def test_every_image_gets_the_calibration_of_its_stamp(written_after: list[bool]
     for stamp, after in enumerate(written_after):
         pair = [(True, stamp, f"calibration {stamp}"), (False, stamp, stamp)]
         items += reversed(pair) if after else pair
-    paired = list(with_calibration(items))
+    paired = list(pair_with_calibration(items))
     assert paired == [(stamp, f"calibration {stamp}") for stamp in range(len(written_after))]
 
 
@@ -361,7 +361,7 @@ def test_a_camera_file_of_another_resolution_is_scaled(folder: Callable[[str], P
         folder("width = 48\nheight = 32\nfx = 60.0\nfy = 62.0\ncx = 22.5\ncy = 15.5\n")
     )
     assert parameters(recording.cameras[0]) == (30.0, 31.0, 11.0, 7.5)
-    assert recording.remarks == ("camera file is of 48x32: intrinsics are scaled to 24x16",)
+    assert recording.remarks == ("camera file is for 48x32: intrinsics are scaled to 24x16",)
     assert recording.why == ("camera.toml",)
 
 
@@ -369,7 +369,12 @@ def test_a_matrix_of_other_images_is_refused_with_the_scaled_one(folder: Callabl
     path = folder("fx = 45.0\nfy = 46.5\ncx = 17.5\ncy = 11.5\n")
     with pytest.raises(RecordingError) as caught:
         open_recording(path)
-    for words in (str(path), "at 1.5 times the middle", "images of 36x24", "scale them: fx = 30, fy = 31"):
+    for words in (
+        str(path),
+        "at 1.5 times the image centre",
+        "belong to 36x24 images",
+        "scale them: fx = 30, fy = 31",
+    ):
         assert words in str(caught.value)
     (path / "camera.toml").write_text("width = 24\nheight = 16\nfx = 45.0\nfy = 46.5\ncx = 17.5\ncy = 11.5\n")
     assert open_recording(path).cameras[0].cx == 17.5, "a stated size is believed"

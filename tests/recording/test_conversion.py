@@ -156,7 +156,7 @@ def test_existing_output_is_kept_unless_asked(tmp_path: Path, make: SimpleNamesp
     same(source, open_recording(out))
     with pytest.raises(UsageError, match="replace the recording"):
         convert_recording(open_recording(out), out, overwrite=True)
-    with pytest.raises(UsageError, match=r"ends in \.mcap"):
+    with pytest.raises(UsageError, match=r"ending in \.mcap"):
         convert_recording(source, tmp_path / "out.bag")
 
 

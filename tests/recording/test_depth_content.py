@@ -89,7 +89,9 @@ def test_player_numbers_below_the_depth(make_scene, player: int) -> None:
     codes = depth << 3 | np.where((depth > 0) & (depth < 1000), player, 0).astype(np.uint16)
     decision = decide_unit(content_of([codes], CAMERA))
     assert decision.unit_mm == 0.125
-    assert "Kinect v1 player numbers" in decision.remark and "--depth-unit-mm overrides" in decision.remark
+    assert (
+        "Kinect v1 player indices" in decision.remark and "override with --depth-unit-mm" in decision.remark
+    )
 
 
 @pytest.mark.parametrize("make_scene", SCENES.values(), ids=SCENES)
@@ -208,9 +210,9 @@ def first_depth(path: Path, **options) -> np.ndarray:
 @pytest.mark.parametrize(
     ("options", "remark"),
     [
-        ({}, "floats are millimetres"),
+        ({}, "floats are in millimetres"),
         ({"depth_unit_mm": 1.0}, ""),
-        ({"depth_unit_mm": 0.001}, "taken as 0.001 m, which is 1 mm per stored unit"),
+        ({"depth_unit_mm": 0.001}, "assuming 0.001 m, i.e. 1 mm per stored unit"),
     ],
 )
 def test_floats_in_mm_on_a_topic(
@@ -247,10 +249,10 @@ def test_missing_and_unit_of_a_topic_of_integers(tmp_path: Path, make: SimpleNam
 
 def test_a_topic_of_infrared_is_refused_and_taken_all_the_same(tmp_path: Path, make: SimpleNamespace) -> None:
     path = write(make, tmp_path / "r.mcap", "/ir/image_raw", "mono16", [scene().astype(np.uint16)])
-    with pytest.raises(RecordingError, match="no topic holds depth, found /ir/image_raw") as caught:
+    with pytest.raises(RecordingError, match="no depth topic, found /ir/image_raw") as caught:
         open_recording(path)
-    assert "which is called ir" in str(caught.value)
-    assert str(caught.value).endswith("--topic /ir/image_raw takes it all the same")
+    assert "named ir" in str(caught.value)
+    assert str(caught.value).endswith("if it is depth, pass --topic /ir/image_raw")
     np.testing.assert_array_equal(first_depth(path, topic="/ir/image_raw"), scene())
     (topic,) = [topic for topic in describe(path)["topics"] if topic["topic"] == "/ir/image_raw"]
     assert topic["depth"] is False
@@ -281,15 +283,18 @@ def test_integers_among_floats_are_left_out(tmp_path: Path) -> None:
     recording = open_recording(folder, fps=30.0)
     assert [frame.index for frame in recording.frames()] == [0]
     assert (
-        recording.losses[0].what == "image skipped, it has 16-bit integers, not 32-bit floats as the others"
+        recording.losses[0].what
+        == "image skipped, values are 16-bit integers, not 32-bit floats like the first"
     )
 
 
 def test_a_folder_called_infrared_is_refused(tmp_path: Path, make: SimpleNamespace) -> None:
     folder = make.write_folder(tmp_path / "ir", [scene().astype(np.uint16)], camera=CAMERA_TOML)
-    with pytest.raises(RecordingError, match="a folder called ir holds no depth") as caught:
+    with pytest.raises(
+        RecordingError, match="folder is named 'ir', so its images are not read as depth"
+    ) as caught:
         open_recording(folder)
-    assert str(caught.value).endswith("--depth-unit-mm 1 takes them for depth all the same")
+    assert str(caught.value).endswith("if they are depth, pass --depth-unit-mm, e.g. 1")
     np.testing.assert_array_equal(first_depth(folder, depth_unit_mm=1.0), scene())
 
 
@@ -322,7 +327,7 @@ def test_disparity_becomes_depth_by_the_right_camera_s_projection(
     alone = make.write_foxglove(tmp_path / "alone.mcap", [cameras[0], image])
     with pytest.raises(RecordingError, match="disparity cannot be converted to depth") as caught:
         open_recording(alone)
-    assert "no baseline" in str(caught.value) and "P has the baseline" in str(caught.value)
+    assert "no baseline" in str(caught.value) and "the baseline in P" in str(caught.value)
 
 
 @pytest.mark.parametrize("ros", [1, 2])

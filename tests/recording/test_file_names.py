@@ -63,7 +63,7 @@ def test_bare_numbers_are_in_the_order_of_their_values(numbers: list[int]) -> No
 
 def test_another_order_than_that_of_characters_is_reported() -> None:
     (remark,) = order_remark(["1.png", "2.png", "10.png"])
-    assert remark == "images are in the order of the numbers in their names: 2.png before 10.png"
+    assert remark == "images are sorted by the numbers in their names: 2.png before 10.png"
     assert order_remark(["01.png", "02.png", "10.png"]) == ()
 
 

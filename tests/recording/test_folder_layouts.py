@@ -66,7 +66,7 @@ def test_images_are_in_the_order_of_their_numbers(tmp_path: Path, make: SimpleNa
     recording = open_recording(folder, fps=30)
     check(recording, [round(i * 1e9 / 30) for i in range(12)], images)
     assert recording.remarks == (
-        "images are in the order of the numbers in their names: depth_9.png before depth_10.png",
+        "images are sorted by the numbers in their names: depth_9.png before depth_10.png",
     )
     assert list(recording.remarks) == describe(folder)["remarks"]
 
@@ -78,7 +78,7 @@ def test_frames_missing_in_a_numbered_sequence_are_a_gap(tmp_path: Path, make: S
     (folder / "camera.toml").write_text(make.CAMERA_TOML)
     recording = open_recording(folder, fps=30)
     check(recording, [round(i * 1e9 / 30) for i in numbers], images)
-    assert recording.remarks == ("images lack numbers 105, 109 to 110: taken for 3 frames that were lost",)
+    assert recording.remarks == ("numbers 105, 109 to 110 missing: assuming 3 lost frames",)
 
 
 # Stamps in names
@@ -121,7 +121,8 @@ def test_a_rate_that_contradicts_the_names_is_not_used(tum: SimpleNamespace) -> 
     check(recording, [stamp_ns(i) for i in tum.kept], tum.codes)
     assert recording.remarks == (
         f"stamps from file names, {STAMPS}",
-        "30 frames/s is not used, the stamps contradict it; a timestamps.csv without --fps gives others",
+        "30 frames/s is ignored, the stamps contradict it; "
+        "to override them, add a timestamps.csv and omit --fps",
     )
     with pytest.raises(UsageError, match="--fps -1"):
         open_recording(tum.seq / "depth", camera_file=tum.camera, fps=-1)
@@ -152,7 +153,7 @@ def test_numbers_whose_rate_contradicts_the_given_one_are_refused(
     (folder / "camera.toml").write_text(make.CAMERA_TOML)
     with pytest.raises(
         RecordingError,
-        match=r"look like stamps and contradict --fps, found in ms: 11 frames, .* 29.97 frames/s, not 1;",
+        match=r"that contradict --fps, found in ms: 11 frames, .* 29.97 frames/s, expected 1 frames/s;",
     ):
         open_recording(folder, fps=1)
     assert "stamps from file names" in open_recording(folder, fps=30).remarks[-2]
@@ -163,7 +164,7 @@ def test_numbers_that_may_be_times_or_counts_are_refused(tmp_path: Path, make: S
     folder = write(tmp_path / "r", [f"{20 * i:06d}" for i in range(1, 9)], make.depth_codes(8))
     (folder / "camera.toml").write_text(make.CAMERA_TOML)
     with pytest.raises(
-        RecordingError, match=r"no stamps, found numbers 20 to 160, times or counts; pass --fps"
+        RecordingError, match=r"no stamps, found numbers 20 to 160, either times or counts; pass --fps"
     ):
         open_recording(folder)
     assert open_recording(folder, fps=50).remarks == ()
@@ -212,7 +213,7 @@ def test_associations_list_both(tum: SimpleNamespace, turned: bool) -> None:
     (tum.seq / "associations.txt").write_text("\n".join(lines[3:]))
     depth = open_recording(tum.seq, camera_file=tum.camera)
     check(depth, [stamp_ns(i) for i in tum.kept[3:]], tum.codes[3:])
-    assert depth.remarks[0] == "3 images that associations.txt does not list are left out"
+    assert depth.remarks[0] == "skipped 3 images not listed in associations.txt"
     grey = open_recording(tum.seq, "grey", camera_file=tum.camera)
     check(grey, [stamp_ns(i, -12_000) for i in tum.kept[3:]], [c[..., 0] for c in tum.colours[3:]])
 
@@ -231,22 +232,20 @@ def test_images_that_a_list_lacks_or_that_are_missing_are_reported(tum: SimpleNa
     (tum.seq / "depth" / f"{seconds(2)}.png").unlink()
     recording = open_recording(tum.seq, camera_file=tum.camera)
     assert recording.frame_count == 12
-    assert recording.remarks[0] == (
-        f"1 of 13 images of depth.txt are missing, the first is depth/{seconds(2)}.png"
-    )
+    assert recording.remarks[0] == (f"1 of 13 images in depth.txt are missing, first depth/{seconds(2)}.png")
 
 
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("", "lists no image that is there, found no lines"),
-        ("1.0 ../../etc/passwd\n1.5 /etc/passwd\n", "lists no image that is there"),
+        ("", "no listed image exists, found no lines"),
+        ("1.0 ../../etc/passwd\n1.5 /etc/passwd\n", "no listed image exists"),
         (
             "0.5 depth/x.png\nabc depth/y.png\n",
-            "line 2: line is not of a list of images, found 'abc depth/y.png'",
+            "line 2: not an entry of an image list, found 'abc depth/y.png'",
         ),
-        ("0.5\n", "line 1: line is not of a list of images"),
-        ("9" * 30 + " depth/x.png\n0.5 a\n0.6\n", "line 3: line is not of a list of images"),
+        ("0.5\n", "line 1: not an entry of an image list"),
+        ("9" * 30 + " depth/x.png\n0.5 a\n0.6\n", "line 3: not an entry of an image list"),
     ],
 )
 def test_lists_that_cannot_be_used(tum: SimpleNamespace, text: str, says: str) -> None:
@@ -315,10 +314,12 @@ def test_kitti_s_times_are_one_a_line(tmp_path: Path, kind: str) -> None:
     assert recording.remarks[0].startswith("stamps from times.txt, in ")
     assert open_recording(tmp_path, "grey", fps=10).remarks == ()
     (tmp_path / "times.txt").write_text("\n".join(KITTI[kind][1:]))
-    with pytest.raises(RecordingError, match=r"times.txt: stamps and images differ in number, found 8 lines"):
+    with pytest.raises(
+        RecordingError, match=r"times.txt: numbers of stamps and images differ, found 8 lines"
+    ):
         open_recording(tmp_path, "grey")
     (tmp_path / "times.txt").write_text("\n".join(map(str, range(9))))
-    with pytest.raises(RecordingError, match="lines may be times or count images, found 0 to 8; pass --fps"):
+    with pytest.raises(RecordingError, match="lines may be times or image numbers, found 0 to 8; pass --fps"):
         open_recording(tmp_path, "grey")
 
 
@@ -332,7 +333,7 @@ def test_the_only_folder_of_depth_below_is_taken(tmp_path: Path, make: SimpleNam
     write(tmp_path / "r" / "colour", ["a"], [np.zeros((6, 8, 3), np.uint8)])
     recording = open_recording(tmp_path / "r")
     check(recording, make.stamps(4), images)
-    assert recording.remarks == ("depth images are those of depth",)
+    assert recording.remarks == ("depth is read from depth/",)
     make.write_folder(tmp_path / "r" / "other", images)
     check(open_recording(tmp_path / "r"), make.stamps(4), images)
     (tmp_path / "r" / "depth").rename(tmp_path / "r" / "second")
@@ -357,7 +358,9 @@ def test_depth_and_colour_below_are_described(tmp_path: Path, make: SimpleNamesp
 
 def test_folders_without_depth_are_named(tmp_path: Path) -> None:
     write(tmp_path / "r" / "rgb", ["a"], [np.zeros((6, 8, 3), np.uint8)])
-    with pytest.raises(RecordingError, match="no depth images, found folders rgb, expected 16-bit images"):
+    with pytest.raises(
+        RecordingError, match="no depth images, found folders rgb, expected 16-bit single-channel images"
+    ):
         open_recording(tmp_path / "r")
 
 
@@ -368,7 +371,7 @@ def test_depth_beside_colour_is_not_a_camera_of_heads(tmp_path: Path, make: Simp
     recording = open_recording(tmp_path, "grey", fps=30)
     for frame, image in zip(recording.frames(), support.grey_images(3), strict=True):
         np.testing.assert_array_equal(frame.images[0], image)
-    assert recording.remarks == ("images of depth are left out",)
+    assert recording.remarks == ("folders not read: depth",)
 
 
 @pytest.mark.parametrize("pixels", ["depth", "grey"])
@@ -383,7 +386,7 @@ def test_several_kinds_of_images_in_one_folder(tmp_path: Path, make: SimpleNames
     images = depth if pixels == "depth" else [image[..., 0] for image in colour]
     check(recording, [round(i * 1e9 / 30) for i in range(12)], images)
     name = "depth" if pixels == "depth" else "color"
-    assert recording.remarks[0] == f"12 of 24 images are read, those named as frame-0.{name}.png"
+    assert recording.remarks[0] == f"read 12 of 24 images, named like frame-0.{name}.png"
 
 
 def test_two_cameras_in_one_folder_are_refused(tmp_path: Path) -> None:
@@ -391,7 +394,7 @@ def test_two_cameras_in_one_folder_are_refused(tmp_path: Path) -> None:
         write(tmp_path, [f"{side}_{i:04d}" for i in range(24)], images)
     (tmp_path / "camera.toml").write_text("fx = 40.0\nfy = 41.0\ncx = 15.0\ncy = 12.0\n")
     with pytest.raises(
-        RecordingError, match=r"several kinds in one folder, found left_0000.png, right_0000.png;"
+        RecordingError, match=r"several kinds of images in one folder, found left_0000.png, right_0000.png;"
     ):
         open_recording(tmp_path, "grey", fps=30)
 
@@ -445,7 +448,7 @@ def test_cameras_are_paired_by_the_stamps_of_names(tmp_path: Path, kind: str, fp
     stamps = [start + i * PERIOD_US * 1000 for i in range(24)]
     stamps[LOST_LEFT] += LATE_US * 1000
     np.testing.assert_allclose([f.stamp_ns - start for f in frames], [s - start for s in stamps], atol=10**6)
-    assert any("30 frames/s is not used" in remark for remark in recording.remarks) == (fps is not None)
+    assert any("30 frames/s is ignored" in remark for remark in recording.remarks) == (fps is not None)
 
 
 def test_numbers_that_do_not_fit_are_not_paired_by_position(tmp_path: Path) -> None:
@@ -455,7 +458,7 @@ def test_numbers_that_do_not_fit_are_not_paired_by_position(tmp_path: Path) -> N
     (tmp_path / "camera.toml").write_text(camera_file_text(support.rig()))
     with pytest.raises(
         RecordingError,
-        match=r"cannot be told to belong together, found 23 in left, 23 in right named l0.png to l23.png and",
+        match=r"cannot be matched, found 23 in left, 23 in right named l0.png to l23.png and",
     ):
         open_recording(tmp_path, "grey", fps=30)
 

@@ -13,7 +13,7 @@ import pytest
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.recording.camera_file import camera_file_text
-from posetrack_cli.recording.message_cameras import camera_places
+from posetrack_cli.recording.message_cameras import extrinsics_of_transforms
 from posetrack_cli.recording.message_topics import scan_topics
 from posetrack_cli.recording.opening import open_recording
 from support import images as support
@@ -109,7 +109,7 @@ def test_stamps_beyond_the_tolerance_are_told(tmp_path: Path, make: SimpleNamesp
     found = messages(make, "foxglove", {"left": LEFT, "right": RIGHT}, offsets_ms=(0, 15))
     path = write(make, tmp_path / "r.mcap", found)
     with pytest.raises(
-        RecordingError, match=r"r.mcap: cameras left, right have no frame in common, found stamps 15 ms"
+        RecordingError, match=r"r.mcap: no matching stamps for cameras left, right, found at least 15 ms"
     ):
         list(open_recording(path, "grey").frames())
     assert [
@@ -131,7 +131,7 @@ def test_cameras_asked_for_by_name_or_topic_the_first_is_the_reference(
     assert [camera.name for camera in open_recording(path, "grey").cameras] == ["left", "right", "middle"]
     (alone,) = open_recording(path, "grey", cameras=["middle"]).cameras
     np.testing.assert_array_equal(alone.camera_T_reference, np.eye(3, 4))
-    with pytest.raises(RecordingError, match="no topic of camera 'top', found /stereo/left"):
+    with pytest.raises(RecordingError, match="no topic for camera 'top', found /stereo/left"):
         open_recording(path, "grey", cameras=["top"])
 
 
@@ -257,9 +257,7 @@ def test_transforms_place_cameras_whose_calibrations_do_not(
     images = {camera.name: LEFT for camera in cameras}
     found = messages(make, "foxglove", images, places_m=(0, 0, 0))
     write(make, tmp_path / "without.mcap", found)
-    with pytest.raises(
-        RecordingError, match=r"places of cameras left, right, third are not known.*pass --camera"
-    ):
+    with pytest.raises(RecordingError, match=r"no extrinsics for cameras left, right, third.*pass --camera"):
         open_recording(tmp_path / "without.mcap", "grey")
     copied = tmp_path / "with.mcap"
     with McapSink(copied) as sink:
@@ -315,7 +313,7 @@ def test_ros_2_static_transforms(tmp_path: Path, make: SimpleNamespace) -> None:
             }
             writer.write_message("/tf_static", schema, {"transforms": [transform]}, 1, 1)
         writer.finish()
-    left, right, other = camera_places(scan_topics(tmp_path / "r.mcap"), ["left", "right", "x"])
+    left, right, other = extrinsics_of_transforms(scan_topics(tmp_path / "r.mcap"), ["left", "right", "x"])
     np.testing.assert_array_equal(left, np.eye(3, 4))
     assert other is None
     # the right camera's own origin is at (100, 0, 20) mm for the left; its x axis points along -z there
@@ -328,7 +326,7 @@ def test_ros_1_transforms(tmp_path: Path, make: SimpleNamespace) -> None:
     data += make.ros1_bytes("ddddddd", (0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0))
     schema = "tf2_msgs/TFMessage", tf_definition(make, make.HEADER_TEXT_1)
     path = make.write_ros1_messages(tmp_path / "r.mcap", [schema], [("/tf", 0, 1, data)])
-    _, right = camera_places(scan_topics(path), ["left", "right"])
+    _, right = extrinsics_of_transforms(scan_topics(path), ["left", "right"])
     np.testing.assert_allclose(right[:, 3], [-100, 0, 0])
 
 
@@ -341,7 +339,7 @@ def test_a_camera_file_replaces_the_calibration(tmp_path: Path, stereo: Path) ->
         assert camera.values() == expected.values()
     assert recording.identity()["calibration"] == "camera file"
     file.write_text(camera_file_text([Camera(**{**c.__dict__, "name": c.name[:1]}) for c in cameras]))
-    with pytest.raises(RecordingError, match=r"no topic of camera 'l' of camera.toml, found /stereo/left"):
+    with pytest.raises(RecordingError, match=r"no topic for camera 'l' in camera.toml, found /stereo/left"):
         open_recording(stereo, "grey", camera_file=file)
 
 
@@ -381,14 +379,14 @@ def spoilt(make: SimpleNamespace, path: Path, what: str) -> Path:
 @pytest.mark.parametrize(
     ("what", "message"),
     [
-        ("uncalibrated", "camera is not calibrated, found K of zeros"),
+        ("uncalibrated", "camera is not calibrated, found K = 0"),
         ("no calibration", "no camera calibration for /stereo/left/image_raw: no intrinsics"),
         (
             "one calibration",
-            "the only calibration is of another camera, found /stereo/left/camera_info of frame 'left'",
+            "calibration belongs to another camera, found /stereo/left/camera_info with frame 'left'",
         ),
         ("size", "calibration and images differ in size, found 30x24, expected 32x24"),
-        ("no images", "no topic holds grey or colour images, found no image topics"),
+        ("no images", "no grey or colour image topics, found no image topics"),
     ],
 )
 def test_what_is_wrong_is_told_in_one_line(
@@ -424,7 +422,7 @@ def test_images_that_are_damaged_are_counted(tmp_path: Path, make: SimpleNamespa
     recording = open_recording(write(make, tmp_path / "r.mcap", found), "grey")
     assert [frame.images[1] is None for frame in recording.frames()] == [False, True, False, False, False]
     (loss,) = recording.losses
-    assert loss.what == "image skipped, 9 bytes do not hold 32x24 mono8"
+    assert loss.what == "image skipped, 9 bytes are too few for 32x24 mono8"
 
 
 def test_an_image_of_another_size_is_left_out_and_counted(tmp_path: Path, make: SimpleNamespace) -> None:
@@ -435,7 +433,7 @@ def test_an_image_of_another_size_is_left_out_and_counted(tmp_path: Path, make: 
     recording = open_recording(write(make, tmp_path / "r.mcap", found), "grey")
     assert [frame.images[1] is None for frame in recording.frames()] == [False] * (COUNT - 1) + [True]
     (loss,) = recording.losses
-    assert loss.what == "image skipped, its size is 32x10, not 32x24 as of the others"
+    assert loss.what == "image skipped, size is 32x10, not 32x24 like the first"
 
 
 def test_bits_are_those_of_several_images(tmp_path: Path, make: SimpleNamespace) -> None:

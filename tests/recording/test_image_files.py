@@ -75,8 +75,8 @@ def tiff_of(width: int, height: int, tile: int | None = None) -> bytes:
         (bmp_of(20_000, 20_000), "more than 33554432 pixels"),
         (b"P5 20000 20000 255\n" + bytes(99), "more than 33554432 pixels"),
         (tiff_of(16, 16, tile=4096), "tiles of more than 4194304 pixels"),
-        (b"GIF89a" + bytes(99), "of a kind that is not read"),
-        (b"v/1\x01" + bytes(99), "of a kind that is not read"),
+        (b"GIF89a" + bytes(99), "unsupported image format"),
+        (b"v/1\x01" + bytes(99), "unsupported image format"),
         (PNG_SIGNATURE + png_of(1, 1)[-12:], "cannot be decoded"),
     ],
 )

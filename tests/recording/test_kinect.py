@@ -83,8 +83,8 @@ def test_a_later_frame_of_another_format_is_left_out(tmp_path: Path, name: str) 
     assert [index for index, _ in found] == [0, 2]
     np.testing.assert_array_equal([depth for _, depth in found], [images[0], images[2]])
     assert [(loss.what, loss.first) for loss in recording.losses] == [
-        (f"image skipped, it is {name}, not gray16be as the others", "frame 1, video frame 1"),
-        ("image skipped, its size is 320x100, not 320x288 as of the others", "frame 3, video frame 3"),
+        (f"image skipped, pixel format is {name}, not gray16be", "frame 1, video frame 1"),
+        ("image skipped, size is 320x100, not 320x288 like the first", "frame 3, video frame 3"),
     ]
     assert convert_recording(recording, out).frames == 2
     assert len(list(open_recording(out).frames())) == 2
@@ -105,21 +105,23 @@ def test_heads_are_tracked_in_its_colour(tmp_path: Path) -> None:
 def test_a_recording_without_colour_or_depth_says_so(tmp_path: Path) -> None:
     path = write_kinect(tmp_path / "depth.mkv", titles=("DEPTH",))
     assert len(list(open_recording(path).frames())) == COUNT
-    with pytest.raises(RecordingError, match=r"depth\.mkv: holds depth, .*; posetrack hand run"):
+    with pytest.raises(
+        RecordingError, match=r"depth\.mkv: only depth, .*; to track hands in it use posetrack hand run"
+    ):
         open_recording(path, "grey", guess=Guess())
-    with pytest.raises(RecordingError, match="is a video without depth"):
+    with pytest.raises(RecordingError, match="video has no depth stream"):
         open_recording(write_kinect(tmp_path / "colour.mkv", titles=("COLOR",)))
 
 
 @pytest.mark.parametrize(
     ("attached", "words"),
     [
-        ({}, "calibration cannot be read, found Field required; pass --camera"),
+        ({}, "invalid calibration, found Field required; pass --camera"),
         (calibration(Location="elsewhere"), "no intrinsics"),
         (calibration(SensorWidth=2048), "no intrinsics"),
-        (calibration(DEPTH_PARAMETERS[:13]), "lens cannot be used"),
-        (calibration((*DEPTH_PARAMETERS[:10], 0.1, *DEPTH_PARAMETERS[11:])), "lens cannot be used"),
-        (calibration((float("nan"), *DEPTH_PARAMETERS[1:])), "cannot be"),
+        (calibration(DEPTH_PARAMETERS[:13]), "unsupported lens model"),
+        (calibration((*DEPTH_PARAMETERS[:10], 0.1, *DEPTH_PARAMETERS[11:])), "unsupported lens model"),
+        (calibration((float("nan"), *DEPTH_PARAMETERS[1:])), "invalid intrinsics"),
     ],
 )
 def test_a_calibration_that_cannot_be_used_is_one_line(

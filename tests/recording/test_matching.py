@@ -70,7 +70,9 @@ def test_stamps_that_go_back_are_losses() -> None:
 
 
 def test_cameras_without_a_frame_in_common_are_an_error_that_tells_how_far_apart_they_are() -> None:
-    with pytest.raises(RecordingError, match=r"c0, c1 have no frame in common.*12 ms apart.*within 5 ms"):
+    with pytest.raises(
+        RecordingError, match=r"no matching stamps for cameras c0, c1.*12 ms apart.*within 5 ms"
+    ):
         matched([0, 33, 67], [12, 45, 79], tolerance_ms=5)
 
 

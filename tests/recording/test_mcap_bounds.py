@@ -101,7 +101,7 @@ def test_all_chunks_together_are_bounded(tmp_path: Path, monkeypatch: pytest.Mon
     blank = chunk(message(5, bytes(1000)), "zstd")
     two, seven = (file_of(tmp_path / f"{count}.mcap", *[blank] * count) for count in (2, 7))
     assert len(list(McapFile(two).messages())) == 2
-    with pytest.raises(RecordingError, match=r"7\.mcap: chunks decompress to more than any recording's do"):
+    with pytest.raises(RecordingError, match=r"7\.mcap: chunks expand too much on decompression"):
         list(McapFile(seven).messages())
 
 
@@ -116,7 +116,7 @@ def test_a_chunk_of_more_records_than_bytes_is_a_loss() -> None:
 
 
 def test_records_without_a_kind_are_no_records() -> None:
-    with pytest.raises(ValueError, match="without a kind"):
+    with pytest.raises(ValueError, match="without opcode"):
         list(chunk_records(chunk(bytes(900), "zstd")))
 
 
@@ -250,5 +250,5 @@ def test_messages_that_do_not_decode_are_forgotten() -> None:
     schema, channel = Schema(1, b"uint8 a", "ros1msg", "sensor_msgs/Image"), Channel(1, "/i", "ros1", {}, 1)
     with memory_below(8 * MIB):
         for number in range(200):
-            with pytest.raises(UndecodableMessageError, match="has other fields than ROS publishes"):
+            with pytest.raises(UndecodableMessageError, match="differs from the one published by ROS"):
                 decoder.decode(schema, channel, Message(1, number, bytes(MIB), number, number))

@@ -102,7 +102,7 @@ def test_damaged_chunk_in_a_file_with_index(tmp_path: Path, foxglove_file: Path)
     assert [frame.stamp_ns for frame in recording.frames()] == expected
     (loss,) = recording.losses
     assert loss.what == "chunk is damaged, its messages are lost"
-    assert loss.first == f"the one before byte {ends[4]} of {len(data)}"
+    assert loss.first == f"before byte {ends[4]} of {len(data)}"
 
 
 def test_a_damaged_first_chunk_of_images_hides_no_later_one(tmp_path: Path, make: SimpleNamespace) -> None:

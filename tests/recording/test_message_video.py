@@ -113,7 +113,7 @@ def test_damage_costs_pictures_and_no_order(tmp_path: Path, stream: tuple[str, l
 
 def test_formats_that_are_not_read_are_no_images(tmp_path: Path) -> None:
     path = write(tmp_path / "v.mcap", "prores", [b"x"] * 3)
-    with pytest.raises(Exception, match="no topic holds grey or colour images, found /camera/video"):
+    with pytest.raises(Exception, match="no grey or colour image topics, found /camera/video"):
         open_recording(path, "grey", guess=Guess())
 
 

@@ -41,7 +41,7 @@ def test_what_is_not_there_is_said_before_any_option(tmp_path: Path, pixels: str
     [
         ("https://example.org/face.mp4", "URLs are not supported: download the file first"),
         ("s3://bucket/a.mcap", "URLs are not supported: download the file first"),
-        ("in/**/*.mcap", "posetrack batch takes patterns of many recordings"),
+        ("in/**/*.mcap", "for several recordings use posetrack batch with a pattern"),
     ],
 )
 def test_what_a_name_may_have_meant_is_told(name: str, hint: str) -> None:
@@ -50,7 +50,7 @@ def test_what_a_name_may_have_meant_is_told(name: str, hint: str) -> None:
     assert str(caught.value).endswith(f"; {hint}")
     with pytest.raises(ResultError) as of_result:
         read_result(Path(name))
-    assert ("addresses" in hint) == str(of_result.value).endswith(f"; {hint}")
+    assert ("URLs" in hint) == str(of_result.value).endswith(f"; {hint}")
 
 
 def test_an_option_of_depth_is_refused_for_grey_and_the_other_way_round(tmp_path: Path) -> None:
@@ -62,14 +62,14 @@ def test_an_option_of_depth_is_refused_for_grey_and_the_other_way_round(tmp_path
 
 def test_a_video_holds_no_depth(tmp_path: Path) -> None:
     (tmp_path / "v.mp4").write_bytes(b"\0\0\0\x20ftypisom")
-    with pytest.raises(RecordingError, match=r"is no video that can be read"):
+    with pytest.raises(RecordingError, match=r"not a readable video"):
         open_recording(tmp_path / "v.mp4")
     (tmp_path / "notes").write_text("notes")
-    with pytest.raises(RecordingError, match=r"is not a recording, found a file of another kind, expected"):
+    with pytest.raises(RecordingError, match=r"not a recording, found an unknown file type, expected"):
         open_recording(tmp_path / "notes")
     video = cv2.VideoWriter(str(tmp_path / "v.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 30, (64, 48))
     video.write(np.zeros((48, 64, 3), np.uint8))
     video.release()
-    hint = "is a video without depth, .*; posetrack head mono tracks heads in videos"
+    hint = "video has no depth stream, .*; to track heads in videos use posetrack head mono"
     with pytest.raises(RecordingError, match=hint):
         open_recording(tmp_path / "v.avi")

@@ -155,7 +155,7 @@ def test_a_turned_camera_of_a_rig_keeps_its_place() -> None:
 
 def test_a_tilted_sensor_is_not_turned() -> None:
     tilted = replace(CAMERAS["thin prism"], distortion=(*CAMERAS["thin prism"].distortion, 0.05, 0.0))
-    with pytest.raises(PosetrackError, match="tilted sensor"):
+    with pytest.raises(PosetrackError, match="lens model with tilt"):
         OF_EXIF[6].camera(tilted)
 
 
@@ -181,7 +181,7 @@ def test_sizes_and_the_principal_point_tell_which_picture_a_camera_file_describe
 
 def test_square_pictures_that_are_turned_need_a_statement() -> None:
     size = (480, 480)
-    with pytest.raises(RecordingError, match='write picture = "stored"'):
+    with pytest.raises(RecordingError, match='add picture = "stored"'):
         camera_of(6, size, cx=244.0, cy=232.0)
     assert camera_of(6, size, cx=244.0, cy=232.0, picture="shown").cx == 244.0
     assert camera_of(6, size, cx=244.0, cy=232.0, picture="stored").cx == 480 - 1 - 232.0
@@ -198,7 +198,7 @@ def test_a_folder_of_turned_pictures(tmp_path: Path) -> None:
     first, second = (frame.images[0] for frame in recording.frames())
     assert first is not None and second is not None
     assert np.abs(first.astype(int) - second).max() <= 8, "JPEG compresses along rows and columns alike"
-    assert "images are turned 90 degrees clockwise, as their EXIF states" in recording.remarks
+    assert "images are turned 90 degrees clockwise by their EXIF orientation" in recording.remarks
 
 
 # TIFF, which OpenCV turns itself
@@ -236,7 +236,7 @@ def test_a_folder_of_turned_tiff(tmp_path: Path, kind: PixelKind) -> None:
     frame = next(iter(recording.frames()))
     image = frame.images[0] if kind == "grey" else frame.depth
     np.testing.assert_array_equal(image, OF_EXIF[6].apply(stored))
-    remark = "pictures are turned 90 degrees clockwise; the camera file describes the stored picture"
+    remark = "pictures are turned 90 degrees clockwise; camera file describes the stored picture"
     assert remark in recording.remarks
 
 
@@ -309,14 +309,14 @@ def test_pixels_that_are_not_square(tmp_path: Path) -> None:
     recording = open_recording(path, "grey", guess=Guess())
     (camera,) = recording.cameras
     assert (camera.width, camera.height, camera.fx, camera.fy) == (128, 96, 128.0, 128.0)
-    assert recording.remarks == ("pixels are 2 times as wide as high: pictures are resampled to square ones",)
+    assert recording.remarks == ("pixel aspect ratio is 2: frames are resampled to square pixels",)
     _, images, _, *remarks = report_lines(describe(path))
     assert images.startswith("images: 3, 128x96, ") and tuple(remarks) == recording.remarks
     (tmp_path / "v.toml").write_text("fx = 60.0\nfy = 120.0\ncx = 31.5\ncy = 47.5\n")
     recording = open_recording(path, "grey")
     (camera,) = recording.cameras
     assert (camera.width, camera.height, camera.fx, camera.fy) == (64, 96, 60.0, 120.0)
-    remark = "pixels are 2 times as wide as high: the camera file is taken to describe these"
+    remark = "pixel aspect ratio is 2: intrinsics are taken to describe the stored pixels"
     assert recording.remarks == tuple(describe(path)["remarks"]) == (remark,)
 
 

@@ -156,5 +156,5 @@ def test_hdr_is_used_as_it_is_coded_and_reported(tmp_path: Path) -> None:
     assert image is not None
     middles = image[24, 8 :: 128 // STEPS].astype(float)
     np.testing.assert_allclose(middles, np.linspace(0.0, 255.0, STEPS), atol=CUT_BITS)
-    remark = "video is HDR (PQ): brightness is used as it is coded"
+    remark = "video is HDR (PQ): coded brightness is used without tone mapping"
     assert recording.remarks == tuple(describe(path)["remarks"]) == (remark,)

@@ -128,13 +128,13 @@ def test_a_stack_of_depth_is_a_recording(tmp_path: Path, make: SimpleNamespace) 
     assert [frame.stamp_ns for frame in frames] == [round(i * 1e9 / 30) for i in range(16)]
     for frame, image in zip(frames, images, strict=True):
         np.testing.assert_array_equal(frame.depth, image)
-    assert recording.remarks == ("all 16 pages of stack.tif are frames",)
+    assert recording.remarks == ("16 pages of stack.tif are read as frames",)
     lines = CliRunner().invoke(info, [str(tmp_path)], catch_exceptions=False).stdout.splitlines()
     assert lines[0].endswith(
         f": folder of 16 images, {(tmp_path / 'stack.tif').stat().st_size / 1000:.4g} kB"
     )
     assert lines[1].startswith("images: stack.tif page 1 to stack.tif page 16, 24x16, 16 bit")
-    assert "all 16 pages of stack.tif are frames" in lines
+    assert "16 pages of stack.tif are read as frames" in lines
     before = recording.identity()["sha256"]
     (tmp_path / "stack.tif").write_bytes((tmp_path / "stack.tif").read_bytes() + b"\0")
     assert open_recording(tmp_path, fps=30).identity()["sha256"] != before
@@ -174,8 +174,8 @@ def test_thumbnails_masks_and_pages_of_another_size_are_left_out(
     for frame, image in zip(recording.frames(), images, strict=True):
         np.testing.assert_array_equal(frame.depth, image)
     assert recording.remarks == (
-        "all 3 pages of a.tif are frames",
-        "pages of another size or kind are left out: 1 of a.tif",
+        "3 pages of a.tif are read as frames",
+        "skipped 1 pages of another size or kind in a.tif",
     )
 
 
@@ -199,7 +199,7 @@ def test_a_few_pages_of_each_of_several_files_are_channels(tmp_path: Path, make:
     recording = open_recording(tmp_path, fps=30)
     for frame, image in zip(recording.frames(), images[::2], strict=True):
         np.testing.assert_array_equal(frame.depth, image)
-    assert recording.remarks == ("each of 3 files has 2 pages: the first is read as the image",)
+    assert recording.remarks == ("each of 3 files has 2 pages: only the first is read",)
 
 
 def test_a_page_is_read_alone(tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from posetrack_cli.recording.stamps import MOST_BEHIND, VideoStamps
+from posetrack_cli.recording.stamps import MAX_REORDERED, VideoStamps
 
 PERIOD = 33
 
@@ -38,7 +38,7 @@ def test_stamps_that_begin_anew_go_on() -> None:
 
 
 def test_stamps_that_stay_behind_go_on_after_as_many_as_decoders_hold_back() -> None:
-    behind = [50 + 10 * k for k in range(MOST_BEHIND + 3)]
+    behind = [50 + 10 * k for k in range(MAX_REORDERED + 3)]
     found = stamps([0, 5000, *behind])[2:]
-    assert found[:MOST_BEHIND] == behind[:MOST_BEHIND]
-    assert found[MOST_BEHIND:] == [5033, 5043, 5053]
+    assert found[:MAX_REORDERED] == behind[:MAX_REORDERED]
+    assert found[MAX_REORDERED:] == [5033, 5043, 5053]

@@ -1,1 +1,1 @@
-"""Calibration of cameras from images of a board: detection, intrinsics, places, errors."""
+"""Camera calibration from images of a board: detection, intrinsics, extrinsics, errors."""

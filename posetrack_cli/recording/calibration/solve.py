@@ -1,4 +1,4 @@
-"""Calibration of one camera and of two."""
+"""Calibration of cameras from views of a board: intrinsics, extrinsics, bundle adjustment."""
 
 from __future__ import annotations
 
@@ -21,28 +21,25 @@ from posetrack_cli.recording.calibration.views import FEWEST_CORNERS, Board, Cam
 from posetrack_cli.recording.camera_file import camera_file_text
 from posetrack_cli.recording.identity import shown_name
 
-# All cameras and all views of a board adjusted together: maximum likelihood for equal noise in every corner.
+# Bundle adjustment over all cameras and views: maximum likelihood for equal noise in every corner
 #
-# Cameras that see the same board share its pose, which ties their focal lengths together: alone, each trades
-# focal length for distance.
+# Cameras that see the same board share its pose, which constrains their focal lengths: a single camera can
+# trade focal length for distance.
 
-
-POSE = 6
-STEP = 1e-6
-"""Relative step of central differences: half of float64's digits and a bit."""
+POSE = 6  # parameters of a pose
+STEP = 1e-6  # relative step of central differences, near the optimum eps^(1/3) of float64
 TOLERANCE = 1e-9
-MOST_STEPS = 60
-"""Views that belong together need about ten; for others no number of steps is enough."""
+MOST_STEPS = 60  # consistent views need about ten; inconsistent ones never converge
 
 
 @dataclass(frozen=True, eq=False)
 class JointFit:
-    """Cameras after adjustment.
+    """Cameras after bundle adjustment.
 
     Attributes:
-        cameras: the reference first.
-        rms_px: (C,) root mean square distance of each camera's corners to where they should be.
-        focal_sd_px: (C,) standard deviation of the larger focal length, from the scatter of the corners.
+        cameras: reference first.
+        rms_px: (C,) RMS reprojection error of each camera.
+        focal_sd_px: (C,) standard deviation of the larger focal length, from the corner residuals.
     """
 
     cameras: tuple[Camera, ...]
@@ -51,13 +48,13 @@ class JointFit:
 
 
 def adjust(cameras: Sequence[Camera], views: Sequence[CameraViews]) -> JointFit:
-    """Adjust intrinsics, distortion and places of the cameras and the poses of the board together.
+    """Jointly adjust intrinsics, distortion and extrinsics of the cameras and the board poses.
 
-    Ends after ``MOST_STEPS`` if nothing fits, which the errors then tell.
+    Stops after ``MOST_STEPS`` even without convergence, which then shows in the errors.
 
     Args:
-        cameras: to start from, the reference first.
-        views: of each camera, those that count.
+        cameras: initial cameras, reference first.
+        views: inlier views of each camera.
     """
     from scipy.optimize import least_squares
 
@@ -80,10 +77,10 @@ def adjust(cameras: Sequence[Camera], views: Sequence[CameraViews]) -> JointFit:
 
 
 class _Problem:
-    """The corners of all views in one list, and what their residuals depend on.
+    """Residuals and Jacobian of the bundle adjustment.
 
-    Parameters: of each camera fx fy cx cy, distortion, rotation vector and translation of camera_T_reference
-    (the reference's are held); then of each board rotation vector and translation of reference_T_board.
+    Parameters: per camera fx fy cx cy, distortion, rotation vector and translation of camera_T_reference
+    (fixed for the reference); then per board rotation vector and translation of reference_T_board.
     """
 
     def __init__(self, cameras: Sequence[Camera], views: Sequence[CameraViews]) -> None:
@@ -106,7 +103,7 @@ class _Problem:
         self._views = len(instants)
 
     def start(self) -> FloatArray:
-        """Return the parameters of the cameras, and of boards as the first camera to see each has them."""
+        """Return the initial parameters; board poses come from the first camera that sees each."""
         parts = [self._packed(camera) for camera in self._cameras]
         for number in range(self._views):
             c, found = self._first[number]
@@ -118,13 +115,13 @@ class _Problem:
         return np.concatenate(parts)
 
     def cameras(self, x: FloatArray) -> list[Camera]:
-        """Return the cameras that parameters stand for."""
+        """Return the cameras of a parameter vector."""
         return [
             self._unpacked(camera, own) for camera, own in zip(self._cameras, self._split(x)[0], strict=True)
         ]
 
     def residuals(self, x: FloatArray) -> FloatArray:
-        """Return (2 M,) where corners are projected to minus where they were found, pixels."""
+        """Return (2 M,) projected minus detected corners, pixels."""
         boards = self._split(x)[1]
         turns = np.array([cv2.Rodrigues(board[:3])[0] for board in boards])
         points = np.einsum("mij,mj->mi", turns[self._view], self._points) + boards[self._view, 3:]
@@ -136,10 +133,10 @@ class _Problem:
         return residuals
 
     def jacobian(self, x: FloatArray) -> FloatArray:
-        """Return (2 M, parameters) derivatives by central differences.
+        """Return the (2 M, parameters) Jacobian by central differences.
 
         A residual depends on one camera and one board only, so the same parameter of all cameras, or of all
-        boards, is moved at once.
+        boards, is varied at once.
         """
         jacobian = np.zeros((2 * len(self._pixels), len(x)))
         rows = np.arange(len(jacobian))
@@ -155,11 +152,11 @@ class _Problem:
                 step[begin + k : end : period] = STEP * np.maximum(1.0, np.abs(x[begin + k : end : period]))
                 change = self.residuals(x + step) - self.residuals(x - step)
                 jacobian[rows, columns + k] = change / (2.0 * step[columns + k])
-        jacobian[:, self._size - POSE : self._size] = 0.0  # the reference stays where it is
+        jacobian[:, self._size - POSE : self._size] = 0.0  # the reference pose is fixed
         return jacobian
 
     def focal_deviations(self, x: FloatArray, residuals: FloatArray) -> FloatArray:
-        """Return (C,) standard deviation of the larger of fx and fy: sigma^2 (J^T J)^-1."""
+        """Return the (C,) standard deviation of the larger of fx and fy: sigma^2 (J^T J)^-1."""
         jacobian = self.jacobian(x)
         free = np.flatnonzero(np.any(jacobian != 0.0, axis=0))
         variance = np.sum(residuals**2) / max(len(residuals) - len(free), 1)
@@ -185,36 +182,33 @@ class _Problem:
 
 
 def _vector(transform: FloatArray) -> FloatArray:
-    """Return rotation vector and translation (6,) of a transform (3, 4)."""
+    """Return the rotation vector and translation (6,) of a transform (3, 4)."""
     return np.concatenate([cv2.Rodrigues(transform[:, :3])[0].ravel(), transform[:, 3]])
 
 
-# Intrinsics, distortion and places of cameras from views of a board, by OpenCV's calibration
+# Initial intrinsics and extrinsics, by OpenCV's calibration
 
-
-FEWEST_VIEWS = 5
-"""Of one camera, or shared by two; good calibrations have 20 and more."""
-OUTLIER, OUTLIER_PX = 3.0, 0.5
-"""A view counts as wrong if its error is so many times the median one, and more than this."""
+FEWEST_VIEWS = 5  # of one camera, or shared by two; good calibrations have 20 and more
+OUTLIER, OUTLIER_PX = 3.0, 0.5  # a view is an outlier above both: times the median error, and pixels
 NO_K3 = cv2.CALIB_FIX_K3
+# By number of coefficients: k1 k2 p1 p2, k3, k4 k5 k6.
 DISTORTIONS = {
     "none": cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | NO_K3 | cv2.CALIB_ZERO_TANGENT_DIST,
     "four": NO_K3,
     "five": 0,
     "eight": cv2.CALIB_RATIONAL_MODEL,
 }
-"""Names by the number of coefficients: k1 k2 p1 p2, k3, k4 k5 k6."""
 CRITERIA = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 200, 1e-10)
 
 
 @dataclass(frozen=True)
 class CameraFit:
-    """How well one camera's views fit its intrinsics.
+    """Fit of one camera's intrinsics to its views.
 
     Attributes:
-        camera: as it was found, at the place of the reference.
-        rms_px: root mean square distance of corners to where they should be.
-        used, found, images: views used, boards found, images looked at.
+        camera: fitted camera, with the reference's pose.
+        rms_px: RMS reprojection error.
+        used, found, images: numbers of views used, boards detected, images searched.
         focal_sd_px: standard deviation of the larger focal length.
     """
 
@@ -227,12 +221,12 @@ class CameraFit:
 
 
 def fit_camera(views: CameraViews, distortion: str) -> tuple[CameraFit, CameraViews]:
-    """Return one camera's intrinsics and distortion, and the views that were used.
+    """Return one camera's intrinsics and distortion, and the inlier views.
 
-    Views whose error is far above the others' are left out and the rest is fitted again.
+    Views with outlying errors are removed and the rest is fitted again.
 
     Raises:
-        RecordingError: too few views.
+        RecordingError: there are too few views.
     """
     kept = np.array([found is not None for found in views.boards])
     for _ in range(2):
@@ -249,10 +243,10 @@ def fit_camera(views: CameraViews, distortion: str) -> tuple[CameraFit, CameraVi
 
 
 def place_cameras(cameras: Sequence[Camera], views: Sequence[CameraViews]) -> list[Camera]:
-    """Return the cameras with their places relative to the first.
+    """Return the cameras with extrinsics relative to the first.
 
-    One after the other is placed against the camera placed before with which it shares most views, which need
-    not be the first.
+    Each camera is placed relative to the already placed camera with which it shares most views, not
+    necessarily the first.
 
     Raises:
         RecordingError: a camera shares too few views with any other.
@@ -265,10 +259,10 @@ def place_cameras(cameras: Sequence[Camera], views: Sequence[CameraViews]) -> li
         i, j = -i, -j
         if count < FEWEST_VIEWS:
             raise RecordingError(
-                f"too few views of the board by camera '{views[i].name}' and another at once",
-                found=f"{count} together with '{views[j].name}'",
-                expected=f"{FEWEST_VIEWS} at least",
-                hint="images of one instant have one name or number in every folder",
+                f"too few shared board views for camera '{views[i].name}'",
+                found=f"{count} shared with '{views[j].name}'",
+                expected=f"at least {FEWEST_VIEWS}",
+                hint="name simultaneous images equally in every folder",
             )
         step = _relative(cameras[j], cameras[i], views[j], views[i])
         own = composed(step, np.array(placed_ones[j].camera_T_reference))
@@ -277,7 +271,7 @@ def place_cameras(cameras: Sequence[Camera], views: Sequence[CameraViews]) -> li
 
 
 def shared_views(first: CameraViews, second: CameraViews) -> list[tuple[FloatArray, FloatArray, Any]]:
-    """Return the corners that two cameras saw at once: pixels (n, 2) in either, and ids, for each instant."""
+    """Return the corners seen by both cameras at each instant: pixels (n, 2) in either, and ids."""
     shared = []
     for one, two in zip(first.boards, second.boards, strict=True):
         if one is None or two is None:
@@ -288,7 +282,7 @@ def shared_views(first: CameraViews, second: CameraViews) -> list[tuple[FloatArr
     return shared
 
 
-@in_one_thread()  # or the last digits would differ by run
+@in_one_thread()  # threads would make the last digits vary between runs
 def _calibrate(views: CameraViews, distortion: str) -> Any:
     """Return OpenCV's RMS, matrix, coefficients, deviations of intrinsics and errors per view."""
     boards = [found for found in views.boards if found is not None]
@@ -306,9 +300,9 @@ def _calibrate(views: CameraViews, distortion: str) -> Any:
     return float(rms), matrix, coefficients.ravel(), deviations.ravel(), errors.ravel()
 
 
-@in_one_thread()  # or the last digits would differ by run
+@in_one_thread()  # threads would make the last digits vary between runs
 def _relative(first: Camera, second: Camera, views: CameraViews, others: CameraViews) -> FloatArray:
-    """Return second_T_first (3, 4), mm, from shared views with intrinsics as they are."""
+    """Return second_T_first (3, 4), mm, from shared views with fixed intrinsics."""
     shared = shared_views(views, others)
     for _ in range(2):
         objects = [views.board.points[ids].astype(np.float32) for _, _, ids in shared]
@@ -356,34 +350,30 @@ def _camera(views: CameraViews, matrix: FloatArray, coefficients: FloatArray, di
 
 def _too_few(views: CameraViews, count: int) -> RecordingError:
     return RecordingError(
-        f"board found in too few images of camera '{views.name}'",
+        f"board detected in too few images of camera '{views.name}'",
         found=f"{count} of {views.images}",
-        expected=f"{FEWEST_VIEWS} at least, of a {views.board.words}",
-        hint="--squares counts squares, one more than inner corners in each direction",
+        expected=f"at least {FEWEST_VIEWS} with a {views.board.words}",
+        hint="check --squares: it counts squares, one more than inner corners in each direction",
     )
 
 
-# Calibration of several cameras from folders of board images, and how good it is
+# Calibration of a rig, and its quality
 
-
-DOUBTFUL_PX = 1.0
-"""Errors above are no calibration to rely on."""
-MISFIT = 3.0
-"""Cameras do not fit together if one's error is this many times that of its views alone, and doubtful."""
-DOUBTFUL_FOCAL = 0.02
-"""Standard deviation of a focal length, as a fraction, that comes of views that are all alike."""
+DOUBTFUL_PX = 1.0  # larger errors make a calibration unreliable
+MISFIT = 3.0  # joint over single-camera error above which, if doubtful, no rig explains the views
+DOUBTFUL_FOCAL = 0.02  # relative standard deviation of a focal length, typical of similar views
 
 
 @dataclass(frozen=True)
 class PairError:
-    """How well two cameras fit together.
+    """Quality of the relative pose of two cameras.
 
     Attributes:
         first, second: names.
         views: instants at which both saw the board.
-        epipolar_rms_px, epipolar_p95_px: Sampson distance of corners, root mean square and 95th percentile.
-        square_mm: mean side of a square, triangulated.
-        baseline_mm: distance of the cameras.
+        epipolar_rms_px, epipolar_p95_px: Sampson distance of corners, RMS and 95th percentile.
+        square_mm: mean triangulated side of a square.
+        baseline_mm: distance between the cameras.
     """
 
     first: str
@@ -397,15 +387,14 @@ class PairError:
 
 @dataclass(frozen=True)
 class StereoCalibration:
-    """Cameras and their errors.
+    """A calibrated rig and its errors.
 
     Attributes:
-        board: that was seen.
-        cameras: the reference first.
-        fits: of each camera.
-        pairs: of every two cameras that saw the board at once.
-        fits_together: whether one place of the cameras explains their views. If not, intrinsics are those of
-            each camera's own views.
+        board: the board.
+        cameras: reference first.
+        fits: fit of each camera.
+        pairs: errors of every two cameras that share views.
+        fits_together: True if one rig explains all views; else intrinsics are those of each camera alone.
     """
 
     board: Board
@@ -415,38 +404,36 @@ class StereoCalibration:
     fits_together: bool = True
 
     def lines(self) -> list[str]:
-        """Return what was measured and how well, for people and as comments of the camera file."""
+        """Return results and errors, one line each, for people and as comments of the camera file."""
         return [*map(_camera_line, self.fits), *(_pair_line(pair, self.board) for pair in self.pairs)]
 
     @property
     def is_inaccurate(self) -> bool:
-        """Whether an error of a camera or of two together is large."""
+        """True if an error of a camera or pair is large."""
         errors = [*(fit.rms_px for fit in self.fits), *(pair.epipolar_rms_px for pair in self.pairs)]
         return max(errors) > DOUBTFUL_PX
 
     def doubts(self) -> list[str]:
-        """Return what speaks against using it; nothing if nothing does."""
+        """Return reasons to distrust the calibration; empty if there are none."""
         found = []
         for fit in self.fits:
             if fit.rms_px > DOUBTFUL_PX:
-                found.append(
-                    f"camera '{fit.camera.name}': reprojection error of {fit.rms_px:.2f} px is large"
-                )
+                found.append(f"camera '{fit.camera.name}': large reprojection error of {fit.rms_px:.2f} px")
             if fit.focal_sd_px > DOUBTFUL_FOCAL * fit.camera.fx:
                 found.append(
                     f"camera '{fit.camera.name}': focal length is uncertain by {fit.focal_sd_px:.0f} px; "
-                    "show the board tilted, and in every part of the image"
+                    "add views with the board tilted and in every part of the image"
                 )
         for pair in self.pairs:
             if pair.epipolar_rms_px > DOUBTFUL_PX:
                 found.append(
-                    f"'{pair.first}' and '{pair.second}': epipolar error of {pair.epipolar_rms_px:.2f} px is "
-                    "large; were the images taken at the same instants, and the board still?"
+                    f"'{pair.first}' and '{pair.second}': large epipolar error of "
+                    f"{pair.epipolar_rms_px:.2f} px; were images synchronised and the board still?"
                 )
         return found
 
     def file_text(self, source: Path) -> str:
-        """Return the camera file, with the errors as comments."""
+        """Return the text of the camera file, with the errors as comments."""
         title = (
             f"measured by posetrack calibrate stereo on {shown_name(placed_path(source))}, {self.board.words}"
         )
@@ -456,13 +443,14 @@ class StereoCalibration:
 def calibrate_stereo(views: Sequence[CameraViews], distortion: str = "four") -> StereoCalibration:
     """Calibrate the cameras that saw a board.
 
-    Every camera's intrinsics come from all its views, the places then from the views that two cameras share;
-    with these to start from everything is adjusted together. Views that were not taken at once fit no place:
-    then intrinsics stay as they are.
+    Intrinsics are fitted to all views of a camera, extrinsics to the views shared by two cameras; both
+    initialise a joint bundle adjustment. If the views are not simultaneous, no rig fits and intrinsics keep
+    their initial values.
 
     Args:
-        views: of each camera (``find_views``), the reference first.
-        distortion: ``none``, ``four`` (k1 k2 p1 p2), ``five`` (and k3) or ``eight`` (rational) coefficients.
+        views: views of each camera (``find_views``), reference first.
+        distortion: ``none``, ``four`` (k1 k2 p1 p2), ``five`` (and k3) or ``eight`` (rational)
+            coefficients.
 
     Raises:
         RecordingError: there are too few views of the board.
@@ -511,7 +499,7 @@ def _pair_error(first: Camera, second: Camera, views: CameraViews, others: Camer
 
 
 def _sides(points: FloatArray, ids: FloatArray, board: Board) -> FloatArray:
-    """Return the distances, mm, of corners that are neighbours in a row."""
+    """Return the distances, mm, between neighbouring corners of a row."""
     neighbours = (np.diff(ids) == 1) & (ids[1:] % board.across != 0)
     sides: FloatArray = np.linalg.norm(np.diff(points, axis=0), axis=-1)[neighbours]
     return sides
@@ -520,15 +508,15 @@ def _sides(points: FloatArray, ids: FloatArray, board: Board) -> FloatArray:
 def _camera_line(fit: CameraFit) -> str:
     camera = fit.camera
     return (
-        f"camera {camera.name}: reprojection error {fit.rms_px:.3f} px (rms) in {fit.used} views; board "
-        f"found in {fit.found} of {fit.images} images; fx {camera.fx:.1f} fy {camera.fy:.1f} "
+        f"camera {camera.name}: reprojection error {fit.rms_px:.3f} px (RMS) in {fit.used} views; board "
+        f"detected in {fit.found} of {fit.images} images; fx {camera.fx:.1f} fy {camera.fy:.1f} "
         f"+- {fit.focal_sd_px:.1f} px"
     )
 
 
 def _pair_line(pair: PairError, board: Board) -> str:
     return (
-        f"{pair.first} - {pair.second}: epipolar error {pair.epipolar_rms_px:.3f} px (rms), "
+        f"{pair.first} - {pair.second}: epipolar error {pair.epipolar_rms_px:.3f} px (RMS), "
         f"{pair.epipolar_p95_px:.3f} px (95 %) in {pair.views} views; baseline {pair.baseline_mm:.2f} mm; "
         f"a square of {board.square_mm:g} mm measures {pair.square_mm:.3f} mm"
     )

@@ -1,4 +1,4 @@
-"""Views of a calibration board."""
+"""Views of a calibration board: chessboard and ChArUco detection."""
 
 from __future__ import annotations
 
@@ -18,18 +18,16 @@ from posetrack_cli.recording.grey import Grey, decode_shown, grey_like
 from posetrack_cli.recording.image_files import ImageFile, read_image
 from posetrack_cli.recording.image_folders import CameraFolders, Instants, find_folders
 
-# Boards with known corners, and where an image shows them: chessboards and ChArUco boards
+# Boards and their detection
 
-
-FEWEST_CORNERS = 6
-"""Fewer determine no pose of the board."""
+FEWEST_CORNERS = 6  # required for the pose of the board
 FEWEST_SQUARES, MOST_SQUARES = 3, 100
 DICTIONARY_PREFIX = "DICT_"
 CHESSBOARD_FLAGS = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY | cv2.CALIB_CB_NORMALIZE_IMAGE
 
 REFINEMENT = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 100, 1e-4)
+# Half side of the refinement window, over the smallest square; its minimum in pixels
 WINDOW, SMALLEST_WINDOW = 0.3, 2
-"""Half the side of what is looked at around a corner, as a part of the smallest square; pixels at least."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,8 +35,8 @@ class FoundBoard:
     """The corners of a board in one image.
 
     Attributes:
-        ids: (n,) which corners, ascending: row times corners in a row plus column.
-        pixels: (n, 2) where they are.
+        ids: (n,) corner ids, ascending: row times corners per row plus column.
+        pixels: (n, 2) positions.
     """
 
     ids: IntArray
@@ -50,10 +48,10 @@ class Board:
     """A printed board: a chessboard, or with markers in its white squares a ChArUco board.
 
     Attributes:
-        columns, rows: squares, not inner corners.
+        columns, rows: number of squares, not inner corners.
         square_mm: side of a square.
         marker_mm: side of a marker; None for a chessboard.
-        dictionary: of the markers, OpenCV's name without DICT_: 4X4_50, ...
+        dictionary: marker dictionary, OpenCV's name without DICT_: 4X4_50, ...
     """
 
     columns: int
@@ -66,18 +64,18 @@ class Board:
         size = f"{self.columns}x{self.rows}"
         if not FEWEST_SQUARES <= min(self.columns, self.rows) <= max(self.columns, self.rows) <= MOST_SQUARES:
             raise UsageError(
-                "board cannot be used",
+                "invalid board",
                 found=f"{size} squares",
                 expected=f"{FEWEST_SQUARES} to {MOST_SQUARES} across and down",
             )
         if not 0.0 < self.square_mm < 1e5:
-            raise UsageError("board cannot be used", found=f"squares of {self.square_mm:g} mm")
+            raise UsageError("invalid board", found=f"squares of {self.square_mm:g} mm")
         if self.marker_mm is not None:
             if not 0.0 < self.marker_mm < self.square_mm:
                 raise UsageError(
                     "markers do not fit the squares",
                     found=f"{self.marker_mm:g} mm",
-                    expected=f"more than 0 and less than {self.square_mm:g}",
+                    expected=f"above 0 and below {self.square_mm:g} mm",
                 )
             _dictionary(self.dictionary)
 
@@ -94,13 +92,13 @@ class Board:
 
     @property
     def words(self) -> str:
-        """For people: ``chessboard of 10x7 squares of 25 mm``."""
+        """Description: ``chessboard of 10x7 squares of 25 mm``."""
         kind = "chessboard" if self.marker_mm is None else f"ChArUco board ({self.dictionary})"
         return f"{kind} of {self.columns}x{self.rows} squares of {self.square_mm:g} mm"
 
 
 class BoardFinder:
-    """Finds a board in images; ChArUco boards also as OpenCV before 4.6 printed them."""
+    """Detects a board in images, including ChArUco boards printed with OpenCV before 4.6."""
 
     def __init__(self, board: Board) -> None:
         self._board = board
@@ -111,9 +109,9 @@ class BoardFinder:
         )
 
     def find(self, image: ImageArray) -> FoundBoard | None:
-        """Return the corners that a grey image shows, None if it does not show the board.
+        """Return the corners in a grey image, None if the board is not detected.
 
-        A chessboard is found whole or not at all, a ChArUco board from six corners on.
+        A chessboard is detected as a whole only, a ChArUco board from six corners on.
         """
         return self._find_chessboard(image) if not self._detectors else self._find_charuco(image)
 
@@ -132,7 +130,7 @@ class BoardFinder:
         best, corners, ids = max(found, key=lambda one: 0 if one[2] is None else len(one[2]))
         if ids is None or len(ids) < FEWEST_CORNERS:
             return None
-        self._detectors = [best]  # the other kind of print loses corners, and is not tried again
+        self._detectors = [best]  # the other pattern finds fewer corners, so stop trying it
         order = np.argsort(ids.ravel())
         pixels = corners.reshape(-1, 2)[order].astype(np.float64)
         return FoundBoard(ids.ravel()[order].astype(np.int64), pixels)
@@ -152,15 +150,15 @@ def _dictionary(name: str) -> cv2.aruco.Dictionary:
         key.removeprefix(DICTIONARY_PREFIX) for key in dir(cv2.aruco) if key.startswith(DICTIONARY_PREFIX)
     ]
     if name not in known:
-        raise UsageError(f"no dictionary '{name}'", hint=nearest_name(name, known))
+        raise UsageError(f"unknown dictionary '{name}'", hint=nearest_name(name, known))
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, DICTIONARY_PREFIX + name))
 
 
 def _refined(grid: ImageArray, image: ImageArray) -> FloatArray:
-    """Return a chessboard's corners at saddle points of the image, looked at within their squares.
+    """Return a chessboard's corners refined to saddle points of the image within their squares.
 
-    The detector alone places them up to a tenth of a pixel too far from the middle of the board, which a
-    focal length follows.
+    The detector alone is biased by up to 0.1 px away from the board's centre, which biases the focal
+    length.
     """
     sides = [np.linalg.norm(np.diff(grid, axis=axis), axis=-1).min() for axis in (0, 1)]
     half = max(SMALLEST_WINDOW, int(WINDOW * min(sides)))
@@ -170,11 +168,11 @@ def _refined(grid: ImageArray, image: ImageArray) -> FloatArray:
 
 
 def _oriented(grid: FloatArray, image: ImageArray) -> FloatArray:
-    """Return a chessboard's corners (rows, columns, 2) in an order that does not depend on the view.
+    """Return a chessboard's corners (rows, columns, 2) in an order independent of the view.
 
-    The board is seen from its front, so rows and columns turn clockwise. Turned by half a turn it looks the
-    same but for the colours of its corner squares: where they differ the first is the dark one, else the
-    order that begins further up and left counts.
+    The board is seen from its front, so rows and columns turn clockwise. Half a turn changes only the
+    colours of its corner squares: if they differ the dark one is first, else the order that begins further
+    up and left.
     """
     along, down = grid[0, 1] - grid[0, 0], grid[1, 0] - grid[0, 0]
     if along[0] * down[1] - along[1] * down[0] < 0.0:
@@ -186,25 +184,25 @@ def _oriented(grid: FloatArray, image: ImageArray) -> FloatArray:
 
 
 def _corner_square(grid: FloatArray, image: ImageArray) -> float:
-    """Return the grey value amid the square beyond the first corner."""
+    """Return the grey value at the centre of the square beyond the first corner."""
     centre = 2.0 * grid[0, 0] - 0.5 * (grid[0, 1] + grid[1, 0])
     u, v = np.clip(np.rint(centre).astype(int), 0, np.array(image.shape[::-1]) - 1)
     return float(image[max(v - 1, 0) : v + 2, max(u - 1, 0) : u + 2].mean())
 
 
-# Images of a board in one folder per camera, and the corners found in them
+# Board views in one image folder per camera
 
 
 @dataclass(frozen=True, eq=False)
 class CameraViews:
-    """What one camera saw of the board.
+    """One camera's views of the board.
 
     Attributes:
-        name: of the camera.
-        board: that was looked for.
-        width, height: of its images, pixels.
-        images: how many there are.
-        boards: one per instant, None where it has no image or the image shows no board.
+        name: name of the camera.
+        board: the board.
+        width, height: image size, pixels.
+        images: number of images.
+        boards: one per instant, None without image or detection.
     """
 
     name: str
@@ -216,11 +214,11 @@ class CameraViews:
 
     @property
     def found(self) -> int:
-        """In how many images the board was found."""
+        """Number of images with a detected board."""
         return sum(board is not None for board in self.boards)
 
     def only(self, kept: BoolArray) -> CameraViews:
-        """Return these views without the boards of instants that are not kept (instants,)."""
+        """Return these views without the boards of instants not in the mask ``kept`` (instants,)."""
         boards = (board if keeps else None for board, keeps in zip(self.boards, kept, strict=True))
         return replace(self, boards=tuple(boards))
 
@@ -232,15 +230,15 @@ def find_views(
     report: Callable[[int, int], None] = lambda done, total: None,
     losses: LossLog | None = None,
 ) -> list[CameraViews]:
-    """Look for the board in every image of every camera.
+    """Detect the board in every image of every camera.
 
     Args:
-        path: a folder with a folder of images per camera; images of one name or number, or whose names are
-            stamps of about the same time, were taken at once.
-        board: what to look for.
-        names: of the cameras, the reference first; None for all folders, left before right.
-        report: told how many images of how many are done.
-        losses: gets images that cannot be decoded.
+        path: folder with one image folder per camera; images with equal names or numbers, or with stamps as
+            names at about the same time, are simultaneous.
+        board: board to detect.
+        names: names of the cameras, reference first; None for all folders, left before right.
+        report: progress callback with the numbers of images done and in total.
+        losses: receives undecodable images.
 
     Raises:
         RecordingError: there are no images, or images of one camera differ in size.
@@ -265,16 +263,16 @@ def find_views(
 
 
 class _Camera:
-    """Collects what one camera saw.
+    """Collects one camera's views.
 
     Args:
-        folder: of its images.
-        finder: finds the board.
-        losses: gets images that cannot be decoded.
+        folder: folder of its images.
+        finder: board detector.
+        losses: receives undecodable images.
 
     Attributes:
-        boards: of each instant.
-        images: how many there are.
+        boards: board of each instant.
+        images: number of images.
     """
 
     def __init__(self, folder: Path, finder: BoardFinder, losses: LossLog) -> None:
@@ -284,12 +282,12 @@ class _Camera:
         self.images = 0
 
     def add(self, image: ImageFile | None) -> None:
-        """Look at the image of the next instant, None if there is none."""
+        """Add the image of the next instant, None if there is none."""
         self.images += image is not None
         self.boards.append(None if image is None else self._found(image))
 
     def size(self) -> tuple[int, int]:
-        """Return width and height of its images, pixels."""
+        """Return image width and height, pixels."""
         if self._pixels is None:
             raise RecordingError("no image can be decoded", where=self._folder, found=f"{self.images} files")
         return self._pixels.width, self._pixels.height
@@ -310,12 +308,12 @@ def _instants(folders: CameraFolders) -> Instants:
     try:
         return folders.instants()
     except RecordingError as error:
-        reason = str(error).partition(";")[0]  # recordings have an option for it
-        raise RecordingError(reason, hint="give images of one instant the same name or number") from error
+        reason = str(error).partition(";")[0]  # its hint is an option that calibration does not have
+        raise RecordingError(reason, hint="give simultaneous images equal names or numbers") from error
 
 
 def _chosen(folders: CameraFolders, names: Sequence[str] | None) -> Sequence[str]:
-    """The cameras that are named, all of them by default, left before right."""
+    """Return the named cameras, by default all, left before right."""
     for name in names or ():
         if name not in folders.by_name:
             hint = nearest_name(name, folders.by_name)

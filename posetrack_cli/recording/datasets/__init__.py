@@ -1,1 +1,1 @@
-"""Recordings as other tools and public datasets store them: each layout in a module of its own."""
+"""Recordings in the layouts of other tools and public datasets, one module each."""

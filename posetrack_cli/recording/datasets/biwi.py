@@ -1,8 +1,8 @@
-"""Sequences of the Biwi Kinect head pose data: colour and depth of a Kinect v1 with two calibrations.
+"""Biwi Kinect head pose sequences: Kinect v1 colour and depth with two calibrations.
 
 A folder has frame_NNNNN_rgb.png, frame_NNNNN_depth.bin (16-bit mm, runs without and with readings), rgb.cal
-and depth.cal. A calibration has K, four distortion coefficients, R and t in mm that take points of the depth
-camera to this one, width and height.
+and depth.cal. A calibration has K, four distortion coefficients, R and t in mm from the depth camera to
+this one, width and height.
 """
 
 from __future__ import annotations
@@ -39,15 +39,15 @@ WORDS = "Biwi Kinect head pose sequence"
 COLOUR_CALIBRATION, DEPTH_CALIBRATION = "rgb.cal", "depth.cal"
 COLOUR_IMAGE = re.compile(r"frame_([0-9]{1,9})_rgb\.png")
 DEPTH_IMAGE = re.compile(r"frame_([0-9]{1,9})_depth\.bin")
-SIZE, RUN = struct.Struct("<ii"), struct.Struct("<ii")
-"""Width and height; pixels without and with a reading, before the 16-bit readings of the latter."""
-MATRIX, PLACE_AND_SIZE, DISTORTIONS = 9, 14, (0, 4, 5)
-"""Numbers of K, of R, t, width and height, and of the distortion between them."""
+SIZE = struct.Struct("<ii")  # width and height
+RUN = struct.Struct("<ii")  # pixels without and with a reading; the 16-bit readings follow
+# Count of numbers in K; in R, t, width and height; and in the distortion between them
+MATRIX, EXTRINSICS_AND_SIZE, DISTORTIONS = 9, 14, (0, 4, 5)
 SENSOR = "a Kinect"
 
 
 def is_biwi(path: Path) -> bool:
-    """Whether a path is the folder of a sequence: a calibration and images with its names."""
+    """Return whether a path is a sequence folder: a calibration and images with its names."""
     calibrations = ((COLOUR_CALIBRATION, COLOUR_IMAGE), (DEPTH_CALIBRATION, DEPTH_IMAGE))
     if not path.is_dir() or not any((path / name).is_file() for name, _ in calibrations):
         return False
@@ -81,22 +81,22 @@ def describe_biwi(path: Path) -> dict[str, Any]:
 
 
 def load_calibration(path: Path) -> Camera:
-    """Return the camera of a calibration, at its own place.
+    """Return the camera of a calibration, without its extrinsics.
 
     Raises:
-        RecordingError: it cannot be read or is not one.
+        RecordingError: the file cannot be read, or is not a calibration.
     """
     values = numbers_of(path)
-    lens = len(values) - MATRIX - PLACE_AND_SIZE
+    lens = len(values) - MATRIX - EXTRINSICS_AND_SIZE
     if lens not in DISTORTIONS:
         expected = "K, distortion, R, t, width and height"
         raise RecordingError(
-            "is not a calibration", where=path, found=f"{len(values)} numbers", expected=expected
+            "invalid calibration", where=path, found=f"{len(values)} numbers", expected=expected
         )
     distortion = tuple(values[MATRIX : MATRIX + lens])
     width, height = values[-2:]
     if not (width.is_integer() and height.is_integer()):
-        raise RecordingError("is not a calibration", where=path, found=f"size {width:g} x {height:g}")
+        raise RecordingError("invalid calibration", where=path, found=f"size {width:g} x {height:g}")
     return camera_of(
         round(width),
         round(height),
@@ -110,10 +110,10 @@ def load_calibration(path: Path) -> Camera:
 
 
 def decode_depth(data: bytes) -> ImageArray:
-    """Return (height, width) uint16 depth, mm, of a file of runs.
+    """Return (height, width) uint16 depth, mm, from a file of runs.
 
     Raises:
-        UnreadableImageError: it is cut, damaged, or larger than any image that is read.
+        UnreadableImageError: the file is truncated, damaged, or exceeds ``limits``.
     """
     if len(data) < SIZE.size:
         raise UnreadableImageError("image is incomplete")
@@ -142,9 +142,7 @@ def decode_depth(data: bytes) -> ImageArray:
 def _dataset(path: Path, options: ReadingOptions, name: re.Pattern[str], calibration: str) -> Dataset:
     images = numbered(path, name)
     if not images:
-        expected = (
-            "frame_00000_rgb.png and so on" if name is COLOUR_IMAGE else "frame_00000_depth.bin and so on"
-        )
+        expected = "frame_00000_rgb.png, ..." if name is COLOUR_IMAGE else "frame_00000_depth.bin, ..."
         raise RecordingError("no images", where=path, expected=expected)
     stamps, fps, said = nominal_stamps(images, options.get("fps"), SENSOR)
     read = _colour if name is COLOUR_IMAGE else _depth

@@ -1,4 +1,4 @@
-"""What the layouts have in common: images with stamps and a known camera become a recording."""
+"""Common part of dataset layouts: images with stamps and a known camera become a recording."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.losses import LossLog
 from posetrack_cli.recording.base import StoredImage, UnreadableImageError
 from posetrack_cli.recording.camera_file import (
-    LoneCamera,
     Rig,
+    SingleCamera,
     camera_record,
+    depth_storage,
     image_camera,
     load_depth_camera,
     load_rig,
-    stated_depth,
 )
 from posetrack_cli.recording.camera_of import ImageCamera, Resampling, at_size, is_same
 from posetrack_cli.recording.depth import Depth
@@ -37,9 +37,8 @@ from posetrack_cli.recording.pixels import Window
 from posetrack_cli.recording.recording import CameraStream, ReadingOptions, Recording
 from posetrack_cli.recording.stamps import stamp_at_rate, stamps_at_rate
 
-KINECT_HZ = 30.0
-MOST_UNREADABLE = 300
-"""Images at the beginning that cannot be decoded; after more of them nothing can be said of the rest."""
+KINECT_HZ = 30.0  # Kinect v1
+MOST_UNREADABLE = 300  # if more initial images fail, the rest is not tried
 
 
 @dataclass(frozen=True)
@@ -47,11 +46,11 @@ class DatasetImage:
     """An image of a dataset.
 
     Attributes:
-        stamp_ns: when it was taken.
+        stamp_ns: time of capture.
         where: its name, for errors and losses.
-        read: returns depth as stored, (height, width) integers or floats; or (height, width) grey, or
-            (height, width, 3) blue green red. Raises UnreadableImageError.
-        camera: of this image's picture, where cameras change; None for the dataset's.
+        read: returns stored depth, (height, width) integers or floats; or (height, width) grey, or (height,
+            width, 3) blue green red. Raises UnreadableImageError.
+        camera: camera of this image if intrinsics change; None for the dataset's.
     """
 
     stamp_ns: int
@@ -66,14 +65,14 @@ class Dataset:
 
     Attributes:
         path: the recording.
-        words: what it is, for people.
+        words: name of the format, as text.
         images: at least one.
-        camera: of the picture that images show; it is scaled to stored images of another resolution.
-        why: where the camera comes from, for people.
-        files: with names, that identify it.
-        unit_mm: millimetres per stored unit of depth.
-        remarks: on what was recognised.
-        fps: rate that stamps come from; None where they are stored.
+        camera: camera of the images; scaled to stored images of another resolution.
+        why: source of the camera, as text.
+        files: (name, path) of the files that identify the recording.
+        unit_mm: millimetres per stored depth unit.
+        remarks: remarks on what was detected.
+        fps: rate of synthetic stamps; None if stamps are stored.
     """
 
     path: Path
@@ -87,7 +86,7 @@ class Dataset:
     fps: float | None = None
 
     def scaled(self, camera: Camera, width: int, height: int) -> Camera:
-        """Return a camera of the picture for images of a size.
+        """Return a camera scaled to images of a size.
 
         Raises:
             RecordingError: the aspect ratios differ.
@@ -98,33 +97,33 @@ class Dataset:
                 "images and intrinsics differ in aspect ratio",
                 where=self.path,
                 found=f"{width}x{height} and {camera.width}x{camera.height}",
-                hint="pass --camera with the camera of the images",
+                hint="pass --camera with the intrinsics of the images",
             )
         return found
 
     def image_camera(self, width: int, height: int) -> ImageCamera:
         """Return the camera of stored images of a size."""
         size = (self.camera.width, self.camera.height)
-        said = (f"intrinsics of {size[0]}x{size[1]} are scaled to {width}x{height}",)
+        said = (f"intrinsics for {size[0]}x{size[1]} are scaled to {width}x{height}",)
         return ImageCamera(
             self.scaled(self.camera, width, height), self.why, () if size == (width, height) else said
         )
 
 
 def open_depth(dataset: Dataset, options: ReadingOptions) -> Recording:
-    """Open a dataset of depth; its camera and unit are its own unless options state others.
+    """Open a depth dataset with its own camera and unit unless options override them.
 
     Raises:
         RecordingError: no image can be decoded, or the camera does not fit.
-        UsageError: an option has a value that cannot be used.
+        UsageError: an option is invalid.
     """
     first = _first(dataset)
     if first.ndim != 2:
-        raise RecordingError("colour images given as depth", where=dataset.path, found=dataset.words)
+        raise RecordingError("colour images, not depth", where=dataset.path, found=dataset.words)
     height, width = first.shape
     file = options.get("camera_file")
     settings = None if file is None else load_depth_camera(file)
-    stated_mm, missing = stated_depth(settings, options)
+    stated_mm, missing = depth_storage(settings, options)
     unit_mm = dataset.unit_mm if stated_mm is None else stated_mm
     if settings is None or file is None:
         found = dataset.image_camera(width, height)
@@ -144,11 +143,11 @@ def open_depth(dataset: Dataset, options: ReadingOptions) -> Recording:
 
 
 def open_grey(dataset: Dataset, options: ReadingOptions) -> Recording:
-    """Open a dataset of grey or colour images; its camera is its own unless options state another.
+    """Open a grey or colour dataset with its own camera unless options override it.
 
     Raises:
         RecordingError: no image can be decoded, or the camera does not fit.
-        UsageError: an option has a value that cannot be used.
+        UsageError: an option is invalid.
     """
     first = _first(dataset)
     pixels = replace(grey_like(first, dataset.path), keeps_colour=bool(options.get("in_colour")))
@@ -156,10 +155,15 @@ def open_grey(dataset: Dataset, options: ReadingOptions) -> Recording:
     file, names = options.get("camera_file"), options.get("cameras")
     own = dataset.image_camera(*size)
     rig = known_rig(dataset.path, own.camera) if file is None else load_rig(file)
-    rig = rig if names is None else rig.chosen(names)
+    rig = rig if names is None else rig.subset(names)
     if len(rig.cameras) != 1:
         found = ", ".join(rig.cameras)
-        raise UsageError(f"{dataset.words} is of one camera", where=rig.path, found=found)
+        raise UsageError(
+            f"several cameras for one {dataset.words}",
+            where=rig.path,
+            found=found,
+            hint="choose one with --cameras",
+        )
     (name,) = rig.cameras
     (camera,) = rig.stored_cameras({name: size})
     window = rig.window(name, options.get("mirror"))
@@ -171,21 +175,21 @@ def open_grey(dataset: Dataset, options: ReadingOptions) -> Recording:
 
 
 def known_rig(path: Path, camera: Camera) -> Rig:
-    """Return a camera that a recording itself states, as a camera file would."""
+    """Return a recording's own camera as a rig, like one from a camera file."""
     values = {key: getattr(camera, key) for key in ("width", "height", "fx", "fy", "cx", "cy")}
     lens = {"distortion": camera.distortion, "distortion_model": camera.distortion_model}
-    return Rig(path, {"": LoneCamera(**values, **(lens if camera.distortion else {}))})
+    return Rig(path, {"": SingleCamera(**values, **(lens if camera.distortion else {}))})
 
 
 def describe_dataset(
     path: Path, words: str, openers: Mapping[str, Callable[[Path, ReadingOptions], Recording]]
 ) -> dict[str, Any]:
-    """Describe a dataset: what it is, its images and stamps, and the cameras that commands would use.
+    """Return format, images, stamps, and the cameras that commands would use.
 
     Args:
         path: the recording.
-        words: what it is.
-        openers: by the command that uses them.
+        words: name of the format.
+        openers: openers by command.
     """
     used = [described_use(partial(open_, path, {}), command) for command, open_ in openers.items()]
     recordings = [opened for opened in map(partial(_opened, path), openers.values()) if opened is not None]
@@ -207,34 +211,34 @@ def describe_dataset(
 def camera_of(
     width: int, height: int, fx: float, fy: float, cx: float, cy: float, where: object, **lens: Any
 ) -> Camera:
-    """Return the camera of intrinsics that a dataset states.
+    """Return a camera from a dataset's intrinsics.
 
     Raises:
-        RecordingError: they are not those of a camera.
+        RecordingError: the intrinsics are invalid.
     """
     is_finite = all(np.isfinite(value) and abs(value) <= limits.NUMBER for value in (fx, fy, cx, cy))
     if not is_finite or min(width, height) < 1 or min(fx, fy) <= 0:
         found = f"fx {fx:g} fy {fy:g} cx {cx:g} cy {cy:g}, {width}x{height}"
-        raise RecordingError("intrinsics cannot be used", where=where, found=found, hint="pass --camera")
+        raise RecordingError("invalid intrinsics", where=where, found=found, hint="pass --camera")
     return Camera(width, height, fx, fy, cx, cy, **lens)
 
 
 def numbers_of(path: Path) -> list[float]:
-    """Return the numbers of a small text file, separated by spaces, commas or lines.
+    """Return the numbers in a small text file, separated by spaces, commas or lines.
 
     Raises:
-        RecordingError: it cannot be read, or holds anything else.
+        RecordingError: the file cannot be read, or has other content.
     """
     try:
         return [float(word) for word in read_text(path, limits.TEXT_BYTES).replace(",", " ").split()]
     except OSError as error:
         raise RecordingError("cannot be read", where=path, found=error.strerror or error) from error
     except ValueError as error:
-        raise RecordingError("does not hold numbers only", where=path, found=error) from error
+        raise RecordingError("not a file of numbers", where=path, found=error) from error
 
 
 def numbered(path: Path, name: re.Pattern[str]) -> dict[int, Path]:
-    """Return the files of a folder whose names match, by the number in the last group, in its order.
+    """Return the files of a folder that match, sorted by the number in the pattern's last group.
 
     Raises:
         RecordingError: the folder cannot be listed.
@@ -250,24 +254,26 @@ def numbered(path: Path, name: re.Pattern[str]) -> dict[int, Path]:
 def nominal_stamps(
     numbers: Iterable[int], fps: float | None, of: str
 ) -> tuple[list[int], float, tuple[str, ...]]:
-    """Return stamps of numbered images that a Kinect v1 took, at its rate; missing numbers are lost frames.
+    """Return stamps of numbered Kinect v1 images at its rate; missing numbers are lost frames.
 
     Args:
         numbers: ascending.
-        fps: in place of the rate of the sensor, Hz.
-        of: the sensor, for people.
+        fps: frame rate, Hz; replaces the sensor's.
+        of: name of the sensor, as text.
 
     Returns:
         Stamps, ns, the rate, and a remark on it.
 
     Raises:
-        UsageError: the rate is not one that cameras have.
+        UsageError: the rate is out of range.
     """
     numbers = list(numbers)
     rate = KINECT_HZ if fps is None else fps
-    stamps_at_rate(0, rate)  # refuses what is not a rate
+    stamps_at_rate(0, rate)  # validates the rate
     said = (
-        (f"no stamps: taken as {rate:g} frames/s, the rate of {of}; --fps overrides",) if fps is None else ()
+        (f"no stamps: assuming {rate:g} frames/s, the rate of {of}; override with --fps",)
+        if fps is None
+        else ()
     )
     return [stamp_at_rate(number - numbers[0], rate) for number in numbers], rate, said
 
@@ -280,14 +286,14 @@ def _opened(path: Path, open_: Callable[[Path, ReadingOptions], Recording]) -> R
 
 
 def _first(dataset: Dataset) -> ImageArray:
-    """Return the first image that can be decoded."""
+    """Return the first decodable image."""
     reason = ""
     for image in islice(dataset.images, MOST_UNREADABLE):
         try:
             return image.read()
         except UnreadableImageError as error:
             reason = reason or str(error)
-    found = f"{len(dataset.images)} images, of the first: {reason}"
+    found = f"{len(dataset.images)} images (first one: {reason})"
     raise RecordingError("no image can be decoded", where=dataset.path, found=found)
 
 

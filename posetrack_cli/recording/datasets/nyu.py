@@ -1,7 +1,7 @@
-"""NYU's hand pose data: 16-bit depth of Kinects in mm, packed in PNGs of 8-bit colour.
+"""NYU hand pose data: 16-bit Kinect depth in mm, packed in 8-bit colour PNGs.
 
-Names are depth_C_NNNNNNN.png of camera C; rendered images are called synthdepth. The upper eight bits are
-green, the lower ones blue. J. Tompson et al., Real-Time Continuous Pose Recovery of Human Hands, 2014.
+Names are depth_C_NNNNNNN.png of camera C; rendered images are named synthdepth. Green has the upper eight
+bits, blue the lower ones. J. Tompson et al., Real-Time Continuous Pose Recovery of Human Hands, 2014.
 """
 
 from __future__ import annotations
@@ -34,25 +34,24 @@ from posetrack_cli.recording.recording import ReadingOptions, Recording
 WORDS = "NYU hand pose images"
 KINDS = ("depth", "synthdepth")
 NAME = re.compile(r"((?:synth)?depth)_([0-9])_([0-9]{7})\.png")
-CAMERA = Camera(640, 480, 588.036865, 587.075073, 320.0, 240.0)
-"""As published with the data."""
+CAMERA = Camera(640, 480, 588.036865, 587.075073, 320.0, 240.0)  # published with the data
 BLUE, GREEN = 0, 1
+# Median of depth; most of an image may be 32001, a Kinect's code for no reading.
 PLAUSIBLE_MM = (200.0, 40_000.0)
-"""Median of depth; a Kinect writes 32001 where it has none, which may be most of an image."""
+# Share of neighbouring readings within ``STEP_MM`` in depth images; swapped bytes give few.
 SMOOTH = 0.9
-"""Share of neighbouring readings within ``STEP_MM``, of depth; packed the other way round there are few."""
 STEP_MM = 64
 SENSOR = "a Kinect"
-LOOKED_AT = 5
+LOOKED_AT = 5  # images inspected
 
 
 def is_nyu(path: Path) -> bool:
-    """Whether a path is a folder with these names whose first image holds packed depth."""
+    """Return whether a path is a folder with such names whose first images hold packed depth."""
     return path.is_dir() and any(_is_packed(path / name) for name in islice(_names(path), LOOKED_AT))
 
 
 def open_nyu_depth(path: Path, options: ReadingOptions) -> Recording:
-    """Open depth: measured before rendered, and of the first camera.
+    """Open the depth of the first camera, measured rather than rendered.
 
     Raises:
         RecordingError: the folder cannot be listed.
@@ -68,7 +67,7 @@ def open_nyu_depth(path: Path, options: ReadingOptions) -> Recording:
     others = ", ".join(f"{kind} of camera {number}" for kind, number in found[1:])
     remarks = ["depth in mm is unpacked from green and blue", *said]
     if others:
-        remarks.insert(0, f"{kind} of camera {camera} is read; {others} is left out")
+        remarks.insert(0, f"reading {kind} of camera {camera}; ignoring {others}")
     files = [(file.name, file) for file in images.values()]
     why = "published with the data"
     return open_depth(
@@ -77,29 +76,29 @@ def open_nyu_depth(path: Path, options: ReadingOptions) -> Recording:
 
 
 def describe_nyu(path: Path) -> dict[str, Any]:
-    """Describe a folder."""
+    """Describe an NYU folder."""
     return describe_dataset(path, WORDS, {"hand run": open_nyu_depth})
 
 
 def unpacked(image: ImageArray) -> ImageArray:
-    """Return (height, width) uint16 depth, mm, of an image with channels blue, green, red.
+    """Return (height, width) uint16 depth, mm, from an image with channels blue, green, red.
 
     Raises:
-        UnreadableImageError: the image is of another kind.
+        UnreadableImageError: the image has another format.
     """
     if image.ndim != 3 or image.dtype != np.uint8:
-        raise UnreadableImageError("image holds no packed depth")
+        raise UnreadableImageError("image has no packed depth")
     return (image[..., GREEN].astype(np.uint16) << 8) | image[..., BLUE]
 
 
 def _names(path: Path) -> Iterator[str]:
-    """Yield the names of images; a folder of other images is looked through as fast as can be."""
+    """Yield the names of matching images; scandir keeps large unrelated folders fast."""
     with suppress(OSError), os.scandir(path) as entries:
         yield from (entry.name for entry in entries if NAME.fullmatch(entry.name))
 
 
 def _is_packed(file: Path) -> bool:
-    """Whether an image holds depth: plausible, and smooth where green and blue are put together."""
+    """Return whether an image holds depth: plausible, and smooth once green and blue are combined."""
     with suppress(UnreadableImageError):
         depth = _depth(file).astype(np.int64)
         readings = depth[depth > 0]

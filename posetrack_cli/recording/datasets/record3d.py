@@ -1,10 +1,10 @@
 """Recordings of Record3D, an app for iPhones and iPads with LiDAR or TrueDepth.
 
-Its own format (.r3d, a zip archive, or a folder of the same files) has metadata in JSON, rgbd/N.jpg,
-rgbd/N.depth (32-bit floats, m) and rgbd/N.conf (bytes 0, 1 or 2), the last two compressed by LZFSE. Of the
-metadata, w and h are of the colour images, dw and dh of depth, K is their 3x3 matrix column after column, and
-perFrameIntrinsicCoeffs has fx, fy, cx, cy of each. Exports have metadata.json, rgb/N.jpg and depth/N.exr; of
-these only colour is read.
+Its own format (.r3d, a zip archive, or a folder of the same files) has JSON metadata, rgbd/N.jpg,
+rgbd/N.depth (32-bit floats, m) and rgbd/N.conf (bytes 0, 1 or 2), the last two LZFSE-compressed. In the
+metadata, w and h are the colour size, dw and dh the depth size, K is the 3x3 matrix in column order, and
+perFrameIntrinsicCoeffs has fx, fy, cx, cy per image. Exports have metadata.json, rgb/N.jpg and depth/N.exr;
+only their colour is supported.
 """
 
 from __future__ import annotations
@@ -49,11 +49,11 @@ METADATA, IMAGES = "metadata", "rgbd"
 EXPORTED_METADATA, EXPORTED_IMAGES, EXPORTED_DEPTH, EXR = "metadata.json", "rgb", "depth", ".exr"
 IMAGE = re.compile(r"rgbd?/([0-9]{1,9})\.(jpg|png|depth|conf)")
 COLOUR, DEPTH, CONFIDENCE = ("jpg", "png"), "depth", "conf"
+# ARKit's lowest confidence: edges, dark and shiny surfaces.
 UNTRUSTED = 0
-"""Level of confidence of readings that ARKit itself does not trust: edges, dark and shiny surfaces."""
+# Local header of a zip entry: lengths of the name and of the extra field, which precede the data.
 LOCAL_HEADER = struct.Struct("<26xHH")
-"""Of a zip entry: lengths of its name and of what else is before its data."""
-ENCRYPTED = 0x1
+ENCRYPTED = 0x1  # flag bit of a zip entry
 Size = Annotated[int, Field(ge=1, le=limits.IMAGE_PIXELS)]
 Number = Annotated[float, Field(ge=-limits.NUMBER, le=limits.NUMBER)]
 
@@ -74,8 +74,8 @@ class _Member:
     """A file of the recording.
 
     Attributes:
-        path: of the file that holds it.
-        entry: where it lies in an archive; None where it is the file.
+        path: the file, or the archive that holds it.
+        entry: entry of the archive; None for a plain file.
     """
 
     path: Path
@@ -85,7 +85,7 @@ class _Member:
         """Return its bytes.
 
         Raises:
-            UnreadableImageError: it cannot be read, or is larger than any that is.
+            UnreadableImageError: it cannot be read, or is too large.
         """
         try:
             if self.entry is None:
@@ -97,12 +97,12 @@ class _Member:
 
 @dataclass(frozen=True)
 class _Contents:
-    """What a recording holds.
+    """Files of a recording.
 
     Attributes:
-        metadata: of all images.
-        members: by kind, then by number.
-        files: that identify it.
+        metadata: metadata of all images.
+        members: files by kind, then by number.
+        files: (name, path) of the files that identify the recording.
     """
 
     metadata: _Metadata
@@ -111,7 +111,7 @@ class _Contents:
 
 
 def is_record3d(path: Path) -> bool:
-    """Whether a path is a recording of Record3D, or was exported by it."""
+    """Return whether a path is a Record3D recording or export."""
     if path.is_dir():
         return ((path / METADATA).is_file() and (path / IMAGES).is_dir()) or _is_exported(path)
     return path.suffix.lower() == SUFFIX and path.is_file() and begins_with(path, ZIP_BEGIN)
@@ -125,18 +125,16 @@ def open_record3d_depth(path: Path, options: ReadingOptions) -> Recording:
     """
     if path.is_dir() and _is_exported(path):
         raise RecordingError(
-            "depth in EXR is not read",
+            "EXR depth is not supported",
             where=path / EXPORTED_DEPTH,
             hint="export the recording as .r3d in Record3D",
         )
     contents = _contents(path)
     size = (contents.metadata.dw, contents.metadata.dh)
     if size[0] is None or size[1] is None or size[0] * size[1] > limits.IMAGE_PIXELS:
-        raise RecordingError(
-            "size of depth images cannot be used", where=path, found=f"dw {size[0]} dh {size[1]}"
-        )
+        raise RecordingError("invalid size of depth images", where=path, found=f"dw {size[0]} dh {size[1]}")
     levels = contents.members.get(CONFIDENCE, {})
-    remarks = [f"depth of confidence {UNTRUSTED} is left out"] if levels else []
+    remarks = [f"depth with confidence {UNTRUSTED} is ignored"] if levels else []
     reading = {
         number: partial(_depth, member, levels.get(number), (size[0], size[1]))
         for number, member in contents.members.get(DEPTH, {}).items()
@@ -175,9 +173,7 @@ def _dataset(
     metadata = contents.metadata
     numbers = sorted(reading)
     if not numbers:
-        raise RecordingError(
-            "holds no such images", where=path, expected="rgbd/0.depth, rgbd/0.jpg and so on"
-        )
+        raise RecordingError("no images of this kind", where=path, expected="rgbd/0.depth, rgbd/0.jpg, ...")
     stamps, fps = _stamps(path, metadata, numbers)
     cameras = _cameras(path, metadata, numbers)
     images = [
@@ -186,15 +182,15 @@ def _dataset(
     ]
     said = list(remarks)
     if len(set(cameras)) > 1:
-        said.append("intrinsics change during the recording and are applied image by image")
+        said.append("intrinsics change during the recording: applied image by image")
     if fps is not None:
-        said.append(f"no stamps: taken as {fps:g} frames/s, as its metadata state")
+        said.append(f"no stamps: assuming {fps:g} frames/s, as stated in the metadata")
     why = f"{METADATA} of the recording"
     return Dataset(path, WORDS, images, cameras[0], why, contents.files, unit_mm, tuple(said), fps)
 
 
 def _cameras(path: Path, metadata: _Metadata, numbers: Sequence[int]) -> list[Camera]:
-    """Return the camera of each image: of all, or its own where each has one."""
+    """Return the camera of each image: its own intrinsics if all have them, else the common ones."""
     k, own = metadata.K, metadata.perFrameIntrinsicCoeffs
     if own and numbers[-1] < len(own) and all(len(values) == 4 for values in own):
         coefficients = [tuple(own[number]) for number in numbers]
@@ -208,19 +204,19 @@ def _cameras(path: Path, metadata: _Metadata, numbers: Sequence[int]) -> list[Ca
 
 
 def _stamps(path: Path, metadata: _Metadata, numbers: Sequence[int]) -> tuple[list[int], float | None]:
-    """Return the stamps of images, ns, and their rate where they have none of their own."""
+    """Return the stamps of images, ns, and their rate if stamps are not stored."""
     times = metadata.frameTimestamps
     if len(times) > numbers[-1]:
         stamps = [round(times[number] * NS_PER_S) for number in numbers]
         if not all(0 <= stamp <= LATEST_NS for stamp in stamps):
-            raise RecordingError("stamps are negative or too late", where=path, found="frameTimestamps")
+            raise RecordingError("frameTimestamps are negative or too late", where=path)
         return stamps, None
     if metadata.fps is None or metadata.fps <= 0:
         found = f"{len(times)} stamps for {len(numbers)} images"
         raise RecordingError(
-            "no stamps and no rate", where=path, found=found, expected="frameTimestamps or fps"
+            "no stamps and no frame rate", where=path, found=found, expected="frameTimestamps or fps"
         )
-    stamps_at_rate(0, metadata.fps)  # refuses what is not a rate
+    stamps_at_rate(0, metadata.fps)  # validates the rate
     return [stamp_at_rate(number, metadata.fps) for number in numbers], metadata.fps
 
 
@@ -241,7 +237,7 @@ def _contents(path: Path) -> _Contents:
         if (match := IMAGE.fullmatch(name)) is not None:
             members.setdefault(match.group(2), {})[int(match.group(1))] = member
     if metadata not in found:
-        raise RecordingError("is not a Record3D recording", where=path, found=f"no file {metadata}")
+        raise RecordingError("not a Record3D recording", where=path, expected=f"a file {metadata}")
     return _Contents(_metadata(path, found[metadata]), members, sorted(files))
 
 
@@ -249,18 +245,23 @@ def _metadata(path: Path, member: _Member) -> _Metadata:
     try:
         data = member.read()
         if len(data) > limits.TEXT_BYTES:
-            raise RecordingError("metadata are too long", where=path, found=f"{len(data)} bytes")
+            raise RecordingError(
+                "metadata too long",
+                where=path,
+                found=f"{len(data)} bytes",
+                expected=f"at most {limits.TEXT_BYTES}",
+            )
         return _Metadata.model_validate_json(data)
     except UnreadableImageError as error:
         raise RecordingError("metadata cannot be read", where=path) from error
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         key = ".".join(str(part) for part in first["loc"])
-        raise RecordingError("metadata cannot be used", where=path, found=f"{key}: {first['msg']}") from error
+        raise RecordingError("invalid metadata", where=path, found=f"{key}: {first['msg']}") from error
 
 
 def _is_exported(path: Path) -> bool:
-    """Whether a folder was exported as EXR and RGB."""
+    """Return whether a folder is an EXR and RGB export."""
     folders = (path / EXPORTED_IMAGES, path / EXPORTED_DEPTH)
     if not (path / EXPORTED_METADATA).is_file() or not all(folder.is_dir() for folder in folders):
         return False
@@ -275,24 +276,19 @@ def _entries(folder: Path) -> list[Path]:
 
 
 def _index(path: Path) -> list[zipfile.ZipInfo]:
-    """Return the entries of an archive.
-
-    Raises:
-        RecordingError: it is damaged.
-    """
     try:
         with open_input(path) as file, zipfile.ZipFile(file) as archive:
             return archive.infolist()
     except (zipfile.BadZipFile, OSError, ValueError, RuntimeError, struct.error, OverflowError) as error:
-        raise RecordingError("is damaged", where=path, found="no index, as of a zip archive") from error
+        raise RecordingError("damaged zip archive", where=path, found="no readable index") from error
 
 
 def _unzipped(path: Path, entry: zipfile.ZipInfo) -> bytes:
-    """Return the bytes of an entry of an archive.
+    """Return the bytes of an archive entry.
 
     Raises:
-        ValueError: it is encrypted, compressed otherwise, or larger than any image that is read.
-        OSError, struct.error, zlib.error: it is cut or damaged.
+        ValueError: it is encrypted, uses another compression, or exceeds ``limits``.
+        OSError, struct.error, zlib.error: it is truncated or damaged.
     """
     is_known = entry.compress_type in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
     most = max(entry.compress_size, entry.file_size)
@@ -311,8 +307,8 @@ def _unzipped(path: Path, entry: zipfile.ZipInfo) -> bytes:
 
 
 def _depth(member: _Member, level: _Member | None, size: tuple[int, int]) -> ImageArray:
-    """Return depth, m, without the readings that are not trusted."""
-    from posetrack_cli.recording.compression import decode_lzfse  # loads numba
+    """Return depth, m, without readings of the lowest confidence."""
+    from posetrack_cli.recording.compression import decode_lzfse  # imports numba: only when needed
 
     width, height = size
     data = decode_lzfse(member.read(), 4 * width * height)

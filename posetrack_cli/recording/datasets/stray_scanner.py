@@ -1,8 +1,8 @@
 """Recordings of Stray Scanner, an app for iPhones and iPads with LiDAR.
 
-A folder has depth/NNNNNN.png (16-bit mm), confidence/NNNNNN.png (0, 1 or 2), rgb.mp4, camera_matrix.csv (3x3,
-of the video) and odometry.csv, whose lines have the time in seconds and the number of each image; newer ones
-also the intrinsics at that time. All images are as the sensor has them: landscape.
+A folder has depth/NNNNNN.png (16-bit mm), confidence/NNNNNN.png (0, 1 or 2), rgb.mp4, camera_matrix.csv
+(3x3, of the video) and odometry.csv, whose lines have time in seconds and image number; newer versions add
+the intrinsics of each image. All images are in sensor orientation: landscape.
 """
 
 from __future__ import annotations
@@ -40,22 +40,21 @@ from posetrack_cli.units import NS_PER_S
 WORDS = "Stray Scanner recording"
 MATRIX, ODOMETRY, VIDEO = "camera_matrix.csv", "odometry.csv", "rgb.mp4"
 DEPTH, CONFIDENCE = "depth", "confidence"
-LIKELY_SIZE = (1920, 1440)
-"""Of the video, where there is none."""
+LIKELY_SIZE = (1920, 1440)  # video size if there is no video
+# ARKit's lowest confidence: edges, dark and shiny surfaces.
 UNTRUSTED = 0
-"""Level of readings that ARKit itself does not trust: edges, dark and shiny surfaces."""
 TIME, NUMBER, INTRINSICS = "timestamp", "frame", ("fx", "fy", "cx", "cy")
 IMAGE = re.compile(r"([0-9]{1,18})\.png")
-EXPECTED = "odometry is a CSV file in UTF-8"
+EXPECTED = "a CSV file in UTF-8"
 
 
 def is_stray_scanner(path: Path) -> bool:
-    """Whether a path is a folder of Stray Scanner."""
+    """Return whether a path is a Stray Scanner folder."""
     return path.is_dir() and (path / MATRIX).is_file() and (path / ODOMETRY).is_file()
 
 
 def open_stray_depth(path: Path, options: ReadingOptions) -> Recording:
-    """Open the depth of a folder of Stray Scanner.
+    """Open the depth of a Stray Scanner folder.
 
     Raises:
         RecordingError: a file is missing or damaged.
@@ -68,25 +67,25 @@ def open_stray_depth(path: Path, options: ReadingOptions) -> Recording:
             "no depth images",
             where=path / DEPTH,
             expected="16-bit images 000000.png and so on",
-            hint="Stray Scanner of 2021 wrote NPY files: record with a newer one",
+            hint="NPY files of Stray Scanner 2021 are not supported: record with a newer version",
         )
     whole, of = _video_camera(path)
     read = [(row, images[row.number], levels.get(row.number)) for row in rows if row.number in images]
     if not read:
-        found = f"numbers {rows[0].number} to {rows[-1].number}" if rows else "no line"
+        found = f"numbers {rows[0].number} to {rows[-1].number}" if rows else "no lines"
         raise RecordingError("no depth image has a stamp", where=path / ODOMETRY, found=found)
     cameras = [row.camera(whole, path / ODOMETRY) for row, _, _ in read]
     stored = [
         DatasetImage(row.stamp_ns, f"{DEPTH}/{file.name}", partial(_depth, file, level), camera)
         for (row, file, level), camera in zip(read, cameras, strict=True)
     ]
-    remarks = [f"images are landscape, as the sensor has them; the camera is that of {of}"]
+    remarks = [f"images are landscape (sensor orientation); intrinsics are those of {of}"]
     if levels:
-        remarks.append(f"depth of confidence {UNTRUSTED} is left out")
+        remarks.append(f"depth with confidence {UNTRUSTED} is ignored")
     if len(set(cameras)) > 1:
-        remarks.append("intrinsics change during the recording and are applied image by image")
+        remarks.append("intrinsics change during the recording: applied image by image")
     if len(images) > len(read):
-        remarks.append(f"{len(images) - len(read)} depth images without a stamp in {ODOMETRY} are left out")
+        remarks.append(f"skipped {len(images) - len(read)} depth images without a stamp in {ODOMETRY}")
     files = [(f"{DEPTH}/{file.name}", file) for _, file, _ in read]
     files += [(f"{CONFIDENCE}/{level.name}", level) for _, _, level in read if level is not None]
     files += [(name, path / name) for name in (MATRIX, ODOMETRY)]
@@ -95,7 +94,7 @@ def open_stray_depth(path: Path, options: ReadingOptions) -> Recording:
 
 
 def open_stray_video(path: Path, options: ReadingOptions) -> Recording:
-    """Open the video of a folder of Stray Scanner with its camera.
+    """Open the video of a Stray Scanner folder with its camera.
 
     Raises:
         RecordingError: a file is missing or damaged.
@@ -107,7 +106,7 @@ def open_stray_video(path: Path, options: ReadingOptions) -> Recording:
 
 
 def describe_stray(path: Path) -> dict[str, Any]:
-    """Describe a folder of Stray Scanner."""
+    """Describe a Stray Scanner folder."""
     return describe_dataset(path, WORDS, {"hand run": open_stray_depth, "head mono": open_stray_video})
 
 
@@ -116,9 +115,9 @@ class _Row:
     """A line of the odometry.
 
     Attributes:
-        stamp_ns: when the image was taken.
-        number: of the image.
-        intrinsics: fx, fy, cx, cy of the video's image; None where they are not stated.
+        stamp_ns: time of capture.
+        number: number of the image.
+        intrinsics: fx, fy, cx, cy of the video image; None if not stated.
     """
 
     stamp_ns: int
@@ -133,11 +132,6 @@ class _Row:
 
 
 def _rows(path: Path) -> list[_Row]:
-    """Return the lines of the odometry.
-
-    Raises:
-        RecordingError: it cannot be read, or lacks times or numbers.
-    """
     file = TextFile(path, RecordingError, EXPECTED)
     table = file.table((TIME, NUMBER), "...")
     return [_row(dict(zip(table.names, row, strict=True)), file.where(line)) for line, row in table]
@@ -152,16 +146,16 @@ def _row(cells: dict[str, str], where: str) -> _Row:
 
 
 def _video_camera(path: Path) -> tuple[Camera, str]:
-    """Return the camera of the video's images, and what it is of.
+    """Return the camera of the video, and the source of its image size.
 
     Raises:
-        RecordingError: the matrix is not one, or there is no video and its size is not clear.
+        RecordingError: the matrix is invalid, or does not fit the image size.
     """
     matrix = numbers_of(path / MATRIX)
     if len(matrix) != 9:
         expected = "3 lines of 3 numbers"
         raise RecordingError(
-            "is not a camera matrix", where=path / MATRIX, found=f"{len(matrix)} numbers", expected=expected
+            "invalid camera matrix", where=path / MATRIX, found=f"{len(matrix)} numbers", expected=expected
         )
     width, height = LIKELY_SIZE
     of = f"images of {width}x{height}"
@@ -172,17 +166,17 @@ def _video_camera(path: Path) -> tuple[Camera, str]:
     camera = camera_of(width, height, matrix[0], matrix[4], matrix[2], matrix[5], path / MATRIX)
     if is_off_centre(camera) or principal_point_fault(camera):
         raise RecordingError(
-            "camera matrix is not of this video",
+            "camera matrix does not fit the video",
             where=path / MATRIX,
             found=f"cx {camera.cx:g} cy {camera.cy:g}",
-            expected=f"the middle of {width}x{height}",
-            hint="pass --camera with the camera of the images",
+            expected=f"near the centre of {width}x{height}",
+            hint="pass --camera with the intrinsics of the images",
         )
     return camera, of
 
 
 def _depth(file: Path, level: Path | None) -> ImageArray:
-    """Return depth, mm, without the readings that are not trusted.
+    """Return depth, mm, without readings of the lowest confidence.
 
     Raises:
         UnreadableImageError: the depth cannot be decoded.

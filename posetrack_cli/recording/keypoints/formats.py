@@ -1,4 +1,4 @@
-"""Formats of keypoint files: CSV, with a row per frame, hand or point; JSON of MediaPipe, COCO and others."""
+"""Formats of keypoint files: CSV with a row per frame, hand or point; JSON of MediaPipe, COCO etc."""
 
 from __future__ import annotations
 
@@ -40,20 +40,20 @@ from posetrack_cli.recording.keypoints.layout import (
 )
 from posetrack_cli.tables import FRAME_FIELDS, LOST, NS_PER_UNIT, STATUS, Row, Table, TextFile, first_of
 
-KIND = "keypoints are a CSV or JSON file in UTF-8"
-_LONGER = "a longer file is one of JSON lines (.jsonl) or CSV"
+KIND = "a CSV or JSON file in UTF-8"
+_LONGER = "use JSON lines (.jsonl) or CSV for longer files"
 
 
 def parse_keypoints(path: Path, kind: PointKind) -> Parsed:
-    """Read keypoints that another program found, in the file's unit.
+    """Read another program's keypoints, in the file's unit.
 
     Args:
-        path: CSV; JSON, one value (``.json``) or one per line (``.jsonl``, ``.ndjson``); or a folder of JSON
-            files, one a frame.
-        kind: whose points they are.
+        path: CSV; JSON, one value (``.json``) or one per line (``.jsonl``, ``.ndjson``); or a folder of
+            JSON files, one per frame.
+        kind: subject of the points.
 
     Raises:
-        UsageError: no such file; or names file, line and field of what cannot be used.
+        UsageError: the file does not exist or is invalid; names file, line and field.
     """
     if path.is_dir():
         return _frames(path, kind, (_file_frame(file) for file in frame_files(path)), None)
@@ -74,10 +74,10 @@ def parse_keypoints(path: Path, kind: PointKind) -> Parsed:
 
 
 def frame_files(path: Path) -> list[Path]:
-    """Return the JSON files of a folder, each of which is a frame.
+    """Return the JSON files of a folder, one per frame.
 
     Raises:
-        UsageError: there are none, too many, or they are too large together.
+        UsageError: there are none, too many, or their total size is too large.
     """
     try:
         files = sorted(
@@ -87,12 +87,12 @@ def frame_files(path: Path) -> list[Path]:
     except OSError as error:
         raise UsageError("cannot be read", where=path, found=error.strerror or error) from error
     if not files:
-        expected = "a JSON file per frame, as OpenPose and MMPose write them"
-        raise UsageError("folder holds no keypoints", where=path, expected=expected)
+        expected = "one JSON file per frame, as OpenPose and MMPose write"
+        raise UsageError("no keypoint files in folder", where=path, expected=expected)
     _check_count(len(files) - 1, path)
     if size > limits.KEYPOINT_BYTES:
-        expected = f"{limits.KEYPOINT_BYTES} at most"
-        raise UsageError("is too large", where=path, found=f"{size} bytes", expected=expected)
+        expected = f"at most {limits.KEYPOINT_BYTES}"
+        raise UsageError("too large", where=path, found=f"{size} bytes", expected=expected)
     return files
 
 
@@ -100,34 +100,33 @@ def frame_files(path: Path) -> list[Path]:
 
 
 EXPECTED = (
-    "columns of points (x0, y0 ... or wrist_x, wrist_y ..., or a row per point with landmark, x, y), "
-    "and of frames or stamps"
+    "point columns (x0, y0 ... or wrist_x, wrist_y ..., or a row per point with landmark, x, y) "
+    "and a frame or stamp column"
 )
 _SCORER, _COORDS = "scorer", "coords"
+# Header rows of a DeepLabCut table after the scorer's.
 _LEVELS = ("individuals", "bodyparts", _COORDS)
-"""Rows of the header of a table of DeepLabCut, after the scorer's."""
-_SUBJECTS = ("hand", "face", "face_id")
-"""Columns that count the subjects of a frame."""
+_SUBJECTS = ("hand", "face", "face_id")  # columns that number the subjects of a frame
+# Column of OpenFace: 0 where the face was lost. Its frames count from 1.
 _SUCCESS = "success"
-"""A column of OpenFace: 0 where it lost the face. Its frames count from 1."""
 
 
 def _deeplabcut(file: TextFile, first_row: Row, rows: Iterator[Row]) -> Iterator[Row]:
-    """Yield the header and rows of a table of DeepLabCut, whose names are spread over three or four rows.
+    """Yield header and rows of a DeepLabCut table, whose names are spread over three or four rows.
 
-    These are scorer, individuals (of several animals), bodyparts and coords; the first column counts frames
-    or names images. A row becomes one for each individual.
+    These are scorer, individuals (with several animals), bodyparts and coords; the first column numbers
+    frames or names images. A row becomes one for each individual.
 
     Raises:
-        UsageError: the header ends early or does not name bodyparts and coords.
+        UsageError: the header ends early, or lacks bodyparts or coords.
     """
     line, scorer = first_row
     header: dict[str, Sequence[str]] = {}
     while _COORDS not in header:
         line, row = next(rows, (line, []))
         if not row or len(row) != len(scorer) or len(header) > len(_LEVELS):
-            found, expected = f"{len(row)} cells", f"{len(scorer)}, and rows {', '.join(_LEVELS)}"
-            what = "header of DeepLabCut is not complete"
+            found, expected = f"{len(row)} cells", f"{len(scorer)} cells, and rows {', '.join(_LEVELS)}"
+            what = "incomplete DeepLabCut header"
             raise UsageError(what, where=file.where(line), found=found, expected=expected)
         header[row[0].strip().lower()] = [cell.strip() for cell in row]
     parts = header.get("bodyparts", [""] * len(scorer))
@@ -147,7 +146,7 @@ def _deeplabcut(file: TextFile, first_row: Row, rows: Iterator[Row]) -> Iterator
 
 
 def _table(file: TextFile, kind: PointKind, rows: Iterator[Row]) -> Parsed:
-    """What a table says, of rows with the header first."""
+    """Return the content of a table, given its rows with the header first."""
     table = Table.of(file, rows, EXPECTED)
     columns = _Columns.of(kind, table)
     collector = SetCollector(file.path, kind, columns.ns_per_unit is not None)
@@ -158,14 +157,14 @@ def _table(file: TextFile, kind: PointKind, rows: Iterator[Row]) -> Parsed:
 
 @dataclass(frozen=True)
 class _Columns:
-    """Where in a row what is.
+    """Column indices of a table.
 
     Attributes:
-        of_row: columns of the key, frame, score and so on, by these names; of those that there are.
-        ns_per_unit: what the unit of a stamp is in ns; None where the key is a frame's number.
-        points: columns of a row per frame; none where each row is a point.
-        side_field: name of the column of sides.
-        unit: that the columns name.
+        of_row: indices of the key, frame, score etc., for those present.
+        ns_per_unit: ns per unit of a stamp; None if the key is a frame number.
+        points: point columns of a row per frame; empty if each row is a point.
+        side_field: name of the side column.
+        unit: unit in the column names.
     """
 
     of_row: Mapping[str, int]
@@ -179,7 +178,7 @@ class _Columns:
         """Find the columns.
 
         Raises:
-            UsageError: they are of no known layout.
+            UsageError: the layout is unknown.
         """
         names, where = table.names, table.header
         plain = [name.lower() for name in names]
@@ -198,7 +197,7 @@ class _Columns:
         }
         found = {what: first_of(named, plain) for what, named in wanted.items()}
         if (key := found["key"]) is None:
-            raise UsageError("no column tells the frame", where=where, found=table.shown, expected=KEYS)
+            raise UsageError("no frame or stamp column", where=where, found=table.shown, expected=KEYS)
         points = tuple(
             (k, column)
             for k, name in enumerate(names)
@@ -211,22 +210,22 @@ class _Columns:
             units = {UNIT_NAMES.get((found[axis] or "").partition("_")[2]) for axis in "xyz"}
         named = sorted(unit for unit in units if unit is not None)
         if len(named) > 1:
-            raise UsageError("columns are in several units", where=where, found=", ".join(named))
+            raise UsageError("columns differ in unit", where=where, found=", ".join(named))
         of_row = {what: plain.index(name) for what, name in found.items() if name is not None}
         return cls(of_row, NS_PER_UNIT.get(key), points, side, named[0] if named else None)
 
     def take(self, row: Sequence[str], collector: SetCollector, where: str) -> None:
         """Add a row to the sets."""
-        said = {what: row[k] for what, k in self.of_row.items()}
-        if said.get(STATUS, "").strip().lower() == LOST:
+        cells = {what: row[k] for what, k in self.of_row.items()}
+        if cells.get(STATUS, "").strip().lower() == LOST:
             return
-        if not number_of(said.get(_SUCCESS, 1), f"{where}, {_SUCCESS}") > 0.0:
+        if not number_of(cells.get(_SUCCESS, 1), f"{where}, {_SUCCESS}") > 0.0:
             return
-        key = key_of(said["key"], where, ns_per_unit=self.ns_per_unit)
-        if self.ns_per_unit is not None and said.get("frame", "").strip():
-            collector.tell_number(key, key_of(said["frame"], where))
-        hand, told = _hand_of(said.get("hand", ""), where)
-        score = score_of(said.get("score"), f"{where}, score")
+        key = key_of(cells["key"], where, ns_per_unit=self.ns_per_unit)
+        if self.ns_per_unit is not None and cells.get("frame", "").strip():
+            collector.set_number(key, key_of(cells["frame"], where))
+        hand, side = _hand_of(cells.get("hand", ""), where)
+        score = score_of(cells.get("score"), f"{where}, score")
         if self.points:
             hand = collector.new_hand(key, hand)  # a row each for the hands of a frame
         values = collector.set_of(key, hand, where)
@@ -236,51 +235,49 @@ class _Columns:
                 read = score_of if column.value == SCORE else number_of
                 values[column.point, column.value] = read(row[k], f"{where}, column {k + 1}")
         else:
-            x, y, z = (number_of(said.get(axis), f"{where}, {axis}") for axis in "xyz")
-            collector.put(values, point_of(collector.kind, said["point"], where), (x, y, z, score), where)
-        if label := said.get("side") or told:
-            collector.tell_side(key, hand, right_of(label, score_of(said.get("side_score"), where), where))
+            x, y, z = (number_of(cells.get(axis), f"{where}, {axis}") for axis in "xyz")
+            collector.put(values, point_of(collector.kind, cells["point"], where), (x, y, z, score), where)
+        if label := cells.get("side") or side:
+            collector.set_side(key, hand, right_of(label, score_of(cells.get("side_score"), where), where))
 
 
 def _is_in_space(name: str, names: Sequence[str]) -> bool:
-    """Whether a column is one of OpenFace's X_0, Y_0 and Z_0, mm, beside x_0 and y_0, pixels."""
+    """Return whether a column is OpenFace's X_0, Y_0 or Z_0, mm, rather than x_0 or y_0, pixels."""
     return name[:1] in ("X", "Y", "Z") and f"x{name[1:]}" in names
 
 
 def _ours(
     kind: PointKind, points: Sequence[tuple[int, PointColumn]], table: Table
 ) -> tuple[tuple[int, PointColumn], ...]:
-    """Return the columns of our points, by our numbers, of each of which x and y are there."""
+    """Return the columns of our points by our numbering; every point must have x and y."""
     where = table.header
     if not points:
-        raise UsageError("no column is of a keypoint", where=where, found=table.shown, expected=EXPECTED)
-    there = {(column.point, column.value) for _, column in points}
-    if len(there) < len(points):
-        raise UsageError("two columns are of the same point", where=where, found=table.shown)
-    count = max(point for point, _ in there) + 1
+        raise UsageError("no keypoint columns", where=where, found=table.shown, expected=EXPECTED)
+    present = {(column.point, column.value) for _, column in points}
+    if len(present) < len(points):
+        raise UsageError("two columns for the same point", where=where, found=table.shown)
+    count = max(point for point, _ in present) + 1
     places = kind.places(count) if count > kind.size else kind.places(kind.size)
     if places is None:
         expected = (
             f"{kind.counts} points, {kind.range}" if len(kind.counted) == 1 else f"{kind.counts} points"
         )
-        raise UsageError("has other points", where=where, found=f"point {count - 1}", expected=expected)
-    lacking = [(k, axis) for k in places for axis in (X, Y) if (k, axis) not in there]
+        raise UsageError("unknown set of points", where=where, found=f"point {count - 1}", expected=expected)
+    lacking = [(k, axis) for k in places for axis in (X, Y) if (k, axis) not in present]
     if lacking:
         point, axis = lacking[0]
-        found = f"{len({point for point, _ in there})} points, no {'xy'[axis]} of point {point}"
-        expected = f"x and y of {kind.counts}"
-        raise UsageError("columns of points are missing", where=where, found=found, expected=expected)
-    depths = sum(1 for point, value in there if value == Z and point in places)
+        found = f"{len({point for point, _ in present})} points, no {'xy'[axis]} of point {point}"
+        expected = f"x and y of {kind.counts} points"
+        raise UsageError("missing point columns", where=where, found=found, expected=expected)
+    depths = sum(1 for point, value in present if value == Z and point in places)
     if depths not in (0, kind.size):
         expected = f"0 or {kind.size}"
-        raise UsageError(
-            "columns of points are missing", where=where, found=f"{depths} of z", expected=expected
-        )
+        raise UsageError("missing point columns", where=where, found=f"{depths} of z", expected=expected)
     return tuple((k, one._replace(point=places[one.point])) for k, one in points if one.point in places)
 
 
 def _hand_of(cell: str, where: str) -> tuple[int, str]:
-    """Which hand of its frame a row is of, and its side if that is how it is told."""
+    """Return a row's hand index, and its side if the column holds sides."""
     plain = cell.strip().lower()
     if plain in ("right", "left", "r", "l"):
         return int(plain[0] == "l"), plain
@@ -291,60 +288,59 @@ def _hand_of(cell: str, where: str) -> tuple[int, str]:
 
 
 _ONE = ("landmarks", "keypoints", "points", "landmark")
+# Fields of OpenPose's per-frame files, and of MMPose's frames and files.
 _PEOPLE, _INSTANCES, _INFO = "people", "instances", "instance_info"
-"""Fields of OpenPose's files, one a frame, and of MMPose's frames and files."""
-_WHOLE_BODY = 133
-"""Points of COCO's whole body."""
+_WHOLE_BODY = 133  # points of COCO-WholeBody
+# Side fields, mapped to those of ``SIDE_FIELDS``.
 _LABELS = {SIDE: SIDE, MIRRORED: MIRRORED, HANDEDNESS: HANDEDNESS, "handednesses": HANDEDNESS}
-"""Fields that tell sides, and which of ``SIDE_FIELDS`` they are."""
 _LABEL_NAMES = ("label", "category_name", "categoryName", "display_name", "name")
+# Scores for COCO's flags: not labelled, labelled but occluded, visible.
 _VISIBILITY = {0.0: 0.0, 1.0: 0.5, 2.0: 1.0}
-"""Scores that COCO's flags stand for: not labelled, labelled but hidden, visible."""
 
 
 def _json_file(path: Path) -> TextFile:
     return TextFile(path, UsageError, KIND, limits.KEYPOINT_JSON_BYTES)
 
 
-def _parsed(file: TextFile, kind: PointKind, said: Any) -> Parsed:
-    """What a file's value says, by what it has."""
+def _parsed(file: TextFile, kind: PointKind, content: Any) -> Parsed:
+    """Return the content of a file's JSON value, by its fields."""
     path = file.path
-    if isinstance(said, Mapping):
-        unit = unit_of(said["unit"], path) if said.get("unit") is not None else None
-        if isinstance(said.get("columns"), Mapping):
-            return _table(file, kind, file.json_rows(said["columns"]))
-        if isinstance(said.get("annotations"), list):
-            return _frames(path, kind, _coco(path, kind, said), unit or PIXELS)
-        if isinstance(said.get("frames"), (list, Mapping)):
-            return _frames(path, kind, said["frames"], unit)
-        if isinstance(said.get(_INFO), list):
-            return _frames(path, kind, _with_names(said), unit)
-        if isinstance(said.get(_PEOPLE), list):
-            return _frames(path, kind, [{FRAME_FIELDS[0]: _number_in(path), **said}], unit)
-        if said and all(str(key).isdecimal() for key in said):
-            return _frames(path, kind, said, unit)
-        found = ", ".join(map(str, list(said)[:5]))[:80] or "an empty object"
-        raise UsageError("holds no frames", where=path, found=found, expected=kind.expected)
-    if isinstance(said, (list, Iterator)):
-        return _frames(path, kind, said, None)
-    raise UsageError("holds no frames", where=path, found=type(said).__name__, expected=kind.expected)
+    if isinstance(content, Mapping):
+        unit = unit_of(content["unit"], path) if content.get("unit") is not None else None
+        if isinstance(content.get("columns"), Mapping):
+            return _table(file, kind, file.json_rows(content["columns"]))
+        if isinstance(content.get("annotations"), list):
+            return _frames(path, kind, _coco(path, kind, content), unit or PIXELS)
+        if isinstance(content.get("frames"), (list, Mapping)):
+            return _frames(path, kind, content["frames"], unit)
+        if isinstance(content.get(_INFO), list):
+            return _frames(path, kind, _with_names(content), unit)
+        if isinstance(content.get(_PEOPLE), list):
+            return _frames(path, kind, [{FRAME_FIELDS[0]: _number_in(path), **content}], unit)
+        if content and all(str(key).isdecimal() for key in content):
+            return _frames(path, kind, content, unit)
+        found = ", ".join(map(str, list(content)[:5]))[:80] or "an empty object"
+        raise UsageError("no frames", where=path, found=found, expected=kind.expected)
+    if isinstance(content, (list, Iterator)):
+        return _frames(path, kind, content, None)
+    raise UsageError("no frames", where=path, found=type(content).__name__, expected=kind.expected)
 
 
 def _file_frame(file: Path) -> Mapping[str, Any]:
-    """Return what a file says of its frame: OpenPose's people, or a list of MMPose's instances."""
-    said = _json_file(file).json(_LONGER)
-    if isinstance(said, list):
-        said = {_INSTANCES: said}
-    if not isinstance(said, Mapping):
-        raise UsageError("holds no frame", where=file, found=type(said).__name__, expected=_PEOPLE)
-    return {FRAME_FIELDS[0]: _number_in(file), **said}
+    """Return the frame in a file: OpenPose's people, or a list of MMPose's instances."""
+    content = _json_file(file).json(_LONGER)
+    if isinstance(content, list):
+        content = {_INSTANCES: content}
+    if not isinstance(content, Mapping):
+        raise UsageError("not a frame", where=file, found=type(content).__name__, expected=_PEOPLE)
+    return {FRAME_FIELDS[0]: _number_in(file), **content}
 
 
 def _number_in(file: Path) -> int:
-    """Return the frame's number in a file's name: ``take_000000000012_keypoints.json``."""
+    """Return the frame number in a file name: ``take_000000000012_keypoints.json``."""
     digits = re.findall(r"\d{1,18}", file.stem.removesuffix("_keypoints"))
     if not digits:
-        raise UsageError("name has no frame number", where=file)
+        raise UsageError("no frame number in file name", where=file, expected="e.g. take_0012.json")
     return int(digits[-1])
 
 
@@ -352,7 +348,7 @@ def _number_in(file: Path) -> int:
 
 
 def _frames(path: Path, kind: PointKind, frames: Any, unit: str | None) -> Parsed:
-    """A list of frames, which count where they do not say their number, or an object of them by number."""
+    """Return the sets of a list of frames, numbered by position if unnumbered, or of an object."""
     entries = frames.items() if isinstance(frames, Mapping) else enumerate(frames)
     collector: SetCollector | None = None
     stamp: str | None = None
@@ -370,37 +366,37 @@ def _frames(path: Path, kind: PointKind, frames: Any, unit: str | None) -> Parse
         key = _key(frame, stamp, place, where)
         number = first_of(FRAME_FIELDS, frame)
         if collector.by_stamp and number is not None:
-            collector.tell_number(key, key_of(frame[number], where))
+            collector.set_number(key, key_of(frame[number], where))
         sides |= _take_frame(collector, key, frame, where)
     if collector is None:
-        raise UsageError("holds no frames", where=path, found="none", expected=kind.expected)
+        raise UsageError("no frames", where=path, found="none", expected=kind.expected)
     if len(sides) > 1:
-        raise UsageError("sides are told in two ways", where=path, found=" and ".join(sorted(sides)))
+        raise UsageError("sides given in two fields", where=path, found=" and ".join(sorted(sides)))
     return Parsed(collector.sets(), unit, next(iter(sides), None))
 
 
 def _check_count(count: int, where: object) -> None:
-    """Raise where more frames, images or annotations came before than are looked at."""
+    """Raise UsageError if ``count`` earlier frames, images or annotations reach the limit."""
     if count >= limits.KEYPOINT_SETS:
         raise UsageError(
-            "too many frames", where=where, found="more", expected=f"{limits.KEYPOINT_SETS} at most"
+            "too many frames", where=where, found="more", expected=f"at most {limits.KEYPOINT_SETS}"
         )
 
 
 def _key(frame: Mapping[str, Any], stamp: str | None, place: Any, where: str) -> int:
     if stamp is not None:
         if stamp not in frame:
-            raise UsageError("has no stamp", where=where, expected=f"{stamp}, as the first frame has")
+            raise UsageError("no stamp", where=where, expected=f"{stamp}, as in the first frame")
         return key_of(frame[stamp], f"{where}, {stamp}", ns_per_unit=NS_PER_UNIT[stamp])
     name = first_of(FRAME_FIELDS, frame)
     return key_of(place if name is None else frame[name], where)
 
 
 def _take_frame(collector: SetCollector, key: int, frame: Mapping[str, Any], where: str) -> set[str]:
-    """Add a frame's hands; return which fields told their sides."""
+    """Add a frame's hands; return the fields that gave their sides."""
     frame = _of_peers(collector.kind, frame, where)
-    first = collector.new_hand(key)  # entries of one frame: a hand each
-    told: set[str] = set()
+    first = collector.new_hand(key)  # several entries of one frame are one hand each
+    fields: set[str] = set()
     hands, labels = _hands(collector.kind, frame, where), _labels(frame)
     for n, hand in enumerate(hands):
         points, own = (hand, {}) if not isinstance(hand, Mapping) else (_of(hand, _ONE, hand), hand)
@@ -418,20 +414,20 @@ def _take_frame(collector: SetCollector, key: int, frame: Mapping[str, Any], whe
             f"{where}, {collector.kind.subject} {n}" if len(hands) > 1 else where,
         )
         if label:
-            told.add(field)
-            collector.tell_side(key, first + n, _right(label[0], where))
-    return told
+            fields.add(field)
+            collector.set_side(key, first + n, _right(label[0], where))
+    return fields
 
 
-def _with_names(said: Mapping[str, Any]) -> Iterator[Any]:
-    """Yield the frames of a file of MMPose, each with the names of its points."""
-    about = said.get("meta_info")
+def _with_names(content: Mapping[str, Any]) -> Iterator[Any]:
+    """Yield the frames of an MMPose file, each with its point names."""
+    about = content.get("meta_info")
     names = about.get("keypoint_id2name") if isinstance(about, Mapping) else None
-    return ({**frame, "names": names} if isinstance(frame, Mapping) else frame for frame in said[_INFO])
+    return ({**frame, "names": names} if isinstance(frame, Mapping) else frame for frame in content[_INFO])
 
 
 def _of_peers(kind: PointKind, frame: Mapping[str, Any], where: str) -> Mapping[str, Any]:
-    """Return a frame of OpenPose or MMPose as a list of hands or faces, any other as it is."""
+    """Return an OpenPose or MMPose frame as a list of hands or faces, any other unchanged."""
     found: list[Mapping[str, Any]] = []
     if isinstance(frame.get(_PEOPLE), list):
         for person in frame[_PEOPLE]:
@@ -451,11 +447,16 @@ def _set(points: Any, side: str) -> Mapping[str, Any]:
 
 
 def _triples(values: Any, where: str) -> list[Any]:
-    """Return x, y, score one after the other as points; one of score 0 is none, and so is a set of such."""
+    """Return flat x, y, score values as points; None for score 0, and [] if there are no points."""
     if not isinstance(values, list) or len(values) % 3:
         if values is None:
             return []
-        raise UsageError("points are not x, y, score", where=where, found=type(values).__name__)
+        raise UsageError(
+            "invalid points",
+            where=where,
+            found=f"{len(values)} numbers" if isinstance(values, list) else type(values).__name__,
+            expected="x, y, score of each point in a row",
+        )
     points = [_scored(values[k], values[k + 1], values[k + 2]) for k in range(0, len(values), 3)]
     return points if any(points) else []
 
@@ -465,7 +466,7 @@ def _scored(x: Any, y: Any, score: Any) -> list[Any] | None:
 
 
 def _instance(kind: PointKind, instance: Mapping[str, Any], names: Any) -> list[Mapping[str, Any]]:
-    """Return an instance of MMPose as sets: of all its points, or of the parts of a whole body."""
+    """Return an MMPose instance as sets: all its points, or the parts of a whole body."""
     points, scores = instance.get("keypoints"), instance.get("keypoint_scores")
     if not isinstance(points, list):
         return []
@@ -485,7 +486,7 @@ def _instance(kind: PointKind, instance: Mapping[str, Any], names: Any) -> list[
 
 
 def _hands(kind: PointKind, frame: Mapping[str, Any], where: str) -> Sequence[Any]:
-    """What a frame says of its hands or faces, each as points or as an object with them."""
+    """Return a frame's hands or faces, each as points or an object with points."""
     hands = _of(frame, kind.several, None)
     if hands is None:
         one = _of(frame, _ONE, None)
@@ -493,29 +494,29 @@ def _hands(kind: PointKind, frame: Mapping[str, Any], where: str) -> Sequence[An
             return ()
         return one if _is_list_of_hands(one) else (one,)
     if not isinstance(hands, list):
-        what = f"{kind.subject}s are no list"
+        what = f"{kind.subject}s are not a list"
         raise UsageError(what, where=where, found=type(hands).__name__, expected=kind.expected)
     return hands
 
 
 def _is_list_of_hands(value: Any) -> bool:
-    """Whether landmarks are those of several hands: points of points, as MediaPipe's tasks give them."""
+    """Return whether landmarks are those of several hands: nested lists, as from MediaPipe's tasks."""
     if not isinstance(value, list) or not value or not isinstance(value[0], list):
         return False
     return bool(value[0]) and isinstance(value[0][0], (list, Mapping))
 
 
 def _labels(frame: Mapping[str, Any]) -> tuple[str, list[Any]] | None:
-    """Which of ``SIDE_FIELDS`` a frame or a hand has, and what it says of each hand."""
+    """Return which of ``SIDE_FIELDS`` a frame or hand has, and its value for each hand."""
     name = next((name for name in _LABELS if frame.get(name) is not None), None)
     if name is None:
         return None
-    said = frame[name]
-    return _LABELS[name], said if isinstance(said, list) else [said]
+    labels = frame[name]
+    return _LABELS[name], labels if isinstance(labels, list) else [labels]
 
 
 def _right(label: Any, where: str) -> float:
-    """The probability of a right hand that a label states, alone or with a score, in lists or by itself."""
+    """Return the probability of a right hand from a label, alone or with a score, possibly nested."""
     for _ in range(3):
         if isinstance(label, list) and label:
             label = label[0]
@@ -528,7 +529,7 @@ def _right(label: Any, where: str) -> float:
 
 
 def _take_points(collector: SetCollector, key: int, hand: int, points: Any, where: str) -> None:
-    """Add a set's points: a list, an object by name or number, or x, y, score one after the other."""
+    """Add a set's points: a list, or an object by name or number."""
     kind = collector.kind
     values = collector.set_of(key, hand, where)
     if isinstance(points, Mapping):
@@ -539,30 +540,30 @@ def _take_points(collector: SetCollector, key: int, hand: int, points: Any, wher
         ]
         if not named:
             found = ", ".join(map(str, list(points)[:5]))[:80]
-            raise UsageError("holds no points", where=where, found=found, expected=kind.expected)
+            raise UsageError("no points", where=where, found=found, expected=kind.expected)
         listed = [(point_of(kind, name, where), point) for name, point in named]
     elif isinstance(points, list):
         places = kind.places(len(points))
         if places is None:
-            what = "has another number of points"
+            what = "unexpected number of points"
             raise UsageError(what, where=where, found=len(points), expected=kind.counts)
         ours = ((places[k], points[k]) for k in places)
         listed = [(_named(kind, point, k, where), point) for k, point in ours]
     else:
-        what = "points are no list"
+        what = "points are not a list"
         raise UsageError(what, where=where, found=type(points).__name__, expected=kind.expected)
     for number, point in listed:
         collector.put(values, number, _values(point, f"{where}, point {number}"), where)
 
 
 def _named(kind: PointKind, point: Any, place: int, where: str) -> int:
-    """Which point an entry of a list is: by its own name where it has one, else by its place."""
+    """Return the number of a list's point: by its own name if it has one, else by position."""
     name = _of(point, POINT_FIELDS, None) if isinstance(point, Mapping) else None
     return place if name is None else point_of(kind, name, where)
 
 
 def _values(point: Any, where: str) -> tuple[float, float, float, float]:
-    """x, y, z and score of a point, NaN where unknown."""
+    """Return x, y, z and score of a point, NaN if unknown."""
     if point is None:
         return (math.nan,) * 4
     if isinstance(point, Mapping):
@@ -571,24 +572,24 @@ def _values(point: Any, where: str) -> tuple[float, float, float, float]:
     if not isinstance(point, list) or not 2 <= len(point) <= 4:
         found = f"{len(point)} numbers" if isinstance(point, list) else type(point).__name__
         raise UsageError(
-            "is no point", where=where, found=found, expected="[x, y], [x, y, z], [x, y, z, score]"
+            "not a point", where=where, found=found, expected="[x, y], [x, y, z] or [x, y, z, score]"
         )
     x, y, z = (number_of(value, where) for value in [*point, None][:3])
     return x, y, z, score_of(point[3] if len(point) == 4 else None, f"{where}, score")
 
 
-def _of(said: Mapping[str, Any], names: Sequence[str], otherwise: Any) -> Any:
-    return next((said[name] for name in names if said.get(name) is not None), otherwise)
+def _of(content: Mapping[str, Any], names: Sequence[str], otherwise: Any) -> Any:
+    return next((content[name] for name in names if content.get(name) is not None), otherwise)
 
 
-# Exports of label tools
+# COCO annotations, as exported by labelling tools
 
 
-def _coco(path: Path, kind: PointKind, said: Mapping[str, Any]) -> Iterator[Mapping[str, Any] | None]:
-    """Yield the frames of COCO's keypoint annotations, as label tools export them; None without points."""
-    frames = _coco_frames(path, said.get("images"))
-    order = _coco_order(path, kind, said.get("categories"))
-    for n, annotation in enumerate(said["annotations"]):
+def _coco(path: Path, kind: PointKind, content: Mapping[str, Any]) -> Iterator[Mapping[str, Any] | None]:
+    """Yield the frames of COCO keypoint annotations; None for annotations without points."""
+    frames = _coco_frames(path, content.get("images"))
+    order = _coco_order(path, kind, content.get("categories"))
+    for n, annotation in enumerate(content["annotations"]):
         where = f"{path}, annotation {n}"
         points = annotation.get("keypoints") if isinstance(annotation, Mapping) else None
         if not points:
@@ -596,11 +597,11 @@ def _coco(path: Path, kind: PointKind, said: Mapping[str, Any]) -> Iterator[Mapp
             continue
         image = annotation.get("image_id")
         if isinstance(image, (list, dict)) or image not in frames:
-            raise UsageError("image is not listed", where=where, found=image, expected="an id in images")
+            raise UsageError("unknown image_id", where=where, found=image, expected="an id in images")
         if not isinstance(points, list) or len(points) != 3 * kind.size:
             found = f"{len(points)} numbers" if isinstance(points, list) else type(points).__name__
             raise UsageError(
-                "has other points", where=where, found=found, expected=f"{kind.size} times x, y, v"
+                "invalid keypoints", where=where, found=found, expected=f"{kind.size} times x, y, v"
             )
         listed: list[Any] = [None] * kind.size
         for k, point in enumerate(order):
@@ -611,9 +612,9 @@ def _coco(path: Path, kind: PointKind, said: Mapping[str, Any]) -> Iterator[Mapp
 
 
 def _coco_frames(path: Path, images: Any) -> dict[Any, int]:
-    """Frame numbers by the images' ids."""
+    """Return frame numbers by image id."""
     if not isinstance(images, list) or not all(isinstance(image, Mapping) for image in images):
-        raise UsageError("images are not listed", where=path, expected="images with id and file_name")
+        raise UsageError("no image list", where=path, expected="images with id and file_name")
     frames: dict[Any, int] = {}
     for n, image in enumerate(images):
         _check_count(n, path)
@@ -630,7 +631,7 @@ def _coco_frames(path: Path, images: Any) -> dict[Any, int]:
 
 
 def _coco_order(path: Path, kind: PointKind, categories: Any) -> Sequence[int]:
-    """The number of each annotated point: by the category's names, where these are ours."""
+    """Return the number of each annotated point, by the category's names if they are ours."""
     first = categories[0] if isinstance(categories, list) and categories else {}
     names = first.get("keypoints") if isinstance(first, Mapping) else None
     if not isinstance(names, list) or any(kind.number(str(name)) is None for name in names):
@@ -638,5 +639,5 @@ def _coco_order(path: Path, kind: PointKind, categories: Any) -> Sequence[int]:
     order = [point_of(kind, name, f"{path}, categories") for name in names]
     if sorted(order) != list(range(kind.size)):
         where = f"{path}, categories"
-        raise UsageError("has other points", where=where, found=len(names), expected=kind.size)
+        raise UsageError("unexpected keypoint names", where=where, found=len(names), expected=kind.size)
     return order

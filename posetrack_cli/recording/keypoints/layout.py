@@ -1,4 +1,4 @@
-"""Layouts of keypoint files: names, columns, the sets that come of them."""
+"""Layout of keypoint files: points, columns, units, and the sets read from a file."""
 
 from __future__ import annotations
 
@@ -17,28 +17,26 @@ from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
 from posetrack_cli.errors import UsageError, nearest_name
 from posetrack_cli.tables import FRAME_FIELDS, shown, whole_of
 
-# What the points in a file are of: their names, and how many another program counts
 
-
+# Points of a subject, and their numbering in other programs
 def _unchanged(name: str) -> str:
     return name
 
 
 @dataclass(frozen=True)
 class PointKind:
-    """A subject's points.
+    """The points of a kind of subject.
 
     Attributes:
         subject: such as ``hand``.
-        names: ours, in our order; a set has so many points.
-        counted: by how many points a program gives, which of ours each of them is; those that are none of
-            ours are not listed.
+        names: our names in our order; a set has this many points.
+        counted: by a program's number of points, its indices mapped to ours; others are omitted.
         several: fields of JSON frames that list several subjects.
-        plain: makes of a lower-case name of another program's ours, where it is one.
-        flat: fields of OpenPose's people with x, y, score of each point, and the side that each is of.
-        parts: points of COCO's 133 of a whole body, and the side that each part is of.
-        ends: what the first and the last point are, for errors.
-        command: whose help says more.
+        command: command whose help gives details, for errors.
+        plain: maps a lower-case name of another program to ours if known.
+        flat: fields of OpenPose's people with x, y, score of each point, mapped to the side.
+        parts: ranges of COCO-WholeBody's 133 points by side.
+        ends: names of the first and last point, for errors.
     """
 
     subject: str
@@ -53,73 +51,71 @@ class PointKind:
 
     @property
     def size(self) -> int:
-        """How many points a set has."""
+        """Number of points in a set."""
         return len(self.names)
 
     @property
     def most(self) -> int:
-        """How many points a program gives at most."""
+        """Maximum number of points from a program."""
         return max(self.counted)
 
     @property
     def counts(self) -> str:
-        """How many points a program may give, for people: ``21``, or ``10, 68 or 478``."""
+        """Supported numbers of points, as text: ``21``, or ``10, 68 or 478``."""
         *others, last = (str(count) for count in sorted(self.counted))
         return f"{', '.join(others)} or {last}" if others else last
 
     @property
     def expected(self) -> str:
-        """What JSON is to hold, for errors."""
+        """Expected JSON content, for errors."""
         points = f"{self.counts} of [x, y], [x, y, z] or {{x, y, z}}"
         return f"a list of frames, each with landmarks: {points}"
 
     @property
     def range(self) -> str:
-        """The numbers of our own points, for errors."""
+        """Numbers of our points, for errors."""
         first, last = (f" ({end})" if end else "" for end in self.ends)
         return f"0{first} to {self.size - 1}{last}"
 
     def number(self, name: str) -> int | None:
-        """Return the number of a point by ours or another program's name of it; None for any other."""
+        """Return the number of a point by our or another program's name; None if unknown."""
         plain = self.plain(name.strip().lower().replace("-", "_").replace(" ", "_"))
         return self.names.index(plain) if plain in self.names else None
 
     def places(self, points: int) -> Mapping[int, int] | None:
-        """Return which of ours each of so many points is; None if no program gives so many."""
+        """Return the map from a program's indices to ours by its number of points; None if unknown."""
         return self.counted.get(points)
 
 
 def same_order(count: int) -> Mapping[int, int]:
-    """Return the places of points that are ours, in our order."""
+    """Return the index map of points in our order."""
     return {k: k for k in range(count)}
 
 
 def by_index(indices: Sequence[int]) -> Mapping[int, int]:
-    """Return the places of points of which these, in our order, are ours."""
+    """Return the index map of points given by their indices in our order."""
     return {index: place for place, index in enumerate(indices)}
 
 
-# What a file of keypoints says, whatever its layout: sets of points, by frame or by time
+# Sets of points by frame or stamp
 
-
-X, Y, Z, SCORE = range(4)
-"""Columns of a set's values."""
+X, Y, Z, SCORE = range(4)  # columns of a set's values
+# Stamps of a set and its frame may differ by this, and by less than half the frame interval.
 NS_TOLERANCE = 10_000_000
-"""Stamps of a set and of its frame differ by this at most, ns, and by less than half the time to the next."""
 
 
 @dataclass(frozen=True, eq=False)
 class KeypointSets:
-    """The sets of a file, sorted by their keys.
+    """The sets of a file, sorted by key.
 
     Attributes:
         keys: (N,) frame numbers, or stamps, ns; a frame with several subjects has several sets.
-        by_stamp: which of the two.
-        points: (N, P, 3) x, y, z in the file's unit; NaN where unknown, z everywhere for points in images.
-        scores: (N, P) 0 to 1; NaN where none is stated.
-        right: (N,) the stated probability that the hand is a right one; NaN where none is stated.
-        numbers: (N,) frame numbers next to stamps, -1 where none is stated.
-        tolerance_ns: stamps of a set and of its frame differ by this at most.
+        by_stamp: True for stamps.
+        points: (N, P, 3) x, y, z in the file's unit; NaN if unknown, z always for image points.
+        scores: (N, P) 0 to 1; NaN if not stated.
+        right: (N,) stated probability of a right hand; NaN if not stated.
+        numbers: (N,) frame numbers in addition to stamps, -1 if not stated.
+        tolerance_ns: maximum stamp difference between a set and its frame.
     """
 
     keys: IntArray
@@ -134,13 +130,13 @@ class KeypointSets:
         return len(self.keys)
 
     def rows(self, kept: BoolArray, points: FloatArray) -> KeypointSets:
-        """Return the sets of some rows, with other points (N, P, 3)."""
+        """Return the selected sets with new points (N, P, 3)."""
         numbers = None if self.numbers is None else self.numbers[kept]
         own = replace(self, keys=self.keys[kept], points=points[kept], scores=self.scores[kept])
         return replace(own, right=self.right[kept], numbers=numbers)
 
     def of(self, index: int, stamp_ns: int) -> slice:
-        """Return which sets are of a frame: of its number or, told by stamps, of the stamp nearest to its."""
+        """Return the slice of sets of a frame, by its number or the stamp nearest to its own."""
         key = stamp_ns if self.by_stamp else index
         if self.by_stamp and len(self.keys):
             after = int(np.searchsorted(self.keys, key))
@@ -154,12 +150,12 @@ class KeypointSets:
 
 @dataclass
 class SetCollector:
-    """Puts sets together, point by point.
+    """Collects sets point by point.
 
     Attributes:
-        path: of the file.
-        kind: whose points they are.
-        by_stamp: whether keys are stamps.
+        path: path of the file.
+        kind: subject of the points.
+        by_stamp: True if keys are stamps.
     """
 
     path: Path
@@ -171,27 +167,27 @@ class SetCollector:
     _after: dict[tuple[int, int], int] = field(default_factory=dict)
 
     def set_of(self, key: int, hand: int, where: object) -> FloatArray:
-        """Return the values (P, 4) of a set, to be written to; a new one is NaN.
+        """Return the writable values (P, 4) of a set, initially NaN.
 
         Args:
             key: frame number or stamp.
-            hand: which of the frame's hands.
-            where: it is said, for errors.
+            hand: index of the hand in the frame.
+            where: location, for errors.
 
         Raises:
-            UsageError: there are too many.
+            UsageError: there are too many sets.
         """
         if (key, hand) not in self._values:
             if len(self._values) >= limits.KEYPOINT_SETS:
-                expected = f"{limits.KEYPOINT_SETS} at most"
-                raise UsageError("too many sets of keypoints", where=where, found="more", expected=expected)
+                expected = f"at most {limits.KEYPOINT_SETS}"
+                raise UsageError("too many keypoint sets", where=where, found="more", expected=expected)
             self._values[key, hand] = np.full((self.kind.size, 4), np.nan)
         return self._values[key, hand]
 
     def new_hand(self, key: int, hand: int = 0) -> int:
-        """Return the first hand of a frame, from a given one on, of which nothing was said.
+        """Return the first unused hand index of a frame, starting at ``hand``.
 
-        What was passed is remembered: a frame of all the sets that a file may have takes no time without end.
+        Skipped indices are cached, or a frame with very many sets would take quadratic time.
         """
         passed = []
         while (key, hand) in self._values:
@@ -200,37 +196,37 @@ class SetCollector:
         self._after.update(dict.fromkeys(passed, hand))
         return hand
 
-    def put(self, values: FloatArray, point: int, said: tuple[float, ...], where: object) -> None:
-        """Write x, y, z and score of a point, NaN where unknown.
+    def put(self, values: FloatArray, point: int, xyz_score: tuple[float, ...], where: object) -> None:
+        """Write x, y, z and score of a point, NaN if unknown.
 
         Raises:
-            UsageError: it was said before, or a score is none.
+            UsageError: the point was already set.
         """
         if not np.isnan(values[point, X]):
             raise UsageError("point occurs twice in a frame", where=where, found=f"point {point}")
-        values[point] = said
+        values[point] = xyz_score
 
-    def tell_number(self, key: int, number: int) -> None:
-        """Record the frame number next to a stamp."""
+    def set_number(self, key: int, number: int) -> None:
+        """Store the frame number that belongs to a stamp."""
         self._numbers[key] = number
 
-    def tell_side(self, key: int, hand: int, right: float) -> None:
-        """Say with which probability a set is of a right hand."""
+    def set_side(self, key: int, hand: int, right: float) -> None:
+        """Store the probability that a set is of a right hand."""
         self._right[key, hand] = right
 
     def sets(self) -> KeypointSets:
-        """Return what was said.
+        """Return the collected sets.
 
         Raises:
-            UsageError: no point was.
+            UsageError: there are no points.
         """
         order = sorted(self._values)
         known = [key for key in order if np.isfinite(self._values[key][:, :Z]).all(axis=1).any()]
         if not known:
             raise UsageError(
-                "holds no keypoint",
+                "no keypoints",
                 where=self.path,
-                expected=f"{self.kind.counts} points a frame; {self.kind.command}",
+                expected=f"{self.kind.counts} points per frame; {self.kind.command}",
             )
         values = np.stack([self._values[key] for key in known])
         values[~np.isfinite(values[..., :Z]).all(axis=2)] = np.nan
@@ -241,11 +237,10 @@ class SetCollector:
         return KeypointSets(keys, self.by_stamp, values[..., :SCORE], values[..., SCORE], right, stated)
 
 
-# What names, numbers, sides and times mean in files of keypoints, however these are laid out
-
-
+# Names of units, fields and columns
 PIXELS, NORMALISED, MILLIMETRES, METRES = "px", "normalised", "mm", "m"
 UNITS = (PIXELS, NORMALISED, MILLIMETRES, METRES)
+# Names of units in files.
 UNIT_NAMES = {name: name for name in UNITS} | {
     "pixel": PIXELS,
     "pixels": PIXELS,
@@ -254,21 +249,20 @@ UNIT_NAMES = {name: name for name in UNITS} | {
     "millimetres": MILLIMETRES,
     "metres": METRES,
 }
-"""What files call the units."""
 SCORE_FIELDS = ("score", "confidence", "conf", "visibility", "presence", "likelihood")
 POINT_FIELDS = ("landmark", "landmark_index", "landmark_id", "keypoint", "joint", "point", "name", "id")
+# Scores up to this count as 1: confidence map peaks of SLEAP and OpenPose may exceed it.
 OVER_ONE = 1.2
-"""Scores up to this are 1: peaks of confidence maps, as SLEAP and OpenPose state them, may exceed it."""
+# Fields of right or left: the hand's own side; MediaPipe's tasks, which state the own side since 0.10.15;
+# and MediaPipe's solutions, which assume mirrored images and so swap sides in others. Files use the
+# latter's name for both.
 SIDE, HANDEDNESS, MIRRORED = "side", "handedness", "multi_handedness"
-"""Fields that tell right or left: the hand's own side; the label of MediaPipe's tasks, which is that since
-version 0.10.15; and that of its solutions, which take every image for that of a mirror and so call a right
-hand left where it is none. Files call either the second."""
 SIDE_FIELDS = (SIDE, HANDEDNESS, MIRRORED)
 KEYS = f"a number in {FRAME_FIELDS[0]} (from 0) or a stamp in stamp_ns, timestamp_ms or time_s"
+# Parse a frame number, or a stamp to ns.
 key_of = partial(whole_of, kind=UsageError, fractions=True)
-"""A frame's number, or a stamp in ns."""
+# Parse a coordinate; NaN if empty.
 number_of = partial(tables.number_of, kind=UsageError, optional=True, most=limits.LENGTH_MM)
-"""A coordinate; NaN for nothing."""
 _AXES = {"x": X, "y": Y, "z": Z} | dict.fromkeys((*SCORE_FIELDS, "c"), SCORE)
 _NUMBERED = re.compile(r"(?:(?:landmark|keypoint|point|joint|kp|lm)_?)?(\d{1,3})_?([a-z]+)")
 _AXIS_FIRST = re.compile(r"([a-z]+)_?(\d{1,3})")
@@ -276,13 +270,13 @@ _NAMED = re.compile(r"([a-z_]+[1-4]?)_([a-z]+)")
 
 
 class Parsed(NamedTuple):
-    """What a file says.
+    """Content of a file.
 
     Attributes:
         sets: its points.
-        unit: that it names; None where it does not.
-        side_field: which field tells sides, one of ``SIDE_FIELDS``; None where none does.
-        first: what the first frame's number is.
+        unit: stated unit; None if there is none.
+        side_field: field of sides, one of ``SIDE_FIELDS``; None if there is none.
+        first: number of the first frame.
     """
 
     sets: KeypointSets
@@ -292,7 +286,7 @@ class Parsed(NamedTuple):
 
 
 class PointColumn(NamedTuple):
-    """A column of one point: which, which of its values, and the unit that its name ends in, if any."""
+    """A column of one point: its number, the value, and the unit in its name, if any."""
 
     point: int
     value: int
@@ -300,10 +294,10 @@ class PointColumn(NamedTuple):
 
 
 def point_of(kind: PointKind, value: Any, where: object) -> int:
-    """Return the number of a point that is told by number or by name.
+    """Return the number of a point given by number or name.
 
     Raises:
-        UsageError: it is none.
+        UsageError: there is no such point.
     """
     text = str(value).strip()
     number = int(text) if text.isdecimal() and len(text) < 4 else kind.number(text)
@@ -315,7 +309,7 @@ def point_of(kind: PointKind, value: Any, where: object) -> int:
 
 
 def point_column(kind: PointKind, name: str) -> PointColumn | None:
-    """Return what a column of a wide table is of: ``x0``, ``landmark_0_x``, ``thumb_tip_x_mm`` ..."""
+    """Return the content of a column of a wide table: ``x0``, ``landmark_0_x``, ``thumb_tip_x_mm``."""
     plain, unit = name.strip().lower().replace(".", "_"), None
     for ending in UNIT_NAMES:
         if plain.endswith(f"_{ending}"):
@@ -333,7 +327,7 @@ def point_column(kind: PointKind, name: str) -> PointColumn | None:
 
 
 def score_of(value: Any, where: object) -> float:
-    """Return a score; NaN for none.
+    """Return a score; NaN if empty.
 
     Raises:
         UsageError: it is not between 0 and 1.
@@ -342,27 +336,27 @@ def score_of(value: Any, where: object) -> float:
     if 1.0 < score <= OVER_ONE:
         return 1.0
     if not math.isnan(score) and not 0.0 <= score <= 1.0:
-        raise UsageError("score cannot be used", where=where, found=shown(value), expected="0 to 1")
+        raise UsageError("score out of range", where=where, found=shown(value), expected="0 to 1")
     return score
 
 
 def right_of(label: Any, score: float, where: object) -> float:
-    """Return the probability that a hand labelled right or left is a right one; NaN for no label.
+    """Return the probability of a right hand from a side label; NaN without label.
 
     Args:
         label: ``right``, ``left``, their first letters, or nothing.
-        score: of the label, NaN for 1.
-        where: it is said.
+        score: score of the label, NaN for 1.
+        where: location, for errors.
 
     Raises:
-        UsageError: another label.
+        UsageError: the label is unknown.
     """
     plain = str(label if label is not None else "").strip().lower()
     if plain in ("", "unknown", "none", "nan"):
         return math.nan
     if plain not in ("right", "left", "r", "l"):
         raise UsageError("unknown side", where=where, found=shown(label), expected="right or left")
-    sure = 1.0 if math.isnan(score) else max(score, 0.5)  # a label less probable than the other is no label
+    sure = 1.0 if math.isnan(score) else max(score, 0.5)  # below 0.5 a label carries no information
     return sure if plain[0] == "r" else 1.0 - sure
 
 
@@ -370,7 +364,7 @@ def unit_of(name: Any, where: object) -> str:
     """Return a unit by its name in a file.
 
     Raises:
-        UsageError: there is none of this name.
+        UsageError: the name is unknown.
     """
     if (plain := str(name).strip().lower()) not in UNIT_NAMES:
         raise UsageError("unknown unit", where=where, found=shown(name), expected=", ".join(UNITS))

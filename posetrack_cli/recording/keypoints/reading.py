@@ -1,4 +1,4 @@
-"""Keypoint files opened, their units, and which of their frames are whose."""
+"""Match keypoint sets to a recording's frames, and determine their unit."""
 
 from __future__ import annotations
 
@@ -25,23 +25,20 @@ from posetrack_cli.recording.keypoints.layout import (
 from posetrack_cli.recording.recording import Recording
 from posetrack_cli.units import NS_PER_S
 
-# Which frames of a recording the keypoints of a file are of, and for how many of a run there were any
+# Matching sets to frames
 
-
-COMPARED = 100
-"""Early frames whose stamps are compared with those of a file."""
+COMPARED = 100  # early frames whose stamps are compared with the file's
 
 
 def fitted_to(sets: KeypointSets, recording: Recording) -> tuple[KeypointSets, str]:
-    """Return the sets of a file as they belong to a recording's frames, and what was decided, for people.
+    """Return the sets with keys that match a recording's frames, and a remark on what was decided.
 
-    Where a file states frame numbers and stamps, the stamps count if they are the recording's, else the
-    numbers: stamps that were computed from an average rate are not. Numbers count from 1 if the last one is
-    the number of frames.
+    If a file has frame numbers and stamps, stamps are used if they match the recording's; stamps computed
+    from an average rate do not. Numbers count from 1 if the last one is the number of frames.
 
     Args:
-        sets: as they were read.
-        recording: whose early frames' stamps are compared.
+        sets: sets as read.
+        recording: recording whose early stamps are compared.
     """
     if not sets.by_stamp:
         return _numbered(sets, recording)
@@ -52,25 +49,25 @@ def fitted_to(sets: KeypointSets, recording: Recording) -> tuple[KeypointSets, s
         return near, ""
     numbered, words = _numbered(_by_number(sets), recording)
     order = np.argsort(sets.numbers, kind="stable")
-    told = dict(zip(numbered.keys.tolist(), sets.keys[order].tolist(), strict=True))
-    apart = [abs(told[number] - stamp) for number, stamp in stamps.items() if number in told]
+    stated_ns = dict(zip(numbered.keys.tolist(), sets.keys[order].tolist(), strict=True))
+    apart = [abs(stated_ns[number] - stamp) for number, stamp in stamps.items() if number in stated_ns]
     if not apart or 2 * sum(gap <= near.tolerance_ns for gap in apart) >= len(apart):
         return near, ""
     worst, usual = max(apart), median(intervals)
-    off = f"its stamps are up to {worst / NS_PER_S:.2g} s ({worst / usual:.0f} frames) off the recording's"
-    return numbered, f"{off}: frame numbers are used{words and f', {words}'}"
+    off = f"stamps differ from the recording's by up to {worst / NS_PER_S:.2g} s ({worst / usual:.0f} frames)"
+    return numbered, f"{off}: using frame numbers{words and f', {words}'}"
 
 
 def _numbered(sets: KeypointSets, recording: Recording) -> tuple[KeypointSets, str]:
-    """Return sets by numbers from 0."""
+    """Return sets numbered from 0."""
     count = recording.frame_count
     if count is None or not len(sets) or sets.keys[0] < 1 or sets.keys[-1] != count:
         return sets, ""
-    return replace(sets, keys=sets.keys - 1), f"numbers count from 1: the last is {count} of {count} frames"
+    return replace(sets, keys=sets.keys - 1), f"frame numbers count from 1: the last is {count} of {count}"
 
 
 def _by_number(sets: KeypointSets) -> KeypointSets:
-    """Return the sets of a file in order of its frame numbers."""
+    """Return the sets sorted and keyed by frame number."""
     numbers = sets.keys if sets.numbers is None else sets.numbers
     order = np.argsort(numbers, kind="stable")
     return replace(
@@ -85,50 +82,47 @@ def _by_number(sets: KeypointSets) -> KeypointSets:
 
 
 def _early_stamps(recording: Recording) -> dict[int, int]:
-    """Return the stamps, ns, of some early frames by their numbers."""
+    """Return the stamps, ns, of early frames by frame number."""
     frames = recording.stored_frames(LossLog())
     return {number: frame.stamp_ns for number, frame in islice(frames, COMPARED)}
 
 
 class KeypointUse:
-    """Counts for which frames of a run there are keypoints.
+    """Counts the frames of a run that have keypoints.
 
     Args:
-        name: of the file.
-        sets: what it holds.
-        what: they are called.
+        name: name of the file.
+        sets: its sets.
+        what: name of the points, for the remark.
     """
 
     def __init__(self, name: str, sets: KeypointSets, what: str = "keypoints") -> None:
         self._name, self._sets, self._what = name, sets, what
-        self._frames, self._told = 0, 0
+        self._frames, self._matched = 0, 0
 
     def see(self, index: int, stamp_ns: int) -> None:
         """Count a frame."""
         rows = self._sets.of(index, stamp_ns)
         self._frames += 1
-        self._told += int(rows.stop > rows.start)
+        self._matched += int(rows.stop > rows.start)
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What to say at the end, in one line: most frames have none, so perhaps they are matched wrongly."""
-        if 2 * self._told >= self._frames:
+        """A remark if most frames have no keypoints, which may mean a matching problem."""
+        if 2 * self._matched >= self._frames:
             return ()
-        by = "by stamps, to 10 ms" if self._sets.by_stamp else "by number, counted from 0"
-        return (f"{self._name} has {self._what} for {self._told} of {self._frames} frames, matched {by}",)
+        by = "by stamp within 10 ms" if self._sets.by_stamp else "by frame number from 0"
+        return (f"{self._name} has {self._what} for {self._matched} of {self._frames} frames, matched {by}",)
 
 
-# Makes pixels of points in images
+# Units of image points
 
-
-MOST_OF = 90.0
-"""Percent of the points that have to lie where a unit would have them."""
-_OUTSIDE = 0.5
-"""Of the image's size beside it: landmarks that are cut off."""
+MOST_OF = 90.0  # percent of points that must lie in the image for a unit to be accepted
+_OUTSIDE = 0.5  # margin around the image, over its size, for truncated subjects
 
 
 def digest_of(path: Path) -> str:
-    """Return the SHA-256 of a file of keypoints; UsageError if it cannot be read."""
+    """Return the SHA-256 of a keypoint file or folder; raises UsageError if it cannot be read."""
     try:
         if path.is_dir():
             return files_digest((file.name, file) for file in frame_files(path))[1]
@@ -138,17 +132,17 @@ def digest_of(path: Path) -> str:
 
 
 def image_unit(points: FloatArray, camera: Camera, path: Path, units: Sequence[str], hint: str) -> str:
-    """Return the unit that most of some points (N, 2 or 3) in images look like: normalised or pixels.
+    """Return the unit of image points (N, 2 or 3), normalised or pixels, judged by their range.
 
     Args:
-        points: as read.
-        camera: of the images that they were found in.
-        path: the file's, for the error.
-        units: that may be told, for the error.
-        hint: how.
+        points: points as read.
+        camera: camera of the images.
+        path: path of the file, for the error.
+        units: units that the user may choose, for the error.
+        hint: how to choose one, for the error.
 
     Raises:
-        UsageError: they look like neither.
+        UsageError: neither unit fits.
     """
     if _lie_within(points, 1.0, 1.0):
         return NORMALISED
@@ -156,23 +150,23 @@ def image_unit(points: FloatArray, camera: Camera, path: Path, units: Sequence[s
         return PIXELS
     (x0, y0), (x1, y1) = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
     raise UsageError(
-        "unit cannot be told",
+        "unknown unit",
         where=path,
-        found=f"x {x0:g} to {x1:g}, y {y0:g} to {y1:g} beside an image of {camera.width} x {camera.height}",
+        found=f"x {x0:g} to {x1:g}, y {y0:g} to {y1:g} for {camera.width}x{camera.height} images",
         expected=f"one of {', '.join(units)}",
         hint=hint,
     )
 
 
 def _lie_within(points: FloatArray, width: float, height: float) -> bool:
-    """Whether most points lie in an image of a size, or not far beside it."""
+    """Return whether most points lie in an image of this size or its margin."""
     size = np.array([width, height])
     inside = ((points[:, :2] >= -_OUTSIDE * size) & (points[:, :2] <= (1.0 + _OUTSIDE) * size)).all(axis=1)
     return bool(100.0 * inside.mean() >= MOST_OF)
 
 
 def in_pixels(sets: KeypointSets, unit: str, camera: Camera) -> KeypointSets:
-    """Return sets of points in images in pixels.
+    """Return sets of image points converted to pixels.
 
     Normalised coordinates count from the image's corner, pixels from the first one's centre.
     """
@@ -184,7 +178,7 @@ def in_pixels(sets: KeypointSets, unit: str, camera: Camera) -> KeypointSets:
 
 
 def known_scores(scores: FloatArray) -> FloatArray:
-    """Return scores, those not stated 1; where all are 0 a program wrote the field without filling it."""
+    """Return scores with 1 where not stated; if all are 0 the field was written but not filled."""
     stated = np.isfinite(scores)
     if not scores[stated].any():
         return np.ones_like(scores)

@@ -50,7 +50,7 @@ def test_eval_takes_the_folder(tmp_path: Path) -> None:
     ("text", "says"),
     [
         ("1 0 0", "3 numbers"),
-        ("x", "does not hold numbers only"),
+        ("x", "not a file of numbers"),
         ("2 " * 12, "rotation"),
         ("nan " * 12, "not a pose"),
     ],

@@ -86,7 +86,7 @@ def test_corners_are_numbered_row_by_row() -> None:
         ((2, 7, 20.0), "found 2x7 squares"),
         ((9, 7, 0.0), "squares of 0 mm"),
         ((9, 7, 20.0, 21.0), "markers do not fit the squares, found 21 mm"),
-        ((9, 7, 20.0, 15.0, "4X4_51"), "no dictionary '4X4_51'; did you mean '4X4_50'?"),
+        ((9, 7, 20.0, 15.0, "4X4_51"), "unknown dictionary '4X4_51'; did you mean '4X4_50'?"),
     ],
 )
 def test_boards_that_cannot_be(arguments: tuple[float, ...], message: str) -> None:
