@@ -1,8 +1,8 @@
-"""Fit the confidence of hands and heads to results with truth, and make recordings of heads harder for it.
+"""Fit the confidence of hands and heads to results with ground truth; make harder head recordings for it.
 
-Confidence is made from a result's ``sign_...`` numbers. Printed are the weights of ``hand.confidence`` or
-``head.tracker.frame_tracker`` that fit them best, and what these are worth on people that they were not
-fitted to: each person, in all recordings, is left out in turn.
+Confidence is a regression on a result's ``sign_...`` numbers. The commands print the best weights for
+``hand.confidence`` or ``head.tracker.frame_tracker``, and their quality in leave-one-person-out
+cross-validation.
 """
 
 from __future__ import annotations
@@ -31,45 +31,46 @@ from research import hands
 from research.heads import CALIBRATION, TRUTH, compare
 
 Bounds = tuple[float | None, float | None]
-PENALTY = 1e-3  # of the squares of weights, in units of the signs' deviations
+PENALTY = 1e-3  # on squared weights, for standardised signs
 AGAINST: Bounds = (None, 0.0)
-FOR: Bounds = (0.0, None)  # of the weight of a sign that can only speak against a frame, or for it
+FOR: Bounds = (0.0, None)  # bounds of weights of signs that can only lower, or raise, the confidence
 HAND_BOUNDS = (AGAINST, AGAINST, AGAINST, FOR, AGAINST)
-"""Costs, innovation and alternatives speak against a frame, contrast for it."""
+"""Costs, innovation and alternatives lower the confidence, contrast raises it."""
 HEAD_BOUNDS = [AGAINST] * len(of_heads.SIGN_NAMES)
-"""A head's signs all speak against a frame: a weight above 0 would be of these people alone."""
+"""All signs lower the confidence of a head; a positive weight would overfit these people."""
 HAND_REAL_SHARE, HEAD_REAL_SHARE = 1.0, 0.25
-"""Weight of real recordings against rendered ones, all together; references of real heads err."""
-USUAL_WEIGHT = 4.0  # a head's recording as it is counts as so many hardened ones
+"""Total weight of real against rendered recordings; the references of real heads are inaccurate."""
+USUAL_WEIGHT = 4.0  # weight of an unmodified head recording against a hardened one
 UNSURE_DEG, UNSURE_MM = 3.0, 1.0
-"""Error of a real head's reference: frames off by once to twice this more than right are left out."""
+"""Error of the reference of a real head. Frames whose error exceeds the limit for right ones by one to two
+times this are ambiguous and left out."""
 OFFSETS, USUAL, REAL = "*", "+", "~"
 
 
 class Frames(NamedTuple):
-    """The M frames of a result in which something was followed, whether it is lost or not."""
+    """The M frames of a result that have signs, whatever their status."""
 
     person: str
     signs: FloatArray  # (M, S)
-    right: BoolArray  # (M,) whether the estimate is
-    far: BoolArray  # (M,) whether it is far off
-    is_real: bool = False  # whether a sensor recorded it
-    weight: float = 1.0  # of the recording among those of its kind
+    right: BoolArray  # (M,) whether the estimate is right
+    far: BoolArray  # (M,) whether the estimate is far off
+    is_real: bool = False  # whether it was recorded by a sensor
+    weight: float = 1.0  # of the recording among real or rendered ones
 
 
 def signs_of(result: Path, names: Sequence[str]) -> FloatArray:
-    """Return the signs (M, S) of all frames of a result; NaN where it has none."""
+    """Return the signs (M, S) of all frames of a result; NaN if missing."""
     numbers = read_result(result).numbers()
     return np.stack([np.asarray(numbers[name]) for name in names], axis=1)
 
 
 def hand_frames(person: str, result: Path, *judged: str) -> Frames:
-    """Read a hand's result.
+    """Read the result of a hand.
 
     Args:
-        person: with ``OFFSETS`` at the end for joints that are marked by another convention.
-        result: that carries its truth.
-        judged: instead of a truth, numbers of frames that look right, and of wrong ones, such as ``0-8-16``.
+        person: name; the suffix ``OFFSETS`` marks ground truth with other joint definitions.
+        result: result with ground truth.
+        judged: instead of ground truth, frame numbers judged right and wrong, such as ``0-8-16``.
     """
     name, is_real = person.removesuffix(OFFSETS), person.endswith(OFFSETS)
     signs = signs_of(result, of_hands.SIGN_NAMES)
@@ -80,7 +81,7 @@ def hand_frames(person: str, result: Path, *judged: str) -> Frames:
     found = hands.evaluated(result, EvalOptions(joint_offsets="bone" if is_real else None))
     frames = hands.frames_of(found)
     if frames is None or found.pairs is None:
-        raise click.ClickException(f"{result}: no truth with a wrist")
+        raise click.ClickException(f"{result}: no ground truth with a wrist")
     signs = signs[found.pairs.estimate]
     seen = np.isfinite(signs).all(axis=1)
     error = frames.error[seen]
@@ -88,21 +89,21 @@ def hand_frames(person: str, result: Path, *judged: str) -> Frames:
 
 
 def head_frames(person: str, result: Path, truth: Path | None = None) -> Frames:
-    """Read a head's result, and compare it with a truth; None for the truth that it carries.
+    """Read the result of a head and compare it with ground truth.
 
-    Errors are those after constant offsets: of the head's frame, and of each point in it.
+    Constant offsets of the head's frame, and of each point in it, are removed from the errors.
 
     Args:
-        person: with ``USUAL`` at the end for a recording that is not hardened, ``REAL`` for a real one, whose
-            truth is a reference that errs itself.
-        result: of ``posetrack head``.
-        truth: a file.
+        person: name; the suffix ``USUAL`` marks a recording that is not hardened, ``REAL`` a real one, whose
+            reference is inaccurate.
+        result: result of ``posetrack head``.
+        truth: ground truth file; None for the ground truth in the result.
     """
     one, is_real = compare(result, truth), person.endswith(REAL)
     shapes = one.points_mm()[1].mean(axis=1)
 
     def within(unsure: float) -> BoolArray:
-        """Whether rotations and points (M,) are right, to so many errors of a reference."""
+        """Return (M,) whether rotations and points are right, within ``unsure`` reference errors."""
         turned = one.rotation_deg <= of_heads.RIGHT_DEG + unsure * UNSURE_DEG
         found: BoolArray = turned & (shapes <= of_heads.RIGHT_MM + unsure * UNSURE_MM)
         return found
@@ -117,10 +118,10 @@ def head_frames(person: str, result: Path, truth: Path | None = None) -> Frames:
 
 
 def fitted(frames: Sequence[Frames], real_share: float, bounds: Sequence[Bounds]) -> Regression:
-    """Return the regression of most likelihood, whose signs' weights have bounds.
+    """Fit the maximum-likelihood regression with bounds on the weights of signs.
 
-    Recordings count by their weights, however many frames they have, and real ones by ``real_share`` against
-    all others.
+    Recordings count by their weight, regardless of their number of frames; real ones together count
+    ``real_share`` against all others.
     """
     whole = {kind: sum(one.weight for one in frames if one.is_real == kind) for kind in (False, True)}
     shares = (one.weight / whole[one.is_real] * (real_share if one.is_real else 1.0) for one in frames)
@@ -147,7 +148,7 @@ def fitted(frames: Sequence[Frames], real_share: float, bounds: Sequence[Bounds]
 
 
 def report(frames: Sequence[Frames], real_share: float, bounds: Sequence[Bounds]) -> list[str]:
-    """Return the weights in words, and what they are worth on people they were not fitted to."""
+    """Return weights and cross-validation figures as lines of text."""
     final = fitted(frames, real_share, bounds)
     probabilities = []
     for one in frames:
@@ -179,11 +180,11 @@ def report(frames: Sequence[Frames], real_share: float, bounds: Sequence[Bounds]
     return lines
 
 
-# Harder recordings: both right and wrong frames are needed
+# Hardened recordings: the fit needs wrong frames as well
 
-REDUCED = 0.3  # width of a small image over the recorded one's: eyes some 27 pixels apart
+REDUCED = 0.3  # scale of small images: about 27 pixels between the eyes
 COVER_PX, COVER_FROM = (110, 90), 15
-"""Height and width of what passes in front of the face, and the first frame with it."""
+"""Height and width of the occluder, px, and its first frame."""
 Hardening = Callable[[Sequence[ImageArray], int, np.random.Generator], ImageArray]
 
 
@@ -198,7 +199,7 @@ def _blurred(images: Sequence[ImageArray], index: int, rng: np.random.Generator)
 
 
 def _covered(images: Sequence[ImageArray], index: int, rng: np.random.Generator) -> ImageArray:
-    """A blurred noise passes in front of the face three times, at three heights."""
+    """Move a patch of blurred noise across the face three times, at three heights."""
     image = images[index].copy()
     if index < COVER_FROM:
         return image
@@ -228,7 +229,7 @@ KINDS: dict[str, Hardening] = {"small": _small, "blurred": _blurred, "covered": 
 
 
 def harden(recording: Path, output: Path, kind: str) -> None:
-    """Write a recording (images of each camera, calibration.json, truth.csv) made harder."""
+    """Write a hardened copy of a recording (images of each camera, calibration.json, truth.csv)."""
     calibration = json.loads((recording / CALIBRATION).read_text())
     for name, camera in calibration["cameras"].items():
         paths = sorted((recording / name).iterdir())
@@ -248,31 +249,31 @@ def harden(recording: Path, output: Path, kind: str) -> None:
 
 @click.group(help=__doc__)
 def main() -> None:
-    """Hold the commands."""
+    """Command group."""
 
 
 @main.command("hand")
 @click.argument("results", nargs=-1, required=True)
 def hand_command(results: tuple[str, ...]) -> None:
-    """Fit to RESULTS of hands, each PERSON,RESULT.
+    """Fit the confidence to RESULTS of hands, each given as PERSON,RESULT.
 
-    PERSON*,RESULT for a real recording, whose joints are marked by another convention, and
-    NAME,RESULT,RIGHT,WRONG for a real one without truth: numbers of frames, such as 0-8-16.
+    PERSON*,RESULT is a real recording whose joints are defined differently; NAME,RESULT,RIGHT,WRONG is a
+    real one without ground truth, with the numbers of right and wrong frames, such as 0-8-16.
     """
-    told = (one.split(",") for one in results)
-    frames = [hand_frames(person, Path(result), *judged) for person, result, *judged in told]
+    given = (one.split(",") for one in results)
+    frames = [hand_frames(person, Path(result), *judged) for person, result, *judged in given]
     print("\n".join(report(frames, HAND_REAL_SHARE, HAND_BOUNDS)))
 
 
 @main.command("head")
 @click.argument("results", nargs=-1, required=True)
 def head_command(results: tuple[str, ...]) -> None:
-    """Fit to RESULTS of heads, each PERSON,RESULT[,TRUTH].
+    """Fit the confidence to RESULTS of heads, each given as PERSON,RESULT[,TRUTH].
 
-    PERSON+ for a recording that is not hardened, PERSON~ for a real one with a reference.
+    PERSON+ is a recording that is not hardened, PERSON~ a real one with a reference.
     """
-    told = (one.split(",") for one in results)
-    frames = [head_frames(person, Path(result), *map(Path, truth)) for person, result, *truth in told]
+    given = (one.split(",") for one in results)
+    frames = [head_frames(person, Path(result), *map(Path, truth)) for person, result, *truth in given]
     print("\n".join(report(frames, HEAD_REAL_SHARE, HEAD_BOUNDS)))
 
 
@@ -281,7 +282,7 @@ def head_command(results: tuple[str, ...]) -> None:
 @click.argument("output", type=click.Path(path_type=Path))
 @click.option("--kind", type=click.Choice(list(KINDS)), required=True)
 def harden_command(recording: Path, output: Path, kind: str) -> None:
-    """Make RECORDING harder: smaller, blurred (track every third frame, too), covered or dark."""
+    """Write a harder copy of RECORDING: small, blurred (track every third frame), covered or dark."""
     harden(recording, output, kind)
 
 

@@ -1,9 +1,9 @@
-"""The recordings of Oberweger et al. (CVPR 2016), head-mounted, with annotated joints: as MCAP.
+"""Convert the head-mounted recordings of Oberweger et al. (CVPR 2016) with annotated joints to MCAP.
 
-A folder has depth images and ``joint.txt``: the number of frames, then a line per frame with the image's name
-and 21 times u, v (pixels) and z (mm): the wrist, then index, middle, ring, little finger and thumb, each from
-the palm to the tip. Everything special about them is here: the camera, the code of a missing reading, and the
-annotation, which becomes a truth in CSV for ``posetrack convert --truth``.
+A folder has depth images and ``joint.txt``: the number of frames, then one line per frame with the name of
+the image and u, v (pixels) and z (mm) of 21 joints. These are the wrist, then index, middle, ring, little
+finger and thumb, each from the palm to the tip. The annotation is written as CSV for ``posetrack convert
+--truth``.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ ANNOTATED: tuple[str, ...] = (
 
 
 def convert(folder: Path, out: Path) -> Path:
-    """Write a recording with its joints on ``/truth/hand/points`` to ``out``, an MCAP file, and return it."""
+    """Convert a recording to the MCAP file ``out``, with its joints on ``/truth/hand/points``."""
     if posetrack([*conversion(folder, out.parent), "-o", str(out), "--overwrite"]):
-        raise PosetrackError(f"{folder}: cannot be converted")
+        raise PosetrackError("conversion failed", where=folder)
     return out
 
 
@@ -45,8 +45,8 @@ def conversion(folder: Path, work: Path) -> tuple[str, ...]:
     """Return the arguments of ``posetrack`` that convert a recording, without the output.
 
     Args:
-        folder: of the recording.
-        work: folder that gets the camera file and the truth.
+        folder: folder of the recording.
+        work: folder for the camera file and the ground truth.
     """
     camera, truth = (work / f"{folder.name}{ending}" for ending in (".camera.toml", ".csv"))
     images = sorted(folder.glob("*.png"))
@@ -58,7 +58,7 @@ def conversion(folder: Path, work: Path) -> tuple[str, ...]:
 
 
 def camera_toml(image: Path) -> str:
-    """The camera file of a folder, from the size of one of its images: some have an empty last column."""
+    """Return the camera file of a folder; images with an empty last column are cropped."""
     stored = cv2.imread(str(image), cv2.IMREAD_UNCHANGED)
     if stored is None:
         raise RecordingError("image cannot be read", where=image)
@@ -81,11 +81,11 @@ def read_annotation(path: Path) -> dict[str, FloatArray]:
         if len(cells) != 3 * len(ANNOTATED):
             expected = f"{3 * len(ANNOTATED)} numbers"
             raise RecordingError(
-                "has other joints", where=f"{path}:{number}", found=len(cells), expected=expected
+                "unexpected number of joints", where=f"{path}:{number}", found=len(cells), expected=expected
             )
         found[Path(name).name] = unprojected(np.array(cells, dtype=np.float64).reshape(-1, 3))[order]
     if len(found) != int(lines[0]):
-        raise RecordingError("has another number of frames", where=path, found=len(found), expected=lines[0])
+        raise RecordingError("wrong number of frames", where=path, found=len(found), expected=lines[0])
     return found
 
 
@@ -96,7 +96,7 @@ def unprojected(joints: FloatArray) -> FloatArray:
 
 
 def write_truth(path: Path, images: list[str], annotation: dict[str, FloatArray]) -> None:
-    """Write the joints as a truth in CSV; an image without annotation has no row."""
+    """Write the joints as CSV; an image without annotation has no row."""
     stamps = stamps_at_rate(len(images), RATE_HZ)
     with path.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)

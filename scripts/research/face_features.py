@@ -1,12 +1,13 @@
-"""What a face's ten points look like, learned from recordings of people with known points.
+"""Learn the appearance of the ten face points from recordings with ground truth.
 
-Of every person some frames are taken, each also in a mirror, upright and of one size but for what a start
-does not know: gradients about the points, and near them. Means and covariances of these, people counting
-alike, make a linear discriminant for each point (``head.detection.appearance``). Shapes vary as ICT-FaceKit's
-statistics say (USC Institute for Creative Technologies, MIT licence).
+Some frames of every person, also mirrored, are normalised to upright and equal size, up to the uncertainty of
+an initialisation. Means and covariances of gradient histograms at and near the points give a linear
+discriminant per point (``head.detection.appearance``); all people count equally. Shape modes come from
+ICT-FaceKit (USC Institute for Creative Technologies, MIT licence).
 
-A recording is an MCAP file with truth, such as ``posetrack head synth`` makes, or a folder with left/,
-right/, calibration.json and truth.csv, whose points are a mesh's vertices; what is learned lies beside them.
+A recording is an MCAP file with ground truth, for example from ``posetrack head synth``, or a folder with
+left/, right/, calibration.json and truth.csv. The points of a folder are mesh vertices, which are shifted to
+the visible features.
 """
 
 from __future__ import annotations
@@ -37,18 +38,16 @@ from research.face_model import SEEN_BESIDE, Statistics, read_statistics
 from research.heads import CALIBRATION, TRUTH, cameras_of
 
 FRAMES, DRAWS, SEED = 24, 4, 1
-"""Frames of a person and camera, patches of each, and the random generator's seed.
-
-So many that other draws give nearly the same weights (correlated by 0.94)."""
+"""Frames per person and camera, patches per frame, and random seed; enough for stable weights."""
 SIZE_SD, ROLL_SD, SHIFT_SD_MM = 0.08, np.radians(6.0), 4.0
-"""How far a start knows a face's size, roll and place."""
+"""Uncertainty of size, roll and position of a face at the initialisation."""
 NEAR_PX, REACH_PX, NEIGHBOURS = 3.5, 14.0, 30
-"""Places near a point that are not it: at least so far, at most, in each frame."""
+"""Negative samples near a point: smallest and largest distance, number per frame."""
 SHRINKAGE = 0.025
-"""Share of the mean variance that is added to every variance: covariances of few people are poor."""
+"""Share of the mean variance added to every variance; covariances of few people are poor."""
 IDENTITY_MODES, EXPRESSION_MODES, EXPRESSION_STRENGTH = 10, 8, 0.25
-"""Of the shape; how strong each of the published expressions is, root mean square."""
-DRAWN_SHARE = 0.25  # what a drawn person counts beside a rendered one
+"""Numbers of shape modes, and RMS strength of each published expression."""
+DRAWN_SHARE = 0.25  # weight of a synthetic person against a rendered photographic one
 
 
 class Sample(NamedTuple):
@@ -59,7 +58,7 @@ class Sample(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """An image, where its points are (K, 2), and the size of the face, pixels per mm."""
+    """An image, its points (K, 2), and the scale of the face, pixels per mm."""
 
     image: ImageArray
     pixels: FloatArray
@@ -67,7 +66,7 @@ class Seen(NamedTuple):
 
 
 def seen_in(path: Path) -> Iterator[Seen]:
-    """Yield some frames of a recording, of each camera."""
+    """Yield a selection of frames of a recording for each camera."""
     for image, camera, points in _images_of_folder(path) if path.is_dir() else _images_of_file(path):
         depth = float(in_camera_axes(camera, points)[EYES, 2].mean())
         scale = float(np.sqrt(camera.fx * camera.fy)) / depth
@@ -83,7 +82,7 @@ def _images_of_folder(path: Path) -> Iterator[tuple[ImageArray, Camera, FloatArr
         for row in np.linspace(0, len(truth.points) - 1, FRAMES).astype(int):
             image = cv2.imread(str(images[row]), cv2.IMREAD_GRAYSCALE)
             if image is None:
-                raise click.ClickException(f"{images[row]}: no image")
+                raise click.ClickException(f"{images[row]}: not an image")
             shift = in_camera(SEEN_BESIDE, np.zeros(3), truth.quaternion[row])
             yield image, camera, truth.points[row] + shift
 
@@ -103,7 +102,7 @@ def _images_of_file(path: Path) -> Iterator[tuple[ImageArray, Camera, FloatArray
 
 
 def samples_of(seen: Seen, rng: np.random.Generator) -> Iterator[Sample]:
-    """Yield the upright patch and its mirror image, each as roughly upright as a start makes it."""
+    """Yield patches and mirrored patches, randomly perturbed like the start of a track."""
     right, left = seen.pixels[:2].mean(axis=0), seen.pixels[2:4].mean(axis=0)
     roll = float(np.arctan2(*(left - right)[::-1]))
     for is_mirrored in (False, True) * DRAWS:
@@ -121,7 +120,7 @@ TAPS_AT = appearance.SPACING * (np.arange(appearance.TAPS) - appearance.TAPS // 
 
 
 def described(picture: Float32Array, places: FloatArray) -> FloatArray:
-    """Return the histograms (n, BINS * TAPS * TAPS) about pixels (n, 2)."""
+    """Return the histograms (n, BINS * TAPS * TAPS) around pixels (n, 2)."""
     x, y = np.rint(places).astype(int).T
     rows = np.clip(y[:, None] + TAPS_AT, 0, picture.shape[1] - 1)[:, :, None]
     columns = np.clip(x[:, None] + TAPS_AT, 0, picture.shape[2] - 1)[:, None, :]
@@ -130,29 +129,26 @@ def described(picture: Float32Array, places: FloatArray) -> FloatArray:
 
 
 class Moments(NamedTuple):
-    """Of histograms: their mean (D,) and the mean of their squares (D, D)."""
+    """First and second moments of histograms: mean (D,), mean outer product (D, D)."""
 
     mean: FloatArray
     square: FloatArray
 
     @property
     def covariance(self) -> FloatArray:
-        """(D, D)."""
+        """Covariance (D, D)."""
         covariance: FloatArray = self.square - np.outer(self.mean, self.mean)
         return covariance
 
 
 class PointMoments(NamedTuple):
-    """What a point looks like, and what the places near it do."""
+    """Moments at a point, and at places near it."""
 
     at: Moments
     near: Moments
 
     def discriminant(self) -> tuple[FloatArray, float]:
-        """Return w (D,) and b of the log-odds.
-
-        Both kinds' scores are taken as normal: their log-odds, made linear between the means.
-        """
+        """Return w (D,) and b of the log-odds, linearised between the means of two normal scores."""
         covariance = 0.5 * (self.at.covariance + self.near.covariance)
         shrunk = covariance + SHRINKAGE * np.trace(covariance) / len(covariance) * np.eye(len(covariance))
         w = np.linalg.solve(shrunk, self.at.mean - self.near.mean)
@@ -162,11 +158,8 @@ class PointMoments(NamedTuple):
 
 
 def moments_of(path: Path) -> tuple[PointMoments, ...]:
-    """Return what the right side's points of a person look like.
-
-    What is drawn at random is the same whoever else is learned from: a person who is left out changes
-    nothing of the others.
-    """
+    """Return the moments of a person's points of the right side."""
+    # A seed per person: leaving out a person must not change the samples of the others.
     rng = np.random.default_rng(SEED)
     at: list[list[FloatArray]] = [[] for _ in appearance.RIGHT_SIDE]
     near: list[list[FloatArray]] = [[] for _ in appearance.RIGHT_SIDE]
@@ -181,13 +174,13 @@ def moments_of(path: Path) -> tuple[PointMoments, ...]:
 
 
 def pooled(people: Sequence[Moments], counts: Sequence[float]) -> Moments:
-    """Return the moments of people, each of whom counts so much."""
+    """Return the weighted mean of the moments of people."""
     shares = np.array(counts) / np.sum(counts)
     return Moments(*(np.tensordot(shares, np.stack(part), axes=1) for part in zip(*people, strict=True)))
 
 
 def learn(people: Sequence[tuple[tuple[PointMoments, ...], float]]) -> tuple[Float32Array, FloatArray]:
-    """Return weights (K / 2, BINS, TAPS, TAPS) and constants (K / 2,) of the right side's points."""
+    """Return weights (K / 2, BINS, TAPS, TAPS) and constants (K / 2,) of the points of the right side."""
     weights, constants, counts = [], [], [counts for _, counts in people]
     for k in range(len(appearance.RIGHT_SIDE)):
         at = pooled([points[k].at for points, _ in people], counts)
@@ -199,17 +192,17 @@ def learn(people: Sequence[tuple[tuple[PointMoments, ...], float]]) -> tuple[Flo
 
 
 def moments(values: Sequence[FloatArray]) -> Moments:
-    """Return the moments of histograms (n, D), several such arrays together."""
+    """Return the moments of several arrays of histograms (n, D)."""
     rows = np.concatenate(values)
     return Moments(rows.mean(axis=0), rows.T @ rows / len(rows))
 
 
 def shape_modes(statistics: Statistics) -> FloatArray:
-    """Return (M, K, 3) mm: identity modes, then the principal ones of all expressions at random."""
+    """Return (M, K, 3) mm: identity modes, then principal components of random expressions."""
     moved = []
     for name, displacement in statistics.expressions.items():
         one = EXPRESSION_STRENGTH * displacement
-        if name in ("mouthLeft", "mouthRight"):  # the vertices of the nostrils follow, their openings do not
+        if name in ("mouthLeft", "mouthRight"):  # nostril vertices move, the visible openings do not
             one[6:8] = 0.0
         moved.append(one.ravel())
     values, vectors = np.linalg.eigh(np.array(moved).T @ np.array(moved))
@@ -222,10 +215,10 @@ def shape_modes(statistics: Statistics) -> FloatArray:
 @click.command(help=__doc__)
 @click.argument("statistics", type=click.Path(exists=True, dir_okay=False, path_type=Path))
 @click.argument("recordings", nargs=-1, required=True, type=click.Path(exists=True, path_type=Path))
-@click.option("--without", multiple=True, help="Leave a recording of this name out; repeatable.")
+@click.option("--without", multiple=True, help="Leave out the recording of this name. Repeatable.")
 @click.option("--out", default=appearance.SHIPPED, type=click.Path(dir_okay=False, path_type=Path))
 def main(statistics: Path, recordings: tuple[Path, ...], without: tuple[str, ...], out: Path) -> None:
-    """Write the file, and say how many people it is from."""
+    """Write the appearance model."""
     used = [path for path in recordings if path.name not in without]
     weights, constants = learn([(moments_of(path), 1.0 if path.is_dir() else DRAWN_SHARE) for path in used])
     arrays = {

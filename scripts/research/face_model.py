@@ -1,7 +1,7 @@
-"""The face model that is shipped: faces and expressions drawn from statistics of ICT-FaceKit.
+"""Build the shipped face model from faces and expressions drawn from statistics of ICT-FaceKit.
 
-ICT-FaceKit is a model of faces of the USC Institute for Creative Technologies (MIT licence). The
-statistics are mean, identity modes and expressions of the ten feature points, mm in the head's frame.
+ICT-FaceKit is a face model of the USC Institute for Creative Technologies (MIT licence). The statistics are
+mean, identity modes and expressions of the ten feature points, mm in the head frame.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from posetrack_cli.head.subject import head_subject
 from research.heads import TRUTH
 
 SOURCE = "statistics of ICT-FaceKit (USC Institute for Creative Technologies, MIT licence)"
-PEOPLE, SEED = 60, 1  # how many identities are drawn; each one's negative is another
-DECIMALS = 9  # to which the arrays are rounded, so that the last bits of a machine's arithmetic do not show
+PEOPLE, SEED = 60, 1  # number of drawn identities; the negative of each is used as well
+DECIMALS = 9  # rounding of the arrays, which removes differences between machines
 Expression = Mapping[str, float]
 
 
 def _both_sides(right: Sequence[tuple[float, float, float]]) -> FloatArray:
-    """Return all points (K, 3) of those of the right side."""
+    """Return all points (K, 3), given those of the right side."""
     found = np.empty((len(POINT_NAMES), 3))
     found[list(RIGHT_SIDE)] = right
     found[np.array(MIRRORED)[list(RIGHT_SIDE)]] = np.array(right) * (-1.0, 1.0, 1.0)
@@ -42,21 +42,20 @@ def _both_sides(right: Sequence[tuple[float, float, float]]) -> FloatArray:
 FEATURE_OFFSETS = _both_sides(
     [(-2.2, 0.0, 1.9), (-1.6, 0.2, 2.3), (-1.7, 0.2, -0.2), (-3.1, 2.3, 3.8), (-4.9, -10.1, 6.5)]
 )
-"""(K, 3) mm, how far the features that a tracker follows lie from the statistics' landmarks, on average of
-people **[ours]**: what ``measured_offsets`` finds of the ten recordings person-c to person-l of the study.
+"""(K, 3) mm, mean offset from the statistics' landmarks to the tracked features **[ours]**, from
+``measured_offsets`` on the ten recordings person-c to person-l of the study.
 
-They are that far larger than the statistics' mean face, and a tracker sees a nostril's opening and a brow's
-dark inner end beside the vertices. A model built from results of tracking needs none.
+These faces are larger than the statistics' mean face, and the visible nostril openings and brow ends lie next
+to the vertices. A model built from tracking results needs no offsets.
 """
 
 SEEN_BESIDE = _both_sides(
     [(-0.5, 0.3, 2.2), (-0.8, -0.1, 2.0), (0.1, -0.3, 0.9), (-2.1, 2.8, 3.8), (-3.7, -6.2, -2.1)]
 )
-"""(K, 3) mm in the head's frame: how far from a mesh's vertices the learned points are followed.
+"""(K, 3) mm in the head frame: offset from mesh vertices to the tracked features.
 
-Medians over the same ten people of the constant offsets that explain, with the true poses and vertices, where
-points were followed in the left images, made symmetric. They are of all ten also where a person is left out
-of the rest: these figures a stranger of the study has helped to make."""
+Symmetrised medians over the same ten people of the constant offsets that explain the tracked points in the
+left images, given true poses and vertices. They are not recomputed when a person is left out."""
 
 NEUTRAL: Expression = {}
 SIDEWAYS: Mapping[float, Expression] = {
@@ -70,15 +69,14 @@ VERTICAL: Mapping[float, Expression] = {
     0.5: {"browInnerUp": 1.0},
     1.0: {"browInnerUp": 1.0, "jawOpen": 1.0},
 }
-"""Strengths of the published expressions at some rates of a motion; between them they change linearly.
-
-The brows go before the jaw, so that the model can tell one from the other."""
+"""Strengths of the published expressions by rate of a motion, interpolated linearly. The brows move before
+the jaw, so that the model can separate the two."""
 RATES = np.linspace(0.0, 1.0, 5)
 
 
 @dataclass(frozen=True, eq=False)
 class Statistics:
-    """What is published of the ten points."""
+    """Published statistics of the ten points."""
 
     mean: FloatArray  # (K, 3) mean neutral face, mm, made symmetric
     modes: FloatArray  # (M, K, 3) of identity, one standard deviation each, mm
@@ -92,7 +90,7 @@ class Statistics:
         return centred
 
     def face(self, expression: Expression) -> FloatArray:
-        """Return the displacement (K, 3) of several expressions, mm; those of one side are used on both."""
+        """Return the displacement (K, 3) of several expressions, mm, applied to both sides."""
         total = np.zeros_like(self.mean)
         for name, strength in expression.items():
             sides = [name] if name in self.expressions else [f"{name}_L", f"{name}_R"]
@@ -114,7 +112,7 @@ def read_statistics(path: Path) -> Statistics:
 
 
 def measured_offsets(statistics: Statistics, people: Sequence[Path]) -> FloatArray:
-    """Return (K, 3) mm: the mean neutral face of people, made symmetric, less that of the statistics."""
+    """Return (K, 3) mm: the symmetrised mean neutral face of people minus that of the statistics."""
     faces = []
     for folder in people:
         truth = load_csv_track(folder / TRUTH, head_subject("left", 0))
@@ -130,10 +128,10 @@ def measured_offsets(statistics: Statistics, people: Sequence[Path]) -> FloatArr
 
 
 def build(statistics: Statistics, offsets: FloatArray = FEATURE_OFFSETS) -> BuiltModel:
-    """Build the model of people who each do everything; expressions grow with the width of the face.
+    """Build the model from people with all expressions, scaled by the width of the face.
 
-    Halves of faces make symmetric ones, which move their mouths to neither side: that is added. Without it a
-    mouth that goes aside, and the nose with it, is taken for a head that turns.
+    Faces are built from symmetric halves, so a sideways motion of the mouth is added; otherwise it would be
+    explained by a rotation of the head.
     """
     people = statistics.people(PEOPLE, np.random.default_rng(SEED))
     actions = [motion(statistics, knots, rate) for knots in (SIDEWAYS, VERTICAL) for rate in RATES]
@@ -159,13 +157,13 @@ def motion(statistics: Statistics, knots: Mapping[float, Expression], rate: floa
 @click.command(help=__doc__)
 @click.argument("statistics", type=click.Path(exists=True, dir_okay=False, path_type=Path))
 @click.argument("people", nargs=-1, type=click.Path(exists=True, file_okay=False, path_type=Path))
-@click.option("--without", multiple=True, help="Leave the person of this name out; repeatable.")
+@click.option("--without", multiple=True, help="Leave out the person of this name. Repeatable.")
 @click.option("--out", default=SHIPPED, type=click.Path(dir_okay=False, path_type=Path))
 def main(statistics: Path, people: tuple[Path, ...], without: tuple[str, ...], out: Path) -> None:
-    """Write the model, and say how near it comes to the faces that it was built from.
+    """Write the model and print its approximation error.
 
-    Features lie where they do on average of PEOPLE, folders of recordings with truth.csv; without any, where
-    ``FEATURE_OFFSETS`` says.
+    Feature offsets are the mean over PEOPLE, folders of recordings with truth.csv; without any,
+    ``FEATURE_OFFSETS``.
     """
     read, used = read_statistics(statistics), [one for one in people if one.name not in without]
     built = build(read, measured_offsets(read, used) if used else FEATURE_OFFSETS)

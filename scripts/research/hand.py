@@ -1,4 +1,4 @@
-"""Redo section 7 of Kajihara and Tanaka's paper, and answer the question it leaves open."""
+"""Reproduce section 7 of Kajihara and Tanaka's paper, and answer its open question."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ ROWS = {"hand-paper": "printed", "union cost, drawn from the motion": "union", "
 
 @dataclass(frozen=True)
 class Options:
-    """How much is done below the folder ``output``; ``reading``: arguments about the real recording."""
+    """Settings of the study; ``reading``: arguments for opening the real recording."""
 
     output: Path
     seeds: int = setting("--seeds", 20, "Recordings per condition.")
@@ -82,14 +82,14 @@ class Options:
     reading: tuple[str, ...] = ()
 
     def result(self, motion: str, speed: float, seed: int, entrant: str) -> str:
-        """Return where a result lies."""
+        """Return the path of a result."""
         return f"runs/{motion}-{speed:g}x-{seed}-{self.frames}-{entrant}.mcap"
 
 
 def tracked(options: Options, motion: str, speed: float, seed: int, entrants: Iterator[str]) -> Job:
-    """Return the job of a recording; entrants are pairs, as all have its seed.
+    """Return the job of a recording; all entrants use the seed of the recording, so they form pairs.
 
-    C starts in the middle of the image, A and B from the true pose, which may be anywhere.
+    C starts at the image centre, A and B start from the true pose.
     """
     name = f"{motion}-{speed:g}x-{seed}-{options.frames}"
     made = ("hand", "synth", "--motion", motion, "--speed", f"{speed:g}", "--seed", str(seed))
@@ -214,7 +214,7 @@ TIMED_FRAMES, WARM_UP = 34, 4
 
 
 def _tell_times(options: Options, files: Files, report: Report) -> None:
-    """Let both filters take turns, frame by frame, over motion B with the paper's values."""
+    """Time both filters alternately, frame by frame, on motion B with the paper's settings."""
     device = open_fastest_device()
     made = SynthOptions("B", TIMED_FRAMES, FIRST_SEED, 1.0, switches=Switches.usual("B"))
     recorded = [(frame.depth.astype(np.float32),) for frame in synthesise(made, device=device)]
@@ -325,7 +325,7 @@ def _head(options: Options) -> Iterator[str]:
 def _options(
     output: Path, seeds: int, frames: int, kinect: Path | None, kinect_frames: str, **reading: Any
 ) -> Options:
-    """Return the options, with those about the recording as they were typed."""
+    """Return the options; those for the recording are passed on unchanged."""
     given = []
     for name, value in reading.items():
         if value not in (None, False):

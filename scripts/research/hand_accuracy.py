@@ -1,4 +1,4 @@
-"""What the hand tracker reaches on its own model, on seeds that were never used for tuning."""
+"""Accuracy of the hand tracker on its own model, with seeds that were never used for tuning."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from posetrack_cli.build import version
 from posetrack_cli.evaluation.measuring.evaluate import EvalOptions
 from posetrack_cli.hand.smoothing import SMOOTH_POSE, SMOOTH_VELOCITY
-from posetrack_cli.results.channels import FILTERED, SMOOTHED
+from posetrack_cli.results.topics import FILTERED, SMOOTHED
 from research.hands import evaluated, figures_of
 from research.report import Column, Figures, Report, number, pairs_of
 from research.runner import FILE, Files, Job, Step
@@ -20,12 +20,12 @@ from research.study import FIRST_SEED, FOLDER, Part, Study, setting, unused_for_
 
 NO_MESH = ("--set", "output.mesh=none")
 AVERAGE = ("--shape", "average")
-"""The hand that is drawn is known to be the average one: no time goes into finding that out."""
+"""The rendered hand is the average one, so the shape need not be estimated."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """How much is done, below the folder ``output``."""
+    """Settings of the study."""
 
     output: Path
     seeds: int = setting("--seeds", 20, "Recordings per condition.")
@@ -49,7 +49,7 @@ class Options:
 def recorded(
     options: Options, name: str, made: tuple[str, ...], entrants: Mapping[str, tuple[str, ...]]
 ) -> Job:
-    """Return the job of a recording that every chosen entrant tracks; the recording is deleted."""
+    """Return the job of a recording that all chosen entrants track; the recording is deleted afterwards."""
     recording = Step(f"recordings/{name}.mcap", made, scratch=True)
     tracked = (
         Step(f"runs/{name}-{entrant}.mcap", ("hand", "run", FILE + recording.output, *arguments))
@@ -60,7 +60,7 @@ def recorded(
 
 
 def synthetic(options: Options, motion: str, speed: float, seed: int, *more: str) -> tuple[str, ...]:
-    """Return the arguments that make a synthetic recording, with the default effects of its motion."""
+    """Return the arguments for a synthetic recording with the default effects of its motion."""
     made = ("hand", "synth", "--motion", motion, "--speed", f"{speed:g}", "--seed", str(seed))
     return (*made, "--frames", str(options.frames), *more)
 
@@ -68,7 +68,7 @@ def synthetic(options: Options, motion: str, speed: float, seed: int, *more: str
 def measured(
     options: Options, files: Files, begin: str, end: str, track: str = FILTERED
 ) -> dict[str, Figures]:
-    """Return the figures of each seed's result that is there, by the seed."""
+    """Return the figures of the existing results by seed."""
     names = {str(seed): f"runs/{begin}-{seed}-{options.frames}{end}.mcap" for seed in options.all_seeds}
     found = {seed: figures_of(files.made(name), track) for seed, name in names.items()}
     return {seed: figures for seed, figures in found.items() if figures}
@@ -145,7 +145,7 @@ SMOOTH = tuple(
     for key, value in settings
     for part in ("--set", f"motion.{name}.{key}={value}")
 )
-"""The noise densities of the smoothed track: nearly all motion is velocity, and the filter's follows it."""
+"""The noise densities of the smoothed track, with which nearly all motion is velocity."""
 FILTERS = {"pf": ("pf", ()), "rbpf": ("rbpf", ()), "smooth": ("rbpf", SMOOTH)}
 
 
@@ -159,7 +159,7 @@ def _filters_jobs(options: Options) -> Iterator[Job]:
         motion, speed, fps = condition
         for seed in options.all_seeds:
             name = f"{_filters_name(condition, seed)}-{options.frames}-filters"
-            # both filters begin at the true pose: they are compared, not their starts
+            # both filters start from the true pose, so that initialisation does not matter
             common = ("--init", f"{FILE}recordings/{name}.mcap", *AVERAGE, *NO_MESH)
             entrants = {
                 f"{filter_}-{proposal}": (

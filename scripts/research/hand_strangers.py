@@ -1,4 +1,4 @@
-"""What the hand tracker does on people that are not its model."""
+"""Accuracy of the hand tracker on people that differ from its model."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from posetrack_cli.evaluation.measuring.without_truth import honesty_metrics
 from posetrack_cli.hand.confidence import RIGHT_MM
 from posetrack_cli.hand.model.webxr import load_hand
 from posetrack_cli.hand.shape_fit import MEASURES, measures_of
-from posetrack_cli.results.channels import SMOOTHED
+from posetrack_cli.results.topics import SMOOTHED
 from research import cvar, hands
 from research.hand_accuracy import AVERAGE, NO_MESH
 from research.hand_model.people import person_hand
@@ -35,25 +35,25 @@ from research.report import Column, Figures, Report, number, over, pairs_of, val
 from research.runner import FILE, SHARED, TOOL, Files, Job, Step, tool_digest
 from research.study import FOLDER, Part, Study, setting
 
-FINAL = 900  # people and motions from here on are for final measurements only
+FINAL = 900  # people and motions from this number on are for final measurements only
 MOST_PEOPLE = 1000
 _RANGE = re.compile(r"(\d{1,6})(?:-(\d{1,6}))?")
 
 
 @dataclass(frozen=True)
 class Person:
-    """A stranger, who moves by the motion of the same number."""
+    """A stranger; the motion has the same number."""
 
     number: int
 
     @property
     def side(self) -> str:
-        """Which hand is shown: the left one of every second person."""
+        """Hand that is shown: the left one for odd numbers."""
         return "left" if self.number % 2 else "right"
 
     @property
     def shows_back(self) -> bool:
-        """Whether the back of the hand faces the camera: of every third person."""
+        """Whether the back of the hand faces the camera: every third person."""
         return self.number % 3 == 0
 
     @property
@@ -62,18 +62,18 @@ class Person:
         return f"{self.number} {self.side}{', back' if self.shows_back else ''}"
 
     def drawing(self, frames: int, *more: str) -> tuple[str, ...]:
-        """Return arguments of the tool that draws a recording."""
+        """Return the arguments for the tool that renders a recording."""
         seeds = ("--person", str(self.number), "--motion", str(self.number), "--frames", str(frames))
         left = ("--left",) if self.side == "left" else ()
         return (*seeds, *left, *(("--back",) if self.shows_back else ()), *more)
 
 
 def people_of(text: str, *, final: bool) -> tuple[Person, ...]:
-    """Return the people that a text such as ``800-819`` or ``800,803-805`` names, each once, in order.
+    """Parse people such as ``800-819`` or ``800,803-805``; return them sorted without duplicates.
 
     Args:
-        text: numbers and ranges, both ends included, separated by commas.
-        final: whether people that are kept for final measurements may be among them.
+        text: numbers and inclusive ranges, separated by commas.
+        final: whether to allow people reserved for final measurements.
     """
     found: set[int] = set()
     for part in text.split(","):
@@ -81,43 +81,43 @@ def people_of(text: str, *, final: bool) -> tuple[Person, ...]:
         numbers = range(int(match[1]), int(match[2] or match[1]) + 1) if match else range(0)
         if not 0 < len(numbers) <= MOST_PEOPLE:
             expected = f"numbers and ranges such as 800-819, of at most {MOST_PEOPLE} people"
-            raise UsageError("people cannot be understood", found=repr(text), expected=expected)
+            raise UsageError("invalid --people", found=repr(text), expected=expected)
         found |= set(numbers)
     if max(found) >= FINAL and not final:
-        expected, hint = f"less than {FINAL}", "--final measures such people"
+        expected, hint = f"less than {FINAL}", "--final allows such people"
         raise UsageError(
-            "this person is for final measurements only", found=max(found), expected=expected, hint=hint
+            "person is reserved for final measurements", found=max(found), expected=expected, hint=hint
         )
     return tuple(map(Person, sorted(found)))
 
 
-# What is recorded and tracked
+# Recordings and entrants
 
 ARM, NO_ARM, DOUBLE_SPEED, FREE_ELBOW = "arm", "no-arm", "double-speed", "free-elbow"
 RECORDINGS = {ARM: (), NO_ARM: ("--no-arm",), DOUBLE_SPEED: ("--speed", "2"), FREE_ELBOW: ("--free-elbow",)}
-"""By kind the further arguments of the tool."""
+"""Further arguments of the tool by kind of recording."""
 EXACT_KINDS, DEFAULT_KINDS = (ARM, NO_ARM, DOUBLE_SPEED), (ARM, DOUBLE_SPEED)
 EXACT, DEFAULT, TOLD, SHAPE_ALONE = "mesh", "default", "told", "shape"
-"""Entrants: with the person's own mesh; by default; with the mesh and true keypoints; ``hand calibrate``."""
+"""Entrants: the person's own mesh; defaults; the mesh and true keypoints; ``hand calibrate``."""
 CHOICES = {
     "pf": ("plain filter", ("--filter", "pf")),
     "paper": ("the paper's cost", ("--cost", "paper")),
     "union": ("union cost", ("--cost", "union")),
     "pso": ("swarm", ("--filter", "pso")),
 }
-"""Entrants that differ from the default in one thing and get side and shape from its result."""
+"""Entrants that differ from the default in one setting and use side and shape from its result."""
 AVERAGE_HAND = "average"
 
 
 @dataclass(frozen=True)
 class Options:
-    """How much is done, below the folder ``output``."""
+    """Settings of the study."""
 
     output: Path
-    tool: Path  # that draws strangers' hands; not a part of the project
-    people: tuple[Person, ...]  # who is recorded
+    tool: Path  # renders the strangers' hands; not a part of the project
+    people: tuple[Person, ...]
     frames: int = setting("--frames", 300, "Frames per recording.", 2)
-    # folder of the annotated, head-mounted recordings; None leaves them out
+    # folder of the annotated, head-mounted recordings; None to skip them
     cvar: Path | None = setting(  # noqa: RUF009
         "--cvar", None, "Folder with P1, P4, P7.  [default: ../shared/data/cvar-hand]", type=FOLDER
     )
@@ -127,11 +127,11 @@ class Options:
         return f"{person.number}-{kind}-{self.frames}"
 
     def result(self, person: Person, kind: str, entrant: str) -> str:
-        """Return where a result, or a hand file, lies."""
+        """Return the path of a result or hand file."""
         return f"runs/{self.name(person, kind)}-{entrant}.{'toml' if entrant == SHAPE_ALONE else 'mcap'}"
 
     def jobs(self, person: Person, kind: str, *entrants: str) -> Iterator[Job]:
-        """Yield what tracks a person's recording of a kind, and what makes the mesh of the hand."""
+        """Yield the jobs that render and track a recording of a person, and write the person's mesh."""
         mesh = f"meshes/{person.number}"
         yield Job(mesh, (Step(mesh, (TOOL, str(self.tool), *person.drawing(1))),))
         name = self.name(person, kind)
@@ -156,7 +156,7 @@ class Options:
 
 
 def tracked(options: Options, kinds: Sequence[str], *entrants: str, most: int | None = None) -> Iterator[Job]:
-    """Yield what tracks everybody's recordings of some kinds; of so many people at most."""
+    """Yield the jobs for all recordings of some kinds, of at most ``most`` people."""
     for person, kind in itertools.product(options.people[:most], kinds):
         yield from options.jobs(person, kind, *entrants)
 
@@ -169,7 +169,7 @@ def _titled(rows: Rows) -> dict[str, Figures]:
 
 
 def _groups(rows: Rows) -> dict[str, list[str]]:
-    """Everybody, and those who show palm or back."""
+    """Group people: all, palm and back."""
     groups = {"**all**": [person.title for person in rows]}
     for title, back in (("palms", False), ("backs", True)):
         groups[title] = [person.title for person in rows if person.shows_back is back]
@@ -319,7 +319,7 @@ HONESTY_COLUMNS = (
 
 
 def cvar_jobs(options: Options, *, told: bool = False) -> Iterator[Job]:
-    """Yield what tracks the head-mounted recordings that are there, by default and from true keypoints."""
+    """Yield the jobs for the existing head-mounted recordings, with defaults and with true keypoints."""
     for name in _sequences(options):
         assert options.cvar is not None
         made = cvar.conversion(options.cvar / name, options.output)
@@ -337,7 +337,7 @@ def _sequences(options: Options) -> list[str]:
 
 
 def confidence_figures(judged: JudgedFrames) -> dict[str, float]:
-    """Return the metrics of ``posetrack eval`` about confidence and status, by address."""
+    """Return the metrics of ``posetrack eval`` on confidence and status by address."""
     measures = Measures("no frame has a truth")
     honesty_metrics(measures, judged)
     known = {name: float(value) for name, value in measures.metrics.items() if isinstance(value, float | int)}
@@ -476,7 +476,7 @@ def _tell_choices(options: Options, files: Files, report: Report) -> None:
 # Stated sizes and proportions
 
 OF_THE_WRIST = ("hand_length", "palm_length")
-"""No image and no rule tells where the wrist's centre lies in the skin: it is the rig's convention."""
+"""The position of the wrist in the skin is a convention of the rig; no image determines it."""
 COUNTED = np.array([name not in OF_THE_WRIST for name in MEASURES])
 _STATED = re.compile(r"^# ([a-z ]+) (\d+\.\d) \+- (\d+\.\d)$", re.MULTILINE)
 SHAPE_COLUMNS = (
@@ -491,14 +491,14 @@ SHAPE_COLUMNS = (
 
 
 def stated_measures(text: str) -> tuple[FloatArray, FloatArray]:
-    """Return the measures (13,) and their standard deviations (13,) in a hand file's text, mm."""
+    """Return the measures (13,) and their standard deviations (13,) of a hand file, mm."""
     said = {name.replace(" ", "_"): (float(value), float(sd)) for name, value, sd in _STATED.findall(text)}
     values, sds = np.array([said[name] for name in MEASURES]).T
     return values, sds
 
 
 def true_measures(mesh: Path) -> tuple[FloatArray, FloatArray]:
-    """Return the measures (13,) of a file's hand, with our joints and with the file's."""
+    """Return the measures (13,) of a mesh, with our joints and with those of the file."""
     return measures_of(person_hand(mesh, None).anatomy), measures_of(load_hand(mesh).anatomy)
 
 
@@ -534,9 +534,9 @@ def _tell_shape(options: Options, files: Files, report: Report) -> None:
 def shape_figures(
     stated: FloatArray, sd: FloatArray, true: FloatArray, of_rig: FloatArray
 ) -> tuple[dict[str, dict[str, float]], float, float]:
-    """Return the figures of each measure, and two shares of counted ones within 90 % intervals.
+    """Return figures per measure, and the shares within 90 % intervals by our joints and by the rig's.
 
-    They are by our joints and by the rig's. All arguments are (P, 13) of P people, mm.
+    All arguments are (P, 13) for P people, mm.
     """
     errors = stated - true
     inside, inside_of_rig = (np.abs(stated - one) <= INSIDE_90 * sd for one in (true, of_rig))
@@ -572,7 +572,7 @@ def _options(
     found, annotated = (tool or SHARED / "tools" / "foreign_hand.py").resolve(), SHARED / "data" / "cvar-hand"
     if not found.is_file():
         hint = "give the path of foreign_hand.py with --tool"
-        raise UsageError("the tool that draws strangers' hands is missing", where=found, hint=hint)
+        raise UsageError("tool for rendering strangers' hands not found", where=found, hint=hint)
     known = cvar or (annotated if annotated.is_dir() else None)
     return Options(output, found, people_of(people, final=final), frames, known)
 

@@ -1,4 +1,4 @@
-"""Measure a hand's result against its truth: figures of ``posetrack eval``, and where the wrist is."""
+"""Measure a hand result against ground truth: metrics of ``posetrack eval``, and wrist errors."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from posetrack_cli.evaluation.measuring.evaluation import Evaluation
 from posetrack_cli.evaluation.measuring.hand_metrics import joint_errors
 from posetrack_cli.evaluation.measuring.measures import Matched, common_columns, rows_of
 from posetrack_cli.hand.model.anatomy import JOINT_NAMES
-from posetrack_cli.results.channels import FILTERED
 from posetrack_cli.results.reader import read_result
+from posetrack_cli.results.topics import FILTERED
 
 WRIST = JOINT_NAMES[0]
 RAW, WITHOUT_OFFSETS = EvalOptions(), EvalOptions(joint_offsets="bone")
-OFF_MM = 60.0  # a wrist that is farther from the true one is not on it
+OFF_MM = 60.0  # largest error of a wrist that counts as found
 ASTRAY_MM = 20
-"""A frame whose mean joint error is not below this does not follow the hand, whatever its status."""
+"""Mean joint error from which the hand is not being followed, whatever the status."""
 ADDRESSES = {
     "error_mm": "joint_error_mm.mean",
     "tip_error_mm": "fingertip_error_mm.mean",
@@ -36,26 +36,26 @@ ADDRESSES = {
     "lost": "lost",
     "frames": "frames",
 }
-"""Figures of studies, and their addresses in ``posetrack eval``."""
+"""Addresses in ``posetrack eval`` by figure."""
 
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """The frames (M,) of a track that have a truth, lost ones among them, in the order of time."""
+    """The frames (M,) of a track that have ground truth, including lost ones, in temporal order."""
 
-    error: FloatArray  # mean over the joints of the distance to the true one, mm
-    wrist: FloatArray  # distance between estimated and true wrist, mm
-    lost: BoolArray  # frames whose status is lost
+    error: FloatArray  # mean joint error, mm
+    wrist: FloatArray  # wrist error, mm
+    lost: BoolArray  # whether the status is lost
 
 
 @cache
 def evaluated(result: Path, options: EvalOptions = RAW) -> Evaluation:
-    """Return a result, measured once."""
+    """Return the evaluation of a result (cached)."""
     return evaluate(result, options)
 
 
 def frames_of(evaluation: Evaluation) -> Frames | None:
-    """Return the frames of an evaluation; None if no frame has a truth with a wrist."""
+    """Return the frames of an evaluation; None if no frame has a true wrist."""
     track, truth, pairs = evaluation.track, evaluation.truth, evaluation.pairs
     joints = common_columns(track.point_names, () if truth is None else truth.point_names)
     if truth is None or pairs is None or not len(pairs.estimate) or WRIST not in joints.names:
@@ -67,7 +67,7 @@ def frames_of(evaluation: Evaluation) -> Frames | None:
 
 
 def figures_of(result: Path | None, track: str = FILTERED) -> dict[str, float]:
-    """Return the figures of a result's track; none of a result, or a track, that is missing."""
+    """Return the figures of a track; empty if the result or track is missing."""
     if result is None or track not in read_result(result).tracks:
         return {}
     raw = evaluated(result, replace(RAW, track=track))
@@ -89,16 +89,16 @@ def without_offsets(result: Path | None) -> dict[str, float]:
 
 
 def found_within(frames: Frames) -> float:
-    """Return the number, from 1, of the first frame on the wrist that is not lost; infinity if none is."""
+    """Return the number (from 1) of the first tracked frame with the wrist found; infinity if none."""
     found = np.flatnonzero((frames.wrist <= OFF_MM) & ~frames.lost)
     return float(found[0]) + 1.0 if len(found) else np.inf
 
 
 def start_of(result: Path | None) -> dict[str, float]:
-    """Return when the hand is found, and how long it is kept.
+    """Return when the hand is found and how long it is followed.
 
-    ``found_within``: see there. ``off``: frames that are not on the wrist and not lost. ``kept``: share of
-    frames on the wrist, whatever their status.
+    ``off``: number of frames with a wrong wrist that are not lost. ``kept``: share of frames with the wrist
+    found, whatever their status.
     """
     frames = None if result is None else frames_of(evaluated(result))
     if frames is None:
@@ -108,5 +108,5 @@ def start_of(result: Path | None) -> dict[str, float]:
 
 
 def side_of(result: Path) -> str:
-    """Return which hand was tracked, from the run record."""
+    """Return the side of the tracked hand from the run record."""
     return str(json.loads(evaluated(result).run["configuration"])["hand"]["side"])

@@ -1,7 +1,7 @@
-"""Recordings of heads with truth, and what a head's result is worth against the truth or another result.
+"""Head recordings with ground truth; errors of head results against ground truth or another result.
 
-Where a head's frame sits is a convention, so one constant rigid offset of it is removed, as by ``eval --align
-rigid``. As it brings the positions nearest, it absorbs what is constant of an error in depth.
+The position of the head frame is a convention, so one constant rigid offset is removed, as by ``eval --align
+rigid``. It also absorbs the constant part of a depth error.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from posetrack_cli.recording import camera_file
 from research.report import Column
 
 CALIBRATION, TRUTH = "calibration.json", "truth.csv"
-LEFT = "left"  # the camera that is used alone
+LEFT = "left"  # camera for tracking with one camera
 FIRST, SECOND = ("--passes", "1"), ("--passes", "2")
 AXES = ("x, mm", "y", "z", "roll, deg", "pitch", "yaw")
 POSE_COLUMNS = tuple(Column(name, title) for name, title in zip(HEAD_POSE, AXES, strict=True))
@@ -42,7 +42,7 @@ TRACKED_COLUMNS = (
 
 
 def cameras_of(calibration_json: Path) -> list[Camera]:
-    """Return the cameras of a calibration.json, the reference first."""
+    """Read the cameras of a calibration.json, reference first."""
     cameras = []
     for name, values in json.loads(calibration_json.read_text())["cameras"].items():
         (fx, _, cx), (_, fy, cy), _ = np.array(values["K"], dtype=float).tolist()
@@ -62,7 +62,7 @@ def reading_arguments(folder: Path, cameras: Path) -> tuple[str, ...]:
 
 
 def persons_in(folder: Path | None) -> list[Path]:
-    """Return the folders in a folder that hold a recording with calibration and truth."""
+    """Return the subfolders that contain a recording with calibration and ground truth."""
     found = [] if folder is None else sorted(folder.iterdir())
     return [one.resolve() for one in found if all((one / name).is_file() for name in (CALIBRATION, TRUTH))]
 
@@ -72,18 +72,18 @@ class Compared:
     """A result against a reference, in M frames."""
 
     seconds: FloatArray  # (M,) since the first frame
-    # (M,) whether the head was followed, also where the tracker doubts itself: a doubt must not make errors
-    # small
+    # (M,) whether the head was followed, including frames with low confidence: leaving these out would make
+    # errors small
     followed: BoolArray
-    believed: BoolArray  # (M,) whether the tracker says that it has the head
+    believed: BoolArray  # (M,) whether the status is not lost
     pose: FloatArray  # (M, 6) absolute errors, mm and deg, in the order of ``HEAD_POSE``
-    position_mm: FloatArray  # (M,) lengths of the whole errors
+    position_mm: FloatArray  # (M,) Euclidean errors
     rotation_deg: FloatArray
     columns: FloatArray  # (M, 6) x, y, z (mm), roll, pitch, yaw (deg) of result and reference
     true_columns: FloatArray
     shape: FloatArray  # (M, K, 3) points in head coordinates, mm
     true_shape: FloatArray
-    neutral: FloatArray  # (K, 3) of the reference's first frame
+    neutral: FloatArray  # (K, 3) shape in the reference's first frame
     points: FloatArray  # (M, K, 3) in camera axes, mm
     true_points: FloatArray
     milliseconds: FloatArray  # (M,) per frame, NaN where not timed
@@ -92,13 +92,13 @@ class Compared:
 
     @property
     def moved_mm(self) -> FloatArray:
-        """(M, K) how far the true points are from their neutral places."""
+        """Distances (M, K) of the true points from their neutral positions."""
         return distances(self.true_shape, self.neutral)
 
     def points_mm(self) -> tuple[FloatArray, FloatArray]:
-        """Return distances (M, K) of the points in head coordinates, less one constant rigid movement.
+        """Return point errors (M, K) in head coordinates after the best constant rigid motion.
 
-        It minimises them over the followed frames. The second array is less each point's own offset as well.
+        In the second array, the constant offset of each point is removed as well.
         """
         counted = self.followed if self.followed.any() else ~self.followed
         weights = np.repeat(counted.astype(np.float64), self.shape.shape[1])
@@ -111,24 +111,24 @@ class Compared:
 
 @cache
 def evaluated(result: Path, reference: Path | None, align: Alignment) -> Evaluation:
-    """Return a result, measured once."""
+    """Return the evaluation of a result (cached)."""
     return evaluate(result, EvalOptions(truth=reference, align=align))
 
 
 def compare(result: Path, reference: Path | None, align: Alignment = "rigid") -> Compared:
-    """Compare a result of ``posetrack head`` with a reference; None for the truth in the result.
+    """Compare a result of ``posetrack head`` with a reference; None for the ground truth in the result.
 
-    The reference is another result, whose estimates are taken, or a file of truth.
+    The reference is another result or a ground truth file.
     """
     found = evaluated(result, reference, align)
     track, truth, pairs = found.track, found.truth, found.pairs
     if truth is None or pairs is None or not len(pairs.estimate):
-        raise ResultError("has no truth in common with what it is compared with", where=result)
+        raise ResultError("no frames in common with the reference", where=result)
     mine, theirs = pairs.estimate, pairs.truth
     nothing = np.full(len(track), np.nan)
     believed = np.ones(len(mine), dtype=np.bool_) if track.lost is None else ~track.lost[mine]
     confidence = (nothing if track.confidence is None else track.confidence)[mine]
-    # a result without confidence is followed where it is not lost
+    # without confidence, frames that are not lost count as followed
     followed = believed if track.confidence is None else believed | (np.nan_to_num(confidence) > 0.0)
     true_shape = in_head(truth)
     return Compared(
@@ -152,10 +152,10 @@ def compare(result: Path, reference: Path | None, align: Alignment = "rigid") ->
 
 
 def depth_factor(result: Path, reference: Path | None) -> float:
-    """Return the factor s on all lengths of a result that brings it nearest to a reference.
+    """Return the scale s that fits a result best to a reference.
 
-    Over the tracked pairs s and the head's constant offset x minimise sum |s t_i + R_i x - t_ref,i|^2, a
-    linear least-squares problem in four unknowns.
+    Over the tracked pairs, s and the constant offset x of the head minimise sum |s t_i + R_i x - t_ref,i|^2,
+    a linear least-squares problem in four unknowns.
     """
     found = evaluated(result, reference, "none")
     assert found.truth is not None and found.pairs is not None
@@ -167,9 +167,9 @@ def depth_factor(result: Path, reference: Path | None) -> float:
 
 
 def figures_of(one: Compared, rows: BoolArray, wrong: tuple[float, float]) -> dict[str, float]:
-    """Return means and, with ``sd``, deviations of errors over the frames ``rows`` (M,).
+    """Return means and standard deviations (``sd``) of errors over the frames ``rows`` (M,).
 
-    A pose that is off by more than ``wrong``, mm and deg, is not of the head that is tracked.
+    Frames whose error exceeds ``wrong`` (mm, deg) are counted as wrong.
     """
     is_wrong = (one.position_mm > wrong[0]) | (one.rotation_deg > wrong[1])
     found = {
@@ -189,11 +189,10 @@ def figures_of(one: Compared, rows: BoolArray, wrong: tuple[float, float]) -> di
 
 
 def mono_figures(result: Path | None, reference: Path | None, align: Alignment = "rigid") -> dict[str, float]:
-    """Return the figures of one camera's result, over the frames in which the head was followed.
+    """Return the figures of a result of one camera over the followed frames.
 
-    A pose that is off by more than 60 mm or 15 deg is wrong: one and a half times the greatest errors of the
-    thesis's experiment B, mean and two standard deviations. ``points_mm`` and ``shapes_mm``: see
-    ``Compared.points_mm``.
+    A pose error above 60 mm or 15 deg is wrong: 1.5 times the largest errors in the thesis's experiment B
+    (mean plus two standard deviations). ``points_mm`` and ``shapes_mm``: see ``Compared.points_mm``.
     """
     if result is None or (reference is not None and not reference.exists()):
         return {}
@@ -224,5 +223,5 @@ def in_head(track: Track) -> FloatArray:
 
 
 def _known(array: FloatArray | None) -> Any:
-    """Return an array that every track of a head has."""
+    """Return an array that every head track has."""
     return array

@@ -1,4 +1,4 @@
-"""What the head trackers do on people that nothing was tuned on: with one camera, and with two."""
+"""Accuracy of the head trackers, with one and two cameras, on people never used for tuning."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from research.report import Column, Figures, Report, over, pairs_of, values_of, 
 from research.runner import FILE, Files, Job, Step
 from research.study import FOLDER, HEADS, Part, Study, setting
 
-WRONG_DEG = 3.0  # a rotation that is off by more is wrong
+WRONG_DEG = 3.0  # rotation error above which a frame is wrong
 COLUMNS = (
     *heads.POSE_COLUMNS,
     Column("factor", "right depth factor", 3, whole="median"),
@@ -37,7 +37,7 @@ COLUMNS = (
 
 @dataclass(frozen=True)
 class Options:
-    """How much is done, below the folder ``output``."""
+    """Settings of the study."""
 
     output: Path
     heads: Path = setting("--heads", None, HEADS, type=FOLDER, required=True)  # noqa: RUF009
@@ -57,21 +57,21 @@ class Options:
 
     @property
     def strangers(self) -> list[Path]:
-        """Folders of the people whom nothing was tuned on."""
+        """Folders of people never used for tuning."""
         return [one for one in heads.persons_in(self.heads) if not self.only or one.name in self.only]
 
     @property
     def familiar(self) -> list[Path]:
-        """Folders of the people that defaults were tuned on."""
+        """Folders of people used for tuning."""
         return [one for one in heads.persons_in(self.tuned) if not self.only or one.name in self.only]
 
     @property
     def everybody(self) -> list[Path]:
-        """Folders of all."""
+        """Folders of all people."""
         return [*self.strangers, *self.familiar]
 
     def mono(self, person: Path, *arguments: str) -> tuple[str, ...]:
-        """Return the command that tracks a person's left camera with what was learned without the person."""
+        """Return the command for a person's left camera, with models learned without the person."""
         learned: tuple[str, ...] = ()
         if self.left_out is not None and person.parent == self.heads:
             features, model = (self.left_out / f"{person.name}-{what}.npz" for what in ("features", "model"))
@@ -81,16 +81,16 @@ class Options:
 
 
 class Judged(NamedTuple):
-    """A result against its truth, in M frames."""
+    """A result compared with ground truth, M frames."""
 
     figures: Mapping[str, float]  # means over the followed frames
-    first_px: FloatArray  # (K, 2) errors of the points of the first followed frame on the image
+    first_px: FloatArray  # (K, 2) image errors of the points in the first followed frame
     confidence: FloatArray  # (M,)
-    wrong: BoolArray  # (M,) whether the rotation is off by more than ``WRONG_DEG`` after the offset
+    wrong: BoolArray  # (M,) whether the rotation error exceeds ``WRONG_DEG`` after alignment
 
 
 def judge(result: Path, person: Path) -> Judged:
-    """Measure a result against a person's truth."""
+    """Compare a result with the ground truth of a person."""
     truth = person / heads.TRUTH
     one, raw = heads.compare(result, truth), heads.evaluated(result, truth, "none")
     found = heads.mono_figures(result, truth)
@@ -102,7 +102,7 @@ def judge(result: Path, person: Path) -> Judged:
 
 
 def first_points(one: heads.Compared, person: Path) -> FloatArray:
-    """Return (K, 2) how far off the points of the first followed frame are on the image, pixels."""
+    """Return the image errors (K, 2) of the points in the first followed frame, pixels."""
     camera, row = heads.cameras_of(person / heads.CALIBRATION)[0], int(np.argmax(one.followed))
     mine, theirs = (pixels_from_points(camera, points[row])[0] for points in (one.points, one.true_points))
     off: FloatArray = mine - theirs
@@ -110,10 +110,10 @@ def first_points(one: heads.Compared, person: Path) -> FloatArray:
 
 
 def without_others(offsets: Sequence[FloatArray]) -> FloatArray:
-    """Return (P, K) lengths of P people's point errors (K, 2), less the mean offset of the other people.
+    """Return lengths (P, K) of the point errors (K, 2) of P people after removing the mean of the others.
 
-    Where a detector's point sits relative to a mesh's vertex is a convention; that it does so for the person
-    who is measured is not. Of one person nothing is removed.
+    The offset of a detected point from a mesh vertex is a convention, but the person under test must not
+    contribute to it. For a single person, nothing is removed.
     """
     every = np.array(offsets)
     others = (every.sum(axis=0) - every) / (len(every) - 1) if len(every) > 1 else np.zeros_like(every)
@@ -122,13 +122,13 @@ def without_others(offsets: Sequence[FloatArray]) -> FloatArray:
 
 
 def judged_people(folders: Sequence[Path], kind: str, files: Files) -> dict[str, Judged]:
-    """Return the people who have a result of a kind, by name."""
+    """Return the comparisons of people with a result of a kind by name."""
     found = {folder: files.made(f"runs/{folder.name}-{kind}.mcap") for folder in folders}
     return {folder.name: judge(path, folder) for folder, path in found.items() if path is not None}
 
 
 def _tell_people(part: str, options: Options, files: Files, report: Report) -> list[Figures]:
-    """Add the table of a part: strangers with their median and worst, then those that were tuned on."""
+    """Add the table of a part: strangers with median and worst, then people used for tuning."""
     rows: dict[str, dict[str, Figures]] = {"": {}, " (tuned on)": {}}
     for folders, (ending, of) in zip((options.strangers, options.familiar), rows.items(), strict=True):
         people = judged_people(folders, part, files)
@@ -153,7 +153,7 @@ def _judge(
 
 
 def _judge_honesty(people: Sequence[Judged], report: Report, what: str) -> None:
-    """Compare intervals and confidence of all people, pooled, with what was asked for."""
+    """Compare the pooled intervals and confidences of all people with their targets."""
     frames = [one.figures["frames"] for one in people]
     for part in ("position", "rotation"):
         shares = [one.figures[f"{part}_inside"] for one in people]
@@ -205,11 +205,11 @@ def _tell_mono(options: Options, files: Files, report: Report) -> None:
 # Given the size
 
 DISTANCE, PERSON = "told-distance", "told-person"
-STEREO_FROM = 60  # the first frame of two cameras whose result is given to one camera
+STEREO_FROM = 60  # first frame of the stereo result that is used for --person
 
 
 def pupil_distance_mm(truth: Path) -> float:
-    """Return how far apart the middles between the eyes' corners are in the first frame of a truth, mm."""
+    """Return the distance between the eye centres in the first frame of the ground truth, mm."""
     eyes = heads.in_head(load_csv_track(truth, head_subject(heads.LEFT, 0)))[0, :4]
     return float(np.linalg.norm(eyes[2:].mean(axis=0) - eyes[:2].mean(axis=0)))
 

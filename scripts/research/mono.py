@@ -1,4 +1,4 @@
-"""Redo experiments A, B and C of Sugano's thesis, and measure the one-camera head tracker on other faces."""
+"""Reproduce experiments A, B and C of Sugano's thesis; measure the one-camera head tracker on other faces."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ from research.study import FIRST_SEED, FOLDER, HEADS, Part, Study, setting
 
 MODEL_PEOPLE, PEOPLE = 11, 6  # S of the thesis; and with six pairs Wilcoxon's test can find a difference
 LEAST_MOTION_FRAMES = 240
-"""In shorter recordings the two motions are too quick for the stereo tracker, and no model can be built."""
-MOTIONS_SEED = 1000  # added to a person's seed: the recordings of one person have nothing else in common
+"""In shorter recordings the two motions are too fast for the stereo tracker, and no model can be built."""
+MOTIONS_SEED = 1000  # added to a person's seed, so that the recordings of a person are independent
 PAPER = ("--config", "head-mono-paper")
 WAYS: dict[str, Alignment] = {
     "as measured": "rigid",
     "depth factor removed": "similarity",
     "nothing removed": "none",
 }
-"""What is removed of a difference, and how ``posetrack eval --align`` does it."""
+"""Kinds of alignment, and their values of ``posetrack eval --align``."""
 EXPLAINED = (
     "Mean absolute errors over the frames in which the head was followed, after one constant rigid offset "
     "of the head's frame (`eval --align rigid`). Depth factor removed: also one common factor on all "
@@ -47,7 +47,7 @@ FACTOR_COLUMNS = (*COLUMNS, Column("factor", "depth factor", 4), Column("ms", "m
 
 @dataclass(frozen=True)
 class Options:
-    """How much is done, below the folder ``output``."""
+    """Settings of the study."""
 
     output: Path
     heads: Path | None = setting("--heads", None, HEADS, type=FOLDER)  # noqa: RUF009
@@ -76,7 +76,7 @@ class Options:
 
     @property
     def modelled(self) -> range:
-        """Seeds of the persons that the model is built from."""
+        """Seeds of the persons in the model."""
         return range(self.first_identity, self.first_identity + self.model_people)
 
     def test(self, person: int) -> str:
@@ -89,7 +89,7 @@ class Entrant(NamedTuple):
 
     title: str
     arguments: tuple[str, ...]  # of ``posetrack head mono``
-    model: str = "shipped"  # or built from ``all`` persons, or all ``others`` than the one who is tracked
+    model: str = "shipped"  # or built from ``all`` persons, or from all ``others``
 
 
 ADJUSTED = {when: ("--adjust", when) for when in ("always", "start", "never")}
@@ -109,7 +109,7 @@ POPULATION = {
     "shipped": Entrant("shipped model, one pass", heads.FIRST),
     "shipped-2": Entrant("shipped model, two passes", heads.SECOND),
 }
-"""Of recordings of the synthetic persons."""
+"""For recordings of the synthetic persons."""
 OTHER_FACES = {
     "always": Entrant("adjusted always, one pass", heads.FIRST),
     "always-2": Entrant("adjusted always, two passes (default)", heads.SECOND),
@@ -126,7 +126,7 @@ OF_CLIPS = {
 }
 
 
-# Recordings of other faces with truth, the left camera alone
+# Recordings of other faces with ground truth, left camera only
 
 
 def _people_jobs(options: Options) -> Iterator[Job]:
@@ -159,11 +159,11 @@ def _tell_people(options: Options, files: Files, report: Report) -> None:
                         report.judge(what, found[name].get(metric), most=aim)
 
 
-# Videos of real faces without truth
+# Videos of real faces without ground truth
 
 VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".webm")
 FLIP_DEG = 20.0
-"""A head that turns by more between two frames, 600 deg/s at 30 Hz, has not turned: the pose has flipped."""
+"""Rotation between two frames that counts as a flip of the pose: 600 deg/s at 30 Hz."""
 CLIP_COLUMNS = (
     Column("frames", "frames", 0),
     Column("tracked", "tracked", 1, percent=True),
@@ -191,10 +191,10 @@ def _clips_jobs(options: Options) -> Iterator[Job]:
 
 
 def clip_figures(track: Track) -> dict[str, float]:
-    """Return the share of frames tracked, the number of lost frames and of flips, and the jitter.
+    """Return the share of tracked frames, the numbers of lost frames and flips, and the jitter.
 
-    Jitter of each component of the pose is the root mean square of |p- - 2 p + p+| / sqrt 6 over three
-    tracked frames in a row: the deviation of white noise on motion of constant velocity. NaN without them.
+    The jitter of a pose component is the RMS of (p- - 2 p + p+) / sqrt 6 over triples of tracked frames: the
+    standard deviation of white noise on motion with constant velocity. NaN without triples.
     """
     lost = np.zeros(len(track), dtype=np.bool_) if track.lost is None else track.lost
     columns, tracked = heads.pose_columns(track), ~lost
@@ -242,7 +242,7 @@ def _tell_clips(options: Options, files: Files, report: Report) -> None:
 
 
 def _recorded(name: str, *arguments: str) -> Job:
-    """Return the job of a synthetic recording and of the stereo tracker's second pass over it."""
+    """Return the job that generates a recording and tracks it in two passes of the stereo tracker."""
     drawn = Step(f"recordings/{name}.mcap", ("head", "synth", *arguments))
     return Job(name, (drawn, Step(_stereo(name), ("head", "stereo", FILE + drawn.output, "--passes", "2"))))
 
@@ -256,7 +256,7 @@ def _mono(options: Options, person: int, entrant: str) -> str:
 
 
 def population_jobs(options: Options) -> Iterator[Job]:
-    """Yield everything that the experiments need of the synthetic persons."""
+    """Yield the jobs for the recordings, models and results of the synthetic persons."""
     motions = {person: f"motions-{person}-{options.motion_frames}" for person in options.modelled}
     for person, name in motions.items():
         seeds = ("--identity", str(person), "--seed", str(MOTIONS_SEED + person))
@@ -300,13 +300,13 @@ SAID = {
     "C": "Without adjustment after each frame the estimates are much less stable, most visibly in z, of "
     "whose error mean and standard deviation grow (4.5 C).",
 }
-"""The thesis's statements, in our words."""
+"""Statements of the thesis, paraphrased."""
 THESIS = {
     "A": ((2.60, 3.12, 9.56, 0.43, 2.45, 2.33), (2.24, 1.73, 9.69, 0.31, 2.08, 1.95)),
     "B": ((3.73, 1.92, 17.85, 0.43, 3.07, 2.49), (2.57, 1.47, 9.37, 0.32, 2.31, 1.96)),
     "C": ((2.71, 3.43, 11.38, 0.43, 2.52, 2.26), (2.11, 2.03, 11.43, 0.32, 2.03, 2.02)),
 }
-"""By experiment mean and standard deviation of the absolute errors, mm and deg (tables 4.1 to 4.3)."""
+"""Mean and standard deviation of the absolute errors by experiment, mm and deg (tables 4.1 to 4.3)."""
 THESIS_POINTS_MM = 5.9  # mean error of the feature points in head coordinates, experiment A (4.5 A)
 AGAINST: dict[str, tuple[bool, Alignment]] = {
     "two cameras": (True, "rigid"),
@@ -315,7 +315,7 @@ AGAINST: dict[str, tuple[bool, Alignment]] = {
     "truth": (False, "rigid"),
     "truth, depth factor removed": (False, "similarity"),
 }
-"""Whether two cameras are the reference, and what is removed of the difference."""
+"""Whether the stereo result is the reference, and the alignment."""
 SPREAD_COLUMNS = tuple(Column(one.name, one.title, spread=True) for one in heads.POSE_COLUMNS)
 
 
@@ -395,9 +395,9 @@ def _draw(options: Options, stereo: Path, results: dict[str, Path], report: Repo
 
 
 def draw_poses(path: Path, compared: dict[str, heads.Compared]) -> None:
-    """Draw the six components of the pose by experiment, and next to them how far each is from two cameras.
+    """Plot the six pose components by experiment, next to their differences from the stereo result.
 
-    All have the same reference. Frames not followed are gaps.
+    All experiments have the same reference. Frames that were not followed are gaps.
     """
 
     def curve(one: heads.Compared, values: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -38,7 +38,7 @@ class Panel(NamedTuple):
 def over_time(
     path: Path, panels: Sequence[Sequence[Panel]], x_label: str, marks: Sequence[float] = ()
 ) -> None:
-    """Draw rows of panels that share their horizontal axis."""
+    """Plot rows of panels that share their horizontal axis."""
     names = list(dict.fromkeys(name for row in panels for panel in row for name in panel.curves))
     with plt.rc_context(STYLE):
         size = (5.0 * len(panels[0]), 1.7 * len(panels) + 0.6)
@@ -58,7 +58,7 @@ def over_time(
 
 
 def times(path: Path, particles: Sequence[int], milliseconds: Mapping[str, Sequence[float]]) -> None:
-    """Draw the time per frame against the number of particles, both logarithmic."""
+    """Plot the time per frame against the number of particles, both logarithmic."""
     with plt.rc_context(STYLE):
         figure, axis = plt.subplots(figsize=(4.6, 3.2))
         for (name, values), colour in zip(milliseconds.items(), COLOURS[1:], strict=False):
@@ -75,9 +75,9 @@ def times(path: Path, particles: Sequence[int], milliseconds: Mapping[str, Seque
 def differences(
     path: Path, title: str, unit: str, linear_to: float, compared: Mapping[str, tuple[Any, Paired]]
 ) -> None:
-    """Draw every recording's difference (n,), and the mean with its 95 % interval, a row per condition.
+    """Plot the difference of every recording (n,) and the mean with 95 % interval, one row per condition.
 
-    Up to ``linear_to`` the axis is linear, logarithmic beyond.
+    The axis is linear up to ``linear_to`` and logarithmic beyond.
     """
     with plt.rc_context(STYLE | {"axes.grid.axis": "x"}):
         figure, axis = plt.subplots(figsize=(6.4, 0.36 * len(compared) + 1.1))

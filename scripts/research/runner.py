@@ -1,8 +1,8 @@
-"""Make files with posetrack's commands, each once: jobs of steps, every job in a process of its own.
+"""Run jobs (sequences of posetrack commands that write files), each in its own process.
 
-Usage: PYTHONPATH=scripts .venv/bin/python -m research.runner JOB, with JOB as ``run_jobs`` writes it.
+Usage: PYTHONPATH=scripts .venv/bin/python -m research.runner JOB, with JOB as written by ``run_jobs``.
 
-A file that the same code made with the same arguments from the same files is kept, so an interrupted study
+Files written by the same code with the same arguments and inputs are reused, so that an interrupted study
 continues where it stopped.
 """
 
@@ -28,35 +28,39 @@ from posetrack_cli.head.face.points import MEAN_SHAPE, SHAPE_SD
 from posetrack_cli.recording.identity import files_digest
 
 SHARED = PACKAGE.parent.parent / "shared"
-FILE = "@"  # arguments that begin with this are outputs of other steps, or files in output folders
-TOOL = "tool"  # first argument of a step that runs a Python program outside the project; its path follows
+FILE = "@"  # prefix of arguments that are outputs of other steps, or files in output folders
+TOOL = "tool"  # first argument of a step that runs an external Python program; its path follows
 DRAWING = (
     *("synthesis/*.py", "synthesis/head/*.py", "head/face/points.py", "rendering/port.py"),
     *(f"geometry/{name}.py" for name in ("camera", "kernels", "rigid", "rotations")),
     *("rendering/gl/device.py", "rendering/gl/shaders/textured.*"),
 )
-"""Sources of a synthetic head's images and truth, in addition to the average face."""
+"""Sources that determine synthetic head recordings, in addition to the average face."""
 ONE_CORE = dict.fromkeys(
     ("LP_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
 )
-"""Software OpenGL gains less from a second core than a second recording does."""
+"""Parallel recordings use the cores better than threads of software OpenGL."""
 
 
 class Step(NamedTuple):
-    """A file or folder, and the command that makes it."""
+    """A file or folder, and the command that writes it."""
 
     output: str  # path below the study's folder
-    # of ``posetrack``, without ``-o``; or ``TOOL``, a program, its arguments after the output
+    # of ``posetrack`` without ``-o``; or ``TOOL``, a program and its arguments after the output
     arguments: tuple[str, ...]
     scratch: bool = False  # whether it is deleted at the end of its job
 
     @property
     def files(self) -> list[str]:
-        """Files of other steps that it reads."""
+        """Outputs of other steps used as inputs."""
         return [one.removeprefix(FILE) for one in self.arguments if one.startswith(FILE)]
 
     def run(self, out: Path) -> None:
-        """Make the output; raises PosetrackError if the command fails."""
+        """Write the output.
+
+        Raises:
+            PosetrackError: the command failed.
+        """
         path = out / self.output
         path.parent.mkdir(parents=True, exist_ok=True)
         given = [str(out / one.removeprefix(FILE)) if one.startswith(FILE) else one for one in self.arguments]
@@ -67,18 +71,18 @@ class Step(NamedTuple):
         ended = subprocess.run(program, capture_output=True, text=True, check=False)
         if ended.returncode:
             said = ended.stderr.strip().splitlines() or [f"exit code {ended.returncode}"]
-            raise PosetrackError(f"cannot make {self.output}: {said[-1]}", where=given[1])
+            raise PosetrackError(f"failed to write {self.output}: {said[-1]}", where=given[1])
 
 
 class Job(NamedTuple):
-    """Steps that one process does, in order; jobs of the same name are merged."""
+    """Steps that one process runs in order; jobs of the same name are merged."""
 
     name: str
     steps: tuple[Step, ...]
 
 
 class Order(NamedTuple):
-    """A step with the digest of all that its output depends on, and those of the outputs that it reads."""
+    """A step with the digest of all its dependencies, and the digests of its inputs."""
 
     step: Step
     key: str
@@ -86,7 +90,7 @@ class Order(NamedTuple):
 
 
 class Files:
-    """The files of a study below ``out``, its folder, and the jobs that make them."""
+    """The files of a study in the folder ``out``, and the jobs that write them."""
 
     def __init__(self, out: Path, jobs: Iterable[Job]) -> None:
         self.out = out
@@ -101,12 +105,12 @@ class Files:
         self._keys: dict[str, str] = {}
 
     def made(self, output: str) -> Path | None:
-        """Return the path of an output; None unless the current code and arguments made it."""
+        """Return the path of an output if it is current (same code, arguments, inputs), else None."""
         known = output in self._steps and _is_made(self.out / output, self._key(output))
         return self.out / output if known else None
 
     def _key(self, output: str) -> str:
-        """Return a digest of everything that an output depends on."""
+        """Return a digest of all dependencies of an output."""
         if output not in self._keys:
             step = self._steps[output]
             inputs = {name: self._key(self._owner(name)) for name in step.files}
@@ -120,7 +124,7 @@ class Files:
         return next(str(one) for one in (path, *path.parents) if str(one) in self._steps)
 
     def missing(self, job: Job) -> list[Order]:
-        """Return what has to be run of a job: for what is not made, with the scratch that it needs."""
+        """Return the steps of a job that must run: those of missing outputs, and scratch they depend on."""
         wanted: set[str] = set()
         for step in reversed(job.steps):
             if (not step.scratch or step.output in wanted) and self.made(step.output) is None:
@@ -133,7 +137,7 @@ class Files:
         ]
 
     def levels(self) -> list[list[Job]]:
-        """Return the jobs in the order in which they can be run; those of a level are independent."""
+        """Return the jobs in order of their dependencies; jobs of a level are independent."""
         job_of = {step.output: job.name for job in self.jobs for step in job.steps}
         needs = {
             job.name: {job_of[self._owner(name)] for step in job.steps for name in step.files} - {job.name}
@@ -151,7 +155,7 @@ class Files:
 
 
 def run_jobs(files: Files, jobs: int, title: str) -> list[str]:
-    """Make what is missing, in so many processes at a time; return what went wrong, a line for each job."""
+    """Run the missing steps in up to ``jobs`` parallel processes; return one line per failed job."""
     failures = []
     for level in files.levels():
         todo = {job.name: orders for job in level if (orders := files.missing(job))}
@@ -166,7 +170,7 @@ def run_jobs(files: Files, jobs: int, title: str) -> list[str]:
 
 
 def _run_process(out: Path, name: str, orders: Sequence[Order]) -> str:
-    """Run some steps in a process of its own; return what went wrong."""
+    """Run steps in a new process; return the error as a line, or an empty string."""
     found = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     line = [sys.executable, "-m", "research.runner", json.dumps([str(out.resolve()), orders])]
     ended = subprocess.run(line, env=os.environ | ONE_CORE | found, capture_output=True, text=True)
@@ -178,13 +182,13 @@ def _run_process(out: Path, name: str, orders: Sequence[Order]) -> str:
 
 
 def run_steps(out: Path, orders: Sequence[Order]) -> list[str]:
-    """Run steps below a folder in order, then delete scratch; return the outputs that could not be made.
+    """Run steps in order, then delete scratch; return the outputs that failed.
 
-    A step that fails prevents only those that need its output.
+    A failed step only prevents the steps that depend on it.
     """
     failed = []
     for step, key, inputs in orders:
-        stamp_path(out / step.output).unlink(missing_ok=True)  # an old output must not count as the new one
+        stamp_path(out / step.output).unlink(missing_ok=True)  # an old output must not count as current
         try:
             for name in inputs:
                 if not _is_made(out / name, inputs[name]):

@@ -1,9 +1,9 @@
-"""Redo experiment 3.4 of Sugano's thesis, and measure the stereo head tracker on faces that it never saw."""
+"""Reproduce experiment 3.4 of Sugano's thesis; measure the stereo head tracker on unseen faces."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,7 +22,7 @@ from posetrack_cli.results import load_arrays, read_result
 from posetrack_cli.synthesis.recording import SYNTH_RECORD
 from research import heads, plots
 from research.heads import AXES, POSE_COLUMNS, TRUTH, Compared, compare, persons_in, reading_arguments
-from research.report import Column, Figures, Report, over, pairs_of
+from research.report import Column, Figures, Report, over, pairs_of, values_of, whole
 from research.runner import FILE, Files, Job, Step, command
 from research.study import FIRST_SEED, FOLDER, HEADS, Part, Study, setting, unused_for_tuning
 
@@ -35,15 +35,15 @@ ENTRANTS: dict[str, tuple[str, tuple[str, ...]]] = {
     "paper": ("`head-stereo-paper`, deformable", PAPER),
     "paper-rigid": ("`head-stereo-paper`, rigid", (*PAPER, *RIGID)),
 }
-"""By name the title, and the arguments of ``posetrack head stereo``."""
+"""Title and arguments of ``posetrack head stereo`` by name."""
 RIGID_FRAMES = HeadStereoConfig().model.rigid_frames
-"""So long every model is rigid: deformable and rigid ones are compared from there on."""
+"""Number of first frames in which every model is rigid; deformable and rigid ones are compared after them."""
 MOVING_MM, DEFORMING_MM = 3.0, 1.0
-"""A point moves, and a face deforms, while a point is farther than this from its neutral place."""
-WRONG = (10.0, 5.0)  # a pose that is off by more mm or deg is not of the head that is tracked
-STEADY_S = 0.5  # so long a head must be tracked to count as found again
+"""Distance of a point from its neutral position above which it moves and the face deforms."""
+WRONG = (10.0, 5.0)  # pose error, mm and deg, above which a frame is wrong
+STEADY_S = 0.5  # time a head must be tracked to count as recovered
 FOLLOWED = np.setdiff1d(np.arange(POINT_COUNT), np.arange(POINT_COUNT)[NOSTRILS])
-"""Points whose true movement is visible: the nostrils' openings hardly follow their vertices."""
+"""Points whose true motion is visible; nostril openings hardly follow their vertices."""
 COLUMNS = (*POSE_COLUMNS, Column("mouth_mm", "mouth, mm"), *heads.TRACKED_COLUMNS)
 EXPLAINED = (
     "Mean absolute errors over the frames that are reported as tracked, after one constant rigid offset of "
@@ -62,12 +62,12 @@ CONDITIONS: dict[str, tuple[str, ...]] = {
     "speed 2": ("--speed", "2"),
     "missing images": ("--drops",),
 }
-"""By name the arguments of ``posetrack head synth`` in addition to person and length; light drifts in all."""
+"""Further arguments of ``posetrack head synth`` by name; the light drifts in all of them."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """How much is done, below the folder ``output``."""
+    """Settings of the study."""
 
     output: Path
     heads: Path | None = setting("--heads", None, HEADS, type=FOLDER)  # noqa: RUF009
@@ -92,13 +92,13 @@ class Options:
 
     @property
     def chosen(self) -> tuple[str, ...]:
-        """The conditions that are done."""
+        """Conditions to run."""
         return self.conditions or tuple(CONDITIONS)
 
     @property
-    def experiment(self) -> str:
-        """Name of the recording of experiment 3.4."""
-        return f"experiment-{self.first_identity}-{self.experiment_frames}"
+    def experiments(self) -> list[str]:
+        """Names of the recordings of experiment 3.4, one a person."""
+        return [f"experiment-{person}-{self.experiment_frames}" for person in self.persons]
 
 
 def _tracked(name: str, reading: tuple[str, ...], entrants: Iterable[str] = ENTRANTS) -> list[Step]:
@@ -109,7 +109,7 @@ def _tracked(name: str, reading: tuple[str, ...], entrants: Iterable[str] = ENTR
 
 
 def _synthetic(name: str, person: int, frames: int, *more: str, entrants: Iterable[str] = ENTRANTS) -> Job:
-    """Return the job of a synthetic recording, which is kept: drawing it takes most of the time."""
+    """Return the job of a synthetic recording, which is kept since rendering takes most of the time."""
     seeds = ("--identity", str(person), "--seed", str(person))
     drawn = Step(f"recordings/{name}.mcap", ("head", "synth", *seeds, "--frames", str(frames), *more))
     return Job(name, (drawn, *_tracked(name, (FILE + drawn.output,), entrants)))
@@ -119,22 +119,21 @@ def _synthetic(name: str, person: int, frames: int, *more: str, entrants: Iterab
 
 
 def course(result: Path, truth: Path | None) -> Compared:
-    """Return a result against its truth, after one rigid offset and each point's own."""
+    """Compare a result with ground truth after removing a rigid offset and an offset per point."""
     return compare(result, truth, "rigid+points")
 
 
 def wrong(one: Compared) -> BoolArray:
-    """Return (M,) whether the pose is far off."""
+    """Return (M,) whether the pose is wrong."""
     found: BoolArray = (one.position_mm > WRONG[0]) | (one.rotation_deg > WRONG[1])
     return found
 
 
 def stereo_figures(one: Compared, event_end_s: float | None) -> dict[str, float]:
-    """Return the figures of a result; what there is nothing of is left out.
+    """Return the figures of a result, omitting those without data.
 
-    Means are over tracked frames. Those that begin with ``deforming`` and ``still`` are over tracked frames
-    after the first ``RIGID_FRAMES`` in which the true face is not, or is, neutral. At ``event_end_s`` a
-    tracker that lost the head may be expected to find it again; None for never.
+    Means are over tracked frames; ``deforming`` and ``still`` ones over frames after the first
+    ``RIGID_FRAMES`` whose true face is deformed or neutral. Recovery counts from ``event_end_s``, if any.
     """
     moved, points = one.moved_mm, distances(one.shape, one.true_shape)
     deforming = moved[:, FOLLOWED].max(axis=1) > DEFORMING_MM
@@ -155,9 +154,9 @@ def stereo_figures(one: Compared, event_end_s: float | None) -> dict[str, float]
 
 
 def recovery_s(one: Compared, end_s: float) -> float:
-    """Return how long after ``end_s`` a head is tracked rightly, and remains so for ``STEADY_S``.
+    """Return the time from ``end_s`` until the head is tracked correctly for ``STEADY_S`` or until the end.
 
-    Infinite if that never comes; where the recording ends sooner, until its end.
+    Infinite if it is not recovered.
     """
     right = one.believed & ~wrong(one)
     for begin in one.seconds[one.seconds >= end_s]:
@@ -167,7 +166,7 @@ def recovery_s(one: Compared, end_s: float) -> float:
 
 
 def event_end_s(recording: Path) -> float | None:
-    """Return when turns and occlusions of a synthetic recording end, from its record; None without any."""
+    """Return the end of turns and occlusions in a synthetic recording, from its record; None without any."""
     if not recording.is_file():
         return None
     records = (record for record in McapFile(recording).extras() if isinstance(record, Metadata))
@@ -177,7 +176,7 @@ def event_end_s(recording: Path) -> float | None:
 
 
 def _measured(options: Options, files: Files, name: str) -> dict[str, Figures]:
-    """Return the figures of a recording's results by entrant."""
+    """Return the figures of the results of a recording by entrant."""
     truth = None if options.heads is None else options.heads / name / TRUTH
     known = truth if truth is not None and truth.exists() else None
     end_s = event_end_s(options.output / f"recordings/{name}.mcap")
@@ -186,7 +185,7 @@ def _measured(options: Options, files: Files, name: str) -> dict[str, Figures]:
 
 
 def _tell_accuracy(report: Report, part: str, found: list[dict[str, Figures]]) -> None:
-    """Add a row for each entrant, over recordings."""
+    """Add one row per entrant, averaged over recordings."""
     rows = {title: [one[way] for one in found if way in one] for way, (title, _) in ENTRANTS.items()}
     report.entrants(part, COLUMNS, rows)
 
@@ -197,7 +196,7 @@ LIMITS = {
     "deformable": ("one pass", (0.3, 0.3, 0.6, 0.25, 0.6, 0.6, 2.5)),
     "deformable-2": ("two", (0.2, 0.2, 0.4, None, 0.5, 0.5, 2.0)),
 }
-"""By entrant what is asked for of ``HEAD_POSE`` and of the mouth's corners."""
+"""Targets for ``HEAD_POSE`` and the mouth corners by entrant."""
 
 
 def _people_jobs(options: Options) -> Iterator[Job]:
@@ -219,7 +218,7 @@ def _tell_people(options: Options, files: Files, report: Report) -> None:
                     report.judge(f"{person.name}, {passes}: {name.replace('_', ', ')}", value, most=most)
 
 
-# Synthetic recordings: people who were never used for tuning, one difficulty at a time
+# Synthetic recordings: people never used for tuning, one difficulty at a time
 
 
 def _conditions_jobs(options: Options) -> Iterator[Job]:
@@ -318,7 +317,8 @@ MODELS = {"head-stereo": ("rigid", "deformable"), "head-stereo-paper": ("paper-r
 
 def _experiment_jobs(options: Options) -> Iterator[Job]:
     entrants = [way for pair in MODELS.values() for way in pair]
-    yield _synthetic(options.experiment, options.first_identity, options.experiment_frames, entrants=entrants)
+    for name, person in zip(options.experiments, options.persons, strict=True):
+        yield _synthetic(name, person, options.experiment_frames, entrants=entrants)
 
 
 def spans(frames: int) -> dict[str, BoolArray]:
@@ -366,57 +366,69 @@ def _moving(one: Compared, rows: BoolArray | slice = slice(None)) -> tuple[Float
 
 
 def _tell_experiment(options: Options, files: Files, report: Report) -> None:
-    name = options.experiment
     report.text(
         "## Experiment 3.4: rigid and deformable model",
-        f"{options.experiment_frames} frames of a synthetic head: the face deforms for two thirds, then "
-        f"only the head moves. The first {RIGID_FRAMES} frames are tracked with a rigid model in any case.",
+        f"{options.experiment_frames} frames of each of {len(options.persons)} synthetic heads: the face "
+        "deforms for two thirds, then only the head moves. The first "
+        f"{RIGID_FRAMES} frames are tracked with a rigid model in any case. Figures show the first head; "
+        "tables are means over the heads.",
     )
     for title, pair in MODELS.items():
-        results = {
-            model: path
-            for model, way in zip(("rigid", "deformable"), pair, strict=True)
-            if (path := files.made(f"runs/{name}-{way}.mcap")) is not None
-        }
-        if len(results) == 2:
+        results = []
+        for name in options.experiments:
+            paths = [files.made(f"runs/{name}-{way}.mcap") for way in pair]
+            known = {model: path for model, path in zip(("rigid", "deformable"), paths, strict=True) if path}
+            if len(known) == len(pair):
+                results.append((name, known))
+        if results:
             _tell_models(options, report, title, results)
     report.text("### Over the whole recording", EXPLAINED)
-    found = _measured(options, files, name)
-    _tell_accuracy(report, "experiment", [found])
+    found = [_measured(options, files, name) for name in options.experiments]
+    _tell_accuracy(report, "experiment", found)
+    times = {way: values_of([one[way] for one in found if way in one], "ms") for way in ENTRANTS}
     report.text(
         "Thesis: 30 frames per second with 1000 particles on a Pentium 4, 3.0 GHz (3.4). Ours, median "
         "milliseconds of tracking per frame on one core: "
-        + ", ".join(f"{way} {one['ms']:.1f}" for way, one in found.items() if "ms" in one)
+        + ", ".join(f"{way} {np.median(ms):.1f}" for way, ms in times.items() if len(ms))
     )
 
 
-def _tell_models(options: Options, report: Report, title: str, paths: Mapping[str, Path]) -> None:
+def _tell_models(
+    options: Options, report: Report, title: str, results: Sequence[tuple[str, Mapping[str, Path]]]
+) -> None:
     """Add figures 3.9 and 3.10 of a configuration, and the thesis's statements with our figures."""
     ending = "" if title == "head-stereo" else "-paper"
-    courses = {model: course(path, None) for model, path in paths.items()}
-    ratio = contribution_ratio(paths["deformable"])
-    parts = spans(len(ratio))
+    every = [{model: course(path, None) for model, path in paths.items()} for _, paths in results]
+    ratios = [contribution_ratio(paths["deformable"]) for _, paths in results]
+    parts = spans(len(ratios[0]))
+    (name, paths), courses = results[0], every[0]
     picture, graph = (options.output / f"figure{number}{ending}.png" for number in ("3.9", "3.10"))
     frames = ",".join(map(str, picture_frames(courses["deformable"], parts)))
-    recording = options.output / f"recordings/{options.experiment}.mcap"
+    recording = options.output / f"recordings/{name}.mcap"
     shown = ("--recording", str(recording), "--select", frames, "--crop", "head", "--overwrite")
     command("view", *map(str, paths.values()), "-o", str(picture), *shown)
-    draw_poses(graph, courses, ratio, [RIGID_FRAMES, int(np.flatnonzero(parts["rigid"])[0])])
+    draw_poses(graph, courses, ratios[0], [RIGID_FRAMES, int(np.flatnonzero(parts["rigid"])[0])])
     report.text(f"### `{title}`", "Figure 3.9: both cameras, rigid model above, deformable model below.")
     report.picture(picture, "Poses and points of both models on the images")
     report.text("Figure 3.10: poses, and on the right the errors of both.")
     report.picture(graph, "Pose over time and contribution ratio")
     columns = (*POSE_COLUMNS, Column("moving_mm", "moving points, mm"))
-    apart = np.abs(courses["deformable"].columns - courses["rigid"].columns)
     for part, rows in parts.items():
-        means = dict(zip(HEAD_POSE, apart[rows].mean(axis=0).tolist(), strict=True))
-        found = {"rigid and deformable, apart by": means}
-        for model, one in courses.items():
-            means = dict(zip(HEAD_POSE, one.pose[rows].mean(axis=0).tolist(), strict=True))
-            found[f"error of the {model} model"] = means | {"moving_mm": _moving(one, rows)[1]}
+        people = [_of_person(courses, rows) for courses in every]
+        found = {row: whole(columns, [person[row] for person in people]) for row in people[0]}
         report.text(f"> **Thesis:** {THESIS[part]}")
         report.figures(f"{title}, {part}", columns, found, {})
-    report.text(f"> **Thesis:** {THESIS['contribution']}", contribution_text(ratio))
+    report.text(f"> **Thesis:** {THESIS['contribution']}", *map(contribution_text, ratios))
+
+
+def _of_person(courses: Mapping[str, Compared], rows: BoolArray) -> dict[str, dict[str, float]]:
+    """Return how far the two models are apart over some rows (N,), and the errors of each."""
+    apart = np.abs(courses["deformable"].columns - courses["rigid"].columns)[rows].mean(axis=0)
+    found = {"rigid and deformable, apart by": dict(zip(HEAD_POSE, apart.tolist(), strict=True))}
+    for model, one in courses.items():
+        means = dict(zip(HEAD_POSE, one.pose[rows].mean(axis=0).tolist(), strict=True))
+        found[f"error of the {model} model"] = means | {"moving_mm": _moving(one, rows)[1]}
+    return found
 
 
 def draw_poses(path: Path, courses: Mapping[str, Compared], ratio: FloatArray, marks: list[int]) -> None:

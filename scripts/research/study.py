@@ -1,6 +1,6 @@
-"""A study: parts with jobs to run and a report to write, and its command line.
+"""A study: parts with jobs and report sections, and its command line.
 
-Usage: PYTHONPATH=scripts .venv/bin/python -m research.study NAME [OPTIONS], as scripts/reproduce does.
+Usage: PYTHONPATH=scripts .venv/bin/python -m research.study NAME [OPTIONS]; see scripts/reproduce.
 """
 
 from __future__ import annotations
@@ -21,22 +21,27 @@ from research.report import Report
 from research.runner import Files, Job, run_jobs
 
 NAMES = ("hand", "hand-accuracy", "hand-strangers", "heads-strangers", "stereo", "mono")
-FIRST_SEED = 201  # seeds from here on were not used for tuning
+FIRST_SEED = 201  # seeds from this one on were not used for tuning
 FOLDER = click.Path(path_type=Path, exists=True, file_okay=False, resolve_path=True)
 HEADS = "Folder of recordings with left/, right/, calibration.json, truth.csv."
 
 
 def setting(flag: str, default: Any, told: str, least: int = 1, **more: Any) -> Any:
-    """Declare a field of a study's options that the command line sets.
+    """Declare an option of a study as a dataclass field.
 
-    A number is at least ``least``; ``more`` are further parameters of ``click.option``.
+    Args:
+        flag: name on the command line.
+        default: default value.
+        told: help text.
+        least: minimum of a number.
+        more: further parameters of ``click.option``.
     """
     number = {"type": click.IntRange(least), "show_default": True} if isinstance(default, int) else {}
     return field(default=default, metadata={"flag": flag, "more": {"help": told, **number, **more}})
 
 
 class Part(NamedTuple):
-    """One part of a study: its name for ``--part``, what has to be made, what writes what came out."""
+    """One part of a study: its name for ``--part``, its jobs, and the function that reports the outcome."""
 
     name: str
     jobs: Callable[[Any], Iterable[Job]]
@@ -47,20 +52,20 @@ class Part(NamedTuple):
 class Study:
     """A study."""
 
-    name: str  # of its report, and of the folder below ``out`` that it is written to by default
-    options: type  # dataclass with ``output``, the folder of everything, and ``setting`` fields
-    parts: Sequence[Part]  # all of them
-    head: Callable[[Any], Iterable[str]]  # begin of the report: its title, and a paragraph
-    told: str  # what ``--help`` says first
-    # options of ``--quick``, unless they are given; empty for no such option
+    name: str  # of the report, and of the default output folder below ``out``
+    options: type  # dataclass with ``output`` (folder) and ``setting`` fields
+    parts: Sequence[Part]
+    head: Callable[[Any], Iterable[str]]  # returns title and first paragraph of the report
+    told: str  # first paragraph of the help
+    # options set by ``--quick`` unless given; empty for no such flag
     quick: Mapping[str, Any] = field(default_factory=dict)
-    more: Sequence[Callable[[Any], Any]] = ()  # further options of the command line
-    made: Callable[..., Any] | None = None  # makes the options of what the command line gives
+    more: Sequence[Callable[[Any], Any]] = ()  # further click options
+    made: Callable[..., Any] | None = None  # creates the options from the command line; default ``options``
 
     def command(self) -> click.Command:
-        """Return the command that does the chosen parts, all if none is, and prints the report's path.
+        """Return the command, which runs the chosen parts (default: all) and prints the report's path.
 
-        Exits with the code of lost data if recordings failed.
+        The command exits with EXIT_DATA_LOST if recordings failed.
         """
 
         def run(jobs: int, chosen: Sequence[str], **values: Any) -> None:
@@ -77,7 +82,7 @@ class Study:
 
         parts = click.Choice([part.name for part in self.parts])
         path = click.Path(path_type=Path)
-        quick = click.option("--quick", is_flag=True, help="Try it: little of everything.")
+        quick = click.option("--quick", is_flag=True, help="Smoke test with little data.")
         options = [
             click.option(
                 "-o",
@@ -97,13 +102,13 @@ class Study:
             *([quick] if self.quick else ()),
             click.option("--jobs", default=os.cpu_count() or 1, show_default=True, type=click.IntRange(1)),
             click.option(
-                "--part", "--only", "chosen", multiple=True, type=parts, help="Only this part; repeatable."
+                "--part", "--only", "chosen", multiple=True, type=parts, help="Only this part. Repeatable."
             ),
         ]
         for option in reversed(options):
             run = option(run)
         told = (
-            f"{self.told}\n\nFinished files of the same code and arguments are reused. Figures go to "
+            f"{self.told}\n\nFinished files of the same code and arguments are reused. The report is "
             f"{self.name}.md in the output folder."
         )
         settings = {"help_option_names": ["-h", "--help"]}
@@ -122,7 +127,7 @@ class Study:
 
 
 def unused_for_tuning(first_seed: int) -> str:
-    """Return what a report says of seeds that nothing was tuned on; nothing of others."""
+    """Return a note for the report if the seeds were not used for tuning."""
     return ", none of them used for tuning" if first_seed >= FIRST_SEED else ""
 
 

@@ -48,10 +48,10 @@ def test_damaged_annotations_are_named(tmp_path: Path) -> None:
     folder = make_folder(tmp_path / "P9")
     text = (folder / "joint.txt").read_text()
     (folder / "joint.txt").write_text(text.replace("520.000 \n", "\n", 1))
-    with pytest.raises(RecordingError, match=r"joint.txt:2: has other joints, found 62, expected 63"):
+    with pytest.raises(RecordingError, match=r"joint.txt:2: unexpected number of joints, found 62, expected 63"):
         cvar.convert(folder, tmp_path / "P9.mcap")
     (folder / "joint.txt").write_text(text.replace("3\n", "4\n", 1))
-    with pytest.raises(RecordingError, match="has another number of frames, found 3, expected 4"):
+    with pytest.raises(RecordingError, match="wrong number of frames, found 3, expected 4"):
         cvar.convert(folder, tmp_path / "P9.mcap")
     with pytest.raises(RecordingError, match="no images"):
         cvar.convert(tmp_path, tmp_path / "P9.mcap")

@@ -223,7 +223,7 @@ def test_people_are_named_once_each_and_those_for_final_measurements_are_refused
     with pytest.raises(UsageError, match="final measurements"):
         people_of("899-900", final=False)
     for text in ("", "800-", "a", "810-800", "-3", "800,,801", "0-5000"):
-        with pytest.raises(UsageError, match="people cannot be understood"):
+        with pytest.raises(UsageError, match="invalid --people"):
             people_of(text, final=False)
 
 

@@ -1,1 +1,1 @@
-"""The hands that are shipped, learned from people: run by scripts/build hand-model."""
+"""Build the shipped hand model from people's hands (scripts/build hand-model)."""

@@ -1,6 +1,6 @@
-"""The hands that are shipped: mean and modes of people's, each a GLB file with the joint names of WebXR.
+"""Learn mean and modes of hands from GLB files of people with WebXR joint names.
 
-The people have the same triangles in the same order, as one rig's have that is reshaped.
+All meshes must have the same triangles in the same order, as reshaped copies of one rig.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from research.hand_model.people import rows
 from research.hand_model.template import adult, cage_of
 
 BONE_WEIGHT = 4.0
-"""A millimetre of a bone counts as so many of one coordinate of the skin: modes are to explain both."""
-_BONES = 30  # numbers behind the cage's: bases and segments
+"""Weight of a bone length against one coordinate of the skin; the modes must explain both."""
+_BONES = 30  # values after those of the cage: bases and segments
 _RADII = 20
 _DIGITS = 6
 _LAST = np.arange(-_RADII - 15, -_RADII)[2::3]  # where a hand's row has the fingers' last segments
 
 
 def modes_of(hands: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
-    """Mean (D,) and the strongest modes (count, D) of hands (N, D), in standard deviations, signs fixed."""
+    """Return mean (D,) and strongest modes (count, D) of hands (N, D), scaled by standard deviation."""
     weights = np.ones(hands.shape[1])
     weights[-_BONES - _RADII : -_RADII] = BONE_WEIGHT
     mean = hands.mean(axis=0)
@@ -40,10 +40,10 @@ def modes_of(hands: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
 
 
 def with_tips_in_the_skin(people: Population) -> Population:
-    """Return the hands with each finger's last segment ending where the skin that is tracked ends.
+    """Return hands whose last finger segments end at the end of the tracked skin.
 
-    A template laid on people's skins rounds their fingers' ends off, so joints that are where theirs end
-    would stick out of it by .5 to 1.9 mm. A mode moves tips as it moves the skin's ends, to first order.
+    The registered template rounds off fingertips, so the tips of the meshes would stick out of it by 0.5 to
+    1.9 mm. Modes move the tips like the ends of the skin, to first order.
     """
     smooth = smoothing(people.triangles, 1)
     skin = _Smooth(smooth.through, np.asarray(smooth.blend @ people.weights))
@@ -56,14 +56,14 @@ def with_tips_in_the_skin(people: Population) -> Population:
 
 
 class _Smooth(NamedTuple):
-    """The surface that is tracked: ``through`` (V, C), what makes it of a cage, and ``weights`` (V, 16)."""
+    """The tracked surface: subdivision ``through`` (V, C) of a cage, and skin ``weights`` (V, 16)."""
 
     through: FloatArray
     weights: FloatArray
 
 
 def _last_segments(hand: RestHand, skin: _Smooth) -> FloatArray:
-    """(5,) from a hand's joints 1 to where its smooth skin ends along the fingers, thumb first, mm."""
+    """Return the distances (5,) from joints 1 to the end of the smooth skin, thumb first, mm."""
     vertices, outwards = skin.through @ hand.cage, -rest_rotations()[:, :, 1]
     reaches: FloatArray = np.empty(len(outwards))
     for finger, (outward, base) in enumerate(zip(outwards, hand.bases, strict=True)):
@@ -101,7 +101,7 @@ def main(people: tuple[Path, ...], output: Path) -> None:
 
 
 def write(people: Population, output: Path) -> None:
-    """Write hands as ``population.npz`` holds them."""
+    """Write hands in the format of ``population.npz``."""
     with whole_or_nothing(output) as part, part.open("wb") as stream:
         np.savez_compressed(
             stream,
@@ -113,7 +113,7 @@ def write(people: Population, output: Path) -> None:
 
 
 def _rounded(values: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
-    """Without the last bits, which differ from machine to machine."""
+    """Round off the last bits, which differ between machines."""
     return np.round(values, _DIGITS).astype(np.float32)
 
 

@@ -1,4 +1,4 @@
-"""People's hands as rows: the template laid on the skin of each, and its bones, in lengths of a hand."""
+"""Hands of people as vectors: template registered to the skin, and bones, in units of hand length."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ from research.hand_model.registration import Skin, Template
 from research.hand_model.template import SEGMENTS, THUMB_BASE, adult, cage_of, with_wrist
 
 FURTHER_SD: FloatArray = np.array([0.0, *[0.03] * 5, *[0.05] * 5, 0.035, 0.025, 0.05, 0.06, 0.03])
-"""(16,) of the logarithms of a shape's factors: what further differs from hand to hand, as other people's and
-other artists' hands do from those that are learned from."""
+"""(16,) standard deviations of the logarithms of shape factors: additional variation, to cover people and
+rigs outside the training set."""
 RIG_LENGTH_MM = 181.0
-"""From the wrist to the middle finger's tip as the people's rigs have it, the mean of women and men; the
-skin that is laid on theirs ends 2 mm before."""
+"""Length from the wrist to the tip of the middle finger in the rigs, mean of women and men; the registered
+skin ends 2 mm before."""
 _MEAN_OF, _SEED = 120, 5
 _WRIST_MM = 4.0
 
 
 def rows(files: Sequence[Path]) -> Iterator[FloatArray]:
-    """Yield for each file what ``population.RestHand`` holds, flattened (D,)."""
+    """Yield a flattened ``population.RestHand`` (D,) for each file."""
     surface = smoothing(cage_of(adult()).triangles, 1)
     template = Template(surface.triangles, surface.through)
     weights = np.asarray(surface.blend @ cage_of(adult()).weights)
@@ -53,7 +53,7 @@ def rows(files: Sequence[Path]) -> Iterator[FloatArray]:
 
 
 def person_hand(path: Path, rng: np.random.Generator | None) -> FileHand:
-    """A person's hand with joints as they may lie in it, at zero angles."""
+    """Return a person's hand at zero angles, with sampled joint positions."""
     skin = read_skin(read_glb(path))
     places, joints = joint_places(skin, path), skin.joint_positions.copy()
     joints[places] = anatomical_joints(PER_METRE * joints[places], rng) / PER_METRE
@@ -61,7 +61,7 @@ def person_hand(path: Path, rng: np.random.Generator | None) -> FileHand:
 
 
 def _mean_hand(hands: Sequence[FileHand]) -> FileHand:
-    """The mean of hands of the same triangles, in lengths of a hand."""
+    """Return the mean of hands with the same triangles, in units of hand length."""
     sizes = [RIG_LENGTH_MM / _length(hand.anatomy) for hand in hands]
 
     def mean(parts: Sequence[FloatArray]) -> FloatArray:
@@ -79,14 +79,14 @@ def _mean_hand(hands: Sequence[FileHand]) -> FileHand:
 
 
 def _reshaped(hand: FileHand, rng: np.random.Generator) -> FileHand:
-    """The hand with further factors drawn."""
+    """Return the hand with random shape factors."""
     shape = HandShape.of_factors(np.exp(rng.normal(0.0, FURTHER_SD)))
     skin = reshaped_skin(hand.skin, hand.anatomy, "right", shape)
     return FileHand(replace(reshaped_anatomy(hand.anatomy, "right", shape), palm=(1.0, 1.0, 1.0)), skin)
 
 
 def _stretches(start: HandAnatomy, end: HandAnatomy) -> FloatArray:
-    """Affine maps (16, 3, 4) that take the bones of one hand to those of another, girths along."""
+    """Return affine maps (16, 3, 4) from the bones of one hand to those of another, including girths."""
     maps = np.zeros((BONE_COUNT, 3, 4))
     knuckles, others = start.base_positions[1:], end.base_positions[1:]
     wide = np.ptp(others[:, 0]) / np.ptp(knuckles[:, 0])
@@ -105,30 +105,30 @@ def _stretches(start: HandAnatomy, end: HandAnatomy) -> FloatArray:
 
 
 def _length(anatomy: HandAnatomy) -> float:
-    """From the wrist to the tip of the straight middle finger, mm."""
+    """Return the length from the wrist to the tip of the straight middle finger, mm."""
     return float(measures_of(anatomy)[MEASURES.index("hand_length")])
 
 
-# Where joints lie in a hand: between what a rig says and what anatomy says, as far as either is known.
+# Joint positions lie between those of the rig and those of anatomy.
 #
-# A rig's joints are where its mesh turns well; rigs differ by 5 to 20 mm at wrist, knuckles and thumb.
-# Anatomy puts the knuckle where the first phalanx is 1.6 times as long as the second or farther back, divides
-# fingers as Buryanov and Kotiuk 2010 measured, and lets the thumb begin at the trapezium.
+# Rigs place joints where the mesh deforms well; they differ by 5 to 20 mm at wrist, knuckles and thumb.
+# Anatomy: first phalanx at least 1.6 times as long as the second, finger segments by Buryanov and Kotiuk
+# 2010, thumb base at the trapezium.
 
 ANATOMY_SHARE = (1.0, 0.5)
-"""Mean and standard deviation of how far joints lie on the way from the rig's place to anatomy's."""
+"""Mean and standard deviation of the joint position between rig (0) and anatomy (1)."""
 ALONG_SD, BESIDE_SD = np.array([2.0, 1.2, 1.2]), np.array([2.0, 0.8, 0.8])
-"""mm, of the joints 3, 2 and 1, further: along the finger, and out of the palm's plane."""
+"""Further standard deviations of joints 3, 2 and 1, mm: along the finger, and out of the palm plane."""
 THUMB_BASE_SD, WRIST_SD = (3.0, 2.0, 3.0), (3.0, 2.0, 2.0)  # mm: along the palm, out of its plane, across it
-_KNUCKLE = 1.6  # first phalanx in terms of the second where a rig bends at the webs
-_PALM_MM = 90.0  # from the wrist to the middle knuckle of the hand that ``THUMB_BASE`` is of
+_KNUCKLE = 1.6  # ratio of first to second phalanx, for rigs that bend at the webs
+_PALM_MM = 90.0  # wrist to middle knuckle of the hand that ``THUMB_BASE`` refers to
 
 
 def anatomical_joints(joints: FloatArray, rng: np.random.Generator | None) -> FloatArray:
-    """Return a hand's 21 joints (21, 3) as they may lie in its skin, mm; without a generator, as on average.
+    """Return sampled joint positions (21, 3) in a hand, mm; without a generator, the mean positions.
 
-    Tips stay: rigs have them where the skin ends, to a millimetre or two. The build puts them where the
-    skin that was laid on it ends.
+    Tips are unchanged: rigs have them at the end of the skin within 1 to 2 mm. The build moves them to the
+    end of the registered skin.
     """
     up, out, side = _palm_axes(joints)
     mean, sd = ANATOMY_SHARE
@@ -152,7 +152,7 @@ def anatomical_joints(joints: FloatArray, rng: np.random.Generator | None) -> Fl
 
 
 def _palm_axes(joints: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Towards the fingers, out of a right hand's palm, and towards the thumb."""
+    """Return unit vectors towards the fingers, out of the palm of a right hand, and towards the thumb."""
     up = _unit(joints[9] - joints[0])
     out = np.cross(joints[5] - joints[0], joints[17] - joints[0])
     out = _unit(out - up * (out @ up))
@@ -161,7 +161,7 @@ def _palm_axes(joints: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def _finger(chain: FloatArray, finger: int) -> FloatArray:
-    """Joints 3, 2, 1 of a finger (3, 3): the knuckle moved back, the rest divided as the tables do."""
+    """Return joints 3, 2, 1 of a finger (3, 3): knuckle moved back, the rest divided by the tables."""
     first, second = np.linalg.norm(np.diff(chain[:3], axis=0), axis=1)
     knuckle = chain[0] + max(_KNUCKLE * second - first, 0.0) * (chain[0] - chain[1]) / first
     whole = np.vstack([knuckle, chain[1:]])
@@ -171,7 +171,7 @@ def _finger(chain: FloatArray, finger: int) -> FloatArray:
 
 
 def _thumb(chain: FloatArray, joints: FloatArray, axes: FloatArray) -> FloatArray:
-    """Joints 3, 2, 1 of the thumb (3, 3): its base at the trapezium, the rest divided as the tables do."""
+    """Return joints 3, 2, 1 of the thumb (3, 3): base at the trapezium, the rest divided by the tables."""
     size = float(np.linalg.norm(joints[9] - joints[0])) / _PALM_MM
     x, y, z = THUMB_BASE * size
     base = joints[0] + np.array([-y, -z, x]) @ axes
@@ -182,7 +182,7 @@ def _thumb(chain: FloatArray, joints: FloatArray, axes: FloatArray) -> FloatArra
 
 
 def _along(points: FloatArray, distances: FloatArray) -> FloatArray:
-    """Points at distances from the start of a chain (N, 3)."""
+    """Return points at given distances from the start of a chain (N, 3)."""
     lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
     starts = np.concatenate([[0.0], np.cumsum(lengths)])
     k = np.clip(np.searchsorted(starts, distances, side="right") - 1, 0, len(lengths) - 1)

@@ -1,4 +1,4 @@
-"""A template's surface laid on the skin of a hand (non-rigid registration to the closest points)."""
+"""Non-rigid registration of a template surface to the skin of a hand (closest points)."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from scipy.spatial import KDTree
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.rendering.mesh import SkinnedMesh
 
-_NORMAL_MM = 8.0  # a difference of normals by one counts as so many millimetres
-_DENSITY = 6  # points along a triangle's edge that stand for it
-_REACH_MM = 12.0  # skin that is farther from the template belongs to something else
+_NORMAL_MM = 8.0  # millimetres per unit difference of normals
+_DENSITY = 6  # sample points along an edge of a triangle
+_REACH_MM = 12.0  # largest distance of a correspondence; skin farther away belongs to another part
 _COARSE = ((100.0, 8), (20.0, 8), (5.0, 10), (1.0, 10), (0.3, 10))
 _FINE = ((20.0, 2), (5.0, 2), (1.0, 2), (0.2, 2))  # stiffness of the displacement, and rounds with it
 _TARGETS = 12000
 
 
 class Skin:
-    """Points and normals of a mesh, dense enough to stand for its surface."""
+    """Dense points and normals of a mesh."""
 
     def __init__(self, mesh: SkinnedMesh) -> None:
         corners = mesh.vertices[mesh.triangles]
@@ -35,16 +35,16 @@ class Skin:
         self._tree = KDTree(_with_normals(self.points, self.normals))
 
     def closest(self, points: FloatArray, normals: FloatArray) -> FloatArray:
-        """The points (N, 3) of the skin that are nearest and face alike."""
+        """Return the nearest points (N, 3) of the skin with similar normals."""
         return np.asarray(self.points[self._tree.query(_with_normals(points, normals))[1]])
 
 
 class Template:
-    """The surface that is laid: smooth through a cage.
+    """The template: a smooth surface controlled by a cage.
 
     Args:
         triangles: (T, 3) of the surface.
-        through: (V, C) its vertices in terms of the cage's.
+        through: (V, C) weights of the cage vertices for each vertex.
     """
 
     def __init__(self, triangles: IntArray, through: FloatArray) -> None:
@@ -54,16 +54,16 @@ class Template:
         self._onto_cage = np.linalg.solve(through.T @ through + 1e-3 * np.eye(c), through.T)
 
     def cage(self, vertices: FloatArray) -> FloatArray:
-        """The cage (C, 3) whose surface is nearest to vertices (V, 3)."""
+        """Return the cage (C, 3) whose surface is nearest to vertices (V, 3)."""
         return self._onto_cage @ vertices
 
     def laid_coarsely(self, vertices: FloatArray, skin: Skin, behind: float) -> FloatArray:
-        """Lay the template on a skin of which it lacks whole parts: both look for each other.
+        """Register the template coarsely, with correspondences in both directions.
 
         Args:
             vertices: (V, 3) start.
-            skin: of a hand, in hand coordinates.
-            behind: y beyond which the skin is not looked for, mm: the end at the wrist.
+            skin: skin of a hand, in hand coordinates.
+            behind: y limit at the wrist, mm; skin beyond it is ignored.
         """
         chosen = np.random.default_rng(0).permutation(len(skin.points))[:_TARGETS]
         chosen = chosen[skin.points[chosen, 1] < behind]
@@ -86,7 +86,7 @@ class Template:
         return vertices
 
     def laid(self, vertices: FloatArray, skin: Skin) -> FloatArray:
-        """Lay the template on a skin near it: along its normals alone, so that it does not slide."""
+        """Register the template to a skin near it, along its normals only, so that it does not slide."""
         for stiffness, rounds in _FINE:
             smooth = self._smoother(stiffness)
             for _ in range(rounds):
@@ -104,7 +104,7 @@ class Template:
 
 
 def vertex_normals(vertices: FloatArray, triangles: IntArray) -> FloatArray:
-    """Unit normals (V, 3), triangles weighed by their areas."""
+    """Return area-weighted unit normals (V, 3)."""
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
     normals, out = np.cross(b - a, c - a), np.zeros_like(vertices)
     for k in range(3):
@@ -113,7 +113,7 @@ def vertex_normals(vertices: FloatArray, triangles: IntArray) -> FloatArray:
 
 
 def _bending(triangles: IntArray, count: int) -> sparse.csr_matrix:
-    """L^T L with L the graph's Laplacian."""
+    """Return L^T L with L the Laplacian of the mesh graph."""
     i, j = (np.concatenate([triangles[:, k] for k in order]) for order in ((0, 1, 2), (1, 2, 0)))
     joined = sparse.coo_matrix((np.ones(len(i)), (i, j)), shape=(count, count)).tocsr()
     joined = ((joined + joined.T) > 0).astype(float)

@@ -1,8 +1,8 @@
-"""The template of a hand's skin, which is laid on people's: a closed cage over palm and five fingers.
+"""Template of the skin of a hand for registration: a closed cage over palm and five fingers.
 
-The palm is a tube of 18-sided rings from the wrist to the knuckles. At the front the ring's vertices
-and three webs between the fingers close into four hexagons from which the fingers grow; the thumb grows
-from a hexagonal hole in the palm's side. Every finger is a tube of hexagons.
+The palm is a tube of 18-sided rings from the wrist to the knuckles. At the front, the last ring and three
+webs between the fingers form four hexagons, the bases of the fingers. The thumb starts from a hexagonal hole
+in the side of the palm. Every finger is a hexagonal tube.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ SEGMENTS: FloatArray = np.array(
         (32.6, 18.1, 16.0 + 3.7),
     ]
 )
-"""(5, 3) of an adult's hand, thumb first."""
-# The carpus is not in that table: where each metacarpal starts, mm, and how it fans out, deg.
+"""(5, 3) of an adult hand, thumb first."""
+# Not in that table: the start of each metacarpal, mm, and its direction, deg.
 _CARPAL = np.array([(11.0, -19.0, 1.0), (2.0, -25.0, 2.0), (-7.0, -23.0, 1.0), (-14.0, -20.0, -2.0)])
 _METACARPAL_FAN = np.deg2rad([10.0, 1.0, -9.0, -20.0])
 THUMB_BASE: FloatArray = np.array([19.0, -18.0, -8.0])
-"""(3,) where the trapezium carries the thumb, hand coordinates, mm, of an adult's hand."""
+"""(3,) base of the thumb at the trapezium of an adult hand, hand coordinates, mm."""
 _RADII = np.array(
     [
         (12.5, 10.5, 9.8, 8.0),  # thumb: at CMC side, MCP, IP, near the tip
@@ -42,12 +42,12 @@ _RADII = np.array(
         (8.2, 7.2, 6.5, 5.6),
     ]
 )
-# Palm rings from the wrist (0) to the knuckles (1): where, half thickness mm, half width factor.
+# Palm rings: position from wrist (0) to knuckles (1), half thickness in mm, factor on the half width.
 _ROWS = ((0.0, 18.0, 0.80), (0.20, 17.5, 0.86), (0.66, 15.0, 0.98))
 _THUMB_ROWS = (1, 2)  # the thumb's hole lies between these rings
 _WRIST_HALF_WIDTH = 31.0
-_WRIST_END, _CAP = 8.0, 5.0  # the mesh ends this far behind the wrist joint, and is closed so far beyond, mm
-_COLUMNS = 18  # 8 dorsal, little finger's side, 8 palmar, index finger's side
+_WRIST_END, _CAP = 8.0, 5.0  # end of the mesh behind the wrist joint, and length of the cap behind it, mm
+_COLUMNS = 18  # 8 dorsal, little finger side, 8 palmar, index finger side
 _LITTLE_SIDE, _INDEX_SIDE = 8, 17
 
 
@@ -69,7 +69,7 @@ class _Builder:
         return len(self.vertices) - 1
 
     def quad(self, a: int, b: int, c: int, d: int) -> None:
-        """Add two triangles; they meet along the shorter diagonal."""
+        """Add two triangles that share the shorter diagonal."""
         self.faces.append((a, b, c, d))
 
     def triangle(self, a: int, b: int, c: int) -> None:
@@ -77,14 +77,14 @@ class _Builder:
         self.faces.append((a, b, c))
 
     def tube(self, near: list[int], far: list[int]) -> None:
-        """Join two rings that run clockwise seen from the far side."""
+        """Connect two rings, which run clockwise seen from the far side."""
         count = len(near)
         for k in range(count):
             m = (k + 1) % count
             self.quad(near[k], near[m], far[m], far[k])
 
     def fan(self, ring: list[int], apex: int) -> None:
-        """Close a ring with a point beyond it."""
+        """Close a ring with a point."""
         for k in range(len(ring)):
             self.triangle(ring[k], ring[(k + 1) % len(ring)], apex)
 
@@ -108,23 +108,23 @@ class _Builder:
 
 @functools.cache
 def adult() -> HandAnatomy:
-    """Return the bones of the tables' right hand, of scale 1."""
+    """Return the bones of a right hand of scale 1 according to the tables."""
     along = np.stack([np.sin(_METACARPAL_FAN), -np.cos(_METACARPAL_FAN), np.zeros(4)], axis=1)
     positions = np.vstack([THUMB_BASE, _CARPAL + _METACARPAL[:, None] * along])
     return HandAnatomy("right", positions, rest_rotations(), SEGMENTS, _RADII, 1.0)
 
 
 def cage_of(anatomy: HandAnatomy) -> SkinnedMesh:
-    """Return the cage of a right hand of scale 1 with some bones and radii; triangles are the adult's."""
+    """Return the cage of a right hand of scale 1; its triangles are those of the adult hand."""
     built = _built_cage(anatomy)
     return SkinnedMesh(np.array(built.vertices), np.array(built.weights), _triangles())
 
 
 def with_wrist(cage: FloatArray) -> FloatArray:
-    """Return a cage (C, 3) that was laid on a skin of scale 1, drawn out behind the wrist joint.
+    """Return a registered cage (C, 3) of scale 1, extended behind the wrist joint.
 
-    People's skins end at the wrist, some before it. A forearm begins inside the hand; where the wrist is
-    bent, nothing would be drawn between the two.
+    The meshes of people end at the wrist or before it, which would leave a gap to the forearm at a bent
+    wrist.
     """
     ends = cage.copy()
     ends[:_COLUMNS, 1] = _WRIST_END
@@ -135,12 +135,12 @@ def with_wrist(cage: FloatArray) -> FloatArray:
 
 @functools.cache
 def _triangles() -> IntArray:
-    """Diagonals of the cage's quadrangles that suit the adult's hand."""
+    """Return the triangles of the cage, with diagonals chosen for the adult hand."""
     return _built_cage(adult()).build().triangles
 
 
 def _built_cage(anatomy: HandAnatomy) -> _Builder:
-    """The cage of a right hand of scale 1."""
+    """Build the cage of a right hand of scale 1."""
     builder = _Builder()
     rows = [_palm_row(builder, anatomy, *row) for row in _ROWS]
     wrist = builder.vertex(np.array([0.0, _WRIST_END + _CAP, 0.0]), {0: 1.0})
@@ -160,7 +160,7 @@ def _built_cage(anatomy: HandAnatomy) -> _Builder:
 
 
 def _knuckle_line(anatomy: HandAnatomy) -> FloatArray:
-    """The ten points from the index finger's side over two per finger to the little finger's side."""
+    """Return ten points from the index finger side, two per finger, to the little finger side."""
     base, radii = anatomy.base_positions[1:], anatomy.radii[1:, 0]
     across = np.gradient(base, axis=0)
     apart = np.linalg.norm(across, axis=1, keepdims=True)
@@ -174,7 +174,7 @@ def _knuckle_line(anatomy: HandAnatomy) -> FloatArray:
 
 
 def _palm_row(builder: _Builder, anatomy: HandAnatomy, s: float, thickness: float, width: float) -> list[int]:
-    """One 18-sided ring: 8 dorsal vertices index to little, little's side, 8 palmar back, index's side."""
+    """Add an 18-sided ring: 8 dorsal vertices (index to little), side, 8 palmar vertices back, side."""
     line = _knuckle_line(anatomy)
     broad, _, deep = anatomy.palm
     u = np.concatenate([[1.0], np.linspace(0.80, -0.80, 8), [-1.0]])
@@ -192,7 +192,7 @@ def _palm_row(builder: _Builder, anatomy: HandAnatomy, s: float, thickness: floa
 
 
 def _palm_profile(u: FloatArray, s: float) -> FloatArray:
-    """The palm's relief: thenar (index side) and hypothenar (little side) eminences, hollow between."""
+    """Return the relief of the palm: thenar and hypothenar eminences, hollow in between."""
     lower = np.exp(-(((s - 0.3) / 0.3) ** 2))
     profile: FloatArray = 1.0 + lower * (
         0.28 * np.exp(-(((u - 0.62) / 0.32) ** 2)) + 0.16 * np.exp(-(((u + 0.6) / 0.35) ** 2))
@@ -202,7 +202,7 @@ def _palm_profile(u: FloatArray, s: float) -> FloatArray:
 
 
 def _finger_bases(builder: _Builder, anatomy: HandAnatomy, last: list[int]) -> list[list[int]]:
-    """Close the palm's front around four hexagons and return them, index finger first."""
+    """Close the front of the palm around four hexagons and return them, index finger first."""
     corners = [_base_corners(builder, anatomy, f) for f in range(4)]
     webs = [_web(builder, anatomy, k) for k in range(5)]
     dorsal, palmar = last[:8], last[16:8:-1]  # two columns a finger, from the index finger's side
@@ -224,12 +224,12 @@ def _finger_bases(builder: _Builder, anatomy: HandAnatomy, last: list[int]) -> l
 
 
 def _base_corners(builder: _Builder, anatomy: HandAnatomy, f: int) -> list[int]:
-    """A finger's base: dorsal near the index finger, dorsal far, palmar far, palmar near."""
+    """Add the corners of a finger base: dorsal near the index finger, dorsal far, palmar far, palmar near."""
     base, frame = anatomy.base_positions[f + 1], anatomy.base_rotations[f + 1]
     radius = anatomy.radii[f + 1, 0]
     weights = {0: 0.5, 1 + 3 * (f + 1): 0.5}
     longer = _relative_length(anatomy, f + 1)
-    # x and z in radii, mm beyond the joint: the palm reaches farther along the finger than the back
+    # x and z in radii, and mm beyond the joint: the palm extends farther along the finger than the back
     table = ((0.5, 1.0, 4.0), (-0.5, 1.0, 4.0), (-0.5, -1.0, 18.0), (0.5, -1.0, 18.0))
     return [
         builder.vertex(base + frame @ np.array([x * radius, -longer * forward, z * radius * 0.98]), weights)
@@ -238,7 +238,7 @@ def _base_corners(builder: _Builder, anatomy: HandAnatomy, f: int) -> list[int]:
 
 
 def _web(builder: _Builder, anatomy: HandAnatomy, k: int) -> int:
-    """The skin beside a finger's base: the outer sides of index and little, webs between neighbours."""
+    """Add the skin between finger bases: webs, and the outer sides of index and little finger."""
     sides = [(f, sign) for f, sign in ((k - 1, -1.0), (k, 1.0)) if 0 <= f < 4]
     points, weights = [], {0: 0.5}
     for f, sign in sides:
@@ -251,12 +251,12 @@ def _web(builder: _Builder, anatomy: HandAnatomy, k: int) -> int:
 
 
 def _relative_length(anatomy: HandAnatomy, finger: int) -> float:
-    """A finger's first segment in that of the average hand: the skin at its base goes along."""
+    """Return the length of a first segment relative to the average hand, which scales the finger base."""
     return float(anatomy.segments[finger, 0] / adult().segments[finger, 0])
 
 
 def _grow(builder: _Builder, anatomy: HandAnatomy, finger: int, base: list[int]) -> None:
-    """Grow a finger from its base hexagon: two rings around joint 2, one at joint 1, and the tip."""
+    """Add a finger on its base hexagon: two rings around joint 2, one at joint 1, and the tip."""
     ring = base
     for position, frame, radius, weights in _stations(anatomy, finger):
         angles = np.deg2rad([0.0, 60.0, 120.0, 180.0, 240.0, 300.0])
@@ -273,7 +273,7 @@ def _grow(builder: _Builder, anatomy: HandAnatomy, finger: int, base: list[int])
 def _stations(
     anatomy: HandAnatomy, finger: int
 ) -> list[tuple[FloatArray, FloatArray, float, dict[int, float]]]:
-    """The rings of a finger: centre, frame, radius, weights."""
+    """Return the rings of a finger: centre, frame, radius, weights."""
     origin, frame = anatomy.base_positions[finger], anatomy.base_rotations[finger]
     first, second, third = anatomy.segments[finger]
     r0, r1, r2, r3 = anatomy.radii[finger]
