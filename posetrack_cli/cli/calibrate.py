@@ -122,8 +122,8 @@ def calibrate_stereo(images: Path, output: Path, **options: Any) -> None:
         print_note(f"{images}: {note}")
     for line in found.lines():
         print_line(line)
-    for doubt in found.warning():
-        print_note(f"doubtful: {doubt}")
+    for warning in found.doubts():
+        print_note(f"warning: {warning}")
     if not found.fits_together:
         raise RecordingError(
             "cameras are inconsistent, camera file not written",

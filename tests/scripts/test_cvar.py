@@ -48,7 +48,8 @@ def test_damaged_annotations_are_named(tmp_path: Path) -> None:
     folder = make_folder(tmp_path / "P9")
     text = (folder / "joint.txt").read_text()
     (folder / "joint.txt").write_text(text.replace("520.000 \n", "\n", 1))
-    with pytest.raises(RecordingError, match=r"joint.txt:2: unexpected number of joints, found 62, expected 63"):
+    message = r"joint.txt:2: unexpected number of joints, found 62, expected 63"
+    with pytest.raises(RecordingError, match=message):
         cvar.convert(folder, tmp_path / "P9.mcap")
     (folder / "joint.txt").write_text(text.replace("3\n", "4\n", 1))
     with pytest.raises(RecordingError, match="wrong number of frames, found 3, expected 4"):
