@@ -1,1 +1,1 @@
-"""Synthetic recordings of hands and heads, with exact truth."""
+"""Synthetic recordings of hands and heads with exact ground truth."""

@@ -1,4 +1,4 @@
-"""Instants of a synthetic recording, and what recordings of hands and heads share."""
+"""Common parts of synthetic recordings of hands and heads: timeline, truth, file."""
 
 from __future__ import annotations
 
@@ -21,32 +21,31 @@ from posetrack_cli.results import messages
 from posetrack_cli.results.estimate import Estimate, Subject
 from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA, ESTIMATE_SCHEMA_NAME, estimate_to_json
 
-# When the frames of a synthetic recording are taken, and which frames or images are missing
-
+# Timeline: stamps, late and missing frames
 
 START_NS = 1_000_000_000
-"""Stamp of the first frame: not 0, which some readers take for "no stamp"."""
+"""Stamp of the first frame; not 0, which some readers interpret as "no stamp"."""
 
 DROP_PROBABILITY = 0.02
 BURST_SHARE = 0.2
-"""Share of the drops that take 2 to 4 frames at once."""
+"""Share of drops that last 2 to 4 frames."""
 
 LATE_PROBABILITY = 0.1
 LATE_S = (0.002, 0.015)
 MOST_LATE = 0.45
-"""A frame is late by at most this part of the frame interval, so that order is kept at any rate."""
+"""Maximum delay as a fraction of the frame interval, which preserves the order at any rate."""
 
 BURSTS_PER_FRAME, LONGEST_BURST = 0.01, 12
-"""Of images that one camera misses: a burst takes 1 to so many."""
+"""Rate and maximum length of image drops of a single camera."""
 
 
 @dataclass(frozen=True)
 class Timeline:
-    """The instants of a recording.
+    """Instants of a recording.
 
     Attributes:
-        stamps_ns: (T,) when each frame is taken, strictly increasing; also of the dropped ones.
-        dropped: (T,) which frames are missing, or (C, T) which image of each camera; never the first.
+        stamps_ns: (T,) stamps of all frames, including dropped ones, strictly increasing.
+        dropped: (T,) missing frames, or (C, T) missing images per camera; never the first.
     """
 
     stamps_ns: IntArray
@@ -59,18 +58,18 @@ class Timeline:
 
 
 def make_timeline(frames: int, fps: float, *, drops: bool, late: bool, rng: np.random.Generator) -> Timeline:
-    """Return the instants of a recording.
+    """Draw the instants of a recording.
 
-    Each frame is dropped with probability ``DROP_PROBABILITY`` / (mean burst length), which begins a
-    burst of 2 to 4 in one case of five; each is late with probability ``LATE_PROBABILITY`` by a time
-    uniform in ``LATE_S``.
+    Drops start with probability ``DROP_PROBABILITY`` / (mean drop length) per frame; one in five is a burst
+    of 2 to 4 frames. Frames are late with probability ``LATE_PROBABILITY``, by a time uniform in
+    ``LATE_S``.
 
     Args:
         frames: number of instants.
         fps: nominal rate, Hz.
         drops: whether frames are dropped.
         late: whether frames are late.
-        rng: draws the same numbers whatever the switches are.
+        rng: random generator; the number of draws does not depend on the switches.
     """
     delays = _delays(frames, fps, rng)
     dropped = _dropped(frames, rng)
@@ -80,7 +79,7 @@ def make_timeline(frames: int, fps: float, *, drops: bool, late: bool, rng: np.r
 
 
 def nominal_stamps(frames: int, fps: float) -> IntArray:
-    """Return the stamps (T,) ns of frames that are all on time, at a rate in Hz."""
+    """Return stamps (T,), ns, at a constant rate, Hz."""
     since = np.rint(np.arange(frames) * (1e9 / fps)).astype(np.int64)
     return np.asarray(START_NS + since, dtype=np.int64)
 
@@ -104,7 +103,7 @@ def _dropped(frames: int, rng: np.random.Generator) -> BoolArray:
 
 
 def dropped_images(cameras: int, frames: int, rng: np.random.Generator) -> BoolArray:
-    """Return which images (C, T) are missing: never of the first frame, never all of a frame of several."""
+    """Draw the missing images (C, T): never in the first frame, never all images of a frame."""
     dropped = np.zeros((cameras, frames), dtype=np.bool_)
     for row in dropped:
         for first in np.flatnonzero(rng.random(frames) < BURSTS_PER_FRAME):
@@ -115,25 +114,24 @@ def dropped_images(cameras: int, frames: int, rng: np.random.Generator) -> BoolA
     return dropped
 
 
-# A synthetic recording as hands and heads share it: its frames, its truth, its file
-
+# Frames, ground truth, file
 
 SYNTH_RECORD = "posetrack.synth"
-"""The metadata that tells how a recording was made."""
+"""Metadata record with the options of the recording."""
 
 
 class SyntheticFrame(Protocol):
-    """What every frame tells of itself."""
+    """Common interface of synthetic frames."""
 
     @property
     def stamp_ns(self) -> int:
-        """When it was taken, integer nanoseconds; the truth is of the same time."""
+        """Time of the frame and its ground truth, integer nanoseconds."""
 
     def truth(self) -> Estimate:
-        """The truth as an estimate without doubt: confidence 1, all variances 0, no particles."""
+        """Return the ground truth as an estimate with confidence 1 and zero variances."""
 
     def joint_states(self) -> messages.JointStates:
-        """What moves in itself: the angles of fingers, the strengths of expressions."""
+        """Return internal degrees of freedom: finger angles, strengths of expressions."""
 
 
 Frame = TypeVar("Frame", bound=SyntheticFrame)
@@ -141,20 +139,20 @@ FrameContra = TypeVar("FrameContra", bound=SyntheticFrame, contravariant=True)
 
 
 class Writer(Protocol[FrameContra]):
-    """Puts frames on their topics."""
+    """Writer of frames to their topics."""
 
     def write(self, frame: FrameContra) -> None:
-        """Write one frame and the truth about it."""
+        """Write one frame and its ground truth."""
 
 
 @dataclass(frozen=True)
 class Synthesis:
-    """What was written.
+    """Statistics of a written recording.
 
     Attributes:
         frames: number of frames written.
-        missing: number of frames, or of images of several cameras, that were left out.
-        seconds: from the first to the last frame's stamp.
+        missing: number of dropped frames, or dropped images with several cameras.
+        seconds: time from the first to the last frame.
     """
 
     frames: int
@@ -163,24 +161,24 @@ class Synthesis:
 
 
 def check_option(name: str, value: object, good: bool, expected: str) -> None:
-    """Raise UsageError, which names an option, unless its value can be used."""
+    """Raise a UsageError naming the option unless its value is valid."""
     if not good:
-        raise UsageError(f"--{name} cannot be used", found=value, expected=expected)
+        raise UsageError(f"invalid --{name}", found=value, expected=expected)
 
 
 def reported(frames: Iterator[Frame], report: Callable[[Frame], None]) -> Iterator[Frame]:
-    """Yield frames, each after it was reported."""
+    """Yield frames, each after reporting it."""
     for frame in frames:
         report(frame)
         yield frame
 
 
 def synth_record(options: Any, facts: Mapping[str, str]) -> dict[str, str]:
-    """Return the metadata that tells how a recording was made: the options of one value each, and facts.
+    """Return the metadata of a recording: scalar options and further facts.
 
     Args:
         options: a dataclass.
-        facts: what else is told.
+        facts: additional entries.
     """
     values = {field.name: getattr(options, field.name) for field in fields(options)}
     plain = {name: str(value) for name, value in values.items() if not is_dataclass(value)}
@@ -188,13 +186,13 @@ def synth_record(options: Any, facts: Mapping[str, str]) -> dict[str, str]:
 
 
 def numbers_text(values: Any) -> str:
-    """Return numbers as metadata has them."""
+    """Return numbers as metadata text."""
     return " ".join(f"{value:.6g}" for value in np.ravel(values))
 
 
 @contextmanager
 def recording_file(out: Path) -> Iterator[McapSink]:
-    """Yield the MCAP file of a recording: ``out`` + ``.part``, renamed when it is complete.
+    """Yield the MCAP file of a recording, written as ``out`` + ``.part`` and renamed when complete.
 
     Raises:
         ResultError: the file cannot be written.
@@ -221,12 +219,12 @@ def write_all(
 
 
 class TruthChannels:
-    """Writes truth below ``/truth/SUBJECT/``: ``odometry`` and ``estimate``, as results do, and joint states.
+    """Writer of ground truth below ``/truth/SUBJECT/``: ``odometry``, ``estimate`` and joint states.
 
     Args:
-        sink: where to.
-        subject: who it is about.
-        joints: the last part of the joint states' topic.
+        sink: output file.
+        subject: subject of the truth.
+        joints: last part of the joint states topic.
     """
 
     def __init__(self, sink: McapSink, subject: Subject, joints: str) -> None:
@@ -237,7 +235,7 @@ class TruthChannels:
         self._estimate = sink.json_channel(f"{prefix}/estimate", ESTIMATE_SCHEMA_NAME, ESTIMATE_SCHEMA)
 
     def write(self, frame: SyntheticFrame) -> None:
-        """Write the truth about one frame."""
+        """Write the ground truth of one frame."""
         truth = frame.truth()
         self._sink.write(self._odometry, frame.stamp_ns, serialised(messages.odometry(truth, self._subject)))
         self._sink.write(self._joints, frame.stamp_ns, serialised(frame.joint_states()))

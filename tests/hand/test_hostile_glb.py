@@ -226,7 +226,7 @@ def test_numbers_that_are_none(tmp_path: Path) -> None:
         writer.binary = writer.binary[:start] + number + writer.binary[start + 4 :]
         path = tmp_path / "hand.glb"
         path.write_bytes(writer.bytes())
-        refused(path, "damaged|no numbers")
+        refused(path, "damaged|invalid or too large coordinates")
 
 
 def glb_of(text: bytes) -> bytes:

@@ -217,7 +217,7 @@ def test_buffers_elsewhere_are_not_read(tmp_path: Path) -> None:
     text = path.read_bytes().replace(b'"buffers": [{"byteLength"', b'"buffers": [{"uri": "a", "byteLength"')
     length = struct.unpack_from("<I", text, 12)[0] + len(b'"uri": "a", ')
     path.write_bytes(text[:8] + struct.pack("<II", len(text), length) + text[16:])
-    one_line(path, "another file.*one binary file")
+    one_line(path, "external buffers.*one binary file")
 
 
 @pytest.mark.parametrize(
@@ -265,7 +265,7 @@ def test_lines_are_no_skin(tmp_path: Path) -> None:
         (b"", "not a GLB file"),
         (b"glTF", "not a GLB file"),
         (b'{"asset": {"version": "2.0"}}', "not a GLB file.*one binary file"),
-        (struct.pack("<4sII", b"glTF", 1, 12), "another version, found 1"),
+        (struct.pack("<4sII", b"glTF", 1, 12), "unsupported glTF version, found 1"),
         (struct.pack("<4sII", b"glTF", 2, 12), "has no valid JSON"),
         (struct.pack("<4sIII4s", b"glTF", 2, 24, 4, b"JSON") + b"[1] ", "has no JSON object"),
     ],

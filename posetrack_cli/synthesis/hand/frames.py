@@ -1,4 +1,4 @@
-"""Frames of a synthetic hand, and their file."""
+"""Frames of synthetic hand recordings, and their file."""
 
 from __future__ import annotations
 
@@ -51,8 +51,7 @@ from posetrack_cli.synthesis.recording import (
 )
 from posetrack_cli.tracking.velocity import pose_rates
 
-# What the synthetic sensor looks at: one skinned mesh of hand and person, and the room behind
-
+# Scene: one skinned mesh of hand and person, and the room behind
 
 _MIRRORED_TRANSFORM = np.outer(MIRROR, [*MIRROR, 1.0])  # M T M, entry by entry
 
@@ -70,11 +69,11 @@ BOXES = (
 
 
 class Scene:
-    """A hand and as much of its owner as the switches ask for.
+    """Hand, and the parts of its owner selected by the switches.
 
     Args:
         hand: bones and skin. A left hand has the mirror image of a right hand's owner.
-        switches: ``body`` and ``forearm`` are read.
+        switches: ``body`` and ``forearm`` are used.
     """
 
     def __init__(self, hand: HandModel, switches: Switches) -> None:
@@ -83,7 +82,7 @@ class Scene:
         self.mesh = joined([hand.skin("fine"), *self._person_meshes()])
 
     def transforms(self, pose: FloatArray, seconds: float) -> Float32Array:
-        """camera_T_rest (1, B, 3, 4) of every bone, for a pose (22,) at a time, s."""
+        """Return camera_T_rest (1, B, 3, 4) of every bone for a pose (22,) at a time, s."""
         out = np.empty((1, self.mesh.weights.shape[1], 3, 4), dtype=np.float32)
         out[0, :BONE_COUNT] = skinning_transforms(self._anatomy, pose[None])[0]
         first = BONE_COUNT
@@ -103,7 +102,7 @@ class Scene:
             yield person.head_mesh()
 
     def _person_bones(self, pose: FloatArray, seconds: float) -> Iterator[FloatArray]:
-        """Transforms in the order of the meshes, which look the same in the mirror x -> -x."""
+        """Yield transforms in the order of the meshes, which are symmetric under x -> -x."""
         left = self._anatomy.is_left
         right_pose = mirrored_poses(pose[None])[0] if left else pose
         for bones in self._right_bones(right_pose, seconds):
@@ -120,7 +119,7 @@ class Scene:
 
 
 def room_depth(camera: Camera) -> Float32Array:
-    """Return the depth z of the room, (height, width), mm: the nearest of all planes and boxes."""
+    """Return the depth z of the room (height, width), mm: the nearest of all planes and boxes."""
     u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     pixels = np.stack([u, v], axis=-1).astype(np.float64)
     rays = camera.points_from_pixels(pixels, np.ones(u.shape))
@@ -129,7 +128,7 @@ def room_depth(camera: Camera) -> Float32Array:
 
 
 def _plane_depth(rays: FloatArray, normal: FloatArray, offset: float) -> FloatArray:
-    """Depth of a plane along rays (..., 3) with z = 1, infinite where it is not met."""
+    """Return the depth of a plane along rays (..., 3) with z = 1, infinite if it is missed."""
     slope = rays @ normal
     safe = np.where(slope == 0.0, 1.0, slope)
     depth = np.where(slope == 0.0, np.inf, offset / safe)
@@ -137,7 +136,7 @@ def _plane_depth(rays: FloatArray, normal: FloatArray, offset: float) -> FloatAr
 
 
 def _box_depth(rays: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
-    """Depth of a box along rays with z = 1 by the slab method, infinite where it is missed."""
+    """Return the depth of a box along rays with z = 1 by the slab method, infinite if it is missed."""
     with np.errstate(divide="ignore"):
         first, second = low / rays, high / rays
     enters = np.minimum(first, second).max(axis=-1)
@@ -145,48 +144,48 @@ def _box_depth(rays: FloatArray, low: FloatArray, high: FloatArray) -> FloatArra
     return np.where((enters <= leaves) & (enters > 0.0), enters, np.inf)
 
 
-# The synthetic sensor: a Kinect v2's camera, range, noise, and missing readings beside edges of depth.
+# Sensor: a Kinect v2's camera, range, noise, and missing readings at depth edges.
 #
-# Beside an edge, on the farther side, light of both surfaces mixes and the projector's is shaded, so the
-# reading is given up. What was measured is the missing fraction 1 to 8 px outside a hand's edge
-# (``MISSING_FRACTIONS``, hand.md). The fractions hold on average over all directions of an edge; where the
-# holes are is correlated: they come in patches, and more of them on the side where the projector casts its
-# shadow.
-
+# On the farther side of an edge, light of both surfaces mixes and the projector is shadowed, so the sensor
+# drops the reading. ``MISSING_FRACTIONS`` are measured fractions 1 to 8 px outside a hand's edge (hand.md),
+# averaged over all edge directions. Holes are correlated: they form patches, mostly on the side of the
+# projector's shadow.
 
 CAMERA = Camera(width=512, height=424, fx=365.0, fy=365.0, cx=255.5, cy=211.5, name="camera")
-"""A Kinect v2 with its principal point in the middle, so that a mirrored scene gives a mirrored image."""
+"""Kinect v2 with a central principal point, so that a mirrored scene gives a mirrored image."""
 
 RANGE_MM = (500.0, 4500.0)
-"""Nearest and farthest reading."""
+"""Measurement range."""
 
 NEAR_SD_MM, SD_PER_M2 = 0.96, 0.086
 CORNER_FACTOR = 2.5
 
 MISSING_FRACTIONS = (0.82, 0.65, 0.37, 0.30, 0.24, 0.21, 0.18, 0.16)
 REACH_PX = 12.0
-"""[ours]: beyond the measured 8 px the fraction falls linearly, to none at this distance."""
+"""[ours] Beyond the measured 8 px the fraction falls linearly to 0 at this distance."""
 
 JUMP_MM = 40.0
-"""Smallest step of depth that is an edge."""
+"""Minimum depth step of an edge."""
 
 FULL_JUMP_MM = 200.0
-"""[ours]: the measured edges were steps of 300 mm and more. Beside a smaller step than this the holes reach
-less far: the distance counts FULL_JUMP_MM / step times. So fingers before the palm keep their rim."""
+"""[ours] Step of the edges that were measured, 300 mm and more, with a margin.
+
+At smaller steps, distances are scaled by FULL_JUMP_MM / step, so that fingers in front of the palm keep
+their rim.
+"""
 
 PATCH_PX = 2.5
 SHADOW_SHARE = 0.55
-"""Share of the variance that depends on the side of the edge; the rest is in patches."""
+"""Share of the variance due to the side of the edge; the rest is due to patches."""
 SHADOW_SIDE = -1.0
-"""Sign of the image's x direction in which the projector's shadow falls: to the left."""
+"""Image x direction of the projector's shadow: left."""
 
 
 def noise_sd(depth: Float32Array, camera: Camera) -> Float32Array:
     """Return the standard deviation of the readings of a depth image (height, width), mm.
 
     sd(z, r) = (0.96 + 0.086 z^2) (1 + 1.5 r^2), z in metres, r the distance from the principal point
-    relative to the farthest corner's. [ours], fitted to what was measured on a Kinect v2 (hand.md): 1.5 mm
-    at the centre and 3 to 4.5 mm in the corners at 2.2 to 3 m. At 0.65 m it is 1 mm.
+    relative to the farthest corner's. [ours], fitted to measurements of a Kinect v2 (hand.md).
     """
     metres = depth * np.float32(1e-3)
     near = np.float32(NEAR_SD_MM) + np.float32(SD_PER_M2) * metres * metres
@@ -195,12 +194,12 @@ def noise_sd(depth: Float32Array, camera: Camera) -> Float32Array:
 
 
 def noisy(depth: Float32Array, camera: Camera, rng: np.random.Generator) -> Float32Array:
-    """Return the readings (height, width) of a depth image: noise added, out of range missing, mm.
+    """Return the readings (height, width), mm, of a depth image: with noise, 0 outside the range.
 
     Args:
-        depth: mm, 0 where there is nothing.
-        camera: whose image it is.
-        rng: draws one number a pixel.
+        depth: mm, 0 where empty.
+        camera: camera of the image.
+        rng: draws one number per pixel.
     """
     noise = rng.standard_normal(depth.shape, dtype=np.float32)
     readings = depth + noise * noise_sd(depth, camera)
@@ -210,7 +209,7 @@ def noisy(depth: Float32Array, camera: Camera, rng: np.random.Generator) -> Floa
 
 
 def quantised(depth: Float32Array) -> ImageArray:
-    """Return the depth as the sensor stores it: (height, width) uint16, whole millimetres."""
+    """Return depth in the sensor's format: (height, width) uint16, whole millimetres."""
     return np.rint(depth).astype(np.uint16)
 
 
@@ -225,17 +224,17 @@ def _radial_factor(camera: Camera) -> Float32Array:
 def missing_beside_edges(
     depth: Float32Array, rng: np.random.Generator, *, mirrored: bool = False
 ) -> BoolArray:
-    """Return which readings (height, width) of a depth image are missing beside its edges.
+    """Draw the missing readings (height, width) at depth edges.
 
     A pixel at distance x from the nearest edge is missing where U < f(x): f interpolates the measured
-    fractions and U is uniform, U = F(g), with g = a sqrt(2) s cos(direction) + sqrt(1 - a^2) n, n a smooth
-    Gaussian field of patches, the direction that from the edge to the pixel and F the distribution of g
-    over all directions.
+    fractions, and U = F(g) is uniform, with g = a sqrt(2) s cos(direction) + sqrt(1 - a^2) n, n a smooth
+    Gaussian field of patches, the direction from edge to pixel, and F the distribution of g over all
+    directions.
 
     Args:
-        depth: mm, 0 where there is nothing.
-        rng: draws one number a pixel.
-        mirrored: whether the sensor's projector is on the other side.
+        depth: mm, 0 where empty.
+        rng: draws one number per pixel.
+        mirrored: whether the projector is on the other side.
     """
     patches = _patches(depth.shape, rng)
     rows, columns, distance, cosine = _band(depth)
@@ -249,17 +248,17 @@ def missing_beside_edges(
 
 
 def missing_fraction(distance: FloatArray) -> FloatArray:
-    """Return the fraction of missing readings at a distance from an edge, px; 1 is the first pixel."""
+    """Return the fraction of missing readings at a distance from an edge, px, counted from 1."""
     count = len(MISSING_FRACTIONS)
     return np.interp(distance, [*range(1, count + 1), REACH_PX], [*MISSING_FRACTIONS, 0.0])
 
 
 def _band(depth: Float32Array) -> tuple[ImageArray, ImageArray, FloatArray, FloatArray]:
-    """The pixels on the farther side of edges, as far as holes may reach.
+    """Return the pixels on the farther side of edges, within the reach of holes.
 
     Returns:
-        (P,) rows, columns, distance from the nearest edge as far as it counts, px, and the cosine of the
-        direction from that edge to the pixel with the image's x axis.
+        (P,) rows, columns, effective distance from the nearest edge, px, and the cosine of the angle
+        between the image's x axis and the direction from edge to pixel.
     """
     import cv2
 
@@ -283,7 +282,7 @@ def _band(depth: Float32Array) -> tuple[ImageArray, ImageArray, FloatArray, Floa
 
 
 def _nearer_side(depth: Float32Array) -> BoolArray:
-    """The pixels (height, width) with a neighbour that is farther by a jump."""
+    """Return the pixels (height, width) with a neighbour that is farther by at least a jump."""
     edge = np.zeros(depth.shape, dtype=np.bool_)
     across, down = np.diff(depth, axis=1), np.diff(depth, axis=0)
     edge[:, :-1] |= across > JUMP_MM
@@ -294,7 +293,7 @@ def _nearer_side(depth: Float32Array) -> BoolArray:
 
 
 def _patches(shape: tuple[int, ...], rng: np.random.Generator) -> Float32Array:
-    """A Gaussian field of unit variance, smooth over some pixels."""
+    """Return a Gaussian field of unit variance, smooth over some pixels."""
     import cv2
 
     size = 2 * round(3.0 * PATCH_PX) + 1
@@ -312,7 +311,7 @@ def _uniform_of(field: FloatArray) -> FloatArray:
 
 @functools.cache
 def _distribution() -> tuple[FloatArray, FloatArray]:
-    """F(g) of the field over all directions and patches, tabulated: F(g) = mean of Phi over the circle."""
+    """Return tabulated F(g) over all directions and patches: the mean of Phi over the circle."""
     from scipy.special import ndtr
 
     grid = np.linspace(-6.0, 6.0, 601)
@@ -322,23 +321,22 @@ def _distribution() -> tuple[FloatArray, FloatArray]:
     return grid, probability
 
 
-# The frames of a synthetic recording, one after the other
-
+# Frames
 
 SUBJECT = Subject("hand", CAMERA.name, ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS)
 
 
 @dataclass(frozen=True, eq=False)
 class SyntheticHandFrame:
-    """One frame, and the truth about it.
+    """One frame with its ground truth.
 
     Attributes:
-        index: position among the frames that are there, from 0.
-        instant: position among the instants, from 0, the dropped ones included.
-        stamp_ns: when it was taken, integer nanoseconds; the truth is of the same time.
+        index: position among the existing frames, from 0.
+        instant: position among all instants including dropped ones, from 0.
+        stamp_ns: time of frame and truth, integer nanoseconds.
         depth: (424, 512) uint16, mm, 0 = no reading.
         pose: (22,) of the hand, camera axes.
-        twist: (21,) velocity in the tangent space, per second; None for a motion that has none (A).
+        twist: (21,) velocity in the tangent space, per second; None for a motion without velocity (A).
         joints: (21, 3) mm, camera axes, in the order of ``JOINT_NAMES``.
     """
 
@@ -351,7 +349,7 @@ class SyntheticHandFrame:
     joints: FloatArray
 
     def truth(self) -> Estimate:
-        """The truth as an estimate; it has no velocity where the motion has none."""
+        """Return the ground truth as an estimate, without velocity if the motion has none."""
         none = np.zeros(TANGENT_SIZE)
         return Estimate(
             frame_index=self.index,
@@ -371,20 +369,20 @@ class SyntheticHandFrame:
         )
 
     def joint_states(self) -> messages.JointStates:
-        """The angles of the fingers."""
+        """Return the finger angles."""
         return messages.joint_states(self.truth(), SUBJECT)
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Everything about a synthetic recording but its images.
+    """Synthetic recording without its images.
 
     Attributes:
-        options: that it was made of.
+        options: options of the recording.
         hand: bones and skin.
-        timeline: its instants.
+        timeline: instants.
         motion: poses and velocities at every instant.
-        rng: of the sensor's noise, unused yet.
+        rng: random stream of the sensor noise, unused so far.
     """
 
     options: SynthOptions
@@ -395,24 +393,24 @@ class Plan:
 
     @property
     def anatomy(self) -> HandAnatomy:
-        """The hand's bones."""
+        """Bones of the hand."""
         return self.hand.anatomy
 
     @property
     def written(self) -> BoolArray:
-        """(T,) which instants give a frame."""
+        """(T,) whether an instant has a frame."""
         return ~self.timeline.dropped
 
 
 def make_plan(options: SynthOptions, noise: WalkNoise | None = None) -> Plan:
-    """Draw instants and motion of a recording; each has a random stream of its own, as has the sensor.
+    """Draw instants and motion of a recording, each from its own random stream.
 
-    So switches of the sensor change no pose, and the motion of a seed is the same with and without
+    Sensor switches therefore do not change poses, and the motion of a seed is the same with and without
     dropped frames.
 
     Args:
-        options: of the recording.
-        noise: of the random walks A and B.
+        options: options of the recording.
+        noise: noise of the random walks A and B.
     """
     timing, moving, sensing = np.random.default_rng(options.seed).spawn(3)
     switches = options.switches
@@ -429,18 +427,18 @@ def synthesise(
     """Yield the frames of a synthetic recording; the camera is ``CAMERA``.
 
     Args:
-        options: of the recording.
-        noise: of the random walks A and B.
-        device: draws the frames; by default one is opened, and closed at the end.
+        options: options of the recording.
+        noise: noise of the random walks A and B.
+        device: rendering device; by default one is opened, and closed at the end.
 
     Raises:
-        RenderingError: nothing can be drawn here.
+        RenderingError: no working renderer.
     """
     yield from render_plan(make_plan(options, noise), device=device)
 
 
 def render_plan(plan: Plan, *, device: RenderingDevice | None = None) -> Iterator[SyntheticHandFrame]:
-    """Yield the frames of a plan; as ``synthesise``."""
+    """Yield the frames of a plan; see ``synthesise``."""
     with device_or_default(device) as drawing:
         yield from _frames(plan, drawing)
 
@@ -463,7 +461,7 @@ def _frames(plan: Plan, device: RenderingDevice) -> Iterator[SyntheticHandFrame]
 
 
 class _Sensor:
-    """Draws the scene and reads it as a Kinect would."""
+    """Renders the scene and simulates a Kinect's readings."""
 
     def __init__(self, plan: Plan, device: RenderingDevice) -> None:
         self._switches, self._rng = plan.options.switches, plan.rng
@@ -476,7 +474,7 @@ class _Sensor:
         self._room = room[:, ::-1] if self._mirrored else room
 
     def image(self, pose: FloatArray, seconds: float) -> ImageArray:
-        """The readings (height, width) uint16, mm."""
+        """Return the readings (height, width) uint16, mm."""
         depth = self._ideal(pose, seconds)
         readings = noisy(depth, CAMERA, self._rng) if self._switches.noise else depth.copy()
         if self._switches.edges:
@@ -484,7 +482,7 @@ class _Sensor:
         return quantised(readings)
 
     def _ideal(self, pose: FloatArray, seconds: float) -> Float32Array:
-        """The depth (height, width) that a perfect sensor would see, mm, 0 where there is nothing."""
+        """Return the ideal depth (height, width), mm, 0 where empty."""
         transforms = self._scene.transforms(pose, seconds)
         drawn: Float32Array = self._renderer.depth(transforms, CAMERA, self._window)[0]
         if not self._switches.background:
@@ -492,11 +490,10 @@ class _Sensor:
         return np.where(drawn > 0.0, np.minimum(drawn, self._room), self._room)
 
 
-# Write a synthetic recording of a hand with its truth to an MCAP file
-
+# MCAP file
 
 PNG_LEVEL = 1
-"""Noise does not compress: level 9 takes ten times as long for some per cent."""
+"""Noise hardly compresses: level 9 is ten times slower for a few per cent."""
 
 Report = Callable[[SyntheticHandFrame], None]
 
@@ -509,23 +506,23 @@ def write_synthetic(
     noise: WalkNoise | None = None,
     report: Report = lambda frame: None,
 ) -> Synthesis:
-    """Write a synthetic recording; the same options give the same bytes on the same machine.
+    """Write a synthetic recording; equal options give equal bytes on the same machine.
 
-    The depth is 16-bit PNG (foxglove.CompressedImage) on ``/camera/depth/image``, the truth lies on
-    ``/truth/hand/...``, the options are in the metadata ``posetrack.synth``. The file is written as
-    ``out`` + ``.part`` and renamed when it is complete.
+    Depth is 16-bit PNG (foxglove.CompressedImage) on ``/camera/depth/image``, ground truth is on
+    ``/truth/hand/...``, and the options are in the metadata ``posetrack.synth``. The file is written as
+    ``out`` + ``.part`` and renamed when complete.
 
     Args:
-        options: of the recording.
-        out: the file, named ``*.mcap``.
+        options: options of the recording.
+        out: output file, named ``*.mcap``.
         overwrite: whether ``out`` may be replaced.
-        noise: of the random walks A and B.
-        report: called with every frame that is written.
+        noise: noise of the random walks A and B.
+        report: called with every written frame.
 
     Raises:
-        UsageError: ``out`` exists and may not be replaced, or is not named as an MCAP file.
+        UsageError: ``out`` exists and may not be replaced, or does not end in ``.mcap``.
         ResultError: the file cannot be written.
-        RenderingError: there is no working GL.
+        RenderingError: no working GL.
     """
     check_output(out, overwrite=overwrite)
     noise = noise or WalkNoise()
@@ -539,7 +536,7 @@ def write_synthetic(
 
 
 def _facts(plan: Plan, noise: WalkNoise) -> dict[str, str]:
-    """What the metadata tells beside the options."""
+    """Return further metadata entries."""
     options = plan.options
     facts = {
         "frames_written": str(int(plan.written.sum())),
@@ -559,7 +556,7 @@ def _facts(plan: Plan, noise: WalkNoise) -> dict[str, str]:
 
 
 class _Channels:
-    """Puts a recording's calibration, images and truth on their topics."""
+    """Writer of calibration, images and truth."""
 
     def __init__(self, sink: McapSink, first_ns: int) -> None:
         self._sink = sink
@@ -570,7 +567,7 @@ class _Channels:
         sink.write(calibrations, first_ns, serialised(calibration))
 
     def write(self, frame: SyntheticHandFrame) -> None:
-        """Write one frame and the truth about it."""
+        """Write one frame and its ground truth."""
         image = encode_png(frame.depth, PNG_LEVEL)
         message = CompressedImage(frame_id=CAMERA.name, format="png", data=image)
         message.timestamp.FromNanoseconds(frame.stamp_ns)

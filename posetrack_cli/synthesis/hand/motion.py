@@ -1,4 +1,4 @@
-"""How a hand moves: random walks of pose and velocity (A, B), natural motion (C)."""
+"""Hand motion: random walks of pose and velocity (A, B), natural motion (C)."""
 
 from __future__ import annotations
 
@@ -22,28 +22,27 @@ from posetrack_cli.hand.model.kinematics import mirrored_poses
 from posetrack_cli.synthesis.hand.options import SynthOptions
 from posetrack_cli.synthesis.hand.shapes import SHAPES, THUMB_ACROSS, coupled, minimum_jerk, varied
 
-# The motion of a synthetic recording: poses at its instants, and velocities where there are any
-
+# Motion of a recording: poses, and velocities if defined
 
 _MIRRORED_TWIST = np.r_[-1.0, 1.0, 1.0, 1.0, -1.0, -1.0, np.ones(15)]
 
 
 @dataclass(frozen=True)
 class Motion:
-    """How a hand moves.
+    """Motion of a hand.
 
     Attributes:
         poses: (T, 22).
-        twists: (T, 21) velocities in the tangent space, per second; None for a walk that has none.
+        twists: (T, 21) velocities in the tangent space, per second; None for a walk without velocity.
     """
 
     poses: FloatArray
     twists: FloatArray | None
 
     def mirrored(self) -> Motion:
-        """The motion of the other hand, seen in a mirror x -> -x.
+        """Return the motion of the other hand, mirrored by x -> -x.
 
-        A rotation vector is axial: its component along the mirror's normal stays, the others turn.
+        Rotation vectors are axial: the component along the mirror's normal is kept, the others change sign.
         """
         twists = None if self.twists is None else self.twists * _MIRRORED_TWIST
         return Motion(mirrored_poses(self.poses), twists)
@@ -52,13 +51,13 @@ class Motion:
 def make_motion(
     options: SynthOptions, seconds: FloatArray, rng: np.random.Generator, noise: WalkNoise | None = None
 ) -> Motion:
-    """Return the motion that the options ask for, at instants (T,) since the first frame.
+    """Draw the motion at instants (T,) since the first frame.
 
     Args:
-        options: motion, speed, side and scale are read.
-        seconds: (T,) increasing, the first is 0.
-        rng: of the motion only.
-        noise: of the walks A and B.
+        options: motion, speed, side and scale are used.
+        seconds: (T,) increasing, starting at 0.
+        rng: random stream of the motion.
+        noise: noise of the walks A and B.
     """
     motion = _right_motion(options, seconds, rng, noise or WalkNoise())
     return motion.mirrored() if options.side == "left" else motion
@@ -85,30 +84,29 @@ def _walk_start(scale: float) -> FloatArray:
     return pose
 
 
-# The paper's synthetic motions: a random walk of the pose (A) and of pose and velocity (B).
+# The paper's synthetic motions: random walks of the pose (A) and of pose and velocity (B).
 #
-# Both stay within a region: joint limits, a box before the camera, a cone of orientations. Motions that would
-# leave are reflected. Angles and positions fold back at the border like light at a mirror; an orientation
-# beyond the cone folds back along its own rotation axis.
-
+# Both are confined to a region: joint limits, a box in front of the camera, a cone of orientations. Angles
+# and positions are reflected at its border, orientations along their rotation axis.
 
 _D = float(np.pi / 180.0)
 _ABDUCTIONS = np.array([name.endswith("abduction") for name in ANGLE_NAMES])
 
 START_Z_MM = 650.0
 PALM_CENTRE_MM = 55.0
-"""How far the middle of an average palm lies above the wrist, mm."""
+"""Distance from the wrist to the centre of an average palm, mm."""
 
 
 @dataclass(frozen=True)
 class Densities:
     """Square roots of the diagonal of a noise density Q, in the tangent space.
 
+    The unit of time is sqrt(s) for Q^n and s sqrt(s) for Q^l.
+
     Attributes:
         position: mm per unit.
         rotation: rad per unit.
-        flexion, abduction: of the finger angles, rad per unit.
-            The unit is sqrt(s) for Q^n and s sqrt(s) for Q^l.
+        flexion, abduction: finger angles, rad per unit.
     """
 
     position: float
@@ -117,7 +115,7 @@ class Densities:
     abduction: float
 
     def vector(self) -> FloatArray:
-        """(21,) sqrt(diag Q)."""
+        """Return sqrt(diag Q), (21,)."""
         sd = np.empty(TANGENT_SIZE)
         sd[:3], sd[3:6] = self.position, self.rotation
         sd[TANGENT_ANGLES] = np.where(_ABDUCTIONS, self.abduction, self.flexion)
@@ -126,10 +124,10 @@ class Densities:
 
 @dataclass(frozen=True)
 class WalkNoise:
-    """The noise of eqs. (66) and (67). The paper prints no values; these are [ours].
+    """Noise of eqs. (66) and (67). The paper gives no values; these are [ours].
 
-    A moves per frame at 30 Hz by the median of real motion: 4 mm, 2.8 deg, MCP and PIP 2.5 deg. B
-    reaches that after about three seconds, for its velocity starts at zero and is a random walk too.
+    At 30 Hz, A moves per frame by the median of real motion: 4 mm, 2.8 deg, MCP and PIP 2.5 deg. B reaches
+    this after about three seconds, as its velocity starts at zero and is a random walk.
 
     Attributes:
         walk: sqrt(Q^n) of motion A.
@@ -143,7 +141,7 @@ class WalkNoise:
 
 
 def retracted(pose: FloatArray, tangent: FloatArray) -> FloatArray:
-    """Return pose (+) tangent, (22,) and (21,): the rotation is turned in the body's frame."""
+    """Return pose (+) tangent, (22,) and (21,), with the rotation in the body frame."""
     moved = np.empty_like(pose)
     moved[:3] = pose[:3] + tangent[:3]
     moved[3:7] = rotations.canonical(rotations.multiply(pose[3:7], rotations.exponential(tangent[3:6])))
@@ -154,14 +152,14 @@ def retracted(pose: FloatArray, tangent: FloatArray) -> FloatArray:
 def pose_walk(
     start: FloatArray, seconds: FloatArray, density: FloatArray, region: Region, rng: np.random.Generator
 ) -> FloatArray:
-    """Motion A: x_t = x_{t-1} (+) w, w ~ N(0, dt Q^n), reflected at the region's border (66).
+    """Return motion A: x_t = x_{t-1} (+) w, w ~ N(0, dt Q^n), reflected at the region's border (66).
 
     Args:
         start: (22,) first pose.
         seconds: (T,) instants.
         density: (21,) sqrt(diag Q^n).
-        region: where the hand may be.
-        rng: draws 21 numbers a step.
+        region: limits of the pose.
+        rng: draws 21 numbers per step.
 
     Returns:
         (T, 22) poses. A random walk has no velocity.
@@ -182,7 +180,7 @@ def velocity_walk(
     region: Region,
     rng: np.random.Generator,
 ) -> tuple[FloatArray, FloatArray]:
-    """Motion B: x^n_t = x^n_{t-1} (+) (dt x^l_{t-1} + w^n), x^l_t = x^l_{t-1} + w^l (67).
+    """Return motion B: x^n_t = x^n_{t-1} (+) (dt x^l_{t-1} + w^n), x^l_t = x^l_{t-1} + w^l (67).
 
     At the region's border the pose is reflected and that component of the velocity reversed.
 
@@ -191,8 +189,8 @@ def velocity_walk(
         seconds: (T,) instants.
         pose_density: (21,) sqrt(diag Q^n).
         velocity_density: (21,) sqrt(diag Q^l).
-        region: where the hand may be.
-        rng: draws 42 numbers a step.
+        region: limits of the pose.
+        rng: draws 42 numbers per step.
 
     Returns:
         (T, 22) poses and (T, 21) velocities in the tangent space, per second.
@@ -208,7 +206,7 @@ def velocity_walk(
 
 
 def reflected(pose: FloatArray, twist: FloatArray, region: Region) -> tuple[FloatArray, FloatArray]:
-    """Return pose and velocity, reflected where the pose had left the region."""
+    """Return pose and velocity, reflected where the pose has left the region."""
     pose, twist = pose.copy(), twist.copy()
     pose[:3], sign = folded(pose[:3], region.low, region.high)
     twist[:3] *= sign
@@ -227,8 +225,8 @@ class Region:
 
     Attributes:
         low, high: (3,) corners of the box of wrist positions, mm.
-        cone: largest angle of the rotation from the rest orientation, rad.
-        margin: how far the finger angles stay inside the joint limits, rad.
+        cone: maximum rotation angle from the rest orientation, rad.
+        margin: margin of the finger angles to the joint limits, rad.
     """
 
     low: FloatArray
@@ -244,7 +242,7 @@ class Region:
 
 
 def start_pose(scale: float) -> FloatArray:
-    """Return the (22,) pose with the palm's middle on the principal axis, towards the sensor, straight."""
+    """Return the pose (22,) of a straight hand that faces the sensor, its palm on the principal axis."""
     pose = np.zeros(POSE_SIZE)
     pose[:3] = 0.0, PALM_CENTRE_MM * scale, START_Z_MM
     pose[6] = 1.0
@@ -254,7 +252,7 @@ def start_pose(scale: float) -> FloatArray:
 def walk_region(scale: float) -> Region:
     """Return the limits of the random walks: a box of 180 x 180 x 290 mm and 70 degrees.
 
-    An outstretched hand of any allowed scale stays inside a Kinect's image everywhere in it.
+    An outstretched hand of any allowed scale stays inside a Kinect's image within them.
     """
     centre = start_pose(scale)[:2]
     low = np.array([centre[0] - 90.0, centre[1] - 90.0, 560.0])
@@ -266,21 +264,21 @@ def folded(values: FloatArray, low: FloatArray, high: FloatArray) -> tuple[Float
     """Reflect values at both ends of an interval, as often as needed.
 
     Returns:
-        The values inside [low, high], and 1 or -1 where the direction of motion is kept or reversed.
+        The values in [low, high], and 1 or -1 where the direction of motion is kept or reversed.
     """
     width = high - low
     phase = np.mod(values - low, 2.0 * width)
     back = phase > width
     inside = low + np.where(back, 2.0 * width - phase, phase)
-    return np.clip(inside, low, high), np.where(back, -1.0, 1.0)  # clip: rounding may leave by an ulp
+    return np.clip(inside, low, high), np.where(back, -1.0, 1.0)  # clip removes rounding errors of an ulp
 
 
 def folded_rotation(quaternion: FloatArray, cone: float) -> tuple[FloatArray, FloatArray | None]:
     """Reflect a rotation (4,) at the border of the cone.
 
     Returns:
-        The quaternion inside, and the unit rotation axis (3,) if it was outside, else None. Along that
-        axis, and only there, the angular velocity changes the angle: d|r|/dt = axis . omega.
+        The quaternion inside, and the unit rotation axis (3,) if it was outside, else None. Only the
+        angular velocity along that axis changes the angle: d|r|/dt = axis . omega.
     """
     vector = rotations.logarithm(quaternion)
     angle = float(np.linalg.norm(vector))
@@ -291,23 +289,25 @@ def folded_rotation(quaternion: FloatArray, cone: float) -> tuple[FloatArray, Fl
     return rotations.exponential(axis * inside), axis
 
 
-# Smooth natural motion (C): a script of hand shapes, turns, sweeps and waves, continuous in time.
+# Natural motion (C): a random script of hand shapes, turns, sweeps and waves, continuous in time.
 #
-# Every track runs through its targets by minimum-jerk moves, so position, velocity and acceleration are
-# continuous. A script is drawn from a random generator; it can then be asked for the pose at any time.
-
+# Tracks connect their targets by minimum-jerk moves, so position, velocity and acceleration are continuous.
+# The script gives the pose at any time.
 
 Interval: TypeAlias = tuple[float, float]
 
 _NATURAL_D = float(np.pi / 180.0)
 FIRST_HOLD_S = 0.5
 DIFFERENCE_S = 1e-5
-"""Half the step of the central difference, in the script's time. A move of length a in a time d has a jerk
-of at most 60 a / d^3, here 3e5 mm/s^3 and (with the couplings) 2e5 rad/s^3, so the error, step^2 / 6 times
-the jerk, is below 1e-5 mm/s and 4e-6 rad/s; rounding adds 1e-13 / step, less than that."""
+"""Half step of the central difference, in script time.
+
+A move of length a in time d has a jerk of at most 60 a / d^3, here 3e5 mm/s^3 and (with the couplings) 2e5
+rad/s^3. The error, step^2 / 6 times the jerk, is below 1e-5 mm/s and 4e-6 rad/s; rounding adds less, 1e-13
+/ step.
+"""
 
 BOX_MM = np.array([(-110.0, 110.0), (-65.0, 65.0), (-45.0, 120.0)])
-"""How far the wrist goes from its first place, x, y, z."""
+"""Range of the wrist relative to its start, x, y, z."""
 
 SHAPE_MOVE_S, SHAPE_HOLD_S = (0.25, 0.65), (0.0, 0.10)
 TRAVEL_MM_S, TRAVEL_S, TRAVEL_HOLD_S = (80.0, 330.0), (0.25, 1.5), (0.0, 0.30)
@@ -320,7 +320,7 @@ WAVE_EVERY_S, WAVE_S, WAVE_HZ, WAVE_RAD = (
 )
 SWAY_MM, SWAY_RAD, FINGER_SWAY_RAD, SWAY_HZ = 2.5, 1.0 * _NATURAL_D, 2.0 * _NATURAL_D, (0.4, 1.2)
 
-# How the hand is turned: share of the turns, then sd of pitch, yaw and roll, and size of the yaw (deg).
+# Hand orientations: share, sd of pitch, yaw and roll, range of additional yaw (deg).
 _TURNS = (
     (0.50, (7.0, 10.0, 9.0), (0.0, 0.0)),  # to the sensor
     (0.28, (8.0, 0.0, 8.0), (35.0, 65.0)),  # to the side
@@ -332,12 +332,12 @@ _MOST_TURNED = _NATURAL_D * np.array([28.0, 95.0, 45.0])  # pitch, yaw, roll
 
 @dataclass(frozen=True)
 class Track:
-    """Minimum-jerk moves from target to target: x(t) = a_k + (a_{k+1} - a_k) s((t - t_k) / d_k).
+    """Minimum-jerk moves between targets: x(t) = a_k + (a_{k+1} - a_k) s((t - t_k) / d_k).
 
     Attributes:
-        starts: (K,) when each move starts, s.
-        durations: (K,) how long it takes; it ends before the next starts.
-        targets: (K + 1, D) where the track rests before the first move and after each.
+        starts: (K,) start of each move, s.
+        durations: (K,) duration of each move, which ends before the next starts.
+        targets: (K + 1, D) resting values before the first move and after each.
     """
 
     starts: FloatArray
@@ -345,7 +345,7 @@ class Track:
     targets: FloatArray
 
     def __call__(self, times: FloatArray) -> FloatArray:
-        """The values at times (T,): (T, D)."""
+        """Return values (T, D) at times (T,)."""
         move = np.clip(np.searchsorted(self.starts, times, side="right") - 1, 0, len(self.starts) - 1)
         s = minimum_jerk((times - self.starts[move]) / self.durations[move])
         before, after = self.targets[move], self.targets[move + 1]
@@ -354,7 +354,7 @@ class Track:
 
 @dataclass(frozen=True)
 class Wave:
-    """An oscillation of the roll: amplitude times a smooth window of a sine.
+    """Oscillation of the roll: a sine in a smooth window.
 
     Attributes:
         start, duration: s.
@@ -368,7 +368,7 @@ class Wave:
     amplitude: float
 
     def __call__(self, times: FloatArray) -> FloatArray:
-        """The roll added at times (T,), rad."""
+        """Return the additional roll at times (T,), rad."""
         since = times - self.start
         ramp = 0.3 * self.duration
         window = minimum_jerk(since / ramp) * minimum_jerk((self.duration - since) / ramp)
@@ -377,16 +377,16 @@ class Wave:
 
 @dataclass(frozen=True)
 class NaturalMotion:
-    """A script of natural motion of a right hand.
+    """Script of natural motion of a right hand.
 
     Attributes:
         origin: (3,) first position of the wrist, mm.
         fingers: five tracks of three angles, thumb first, rad.
-        position: track of the wrist's way from the origin, mm.
+        position: track of the wrist's displacement, mm.
         turning: track of pitch, yaw, roll, rad.
         waves: oscillations of the roll.
         sway: (21, 3) amplitude, frequency (Hz) and phase of small sines added to position, turning and
-            finger angles: no hand is quite still.
+            finger angles, as no hand is completely still.
     """
 
     origin: FloatArray
@@ -397,10 +397,10 @@ class NaturalMotion:
     sway: FloatArray
 
     def poses(self, times: FloatArray) -> FloatArray:
-        """The poses (T, 22) at times (T,), s.
+        """Return poses (T, 22) at times (T,), s.
 
-        The rotation is R_z(roll) R_x(pitch) R_y(yaw): yaw turns the hand about its own length, as the
-        forearm does, pitch and roll are the wrist's.
+        The rotation is R_z(roll) R_x(pitch) R_y(yaw): yaw rotates the hand about its length, as the forearm
+        does; pitch and roll are the wrist's.
         """
         poses = np.empty((len(times), POSE_SIZE))
         amplitude, frequency, phase = self.sway.T
@@ -413,13 +413,13 @@ class NaturalMotion:
         return poses
 
     def twists(self, times: FloatArray) -> FloatArray:
-        """The velocities (T, 21) in the tangent space, per second, by central differences of ``poses``."""
+        """Return velocities (T, 21) in the tangent space, per second, by central differences of ``poses``."""
         before, after = self.poses(times - DIFFERENCE_S), self.poses(times + DIFFERENCE_S)
         return difference(before, after) / (2.0 * DIFFERENCE_S)
 
 
 def difference(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Return the tangent vectors second (-) first, (T, 22) twice -> (T, 21), in the first's body frame."""
+    """Return tangent vectors second (-) first (T, 21) of poses (T, 22), in the first's body frame."""
     tangent = np.empty((len(first), TANGENT_SIZE))
     tangent[:, :3] = second[:, :3] - first[:, :3]
     turn = rotations.multiply(rotations.conjugate(first[:, 3:7]), second[:, 3:7])
@@ -431,12 +431,12 @@ def difference(first: FloatArray, second: FloatArray) -> FloatArray:
 def natural_motion(duration_s: float, scale: float, rng: np.random.Generator) -> NaturalMotion:
     """Draw a script that lasts at least ``duration_s``.
 
-    It starts with half a second of an open hand before the sensor, its palm on the principal axis.
+    It starts with half a second of an open hand in front of the sensor, its palm on the principal axis.
 
     Args:
-        duration_s: how long, s, in the script's own time.
-        scale: of the hand.
-        rng: draws a prefix of the same script for a shorter duration, track by track.
+        duration_s: duration, s, in script time.
+        scale: scale of the hand.
+        rng: random generator; shorter durations give prefixes of the same script, track by track.
     """
     streams = rng.spawn(5)
     return NaturalMotion(
@@ -450,7 +450,7 @@ def natural_motion(duration_s: float, scale: float, rng: np.random.Generator) ->
 
 
 def _turned(turning: FloatArray) -> FloatArray:
-    """Quaternions (T, 4) of pitch, yaw, roll (T, 3)."""
+    """Return quaternions (T, 4) of pitch, yaw, roll (T, 3)."""
     pitch, yaw, roll = (rotations.exponential(turning[:, k, None] * np.eye(3)[k]) for k in range(3))
     return rotations.canonical(rotations.multiply(roll, rotations.multiply(pitch, yaw)))
 
@@ -475,9 +475,10 @@ def _finger_tracks(duration_s: float, rng: np.random.Generator) -> tuple[Track, 
 
 
 def _finger_windows(before: str, after: str, rng: np.random.Generator) -> FloatArray:
-    """Parts (5, 2) of a move in which each finger moves: slightly apart, and the thumb never in the way.
+    """Return the part (5, 2) of a move in which each finger moves, with slight random offsets.
 
-    A thumb that closes over the fingers comes last, one that lay over them goes first.
+    To keep the thumb out of the way, a thumb that closes over the fingers moves last, one that covers them
+    first.
     """
     windows = np.stack([rng.uniform(0.0, 0.15, 5), rng.uniform(0.85, 1.0, 5)], axis=1)
     if before in THUMB_ACROSS:
@@ -511,7 +512,7 @@ def _wandering(
     length: Interval,
     hold: Interval,
 ) -> Track:
-    """A track of three numbers from zero to drawn targets: mean speed, length (s) and hold (s) are drawn."""
+    """Draw a track of three numbers from zero, with random mean speeds, durations (s) and holds (s)."""
     t, targets = FIRST_HOLD_S, [np.zeros(3)]
     starts: list[float] = []
     durations: list[float] = []
@@ -525,7 +526,7 @@ def _wandering(
 
 
 def _drawn_turn(rng: np.random.Generator) -> FloatArray:
-    """Pitch, yaw, roll (3,), rad."""
+    """Draw pitch, yaw, roll (3,), rad."""
     shares = np.array([share for share, _, _ in _TURNS])
     _, spread, sideways = _TURNS[rng.choice(len(_TURNS), p=shares)]
     turn = _NATURAL_D * np.array(spread) * rng.standard_normal(3)

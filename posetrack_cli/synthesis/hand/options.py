@@ -1,4 +1,4 @@
-"""What a synthetic recording is made of."""
+"""Options of synthetic hand recordings."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from posetrack_cli.synthesis.recording import check_option
 MOTIONS = ("A", "B", "C")
 SIDES = ("right", "left")
 SCALES = (0.5, 1.5)
-"""Smallest and largest hand: within them the hand stays in the image wherever it may go."""
+"""Smallest and largest hand, which stay in the image throughout the motion region."""
 PROPORTIONS = (0.7, 1.4)
 PLACES = (0.5, 2.5)
 SPEEDS = (0.01, 100.0)
@@ -31,16 +31,16 @@ MOST_FRAMES = 1_000_000
 
 @dataclass(frozen=True)
 class Switches:
-    """What is added to the bare hand.
+    """Additions to the bare hand.
 
     Attributes:
-        noise: Gaussian noise of the readings, and readings out of the sensor's range missing.
-        edges: missing readings beside edges of depth.
+        noise: Gaussian noise, and missing readings outside the sensor's range.
+        edges: missing readings at depth edges.
         background: a room behind the hand.
-        body: torso and head behind the hand; the upper arm if the forearm is there too.
-        forearm: the forearm behind the wrist.
-        drops: frames that are missing.
-        late: frames that are taken late.
+        body: torso and head behind the hand; with ``forearm`` also the upper arm.
+        forearm: the forearm.
+        drops: missing frames.
+        late: late frames.
     """
 
     noise: bool = False
@@ -53,12 +53,12 @@ class Switches:
 
     @classmethod
     def all_on(cls) -> Switches:
-        """Everything a real recording has."""
+        """Return switches for a realistic recording."""
         return cls(**dict.fromkeys(SWITCH_NAMES, True))
 
     @classmethod
     def usual(cls, motion: str) -> Switches:
-        """Everything for the natural motion C, nothing for the paper's motions A and B."""
+        """Return the default: everything for natural motion C, nothing for the paper's motions A and B."""
         return cls.all_on() if motion == "C" else cls()
 
 
@@ -67,27 +67,26 @@ SWITCH_NAMES = tuple(switch.name for switch in fields(Switches))
 
 @dataclass(frozen=True)
 class SynthOptions:
-    """A synthetic recording: the same options give the same frames.
+    """Options of a synthetic recording; equal options give equal frames.
 
     Attributes:
-        motion: ``A`` pose random walk, eq. (66); ``B`` pose and velocity random walk, eq. (67);
-            ``C`` smooth natural motion.
-        frames: number of frame instants at the nominal rate, the dropped ones included.
-        seed: of everything random.
-        speed: of A and B a factor on the standard deviations of the noise; of C on the rate of time. 0.01 to
-            100.
+        motion: ``A`` pose random walk, eq. (66); ``B`` pose and velocity random walk, eq. (67); ``C``
+            smooth natural motion.
+        frames: number of instants at the nominal rate, including dropped frames.
+        seed: random seed.
+        speed: factor on the noise of A and B, or on the rate of time of C. 0.01 to 100.
         side: ``right`` or ``left``.
         scale: factor on the hand's lengths, 0.5 to 1.5.
-        finger_lengths, finger_widths, palm_width, palm_length, palm_thickness, wrist_width,
-            thumb_place: see ``HandShape``; each factor 0.7 to 1.4.
-        coefficients: see ``HandShape``; none beside a mesh.
+        finger_lengths, finger_widths, palm_width, palm_length, palm_thickness, wrist_width, thumb_place:
+            see ``HandShape``; each factor 0.7 to 1.4.
+        coefficients: see ``HandShape``; must be empty with ``mesh``.
         padding_mm: see ``HandShape``; 0 to 12.
-        mesh: GLB file of the hand; None is one of the population.
+        mesh: GLB file of the hand; None for a hand from the population model.
         fps: nominal frame rate, Hz.
-        switches: what is added to the bare hand.
+        switches: additions to the bare hand.
 
     Raises:
-        UsageError: a value that cannot be meant.
+        UsageError: invalid value.
     """
 
     motion: str = "C"
@@ -136,7 +135,7 @@ class SynthOptions:
         for value in self.coefficients:
             check_option("coefficients", f"{value:g}", abs(value) <= most, f"{-most:g} to {most:g}")
         alone = self.mesh is None or not self.coefficients
-        check_option("hand-mesh", self.mesh, alone, "no hand beside it that is drawn from the population")
+        check_option("hand-mesh", self.mesh, alone, "no shape coefficients together with a mesh")
 
     @property
     def shape(self) -> HandShape:
@@ -144,14 +143,14 @@ class SynthOptions:
         return HandShape(**{f.name: getattr(self, f.name) for f in fields(HandShape)})
 
     def hand(self) -> HandModel:
-        """The hand that is seen.
+        """Return the hand model.
 
         Raises:
-            UsageError: ``mesh`` is no hand that can be used.
+            UsageError: ``mesh`` is not a usable hand.
         """
         return hand_maker(self.mesh)(self.side, self.shape)
 
 
 def hand_of_seed(seed: int) -> HandShape:
-    """The random hand that belongs to a seed; its stream is none of those of motion and sensor."""
+    """Return the random hand of a seed, from a stream independent of motion and sensor."""
     return random_shape(np.random.default_rng(seed).spawn(4)[3])

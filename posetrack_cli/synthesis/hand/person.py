@@ -1,6 +1,6 @@
-"""The person behind the hand: forearm, upper arm, trunk and head, of a right hand.
+"""Person behind a right hand: forearm, upper arm, trunk and head.
 
-The person faces the sensor, so the right shoulder is on the image's left. Camera axes, mm.
+The person faces the sensor, so the right shoulder is on the left of the image. Camera axes, mm.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from posetrack_cli.rendering.mesh import SkinnedMesh
 FOREARM_MM = 255.0
 MOST_WRIST_BEND = np.deg2rad(60.0)
 WRIST_OFFSET_MM = 3.0
-"""Where the forearm begins, behind the wrist joint in hand coordinates: inside the hand's wrist cap."""
+"""Start of the forearm behind the wrist joint in hand coordinates, inside the hand's wrist cap."""
 
 ELBOW_MM = np.array([-60.0, 195.0, 890.0])
-"""Where the elbow tends to be while the wrist is at ``ELBOW_FOR_WRIST_MM``."""
+"""Elbow position for the wrist at ``ELBOW_FOR_WRIST_MM``."""
 ELBOW_FOR_WRIST_MM = np.array([0.0, 55.0, 650.0])
 ELBOW_FOLLOWS = 0.5
-"""Share of the wrist's way that the elbow goes along."""
+"""Share of the wrist's displacement that the elbow follows."""
 
 TRUNK_MM = np.array([115.0, 0.0, 1065.0])
 HEAD_MM = np.array([115.0, -125.0, 1030.0])
@@ -47,31 +47,30 @@ ROUNDING = 5  # rings of a rounded end
 
 
 def forearm_mesh(scale: float) -> SkinnedMesh:
-    """Two bones, from wrist to elbow; the near end has the wrist's width and thickness."""
+    """Return a mesh with two bones, wrist and elbow; the near end has the wrist's width and thickness."""
     return limb((29.0 * scale, 18.5 * scale), (43.0 * scale, 41.0 * scale), (0.6, 42.0 * scale, 37.0 * scale))
 
 
 def upper_arm_mesh(scale: float) -> SkinnedMesh:
-    """Two bones, from elbow to shoulder."""
+    """Return a mesh with two bones, elbow and shoulder."""
     return limb((45.0 * scale, 43.0 * scale), (62.0, 58.0))
 
 
 def trunk_mesh() -> SkinnedMesh:
-    """One bone: neck, shoulders and trunk down to below the image."""
+    """Return a mesh with one bone: neck, shoulders and trunk down to below the image."""
     return stacked(_TRUNK_RINGS)
 
 
 def head_mesh() -> SkinnedMesh:
-    """One bone."""
+    """Return a mesh with one bone."""
     return ellipsoid((76.0, 112.0, 95.0))
 
 
 def forearm_bones(pose: FloatArray, scale: float) -> FloatArray:
-    """Transforms (2, 3, 4) of the forearm's ends for a hand's pose (22,).
+    """Return transforms (2, 3, 4) of the forearm's ends for a hand pose (22,).
 
-    Straight behind the hand the forearm would run along the hand's +y, the elbow draws it aside. With b
-    the angle between both, the wrist bends by m tanh(b / m), m = 60 degrees: a little is followed, more
-    is not.
+    A straight wrist puts the forearm along the hand's +y; the elbow position bends it. With b the angle
+    between the two, the wrist bends by m tanh(b / m), m = 60 degrees.
     """
     hand = rotations.matrices_from_quaternions(pose[3:7])
     start = pose[:3] + hand[:, 1] * WRIST_OFFSET_MM * scale
@@ -82,20 +81,20 @@ def forearm_bones(pose: FloatArray, scale: float) -> FloatArray:
 
 
 def upper_arm_bones(elbow: FloatArray, seconds: float) -> FloatArray:
-    """Transforms (2, 3, 4) of the upper arm's ends."""
+    """Return transforms (2, 3, 4) of the upper arm's ends."""
     shoulder = SHOULDER_MM + body_sway(seconds)
     frame = _frame((shoulder - elbow) / np.linalg.norm(shoulder - elbow), np.array([1.0, 0.0, 0.0]))
     return np.stack([_transform(frame, elbow), _transform(frame, shoulder)])
 
 
 def body_bones(seconds: float) -> FloatArray:
-    """Transforms (2, 3, 4) of trunk and head, which sway a little."""
+    """Return transforms (2, 3, 4) of trunk and head, with a slight sway."""
     sway = body_sway(seconds)
     return np.stack([_transform(np.eye(3), TRUNK_MM + sway), _transform(np.eye(3), HEAD_MM + 1.5 * sway)])
 
 
 def body_sway(seconds: float) -> FloatArray:
-    """How far the trunk is from its place, mm."""
+    """Return the displacement of the trunk, mm."""
     phase = 2.0 * np.pi * SWAY_HZ * seconds
     return SWAY_MM * np.array([np.sin(phase), 0.0, 0.7 * np.sin(0.62 * phase + 1.0)])
 
@@ -106,7 +105,7 @@ def _elbow_for(wrist: FloatArray) -> FloatArray:
 
 
 def _bent(straight: FloatArray, towards: FloatArray) -> FloatArray:
-    """Turn a unit vector towards another vector, by the wrist's bend."""
+    """Rotate a unit vector towards another vector, within the wrist's range."""
     axis = np.cross(straight, towards)
     sine, cosine = float(np.linalg.norm(axis)), float(straight @ towards)
     if sine < 1e-9 * abs(cosine):
@@ -116,7 +115,7 @@ def _bent(straight: FloatArray, towards: FloatArray) -> FloatArray:
 
 
 def _frame(along: FloatArray, across: FloatArray) -> FloatArray:
-    """The rotation (3, 3) whose y axis is ``along`` and whose x axis is as near to ``across`` as can be."""
+    """Return the rotation (3, 3) with y axis ``along`` and x axis as close as possible to ``across``."""
     x = across - (across @ along) * along
     x /= np.linalg.norm(x)
     return np.stack([x, along, np.cross(x, along)], axis=1)
@@ -130,8 +129,8 @@ def stacked(rings: FloatArray, shares: FloatArray | None = None) -> SkinnedMesh:
     """Return the closed mesh through elliptic rings around the y axis.
 
     Args:
-        rings: (R, 3) height y, half width along x, half depth along z of each ring, mm, y not falling.
-            The first and the last are closed by flat fans.
+        rings: (R, 3) height y, half width along x, half depth along z of each ring, mm, y not decreasing.
+            Flat fans close the first and the last ring.
         shares: (R,) weight of bone 1 on each ring, the rest is bone 0's; None for one bone.
     """
     angles = np.arange(SIDES) * (2.0 * np.pi / SIDES)
@@ -143,7 +142,7 @@ def stacked(rings: FloatArray, shares: FloatArray | None = None) -> SkinnedMesh:
 
 
 def ellipsoid(half_axes: tuple[float, float, float]) -> SkinnedMesh:
-    """Return an ellipsoid around the origin, half axes along x, y, z, mm."""
+    """Return an ellipsoid around the origin with half axes along x, y, z, mm."""
     x, y, z = half_axes
     t = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 2 * ROUNDING + 5)[1:-1]
     return stacked(np.stack([y * np.sin(t), x * np.cos(t), z * np.cos(t)], axis=1))
@@ -152,13 +151,13 @@ def ellipsoid(half_axes: tuple[float, float, float]) -> SkinnedMesh:
 def limb(
     near: tuple[float, float], far: tuple[float, float], belly: tuple[float, float, float] | None = None
 ) -> SkinnedMesh:
-    """Return a tapered capsule that its two bones stretch: each end is rigid and at its bone's origin.
+    """Return a tapered capsule stretched by two bones; each end is rigid, at its bone's origin.
 
-    Bone 0 carries the near end, bone 1 the far end, which lies towards bone 0's +y.
+    Bone 0 moves the near end, bone 1 the far end, in direction of bone 0's +y.
 
     Args:
         near, far: half width (x) and half depth (z) of the ends, mm.
-        belly: share of the way, half width and half depth of one more ring between.
+        belly: position (0 to 1), half width and half depth of an additional ring in between.
     """
     t = np.linspace(0.0, 0.5 * np.pi, ROUNDING + 1)[1:]
     cap = np.stack([np.cos(t), np.sin(t), np.sin(t)], axis=1)
@@ -172,7 +171,7 @@ def limb(
 
 
 def _weights(shares: FloatArray | None, rings: int) -> FloatArray:
-    """(V, B) weights: the rings' vertices, then the two poles."""
+    """Return (V, B) weights of the rings' vertices, then the two poles."""
     if shares is None:
         return np.ones((rings * SIDES + 2, 1))
     of_vertex = np.r_[np.repeat(shares, SIDES), shares[0], shares[-1]]
@@ -180,7 +179,7 @@ def _weights(shares: FloatArray | None, rings: int) -> FloatArray:
 
 
 def _triangles(rings: int) -> IntArray:
-    """Triangles between the rings, and fans at the poles, counter-clockwise seen from outside."""
+    """Return triangles between the rings and fans at the poles, counter-clockwise from outside."""
     k = np.arange(SIDES)
     m = (k + 1) % SIDES
     first, last = rings * SIDES, rings * SIDES + 1

@@ -1,4 +1,4 @@
-"""Hand shapes that natural motion passes through, as finger angles."""
+"""Hand shapes of natural motion, as finger angles."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ _STRAIGHT_THUMB, _OUT_THUMB = (-5.0, 5.0, 0.0), (-18.0, 2.0, 6.0)
 _CURLED = (80.0, 0.0, 95.0)
 
 # Degrees: thumb (CMC flexion, MCP flexion, CMC abduction), then index, middle, ring, little
-# (MCP flexion, MCP abduction, PIP flexion). Thumbs that touch a finger were solved for with the average
-# anatomy, so that the skins meet and do not pass through each other.
+# (MCP flexion, MCP abduction, PIP flexion). Thumbs touching a finger were computed for the average anatomy,
+# so that the surfaces touch without intersecting.
 _DEGREES: dict[str, tuple[tuple[float, float, float], ...]] = {
     "open": (_STRAIGHT_THUMB, (3.0, 5.0, 5.0), (3.0, 0.0, 5.0), (3.0, -4.0, 5.0), (4.0, -8.0, 6.0)),
     "spread": (_OUT_THUMB, (-3.0, 15.0, 4.0), (-2.0, 2.0, 4.0), (-3.0, -10.0, 4.0), (-4.0, -22.0, 4.0)),
@@ -48,32 +48,32 @@ _DEGREES: dict[str, tuple[tuple[float, float, float], ...]] = {
     "claw": ((5.0, 25.0, 0.0), (8.0, 6.0, 62.0), (8.0, 0.0, 64.0), (8.0, -5.0, 64.0), (8.0, -10.0, 60.0)),
 }
 THUMB_ACROSS = frozenset({"fist", "one", "two", "three", "four", "point"})
-"""Shapes whose thumb lies before the palm or the fingers, in the way of fingers that move."""
+"""Shapes with the thumb in front of palm or fingers, where it obstructs moving fingers."""
 
 SHAPES: dict[str, FloatArray] = {name: _D * np.ravel(rows) for name, rows in _DEGREES.items()}
-"""(15,) finger angles of each shape, rad; all of them inside the joint limits."""
+"""(15,) finger angles of each shape, rad, all within the joint limits."""
 
 LIMIT_MARGIN = 2.5 * _D
-"""How far the shapes of natural motion stay inside the joint limits, rad: room for the fingers' sway."""
+"""Margin to the joint limits, rad, which leaves room for the fingers' sway."""
 
 FREE_FLEXION, STIFF_FLEXION = 5.0 * _D, 40.0 * _D
-"""MCP flexion up to which a finger abducts freely, and from which on not at all, rad."""
+"""MCP flexion below which a finger abducts freely, and above which not at all, rad."""
 
 _ABDUCTIONS = np.array([k for k, name in enumerate(ANGLE_NAMES) if k > 2 and name.endswith("abduction")])
 
 
 def varied(shape: str, rng: np.random.Generator, sd: float = 3.0 * _D) -> FloatArray:
-    """Return a shape's (15,) angles with Gaussian variation, inside the joint limits, rad."""
+    """Return a shape's angles (15,), rad, with Gaussian variation, within the joint limits."""
     low, high = ANGLE_LIMITS.T
     angles = SHAPES[shape] + sd * rng.standard_normal(len(ANGLE_NAMES))
     return np.clip(angles, low + LIMIT_MARGIN, high - LIMIT_MARGIN)
 
 
 def coupled(angles: FloatArray) -> FloatArray:
-    """Take back the fingers' abduction as they bend: (T, 15) -> (T, 15).
+    """Reduce the abduction of flexed fingers: (T, 15) -> (T, 15).
 
-    Abduction is multiplied by 1 - s(x), s the minimum-jerk step and x running from 0 at 5 degrees of
-    MCP flexion to 1 at 40. A bent finger cannot be spread: its collateral ligaments are taut.
+    Abduction is multiplied by 1 - s(x), with s the minimum-jerk step and x from 0 at 5 degrees of MCP
+    flexion to 1 at 40. Flexed fingers cannot be spread, as their collateral ligaments are taut.
     """
     out = angles.copy()
     bent = (angles[:, _ABDUCTIONS - 1] - FREE_FLEXION) / (STIFF_FLEXION - FREE_FLEXION)
@@ -82,12 +82,15 @@ def coupled(angles: FloatArray) -> FloatArray:
 
 
 def minimum_jerk(x: FloatArray) -> FloatArray:
-    """The step s(x) = 10 x^3 - 15 x^4 + 6 x^5 on [0, 1] of least jerk (Flash and Hogan 1985), clipped."""
+    """Return the minimum-jerk step of x clipped to [0, 1] (Flash and Hogan 1985).
+
+    s(x) = 10 x^3 - 15 x^4 + 6 x^5.
+    """
     x = np.clip(x, 0.0, 1.0)
     return x * x * x * (10.0 - x * (15.0 - 6.0 * x))
 
 
 def inside_limits(angles: FloatArray) -> BoolArray:
-    """Whether each row of (T, 15) angles keeps all joint limits: (T,)."""
+    """Return (T,) whether each row of angles (T, 15) is within the joint limits."""
     low, high = ANGLE_LIMITS.T
     return np.asarray(((angles >= low) & (angles <= high)).all(axis=1))

@@ -1,4 +1,4 @@
-"""The head's form: a grid of vertices, its relief."""
+"""Geometry of the head: profile, relief, vertex grid."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ import numpy as np
 from posetrack_cli.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from posetrack_cli.head.face.points import MEAN_SHAPE
 
-# Smooth steps, curves and fields: what a head, its motion and its light are made of
+# Smooth steps, curves and fields
 
 
 def smooth_step(s: FloatArray) -> FloatArray:
-    """Return 3 s^2 - 2 s^3 of s (...) clipped to [0, 1]: from 0 to 1, level at both ends."""
+    """Return 3 s^2 - 2 s^3 of s (...) clipped to [0, 1]: from 0 to 1 with zero slope at both ends."""
     t = np.clip(s, 0.0, 1.0)
     step: FloatArray = t * t * (3.0 - 2.0 * t)
     return step
@@ -24,13 +24,12 @@ def smooth_step(s: FloatArray) -> FloatArray:
 def smooth_field(
     shape: tuple[int, int], grain_px: float | tuple[float, float], rng: np.random.Generator
 ) -> Float32Array:
-    """Return a field (height, width) of mean 0 and deviation 1 whose blobs are about ``grain_px`` in size.
+    """Return a random field (height, width) with mean 0, deviation 1 and blobs of about ``grain_px``.
 
     Args:
         shape: height and width.
-        grain_px: distance of the independent values between which the field is interpolated; of rows and
-            columns, where two are given.
-        rng: draws one number a grain.
+        grain_px: spacing of the independent values that are interpolated; one value, or (rows, columns).
+        rng: draws one number per grain.
     """
     down, across = grain_px if isinstance(grain_px, tuple) else (grain_px, grain_px)
     coarse = (int(np.ceil(shape[0] / down)) + 3, int(np.ceil(shape[1] / across)) + 3)
@@ -45,7 +44,7 @@ def smooth_field(
 def layered_field(
     shape: tuple[int, int], grains_px: tuple[float, ...], rng: np.random.Generator
 ) -> Float32Array:
-    """Return the mean-free sum of smooth fields of several grains, deviation 1; coarse grains weigh most."""
+    """Return the sum of smooth fields of several grains, mean 0, deviation 1; coarse grains dominate."""
     total = np.zeros(shape, dtype=np.float32)
     for grain in grains_px:
         total += np.sqrt(np.float32(grain)) * smooth_field(shape, grain, rng)
@@ -54,13 +53,13 @@ def layered_field(
 
 
 class Displacements:
-    """The field d(x) = sum_i w_i k(|x - x_i|) that takes given values at given places, and fades elsewhere.
+    """Field d(x) = sum_i w_i k(|x - x_i|) that interpolates given values and fades elsewhere.
 
-    k(r) = (1 + s) exp(-s), s = sqrt(3) r / reach: Matern's kernel of smoothness 3/2. It overshoots less
-    than a Gaussian where two places lie close together.
+    k(r) = (1 + s) exp(-s), s = sqrt(3) r / reach: Matern kernel of smoothness 3/2. It overshoots less than
+    a Gaussian between close places.
 
     Args:
-        places: (n, D) all different.
+        places: (n, D) distinct places.
         values: (n, C) of the field there.
         reach: length over which it fades.
     """
@@ -70,7 +69,7 @@ class Displacements:
         self._weights = np.linalg.solve(self._kernel(places), values)
 
     def __call__(self, at: FloatArray) -> FloatArray:
-        """The field (..., C) at places (..., D)."""
+        """Return the field (..., C) at places (..., D)."""
         flat = at.reshape(-1, at.shape[-1])
         values: FloatArray = self._kernel(flat) @ self._weights
         return values.reshape(*at.shape[:-1], -1)
@@ -83,20 +82,20 @@ class Displacements:
 
 
 MINIMUM_JERK_PEAK = 1.875
-"""Greatest speed of a minimum-jerk move of length 1 in time 1."""
+"""Maximum speed of a minimum-jerk move of length 1 in time 1."""
 
 
 def minimum_jerk(s: FloatArray) -> FloatArray:
     """Return 10 s^3 - 15 s^4 + 6 s^5 of s (...) clipped to [0, 1]: from 0 to 1, at rest at both ends."""
     s = np.clip(s, 0.0, 1.0)
-    # Hands have the same polynomial, whose cube is s s s: it differs in the last bit in one case of four, and
-    # so would the bytes of recordings that are made again of the same seed.
+    # The hand version computes the cube as s * s * s, which differs in the last bit; sharing one version
+    # would change the bytes of existing seeds.
     step: FloatArray = s**3 * (10.0 + s * (6.0 * s - 15.0))
     return step
 
 
 def pulse(times: FloatArray, start: float, rise: float, hold: float, fall: float) -> FloatArray:
-    """Return a pulse (T,) of height 1 that begins at ``start``: it rises, is held and falls, s each."""
+    """Return a pulse (T,) of height 1 that begins at ``start``; rise, hold and fall in seconds."""
     down = minimum_jerk((times - start - rise - hold) / fall)
     return minimum_jerk((times - start) / rise) - down
 
@@ -114,7 +113,7 @@ class Sway:
     phase: FloatArray
 
     def __call__(self, times: FloatArray) -> FloatArray:
-        """The values (T, D) at times (T,), s."""
+        """Return values (T, D) at times (T,), s."""
         angle = 2.0 * np.pi * self.frequency * times[:, None, None] + self.phase
         values: FloatArray = np.sum(self.amplitude * np.sin(angle), axis=-1)
         return values
@@ -123,31 +122,30 @@ class Sway:
 def random_sway(
     most: FloatArray, frequencies: tuple[float, float], rng: np.random.Generator, sines: int = 2
 ) -> Sway:
-    """Draw sums of sines that stay within ``most`` (D,), with frequencies from an interval, Hz."""
+    """Draw sums of sines within ``most`` (D,), with frequencies from an interval, Hz."""
     size = (len(most), sines)
     share = rng.uniform(0.5, 1.0, size)
     share /= share.sum(axis=1, keepdims=True)
     return Sway(most[:, None] * share, rng.uniform(*frequencies, size), rng.uniform(0.0, 2.0 * np.pi, size))
 
 
-# The form of an average head of our own making, its face and eyelids, in coordinates that every head shares.
+# Surface of an average head with face and eyelids, in coordinates shared by all heads.
 #
-# A place on it is an angle phi about the vertical axis (0 in front, positive to the subject's left) and a
-# level, which is the height y up to the forehead and goes on along the skull to its top. What is painted or
-# moved is said in the average head's own x and y, as seen from in front.
-
+# Surface coordinates are the angle phi about the vertical axis (0 in front, positive to the subject's left)
+# and a level, which is the height y up to the forehead and arc length along the skull above. Texture and
+# deformation are defined in the average head's x and y, seen from the front.
 
 AXIS_Z = -82.0
 """Depth of the vertical axis, mm: between the ears."""
 DOME, DOME_RADIUS = 60.0, 62.0
 TOP, BOTTOM = DOME + DOME_RADIUS * np.pi / 2.0, -210.0
-"""Levels of the top of the skull and of the neck's lower end, mm."""
+"""Levels of the top of the skull and of the lower end of the neck, mm."""
 MOUTH_Y = -68.7
 """Height of the line between the lips."""
 MOUTH_X = 25.4
-"""Half the distance between the mouth's corners."""
+"""Half the distance between the corners of the mouth."""
 
-# level: half width, front, back, mm, from a person's proportions; then how pointed the front is
+# level: half width, front, back, mm; then the exponent of the front (pointedness)
 _PROFILE = np.array(
     [
         (-210.0, 56.0, -24.0, -136.0, 1.0),
@@ -172,16 +170,16 @@ INNER, OUTER = MEAN_SHAPE[2, :2], MEAN_SHAPE[3, :2]
 """Corners of the left eye."""
 LENGTH = float(np.linalg.norm(OUTER - INNER))
 
-# forward displacement, mm; x (both sides), y of its middle; spreads across and up and down, mm
+# forward displacement, mm; x (both sides), y of the centre; horizontal and vertical spread, mm
 _BUMPS = (
     (-6.5, 30.0, 6.0, 13.0, 9.0),  # eye sockets
-    (-3.5, 15.0, 3.0, 4.5, 8.0),  # beside the nose's root
+    (-3.5, 15.0, 3.0, 4.5, 8.0),  # sides of the nasal root
     (4.0, 31.0, -0.5, 9.5, 6.0),  # eyeballs
     (3.5, 26.0, 24.0, 17.0, 6.0),  # brow ridges
     (5.5, 45.0, -26.0, 15.0, 13.0),  # cheekbones
     (-3.0, 46.0, -62.0, 13.0, 16.0),  # hollow of the cheeks
-    (3.0, 33.0, -58.0, 7.0, 10.0),  # beside the folds from nose to mouth
-    (-2.0, 27.5, -56.0, 3.5, 9.0),  # those folds
+    (3.0, 33.0, -58.0, 7.0, 10.0),  # next to the nasolabial folds
+    (-2.0, 27.5, -56.0, 3.5, 9.0),  # nasolabial folds
     (-3.0, 0.0, -86.0, 13.0, 5.0),  # under the lower lip
     (4.0, 0.0, -104.0, 13.0, 9.0),  # chin
     (-2.5, 56.0, 22.0, 9.0, 16.0),  # temples
@@ -199,12 +197,12 @@ def height(level: FloatArray) -> FloatArray:
 
 
 def half_width(level: FloatArray) -> FloatArray:
-    """Return half the head's width (...), mm, at a level."""
+    """Return half the width (...), mm, of the head at a level."""
     return _profile(level)[0]
 
 
 def smooth_head(phi: FloatArray, level: FloatArray) -> FloatArray:
-    """Return the places (..., 3), mm, of the head without a face: superellipses one above the other.
+    """Return points (..., 3), mm, of the head without facial relief: stacked superellipses.
 
     x = w sin phi; in front z = z_a + (front - z_a) cos^p phi, behind z_a - (z_a - back) |cos phi|.
     """
@@ -217,7 +215,7 @@ def smooth_head(phi: FloatArray, level: FloatArray) -> FloatArray:
 
 
 def angle_of(x: FloatArray, level: FloatArray) -> FloatArray:
-    """Return the angle phi, rad, of a place in front with this x, mm."""
+    """Return the angle phi, rad, of a frontal point with this x, mm."""
     angle: FloatArray = np.arcsin(np.clip(x / half_width(level), -1.0, 1.0))
     return angle
 
@@ -232,10 +230,10 @@ def _profile(level: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, Flo
 
 
 def along_and_above(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return where places lie on their side's eye: s, 0 at the inner corner, 1 at the outer, and mm above.
+    """Return eye coordinates: s, 0 at the inner and 1 at the outer corner, and mm above their line.
 
     Args:
-        x, y: (...) mm; the right eye is the left one's mirror image.
+        x, y: (...) mm; the right eye is mirrored to the left one.
     """
     axis = (OUTER - INNER) / LENGTH
     dx, dy = np.abs(x) - INNER[0], y - INNER[1]
@@ -243,12 +241,12 @@ def along_and_above(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArra
 
 
 class LidPlaces(NamedTuple):
-    """Where places lie at an eye, and the lids there.
+    """Eye coordinates of points, and the lids there.
 
     Attributes:
         s: (...) 0 at the inner corner, 1 at the outer.
         above: (...) mm above the line between the corners.
-        top, bottom: (...) edges of the upper and the lower lid, likewise.
+        top, bottom: (...) edges of the upper and lower lid, in the same unit.
     """
 
     s: FloatArray
@@ -258,14 +256,14 @@ class LidPlaces(NamedTuple):
 
 
 def upper_edge(s: FloatArray, most: float) -> FloatArray:
-    """Return the upper lid's height (...), mm above the line between the corners; 0 beyond them."""
+    """Return the height (...) of the upper lid's edge, mm above the line of the corners; 0 beyond them."""
     inside = np.clip(s, 0.0, 1.0)
     edge: FloatArray = most * (4.0 * inside * (1.0 - inside)) ** 0.75 * (1.06 - 0.12 * inside)
     return edge
 
 
 def lower_edge(s: FloatArray, most: float) -> FloatArray:
-    """Return the lower lid's height (...), mm, negative."""
+    """Return the height (...) of the lower lid's edge, mm, negative."""
     inside = np.clip(s, 0.0, 1.0)
     edge: FloatArray = -most * (4.0 * inside * (1.0 - inside)) ** 0.85 * (0.92 + 0.16 * inside)
     return edge
@@ -273,10 +271,10 @@ def lower_edge(s: FloatArray, most: float) -> FloatArray:
 
 @dataclass(frozen=True)
 class Relief:
-    """How a face differs from the average one where no feature point says so; 1 is the average.
+    """Facial relief relative to the average face, where no landmark determines it.
 
     Attributes:
-        nose: factor on how far the nose stands out.
+        nose: factor on the nose's prominence.
         nose_width: factor on the nose's width.
         lips: factor on the lips' fullness.
         bones: factor on cheeks, brow ridges and chin.
@@ -289,7 +287,7 @@ class Relief:
 
 
 def forward(x: FloatArray, y: FloatArray, relief: Relief) -> FloatArray:
-    """Return how far (...) the skin stands out, mm along z, at places of the average head."""
+    """Return the relief (...), mm along z, at places of the average head."""
     total = sum((_pair(x, y, bump) for bump in _BUMPS), start=np.zeros(np.shape(x))) * relief.bones
     return total + relief.nose * _nose(x / relief.nose_width, y) + relief.lips * _lips(x, y)
 
@@ -314,7 +312,7 @@ def _nose(x: FloatArray, y: FloatArray) -> FloatArray:
 
 
 def _lips(x: FloatArray, y: FloatArray) -> FloatArray:
-    """Two rolls that meet in a crease; the upper one has a hollow in its middle."""
+    """Return two rolls that meet in a crease; the upper one has a philtrum."""
     along = np.sqrt(np.clip(1.0 - (x / 27.0) ** 2, 0.0, None))
     up = y - MOUTH_Y
     upper = 7.0 * np.exp(-0.5 * ((up - 3.6) / 3.6) ** 2)
@@ -325,20 +323,19 @@ def _lips(x: FloatArray, y: FloatArray) -> FloatArray:
     return lips
 
 
-# The grid of vertices that a head's skin is made of, and where each lies in the texture.
+# Vertex grid of the skin, and its texture coordinates.
 #
-# Rows go down from the skull's top to the neck, columns around the head from behind to behind. Between the
-# lips further rows lead into the mouth and back: a pocket that opens when the lips part.
-
+# Rows run from the top of the skull down to the neck, columns around the head starting at the back.
+# Additional rows between the lips form a pocket that opens with the mouth.
 
 POCKET_MM = 16.0
 """Depth of the pocket behind the lips."""
 POCKET_ROWS = 9
 POCKET_BAND = 20.0
-"""Height of the pocket's part of the texture, in the texture's millimetres."""
+"""Height of the pocket in the texture, in texture millimetres."""
 TEXTURE_SIZE = (1536, 2048)
 FRONT_DEG, FRONT_COLUMNS, BACK_COLUMNS = 82.0, 125, 30
-# from level to level, mm, with a step
+# start level, end level, step, mm
 _LEVELS = (
     (TOP, 60.0, 6.0),
     (60.0, 40.0, 3.0),
@@ -357,9 +354,9 @@ class SkinGrid:
 
     Attributes:
         places: (R, C, 3) on the smooth average head, mm.
-        pocket: (R,) 0 outside the mouth; inside from 0 at the upper lip's edge to 1 at the lower's.
-        inside: (R,) whether a row belongs to the pocket, its two edges left out.
-        texcoords: (R, C, 2) in the texture, 0 to 1.
+        pocket: (R,) position in the mouth's pocket, from 0 at the upper lip's edge to 1 at the lower's.
+        inside: (R,) whether a row is inside the pocket, without its two edges.
+        texcoords: (R, C, 2) texture coordinates, 0 to 1.
     """
 
     places: FloatArray
@@ -369,12 +366,12 @@ class SkinGrid:
 
     @property
     def triangles(self) -> IntArray:
-        """(T, 3) vertex indices; vertices are counted row by row."""
+        """(T, 3) vertex indices; vertices are numbered row by row."""
         return grid_triangles(*self.places.shape[:2])
 
 
 def skin_grid() -> SkinGrid:
-    """Return the grid, the same for every head."""
+    """Return the grid, which is the same for all heads."""
     above, beneath = _levels(_LEVELS[:5]), _levels(_LEVELS[5:])
     pocket_rows = np.full(POCKET_ROWS, MOUTH_Y)
     levels = np.concatenate([above, pocket_rows, beneath])
@@ -395,7 +392,7 @@ def skin_grid() -> SkinGrid:
 
 
 def texel_levels(rows: int) -> tuple[FloatArray, FloatArray]:
-    """Return the level and the place in the pocket of every texture row: (rows,) twice."""
+    """Return level and pocket position of every texture row, (rows,) each."""
     span = TOP - BOTTOM + POCKET_BAND
     along = TOP - (np.arange(rows) + 0.5) / rows * span
     pocket = np.clip((MOUTH_Y - along) / POCKET_BAND, 0.0, 1.0)
@@ -409,7 +406,7 @@ def texel_angles(columns: int) -> FloatArray:
 
 
 def grid_triangles(rows: int, columns: int) -> IntArray:
-    """Return two triangles (T, 3) a cell of a grid whose vertices are counted row by row."""
+    """Return two triangles per cell, (T, 3), of a grid with vertices numbered row by row."""
     index = np.arange(rows * columns).reshape(rows, columns)
     a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
     first = np.stack([a, c, b], axis=-1).reshape(-1, 3)
@@ -418,9 +415,9 @@ def grid_triangles(rows: int, columns: int) -> IntArray:
 
 
 def grid_normals(vertices: FloatArray) -> FloatArray:
-    """Return normals (R, C, 3) of a closed grid (R, C, 3), of any length: across times down.
+    """Return unnormalised normals (R, C, 3) of a closed grid (R, C, 3): across times down.
 
-    The first and the last column are the same line.
+    The first and the last column coincide.
     """
     across = np.empty_like(vertices)
     across[:, 1:-1] = vertices[:, 2:] - vertices[:, :-2]
@@ -433,7 +430,7 @@ def grid_normals(vertices: FloatArray) -> FloatArray:
 
 
 def _levels(parts: tuple[tuple[float, float, float], ...]) -> FloatArray:
-    """Levels from part to part, each beginning and end taken once, both ends of the whole included."""
+    """Return the levels of consecutive parts without duplicates, including both ends."""
     pieces = [
         np.linspace(start, end, max(round((start - end) / step), 1), endpoint=False)
         for start, end, step in parts
@@ -442,7 +439,7 @@ def _levels(parts: tuple[tuple[float, float, float], ...]) -> FloatArray:
 
 
 def _angles() -> FloatArray:
-    """Columns from -pi to pi, dense in front; two of them run through the mouth's corners."""
+    """Return the columns from -pi to pi, dense in front, two of them through the corners of the mouth."""
     edge = np.radians(FRONT_DEG)
     front = np.linspace(-edge, edge, FRONT_COLUMNS)
     corner = float(angle_of(np.array(MOUTH_X), np.array(MOUTH_Y)))

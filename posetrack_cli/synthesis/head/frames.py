@@ -1,4 +1,4 @@
-"""Frames of a synthetic head."""
+"""Frames of synthetic head recordings: cameras, light, scene."""
 
 from __future__ import annotations
 
@@ -45,32 +45,29 @@ from posetrack_cli.synthesis.head.person import (
 )
 from posetrack_cli.synthesis.recording import Timeline, dropped_images, nominal_stamps
 
-# The grey cameras of a synthetic recording: where they stand, their lenses and sensors.
-#
-# One, or two that are toed in; blur, distortion, exposure, noise.
-
+# Grey cameras: one, or two that converge; with blur, distortion, exposure, noise
 
 EXPOSURE = 245.0
 """Grey value of light 1."""
 BLUR_PX = 0.5
 READ_SD, SHOT = 1.1, 0.022
-"""Noise of a grey value g: variance READ_SD^2 + SHOT g; 2.2 at g = 170."""
+"""Noise of a grey value g: variance READ_SD^2 + SHOT g; standard deviation 2.2 at g = 170."""
 BORDER = 0.12
-"""Part of the image by which what a distorting lens sees may lie beyond the undistorted image."""
+"""Border rendered around the undistorted image for the distorting lens, relative to the width."""
 
 FOCAL_WIDTHS = 1000.0 / 640.0
 """Focal length in image widths: a field of view of 35.5 degrees."""
 DISTORTION = (-0.14, 0.06, 0.0006, -0.0004, 0.0)
-"""Of the left or only lens; the right one's first two are a tenth smaller."""
+"""Left or only lens; the first two coefficients of the right one are a tenth smaller."""
 NAMES = ("left", "right")
 
 
 class Sensor:
-    """Makes the 8-bit image of a camera from the light that falls through an ideal lens.
+    """Converts the light seen through an ideal lens to a camera's 8-bit image.
 
     Args:
-        camera: with its distortion.
-        noise: factor on the noise's deviation.
+        camera: camera with its distortion.
+        noise: factor on the noise's standard deviation.
     """
 
     def __init__(self, camera: Camera, noise: float) -> None:
@@ -83,8 +80,8 @@ class Sensor:
         """Return the image (height, width) uint8.
 
         Args:
-            light: as ``drawn``, the camera without distortion, sees it.
-            rng: draws one number a pixel, whatever the noise.
+            light: light as seen by ``drawn``, the camera without distortion.
+            rng: draws one number per pixel, even without noise.
         """
         import cv2
 
@@ -98,7 +95,7 @@ class Sensor:
 
 
 def _drawn_camera(camera: Camera) -> Camera:
-    """The camera without distortion, with a border."""
+    """Return the camera without distortion, with a border."""
     border = round(BORDER * camera.width)
     return replace(
         camera,
@@ -111,7 +108,7 @@ def _drawn_camera(camera: Camera) -> Camera:
 
 
 def _distortion_maps(camera: Camera, drawn: Camera) -> tuple[Float32Array, Float32Array]:
-    """Where each pixel of the distorted image lies in the drawn one: columns and rows (height, width)."""
+    """Return columns and rows (height, width) in the rendered image for each distorted pixel."""
     import cv2
 
     u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
@@ -127,8 +124,8 @@ def _distortion_maps(camera: Camera, drawn: Camera) -> tuple[Float32Array, Float
 def make_cameras(options: HeadSynthOptions) -> tuple[Camera, ...]:
     """Return the cameras, the reference camera first.
 
-    The second one stands ``baseline_mm`` to the right and looks at the place ``distance_mm`` straight ahead
-    of the first.
+    The second one is ``baseline_mm`` to the right and looks at the point ``distance_mm`` in front of the
+    first.
     """
     reference = _camera(options, NAMES[0] if options.cameras == 2 else "camera", DISTORTION)
     if options.cameras == 1:
@@ -166,14 +163,13 @@ def _camera(
     return replace(camera, camera_T_reference=transform)
 
 
-# The light of a synthetic recording: two lamps and the light of the room, drifting slowly
-
+# Light: two lamps and ambient light, drifting slowly
 
 LAMPS = 2
 STRENGTHS = np.array([0.52, 0.26])
 AMBIENT, FROM_ABOVE = 0.46, np.array([0.0, -0.12, 0.0])
 DRIFT = np.array([0.22, 0.3, 0.08, 0.25, 0.12])
-"""How far lamps' strengths and the room's light (relative) and the first lamp's direction (rad) drift."""
+"""Ranges of drift: strengths of lamps and ambient light (relative), first lamp's direction (rad)."""
 DRIFT_HZ = (0.03, 0.12)
 SWITCH_S, SWITCH_PART = 0.04, 0.5
 SWITCHED = np.array([0.45, 1.9])
@@ -186,8 +182,8 @@ class Illumination:
 
     Attributes:
         directions: (L, 3) towards the lamps, reference axes.
-        drift: of the lamps' strengths, the room's light, and the first lamp's two angles; None for none.
-        switch_s: when the lamps' strengths change suddenly; None for never.
+        drift: of the lamps' strengths, ambient light, and the first lamp's two angles; None for none.
+        switch_s: time of the sudden change of the lamps' strengths; None for none.
     """
 
     directions: FloatArray
@@ -195,7 +191,7 @@ class Illumination:
     switch_s: float | None
 
     def at(self, seconds: float) -> Lighting:
-        """The light at a time, s."""
+        """Return the light at a time, s."""
         time = np.array([seconds])
         drift = np.zeros(5) if self.drift is None else self.drift(time)[0]
         strengths = STRENGTHS * (1.0 + drift[:2])
@@ -209,7 +205,7 @@ class Illumination:
 
 
 def make_illumination(options: HeadSynthOptions, rng: np.random.Generator) -> Illumination:
-    """Draw where the lamps are and how they drift."""
+    """Draw the lamps' positions and drift."""
     side = 1.0 if rng.random() < 0.5 else -1.0
     main = [side * rng.uniform(0.15, 0.6), -rng.uniform(0.4, 0.8), -1.0]
     fill = [-side * rng.uniform(0.5, 0.9), -rng.uniform(0.0, 0.4), -1.0]
@@ -221,13 +217,12 @@ def make_illumination(options: HeadSynthOptions, rng: np.random.Generator) -> Il
     )
 
 
-# What synthetic cameras look at: head, trunk, the wall behind and an occluder, and how all that moves
-
+# Scene: head, trunk, wall, occluder
 
 NECK_FROM_Y, NECK_TO_Y = -116.0, -160.0
-"""Between these heights the neck passes from the head's motion to the trunk's."""
+"""Heights between which the neck blends from the head's motion to the trunk's."""
 TRUNK_FOLLOWS, TRUNK_TURNS = 0.4, 0.15
-"""Parts of the head's way and turn that the trunk goes along with."""
+"""Shares of the head's translation and rotation that the trunk follows."""
 SKIN, RIGHT_EAR, LEFT_EAR, TRUNK, WALL, OCCLUDER = range(6)
 
 TRUNK_TOP_Y = -150.0
@@ -248,15 +243,15 @@ WALL_MM, WALL_BEHIND_MM = (4200.0, 3200.0), 1100.0
 
 
 class Scene:
-    """Head, trunk, wall and an occluder; ``renderer`` draws them as cameras without distortion see them.
+    """Head, trunk, wall and an occluder; ``renderer`` renders them without distortion.
 
     Args:
-        device: draws it.
-        person, looks: who is seen.
-        grid: of the skin.
-        size: (width, height) of the images drawn.
-        origin: the head's first place (3,), mm.
-        rng: of cloth, wall and object.
+        device: rendering device.
+        person, looks: the person.
+        grid: skin grid.
+        size: (width, height) of the rendered images.
+        origin: initial position of the head (3,), mm.
+        rng: random stream of cloth, wall and occluder.
     """
 
     def __init__(
@@ -280,19 +275,19 @@ class Scene:
         self._place(WALL, wall_vertices(float(origin[2])), facing=True)
 
     def set(self, pose: HeadPose, strengths: FloatArray, occluder: FloatArray | None) -> None:
-        """Move everything: the head's pose, strengths (J,) of its expressions, the occluder's middle (3,)."""
+        """Set the head's pose, the strengths (J,) of its expressions, and the occluder's centre (3,)."""
         trunk = self._trunk_pose(pose)
         skin = self._person.skin(strengths)
         self._place(SKIN, _between(skin, pose, trunk))
         for index, ear in zip((RIGHT_EAR, LEFT_EAR), self._person.ears, strict=True):
             self._place(index, pose.points(ear))
         self._place(TRUNK, trunk.points(self._trunk))
-        away = np.array([0.0, 0.0, -1e6])  # behind the cameras
+        away = np.array([0.0, 0.0, -1e6])  # behind the cameras, i.e. invisible
         middle = away if occluder is None else occluder
         self._place(OCCLUDER, occluder_vertices() + middle, facing=True)
 
     def release(self) -> None:
-        """Give the device's memory back."""
+        """Release the device memory."""
         self.renderer.release()
 
     def _place(self, index: int, vertices: FloatArray, *, facing: bool = False) -> None:
@@ -308,14 +303,14 @@ class Scene:
 
 
 def _between(skin: FloatArray, head: HeadPose, trunk: HeadPose) -> FloatArray:
-    """Vertices (R, C, 3) in camera axes: of the head with it, of the neck's end with the trunk."""
+    """Return vertices (R, C, 3) in camera axes, blended from head to trunk along the neck."""
     share = smooth_step((NECK_FROM_Y - skin[..., 1:2]) / (NECK_FROM_Y - NECK_TO_Y))
     placed: FloatArray = head.points(skin)
     return placed + share * (in_camera(skin, trunk.position, trunk.quaternion) - placed)
 
 
 def ear_surface(looks: Looks, rng: np.random.Generator) -> Surface:
-    """Return the texture of an ear: skin, darker in the middle."""
+    """Return an ear's texture: skin, darker in the middle."""
     rows, columns = 96, 192
     v, u = np.mgrid[0:rows, 0:columns]
     down, across = (v + 0.5) / rows * 2.0 - 1.0, (u + 0.5) / columns * 2.0 - 1.0
@@ -325,7 +320,7 @@ def ear_surface(looks: Looks, rng: np.random.Generator) -> Surface:
 
 
 def trunk_vertices() -> FloatArray:
-    """Return the grid (20, 61, 3) of neck's base, shoulders and chest, mm, in the head's frame at rest."""
+    """Return the grid (20, 61, 3) of neck, shoulders and chest, mm, in the head's frame at rest."""
     heights = [*np.linspace(_TRUNK[0, 0], -250.0, 16).tolist(), -300.0, -340.0, -380.0, -420.0]
     profile = [np.interp(heights, _TRUNK[::-1, 0], _TRUNK[::-1, k]) for k in (1, 2)]
     phi = np.linspace(-np.pi, np.pi, 61)
@@ -336,7 +331,7 @@ def trunk_vertices() -> FloatArray:
 
 
 def trunk_surface(rng: np.random.Generator) -> Surface:
-    """Return the cloth: woven, with stripes on some, a collar at its upper edge."""
+    """Return the cloth: woven, sometimes striped, with a collar."""
     rows, columns = 512, 1024
     tone = rng.uniform(0.12, 0.6) * np.ones((rows, columns))
     tone *= 1.0 + 0.12 * layered_field((rows, columns), (40.0, 12.0, 4.0), rng)
@@ -348,14 +343,14 @@ def trunk_surface(rng: np.random.Generator) -> Surface:
 
 
 def wall_vertices(distance_mm: float) -> FloatArray:
-    """Return the grid (2, 2, 3) of a wall behind the head, mm, reference camera's axes."""
+    """Return the grid (2, 2, 3) of the wall behind the head, mm, reference axes."""
     half_x, half_y = WALL_MM[0] / 2.0, WALL_MM[1] / 2.0
     x, y = np.meshgrid([-half_x, half_x], [-half_y, half_y])
     return np.stack([x, y, np.full((2, 2), distance_mm + WALL_BEHIND_MM)], axis=-1)
 
 
 def wall_surface(rng: np.random.Generator) -> Surface:
-    """Return the wall: plaster, and pictures or shelves on it."""
+    """Return the wall's texture: plaster with pictures or shelves."""
     rows, columns = 768, 1024
     tone = rng.uniform(0.28, 0.6) * (1.0 + 0.10 * layered_field((rows, columns), (200.0, 60.0, 15.0), rng))
     for _ in range(int(rng.integers(5, 12))):
@@ -367,19 +362,19 @@ def wall_surface(rng: np.random.Generator) -> Surface:
 
 
 def occluder_vertices() -> FloatArray:
-    """Return the grid (2, 2, 3) of the object that passes, a board, mm, about its own middle."""
+    """Return the grid (2, 2, 3) of the occluder, a board, mm, about its centre."""
     x, y = np.meshgrid([-48.0, 48.0], [-170.0, 170.0])
     return np.stack([x, y, np.zeros((2, 2))], axis=-1)
 
 
 def occluder_surface(rng: np.random.Generator) -> Surface:
-    """Return the object: printed in patches."""
+    """Return the occluder's texture, printed in patches."""
     tone = 0.45 * (1.0 + 0.35 * layered_field((512, 160), (50.0, 15.0, 5.0), rng))
     return grid_surface((2, 2), _two_channels(tone, 0.05))
 
 
 def grid_surface(shape: tuple[int, int], texture: ImageArray) -> Surface:
-    """Return the surface of a grid of vertices that a texture covers from edge to edge."""
+    """Return the surface of a vertex grid covered by a texture."""
     rows, columns = shape
     v, u = np.meshgrid(np.linspace(0.0, 1.0, rows), np.linspace(0.0, 1.0, columns), indexing="ij")
     return Surface(grid_triangles(rows, columns), np.stack([u, v], axis=-1).reshape(-1, 2), texture)
@@ -391,25 +386,24 @@ def _two_channels(tone: FloatArray | Float32Array, gloss: float) -> ImageArray:
     return codes
 
 
-# The frames of a synthetic recording of a head, one after the other
-
+# Frames
 
 COMPONENTS = 0
-"""A model's deformation coefficients are its own: the truth has none. Its points tell the deformation."""
+"""The truth has no deformation coefficients, as they are specific to a model; points show the deformation."""
 
 
 @dataclass(frozen=True, eq=False)
 class SyntheticHeadFrame:
-    """One frame, and the truth about it.
+    """One frame with its ground truth.
 
     Attributes:
-        index: from 0.
-        stamp_ns: when it was taken, integer nanoseconds.
-        images: one a camera, (height, width) uint8; None where a camera missed it.
-        pose: of the head, ``camera_T_head`` of the reference camera.
+        index: frame number, from 0.
+        stamp_ns: time of the frame, integer nanoseconds.
+        images: one per camera, (height, width) uint8; None if dropped.
+        pose: ``camera_T_head`` of the reference camera.
         twist: (6,) velocity: mm/s in camera axes, rad/s in the head's frame.
         strengths: (J,) of ``EXPRESSIONS``.
-        shape: (K, 3) the feature points, mm, head's frame.
+        shape: (K, 3) landmarks, mm, head's frame.
     """
 
     index: int
@@ -421,7 +415,7 @@ class SyntheticHeadFrame:
     shape: FloatArray
 
     def truth(self) -> Estimate:
-        """The truth as an estimate; its points are the ten true ones in the reference camera's axes."""
+        """Return the ground truth as an estimate; its points are the ten landmarks in reference axes."""
         none = np.zeros(6)
         turning = quaternion_rate(self.pose.quaternion, self.twist[3:])
         return Estimate(
@@ -442,7 +436,7 @@ class SyntheticHeadFrame:
         )
 
     def joint_states(self) -> messages.JointStates:
-        """The strengths of the expressions, which no result has."""
+        """Return the strengths of the expressions, which results do not have."""
         message = messages.JointStates()
         message.timestamp.FromNanoseconds(self.stamp_ns)
         for name, value in zip(EXPRESSIONS, self.strengths.tolist(), strict=True):
@@ -452,16 +446,16 @@ class SyntheticHeadFrame:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Everything about a synthetic recording but its images.
+    """Synthetic recording without its images.
 
     Attributes:
-        options: that it was made of.
-        cameras: the reference camera first.
-        identity, person, grid: who is seen.
-        timeline: its instants, and which images are missing.
-        movement, script, occluder, illumination: what happens.
-        scenery: random stream of the surroundings, unused yet.
-        noise_seed: of the sensors' noise.
+        options: options of the recording.
+        cameras: cameras, the reference camera first.
+        identity, person, grid: the person.
+        timeline: instants and missing images.
+        movement, script, occluder, illumination: the events.
+        scenery: random stream of the surroundings, unused so far.
+        noise_seed: seed of the sensor noise.
     """
 
     options: HeadSynthOptions
@@ -479,14 +473,14 @@ class Plan:
 
     @property
     def subject(self) -> Subject:
-        """Whose truth it is, in the reference camera."""
+        """Subject of the ground truth, in the reference camera."""
         return head_subject(self.cameras[0].name, COMPONENTS)
 
 
 def make_plan(options: HeadSynthOptions) -> Plan:
-    """Draw everything that happens; each part has a random stream of its own.
+    """Draw all events, each kind from its own random stream.
 
-    So motion, expressions and light of a seed are the same for every person and with one camera or two.
+    Motion, expressions and light of a seed are thus the same for all persons and for one or two cameras.
     """
     streams = np.random.default_rng(options.seed).spawn(7)
     moving, speaking, occluding, lighting, scenery, sensing, missing = streams
@@ -514,17 +508,17 @@ def synthesise(
     """Yield the frames of a synthetic recording; its cameras are ``make_cameras(options)``.
 
     Args:
-        options: of the recording.
-        device: draws the frames; by default one is opened, and closed at the end.
+        options: options of the recording.
+        device: rendering device; by default one is opened, and closed at the end.
 
     Raises:
-        RenderingError: nothing can be drawn here.
+        RenderingError: no working renderer.
     """
     yield from render_plan(make_plan(options), device=device)
 
 
 def render_plan(plan: Plan, *, device: RenderingDevice | None = None) -> Iterator[SyntheticHeadFrame]:
-    """Yield the frames of a plan; as ``synthesise``."""
+    """Yield the frames of a plan; see ``synthesise``."""
     with device_or_default(device) as drawing:
         sensors = [Sensor(camera, plan.options.noise) for camera in plan.cameras]
         size = (sensors[0].drawn.width, sensors[0].drawn.height)

@@ -1,4 +1,4 @@
-"""How a synthetic head moves: it wanders, and where asked turns suddenly; and what passes before it."""
+"""Head motion (smooth, optionally with sudden turns), and the occluder's motion."""
 
 from __future__ import annotations
 
@@ -13,26 +13,29 @@ from posetrack_cli.synthesis.head.options import HeadSynthOptions
 
 _D = float(np.pi / 180.0)
 MOST = np.array([45.0, 28.0, 55.0, 26.0 * _D, 11.0 * _D, 10.0 * _D])
-"""How far the natural motion goes: x, y, z mm; yaw, pitch, roll rad."""
+"""Range of the natural motion: x, y, z mm; yaw, pitch, roll rad."""
 SLIGHT = 0.2
-"""Factor on it of the slight motion."""
+"""Factor on this range for slight motion."""
 FREQUENCIES_HZ = (0.08, 0.33)
 BEGIN_S = 1.5
-"""Time in which the motion sets in: a recording begins with a head at rest that faces the camera."""
+"""Duration of the onset: recordings start with a head at rest that faces the camera."""
 
 TURN_RAD_S = 200.0 * _D
-"""Greatest speed of the sudden turns."""
+"""Maximum speed of the sudden turns."""
 TURN_RAD = 25.0 * _D
-"""They go from so far on one side to as far on the other and back."""
+"""Sudden turns go from this angle on one side to the same on the other and back."""
 TURN_HOLD_S = 0.5
 TURN_AT = 0.75
-"""Part of the recording at which the turns begin."""
+"""Start of the turns, as a fraction of the recording."""
 SETTLE_S = 0.8
-"""Before them the wandering comes to rest in this time and the head is turned aside; after them likewise."""
+"""Time before and after the turns in which the smooth motion fades and the head turns aside."""
 
 DIFFERENCE_S = 1e-4
-"""Half the step of the central differences: third derivatives, at most 60 a / d^3 of a move of length a in
-time d, stay below 1e4 rad/s^3, so the error is below 2e-5 rad/s."""
+"""Half step of the central differences.
+
+Third derivatives, at most 60 a / d^3 for a move of length a in time d, are below 1e4 rad/s^3, so the error
+is below 2e-5 rad/s.
+"""
 
 FACING = np.array([1.0, 0.0, 0.0, 0.0])
 """Quaternion of a head that faces the camera: half a turn about x."""
@@ -40,13 +43,13 @@ FACING = np.array([1.0, 0.0, 0.0, 0.0])
 
 @dataclass(frozen=True, eq=False)
 class Movement:
-    """A head's way.
+    """Trajectory of a head.
 
     Attributes:
-        origin: (3,) its first place, mm, reference camera.
-        sway: of x, y, z (mm), yaw, pitch, roll (rad); None for a head that keeps still.
-        speed: factor on the rate of the wandering's time.
-        turn_s: when the sudden turns begin, s; None if there are none.
+        origin: (3,) initial position, mm, reference camera.
+        sway: of x, y, z (mm), yaw, pitch, roll (rad); None for a still head.
+        speed: factor on the rate of time of the smooth motion.
+        turn_s: start of the sudden turns, s; None for none.
     """
 
     origin: FloatArray
@@ -55,7 +58,7 @@ class Movement:
     turn_s: float | None
 
     def poses(self, times: FloatArray) -> FloatArray:
-        """Poses (T, 7) at times (T,): position mm, quaternion x y z w, of ``camera_T_head``.
+        """Return poses (T, 7) at times (T,): position mm, quaternion x y z w, of ``camera_T_head``.
 
         R = R_y(yaw) R_x(pitch) R_z(roll) R_facing.
         """
@@ -69,7 +72,7 @@ class Movement:
         return poses
 
     def twists(self, times: FloatArray) -> FloatArray:
-        """Velocities (T, 6): mm/s in camera axes, rad/s in the head's, by central differences."""
+        """Return velocities (T, 6), mm/s in camera axes, rad/s in the head's, by central differences."""
         before, after = self.poses(times - DIFFERENCE_S), self.poses(times + DIFFERENCE_S)
         turn = rotations.multiply(rotations.conjugate(before[:, 3:]), after[:, 3:])
         change = np.hstack([after[:, :3] - before[:, :3], rotations.logarithm(turn)])
@@ -77,7 +80,7 @@ class Movement:
 
     @property
     def turn_interval(self) -> tuple[float, float] | None:
-        """From the first sudden turn's begin to the last one's end, s."""
+        """Start of the first and end of the last sudden turn, s."""
         if self.turn_s is None:
             return None
         return self.turn_s, self.turn_s + 2.0 * turn_time() + TURN_HOLD_S
@@ -93,7 +96,7 @@ class Movement:
         return wandering
 
     def _turning(self, times: FloatArray) -> FloatArray:
-        """The yaw (T,) of the sudden turns, rad."""
+        """Return the yaw (T,) of the sudden turns, rad."""
         if self.turn_interval is None:
             return np.zeros(len(times))
         start, end = self.turn_interval
@@ -102,16 +105,16 @@ class Movement:
         return TURN_RAD * (2.0 * across - aside)
 
 
-_ANGLES = ((4, 0), (3, 1), (5, 2))  # of the values: pitch about x, yaw about y, roll about z
+_ANGLES = ((4, 0), (3, 1), (5, 2))  # (index, axis): pitch about x, yaw about y, roll about z
 
 
 def turn_time() -> float:
-    """Return how long one of the sudden turns takes, s."""
+    """Return the duration of one sudden turn, s."""
     return MINIMUM_JERK_PEAK * 2.0 * TURN_RAD / TURN_RAD_S
 
 
 def make_movement(options: HeadSynthOptions, rng: np.random.Generator) -> Movement:
-    """Return the way that the options ask for."""
+    """Draw the trajectory for these options."""
     most = MOST * _nearness(options) * (SLIGHT if options.motion == "slight" else 1.0)
     sway = random_sway(most, FREQUENCIES_HZ, rng)
     turn = TURN_AT * options.duration_s if options.motion == "turn" else None
@@ -120,32 +123,31 @@ def make_movement(options: HeadSynthOptions, rng: np.random.Generator) -> Moveme
 
 
 def _nearness(options: HeadSynthOptions) -> FloatArray:
-    """Factors (6,) that keep a near head in the image."""
+    """Return factors (6,) that keep a near head in the image."""
     return np.array([*(3 * [min(options.distance_mm / 700.0, 1.5)]), 1.0, 1.0, 1.0])
 
 
 OCCLUDED_PART = 0.45
-"""Part of the recording at which the object has come."""
+"""Arrival of the occluder, as a fraction of the recording."""
 COME_S, STAY_S = 0.35, 1.0
 AWAY_MM, COVERING_MM, BEFORE_MM = 520.0, 52.0, 150.0
-"""Distance of the object's middle from the head's: sideways when away and when covering, towards the
-camera."""
+"""Offsets of the occluder's centre from the head: sideways when away, sideways when covering, forwards."""
 
 
 @dataclass(frozen=True)
 class Occluder:
-    """An object's way: it covers half of the face from ``start_s``; side 1 is the image's right."""
+    """Trajectory of an object that covers half of the face from ``start_s``; side 1 is the image's right."""
 
     start_s: float
     side: float
 
     @property
     def interval(self) -> tuple[float, float]:
-        """From when until when any of the face may be covered, s."""
+        """Interval in which any part of the face may be covered, s."""
         return self.start_s - COME_S, self.start_s + STAY_S + COME_S
 
     def place(self, seconds: float, head: FloatArray) -> FloatArray:
-        """The middle (3,) of the object, mm, reference axes, when the head is at (3,)."""
+        """Return the centre (3,) of the occluder, mm, reference axes, for a head at (3,)."""
         near = float(pulse(np.array([seconds]), self.start_s - COME_S, COME_S, STAY_S, COME_S)[0])
         aside = AWAY_MM * head[2] / 700.0 + near * (COVERING_MM - AWAY_MM * head[2] / 700.0)
         place: FloatArray = head + np.array([self.side * aside, 0.0, -BEFORE_MM])
@@ -153,6 +155,6 @@ class Occluder:
 
 
 def make_occluder(options: HeadSynthOptions, rng: np.random.Generator) -> Occluder | None:
-    """Return the object's way, None without an object; the side is drawn in any case."""
+    """Return the occluder's trajectory, or None; the side is always drawn, to keep the stream aligned."""
     side = 1.0 if rng.random() < 0.5 else -1.0
     return Occluder(OCCLUDED_PART * options.duration_s, side) if options.occlusion else None

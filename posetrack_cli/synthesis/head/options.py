@@ -1,4 +1,4 @@
-"""What a synthetic recording of a head is made of."""
+"""Options of synthetic head recordings."""
 
 from __future__ import annotations
 
@@ -19,31 +19,31 @@ BASELINES_MM = (20.0, 400.0)
 
 @dataclass(frozen=True)
 class HeadSynthOptions:
-    """A synthetic recording of a head: the same options give the same frames on the same machine.
+    """Options of a synthetic head recording; equal options give equal frames on the same machine.
 
     Attributes:
-        cameras: 1, or 2 that are toed in to meet at the head's first place.
+        cameras: 1, or 2 that converge at the head's initial position.
         identity: seed of the person.
         frames: number of frames.
         fps: frame rate, Hz.
-        seed: of everything random but the person.
-        expressions: whether the face deforms; whether it blinks and looks around.
-        script: how it deforms: ``free`` makes all expressions, in the first two thirds; ``two-motions`` only
-            those that models of faces are built from, mouth in width and face in length.
-        motion: ``natural`` wandering of the head; ``slight`` a fifth of it, facing the camera; ``turn`` also
+        seed: seed of everything except the person.
+        expressions: whether the face deforms, blinks and looks around.
+        script: deformations: ``free`` has all expressions, in the first two thirds; ``two-motions`` only
+            those that face models are built from, mouth width and face length.
+        motion: ``natural`` head motion; ``slight`` a fifth of it, facing the camera; ``turn`` additionally
             two sudden turns; ``still`` none.
-        speed: factor on the rate of the natural motion's time.
-        light: ``slow`` drift, also a lamp switched in the middle (``sudden``), or ``steady``.
+        speed: factor on the rate of time of the natural motion.
+        light: ``slow`` drift; ``sudden``, additionally a lamp switched in the middle; or ``steady``.
         occlusion: whether an object covers half the face for one second.
-        noise: factor on the sensor's noise.
-        distortion: whether the lenses distort.
-        drops: whether cameras now and then miss images.
-        width, height: of the images, pixels; the horizontal field of view is always the same.
-        distance_mm: of the head from the reference camera in the beginning.
-        baseline_mm: between two cameras.
+        noise: factor on the sensor noise.
+        distortion: whether the lenses have distortion.
+        drops: whether cameras occasionally miss images.
+        width, height: image size, pixels; the horizontal field of view is fixed.
+        distance_mm: initial distance of the head from the reference camera.
+        baseline_mm: distance between two cameras.
 
     Raises:
-        UsageError: a value that cannot be meant.
+        UsageError: invalid value.
     """
 
     cameras: int = 2
@@ -69,7 +69,7 @@ class HeadSynthOptions:
         check_option("motion", self.motion, self.motion in MOTIONS, " or ".join(MOTIONS))
         check_option("script", self.script, self.script in SCRIPTS, " or ".join(SCRIPTS))
         check_option(
-            "script", self.script, self.expressions or self.script == FREE, "a face with expressions"
+            "script", self.script, self.expressions or self.script == FREE, "expressions to be enabled"
         )
         check_option("light", self.light, self.light in LIGHTS, " or ".join(LIGHTS))
         check_option("camera-count", self.cameras, self.cameras in CAMERAS, "1 or 2")
@@ -91,5 +91,5 @@ class HeadSynthOptions:
 
     @property
     def duration_s(self) -> float:
-        """From the first to the last frame's stamp."""
+        """Time from the first to the last frame."""
         return (self.frames - 1) / self.fps

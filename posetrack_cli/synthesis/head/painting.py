@@ -1,4 +1,4 @@
-"""The head's texture."""
+"""Texture of the head."""
 
 from __future__ import annotations
 
@@ -31,12 +31,11 @@ from posetrack_cli.synthesis.head.form import (
 )
 from posetrack_cli.synthesis.head.person import Looks, hair_share
 
-# The texture that a head is painted on, and the strokes that everything on it is painted with
-
+# Canvas and brushes
 
 MARGIN_MM = 2.0
 Box = tuple[float, float, float, float]
-"""Smallest and largest x, smallest and largest y, mm, of the average head."""
+"""Minimum and maximum x, minimum and maximum y, mm, of the average head."""
 
 
 class Canvas:
@@ -44,7 +43,7 @@ class Canvas:
 
     Attributes:
         reflectance, gloss: (rows, columns) float32, 0 to 1.
-        texel_mm: about the size of a texel.
+        texel_mm: approximate size of a texel.
     """
 
     def __init__(self, reflectance: float, size: tuple[int, int] = TEXTURE_SIZE) -> None:
@@ -56,16 +55,16 @@ class Canvas:
 
     @cached_property
     def places(self) -> FloatArray:
-        """(rows, columns, 3) of every texel on the smooth average head, mm."""
+        """(rows, columns, 3) position of every texel on the smooth average head, mm."""
         return smooth_head(self._angles[None, :], self._levels[:, None])
 
     @property
     def pocket(self) -> FloatArray:
-        """(rows,) place in the pocket behind the lips, 0 above and 1 below it."""
+        """(rows,) position in the pocket behind the lips, 0 above and 1 below it."""
         return self._pocket
 
     def paint(self, box: Box, tone: float, cover: Callable[[FloatArray, FloatArray], FloatArray]) -> None:
-        """Blend a tone in: cover(x, y) is its opacity, 0 to 1."""
+        """Blend in a tone with opacity cover(x, y), 0 to 1."""
         self.change(box, lambda x, y, old: old + cover(x, y) * (tone - old))
 
     def shade(self, box: Box, factor: Callable[[FloatArray, FloatArray], FloatArray]) -> None:
@@ -73,7 +72,7 @@ class Canvas:
         self.change(box, lambda x, y, old: old * factor(x, y))
 
     def polish(self, box: Box, gloss: float, cover: Callable[[FloatArray, FloatArray], FloatArray]) -> None:
-        """Blend a gloss in: cover(x, y) is its opacity."""
+        """Blend in a gloss with opacity cover(x, y)."""
         window = self.window(box)
         x, y = self._seen(window)
         part = self.gloss[window]
@@ -88,13 +87,13 @@ class Canvas:
         self.reflectance[window] = new(x, y, self.reflectance[window])
 
     def texture(self) -> ImageArray:
-        """The canvas (rows, columns, 2) as 8-bit texture."""
+        """Return the canvas (rows, columns, 2) as an 8-bit texture."""
         both = np.stack([self.reflectance, self.gloss], axis=-1)
         codes: ImageArray = np.rint(np.clip(both, 0.0, 1.0) * 255.0).astype(np.uint8)
         return codes
 
     def window(self, box: Box) -> tuple[slice, slice]:
-        """The texels that a box in front may cover."""
+        """Return the texels that a frontal box may cover."""
         low_x, high_x, low_y, high_y = box
         levels = np.linspace(low_y, high_y, 9)
         columns = self._columns(low_x, levels, min), self._columns(high_x, levels, max)
@@ -107,7 +106,7 @@ class Canvas:
         return int((angle / np.pi + 1.0) / 2.0 * len(self._angles))
 
     def _seen(self, window: tuple[slice, slice]) -> tuple[FloatArray, FloatArray]:
-        """x and y, mm, (rows, columns) of a window's texels as seen from in front."""
+        """Return x and y, mm, (rows, columns) of a window's texels in frontal view."""
         levels, angles = self._levels[window[0]], self._angles[window[1]]
         x = half_width(levels)[:, None] * np.sin(angles)[None, :]
         return x, np.broadcast_to(height(levels)[:, None], x.shape)
@@ -116,7 +115,7 @@ class Canvas:
 def blob(
     x: FloatArray, y: FloatArray, middle: tuple[float, float], spread: tuple[float, float]
 ) -> FloatArray:
-    """Return a Gaussian spot (...) of height 1."""
+    """Return a Gaussian blob (...) of height 1."""
     spot: FloatArray = np.exp(
         -0.5 * ((x - middle[0]) / spread[0]) ** 2 - 0.5 * ((y - middle[1]) / spread[1]) ** 2
     )
@@ -124,20 +123,19 @@ def blob(
 
 
 def inside(distance: FloatArray, soft: float) -> FloatArray:
-    """Return 1 where a signed distance (...), mm, is positive, 0 where negative; soft over ``soft`` mm."""
+    """Return 1 for positive, 0 for negative signed distances (...), mm, with a transition of ``soft`` mm."""
     return smooth_step(distance / soft + 0.5)
 
 
-# Skin: tone, blotches, pores, freckles, lines, a beard's shadow, and the shade in a face's folds
-
+# Skin: tone, blotches, pores, freckles, wrinkles, stubble, shading of folds
 
 FACE: Box = (-66.0, 66.0, -118.0, 75.0)
 GLOSS = 0.07
 BLOTCHES, PORES = 0.05, 0.04
-# depth; x (both sides) and y of the middle; spreads, mm: less light comes there
+# Darkened areas: depth; x (both sides) and y of the centre; spreads, mm
 _SHADES = (
     (0.30, 30.0, 8.5, 13.0, 6.5),  # under the brows
-    (0.22, 16.5, 4.0, 4.5, 9.0),  # beside the nose's root
+    (0.22, 16.5, 4.0, 4.5, 9.0),  # sides of the nasal root
     (0.12, 33.0, -10.0, 11.0, 5.0),  # under the eyes
     (0.22, 0.0, -50.5, 8.0, 3.0),  # under the nose
     (0.26, 15.0, -41.5, 1.8, 4.0),  # behind the wings
@@ -147,7 +145,7 @@ _SHADES = (
 
 
 def paint_skin(canvas: Canvas, looks: Looks, rng: np.random.Generator) -> None:
-    """Paint all of the canvas with skin, gloss most on forehead and nose."""
+    """Paint the whole canvas with skin, glossiest on forehead and nose."""
     size, texel = canvas.reflectance.shape, canvas.texel_mm
     grains = tuple(mm / texel for mm in (18.0, 7.0, 3.0))
     relative = BLOTCHES * layered_field(size, grains, rng) + PORES * _pores(size, texel, rng)
@@ -161,7 +159,7 @@ def paint_skin(canvas: Canvas, looks: Looks, rng: np.random.Generator) -> None:
 
 
 def shade_folds(canvas: Canvas, looks: Looks) -> None:
-    """Darken where less light comes: under brows, nose and lip, beside the mouth, on the neck."""
+    """Darken areas with less light: under brows, nose and lip, next to the mouth, on the neck."""
     for depth, side, up, across, down in _SHADES:
         canvas.shade(
             FACE, partial(_shaded, depth=depth, middle=(side, up), spread=(across, down), mirrored=True)
@@ -172,13 +170,13 @@ def shade_folds(canvas: Canvas, looks: Looks) -> None:
 
 
 def _pores(size: tuple[int, int], texel: float, rng: np.random.Generator) -> Float32Array:
-    """Fine structure at 0.7 and 1.6 mm, with more dark than bright spots."""
+    """Return fine structure at 0.7 and 1.6 mm, with more dark than bright spots."""
     fine = smooth_field(size, 0.7 / texel, rng) + 1.2 * smooth_field(size, 1.6 / texel, rng)
     return np.asarray(0.75 * fine - 0.07 * (fine * fine - 1.0), dtype=np.float32)
 
 
 def _shining(x: FloatArray, y: FloatArray) -> FloatArray:
-    """Where skin is greasy: on the forehead and along the nose."""
+    """Return the opacity of greasy skin, on the forehead and along the nose."""
     return 0.7 * np.maximum(blob(x, y, (0.0, 45.0), (30.0, 14.0)), blob(x, y, (0.0, -25.0), (6.0, 18.0)))
 
 
@@ -190,12 +188,12 @@ def _shaded(
     spread: tuple[float, float],
     mirrored: bool = False,
 ) -> FloatArray:
-    """What is left of the light in a soft spot, on both sides of the face where ``mirrored``."""
+    """Return the light factor in a soft spot, on both sides of the face if ``mirrored``."""
     return 1.0 - depth * blob(np.abs(x) if mirrored else x, y, middle, spread)
 
 
 def _fold(x: FloatArray, y: FloatArray) -> FloatArray:
-    """The folds from the wings of the nose to beside the mouth."""
+    """Return the opacity of the nasolabial folds."""
     along = np.clip((-43.0 - y) / 27.0, 0.0, 1.0)
     middle = 16.0 + 17.0 * along**0.8
     width = 1.3 + 1.5 * along
@@ -205,7 +203,7 @@ def _fold(x: FloatArray, y: FloatArray) -> FloatArray:
 
 
 def _paint_freckle(canvas: Canvas, rng: np.random.Generator) -> None:
-    """A small spot somewhere; few are as big and dark as moles."""
+    """Paint a small spot at a random place; some are as large and dark as moles."""
     x, y = rng.uniform(-60.0, 60.0), rng.uniform(-110.0, 62.0)
     size = 0.35 + 0.5 * rng.random() ** 3
     depth = rng.uniform(0.12, 0.35) if size < 0.7 else 0.5
@@ -214,7 +212,7 @@ def _paint_freckle(canvas: Canvas, rng: np.random.Generator) -> None:
 
 
 def _paint_lines(canvas: Canvas, looks: Looks, rng: np.random.Generator) -> None:
-    """Lines across the forehead and beside the eyes."""
+    """Paint wrinkles on the forehead and next to the eyes."""
     for k in range(3):
         height, bend = 38.0 + 8.5 * k + rng.uniform(-1.5, 1.5), rng.uniform(-2.0, 3.0)
         wave, reach = rng.uniform(0.0, 6.0), rng.uniform(20.0, 38.0)
@@ -229,14 +227,14 @@ def _paint_lines(canvas: Canvas, looks: Looks, rng: np.random.Generator) -> None
 def _forehead_line(
     x: FloatArray, y: FloatArray, height: float, bend: float, wave: float, reach: float, depth: float
 ) -> FloatArray:
-    """What is left of the light in a wavy line across the forehead."""
+    """Return the light factor of a wavy line across the forehead."""
     off = y - height - bend * (x / 35.0) ** 2 - 0.6 * np.sin(x / 5.0 + wave)
     left: FloatArray = 1.0 - 0.16 * depth * np.exp(-0.5 * (off / 0.7) ** 2 - (x / reach) ** 4)
     return left
 
 
 def _crows_foot(x: FloatArray, y: FloatArray, slope: float, start: float, depth: float) -> FloatArray:
-    """What is left of the light in a line that goes outwards from beside an eye."""
+    """Return the light factor of a line that runs outwards from an eye."""
     along = np.abs(x) - start
     ends = inside(along, 1.5) * inside(9.0 - along, 5.0)
     left: FloatArray = 1.0 - 0.14 * depth * ends * np.exp(-0.5 * ((y - slope * along) / 0.6) ** 2)
@@ -244,7 +242,7 @@ def _crows_foot(x: FloatArray, y: FloatArray, slope: float, start: float, depth:
 
 
 def _paint_stubble(canvas: Canvas, looks: Looks, rng: np.random.Generator) -> None:
-    """A beard's shadow, of single hairs."""
+    """Paint a beard's shadow of single hairs."""
     if looks.stubble <= 0.0:
         return
     size = canvas.reflectance.shape
@@ -256,14 +254,13 @@ def _paint_stubble(canvas: Canvas, looks: Looks, rng: np.random.Generator) -> No
     canvas.reflectance *= (1.0 - looks.stubble * beard * hairs * (places[..., 2] > -90.0)).astype(np.float32)
 
 
-# A head's texture: what is painted on its skin, from lips and eyes to hair
-
+# Eyes, brows, mouth, nostrils, hair
 
 EYES: tuple[Box, Box] = ((-54.0, -12.0, -14.0, 18.0), (12.0, 54.0, -14.0, 18.0))
 IRIS_MM, PUPIL_MM = 5.9, 2.1
 IRIS_ALONG, IRIS_ABOVE = 0.5, 1.1
 SCLERA = 0.58
-"""Hardly brighter than skin: it lies in the lids' shade."""
+"""Hardly brighter than skin, as it is in the shade of the lids."""
 BROW_INNER = (float(MEAN_SHAPE[9, 0]), float(MEAN_SHAPE[9, 1]))
 BROW_OUTER_X = 54.0
 BROWS: tuple[Box, Box] = ((-60.0, -8.0, 8.0, 40.0), (8.0, 60.0, 8.0, 40.0))
@@ -275,7 +272,7 @@ NOSTRIL_MM = (3.3, 1.9)
 TOOTH_MM = 8.0
 
 
-@functools.lru_cache(maxsize=2)  # of a person who is recorded again
+@functools.lru_cache(maxsize=2)  # for repeated recordings of a person
 def head_texture(looks: Looks) -> ImageArray:
     """Return the texture (rows, columns, 2) uint8 of a head, reflectance and gloss; read-only."""
     skin, hair, brows, mouth, eyes = np.random.default_rng(looks.texture_seed).spawn(5)
@@ -294,7 +291,7 @@ def head_texture(looks: Looks) -> ImageArray:
 
 
 def paint_eyes(canvas: Canvas, looks: Looks, rng: np.random.Generator) -> None:
-    """Paint both eyes; the corners of their openings are the feature points."""
+    """Paint both eyes; the corners of their openings are landmarks."""
     rays = rng.standard_normal(24)
     for box in EYES:
         canvas.change(box, lambda x, y, old: _lids(looks.lids(x, y), old, looks.wrinkles))
@@ -303,7 +300,7 @@ def paint_eyes(canvas: Canvas, looks: Looks, rng: np.random.Generator) -> None:
 
 
 def paint_brows(canvas: Canvas, looks: Looks, rng: np.random.Generator) -> None:
-    """Paint both brows; the upper corner of the inner end is the feature point."""
+    """Paint both brows; the upper corner of the inner end is a landmark."""
     texel = canvas.texel_mm
     size = canvas.reflectance.shape
     strands = 0.6 * smooth_field(size, (1.0 / texel, 2.5 / texel), rng) + 0.4 * smooth_field(
@@ -315,7 +312,7 @@ def paint_brows(canvas: Canvas, looks: Looks, rng: np.random.Generator) -> None:
 
 
 def _brow(x: FloatArray, y: FloatArray, strands: FloatArray, looks: Looks) -> FloatArray:
-    """Opacity of a brow: a band with a corner above its inner end, thinner outwards."""
+    """Return the opacity of a brow: a band with a corner above its inner end, thinner outwards."""
     along = np.clip((np.abs(x) - BROW_INNER[0]) / (BROW_OUTER_X - BROW_INNER[0]), 0.0, 1.0)
     top = BROW_INNER[1] + looks.brow_arch * np.sin(np.pi * np.clip(along * 0.85, 0.0, 1.0)) - 4.0 * along**3
     thick = looks.brow_thickness * (1.0 - 0.15 * along - 0.6 * along**3)
@@ -327,7 +324,7 @@ def _brow(x: FloatArray, y: FloatArray, strands: FloatArray, looks: Looks) -> Fl
 
 
 def _lids(at: LidPlaces, old: Float32Array, wrinkles: float) -> FloatArray:
-    """The crease above the upper lid, and the shade of the lower."""
+    """Return the crease above the upper lid and the shade of the lower lid."""
     s, above, top, bottom = at
     ends = inside(s + 0.02, 0.12) * inside(1.10 - s, 0.2)
     crease = ends * np.exp(-0.5 * ((above - top - 3.4 + 1.0 * (2 * s - 1) ** 2) / 0.75) ** 2)
@@ -336,7 +333,7 @@ def _lids(at: LidPlaces, old: Float32Array, wrinkles: float) -> FloatArray:
 
 
 def _open(at: LidPlaces, soft: float) -> FloatArray:
-    """How far (...) places lie in the opening: 1 inside."""
+    """Return how far (...) places are inside the opening: 1 inside."""
     s, above, top, bottom = at
     along = inside(s * LENGTH, soft) * inside((1.0 - s) * LENGTH, soft)
     opening: FloatArray = inside(top - above, soft) * inside(above - bottom, soft) * along
@@ -344,7 +341,7 @@ def _open(at: LidPlaces, soft: float) -> FloatArray:
 
 
 def _opening(at: LidPlaces, old: Float32Array, looks: Looks, rays: FloatArray) -> FloatArray:
-    """The eyeball in the opening, and the lashes around it."""
+    """Return the eyeball in the opening, and the lashes around it."""
     s, above, top, bottom = at
     shown = _open(at, 0.7)
     ball = _eyeball(s, above, looks, rays) * (1.0 - 0.5 * inside(above - top + 2.4, 3.6))
@@ -361,7 +358,7 @@ def _opening(at: LidPlaces, old: Float32Array, looks: Looks, rays: FloatArray) -
 
 
 def _eyeball(s: FloatArray, above: FloatArray, looks: Looks, rays: FloatArray) -> FloatArray:
-    """White, iris with a dark rim and rays, pupil, a glint; the inner corner is pinker, so darker."""
+    """Return sclera, iris with dark rim and rays, pupil and glint; the inner corner is darker."""
     dx, dy = (s - IRIS_ALONG) * LENGTH, above - IRIS_ABOVE
     radius, angle = np.hypot(dx, dy), np.arctan2(dy, dx)
     ray = sum(
@@ -377,7 +374,7 @@ def _eyeball(s: FloatArray, above: FloatArray, looks: Looks, rays: FloatArray) -
 
 
 def paint_lips(canvas: Canvas, looks: Looks, rng: np.random.Generator) -> None:
-    """Paint the lips with fine upright lines, the dark line between them and the mouth's corners."""
+    """Paint the lips with fine vertical lines, the dark line between them, and the corners of the mouth."""
     window = canvas.window(MOUTH)
     texel = canvas.texel_mm
     lines = smooth_field(canvas.reflectance.shape, (5.0 / texel, 0.9 / texel), rng)[window]
@@ -390,7 +387,7 @@ def paint_lips(canvas: Canvas, looks: Looks, rng: np.random.Generator) -> None:
 
 
 def paint_nostrils(canvas: Canvas) -> None:
-    """Paint the nostrils dark around their feature points, softly towards the wings."""
+    """Paint the nostrils dark around their landmarks, fading towards the wings."""
     canvas.shade(
         NOSE, lambda x, y: 1.0 - 0.3 * blob(np.abs(x), y, (NOSTRIL[0] + 1.5, NOSTRIL[1] + 0.4), (5.0, 2.6))
     )
@@ -399,7 +396,7 @@ def paint_nostrils(canvas: Canvas) -> None:
 
 
 def paint_pocket(canvas: Canvas, rng: np.random.Generator) -> None:
-    """Paint the texture's part behind the lips: teeth of both jaws, darkness behind them."""
+    """Paint the texture behind the lips: teeth of both jaws on a dark background."""
     rows = np.flatnonzero((canvas.pocket > 0.0) & (canvas.pocket < 1.0))
     x = canvas.places[rows[0], :, 0]
     columns = np.flatnonzero((np.abs(x) < MOUTH_X) & (canvas.places[rows[0], :, 2] > 0.0))
@@ -410,7 +407,7 @@ def paint_pocket(canvas: Canvas, rng: np.random.Generator) -> None:
 
 
 def _teeth(x: FloatArray, pocket: FloatArray) -> FloatArray:
-    """Reflectance behind the lips: gums, a row of teeth on either side, darkness between them."""
+    """Return the reflectance behind the lips: gums, a row of teeth on either side, darkness in between."""
     depth = np.minimum(pocket, 1.0 - pocket)
     gap = np.abs((np.abs(x) / TOOTH_MM + 0.5) % 1.0 - 0.5) * TOOTH_MM
     tooth = inside(gap - 0.25, 0.5) * inside(depth - 0.05, 0.03) * inside(0.30 - depth, 0.04)
@@ -420,7 +417,7 @@ def _teeth(x: FloatArray, pocket: FloatArray) -> FloatArray:
 
 
 def _lips(x: FloatArray, y: FloatArray, looks: Looks) -> FloatArray:
-    """Opacity of both lips: a bow above, an arc below."""
+    """Return the opacity of both lips: a bow above, an arc below."""
     across = np.clip(np.abs(x) / (MOUTH_X + 0.5), 0.0, 1.0)
     bow = 1.0 - across**1.7 - 0.16 * np.exp(-0.5 * (x / 3.4) ** 2)
     top, bottom = MOUTH_Y + looks.upper_lip * bow, MOUTH_Y - looks.lower_lip * (1.0 - across**2.4)
@@ -429,7 +426,7 @@ def _lips(x: FloatArray, y: FloatArray, looks: Looks) -> FloatArray:
 
 
 def _line(x: FloatArray, y: FloatArray) -> FloatArray:
-    """Opacity of the line between the lips, which ends in the corners."""
+    """Return the opacity of the line between the lips, which ends in the corners."""
     up = y - MOUTH_Y
     width = 0.75 + 0.35 * np.clip(np.abs(x) / MOUTH_X, 0.0, 1.0) ** 3
     line = np.exp(-0.5 * (up / width) ** 2) * inside(MOUTH_X + 0.3 - np.abs(x), 1.4)
@@ -439,7 +436,7 @@ def _line(x: FloatArray, y: FloatArray) -> FloatArray:
 
 
 def _nostril(x: FloatArray, y: FloatArray) -> FloatArray:
-    """Opacity of the openings: ellipses, higher towards the outside."""
+    """Return the opacity of the openings: ellipses, higher towards the outside."""
     dx, dy = np.abs(x) - NOSTRIL[0], y - NOSTRIL[1]
     dy = dy - 0.25 * dx
     radius = np.hypot(dx / NOSTRIL_MM[0], dy / NOSTRIL_MM[1])

@@ -1,4 +1,4 @@
-"""Who is drawn, and what the face shows when."""
+"""Persons and their expressions."""
 
 from __future__ import annotations
 
@@ -30,38 +30,37 @@ from posetrack_cli.synthesis.head.form import (
 )
 from posetrack_cli.synthesis.head.options import TWO_MOTIONS, HeadSynthOptions
 
-# Who is seen: proportions and looks of a head, drawn from a seed
-
+# Identity: proportions and looks of a head, drawn from a seed
 
 LIKENESS_MM = 35.0
-"""[ours] Distance over which neighbouring points of a face deviate alike."""
+"""[ours] Correlation length of the landmarks' deviations."""
 ASYMMETRY = 0.15
-"""[ours] Share of the deviation that the two halves of a face do not have in common."""
+"""[ours] Share of the deviation that is not symmetric."""
 MOST_DEVIATION = 2.0
-"""Deviations are drawn within so many standard deviations, all together: no face is a freak."""
+"""Maximum RMS deviation in standard deviations, which excludes extreme faces."""
 
-# angle from the front, deg: the hairline's height, mm, relative to its height in the middle
+# Angle from the front, deg, and drop of the hairline, mm, relative to its height in the middle
 _ANGLES = np.radians([0.0, 20.0, 38.0, 52.0, 62.0, 72.0, 82.0, 92.0, 105.0, 120.0, 180.0])
 _DROP = np.array([0.0, 1.0, 4.0, 12.0, 38.0, 62.0, 92.0, 84.0, 96.0, 150.0, 165.0])
 
 
 @dataclass(frozen=True)
 class Looks:
-    """What a face looks like where no feature point says so; lengths mm, tones are reflectances 0 to 1.
+    """Appearance of a face where no landmark determines it; lengths in mm, tones as reflectance 0 to 1.
 
     Attributes:
         skin, hair, lips, iris: tones.
-        brow_thickness: of the brow at its inner end.
-        brow_arch: how far the brow rises above the line between its ends.
+        brow_thickness: thickness of the brow at its inner end.
+        brow_arch: height of the brow above the line between its ends.
         brow_density: opacity 0 to 1.
-        upper_lid, lower_lid: greatest distance of a lid's edge from the line between the eye's corners.
+        upper_lid, lower_lid: maximum distance of a lid's edge from the line between the eye corners.
         upper_lip, lower_lip: thickness in the middle.
-        hairline: height of the hair's edge above the eyes.
-        hair_volume: how far the hair stands off.
-        stubble: darkness 0 to 1 of the beard's shadow.
+        hairline: height of the hairline above the eyes.
+        hair_volume: thickness of the hair.
+        stubble: darkness of the beard's shadow, 0 to 1.
         freckles: number of spots.
-        wrinkles: depth 0 to 1 of the lines of the skin.
-        texture_seed: of everything else that is random about the skin.
+        wrinkles: depth of wrinkles, 0 to 1.
+        texture_seed: seed of all other random structure of the skin.
     """
 
     skin: float = 0.62
@@ -83,7 +82,7 @@ class Looks:
     texture_seed: int = 0
 
     def lids(self, x: FloatArray, y: FloatArray) -> LidPlaces:
-        """Return where places (...), mm, of the average head lie at the lids of this face."""
+        """Return eye coordinates and lid edges of this face at places (...), mm, of the average head."""
         s, above = along_and_above(x, y)
         return LidPlaces(s, above, upper_edge(s, self.upper_lid), lower_edge(s, self.lower_lid))
 
@@ -93,9 +92,9 @@ class Identity:
     """A person.
 
     Attributes:
-        points: (K, 3) the ten feature points of the neutral face, mm, head's frame.
-        relief: of the face between them.
-        looks: of the skin.
+        points: (K, 3) ten landmarks of the neutral face, mm, head's frame.
+        relief: relief of the face between them.
+        looks: appearance of the skin.
     """
 
     points: FloatArray = field(default_factory=MEAN_SHAPE.copy)
@@ -104,17 +103,17 @@ class Identity:
 
 
 def identity_of_seed(seed: int) -> Identity:
-    """Return the person of a seed; the same seed is the same person in every recording."""
+    """Return the person of a seed, the same in every recording."""
     shape, looks = np.random.default_rng([seed, 0x68656164]).spawn(2)
     return Identity(random_points(shape), _random_relief(shape), _random_looks(looks))
 
 
 def random_points(rng: np.random.Generator) -> FloatArray:
-    """Draw the ten points (K, 3) of a neutral face, mm, with the origin at the mean of the eye corners.
+    """Draw the ten landmarks (K, 3) of a neutral face, mm, with the origin at the mean of the eye corners.
 
     Deviations from ``MEAN_SHAPE`` are Gaussian with the standard deviations ``SHAPE_SD``, measured on
-    ICT-FaceKit's identities. How they hang together is **[ours]**: exp(-d^2 / (2 l^2)) between points at
-    distance d, and nearly the same on both sides.
+    ICT-FaceKit's identities. Their correlation is **[ours]**: exp(-d^2 / (2 l^2)) between points at
+    distance d, and nearly symmetric.
     """
     while True:
         common, apart = (_smooth_deviation(rng) for _ in range(2))
@@ -128,7 +127,7 @@ def random_points(rng: np.random.Generator) -> FloatArray:
 
 
 def _smooth_deviation(rng: np.random.Generator) -> FloatArray:
-    """(K, 3) of unit variance, alike where points are close together."""
+    """Return deviations (K, 3) of unit variance, correlated between close points."""
     apart = np.linalg.norm(MEAN_SHAPE[:, None] - MEAN_SHAPE[None], axis=-1)
     covariance = np.exp(-0.5 * (apart / LIKENESS_MM) ** 2) + 1e-9 * np.eye(len(MEAN_SHAPE))
     deviation: FloatArray = np.linalg.cholesky(covariance) @ rng.standard_normal(MEAN_SHAPE.shape)
@@ -136,7 +135,7 @@ def _smooth_deviation(rng: np.random.Generator) -> FloatArray:
 
 
 def _symmetric(deviation: FloatArray) -> FloatArray:
-    """The right half's deviation, and its mirror image on the left."""
+    """Return the right half's deviation, mirrored to the left."""
     mirrored = deviation[list(MIRRORED)] * [-1.0, 1.0, 1.0]
     right = MEAN_SHAPE[:, 0] < 0.0
     both: FloatArray = np.where(right[:, None], deviation, mirrored)
@@ -176,27 +175,25 @@ def _random_looks(rng: np.random.Generator) -> Looks:
 
 
 def hair_share(places: FloatArray, looks: Looks, *, soft_mm: float = 8.0) -> FloatArray:
-    """Return how much hair (...) grows at places (..., 3) of the average head: 0 none, 1 full."""
+    """Return the hair density (...) at places (..., 3) of the average head: 0 none, 1 full."""
     angle = np.abs(np.arctan2(places[..., 0], (places[..., 2] + 82.0)))
     line = looks.hairline - np.interp(angle, _ANGLES, _DROP)
     return smooth_step((places[..., 1] - line) / soft_mm)
 
 
-# When a synthetic face makes which expression: the pattern of the thesis's experiment 3.4, or another.
+# Schedule of expressions: that of the thesis's experiment 3.4, or that of model building.
 #
-# After a neutral beginning it deforms until two thirds of the recording are over, then only the head moves;
-# or it makes the two motions that models of faces are built from: the mouth grows wide and narrow, then the
-# whole face long and short, brows and jaw together, each swept through its range several times, slowly.
-# Blinks and small movements of the eyes go on throughout.
-
+# Free script: after a neutral start the face deforms during the first two thirds of the recording, then only
+# the head moves. Model building: first the mouth becomes wide and narrow, then the face long and short (brows
+# and jaw together), each slowly and several times. Blinks and eye movements continue throughout.
 
 NEUTRAL_S, NEUTRAL_PART = 2.0, 0.15
-"""The neutral beginning: so long, but at most this part of the recording."""
+"""Duration of the neutral start, at most this fraction of the recording."""
 DEFORMING_PART = 2.0 / 3.0
 RISE_S, HOLD_S, FALL_S, REST_S = (0.25, 0.6), (0.2, 1.0), (0.25, 0.6), (0.0, 0.4)
 BLINK_EVERY_S, BLINK_S = (2.5, 6.0), (0.06, 0.02, 0.10)
 GAZE_EVERY_S, GAZE_MOVE_S, GAZE = (0.8, 3.0), 0.06, 0.5
-# what is made together, with the least and greatest strength
+# Simultaneous expressions, with minimum and maximum strength
 _FACES: tuple[dict[str, tuple[float, float]], ...] = (
     {"jaw_open": (0.4, 0.9)},
     {"jaw_open": (0.3, 0.6), "brows_up": (0.5, 1.0)},
@@ -211,22 +208,22 @@ _FACES: tuple[dict[str, tuple[float, float]], ...] = (
     {"brows_down": (0.6, 1.0), "pucker": (0.0, 0.4)},
 )
 
-# The two motions that models of faces are built from (thesis, 4.2 and figure 4.4)
+# Motions for building face models (thesis, 4.2 and figure 4.4)
 STILL_S, STILL_PART = 4.5, 0.3
-"""The neutral beginning, in which a tracker takes the face for rigid: so long, but at most this part."""
+"""Duration of the neutral start, in which a tracker treats the face as rigid; at most this fraction."""
 SWEEP_S, LEAST_SWEEPS = 3.0, 2
-"""[ours] Each motion is swept through in about this time, so many times at least."""
+"""[ours] Approximate duration of one sweep of a motion, and minimum number of sweeps."""
 HOLD_PART = 0.1
-"""Of a sweep, in which either end of the range is held."""
+"""Fraction of a sweep in which either end of the range is held."""
 STRENGTH = (0.8, 1.0)
-# what is made together, the one way and the other
+# Simultaneous expressions at either end of the range
 _WIDTH = (("smile_right", "smile_left"), ("pucker",))
 _LENGTH = (("jaw_open", "brows_up"), ("brows_down",))
 
 
 @dataclass(frozen=True)
 class Episode:
-    """One expression: its name, greatest strength, begin, and how long it rises, stays and falls, s."""
+    """One expression: name, maximum strength, start, and durations of rise, hold and fall, s."""
 
     name: str
     strength: float
@@ -237,7 +234,7 @@ class Episode:
 
     @property
     def end(self) -> float:
-        """When it is over, s."""
+        """End, s."""
         return self.start + self.rise + self.hold + self.fall
 
 
@@ -246,15 +243,15 @@ class ExpressionScript:
     """All expressions of a recording.
 
     Attributes:
-        episodes: in any order; strengths of the same name add up.
-        gazes: (G, 2) when the eyes move, s, and where to, -1 to 1.
+        episodes: in any order; strengths with the same name add up.
+        gazes: (G, 2) time of an eye movement, s, and its target, -1 to 1.
     """
 
     episodes: tuple[Episode, ...]
     gazes: FloatArray
 
     def strengths(self, times: FloatArray) -> FloatArray:
-        """Strengths (T, J) of ``EXPRESSIONS`` at times (T,), s."""
+        """Return strengths (T, J) of ``EXPRESSIONS`` at times (T,), s."""
         values = np.zeros((len(times), len(EXPRESSIONS)))
         for one in self.episodes:
             shape = pulse(times, one.start, one.rise, one.hold, one.fall)
@@ -271,7 +268,7 @@ class ExpressionScript:
 
 
 def make_script(options: HeadSynthOptions, rng: np.random.Generator) -> ExpressionScript:
-    """Draw the expressions of a recording; without expressions the face keeps quite still."""
+    """Draw the expressions of a recording; without expressions the face is completely still."""
     if not options.expressions:
         return ExpressionScript((), np.zeros((0, 2)))
     deforming, blinking, looking = rng.spawn(3)
@@ -282,7 +279,7 @@ def make_script(options: HeadSynthOptions, rng: np.random.Generator) -> Expressi
 
 
 def deforming_interval(options: HeadSynthOptions) -> tuple[float, float] | None:
-    """Return from when until when a face deforms, s; None for never."""
+    """Return the interval in which a face deforms, s; None for never."""
     if not options.expressions:
         return None
     of_script = motions_interval if options.script == TWO_MOTIONS else _free_interval
@@ -324,21 +321,21 @@ def _gazes(duration_s: float, rng: np.random.Generator) -> FloatArray:
 
 
 def two_motions(duration_s: float, rng: np.random.Generator) -> tuple[Episode, ...]:
-    """Return the expressions of a recording of so many seconds."""
+    """Return the expressions of a recording for model building, of this duration."""
     start, end = motions_interval(duration_s)
     half = 0.5 * (end - start)
     return (*_sweeps(_WIDTH, start, half, rng), *_sweeps(_LENGTH, start + half, half, rng))
 
 
 def motions_interval(duration_s: float) -> tuple[float, float]:
-    """Return from when until when the face moves, s."""
+    """Return the interval in which the face moves, s."""
     return min(STILL_S, STILL_PART * duration_s), duration_s
 
 
 def _sweeps(
     motion: tuple[tuple[str, ...], ...], start: float, length: float, rng: np.random.Generator
 ) -> Iterator[Episode]:
-    """One motion to and fro in a time: a sweep goes one way and back, then the other way and back."""
+    """Yield one motion: each sweep goes to one end and back, then to the other and back."""
     count = max(LEAST_SWEEPS, round(length / SWEEP_S))
     time, part = start, length / (count * len(motion))
     hold = HOLD_PART * part
@@ -351,8 +348,7 @@ def _sweeps(
             time += part
 
 
-# How a face deforms: expressions as displacements of the skin, linear in their strengths
-
+# Deformation: expressions as displacements of the skin, linear in their strengths
 
 EXPRESSIONS = (
     "jaw_open",
@@ -365,19 +361,17 @@ EXPRESSIONS = (
     "blink",
     "gaze",
 )
-"""Names of the strengths: 0 is neutral and 1 the most; ``BOTH_WAYS`` go from -1 to 1, positive to the
-subject's left."""
+"""Names of the strengths, 0 (neutral) to 1, or -1 to 1 for ``BOTH_WAYS``, positive to the subject's left."""
 BOTH_WAYS = ("mouth_sideways", "gaze")
 
 MOTION_REACH_MM = 26.0
-HINGE = np.array([-14.0, AXIS_Z])  # y, z of the jaw's axis, mm
+HINGE = np.array([-14.0, AXIS_Z])  # y, z of the jaw axis, mm
 JAW_RAD = float(np.radians(16.4))
 GAZE_MM = 3.0
 Anchors = list[tuple[float, float, float, float, float]]
 
-# x, y of a place; its displacement in x, y, z at full strength, mm. Sizes as measured on ICT-FaceKit's
-# expressions: corners of the mouth 17.5 when the jaw opens, 15.6 in a smile, 18 sideways, 11 in a pucker;
-# brows 4.5.
+# x, y of a place; its displacement in x, y, z at full strength, mm. Magnitudes as measured on ICT-FaceKit's
+# expressions: mouth corners 17.5 with open jaw, 15.6 in a smile, 18 sideways, 11 in a pucker; brows 4.5.
 _STILL: Anchors = [
     (0.0, -36.0, 0, 0, 0),
     (0.0, -10.0, 0, 0, 0),
@@ -424,12 +418,12 @@ _BROWS_DOWN: Anchors = [
 
 
 def displacements(places: FloatArray, below: FloatArray, looks: Looks) -> FloatArray:
-    """Return what every expression moves (J, ..., 3), mm at full strength.
+    """Return the displacements of every expression (J, ..., 3), mm at full strength.
 
     Args:
         places: (..., 3) on the average head, mm.
-        below: (...) 1 where the skin moves with the lower jaw's side of the mouth, 0 with the upper.
-        looks: of the face; its lids' edges are read.
+        below: (...) 1 where the skin moves with the lower side of the mouth, 0 with the upper.
+        looks: appearance; the lid edges are used.
     """
     xy = places[..., :2]
     front = np.clip((places[..., 2] - AXIS_Z) / 40.0, 0.0, 1.0)[..., None]
@@ -448,7 +442,7 @@ def displacements(places: FloatArray, below: FloatArray, looks: Looks) -> FloatA
 
 
 def belongs_below(x: FloatArray, y: FloatArray) -> FloatArray:
-    """Return which share (...) of a place moves with the lower side of the mouth.
+    """Return the share (...) of a place that moves with the lower side of the mouth.
 
     A step at the lips; beyond the corners of the mouth a slope that widens.
     """
@@ -457,7 +451,7 @@ def belongs_below(x: FloatArray, y: FloatArray) -> FloatArray:
 
 
 def _field(anchors: Anchors) -> Displacements:
-    """The field of anchors, the eyes, nostrils and the places that never move."""
+    """Return the field of the anchors, with eyes, nostrils and other fixed places held still."""
     fixed: Anchors = [(float(x), float(y), 0, 0, 0) for x, y, _ in [*MEAN_SHAPE[EYES], *MEAN_SHAPE[6:8]]]
     named = {(x, y) for x, y, *_ in anchors}
     table = np.array([*anchors, *(a for a in [*_STILL, *fixed] if a[:2] not in named)])
@@ -470,7 +464,7 @@ def _mirrored(field: Displacements, xy: FloatArray) -> FloatArray:
 
 
 def _jaw(places: FloatArray, below: FloatArray) -> FloatArray:
-    """The lower face turns about the jaw's axis, the mouth's corners and cheeks follow in part."""
+    """Return the rotation of the lower face about the jaw axis; mouth corners and cheeks follow partly."""
     hung = places[..., 1:] - HINGE
     sine, cosine = np.sin(JAW_RAD), np.cos(JAW_RAD)
     turned = np.stack([np.zeros_like(hung[..., 0]), *_turned(hung, sine, cosine)], axis=-1)
@@ -490,13 +484,13 @@ def _jaw(places: FloatArray, below: FloatArray) -> FloatArray:
 
 
 def _turned(hung: FloatArray, sine: float, cosine: float) -> tuple[FloatArray, FloatArray]:
-    """Displacement in y and z of points (..., 2) that hang in y and z before an axis, turned down."""
+    """Return the displacement in y and z of points (..., 2), relative to an axis, rotated downwards."""
     y, z = hung[..., 0], hung[..., 1]
     return (cosine - 1.0) * y - sine * z, sine * y + (cosine - 1.0) * z
 
 
 def _blink(xy: FloatArray, looks: Looks) -> FloatArray:
-    """The upper lid comes down to the lower: what the opening shows is pressed together behind its edge."""
+    """Return the upper lid's motion to the lower lid; the visible eyeball is compressed behind its edge."""
     s, above, top, bottom = looks.lids(xy[..., 0], xy[..., 1])
     within = smooth_step((s + 0.12) / 0.12) * smooth_step((1.12 - s) / 0.12)
     opening = np.maximum(top - bottom, 1e-6)
@@ -508,7 +502,7 @@ def _blink(xy: FloatArray, looks: Looks) -> FloatArray:
 
 
 def _gaze(xy: FloatArray, looks: Looks) -> FloatArray:
-    """What the openings show moves to the subject's left, not at all at their edges."""
+    """Return the motion of the visible eyeball to the subject's left, zero at the lid edges."""
     s, above, top, bottom = looks.lids(xy[..., 0], xy[..., 1])
     height = np.clip((above - bottom) / np.maximum(top - bottom, 1e-6), 0.0, 1.0)
     inside = np.clip(4.0 * s * (1.0 - s), 0.0, 1.0) * np.minimum(1.0, 6.0 * height * (1.0 - height))
@@ -516,8 +510,7 @@ def _gaze(xy: FloatArray, looks: Looks) -> FloatArray:
     return np.stack([aside, np.zeros_like(aside), np.zeros_like(aside)], axis=-1)
 
 
-# A person's head as it can be drawn: neutral skin, what expressions move, and the ten true points
-
+# Renderable head: neutral skin, displacements by expressions, and the ten true landmarks
 
 REACH_MM = 30.0
 EAR_MIDDLE = np.array([72.0, -16.0, -88.0])
@@ -526,14 +519,14 @@ EAR_MM = np.array([7.0, 31.0, 17.0])
 
 @dataclass(frozen=True, eq=False)
 class Person:
-    """A head that deforms linearly: skin = neutral + sum_j strength_j moved_j.
+    """Head that deforms linearly: skin = neutral + sum_j strength_j moved_j.
 
     Attributes:
         neutral: (R, C, 3) vertices of ``form``, mm, head's frame.
         moved: (J, R, C, 3) displacement by each of ``EXPRESSIONS`` at full strength, mm.
-        points: (K, 3) the feature points of the neutral face, on the skin.
-        points_moved: (J, K, 3) theirs.
-        ears: right and left, grids of vertices, mm.
+        points: (K, 3) landmarks of the neutral face, on the skin.
+        points_moved: (J, K, 3) their displacements.
+        ears: right and left, vertex grids, mm.
     """
 
     neutral: FloatArray
@@ -543,12 +536,12 @@ class Person:
     ears: tuple[FloatArray, FloatArray]
 
     def skin(self, strengths: FloatArray) -> FloatArray:
-        """The vertices (R, C, 3), mm, under strengths (J,)."""
+        """Return vertices (R, C, 3), mm, for strengths (J,)."""
         skin: FloatArray = self.neutral + np.tensordot(strengths, self.moved, axes=1)
         return skin
 
     def shape(self, strengths: FloatArray) -> FloatArray:
-        """The feature points (..., K, 3), mm, under strengths (..., J)."""
+        """Return landmarks (..., K, 3), mm, for strengths (..., J)."""
         shape: FloatArray = self.points + np.tensordot(strengths, self.points_moved, axes=1)
         return shape
 
@@ -568,13 +561,13 @@ def make_person(identity: Identity, grid: SkinGrid) -> Person:
 
 
 def _ten_places() -> FloatArray:
-    """The feature points (K, 3) on the smooth average head."""
+    """Return the landmarks (K, 3) on the smooth average head."""
     x, y = MEAN_SHAPE[:, 0], MEAN_SHAPE[:, 1]
     return smooth_head(angle_of(x, y), y)
 
 
 def _with_face(places: FloatArray, identity: Identity) -> FloatArray:
-    """Places (..., 3) of the smooth head after the face's relief, which fades towards the head's sides."""
+    """Add the face's relief, which fades towards the sides, to places (..., 3) of the smooth head."""
     faced = places.copy()
     facing = np.clip((places[..., 2] + 70.0) / 40.0, 0.0, 1.0)
     faced[..., 2] += facing * forward(places[..., 0], places[..., 1], identity.relief)
@@ -582,7 +575,7 @@ def _with_face(places: FloatArray, identity: Identity) -> FloatArray:
 
 
 class _Proportions:
-    """Takes the average head to one whose ten points lie where they shall: stretched, then bent."""
+    """Warp of the average head to given landmarks: scaling, then a smooth displacement."""
 
     def __init__(self, ten: FloatArray, wanted: FloatArray) -> None:
         self._factors = np.ones(3)
@@ -597,7 +590,7 @@ class _Proportions:
 
 
 def _pocket_depth(grid: SkinGrid) -> FloatArray:
-    """How deep (rows inside, C) the pocket behind the lips is, mm: not at all at the mouth's corners."""
+    """Return the depth (rows inside, C), mm, of the pocket behind the lips; 0 at the mouth corners."""
     x = grid.places[grid.inside, :, 0]
     front = grid.places[grid.inside, :, 2] > 0.0
     across = np.sqrt(np.clip(1.0 - (x / MOUTH_X) ** 2, 0.0, 1.0)) * front
@@ -606,7 +599,7 @@ def _pocket_depth(grid: SkinGrid) -> FloatArray:
 
 
 def _below(grid: SkinGrid) -> FloatArray:
-    """Which share (R, C) of each vertex moves with the lower jaw's side."""
+    """Return the share (R, C) of each vertex that moves with the lower jaw."""
     x, y = grid.places[..., 0], grid.places[..., 1]
     share = belongs_below(x, y)
     between = (np.abs(x) < MOUTH_X - 1e-9) & (np.abs(y - MOUTH_Y) < 1e-9) & (grid.places[..., 2] > 0.0)
@@ -615,7 +608,7 @@ def _below(grid: SkinGrid) -> FloatArray:
 
 
 def _hair(grid: SkinGrid, identity: Identity) -> FloatArray:
-    """Displacement (R, C, 3) by the hair, away from the head's middle."""
+    """Return the displacement (R, C, 3) by the hair, away from the head's centre."""
     share = hair_share(grid.places, identity.looks, soft_mm=30.0)
     outward = grid.places - np.array([0.0, 20.0, -80.0])
     outward /= np.linalg.norm(outward, axis=-1, keepdims=True)
@@ -624,7 +617,7 @@ def _hair(grid: SkinGrid, identity: Identity) -> FloatArray:
 
 
 def ear_vertices(side: float) -> FloatArray:
-    """Return the grid (13, 25, 3) of an ear, mm, head's frame; side 1 is the subject's left, -1 the right."""
+    """Return the grid (13, 25, 3) of an ear, mm, head's frame; side 1 is the subject's left, -1 right."""
     across = np.linspace(-np.pi, np.pi, 25)[None, :]
     down = np.linspace(0.5 * np.pi, -0.5 * np.pi, 13)[:, None]
     y, z = np.broadcast_arrays(np.sin(down), np.cos(down) * np.cos(across))

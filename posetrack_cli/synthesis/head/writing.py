@@ -1,4 +1,4 @@
-"""Write a synthetic recording of a head with its truth: an MCAP file, or a folder of images."""
+"""Writing of synthetic head recordings with ground truth, as MCAP file or folder of images."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ FORMATS = ("jpeg", "png", "raw")
 SUFFIXES = {"jpeg": ".jpg", "png": ".png"}
 JPEG_QUALITY = 95
 PNG_LEVEL = 1
-"""Noise does not compress: level 9 takes ten times as long for some per cent."""
+"""Noise hardly compresses: level 9 is ten times slower for a few per cent."""
 TRANSFORMS_TOPIC = "/tf"
 OWN_NAMES = {CAMERA_FILE_NAME, STAMPS_FILE_NAME, TRUTH_FILE_NAME, "left", "right", "camera"}
 
@@ -56,25 +56,25 @@ def write_synthetic(
     overwrite: bool = False,
     report: Report = lambda frame: None,
 ) -> Synthesis:
-    """Write a synthetic recording; the same options give the same bytes on the same machine.
+    """Write a synthetic recording; equal options give equal bytes on the same machine.
 
-    A name that ends in ``.mcap`` is a file: images of camera NAME on ``/NAME/image``
-    (foxglove.CompressedImage or RawImage), intrinsics on ``/NAME/calibration``, where the second camera
-    stands on ``/tf``, truth on ``/truth/head/...``, the options in the metadata ``posetrack.synth``.
-    Another name is a folder with a folder of images for each camera, ``camera.toml``, ``timestamps.csv``
-    and ``truth.mcap``.
+    If ``out`` ends in ``.mcap``, it is a file with images of camera NAME on ``/NAME/image``
+    (foxglove.CompressedImage or RawImage), intrinsics on ``/NAME/calibration``, the second camera's pose on
+    ``/tf``, ground truth on ``/truth/head/...``, and the options in the metadata ``posetrack.synth``.
+    Otherwise it is a folder with a subfolder of images per camera, ``camera.toml``, ``timestamps.csv`` and
+    ``truth.mcap``.
 
     Args:
-        options: of the recording.
-        out: file or folder.
+        options: options of the recording.
+        out: output file or folder.
         image_format: ``jpeg``, ``png`` or, in a file, ``raw``.
         overwrite: whether ``out`` may be replaced.
-        report: called with every frame that is written.
+        report: called with every written frame.
 
     Raises:
-        UsageError: ``out`` exists and may not be replaced, or the format cannot be used.
+        UsageError: ``out`` exists and may not be replaced, or the format is not supported.
         ResultError: it cannot be written.
-        RenderingError: there is no working GL.
+        RenderingError: no working GL.
     """
     is_file = out.suffix == ".mcap"
     formats = FORMATS if is_file else tuple(SUFFIXES)
@@ -95,7 +95,7 @@ def write_synthetic(
 
 
 def _facts(plan: Plan) -> dict[str, str]:
-    """What the metadata tells beside the options: who is seen, and when what happens."""
+    """Return further metadata entries: the person, and the times of events."""
     times = {
         "deforming_s": deforming_interval(plan.options),
         "turn_s": plan.movement.turn_interval,
@@ -109,7 +109,7 @@ def _facts(plan: Plan) -> dict[str, str]:
 
 
 class _Channels:
-    """Puts a recording's images, calibration and truth on their topics."""
+    """Writer of images, calibration and truth to topics."""
 
     def __init__(self, sink: McapSink, plan: Plan, image_format: str) -> None:
         self._sink, self._plan, self._format = sink, plan, image_format
@@ -119,7 +119,7 @@ class _Channels:
         self._truth = TruthChannels(sink, plan.subject, "expression")
 
     def write(self, frame: SyntheticHeadFrame) -> None:
-        """Write one frame and the truth about it."""
+        """Write one frame and its ground truth."""
         for channel, camera, image in zip(self._images, self._plan.cameras, frame.images, strict=True):
             if image is not None:
                 message = image_message(image, self._format, camera.name, frame.stamp_ns)
@@ -128,10 +128,10 @@ class _Channels:
 
     def _calibrate(self, stamp_ns: int) -> None:
         cameras = self._plan.cameras
-        said = {f"/{c.name}/calibration": calibration_message(c, stamp_ns, c.name) for c in cameras}
+        static = {f"/{c.name}/calibration": calibration_message(c, stamp_ns, c.name) for c in cameras}
         if len(cameras) > 1:
-            said[TRANSFORMS_TOPIC] = messages.camera_transforms(cameras, cameras[0].name, stamp_ns)
-        for topic, message in said.items():
+            static[TRANSFORMS_TOPIC] = messages.camera_transforms(cameras, cameras[0].name, stamp_ns)
+        for topic, message in static.items():
             self._sink.write(self._sink.channel(topic, type(message)), stamp_ns, serialised(message))
 
 
@@ -158,11 +158,11 @@ def encoded(image: ImageArray, image_format: str) -> bytes:
     return data.tobytes()
 
 
-# Folders, as cameras' software leaves them
+# Folders, laid out like those of camera software
 
 
 class _Folder:
-    """Puts images in the cameras' folders and the truth on its topics."""
+    """Writer of images to the cameras' folders and of truth to topics."""
 
     def __init__(self, sink: McapSink, plan: Plan, folder: Path, image_format: str) -> None:
         self._places = [folder / camera.name for camera in plan.cameras]
@@ -170,7 +170,7 @@ class _Folder:
         self._truth = TruthChannels(sink, plan.subject, "expression")
 
     def write(self, frame: SyntheticHeadFrame) -> None:
-        """Write one frame and the truth about it."""
+        """Write one frame and its ground truth."""
         for place, image in zip(self._places, frame.images, strict=True):
             if image is not None:
                 path = place / f"{frame.index:06d}{SUFFIXES[self._format]}"
@@ -179,27 +179,27 @@ class _Folder:
 
 
 def check_folder_output(out: Path, *, overwrite: bool) -> None:
-    """Refuse a folder that cannot be written, or would replace what it must not.
+    """Check that a folder can be written and replaces nothing it must not.
 
     Raises:
-        UsageError: something is there that may not be replaced: without ``overwrite`` anything, with it
-            what is no synthetic recording.
-        ResultError: the folder above does not exist.
+        UsageError: the path exists: without ``overwrite`` in any case, with it if it is not a synthetic
+            recording.
+        ResultError: the parent folder does not exist.
     """
     if out.suffix:
-        raise UsageError("output cannot be used", where=out, expected="NAME.mcap, or a folder without a dot")
+        raise UsageError("invalid output", where=out, expected="NAME.mcap, or a folder name without suffix")
     check_place(out)
     if not is_taken(out):
         return
     if not overwrite:
         raise UsageError("already exists", where=out, hint="use --overwrite to replace it")
     if not _is_synthetic(out):
-        raise UsageError("is no synthetic recording, so it is not replaced", where=out)
+        raise UsageError("not created by posetrack synth; refusing to overwrite", where=out)
 
 
 @contextmanager
 def _whole_folder(out: Path) -> Iterator[Path]:
-    """Yield the new folder NAME.part, which becomes ``out`` at the end, and is deleted after any failure.
+    """Yield the new folder NAME.part; rename it to ``out`` on success, delete it on failure.
 
     Raises:
         ResultError: it cannot be written.
@@ -220,7 +220,7 @@ def _whole_folder(out: Path) -> Iterator[Path]:
 
 
 def _write_cameras(folder: Path, plan: Plan, suffix: str) -> None:
-    """Write the stamps of all frames that any camera has, the cameras, and a folder for each."""
+    """Write the stamps of all frames with any image, the camera file, and a folder per camera."""
     taken = np.flatnonzero((~plan.timeline.dropped).any(axis=0)).tolist()
     rows = [f"{index:06d}{suffix},{int(plan.timeline.stamps_ns[index])}\n" for index in taken]
     (folder / STAMPS_FILE_NAME).write_text("".join(["filename,stamp_ns\n", *rows]), encoding="utf-8")
@@ -231,7 +231,7 @@ def _write_cameras(folder: Path, plan: Plan, suffix: str) -> None:
 
 
 def _is_synthetic(out: Path) -> bool:
-    """Whether a folder holds what is written here, and nothing else."""
+    """Return whether a folder has only files written here."""
     if out.is_symlink() or not out.is_dir():
         return False
     names = {entry.name for entry in out.iterdir()}
