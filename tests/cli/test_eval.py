@@ -128,7 +128,7 @@ def test_what_cannot_be_judged_fails(
     path = write_result(tmp_path / "r.mcap", **made)
     assert evaluate(path, "--fail-if", gate) == 1
     (line,) = lines(capsys.readouterr().err)
-    assert line.startswith(f"r: gate '{gate}' cannot be judged: ") and reason in line
+    assert line.startswith(f"r: gate '{gate}' could not be evaluated: ") and reason in line
 
 
 def test_coverage_0_fails_its_own_gate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -151,23 +151,23 @@ def test_hardly_any_frames_are_evaluated(
     ("arguments", "said"),
     [
         (["--fail-if", "joint_eror_mm.mean > 1"], "did you mean 'joint_error_mm'"),
-        (["--fail-if", "joint_error_mm > 1"], "does not say which statistic"),
+        (["--fail-if", "joint_error_mm > 1"], "lacks a statistic"),
         (["--fail-if", "coverage is 1"], "METRIC[.PART].STATISTIC or METRIC, then one of > >= < <= == !="),
         (["--fail-if", "coverage < 99%"], "write 0.99 for 99 %"),
-        (["--truth-tolerance-ms", "-1"], "tolerance cannot be used"),
+        (["--truth-tolerance-ms", "-1"], "tolerance out of range"),
         (["--align", "loose"], "'loose' is not one of"),
         (["--baseline-tolerance", "-1"], "-1"),
         (["--baseline-tolerance", "nan"], "nan is no finite number"),
         (["--baseline-tolerance", "inf"], "inf is no finite number"),
         (["--baseline", "/nowhere/a.json", "--baseline", "/nowhere/b.json"], "given more than once"),
-        (["--time-offset-s", "1e300"], "time offset cannot be used"),
+        (["--time-offset-s", "1e300"], "time offset out of range"),
         (["--group", "a"], "'a' is no group, expected NAME=PATTERN"),
-        (["--group", "a=/nowhere/*.mcap"], "no file fits the pattern of group 'a', found /nowhere/*.mcap"),
+        (["--group", "a=/nowhere/*.mcap"], "no file matches the pattern of group 'a', found /nowhere/*.mcap"),
         (["--group", "a=/tmp/"], "found /tmp/; files of a folder are /tmp/*.mcap"),
-        (["--json", "-", "--csv", "-"], "only one report can go to standard output"),
-        (["--gates", "/nowhere/gates.txt"], "/nowhere/gates.txt: gates cannot be read, found No such file"),
+        (["--json", "-", "--csv", "-"], "more than one report goes to standard output"),
+        (["--gates", "/nowhere/gates.txt"], "/nowhere/gates.txt: gate file cannot be read, found No such file"),
         (["--baseline", "/nowhere/b.json"], "/nowhere/b.json: baseline cannot be read"),
-        (["--html", "/tmp/page.txt"], "expected a name that ends in .html"),
+        (["--html", "/tmp/page.txt"], "expected a name that ends with .html"),
     ],
 )
 def test_wrong_usage_is_one_line_and_2(
@@ -429,7 +429,7 @@ def test_a_report_never_replaces_what_is_read(
 ) -> None:
     before = result.read_bytes()
     assert evaluate(result, option, result, "--overwrite") == 2
-    assert "would replace an input" in capsys.readouterr().err
+    assert "would overwrite an input" in capsys.readouterr().err
     assert result.read_bytes() == before
 
 
@@ -452,7 +452,7 @@ def test_a_report_without_a_place_is_refused_before_the_work(
 def test_truth_from_another_result(tmp_path: Path, result: Path, capsys: pytest.CaptureFixture[str]) -> None:
     blind = write_result(tmp_path / "blind.mcap", truth=False)
     assert evaluate(blind) == 0
-    assert "not measured (no truth" in capsys.readouterr().out
+    assert "not available (no truth" in capsys.readouterr().out
     assert evaluate(blind, "--truth", result) == 0
     assert "joint_error_mm" in shown(capsys.readouterr().out)
 
@@ -577,7 +577,7 @@ def test_joints_of_another_convention(tmp_path: Path, capsys: pytest.CaptureFixt
     assert removed["camera"]["mm"]["index_tip"][2] == pytest.approx(12.0, abs=1.0)
     assert evaluate(result, "--truth", tmp_path / "truth.csv", "--joint-offsets", "bone") == 0
     told = capsys.readouterr().out
-    assert "Joint offsets removed, mm" in told and "one constant offset per joint removed" in told
+    assert "Removed joint offsets, mm" in told and "one constant offset per joint removed" in told
     assert "index_tip" in told
 
 
@@ -636,7 +636,7 @@ def test_confidence_of_every_tenth_is_shown_on_request(
 ) -> None:
     paths = people[True]
     assert evaluate(paths[0]) == 0
-    assert "share right" not in capsys.readouterr().out
+    assert "share correct" not in capsys.readouterr().out
     assert evaluate(paths[0], "--honesty") == 0
     out = capsys.readouterr().out
     rows = [line.split()[3:] for line in lines(out) if line.startswith("0.") and " to " in line]
@@ -696,7 +696,7 @@ def test_results_of_one_recording_have_no_pooled_figure(
     out, err = capsys.readouterr()
     assert "Pooled over results" not in out
     reason = "rbpf and pf are of one recording, so results are compared, not pooled"
-    assert err.startswith(f"pooled: gate 'pooled.frames_wrong > 1' cannot be judged: {reason}")
+    assert err.startswith(f"pooled: gate 'pooled.frames_wrong > 1' could not be evaluated: {reason}")
 
 
 def test_a_page_has_the_diagram_and_the_curve(people: People, tmp_path: Path) -> None:
