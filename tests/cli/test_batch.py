@@ -317,7 +317,7 @@ def test_code_that_changes_under_a_batch_fails_in_one_line(recordings: Path, tmp
     job = Job("a1", ("hand", "run"), recordings / "a1.mcap", (), output, record, tmp_path)
     outcome = run_job(replace(job, sources="of before"), Limits())
     assert outcome.state is State.FAILED
-    assert "sources are not those that the batch began with" in outcome.reason
+    assert "posetrack on this worker differs from that of the batch" in outcome.reason
     assert "expected of before" in outcome.reason and not job.output.exists()
 
 
@@ -386,8 +386,8 @@ def test_a_dry_run_changes_nothing(
         (["{a1}", "{a1}"], "two recordings have the same result name"),
         (["{a1}", "--scheduler", "tcp://127.0.0.1:9", "--scheduler-file", "x"], "mutually exclusive"),
         (["{a1}", "--hand-side", "middle"], "'middle' is not one of"),
-        (["{a1}", "--memory-limit", "much"], "'much' is no size such as 2G"),
-        (["{a1}", "--memory-limit", "1M"], "less than any run needs"),
+        (["{a1}", "--memory-limit", "much"], "'much' is not a size such as 2G"),
+        (["{a1}", "--memory-limit", "1M"], "1M is too small; a run needs at least 512M"),
         (["{a1}", "--fail-if", "joint_eror_mm.mean > 3"], "joint_eror_mm"),
         (["{a1}", "--resume"], "No such option '--resume'"),
         (["{manifest}"], "unknown option 'hand-sid'; did you mean 'hand-side'?"),

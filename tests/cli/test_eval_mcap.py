@@ -247,7 +247,7 @@ def test_of_several_results_each_has_a_file(tmp_path: Path, capsys: pytest.Captu
         write_result(tmp_path / place, 10, recording=place) for place in ("a/r.mcap", "b/r.mcap", "c.mcap")
     ]
     assert evaluate(*paths, "--mcap", tmp_path / "one.mcap") == 2
-    assert "one.mcap: output is no folder, found 3 results for one file" in capsys.readouterr().err
+    assert "one.mcap: output is not a folder, found 3 results for one file" in capsys.readouterr().err
     assert evaluate(*paths[:2], "--group", f"c={paths[2]}", "--mcap", tmp_path / "out") == 0
     written = sorted((tmp_path / "out").iterdir())
     assert [path.name for path in written] == ["a-r.mcap", "b-r.mcap", "c.mcap"]
@@ -307,7 +307,7 @@ def test_nothing_is_replaced_that_should_not_be(
     assert evaluate(mine, "--mcap", other) == 2
     assert "already exists; use --overwrite to replace it" in capsys.readouterr().err
     assert evaluate(mine, "--truth", other, "--mcap", other, "--overwrite") == 2
-    assert "report would replace an input" in capsys.readouterr().err
+    assert "report would overwrite an input" in capsys.readouterr().err
     assert (mine.read_bytes(), other.read_bytes()) == (before, b"precious")
     assert evaluate(mine, "--mcap", other, "--overwrite") == 0
     assert len(metrics(other)) == FRAMES
@@ -359,7 +359,7 @@ def test_what_only_the_copy_misses_is_told(tmp_path: Path, capsys: pytest.Captur
     assert evaluate(path, "--track", "filtered") == 0
     assert evaluate(path, "--track", "filtered", "--mcap", tmp_path / "out.mcap") == 3
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("r: written as far as it can be read: chunk is damaged")
+    assert line.startswith("r: only the readable part was written: chunk is damaged")
     assert contents(tmp_path / "out.mcap") == contents(path)
     assert record(tmp_path / "out.mcap")["losses"][0]["count"] == 1
     assert evaluate(damaged(tmp_path / "d.mcap"), "--mcap", tmp_path / "o.mcap") == 3

@@ -162,7 +162,7 @@ def test_a_set_against_its_baseline_in_every_report(
     failed = [line.split(":")[0] for line in err.splitlines() if " gate '" in line]
     assert set(failed) == {"take-2", "take-4", "pooled"}
     assert "baseline: 1 result is new and not compared: a|b <i>" in err
-    assert "take-4: gate 'baseline' cannot be judged: the baseline holds it" in err
+    assert "take-4: gate 'baseline' could not be evaluated: the baseline holds it" in err
 
     suite = ET.fromstring(reports["junit"].read_bytes())[0]
     gates = json.loads(reports["json"].read_text())["gates"]
@@ -218,7 +218,7 @@ def test_one_that_cannot_be_read_fails_and_the_others_are_measured(
     assert evaluate(*results, bad, "--fail-if", "coverage < 0.5", "--junit", tmp_path / "r.xml") == 1
     out, err = capsys.readouterr()
     (line,) = err.splitlines()
-    assert line.startswith(f"bad: gate 'measured' cannot be judged: {bad}: ")
+    assert line.startswith(f"bad: gate 'measured' could not be evaluated: {bad}: ")
     assert list(table_of(out))[-1] == "TOTAL of 6" and "gates: 6 passed, 1 failed" in out
     suite = ET.fromstring((tmp_path / "r.xml").read_bytes())[0]
     assert [test.get("classname") for test in suite if len(test)] == ["bad"] and len(suite) == 7

@@ -66,7 +66,7 @@ def test_what_it_evaluated_is_counted_and_what_it_does_not_know_is_left_out(resu
     evaluations = measured.metrics["evaluations"]
     assert isinstance(evaluations, Statistics) and evaluations.mean == 385.0
     assert measured.metrics["particles"] == 32.0
-    assert measured.absent["ess"] == "the tracker has no weighted particles"
+    assert measured.absent["ess"] == "the tracker does not use weighted particles"
     assert measured.absent["nees"] == "the result has no covariance"
 
 

@@ -65,7 +65,7 @@ def test_few_people_tell_of_few_parameters(
     output = tmp_path / "face.npz"
     assert build(*results[:2], "-o", output, "--deformation-size", "4") == 0
     said = capsys.readouterr()
-    assert said.err.strip() == "identity: 4 instead of 10 parameters, as 2 people tell of no more"
+    assert said.err.strip() == "identity: 4 instead of 10 parameters, the most for 2 people"
     assert said.out.splitlines()[-1] == f"{output}: identity 4, deformation 4"
 
 
@@ -81,7 +81,7 @@ def test_who_shows_too_little_is_named(
 ) -> None:
     still = write_stereo_result(tmp_path / "still.mcap", np.repeat(people(1), 60, axis=0))
     assert build(*results, still, "-o", tmp_path / "face.npz") == 1
-    assert f"{still}: shows too little of the motion 'mouth sideways'" in one_line(capsys)
+    assert f"{still}: too little of the motion 'mouth sideways'" in one_line(capsys)
     assert not (tmp_path / "face.npz").exists()
 
 
@@ -107,7 +107,7 @@ def test_names_that_cannot_be_meant(
     assert build(*results, "-o", output, "--picture", tmp_path / "face.jpg") == 2
     assert "expected a name that ends in .png" in one_line(capsys)
     assert build(*results, "-o", tmp_path / "a.png", "--picture", tmp_path / "a.png") == 2
-    assert "model and picture have the same name" in one_line(capsys)
+    assert "--output and --picture are the same file" in one_line(capsys)
     other_name = results[0].parent / "." / ".." / results[0].parent.name / results[0].name
     for again in (results[0], other_name):
         assert build(again, *results, "-o", output) == 2

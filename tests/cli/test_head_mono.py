@@ -87,7 +87,7 @@ def test_no_face_is_one_line_with_frames_and_score(
     [
         (["--detector", "yunet"], 2, "--detector-model"),
         (["--landmarks", "nowhere.csv"], 2, "nowhere.csv: cannot be read"),
-        (["--landmarks-unit", "px"], 2, "--landmarks-unit is about landmarks, and none are given"),
+        (["--landmarks-unit", "px"], 2, "--landmarks-unit requires --landmarks"),
         (["--set", "adjustment.view=3"], 2, "views"),
         (["--interpupillary-mm", "6.3"], 2, "'person.interpupillary_mm' cannot be used, found 6.3"),
         (["--person", "nowhere.mcap"], 2, "nowhere.mcap: no such model file"),
@@ -101,7 +101,7 @@ def test_no_face_is_one_line_with_frames_and_score(
         (["--init", "nowhere.csv"], 2, "nowhere.csv: cannot be read"),
         (["--start", "9"], 2, "no frames to track, found 3 frames"),
         (["--fov", "200"], 2, "--fov out of range, found 200, expected degrees from 1 to 170"),
-        (["--fov", "60"], 2, "--fov does not apply to a calibrated camera, found 250 px; leave it out"),
+        (["--fov", "60"], 2, "--fov cannot be used with a calibrated camera, found 250 px; leave it out"),
         (["--cameras", "left"], 1, "no camera 'left'"),
         (["--camera", "nowhere.toml"], 1, "nowhere.toml: cannot be read"),
         (["--resume"], 1, "no unfinished result to resume"),
@@ -113,7 +113,7 @@ def test_no_face_is_one_line_with_frames_and_score(
         (
             ["--init", "p.csv", "--face", "2"],
             2,
-            "--face does not apply to clicked points, found 2; leave it out",
+            "--face cannot be combined with --init FILE, found 2; leave it out",
         ),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",

@@ -209,9 +209,7 @@ def limited(which: str, size: int, end: str) -> subprocess.CompletedProcess[str]
 def test_a_limit_of_memory_that_libraries_do_not_survive_is_refused(which: str, letter: str) -> None:
     done = limited(which, 500 << 20, "command")
     assert done.returncode == 2
-    assert done.stderr.startswith(
-        f"posetrack: limit of memory is too low (ulimit -{letter}), found 512000 KiB"
-    )
+    assert done.stderr.startswith(f"posetrack: memory limit is too low (ulimit -{letter}), found 512000 KiB")
     assert done.stderr.count("\n") == 1
 
 
@@ -219,7 +217,7 @@ def test_a_limit_of_memory_that_libraries_do_not_survive_is_refused(which: str, 
 def test_a_library_that_aborts_for_want_of_memory_is_one_line(end: str, code: int) -> None:
     done = limited("RLIMIT_AS", 4 << 30, end)
     assert done.returncode == code
-    words = "posetrack: a library aborted, likely for want of memory (ulimit -v); raise the limit\n"
+    words = "posetrack: a library aborted, probably out of memory (ulimit -v); raise the limit\n"
     assert done.stderr == (words if end == "abort" else "")
 
 

@@ -238,7 +238,7 @@ def test_a_folder_needs_no_options_again_nor_its_camera_file(
         (["RESULT", "-o", "v.avi"], 2, "expected FILE.mp4, FILE.png or a folder"),
         (["RESULT", "-o", "RESULT"], 2, "output is something else already"),
         (["RESULT", "-o", "v.mp4", "--select", "77"], 2, "expected some of 0 to 5"),
-        (["RESULT", "-o", "v.mp4", "--select", "best"], 2, "--select cannot be read"),
+        (["RESULT", "-o", "v.mp4", "--select", "best"], 2, "invalid --select"),
         (["RESULT", "-o", "v.mp4", "--range-mm", "9", "1"], 2, "expected 0 <= NEAR < FAR"),
         (["RESULT", "-o", "v.mp4", "--layout", "side-by-side"], 2, "needs two results"),
         (["RESULT", "RESULT", "RESULT", "-o", "v.mp4"], 2, "at most 2"),
@@ -247,9 +247,9 @@ def test_a_folder_needs_no_options_again_nor_its_camera_file(
         (["RESULT", "-o", "v.mp4", "--fps", "3"], 2, "does not apply to an MCAP file"),
         (["RESULT", "-o", "v.mp4", "--device", "99"], 1, "no headless context"),
         (["RESULT", "-o", "v.mp4", "--zoom", "0"], 2, "--zoom"),
-        (["RESULT", "-o", "v.mp4", "--zoom", "nan"], 2, "nan is no finite number"),
-        (["RESULT", "-o", "v.mp4", "--rate", "nan"], 2, "nan is no finite number"),
-        (["RESULT", "-o", "-"], 2, "pictures cannot go to standard output"),
+        (["RESULT", "-o", "v.mp4", "--zoom", "nan"], 2, "nan is not a finite number"),
+        (["RESULT", "-o", "v.mp4", "--rate", "nan"], 2, "nan is not a finite number"),
+        (["RESULT", "-o", "-"], 2, "pictures cannot be written to standard output"),
     ],
 )
 def test_what_cannot_be_drawn_is_one_line(
@@ -338,7 +338,7 @@ def test_frames_that_the_recording_lacks_are_counted(
     assert view(*arguments) == 3
     captured = capsys.readouterr()
     assert captured.out.startswith("4 frames: ")
-    assert "estimates whose frame the recording does not give: 2" in captured.err
+    assert "estimates without a frame in the recording: 2" in captured.err
 
 
 def test_a_recording_of_other_frames_draws_nothing_and_leaves_nothing(
