@@ -58,7 +58,7 @@ def read_input(path: Path, most: int) -> bytes:
         size = os.fstat(stream.fileno()).st_size
         data = stream.read(min(size, most) + 1)  # read() allocates this much at once
     if len(data) > most:
-        raise OSError(errno.EFBIG, f"file of {size} bytes exceeds the limit of {most}", str(path))
+        raise OSError(errno.EFBIG, f"a file of {size} bytes, more than the limit of {most}", str(path))
     return data
 
 
@@ -138,7 +138,7 @@ def utf8_name(path: Path) -> Iterator[str]:
     with TemporaryDirectory() as folder:
         link = Path(folder) / f"file{path.suffix if _is_utf8(Path(path.suffix)) else ''}"
         if not _is_utf8(link):
-            raise OSError(errno.EILSEQ, "file name is not UTF-8", str(path))
+            raise OSError(errno.EILSEQ, "a file name that is not UTF-8", str(path))
         link.symlink_to(path.resolve())
         yield str(link)
 
@@ -156,7 +156,7 @@ def _writable(path: Path, flags: int) -> int:
         return _opened(path, flags | os.O_NOFOLLOW)
     except OSError as error:
         if error.errno == errno.ELOOP:
-            raise OSError(errno.ELOOP, "refusing to write through a symbolic link", str(path)) from error
+            raise OSError(errno.ELOOP, "a symbolic link, not a regular file", str(path)) from error
         raise
 
 
@@ -165,7 +165,7 @@ def _opened(path: Path, flags: int) -> int:
     try:
         descriptor = os.open(path, flags | os.O_NONBLOCK | os.O_CLOEXEC, 0o666)
     except ValueError:  # null byte, possible where the name comes from a file
-        raise OSError(errno.EINVAL, "invalid file name", repr(str(path))) from None
+        raise OSError(errno.EINVAL, "an invalid file name", repr(str(path))) from None
     try:
         _check_regular(path, os.fstat(descriptor).st_mode)
     except BaseException:

@@ -324,7 +324,7 @@ def test_numbers_count_from_one_where_the_last_is_the_number_of_frames(tmp_path:
     frames = [1, 2, 5]
     sets = read(openpose(tmp_path, frames)).sets
     shifted, words = fitted_to(sets, Stamped(range(5)))  # type: ignore[arg-type]
-    assert shifted.keys.tolist() == [0, 1, 4] and words == "numbers count from 1: the last is 5 of 5 frames"
+    assert shifted.keys.tolist() == [0, 1, 4] and words == "frame numbers count from 1: the last is 5 of 5"
     for count in (4, 6):
         assert fitted_to(sets, Stamped(range(count)))[0] is sets  # type: ignore[arg-type]
 
@@ -572,7 +572,7 @@ FAULTS: dict[str, tuple[str, Any, str]] = {
     ),
     "latin": ("k.csv", HEADER.encode() + b"\n0,\xe4\n", "line 2: is not UTF-8 text"),
     "no JSON": ("k.json", "{", r"k\.json: is not valid JSON"),
-    "JSON NaN": ("k.json", "[[[NaN, 1]]]", "NaN, which JSON does not have"),
+    "JSON NaN": ("k.json", "[[[NaN, 1]]]", "NaN is not valid JSON"),
     "deep JSON": ("k.json", "[" * 100_000, "nested too deeply"),
     "JSON number": ("k.json", "3", "no frames, found int"),
     "JSON object": ("k.json", {"a": 1}, "no frames, found a"),
@@ -689,10 +689,10 @@ def test_missing_files_and_large_ones_are_refused(tmp_path: Path, monkeypatch: p
         {"images": [], "annotations": [{}] * 3},
         {"images": [{"id": k, "frame": k} for k in range(3)], "annotations": []},
     ):
-        with pytest.raises(UsageError, match=r"k\.json: too many frames, found more, expected 2 at most"):
+        with pytest.raises(UsageError, match=r"k\.json: too many frames, found more, expected at most 2"):
             read(written(tmp_path, content, "k.json"))
     monkeypatch.setattr(limits, "KEYPOINT_JSON_BYTES", 20)
-    with pytest.raises(UsageError, match=r"exceeds the limit of 20; use JSON lines"):
+    with pytest.raises(UsageError, match=r"more than the limit of 20; use JSON lines"):
         read(written(tmp_path, LAYOUTS["JSON, lists"][1], "k.json"))
     monkeypatch.setattr(limits, "KEYPOINT_BYTES", 20)
     with pytest.raises(UsageError, match=r"is too large, found .* bytes, expected 20 at most"):

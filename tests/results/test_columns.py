@@ -156,7 +156,9 @@ def changed(**changes: Any) -> bytes:
     ],
 )
 def test_what_is_no_estimate_is_refused_in_one_line(data: bytes) -> None:
-    with pytest.raises(ResultError, match=r"r\.mcap: message 1 is no posetrack\.Estimate, found .+") as error:
+    with pytest.raises(
+        ResultError, match=r"r\.mcap: message 1 is not a posetrack\.Estimate, found .+"
+    ) as error:
         list(column_blocks([estimate_to_json(make_estimate(0)), data], where="r.mcap"))
     assert "\n" not in str(error.value)
 

@@ -165,17 +165,23 @@ def test_flipped_bits_are_refused_or_change_nothing(path: Path) -> None:
 def test_another_version_is_told(path: Path, version: int) -> None:
     contents = read_npz(state_path(path).read_bytes())
     line = refused(path, changed_json(contents, lambda fields: fields.update(version=version)))
-    assert f"'version' as {version}, not {FORMAT_VERSION}; start again" in line and HINT in line
+    assert f"'version' is {version}, expected {FORMAT_VERSION}; start again" in line and HINT in line
 
 
 @pytest.mark.parametrize(
     ("change", "match"),
     [
         (lambda fields: fields["progress"].update(truth_messages=3), "10 estimates and 5 truth messages"),
-        (lambda fields: fields["progress"].update(truth_messages=10**15), "and 5 truth messages in it"),
+        (
+            lambda fields: fields["progress"].update(truth_messages=10**15),
+            "and 5 truth messages in the result",
+        ),
         (lambda fields: fields["checkpoint"].update(frames_written=11), "11 estimates up to frame 9"),
         (lambda fields: fields["checkpoint"].update(frame_index=-1), "10 estimates up to frame -1"),
-        (lambda fields: fields["progress"].update(file_bytes=0), "0 estimates and 0 truth messages in it"),
+        (
+            lambda fields: fields["progress"].update(file_bytes=0),
+            "0 estimates and 0 truth messages in the result",
+        ),
         (lambda fields: fields["progress"].update(file_bytes=10**15), "does not match the unfinished result"),
         (lambda fields: fields["progress"].update(flush_frames=5), "has another flush interval"),
     ],

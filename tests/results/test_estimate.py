@@ -60,7 +60,7 @@ def test_an_optimiser_knows_neither_variance_nor_weights() -> None:
 @pytest.mark.parametrize(
     ("name", "parents", "triangles", "message"),
     [
-        ("a/b", (-1, 0), None, "no slash"),
+        ("a/b", (-1, 0), None, "without slashes"),
         ("hand", (-1,), None, "2 names and 1 parents"),
         ("hand", (1, -1), None, "parent of point a"),
         ("hand", (-1, 0), np.zeros(6, dtype=np.int64), "triangles"),

@@ -106,7 +106,7 @@ def test_nan_is_refused() -> None:
     with pytest.raises(ResultError, match="frame 1: estimate is not finite"):
         estimate_to_json(with_fields(make_estimate(1), position=np.array([0.0, np.nan, 0.0])))
     data = estimate_to_json(make_estimate(1)).replace(b'"confidence":0', b'"confidence":NaN,"a":0')
-    with pytest.raises(ResultError, match=r"no posetrack\.Estimate"):
+    with pytest.raises(ResultError, match=r"not a posetrack\.Estimate"):
         estimate_from_json(data)
 
 
@@ -126,5 +126,5 @@ def test_numpy_scalars_are_written_as_numbers() -> None:
 
 @pytest.mark.parametrize("data", [b"", b"{}", b"[]", b'{"points":3}', b"\xff"])
 def test_other_bytes_are_refused(data: bytes) -> None:
-    with pytest.raises(ResultError, match=r"no posetrack\.Estimate"):
+    with pytest.raises(ResultError, match=r"not a posetrack\.Estimate"):
         estimate_from_json(data)

@@ -247,7 +247,7 @@ def test_estimates_of_another_subject_leave_no_file(tmp_path: Path, format_name:
         write_frames(writer, 0, 1)
         writer.finish({})
     source = export_source(read_result(tmp_path / "r.mcap"), topic)
-    with pytest.raises(ResultError, match="found 5 shape entries and 2 points, expected 3 and 4"):
+    with pytest.raises(ResultError, match="found 5 shape parameters and 2 points, expected 3 and 4"):
         export_file(source, format_name, out)
     if format_name in TEXT_FORMATS:
         with pytest.raises(ResultError):  # nothing is written before the first estimate is known to fit

@@ -61,7 +61,9 @@ def test_one_stamp_is_one_frame_and_none_is_told() -> None:
 def test_gaps_make_no_more_frames_than_is_bounded() -> None:
     most = limits.EXPORT_FRAMES / 10  # seconds, at 10 Hz
     assert len(fixed_rate(stamps(0.0, 0.1, 0.2, most - 0.2, most - 0.1), "r").rows) == limits.EXPORT_FRAMES
-    with pytest.raises(ResultError, match="gaps are too long for a format with a fixed frame rate, found 10001 "):
+    with pytest.raises(
+        ResultError, match="gaps are too long for a format with a fixed frame rate, found 10001 "
+    ):
         fixed_rate(stamps(0.0, 0.1, 0.2, most - 0.1, most), "r")
     with pytest.raises(ResultError, match="gaps are too long"):
         fixed_rate(np.array([0, 1, 2, (1 << 63) - 1]), "r")

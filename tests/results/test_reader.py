@@ -256,7 +256,7 @@ def test_a_result_that_ends_before_its_first_estimate_says_so(path: Path, tmp_pa
 
 def test_a_missing_result_points_at_the_unfinished_one(tmp_path: Path) -> None:
     begin(tmp_path / "r.mcap").abort()
-    with pytest.raises(ResultError, match=r"unfinished run left .*r\.mcap\.part"):
+    with pytest.raises(ResultError, match=r"found an unfinished run, .*r\.mcap\.part"):
         read_result(tmp_path / "r.mcap")
     with pytest.raises(ResultError, match="No such file"):
         read_result(tmp_path / "nothing.mcap")

@@ -133,7 +133,9 @@ def test_another_run_record_is_refused_and_named(tmp_path: Path) -> None:
     path = killed(tmp_path, 12)
     error = refused(path, run=RUN | {"seed": "2", "extra": "x"})
     assert isinstance(error, UsageError)
-    assert "found extra=nothing seed=1, expected extra=x seed=2; resume with the options" in str(error)
+    assert "found extra=nothing seed=1, expected extra=x seed=2; resume with its original options" in str(
+        error
+    )
     assert "version" not in str(error)
 
 

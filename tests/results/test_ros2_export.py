@@ -178,6 +178,8 @@ def test_rosbags_reads_it_and_writes_the_same_bytes(path: Path) -> None:
 def test_a_stamp_that_ros_has_no_room_for_is_told(tmp_path: Path) -> None:
     late = with_fields(make_estimate(0), stamp_ns=(1 << 31) * 10**9)
     path = write(tmp_path / "r.mcap", [late])
-    with pytest.raises(ResultError, match="stamp does not fit into a ROS message, found 2147483648000000000 ns"):
+    with pytest.raises(
+        ResultError, match="stamp does not fit into a ROS message, found 2147483648000000000 ns"
+    ):
         exported(path)
     assert [each.name for each in tmp_path.iterdir()] == ["r.mcap"]

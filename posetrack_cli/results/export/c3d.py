@@ -1,9 +1,8 @@
-"""A track's points as C3D markers, the format of motion capture laboratories (https://www.c3d.org).
+"""Export of a track's points as C3D markers, the motion capture format (https://www.c3d.org).
 
-Markers are the joints of a hand or the feature points of a head, mm, in camera axes, as the parameters
-POINT:X_SCREEN and POINT:Y_SCREEN say. C3D knows one frame rate (``table``), and says of a marker that it
-was not seen by a residual of -1: so are those of lost frames, and of frames without an estimate. Residuals of
-the others are 0, which means that nothing is known of their error.
+Markers are the joints of a hand or the landmarks of a head, mm, in camera axes, as stated by the parameters
+POINT:X_SCREEN and POINT:Y_SCREEN. C3D has a single frame rate (``table``). Missing markers, i.e. of lost
+frames and frames without estimate, have a residual of -1; all others have 0, which means an unknown error.
 """
 
 from __future__ import annotations
@@ -25,19 +24,19 @@ from posetrack_cli.results.export.table import FixedRate, fixed_rate
 FIELDS = ("stamp_ns", "status", "points")
 NOT_SEEN = -1.0
 MOST_FRAMES, MOST_MARKERS, LONGEST_NAME = 65_535, 255, 127
-"""What its numbers of 16, 8 and 7 bits can tell."""
+"""Limits of C3D's 16-, 8- and 7-bit numbers."""
 
 
 def write_c3d(source: ExportSource, path: Path) -> FixedRate:
-    """Write a file, and return its frames.
+    """Write a C3D file and return its frames.
 
     Raises:
         UsageError: ezc3d is not installed.
-        ResultError: there are more frames or points, or longer names, than C3D can tell; or as of
+        ResultError: more frames or points, or longer names, than C3D supports; or see
             ``results.export.table``.
     """
     try:
-        import ezc3d  # of the extra c3d
+        import ezc3d  # optional dependency, extra "c3d"
     except ImportError as error:
         raise UsageError("c3d needs ezc3d", hint="pip install 'posetrack[c3d]'") from error
     where, names = f"{source.result.path}, {source.topic}", source.result.subject.point_names
@@ -56,7 +55,7 @@ def write_c3d(source: ExportSource, path: Path) -> FixedRate:
     file["data"]["points"] = points
     file["data"]["meta_points"]["residuals"] = residuals
     with TemporaryDirectory() as folder, open_output(path) as stream:
-        named = Path(folder) / "track.c3d"  # ezc3d insists on the suffix
+        named = Path(folder) / "track.c3d"  # ezc3d requires the suffix, which NAME.part lacks
         file.write(str(named))
         stream.write(named.read_bytes())
     return rate
@@ -78,7 +77,7 @@ def _check(rate: FixedRate, names: Sequence[str], where: str) -> None:
 
 
 def _markers(columns: Columns, rate: FixedRate) -> tuple[FloatArray, FloatArray]:
-    """Homogeneous markers (4, P, F) and their residuals (1, P, F); those not seen are NaN."""
+    """Return homogeneous markers (4, P, F) and residuals (1, P, F); missing markers are NaN."""
     count = columns["points"].shape[1]
     points = np.full((4, count, len(rate.rows)), np.nan)
     seen = rate.known.copy()

@@ -1,4 +1,4 @@
-"""Exported tables."""
+"""Tables and fixed-rate frames of exports."""
 
 from __future__ import annotations
 
@@ -17,25 +17,24 @@ from posetrack_cli.results.estimate import Subject, kind_of
 from posetrack_cli.results.fields import BY_NAME, NUMBERS
 from posetrack_cli.units import NS_PER_S
 
-# Estimates as frames of a fixed rate, for formats that know no other times.
+# Resampling to a fixed frame rate, for formats without stamps.
 #
-# Stamps jitter, frames are dropped, tracks are left out while they are lost: frame i is what was estimated
-# nearest to the time ``i / rate`` after the first estimate, or nothing if that is more than half a frame off.
-# So times are right to half a frame over the whole recording, and no frame is told twice.
-
+# Stamps jitter, frames are dropped, and lost frames may be left out. Frame i is the estimate nearest to the
+# time ``i / rate`` after the first one, or empty if that is over half a frame away. Times are thus within
+# half a frame over the whole recording, and no estimate is used twice.
 
 SINGLE_HZ = 30.0
-"""Rate that is stated of a single frame, which has none."""
+"""Nominal rate of a single frame."""
 
 
 @dataclass(frozen=True, eq=False)
 class FixedRate:
-    """Which estimate each frame is.
+    """Assignment of estimates to frames of a fixed rate.
 
     Attributes:
-        rate_hz: of the frames.
-        rows: (F,) row of each frame's estimate; -1 where there is none.
-        estimates: how many there were.
+        rate_hz: frame rate.
+        rows: (F,) row of each frame's estimate; -1 for none.
+        estimates: total number of estimates.
     """
 
     rate_hz: float
@@ -44,30 +43,30 @@ class FixedRate:
 
     @property
     def known(self) -> BoolArray:
-        """(F,) whether there is an estimate."""
+        """(F,) whether the frame has an estimate."""
         return self.rows >= 0
 
     def notes(self, filled: str) -> Iterator[str]:
-        """Yield what a user must know: frames without estimate, which are ``filled``; estimates left out."""
+        """Yield notes for the user on empty frames, described by ``filled``, and on dropped estimates."""
         empty = int(np.sum(~self.known))
         left_out = self.estimates - (len(self.rows) - empty)
         if empty:
             yield f"{empty} of {len(self.rows)} frames at {self.rate_hz:.6g} Hz have no estimate: {filled}"
         if left_out:
-            yield f"{left_out} of {self.estimates} estimates left out: nearer than a frame to others"
+            yield f"{left_out} of {self.estimates} estimates left out: less than a frame from others"
 
 
 def fixed_rate(stamps_ns: IntArray, where: str) -> FixedRate:
-    """Return frames of the rate that stamps (N,) have on the whole.
+    """Return frames at the mean rate of the stamps (N,).
 
-    The median step tells how many frames lie between neighbours, and all of them together the rate: that of a
-    30 Hz camera whose stamps are whole milliseconds is 30 Hz.
+    The median step gives the number of frames between neighbours, and the total duration the rate. A 30 Hz
+    camera with millisecond stamps thus gets 30 Hz.
 
     Raises:
-        ResultError: there is no stamp, or the gaps are too long for what there is.
+        ResultError: there are no stamps, or the gaps are too long.
     """
     if not len(stamps_ns):
-        raise ResultError("holds no estimate", where=where)
+        raise ResultError("has no estimates", where=where)
     order = np.argsort(stamps_ns, kind="stable")
     since = stamps_ns[order] - stamps_ns[order[0]]
     steps = np.diff(since)
@@ -80,29 +79,26 @@ def fixed_rate(stamps_ns: IntArray, where: str) -> FixedRate:
     most = max(limits.EXPORT_FRAMES, limits.EXPORT_EXPANSION * len(stamps_ns))
     if count > most:
         raise ResultError(
-            "gaps are too long for a format of fixed frame rate",
+            "gaps are too long for a format with a fixed frame rate",
             where=where,
             found=f"{count} frames at {NS_PER_S / step_ns:.6g} Hz for {len(stamps_ns)} estimates",
-            expected=f"{most} at most",
-            hint="csv, json and npz state every estimate's time",
+            expected=f"at most {most}",
+            hint="csv, json and npz keep the stamp of every estimate",
         )
     return FixedRate(NS_PER_S / step_ns, _nearest(places, order, count), len(stamps_ns))
 
 
 def _nearest(places: FloatArray, order: IntArray, count: int) -> IntArray:
-    """The row of the place nearest to each whole number, -1 where none is within a half."""
+    """Return the row nearest to each frame, -1 if none is within half a frame."""
     frames = np.rint(places).astype(np.int64)
     off = np.abs(places - frames)
     rows = np.full(count, -1, dtype=np.int64)
     farthest_first = np.argsort(-off, kind="stable")
-    rows[frames[farthest_first]] = order[farthest_first]  # of several the last one that is assigned stays
+    rows[frames[farthest_first]] = order[farthest_first]  # the last assignment, i.e. the nearest, wins
     return rows
 
 
-# The columns of an exported table: names, units and meanings, stated once for every format.
-#
-# A truth in CSV is read by the same names.
-
+# Columns of exported tables: names, units and descriptions. Reference CSV files use the same names.
 
 POSITION = ("x_mm", "y_mm", "z_mm")
 QUATERNION = ("qx", "qy", "qz", "qw")
@@ -114,31 +110,31 @@ Values: TypeAlias = np.ndarray[Any, Any]
 
 
 def point_columns(names: Iterable[str]) -> tuple[str, ...]:
-    """Return three columns for each point, in mm."""
+    """Return three column names per point, in mm."""
     return tuple(f"{name}_{axis}_mm" for name in names for axis in "xyz")
 
 
 def shape_columns(subject: Subject, *suffixes: str) -> tuple[str, ...]:
-    """Return a column for each shape entry: its name, suffixes (such as ``sd``), its unit if it has one."""
+    """Return a column name per shape parameter: name, suffixes (such as ``sd``), unit if any."""
     unit = kind_of(subject.name).shape_unit
     return tuple("_".join(filter(None, (name, *suffixes, unit))) for name in subject.shape_names)
 
 
 def rate_columns(subject: Subject, *suffixes: str) -> tuple[str, ...]:
-    """Return a column for the rate of each shape entry, ``..._rad_s`` or ``..._per_s``."""
+    """Return a column name for the rate of each shape parameter, ``..._rad_s`` or ``..._per_s``."""
     unit = kind_of(subject.name).shape_unit or "per"
     return tuple("_".join((name, *suffixes, unit, "s")) for name in subject.shape_names)
 
 
 @dataclass(frozen=True)
 class ColumnGroup:
-    """Columns that mean the same of different components.
+    """Columns of one quantity.
 
     Attributes:
-        names: of the columns.
-        unit: of all of them, empty for none.
-        meaning: of all of them.
-        values: makes the (N, len(names)) values from columns of ``Result.columns``.
+        names: column names.
+        unit: unit of all columns; empty for none.
+        meaning: description of the quantity.
+        values: returns the (N, len(names)) values from columns of ``Result.columns``.
     """
 
     names: tuple[str, ...]
@@ -148,7 +144,7 @@ class ColumnGroup:
 
 
 def table_of(subject: Subject) -> tuple[ColumnGroup, ...]:
-    """Return the columns of a subject's table, in order; groups without columns are left out."""
+    """Return the column groups of a subject's table in order, without empty ones."""
     groups = (
         *_frame_groups(),
         *_pose_groups(subject),
@@ -198,7 +194,7 @@ def _velocity_groups(subject: Subject) -> Iterable[ColumnGroup]:
 
 
 def _deviation_groups(subject: Subject) -> Iterable[ColumnGroup]:
-    """Standard deviations: roots of the diagonals of the covariances."""
+    """Yield standard deviations, the square roots of the covariance diagonals."""
     unit = kind_of(subject.name).shape_unit
     yield _deviation(tuple(f"{axis}_sd_mm" for axis in "xyz"), "mm", "of the position", "pose_variance", 0)
     yield _deviation(
@@ -220,7 +216,7 @@ def _deviation_groups(subject: Subject) -> Iterable[ColumnGroup]:
 
 
 def _point_group(subject: Subject) -> ColumnGroup:
-    """Points in camera axes; of a rigid subject in its own, where they stand still."""
+    """Return points in camera axes, or in the body's own axes for a rigid subject."""
     names = point_columns(subject.point_names)
     if not kind_of(subject.name).rigid:
         return ColumnGroup(names, "mm", "points in camera axes", lambda block: _flat(block["points"]))
@@ -229,7 +225,7 @@ def _point_group(subject: Subject) -> ColumnGroup:
 
 
 def _in_own_axes(block: Columns) -> FloatArray:
-    """The points (N, P, 3), mm, in the subject's own axes."""
+    """Return the points (N, P, 3), mm, in the subject's own axes."""
     return in_object(block["points"], block["position"][:, None], block["quaternion"][:, None])
 
 
@@ -244,13 +240,13 @@ def _filter_groups() -> Iterable[ColumnGroup]:
 
 
 def _further_group(subject: Subject) -> ColumnGroup:
-    """What a tracker states beyond that; the names hold the units."""
-    meaning = "further numbers of this tracker, empty where not known"
+    """Return the tracker's additional numbers, whose names include units."""
+    meaning = "additional numbers of this tracker, empty where unknown"
     return ColumnGroup(subject.number_names, "", meaning, lambda block: block[NUMBERS])
 
 
 def _field(name: str) -> ColumnGroup:
-    """The column of a field that is one value."""
+    """Return the column of a scalar field."""
     return ColumnGroup((name,), BY_NAME[name].unit, BY_NAME[name].meaning, _one(name))
 
 
@@ -259,7 +255,7 @@ def _one(name: str) -> Callable[[Columns], Values]:
 
 
 def _part(names: tuple[str, ...], unit: str, meaning: str, field: str, first: int = 0) -> ColumnGroup:
-    """Columns ``first`` and so on of a field."""
+    """Return columns of a field, starting at ``first``."""
     return ColumnGroup(names, unit, meaning, lambda block: block[field][:, first : first + len(names)])
 
 
