@@ -13,8 +13,8 @@ were observed in every frame.
                        angle of joint 3 - closed angle, weighted by the probability that it closes: from the
                        back of the hand, closing is hidden
     straight finger    or e = angle of joint 2 - straight angle, and, more weakly, angle of joint 3 - its
-                       mean, weighted by the probability that it is straight: straight fingers also bend at the
-                       knuckle
+                       mean, weighted by the probability that it is straight: straight fingers also bend at
+                       the knuckle
     neighbours         e = difference of two neighbours' joints 2, less the more their joints 3 differ: a
                        visible finger is evidence for a hidden one bent alike
     collision          e = overlap of two fingers' spheres, mm
