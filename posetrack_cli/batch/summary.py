@@ -18,7 +18,7 @@ from posetrack_cli.evaluation.html.rows_page import RowsPage, write_rows_html
 from posetrack_cli.evaluation.judging.assessment import (
     MEASURED,
     Assessment,
-    Own,
+    PerResultOptions,
     Request,
     assess,
     stated_options,
@@ -118,7 +118,10 @@ def summarise(
         judging.request,
         results=tuple(job.output for job in tracked),
         layout="rows",
-        own={job.output: Own(job.name, job.truth, tuple(map(parse_gate, job.gates))) for job in tracked},
+        own={
+            job.output: PerResultOptions(job.name, job.truth, tuple(map(parse_gate, job.gates)))
+            for job in tracked
+        },
         lenient=True,
     )
     found = assess(request, report)

@@ -1,1 +1,1 @@
-"""Metrics of a result against truth."""
+"""Evaluation of results: metrics, comparisons, gates, reports and views."""

@@ -123,8 +123,8 @@ def test_aligning_twice_changes_nothing_more(seed: int) -> None:
     np.testing.assert_allclose(of(twice.position), of(once.position), atol=ROUNDING)
     np.testing.assert_allclose(of(twice.points), of(once.points), atol=ROUNDING)
     removed, of_points = note.split("; ")
-    assert removed == "one constant rigid offset removed: 0.0 0.0 0.0 mm, 0.0 deg"
-    assert of_points == "each point's constant offset, up to 0.0 mm"
+    assert removed == "removed constant rigid offset: 0.0 0.0 0.0 mm, 0.0 deg"
+    assert of_points == "removed constant offset of each point: up to 0.0 mm"
 
 
 def test_the_note_tells_the_offset() -> None:
@@ -134,7 +134,7 @@ def test_the_note_tells_the_offset() -> None:
     shift = np.array([1.2, -0.4, 3.1])
     estimate = offset_by(truth, turn.inv(), -turn.inv().apply(shift))
     _, note = remove_constant_offset(estimate, truth, all_pairs(FRAMES))
-    assert note == "one constant rigid offset removed: 1.2 -0.4 3.1 mm, 2.3 deg"
+    assert note == "removed constant rigid offset: 1.2 -0.4 3.1 mm, 2.3 deg"
 
 
 def test_points_stay_in_the_camera_and_move_in_the_head() -> None:
@@ -159,7 +159,7 @@ def test_each_point_s_own_offset_is_removed(seed: int) -> None:
     aligned, note = remove_constant_offset(estimate, truth, all_pairs(FRAMES), points=True)
     np.testing.assert_allclose(of(aligned.points), of(truth.points), atol=ROUNDING)
     largest = np.linalg.norm(marked, axis=1).max()
-    assert note.endswith(f"; each point's constant offset, up to {largest:.1f} mm")
+    assert note.endswith(f"; removed constant offset of each point: up to {largest:.1f} mm")
 
 
 def motion(seconds: FloatArray) -> tuple[Rotation, FloatArray]:
@@ -275,15 +275,19 @@ def test_without_a_pair_nothing_is_removed() -> None:
     estimate = offset_by(truth, *planted(6))
     nothing = np.empty(0, dtype=np.int64)
     aligned, note = remove_constant_offset(estimate, truth, Pairs(nothing, nothing), points=True)
-    assert aligned is estimate and note == "no constant offset removed: no frame has a truth"
+    assert aligned is estimate and note == "no constant offset removed: no frame has ground truth"
 
 
 @pytest.mark.parametrize(
     ("lacking", "points", "message"),
     [
-        (("position", "quaternion"), False, "csv: the truth has no position and no quaternion to align by"),
-        (("quaternion",), False, "csv: the truth has no quaternion to align by; leave --align out"),
-        (("points",), True, "csv: the truth has no points to align by"),
+        (
+            ("position", "quaternion"),
+            False,
+            "csv: the ground truth has no position and no quaternion to align by",
+        ),
+        (("quaternion",), False, "csv: the ground truth has no quaternion to align by; omit --align"),
+        (("points",), True, "csv: the ground truth has no points to align by"),
     ],
 )
 def test_what_is_needed_is_named(lacking: tuple[str, ...], points: bool, message: str) -> None:
@@ -296,7 +300,7 @@ def test_what_is_needed_is_named(lacking: tuple[str, ...], points: bool, message
 def test_points_of_other_names_cannot_be_aligned() -> None:
     head = random_head(FRAMES)
     other = replace(head, point_names=("a", "b", "c", "d"))
-    with pytest.raises(UsageError, match="other points"):
+    with pytest.raises(UsageError, match="different points"):
         remove_constant_offset(head, other, all_pairs(FRAMES), points=True)
     remove_constant_offset(head, other, all_pairs(FRAMES))
 
@@ -315,7 +319,7 @@ def test_a_planted_scale_comes_back_exactly(seed: int, factor: float) -> None:
     aligned, note = remove_constant_offset(estimate, truth, all_pairs(FRAMES), scale=True)
     np.testing.assert_allclose(of(aligned.position), of(truth.position), atol=1e3 * ROUNDING)
     np.testing.assert_allclose(in_object(aligned), in_object(truth), atol=1e3 * ROUNDING)
-    assert note.startswith(f"one scale removed: {1.0 / factor:.4f}; one constant rigid offset: ")
+    assert note.startswith(f"removed scale factor: {1.0 / factor:.4f}; removed constant rigid offset: ")
 
 
 def test_no_other_scale_is_better() -> None:
@@ -337,13 +341,13 @@ def test_what_hardly_moves_tells_no_scale() -> None:
         quaternion=np.tile(of(truth.quaternion)[:1], (FRAMES, 1)),
     )
     aligned, note = remove_constant_offset(enlarged(still, 1.1), still, all_pairs(FRAMES), scale=True)
-    assert note.startswith("no scale removed, as the object hardly moves; ")
+    assert note.startswith("no scale removed: the object hardly moves; ")
     np.testing.assert_allclose(of(aligned.position), of(still.position), atol=ROUNDING)
 
 
 def test_a_factor_that_explains_the_errors_is_remarked_and_others_are_not() -> None:
     truth = random_head(FRAMES)
     told = common_factor(shaken(enlarged(truth, 1.1), 1, sd_mm=1.0, sd_rad=0.0), truth, all_pairs(FRAMES))
-    assert told.startswith("one factor of 0.909 on distance and size") and "--align similarity" in told
+    assert told.startswith("a scale factor of 0.909 would reduce") and "--align similarity" in told
     for other in (shaken(truth, 1), enlarged(truth, 1.01), shaken(enlarged(truth, 1.1), 1, sd_mm=200.0)):
         assert common_factor(other, truth, all_pairs(FRAMES)) == ""

@@ -121,7 +121,7 @@ def test_nothing_pairs_with_nothing(estimate: list[int], truth: list[int]) -> No
 @pytest.mark.parametrize(
     ("estimate", "truth", "message"),
     [
-        ([1, 2, 2, 3], [1], "estimate, row 2: stamp occurs twice, found 2 ns after 2 ns"),
+        ([1, 2, 2, 3], [1], "estimate, row 2: duplicate stamp, found 2 ns after 2 ns"),
         ([1], [5, 9, 7, 6], "truth, row 2: stamps are not sorted, found 7 ns after 9 ns"),
     ],
 )
@@ -131,7 +131,7 @@ def test_stamps_that_do_not_increase_are_refused(estimate: list[int], truth: lis
 
 
 def test_the_source_with_the_fault_is_named() -> None:
-    with pytest.raises(ResultError, match=r"run-7\.mcap, row 1: stamp occurs twice"):
+    with pytest.raises(ResultError, match=r"run-7\.mcap, row 1: duplicate stamp"):
         check_stamps(as_stamps([4, 4]), "run-7.mcap")
 
 

@@ -100,20 +100,20 @@ def test_the_only_one_is_compared_with_the_only_one(tmp_path: Path) -> None:
 
 def test_a_result_that_the_baseline_has_not_cannot_be_judged(tmp_path: Path) -> None:
     assert failed(stored(tmp_path, measured("a"), measured("b")), measured("c")) == [
-        "c: gate 'baseline' cannot be judged: the baseline holds no result of this name; it holds: a, b"
+        "c: gate 'baseline' could not be evaluated: no result with this name in the baseline, which has: a, b"
     ]
 
 
 def test_a_figure_that_is_gone_cannot_be_judged(tmp_path: Path) -> None:
     blind = measured(metrics={"coverage": 1.0}, absent={"joint_error_mm": "no truth"})
     lines = failed(stored(tmp_path, measured()), blind)
-    assert len(lines) == 2 and all(line.endswith("cannot be judged: no truth") for line in lines)
+    assert len(lines) == 2 and all(line.endswith("could not be evaluated: no truth") for line in lines)
 
 
 def test_a_baseline_without_any_key_figure_cannot_judge(tmp_path: Path) -> None:
     path = stored(tmp_path, measured(metrics={"frames": 30.0}))
     assert failed(path, measured()) == [
-        "a: gate 'baseline' cannot be judged: the baseline holds none of the key figures"
+        "a: gate 'baseline' could not be evaluated: the baseline has none of the key figures"
     ]
 
 
@@ -124,23 +124,23 @@ def test_what_makes_the_two_less_comparable_is_noted(tmp_path: Path) -> None:
     path = stored(tmp_path, before, align="rigid")
     check = check_baseline(read_baseline(path), [measured(share=1.0)], 0.05, OPTIONS)
     assert list(check.notes) == [
-        "align is none, in the baseline rigid",
-        "a: 30 frames, the baseline has 20",
-        "a: the baseline was evaluated without truth",
-        "a: not in the baseline and not compared: joint_error_mm.mean, joint_error_mm.p95",
+        "align is none, rigid in the baseline",
+        "a: 30 frames, 20 in the baseline",
+        "a: the baseline was evaluated without ground truth",
+        "a: not compared, missing in the baseline: joint_error_mm.mean, joint_error_mm.p95",
     ]
 
 
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        (b"{", "is no report of an evaluation"),
-        (b"", "is no report of an evaluation"),
-        (b"[]", "is no report of an evaluation"),
-        (b"\xff\xfe", "is no report of an evaluation"),
+        (b"{", "not an evaluation report"),
+        (b"", "not an evaluation report"),
+        (b"[]", "not an evaluation report"),
+        (b"\xff\xfe", "not an evaluation report"),
         (
             b'{"format": "posetrack.eval/2", "results": 7}',
-            "has another format, found posetrack.eval/2, expected",
+            "unsupported format of the baseline, found posetrack.eval/2, expected",
         ),
         (b'{"format": "posetrack.eval/1"}', "found results: Field required"),
         (b'{"results": []}', "found format: Field required"),
@@ -196,7 +196,7 @@ def test_a_set_is_compared_result_by_result_and_together(tmp_path: Path) -> None
         "baseline: pooled.joint_error_mm.mean",
         "baseline: pooled.joint_error_mm.p95",
     }
-    assert check.notes == () and set(check.earlier) == {"a", "b", "pooled"}
+    assert check.notes == () and set(check.matched) == {"a", "b", "pooled"}
 
 
 def test_all_together_fail_where_each_alone_passes_only_by_what_is_pooled(tmp_path: Path) -> None:
@@ -211,10 +211,10 @@ def test_new_results_are_told_and_missing_ones_fail(tmp_path: Path) -> None:
     now = [with_errors(name, [error]) for name, error in (("a", 1.0), ("b", 2.0), ("new", 90.0))]
     check = checked(stored_set(tmp_path, *old), *now)
     (line,) = [outcome.line for outcome in check.outcomes if outcome.failed]
-    assert line.startswith("gone: gate 'baseline' cannot be judged: the baseline holds it, and no result now")
+    assert line.startswith("gone: gate 'baseline' could not be evaluated: result of the baseline is missing")
     assert check.notes == (
-        "1 result is new and not compared: new",
-        "pooled: compared are means and coverage over the 2 results that the baseline has, too",
+        "1 new result, not compared: new",
+        "pooled: compared by means and coverage over the 2 results in the baseline",
     )
 
 

@@ -161,7 +161,7 @@ def test_the_truth_of_another_subject_is_none(tmp_path: Path) -> None:
 def test_a_truth_of_other_joints_is_refused(tmp_path: Path) -> None:
     true = estimates(HAND, 3)
     fewer = [replace(one, points=one.points[1:]) for one in true]
-    with pytest.raises(TruthError, match="other shape entries or points"):
+    with pytest.raises(TruthError, match="different number of shape entries or points"):
         evaluate(write_result(tmp_path / "a.mcap", HAND, true, truths(fewer)))
 
 
@@ -194,7 +194,7 @@ def test_images_are_looked_at_when_the_recording_is_given(
     assert asked == [(path, ("opened", options.recording))] * 3
     assert (mean(found, "residual_mm"), mean(found, "region_overlap")) == (2.0, 0.5)
     assert nothing.absent["residual_mm"] == "the recording has none of the result's frames"
-    assert apart.absent["residual_mm"] == "in no frame the estimate and the observed hand overlap"
+    assert apart.absent["residual_mm"] == "the estimate overlaps the observed hand in no frame"
     assert mean(apart, "region_overlap") == 0.0
     np.testing.assert_array_equal(found.series["residual_mm"], [1.0, nan, 3.0])
     np.testing.assert_array_equal(apart.series["region_overlap"], [0.0, nan, 0.0])
@@ -216,8 +216,8 @@ def test_an_empty_result_has_reasons_and_coverage_0(tmp_path: Path) -> None:
         got = evaluate(write_result(path, HAND, [], messages))
         assert got.metrics["coverage"] == 0.0
         assert got.metrics["frames"] == 0.0
-        assert got.absent["ess"] == "the result holds no estimate"
-        assert got.absent["joint_error_mm"] == ("the result holds no estimate" if messages else NO_TRUTH)
+        assert got.absent["ess"] == "the result has no estimates"
+        assert got.absent["joint_error_mm"] == ("the result has no estimates" if messages else NO_TRUTH)
         assert is_complete(got)
 
 
@@ -225,7 +225,7 @@ def test_one_frame_is_enough(tmp_path: Path) -> None:
     true = estimates(HAND, 1)
     got = evaluate(write_result(tmp_path / "a.mcap", HAND, shifted(true), truths(true)))
     assert mean(got, "joint_error_mm") == pytest.approx(7.0)
-    assert got.absent["jitter_mm"] == "no three frames in a row"
+    assert got.absent["jitter_mm"] == "fewer than three consecutive frames"
     assert got.absent["largest_gap_s"] == "fewer than two frames"
     assert is_complete(got)
 
@@ -235,7 +235,7 @@ def test_when_no_stamp_matches_the_nearest_is_told(tmp_path: Path) -> None:
     path = write_result(tmp_path / "a.mcap", HAND, true, truths(at(true, 12 * MS)))
     got = evaluate(path)
     reason = (
-        "no estimate has a truth within 5 ms: the nearest is 12 ms away; "
+        "no estimate has ground truth within 5 ms, the nearest is 12 ms away; "
         "see --truth-tolerance-ms and --time-offset-s"
     )
     assert got.notes == (reason,)
@@ -259,15 +259,15 @@ def test_a_truth_without_velocity_or_angles_has_reasons(tmp_path: Path) -> None:
     true = [replace(one, pose_rate=None, twist=None, twist_variance=None) for one in own]
     path = write_result(tmp_path / "a.mcap", HAND, own, truths(true))
     got = evaluate(path)
-    assert got.absent["velocity_error_mm_s"] == "the truth has no velocity"
-    assert got.absent["velocity_nees"] == "the truth has no velocity"
+    assert got.absent["velocity_error_mm_s"] == "the ground truth has no velocity"
+    assert got.absent["velocity_nees"] == "the ground truth has no velocity"
     assert mean(got, "nees") == 0.0
     csv = write_csv(tmp_path / "poses.csv", pose_columns(true))
     got = evaluate(path, EvalOptions(truth=csv))
-    assert got.absent["joint_error_mm"] == "the truth has no points"
-    assert got.absent["joint_error_mm.wrist"] == "the truth has no points"
-    assert got.absent["frames_within_20mm"] == "the truth has no points"
-    assert got.absent["angle_error_deg"] == "the truth has no finger angles"
+    assert got.absent["joint_error_mm"] == "the ground truth has no points"
+    assert got.absent["joint_error_mm.wrist"] == "the ground truth has no points"
+    assert got.absent["frames_within_20mm"] == "the ground truth has no points"
+    assert got.absent["angle_error_deg"] == "the ground truth has no finger angles"
     assert got.curve is None
     assert mean(got, "wrist_position_mm") == 0.0
     assert is_complete(got)
@@ -295,7 +295,7 @@ def test_a_constant_offset_is_removed_and_said_so(tmp_path: Path) -> None:
     plain = evaluate(path, EvalOptions(truth=other))
     aligned = evaluate(path, EvalOptions(truth=other, align="rigid+points"))
     assert plain.notes == ()
-    assert "constant rigid offset removed" in aligned.notes[0]
+    assert "removed constant rigid offset" in aligned.notes[0]
     assert "each point" in aligned.notes[0]
     assert mean(aligned, "point_error_mm") < mean(plain, "point_error_mm")
 
@@ -312,7 +312,7 @@ def test_an_unfinished_run_is_measured_over_what_it_holds(tmp_path: Path) -> Non
     os.truncate(part, part.stat().st_size * 9 // 10)  # as a killed writer leaves it
     got = evaluate(part)
     assert got.name == "a"
-    assert got.notes[0] == "the run did not finish: measured over the frames that it holds"
+    assert got.notes[0] == "unfinished run: evaluated over the frames written so far"
     assert got.losses
     assert 0 < got.metrics["frames"] < 25
     assert mean(got, "joint_error_mm") == pytest.approx(7.0)
@@ -327,7 +327,7 @@ def test_what_the_run_itself_lost_is_told(tmp_path: Path) -> None:
         writer.finish({"losses": "frames without any reading: 3, first frame 7"})
     got = evaluate(path)
     assert got.notes == (
-        "the run could not use all of its input: frames without any reading: 3, first frame 7",
+        "part of the run's input was unusable: frames without any reading: 3, first frame 7",
     )
     assert got.losses == ()
 
@@ -338,23 +338,21 @@ def test_a_truth_that_is_damaged_is_a_loss(tmp_path: Path) -> None:
     other = write_result(tmp_path / "b.mcap", HAND, true)
     os.truncate(other, other.stat().st_size * 2 // 3)
     got = evaluate(path, EvalOptions(truth=other))
-    assert [loss.what.startswith(f"truth {other.name}: ") for loss in got.losses] == [True]
+    assert [loss.what.startswith(f"ground truth {other.name}: ") for loss in got.losses] == [True]
     assert 0 < got.metrics["matched"] < 40
 
 
 def test_nothing_else_has_metrics(tmp_path: Path) -> None:
     foot = Subject("foot", "camera", (), ("toe",), (-1,))
     path = write_result(tmp_path / "a.mcap", foot, estimates(foot, 2))
-    with pytest.raises(
-        ResultError, match=r"a.mcap: is of a subject that has no metrics, found subject 'foot'"
-    ):
+    with pytest.raises(ResultError, match=r"a.mcap: no metrics for this subject, found subject 'foot'"):
         evaluate(path)
 
 
 def test_the_truth_is_of_the_same_subject(tmp_path: Path) -> None:
     hand = write_result(tmp_path / "a.mcap", HAND, estimates(HAND, 2))
     head = write_result(tmp_path / "b.mcap", HEAD, estimates(HEAD, 2))
-    with pytest.raises(TruthError, match="is of another subject"):
+    with pytest.raises(TruthError, match="wrong subject"):
         evaluate(hand, EvalOptions(truth=head))
 
 
@@ -371,11 +369,11 @@ def test_what_is_no_result_is_one_line(tmp_path: Path, content: bytes | None) ->
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"tolerance_ms": -1.0}, "tolerance cannot be used, found -1.0 ms, expected 0 to 1e9 ms"),
-        ({"tolerance_ms": float("nan")}, "tolerance cannot be used"),
-        ({"tolerance_ms": float("inf")}, "tolerance cannot be used"),
-        ({"time_offset_s": float("nan")}, "time offset cannot be used"),
-        ({"align": "points"}, "no such alignment, found 'points', expected one of none, rigid, rigid.points"),
+        ({"tolerance_ms": -1.0}, "tolerance out of range, found -1.0 ms, expected 0 to 1e9 ms"),
+        ({"tolerance_ms": float("nan")}, "tolerance out of range"),
+        ({"tolerance_ms": float("inf")}, "tolerance out of range"),
+        ({"time_offset_s": float("nan")}, "time offset out of range"),
+        ({"align": "points"}, "unknown alignment, found 'points', expected one of none, rigid, rigid.points"),
     ],
 )
 def test_options_that_cannot_be_meant(values: dict[str, object], message: str) -> None:

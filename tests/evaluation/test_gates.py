@@ -91,15 +91,15 @@ def test_a_figure_just_beyond_its_limit_does_not_look_equal_to_it() -> None:
         ({"metrics": {"coverage": 1.0}}, "not measured"),
         (
             {"metrics": {"joint_error_mm": Statistics(*[NOT_A_NUMBER] * 6, count=0)}},
-            "the figure is nan",
+            "the value is nan",
         ),
         (
             {"metrics": {"joint_error_mm": Statistics(float("inf"), 0.0, 0.0, 0.0, float("inf"), 0.0, 3)}},
-            "the figure is inf",
+            "the value is inf",
         ),
-        ({"coverage": Coverage(0, 0, 0, 0, 0, 5, 0, True, 0)}, "the result holds no estimate"),
+        ({"coverage": Coverage(0, 0, 0, 0, 0, 5, 0, True, 0)}, "the result has no estimates"),
         ({"coverage": Coverage(9, 0, 9, 0, 0, 0, 0, True, 0)}, "coverage is 0"),
-        ({"subject": "head"}, "it is no metric of a head"),
+        ({"subject": "head"}, "not a head metric"),
     ],
 )
 @pytest.mark.parametrize("sign", sorted(OPERATORS))
@@ -108,7 +108,7 @@ def test_what_cannot_be_judged_fails_whatever_the_condition(
 ) -> None:
     said = outcome(f"joint_error_mm.mean {sign} 10", **changes)
     assert said.failed and said.figure is None
-    assert said.line == f"a: gate 'joint_error_mm.mean {sign} 10' cannot be judged: {reason}"
+    assert said.line == f"a: gate 'joint_error_mm.mean {sign} 10' could not be evaluated: {reason}"
 
 
 def test_coverage_0_is_itself_a_figure() -> None:
@@ -138,30 +138,33 @@ def test_every_gate_meets_every_result() -> None:
     [
         (
             "joint_eror_mm.mean > 10",
-            r"no metric 'joint_eror_mm'; did you mean 'joint_error_mm'\?.*wrist_position",
+            r"unknown metric 'joint_eror_mm'; did you mean 'joint_error_mm'\?.*wrist_position",
         ),
         (
             "joint_error_mm > 10",
-            "does not say which statistic, expected joint_error_mm.mean, .*joint_error_mm.max",
+            "lacks a statistic, expected one of joint_error_mm.mean, .*joint_error_mm.max",
         ),
-        ("joint_error_mm.index_tip > 10", "expected joint_error_mm.index_tip.mean"),
+        ("joint_error_mm.index_tip > 10", "expected one of joint_error_mm.index_tip.mean"),
         ("joint_error_mm.indextip.p95 > 10", "did you mean 'index_tip'"),
         ("joint_error_mm.p99 > 10", "did you mean 'p95'"),
-        ("coverage.mean < 0.99", "metric 'coverage' has no 'mean'; it is one number"),
-        ("coverage < 99%", "found 99%; shares are numbers from 0 to 1: write 0.99"),
-        ("joint_error_mm.mean > 10mm", "the unit is the metric's own"),
-        ("joint_error_mm.mean > 10,5", "the decimal sign is a point"),
-        ("joint_error_mm.mean > ten", "compares with no number, found ten; such as"),
-        ("joint_error_mm.mean > inf", "no finite number"),
-        ("joint_error_mm.mean > nan", "no finite number"),
-        ("coverage = 1", r"is no condition, expected METRIC.*; equality is =="),
-        ("coverage", r"is no condition, expected METRIC.* > >= < <= == !=.*such as"),
-        ("", "is no condition"),
-        ("> 10", "is no condition"),
-        ("coverage <", "is no condition.*such as"),
-        ("0 < coverage < 1", "one condition at a time"),
-        ("9 > ess.mean > 1", "one condition at a time"),
-        ("coverage => 1", "is no condition"),
+        (
+            "coverage.mean < 0.99",
+            "metric 'coverage' has no 'mean'; it is a single number without parts or statistics",
+        ),
+        ("coverage < 99%", "found 99%; shares are numbers from 0 to 1; write 0.99"),
+        ("joint_error_mm.mean > 10mm", "plain number without unit"),
+        ("joint_error_mm.mean > 10,5", "with a decimal point"),
+        ("joint_error_mm.mean > ten", "is not a number, found ten; e.g."),
+        ("joint_error_mm.mean > inf", "is not finite"),
+        ("joint_error_mm.mean > nan", "is not finite"),
+        ("coverage = 1", r"invalid condition '.*', expected METRIC.*; write == for equality"),
+        ("coverage", r"invalid condition '.*', expected METRIC.* > >= < <= == !=.*e.g."),
+        ("", "invalid condition"),
+        ("> 10", "invalid condition"),
+        ("coverage <", "invalid condition.*e.g."),
+        ("0 < coverage < 1", "one condition per --fail-if"),
+        ("9 > ess.mean > 1", "one condition per --fail-if"),
+        ("coverage => 1", "invalid condition"),
     ],
 )
 def test_what_is_no_condition_is_one_line_that_helps(text: str, said: str) -> None:
@@ -186,9 +189,9 @@ def test_a_file_of_gates(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        (b"coverage < 0.99\n\njoint_eror_mm.mean > 1\n", r"gates.txt:3: no metric 'joint_eror_mm'"),
-        (b"# nothing\n\n", "gates.txt: holds no gate"),
-        (b"\xff\xfe\x00", "no UTF-8"),
+        (b"coverage < 0.99\n\njoint_eror_mm.mean > 1\n", r"gates.txt:3: unknown metric 'joint_eror_mm'"),
+        (b"# nothing\n\n", "gates.txt: gate file is empty"),
+        (b"\xff\xfe\x00", "not UTF-8"),
     ],
 )
 def test_a_bad_file_of_gates_names_file_and_line(tmp_path: Path, content: bytes, said: str) -> None:
@@ -199,7 +202,7 @@ def test_a_bad_file_of_gates_names_file_and_line(tmp_path: Path, content: bytes,
 
 
 def test_a_missing_file_of_gates(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"none.txt: gates cannot be read, found No such file"):
+    with pytest.raises(UsageError, match=r"none.txt: gate file cannot be read, found No such file"):
         read_gates(tmp_path / "none.txt")
 
 
@@ -213,9 +216,9 @@ def test_a_misspelt_feature_point_shows_when_the_points_are_known() -> None:
 
 def test_a_known_part_that_no_result_has_fails_with_its_reason() -> None:
     """A joint or a point is no misspelling where only the truth lacks it, or is not there at all."""
-    without = evaluation(absent={"joint_error_mm.thumb_tip": "the truth has no thumb_tip"})
+    without = evaluation(absent={"joint_error_mm.thumb_tip": "the ground truth has no thumb_tip"})
     (outcome,) = check_gates([parse_gate("joint_error_mm.thumb_tip.mean > 1")], [without])
-    assert outcome.failed and outcome.reason == "the truth has no thumb_tip"
+    assert outcome.failed and outcome.reason == "the ground truth has no thumb_tip"
     head = evaluation(subject="head", metrics={"coverage": 1.0}, absent={"point_error_mm": "no truth"})
     (outcome,) = check_gates([parse_gate("point_error_mm.nose_tip.mean > 1")], [head])
     assert outcome.failed and outcome.reason == "no truth"
@@ -259,18 +262,18 @@ def test_a_pooled_gate_that_a_result_has_no_frames_for_cannot_be_judged() -> Non
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("pooled.frames_per_s < 10", "'frames_per_s' is not pooled over results, expected one of "),
+        ("pooled.frames_per_s < 10", "'frames_per_s' is not pooled, expected one of "),
         (
             "pooled.joint_error_mm.index_tip.mean > 10",
-            "parts of 'joint_error_mm' are not pooled over results",
+            "parts of 'joint_error_mm' are not pooled",
         ),
-        ("p95(pooled.coverage) < 1", "'pooled.coverage' is one figure, not one of each result"),
-        ("p99(coverage) < 1", r"'p99\(coverage\)' is no figure over results, expected one of mean"),
-        ("p95(coverage < 1", "is no figure over results"),
-        ("p95(joint_error_mm) > 1", "does not say which statistic, expected joint_error_mm.mean"),
+        ("p95(pooled.coverage) < 1", "'pooled.coverage' is a single value, not one per result"),
+        ("p99(coverage) < 1", r"invalid statistic over results 'p99\(coverage\)', expected one of mean"),
+        ("p95(coverage < 1", "invalid statistic over results"),
+        ("p95(joint_error_mm) > 1", "lacks a statistic, expected one of joint_error_mm.mean"),
         ("p95(joint_eror_mm.mean) > 1", "did you mean 'joint_error_mm'"),
         ("pooled.confidence_roc_are < 1", "did you mean 'confidence_roc_area'"),
-        ("pooled > 1", "no metric 'pooled'"),
+        ("pooled > 1", "unknown metric 'pooled'"),
     ],
 )
 def test_what_is_not_pooled_is_refused(text: str, message: str) -> None:

@@ -201,9 +201,9 @@ def test_pages_of_little() -> None:
         track=dataclasses.replace(whole.track, lost=np.ones(9, dtype=np.bool_)),
     )
     empty = dataclasses.replace(without_truth(shortened(whole, 0)), metrics={"coverage": 0.0})
-    assert "holds no estimate" in page(empty)
+    assert "has no estimates" in page(empty)
     assert data_of(page(empty))["results"][0]["scene"] is None
-    assert "No truth" in page(without_truth(whole))
+    assert "No ground truth" in page(without_truth(whole))
     assert data_of(page(lost))["results"][0]["lost"] == [[0.0, pytest.approx(8 / 30, abs=1e-3)]]
     assert data_of(page(shortened(whole, 1)))["results"][0]["frames"] == 1
     for evaluation in (empty, without_truth(whole), lost, shortened(whole, 1)):
@@ -279,8 +279,8 @@ def test_a_long_result_is_reduced_and_the_page_says_so() -> None:
     assert peak in numbers[shown]
     assert set(range(0, frames, result["scene"]["every"])) <= set(numbers[shown].tolist())
     words = re.sub(r"\s+", " ", Outline(text).words)
-    assert f"at most {line['points']} of {frames} frames" in words
-    assert f"3-D view of {len(shown)} frames, one in {result['scene']['every']}" in words
+    assert f"up to {line['points']} of {frames} frames" in words
+    assert f"3D view of {len(shown)} frames (1 in {result['scene']['every']}" in words
     assert len(text.encode()) < 10_000_000
 
 
@@ -315,7 +315,7 @@ def test_pictures_beyond_the_room_are_left_out_and_the_page_says_how_many(
     text = page(hand_evaluation("a", 9), hand_evaluation("b", 9), pictures=given)
     assert text.count("data:image/png") == 3
     assert re.findall(r"Show frame (\d)", text) == ["0", "1", "0"]
-    assert "3 more pictures were left out" in text
+    assert "3 more pictures were omitted" in text
 
 
 def test_without_pictures_the_page_says_why() -> None:
@@ -323,7 +323,7 @@ def test_without_pictures_the_page_says_why() -> None:
     told = page(evaluation, pictures={"a": "there is no <recording>"})
     assert "No pictures: there is no <recording>." in Outline(told).words
     assert "No pictures were drawn." in page(evaluation)
-    assert "No pictures: there are no frames." in page(shortened(evaluation, 0))
+    assert "No pictures: the result has no frames." in page(shortened(evaluation, 0))
 
 
 def test_a_result_whose_pictures_find_no_room_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -336,7 +336,7 @@ def test_a_result_whose_pictures_find_no_room_says_so(monkeypatch: pytest.Monkey
 @pytest.mark.parametrize("name", ["page.txt", "page", "folder.html"])
 def test_a_name_that_no_page_can_have_is_refused(tmp_path: Path, name: str) -> None:
     (tmp_path / "folder.html").mkdir()
-    with pytest.raises(UsageError, match="page is"):
+    with pytest.raises(UsageError, match="not an HTML file name|output is a folder"):
         write_html(tmp_path / name, ReportPage([hand_evaluation(frames=2)], None, {}, "T"))
 
 

@@ -156,9 +156,7 @@ def test_a_joint_belongs_to_the_bone_that_ends_in_it() -> None:
 
 def test_offsets_too_large_for_a_convention_are_doubted() -> None:
     small = JointOffsets(("wrist", "thumb_tip"), "palm", np.array([[3.0, 4.0, 0.0], [0.0, 0.0, 15.0]]))
-    assert small.note == (
-        "one constant offset per joint removed, in the palm's axes: 10.0 mm on average, up to 15.0 mm"
-    )
+    assert small.note == ("removed constant offset of each joint in palm axes: mean 10.0 mm, max 15.0 mm")
 
 
 def test_what_is_too_long_for_a_convention_stays_an_error_and_its_joint_is_named() -> None:
@@ -175,9 +173,7 @@ def test_what_is_too_long_for_a_convention_stays_an_error_and_its_joint_is_named
     left = np.linalg.norm(points_of(without) - points_of(truth), axis=2)
     np.testing.assert_allclose(left[:, others], 0.0, atol=SINGLE)
     np.testing.assert_allclose(left[:, place], 90.0 - MOST_MM, atol=SINGLE)
-    assert removed.note.endswith(
-        "up to 25.0 mm; of ring_pip no more, for what is longer is an error, no convention"
-    )
+    assert removed.note.endswith("max 25.0 mm; limited to 25 mm for ring_pip, as larger offsets are errors")
 
 
 def test_without_pairs_nothing_is_removed() -> None:
@@ -188,12 +184,12 @@ def test_without_pairs_nothing_is_removed() -> None:
 
 def test_what_cannot_be_compared_is_refused() -> None:
     track = random_hand(3)
-    with pytest.raises(UsageError, match="the truth has no points to remove joints' offsets by"):
+    with pytest.raises(UsageError, match="cannot remove joint offsets: the ground truth has no points"):
         remove_joint_offsets(track, replace(track, points=None), all_pairs(3), ANATOMY)
     with pytest.raises(UsageError, match="the result has no quaternion"):
         remove_joint_offsets(replace(track, quaternion=None), track, all_pairs(3), ANATOMY)
-    with pytest.raises(UsageError, match="other joints"):
+    with pytest.raises(UsageError, match="different joints"):
         remove_joint_offsets(track, replace(track, point_names=JOINT_NAMES[::-1]), all_pairs(3), ANATOMY)
-    with pytest.raises(UsageError, match=r"no such axes.*found 'skin', expected one of bone, palm, camera"):
+    with pytest.raises(UsageError, match=r"unknown frame.*found 'skin', expected one of bone, palm, camera"):
         EvalOptions(joint_offsets="skin")  # type: ignore[arg-type]
     assert set(AXES) == set(get_args(OffsetFrame))

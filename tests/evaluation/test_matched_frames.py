@@ -69,7 +69,7 @@ def test_numbers_do_not_serve_where_a_stamp_agrees() -> None:
     pairs, losses = matched(Recorded(10), [300, 366], [1, 2])
     assert pairs == [(0, 3)], "366 is not in the recording, and its number would be another frame's"
     assert [(loss.count, loss.what) for loss in losses.losses] == [
-        (1, "estimates whose frame the recording does not give")
+        (1, "estimates without a frame in the recording")
     ]
 
 

@@ -59,10 +59,10 @@ def test_counts_of_frames_are_added_up() -> None:
 
 def test_a_figure_that_one_lacks_is_not_that_of_the_others() -> None:
     a = with_shares("a", 9, 10)
-    b = result("b", None, absent={"inside_90": "the truth has no rotation"})
+    b = result("b", None, absent={"inside_90": "the ground truth has no rotation"})
     both = pool("both", [a, b])
     assert "inside_90" not in both.metrics
-    assert both.absent["inside_90"] == "b: the truth has no rotation"
+    assert both.absent["inside_90"] == "b: the ground truth has no rotation"
     without = result("b", None, absent={"frames_wrong": "no truth"})
     half = pool("both", [result("a", judged([1], [1.0]), metrics={"frames_wrong": 0.0}), without])
     assert half.judged is None and half.absent["frames_wrong"] == "b: no truth"
@@ -80,8 +80,10 @@ def test_only_what_can_be_pooled_is_there() -> None:
 def test_results_of_one_recording_are_compared_and_not_pooled() -> None:
     same = [with_shares(name, 1, 2, run={"input.sha256": "one"}) for name in ("a", "b")]
     (made,) = make_pools([*same, with_shares("c", 1, 2)], {})
-    assert not made.metrics and not made.says_more and made.judged is None
-    assert made.absent["inside_90"].startswith("a and b are of one recording, so results are compared")
+    assert not made.metrics and not made.has_pooled_values and made.judged is None
+    assert made.absent["inside_90"].startswith(
+        "a and b are of the same recording, so the results are not pooled"
+    )
     (grouped,) = make_pools([], {"g": same})
     assert grouped.name == "pooled g" and grouped.metrics["inside_90"] == 0.5
 
@@ -91,7 +93,7 @@ def test_kinds_and_tracks_and_groups_are_pooled_apart() -> None:
     head = with_shares("c", 1, 4, subject="head")
     smoothed = [with_shares(name, 3, 4, which="smoothed") for name in ("a smoothed", "b smoothed")]
     made = make_pools([hand, other, head, *smoothed], {"g": [hand, other], "h": [head]})
-    assert [(one.name, one.results, one.says_more) for one in made] == [
+    assert [(one.name, one.results, one.has_pooled_values) for one in made] == [
         ("pooled hand filtered", ("a", "b"), True),
         ("pooled head filtered", ("c",), False),
         ("pooled hand smoothed", ("a smoothed", "b smoothed"), True),

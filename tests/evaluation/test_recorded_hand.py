@@ -40,7 +40,7 @@ def test_the_hand_of_a_run_record() -> None:
     "text", [None, "", "[]", "{}", '{"hand": {"side": "middle"}}', '{"hand": 3}', "[" * 9999]
 )
 def test_a_record_without_a_hand_is_one_line(text: str | None) -> None:
-    with pytest.raises(ResultError, match="run record holds no hand's configuration"):
+    with pytest.raises(ResultError, match="run record has no hand configuration"):
         hand_of(result_of({} if text is None else {"configuration": text}))
 
 
@@ -71,7 +71,7 @@ def test_a_hand_s_file_is_found_below_the_working_folder_or_beside_the_result(
 def test_a_file_that_has_changed_is_not_the_hand_that_was_tracked(mesh: Path) -> None:
     run = stating({"mesh": "models/hands/right.glb"}, **{MESH_DIGEST: file_digest(mesh)[1]})
     mesh.write_bytes(b"another hand")
-    with pytest.raises(ResultError, match=r"right\.glb: not the hand that the run tracked"):
+    with pytest.raises(ResultError, match=r"right\.glb: hand file has changed since the run"):
         hand_of(result_of(run))
 
 
@@ -84,7 +84,7 @@ def test_what_a_result_states_leads_nowhere_else(
     apart = mesh.parents[2] / "apart"
     apart.mkdir()
     monkeypatch.chdir(apart)
-    with pytest.raises(ResultError, match="the hand that the run tracked is not found"):
+    with pytest.raises(ResultError, match="hand file of the run not found"):
         hand_of(result_of(run, apart / "results"))
 
 
@@ -106,5 +106,5 @@ def test_bones_of_a_file_are_those_of_the_hand(tmp_path: Path) -> None:
     expected = joint_positions(hand_of(result).anatomy, pose)
     np.testing.assert_allclose(joint_positions(anatomy_of(result), pose), expected, atol=1e-9)
     path.write_bytes(b"another hand")
-    with pytest.raises(ResultError, match="not the hand that the run tracked"):
+    with pytest.raises(ResultError, match="hand file has changed since the run"):
         anatomy_of(result)

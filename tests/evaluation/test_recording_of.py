@@ -16,7 +16,7 @@ from posetrack_cli.evaluation.reading.recording_of import camera_of, required_re
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.run import RunOptions, run_record
-from posetrack_cli.recording.camera_file import LONE_NAME
+from posetrack_cli.recording.camera_file import DEFAULT_CAMERA_NAME
 from posetrack_cli.recording.camera_of import Guess
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.recording.pixels import PixelKind
@@ -84,9 +84,9 @@ def test_where_it_is_nowhere_the_reason_says_where_it_was_looked_for(
     monkeypatch.chdir(tmp_path)
     search = search_recording(result)
     assert search.recording is None
-    looked = f"at {recording}, beside {result.path}, in a folder above it or in the working folder"
-    assert search.reason == f"no recording 'hand.mcap' {looked}; pass it with --recording"
-    with pytest.raises(RecordingError, match="no recording"):
+    looked = f"at {recording}, next to {result.path}, in a parent folder or in the working directory"
+    assert search.reason == f"recording 'hand.mcap' not found {looked}; pass it with --recording"
+    with pytest.raises(RecordingError, match="not found"):
         required_recording(result)
 
 
@@ -104,9 +104,7 @@ def test_one_of_the_same_name_and_size_that_differs_is_not_taken(recording: Path
 def test_a_given_one_that_differs_is_refused_unless_any_will_do(recording: Path, tmp_path: Path) -> None:
     result = result_of(tmp_path / "r.mcap", open_recording(recording))
     changed(recording)
-    with pytest.raises(
-        RecordingError, match=r"is not the recording .* found SHA-256 .* expected .* hand.mcap"
-    ):
+    with pytest.raises(RecordingError, match=r"not the recording .* found SHA-256 .* expected .* hand.mcap"):
         search_recording(result, recording)
     assert search_recording(result, recording, any_recording=True).recording is not None
 
@@ -128,14 +126,14 @@ def test_a_changed_one_that_cannot_be_opened_any_more_is_another(recording: Path
     data = bytearray(recording.read_bytes())
     data[100:] = bytes(len(data) - 100)
     recording.write_bytes(data)
-    with pytest.raises(RecordingError, match=r"hand.mcap: is not the recording .* found SHA-256"):
+    with pytest.raises(RecordingError, match=r"hand.mcap: not the recording .* found SHA-256"):
         search_recording(result, recording)
 
 
 def test_a_folder_for_a_file_is_another(recording: Path, tmp_path: Path) -> None:
     result = result_of(tmp_path / "r.mcap", open_recording(recording))
     folder = make_folder(tmp_path / "images", open_recording(recording))  # without stamps
-    with pytest.raises(RecordingError, match=r"is not the recording .* found a folder, expected a file"):
+    with pytest.raises(RecordingError, match=r"not the recording .* found a folder, expected a file"):
         search_recording(result, folder)
 
 
@@ -161,7 +159,7 @@ def test_a_result_of_its_recording_s_name_in_a_folder_of_results(
     assert found_at(read_result(Path("moved") / result.path)) == moved / place
     (moved / place).unlink()
     reason = search_recording(read_result(moved / result.path)).reason
-    assert reason.startswith("no recording 'r.mcap' at ") and "is not the recording" not in reason
+    assert reason.startswith("recording 'r.mcap' not found at ") and "not the recording" not in reason
 
 
 def test_a_result_that_has_moved_alone_finds_its_recording_at_its_path(
@@ -178,7 +176,7 @@ def test_a_path_leads_nowhere_without_a_digest(recording: Path, tmp_path: Path) 
     """A stranger's result must not have files of its reader's opened and drawn."""
     result = result_of(tmp_path / "r.mcap", open_recording(recording))
     bare = {key: value for key, value in result.run.items() if key not in ("input.sha256", "input.bytes")}
-    assert "does not say which recording" in search_recording(replace(result, run=bare)).reason
+    assert "does not state its recording" in search_recording(replace(result, run=bare)).reason
 
 
 @pytest.mark.parametrize(
@@ -192,7 +190,7 @@ def test_no_stated_path_does_harm(recording: Path, tmp_path: Path, stated: str) 
 def test_a_result_that_names_no_input_says_so(recording: Path, tmp_path: Path) -> None:
     result = result_of(tmp_path / "r.mcap", open_recording(recording))
     bare = replace(result, run={})
-    assert search_recording(bare).reason.endswith("does not say which recording it was made from")
+    assert search_recording(bare).reason.endswith("does not state its recording")
     assert search_recording(bare, recording).recording is not None, (
         "what cannot be checked is taken when it is given"
     )
@@ -214,7 +212,7 @@ def test_another_rate_than_the_run_s_is_refused(source: Path, tmp_path: Path) ->
     folder = make_folder(tmp_path / "images", open_recording(source))
     result = result_of(tmp_path / "r.mcap", open_recording(folder, fps=RATE))
     assert search_recording(result, fps=RATE).recording is not None
-    with pytest.raises(UsageError, match=r"--fps is not that of the run, found 30, expected 20"):
+    with pytest.raises(UsageError, match=r"--fps differs from the run, found 30, expected 20"):
         search_recording(result, fps=30.0)
 
 
@@ -225,7 +223,7 @@ def test_images_mirrored_otherwise_than_the_run_s_are_refused(
     folder = make_folder(tmp_path / "images", open_recording(source))
     result = result_of(tmp_path / "r.mcap", open_recording(folder, fps=RATE, mirror=mirror))
     assert search_recording(result, mirror=mirror).recording is not None
-    with pytest.raises(UsageError, match="--mirror is not that of the run, found "):
+    with pytest.raises(UsageError, match="--mirror differs from the run, found "):
         search_recording(result, mirror=not mirror)
 
 
@@ -241,7 +239,7 @@ def test_a_folder_tracked_with_a_camera_file_gets_it_from_the_result(source: Pat
     assert found is not None, search_recording(result).reason
     assert found.cameras == recording.cameras
     other = write_camera(tmp_path / "camera.toml", Camera(512, 424, 400.0, 401.0, 250.0, 210.0))
-    with pytest.raises(RecordingError, match="is not the recording that the result was made from"):
+    with pytest.raises(RecordingError, match="not the recording of the result"):
         search_recording(result, folder, camera_file=other)
 
 
@@ -323,7 +321,7 @@ def test_another_recording_without_a_camera_gets_that_of_the_run(
     folder = make_folder(tmp_path / "images", open_recording(source), camera=False)
     found = search_recording(result, folder, any_recording=True, fps=RATE).recording
     assert found is not None
-    assert found.cameras == (replace(opened.cameras[0], name=LONE_NAME),)
+    assert found.cameras == (replace(opened.cameras[0], name=DEFAULT_CAMERA_NAME),)
     assert (next(found.frames()).depth == next(opened.frames()).depth).all()
 
 
@@ -343,7 +341,7 @@ def test_a_folder_of_one_camera_without_a_name_is_opened_as_the_run_opened_it(tm
     folder = images.write_rig(tmp_path / "rig", {"left": images.grey_images(2)}) / "left"
     unnamed = Path(shutil.copytree(folder, tmp_path / "unnamed"))
     result = result_of(tmp_path / "r.mcap", open_recording(unnamed, "grey", fps=RATE, guess=Guess()))
-    assert result.run["input.cameras"] == LONE_NAME
+    assert result.run["input.cameras"] == DEFAULT_CAMERA_NAME
     record = {**result.run, "intrinsics": "guessed"}
     found = search_recording(replace(result, run=record), unnamed).recording
     assert found is not None and found.is_guessed
@@ -360,7 +358,7 @@ def test_the_camera_of_a_run(recording: Path, tmp_path: Path) -> None:
     result = result_of(tmp_path / "r.mcap", opened)
     assert camera_of(result.run) == opened.cameras[0]
     for record in ({}, {"camera": "nonsense"}, {"camera": '{"width": 3}'}):
-        with pytest.raises(ResultError, match="run record tells no camera"):
+        with pytest.raises(ResultError, match="run record has no valid camera"):
             camera_of(record)
 
 

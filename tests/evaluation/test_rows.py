@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from posetrack_cli.evaluation.judging.gates import check_gates, parse_gate
-from posetrack_cli.evaluation.judging.rows import Verdict, heading, result_sets, worst_first
+from posetrack_cli.evaluation.judging.rows import GateReport, heading, result_sets, worst_first
 from posetrack_cli.evaluation.measuring.pooling import make_pools
 from posetrack_cli.evaluation.reading.tracks import Coverage
 from posetrack_cli.evaluation.reports.report_files import csv_rows
@@ -41,7 +41,7 @@ def test_the_columns_are_those_that_a_result_has() -> None:
 
 def test_hands_and_heads_are_sets_of_their_own() -> None:
     members = [result("a", 2.0), head_evaluation(name="head")]
-    sets = result_sets(members, make_pools(members, {}), Verdict())
+    sets = result_sets(members, make_pools(members, {}), GateReport())
     assert [(one.title, [row.name for row in one.rows]) for one in sets] == [
         ("hand", ["a"]),
         ("head", ["head"]),
@@ -74,7 +74,7 @@ def test_as_many_rows_as_are_asked_for_are_shown_and_the_rest_is_told() -> None:
     found = result_set([result(f"r{place}", float(place + 1)) for place in range(9)])
     labels = [row.label for row in row_table(found, 3).sections[0].rows]
     assert labels == ["", "r8", "r7", "r6", "TOTAL of 9"]
-    assert any(line.startswith("3 of 9 results are shown") for line in row_lines([found], 3))
+    assert any(line.startswith("showing the worst 3 of 9 results") for line in row_lines([found], 3))
     assert len(row_table(found, 0).sections[0].rows) == 11
     assert not any("are shown" in line for line in row_lines([found], 0))
 
@@ -85,7 +85,7 @@ def test_without_a_total_the_reason_is_told() -> None:
     assert set(row_table(found).sections[0].rows[-1].cells) == {"-"}
     (line,) = total_lines(found)
     assert line.startswith(
-        "no total of frames, coverage, joint_error_mm.mean, joint_error_mm.p95: a and b are"
+        "no total for frames, coverage, joint_error_mm.mean, joint_error_mm.p95: a and b are"
     )
     assert line in row_lines([found])
 
@@ -94,7 +94,7 @@ def test_a_column_that_one_lacks_has_no_total_and_says_why() -> None:
     blind = result("b", 1.0, metrics={"coverage": 1.0}, absent={"joint_error_mm": "no truth"})
     found = result_set([result("a", 2.0), replace(blind, distributions={})])
     assert row_table(found).sections[0].rows[-1].cells == ("8", "1", "-", "-")
-    assert total_lines(found) == ["no total of joint_error_mm.mean, joint_error_mm.p95: b: no truth"]
+    assert total_lines(found) == ["no total for joint_error_mm.mean, joint_error_mm.p95: b: no truth"]
 
 
 def test_of_many_lines_some_are_shown() -> None:
@@ -117,4 +117,4 @@ def test_csv_has_a_line_for_each_result_and_the_total() -> None:
 
 def test_headings_are_two_short_lines() -> None:
     assert heading("joint_error_mm.p95") == ("joint error", "p95, mm")
-    assert heading("frames_wrong") == ("frames", "wrong") and heading("coverage") == ("coverage", "")
+    assert heading("frames_wrong") == ("wrong", "frames") and heading("coverage") == ("coverage", "")

@@ -110,5 +110,5 @@ def test_two_thousand_rows_are_one_page(tmp_path: Path) -> None:
 
 
 def test_a_page_is_named_as_one(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="expected a name that ends in"):
+    with pytest.raises(UsageError, match="expected a name that ends with"):
         write_rows_html(tmp_path / "page.txt", RowsPage([result_set([result("a", 2.0)])]))

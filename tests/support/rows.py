@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from posetrack_cli.evaluation.judging.gates import GateOutcome
-from posetrack_cli.evaluation.judging.rows import Earlier, ResultSet, Verdict, result_sets
+from posetrack_cli.evaluation.judging.rows import Baseline, GateReport, ResultSet, result_sets
 from posetrack_cli.evaluation.measuring.catalogue import Address
 from posetrack_cli.evaluation.measuring.evaluation import Evaluation, distribution, statistics
 from posetrack_cli.evaluation.measuring.pooling import make_pools
@@ -58,9 +58,9 @@ def many_results(count: int, different: int = 97) -> list[Evaluation]:
 def result_set(
     members: Sequence[Evaluation],
     outcomes: Sequence[GateOutcome] = (),
-    earlier: Mapping[str, Earlier] | None = None,
+    earlier: Mapping[str, Baseline] | None = None,
 ) -> ResultSet:
     """The set of results of one kind."""
-    verdict = Verdict(outcomes, earlier or {}, earlier is not None)
-    (made,) = result_sets(members, make_pools(members, {}), verdict)
+    gates = GateReport(outcomes, earlier or {}, earlier is not None)
+    (made,) = result_sets(members, make_pools(members, {}), gates)
     return made

@@ -1,9 +1,9 @@
-"""The HTML report: one self-contained page made from evaluations.
+"""HTML reports: a self-contained page of evaluations, and a page with one table row per result.
 
-``writer`` puts it together; ``page_data`` reduces evaluations to what the page's plots show; ``summary`` and
-``components`` return what its other parts say, as plain values. ``templates/*.html`` (Jinja2, which escapes
-every value), ``report.css`` and ``scripts/*.js`` are the page itself, inlined when it is written
-(``packing``). ``rows_page`` with ``rows.html`` is the page of many results: one table, a row for each.
+``writer`` renders the page. ``page_data`` reduces evaluations to the data of the plots. ``summary`` and
+``components`` return the content of the other sections as plain values. ``packing`` inlines
+``templates/*.html`` (Jinja2 with autoescaping), ``report.css`` and ``scripts/*.js``. ``rows_page`` renders
+``rows.html``, the page of many results.
 """
 
 from posetrack_cli.evaluation.html.packing import check_page

@@ -1,4 +1,4 @@
-"""The components of a trajectory that the page shows, and its worst frames as pictures."""
+"""Trajectory components and pictures of the worst frames for the HTML report."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from posetrack_cli.geometry.rotations import roll_pitch_yaw
 from posetrack_cli.results.estimate import kind_of
 from posetrack_cli.units import NS_PER_S
 
-# The components of a trajectory that the page can show: estimate, truth and 90 % band
+# Trajectory components: estimate, ground truth and 90 % band
 
 
 def readable(name: str) -> str:
-    """Return a name with spaces."""
+    """Return a name with spaces instead of underscores."""
     return name.replace("_", " ")
 
 
 DIFFERENCE_RAD = 1e-6
-"""Step of the differences that take variances of rotation vectors to variances of Euler angles."""
+"""Step of the numerical derivatives of Euler angles with respect to the rotation vector."""
 
 DEG = 180.0 / np.pi
 AXES = ("x", "y", "z")
@@ -40,14 +40,14 @@ EULER = ("roll", "pitch", "yaw")
 
 @dataclass(frozen=True, eq=False)
 class Component:
-    """One number over time.
+    """A scalar component over time.
 
     Attributes:
-        group: components of one group are shown beside each other.
-        label, unit: of its axis.
-        estimate: (N,).
-        truth: (N,) at the estimate's frames, NaN where there is none; None if it is not known at all.
-        half_width: (N,) of the 90 % band; None if no variance is stated.
+        group: components of a group are shown together.
+        label, unit: label and unit of the axis.
+        estimate: (N,) estimate.
+        truth: (N,) ground truth at the frames of the estimate, NaN where missing; None if unknown.
+        half_width: (N,) half width of the 90 % band; None without variances.
     """
 
     group: str
@@ -59,7 +59,7 @@ class Component:
 
 
 def components(evaluation: Evaluation) -> Iterator[Component]:
-    """Yield the components that the track has, in the order in which the page lists them."""
+    """Yield the components of a track in page order."""
     body = KINDS[evaluation.subject].body
     yield from leading_components(evaluation)
     yield from _positions(evaluation, f"{body} position")
@@ -71,7 +71,7 @@ def components(evaluation: Evaluation) -> Iterator[Component]:
 
 
 def leading_components(evaluation: Evaluation) -> Iterator[Component]:
-    """Yield what a page of a subject with expressions begins with: how it is turned, and what it does."""
+    """Yield rotation and expressions, which start the page for subjects with expressions."""
     kind = KINDS[evaluation.subject]
     if kind.expressions:
         group = f"{kind.body} angles and expressions"
@@ -82,11 +82,11 @@ def leading_components(evaluation: Evaluation) -> Iterator[Component]:
 def matched_truth(
     evaluation: Evaluation, field: Callable[[Track], FloatArray | None], rows: IntArray | None = None
 ) -> FloatArray | None:
-    """Return a field of the truth at the estimate's frames, NaN where no truth belongs to one.
+    """Return a field of the ground truth at the frames of the estimate; NaN in frames without it.
 
     Args:
-        evaluation: has the truth.
-        field: which of its (N, ...) arrays.
+        evaluation: the evaluation.
+        field: returns an (N, ...) array of a track.
         rows: (R,) frames of the estimate; None for all.
     """
     truth, pairs = evaluation.truth, evaluation.pairs
@@ -109,7 +109,7 @@ def _columns(
     truth: FloatArray | None,
     variance: FloatArray | None,
 ) -> Iterator[Component]:
-    """One component per column; a truth with other columns is none."""
+    """Yield a component per column; ground truth with other columns is ignored."""
     if truth is not None and truth.shape != estimate.shape:
         truth = None
     for i, name in enumerate(names):
@@ -152,7 +152,7 @@ def _quaternions(evaluation: Evaluation, group: str) -> Iterator[Component]:
 
 
 def _expressions(evaluation: Evaluation, group: str, names: tuple[str, ...]) -> Iterator[Component]:
-    """Expressions in shares of the full one; ``action_jaw_open`` is called ``jaw open``."""
+    """Yield expressions as shares of their maximum; ``action_jaw_open`` is labelled ``jaw open``."""
     track = evaluation.track
     columns = {} if track.numbers is None else dict(zip(track.number_names, track.numbers.T, strict=True))
     for name in names:
@@ -194,7 +194,7 @@ def _velocities(evaluation: Evaluation, body: str) -> Iterator[Component]:
 
 
 def _true_twists(evaluation: Evaluation) -> FloatArray | None:
-    """The truth's twists with the angular velocity in the estimate's body axes: R_est^T R_true w_true."""
+    """Return the true twists with angular velocity in the estimated body axes: R_est^T R_true w_true."""
     twists = matched_truth(evaluation, lambda other: other.twist)
     true_turns = matched_truth(evaluation, lambda other: other.quaternion)
     if twists is not None and true_turns is not None and evaluation.track.quaternion is not None:
@@ -210,7 +210,7 @@ def _grouped(
     variance: FloatArray | None,
     suffix: str,
 ) -> Iterator[Component]:
-    """Shape entries: angles in degrees, by what their names begin with, or coefficients without unit."""
+    """Yield shape entries: angles in degrees, grouped by finger, or coefficients without unit."""
     names = evaluation.track.shape_names
     angular = kind_of(evaluation.subject).shape_unit == "rad"
     scale, unit = (DEG, "deg") if angular else (1.0, "")
@@ -235,15 +235,15 @@ def _grouped(
 def euler_variance(
     q: FloatArray, variance: FloatArray, angles_of: Callable[[FloatArray], FloatArray] = roll_pitch_yaw
 ) -> FloatArray:
-    """Return the variances (N, 3), rad^2, of roll, pitch, yaw, to first order.
+    """Return the variances (N, 3) of roll, pitch and yaw, rad^2, to first order.
 
-    var(angle_i) = sum_j (d angle_i / d r_j)^2 var(r_j), r the rotation vector in the body frame, by central
-    differences of q exp(r). Near gimbal lock they grow without bound, as the angles' meaning is lost.
+    var(angle_i) = sum_j (d angle_i / d r_j)^2 var(r_j) with r the rotation vector in the body frame, by
+    central differences of q exp(r). They are unbounded near gimbal lock.
 
     Args:
         q: (N, 4) unit quaternions.
-        variance: (N, 3) of the rotation vector, rad^2.
-        angles_of: which angles.
+        variance: (N, 3) variances of the rotation vector, rad^2.
+        angles_of: converts quaternions to Euler angles.
     """
     total = np.zeros((len(q), 3))
     for j in range(3):
@@ -256,7 +256,7 @@ def euler_variance(
 
 
 def quaternion_variance(q: FloatArray, variance: FloatArray) -> FloatArray:
-    """Return the variances (N, 4) of x, y, z, w, to first order: q (1 + r / 2), r the rotation vector."""
+    """Return the variances (N, 4) of x, y, z, w to first order, from q (1 + r / 2) with rotation vector r."""
     total = np.zeros((len(q), 4))
     for j in range(3):
         total += (0.5 * rotations.multiply(q, np.eye(4)[j])) ** 2 * variance[:, j, None]
@@ -264,7 +264,7 @@ def quaternion_variance(q: FloatArray, variance: FloatArray) -> FloatArray:
 
 
 def _unwrapped(angles: FloatArray) -> FloatArray:
-    """Return angles (N, 3), rad, by whole turns such that neighbours do not jump; rows without value stay."""
+    """Return angles (N, 3), rad, unwrapped over time; rows without a value are unchanged."""
     known = np.isfinite(angles).all(axis=1)
     unwrapped = angles.copy()
     unwrapped[known] = np.unwrap(angles[known], axis=0)
@@ -272,13 +272,13 @@ def _unwrapped(angles: FloatArray) -> FloatArray:
 
 
 def _nearest_turn(angles: FloatArray, near: FloatArray) -> FloatArray:
-    """Return the same angles, deg, by whole turns as near as possible to others."""
+    """Return angles, deg, shifted by full turns to be closest to other angles."""
     nearest: FloatArray = angles + 360.0 * np.rint((near - angles) / 360.0)
     return nearest
 
 
 def _continuous(q: FloatArray) -> FloatArray:
-    """Return the same rotations with signs such that neighbours do not jump from q to -q."""
+    """Return the quaternions with signs that are continuous over time."""
     if not len(q):
         return q
     turns = np.where(np.einsum("ni,ni->n", q[1:], q[:-1]) < 0.0, -1.0, 1.0)
@@ -287,41 +287,41 @@ def _continuous(q: FloatArray) -> FloatArray:
 
 
 def _same_sign(truth: FloatArray | None, q: FloatArray) -> FloatArray | None:
-    """Return true quaternions with the signs of the estimated ones."""
+    """Return the true quaternions in the hemisphere of the estimated ones."""
     if truth is None:
         return None
     signed: FloatArray = truth * np.where(np.einsum("ni,ni->n", truth, q) < 0.0, -1.0, 1.0)[:, None]
     return signed
 
 
-# The worst frames as pictures, embedded
+# Pictures of the worst frames
 
 
 MOST_BYTES = 3_500_000
-"""Of all pictures of a page together; base64 makes them 4.7 MB, and half of 10 MB is for the plots."""
+"""Limit of the size of all pictures: 4.7 MB as base64, half of a page of 10 MB."""
 
 
-NO_FRAMES = "No pictures: there are no frames."
+NO_FRAMES = "No pictures: the result has no frames."
 NOT_DRAWN = "No pictures were drawn."
-NO_ROOM = "No pictures: those of the other results take all the room there is."
+NO_ROOM = "No pictures: the size limit is used up by other results."
 
 WIDE = 1.5
-"""Width over height of pictures that need more room than others."""
+"""Aspect ratio above which pictures get more space."""
 _PNG_SIZE_AT = 16
-"""Where a PNG file tells its width and height."""
+"""Offset of width and height in a PNG file."""
 
 Pictures: TypeAlias = Mapping[str, Sequence[Picture] | str]
-"""Of each result, by name, the pictures, the worst first; or a text that says why there are none."""
+"""Pictures by result name, worst first; or the reason why there are none."""
 
 
 @dataclass(frozen=True, eq=False)
 class Gallery:
-    """What a page shows of the pictures it was given.
+    """Pictures that fit on the page.
 
     Attributes:
-        pictures: of each result, by name.
-        missing: why there are none, by the name of each result without any.
-        dropped: how many found no room.
+        pictures: pictures by result name.
+        missing: reasons why there are none, by result name.
+        dropped: number of pictures left out because of the size limit.
     """
 
     pictures: Mapping[str, Sequence[Picture]]
@@ -330,7 +330,7 @@ class Gallery:
 
 
 def fitting(evaluations: Sequence[Evaluation], pictures: Pictures) -> Gallery:
-    """Choose the pictures that fit into ``MOST_BYTES``, the first of each result first."""
+    """Select pictures within ``MOST_BYTES``, taking the first of each result, then the second, and so on."""
     given = {one.name: pictures.get(one.name, ()) for one in evaluations}
     drawn = {name: () if isinstance(found, str) else found for name, found in given.items()}
     kept: dict[str, list[Picture]] = {name: [] for name in drawn}
@@ -356,13 +356,13 @@ def _reason(evaluation: Evaluation, given: Sequence[Picture] | str) -> str:
 
 @dataclass(frozen=True)
 class Figure:
-    """A picture as the page shows it.
+    """An embedded picture.
 
     Attributes:
-        source: the image itself, as an address.
-        caption: one line.
-        frame_index: position in the recording.
-        width, height: pixels.
+        source: data URL of the image.
+        caption: caption.
+        frame_index: frame number in the recording.
+        width, height: size, px.
     """
 
     source: str
@@ -374,13 +374,13 @@ class Figure:
 
 @dataclass(frozen=True)
 class Group:
-    """The pictures of one result.
+    """Pictures of a result.
 
     Attributes:
-        name: of the result.
-        pictures: the worst first.
-        missing: why there are none.
-        chosen_by: what makes them the worst.
+        name: name of the result.
+        pictures: pictures, worst first.
+        missing: reason why there are none.
+        chosen_by: description of the ranking.
     """
 
     name: str
@@ -390,12 +390,12 @@ class Group:
 
     @property
     def is_wide(self) -> bool:
-        """Whether its pictures are of several panels beside each other."""
+        """Whether the pictures are wide, such as those with several panels."""
         return any(one.width > WIDE * one.height for one in self.pictures)
 
 
 def groups(evaluations: Sequence[Evaluation], gallery: Gallery) -> list[Group]:
-    """Return the pictures of each result; scripts show those of the chosen one."""
+    """Return the pictures of each result; the page shows those of the selected result."""
     return [
         Group(
             one.name,
@@ -408,15 +408,15 @@ def groups(evaluations: Sequence[Evaluation], gallery: Gallery) -> list[Group]:
 
 
 def chosen_by(evaluation: Evaluation) -> str:
-    """Say which frames are the worst."""
+    """Return a description of how the worst frames are selected."""
     _, error = errors_of(evaluation)
-    what = (
-        f"The largest {error} first"
+    order = (
+        f"Sorted by {error}"
         if error
-        else "Without truth: lost frames first, then the least confidence"
+        else "No ground truth: lost frames first, then those with the lowest confidence"
     )
-    truth = "" if evaluation.truth is None else " The truth is green."
-    return f"{what}; at least {APART_NS / NS_PER_S:g} s apart.{truth}"
+    truth = "" if evaluation.truth is None else " Ground truth is drawn in green."
+    return f"{order}; at least {APART_NS / NS_PER_S:g} s apart.{truth}"
 
 
 def _figure(picture: Picture) -> Figure:

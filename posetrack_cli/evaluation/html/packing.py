@@ -1,4 +1,4 @@
-"""The page's numbers packed, and its styles and scripts."""
+"""Packing of page data, and rendering of pages with inlined styles and scripts."""
 
 from __future__ import annotations
 
@@ -27,27 +27,27 @@ if TYPE_CHECKING:
     from jinja2 import Environment
 
 
-# Arrays and text as they are embedded in a page: fewer points that look the same, in few bytes
+# Compact encoding of arrays and text
 
 
 ArrayType: TypeAlias = Literal["u1", "i2", "i4", "u4", "f4"]
 Packed: TypeAlias = dict[str, Any]
 MISSING = -32768
-"""Stored in place of a coordinate that is not known."""
+"""Code of an unknown coordinate."""
 LARGEST = 32767
 FINEST_STEP_MM = 0.01
 
 
 def envelope_rows(lines: FloatArray, limit: int) -> IntArray:
-    """Choose the rows that a plot of several lines over the same rows needs.
+    """Select the rows that a plot of several lines needs.
 
-    The rows are cut into equal intervals; of each interval the rows are kept where a line is smallest and
-    largest, and the first at which it has no value, so that lines break where they must. The first and the
-    last row are kept too.
+    The rows are divided into equal intervals. Of each interval, the rows with the minimum and maximum of each
+    line are kept, and the first row without a value, so that lines are interrupted correctly. The first and
+    last row are also kept.
 
     Args:
-        lines: (L, N), NaN or infinite where a line has no value.
-        limit: about how many rows to keep; all N are kept if they are no more than that.
+        lines: (L, N) values; NaN or infinite for missing values.
+        limit: approximate number of rows to keep; if N is not larger, all rows are kept.
 
     Returns:
         (R,) row numbers, increasing; R <= max(limit, 3 L + 2).
@@ -65,7 +65,7 @@ def envelope_rows(lines: FloatArray, limit: int) -> IntArray:
 
 
 def _extremes(line: FloatArray, size: int) -> list[IntArray]:
-    """Rows of the smallest and largest value and of the first missing one in every ``size`` rows."""
+    """Return the rows of minimum, maximum and first missing value of each block of ``size`` rows."""
     padding = -len(line) % size
     values = np.pad(line, (0, padding), constant_values=np.nan).reshape(-1, size)
     valid = np.isfinite(values)
@@ -81,21 +81,21 @@ def _extremes(line: FloatArray, size: int) -> list[IntArray]:
 
 
 def step_for(count: int, limit: int) -> int:
-    """Return the k for which every k-th of ``count`` rows are no more than ``limit``."""
+    """Return the smallest k such that every k-th of ``count`` rows is at most ``limit`` rows."""
     return max(1, -(-count // limit))
 
 
 def packed(values: NDArray[Any], kind: ArrayType) -> Packed:
-    """Return an array as base64 of its little-endian bytes; numbers too large for float32 become infinite."""
+    """Encode an array as base64 of its little-endian bytes; values too large for float32 become infinite."""
     with np.errstate(over="ignore"):
         data = np.ascontiguousarray(values, dtype=np.dtype(kind).newbyteorder("<"))
     return {"type": kind, "data": base64.b64encode(data.tobytes()).decode("ascii")}
 
 
 def quantisation(points: FloatArray) -> tuple[FloatArray, float]:
-    """Return the origin (3,) and the step, mm, with which 16 bits hold points (..., 3), some perhaps NaN.
+    """Return origin (3,) and step, mm, for the quantisation of points (..., 3) to 16 bits.
 
-    The step is no finer than ``FINEST_STEP_MM``; a rounded coordinate is off by half a step at most.
+    Points can be NaN. The step is at least ``FINEST_STEP_MM``; the rounding error is at most half a step.
     """
     finite = points[np.isfinite(points).all(axis=-1)]
     if not len(finite):
@@ -105,14 +105,14 @@ def quantisation(points: FloatArray) -> tuple[FloatArray, float]:
 
 
 def quantised(points: FloatArray, origin: FloatArray, step: float) -> Packed:
-    """Return points (..., 3) in whole steps from the origin, ``MISSING`` where one is not finite."""
+    """Encode points (..., 3) as integer steps from the origin; ``MISSING`` for points that are not finite."""
     finite = np.isfinite(points).all(axis=-1, keepdims=True)
     steps = np.where(finite, np.rint((np.where(finite, points, 0.0) - origin) / step), MISSING)
     return packed(np.where(finite, np.clip(steps, -LARGEST, LARGEST), MISSING), "i2")
 
 
 def json_text(data: Mapping[str, Any]) -> str:
-    """Return JSON that can stand in a script element: no ``<``, ``>``, ``&``; NaN and infinity are null."""
+    """Return JSON for a script element, with ``<``, ``>``, ``&`` escaped; NaN and infinity become null."""
     text = json.dumps(_finite(data), allow_nan=False, ensure_ascii=False, separators=(",", ":"))
     for character in "<>&\u2028\u2029":
         text = text.replace(character, f"\\u{ord(character):04x}")
@@ -124,12 +124,12 @@ def _finite(value: Any) -> Any:
         return {str(key): _finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [_finite(item) for item in value]
-    if isinstance(value, float):  # numpy's float64 is one
+    if isinstance(value, float):  # includes np.float64
         return float(value) if math.isfinite(value) else None
     return value.item() if isinstance(value, np.generic) else value
 
 
-# What every page is made of and how it is written: templates, style, scripts, security policy, one file
+# Rendering of pages
 
 
 HERE = Path(__file__).parent
@@ -137,25 +137,25 @@ ENDINGS = (".html", ".htm")
 
 
 def check_page(path: Path) -> None:
-    """Refuse a name that a page cannot have, before time is spent on what it shows.
+    """Check that a page can be written, before the evaluation starts.
 
     Raises:
-        UsageError: it does not end in ``.html``, or is a folder.
-        ResultError: its folder does not exist.
+        UsageError: the name does not end with ``.html``, or is a folder.
+        ResultError: the parent folder does not exist.
     """
     if path.suffix.lower() not in ENDINGS:
-        raise UsageError("page is not named as HTML", where=path, expected="a name that ends in .html")
+        raise UsageError("not an HTML file name", where=path, expected="a name that ends with .html")
     if path.is_dir():
-        raise UsageError("page is a folder", where=path, expected="the name of a file")
+        raise UsageError("output is a folder", where=path, expected="an HTML file name")
     check_place(path)
 
 
 def write_page(path: Path, content: str) -> None:
-    """Write a page to ``*.html``, whole or not at all; an existing one is replaced.
+    """Write a page to ``*.html`` atomically; an existing one is overwritten.
 
     Raises:
-        UsageError: the path is not named as a page, or is a folder.
-        ResultError: it cannot be written.
+        UsageError: the name does not end with ``.html``, or is a folder.
+        ResultError: the file cannot be written.
     """
     check_page(path)
     with whole_or_nothing(path) as part:
@@ -163,15 +163,15 @@ def write_page(path: Path, content: str) -> None:
 
 
 def rendered(template: str, title: str, names: Iterable[str], /, **context: Any) -> str:
-    """Return a page: a template with its head, style and scripts, and what it shows.
+    """Render a template with inlined style and scripts.
 
-    Everything is escaped (Jinja2's autoescape) but style, scripts and what is ``Markup`` already.
+    All values are escaped by Jinja2's autoescaping, except style, scripts and ``Markup``.
 
     Args:
         template: file in ``templates``.
-        title: of the page.
-        names: of its scripts, in the order in which they run.
-        context: what the template names.
+        title: title of the page.
+        names: names of the scripts, in execution order.
+        context: variables of the template.
     """
     from markupsafe import Markup
 
@@ -202,32 +202,32 @@ def _environment() -> Environment:
 
 
 def _finalised(value: Any) -> Any:
-    """Text in which control characters can be seen; what is HTML already stays."""
+    """Make control characters in plain text visible; ``Markup`` is unchanged."""
     return visible(value) if type(value) is str else value
 
 
 def visible(value: str) -> str:
-    """Return text in which what has no shape of its own, such as a control character, is a sign."""
+    """Return text with unprintable characters replaced by U+FFFD."""
     return "".join(c if c.isprintable() or c in "\n\u202f\u00a0" else "\ufffd" for c in value)
 
 
 def _minus(value: object) -> str:
-    """A number with the sign that is as wide as a plus."""
+    """Return a number with the typographic minus sign, which is as wide as a plus sign."""
     return str(value).replace("-", "\u2212")
 
 
 def scripts(names: Iterable[str]) -> str:
-    """Return these scripts as one, in this order."""
+    """Return the concatenated scripts."""
     return '"use strict";\n' + "\n".join(asset(f"scripts/{name}.js") for name in names)
 
 
 def asset(name: str) -> str:
-    """Return the text of a file beside this module."""
+    """Return the text of a file in this package."""
     return (HERE / name).read_text(encoding="utf-8")
 
 
 def policy(style: str, script: str) -> str:
-    """Return a content security policy: the page's own script and style, embedded pictures, nothing else."""
+    """Return a content security policy that allows only this script and style, and embedded pictures."""
     style_hash, script_hash = (
         base64.b64encode(hashlib.sha256(source.encode()).digest()).decode() for source in (style, script)
     )

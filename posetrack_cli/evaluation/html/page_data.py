@@ -1,4 +1,4 @@
-"""What the page's plots show: evaluations reduced to it, on one time axis."""
+"""Data of the plots and the 3D view of the HTML report."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ from posetrack_cli.geometry import rotations
 from posetrack_cli.recording.timeline import GAP_FACTOR
 from posetrack_cli.results.estimate import kind_of
 
-# An evaluation reduced to what the page's plots show: small enough to embed, with every peak kept
+# Reduction of evaluations to the data of the plots
 
 
 @dataclass(frozen=True)
 class Budget:
-    """How much of each result a page holds, so that several results make no page too large to open.
+    """Amount of data per result, which limits the size of the page.
 
     Attributes:
         quantity_points: points of each line of the plot over time.
         component_points: points of each component of the trajectories.
-        scene_frames: frames of the 3-D view.
+        scene_frames: frames of the 3D view.
     """
 
     quantity_points: int
@@ -49,7 +49,7 @@ class Budget:
 
 
 def budget_for(results: int) -> Budget:
-    """Return the budget of each of so many results."""
+    """Return the budget of each result for a number of results."""
     share = max(1, results)
     return Budget(max(300, 6000 // share), max(100, 2500 // share), max(100, 5000 // share))
 
@@ -57,9 +57,9 @@ def budget_for(results: int) -> Budget:
 def page_data(
     evaluations: Sequence[Evaluation], pictures: Mapping[str, Sequence[Picture]], pools: Sequence[Pool] = ()
 ) -> dict[str, Any]:
-    """Return everything that the page's scripts need, ready for JSON (see ``packing.json_text``).
+    """Return the data of the page's scripts for ``packing.json_text``.
 
-    Arrays are packed; a line or scene names its frames by places in its result's table of kept frames.
+    Arrays are packed. Lines and scenes refer to frames by their index in the ``kept`` table of the result.
     """
     bases, shared = timebases([evaluation.track for evaluation in evaluations])
     budget = budget_for(len(evaluations))
@@ -70,7 +70,9 @@ def page_data(
             _result(evaluation, base, budget, pictures.get(evaluation.name, ()))
             for evaluation, base in zip(evaluations, bases, strict=True)
         ],
-        "pools": [{"name": pool.name, "honesty": _honesty(pool.judged)} for pool in pools if pool.says_more],
+        "pools": [
+            {"name": pool.name, "honesty": _honesty(pool.judged)} for pool in pools if pool.has_pooled_values
+        ],
     }
 
 
@@ -98,7 +100,7 @@ def _result(
 
 
 def _quantities(evaluation: Evaluation, table: RowTable, limit: int) -> dict[str, Any]:
-    """Per-frame values by metric, those of the series and those that the track itself tells."""
+    """Return the per-frame values by metric, of the series and of the run."""
     lines = evaluation.placed_series() | run_series(evaluation.track)
     found: dict[str, Any] = {}
     for name in sorted(lines, key=place_of):
@@ -150,7 +152,7 @@ def _curve(evaluation: Evaluation) -> dict[str, Any] | None:
 
 
 def _honesty(judged: JudgedFrames | None) -> dict[str, Any] | None:
-    """The reliability of confidence, bins without frames left out, and its ROC curve."""
+    """Return the reliability diagram, without empty bins, and the ROC curve."""
     if judged is None or not len(judged.scored[0]):
         return None
     bins = [one for one in reliability(*judged.scored) if one.count]
@@ -171,7 +173,7 @@ def _honesty(judged: JudgedFrames | None) -> dict[str, Any] | None:
 
 
 def _parts(evaluation: Evaluation) -> list[dict[str, Any]]:
-    """The error of each joint or point."""
+    """Return the error of each joint or point."""
     metric = KINDS[evaluation.subject].point_metric
     found = []
     for name in evaluation.track.point_names:
@@ -181,20 +183,20 @@ def _parts(evaluation: Evaluation) -> list[dict[str, Any]]:
     return found
 
 
-# The page's time, and which frames of a result it knows
+# Time axis and frame table
 
 
 TICK_NS = 100_000
-"""0.1 ms: far below a frame, and 31 bits of it are 59 hours."""
+"""0.1 ms: much shorter than a frame, and 31 bits last for 59 hours."""
 
 MOST_TICKS = 2**31 - 1
 MOST_SPANS = 1000
-"""More spans than that cannot be told apart in a plot; those nearest each other are merged."""
+"""Maximum number of spans; more are not distinguishable in a plot, so the closest ones are merged."""
 
 
 @dataclass(frozen=True)
 class Timebase:
-    """What one result's times count from.
+    """Time origin and resolution of a result.
 
     Attributes:
         origin_ns: stamp of time 0.
@@ -214,15 +216,14 @@ class Timebase:
         return self.tick_ns * 1e-9
 
     def seconds(self, stamp_ns: IntArray) -> FloatArray:
-        """Return stamps as seconds since the origin, to whole ticks: the very numbers of the scripts."""
+        """Return stamps as seconds since the origin, rounded to ticks like in the scripts."""
         return self.ticks(stamp_ns).astype(np.float64) * self.tick_s
 
 
 def timebases(tracks: Sequence[Track]) -> tuple[list[Timebase], bool]:
-    """Return each track's time base, and whether all count from the same origin.
+    """Return the time base of each track, and whether all have the same origin.
 
-    Tracks whose spans all have some time in common are shown over one time that begins with the first of
-    them; otherwise each counts from its own first frame.
+    Tracks that overlap in time share the first stamp as origin; otherwise each starts at its own first frame.
     """
     filled = [track.stamp_ns for track in tracks if len(track)]
     if not filled:
@@ -236,9 +237,9 @@ def timebases(tracks: Sequence[Track]) -> tuple[list[Timebase], bool]:
 
 
 def gap_spans(stamp_ns: IntArray) -> IntArray:
-    """Return (G, 2) stamps before and after each gap, the longest ``MOST_SPANS`` of them, in order.
+    """Return the stamps (G, 2) before and after the gaps, at most the ``MOST_SPANS`` longest ones.
 
-    Gaps are what the metric ``gaps`` counts: intervals of more than ``GAP_FACTOR`` usual ones.
+    Gaps are defined as for the metric ``gaps``: intervals longer than ``GAP_FACTOR`` times the median.
     """
     steps = np.diff(stamp_ns)
     if not len(steps):
@@ -250,9 +251,9 @@ def gap_spans(stamp_ns: IntArray) -> IntArray:
 
 
 def state_spans(stamp_ns: IntArray, holds: BoolArray) -> IntArray:
-    """Return (S, 2) stamps of the first and last frame of each run of frames where ``holds`` is true.
+    """Return the stamps (S, 2) of the first and last frame of each run of frames where ``holds`` is True.
 
-    Of more than ``MOST_SPANS`` runs, those with the shortest pauses between them are merged.
+    If there are more than ``MOST_SPANS`` runs, those with the shortest pauses in between are merged.
     """
     edges = np.diff(np.concatenate([[False], holds, [False]]).astype(np.int8))
     first, last = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
@@ -267,9 +268,9 @@ TRACKING, LOST, REINITIALISED = 0, 1, 2
 
 
 class RowTable:
-    """Collects rows of a track; their times, frame numbers and states are embedded once.
+    """Collects rows of a track, so that times, frame numbers and states are embedded only once.
 
-    ``add`` returns a placeholder that ``finish`` fills with the rows' places in the table.
+    ``add`` returns a placeholder that ``finish`` fills with the indices of the rows in the table.
     """
 
     def __init__(self, track: Track, timebase: Timebase) -> None:
@@ -278,13 +279,13 @@ class RowTable:
         self._waiting: list[tuple[IntArray, Packed]] = []
 
     def add(self, rows: IntArray) -> Packed:
-        """Ask for rows of the track; the returned mapping holds their places after ``finish``."""
+        """Add rows of the track; the returned mapping has their indices after ``finish``."""
         places: Packed = {}
         self._waiting.append((rows, places))
         return places
 
     def finish(self) -> dict[str, Packed]:
-        """Fill every placeholder and return the table: ticks, frame numbers and states."""
+        """Fill all placeholders and return the table: ticks, frame numbers and states."""
         asked = [rows for rows, _ in self._waiting]
         kept = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *asked]))
         for rows, places in self._waiting:
@@ -296,7 +297,7 @@ class RowTable:
         }
 
     def _frame_numbers(self) -> IntArray:
-        """Places in the recording; in the result where those are not known."""
+        """Return frame numbers in the recording, or row numbers if they are unknown."""
         known = self._track.frame_index
         return np.arange(len(self._track), dtype=np.int64) if known is None else known
 
@@ -308,23 +309,23 @@ class RowTable:
         return states
 
 
-# The 3-D view's data: points and axes of estimate and truth at every k-th frame
+# 3D view
 
 
 AXIS_MM = 60.0
-"""Length of the drawn axes of a rigid subject."""
+"""Length of the axes of a rigid subject."""
 
 
 def scene(
     evaluation: Evaluation, table: RowTable, limit: int, wanted_ns: Sequence[int]
 ) -> dict[str, Any] | None:
-    """Return the embedded scene, or None if the result has neither points nor poses.
+    """Return the data of the 3D view, or None if the result has neither points nor poses.
 
     Args:
-        evaluation: the result.
-        table: is asked for the frames shown.
-        limit: about how many frames to show.
-        wanted_ns: stamps of frames to show in any case.
+        evaluation: the evaluation.
+        table: frame table; the shown frames are added.
+        limit: approximate number of frames to show.
+        wanted_ns: stamps of frames that must be shown.
     """
     track = evaluation.track
     if not len(track) or (track.points is None and not _has_axes(track)):
@@ -354,13 +355,13 @@ def _point_count(track: Track) -> int:
 
 
 def _has_axes(track: Track) -> bool:
-    """Whether axes are drawn: of a rigid subject, and of what has no points."""
+    """Whether axes are drawn: for rigid subjects, and for tracks without points."""
     known = track.position is not None and track.quaternion is not None
     return known and (kind_of(track.subject).rigid or track.points is None)
 
 
 def _estimate(track: Track, rows: IntArray) -> FloatArray:
-    """Return what is drawn of the estimate, (R, D, 3): points, then origin and ends of the axes."""
+    """Return the drawn points of the estimate, (R, D, 3): points, then origin and ends of the axes."""
     parts = [] if track.points is None else [track.points[rows]]
     if _has_axes(track):
         assert track.position is not None
@@ -370,7 +371,7 @@ def _estimate(track: Track, rows: IntArray) -> FloatArray:
 
 
 def _truth(evaluation: Evaluation, rows: IntArray) -> FloatArray | None:
-    """The same of the truth; what it does not know is NaN, and None if it knows nothing of it."""
+    """Return the drawn points of the ground truth, NaN if unknown; None if all are unknown."""
     points = matched_truth(evaluation, lambda other: other.points, rows)
     position = matched_truth(evaluation, lambda other: other.position, rows)
     quaternion = matched_truth(evaluation, lambda other: other.quaternion, rows)
@@ -385,13 +386,13 @@ def _truth(evaluation: Evaluation, rows: IntArray) -> FloatArray | None:
 
 
 def _axes(position: FloatArray, quaternion: FloatArray) -> FloatArray:
-    """Return (R, 4, 3) origin and ends of the axes of poses."""
+    """Return origin and ends of the axes of poses, (R, 4, 3)."""
     ends = position[:, None] + rotations.rotate(quaternion[:, None], AXIS_MM * np.eye(3))
     return np.concatenate([position[:, None], ends], axis=1)
 
 
 def _rows(evaluation: Evaluation, limit: int, wanted_ns: Sequence[int]) -> tuple[IntArray, int]:
-    """Every k-th frame, those that are wanted and, of each error, the frame where it is largest."""
+    """Return the rows to show: every k-th, the wanted ones, and the maximum of each error; and k."""
     stamps = evaluation.track.stamp_ns
     step = step_for(len(stamps), limit)
     worst = [
@@ -409,7 +410,7 @@ def _edges(parents: tuple[int, ...]) -> list[list[int]]:
 
 
 def _readings(evaluation: Evaluation, rows: IntArray) -> list[dict[str, Any]]:
-    """Per-frame errors at the shown frames."""
+    """Return the per-frame errors of the shown frames."""
     found: list[dict[str, Any]] = []
     at = np.searchsorted(evaluation.track.stamp_ns, evaluation.series_stamp_ns)
     for name in KINDS[evaluation.subject].readings:

@@ -1,4 +1,4 @@
-"""The page of many results: what failed, all together, and one table with a row for each."""
+"""HTML page of many results: failed gates, pooled values, and a table with a row per result."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from posetrack_cli.evaluation.reports.table import ABSENT, closing_lines, shown,
 
 SCRIPTS = ("rows",)
 MOST_UNFOLDED = 20
-"""Failed gates that are shown at once."""
+"""Maximum length of lists that are not collapsed."""
 GATES_FAILED = "gates failed"
 NOTHING = "\u2013"
 
 
 @dataclass(frozen=True)
 class RowsPage:
-    """What a page of many results shows.
+    """Content of a page of many results.
 
     Attributes:
         sets: the results.
-        outcomes: of gates and a baseline.
-        notes: what limits the comparison with the baseline.
-        comparison: of groups; None shows none.
-        title: heading; by default how many results there are.
-        missing: recordings without a result, by name, and why.
-        remarks: what a user should know of results, by name, one line each.
-        links: pages about single results, by name.
+        outcomes: outcomes of gates and baseline.
+        notes: limitations of the comparison with the baseline.
+        comparison: comparison of groups; None for none.
+        title: heading; defaults to the number of results.
+        missing: names of recordings without a result, with the reason.
+        remarks: names of results, with a remark.
+        links: links to pages about single results, by name.
     """
 
     sets: Sequence[ResultSet]
@@ -48,19 +48,19 @@ class RowsPage:
 
 
 def write_rows_html(path: Path, page: RowsPage) -> None:
-    """Write a page to ``*.html``; equal pages give equal bytes.
+    """Write the page to ``*.html``; an existing one is overwritten.
 
-    The page loads nothing, as that of ``write_html``. An existing page is replaced.
+    The page is self-contained and deterministic, like that of ``write_html``.
 
     Raises:
-        UsageError: the path is not named as a page, or is a folder.
-        ResultError: it cannot be written.
+        UsageError: the name does not end with ``.html``, or is a folder.
+        ResultError: the file cannot be written.
     """
     write_page(path, rows_page(page))
 
 
 def rows_page(page: RowsPage) -> str:
-    """Return the page's text, see ``write_rows_html``."""
+    """Return the text of the page; see ``write_rows_html``."""
     evaluations = worst_first(page.sets)
     failed = [one for one in page.outcomes if one.failed]
     return rendered(
@@ -68,7 +68,7 @@ def rows_page(page: RowsPage) -> str:
         page.title or f"{len(evaluations)} results",
         SCRIPTS,
         most_unfolded=MOST_UNFOLDED,
-        lead=f"{said[:1].upper()}{said[1:]}." if (said := gates_line(page.outcomes)) else "",
+        lead=f"{line[:1].upper()}{line[1:]}." if (line := gates_line(page.outcomes)) else "",
         notices=[Notice(f"Baseline: {note}") for note in page.notes],
         missing=page.missing,
         failed=[("", one.line) for one in failed],
@@ -81,14 +81,14 @@ def rows_page(page: RowsPage) -> str:
 
 @dataclass(frozen=True)
 class Head:
-    """The heading of a column.
+    """A column heading.
 
     Attributes:
-        label: what it says, unless it is a figure.
-        meaning: as a tooltip.
-        kind: of what it is sorted by, ``text`` or ``number``.
-        figure: address of the figure below it; empty for none.
-        ordered: whether rows are in its order.
+        label: text, unless it is a metric.
+        meaning: tooltip.
+        kind: type of the values, ``text`` or ``number``.
+        figure: address of the metric; empty for none.
+        ordered: whether the rows are sorted by it.
     """
 
     label: str
@@ -100,12 +100,12 @@ class Head:
 
 @dataclass(frozen=True)
 class Cell:
-    """A value of a row.
+    """A table cell.
 
     Attributes:
-        column: what it is of.
-        shown: as text.
-        number: that it is sorted by; None for none.
+        column: name of the column.
+        shown: text.
+        number: sort key; None for none.
         worse: whether it is a change for the worse.
     """
 
@@ -117,7 +117,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Line:
-    """A row of the table: a result, or all of them."""
+    """A table row of a result or a pool."""
 
     name: str
     link: str
@@ -127,7 +127,7 @@ class Line:
 
 @dataclass(frozen=True)
 class Total:
-    """A figure of all results together."""
+    """A pooled value."""
 
     figure: str
     cells: tuple[Cell, ...]
@@ -135,15 +135,15 @@ class Total:
 
 @dataclass(frozen=True)
 class ShownSet:
-    """What the page shows of results of one kind.
+    """Section of a result set.
 
     Attributes:
-        title: what they are; empty if there is but one set.
-        count: how many they are.
-        total_columns, totals: the pooled figures.
-        total_lines: why there are none, or not all.
+        title: title of the set; empty if there is only one.
+        count: number of results.
+        total_columns, totals: table of pooled values.
+        total_lines: reasons for missing pooled values.
         judged: whether there are gates.
-        heads, rows, total: the table with a row for each result.
+        heads, rows, total: table with a row per result.
     """
 
     title: str
@@ -158,14 +158,14 @@ class ShownSet:
 
 
 def _shown_set(results: ResultSet, links: Mapping[str, str]) -> ShownSet:
-    """All together, and the table of rows."""
+    """Return the section of a result set."""
     figures = list(dict.fromkeys((*results.figures, *results.further)))
-    compared = results.total.earlier is not None
+    compared = results.total.baseline is not None
     known = [figure for figure in figures if results.total.value(figure) is not None]
     return ShownSet(
         title=results.title[:1].upper() + results.title[1:],
         count=len(results.rows),
-        total_columns=("now", *(("baseline", "change") if compared else ())),
+        total_columns=("value", *(("baseline", "change") if compared else ())),
         totals=tuple(Total(figure, _total_cells(results.total, figure, compared)) for figure in known),
         total_lines=tuple(total_lines(results)),
         judged=results.judged,
@@ -177,7 +177,7 @@ def _shown_set(results: ResultSet, links: Mapping[str, str]) -> ShownSet:
 
 def _total_cells(total: ResultRow, figure: str, compared: bool) -> tuple[Cell, ...]:
     now, change = total.value(figure), total.change(figure)
-    cells = (Cell("now", _number(now)),)
+    cells = (Cell("value", _number(now)),)
     if not compared:
         return cells
     then = None if now is None or change is None else now - change
@@ -185,12 +185,12 @@ def _total_cells(total: ResultRow, figure: str, compared: bool) -> tuple[Cell, .
 
 
 def _heads(results: ResultSet, figures: Sequence[str]) -> Iterator[Head]:
-    """The headings: script sorts and filters by them, and without script rows are in order."""
+    """Yield the column headings; a script sorts by them."""
     yield Head("result", "result", "text")
     for figure in figures:
         yield Head("", figure, "number", figure, figure == results.worst_by)
         if results.compared and figure != "frames":
-            yield Head("change", f"{figure}: now minus baseline", "number")
+            yield Head("change", f"{figure}: value minus baseline", "number")
     if results.judged:
         yield Head(GATES_FAILED, GATES_FAILED, "number")
 
@@ -209,13 +209,13 @@ def _line(one: ResultRow, figures: Sequence[str], results: ResultSet, name: str,
 
 @cache
 def _words(figure: str) -> str:
-    """What a figure is called, with its unit."""
+    """Return the display name of a metric with its unit."""
     named = described(figure)
     return f"{named.label} {named.unit}".strip()
 
 
 def _change(one: ResultRow, figure: str) -> Cell:
-    """By how much a figure changed; where that is for the worse it stands out."""
+    """Return the cell with the change of a metric, which is highlighted if it is for the worse."""
     change, better = one.change(figure), metric_of(figure).better
     text = shown_change(one, figure)
     if change is None:

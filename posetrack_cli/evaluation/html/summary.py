@@ -1,4 +1,4 @@
-"""What the report says in words: figures, and where a result comes from."""
+"""Texts and tables of the HTML report: summary, metric tables, notes and provenance."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from posetrack_cli.evaluation.reports.table import (
 from posetrack_cli.geometry.rotations import EULER_ORDER
 from posetrack_cli.losses import loss_line
 
-# Where the results come from, and what the page says about itself
+# Provenance, and remarks about the page itself
 
 
 FIRST = (
@@ -53,23 +53,23 @@ FIRST = (
     "seed",
     "renderer",
 )
-"""Entries that are told first, in this order."""
+"""Entries of the run record that are listed first."""
 
 
 MOST_LISTED = 4
-"""How many results are described without being asked for."""
+"""Maximum number of results whose description is not collapsed."""
 
 
 @dataclass(frozen=True)
 class RecordRow:
-    """An entry of run records: a value for each result, None where it has none."""
+    """An entry of run records, with a value for each result; None for missing values."""
 
     key: str
     values: tuple[str | None, ...]
 
     @property
     def differs(self) -> bool:
-        """Whether results have different values."""
+        """Whether the results have different values."""
         return any(value != self.values[0] for value in self.values)
 
 
@@ -82,7 +82,7 @@ class Records:
 
 
 def provenance(evaluations: Sequence[Evaluation]) -> list[Records]:
-    """Return the tables of run records and configurations; none if no result states a run."""
+    """Return the tables of run records and configurations; empty if no result has a run record."""
     if not any(one.run for one in evaluations):
         return []
     records = [_record(one) for one in evaluations]
@@ -94,7 +94,7 @@ def provenance(evaluations: Sequence[Evaluation]) -> list[Records]:
 
 
 def _record(evaluation: Evaluation) -> dict[str, str]:
-    """The run record without its configuration, structured values flattened, the result's file first."""
+    """Return the flattened run record without its configuration, preceded by the file name."""
     found = {"result": evaluation.path.name}
     rank = {key: place for place, key in enumerate(FIRST)}
     for key in sorted(evaluation.run, key=lambda key: (rank.get(key, len(FIRST)), key)):
@@ -104,7 +104,7 @@ def _record(evaluation: Evaluation) -> dict[str, str]:
 
 
 def _json(value: str) -> Any:
-    """What a JSON object or list holds; other text as it is."""
+    """Parse a JSON object or list; return other text unchanged."""
     if not value.lstrip().startswith(("{", "[")):
         return value
     try:
@@ -130,18 +130,18 @@ def _rows(columns: Sequence[Mapping[str, str]]) -> tuple[RecordRow, ...]:
 
 
 def plot_remark(data: Mapping[str, Any]) -> str:
-    """Say how many frames the lines over time hold, where they do not hold all."""
+    """Return a remark if the plots over time do not show all frames; empty otherwise."""
     return _left_out(data, [(one, one["quantities"].values()) for one in data["results"]])
 
 
 def component_remark(data: Mapping[str, Any]) -> str:
-    """The same of the trajectories."""
+    """Return a remark if the trajectories do not show all frames; empty otherwise."""
     return _left_out(data, [(one, one["components"]) for one in data["results"]])
 
 
 @dataclass(frozen=True)
 class Held:
-    """How much the page holds of a result."""
+    """Amount of data of a result on the page."""
 
     name: str
     words: str
@@ -149,11 +149,11 @@ class Held:
 
 @dataclass(frozen=True)
 class About:
-    """How the page's data are reduced and stored.
+    """Remarks on the reduction and storage of the data.
 
     Attributes:
-        held: of each result.
-        times, angles: one sentence or two.
+        held: amount of data of each result.
+        times, angles: remarks on times and angles.
     """
 
     held: tuple[Held, ...]
@@ -162,21 +162,21 @@ class About:
 
     @property
     def is_short(self) -> bool:
-        """Whether all results are described without being asked for."""
+        """Whether the descriptions of the results are not collapsed."""
         return len(self.held) <= MOST_LISTED
 
 
 def about(data: Mapping[str, Any]) -> About:
-    """Return how the page's data are reduced and stored."""
+    """Return remarks on the reduction and storage of the page's data."""
     return About(
         tuple(map(_held, data["results"])),
-        f"Times are stored in steps of {data['tickSeconds'] * 1e3:.3g} ms. {_origins(data)}",
-        f"Euler angles: {EULER_ORDER}; of a head, the turn away from looking at the camera.",
+        f"Times are rounded to {data['tickSeconds'] * 1e3:.3g} ms. {_origins(data)}",
+        f"Euler angles: {EULER_ORDER}; for heads, relative to facing the camera.",
     )
 
 
 def _left_out(data: Mapping[str, Any], lines: Iterable[tuple[Mapping[str, Any], Iterable[Any]]]) -> str:
-    """One sentence if any line of any result holds fewer points than there are frames."""
+    """Return a remark if any line has fewer points than frames; empty otherwise."""
     reduced = [
         (result["frames"], max(one["points"] for one in of))
         for result, of in ((result, list(of)) for result, of in lines)
@@ -186,8 +186,8 @@ def _left_out(data: Mapping[str, Any], lines: Iterable[tuple[Mapping[str, Any], 
         return ""
     frames, points = max(reduced)
     return (
-        f"To keep the page small a line shows at most {points} of {frames} frames: in every interval those "
-        "with the smallest and the largest value, so that no peak is lost."
+        f"To limit the size of the page, lines show up to {points} of {frames} frames, including minimum and "
+        "maximum of each interval."
     )
 
 
@@ -198,8 +198,8 @@ def _held(result: Mapping[str, Any]) -> Held:
     if lines:
         parts.append(f"lines of {_between(lines)} points")
     if scene is not None:
-        every = "" if scene["every"] == 1 else f", one in {scene['every']} and the worst ones"
-        parts.append(f"3-D view of {scene['points']} frames{every}, in steps of {scene['stepMm']:.2g} mm")
+        every = "" if scene["every"] == 1 else f" (1 in {scene['every']}, and the worst frames)"
+        parts.append(f"3D view of {scene['points']} frames{every}, rounded to {scene['stepMm']:.2g} mm")
     return Held(result["name"], ", ".join(parts))
 
 
@@ -210,28 +210,28 @@ def _between(counts: list[int]) -> str:
 
 def _origins(data: Mapping[str, Any]) -> str:
     if len(data["results"]) < 2:
-        return "Time 0 is the result's first frame."
+        return "Time 0 is the first frame of the result."
     if data["sharedTime"]:
         return "Time 0 is the first frame of all results."
-    return "The results share no time: time 0 is each one's own first frame."
+    return "The results do not overlap in time: time 0 is the first frame of each result."
 
 
-# What the page says before and below its plots: what to know first, the figures that decide, all figures
+# Notices, summary and metric tables
 
 
 DECISIVE = ("lost", "frames_wrong", "confidence.mean", "jitter_mm.mean", "ms_per_frame.median")
-"""What tells how good a track is beside the key figures of its subject."""
+"""Metrics of the summary in addition to the key figures of the subject."""
 BETTER = {"lower": " Lower is better.", "higher": " Higher is better."}
 
 
 @dataclass(frozen=True)
 class Described:
-    """A figure in words.
+    """Display name and description of a metric.
 
     Attributes:
-        address: its name.
-        label, unit: what it is called.
-        meaning: one sentence.
+        address: its address.
+        label, unit: display name and unit.
+        meaning: description in one sentence.
     """
 
     address: str
@@ -241,7 +241,7 @@ class Described:
 
 
 def described(address: str) -> Described:
-    """Return what a figure is called, given its address with or without a statistic."""
+    """Return the description of an address, with or without a statistic."""
     base, statistic = split_address(address).base, split_address(address).statistic
     label, unit = label_and_unit(base)
     words = f"{label}, {statistic}" if statistic else label
@@ -250,11 +250,11 @@ def described(address: str) -> Described:
 
 @dataclass(frozen=True)
 class Notice:
-    """A line that must be known before any figure.
+    """A note at the top of the page.
 
     Attributes:
-        line: what it says.
-        names: of the results that it holds for; none if it holds for all.
+        line: the text.
+        names: results that it applies to; empty for all.
     """
 
     line: str
@@ -262,7 +262,7 @@ class Notice:
 
 
 def notices(evaluations: Sequence[Evaluation]) -> list[Notice]:
-    """Return what a reader must know first: notes, and data that could not be read."""
+    """Return the notes at the top of the page: remarks and lost data."""
     found: dict[str, list[str]] = {}
     for one in evaluations:
         for line in _notices_of(one):
@@ -271,23 +271,23 @@ def notices(evaluations: Sequence[Evaluation]) -> list[Notice]:
 
 
 def _some(names: Sequence[str], evaluations: Sequence[Evaluation]) -> tuple[str, ...]:
-    """The names, or none if they are all."""
+    """Return the names, or an empty tuple if they are all results."""
     return () if len(names) == len(evaluations) else tuple(names)
 
 
 def _notices_of(evaluation: Evaluation) -> Iterator[str]:
     if evaluation.losses:
-        yield f"Data lost: {loss_line(evaluation.losses)}"
+        yield f"Lost data: {loss_line(evaluation.losses)}"
     yield from evaluation.notes
     if not evaluation.coverage.frames:
-        yield "The result holds no estimate."
+        yield "The result has no estimates."
     elif not evaluation.coverage.has_truth:
-        yield "No truth: errors cannot be told, only what the run says of itself."
+        yield "No ground truth: errors are not available."
 
 
 @dataclass(frozen=True)
 class LeadError:
-    """The main error of a result, as text."""
+    """A main error of a result, as text."""
 
     label: str
     unit: str
@@ -297,7 +297,7 @@ class LeadError:
 
 @dataclass(frozen=True)
 class LeadRange:
-    """The least and largest value of a component while it was tracked, as text."""
+    """Minimum and maximum of a component over the tracked frames, as text."""
 
     label: str
     unit: str
@@ -307,12 +307,12 @@ class LeadRange:
 
 @dataclass(frozen=True)
 class Lead:
-    """What a page of one result begins with, as text.
+    """Text at the top of the page of a single result.
 
     Attributes:
-        ranges: how a head is turned and what its face does; empty of other subjects.
-        share, due, lost: coverage.
-        errors: the main ones; angles come first where the page begins with them.
+        ranges: rotation and expressions of a head; empty for other subjects.
+        share, due, lost: coverage, number of expected frames, number of lost frames.
+        errors: main errors; angular errors first for subjects with expressions.
     """
 
     ranges: tuple[LeadRange, ...]
@@ -323,7 +323,7 @@ class Lead:
 
 
 def lead(evaluations: Sequence[Evaluation]) -> Lead | None:
-    """Return what the only result is like; None of several."""
+    """Return the text at the top of the page of a single result; None for several results."""
     if len(evaluations) != 1:
         return None
     (evaluation,) = evaluations
@@ -350,7 +350,7 @@ def _ranges(evaluation: Evaluation) -> Iterator[LeadRange]:
 
 
 def decisive_rows(evaluations: Sequence[Evaluation]) -> list[Row]:
-    """Return the few figures that decide, those that any result has, with a cell for each result."""
+    """Return the rows of the summary with a cell for each result, without metrics that no result has."""
     addresses = dict.fromkeys(
         address for one in evaluations for address in (*key_figures(one.subject), *DECISIVE)
     )
@@ -365,12 +365,12 @@ def _cells(evaluations: Iterable[Evaluation], address: str) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Folded:
-    """A table that is shown on demand.
+    """A collapsed table.
 
     Attributes:
-        summary: what it is behind.
-        table: what it shows.
-        lines: what belongs under it.
+        summary: text of the collapsed section.
+        table: the table.
+        lines: lines below the table.
     """
 
     summary: str
@@ -379,11 +379,11 @@ class Folded:
 
 
 def folded_tables(evaluations: Sequence[Evaluation], pools: Sequence[Pool] = ()) -> list[Folded]:
-    """Return the tables of all figures, those of results together, of parts and of confidence."""
+    """Return the collapsed tables: all metrics, pools, parts, and reliability of the confidence."""
     if not evaluations:
         return []
     main, *more = tables(evaluations)
-    found = [Folded("Every figure", main), *(Folded(table.title, table) for table in more)]
+    found = [Folded("All metrics", main), *(Folded(table.title, table) for table in more)]
     pooled = pooled_table(pools)
     if pooled is not None:
         found.append(Folded(pooled.title, pooled, tuple(pool_lines(pools))))
@@ -392,12 +392,12 @@ def folded_tables(evaluations: Sequence[Evaluation], pools: Sequence[Pool] = ())
         found.append(Folded("Per joint, finger, angle or point", parts))
     confidence = reliability_table(evaluations, pools)
     if confidence is not None:
-        found.append(Folded("Reliability of confidence", confidence))
+        found.append(Folded("Reliability of the confidence", confidence))
     return found
 
 
 def _parts_only(table: Table) -> Table:
-    """Rows about parts, under the metric they belong to."""
+    """Return the rows of parts, in a section per metric."""
     rows = [one for section in table.sections for one in section.rows if "." in one.address]
     names = dict.fromkeys(one.address.split(".")[0] for one in rows)
     sections = tuple(
@@ -407,20 +407,20 @@ def _parts_only(table: Table) -> Table:
 
 
 def honesty_remark(evaluations: Sequence[Evaluation]) -> str:
-    """Say what makes a frame right; nothing where none was judged."""
+    """Return the criteria for correct frames; empty if none was judged."""
     return " ".join(f"{line[0].upper()}{line[1:]}." for line in criterion_lines(evaluations))
 
 
 @dataclass(frozen=True)
 class Differences:
-    """Paired differences as tables, and what belongs under them."""
+    """Paired differences as tables, and the lines below them."""
 
     tables: tuple[Table, ...]
     lines: tuple[str, ...]
 
 
 def differences(comparison: Comparison | None) -> Differences | None:
-    """Return what a comparison shows, if there is one."""
+    """Return the tables of a comparison, if there is one."""
     if comparison is None:
         return None
     return Differences(tuple(comparison_tables(comparison)), tuple(comparison_lines(comparison)))
@@ -428,12 +428,12 @@ def differences(comparison: Comparison | None) -> Differences | None:
 
 @dataclass(frozen=True)
 class Unmeasured:
-    """Figures without a value.
+    """Metrics without a value.
 
     Attributes:
-        reason: why.
-        addresses: which.
-        names: of the results that it holds for; none if it holds for all.
+        reason: why they are missing.
+        addresses: their addresses.
+        names: results that it applies to; empty for all.
     """
 
     reason: str
@@ -442,7 +442,7 @@ class Unmeasured:
 
 
 def unmeasured(evaluations: Sequence[Evaluation]) -> list[Unmeasured]:
-    """Return what has no value, and why: one entry for each reason and what it is about."""
+    """Return the missing metrics, grouped by reason."""
     found: dict[tuple[str, tuple[str, ...]], list[str]] = {}
     for one in evaluations:
         for reason in dict.fromkeys(one.absent.values()):
@@ -454,13 +454,13 @@ def unmeasured(evaluations: Sequence[Evaluation]) -> list[Unmeasured]:
 
 
 def _addresses(evaluation: Evaluation, reason: str) -> tuple[str, ...]:
-    """What lacks a value for a reason; its parts only where it has one itself."""
+    """Return the addresses that are missing for a reason; parts only if the whole is not missing."""
     names = [name for name, why in evaluation.absent.items() if why == reason and "." not in name]
     return tuple(names or [name for name, why in evaluation.absent.items() if why == reason])
 
 
 def meanings(evaluations: Sequence[Evaluation]) -> list[Described]:
-    """Return every figure on the page in words."""
+    """Return the descriptions of all metrics on the page."""
     names = dict.fromkeys(base.split(".")[0] for one in evaluations for base in (*one.metrics, *one.absent))
     found = [(described(name), metric_of(name).better) for name in names]
     return [

@@ -1,4 +1,4 @@
-"""Write the HTML report: one self-contained page, whole or not at all."""
+"""Rendering of the HTML report as one self-contained page."""
 
 from __future__ import annotations
 
@@ -48,19 +48,19 @@ SCRIPTS = (
     "player",
     "main",
 )
-"""In the order in which the page runs them."""
+"""Scripts in execution order."""
 
 
 @dataclass(frozen=True)
 class ReportPage:
-    """What a page shows.
+    """Content of an HTML report.
 
     Attributes:
-        evaluations: beside each other; their names are unique.
-        comparison: paired differences of several results; None shows none.
-        pictures: of each result, by its name, the worst frames first; or why there are none, as text.
+        evaluations: evaluations with unique names.
+        comparison: paired differences; None for none.
+        pictures: pictures by result name, worst first; or the reason why there are none.
         title: heading of the page.
-        pools: the evaluations' frames together, where that says more than they do.
+        pools: pools of the evaluations.
     """
 
     evaluations: Sequence[Evaluation]
@@ -71,20 +71,19 @@ class ReportPage:
 
 
 def write_html(path: Path, page: ReportPage) -> None:
-    """Write a page to ``*.html``; equal pages give equal bytes.
+    """Write an HTML report to ``*.html``; an existing one is overwritten.
 
-    The page loads nothing: styles, scripts, data and pictures are in it, and its security policy forbids
-    connections. An existing page is replaced.
+    The page is self-contained and deterministic, and its content security policy forbids connections.
 
     Raises:
-        UsageError: the path is not named as a page, or is a folder.
-        ResultError: it cannot be written.
+        UsageError: the name does not end with ``.html``, or is a folder.
+        ResultError: the file cannot be written.
     """
     write_page(path, html_page(page))
 
 
 def html_page(page: ReportPage) -> str:
-    """Return the page's text, see ``write_html``."""
+    """Return the text of an HTML report; see ``write_html``."""
     from markupsafe import Markup
 
     evaluations = page.evaluations

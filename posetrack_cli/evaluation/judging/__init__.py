@@ -1,1 +1,1 @@
-"""From figures to verdicts: gates, baselines, comparisons."""
+"""Gates, baselines and comparisons of evaluations."""

@@ -1,4 +1,4 @@
-"""Gates on regression: the figures of an earlier JSON report, with a tolerance."""
+"""Regression test against the key figures of an earlier JSON report."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ from posetrack_cli.evaluation.reports.table import some_names
 from posetrack_cli.files import read_input
 
 FLOOR = 0.01
-"""In a figure's own unit, mm or deg: differences as small as this are rounding, not regression."""
-MISSING = "the baseline holds it, and no result now has this name; a renewed baseline would leave it out"
+"""Absolute tolerance of errors, mm or deg; smaller differences are rounding, not regressions."""
+MISSING = "result of the baseline is missing; if it was removed on purpose, write a new baseline"
 COMPARED_OPTIONS = ("tolerance_ms", "time_offset_s", "align", "joint_offsets")
 
 
 class _Stored(BaseModel):
-    """What is needed of a stored report; whatever else it holds is its own matter."""
+    """Part of a stored report; unknown keys are ignored."""
 
     model_config = ConfigDict(frozen=True, extra="ignore")
 
 
 class StoredCoverage(_Stored):
-    """Counts that make two evaluations comparable, and of which the coverage of several is made."""
+    """Frame counts of a stored report."""
 
     frames: int
     has_truth: bool
@@ -50,7 +50,7 @@ class StoredCoverage(_Stored):
 
 
 class StoredFigures(_Stored):
-    """Figures of a stored report: of a result, or of several that were pooled."""
+    """Metric values of a result or pool in a stored report."""
 
     name: str
     subject: str
@@ -58,34 +58,34 @@ class StoredFigures(_Stored):
     metrics: dict[str, dict[str, Any]]
 
     def figure(self, address: Address) -> float | None:
-        """Return a figure, or None where it is absent or was no finite number."""
+        """Return a value; None if it is missing or not finite."""
         return _number(self.metrics.get(address.base, {}).get(address.statistic or "value"))
 
 
 def _number(value: Any) -> float | None:
-    """The value as a finite number, if it is one."""
+    """Return the value if it is a finite number, else None."""
     try:
         known = isinstance(value, int | float) and not isinstance(value, bool)
         number = float(value) if known else math.nan
-    except OverflowError:  # JSON has integers without end
+    except OverflowError:  # integers in JSON are unbounded
         return None
     return number if math.isfinite(number) else None
 
 
 class StoredPool(StoredFigures):
-    """Several results of a stored report together."""
+    """A pool in a stored report."""
 
     results: tuple[str, ...] = ()
 
 
 class Format(_Stored):
-    """The layout of a stored report; it says whether the rest can be understood."""
+    """The format field of a stored report, checked before the rest."""
 
     format: str
 
 
 class StoredReport(_Stored):
-    """A JSON report that was written earlier."""
+    """A JSON report of ``posetrack eval``, as far as the comparison needs it."""
 
     options: dict[str, Any] = {}
     results: tuple[StoredFigures, ...]
@@ -94,26 +94,26 @@ class StoredReport(_Stored):
 
 @dataclass(frozen=True)
 class BaselineCheck:
-    """What a baseline says.
+    """Outcome of a comparison with a baseline.
 
     Attributes:
-        outcomes: as of gates.
-        notes: what is no failure.
-        earlier: the figures of the baseline, by the name of a result or a pool now.
+        outcomes: outcomes, as for gates.
+        notes: remarks that are not failures.
+        matched: values of the baseline, by the name of the current result or pool.
     """
 
     outcomes: tuple[GateOutcome, ...]
     notes: tuple[str, ...]
-    earlier: Mapping[str, StoredFigures] = field(default_factory=dict)
+    matched: Mapping[str, StoredFigures] = field(default_factory=dict)
 
 
 def read_baseline(path: Path) -> StoredReport:
     """Read a JSON report of ``posetrack eval``.
 
     Raises:
-        UsageError: it cannot be read, is no such report, or one of another format.
+        UsageError: the file cannot be read, is not a report, or has another format.
     """
-    hint = "a baseline is written by posetrack eval --json"
+    hint = "write a baseline with posetrack eval --json"
     try:
         content = read_input(path, limits.REPORT_BYTES)
     except OSError as error:
@@ -121,12 +121,12 @@ def read_baseline(path: Path) -> StoredReport:
     try:
         found = Format.model_validate_json(content).format
         if found != FORMAT:
-            raise UsageError("has another format", where=path, found=found, expected=FORMAT, hint=hint)
+            raise UsageError(
+                "unsupported format of the baseline", where=path, found=found, expected=FORMAT, hint=hint
+            )
         return StoredReport.model_validate_json(content)
     except ValidationError as error:
-        raise UsageError(
-            "is no report of an evaluation", where=path, found=_first(error), hint=hint
-        ) from error
+        raise UsageError("not an evaluation report", where=path, found=_first(error), hint=hint) from error
 
 
 def check_baseline(
@@ -136,54 +136,51 @@ def check_baseline(
     options: dict[str, Any] | None = None,
     pools: Sequence[Pool] = (),
 ) -> BaselineCheck:
-    """Compare the key figures (``figures.key_figures``) of each result with those of the same name.
+    """Compare the key figures (``catalogue.key_figures``) of each result with those of the same name.
 
-    The only result is compared with the only one of the baseline whatever their names. A figure fails if it
-    is worse by more than the tolerance: an error e above e_0 (1 + tolerance) + 0.01 mm or deg, a share below
-    p_0 - tolerance. One without any key figure there, and a figure that only the baseline has, cannot be
-    judged and fails. Speed is not compared: machines differ.
+    A value fails if it is worse by more than the tolerance: an error e above e_0 (1 + tolerance) + 0.01 mm or
+    deg, a share below p_0 - tolerance. A value that only the baseline has fails, and so does a result for
+    which the baseline has no key figures. Speed is not compared, as machines differ. A single result is
+    compared with a single result of the baseline even if their names differ.
 
-    Of several results those that the baseline has not are new, which a note says; those that only it has are
-    missing, and fail. Where none is found there all fail. Pooled figures are compared, too: with those of the
-    baseline if they are of the same results, else means and coverage over the results that both have.
+    With several results, new ones are noted and missing ones fail; if none is in the baseline, all fail.
+    Pooled values are compared with those of the baseline if both pool the same results, else means and
+    coverage over the common results.
 
     Args:
         baseline: the earlier report.
-        evaluations: the results now.
-        tolerance: share, 0.05 for 5 %.
-        options: what the results were evaluated with; where the baseline's differ a note says so.
-        pools: the results together.
+        evaluations: current results.
+        tolerance: relative tolerance, 0.05 for 5 %.
+        options: current evaluation options; differences to the baseline are noted.
+        pools: current pools.
     """
     outcomes: list[GateOutcome] = []
     notes = list(_options_notes(baseline.options, options or {}))
-    earlier = _partners(baseline, evaluations)
+    matched = _partners(baseline, evaluations)
     for one in evaluations:
-        if one.name not in earlier:
+        if one.name not in matched:
             continue
-        judged = [check_gate(gate, one) for gate in _gates(earlier[one.name], tolerance)]
-        outcomes += judged or [_unjudged(one.name, "the baseline holds none of the key figures")]
-        notes += _notes(earlier[one.name], one)
-    new = [one.name for one in evaluations if one.name not in earlier]
+        judged = [check_gate(gate, one) for gate in _gates(matched[one.name], tolerance)]
+        outcomes += judged or [_unjudged(one.name, "the baseline has none of the key figures")]
+        notes += _notes(matched[one.name], one)
+    new = [one.name for one in evaluations if one.name not in matched]
     known = [stored.name for stored in baseline.results]
-    if new and not (earlier and len(evaluations) > 1):
-        reason = f"the baseline holds no result of this name; it holds: {some_names(known) or 'none'}"
+    if new and not (matched and len(evaluations) > 1):
+        reason = f"no result with this name in the baseline, which has: {some_names(known) or 'none'}"
         outcomes += [_unjudged(name, reason) for name in new]
     elif new:
-        notes.append(f"{_results(new)} new and not compared: {some_names(new)}")
-    if len(evaluations) > 1 and earlier:
-        missing = [name for name in dict.fromkeys(known) if name not in earlier]
+        plural = "" if len(new) == 1 else "s"
+        notes.append(f"{len(new)} new result{plural}, not compared: {some_names(new)}")
+    if len(evaluations) > 1 and matched:
+        missing = [name for name in dict.fromkeys(known) if name not in matched]
         outcomes += [_unjudged(name, MISSING) for name in missing]
-    before: dict[str, StoredFigures] = dict(earlier)
+    before: dict[str, StoredFigures] = dict(matched)
     for pool in pools:
-        together = _judge_pool(baseline, pool, evaluations, before, tolerance)
-        outcomes += together.outcomes
-        notes += together.notes
-        before |= together.earlier
+        check = _judge_pool(baseline, pool, evaluations, before, tolerance)
+        outcomes += check.outcomes
+        notes += check.notes
+        before |= check.matched
     return BaselineCheck(tuple(outcomes), tuple(notes), before)
-
-
-def _results(names: Sequence[str]) -> str:
-    return "1 result is" if len(names) == 1 else f"{len(names)} results are"
 
 
 def _unjudged(name: str, reason: str) -> GateOutcome:
@@ -191,7 +188,7 @@ def _unjudged(name: str, reason: str) -> GateOutcome:
 
 
 def _partners(baseline: StoredReport, evaluations: Sequence[Evaluation]) -> dict[str, StoredFigures]:
-    """The stored result of each that has one, by name."""
+    """Return the stored results that correspond to current ones, by name."""
     if len(evaluations) == len(baseline.results) == 1:
         return {evaluations[0].name: baseline.results[0]}
     stored: dict[str, StoredFigures] = {}
@@ -222,30 +219,30 @@ def _judge_pool(
     baseline: StoredReport,
     pool: Pool,
     evaluations: Sequence[Evaluation],
-    earlier: Mapping[str, StoredFigures],
+    matched: Mapping[str, StoredFigures],
     tolerance: float,
 ) -> BaselineCheck:
-    """Compare the figures of several results together."""
-    if not pool.says_more:
+    """Compare the values of a pool."""
+    if not pool.has_pooled_values:
         return BaselineCheck((), ())
     members = set(pool.results)
     for stored in baseline.pooled:
         same = stored.subject == pool.subject and set(stored.results) == members
         gates = list(_gates(stored, tolerance, pooled=True)) if same else []
-        if len(gates) > 1:  # coverage alone is of a time when errors were not pooled
+        if len(gates) > 1:  # older reports pool nothing but coverage
             return BaselineCheck(tuple(check_gate(gate, pool) for gate in gates), (), {pool.name: stored})
-    common = [one for one in evaluations if one.name in members and one.name in earlier]
+    common = [one for one in evaluations if one.name in members and one.name in matched]
     if not common:
         return BaselineCheck((), ())
-    outcomes = tuple(_judge_common(pool, common, [earlier[one.name] for one in common], tolerance))
-    what = f"means and coverage over the {len(common)} results that the baseline has, too"
-    return BaselineCheck(outcomes, (f"{pool.name}: compared are {what}",) if outcomes else ())
+    outcomes = tuple(_judge_common(pool, common, [matched[one.name] for one in common], tolerance))
+    note = f"{pool.name}: compared by means and coverage over the {len(common)} results in the baseline"
+    return BaselineCheck(outcomes, (note,) if outcomes else ())
 
 
 def _judge_common(
     pool: Pool, now: Sequence[Evaluation], then: Sequence[StoredFigures], tolerance: float
 ) -> Iterator[GateOutcome]:
-    """Compare what can be made of the figures of single results: means, by their counts, and coverage."""
+    """Compare the values that follow from those of single results: coverage, and means by count."""
     for figure in key_figures(pool.subject):
         address = split_address(figure)
         if figure == "coverage":
@@ -267,7 +264,7 @@ def _count(address: Address) -> Address:
 
 
 def _mean(figures: Sequence[tuple[float | None, float | None]]) -> float | None:
-    """The mean of means, by the counts of their values; None where one has none."""
+    """Return the mean of means weighted by counts; None if one is missing."""
     known = [(mean, count) for mean, count in figures if mean is not None and count is not None and count > 0]
     total = sum(count for _, count in known)
     if len(known) < len(figures) or not math.isfinite(total):
@@ -276,7 +273,7 @@ def _mean(figures: Sequence[tuple[float | None, float | None]]) -> float | None:
 
 
 def _share(members: Sequence[Coverage | StoredCoverage]) -> float | None:
-    """The coverage of several together, None where nothing was due."""
+    """Return the coverage over all members; None if no frame was expected."""
     due = sum(one.frames + one.missed for one in members)
     truth = all(one.has_truth for one in members)
     good = sum(one.tracked_and_matched if truth else one.tracked for one in members)
@@ -287,23 +284,23 @@ def _share(members: Sequence[Coverage | StoredCoverage]) -> float | None:
 
 
 def _notes(stored: StoredFigures, evaluation: Evaluation) -> Iterator[str]:
-    """What makes the two less comparable, and what is not compared."""
+    """Yield differences that limit the comparison."""
     name, now, then = evaluation.name, evaluation.coverage, stored.coverage
     if now.frames != then.frames:
-        yield f"{name}: {now.frames} frames, the baseline has {then.frames}"
+        yield f"{name}: {now.frames} frames, {then.frames} in the baseline"
     if now.has_truth and not then.has_truth:
-        yield f"{name}: the baseline was evaluated without truth"
+        yield f"{name}: the baseline was evaluated without ground truth"
     figures = key_figures(evaluation.subject)
     fresh = [f for f in figures if figure_of(evaluation, f).value is not None]
     missing = [f for f in fresh if stored.figure(split_address(f)) is None]
     if missing:
-        yield f"{name}: not in the baseline and not compared: {', '.join(missing)}"
+        yield f"{name}: not compared, missing in the baseline: {', '.join(missing)}"
 
 
 def _options_notes(then: dict[str, Any], now: dict[str, Any]) -> Iterator[str]:
     for key in COMPARED_OPTIONS:
         if key in then and key in now and then[key] != now[key]:
-            yield f"{key} is {now[key]}, in the baseline {then[key]}"
+            yield f"{key} is {now[key]}, {then[key]} in the baseline"
 
 
 def _first(error: ValidationError) -> str:

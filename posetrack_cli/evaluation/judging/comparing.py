@@ -1,4 +1,4 @@
-"""Results compared: in pairs, by groups, with intervals and tests."""
+"""Comparison of results and of groups of results, with confidence intervals and tests."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from posetrack_cli.evaluation.measuring.evaluation import Evaluation, Statistics
 from posetrack_cli.files import real_path
 from posetrack_cli.recording.base import RECORDING_KEY
 
-# Paired differences: blocks of one second as independent samples, Wilcoxon's test, a bootstrap interval
+# Paired statistics. Errors of neighbouring frames are correlated, so blocks of one second serve as samples.
 
 
 BLOCK_NS = 1_000_000_000
@@ -28,17 +28,17 @@ CONFIDENCE = 0.95
 SIGNIFICANCE = 0.05
 RESAMPLES = 9999
 BATCH_VALUES = 1_000_000
-"""How many numbers the bootstrap draws at a time: bounds its memory."""
+"""Number of values that the bootstrap draws at a time; bounds its memory."""
 
 
 @dataclass(frozen=True, eq=False)
 class PairedBlocks:
-    """Two series over the frames they share, averaged second by second.
+    """Means of two series over one-second blocks of their common frames.
 
     Attributes:
-        first, second: (B,) block means, in time's order.
-        frames: frames they share, with a figure in both.
-        left_out: frames of either that are not among them.
+        first, second: (B,) block means, in temporal order.
+        frames: number of common frames with finite values in both series.
+        left_out: number of frames of either series that are not among them.
     """
 
     first: FloatArray
@@ -50,13 +50,13 @@ class PairedBlocks:
 def paired_blocks(
     first_ns: IntArray, first: FloatArray, second_ns: IntArray, second: FloatArray
 ) -> PairedBlocks:
-    """Average two series of the same recording over the same seconds of the frames that both have.
+    """Average two series of the same recording over one-second blocks of their common frames.
 
-    The blocks begin at the first common frame; each counts once, also one with few frames.
+    Blocks start at the first common frame. All blocks have equal weight, including those with few frames.
 
     Args:
         first_ns, second_ns: (M1,), (M2,) stamps, strictly increasing.
-        first, second: (M1,), (M2,) values; frames where one is not finite are left out.
+        first, second: (M1,), (M2,) values; frames with a non-finite value are left out.
     """
     stamps, mine, theirs = np.intersect1d(first_ns, second_ns, assume_unique=True, return_indices=True)
     a, b = first[mine], second[theirs]
@@ -67,11 +67,11 @@ def paired_blocks(
 
 
 def block_means(stamp_ns: IntArray, values: FloatArray) -> FloatArray:
-    """Return the mean of the values in each second that has any, counted from the first stamp.
+    """Return the mean of the values in each non-empty one-second block from the first stamp on.
 
     Args:
-        stamp_ns: (M,) strictly increasing.
-        values: (M,).
+        stamp_ns: (M,) stamps, strictly increasing.
+        values: (M,) values.
     """
     if not len(stamp_ns):
         return np.empty(0)
@@ -80,11 +80,11 @@ def block_means(stamp_ns: IntArray, values: FloatArray) -> FloatArray:
     return means
 
 
-def neighbour_correlation(differences: FloatArray) -> float:
-    """Return the correlation of a series with itself one step later, 0 where it says nothing.
+def lag_one_correlation(differences: FloatArray) -> float:
+    """Return the lag-1 autocorrelation of a series if it is significantly positive, else 0.
 
-    r = sum_i (d_i - m) (d_{i+1} - m) / sum_i (d_i - m)^2. Independent values have |r| below 2 / sqrt(n) in
-    95 % of cases (Bartlett 1946); anything not above that, or of fewer than eight values, is returned as 0.
+    r = sum_i (d_i - m) (d_{i+1} - m) / sum_i (d_i - m)^2. For independent values, |r| < 2 / sqrt(n) in 95 %
+    of cases (Bartlett 1946). Smaller r, or r of fewer than eight values, is returned as 0.
     """
     centred = differences - differences.mean() if len(differences) else differences
     power = float(centred @ centred)
@@ -96,15 +96,15 @@ def neighbour_correlation(differences: FloatArray) -> float:
 
 @dataclass(frozen=True)
 class Paired:
-    """What two paired samples say about their difference, second minus first.
+    """Comparison of two paired samples, second minus first.
 
     Attributes:
-        count: pairs.
+        count: number of pairs.
         mean_first, mean_second: means over the pairs; NaN without pairs.
         difference: mean of (second - first).
         low, high: 95 % bootstrap interval of the mean difference; NaN with fewer than two pairs.
-        p_value: two-sided, of Wilcoxon's signed-rank test; 1 if no pair differs, NaN without pairs.
-        note: what a reader must know about the test, or empty.
+        p_value: two-sided p-value of Wilcoxon's signed-rank test; 1 if no pair differs, NaN without pairs.
+        note: limitation of the test; empty for none.
     """
 
     count: int
@@ -118,16 +118,16 @@ class Paired:
 
 
 def paired(first: ArrayLike, second: ArrayLike, rng_seed: int = 0) -> Paired:
-    """Compare two samples whose entries belong together, such as two trackers' errors per recording.
+    """Compare two paired samples, such as the errors of two trackers per recording.
 
-    The test is Wilcoxon's signed-rank test (Wilcoxon 1945), two-sided, pairs without difference left out;
-    exact for up to 50 pairs without ties, or up to 13 with ties, else by the normal approximation. The
-    interval is Efron's bias-corrected and accelerated bootstrap interval (1987) of the mean difference.
-    Both take the pairs as independent: frames of one recording are not, see ``evaluation.comparing.blocks``.
+    The test is Wilcoxon's signed-rank test (Wilcoxon 1945), two-sided, without pairs of equal values; exact
+    for up to 50 pairs without ties, or up to 13 with ties, else by normal approximation. The interval is
+    Efron's bias-corrected and accelerated (BCa) bootstrap interval (1987) of the mean difference. Both assume
+    independent pairs; for frames of one recording, use ``paired_blocks`` first.
 
     Args:
-        first, second: (n,) each, any unit, the same for both.
-        rng_seed: of the bootstrap; the same seed gives the same interval.
+        first, second: (n,) samples in the same unit.
+        rng_seed: seed of the bootstrap.
 
     Raises:
         ValueError: the lengths differ, or a value is not finite.
@@ -148,15 +148,15 @@ def paired(first: ArrayLike, second: ArrayLike, rng_seed: int = 0) -> Paired:
 
 
 def _signed_rank(differences: FloatArray) -> tuple[float, str]:
-    """Return p and what limits it."""
+    """Return the p-value, and a note if it cannot be significant."""
     from scipy.stats import wilcoxon
 
     different = differences[differences != 0]
     if not len(different):
         return 1.0, "no pair differs"
-    smallest = 2.0 ** (1 - len(different))  # all signs equal, either way, of 2^n equally likely ones
+    smallest = 2.0 ** (1 - len(different))  # two of the 2^n equally likely sign patterns have equal signs
     pairs = "pair" if len(different) == 1 else "pairs"
-    note = f"p cannot be below {smallest:g} with {len(different)} different {pairs}"
+    note = f"too few data: p >= {smallest:g} with {len(different)} differing {pairs}"
     return float(wilcoxon(different).pvalue), note if smallest > SIGNIFICANCE else ""
 
 
@@ -166,7 +166,7 @@ def _interval(differences: FloatArray, rng_seed: int) -> tuple[float, float]:
     count = len(differences)
     if count < 2:
         return float("nan"), float("nan")
-    if np.ptp(differences) == 0:  # every resample is the sample; the method has nothing to correct
+    if np.ptp(differences) == 0:  # BCa is undefined if all resamples are equal
         return float(differences[0]), float(differences[0])
     interval = bootstrap(
         (differences,),
@@ -181,10 +181,10 @@ def _interval(differences: FloatArray, rng_seed: int) -> tuple[float, float]:
     return float(interval.low), float(interval.high)
 
 
-# Groups of results, such as two trackers over the same recordings: paired recording by recording
+# Comparison of groups, such as two trackers over the same recordings, paired by recording
 
 
-EXAMPLE = "such as rbpf='out/rbpf-*.mcap'"
+EXAMPLE = "e.g. rbpf='out/rbpf-*.mcap'"
 
 
 RECORDINGS = "one recording"
@@ -192,18 +192,18 @@ Pair = tuple[Evaluation, Evaluation]
 
 
 def expand_groups(texts: Iterable[str]) -> dict[str, tuple[Path, ...]]:
-    """Return the files of each ``NAME=PATTERN``, sorted; a name may come more than once.
+    """Return the sorted files of each ``NAME=PATTERN``; patterns with the same name are joined.
 
     Raises:
-        UsageError: it is no such text, no file fits, or a file is in two groups.
+        UsageError: invalid syntax, a pattern without matches, or a file in two groups.
     """
     groups: dict[str, tuple[Path, ...]] = {}
     for text in texts:
         name, pattern = _split(text)
         found = _matching(pattern)
         if not found:
-            hint = f"files of a folder are {pattern.rstrip('/')}/*.mcap" if Path(pattern).is_dir() else ""
-            raise UsageError(f"no file fits the pattern of group '{name}'", found=pattern, hint=hint)
+            hint = f"for a folder, use {pattern.rstrip('/')}/*.mcap" if Path(pattern).is_dir() else ""
+            raise UsageError(f"no file matches the pattern of group '{name}'", found=pattern, hint=hint)
         groups[name] = tuple(dict.fromkeys((*groups.get(name, ()), *found)))
     _check_disjoint(groups)
     return groups
@@ -212,13 +212,12 @@ def expand_groups(texts: Iterable[str]) -> dict[str, tuple[Path, ...]]:
 def _split(text: str) -> tuple[str, str]:
     name, sign, pattern = (part.strip() for part in text.partition("="))
     if not (name and sign and pattern):
-        raise UsageError(f"'{text}' is no group", expected="NAME=PATTERN", hint=EXAMPLE)
+        raise UsageError(f"invalid group '{text}'", expected="NAME=PATTERN", hint=EXAMPLE)
     return name, pattern
 
 
 def _matching(pattern: str) -> Sequence[Path]:
-    """Files that fit; a file whose very name has brackets is found by it."""
-    if Path(pattern).is_file():
+    if Path(pattern).is_file():  # file names may contain brackets
         return [Path(pattern)]
     return [Path(name) for name in sorted(glob.glob(pattern, recursive=True)) if Path(name).is_file()]  # noqa: PTH207
 
@@ -234,20 +233,21 @@ def _check_disjoint(groups: dict[str, tuple[Path, ...]]) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Pairing:
-    """Which results of two groups belong together, and the names of those that do not."""
+    """Pairs of results of two groups, and the names of unpaired results."""
 
     pairs: tuple[Pair, ...]
     unpaired: tuple[str, ...]
 
 
 def compare_groups(groups: Mapping[str, Sequence[Evaluation]]) -> Comparison:
-    """Compare each group with the first: one figure of each result, paired by recording.
+    """Compare each group with the first one by the values of their results, paired by recording.
 
     Args:
-        groups: at least two, by name, none of them empty.
+        groups: at least two non-empty groups, by name.
 
     Raises:
-        UsageError: the groups are of different subjects, or one has a recording twice with the same seed.
+        UsageError: the groups have different subjects, or a group has two results of the same recording and
+            seed.
     """
     figures = _figures(groups)
     summaries = {name: _summary(members, figures) for name, members in groups.items()}
@@ -264,7 +264,7 @@ def compare_groups(groups: Mapping[str, Sequence[Evaluation]]) -> Comparison:
 def pair_by_recording(
     first: Sequence[Evaluation], second: Sequence[Evaluation], names: tuple[str, str] = ("first", "second")
 ) -> Pairing:
-    """Pair the results of the same recording and seed; by recording alone where each group has one of it.
+    """Pair results of the same recording and seed, or only recording if both groups have one result of it.
 
     Raises:
         UsageError: a group has two results of the same recording and seed.
@@ -283,7 +283,7 @@ def pair_by_recording(
 
 
 def _by_recording(members: Iterable[Evaluation], group: str) -> dict[str, dict[str, Evaluation]]:
-    """Results by recording, then seed; those whose run record names no recording are left out."""
+    """Return results by recording and seed, without those whose run record has no recording."""
     found: dict[str, dict[str, Evaluation]] = {}
     for one in members:
         recording, seed = one.run.get(RECORDING_KEY, ""), one.run.get("seed", "")
@@ -295,14 +295,14 @@ def _by_recording(members: Iterable[Evaluation], group: str) -> dict[str, dict[s
             raise UsageError(
                 f"group '{group}' has two results of the same recording and seed",
                 found=both,
-                hint="give each its own group",
+                hint="put them into different groups",
             )
         of_recording[seed] = one
     return found
 
 
 def _figures(groups: Mapping[str, Sequence[Evaluation]]) -> tuple[str, ...]:
-    """The figures of the subject that at least one result has."""
+    """Return the addresses of the subject that at least one result has a value for."""
     members = [one for group in groups.values() for one in group]
     subjects = sorted({one.subject for one in members})
     if len(subjects) > 1:
@@ -337,31 +337,31 @@ def _left_out(pairs: Iterable[Pair], figure: str) -> Iterator[str]:
 def _notes(names: tuple[str, str], pairing: Pairing) -> Iterator[str]:
     between = f"{names[1]} - {names[0]}"
     if pairing.unpaired:
-        yield f"{between}: no partner of the same recording and seed: {', '.join(pairing.unpaired)}"
+        yield f"{between}: unpaired (no result of the same recording and seed): {', '.join(pairing.unpaired)}"
     seeds = [(a.run.get("seed"), b.run.get("seed")) for a, b in pairing.pairs]
     if any(a != b for a, b in seeds):
-        yield f"{between}: seeds differ, so pairs are of the same recording alone"
+        yield f"{between}: seeds differ, so results are paired by recording only"
     recordings = len({a.run[RECORDING_KEY] for a, _ in pairing.pairs})
     if 0 < recordings < len(pairing.pairs):
-        yield f"{between}: {len(pairing.pairs)} pairs are of {recordings} recordings: not all independent"
+        yield f"{between}: {len(pairing.pairs)} pairs of {recordings} recordings are not all independent"
 
 
-# Results of the same recording beside each other: paired differences, second by second
+# Comparison of results of the same recording, paired by one-second blocks
 
 
 SECONDS = "one second of a recording"
-UNCORRECTED = "p-values are of single tests: with many figures some are small by chance"
+UNCORRECTED = "p-values are not corrected for multiple comparisons"
 
 
 @dataclass(frozen=True)
 class Difference:
-    """How much a figure differs between two results or two groups.
+    """Difference of a metric between two results or groups.
 
     Attributes:
         figure: address, such as ``joint_error_mm`` or ``joint_error_mm.mean``.
         first, second: names; the difference is second minus first.
-        paired: means, difference, interval and test; ``paired.count`` units.
-        note: what a reader must know, or empty.
+        paired: means, difference, interval and test.
+        note: limitation of the comparison; empty for none.
     """
 
     figure: str
@@ -373,13 +373,13 @@ class Difference:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Paired differences, ready to be shown.
+    """Paired differences between results or groups.
 
     Attributes:
-        unit: what one of the pairs is: a second of a recording, or a recording.
-        differences: by pair of names, then figure by figure.
-        notes: what holds for all of them.
-        groups: of groups of results, by group and figure: statistics over its results.
+        unit: unit of the pairs: one second of a recording, or one recording.
+        differences: differences, ordered by pair of names, then by metric.
+        notes: remarks on all differences.
+        groups: statistics over the results of each group, by group and address; empty without groups.
     """
 
     unit: str
@@ -389,10 +389,9 @@ class Comparison:
 
 
 def compare(evaluations: Sequence[Evaluation]) -> Comparison | None:
-    """Compare each result with the first one of the same recording, over every figure both have by frame.
+    """Compare each result with the first one of the same recording, by all common per-frame series.
 
-    Errors of neighbouring frames are alike, so the unit is a block of one second
-    (``evaluation.comparing.blocks``).
+    The samples are blocks of one second (``paired_blocks``).
 
     Returns:
         None if no two results are of the same recording.
@@ -416,7 +415,7 @@ def compare(evaluations: Sequence[Evaluation]) -> Comparison | None:
 
 
 def _differences(first: Evaluation, second: Evaluation) -> Iterator[Difference]:
-    """Every series that both have, in the catalogue's order."""
+    """Yield the differences of all common series, in catalogue order."""
     common = [name for name in first.series if name in second.series]
     for figure in sorted(common, key=place_of):
         yield _difference(figure, first, second)
@@ -429,8 +428,8 @@ def _difference(figure: str, first: Evaluation, second: Evaluation) -> Differenc
     result = paired(blocks.first, blocks.second)
     notes = [result.note]
     if blocks.left_out:
-        notes.append(f"{blocks.left_out} frames without a figure in both are not compared")
-    alike = neighbour_correlation(blocks.second - blocks.first)
-    if alike:
-        notes.append(f"neighbouring seconds are alike (correlation {alike:.2f}): p is too small")
+        notes.append(f"{blocks.left_out} frames without a value in both are left out")
+    correlation = lag_one_correlation(blocks.second - blocks.first)
+    if correlation:
+        notes.append(f"consecutive seconds are correlated (r = {correlation:.2f}), so p is too small")
     return Difference(figure, first.name, second.name, result, "; ".join(filter(None, notes)))

@@ -1,4 +1,4 @@
-"""Gates: conditions on figures that make an evaluation fail, for continuous integration."""
+"""Gates: conditions on metrics that fail an evaluation, for continuous integration."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ OPERATORS: dict[str, Callable[[float, float], bool]] = {
     ">": operator.gt,
     "<": operator.lt,
 }
-"""Longest first, so that ``>=`` is not read as ``>``."""
-GRAMMAR = "METRIC[.PART].STATISTIC or METRIC, then one of > >= < <= == !=, then a number"
-EXAMPLE = "such as 'joint_error_mm.mean > 10' or 'coverage < 0.99'"
+"""Comparison operators, longest first, so that ``>=`` is not parsed as ``>``."""
+GRAMMAR = "METRIC[.PART][.STATISTIC] OPERATOR NUMBER, with OPERATOR one of > >= < <= == !="
+EXAMPLE = "e.g. 'joint_error_mm.mean > 10' or 'coverage < 0.99'"
 PREFIX = f"{POOLED}."
-"""Begins the address of a figure of all results together."""
+"""Prefix of the address of a pooled metric."""
 OVER = re.compile(rf"({'|'.join(STATISTIC_NAMES)}) *\((.*)\)")
-"""A statistic over the figures of all results, such as ``p95(joint_error_mm.mean)``."""
+"""Statistic over the values of all results, such as ``p95(joint_error_mm.mean)``."""
 CONDITION = re.compile(rf"([^<>=!]+)({'|'.join(OPERATORS)})([^<>=!]+)")
 
 
@@ -48,13 +48,13 @@ class Gate:
     """A condition under which an evaluation fails.
 
     Attributes:
-        text: as it is shown.
-        address: the figure.
-        sign: the comparison, a key of ``OPERATORS``.
-        limit: what the figure is compared with.
-        pooled: whether it is about the results together, not about each.
-        over: the statistic over the figures of the results that it is about, or empty.
-        title: what reports of tests call it, the same from run to run, whatever the limit; else the text.
+        text: condition as displayed.
+        address: address of the metric value.
+        sign: comparison operator, a key of ``OPERATORS``.
+        limit: value to compare with.
+        pooled: whether it applies to the pooled value rather than to each result.
+        over: statistic over the values of all results that it applies to; empty for none.
+        title: name in test reports that does not change with the limit; empty for ``text``.
     """
 
     text: str
@@ -67,7 +67,7 @@ class Gate:
 
     @property
     def figure(self) -> str:
-        """The full name of the figure."""
+        """Full name of the metric value."""
         address = self.address
         name = address.base if address.statistic is None else f"{address.base}.{address.statistic}"
         return f"{self.over}({name})" if self.over else f"{PREFIX}{name}" if self.pooled else name
@@ -75,15 +75,15 @@ class Gate:
 
 @dataclass(frozen=True)
 class GateOutcome:
-    """What a gate says about one result.
+    """Outcome of a gate for one result or pool; the fields are keys in JSON reports.
 
     Attributes:
         gate: the condition.
-        result: the result's name.
-        figure: its figure, or None where it cannot be judged.
-        failed: whether the condition is true, or cannot be judged.
-        reason: why it cannot be judged, else what the figure is.
-        title: as of the gate.
+        result: name of the result or pool.
+        figure: the metric value; None if it is missing.
+        failed: whether the condition holds or cannot be evaluated.
+        reason: why it cannot be evaluated, else the metric value in words.
+        title: title of the gate.
     """
 
     gate: str
@@ -95,14 +95,14 @@ class GateOutcome:
 
     @property
     def line(self) -> str:
-        """One line for a reader of a log."""
+        """One line for a log."""
         if self.figure is None:
-            return f"{self.result}: gate '{self.gate}' cannot be judged: {self.reason}"
+            return f"{self.result}: gate '{self.gate}' could not be evaluated: {self.reason}"
         return f"{self.result}: gate '{self.gate}' {'failed' if self.failed else 'passed'}: {self.reason}"
 
 
 def gates_line(outcomes: Sequence[GateOutcome]) -> str:
-    """Return how many gates failed, as every report says it: ``1 of 3 gates failed``; empty without any."""
+    """Return the number of failed gates, such as ``1 of 3 gates failed``; empty without gates."""
     failed = sum(one.failed for one in outcomes)
     if failed:
         return f"{failed} of {len(outcomes)} gates failed"
@@ -110,77 +110,79 @@ def gates_line(outcomes: Sequence[GateOutcome]) -> str:
 
 
 def parse_gate(text: str) -> Gate:
-    """Read a condition ``FIGURE OP NUMBER``; where it is true it has failed.
+    """Parse a condition ``VALUE OPERATOR NUMBER``; the gate fails if it holds.
 
-    A figure is ``METRIC[.PART][.STATISTIC]`` of each result; ``pooled.METRIC[.STATISTIC]`` of the frames of
-    all results together; or ``STATISTIC(METRIC[.PART][.STATISTIC])`` of the figures that the results have.
+    VALUE is ``METRIC[.PART][.STATISTIC]`` of each result, ``pooled.METRIC[.STATISTIC]`` over the frames of
+    all results, or ``STATISTIC(METRIC[.PART][.STATISTIC])`` over the values of all results.
 
     Raises:
-        UsageError: it is no such condition, or names no figure there is.
+        UsageError: invalid syntax, or unknown metric, part or statistic.
     """
     match = CONDITION.fullmatch(text.strip())
     if match is None:
         raise UsageError(
-            f"'{text.strip()}' is no condition", expected=GRAMMAR, hint=_sign_hint(text) or EXAMPLE
+            f"invalid condition '{text.strip()}'", expected=GRAMMAR, hint=_sign_hint(text) or EXAMPLE
         )
     name, sign, number = (part.strip() for part in match.groups())
     over, inner = _over_results(name)
     pooled = inner.startswith(PREFIX)
     if over and pooled:
-        raise UsageError(f"'{inner}' is one figure, not one of each result", expected=f"{over}(METRIC)")
+        raise UsageError(f"'{inner}' is a single value, not one per result", expected=f"{over}(METRIC)")
     address = split_address(inner.removeprefix(PREFIX))
     if pooled and not is_pooled(address.base):
         _refuse_pooled(address)
     if address.statistic is None and not address.metric.scalar:
         choices = ", ".join(f"{inner}.{statistic}" for statistic in STATISTIC_NAMES)
-        raise UsageError(f"condition '{text.strip()}' does not say which statistic", expected=choices)
+        raise UsageError(f"condition '{text.strip()}' lacks a statistic", expected=f"one of {choices}")
     return Gate(f"{name} {sign} {number}", address, sign, _limit(number, text.strip()), pooled, over)
 
 
 def _over_results(name: str) -> tuple[str, str]:
-    """The statistic over results, or nothing, and the name of the figure."""
+    """Split off the statistic over results, if any, from the name of the value."""
     if "(" not in name and ")" not in name:
         return "", name
     match = OVER.fullmatch(name)
     if match is None:
         known = ", ".join(f"{statistic}(...)" for statistic in STATISTIC_NAMES)
         raise UsageError(
-            f"'{name}' is no figure over results", expected=f"one of {known}", hint="p95(joint_error_mm.mean)"
+            f"invalid statistic over results '{name}'",
+            expected=f"one of {known}",
+            hint="e.g. p95(joint_error_mm.mean)",
         )
     return match[1], match[2].strip()
 
 
 def _refuse_pooled(address: Address) -> NoReturn:
     if address.part is not None and not address.metric.scalar:
-        hint = f"{PREFIX}{address.metric.name}, or over results p95({address.base}.mean)"
-        raise UsageError(f"parts of '{address.metric.name}' are not pooled over results", hint=hint)
+        hint = f"use {PREFIX}{address.metric.name}, or over results p95({address.base}.mean)"
+        raise UsageError(f"parts of '{address.metric.name}' are not pooled", hint=hint)
     known = ", ".join(name for name in catalogue() if is_pooled(name))
-    raise UsageError(f"'{address.metric.name}' is not pooled over results", expected=f"one of {known}")
+    raise UsageError(f"'{address.metric.name}' is not pooled", expected=f"one of {known}")
 
 
 def read_gates(path: Path) -> list[Gate]:
-    """Read a file of conditions, one a line; what follows a ``#`` is a comment.
+    """Read a gate file: one condition per line, ``#`` starts a comment.
 
     Raises:
-        UsageError: it cannot be read, holds no condition, or one of them is none; names the line.
+        UsageError: the file cannot be read or is empty, or a line is invalid.
     """
     try:
         lines = read_text(path, limits.TEXT_BYTES, "utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
-        found = error.strerror if isinstance(error, OSError) else "bytes that are no UTF-8"
-        raise UsageError("gates cannot be read", where=path, found=found) from error
+        found = error.strerror if isinstance(error, OSError) else "bytes that are not UTF-8"
+        raise UsageError("gate file cannot be read", where=path, found=found) from error
     stripped = [(number, line.partition("#")[0].strip()) for number, line in enumerate(lines, 1)]
     gates = [_gate_of_line(path, number, line) for number, line in stripped if line]
     if not gates:
-        raise UsageError("holds no gate", where=path, expected="one condition a line", hint=EXAMPLE)
+        raise UsageError("gate file is empty", where=path, expected="one condition per line", hint=EXAMPLE)
     return gates
 
 
 def all_gates(conditions: Iterable[str], files: Iterable[Path]) -> tuple[Gate, ...]:
-    """Return the gates of conditions and of files of them, in this order.
+    """Return the gates of all conditions, then those of all gate files.
 
     Raises:
-        UsageError: as of ``parse_gate`` and ``read_gates``.
+        UsageError: as for ``parse_gate`` and ``read_gates``.
     """
     every = [parse_gate(text) for text in conditions]
     return (*every, *(gate for path in files for gate in read_gates(path)))
@@ -189,13 +191,13 @@ def all_gates(conditions: Iterable[str], files: Iterable[Path]) -> tuple[Gate, .
 def check_gates(
     gates: Sequence[Gate], evaluations: Sequence[Evaluation], pools: Sequence[Pool] = ()
 ) -> list[GateOutcome]:
-    """Apply every gate to every result, those of pooled figures and those over results to every pool.
+    """Apply each gate to all results, or to all pools if it is pooled or over results.
 
-    A gate that cannot be judged has failed: its metric is absent or no finite number, the result is empty,
-    or its coverage is 0, when only figures of coverage itself say anything.
+    A gate that cannot be evaluated fails: its value is missing or not finite, the result is empty, or the
+    coverage is 0 and the metric is not in the coverage group.
 
     Raises:
-        UsageError: a gate names a part, such as a feature point, that none of the results has.
+        UsageError: a gate names a part, such as a feature point, that no result has.
     """
     for gate in gates:
         _check_part(gate.address, evaluations)
@@ -210,12 +212,12 @@ def check_gates(
 
 
 def check_gate(gate: Gate, evaluation: Measured) -> GateOutcome:
-    """Apply one gate to one result, or to one pool."""
+    """Apply a gate to a result or a pool."""
     return judge_figure(gate, evaluation.name, _judged(evaluation, gate.address))
 
 
 def _check_over(gate: Gate, pool: Pool, members: Sequence[Evaluation]) -> GateOutcome:
-    """Apply a gate to the figures that a pool's results have; none may be without."""
+    """Apply a gate to a statistic over the values of a pool's results; all must have a value."""
     figures = [_judged(one, gate.address) for one in members]
     lacking = [
         (one.name, figure.reason) for one, figure in zip(members, figures, strict=True) if figure.reason
@@ -229,13 +231,13 @@ def _check_over(gate: Gate, pool: Pool, members: Sequence[Evaluation]) -> GateOu
 
 
 def judge_figure(gate: Gate, name: str, figure: Figure, results: int = 0) -> GateOutcome:
-    """Apply a gate to a figure.
+    """Apply a gate to a value.
 
     Args:
-        gate: the condition.
-        name: whose figure it is.
-        figure: or why there is none.
-        results: over how many results it is; 0 for that of one or of a pool.
+        gate: the gate.
+        name: name of the result or pool.
+        figure: the value, or the reason why it is missing.
+        results: number of results that it is a statistic over; 0 for the value of a result or pool.
     """
     title = gate.title or gate.text
     if figure.value is None:
@@ -247,7 +249,7 @@ def judge_figure(gate: Gate, name: str, figure: Figure, results: int = 0) -> Gat
 
 
 def shown_figure(value: float, limit: float) -> str:
-    """Show a figure in as few digits as keep it apart from what it is compared with."""
+    """Format a value with 4 digits, or with all digits if it would then look equal to the limit."""
     short = f"{value:.4g}"
     return short if value == limit or float(short) != limit else repr(value)
 
@@ -271,30 +273,30 @@ def _limit(number: str, text: str) -> float:
         limit = float(number)
     except ValueError as error:
         raise UsageError(
-            f"condition '{text}' compares with no number", found=number, hint=_number_hint(number)
+            f"limit of condition '{text}' is not a number", found=number, hint=_number_hint(number)
         ) from error
     if not math.isfinite(limit):
-        raise UsageError(f"condition '{text}' compares with no finite number", found=number, hint=EXAMPLE)
+        raise UsageError(f"limit of condition '{text}' is not finite", found=number, hint=EXAMPLE)
     return limit
 
 
 def _number_hint(number: str) -> str:
     if number.endswith("%"):
-        return "shares are numbers from 0 to 1: write 0.99 for 99 %"
+        return "shares are numbers from 0 to 1; write 0.99 for 99 %"
     if re.match(r"[-+.\d]", number):
-        return "write the number alone: the unit is the metric's own, and the decimal sign is a point"
+        return "write a plain number without unit, with a decimal point"
     return EXAMPLE
 
 
 def _sign_hint(text: str) -> str:
     if re.search(r"[^<>=!]=[^=]", text):
-        return "equality is =="
+        return "write == for equality"
     signs = len(re.findall(r"[<>]", text))
-    return "one condition at a time; give --fail-if again for the next" if signs > 1 else ""
+    return "write one condition per --fail-if" if signs > 1 else ""
 
 
 def _check_part(address: Address, evaluations: Iterable[Evaluation]) -> None:
-    """Feature points are named by the results: only now a misspelt one shows."""
+    """Raise an error if no result has a feature point; their names are only known from the results."""
     prefix = f"{address.metric.name}."
     measured = [one for one in evaluations if address.metric.name in one.metrics]
     bases = {base for one in measured for base in one.metrics}

@@ -1,4 +1,4 @@
-"""Many results as rows: one for each, the worst first, and one for the frames of all together."""
+"""Tables with one row per result, worst first, and a row for the pool."""
 
 from __future__ import annotations
 
@@ -20,65 +20,65 @@ from posetrack_cli.evaluation.measuring.pooling import Pool
 from posetrack_cli.evaluation.measuring.subjects import KINDS
 
 MOST_BESIDE = 4
-"""Results of more recordings get a row each: more columns do not fit beside each other."""
+"""Maximum number of recordings with a column per result; more columns do not fit on a terminal."""
 COUNTS = ("frames", "coverage")
 WITHOUT_TRUTH = ("jitter_mm.mean", "confidence.mean")
-"""What a row tells where no result has an error."""
+"""Columns if no result has an error."""
 FURTHER = ("lost", *WITHOUT_TRUTH, "ms_per_frame.median")
-"""What a page tells beyond the key figures."""
+"""Columns of the HTML page in addition to the key figures."""
 
 
-class Earlier(Protocol):
-    """Figures as they were in a baseline."""
+class Baseline(Protocol):
+    """Metric values of a result or pool in a baseline."""
 
     def figure(self, address: Address) -> float | None:
-        """Return a figure, or None where it had none."""
+        """Return a value; None if it is missing."""
 
 
 @dataclass(frozen=True, eq=False)
 class ResultRow:
-    """A result, or all of them together.
+    """Table row of a result or a pool.
 
     Attributes:
-        measured: what has the figures.
-        failed: gates that it failed, or that could not be judged.
-        earlier: its figures in the baseline; None where that has none of it.
+        measured: the result or pool.
+        failed: number of gates that it failed.
+        baseline: its values in the baseline; None if the baseline does not have it.
     """
 
     measured: Evaluation | Pool
     failed: int
-    earlier: Earlier | None
+    baseline: Baseline | None
 
     @property
     def name(self) -> str:
-        """What it is called."""
+        """Name of the result or pool."""
         return self.measured.name
 
     def value(self, figure: str) -> float | None:
-        """Return a figure by its address; None where it has none."""
+        """Return the value at an address; None if it is missing."""
         return figure_of(self.measured, figure).value
 
     def change(self, figure: str) -> float | None:
-        """Return by how much a figure is larger than in the baseline; None where that cannot be told."""
+        """Return the difference to the baseline; None if one of the values is missing."""
         now = self.value(figure)
-        then = None if self.earlier is None else self.earlier.figure(split_address(figure))
+        then = None if self.baseline is None else self.baseline.figure(split_address(figure))
         return None if now is None or then is None else now - then
 
 
 @dataclass(frozen=True, eq=False)
 class ResultSet:
-    """Results of one kind of subject and track, or of one group.
+    """Results with the same subject and track, or of one group, as a table.
 
     Attributes:
-        title: what tells it apart from others; empty where it is the only one.
-        subject: of all of them.
-        figures: addresses of the columns, of which at least one result has a value.
-        further: addresses that a page tells, too.
-        worst_by: the figure that the rows are in order of.
-        rows: the results, the worst first: those without an estimate, those whose error is not known, the
-            least covered first, and then the largest error first.
-        pool: the frames of all of them.
-        total: the same as a row.
+        title: distinguishes the set from others; empty if it is the only one.
+        subject: kind of subject.
+        figures: addresses of the columns; at least one result has a value.
+        further: addresses of further columns of the HTML page.
+        worst_by: address that ranks the rows.
+        rows: results, worst first: those without estimates, then those without a known error by increasing
+            coverage, then by decreasing error.
+        pool: pool of the results.
+        total: row of the pool.
         judged: whether there were gates.
         compared: whether there was a baseline.
     """
@@ -96,40 +96,40 @@ class ResultSet:
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """What gates and a baseline say.
+class GateReport:
+    """Outcomes of the gates and values of the baseline.
 
     Attributes:
-        outcomes: of every gate.
-        earlier: figures of the baseline by the name of a result or a pool.
+        outcomes: outcomes of all gates.
+        baseline: baseline values by name of the result or pool.
         compared: whether there was a baseline.
     """
 
     outcomes: Sequence[GateOutcome] = ()
-    earlier: Mapping[str, Earlier] = field(default_factory=dict)
+    baseline: Mapping[str, Baseline] = field(default_factory=dict)
     compared: bool = False
 
 
 def result_sets(
-    evaluations: Iterable[Evaluation], pools: Iterable[Pool], verdict: Verdict
+    evaluations: Iterable[Evaluation], pools: Iterable[Pool], gates: GateReport
 ) -> tuple[ResultSet, ...]:
-    """Return a set for each pool, with its results as rows."""
+    """Return a set with the results of each pool."""
     by_name = {one.name: one for one in evaluations}
-    failed = Counter(outcome.result for outcome in verdict.outcomes if outcome.failed)
-    return tuple(_set(pool, [by_name[name] for name in pool.results], failed, verdict) for pool in pools)
+    failed = Counter(outcome.result for outcome in gates.outcomes if outcome.failed)
+    return tuple(_set(pool, [by_name[name] for name in pool.results], failed, gates) for pool in pools)
 
 
 def worst_first(sets: Iterable[ResultSet]) -> tuple[Evaluation, ...]:
-    """Return every result once, in the order of the rows."""
+    """Return all results in row order, without duplicates."""
     every = (row.measured for one in sets for row in one.rows)
     return tuple({one.name: one for one in every if isinstance(one, Evaluation)}.values())
 
 
-def _set(pool: Pool, members: Sequence[Evaluation], failed: Counter[str], verdict: Verdict) -> ResultSet:
+def _set(pool: Pool, members: Sequence[Evaluation], failed: Counter[str], gates: GateReport) -> ResultSet:
     kind = KINDS[pool.subject]
     worst = next((name for name in kind.worst_by if any(name in one.metrics for one in members)), None)
     worst_by = f"{worst}.mean" if worst else "coverage"
-    rows = [ResultRow(one, failed[one.name], verdict.earlier.get(one.name)) for one in members]
+    rows = [ResultRow(one, failed[one.name], gates.baseline.get(one.name)) for one in members]
     return ResultSet(
         title=" ".join(pool.name.split()[1:]),
         subject=pool.subject,
@@ -138,14 +138,14 @@ def _set(pool: Pool, members: Sequence[Evaluation], failed: Counter[str], verdic
         worst_by=worst_by,
         rows=tuple(sorted(rows, key=lambda row: _badness(row, worst_by))),
         pool=pool,
-        total=ResultRow(pool, failed[pool.name], verdict.earlier.get(pool.name)),
-        judged=bool(verdict.outcomes),
-        compared=verdict.compared,
+        total=ResultRow(pool, failed[pool.name], gates.baseline.get(pool.name)),
+        judged=bool(gates.outcomes),
+        compared=gates.compared,
     )
 
 
 def _badness(row: ResultRow, worst_by: str) -> tuple[int, float]:
-    """Sorts the worst row first."""
+    """Return a sort key; the worst row sorts first."""
     coverage = row.measured.coverage
     if not coverage.frames:
         return 0, 0.0
@@ -162,7 +162,7 @@ def _figures(rows: Sequence[ResultRow], subject: str) -> tuple[str, ...]:
 
 
 def _known(rows: Sequence[ResultRow], figures: Iterable[str]) -> tuple[str, ...]:
-    """Those of the figures that a result has."""
+    """Return the addresses that at least one result has a value for."""
     return tuple(
         figure
         for figure in dict.fromkeys(figures)
@@ -171,7 +171,7 @@ def _known(rows: Sequence[ResultRow], figures: Iterable[str]) -> tuple[str, ...]
 
 
 def heading(figure: str) -> tuple[str, str]:
-    """Return two short lines that a column of a figure is headed by, the unit in the second."""
+    """Return the two lines of a column heading, with the unit in the second."""
     address = split_address(figure)
     metric = metric_of(figure)
     below = ", ".join(filter(None, (address.statistic, metric.unit)))

@@ -1,1 +1,1 @@
-"""From arrays to figures: metrics of frames, of recordings, of many recordings."""
+"""Computation of metrics for results and pools of results."""

@@ -1,4 +1,4 @@
-"""The catalogue of metrics, and figures by their names."""
+"""Catalogue of all metrics, and lookup of metric values by address."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from posetrack_cli.evaluation.measuring.pose_metrics import INTERVALS
 from posetrack_cli.evaluation.measuring.subjects import KINDS, SubjectKind
 from posetrack_cli.evaluation.reading.tracks import Coverage
 
-# The catalogue of metrics: name, unit, meaning. Tables, gates, baselines and reports read them from here.
+# Tables, gates, baselines and reports take names, units and meanings from here.
 #
-# An address is ``name[.part][.statistic]``: ``joint_error_mm.index_tip.p95``, ``coverage``. Results are
-# measured under addresses without statistic (``Evaluation.metrics``). What only one kind of subject has
-# stands in ``evaluation.measuring.subjects``.
+# The address of a value is ``name[.part][.statistic]``: ``joint_error_mm.index_tip.p95``, ``coverage``.
+# ``Evaluation.metrics`` is keyed by addresses without statistic. Metrics of one kind of subject are in
+# ``evaluation.measuring.subjects``.
 
 
 _NEES = (
-    "Squared error in stated standard deviations, summed over {what}: 21 entries for a hand, 6 for a head; "
-    "a consistent filter has a mean of that number, a larger one means overconfidence."
+    "Normalised estimation error squared (NEES) of {what}, summed over 21 entries for a hand and 6 for a "
+    "head; the mean equals that number for a consistent filter, a larger mean indicates overconfidence."
 )
 _INSIDE = (
-    "Share of the entries of {what} whose true value lies within +-{width} stated standard deviations; "
-    "a consistent filter with Gaussian errors has {share}."
+    "Share of the entries of {what} whose true value is within +-{width} estimated standard deviations; "
+    "{share} for a consistent filter with Gaussian errors."
 )
 
 
 def _in_every_kind(limits: str, relation: str, between: str) -> str:
-    """What limits of errors are, kind by kind."""
+    """Describe the limits of all kinds of subjects."""
     of_kinds = {kind: getattr(kind, limits) for kind in KINDS.values()}
     return ", ".join(
         f"{kind.name}: {kind.in_words(own, relation, between)}" for kind, own in of_kinds.items() if own
@@ -68,19 +68,26 @@ GENERAL: tuple[Metric, ...] = (
     Metric(
         "coverage",
         "",
-        "Share of the frames due that are tracked and have a truth; without truth the share that is tracked.",
+        "Share of the expected frames that are tracked and have ground truth; without ground truth, share "
+        "of frames that are tracked.",
         group="coverage",
         better="higher",
         scalar=True,
         pooled=True,
     ),
     Metric(
-        "frames", "", "Estimates in the result.", group="coverage", better="neither", scalar=True, pooled=True
+        "frames",
+        "",
+        "Number of estimates in the result.",
+        group="coverage",
+        better="neither",
+        scalar=True,
+        pooled=True,
     ),
     Metric(
         "tracked",
         "",
-        "Estimates that are not lost.",
+        "Number of estimates that are not lost.",
         group="coverage",
         better="neither",
         scalar=True,
@@ -89,7 +96,7 @@ GENERAL: tuple[Metric, ...] = (
     Metric(
         "lost",
         "",
-        "Estimates whose status is lost; their errors count all the same.",
+        "Number of estimates with status lost; their errors are included in all error metrics.",
         group="coverage",
         scalar=True,
         pooled=True,
@@ -97,7 +104,7 @@ GENERAL: tuple[Metric, ...] = (
     Metric(
         "reinitialised",
         "",
-        "Estimates where the track was found anew.",
+        "Number of estimates at which the track was reinitialised.",
         group="coverage",
         scalar=True,
         pooled=True,
@@ -105,7 +112,7 @@ GENERAL: tuple[Metric, ...] = (
     Metric(
         "matched",
         "",
-        "Estimates with a truth at their stamp: errors are over these.",
+        "Number of estimates with ground truth at their stamp; errors are computed over these.",
         group="coverage",
         better="neither",
         scalar=True,
@@ -114,7 +121,7 @@ GENERAL: tuple[Metric, ...] = (
     Metric(
         "unmatched",
         "",
-        "Estimates without a truth at their stamp.",
+        "Number of estimates without ground truth at their stamp.",
         group="coverage",
         scalar=True,
         pooled=True,
@@ -122,7 +129,7 @@ GENERAL: tuple[Metric, ...] = (
     Metric(
         "missed",
         "",
-        "Frames that the run left out though there is a truth for them.",
+        "Number of frames with ground truth for which the result has no estimate.",
         group="coverage",
         scalar=True,
         pooled=True,
@@ -130,7 +137,7 @@ GENERAL: tuple[Metric, ...] = (
     Metric(
         "truth_outside",
         "",
-        "Truths before the result's first or after its last estimate; not counted against it.",
+        "Number of ground-truth frames before the first or after the last estimate; not counted as missed.",
         group="coverage",
         better="neither",
         scalar=True,
@@ -139,13 +146,13 @@ GENERAL: tuple[Metric, ...] = (
     Metric(
         "velocity_error_mm_s",
         "mm/s",
-        "Length of the difference between the estimated and the true velocity of the origin.",
+        "Norm of the error of the origin's linear velocity.",
         group="velocity",
     ),
     Metric(
         "angular_velocity_error_deg_s",
         "deg/s",
-        "Length of the difference between the estimated and the true angular velocity, in camera axes.",
+        "Norm of the error of the angular velocity, in camera axes.",
         group="velocity",
     ),
     Metric("nees", "", _NEES.format(what="the pose"), group="covariance", better="neither", spoken="NEES"),
@@ -160,45 +167,50 @@ GENERAL: tuple[Metric, ...] = (
     ),
     *(_inside("the velocity", percent, "velocity_") for percent in (50, 90)),
     _honesty(
-        "frames_wrong", f"Share of the frames with truth that are wrong ({_WRONG}), lost ones included.", ""
+        "frames_wrong",
+        f"Share of the frames with ground truth that are wrong ({_WRONG}), including lost frames.",
+        "wrong frames",
     ),
     _honesty(
         "frames_far_tracked",
-        f"Share of the frames with truth that are far off ({_FAR}) and yet not lost.",
-        "frames far off and not lost",
+        f"Share of the frames with ground truth that are far off ({_FAR}) but not marked lost.",
+        "frames far off, not lost",
     ),
-    _honesty("frames_right_lost", "Share of the right frames that say they are lost.", "right frames lost"),
+    _honesty("frames_right_lost", "Share of the correct frames that are marked lost.", "correct frames lost"),
     _honesty(
         "confidence_roc_area",
-        "Area under the ROC curve of confidence: how probably a right frame has a higher one than a wrong "
-        "frame, ties counting half; 0.5 tells nothing apart.",
-        "ROC area of confidence",
+        "Area under the ROC curve of the confidence: probability that a correct frame has a higher "
+        "confidence than a wrong frame, ties counting half; 0.5 is chance level.",
+        "confidence ROC area",
         better="higher",
     ),
     _honesty(
         "confidence_brier_score",
-        "Mean square of confidence minus 1 in right frames and minus 0 in wrong ones; always saying 0.5 "
-        "has 0.25.",
-        "Brier score of confidence",
+        "Mean squared difference between the confidence and the outcome (1 correct, 0 wrong); a constant "
+        "confidence of 0.5 scores 0.25.",
+        "confidence Brier score",
     ),
     _honesty(
         "confidence_calibration_error",
-        "How far confidence is from the share of frames that are right, averaged over ten bins of "
-        "confidence, each by its frames.",
-        "calibration error of confidence",
+        "Expected calibration error: mean difference between the confidence and the share of correct "
+        "frames over ten confidence bins, weighted by their number of frames.",
+        "confidence calibration error",
     ),
-    Metric("cost_mm", "mm", "The run's own cost of its estimate against the image.", group="consistency"),
+    Metric(
+        "cost_mm", "mm", "Cost of the estimate against the image, as stored by the run.", group="consistency"
+    ),
     Metric(
         "residual_mm",
         "mm",
-        "Mean difference of rendered and observed depth where both have the hand, segmented around it.",
+        "Mean absolute difference of rendered and observed depth, over pixels of both the rendered hand and "
+        "the hand segmented around it.",
         group="consistency",
         needs_depth=True,
     ),
     Metric(
         "region_overlap",
         "",
-        "Pixels that the rendered and the observed hand share, over those of either.",
+        "Intersection over union of the pixels of the rendered and the observed hand.",
         group="consistency",
         better="higher",
         needs_depth=True,
@@ -206,20 +218,24 @@ GENERAL: tuple[Metric, ...] = (
     Metric(
         "jitter_mm",
         "mm",
-        "Mean over points of how far they are off the line between frames before and after, over sqrt(6).",
+        "Second difference of the points over three frames divided by sqrt(6), mean over the points.",
         group="consistency",
     ),
+    Metric("gaps", "", "Number of gaps: intervals with missing frames.", group="consistency", scalar=True),
     Metric(
-        "gaps", "", "Times that frames are missing between two estimates.", group="consistency", scalar=True
+        "largest_gap_s",
+        "s",
+        "Longest interval between consecutive estimates.",
+        group="consistency",
+        scalar=True,
     ),
-    Metric("largest_gap_s", "s", "Longest time between two estimates.", group="consistency", scalar=True),
-    Metric("status_changes", "", "Times that the status changes.", group="consistency", scalar=True),
+    Metric("status_changes", "", "Number of status changes.", group="consistency", scalar=True),
     Metric("confidence", "", "Confidence of the estimates, 0 to 1.", group="run", better="higher"),
-    Metric("ms_per_frame", "ms", "Time that a frame took.", group="run", spoken="time per frame"),
+    Metric("ms_per_frame", "ms", "Processing time per frame.", group="run", spoken="time per frame"),
     Metric(
         "frames_per_s",
         "1/s",
-        "Frames over the time that they took together.",
+        "Number of frames divided by their total processing time.",
         group="run",
         better="higher",
         scalar=True,
@@ -228,15 +244,15 @@ GENERAL: tuple[Metric, ...] = (
     Metric(
         "evaluations",
         "",
-        "Poses a frame whose fit to the image was evaluated.",
+        "Number of poses evaluated against the image per frame.",
         group="run",
         spoken="poses evaluated",
     ),
-    Metric("particles", "", "Particles of the filter.", group="run", better="neither", scalar=True),
+    Metric("particles", "", "Number of particles.", group="run", better="neither", scalar=True),
     Metric(
         "ess",
         "",
-        "Effective sample size of the weights before resampling.",
+        "Effective sample size of the particle weights before resampling.",
         group="run",
         better="higher",
         spoken="effective sample size",
@@ -244,34 +260,34 @@ GENERAL: tuple[Metric, ...] = (
     Metric(
         "resampling_rate",
         "",
-        "Share of the frames after which particles were resampled.",
+        "Share of the frames in which the particles were resampled.",
         group="run",
         better="neither",
         scalar=True,
     ),
 )
-"""What every subject is measured by."""
+"""Metrics of every subject."""
 
 
 @cache
 def _catalogue(kinds: tuple[SubjectKind, ...]) -> dict[str, Metric]:
-    """Every metric of some kinds of subjects, by name, in the order of every table."""
+
     every = dict.fromkeys((*GENERAL, *(own for kind in kinds for own in kind.metrics)))
     return {m.name: m for group in GROUP_TITLES for m in every if m.group == group}
 
 
 def catalogue() -> dict[str, Metric]:
-    """Return every metric by name, in the order of every table; also of kinds that were listed since."""
+    """Return all metrics by name, in table order, including those of kinds registered in ``KINDS`` later."""
     return _catalogue(tuple(KINDS.values()))
 
 
 CATALOGUE = tuple(catalogue().values())
-"""Every metric of our own kinds of subjects."""
+"""All metrics of the built-in kinds of subjects."""
 
 
 @dataclass(frozen=True)
 class Address:
-    """A figure: of which metric, which part of it (None: the whole) and which statistic (None: not said)."""
+    """Parsed address of a metric value; ``part`` is None for the whole, ``statistic`` None if not given."""
 
     metric: Metric
     part: str | None
@@ -279,50 +295,50 @@ class Address:
 
     @property
     def base(self) -> str:
-        """The address without statistic, a key of ``Evaluation.metrics``."""
+        """The address without statistic: a key of ``Evaluation.metrics``."""
         return self.metric.name if self.part is None else f"{self.metric.name}.{self.part}"
 
 
 def place_of(address: str) -> int:
-    """Return where in the catalogue an address's metric stands; behind all others if it is none."""
+    """Return the catalogue index of an address's metric, for sorting; unknown metrics come last."""
     names = list(catalogue())
     name = address.split(".")[0]
     return names.index(name) if name in names else len(names)
 
 
 def metric_of(address: str) -> Metric:
-    """Return the metric that an address, with or without part and statistic, begins with.
+    """Return the metric of an address, with or without part and statistic.
 
     Raises:
-        UsageError: there is no such metric; names the nearest and all known ones.
+        UsageError: unknown metric; the hint lists the nearest and all known names.
     """
     name = address.split(".")[0]
     known = catalogue()
     if name not in known:
-        raise UsageError(f"no metric '{name}'", hint=_known(name, known))
+        raise UsageError(f"unknown metric '{name}'", hint=_known(name, known))
     return known[name]
 
 
 def is_pooled(address: str) -> bool:
-    """Whether the figures of an address are told of several results together, too; of parts only shares."""
+    """Whether an address is pooled over results. Of parts, only shares and counts are."""
     metric = metric_of(address)
     return metric.pooled if metric.scalar else "." not in address
 
 
 def label_and_unit(address: str) -> tuple[str, str]:
-    """Return what an address is called for readers, and its unit: ``joint error, index tip`` and ``mm``."""
+    """Return the display name and the unit of an address: ``joint error, index tip`` and ``mm``."""
     metric, part = metric_of(address), address.partition(".")[2]
     return (f"{metric.label}, {part.replace('_', ' ')}" if part else metric.label), metric.unit
 
 
 def split_address(address: str) -> Address:
-    """Take ``name[.part][.statistic]`` apart.
+    """Parse ``name[.part][.statistic]``.
 
-    The points of a head are not known before a result is read: any one is accepted here, and it is for the
-    caller to see whether an evaluation has it.
+    The points of a head depend on the result, so any point name is accepted; the caller must check whether
+    an evaluation has it.
 
     Raises:
-        UsageError: no such metric, part or statistic; names the nearest and all known ones.
+        UsageError: unknown metric, part or statistic; the hint lists the nearest and all known names.
     """
     metric = metric_of(address)
     rest = address.split(".")[1:]
@@ -341,12 +357,12 @@ def split_address(address: str) -> Address:
 def addresses(
     subject: str, point_names: Sequence[str] = (), shape_names: Sequence[str] = ()
 ) -> tuple[str, ...]:
-    """Return every address without statistic that a subject's evaluation may have, in the order of tables.
+    """Return all addresses without statistic that an evaluation of a subject can have, in table order.
 
     Args:
-        subject: one of ``KINDS``.
-        point_names: its points; by default those of our own model, as far as it names them.
-        shape_names: its shape entries; likewise.
+        subject: key of ``KINDS``.
+        point_names: names of the points; defaults to those of the built-in model.
+        shape_names: names of the shape entries; defaults likewise.
     """
     kind = KINDS[subject]
     found: list[str] = []
@@ -358,7 +374,7 @@ def addresses(
 
 
 def is_measured(metric: Metric, kind: SubjectKind) -> bool:
-    """Whether a kind of subject is measured by a metric."""
+    """Whether a metric applies to a kind of subject."""
     if metric in kind.metrics:
         return True
     lacking = (metric.needs_depth and kind.compare_images is None) or (
@@ -368,68 +384,68 @@ def is_measured(metric: Metric, kind: SubjectKind) -> bool:
 
 
 def _known(name: str, known: Iterable[str]) -> str:
-    """The nearest name if one is near, and all of them."""
+    """Return a hint with the nearest name, if any, and all known names."""
     names = list(known)
     if not names:
-        return "it is one number"
+        return "it is a single number without parts or statistics"
     everything = f"known: {', '.join(sorted(names))}"
     return " ".join(dict.fromkeys((nearest_name(name, names), everything)))
 
 
-# One figure of an evaluation, or why it has none; and the figures that results are compared by
+# Key metrics, and lookup of values
 
 
+# Available for every subject, including unknown ones.
 _ALWAYS = ("coverage",)
-"""What there is of every subject, also of one that is not known here."""
 
 
 def key_figures(subject: str) -> tuple[str, ...]:
-    """Return how good a track is, in a few figures. Regressions are found in these."""
+    """Return the addresses that summarise track quality; regressions are tested on these."""
     return KINDS[subject].key_figures if subject in KINDS else _ALWAYS
 
 
 def studied_figures(subject: str) -> tuple[str, ...]:
-    """Return what groups of results are compared by, one figure of each result."""
+    """Return the addresses that groups of results are compared by."""
     return (*key_figures(subject), *(KINDS[subject].studied_figures if subject in KINDS else ()))
 
 
 class Measured(Protocol):
-    """What figures are of: a result, or several that are pooled."""
+    """An evaluated result, or a pool of results."""
 
     @property
     def name(self) -> str:
-        """What it is called."""
+        """Display name."""
 
     @property
     def subject(self) -> str:
-        """A key of ``KINDS``."""
+        """Kind of subject, a key of ``KINDS``."""
 
     @property
     def coverage(self) -> Coverage:
-        """Its counts of frames."""
+        """Frame counts."""
 
     @property
     def metrics(self) -> Mapping[str, Value]:
-        """Values by address."""
+        """Values by address without statistic."""
 
     @property
     def absent(self) -> Mapping[str, str]:
-        """Why other addresses have none."""
+        """Reasons for missing values, by address."""
 
 
 @dataclass(frozen=True)
 class Figure:
-    """A finite value, or None and the reason."""
+    """A finite metric value, or None and the reason why it is missing."""
 
     value: float | None
     reason: str = ""
 
 
 def figure_of(evaluation: Measured, address: Address | str) -> Figure:
-    """Look a figure up by its full address, such as ``joint_error_mm.mean`` or ``coverage``.
+    """Return the value at a full address, such as ``joint_error_mm.mean`` or ``coverage``.
 
     Raises:
-        UsageError: there is no such metric, part or statistic.
+        UsageError: unknown metric, part or statistic.
     """
     address = split_address(address) if isinstance(address, str) else address
     reason = _why_not(evaluation, address)
@@ -438,16 +454,16 @@ def figure_of(evaluation: Measured, address: Address | str) -> Figure:
     measured = evaluation.metrics[address.base]
     value = getattr(measured, address.statistic or "") if isinstance(measured, Statistics) else measured
     if not math.isfinite(value):
-        return Figure(None, f"the figure is {value}")
+        return Figure(None, f"the value is {value}")
     return Figure(float(value))
 
 
 def _why_not(evaluation: Measured, address: Address) -> str:
-    """Why there is no such figure, or nothing."""
+    """Return why a value is missing; empty if it exists."""
     if not evaluation.coverage.frames:
-        return "the result holds no estimate"
+        return "the result has no estimates"
     if not is_measured(address.metric, KINDS[evaluation.subject]):
-        return f"it is no metric of a {evaluation.subject}"
+        return f"not a {evaluation.subject} metric"
     if address.base in evaluation.metrics:
         return ""
     return evaluation.absent.get(address.base) or evaluation.absent.get(address.metric.name, "not measured")

@@ -1,4 +1,4 @@
-"""Measure a result: read it, find its truth, pair the two, and fill the catalogue."""
+"""Evaluation of a result: load result and ground truth, associate frames, compute all metrics."""
 
 from __future__ import annotations
 
@@ -45,49 +45,49 @@ from posetrack_cli.evaluation.reading.tracks import (
 from posetrack_cli.evaluation.reading.truth import load_truth
 from posetrack_cli.evaluation.reading.truth_tables import truth_warnings
 from posetrack_cli.losses import Loss, LossLog
-from posetrack_cli.results.channels import FILTERED, SMOOTHED
 from posetrack_cli.results.reader import Result, read_result
+from posetrack_cli.results.topics import FILTERED, SMOOTHED
 
 Alignment: TypeAlias = Literal["none", "rigid", "rigid+points", "similarity"]
 
 AGAINST_TRUTH = ("accuracy", "velocity", "covariance", "honesty")
 LONGEST_OFFSET_S = 1e10
-"""What 64 bits of nanoseconds hold, nearly 300 years, is a little less."""
-SMOOTHED_NOTE = "the smoothed track: its estimates rest on later frames, too"
-PRIOR_NOTE = "one camera sees no scale: distance and size rest on what faces are like"
-GUESS_NOTE = "the camera was not calibrated: the focal length, and distance with it, is a guess"
-NO_TRUTH = "no truth: the result carries none, and none was given with --truth"
+"""Bound on the time offset: slightly more than int64 nanoseconds can hold (292 years)."""
+SMOOTHED_NOTE = "smoothed track: estimates also use later frames"
+PRIOR_NOTE = "monocular: distance and size come from the face prior, as scale is not observable"
+GUESS_NOTE = "uncalibrated camera: the focal length is a guess, and the distance scales with it"
+NO_TRUTH = "no ground truth: the result contains none, and --truth was not given"
 NO_IMAGES = "the recording has none of the result's frames"
-NO_OVERLAP = "in no frame the estimate and the observed hand overlap"
-NO_RECORDING = "needs the images: give the recording with --recording"
+NO_OVERLAP = "the estimate overlaps the observed hand in no frame"
+NO_RECORDING = "requires the images: pass the recording with --recording"
 WITHOUT_TRUTH = {
     "residual_mm": NO_RECORDING,
     "region_overlap": NO_RECORDING,
-    "cost_mm": "the run gave no estimate a cost",
-    "jitter_mm": "no three frames in a row",
+    "cost_mm": "the run stored no costs",
+    "jitter_mm": "fewer than three consecutive frames",
     "gaps": "fewer than two frames",
     "largest_gap_s": "fewer than two frames",
 }
-"""Why these have no value, when they have none."""
+"""Reasons why these metrics have no value, if they have none."""
 
 
 @dataclass(frozen=True)
 class EvalOptions:
-    """How results are measured.
+    """Options of an evaluation.
 
     Attributes:
-        truth: a file to take the truth from; None takes the one that the result carries.
-        tolerance_ms: how far apart the stamps of an estimate and its truth may be.
-        time_offset_s: added to the stamps of the truth.
-        align: ``rigid`` removes one constant rigid offset first, ``rigid+points`` each point's own, too,
-            ``similarity`` one factor on all lengths and one constant rigid offset.
-        recording: what the result was made from, to measure it against the images; None leaves that out.
-        track: which of the result's tracks.
-        joint_offsets: whose axes the constant offset of each of a hand's joints is removed in, see
+        truth: ground-truth file; None uses the ground truth in the result.
+        tolerance_ms: maximum difference between the stamps of an estimate and its ground truth, ms.
+        time_offset_s: added to the ground-truth stamps, s.
+        align: ``rigid`` removes one constant rigid offset, ``rigid+points`` also a constant offset of each
+            point, ``similarity`` one scale factor and one constant rigid offset.
+        recording: recording of the result, for the metrics that compare with images; None skips them.
+        track: name of the track to evaluate.
+        joint_offsets: frame in which the constant offset of each hand joint is removed, see
             ``remove_joint_offsets``; None removes none.
 
     Raises:
-        UsageError: a number that cannot be meant, or an unknown alignment.
+        UsageError: a value is out of range, or the alignment is unknown.
     """
 
     truth: Path | None = None
@@ -101,20 +101,20 @@ class EvalOptions:
     def __post_init__(self) -> None:
         if not 0.0 <= self.tolerance_ms <= 1e9:
             found = f"{self.tolerance_ms} ms"
-            raise UsageError("tolerance cannot be used", found=found, expected="0 to 1e9 ms")
+            raise UsageError("tolerance out of range", found=found, expected="0 to 1e9 ms")
         if not abs(self.time_offset_s) <= LONGEST_OFFSET_S:
-            found, expected = f"{self.time_offset_s} s", f"at most {LONGEST_OFFSET_S:g} s either way"
-            raise UsageError("time offset cannot be used", found=found, expected=expected)
+            found, expected = f"{self.time_offset_s} s", f"-{LONGEST_OFFSET_S:g} to {LONGEST_OFFSET_S:g} s"
+            raise UsageError("time offset out of range", found=found, expected=expected)
         if self.align not in get_args(Alignment):
             known = ", ".join(get_args(Alignment))
-            raise UsageError("no such alignment", found=repr(self.align), expected=f"one of {known}")
+            raise UsageError("unknown alignment", found=repr(self.align), expected=f"one of {known}")
         if self.joint_offsets not in (None, *get_args(OffsetFrame)):
             found, known = repr(self.joint_offsets), ", ".join(get_args(OffsetFrame))
-            raise UsageError("no such axes of joints' offsets", found=found, expected=f"one of {known}")
+            raise UsageError("unknown frame of joint offsets", found=found, expected=f"one of {known}")
 
     @property
     def tolerance_ns(self) -> int:
-        """The tolerance in nanoseconds."""
+        """``tolerance_ms`` in nanoseconds."""
         return round(1e6 * self.tolerance_ms)
 
 
@@ -122,23 +122,23 @@ DEFAULT_OPTIONS = EvalOptions()
 
 
 def evaluate(path: Path, options: EvalOptions = DEFAULT_OPTIONS, name: str | None = None) -> Evaluation:
-    """Measure one result against its truth, or by itself where there is none.
+    """Evaluate a result against ground truth, or without it if there is none.
 
     Args:
-        path: the result; an unfinished or damaged one is measured over what it holds.
-        options: how.
-        name: what tables call it; by default the file's name without its ending.
+        path: the result; an unfinished or damaged one is evaluated over its readable frames.
+        options: evaluation options.
+        name: display name; defaults to the file name without extension.
 
     Raises:
-        ResultError: it is no result, or its stamps or those of its truth do not increase.
-        TruthError: the truth cannot be read, or is of something else.
-        UsageError: the truth is the result itself, or does not have what the options ask for.
-        RecordingError: ``options.recording`` is not what the result was made from.
+        ResultError: not a result, or stamps of the result or the ground truth do not increase.
+        TruthError: the ground truth cannot be read, or does not fit the subject.
+        UsageError: the ground truth is the result itself, or lacks data that the options require.
+        RecordingError: ``options.recording`` is not the recording of the result.
     """
     result = read_result(path)
     if result.subject.name not in KINDS:
         found, expected = f"subject '{result.subject.name}'", " or ".join(KINDS)
-        raise ResultError("is of a subject that has no metrics", where=path, found=found, expected=expected)
+        raise ResultError("no metrics for this subject", where=path, found=found, expected=expected)
     track = track_of_result(result, name or plain_name(path), options.track)
     truth_losses = LossLog()
     truth = load_truth(result, options.truth, time_offset_s=options.time_offset_s, losses=truth_losses)
@@ -189,25 +189,25 @@ def _measured(
 
 
 def _of_truth(losses: tuple[Loss, ...], options: EvalOptions) -> Iterator[Loss]:
-    """Losses of the file that is given as truth, told apart from the result's own."""
+    """Yield the losses of the ground-truth file, marked as such."""
     name = "" if options.truth is None else f" {options.truth.name}"
-    return (replace(loss, what=f"truth{name}: {loss.what}") for loss in losses)
+    return (replace(loss, what=f"ground truth{name}: {loss.what}") for loss in losses)
 
 
 def _nothing(track: Track, truth: Track | None, options: EvalOptions) -> str:
-    """Why no estimate is compared, should there be none."""
+    """Return the reason to report if no estimate can be compared."""
     if not len(track):
         return EMPTY
     if truth is None:
         return NO_TRUTH
     if not len(truth):
-        return "the truth is empty"
+        return "the ground truth is empty"
     if truth.frame_index is not None:
-        return f"no estimate is of an annotated frame: {truth.name}"
+        return f"no annotated frame has an estimate: {truth.name}"
     nearest = truth.stamp_ns[nearest_rows(track.stamp_ns, truth.stamp_ns)]
     away = _readable(int(np.abs(track.stamp_ns - nearest).min()))
     return (
-        f"no estimate has a truth within {options.tolerance_ms:g} ms: the nearest is {away} away; "
+        f"no estimate has ground truth within {options.tolerance_ms:g} ms, the nearest is {away} away; "
         "see --truth-tolerance-ms and --time-offset-s"
     )
 
@@ -218,11 +218,11 @@ def _readable(duration_ns: int) -> str:
 
 def _run_notes(result: Result, options: EvalOptions) -> list[str]:
     notes = [SMOOTHED_NOTE] if options.track == SMOOTHED else []
-    notes += [] if result.finished else ["the run did not finish: measured over the frames that it holds"]
+    notes += [] if result.finished else ["unfinished run: evaluated over the frames written so far"]
     notes += [PRIOR_NOTE] if result.run.get("scale") == "prior" else []
     notes += [GUESS_NOTE] if result.run.get("intrinsics") == "guessed" else []
-    told = {"the run could not use all of its input": "losses", "the run remarks": "remarks"}
-    return notes + [f"{what}: {result.summary[key]}" for what, key in told.items() if key in result.summary]
+    stored = {"part of the run's input was unusable": "losses", "run remarks": "remarks"}
+    return notes + [f"{what}: {result.summary[key]}" for what, key in stored.items() if key in result.summary]
 
 
 def _paired(track: Track, truth: Track, options: EvalOptions) -> Pairs:
@@ -232,7 +232,7 @@ def _paired(track: Track, truth: Track, options: EvalOptions) -> Pairs:
 
 
 def _aligned(measures: Measures, track: Track, truth: Track, pairs: Pairs, options: EvalOptions) -> Track:
-    """The estimate without its constant offset, as far as the options ask for it; a note says so."""
+    """Return the estimate aligned as requested, and add a note about the alignment."""
     if options.align == "none":
         return track
     points, scale = options.align == "rigid+points", options.align == "similarity"
@@ -245,11 +245,11 @@ def _aligned(measures: Measures, track: Track, truth: Track, pairs: Pairs, optio
 def _without_offsets(
     measures: Measures, result: Result, matched: Matched, frame: OffsetFrame
 ) -> tuple[Track, JointOffsets | None]:
-    """The estimate without the constant offset of each joint, which a note tells about."""
+    """Return the estimate without the constant offset of each joint, and add a note about it."""
     remove_offsets = KINDS[result.subject.name].remove_offsets
     if remove_offsets is None:
         found = f"a {result.subject.name}"
-        raise UsageError("--joint-offsets is for hands", where=result.path, found=found)
+        raise UsageError("--joint-offsets requires a hand", where=result.path, found=found)
     track, offsets = remove_offsets(result, matched, frame)
     measures.notes.append(NO_FRAME if offsets is None else offsets.note)
     return track, offsets
@@ -273,7 +273,7 @@ def _against_truth(
 def _without_truth(
     measures: Measures, result: Result, track: Track, options: EvalOptions, rows: IntArray
 ) -> None:
-    """Add self-consistency and what the run says about itself; series of these rows of the track."""
+    """Add the metrics that need no ground truth; image series are restricted to ``rows`` of the track."""
     consistency_metrics(measures, track)
     if options.recording is not None:
         _against_images(measures, result, options, rows)
@@ -299,7 +299,7 @@ def _against_images(measures: Measures, result: Result, options: EvalOptions, ro
 
 
 def coverage_metrics(coverage: Coverage) -> dict[str, Value]:
-    """The counts of a coverage by metric; those about a truth only where there is one."""
+    """Return frame counts by metric name; those that need ground truth only if there is one."""
     counts: dict[str, float] = {
         "coverage": coverage.share,
         "frames": coverage.frames,
@@ -316,7 +316,7 @@ def coverage_metrics(coverage: Coverage) -> dict[str, Value]:
 
 
 def _run_series(track: Track, rows: IntArray) -> dict[str, FloatArray]:
-    """What the run says about these frames, as far as it says anything."""
+    """Return the stored per-frame values of these rows, without columns that are all NaN."""
     series = {name: rows_of(values, rows) for name, values in run_series(track).items()}
     return {name: values for name, values in series.items() if np.isfinite(values).any()}
 
@@ -324,7 +324,7 @@ def _run_series(track: Track, rows: IntArray) -> dict[str, FloatArray]:
 def _in_order(
     measures: Measures, track: Track, truth: Track | None
 ) -> tuple[dict[str, Value], dict[str, str]]:
-    """Metrics in the catalogue's order, and of every other address of the subject why it has none."""
+    """Return metrics in catalogue order, and reasons for all other addresses of the subject."""
     known = addresses(track.subject, track.point_names, track.shape_names)
     metrics = {address: measures.metrics[address] for address in known if address in measures.metrics}
     absent = {address: _reason(measures, address, truth) for address in known if address not in metrics}
@@ -332,10 +332,10 @@ def _in_order(
 
 
 def _reason(measures: Measures, address: str, truth: Track | None) -> str:
-    """Why an address has no value: as told for it or its whole, else as its group has it."""
+    """Return why an address has no value: its own or its metric's reason, else that of its group."""
     metric = metric_of(address)
     if truth is None and metric.group in (*AGAINST_TRUTH, "coverage"):
         return NO_TRUTH
-    told = measures.absent.get(address) or measures.absent.get(metric.name)
+    reason = measures.absent.get(address) or measures.absent.get(metric.name)
     part = address.removeprefix(metric.name).removeprefix(".")
-    return told or (f"the truth has no {part}" if part else WITHOUT_TRUTH.get(address, EMPTY))
+    return reason or (f"the ground truth has no {part}" if part else WITHOUT_TRUTH.get(address, EMPTY))

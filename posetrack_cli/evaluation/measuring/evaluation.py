@@ -1,4 +1,4 @@
-"""What an evaluation holds, and the distribution of values over frames."""
+"""Evaluation of one result, statistics, and mergeable distributions of values."""
 
 from __future__ import annotations
 
@@ -16,24 +16,23 @@ from posetrack_cli.evaluation.measuring.honesty import JudgedFrames
 from posetrack_cli.evaluation.reading.alignment import JointOffsets
 from posetrack_cli.evaluation.reading.tracks import Coverage, Pairs, Track
 from posetrack_cli.losses import Loss
-from posetrack_cli.results.channels import FILTERED
+from posetrack_cli.results.topics import FILTERED
 
-# What an evaluation says about one result; every output (table, JSON, CSV, HTML, gates) is made from it
+# Statistics and Evaluation: the input of all outputs (tables, JSON, CSV, HTML, gates)
 
 
 @dataclass(frozen=True)
 class Statistics:
-    """Summary of a set of values; all but ``count`` are NaN when the set is empty.
+    """Summary of a set of values; all fields but ``count`` are NaN if the set is empty.
 
     Attributes:
         mean: arithmetic mean.
-        sd: standard deviation of these values, sqrt(mean of squared deviations): they are all there are,
-            no sample of more.
+        sd: population standard deviation, sqrt(mean of squared deviations).
         median: 50th percentile.
-        p95: 95th percentile, linear between the two nearest values.
-        max: largest.
-        p5: 5th percentile, likewise: what stands for the bad end where small is bad.
-        count: how many values.
+        p95: 95th percentile, with linear interpolation.
+        max: maximum.
+        p5: 5th percentile, with linear interpolation; the bad end of metrics where higher is better.
+        count: number of values.
     """
 
     mean: float
@@ -51,21 +50,21 @@ STATISTIC_NAMES = tuple(one.name for one in fields(Statistics))
 def statistics(values: ArrayLike) -> Statistics:
     """Summarise values of any shape.
 
-    A NaN among them makes every figure NaN, so that none hides. An infinite one makes the mean and the
-    largest infinite and leaves no standard deviation (NaN).
+    A NaN among the values makes all statistics NaN. An infinite value makes mean and maximum infinite and
+    the standard deviation NaN.
     """
     flat = np.ravel(np.asarray(values, dtype=np.float64))
     if not flat.size:
         nan = float("nan")
         return Statistics(nan, nan, nan, nan, nan, nan, 0)
     p5, median, p95 = _percentiles(flat, [5.0, 50.0, 95.0])
-    with np.errstate(invalid="ignore"):  # infinity less infinity
+    with np.errstate(invalid="ignore"):  # inf - inf
         mean, sd = float(flat.mean()), _deviation(flat)
     return Statistics(mean, sd, float(median), float(p95), float(flat.max()), float(p5), flat.size)
 
 
 def _deviation(flat: FloatArray) -> float:
-    """The standard deviation, scaled first: squares of a NEES with next to no variance would overflow."""
+    # Scaled first, as the squares of a NEES with almost no variance would overflow.
     largest = float(np.abs(flat).max())
     return largest * float((flat / largest).std()) if 0.0 < largest < np.inf else float(flat.std())
 
@@ -73,12 +72,12 @@ def _deviation(flat: FloatArray) -> float:
 def _percentiles_of_ranked(
     ranked: Callable[[int], float], count: int, percent: Sequence[float]
 ) -> list[float]:
-    """Return percentiles, linear between the two nearest values, of values that are known by their rank.
+    """Return percentiles with linear interpolation.
 
     Args:
-        ranked: returns the value that has so many smaller ones, 0 to ``count`` - 1.
-        count: how many values; at least one.
-        percent: 0 to 100 each.
+        ranked: returns the value of a rank, 0 to ``count`` - 1.
+        count: number of values; at least one.
+        percent: percentages, 0 to 100.
     """
     found = []
     for one in percent:
@@ -90,9 +89,10 @@ def _percentiles_of_ranked(
 
 
 def _percentiles(flat: FloatArray, percent: list[float]) -> FloatArray:
-    """Percentiles, linear between the two nearest values; numpy's own are NaN near an infinite value."""
+    """Return percentiles with linear interpolation, also of infinite values."""
     if not np.isinf(flat).any():
         return np.percentile(flat, percent)
+    # np.percentile interpolates to NaN next to an infinite value.
     low, high = (np.percentile(flat, percent, method=method) for method in ("lower", "higher"))
     finite = np.isfinite(low) & np.isfinite(high)
     with np.errstate(invalid="ignore"):
@@ -102,16 +102,16 @@ def _percentiles(flat: FloatArray, percent: list[float]) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Distribution:
-    """Values, summarised so that they can be pooled with others, see ``evaluation.measuring.evaluation``.
+    """Summary of values that can be merged with others without keeping the values.
 
     Attributes:
-        count: how many; at least one.
-        mean: of them, NaN if one of them is NaN.
-        sd: their standard deviation, see ``Statistics``.
-        largest: of them.
-        bins: (B,) numbers of the bins that have values, increasing as the values do.
-        counts: (B,) how many values are in each.
-        means: (B,) their mean.
+        count: number of values; at least one.
+        mean: mean, NaN if a value is NaN.
+        sd: standard deviation, see ``Statistics``.
+        largest: maximum.
+        bins: (B,) indices of the non-empty bins, increasing like the values.
+        counts: (B,) number of values in each bin.
+        means: (B,) mean of the values in each bin.
     """
 
     count: int
@@ -123,7 +123,7 @@ class Distribution:
     means: FloatArray
 
     def statistics(self) -> Statistics:
-        """Return the summary of all values; percentiles are off by less than the width of a bin."""
+        """Return statistics of the values; percentiles are accurate to the width of a bin."""
         if np.isnan(self.mean) and not np.isinf(self.means).any():
             nan = float("nan")
             return Statistics(nan, nan, nan, nan, nan, nan, self.count)
@@ -141,7 +141,7 @@ Value: TypeAlias = Statistics | float
 
 @dataclass(frozen=True)
 class Count:
-    """Of how many of something a thing is true: a share that can be pooled with others."""
+    """A share as counts (true, of total), which can be pooled."""
 
     true: int
     of: int
@@ -149,13 +149,13 @@ class Count:
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """The field's curve: share of frames whose largest, or mean, joint error is below D.
+    """Share of frames whose largest, or mean, joint error is below a threshold D.
 
     Attributes:
-        thresholds_mm: (T,) D, increasing.
-        share: (T,) 0 to 1, of all frames that should have been tracked, whose largest joint error is below:
-            missed ones count as not below.
-        mean_share: (T,) the same of the mean over the joints.
+        thresholds_mm: (T,) thresholds D, mm, increasing.
+        share: (T,) share, 0 to 1, of the expected frames whose largest joint error is below D; missed frames
+            count as above.
+        mean_share: (T,) likewise for the mean joint error.
     """
 
     thresholds_mm: FloatArray
@@ -165,33 +165,33 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """One result, measured.
+    """Evaluation of one result.
 
     Attributes:
-        name: the column's heading; unique among results that are shown beside each other.
-        path: the result's file.
+        name: display name; unique among the results of a report.
+        path: path of the result.
         subject: ``hand`` or ``head``.
-        run: the result's run record, as written (configuration as JSON text, seed, renderer, ...).
-        coverage: frames tracked, lost, unmatched.
+        run: the run record as stored (configuration as JSON text, seed, renderer, ...).
+        coverage: frame counts.
         metrics: values by address without statistic: ``joint_error_mm``, ``joint_error_mm.index_tip``,
-            ``frames_within_20mm``; in the order of ``evaluation.measuring.catalogue``.
-        absent: every other address of this subject, parts included, and why it has no value ("no truth").
-        series: per-frame values (M,) over the matched frames, without truth over all, by metric without part,
-            such as ``joint_error_mm`` (mean over the joints) and ``largest_joint_error_mm``; what comparisons
-            pair and plots show. NaN in a frame without a value (no true velocity, no cost); a NEES may be
-            infinite.
-        series_stamp_ns: (M,) their stamps.
-        curve: None where there is no truth with points.
-        notes: what a reader of the figures must know: an alignment that was removed, an unfinished run.
-        losses: data of the result that could not be read; not empty means exit code 3.
-        track, truth, pairs: what was compared; truth and pairs None without truth.
-        which: of the result's tracks: ``filtered`` or ``smoothed``.
-        joint_offsets: the constant offset that each joint was rid of; None where that was not asked for.
-        judged: the frames with a truth, right or wrong, and what the track says of them; None without.
-        counts: what the shares among the metrics are made from, where they are of single frames or entries.
-        distributions: of the metrics as wholes that are ``Statistics``, what pooling needs of their values.
-        track_series: jitter, and residual and overlap where measured, of all N frames of the track; NaN in a
-            frame without a value.
+            ``frames_within_20mm``; in catalogue order.
+        absent: all other addresses of the subject, including parts, with the reason for the missing value.
+        series: per-frame values (M,) by metric, such as ``joint_error_mm`` (mean over the joints), over the
+            matched frames, or over all frames without ground truth; used by comparisons and plots. NaN in
+            frames without a value; a NEES can be infinite.
+        series_stamp_ns: (M,) stamps of the series.
+        curve: share of frames below an error threshold; None without true points.
+        notes: remarks on how to read the metrics: alignment, unfinished run, ...
+        losses: parts of the result that could not be read; if any, the exit code is 3.
+        track, truth, pairs: compared tracks and their association; truth and pairs are None without ground
+            truth.
+        which: name of the track: ``filtered`` or ``smoothed``.
+        joint_offsets: removed constant offsets of the joints; None if not requested.
+        judged: the frames with ground truth, judged correct or wrong; None without ground truth.
+        counts: counts of the shares among the metrics, for pooling.
+        distributions: distributions of the metrics that are ``Statistics``, for pooling; wholes only.
+        track_series: jitter, and residual and overlap if computed, over all N frames of the track; NaN in
+            frames without a value.
     """
 
     name: str
@@ -217,7 +217,7 @@ class Evaluation:
     track_series: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def placed_series(self) -> dict[str, FloatArray]:
-        """Return the series at all N frames of the track; NaN in frames without truth."""
+        """Return the series over all N frames of the track; NaN in frames without ground truth."""
         rows = np.searchsorted(self.track.stamp_ns, self.series_stamp_ns)
         placed: dict[str, FloatArray] = {}
         for name, values in self.series.items():
@@ -226,34 +226,33 @@ class Evaluation:
         return placed
 
 
-# Values of many recordings together, without keeping them: what a pooled mean and percentile are made of.
+# Mergeable distributions, for pooling many recordings without keeping their values.
 #
-# Count, mean, standard deviation and largest value of sets of values follow exactly from those of each set.
-# For percentiles the values are counted in bins whose width is a share of the value, as in DDSketch (Masson
-# et al. 2019); each bin keeps the sum of its values, too, so that a bin of equal values, or of one, stands
-# for exactly that. How much is kept depends on how far values spread, not on how many there are.
+# Count, mean, standard deviation and maximum merge exactly. Percentiles use logarithmic bins as in DDSketch
+# (Masson et al. 2019). Each bin also stores the mean of its values, so that a bin with one value, or with
+# equal values, is exact. Memory depends on the range of the values, not on their number.
 
 
 STEP = 5e-4
-"""Width of a bin, a share of the values in it: a pooled percentile is off by less than this share."""
+"""Relative width of a bin, and so the relative error bound of a pooled percentile."""
 SMALLEST = 1e-9
-"""In a figure's own unit: what is smaller counts as 0."""
+"""Smaller magnitudes, in the unit of the metric, count as 0."""
 INFINITE = 2**40
-"""The bin of infinite values, behind all others."""
+"""Bin index of infinite values, above all others."""
 FEWEST_TO_MERGE = 200_000
-"""How many bins wait before they are merged: merging takes as long for one set as for a hundred."""
+"""Number of pending bins that triggers a merge, as a merge costs the same for one set as for a hundred."""
 PIECE = 2**17
-"""Values that are put into bins at a time: bounds the memory of long recordings."""
+"""Number of values binned at a time; bounds the memory of long recordings."""
 Binned: TypeAlias = tuple[IntArray, IntArray, FloatArray]
-"""Numbers of bins, increasing, counts and means of their values."""
+"""Bin indices, increasing, and the counts and means of their values."""
 
 
 def distribution(values: FloatArray, summary: Statistics) -> Distribution:
-    """Return what is kept of values of any shape.
+    """Return the distribution of values of any shape.
 
     Args:
-        values: at least one.
-        summary: of the same values.
+        values: at least one value.
+        summary: statistics of the same values.
     """
     flat = np.ravel(values)
     pieces = [_counted(flat[first : first + PIECE]) for first in range(0, flat.size, PIECE)]
@@ -261,14 +260,14 @@ def distribution(values: FloatArray, summary: Statistics) -> Distribution:
 
 
 def _counted(values: FloatArray) -> Binned:
-    """The bins of values (N,) that are used, how many values are in each, and their mean; of NaN none."""
-    values = values[~np.isnan(values)]  # the mean tells that there were any
+    """Count the values (N,) in bins; NaN is left out, as it already shows in the mean."""
+    values = values[~np.isnan(values)]
     used, places, counts = np.unique(_bins(values), return_inverse=True, return_counts=True)
     return used, counts, np.bincount(places, np.where(np.isfinite(values), values, 0.0), len(used)) / counts
 
 
 def _together(pieces: Sequence[Binned]) -> Binned:
-    """Bins of several sets of values as those of one."""
+
     numbers, counts, means = (np.concatenate([piece[k] for piece in pieces]) for k in range(3))
     bins, places = np.unique(numbers, return_inverse=True)
     total = np.bincount(places, counts, len(bins)).astype(np.int64)
@@ -277,7 +276,7 @@ def _together(pieces: Sequence[Binned]) -> Binned:
 
 
 def _bins(values: FloatArray) -> IntArray:
-    """The number of each value's bin: 0 around 0, increasing with the value."""
+    """Return the bin index of each value: 0 around 0, increasing with the value."""
     size = np.abs(values)
     with np.errstate(divide="ignore"):
         place = np.floor(np.log(size / SMALLEST) / STEP) + 1.0
@@ -287,13 +286,13 @@ def _bins(values: FloatArray) -> IntArray:
 
 
 def merged(members: Sequence[Distribution]) -> Distribution:
-    """Return the distribution of the values of one or more together, each value counting alike."""
+    """Merge one or more distributions; all values have equal weight."""
     if len(members) == 1:
         return members[0]
     count = sum(one.count for one in members)
     weights = np.array([one.count for one in members]) / count
     means = np.array([one.mean for one in members])
-    with np.errstate(invalid="ignore"):  # infinity less infinity
+    with np.errstate(invalid="ignore"):  # inf - inf
         mean = float(weights @ means)
         spread = np.concatenate([[one.sd for one in members], np.abs(means - mean)])
         largest = float(np.max(spread))  # NaN if one is
@@ -305,14 +304,14 @@ def merged(members: Sequence[Distribution]) -> Distribution:
 
 
 class Collected:
-    """Distributions that come one after the other, merged in time: memory does not grow with their number."""
+    """Merges distributions incrementally, so that memory does not grow with their number."""
 
     def __init__(self) -> None:
         self.members = 0
         self._waiting: list[Distribution] = []
 
     def add(self, one: Distribution) -> None:
-        """Take one more."""
+        """Add a distribution."""
         self.members += 1
         self._waiting.append(one)
         first, *others = self._waiting
@@ -320,6 +319,6 @@ class Collected:
             self._waiting = [merged(self._waiting)]
 
     def total(self) -> Distribution:
-        """Return all of them together; there must be one."""
+        """Return the merged distribution; requires at least one."""
         self._waiting = [merged(self._waiting)]
         return self._waiting[0]

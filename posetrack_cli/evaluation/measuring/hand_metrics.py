@@ -1,4 +1,4 @@
-"""Errors of a hand's joints: places, their stated intervals, velocities."""
+"""Hand metrics: errors, covariance consistency and velocities of joints."""
 
 from __future__ import annotations
 
@@ -34,9 +34,6 @@ from posetrack_cli.hand.model.anatomy import ANGLE_NAMES, FINGERS, JOINT_NAMES, 
 from posetrack_cli.hand.model.kinematics import joint_jacobian
 from posetrack_cli.units import NS_PER_S
 
-# Metrics of a hand against truth
-
-
 WITHIN_MM = (10, 20, 30, 40, 50, 80)
 """Thresholds D of the metrics ``frames_within_<D>mm`` and ``frames_mean_within_<D>mm``."""
 BIAS = "joint_bias_mm"
@@ -45,13 +42,13 @@ BIAS_METRICS = (BIAS, *COMPONENTS)
 
 
 CURVE_MM: FloatArray = np.arange(0.0, 101.0)
-"""Thresholds of the curve, mm."""
-OTHER_JOINTS = "the truth has other joints"
+"""Thresholds of ``Curve``, mm."""
+OTHER_JOINTS = "the ground truth has other joints"
 _WRIST = JOINT_NAMES[0]
 _WITHIN = tuple(f"frames_within_{threshold}mm" for threshold in WITHIN_MM)
 _MEAN_WITHIN = tuple(f"frames_mean_within_{threshold}mm" for threshold in WITHIN_MM)
 STATE_PARTS = ("position", "rotation", "angles", *POSE_AXES, *ANGLE_NAMES)
-"""Parts of the state that the covariance metrics tell apart, down to its single entries."""
+"""Parts of the state that covariance metrics are reported for: blocks and single entries."""
 _JOINT_METRICS = (
     "joint_error_mm",
     "joint_error_tracked_mm",
@@ -62,11 +59,11 @@ _JOINT_METRICS = (
 
 
 def joint_bias(measures: Measures, matched: Matched, joints: Common) -> None:
-    """Add the mean error vector of each joint in the palm's axes, over the frames that are not lost.
+    """Add the mean error vector of each joint in palm axes, over the tracked frames.
 
-    With R_i the estimated rotation of the hand: b_j = mean_i R_i^T (p_ij - p_true,ij), mm, estimate minus
-    truth. Of a right hand x points to the thumb, y to the wrist, z out of the back of the hand. The whole's
-    length is the mean of |b_j| over the joints, its components are those of the mean of b_j.
+    With R_i the estimated rotation of the hand: b_j = mean_i R_i^T (p_ij - p_true,ij), mm. For a right hand,
+    x points to the thumb, y to the wrist, z out of the back of the hand. The value of the whole hand is the
+    mean of |b_j| over the joints; its components are those of the mean of b_j.
     """
     if matched.estimate.quaternion is None:
         return measures.lack("the result has no rotation", *BIAS_METRICS)
@@ -79,7 +76,7 @@ def joint_bias(measures: Measures, matched: Matched, joints: Common) -> None:
 
 
 def _biases(matched: Matched, joints: Common) -> FloatArray:
-    """(P, 3), one joint at a time: a long track's points are most of its memory."""
+    """Return b_j (P, 3), one joint at a time, as the points dominate the memory of a long track."""
     track, truth = matched.estimate, matched.truth
     rows, true_rows = tracked_pairs(track, matched.pairs)
     assert track.quaternion is not None and track.points is not None and truth.points is not None
@@ -98,15 +95,15 @@ def _add(measures: Measures, address: str, values: FloatArray, names: tuple[str,
 
 
 def hand_metrics(measures: Measures, matched: Matched, missed: int) -> Curve | None:
-    """Add every metric of a hand; return the curve if there are joints to compare.
+    """Add all hand metrics; return the error curve if there are joints to compare.
 
     The error of a joint is the Euclidean distance |p_est - p_true|, mm. ``joint_error_mm`` summarises it
-    over frames and joints, ``largest_joint_error_mm`` the largest of each frame. Joints are matched by name.
+    over frames and joints, ``largest_joint_error_mm`` the maximum of each frame. Joints are matched by name.
 
     Args:
-        measures: where to.
-        matched: the M frames with a truth; lost ones count like all others.
-        missed: truths that the result has no estimate for.
+        measures: collector.
+        matched: the M frames with ground truth, including lost ones.
+        missed: number of ground-truth frames without an estimate.
     """
     curve = _joints(measures, matched, missed)
     _wrist(measures, matched)
@@ -126,7 +123,7 @@ def _joints(measures: Measures, matched: Matched, missed: int) -> Curve | None:
         total = len(joints.names) + len(joints.lacking)
         lacking = ", ".join(joints.lacking)
         measures.notes.append(
-            f"joint errors over {len(joints.names)} of {total} joints: the truth has no {lacking}"
+            f"joint errors over {len(joints.names)} of {total} joints: the ground truth has no {lacking}"
         )
     errors = joint_errors(matched, joints)
     measures.add_parts("joint_error_mm", errors, joints.names)
@@ -146,15 +143,15 @@ def joint_errors(matched: Matched, joints: Common) -> FloatArray:
 
 
 def _tracked(measures: Measures, matched: Matched, errors: FloatArray) -> None:
-    """Joint errors where the track is not lost; a result that does not say is taken as not lost."""
+    """Add joint errors over the frames that are not lost; without a status, all frames count as tracked."""
     lost = matched.estimate.lost
     kept = errors if lost is None else errors[~rows_of(lost, matched.pairs.estimate)]
-    nothing = "every frame with truth is lost" if len(matched) else ""
+    nothing = "all frames with ground truth are lost" if len(matched) else ""
     measures.summarise("joint_error_tracked_mm", kept, nothing)
 
 
 def _fingers(measures: Measures, errors: FloatArray, names: tuple[str, ...]) -> None:
-    """Joint errors of the fingers together, of each finger, and of the fingertips."""
+    """Add joint errors of all fingers, of each finger, and of the fingertips."""
     columns = {
         finger: [i for i, name in enumerate(names) if name.startswith(f"{finger}_")] for finger in FINGERS
     }
@@ -170,10 +167,10 @@ def _fingers(measures: Measures, errors: FloatArray, names: tuple[str, ...]) -> 
 
 
 def _largest(measures: Measures, errors: FloatArray, missed: int) -> Curve | None:
-    """The largest error of each frame, and the curve: share of frames due that stay below D.
+    """Add the largest error of each frame, and return the share of expected frames below each threshold D.
 
-    Due are the frames with a truth: those matched and those that the result missed, which count as not
-    below. An estimate without truth cannot be judged and is not among them; coverage counts it.
+    Expected are the frames with ground truth, matched or missed; missed frames count as above D. Estimates
+    without ground truth are left out here and counted by the coverage metrics.
     """
     largest, mean = errors.max(axis=1), errors.mean(axis=1)
     measures.add("largest_joint_error_mm", largest)
@@ -191,9 +188,9 @@ def _largest(measures: Measures, errors: FloatArray, missed: int) -> Curve | Non
 
 
 def _wrist(measures: Measures, matched: Matched) -> None:
-    """Position and rotation of the wrist, which is the origin of hand coordinates.
+    """Add position and rotation errors of the wrist, the origin of hand coordinates.
 
-    A truth of joints alone has its wrist among them.
+    Ground truth without poses provides the position as its wrist joint.
     """
     reason = matched.lacks("position")
     joints = common_columns(matched.estimate.point_names, matched.truth.point_names)
@@ -220,43 +217,45 @@ def _wrist(measures: Measures, matched: Matched) -> None:
 
 
 def _angles(measures: Measures, matched: Matched) -> None:
-    """Absolute errors |angle_est - angle_true|; joint limits keep angles far from a full turn."""
+    """Add absolute errors |angle_est - angle_true|."""
     common = common_columns(matched.estimate.shape_names, matched.truth.shape_names)
-    if reason := matched.lacks("shape") or ("" if common.names else "the truth has other finger angles"):
+    missing = "" if common.names else "the ground truth has other finger angles"
+    if reason := matched.lacks("shape") or missing:
         return measures.lack(reason, "angle_error_deg")
+    # No wrap-around: joint limits keep the angles far from a full turn.
     mine, theirs = shape_columns(matched, "shape", common)
     measures.add_parts("angle_error_deg", np.degrees(np.abs(mine - theirs)), common.names)
 
 
-# Whether true joints lie within the intervals that a result states of its pose.
+# Covariance consistency of joints.
 #
-# A result states variances of the pose's entries, not of joints. With J the derivative of a joint's
-# coordinates by the tangent vector and P the stated, diagonal covariance, to first order::
+# Results store variances of the pose entries, not of joints. With J the derivative of a joint's coordinates
+# with respect to the tangent vector and P the stored diagonal covariance, to first order::
 #
 #     var = diag(J diag(P) J^T) = sum_k J_k^2 P_kk
 #
-# Of the wrist, which is the pose's position, that is what is stated; for other joints it leaves out how
-# errors of the entries hang together, which no result states. A truth of joints alone has no other intervals.
+# For the wrist, the origin of the pose, this is the stored variance. For other joints it ignores correlations
+# between the entries, which are not stored. With ground truth of joints only, these are the only intervals.
 
 
 METRICS = {f"joint_{name}": half_width for name, half_width in pose_metrics.INTERVALS.items()}
 BLOCK_FRAMES = 512
-"""Derivatives are many times the size of a long track: so many frames at a time."""
+"""Number of frames per block, as the Jacobians of a long track need many times its memory."""
 
 
 def joint_variances(
     anatomy: HandAnatomy, poses: FloatArray, thumbs: FloatArray, variances: FloatArray
 ) -> FloatArray:
-    """Return the variances (N, 21, 3), mm^2, camera axes, of the joints of poses.
+    """Return the variances (N, 21, 3) of the joint coordinates in camera axes, mm^2.
 
     Args:
-        anatomy: of the hand.
+        anatomy: anatomy of the hand.
         poses: (N, 22) position, mm, quaternion and angles, rad.
-        thumbs: (N, 2) their inner angles (``hand.fit.skeleton``), rad.
-        variances: (N, 21) of the tangent vector's entries, mm^2 and rad^2.
+        thumbs: (N, 2) inner angles of the thumb (``hand.fit.skeleton``), rad.
+        variances: (N, 21) variances of the tangent vector's entries, mm^2 and rad^2.
     """
     found: FloatArray = np.empty((len(poses), len(JOINT_NAMES), 3))
-    with np.errstate(all="ignore"):  # a stranger's poses may be too large for any derivative
+    with np.errstate(all="ignore"):  # poses of untrusted results can overflow the derivatives
         for rows, jacobian in jacobians(anatomy, poses, thumbs):
             found[rows] = np.einsum("njck,nk->njc", jacobian**2, variances[rows])
     return found
@@ -265,26 +264,25 @@ def joint_variances(
 def jacobians(
     anatomy: HandAnatomy, poses: FloatArray, thumbs: FloatArray
 ) -> Iterator[tuple[slice, FloatArray]]:
-    """Yield blocks of rows, and J (n, 21, 3, 21) of their poses; see ``joint_variances``."""
+    """Yield blocks of rows and the Jacobians J (n, 21, 3, 21) of their poses; see ``joint_variances``."""
     for rows in (slice(first, first + BLOCK_FRAMES) for first in range(0, len(poses), BLOCK_FRAMES)):
         yield rows, joint_jacobian(anatomy, poses[rows], thumbs[rows])
 
 
 def poses_of(matched: Matched) -> tuple[FloatArray, FloatArray]:
-    """Return the estimated poses (M, 22), and the inner angles (M, 2) of their thumbs."""
+    """Return the estimated poses (M, 22) and the inner angles of the thumb (M, 2)."""
     poses = np.hstack([matched.of_estimate(name) for name in ("position", "quaternion", "shape")])
     numbers = None if matched.estimate.numbers is None else matched.of_estimate("numbers")
     return poses, thumbs_of(numbers, len(poses))
 
 
 def joint_intervals(measures: Measures, matched: Matched, anatomy: Callable[[], HandAnatomy]) -> None:
-    """Add the shares of true joint coordinates inside the 50 % and 90 % intervals, also joint by joint.
+    """Add the shares of true joint coordinates inside the 50 % and 90 % intervals, overall and per joint.
 
     Args:
-        measures: where to.
-        matched: the frames with a truth.
-        anatomy: makes the bones of the hand that was tracked; is asked where everything else is there, and
-            raises PosetrackError where they are not known.
+        measures: collector.
+        matched: the frames with ground truth.
+        anatomy: returns the anatomy of the tracked hand, or raises PosetrackError; called only if needed.
     """
     joints = common_columns(matched.estimate.point_names, matched.truth.point_names)
     reason = hand_lacks(matched, joints) or ("" if len(matched) else measures.nothing)
@@ -293,7 +291,7 @@ def joint_intervals(measures: Measures, matched: Matched, anatomy: Callable[[], 
     try:
         normalised = dict(_normalised(matched, joints, anatomy()))
     except PosetrackError as error:
-        return measures.lack(f"bones of the hand are not known: {error}", *METRICS)
+        return measures.lack(f"unknown hand anatomy: {error}", *METRICS)
     together = np.stack(list(normalised.values()), axis=1)
     for metric, half_width in METRICS.items():
         measures.share(metric, pose_metrics.inside_interval(together, half_width))
@@ -302,49 +300,49 @@ def joint_intervals(measures: Measures, matched: Matched, anatomy: Callable[[], 
 
 
 def hand_lacks(matched: Matched, joints: Common) -> str:
-    """Return why a pose tells nothing of joints that could be compared; empty where it does."""
+    """Return why joints cannot be computed from the poses and compared; empty if they can."""
     track = matched.estimate
     if track.position is None or track.quaternion is None or track.pose_variance is None:
         return "the result has no pose with covariance"
     if track.point_names != JOINT_NAMES or track.shape_names != ANGLE_NAMES:
-        return "the result has other joints or angles than the hand's"
-    return matched.lacks("points") or ("" if joints.names else "the truth has other joints")
+        return "the result has other joints or angles than the hand model"
+    return matched.lacks("points") or ("" if joints.names else OTHER_JOINTS)
 
 
 def _normalised(matched: Matched, joints: Common, anatomy: HandAnatomy) -> Iterator[tuple[str, FloatArray]]:
-    """The squares (M, 3) of each joint's errors over their variances."""
+    """Yield the squared errors over variances (M, 3) of each joint."""
     variances = joint_variances(anatomy, *poses_of(matched), matched.of_estimate("pose_variance"))
     for name, mine, theirs in zip(joints.names, joints.estimate, joints.truth, strict=True):
         errors = matched.of_truth("points", theirs) - matched.of_estimate("points", mine)
         yield name, pose_metrics.normalised_squares(errors, variances[:, mine])
 
 
-# Velocities of a hand's joints against central differences of the true ones.
+# Joint velocities against central differences of the true positions, for ground truth of joints only.
 #
-# A truth of joints alone has no velocity of a pose. With J the derivative of a joint's coordinates by the
-# tangent vector, u the stated twist and P the stated, diagonal covariance of it, the estimated velocity of a
-# joint is J u, and to first order its variance is sum_k J_k^2 P_kk. The true one is::
+# With J the derivative of a joint's coordinates with respect to the tangent vector, u the estimated twist and
+# P its stored diagonal covariance, the estimated velocity of a joint is J u, and to first order its variance
+# is sum_k J_k^2 P_kk. The true velocity is::
 #
 #     (p_t+1 - p_t-1) / (stamp_t+1 - stamp_t-1)
 #
-# of frames whose two neighbours are at most ``FARTHEST`` usual intervals apart.
+# for frames whose two neighbours are at most ``FARTHEST`` frame intervals apart.
 
 
 ERROR = "joint_velocity_error_mm_s"
 INTERVALS = {f"joint_velocity_{name}": half_width for name, half_width in pose_metrics.INTERVALS.items()}
 _SAME_MM = 0.01
 FARTHEST = 3.0
-"""Two neighbours lie two intervals apart; where more than one frame is missing they are not neighbours."""
+"""Maximum distance of the two neighbours in frame intervals; it is 2 without gaps and 3 with one missing
+frame."""
 
 
 def joint_velocities(measures: Measures, matched: Matched, anatomy: Callable[[], HandAnatomy]) -> None:
     """Add |J u - v_true| of joints, and the shares of true velocities inside the 50 % and 90 % intervals.
 
     Args:
-        measures: where to.
-        matched: the frames with a truth.
-        anatomy: makes the bones of the hand that was tracked; is asked where everything else is there, and
-            raises PosetrackError where they are not known.
+        measures: collector.
+        matched: the frames with ground truth.
+        anatomy: returns the anatomy of the tracked hand, or raises PosetrackError; called only if needed.
     """
     joints = common_columns(matched.estimate.point_names, matched.truth.point_names)
     reason = hand_lacks(matched, joints) or matched.lacks("points") or _lacks(matched.estimate)
@@ -356,7 +354,7 @@ def joint_velocities(measures: Measures, matched: Matched, anatomy: Callable[[],
     try:
         velocity, variance = _of_joints(matched, anatomy())
     except PosetrackError as error:
-        return measures.lack(f"bones of the hand are not known: {error}", ERROR, *INTERVALS)
+        return measures.lack(f"unknown hand anatomy: {error}", ERROR, *INTERVALS)
     off = true - velocity[:, joints.estimate]
     known = known_frames(off)
     distances: FloatArray = np.linalg.norm(off, axis=-1)
@@ -371,7 +369,7 @@ def joint_velocities(measures: Measures, matched: Matched, anatomy: Callable[[],
 
 
 def central_differences(truth: Track) -> FloatArray:
-    """Return the velocities (N, P, 3), mm/s, of a truth's points; NaN without two near neighbours."""
+    """Return the velocities (N, P, 3), mm/s, of the true points; NaN without two close neighbours."""
     assert truth.points is not None
     velocities: FloatArray = np.full(truth.points.shape, np.nan)
     if len(truth) < 3:
@@ -384,25 +382,25 @@ def central_differences(truth: Track) -> FloatArray:
 
 
 def _lacks(track: Track) -> str:
-    """Why a result has no velocity of joints; empty where it has one."""
+    """Return why a result has no joint velocities; empty if it has."""
     if len(track) and _is_moved(track):
-        return "poses are aligned, and no longer those of the joints"
+        return "not available after alignment of the poses"
     if track.twist is None or track.twist_variance is None or estimates_no_velocity(track):
-        return "the run estimates no velocity"
+        return "the run does not estimate velocities"
     return ""
 
 
 def _is_moved(track: Track) -> bool:
-    """Whether an alignment has moved the poses, whose origin is the wrist."""
+    """Whether an alignment has moved the poses away from the wrist joint, their origin."""
     assert track.position is not None and track.points is not None
     return not np.allclose(track.position, track.points[:, 0], rtol=0.0, atol=_SAME_MM)
 
 
 def _of_joints(matched: Matched, anatomy: HandAnatomy) -> tuple[FloatArray, FloatArray]:
-    """The estimated velocities (M, 21, 3) of joints, mm/s, and their variances."""
+    """Return the estimated joint velocities (M, 21, 3), mm/s, and their variances."""
     twist, variance = matched.of_estimate("twist"), matched.of_estimate("twist_variance")
     found: FloatArray = np.empty((2, len(matched), len(JOINT_NAMES), 3))
-    with np.errstate(all="ignore"):  # a stranger's poses may be too large for any derivative
+    with np.errstate(all="ignore"):  # poses of untrusted results can overflow the derivatives
         for rows, jacobian in jacobians(anatomy, *poses_of(matched)):
             found[0, rows] = np.einsum("njck,nk->njc", jacobian, twist[rows])
             found[1, rows] = np.einsum("njck,nk->njc", jacobian**2, variance[rows])

@@ -1,4 +1,4 @@
-"""Metrics of a head: against truth, and against points annotated in images."""
+"""Head metrics: pose and points against ground truth, and landmarks against image annotations."""
 
 from __future__ import annotations
 
@@ -19,21 +19,16 @@ from posetrack_cli.evaluation.reading.image_points import OUTER_EYES
 from posetrack_cli.geometry.camera import Camera, pixels_from_points
 from posetrack_cli.geometry.rigid import in_object
 
-# Metrics of a head against truth: the thesis's x, y, z, roll, pitch, yaw (tables 4.1-4.3) and its points
-
-
 HEAD_POSE = ("x_mm", "y_mm", "z_mm", "roll_deg", "pitch_deg", "yaw_deg")
-"""Columns of the thesis's tables 4.1-4.3, each as mean and standard deviation."""
+"""Columns of tables 4.1-4.3 of the thesis, each reported as mean and standard deviation."""
+# Deformations are left out, as their axes are those of the face model, which the ground truth does not share.
 STATE_PARTS = ("position", "rotation", *POSE_AXES)
-"""Parts of the state that the covariance metrics tell apart; deformations are left out.
-
-Their axes belong to the model, and a truth's is another.
-"""
+"""Parts of the state that covariance metrics are reported for."""
 _POSITION, _ROTATION = (*HEAD_POSE[:3], "position_mm"), (*HEAD_POSE[3:], "rotation_deg")
 
 
 def head_metrics(measures: Measures, matched: Matched, missed: int = 0) -> None:
-    """Add every metric of a head over the M frames with a truth; lost ones count like all others."""
+    """Add all head metrics over the M frames with ground truth, including lost ones."""
     _position(measures, matched)
     _rotation(measures, matched)
     _points(measures, matched)
@@ -42,7 +37,7 @@ def head_metrics(measures: Measures, matched: Matched, missed: int = 0) -> None:
 
 
 def _position(measures: Measures, matched: Matched) -> None:
-    """|x|, |y|, |z| of t_est - t_true in camera axes, and its length."""
+    """Add |x|, |y|, |z| of t_est - t_true in camera axes, and its norm."""
     if reason := matched.lacks("position"):
         return measures.lack(reason, *_POSITION)
     mine, theirs = matched.of_estimate("position"), matched.of_truth("position")
@@ -52,7 +47,8 @@ def _position(measures: Measures, matched: Matched) -> None:
 
 
 def _rotation(measures: Measures, matched: Matched) -> None:
-    """Absolute differences of roll, pitch and yaw (``geometry.rotations``), and q_est^-1 q_true's angle."""
+    """Add absolute differences of roll, pitch and yaw (``geometry.rotations``), and the angle of
+    q_est^-1 q_true."""
     if reason := matched.lacks("quaternion"):
         return measures.lack(reason, *_ROTATION)
     mine, theirs = matched.of_estimate("quaternion"), matched.of_truth("quaternion")
@@ -63,16 +59,18 @@ def _rotation(measures: Measures, matched: Matched) -> None:
 
 
 def _points(measures: Measures, matched: Matched) -> None:
-    """Distances of points in head coordinates, m = R^T (p - t), each side by its own pose (figure 4.11).
+    """Add distances of points in head coordinates, m = R^T (p - t), each side by its own pose (figure 4.11).
 
-    The pose's error is so kept out: what remains is the error of the shape.
+    This leaves out the pose error; the remaining error is that of the shape.
     """
     points = common_columns(matched.estimate.point_names, matched.truth.point_names)
     reason = matched.lacks("points", "position", "quaternion")
-    if reason := reason or ("" if points.names else "the truth has other points"):
+    if reason := reason or ("" if points.names else "the ground truth has other points"):
         return measures.lack(reason, "point_error_mm")
     if points.lacking:
-        measures.notes.append(f"point errors without {', '.join(points.lacking)}: the truth has none")
+        measures.notes.append(
+            f"point errors without {', '.join(points.lacking)}: missing in the ground truth"
+        )
     pairs = (
         (_in_head(matched.of_estimate, mine), _in_head(matched.of_truth, theirs))
         for mine, theirs in zip(points.estimate, points.truth, strict=True)
@@ -82,27 +80,27 @@ def _points(measures: Measures, matched: Matched) -> None:
 
 
 def _in_head(side: Callable[..., FloatArray], point: int) -> FloatArray:
-    """A point (M, 3) in head coordinates, of the estimate or of the truth."""
+    """Return a point (M, 3) of the estimate or the ground truth in head coordinates."""
     return in_object(side("points", point), side("position"), side("quaternion"))
 
 
-# Metrics of a head against points that were annotated in images
+# Landmarks annotated in images
 
 
 ERROR, NORMALISED = "landmark_error_px", "landmark_nme"
 
 
 def landmark_metrics(measures: Measures, matched: Matched, camera: Camera) -> None:
-    """Add the distances between projected and annotated points, in pixels and in distances of the eyes.
+    """Add the distances between projected and annotated points, px, and normalised by the eye distance, %.
 
     Args:
-        measures: where to.
-        matched: the frames with a truth.
-        camera: of the estimates, with its distortion.
+        measures: collector.
+        matched: the frames with ground truth.
+        camera: camera of the estimates, with lens distortion.
     """
     estimate, truth = matched.estimate, matched.truth
     if truth.pixels is None:
-        return measures.lack("the truth has no image points", ERROR, NORMALISED)
+        return measures.lack("the ground truth has no image points", ERROR, NORMALISED)
     points = common_columns(estimate.point_names, truth.point_names)
     if estimate.points is None or not points.names:
         return measures.lack("the result has other points", ERROR, NORMALISED)
@@ -111,7 +109,9 @@ def landmark_metrics(measures: Measures, matched: Matched, camera: Camera) -> No
     errors = distances(projected, pixels[:, points.truth])
     known: BoolArray = np.logical_and.reduce(visible, axis=1)
     if not known.all():
-        measures.notes.append(f"image errors without {(~known).sum()} frames with points outside the view")
+        measures.notes.append(
+            f"landmark errors without {(~known).sum()} frames with points outside the field of view"
+        )
     measures.add(ERROR, errors, known)
     measures.summarise_parts(ERROR, errors[known], points.names)
     right, left = (pixels[:, truth.point_names.index(name)] for name in OUTER_EYES)

@@ -1,8 +1,8 @@
-"""What a track says of itself, against the truth: is confidence a probability, does it tell right from wrong?
+"""Discrimination and calibration of the confidence against ground truth.
 
-Frames (M) come first in every array. A frame is right (r = 1) or wrong (r = 0) by the limits of its
-``SubjectKind``. Confidence c is the probability that it is right: it should be higher in right frames than in
-wrong ones, and of the frames that state c the share c should be right.
+The first axis of all arrays is the frame (M). A frame is correct (r = 1) or wrong (r = 0) by the error limits
+of its ``SubjectKind``. The confidence c is the estimated probability that r = 1. It should separate correct
+from wrong frames (ROC curve) and be calibrated: a share c of the frames with confidence c is correct.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from posetrack_cli.arrays import BoolArray, FloatArray
 
 BINS = 10
 MOST_THRESHOLDS = 200
-"""Of a ROC curve: more cannot be told apart in a plot."""
+"""Maximum number of points of a ROC curve; enough for a plot."""
 
 
 @dataclass(frozen=True, eq=False)
 class JudgedFrames:
-    """The frames (M,) of a track whose error is known, lost ones among them, and what it says of them.
+    """The frames (M,) of a track with known error, including lost ones.
 
     Attributes:
-        confidence: as stated; what is not within 0 and 1, NaN too, counts as none.
-        right: the error is within its limits.
-        far: the error is far beyond.
-        lost: frames that say themselves that they are lost.
-        right_if: what makes a frame right, in words.
-        far_if: what makes it far off.
+        confidence: confidence; NaN and values outside 0 to 1 count as missing.
+        right: whether the errors are within the limits.
+        far: whether the errors are far beyond the limits.
+        lost: whether the frame is marked lost.
+        right_if: description of the limits of a correct frame.
+        far_if: description of the limits beyond which a frame is far off.
     """
 
     confidence: FloatArray
@@ -42,13 +42,13 @@ class JudgedFrames:
 
     @property
     def scored(self) -> tuple[FloatArray, BoolArray]:
-        """Confidence and whether it is right, of the frames that state a probability."""
+        """Confidence and correctness of the frames with a valid confidence."""
         known = (self.confidence >= 0.0) & (self.confidence <= 1.0)
         return self.confidence[known], self.right[known]
 
 
 def pooled_frames(members: Sequence[JudgedFrames]) -> JudgedFrames:
-    """Return the frames of one or more tracks as those of one: each frame counts alike."""
+    """Concatenate the judged frames of one or more tracks."""
     return JudgedFrames(
         confidence=np.concatenate([one.confidence for one in members]),
         right=np.concatenate([one.right for one in members]),
@@ -60,17 +60,17 @@ def pooled_frames(members: Sequence[JudgedFrames]) -> JudgedFrames:
 
 
 def roc_area(confidence: FloatArray, right: BoolArray) -> float:
-    """Return the area under the ROC curve of confidence against right, NaN where all are right or none is.
+    """Return the area under the ROC curve of the confidence; NaN if all frames are correct or all wrong.
 
-    With c+ the confidence of a frame that is right and c- of one that is not::
+    With c+ and c- the confidences of a correct and a wrong frame::
 
         A = P(c+ > c-) + P(c+ = c-) / 2
 
-    (Hanley and McNeil 1982): 1 where confidence tells all apart, 0.5 where it says nothing.
+    (Hanley and McNeil 1982): 1 for perfect separation, 0.5 for chance level.
 
     Args:
-        confidence: (M,) any numbers; only their order counts.
-        right: (M,).
+        confidence: (M,) any numbers; only their order matters.
+        right: (M,) whether the frame is correct.
     """
     high, low = confidence[right], np.sort(confidence[~right])
     if not len(high) or not len(low):
@@ -81,12 +81,12 @@ def roc_area(confidence: FloatArray, right: BoolArray) -> float:
 
 @dataclass(frozen=True, eq=False)
 class RocCurve:
-    """What is left where frames below a confidence are dropped.
+    """Shares of frames kept when frames below a confidence threshold are dropped.
 
     Attributes:
-        confidence: (T,) the least that is kept, decreasing; the first is infinite and keeps nothing.
-        right_kept: (T,) share of the right frames, 0 to 1.
-        wrong_kept: (T,) share of the wrong frames, 0 to 1.
+        confidence: (T,) thresholds, decreasing; the first is infinite and keeps no frame.
+        right_kept: (T,) share of the correct frames that is kept, 0 to 1.
+        wrong_kept: (T,) share of the wrong frames that is kept, 0 to 1.
     """
 
     confidence: FloatArray
@@ -95,10 +95,9 @@ class RocCurve:
 
 
 def roc_curve(confidence: FloatArray, right: BoolArray) -> RocCurve | None:
-    """Return the ROC curve, None where all are right or none is.
+    """Return the ROC curve; None if all frames are correct or all wrong.
 
-    Its corners are at the confidences (M,) that occur; of more than ``MOST_THRESHOLDS`` those are taken that
-    stand in equal distances in their order, the smallest among them.
+    The thresholds are the distinct confidences, thinned to ``MOST_THRESHOLDS`` evenly spaced ranks.
     """
     if right.all() or not right.any():
         return None
@@ -110,20 +109,20 @@ def roc_curve(confidence: FloatArray, right: BoolArray) -> RocCurve | None:
 
 
 def _share_from(values: FloatArray, least: FloatArray) -> FloatArray:
-    """The share of the values that is not below each threshold (T,), after a 0 for one that none reaches."""
+    """Return the share of values at or above each threshold (T,), preceded by 0 for an infinite threshold."""
     below = np.searchsorted(np.sort(values), least, side="left")
     return np.concatenate([[0.0], (len(values) - below) / len(values)])
 
 
 @dataclass(frozen=True)
 class Bin:
-    """Frames of like confidence.
+    """A confidence bin of a reliability diagram.
 
     Attributes:
-        low, high: confidences from low on, below high; those of 1 belong to the last.
-        count: frames.
-        confidence: their mean, NaN of none.
-        right: share of them that is right, NaN of none.
+        low, high: range of the confidence, half-open; 1 belongs to the last bin.
+        count: number of frames.
+        confidence: mean confidence; NaN if empty.
+        right: share of correct frames; NaN if empty.
     """
 
     low: float
@@ -134,11 +133,11 @@ class Bin:
 
 
 def reliability(confidence: FloatArray, right: BoolArray) -> tuple[Bin, ...]:
-    """Return ``BINS`` bins of equal width: in each the confidence should be the share that is right.
+    """Return the reliability diagram: ``BINS`` confidence bins of equal width.
 
     Args:
-        confidence: (M,) 0 to 1.
-        right: (M,).
+        confidence: (M,) confidence, 0 to 1.
+        right: (M,) whether the frame is correct.
     """
     edges = np.arange(BINS + 1) / BINS
     places = np.clip(np.searchsorted(edges, confidence, side="right") - 1, 0, BINS - 1)
@@ -155,9 +154,9 @@ def _bin(low: float, high: float, confidence: FloatArray, right: BoolArray) -> B
 
 
 def calibration_error(bins: Sequence[Bin]) -> float:
-    """Return the expected calibration error, NaN of no frame.
+    """Return the expected calibration error; NaN if there are no frames.
 
-    sum_b n_b / M |mean confidence_b - share right_b| (Naeini et al. 2015), over the bins b of n_b frames.
+    sum_b n_b / M |mean confidence_b - share correct_b| (Naeini et al. 2015), over bins b with n_b frames.
     """
     total = sum(one.count for one in bins)
     away = sum(one.count * abs(one.confidence - one.right) for one in bins if one.count)
@@ -165,5 +164,5 @@ def calibration_error(bins: Sequence[Bin]) -> float:
 
 
 def brier_score(confidence: FloatArray, right: BoolArray) -> float:
-    """Return the mean of (c - r)^2 over frames (M,) (Brier 1950), NaN of none; saying 0.5 always has 0.25."""
+    """Return the mean of (c - r)^2 over frames (M,) (Brier 1950); NaN if there are no frames."""
     return float(((confidence - right) ** 2).mean()) if len(confidence) else float("nan")

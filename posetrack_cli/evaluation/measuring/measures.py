@@ -1,4 +1,4 @@
-"""What a metric is, and what its values per frame give."""
+"""Definition of a metric, and collection of metric values."""
 
 from __future__ import annotations
 
@@ -12,42 +12,39 @@ from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
 from posetrack_cli.evaluation.measuring.evaluation import Count, Distribution, Value, distribution, statistics
 from posetrack_cli.evaluation.reading.tracks import Pairs, Track
 
-# What a metric is
-
-
 Better: TypeAlias = Literal["lower", "higher", "neither"]
 PartKind: TypeAlias = Literal["joint", "finger", "angle", "point", "state"]
 Group: TypeAlias = Literal["coverage", "accuracy", "velocity", "covariance", "honesty", "consistency", "run"]
 
 GROUP_TITLES: dict[Group, str] = {
     "coverage": "Coverage",
-    "accuracy": "Error against truth",
-    "velocity": "Velocity error against truth",
-    "covariance": "Stated covariance against truth",
-    "honesty": "Honesty against truth",
-    "consistency": "Self-consistency, without truth",
+    "accuracy": "Error against ground truth",
+    "velocity": "Velocity error",
+    "covariance": "Covariance consistency",
+    "honesty": "Confidence and status",
+    "consistency": "Self-consistency",
     "run": "Run",
 }
-"""The groups in the order of every table."""
+"""Titles of the groups, in table order."""
 
 _UNIT_ENDINGS = ("_deg_s", "_mm_s", "_mm", "_deg", "_px", "_s")
 
 
 @dataclass(frozen=True)
 class Metric:
-    """What a figure means.
+    """Definition of a metric.
 
     Attributes:
-        name: first word of its address; ends in its unit where it has one.
+        name: first component of its addresses; ends with the unit, if any.
         unit: mm, deg, s, ...; empty for counts and shares.
-        meaning: one sentence.
-        part: kind of the parts that it is told for besides the whole; None for none.
-        group: where tables show it.
-        better: which way an improvement goes; ``neither`` where the figure has a target or none at all.
-        scalar: one number; otherwise ``Statistics``.
-        spoken: what a page calls it; by default the name without its unit.
-        needs_depth: whether it is measured against depth images.
-        pooled: of one number, whether it is told of several results together, too; ``Statistics`` always are.
+        meaning: description in one sentence.
+        part: kind of the parts that it is also reported for; None for none.
+        group: group in tables.
+        better: direction of improvement; ``neither`` for metrics with a target value or no preference.
+        scalar: True for a single number, False for ``Statistics``.
+        spoken: display name; defaults to the name without its unit.
+        needs_depth: whether it requires depth images.
+        pooled: whether a scalar is pooled over results; ``Statistics`` always are.
     """
 
     name: str
@@ -63,17 +60,14 @@ class Metric:
 
     @property
     def label(self) -> str:
-        """What a page calls it."""
+        """Display name."""
         endings = (self.name.removesuffix(end) for end in _UNIT_ENDINGS if self.name.endswith(end))
         return self.spoken or next(endings, self.name).replace("_", " ")
 
 
-# What measuring works on and what it collects: matched rows, figures, series, and reasons for gaps
-
-
 @dataclass(frozen=True, eq=False)
 class Matched:
-    """An estimate and a truth, and which of their rows belong together (M of them)."""
+    """Estimate and ground truth with their M associated rows."""
 
     estimate: Track
     truth: Track
@@ -83,16 +77,16 @@ class Matched:
         return len(self.pairs.estimate)
 
     def of_estimate(self, name: str, *columns: int | slice) -> Any:
-        """The matched rows of one of the estimate's arrays, or of some of its columns."""
+        """Return the matched rows (M, ...) of an array of the estimate, or of some of its columns."""
         return rows_of(getattr(self.estimate, name)[:, *columns], self.pairs.estimate)
 
     def of_truth(self, name: str, *columns: int | slice) -> Any:
-        """The same of the truth."""
+        """Return the matched rows (M, ...) of an array of the ground truth, or of some of its columns."""
         return rows_of(getattr(self.truth, name)[:, *columns], self.pairs.truth)
 
     def lacks(self, *names: str) -> str:
-        """Why these arrays cannot be compared: which side has none; empty when both have all."""
-        for side, track in (("truth", self.truth), ("result", self.estimate)):
+        """Return why these arrays cannot be compared; empty if both sides have all of them."""
+        for side, track in (("ground truth", self.truth), ("result", self.estimate)):
             for name in names:
                 if getattr(track, name) is None:
                     if track.pixels is not None:
@@ -112,7 +106,7 @@ _WORDS = {
 
 
 def rows_of(array: Any, rows: IntArray) -> Any:
-    """Return rows of an array; of adjoining ones a view, since copies of long tracks cost most of the memory.
+    """Return rows of an array: a view if they are contiguous, as copies of long tracks dominate memory.
 
     Args:
         array: (N, ...).
@@ -125,13 +119,13 @@ def rows_of(array: Any, rows: IntArray) -> Any:
 
 @dataclass(frozen=True)
 class Common:
-    """Points or shape entries that an estimate and a truth both have.
+    """Points or shape entries that estimate and ground truth have in common.
 
     Attributes:
-        names: in the estimate's order.
-        estimate: their columns there.
-        truth: their columns in the truth.
-        lacking: the estimate's others.
+        names: common names, in the order of the estimate.
+        estimate: their columns in the estimate.
+        truth: their columns in the ground truth.
+        lacking: names that only the estimate has.
     """
 
     names: tuple[str, ...]
@@ -141,7 +135,7 @@ class Common:
 
 
 def common_columns(estimate: Sequence[str], truth: Sequence[str]) -> Common:
-    """Find what two lists of names share."""
+    """Return the common names of two lists."""
     where = {name: column for column, name in enumerate(truth)}
     mine = [column for column, name in enumerate(estimate) if name in where]
     names = tuple(estimate[column] for column in mine)
@@ -152,7 +146,7 @@ def common_columns(estimate: Sequence[str], truth: Sequence[str]) -> Common:
 def shape_columns(
     matched: Matched, name: str, common: Common, first: int = 0
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the shape entries (M, K) that both sides have; they begin at column ``first`` of the array."""
+    """Return the common shape entries (M, K) of both sides; they start at column ``first`` of the array."""
     mine = matched.of_estimate(name, slice(first, None))[:, common.estimate]
     theirs = matched.of_truth(name, slice(first, None))[:, common.truth]
     return mine, theirs
@@ -160,17 +154,17 @@ def shape_columns(
 
 @dataclass
 class Measures:
-    """Collects what is measured.
+    """Collector of metric values.
 
     Attributes:
-        nothing: why there is no figure where nothing is there to be summarised.
+        nothing: reason for a missing value if there are no values to summarise.
         metrics: values by address without statistic.
-        series: per-frame values by address; of wholes only, parts would be many.
-        track_series: the same of what needs no truth, over all frames of the track.
-        absent: reasons by metric or address.
-        counts: by address what ``share`` made shares from.
-        distributions: by address of a whole what pooling needs of the values that were summarised.
-        notes: what a reader must know about the figures.
+        series: per-frame values by metric, without parts.
+        track_series: per-frame values over all frames of the track, for metrics without ground truth.
+        absent: reasons for missing values, by metric or address.
+        counts: counts of the shares, by address.
+        distributions: distributions of the summarised values by metric, for pooling.
+        notes: remarks on how to read the metrics.
     """
 
     nothing: str
@@ -183,29 +177,29 @@ class Measures:
     distributions: dict[str, Distribution] = field(default_factory=dict)
 
     def add(self, address: str, values: FloatArray, known: BoolArray | None = None) -> None:
-        """Summarise the values of frames (M,), or of frames and parts (M, K), whose mean is the series.
+        """Summarise per-frame values (M,), or values of frames and parts (M, K), and add a series.
 
         Args:
-            address: of the whole.
-            values: of every matched frame.
-            known: (M,) the frames that have a value; the others are NaN in the series, and not summarised.
+            address: address of the metric.
+            values: values of all matched frames; the series is their mean over parts.
+            known: (M,) mask of the frames with a value; others are NaN in the series and not summarised.
         """
         if self.summarise(address, values if known is None else values[known]):
             per_frame = values if values.ndim == 1 else values.mean(axis=1)
             self.series[address] = per_frame if known is None else np.where(known, per_frame, np.nan)
 
     def add_parts(self, address: str, values: FloatArray, names: Sequence[str]) -> None:
-        """Summarise the values (M, K) together, and each part's (M,) by its name."""
+        """Summarise values (M, K) as a whole and by part."""
         self.add(address, values)
         self.summarise_parts(address, values, names)
 
     def summarise_parts(self, address: str, values: FloatArray, names: Sequence[str]) -> None:
-        """Summarise each part's values, a column of (M, K), by its name; without a series."""
+        """Summarise each column of values (M, K) under the name of its part; adds no series."""
         for column, name in enumerate(names):
             self.summarise(f"{address}.{name}", values[:, column])
 
     def summarise(self, address: str, values: FloatArray, nothing: str = "") -> bool:
-        """Summarise values; of none the reason is kept. Returns whether there were any."""
+        """Summarise values and return True; record the reason and return False if there are none."""
         if values.size:
             summary = self.metrics[address] = statistics(values)
             if "." not in address:
@@ -215,7 +209,7 @@ class Measures:
         return bool(values.size)
 
     def share(self, address: str, inside: np.ndarray[Any, Any]) -> None:
-        """Keep which share of truth values is true; of none the reason is kept."""
+        """Add the share of True values; record the reason if there are none."""
         if inside.size:
             self.metrics[address] = float(inside.mean())
             self.counts[address] = Count(int(inside.sum()), inside.size)
@@ -223,5 +217,5 @@ class Measures:
             self.absent[address] = self.nothing
 
     def lack(self, reason: str, *addresses: str) -> None:
-        """Keep why these have no value."""
+        """Record why these addresses have no value."""
         self.absent.update(dict.fromkeys(addresses, reason))

@@ -1,7 +1,7 @@
-"""Several results as one: each frame counts alike, whichever recording it is of.
+"""Pooling of results: metrics over the frames of several recordings, with equal weight for each frame.
 
-What is pooled are counts of frames, shares, what a track says of itself, and the statistics of every metric
-as a whole (``evaluation.measuring.catalogue.is_pooled``). A gate addresses them by ``pooled.NAME``.
+Frame counts, shares, confidence metrics and the statistics of all metrics without parts are pooled
+(``evaluation.measuring.catalogue.is_pooled``). Gates address them as ``pooled.NAME``.
 """
 
 from __future__ import annotations
@@ -20,24 +20,24 @@ from posetrack_cli.evaluation.reading.tracks import Coverage
 from posetrack_cli.recording.base import RECORDING_KEY
 
 POOLED = "pooled"
-"""What results together are called."""
-NO_FRAMES = "the results have no frame in common with their truth"
+"""Name of a pool, and prefix of pooled metrics in gates."""
+NO_FRAMES = "no result has a frame in common with its ground truth"
 
 
 @dataclass(frozen=True, eq=False)
 class Pool:
-    """Results of one kind of subject and track, together.
+    """Pooled results with the same subject and track.
 
     Attributes:
-        name: what tables call it.
-        subject: of all of them.
-        which: of their tracks.
-        results: their names.
-        coverage: their counts of frames, added up.
-        metrics: values by address, as of an ``Evaluation``; only what every member has.
-        absent: the addresses that are pooled and have no value, and why.
-        judged: all their frames with a truth; None where a member has none.
-        grouped: whether they are a group.
+        name: display name.
+        subject: kind of subject.
+        which: name of the track.
+        results: names of the pooled results.
+        coverage: sum of the frame counts.
+        metrics: values by address, as in ``Evaluation``; only metrics that all members have.
+        absent: reasons for missing values, by address.
+        judged: judged frames of all members; None if a member has none.
+        grouped: whether the pool is a group.
     """
 
     name: str
@@ -51,49 +51,49 @@ class Pool:
     grouped: bool = False
 
     @property
-    def says_more(self) -> bool:
-        """Whether it has figures that no single result has."""
+    def has_pooled_values(self) -> bool:
+        """Whether the pool has values beyond those of a single result."""
         return len(self.results) > 1 and bool(self.metrics)
 
 
-class Gathered:
-    """The values of results that are pooled, as they are measured one after the other."""
+class PoolBuilder:
+    """Accumulates the value distributions of a pool, one result at a time."""
 
     def __init__(self) -> None:
         self._collected: dict[str, Collected] = {}
 
     def add(self, evaluation: Evaluation) -> None:
-        """Take the distributions of a result, which it then need not keep."""
+        """Add the distributions of a result, which need not be kept afterwards."""
         for base, one in evaluation.distributions.items():
             self._collected.setdefault(base, Collected()).add(one)
 
     def statistics(self, results: int) -> dict[str, Value]:
-        """Return the figures that each of so many results had."""
+        """Return the statistics of the metrics that all ``results`` results have."""
         return {
             base: of.total().statistics() for base, of in self._collected.items() if of.members == results
         }
 
 
 PoolKey: TypeAlias = tuple[str, str] | str
-"""What is pooled: a subject and a track of the results that are in no group, or a group's name."""
+"""Key of a pool: subject and track of ungrouped results, or the name of a group."""
 
 
 def make_pools(
     evaluations: Sequence[Evaluation],
     groups: Mapping[str, Sequence[Evaluation]],
-    gathered: Mapping[PoolKey, Gathered] | None = None,
+    builders: Mapping[PoolKey, PoolBuilder] | None = None,
 ) -> tuple[Pool, ...]:
-    """Pool results that stand for themselves, by subject and track, and those of each group.
+    """Pool ungrouped results by subject and track, and the results of each group.
 
-    Results of one recording that are in no group are there to be compared, not to be counted twice: such
-    pools have no figures, and say why.
+    Ungrouped results of the same recording are compared rather than pooled: their pool has no values, and
+    states the reason.
 
     Args:
-        evaluations: that are in no group.
-        groups: by name; the members of one are of the same subject and track.
-        gathered: the values of each pool; by default the evaluations have them still.
+        evaluations: ungrouped results.
+        groups: results by group; the members of a group have the same subject and track.
+        builders: accumulated distributions of each pool; None takes them from the evaluations.
     """
-    known = gathered or {}
+    known = builders or {}
     kinds: dict[tuple[str, str], list[Evaluation]] = {}
     for one in evaluations:
         kinds.setdefault((one.subject, one.which), []).append(one)
@@ -103,7 +103,7 @@ def make_pools(
 
 
 def _name(members: Sequence[Evaluation], kinds: Iterable[tuple[str, str]]) -> str:
-    """As short as tells the pools apart."""
+    """Return the shortest unambiguous name of a pool."""
     first, kinds = members[0], list(kinds)
     subjects, tracks = ({kind[k] for kind in kinds} for k in (0, 1))
     more = [first.subject] * (len(subjects) > 1) + [first.which] * (len(tracks) > 1)
@@ -111,42 +111,42 @@ def _name(members: Sequence[Evaluation], kinds: Iterable[tuple[str, str]]) -> st
 
 
 def _same_recording(members: Sequence[Evaluation]) -> str:
-    """Why these results are not one sample, or nothing."""
+    """Return why these results must not be pooled: two are of the same recording. Empty otherwise."""
     first: dict[str, Evaluation] = {}
     for one in members:
         recording = one.run.get(RECORDING_KEY, "")
         other = first.setdefault(recording, one) if recording else one
         if other is not one:
             return (
-                f"{other.name} and {one.name} are of one recording, so results are compared, not pooled; "
-                "--group pools each group"
+                f"{other.name} and {one.name} are of the same recording, so the results are not pooled; "
+                "use --group to pool by group"
             )
     return ""
 
 
 def pool(
-    name: str, members: Sequence[Evaluation], reason: str = "", gathered: Gathered | None = None
+    name: str, members: Sequence[Evaluation], reason: str = "", builder: PoolBuilder | None = None
 ) -> Pool:
     """Pool results of one kind of subject.
 
-    A figure that one of them lacks is not made of the others alone. What confidence says is made anew from
-    all frames, also where single results have no wrong frame or no right one.
+    Metrics that a member lacks are not pooled. Confidence metrics are recomputed from all frames, so they can
+    exist even if single results have no correct or no wrong frame.
 
     Args:
-        name: what the pool is called.
-        members: at least one.
-        reason: why they have no figures together; by default they do.
-        gathered: their values; by default they have them still.
+        name: name of the pool.
+        members: at least one result.
+        reason: reason not to pool the values; empty to pool them.
+        builder: accumulated distributions; None takes them from the members.
     """
-    if gathered is None:
-        gathered = Gathered()
+    if builder is None:
+        builder = PoolBuilder()
         for one in members:
-            gathered.add(one)
+            builder.add(one)
     coverage = _added([one.coverage for one in members])
     judged = None if reason else _judged(members)
     measures = Measures(NO_FRAMES)
     if not reason:
-        measures.metrics |= coverage_metrics(coverage) | _shares(members) | gathered.statistics(len(members))
+        measures.metrics |= coverage_metrics(coverage) | _shares(members) | builder.statistics(len(members))
         if judged is not None:
             honesty_metrics(measures, judged)
     found = measures.metrics
@@ -169,7 +169,7 @@ def pool(
 
 
 def _added(coverages: Sequence[Coverage]) -> Coverage:
-    """Counts added up; there is a truth where all have one."""
+    """Add up frame counts; the sum has ground truth if all members have."""
     rows = [asdict(one) for one in coverages]
     added = {name: sum(row[name] for row in rows) for name in rows[0]}
     return Coverage(**{**added, "has_truth": all(one.has_truth for one in coverages)})
@@ -181,7 +181,7 @@ def _judged(members: Sequence[Evaluation]) -> JudgedFrames | None:
 
 
 def _shares(members: Sequence[Evaluation]) -> dict[str, Value]:
-    """The shares that all have counts of, each entry counting alike."""
+    """Return the pooled shares of the metrics that all members have counts of."""
     first, *others = (one.counts for one in members)
     common = [base for base in first if base not in HONESTY and all(base in other for other in others)]
     return {base: _share([one.counts[base] for one in members]) for base in common}
@@ -192,13 +192,13 @@ def _share(counts: Sequence[Count]) -> float:
 
 
 def _addresses(members: Sequence[Evaluation]) -> dict[str, None]:
-    """What is pooled of everything that a member has or lacks."""
+    """Return the pooled addresses among those that a member has or lacks."""
     every = dict.fromkeys(base for one in members for base in (*one.metrics, *one.absent))
     return {base: None for base in every if is_pooled(base)}
 
 
 def _lacking(members: Sequence[Evaluation], base: str) -> str:
-    """Why a figure of all is missing: the first that has none, and its reason."""
+    """Return the first member without a value, and its reason."""
     lacking = ((one.name, one.absent.get(base, "not measured")) for one in members if base not in one.metrics)
     name, reason = next(lacking, ("", NO_FRAMES))
     return f"{name}: {reason}" if name else reason

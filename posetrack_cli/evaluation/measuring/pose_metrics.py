@@ -1,4 +1,4 @@
-"""Errors of pose and velocity, and what stated variances are worth."""
+"""Pose and velocity errors, and covariance consistency."""
 
 from __future__ import annotations
 
@@ -19,41 +19,42 @@ from posetrack_cli.evaluation.reading.tracks import Track
 from posetrack_cli.geometry import rotations
 from posetrack_cli.geometry.rotations import head_roll_pitch_yaw
 
-# Errors of estimated against true poses, points and velocities: arrays in, arrays out.
+# Errors of poses, points and velocities as array functions.
 #
-# Frames (M) come first in every array. Positions and points in mm, camera axes; quaternions x y z w; angular
-# velocities in rad/s and the body's own axes. Angular errors are returned in degrees.
+# The first axis is the frame (M). Positions and points in mm, camera axes; quaternions x y z w; angular
+# velocities in rad/s, body axes. Angular errors are returned in degrees.
 
 
 INSIDE_50, INSIDE_90 = 0.6744897501960817, 1.6448536269514722
-"""Half widths of the 50 % and the 90 % interval of a normal distribution, in standard deviations."""
+"""Half widths of the 50 % and 90 % intervals of a normal distribution, in standard deviations."""
 INTERVALS = {"inside_50": INSIDE_50, "inside_90": INSIDE_90}
-"""Half widths of the intervals whose shares are counted, by metric."""
+"""Half widths of the intervals, by metric."""
 
 ROUNDING = 1e-9
-"""Errors this small, mm or rad, come from arithmetic: an estimate that claims certainty is right then."""
+"""Errors up to this size, mm or rad, are rounding errors and count as 0, even if the stored variance is 0."""
 
 
 def distances(estimate: FloatArray, truth: FloatArray) -> FloatArray:
     """Return |a - b| of vectors (..., 3)."""
+    # Avoids the temporary arrays of np.linalg.norm, which matter for long tracks.
     difference = estimate - truth
     lengths: FloatArray = np.sqrt(np.einsum("...i,...i->...", difference, difference))
     return lengths
 
 
 def distances_by_point(points: Iterator[tuple[FloatArray, FloatArray]], frames: int) -> FloatArray:
-    """Return the distances (M, P) between points, given as P pairs of (M, 3): one at a time in memory."""
+    """Return the distances (M, P) between P pairs of points (M, 3), which are processed one at a time."""
     columns = [distances(estimate, truth) for estimate, truth in points]
     return np.stack(columns).T if columns else np.empty((frames, 0))
 
 
 def rotation_errors_deg(estimate: FloatArray, truth: FloatArray) -> FloatArray:
-    """Return the angle (M,), 0 to 180 deg, of q_est^-1 q_true: symmetric, and the same for q and -q."""
+    """Return the angle (M,) of q_est^-1 q_true, 0 to 180 deg; symmetric, and invariant to the sign of q."""
     return np.degrees(rotations.angle_between(estimate, truth))
 
 
 def euler_errors_deg(estimate: FloatArray, truth: FloatArray) -> FloatArray:
-    """Return the absolute differences (M, 3) of roll, pitch, yaw of heads, deg, the short way round."""
+    """Return the absolute differences (M, 3) of head roll, pitch and yaw, deg, wrapped to 0 to 180."""
     difference = np.degrees(head_roll_pitch_yaw(estimate) - head_roll_pitch_yaw(truth))
     return np.abs(np.mod(difference + 180.0, 360.0) - 180.0)
 
@@ -61,7 +62,7 @@ def euler_errors_deg(estimate: FloatArray, truth: FloatArray) -> FloatArray:
 def angular_velocity_errors_deg(
     estimate: FloatArray, truth: FloatArray, quaternion: FloatArray, true_quaternion: FloatArray
 ) -> FloatArray:
-    """Return |R_est w_est - R_true w_true|, (M,) deg/s: each side's velocity (M, 3) in camera axes."""
+    """Return |R_est w_est - R_true w_true|, (M,) deg/s, from velocities (M, 3) in body axes."""
     mine = rotations.rotate(quaternion, estimate)
     theirs = rotations.rotate(true_quaternion, truth)
     return np.degrees(distances(mine, theirs))
@@ -70,7 +71,7 @@ def angular_velocity_errors_deg(
 def pose_difference(
     position: FloatArray, quaternion: FloatArray, true_position: FloatArray, true_quaternion: FloatArray
 ) -> FloatArray:
-    """Return (t_true - t_est; log(q_est^-1 q_true)), (M, 6): the truth in the estimate's tangent space."""
+    """Return (t_true - t_est; log(q_est^-1 q_true)), (M, 6): the error in the estimate's tangent space."""
     turn = rotations.logarithm(rotations.multiply(rotations.conjugate(quaternion), true_quaternion))
     return np.hstack([true_position - position, turn])
 
@@ -85,10 +86,7 @@ def twist_difference(
 
 
 def normalised_squares(errors: FloatArray, variances: FloatArray) -> FloatArray:
-    """Return e^2 / variance, (M, D): 0 where a certain entry is right, infinite where it is wrong.
-
-    An error up to ``ROUNDING`` counts as none.
-    """
+    """Return e^2 / variance, (M, D); infinite if the variance is 0 and the error exceeds ``ROUNDING``."""
     squares = np.where(np.abs(errors) <= ROUNDING, 0.0, errors) ** 2
     with np.errstate(divide="ignore", over="ignore"):
         np.divide(squares, variances, out=squares, where=squares != 0.0)
@@ -96,41 +94,38 @@ def normalised_squares(errors: FloatArray, variances: FloatArray) -> FloatArray:
 
 
 def inside_interval(normalised: FloatArray, half_width: float = INSIDE_90) -> BoolArray:
-    """Return which entries lie within so many standard deviations, from their normalised squares."""
+    """Return which entries, given as normalised squares, are within ``half_width`` standard deviations."""
     inside: BoolArray = normalised <= half_width**2
     return inside
 
 
 def share_below(values: FloatArray, thresholds: FloatArray, due: int) -> FloatArray:
-    """Return for each threshold D the number of values below D over ``due``; NaN when nothing is due."""
+    """Return the number of values below each threshold divided by ``due``; NaN if ``due`` is 0."""
     below = np.searchsorted(np.sort(values), thresholds, side="left")
     return below / due if due else np.full(len(thresholds), np.nan)
 
 
-# Metrics of velocities against a truth that has one.
-#
-# A truth may know the velocity of some frames or of some entries only, the rest is NaN: each metric is over
-# the frames that it has both sides of, and a note says when they are not all.
+# Velocities against ground truth. It may lack velocities of some frames or entries (NaN): each metric covers
+# the frames where both sides are known, and a note states how many if not all.
 
 
 LINEAR_METRIC = "velocity_error_mm_s"
 ANGULAR_METRIC = "angular_velocity_error_deg_s"
 ANGLES_METRIC = "angle_velocity_error_deg_s"
 LINEAR, ANGULAR, SHAPE = slice(0, 3), slice(3, 6), 6
-"""Columns of a twist; the shape's begin at 6."""
-NO_VELOCITY = "the truth has no velocity"
+"""Columns of a twist; those of the shape start at 6."""
+NO_VELOCITY = "the ground truth has no velocity"
 
 
 def velocity_metrics(measures: Measures, matched: Matched, *, angles: bool = False) -> None:
-    """Add |v_est - v_true|, |R_est w_est - R_true w_true| and, of angles, |angle' - true angle'|.
+    """Add |v_est - v_true|, |R_est w_est - R_true w_true| and, for angles, |angle' - true angle'|.
 
-    The angular velocities of both sides are in their own body's axes, so they are brought to camera axes
-    before they are compared.
+    Angular velocities are transformed from body to camera axes before comparison.
 
     Args:
-        measures: where to.
-        matched: the frames with a truth.
-        angles: whether the shape entries are angles of joints.
+        measures: collector.
+        matched: the frames with ground truth.
+        angles: whether the shape entries are joint angles.
     """
     if reason := velocity_lacks(matched):
         return measures.lack(reason, LINEAR_METRIC, ANGULAR_METRIC, *([ANGLES_METRIC] if angles else []))
@@ -141,22 +136,22 @@ def velocity_metrics(measures: Measures, matched: Matched, *, angles: bool = Fal
 
 
 def velocity_lacks(matched: Matched) -> str:
-    """Why velocities cannot be compared at all; empty when they can."""
+    """Return why velocities cannot be compared; empty if they can."""
     if reason := matched.lacks("twist"):
         return reason
     if estimates_no_velocity(matched.estimate):
-        return "the run estimates no velocity"
+        return "the run does not estimate velocities"
     return NO_VELOCITY if _moves_without_velocity(matched.truth) else ""
 
 
 def estimates_no_velocity(track: Track) -> bool:
-    """Return whether all velocities are exactly 0 and certain, as a filter without velocity writes them."""
+    """Whether all velocities and their variances are exactly 0, as written by filters without velocity."""
     both = (track.twist, track.twist_variance)
     return len(track) > 0 and not any(array is not None and array.any() for array in both)
 
 
 def _moves_without_velocity(truth: Track) -> bool:
-    """Whether all velocities are exactly 0 though the pose changes, as a filter without velocity says."""
+    """Whether all velocities are exactly 0 although the pose changes: ground truth without velocities."""
     moves = any(
         array is not None and (array != array[:1]).any() for array in (truth.position, truth.quaternion)
     )
@@ -180,7 +175,7 @@ def _angular(measures: Measures, matched: Matched) -> None:
 def _angles(measures: Measures, matched: Matched) -> None:
     common = common_columns(matched.estimate.shape_names, matched.truth.shape_names)
     if not common.names:
-        return measures.lack("the truth has no finger angles", ANGLES_METRIC)
+        return measures.lack("the ground truth has no finger angles", ANGLES_METRIC)
     mine, theirs = shape_columns(matched, "twist", common, SHAPE)
     errors = np.degrees(np.abs(mine - theirs))
     known = _add(measures, ANGLES_METRIC, errors)
@@ -189,41 +184,41 @@ def _angles(measures: Measures, matched: Matched) -> None:
 
 
 def _add(measures: Measures, address: str, errors: FloatArray) -> BoolArray:
-    """Add the errors (M,) or (M, K) of the frames where they are known; return which (M,) these are."""
+    """Add errors (M,) or (M, K) of the frames where all are known; return the mask (M,) of these frames."""
     known = known_frames(errors)
     if len(known) and not known.any():
         measures.lack(NO_VELOCITY, address)
         return known
     if not known.all():
-        measures.notes.append(f"{address} is over the {int(known.sum())} of {len(known)} frames that have it")
+        measures.notes.append(f"{address} covers {int(known.sum())} of {len(known)} frames")
     measures.add(address, errors, known)
     return known
 
 
 def known_frames(errors: FloatArray) -> BoolArray:
-    """Return in which frames (M,) all errors, (M,) or (M, K), are known, that is finite."""
+    """Return the mask (M,) of frames in which all errors, (M,) or (M, K), are finite."""
     finite: BoolArray = np.isfinite(errors)
     known: BoolArray = np.logical_and.reduce(finite, axis=tuple(range(1, finite.ndim)))
     return known
 
 
-# Whether a hidden truth lies inside the stated covariance.
+# Covariance consistency.
 #
-# The error is taken in the tangent space of the estimate, where the variances are stated: mm in camera axes,
-# rad in the body's axes, angles. Results state the diagonal only, so with e the error and P the covariance::
+# The error e is taken in the tangent space of the estimate, where the variances are defined: mm in camera
+# axes, rad in body axes, angles. Results store only the diagonal of the covariance P::
 #
 #     NEES = e^T diag(P)^-1 e = sum_i e_i^2 / P_ii
 #
-# Its mean is the number of entries D when the variances are right, whether errors are correlated or not:
-# every term has mean 1. (Bar-Shalom, Li and Kirubarajan 2001, section 5.4, state its chi-square distribution,
-# which holds only for independent Gaussian entries, and that of the mean only for independent frames: tracks
-# have neither, so no interval is given.)
+# If the variances are right, each term has mean 1, so the mean NEES is the number of entries D, even if the
+# errors are correlated. The chi-square distribution (Bar-Shalom, Li and Kirubarajan 2001, section 5.4)
+# requires independent Gaussian entries, and that of the mean independent frames. Tracks have neither, so no
+# confidence interval is reported.
 
 
 POSE_AXES = ("x", "y", "z", "about_x", "about_y", "about_z")
-"""The entries of a pose in the tangent space."""
+"""Entries of a pose in the tangent space."""
 ANGLES = "angles"
-"""The part of a state that its shape entries are, if they belong to the pose."""
+"""Name of the part of a state with the shape entries, for subjects whose pose includes them."""
 _BLOCKS = {"position": slice(0, 3), "rotation": slice(3, 6), ANGLES: slice(6, None)}
 POSE = ("nees", *INTERVALS)
 VELOCITY = tuple(f"velocity_{name}" for name in POSE)
@@ -231,13 +226,13 @@ NO_SHAPE = Common((), (), (), ())
 
 
 def covariance_metrics(measures: Measures, matched: Matched, parts: Sequence[str]) -> None:
-    """Add NEES and the shares inside 50 % and 90 % intervals, of poses and of velocities.
+    """Add NEES and the shares inside 50 % and 90 % intervals, for poses and velocities.
 
     Args:
-        measures: where to.
-        matched: the frames with a truth.
-        parts: of the state that are told apart: blocks and, in the state's order, its entries; the shape
-            entries are compared if ``ANGLES`` is among them.
+        measures: collector.
+        matched: the frames with ground truth.
+        parts: parts of the state to report: blocks and, in the order of the state, its entries; the shape
+            entries are included if ``ANGLES`` is among them.
     """
     shapes, fields = NO_SHAPE, ["position", "quaternion"]
     if ANGLES in parts:
@@ -245,7 +240,7 @@ def covariance_metrics(measures: Measures, matched: Matched, parts: Sequence[str
         shapes = common_columns(matched.estimate.shape_names, matched.truth.shape_names)
     reason = matched.lacks(*fields)
     if not reason and shapes.lacking:
-        reason = f"the truth has no angle {shapes.lacking[0]}"
+        reason = f"the ground truth has no angle {shapes.lacking[0]}"
     collected = _Collected(measures, parts)
     _pose(collected, matched, shapes, reason)
     _velocity(collected, matched, shapes, reason or velocity_lacks(matched))
@@ -253,13 +248,13 @@ def covariance_metrics(measures: Measures, matched: Matched, parts: Sequence[str
 
 @dataclass(frozen=True)
 class _Collected:
-    """Where the metrics go, and the parts that are told apart."""
+    """Collector of covariance metrics for these parts of the state."""
 
     measures: Measures
     parts: Sequence[str]
 
     def add(self, names: Sequence[str], normalised: FloatArray, known: BoolArray) -> None:
-        """Add NEES and the shares inside, of the frames (M,) whose normalised squares (M, D) are known."""
+        """Add NEES and shares inside the intervals from normalised squares (M, D) of the known frames."""
         nees, *levels = names
         self.measures.add(nees, normalised.sum(axis=1), known)
         for name, half_width in zip(levels, INTERVALS.values(), strict=True):
@@ -287,7 +282,7 @@ def _pose(collected: _Collected, matched: Matched, shapes: Common, reason: str) 
 
 def _velocity(collected: _Collected, matched: Matched, shapes: Common, reason: str) -> None:
     if not reason and matched.estimate.twist_variance is None:
-        reason = "the result has no covariance of velocities"
+        reason = "the result has no velocity covariance"
     if reason:
         return collected.measures.lack(reason, *VELOCITY)
     rigid = slice(0, SHAPE)
@@ -303,7 +298,7 @@ def _velocity(collected: _Collected, matched: Matched, shapes: Common, reason: s
 
 
 def _difference(matched: Matched, name: str, shapes: Common, first: int) -> FloatArray:
-    """True minus estimated shape entries (M, K), which begin at column ``first`` of the array."""
+    """Return true minus estimated shape entries (M, K), which start at column ``first`` of the array."""
     if not shapes.names:
         return np.empty((len(matched), 0))
     mine, theirs = shape_columns(matched, name, shapes, first)
@@ -311,13 +306,13 @@ def _difference(matched: Matched, name: str, shapes: Common, first: int) -> Floa
 
 
 def _variances(matched: Matched, name: str, shapes: Common) -> FloatArray:
-    """The stated variances (M, D) of the entries that are compared."""
+    """Return the stored variances (M, D) of the compared entries."""
     variances: FloatArray = matched.of_estimate(name)[:, [*range(6), *(6 + k for k in shapes.estimate)]]
     return variances
 
 
 def _columns(part: str, parts: Sequence[str]) -> slice:
-    """The columns of a part of the state; single entries follow the blocks in the state's order."""
+    """Return the columns of a part of the state, a block or a single entry."""
     if part in _BLOCKS:
         return _BLOCKS[part]
     entries = [name for name in parts if name not in _BLOCKS]

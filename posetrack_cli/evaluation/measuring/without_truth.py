@@ -1,4 +1,4 @@
-"""What a result tells of itself: figures without truth, agreement with images, worth of its confidence."""
+"""Metrics without ground truth, agreement with depth images, and confidence metrics."""
 
 from __future__ import annotations
 
@@ -29,27 +29,27 @@ from posetrack_cli.recording.recording import Recording
 from posetrack_cli.recording.timeline import GAP_FACTOR
 from posetrack_cli.rendering.devices import open_usual_device
 from posetrack_cli.rendering.port import Comparison, RenderingDevice, TileSums
-from posetrack_cli.results.channels import FILTERED
 from posetrack_cli.results.reader import Result
+from posetrack_cli.results.topics import FILTERED
 from posetrack_cli.units import NS_PER_S
 
-# What a result tells without truth: about its track, and about its run
+# Self-consistency and run metrics
 
 
-NO_TIMINGS = "the run recorded no timings; its option --timings does"
-EMPTY = "the result holds no estimate"
-NOT_COUNTED = "the result does not say how many poses were evaluated"
-NO_WEIGHTS = "the tracker has no weighted particles"
+NO_TIMINGS = "the run stored no timings; track with --timings"
+EMPTY = "the result has no estimates"
+NOT_COUNTED = "the result does not store the number of evaluated poses"
+NO_WEIGHTS = "the tracker does not use weighted particles"
 
 
 def consistency_metrics(measures: Measures, track: Track) -> None:
-    """Add the metrics of a track that need nothing but the track; what it does not allow is left out.
+    """Add the metrics that need only the track; those that cannot be computed are left out.
 
-    - ``cost_mm``: over the frames that have a cost; ``confidence``: over all.
-    - ``jitter_mm``: see ``jitter``; needs three frames in a row.
-    - ``gaps``: intervals longer than ``GAP_FACTOR`` medians, as ``posetrack info`` counts them;
-      ``largest_gap_s``: the longest interval. Both need two frames.
-    - ``status_changes``: how often a frame's status differs from that of the frame before.
+    - ``cost_mm``: over the frames with a cost; ``confidence``: over all frames.
+    - ``jitter_mm``: see ``jitter``; requires three consecutive frames.
+    - ``gaps``: number of intervals longer than ``GAP_FACTOR`` times the median, as in ``posetrack info``;
+      ``largest_gap_s``: the longest interval. Both require two frames.
+    - ``status_changes``: number of frames whose status differs from the previous frame.
     """
     metrics = measures.metrics
     shaking = jitter(track)
@@ -69,30 +69,29 @@ def consistency_metrics(measures: Measures, track: Track) -> None:
 
 
 def jitter(track: Track) -> FloatArray | None:
-    """Return how much points shake from frame to frame, (N,) mm; NaN next to a gap and at the ends.
+    """Return the frame-to-frame jitter (N,), mm; NaN next to gaps and at both ends.
 
-    A point's deviation from the straight line between its places one frame before (stamp t-) and one
-    after (t+), scaled so that white noise of sd s per axis on a motion of constant velocity gives 3 s^2 for
-    its mean square::
+    Deviation of a point from the linear interpolation between the previous (stamp t-) and next frame (t+),
+    scaled so that white noise of sd s per axis on a motion of constant velocity has a mean square of 3 s^2::
 
         |p - a p- - b p+| / sqrt(1 + a^2 + b^2),   a = (t+ - t) / (t+ - t-),   b = 1 - a
 
-    With equal intervals that is |p- - 2 p + p+| / sqrt(6). Mean over the points, or of a track without points
-    its position. An acceleration adds |acceleration| dt^2 / sqrt(6): 0.5 mm at 1 m/s^2 and 30 Hz.
+    With equal intervals this is |p- - 2 p + p+| / sqrt(6). Mean over the points, or the position for tracks
+    without points. An acceleration adds |acceleration| dt^2 / sqrt(6): 0.5 mm at 1 m/s^2 and 30 Hz.
 
     Returns:
-        None for a track with neither.
+        None for a track without points and positions.
     """
     points = track.position[:, None] if track.points is None and track.position is not None else track.points
     if points is None:
         return None
     whole = ~_gaps(track)
-    first = np.flatnonzero(whole[:-1] & whole[1:])  # of three frames with no gap between them
+    first = np.flatnonzero(whole[:-1] & whole[1:])  # first of three frames without a gap
     before, now, after = (track.stamp_ns[first + k] for k in range(3))
     a = (after - now) / (after - before)
     scale = 1.0 / np.sqrt(1.0 + a**2 + (1.0 - a) ** 2)
     total = np.zeros(len(first))
-    for point in range(points.shape[1]):  # one at a time: a long track's points are most of its memory
+    for point in range(points.shape[1]):  # one at a time, as the points dominate the memory of a long track
         p, a_ = points[:, point], a[:, None]
         deviation = p[first + 1] - a_ * p[first] - (1.0 - a_) * p[first + 2]
         total += scale * np.linalg.norm(deviation, axis=1)
@@ -102,7 +101,7 @@ def jitter(track: Track) -> FloatArray | None:
 
 
 def _gaps(track: Track) -> BoolArray:
-    """Return which intervals (N - 1,) lack at least one frame."""
+    """Return the mask (N - 1,) of intervals with at least one missing frame."""
     intervals = np.diff(track.stamp_ns)
     if not intervals.size:
         return np.zeros(0, dtype=np.bool_)
@@ -111,7 +110,7 @@ def _gaps(track: Track) -> BoolArray:
 
 
 def run_metrics(measures: Measures, track: Track, run: Mapping[str, str]) -> None:
-    """Add time per frame, frames/s, evaluations, effective sample size, resampling rate and particles."""
+    """Add processing time, evaluations, effective sample size, resampling rate and number of particles."""
     _timings(measures, track)
     _known(measures, "evaluations", track.evaluations, NOT_COUNTED if len(track) else EMPTY)
     _known(measures, "ess", track.effective_sample_size, NO_WEIGHTS if len(track) else EMPTY)
@@ -122,13 +121,13 @@ def run_metrics(measures: Measures, track: Track, run: Mapping[str, str]) -> Non
         measures.lack(EMPTY, "resampling_rate")
     particles = particle_count(run)
     if particles is None:
-        measures.lack("the run record names no number of particles", "particles")
+        measures.lack("the run record has no number of particles", "particles")
     else:
         measures.metrics["particles"] = float(particles)
 
 
 def run_series(track: Track) -> dict[str, FloatArray]:
-    """Return what a run says about each of its frames, (N,) by metric."""
+    """Return the per-frame values stored by the run, (N,) by metric."""
     columns = {
         "cost_mm": track.cost,
         "confidence": track.confidence,
@@ -140,20 +139,20 @@ def run_series(track: Track) -> dict[str, FloatArray]:
 
 
 def _known(measures: Measures, name: str, values: FloatArray | None, nothing: str) -> None:
-    """Summarise the values that are known; where there are none, say why."""
+    """Summarise the finite values; record the reason ``nothing`` if there are none."""
     values = np.empty(0) if values is None else values
     measures.summarise(name, values[np.isfinite(values)], nothing)
 
 
 def _timings(measures: Measures, track: Track) -> None:
-    """Time of the frames that were timed; frames per second is their number over their time together."""
+    """Add processing time and frame rate over the frames with a stored time."""
     recorded = np.empty(0) if track.milliseconds is None else track.milliseconds
     timed = recorded[np.isfinite(recorded)]
     if not timed.size:
         return measures.lack(NO_TIMINGS if len(track) else EMPTY, "ms_per_frame", "frames_per_s")
     measures.summarise("ms_per_frame", timed)
     if len(timed) < len(recorded):
-        measures.notes.append(f"times of the {len(timed)} of {len(recorded)} frames that were timed")
+        measures.notes.append(f"timings cover {len(timed)} of {len(recorded)} frames")
     total_s = 1e-3 * float(timed.sum())
     if total_s > 0.0:
         measures.metrics["frames_per_s"] = len(timed) / total_s
@@ -162,10 +161,10 @@ def _timings(measures: Measures, track: Track) -> None:
 
 
 def particle_count(run: Mapping[str, str]) -> int | None:
-    """Return the size of the filter or the swarm in a run record's configuration; None where it has none."""
+    """Return the number of particles of the filter or swarm from a run record; None if not stored."""
     try:
         configuration = json.loads(run["configuration"])
-        if "particles" in configuration:  # a head's
+        if "particles" in configuration:  # head tracker
             return int(configuration["particles"]["count"])
         swarm = configuration["filter"].get("kind") == "pso"
         return int(configuration["pso" if swarm else "filter"]["particles"])
@@ -173,32 +172,31 @@ def particle_count(run: Mapping[str, str]) -> int | None:
         return None
 
 
-# How well a hand result agrees with the images it was made from: no truth needed, and no truth either.
+# Agreement of hand results with the depth images.
 #
-# The hand's pixels are told from the rest of an image around the estimate itself
-# (``hand.segmentation``), so the figures are circular: they say that an estimate explains what is
-# near it, not that it is right. A hand mirrored or swapped in its fingers can score well; one that has left
-# the hand scores badly.
+# The observed hand is segmented around the estimate (``hand.observe.segmentation``), so these metrics are
+# circular: they show that the estimate explains the nearby depth, not that it is correct. A mirrored hand or
+# swapped fingers can score well; an estimate that has left the hand scores badly.
 
 
 MESH_LEVEL = "fine"
 WINDOW_MM = 320.0
-"""A hand of scale 1 within ``reach_mm`` of its middle, whichever way it points, and some room."""
+"""Size of the image window at scale 1: fits the hand in any orientation, with a margin."""
 TILE_PX = 160
 NO_CLAMP_MM = 1e6
-"""Segmentation bounds the differences already."""
+"""No clamping of depth differences, as segmentation already bounds them."""
 
 
 class HandConsistency:
-    """Compares hands with images, one by one; the measure is the same for every run.
+    """Compares hand poses with depth images.
 
-    Window and segmentation are the defaults, not the run's: results of different configurations are
-    measured alike. Only the hand's side and size are the run's.
+    Uses the default window and segmentation settings rather than those of the run, so that results of
+    different configurations are comparable. Only side and size of the hand are taken from the run.
 
     Args:
-        device: draws the hands.
-        hand: bones and skin.
-        camera: of the images; lens distortion is taken out.
+        device: rendering device.
+        hand: hand model.
+        camera: camera of the images; lens distortion is compensated.
     """
 
     def __init__(self, device: RenderingDevice, hand: HandModel, camera: Camera) -> None:
@@ -208,18 +206,18 @@ class HandConsistency:
         self._renderer = device.depth_renderer(mesh, (TILE_PX, TILE_PX), 1)
 
     def compare(self, pose: FloatArray, frame: Frame, thumb: FloatArray = NO_THUMB) -> tuple[float, float]:
-        """Return residual, mm (NaN where nothing is both), and overlap of a hand with a frame.
+        """Return ``residual_mm`` (NaN without overlap) and ``region_overlap`` of a hand in a frame.
 
         Args:
-            pose: (22,).
-            frame: the image.
-            thumb: (2,) its inner angles.
+            pose: (22,) hand pose.
+            frame: frame with the depth image.
+            thumb: (2,) inner angles of the thumb.
         """
         sums = self.sums(pose, frame, thumb)
         return residual_mm(sums), region_overlap(sums)
 
     def sums(self, pose: FloatArray, frame: Frame, thumb: FloatArray = NO_THUMB) -> TileSums:
-        """Sums over the pixels of the window around a pose (22,) with inner angles of its thumb (2,)."""
+        """Return the comparison sums over the pixels of the window around a pose; see ``compare``."""
         hand = PredictedHand.of(self._anatomy, pose, thumb)
         window = window_around(hand.joints, self._camera, self._window)
         observed = segment(frame.depth, self._sampler, window, self._camera, hand).observation
@@ -228,19 +226,19 @@ class HandConsistency:
 
 
 def residual_mm(sums: TileSums) -> float:
-    """Mean |rendered - observed| over the pixels of one tile that are both rendered and observed hand, mm.
+    """Return the mean |rendered - observed|, mm, over the pixels of both the rendered and the observed hand.
 
-    NaN where there is no such pixel; the overlap, 0, then says what is wrong.
+    NaN without such a pixel; the overlap is 0 then.
     """
     both = float(sums.both[0])
     return float(sums.error[0]) / both if both else float("nan")
 
 
 def region_overlap(sums: TileSums) -> float:
-    """Intersection over union of rendered and observed hand: |r and o| / |r or o|, 0 to 1.
+    """Return the intersection over union of rendered and observed hand, |r and o| / |r or o|, 0 to 1.
 
-    Rendered pixels without a reading count on neither side: at a hand's edge most readings are missing, and
-    what lies beyond the wrist is no hand. 0 where there is nothing at all.
+    Rendered pixels without a depth reading are ignored, as most readings at the edge of a hand are missing.
+    0 if there are no pixels.
     """
     both = float(sums.both[0])
     union = sums.observed + float(sums.rendered_only[0])
@@ -250,25 +248,24 @@ def region_overlap(sums: TileSums) -> float:
 def image_consistency(
     result: Result, recording: Recording, device: int | None = None, which: str = FILTERED
 ) -> dict[str, FloatArray]:
-    """Metrics ``residual_mm`` and ``region_overlap`` of every frame (N,), lost ones included, NaN for none.
+    """Return ``residual_mm`` and ``region_overlap`` of all frames (N,), including lost ones.
 
-    Both are circular: the observed hand is told from the rest around the estimate. A frame that the recording
-    does not give has neither; ``residual_mm`` has no value where estimate and observed hand share no pixel,
-    and ``region_overlap`` is 0 there.
+    Both are NaN in frames that the recording does not have. Without common pixels, ``residual_mm`` is NaN and
+    ``region_overlap`` is 0.
 
     Args:
-        result: of a hand.
-        recording: what it was made from (``search_recording``); every frame is read once.
-        device: EGL device index, None for the default, or the processor without OpenGL.
-        which: of its tracks.
+        result: result of a hand.
+        recording: recording of the result (``search_recording``); each frame is read once.
+        device: EGL device index; None for the default device, or the CPU without OpenGL.
+        which: name of the track.
 
     Returns:
-        Nothing where the recording gives none of the result's frames, or the result has none.
+        An empty dictionary if the result is empty or the recording has none of its frames.
 
     Raises:
         ResultError: the result is of another subject.
-        UsageError: the images are not of the size that was tracked.
-        RenderingError: nothing can be rendered here.
+        UsageError: the image size differs from that of the run.
+        RenderingError: no renderer is available.
     """
     hand, track = hand_of(result), track_of_result(result, "", which)
     if not len(track):
@@ -280,7 +277,7 @@ def image_consistency(
 
 
 def _compared(track: Track, recording: Recording, measure: HandConsistency) -> FloatArray:
-    """Residual and overlap (N, 2) of every frame, NaN where the recording does not give it."""
+    """Return residual and overlap (N, 2) of all frames, NaN for frames that the recording does not have."""
     compared = np.full((len(track), 2), np.nan)
     if track.position is None or track.quaternion is None or track.shape is None:
         return compared
@@ -291,7 +288,7 @@ def _compared(track: Track, recording: Recording, measure: HandConsistency) -> F
     return compared
 
 
-# Metrics of what a track says of itself against truth: by confidence, and by its status
+# Confidence and status against ground truth
 
 
 WRONG, FAR_TRACKED, RIGHT_LOST = "frames_wrong", "frames_far_tracked", "frames_right_lost"
@@ -299,21 +296,21 @@ ROC_AREA = "confidence_roc_area"
 BRIER, CALIBRATION = "confidence_brier_score", "confidence_calibration_error"
 OF_CONFIDENCE = (ROC_AREA, BRIER, CALIBRATION)
 HONESTY = (WRONG, FAR_TRACKED, RIGHT_LOST, *OF_CONFIDENCE)
-"""All that is measured here."""
-ALL_WRONG, ALL_RIGHT = "no frame is right", "no frame is wrong"
-NO_CONFIDENCE = "the result states no confidence"
+"""Metrics of the group ``honesty``."""
+ALL_WRONG, ALL_RIGHT = "no frame is correct", "no frame is wrong"
+NO_CONFIDENCE = "the result has no confidence"
 
 
 def judged_frames(measures: Measures, matched: Matched, kind: SubjectKind) -> JudgedFrames | None:
-    """Return which of the matched frames are right and which far off, by their errors as they are measured.
+    """Judge the matched frames by the error limits of the kind of subject.
 
-    A frame counts whose errors are known. Errors that the truth does not allow do not decide, but the first
-    that the kind names must be there; else there is nothing to judge by, which is None, and why is kept.
+    Only frames with all errors known are judged. Metrics that the ground truth does not support are ignored,
+    except the first one of ``kind.right``: without it, the reason is recorded and None is returned.
 
     Args:
-        measures: has the errors by frame already, and takes the reason.
-        matched: the frames.
-        kind: of the subject: what is right.
+        measures: collector; already has the per-frame errors.
+        matched: matched frames.
+        kind: kind of subject.
     """
     first = next(iter(kind.right), None)
     if first is None:
@@ -340,22 +337,23 @@ def judged_frames(measures: Measures, matched: Matched, kind: SubjectKind) -> Ju
 
 
 def _measured(measures: Measures, limits: Mapping[str, float]) -> dict[str, float]:
-    """The limits of those errors that there are."""
+    """Return the limits of the available errors."""
     return {name: limit for name, limit in limits.items() if name in measures.series}
 
 
 def _beyond_any(measures: Measures, limits: Mapping[str, float]) -> BoolArray:
-    """In which frames (M,) an error is above its limit."""
+    """Return the mask (M,) of frames in which some error exceeds its limit."""
     beyond: BoolArray = np.logical_or.reduce([measures.series[name] > most for name, most in limits.items()])
     return beyond
 
 
 def honesty_metrics(measures: Measures, judged: JudgedFrames) -> None:
-    """Add how well confidence and status agree with what is right; see ``evaluation.measuring.honesty``.
+    """Add the metrics that compare confidence and status with correctness; see
+    ``evaluation.measuring.honesty``.
 
     Args:
-        measures: where to.
-        judged: the frames, of one track or of several pooled.
+        measures: collector.
+        judged: judged frames of one track or of a pool.
     """
     measures.share(WRONG, ~judged.right)
     measures.share(FAR_TRACKED, judged.far & ~judged.lost)

@@ -1,1 +1,1 @@
-"""From files to arrays: the tracks of a result and of its truth, frame by frame."""
+"""Tracks of results and ground truth as arrays, read from files."""

@@ -1,4 +1,4 @@
-"""Estimates brought to the truth's frame, and joints to its joints."""
+"""Alignment of estimates with ground truth: constant rigid offset, scale, and offsets per joint."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from posetrack_cli.hand.fit.skeleton import thumbs_of
 from posetrack_cli.hand.model.anatomy import JOINT_NAMES, HandAnatomy
 from posetrack_cli.hand.model.kinematics import skinning_transforms
 
-# Remove what is constant in the difference between an estimate and a truth: where a model's frame sits.
+# Constant rigid offset and scale.
 #
-# A tracker and a truth may put the origin and the axes of the same head differently, and mark its points
-# differently. That is a convention, no error, and it is the same in every frame. One camera does not see how
-# large a head is: then all distances and sizes are wrong by one common factor, which can be removed, too.
+# Tracker and ground truth may define the origin, axes and points of a head differently. This is a convention
+# rather than an error, and constant over the frames. A single camera does not observe the size of a head, so
+# that distances and sizes have a common scale error, which can also be removed.
 
 
-IDENTITY_NOTE = "no constant offset removed: no frame has a truth"
+IDENTITY_NOTE = "no constant offset removed: no frame has ground truth"
 
 
 LEAST_MOTION_MM = 1.0
-"""Root mean square of how a body moves in its own axes: what moves less tells no scale."""
+"""Minimum RMS motion in body axes; with less, the scale is not observable."""
 TELLING_FACTOR, TELLING_SHARE = 0.02, 0.6
-"""A common factor is remarked if it is so far from 1, and leaves no more than this share of the errors."""
+"""A scale is noted if it differs from 1 by this much and leaves at most this share of the position error."""
 
 
 def remove_constant_offset(
@@ -39,41 +39,39 @@ def remove_constant_offset(
 ) -> tuple[Track, str]:
     """Return the estimate with one constant rigid offset of its model frame removed.
 
-    The offset X = (R_X, x) stands right of every pose: camera_T_object' = camera_T_object X. Over the pairs
+    The offset X = (R_X, x) is multiplied from the right: camera_T_object' = camera_T_object X. Over the pairs
 
     - R_X minimises sum |R_i R_X - R_true,i|_F^2 = sum |R_X - R_i^T R_true,i|_F^2: the mean of the rotations
       R_i^T R_true,i (Markley et al. 2007, ``rotations.mean_quaternion``);
-    - x minimises sum |t_i + R_i x - t_true,i|^2 = sum |x - R_i^T (t_true,i - t_i)|^2, as rotations keep
-      lengths: the mean of R_i^T (t_true,i - t_i).
+    - x minimises sum |t_i + R_i x - t_true,i|^2 = sum |x - R_i^T (t_true,i - t_i)|^2: the mean of
+      R_i^T (t_true,i - t_i).
 
-    Neither depends on the other, and the two sums never grow. Lost frames say nothing about a convention and
-    do not count, unless all are lost.
+    Lost frames are ignored unless all are lost.
 
-    The new origin is another point of the same body, so the velocity becomes v' = v + R (w x x) in camera
-    axes, w' = R_X^T w in the new body axes. Variances follow as if position and rotation were uncorrelated,
-    since only diagonals are stated: with A = -R [x]_x, var(t') = var t + (A o A) var r and
-    var r' = (R_X^T o R_X^T) var r, where o multiplies entry by entry; of velocities likewise.
+    The new origin is another point of the same body: v' = v + R (w x x) in camera axes, w' = R_X^T w in the
+    new body axes. Variances are propagated as if position and rotation were uncorrelated, as only diagonals
+    are stored: with A = -R [x]_x, var(t') = var t + (A o A) var r and var r' = (R_X^T o R_X^T) var r, where o
+    is the element-wise product; likewise for velocities.
 
-    The points in camera axes stay where they are: in the object's frame they become X^-1 m. With ``points``
-    each point's constant offset in that frame, mean over the pairs of m_true - m', is then removed, too.
+    Points keep their positions in camera axes; in the object frame they become X^-1 m. With ``points``, the
+    constant offset of each point in that frame, mean over the pairs of m_true - m', is also removed.
 
-    With ``scale`` all lengths of the estimate are first multiplied by one factor s, seen from the camera: the
-    s that minimises sum |s t_i + R_i x - t_true,i|^2 together with x. With a_i = R_i^T t_i, b_i =
-    R_i^T t_true,i and their deviations from the mean it is s = sum a_i . b_i / sum |a_i|^2, and x =
-    mean b - s mean a.
+    With ``scale``, all lengths of the estimate are first multiplied by the factor s that minimises
+    sum |s t_i + R_i x - t_true,i|^2 together with x. With a_i = R_i^T t_i and b_i = R_i^T t_true,i as
+    deviations from their means, s = sum a_i . b_i / sum |a_i|^2, and x = mean b - s mean a.
 
     Args:
-        track: the estimate, with poses.
-        truth: with poses, and with ``points`` the same points.
-        pairs: which rows belong together; with none nothing is removed.
-        points: whether each point's offset is removed, too.
-        scale: whether one factor on all lengths is.
+        track: estimate with poses.
+        truth: ground truth with poses, and with the same points if ``points`` is set.
+        pairs: associated rows; without any, nothing is removed.
+        points: also remove the constant offset of each point.
+        scale: also remove one scale factor.
 
     Returns:
-        The aligned estimate, and a note that says what was removed.
+        The aligned estimate, and a note on what was removed.
 
     Raises:
-        UsageError: a side has no poses, or with ``points`` no points, or other ones.
+        UsageError: a side has no poses, or no points or different ones if ``points`` is set.
     """
     _check(track, truth, points)
     if not len(pairs.estimate):
@@ -83,23 +81,23 @@ def remove_constant_offset(
         return _without_scale(track, truth, mine, theirs)
     turn, shift = _offset(track, truth, mine, theirs)
     aligned = _moved(track, turn, shift)
-    note = f"one constant rigid offset removed: {_readable(turn, shift)}"
+    note = f"removed constant rigid offset: {_readable(turn, shift)}"
     if not points:
         return aligned, note
     offsets = _point_offsets(aligned, truth, mine, theirs)
     largest = float(np.linalg.norm(offsets, axis=1).max())
     return _with_points_moved(
         aligned, offsets
-    ), f"{note}; each point's constant offset, up to {largest:.1f} mm"
+    ), f"{note}; removed constant offset of each point: up to {largest:.1f} mm"
 
 
 def common_factor(track: Track, truth: Track, pairs: Pairs) -> str:
-    """Return a remark that one factor on all lengths would explain most position errors; empty if not.
+    """Return a note if one scale factor explains most of the position error; empty otherwise.
 
     Args:
-        track: the estimate, with poses.
-        truth: with poses.
-        pairs: which rows belong together.
+        track: estimate with poses.
+        truth: ground truth with poses.
+        pairs: associated rows.
     """
     if not len(pairs.estimate):
         return ""
@@ -112,28 +110,28 @@ def common_factor(track: Track, truth: Track, pairs: Pairs) -> str:
     if left > TELLING_SHARE * kept:
         return ""
     return (
-        f"one factor of {factor:.3f} on distance and size would take the position error from {kept:.1f} to"
-        f" {left:.1f} mm (root mean square), and points with it: --align similarity removes it"
+        f"a scale factor of {factor:.3f} would reduce the RMS position error from {kept:.1f} to"
+        f" {left:.1f} mm; use --align similarity to remove it"
     )
 
 
 def _without_scale(track: Track, truth: Track, mine: IntArray, theirs: IntArray) -> tuple[Track, str]:
-    """The estimate without one factor and one offset, and a note."""
+    """Return the estimate without scale factor and rigid offset, and a note."""
     factor = _factor(*_deviations(track, truth, mine, theirs))
     scaled = track if factor is None else _enlarged(track, factor)
     turn, shift = _offset(scaled, truth, mine, theirs)
-    told = (
-        "no scale removed, as the object hardly moves"
+    note = (
+        "no scale removed: the object hardly moves"
         if factor is None
-        else f"one scale removed: {factor:.4f}"
+        else f"removed scale factor: {factor:.4f}"
     )
-    return _moved(scaled, turn, shift), f"{told}; one constant rigid offset: {_readable(turn, shift)}"
+    return _moved(scaled, turn, shift), f"{note}; removed constant rigid offset: {_readable(turn, shift)}"
 
 
 def _deviations(
     track: Track, truth: Track, mine: IntArray, theirs: IntArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return both sides' positions in the estimated object's axes, less their means, (M, 3)."""
+    """Return the positions of both sides in the estimated body axes, minus their means, (M, 3)."""
     inverse = rotations.conjugate(_known(track.quaternion)[mine])
     a = rotations.rotate(inverse, _known(track.position)[mine])
     b = rotations.rotate(inverse, _known(truth.position)[theirs])
@@ -141,7 +139,7 @@ def _deviations(
 
 
 def _factor(a: FloatArray, b: FloatArray) -> float | None:
-    """Return the best common factor from a to b; None where a hardly moves, or none above 0 is best."""
+    """Return the least-squares factor from a to b; None if a hardly moves or the factor is not positive."""
     squares = float(np.square(a).sum())
     if squares < len(a) * LEAST_MOTION_MM**2:
         return None
@@ -150,7 +148,7 @@ def _factor(a: FloatArray, b: FloatArray) -> float | None:
 
 
 def _enlarged(track: Track, factor: float) -> Track:
-    """Return the track with all lengths in camera axes multiplied; angles and shape stay."""
+    """Return the track with all lengths in camera axes scaled; angles and shape are unchanged."""
     lengths = np.array([factor] * 3)
     return replace(
         track,
@@ -163,7 +161,7 @@ def _enlarged(track: Track, factor: float) -> Track:
 
 
 def _times(vectors: FloatArray | None, factors: FloatArray) -> FloatArray | None:
-    """Return tangent vectors (N, 6 + K) with the linear part multiplied."""
+    """Return tangent vectors (N, 6 + K) with the linear part scaled."""
     if vectors is None:
         return None
     return np.hstack([factors * vectors[:, :3], vectors[:, 3:]])
@@ -171,17 +169,17 @@ def _times(vectors: FloatArray | None, factors: FloatArray) -> FloatArray | None
 
 def _check(track: Track, truth: Track, points: bool) -> None:
     fields = ("position", "quaternion", *(("points",) if points else ()))
-    for side, one in (("truth", truth), ("result", track)):
+    for side, one in (("ground truth", truth), ("result", track)):
         missing = [name for name in fields if getattr(one, name) is None]
         if missing:
-            what = f"the {side} has no {' and no '.join(missing)} to align by"
-            raise UsageError(what, where=one.name, hint="leave --align out")
+            what = f"cannot align: the {side} has no {' and no '.join(missing)}"
+            raise UsageError(what, where=one.name, hint="omit --align")
     if points and track.point_names != truth.point_names:
-        raise UsageError("truth and result have other points and cannot be aligned", where=truth.name)
+        raise UsageError("cannot align: ground truth and result have different points", where=truth.name)
 
 
 def tracked_pairs(track: Track, pairs: Pairs) -> tuple[IntArray, IntArray]:
-    """Return the rows, of track and truth, of the pairs that are not lost, or of all if all are."""
+    """Return the rows of track and ground truth of the pairs that are not lost, or of all if all are lost."""
     if track.lost is None or track.lost[pairs.estimate].all():
         return pairs.estimate, pairs.truth
     kept = ~track.lost[pairs.estimate]
@@ -203,7 +201,7 @@ def _readable(turn: FloatArray, shift: FloatArray) -> str:
 
 
 def _moved(track: Track, turn: FloatArray, shift: FloatArray) -> Track:
-    """Return the track with every pose, and its velocity, taken at another place of the same body."""
+    """Return the track with pose and velocity referred to another frame of the same body."""
     quaternion = _known(track.quaternion)
     back = rotations.matrices_from_quaternions(turn).T
     levers = -rotations.matrices_from_quaternions(quaternion) @ rotations.cross_matrices(shift)  # (N, 3, 3)
@@ -218,7 +216,8 @@ def _moved(track: Track, turn: FloatArray, shift: FloatArray) -> Track:
 
 
 def _carried(vectors: FloatArray | None, levers: FloatArray, turn: FloatArray) -> FloatArray | None:
-    """Return tangent vectors (N, 6 + K): the linear part plus lever times angular part, the latter turned."""
+    """Return tangent vectors (N, 6 + K): add lever times angular part to the linear part, and rotate the
+    angular part."""
     if vectors is None:
         return None
     carried = vectors.copy()
@@ -228,11 +227,8 @@ def _carried(vectors: FloatArray | None, levers: FloatArray, turn: FloatArray) -
 
 
 def _point_offsets(track: Track, truth: Track, mine: IntArray, theirs: IntArray) -> FloatArray:
-    """Return each point's mean difference m_true - m, (P, 3) mm, each side in its object's frame.
-
-    One point at a time: a long track's points are most of its memory.
-    """
-    return np.array(
+    """Return the mean difference m_true - m of each point, (P, 3) mm, each side in its object frame."""
+    return np.array(  # one point at a time, as the points dominate the memory of a long track
         [
             (_in_object(truth, theirs, point) - _in_object(track, mine, point)).mean(axis=0)
             for point in range(len(track.point_names))
@@ -241,13 +237,13 @@ def _point_offsets(track: Track, truth: Track, mine: IntArray, theirs: IntArray)
 
 
 def _in_object(track: Track, rows: IntArray, point: int) -> FloatArray:
-    """Return one point in the object's frame, (M, 3): R^T (p - t)."""
+    """Return a point in the object frame, (M, 3): R^T (p - t)."""
     pose = _known(track.position)[rows], _known(track.quaternion)[rows]
     return in_object(_known(track.points)[rows, point], *pose)
 
 
 def _with_points_moved(track: Track, offsets: FloatArray) -> Track:
-    """Return the track with its points moved by offsets (P, 3) in the object's frame."""
+    """Return the track with its points moved by offsets (P, 3) in the object frame."""
     points = _known(track.points).copy()
     for point, offset in enumerate(offsets):
         points[:, point] += rotations.rotate(_known(track.quaternion), offset)
@@ -255,46 +251,45 @@ def _with_points_moved(track: Track, offsets: FloatArray) -> Track:
 
 
 def _known(array: FloatArray | None) -> Any:
-    """Return an array that ``_check`` found to be there."""
+    """Return an array that ``_check`` has verified to exist, for type checkers."""
     return array
 
 
-# Remove one constant offset per joint: what two conventions of where a joint is differ by.
+# Constant offset per joint.
 #
-# Who marks joints on images puts them at other places than a model's centres of rotation: a tip at the nail
-# or at the end of the pad, a knuckle on the skin or inside, the wrist nearer to the arm. That is the same in
-# every frame as seen from the bone that the joint is the end of, but neither in camera axes, in which the
-# hand turns, nor in the palm's, in which the fingers bend. So the bone's axes are the default; the others are
-# coarser.
+# Annotators place joints differently from the centres of rotation of a hand model: fingertips at the nail or
+# the end of the pad, knuckles on the skin or inside, the wrist closer to the arm. This offset is constant in
+# the axes of the bone that ends in the joint. It is not constant in camera axes, as the hand rotates, nor in
+# palm axes, as the fingers bend; these are coarser alternatives.
 
 
 OffsetFrame: TypeAlias = Literal["bone", "palm", "camera"]
 AXES: dict[str, str] = {
-    "bone": "in the axes of the bone that ends in it",
-    "palm": "in the palm's axes",
+    "bone": "in bone axes",
+    "palm": "in palm axes",
     "camera": "in camera axes",
 }
-NO_FRAME = "no constant offset per joint removed: no frame has a truth"
+NO_FRAME = "no joint offsets removed: no frame has ground truth"
 MOST_MM = 25.0
-"""As far apart two conventions put a joint; what is farther is an error, and stays one. Two rigs of one hand,
-and people who mark joints on the skin or inside, differ by 5 to 20 mm."""
+"""Maximum removed offset, as larger ones are errors: hand rigs and annotations of joints differ by 5 to
+20 mm."""
 _PALM = 0
 
 Turns: TypeAlias = Callable[[slice], FloatArray]
-"""Rotations (n, P, 3, 3) from each joint's frame to camera axes, of some rows of a track."""
+"""Rotations (n, P, 3, 3) from the frame of each joint to camera axes, for some rows of a track."""
 BLOCK_FRAMES = 4096
 
 
 @dataclass(frozen=True, eq=False)
 class JointOffsets:
-    """What was removed.
+    """Removed offsets of joints.
 
     Attributes:
-        names: P joints.
-        frame: whose axes they are in.
-        offsets: (P, 3) mm, truth minus estimate; at zero angles and with the identity rotation every frame's
-            axes are the camera's (x towards a right hand's thumb, y to the wrist, z out of its back).
-        capped: those whose offset was longer than ``MOST_MM``, of which so much was removed.
+        names: names of the P joints.
+        frame: frame of the offsets.
+        offsets: (P, 3) ground truth minus estimate, mm; at zero angles and identity rotation, all frames have
+            camera axes (for a right hand, x to the thumb, y to the wrist, z out of the back of the hand).
+        capped: joints whose offset was limited to ``MOST_MM``.
     """
 
     names: tuple[str, ...]
@@ -309,13 +304,13 @@ class JointOffsets:
 
     @property
     def note(self) -> str:
-        """One line for those who read the figures."""
+        """Note for reports."""
         largest = float(self.lengths.max())
         names = ", ".join(self.capped)
-        doubt = f"; of {names} no more, for what is longer is an error, no convention" if names else ""
+        capped = f"; limited to {MOST_MM:g} mm for {names}, as larger offsets are errors" if names else ""
         return (
-            f"one constant offset per joint removed, {AXES[self.frame]}: {self.lengths.mean():.1f} mm on "
-            f"average, up to {largest:.1f} mm{doubt}"
+            f"removed constant offset of each joint {AXES[self.frame]}: mean {self.lengths.mean():.1f} mm, "
+            f"max {largest:.1f} mm{capped}"
         )
 
 
@@ -324,26 +319,26 @@ def remove_joint_offsets(
 ) -> tuple[Track, JointOffsets | None]:
     """Return the estimate with one constant offset per joint removed.
 
-    With R_ij the rotation of joint j's frame in frame i, as estimated, and over the pairs that are not lost::
+    With R_ij the estimated rotation of the frame of joint j in frame i, over the pairs that are not lost::
 
         o_j = median_i R_ij^T (p_true,ij - p_ij),        p'_ij = p_ij + R_ij o_j
 
-    The median is taken by component: frames in which the estimate is off, fewer than half, do not pull it. An
-    offset longer than ``MOST_MM`` is shortened to it.
+    The component-wise median is robust to outliers in fewer than half of the frames. Offsets are limited to
+    ``MOST_MM``.
 
     Args:
-        track: the estimate of a hand, with pose, finger angles and joints.
-        truth: with the same joints.
-        pairs: which rows belong together; with none nothing is removed.
-        anatomy: of the estimated hand.
-        frame: ``bone``: of the bone that the joint is the end of (of the wrist and where the fingers begin
-            the palm); ``palm``; or ``camera``.
+        track: estimate of a hand with pose, finger angles and joints.
+        truth: ground truth with the same joints.
+        pairs: associated rows; without any, nothing is removed.
+        anatomy: anatomy of the estimated hand.
+        frame: ``bone``, the bone that ends in the joint (the palm for wrist and knuckles); ``palm``; or
+            ``camera``.
 
     Returns:
-        The estimate, and what was removed; None where nothing was.
+        The aligned estimate, and the removed offsets; None if nothing was removed.
 
     Raises:
-        UsageError: a side has no joints, or the estimate no pose.
+        UsageError: a side has no joints, or the estimate has no pose.
     """
     _check_joints(track, truth)
     if not len(pairs.estimate):
@@ -360,14 +355,19 @@ def remove_joint_offsets(
 
 
 def _check_joints(track: Track, truth: Track) -> None:
-    needed = {"truth": (truth, ("points",)), "result": (track, ("points", "position", "quaternion", "shape"))}
+    needed = {
+        "ground truth": (truth, ("points",)),
+        "result": (track, ("points", "position", "quaternion", "shape")),
+    }
     for side, (one, fields) in needed.items():
         missing = [name for name in fields if getattr(one, name) is None]
         if missing:
-            what = f"the {side} has no {' and no '.join(missing)} to remove joints' offsets by"
-            raise UsageError(what, where=one.name, hint="leave --joint-offsets out")
+            what = f"cannot remove joint offsets: the {side} has no {' and no '.join(missing)}"
+            raise UsageError(what, where=one.name, hint="omit --joint-offsets")
     if track.point_names != truth.point_names:
-        raise UsageError("truth and result have other joints: no offset per joint", where=truth.name)
+        raise UsageError(
+            "cannot remove joint offsets: ground truth and result have different joints", where=truth.name
+        )
 
 
 def _turns(track: Track, anatomy: HandAnatomy, frame: OffsetFrame) -> Turns:
@@ -388,19 +388,19 @@ def _turns(track: Track, anatomy: HandAnatomy, frame: OffsetFrame) -> Turns:
 
 
 def bone_of_joints(names: tuple[str, ...]) -> IntArray:
-    """Return for each joint the bone that it is the end of, as ``skinning_transforms`` numbers them."""
+    """Return the index of the bone that ends in each joint, in the order of ``skinning_transforms``."""
     places = np.array([JOINT_NAMES.index(name) for name in names], dtype=np.int64)
     finger, joint = np.divmod(places - 1, 4)
     return np.where((places == 0) | (joint == 0), _PALM, 3 * finger + joint)
 
 
 def _blocks(rows: int) -> Iterator[slice]:
-    """A long track's rotations are many times its size: some frames at a time."""
+    """Split rows into blocks, as the rotations of a long track need many times its memory."""
     return (slice(first, first + BLOCK_FRAMES) for first in range(0, rows, BLOCK_FRAMES))
 
 
 def _offsets(track: Track, truth: Track, pairs: tuple[IntArray, IntArray], turns: Turns) -> FloatArray:
-    """The median (P, 3) of the differences, each in its joint's frame."""
+    """Return the median (P, 3) of the differences in the frame of each joint."""
     assert track.points is not None and truth.points is not None
     mine, theirs = pairs
     differences = np.full_like(track.points, np.nan)
@@ -411,7 +411,7 @@ def _offsets(track: Track, truth: Track, pairs: tuple[IntArray, IntArray], turns
 
 
 def _joints_moved(track: Track, offsets: FloatArray, turns: Turns) -> FloatArray:
-    """The joints (N, P, 3) with their offsets."""
+    """Return the joints (N, P, 3) with their offsets added."""
     assert track.points is not None
     points = track.points.copy()
     for rows in _blocks(len(track)):

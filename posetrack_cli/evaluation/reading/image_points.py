@@ -1,7 +1,7 @@
-"""Points of a face in images as truth: a folder with one ``.pts`` file per frame, as 300-VW has them.
+"""Annotated face landmarks as ground truth: a folder with one ``.pts`` file per frame, as in 300-VW.
 
-The format is iBUG's: ``version: 1``, ``n_points: 68``, and a line ``x y`` per point between braces. Pixels
-count from 1, as in MATLAB: 1 is subtracted, which Menpo's importer does, too.
+The iBUG format has ``version: 1``, ``n_points: 68``, and a line ``x y`` per point in braces. Pixels count
+from 1, as in MATLAB, so 1 is subtracted, like in Menpo's importer.
 """
 
 from __future__ import annotations
@@ -26,33 +26,33 @@ from posetrack_cli.tables import number_of
 from posetrack_cli.units import NS_PER_S
 
 SUFFIX, FOLDER = ".pts", "annot"
-EXPECTED = "a folder of 000001.pts, 000002.pts, ... as 300-VW has it"
+EXPECTED = "a folder of 000001.pts, 000002.pts, ... as in 300-VW"
 FIRST_PIXEL = 1.0
-"""Coordinate of the centre of the first pixel."""
+"""Coordinate of the centre of the first pixel in ``.pts`` files."""
 OUTER_EYES = ("right_eye_outer", "left_eye_outer")
 _COUNT = re.compile(r"n_points:\s*0*([0-9]+)")
 
 
 def load_image_points(folder: Path, result: Result) -> Track:
-    """Read the annotated points of a face, each frame by the number in its file's name.
+    """Read the annotated landmarks of a face; the last number in a file name is the frame number.
 
-    Numbers count from 0 if one of them is 0, otherwise from 1. Frames that the result does not have get
-    stamps between and beyond those of its frames, at its rate.
+    Frame numbers start at 0 if a file has number 0, else at 1. Frames that the result does not have get
+    interpolated or extrapolated stamps at its frame rate.
 
     Args:
-        folder: of the files, or that of a video of 300-VW with the folder ``annot``.
-        result: of a head, whose frames are annotated.
+        folder: folder of the files, or of a 300-VW video with the subfolder ``annot``.
+        result: result of a head for the annotated frames.
 
     Returns:
-        A track with ``pixels`` and ``frame_index``, without points in space.
+        A track with ``pixels`` and ``frame_index``, without 3D points.
 
     Raises:
-        TruthError: names what cannot be used; also if the points are not of images of the result's size.
+        TruthError: a file cannot be used, or the points do not fit the image size of the result.
         UsageError: the run mirrored its images.
-        ResultError: the stamps of the result do not leave room for those of its missing frames.
+        ResultError: the interpolated stamps do not increase.
     """
     if result.run.get("input.mirror") == "true":
-        raise UsageError("image points are not those of mirrored images", where=folder, found="--mirror")
+        raise UsageError("image points cannot be used with --mirror", where=folder, found="a mirrored run")
     files = _numbered_files(folder)
     numbers = np.array(sorted(files), dtype=np.int64)
     pixels = np.array([_read_points(files[n]) for n in numbers.tolist()])
@@ -72,22 +72,22 @@ def load_image_points(folder: Path, result: Result) -> Track:
 
 
 def _numbered_files(folder: Path) -> dict[int, Path]:
-    """Return the files by the last number of their names."""
+    """Return the files by frame number."""
     try:
         files = _files(folder) or _files(folder / FOLDER)
     except OSError as error:
         raise TruthError("cannot be read", where=folder, found=error.strerror or error) from error
     if not files or len(files) > limits.KEYPOINT_SETS:
         found = f"more than {limits.KEYPOINT_SETS} files" if files else f"no file *{SUFFIX}"
-        raise TruthError("is not a folder of image points", where=folder, found=found, expected=EXPECTED)
+        raise TruthError("not a folder of image points", where=folder, found=found, expected=EXPECTED)
     numbered: dict[int, Path] = {}
     for path in files:
         digits = DIGITS.findall(path.stem)
         frame = number(digits[-1]) if digits else -1
         if not 0 <= frame <= limits.MESSAGES:
-            raise TruthError("name has no frame number", where=path, expected=EXPECTED)
+            raise TruthError("no frame number in file name", where=path, expected=EXPECTED)
         if frame in numbered:
-            raise TruthError("two files are of one frame", where=path, found=numbered[frame].name)
+            raise TruthError("two files have the same frame number", where=path, found=numbered[frame].name)
         numbered[frame] = path
     return numbered
 
@@ -100,7 +100,7 @@ def _files(folder: Path) -> list[Path]:
 
 
 def _read_points(path: Path) -> FloatArray:
-    """Return our points (P, 2), pixels, of one file."""
+    """Return the face points (P, 2) of a file, px."""
     try:
         text = read_text(path, limits.TEXT_BYTES)
     except (OSError, UnicodeDecodeError) as error:
@@ -109,33 +109,33 @@ def _read_points(path: Path) -> FloatArray:
     head, _, rest = text.partition("{")
     body, closed, _ = rest.partition("}")
     if not closed:
-        raise TruthError("is not a complete .pts file", where=path, expected="points between { and }")
+        raise TruthError("incomplete .pts file", where=path, expected="points between { and }")
     rows = [line.split() for line in body.splitlines() if line.strip()]
     stated, places = _COUNT.search(head), FACE_POINTS.places(len(rows))
     if places is None or (stated is not None and stated[1] != str(len(rows))):
         expected = FACE_POINTS.counts if stated is None or places is None else stated[1][:20]
-        raise TruthError("has another number of points", where=path, found=len(rows), expected=expected)
+        raise TruthError("wrong number of points", where=path, found=len(rows), expected=expected)
     points = np.empty((FACE_POINTS.size, 2))
     for row, cells in enumerate(rows):
         if len(cells) != points.shape[1]:
-            raise TruthError("is not a point", where=f"{path}, point {row + 1}", expected="x y")
+            raise TruthError("not a point", where=f"{path}, point {row + 1}", expected="x y")
         values = [number_of(cell, f"{path}, point {row + 1}", TruthError) for cell in cells]
         if row in places:
             points[places[row]] = values
     right, left = (points[FACE_POINTS.names.index(name)] for name in OUTER_EYES)
     if (right == left).all():
-        raise TruthError("both outer eye corners are at one pixel", where=path)
+        raise TruthError("outer eye corners coincide", where=path)
     return points - FIRST_PIXEL
 
 
 def _check_inside(folder: Path, pixels: FloatArray, result: Result) -> None:
-    """Raise if most points lie outside the images of the result."""
+    """Raise an error if most points are outside the images of the result."""
     camera = result.camera()
     inside = ((pixels >= -0.5) & (pixels < [camera.width - 0.5, camera.height - 0.5])).all(axis=2)
     if 2 * inside.sum() < inside.size:
         x, y = np.ceil(pixels.max(axis=(0, 1))).astype(int) + 1
         raise TruthError(
-            "most points lie outside the images that were tracked",
+            "most points are outside the tracked images",
             where=folder,
             found=f"points up to {x}, {y}",
             expected=f"{camera.width}x{camera.height}",
@@ -143,19 +143,19 @@ def _check_inside(folder: Path, pixels: FloatArray, result: Result) -> None:
 
 
 def _stamps(folder: Path, frames: IntArray, result: Result) -> IntArray:
-    """Return the stamps of frames: those of the result, and others at its rate."""
+    """Return the stamps of frames, interpolated or extrapolated for those that the result does not have."""
     own = result.columns(fields=("stamp_ns", "frame_index"))
     known, stamp_ns = own["frame_index"], own["stamp_ns"]
     if not len(known):
         known = stamp_ns = np.zeros(1, dtype=np.int64)
     if (np.diff(known) <= 0).any():
-        raise TruthError("frames of the result are not numbered in order", where=folder)
+        raise TruthError("frame numbers of the result do not increase", where=folder)
     since = (stamp_ns - stamp_ns[0]).astype(float)
     interval = since[-1] / float(known[-1] - known[0]) if len(known) > 1 else float(NS_PER_S)
     beyond = np.minimum(frames - known[0], 0) + np.maximum(frames - known[-1], 0)
     placed = np.rint(np.interp(frames, known, since) + interval * beyond)
     if (np.abs(placed + float(stamp_ns[0])) > LATEST_NS / 2).any():
-        raise TruthError("a frame number leads beyond 64-bit stamps", where=folder, found=int(frames[-1]))
+        raise TruthError("frame number too large for 64-bit stamps", where=folder, found=int(frames[-1]))
     stamps: IntArray = stamp_ns[0] + placed.astype(np.int64)
     check_stamps(stamps, folder.name)
     return stamps

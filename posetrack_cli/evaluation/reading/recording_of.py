@@ -1,4 +1,4 @@
-"""The recording that a result was made from, and the hand that it shows."""
+"""Recording and hand model of a result, found from its run record."""
 
 from __future__ import annotations
 
@@ -35,21 +35,21 @@ from posetrack_cli.results.estimate import kind_of
 from posetrack_cli.results.reader import Result
 from posetrack_cli.results.records import camera_from_json
 
-# The recording that a result was made from: found by its path or name, known by its SHA-256
+# Search for the recording by path or name; it is identified by its SHA-256
 
 
 SHOWN_DIGITS = 12
 MOST_PARTS = 32
-"""Of a stated path, from its end, are looked for: a stranger's may have any number."""
+"""Maximum number of trailing path components that are searched for, as run records are untrusted."""
 FOLDER_KINDS = ("folder", "ros2")
-ANY_HINT = "pass the recording of the run with its options; posetrack view --any-recording draws on any"
+ANY_HINT = "pass the recording of the run with its options, or use posetrack view --any-recording"
 
 
 def check_kind(path: Path, run: Mapping[str, str]) -> None:
-    """Tell a folder from a file, whose options are others.
+    """Check that a path is a file or a folder, like the input of the run.
 
     Raises:
-        RecordingError: the run's input was of the other kind.
+        RecordingError: it is of the other kind.
     """
     kinds = {True: "a folder", False: "a file"}
     is_folder, was_folder = path.is_dir(), run.get("input.kind") in FOLDER_KINDS
@@ -58,10 +58,10 @@ def check_kind(path: Path, run: Mapping[str, str]) -> None:
 
 
 def check_bytes(path: Path, run: Mapping[str, str]) -> None:
-    """Tell another file by its SHA-256, whether or not it can be opened.
+    """Check the SHA-256 of a file, even if it cannot be opened as a recording.
 
     Raises:
-        RecordingError: it is another.
+        RecordingError: the file differs from the input of the run.
     """
     stated = run.get(RECORDING_KEY, "")
     if not stated or not path.is_file():
@@ -72,10 +72,10 @@ def check_bytes(path: Path, run: Mapping[str, str]) -> None:
 
 
 def check_size(path: Path, run: Mapping[str, str]) -> None:
-    """Tell another file by its size, before all of it is read.
+    """Check the size of a file, which is faster than its digest.
 
     Raises:
-        RecordingError: it is another.
+        RecordingError: the file differs from the input of the run.
     """
     stated = run.get("input.bytes", "")
     if not stated or not path.is_file():
@@ -86,14 +86,14 @@ def check_size(path: Path, run: Mapping[str, str]) -> None:
 
 
 def check_identity(recording: Recording, run: Mapping[str, str]) -> None:
-    """Tell another recording by its SHA-256, and another topic of the same.
+    """Check the SHA-256 and the topic of a recording.
 
     Raises:
-        RecordingError: it is another.
+        RecordingError: they differ from those of the run.
     """
     stated = run.get(RECORDING_KEY, "")
     if not stated:
-        return  # made from something that has no identity
+        return  # the input of the run had no identity
     found = recording.identity()
     if found["sha256"] != stated:
         size = f" ({found['bytes']} bytes)", f" ({run.get('input.bytes', 'unknown')} bytes)"
@@ -104,21 +104,21 @@ def check_identity(recording: Recording, run: Mapping[str, str]) -> None:
 
 
 def another(path: Path, run: Mapping[str, str], found: str, expected: str) -> RecordingError:
-    """The error about a recording that is not the run's."""
+    """Return the error for a recording that is not the input of the run."""
     name = run.get("input.name", "the run's input")
     return RecordingError(
-        "is not the recording that the result was made from",
+        "not the recording of the result",
         where=path,
         found=found,
-        expected=f"{expected} as of {name}",
+        expected=f"{expected} of {name}",
         hint=ANY_HINT,
     )
 
 
 MEANT = ("fps", "mirror")
-"""Options that frames and estimates depend on: those of the run must not be replaced by others."""
+"""Options that change stamps or images; they must not differ from those of the run."""
 WITHOUT_CAMERA = (*MEANT, "depth_unit_mm", "missing")
-"""And those that a camera file would tell."""
+"""Options of the run that apply if the recording has no calibration."""
 
 
 def _truth(text: str) -> bool:
@@ -135,16 +135,16 @@ _STATED: Mapping[str, Callable[[str], Any]] = {
     "mirror": _truth,
     "tolerance_ms": float,
 }
-"""Options that a run record states as ``input.NAME``, if they apply to the input, and how they are read."""
+"""Parsers of the options that a run record stores as ``input.NAME``."""
 
 
 @dataclass(frozen=True)
 class Search:
-    """What came of looking for a recording.
+    """Result of a search for a recording.
 
     Attributes:
-        recording: None where there is none.
-        reason: why there is none: where it was looked for, and what was wrong with what was there.
+        recording: the recording; None if it was not found.
+        reason: why it was not found, with the searched places.
     """
 
     recording: Recording | None
@@ -159,22 +159,22 @@ def search_recording(
     in_colour: bool = False,
     **opening: Any,
 ) -> Search:
-    """Look for the recording that a result was made from.
+    """Search for the recording of a result.
 
-    A result states its input's path as it was typed, size and SHA-256. Without ``given`` it is looked for at
-    that path, then by the path's last parts in the folders of ``folders_of`` and all above the result:
-    recordings and results may move together. The result itself, and what has another SHA-256, is not taken.
+    A run record stores path, size and SHA-256 of its input. Without ``given``, the recording is searched at
+    that path, then by the last components of the path in the folders of ``folders_of`` and all parents of the
+    result, so that recordings and results can be moved together. The SHA-256 must match.
 
     Args:
-        result: its run record says what to look for, and how it was opened.
-        given: the file or folder to take.
-        any_recording: take ``given`` whatever it is; what it does not tell of rate and cameras is the run's.
-        in_colour: colour stays colour where grey was tracked in: to draw on.
-        opening: options of ``open_recording`` that replace those of the run.
+        result: the result; its run record also states how the recording was opened.
+        given: the file or folder to use.
+        any_recording: use ``given`` even if it is another recording; rate and cameras default to the run's.
+        in_colour: keep colour images, for drawing, even if grey images were tracked.
+        opening: options of ``open_recording`` that override those of the run.
 
     Raises:
         RecordingError: ``given`` cannot be read, or is another recording.
-        UsageError: an option that does not apply to ``given``, or is not that of the run.
+        UsageError: an option does not apply to ``given``, or contradicts the run.
     """
     if in_colour and pixels_of(result) == "grey":
         opening = {**opening, "in_colour": True}
@@ -186,27 +186,27 @@ def search_recording(
 
 
 def _found_beside(result: Result, opening: Mapping[str, Any]) -> Search:
-    """Return what lies where a result states, if it is what the run was made from."""
+    """Search for the recording at the path in the run record and near the result."""
     run = result.run
     stated = run.get(PATH_KEY) or run.get("input.name", "")
-    if Path(stated).name in ("", "..") or not run.get(RECORDING_KEY):  # nothing would tell another from it
-        return Search(None, f"{result.path} does not say which recording it was made from")
+    if Path(stated).name in ("", "..") or not run.get(RECORDING_KEY):  # could not be verified
+        return Search(None, f"{result.path} does not state its recording")
     reasons = []
     for place in _places(result, stated):
         try:
             return Search(_same(place, result, opening))
         except RecordingError as error:
             reasons.append(str(error))
-    where = f"at {stated}, beside {result.path}, in a folder above it or in the working folder"
-    nowhere = f"no recording '{Path(stated).name}' {where}; pass it with --recording"
-    return Search(None, "; ".join(reasons) or nowhere)
+    where = f"at {stated}, next to {result.path}, in a parent folder or in the working directory"
+    not_found = f"recording '{Path(stated).name}' not found {where}; pass it with --recording"
+    return Search(None, "; ".join(reasons) or not_found)
 
 
 def required_recording(result: Result, given: Path | None = None, **options: Any) -> Recording:
-    """As ``search_recording``, but not to find one is an error.
+    """Return the recording of a result; see ``search_recording``.
 
     Raises:
-        RecordingError: there is none; says where it was looked for.
+        RecordingError: the recording is not found.
     """
     search = search_recording(result, given, **options)
     if search.recording is None:
@@ -215,7 +215,7 @@ def required_recording(result: Result, given: Path | None = None, **options: Any
 
 
 def pixels_of(result: Result) -> PixelKind:
-    """Return what images a result was made from: as its run record states, else as usual for its subject."""
+    """Return the kind of images of a result, from its run record or its subject."""
     if "input.cameras" in result.run:
         return "grey"
     if {"input.topic", "input.depth_unit_mm"} & result.run.keys():
@@ -224,14 +224,14 @@ def pixels_of(result: Result) -> PixelKind:
 
 
 def folders_of(result: Result) -> Iterator[Path]:
-    """Yield where files that a result names are looked for: beside it, one folder up, the working folder."""
-    beside = result.path.parent
-    above = placed_path(beside).parent, real_path(beside).parent  # two of them where the folder is a link
-    yield from (beside, *dict.fromkeys(above), Path())
+    """Yield the folders to search for files of a result: its folder, the parent, the working directory."""
+    folder = result.path.parent
+    above = placed_path(folder).parent, real_path(folder).parent  # they differ if the folder is a link
+    yield from (folder, *dict.fromkeys(above), Path())
 
 
 def places_of(stated: str, folders: Iterable[Path]) -> Iterator[Path]:
-    """Yield where a path that a result states may lead: its last part, its last two ... in each folder."""
+    """Yield the candidates for a stored path: its last component, its last two, ... in each folder."""
     path = PurePath(stated)
     parts = [part for part in path.parts if part not in (path.anchor, "..")][-MOST_PARTS:]
     for folder in folders:
@@ -240,7 +240,7 @@ def places_of(stated: str, folders: Iterable[Path]) -> Iterator[Path]:
 
 
 def _places(result: Result, stated: str) -> Iterator[Path]:
-    """Yield what lies where a recording may be, each once, and never the result."""
+    """Yield the existing candidates for the recording, without duplicates and without the result."""
     seen = {real_path(result.path)}
     folders = (*folders_of(result), *placed_path(result.path).parents)
     for place in (Path(stated), *places_of(stated, folders)):
@@ -250,30 +250,30 @@ def _places(result: Result, stated: str) -> Iterator[Path]:
 
 
 def _same(path: Path, result: Result, opening: Mapping[str, Any]) -> Recording:
-    """Open a recording as the run did; raise RecordingError if it is not the one of the run."""
+    """Open a recording with the options of the run; raise RecordingError if it is another one."""
     run = result.run
     check_kind(path, run)
     check_size(path, run)
     given = {key: value for key, value in opening.items() if value is not None}
     stated, usable = _options_of(run), options_for(path, pixels_of(result))
-    options = {key: value for key, value in stated.items() if key in usable}  # some are said of all depth
+    options = {key: value for key, value in stated.items() if key in usable}  # some only apply to depth
     _check_given(options, given)
     if "camera_file" in given:
         options.pop("camera_topic", None)
         if run.get("input.kind") == "video":
-            options.pop("cameras", None)  # its one camera is called what the file calls it
+            options.pop("cameras", None)  # the camera of a video is named by the camera file
     with _camera_file(result, given) as camera:
         try:
             recording = open_recording(path, pixels_of(result), **(options | camera | given))
         except RecordingError:
-            check_bytes(path, run)  # a file that was changed may lack what the run found in it
+            check_bytes(path, run)  # report a changed file rather than the error that this causes
             raise
-        check_identity(recording, run)  # the camera file is part of a folder's identity
+        check_identity(recording, run)  # with the camera file, which is part of a folder's identity
     return recording
 
 
 def _another(path: Path, result: Result, opening: Mapping[str, Any]) -> Recording:
-    """Open a recording that need not be the run's; where it tells no camera, those of the run will do."""
+    """Open any recording; if it has no calibration, use the cameras of the run."""
     pixels, run = pixels_of(result), _options_of(result.run)
     usable = options_for(path, pixels) & run.keys()
     given = {key: value for key, value in opening.items() if value is not None}
@@ -286,33 +286,33 @@ def _another(path: Path, result: Result, opening: Mapping[str, Any]) -> Recordin
     with _written(_camera_text(result)) as file:
         try:
             return open_recording(path, pixels, **({"camera_file": file} | options | given))
-        except RecordingError as error:  # about a file that no user knows
+        except RecordingError as error:  # the message names the temporary camera file
             words = str(error).replace(str(file), CAMERA_FILE_NAME).removeprefix(f"{CAMERA_FILE_NAME}: ")
             raise RecordingError(words, where=f"{path}, with the run's camera") from error
 
 
 def _options_of(run: Mapping[str, str]) -> dict[str, Any]:
-    """How the run opened its input, as far as it says."""
+    """Return the options with which the run opened its input."""
     stated = {key: run.get(f"input.{key}", "") for key in _STATED}
     try:
         options = {key: _STATED[key](text) for key, text in stated.items() if text}
     except ValueError as error:
         raise ResultError("run record cannot be read", found=error) from error
     if run.get("input.topics") and run.get("input.calibration") != "camera file":
-        options["cameras"] = run["input.topics"].split(",")  # frames' names need not be of one topic only
+        options["cameras"] = run["input.topics"].split(",")  # by topic, as frame names can be ambiguous
     if run.get("intrinsics") == "guessed":
         options["guess"] = guess_of_camera(camera_of(run))
     return options
 
 
 def _check_given(options: Mapping[str, Any], given: Mapping[str, Any]) -> None:
-    """Frames are matched by their stamps, which a rate makes; the hand is drawn where it was tracked."""
+    """Raise an error if an option that changes stamps or images differs from the run."""
     for name in MEANT:
         run, asked = options.get(name), given.get(name)
         if run is not None and asked is not None and run != asked:
             found, expected = _readable(asked), _readable(run)
-            what = f"--{name} is not that of the run"
-            raise UsageError(what, found=found, expected=expected, hint="leave it out")
+            what = f"--{name} differs from the run"
+            raise UsageError(what, found=found, expected=expected, hint="omit the option")
 
 
 def _readable(value: float | bool) -> str:
@@ -321,7 +321,7 @@ def _readable(value: float | bool) -> str:
 
 @contextmanager
 def _camera_file(result: Result, given: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """The run's camera file where none is given now."""
+    """Provide the camera file of the run, unless another calibration is given."""
     if f"input.{CAMERA_FILE_KEY}" not in result.run or {"camera_file", "camera_topic"} & given.keys():
         yield {}
         return
@@ -331,7 +331,7 @@ def _camera_file(result: Result, given: Mapping[str, Any]) -> Iterator[dict[str,
 
 @contextmanager
 def _written(text: str) -> Iterator[Path]:
-    """A camera file of this text, as long as it is needed."""
+    """Provide a temporary camera file with this text."""
     with TemporaryDirectory() as folder:
         file = Path(folder) / CAMERA_FILE_NAME
         file.write_bytes(text.encode("utf-8", "backslashreplace"))
@@ -339,7 +339,7 @@ def _written(text: str) -> Iterator[Path]:
 
 
 def _camera_text(result: Result) -> str:
-    """The camera file of a run; of one that used none, its cameras as a camera file has them."""
+    """Return the camera file of a run, or its cameras in the format of a camera file."""
     run = result.run
     if f"input.{CAMERA_FILE_KEY}" in run:
         return run[f"input.{CAMERA_FILE_KEY}"]
@@ -350,56 +350,55 @@ def _camera_text(result: Result) -> str:
 
 
 def _lone_camera_text(camera: Camera) -> str:
-    """The camera file of one camera, which has no name there."""
+    """Return the text of a camera file with a single, unnamed camera."""
     values = {key: value for key, value in camera.values().items() if key != "name"}
     return "".join(f"{key} = {json.dumps(value)}\n" for key, value in values.items())
 
 
 def camera_of(run: Mapping[str, str]) -> Camera:
-    """The camera that a run's estimates are relative to.
+    """Return the camera whose frame the estimates of a run are in.
 
     Raises:
-        ResultError: the run record does not tell it.
+        ResultError: the run record has no valid camera.
     """
     try:
         return camera_from_json(run["camera"])
     except (KeyError, ValueError, PosetrackError) as error:
-        raise ResultError("run record tells no camera", found=error) from error
+        raise ResultError("run record has no valid camera", found=error) from error
 
 
 def cameras_of(result: Result, recording: Recording) -> tuple[Camera, ...]:
-    """Return the cameras that a result's estimates were made with.
+    """Return the cameras of a result.
 
     Raises:
-        UsageError: they cannot have taken these images.
+        UsageError: the image size of the recording differs.
     """
     cameras = result.cameras()
     sizes = [[(camera.width, camera.height) for camera in of] for of in (recording.cameras, cameras)]
     if sizes[0] != sizes[1]:
         found, expected = (", ".join(f"{w}x{h}" for w, h in of) for of in sizes)
         raise UsageError(
-            "images are not of the size that was tracked",
+            "image size differs from that of the run",
             where=recording.path,
             found=found,
             expected=expected,
-            hint="pass the --camera of the run, whose crop applies",
+            hint="pass the --camera of the run, which may crop the images",
         )
     return cameras
 
 
-# The hand that a result's run tracked, from what the result states of it
+# The tracked hand
 
 
 def hand_of(result: Result) -> HandModel:
-    """Return the hand that a run tracked, from the configuration in its record.
+    """Return the hand model of a run, from the configuration in its record.
 
-    A hand from a file is looked for by the end of the path that the record states: beside the result, one
-    folder up, and in the working folder. A result may be a stranger's, so what it states leads nowhere else,
-    and only to a file of the digest that it states.
+    A hand file is searched by the end of the stored path next to the result, in the parent folder, and in the
+    working directory. As results are untrusted, no other place is searched, and the digest must match.
 
     Raises:
-        ResultError: the record holds no configuration of a hand run, or the hand's file is not found.
-        UsageError: the hand's file cannot be used.
+        ResultError: the record has no configuration of a hand run, or the hand file is not found.
+        UsageError: the hand file is invalid.
     """
     settings = _settings(result)
     if settings.mesh is not None:
@@ -408,10 +407,10 @@ def hand_of(result: Result) -> HandModel:
 
 
 def anatomy_of(result: Result) -> HandAnatomy:
-    """Return the bones of the hand that a run tracked: those of ``hand_of``, without the time its skin takes.
+    """Return the hand anatomy of a run, faster than ``hand_of``, which also builds the skin.
 
     Raises:
-        ResultError, UsageError: as ``hand_of``.
+        ResultError, UsageError: as for ``hand_of``.
     """
     settings = _settings(result)
     right = make_anatomy() if settings.mesh is None else _anatomy_of_file(_found_mesh(result, settings.mesh))
@@ -419,9 +418,7 @@ def anatomy_of(result: Result) -> HandAnatomy:
 
 
 def _anatomy_of_file(path: Path) -> HandAnatomy:
-    from posetrack_cli.hand.model.webxr import (
-        load_hand,  # takes long to import, and few hands are from a file
-    )
+    from posetrack_cli.hand.model.webxr import load_hand  # slow import, rarely needed
 
     return load_hand(path).anatomy
 
@@ -431,36 +428,34 @@ def _settings(result: Result) -> HandSettings:
         stated: Any = json.loads(result.run["configuration"])["hand"]
         return validated(HandSettings, stated, "run record")
     except (KeyError, TypeError, ValueError, RecursionError, UsageError) as error:
-        what = "run record holds no hand's configuration"
+        what = "run record has no hand configuration"
         expected = "the record of a hand run"
         raise ResultError(what, where=result.path, found=error, expected=expected) from error
 
 
 def _found_mesh(result: Result, stated: str) -> Path:
-    # imports all that opens recordings
-
     files = [path for path in places_of(stated, folders_of(result)) if os.path.isfile(path)]  # noqa: PTH113 never raises
     for path in files:
         if file_digest(path)[1] == result.run.get(MESH_DIGEST):
             return path
     if files:
-        raise ResultError("not the hand that the run tracked: its file has changed", where=files[0])
+        raise ResultError("hand file has changed since the run", where=files[0])
     raise ResultError(
-        "the hand that the run tracked is not found",
+        "hand file of the run not found",
         where=result.path,
-        found=f"no {PurePath(stated).name} beside it or in the working folder",
+        found=f"no {PurePath(stated).name} next to the result or in the working directory",
         hint="copy the file there",
     )
 
 
 def configuration_of(run: Mapping[str, str]) -> HandConfig:
-    """The configuration of a hand run, from its record.
+    """Return the configuration of a hand run, from its record.
 
     Raises:
-        ResultError: the record holds none.
+        ResultError: the record has none.
     """
     try:
         return validated(HandConfig, json.loads(run["configuration"]), "run record")
     except (KeyError, TypeError, ValueError, UsageError) as error:
-        what = "run record holds no hand's configuration"
+        what = "run record has no hand configuration"
         raise ResultError(what, found=error, expected="the record of a hand run") from error

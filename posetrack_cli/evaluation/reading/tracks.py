@@ -1,4 +1,4 @@
-"""The tracks of a result and of its truth, which frames belong together, how many were tracked."""
+"""Tracks of results and ground truth, association of their frames, and coverage."""
 
 from __future__ import annotations
 
@@ -18,42 +18,42 @@ from posetrack_cli.outputs import part_path
 from posetrack_cli.recording.base import Frame, StoredFrame, decode_frames
 from posetrack_cli.recording.recording import Recording, read_ahead
 from posetrack_cli.recording.timeline import GAP_FACTOR
-from posetrack_cli.results.channels import FILTERED
 from posetrack_cli.results.columns import Columns
 from posetrack_cli.results.estimate import Status, Subject
 from posetrack_cli.results.fields import FIELD_NAMES, NUMBERS
 from posetrack_cli.results.reader import Result
+from posetrack_cli.results.topics import FILTERED
 
-# Which estimate and which truth belong together: one to one, by their stamps or frame numbers
+# One-to-one association of estimates and ground truth by stamp or frame number
 
 
 @dataclass(frozen=True, eq=False)
 class Pairs:
-    """Which rows of an estimate and a truth belong together: (M,) row numbers each, increasing."""
+    """Associated rows of estimate and ground truth: (M,) row numbers each, increasing."""
 
     estimate: IntArray
     truth: IntArray
 
 
 def associate(estimate_ns: IntArray, truth_ns: IntArray, tolerance_ns: int) -> Pairs:
-    """Pair stamps one to one, the nearest first, without turning time round.
+    """Pair stamps one to one, greedily by increasing difference.
 
-    Of all (estimate, truth) with |difference| <= tolerance the pair with the smallest difference is taken,
-    of equal ones the earlier; then the next that is free and crosses none that is taken: of two estimates
-    the later one never gets the earlier truth. A pair that had another stamp between its two would cross or
-    lose against one of that stamp, so only neighbours in the list of both sources' stamps are candidates.
-    Swapping the arguments swaps the pairs; a stamp that is in both is always paired with itself.
+    Pairs (estimate, truth) with |difference| <= tolerance are taken by increasing difference, of equal ones
+    the earlier first, if both stamps are free and the pair crosses no other, so that the order in time is
+    preserved. Swapping the arguments swaps the pairs. A stamp that is in both is always paired with itself.
 
     Args:
         estimate_ns, truth_ns: (N,) and (M,) stamps, ns, strictly increasing.
-        tolerance_ns: largest difference, ns.
+        tolerance_ns: maximum difference, ns.
 
     Raises:
         ResultError: stamps do not increase strictly.
     """
     check_stamps(estimate_ns, "estimate")
-    check_stamps(truth_ns, "truth")
+    check_stamps(truth_ns, "ground truth")
     count = len(estimate_ns)
+    # Only neighbours in the merged list are candidates: with another stamp between the two of a pair, that
+    # stamp has a pair with a smaller difference, or the pairs would cross.
     merged = np.concatenate([estimate_ns, truth_ns])
     order = np.argsort(merged, kind="stable")
     steps = np.diff(merged[order])
@@ -65,17 +65,16 @@ def associate(estimate_ns: IntArray, truth_ns: IntArray, tolerance_ns: int) -> P
 
 
 def associate_frames(estimate: IntArray, truth: IntArray) -> Pairs:
-    """Pair the frames that are in both, by their numbers (N,) and (M,), strictly increasing."""
+    """Pair frames with equal numbers; both arrays, (N,) and (M,), increase strictly."""
     _, mine, theirs = np.intersect1d(estimate, truth, assume_unique=True, return_indices=True)
     return Pairs(mine, theirs)
 
 
 def check_stamps(stamp_ns: IntArray, name: str) -> None:
-    """Raise unless the stamps (N,) of a source of this name increase strictly.
+    """Check that the stamps (N,) of a source increase strictly.
 
     Raises:
-        ResultError: names the source, the first row (from 0) that is not later than the one before, and
-            its stamp.
+        ResultError: states the source, the first row (from 0) out of order, and its stamp.
     """
     back = np.flatnonzero(stamp_ns[1:] <= stamp_ns[:-1])
     if not back.size:
@@ -83,28 +82,28 @@ def check_stamps(stamp_ns: IntArray, name: str) -> None:
     row = int(back[0]) + 1
     stamp, before = int(stamp_ns[row]), int(stamp_ns[row - 1])
     raise ResultError(
-        "stamp occurs twice" if stamp == before else "stamps are not sorted",
+        "duplicate stamp" if stamp == before else "stamps are not sorted",
         where=f"{name}, row {row}",
         found=f"{stamp} ns after {before} ns",
-        expected="each later than the one before",
+        expected="strictly increasing stamps",
     )
 
 
 def nearest_rows(stamp_ns: IntArray, others_ns: IntArray) -> IntArray:
-    """Return for each stamp (N,) the row of the nearest of ``others_ns`` (M,), M >= 1; of two the earlier."""
+    """Return for each stamp (N,) the row of the nearest of ``others_ns`` (M,), M >= 1; the earlier of two."""
     after = np.searchsorted(others_ns, stamp_ns)
     before = np.maximum(after - 1, 0)
     after = np.minimum(after, len(others_ns) - 1)
-    is_before = stamp_ns - others_ns[before] <= others_ns[after] - stamp_ns  # beyond an end both are the last
+    is_before = stamp_ns - others_ns[before] <= others_ns[after] - stamp_ns  # beyond an end, both are equal
     return np.where(is_before, before, after)
 
 
 def _disjoint(places: IntArray, count: int) -> IntArray:
-    """Return those of the pairs (place, place + 1) that share nothing with one before them, sorted.
+    """Return the pairs (place, place + 1) that do not overlap a pair taken before, sorted.
 
     Args:
-        places: (C,) in the order in which they are taken.
-        count: number of places.
+        places: (C,) places in the order of selection.
+        count: total number of places.
     """
     taken = [False] * count
     kept = []
@@ -115,30 +114,30 @@ def _disjoint(places: IntArray, count: int) -> IntArray:
     return np.sort(np.array(kept, dtype=np.int64))
 
 
-# A trajectory as arrays: of a result, or of a truth from wherever it comes
+# Tracks as arrays
 
 
 MOTION_FIELDS = ("stamp_ns", "status", "position", "quaternion", "shape", "twist", "points")
-"""What a truth is made from, of the fields of an Estimate."""
-_TRACK_FIELDS = tuple(name for name in FIELD_NAMES if name != "pose_rate")  # twist says the same
+"""Fields of an Estimate that are used as ground truth."""
+_TRACK_FIELDS = tuple(name for name in FIELD_NAMES if name != "pose_rate")  # redundant with twist
 
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """A trajectory, frames (N) along the first axis of every array, stamps strictly increasing.
+    """A trajectory with N frames along the first axis of all arrays and strictly increasing stamps.
 
-    What a source does not know is None: a CSV of joints has no pose, a random walk no velocity.
+    Quantities that the source does not provide are None: a CSV of joints has no pose, for example.
     K shape entries (finger angles, rad; deformation coefficients), P points (joints, landmarks).
 
     Attributes:
-        name: what tables and errors call it.
+        name: name in tables and errors.
         subject: ``hand`` or ``head``.
         shape_names: K names.
         point_names: P names.
-        point_parents: P indices, -1 for a root; empty when the source does not tell.
-        stamp_ns: (N,) integer nanoseconds.
-        lost: (N,) frames whose status is lost; None for a truth.
-        reinitialised: (N,) frames whose status is reinitialised; None for a truth.
+        point_parents: P indices, -1 for a root; empty if unknown.
+        stamp_ns: (N,) stamps, ns.
+        lost: (N,) whether the status is lost; None for ground truth.
+        reinitialised: (N,) whether the status is reinitialised; None for ground truth.
         position: (N, 3) mm, camera axes.
         quaternion: (N, 4) x y z w, unit, w >= 0: rotation of ``camera_T_object``.
         shape: (N, K).
@@ -147,12 +146,12 @@ class Track:
         twist_variance: (N, 6 + K) of ``twist``.
         points: (N, P, 3) mm, camera axes.
         confidence, cost, effective_sample_size, milliseconds, evaluations: (N,); NaN where unknown.
-        resampled: (N,).
-        frame_index: (N,) positions of the frames in the recording; None where unknown, of a truth unless it
-            is matched by them.
+        resampled: (N,) whether the particles were resampled.
+        frame_index: (N,) frame numbers in the recording; None if unknown. For ground truth, None unless it is
+            associated by frame number.
         numbers: (N, M) further numbers of the tracker; NaN where unknown.
-        number_names: what it calls them.
-        pixels: (N, P, 2) points in the images, of a truth that has nothing else.
+        number_names: M names.
+        pixels: (N, P, 2) image points, for ground truth without poses and 3D points.
     """
 
     name: str
@@ -185,7 +184,7 @@ class Track:
         return len(self.stamp_ns)
 
     def status(self, row: int) -> Status:
-        """The status of a frame; of a track that does not say, tracking."""
+        """Return the status of a frame; tracking if the track has no status."""
         if self.lost is not None and self.lost[row]:
             return Status.LOST
         if self.reinitialised is not None and self.reinitialised[row]:
@@ -194,15 +193,15 @@ class Track:
 
 
 def track_of_result(result: Result, name: str, which: str = FILTERED) -> Track:
-    """Return the estimates of one of a result's tracks, lost ones included.
+    """Return a track of a result, including lost frames.
 
     Args:
-        result: finished or not; what of it cannot be read is in ``result.losses`` afterwards.
-        name: what tables and errors call it.
+        result: finished or unfinished result; unreadable parts are added to ``result.losses``.
+        name: name in tables and errors.
         which: ``filtered`` or ``smoothed``.
 
     Raises:
-        ResultError: nothing can be read, the stamps do not increase strictly, or there is no such track.
+        ResultError: nothing is readable, stamps do not increase strictly, or the track does not exist.
     """
     further = (NUMBERS,) if result.subject.number_names else ()
     columns = result.columns(result.topic_of_track(which), _TRACK_FIELDS + further)
@@ -226,15 +225,14 @@ def track_of_result(result: Result, name: str, which: str = FILTERED) -> Track:
 
 
 def truth_of_columns(columns: Columns, name: str, subject: Subject) -> Track:
-    """Return the trajectory of estimates that are taken for the truth.
+    """Return a track of estimates that serve as ground truth, without status and variances.
 
-    It has no status, variances and particles of its own. Estimates that are lost are no truth and are left
-    out: frames without a truth count as unmatched.
+    Lost estimates are left out, so that their frames count as unmatched.
 
     Args:
-        columns: of ``MOTION_FIELDS``.
-        name: what tables and errors call it.
-        subject: whose shape entries and points they are.
+        columns: columns of ``MOTION_FIELDS``.
+        name: name in tables and errors.
+        subject: subject with the names of shape entries and points.
 
     Raises:
         ResultError: the stamps do not increase strictly.
@@ -247,7 +245,7 @@ def truth_of_columns(columns: Columns, name: str, subject: Subject) -> Track:
 
 
 def _motion(columns: Columns, name: str, subject: Subject) -> dict[str, Any]:
-    """Return what estimate and truth have in common."""
+    """Return the fields that estimate and ground truth have in common."""
     check_stamps(columns["stamp_ns"], name)
     return {
         "name": name,
@@ -265,7 +263,7 @@ def _motion(columns: Columns, name: str, subject: Subject) -> dict[str, Any]:
 
 
 def _known(column: np.ndarray[Any, Any]) -> np.ndarray[Any, Any] | None:
-    """Return the column, or None if no message had it."""
+    """Return the column, or None if no message has it."""
     return None if len(column) and np.isnan(column).all() else column
 
 
@@ -273,18 +271,15 @@ _PART = part_path(Path("x")).suffix
 
 
 def plain_name(path: Path) -> str:
-    """Return a file's name without folder and ending; NAME.part of an unfinished run counts as NAME.
+    """Return the file name without extension, and without ``.part`` of an unfinished run.
 
-    Line ends, control codes and bytes of no encoding, which a terminal would obey, are written as escapes.
+    Control characters and undecodable bytes, which could manipulate a terminal, are escaped.
     """
     return _printable(Path(path.name.removesuffix(_PART)).stem)
 
 
 def unique_names(paths: Sequence[Path]) -> list[str]:
-    """Return a name for each path: its plain name, with the folder's where plain names are alike.
-
-    What is still alike, such as one file given twice, is numbered.
-    """
+    """Return unique names: plain names, with the folder name for duplicates, numbered if still duplicate."""
     plain = [plain_name(path) for path in paths]
     counts = Counter(plain)
     with_folder = [
@@ -298,7 +293,7 @@ def unique_names(paths: Sequence[Path]) -> list[str]:
 
 
 def track_name(name: str, which: str, taken: Sequence[str]) -> str:
-    """Return what a track is called beside others of its result: the filtered one as the result itself."""
+    """Return the display name of a track of a result; the filtered track has the name of the result."""
     return name if which == FILTERED else _free(f"{name} {which}", taken)
 
 
@@ -307,7 +302,7 @@ def _printable(name: str) -> str:
 
 
 def _free(name: str, taken: Sequence[str]) -> str:
-    """The name, or the first ``name (2)``, ``name (3)``, ... that is not taken."""
+    """Return the name, or the first of ``name (2)``, ``name (3)``, ... that is not taken."""
     number = 2
     free = name
     while free in taken:
@@ -315,24 +310,24 @@ def _free(name: str, taken: Sequence[str]) -> str:
     return free
 
 
-# The frames of a recording that belong to the estimates of a result, in one pass
+# Frames of a recording that belong to the estimates of a result
 
 
 def matched_frames(
     recording: Recording, stamp_ns: IntArray, frame_index: IntArray | None, losses: LossLog
 ) -> Iterator[tuple[int, Frame]]:
-    """Yield (position in ``stamp_ns``, frame) in the recording's order; only these frames are decoded.
+    """Yield (position in ``stamp_ns``, frame) in recording order; only these frames are decoded.
 
-    A frame belongs to the estimate of its stamp. Where no stamp at all agrees, as after reading a folder
-    at another rate, frames are matched by their number.
+    Frames are matched by stamp. If no stamp matches, as after reading a folder at another rate, they are
+    matched by number.
 
     Args:
-        recording: read once; twice if no stamp agrees.
-        stamp_ns: (N,) of the estimates, unique.
-        frame_index: (N,) their frames' positions in the recording, None if unknown.
-        losses: gets what cannot be decoded, and the estimates without a frame.
+        recording: read once, or twice if no stamp matches.
+        stamp_ns: (N,) stamps of the estimates, unique.
+        frame_index: (N,) frame numbers of the estimates in the recording; None if unknown.
+        losses: receives undecodable frames and estimates without a frame.
     """
-    met: list[int] = []  # numbers of the frames that belong to an estimate, those that do not decode, too
+    met: list[int] = []  # numbers of matched frames, including undecodable ones
     for keys in (stamp_ns, frame_index):
         if keys is None or met:
             continue
@@ -341,23 +336,23 @@ def matched_frames(
         for frame in _frames_at(recording, positions, met, losses, by_number=by_number):
             yield positions[frame.index if by_number else frame.stamp_ns], frame
     for _ in range(len(stamp_ns) - len(met)):
-        losses.add("estimates whose frame the recording does not give", str(recording.path))
+        losses.add("estimates without a frame in the recording", str(recording.path))
 
 
 def _frames_at(
     recording: Recording, keys: Collection[int], met: list[int], losses: LossLog, *, by_number: bool
 ) -> Iterator[Frame]:
-    """Yield the frames whose stamps, or numbers, are among the keys."""
+    """Yield the frames whose stamps or numbers are among the keys."""
     if not keys:
         return
     last = max(keys)
 
     def chosen() -> Iterator[tuple[int, StoredFrame]]:
-        # what is wrong with frames that nobody asked for is no loss here
+        # Losses in frames that are not requested are ignored.
         for index, stored in recording.stored_frames(LossLog()):
             key = index if by_number else stored.stamp_ns
             if key > last:
-                return  # both keys increase
+                return  # stamps and numbers increase
             if key in keys:
                 met.append(index)
                 yield index, stored
@@ -367,22 +362,23 @@ def _frames_at(
         yield from frames
 
 
-# How much of a recording was tracked: part of every table, so that errors never hide lost frames
+# Coverage
 
 
 @dataclass(frozen=True)
 class Coverage:
-    """Counts of frames.
+    """Frame counts.
 
     Attributes:
         frames: estimates in the result.
-        tracked: of these, not lost (reinitialised ones count as tracked).
-        lost: of these, lost. Their errors count all the same.
-        reinitialised: of these, found anew.
-        unmatched: of these, without a truth at their stamp; all of them when there is no truth.
-        missed: frames within the result's span that the run left out though there is a truth for them.
-        outside: truths before its first or after its last estimate: not asked for, not counted.
-        has_truth: whether there was a truth to match.
+        tracked: estimates that are not lost, including reinitialised ones.
+        lost: lost estimates; their errors are included in all metrics.
+        reinitialised: estimates at which the track was reinitialised.
+        unmatched: estimates without ground truth at their stamp; all estimates if there is no ground truth.
+        missed: frames with ground truth within the time span of the result that have no estimate.
+        outside: ground-truth frames before the first or after the last estimate; not counted as missed.
+        has_truth: whether there is ground truth.
+        tracked_and_matched: estimates that are tracked and matched.
     """
 
     frames: int
@@ -397,10 +393,8 @@ class Coverage:
 
     @property
     def share(self) -> float:
-        """Metric ``coverage``: (tracked and matched) / (frames + missed); without truth tracked / frames.
-
-        0 for an empty result.
-        """
+        """Metric ``coverage``: (tracked and matched) / (frames + missed), or tracked / frames without ground
+        truth; 0 for an empty result."""
         due = self.frames + self.missed
         good = self.tracked_and_matched if self.has_truth else self.tracked
         return good / due if due else 0.0
@@ -409,17 +403,17 @@ class Coverage:
 def measure_coverage(
     track: Track, truth: Track | None, pairs: Pairs | None, *, tolerance_ns: int = 0
 ) -> Coverage:
-    """Count the frames of an estimate, and those of the truth that it should have had.
+    """Count tracked, lost, matched and missed frames.
 
-    A truth may come at another rate than the frames, and a run may have taken every second frame on purpose;
-    so a truth without an estimate is no missed frame by itself. Frames are missed where a gap between two
-    estimates holds truths that are farther than half the usual interval (and than the tolerance) from both:
-    as many as there are such truths, but no more than fit in at the usual interval.
+    Ground truth can have a higher rate than the frames, and a run can use every second frame, so ground truth
+    without an estimate is not necessarily a missed frame. Missed frames are counted in gaps between two
+    estimates: ground-truth frames whose distance from both exceeds half the frame interval and the tolerance,
+    but no more than fit into the gap at the frame interval.
 
     Args:
         track: the estimate.
-        truth, pairs: None without truth.
-        tolerance_ns: of the association.
+        truth, pairs: ground truth and association; None without ground truth.
+        tolerance_ns: tolerance of the association, ns.
     """
     frames = len(track)
     lost = np.zeros(frames, dtype=np.bool_) if track.lost is None else track.lost
@@ -441,17 +435,15 @@ def measure_coverage(
 
 
 def usual_interval(stamp_ns: IntArray) -> float:
-    """Return the mean interval, ns, between stamps (N,), N >= 2, that have no gap between them.
-
-    The median tells the gaps (at least half of the intervals are none); the mean of the rest is the frame
-    rate's, also where jitter makes intervals long and short in turn, between which a median has to choose.
-    """
+    """Return the frame interval, ns: the mean interval between stamps (N,), N >= 2, without gaps."""
     intervals = np.diff(stamp_ns)
+    # The median only detects the gaps: with jitter, intervals can be alternately long and short, and the
+    # median would be one of the two.
     return float(intervals[intervals <= GAP_FACTOR * np.median(intervals)].mean())
 
 
 def _is_outside(stamp_ns: IntArray, true_ns: IntArray, tolerance_ns: int) -> BoolArray:
-    """Return which truths (M,) are before the first or after the last estimate; all if there is none."""
+    """Return the mask (M,) of ground truth outside the time span of the estimates; all True without any."""
     if not stamp_ns.size:
         return np.ones(len(true_ns), dtype=np.bool_)
     before, after = true_ns < stamp_ns[0] - tolerance_ns, true_ns > stamp_ns[-1] + tolerance_ns
@@ -460,15 +452,15 @@ def _is_outside(stamp_ns: IntArray, true_ns: IntArray, tolerance_ns: int) -> Boo
 
 
 def _missed(stamp_ns: IntArray, true_ns: IntArray, tolerance_ns: int) -> int:
-    """Return how many frames are missing between the estimates, as ``measure_coverage`` counts them."""
+    """Return the number of missed frames; see ``measure_coverage``."""
     if len(stamp_ns) < 2:
         return 0
     intervals, usual = np.diff(stamp_ns), usual_interval(stamp_ns)
-    interval = np.searchsorted(stamp_ns, true_ns, side="right") - 1  # between this estimate and the next
+    interval = np.searchsorted(stamp_ns, true_ns, side="right") - 1  # index of the preceding estimate
     inside = (interval >= 0) & (interval < len(intervals))
     interval, true_ns = interval[inside], true_ns[inside]
     distance = np.minimum(true_ns - stamp_ns[interval], stamp_ns[interval + 1] - true_ns)
     far = distance > max(0.5 * usual, tolerance_ns)
     truths = np.bincount(interval[far], minlength=len(intervals))
-    room = np.maximum(np.rint(intervals / usual) - 1.0, 0.0)  # two frames may be nearer than usual
+    room = np.maximum(np.rint(intervals / usual) - 1.0, 0.0)  # intervals can be shorter than the mean
     return int(np.minimum(truths, room).sum())

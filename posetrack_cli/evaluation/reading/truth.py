@@ -1,4 +1,4 @@
-"""Truth from a file or a topic: which reader takes it."""
+"""Loading of ground truth from files, folders and topics."""
 
 from __future__ import annotations
 
@@ -38,20 +38,19 @@ from posetrack_cli.results.fields import Sizes
 from posetrack_cli.results.reader import Result, is_result, read_result
 from posetrack_cli.units import NS_PER_S
 
-# Poses of the Biwi Kinect head pose data as truth: a folder of ``frame_NNNNN_pose.txt``.
+# Biwi Kinect head pose data: a folder of ``frame_NNNNN_pose.txt``.
 #
-# A file has the head's rotation, row by row, and its centre in mm, in the axes of the data's camera. Which
-# camera that is, and where its head's origin lies, the data do not state next to the files: ``--align rigid``
-# removes both constants.
+# A file has the head rotation, row by row, and the head centre in mm, in camera axes. The data set specifies
+# neither the camera nor the origin of the head frame; ``--align rigid`` removes both constants.
 
 
 POSE_FILE = re.compile(r"frame_([0-9]{1,9})_pose\.txt")
 NUMBERS = 12
-"""In a file: the rotation's rows, and the centre."""
+"""Numbers in a pose file: nine of the rotation, three of the centre."""
 
 
 def holds_poses(folder: Path) -> bool:
-    """Return whether a folder has files of poses."""
+    """Whether a folder has Biwi pose files."""
     try:
         return any(POSE_FILE.fullmatch(file.name) for file in folder.iterdir())
     except OSError:
@@ -59,14 +58,14 @@ def holds_poses(folder: Path) -> bool:
 
 
 def load_biwi_poses(folder: Path, run: Mapping[str, str]) -> Track:
-    """Read the poses of a sequence, with the stamps that its images have.
+    """Read the poses of a Biwi sequence, with the stamps of its images.
 
     Args:
-        folder: of the sequence.
-        run: record of the result that is measured, whose frame rate counts.
+        folder: folder of the sequence.
+        run: run record of the evaluated result, which states the frame rate.
 
     Raises:
-        TruthError: a file cannot be used.
+        TruthError: a file is invalid.
     """
     try:
         files = numbered(folder, POSE_FILE)
@@ -95,53 +94,51 @@ def load_biwi_poses(folder: Path, run: Mapping[str, str]) -> Track:
 def _numbers(file: Path) -> list[float]:
     values = numbers_of(file)
     if len(values) != NUMBERS or not np.isfinite(values).all() or np.abs(values).max() > limits.LENGTH_MM:
-        expected = "a rotation of nine numbers and a centre of three, mm"
-        raise TruthError("is not a pose", where=file, found=f"{len(values)} numbers", expected=expected)
+        expected = "nine numbers of a rotation and three of a centre, mm"
+        raise TruthError("not a pose", where=file, found=f"{len(values)} numbers", expected=expected)
     return values
 
 
-# Find the truth of a result: what it carries itself, or a file that is given
+# Selection of the reader
 
 
 def load_truth(
     result: Result, path: Path | None = None, *, time_offset_s: float = 0.0, losses: LossLog | None = None
 ) -> Track | None:
-    """Return what a result is to be measured against, its points in the result's order.
+    """Return the ground truth of a result, with its points in the order of the result.
 
-    Without a path it is what the result carries on its topics ``/truth/<subject>/...``: complete estimates,
-    or else Odometry with or without JointStates (``odometry_track``), or else points alone
-    (``points_track``). With a path it is
+    Without a path, the topics ``/truth/<subject>/...`` of the result are used: complete estimates, else
+    Odometry with optional JointStates (``odometry_track``), else points (``points_track``). With a path:
 
-    - of another result its **own estimates**, such as a stereo track as the truth for a mono one, without
-      those that are lost; not the truth that it carries;
-    - of any other MCAP file, such as the recording, the ``/truth`` topics;
-    - of any other file what it has as CSV (``csv_track``);
-    - of a folder, for a head, points of its face in images (``image_points``).
+    - another result: its **estimates**, without lost ones, such as a stereo track as ground truth for a mono
+      track; not its ``/truth`` topics;
+    - another MCAP file, such as the recording: its ``/truth`` topics;
+    - another file: read as a table (``load_csv_track``);
+    - a folder, for heads: Biwi poses, or annotated landmarks (``image_points``).
 
     Args:
-        result: to be measured.
-        path: a file or folder; None for what the result carries.
-        time_offset_s: added to the stamps of the truth.
-        losses: gets what of an MCAP file given as ``path`` cannot be read; what is lost of the result itself
-            is in ``result.losses``.
+        result: result to evaluate.
+        path: file or folder; None for the ground truth in the result.
+        time_offset_s: added to the ground-truth stamps, s.
+        losses: receives unreadable parts of the file; those of the result are in ``result.losses``.
 
     Returns:
-        None if the result carries no truth and no path is given.
+        None if the result has no ground truth and no path is given.
 
     Raises:
-        UsageError: the path is the result itself, or the offset leads beyond 64 bits.
-        TruthError: the file cannot be used, or is of another subject or other points.
+        UsageError: the path is the result itself, or the offset exceeds the range of stamps.
+        TruthError: the file is invalid, or has another subject or other points.
         ResultError, RecordingError: an MCAP file cannot be read, or its stamps do not increase strictly.
     """
     log = LossLog() if losses is None else losses
     if path is None:
-        truth = topics_truth(McapFile(result.path), result.subject, "truth")
+        truth = topics_truth(McapFile(result.path), result.subject, "ground truth")
     else:
         truth = _given(result, path, log)
     if truth is None:
         return None
     truth = _shifted(truth, time_offset_s)
-    # points and, if it has the same entries, its shape in the subject's order
+    # Metrics address points and shape entries by column, in the order of the subject.
     truth = _with_points_of(truth, result.subject, path or result.path)
     return _with_shape_of(truth, result.subject)
 
@@ -152,12 +149,12 @@ def _given(result: Result, path: Path, losses: LossLog) -> Track:
     if path.is_dir() and result.subject.name == HEAD:
         return load_image_points(path, result)
     if not path.is_file():
-        raise TruthError("is no file" if path.exists() else "does not exist", where=path)
+        raise TruthError("not a file" if path.exists() else "no such file", where=path)
     if path.samefile(result.path):
         raise UsageError(
-            "a result cannot be its own truth",
+            "a result cannot be its own ground truth",
             where=path,
-            hint="leave --truth out to use the truth that it carries",
+            hint="omit --truth to use the ground truth in the result",
         )
     if not is_mcap(path):
         return load_csv_track(path, result.subject)
@@ -166,9 +163,9 @@ def _given(result: Result, path: Path, losses: LossLog) -> Track:
     truth = topics_truth(McapFile(path, losses), result.subject, path.name)
     if truth is None:
         raise TruthError(
-            f"holds no truth of a {result.subject.name}",
+            f"no ground truth of a {result.subject.name}",
             where=path,
-            found=", ".join(_truth_topics(path)) or "no topic of truth",
+            found=", ".join(_truth_topics(path)) or "no /truth topics",
             expected=", ".join(
                 topic(result.subject.name) for topic in (_estimate_topic, odometry_topic, points_topic)
             ),
@@ -177,17 +174,17 @@ def _given(result: Result, path: Path, losses: LossLog) -> Track:
 
 
 def _estimates_of(path: Path, subject: Subject, losses: LossLog) -> Track:
-    """Return the estimates of another result as truth."""
+    """Return the estimates of another result as ground truth."""
     other = read_result(path)
     if other.subject.name != subject.name:
-        raise TruthError("is of another subject", where=path, found=other.subject.name, expected=subject.name)
+        raise TruthError("wrong subject", where=path, found=other.subject.name, expected=subject.name)
     truth = truth_of_columns(other.columns(fields=MOTION_FIELDS), path.name, other.subject)
     losses.include(other.losses)
     return truth
 
 
 def topics_truth(file: McapFile, subject: Subject, name: str) -> Track | None:
-    """Return the truth on an MCAP file's topics, None if there is none of this subject."""
+    """Return the ground truth on the topics of an MCAP file; None if there is none of this subject."""
     schemas = {c.topic: s.name for s, c in McapFile(file.path).channels() if s is not None}
     if schemas.get(_estimate_topic(subject.name)) == ESTIMATE_SCHEMA_NAME:
         return _estimates_truth(file, subject, name)
@@ -199,17 +196,17 @@ def topics_truth(file: McapFile, subject: Subject, name: str) -> Track | None:
 
 
 def _estimates_truth(file: McapFile, subject: Subject, name: str) -> Track:
-    """Return the truth of a topic of ``posetrack.Estimate``, which is of the result's subject."""
+    """Return the ground truth on a topic of ``posetrack.Estimate``."""
     messages = file.messages([_estimate_topic(subject.name)])
     columns = joined(column_blocks((message.data for _, _, message in messages), MOTION_FIELDS))
     sizes = Sizes.of(subject)
     columns = columns or empty_columns(MOTION_FIELDS, sizes)
     found = columns["shape"].shape[1], columns["points"].shape[1]
-    if found == (0, sizes.points):  # such as a head's, whose deformation only its points tell
+    if found == (0, sizes.points):  # heads, whose deformation is only given by the points
         subject = replace(subject, shape_names=())
     elif found != sizes[:2]:
         raise TruthError(
-            "truth has other shape entries or points than the result",
+            "ground truth has a different number of shape entries or points",
             where=f"{file.path}, {_estimate_topic(subject.name)}",
             found=f"{found[0]} and {found[1]}",
             expected=f"{sizes.shape} and {sizes.points}",
@@ -227,16 +224,17 @@ def _truth_topics(path: Path) -> Sequence[str]:
 
 
 def _shifted(truth: Track, offset_s: float) -> Track:
-    """Return the truth with the offset added to its stamps."""
+    """Return the ground truth with the offset added to its stamps."""
     if offset_s == 0.0 or not len(truth):
         return truth
     if truth.frame_index is not None:
         raise UsageError(
-            "frames of image points are matched by their numbers", hint="leave --time-offset-s out"
+            "time offset does not apply: image points are matched by frame number",
+            hint="omit --time-offset-s",
         )
     offset = round(offset_s * NS_PER_S)
     if max(abs(int(truth.stamp_ns[0]) + offset), abs(int(truth.stamp_ns[-1]) + offset)) > LATEST_NS:
-        raise UsageError("time offset leads beyond 64-bit stamps", found=f"{offset_s} s")
+        raise UsageError("time offset exceeds the range of 64-bit stamps", found=f"{offset_s} s")
     return replace(truth, stamp_ns=truth.stamp_ns + offset)
 
 

@@ -1,4 +1,4 @@
-"""Truth in tables (CSV, JSON, TUM): rows, columns, the track that they give, and what is checked of it."""
+"""Ground truth in tables: CSV, JSON and TUM files, with checks of their content."""
 
 from __future__ import annotations
 
@@ -44,32 +44,32 @@ from posetrack_cli.tables import (
     whole_of,
 )
 
-# What every truth must fulfil, and what makes one look like that of something else
+# Checks of ground truth
 
 
 LENGTH_TOLERANCE = 1e-3
-"""How far |q| of a truth may be from 1: four decimals leave 1e-4, what is no rotation mostly more."""
+"""Tolerance of |q| = 1: rounding to four decimals causes up to 1e-4."""
 
 
 LIKE_METRES = (500.0, 2000.0)
-"""How much farther away an estimate is than a truth in metres: 1000 times, give or take an error."""
+"""Ratio of distances in estimate and ground truth that indicates ground truth in metres."""
 
 
 def unit_quaternions(quaternions: FloatArray, where: Callable[[int], str]) -> FloatArray:
-    """Return quaternions (N, 4) of unit length with w >= 0.
+    """Return quaternions (N, 4) normalised to unit length and w >= 0.
 
     Args:
-        quaternions: x y z w, rounded perhaps.
-        where: says where a row is.
+        quaternions: x y z w, possibly rounded.
+        where: returns the location of a row, for errors.
 
     Raises:
-        TruthError: one is farther than ``LENGTH_TOLERANCE`` from unit length.
+        TruthError: a length differs from 1 by more than ``LENGTH_TOLERANCE``.
     """
     lengths = np.linalg.norm(quaternions, axis=1)
     bad = np.flatnonzero(~(np.abs(lengths - 1.0) <= LENGTH_TOLERANCE))
     if bad.size:
         raise TruthError(
-            "quaternion is no rotation",
+            "quaternion is not normalised",
             where=where(int(bad[0])),
             found=f"length {lengths[bad[0]]:.6g}",
             expected="1",
@@ -78,21 +78,21 @@ def unit_quaternions(quaternions: FloatArray, where: Callable[[int], str]) -> Fl
 
 
 def check_point_names(names: Sequence[str], found: Sequence[str], where: object) -> None:
-    """Raise unless a truth has every point of the estimate; further ones are no fault.
+    """Check that ground truth has all points of the estimate; additional points are allowed.
 
     Args:
-        names: of the estimate's points.
-        found: of the truth's points.
-        where: the truth.
+        names: point names of the estimate.
+        found: point names of the ground truth.
+        where: location for errors.
 
     Raises:
-        TruthError: names the points that are missing, and those that the estimate does not have.
+        TruthError: points are missing.
     """
     missing = [name for name in names if name not in found]
     others = [name for name in found if name not in names]
     if missing:
         raise TruthError(
-            "truth has other points than the result",
+            "ground truth has other points than the result",
             where=where,
             found=", ".join(others) if others else f"{len(found)} points",
             expected=f"also {', '.join(missing)}",
@@ -100,28 +100,28 @@ def check_point_names(names: Sequence[str], found: Sequence[str], where: object)
 
 
 def truth_warnings(result: Result, track: Track, truth: Track, path: Path | None) -> Iterator[str]:
-    """Yield a note for each reason to doubt that a truth is of what a result is of.
+    """Yield notes on limitations of the ground truth and on signs that it does not fit the result.
 
     Args:
-        result: what is measured.
+        result: evaluated result.
         track: its estimates.
-        truth: what they are measured against.
-        path: the file that it was taken from; None for what the result carries.
+        truth: ground truth.
+        path: ground-truth file; None for ground truth in the result.
     """
     if truth.pixels is not None:
-        yield f"the truth has only image points: {truth.name}"
+        yield f"the ground truth has only image points: {truth.name}"
     if path is not None and _of_another_recording(result, path):
-        yield f"the truth {path.name} was made from another recording than the result"
+        yield f"the ground truth {path.name} is of another recording than the result"
     distance, true_distance = _distance_mm(track), _distance_mm(truth)
     if LIKE_METRES[0] < distance / true_distance < LIKE_METRES[1]:
         yield (
-            f"the truth is {true_distance:.3g} mm from the camera, the estimate {distance:.3g} mm: "
-            "is it in metres?"
+            f"the ground truth may be in metres: it is {true_distance:.3g} mm from the camera, the estimate "
+            f"{distance:.3g} mm"
         )
 
 
 def _of_another_recording(result: Result, path: Path) -> bool:
-    """Whether a truth is another run's estimates, and both say what they were made from."""
+    """Whether the ground truth is a result, and the recordings in both run records differ."""
     if path.is_dir() or not (is_mcap(path) and is_result(path)):
         return False
     mine, its = result.run.get(RECORDING_KEY), read_result(path).run.get(RECORDING_KEY)
@@ -129,7 +129,7 @@ def _of_another_recording(result: Result, path: Path) -> bool:
 
 
 def _distance_mm(track: Track) -> float:
-    """The median distance from the camera; NaN where a track does not tell it."""
+    """Return the median distance from the camera; NaN if unknown."""
     places = track.position if track.position is not None else _first_point(track)
     if places is None or not len(places):
         return float("nan")
@@ -140,19 +140,19 @@ def _first_point(track: Track) -> FloatArray | None:
     return None if track.points is None else track.points[:, 0]
 
 
-# Rows of a truth's table, in whichever of the text formats that ``export`` writes: CSV, JSON or TUM's
+# Table rows in the text formats of ``export``: CSV, JSON and TUM
 
 
-EXPECTED = "a truth is an MCAP file, or an export as CSV, JSON or TUM in UTF-8"
+EXPECTED = "ground truth as MCAP, or as CSV, JSON or TUM in UTF-8, as written by posetrack export"
 TUM_COLUMNS = ("t_s", *POSITION, *QUATERNION)
-"""Of a trajectory in TUM's format, whose positions are metres."""
+"""Columns of the TUM format, after conversion of positions from m to mm."""
 
 
 def open_table(path: Path) -> Table:
-    """Read the header of a table.
+    """Open a table and read its header.
 
     Raises:
-        TruthError: it cannot be read, is empty, not of its format, or has a header that cannot be meant.
+        TruthError: the file cannot be read, is empty, or has an invalid format or header.
     """
     if path.suffix.lower() == ".json":
         file = TextFile(path, TruthError, EXPECTED, limits.REPORT_BYTES)
@@ -164,7 +164,7 @@ def open_table(path: Path) -> Table:
 
 
 def is_tum(file: TextFile) -> bool:
-    """Return whether the first line that is not a comment has TUM's eight numbers, separated by spaces."""
+    """Whether the first line that is not a comment has the eight numbers of the TUM format."""
     lines = (line for _, line in file.lines())
     first = next((line for line in lines if line.strip() and not line.startswith(COMMENT)), "")
     cells = first.split()
@@ -172,7 +172,7 @@ def is_tum(file: TextFile) -> bool:
 
 
 def _tum_rows(file: TextFile) -> Iterator[Row]:
-    """Yield TUM's rows with positions in mm; what is not a number is left to whoever reads the columns."""
+    """Yield TUM rows with positions in mm; cells that are not numbers are checked by the column reader."""
     yield 0, list(TUM_COLUMNS)
     for number, line in file.lines():
         cells = line.split()
@@ -192,34 +192,36 @@ def _is_number(cell: str) -> bool:
 
 
 def _json_rows(file: TextFile) -> Iterator[Row]:
-    said = file.json(nan=True)
-    columns = said.get("columns") if isinstance(said, dict) else None
+    value = file.json(nan=True)
+    columns = value.get("columns") if isinstance(value, dict) else None
     if not isinstance(columns, dict):
-        expected = "an object with columns, as posetrack export --format json writes it"
-        found = ", ".join(map(str, islice(said, 5)))[:80] if isinstance(said, dict) else type(said).__name__
-        raise TruthError("holds no table", where=file.path, found=found, expected=expected)
+        expected = "an object with columns, as written by posetrack export --format json"
+        found = (
+            ", ".join(map(str, islice(value, 5)))[:80] if isinstance(value, dict) else type(value).__name__
+        )
+        raise TruthError("no table in the JSON file", where=file.path, found=found, expected=expected)
     return file.json_rows(columns)
 
 
-# Columns of numbers from a table, with errors that name the line and the column
+# Columns of numbers
 
 
 STAMPS = ("stamp_ns", "t_s", "time_s")
-"""Columns of stamps: the first that a file has is taken."""
-BLOCK_ROWS = 4096  # as text a row takes ten times its numbers' memory
+"""Names of stamp columns, by precedence."""
+BLOCK_ROWS = 4096  # text takes ten times the memory of the numbers
 
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """Some columns of a table.
+    """Numeric columns of a table.
 
     Attributes:
         path: the file.
-        names: of the C columns.
-        values: (N, C).
-        stamp_ns: (N,) strictly increasing.
-        lines: (N,) the line of each row in the file, counted from 1.
-        lost: how many rows of frames that were lost are left out.
+        names: names of the C columns.
+        values: (N, C) values.
+        stamp_ns: (N,) stamps, ns, strictly increasing.
+        lines: (N,) line numbers in the file, from 1.
+        lost: number of skipped rows with status lost.
     """
 
     path: Path
@@ -230,25 +232,25 @@ class Columns:
     lost: int
 
     def of(self, names: Sequence[str]) -> FloatArray:
-        """Return the columns of these names, (N, len(names))."""
+        """Return the values of these columns, (N, len(names))."""
         return self.values[:, [self.names.index(name) for name in names]]
 
     def where(self, row: int) -> str:
-        """Say where a row is."""
+        """Return the location of a row, for errors."""
         return f"{self.path} line {int(self.lines[row])}"
 
 
 def read_columns(table: Table, names: Sequence[str], optional: Collection[str] = ()) -> Columns:
-    """Read the stamps and some columns of a table, without the rows whose ``status`` is ``lost``.
+    """Read the stamps and some columns of a table, skipping rows with ``status`` ``lost``.
 
     Args:
-        table: has a column of stamps.
-        names: of the C columns.
-        optional: those of them in which a cell may be empty or nan, which is NaN then.
+        table: table with a stamp column.
+        names: names of the C columns.
+        optional: columns whose cells may be empty or nan (read as NaN).
 
     Raises:
-        TruthError: names file, line and column of what is no number, of a row that is too short or too
-            long, of a stamp that is not later than the one before. Also for a table without rows.
+        TruthError: a cell is not a number, a row has the wrong length, stamps do not increase strictly, or
+            the table has no rows; states file, line and column.
     """
     column = str(first_of(STAMPS, table.names))
     place, unit = table.names.index(column), NS_PER_UNIT[column]
@@ -268,7 +270,7 @@ def read_columns(table: Table, names: Sequence[str], optional: Collection[str] =
         blocks.append(_numbers(table, kept, names, optional))
     if not lines:
         found = f"{lost} rows, all lost" if lost else "no row after the header"
-        raise TruthError("has no truth", where=table.file.path, found=found, expected="a row per frame")
+        raise TruthError("no ground truth", where=table.file.path, found=found, expected="a row per frame")
     read = Columns(table.file.path, tuple(names), np.vstack(blocks), np.array(stamps), np.array(lines), lost)
     _check_order(read, column)
     return read
@@ -279,7 +281,7 @@ def _numbers(table: Table, block: list[Row], names: Sequence[str], optional: Col
     if not (names and block):
         return np.empty((len(block), len(names)))
     places = [table.names.index(name) for name in names]
-    pick = itemgetter(*places, places[0])  # one more, so that it is a tuple also of a single column
+    pick = itemgetter(*places, places[0])  # a repeated index, as itemgetter of one index returns no tuple
     try:
         values = np.array([list(map(float, pick(row))) for _, row in block])[:, :-1]
         required = [name not in optional for name in names]
@@ -287,7 +289,7 @@ def _numbers(table: Table, block: list[Row], names: Sequence[str], optional: Col
             return values
     except ValueError:
         pass
-    return np.array(  # slow: for empty cells, or a fault that needs its place
+    return np.array(  # slow path: empty cells, or an error that must state its location
         [
             [
                 number_of(
@@ -306,43 +308,42 @@ def _check_order(columns: Columns, column: str) -> None:
         row = int(back[0]) + 1
         stamp, before = int(columns.stamp_ns[row]), int(columns.stamp_ns[row - 1])
         raise TruthError(
-            "stamp occurs twice" if stamp == before else "stamps are not sorted",
+            "duplicate stamp" if stamp == before else "stamps are not sorted",
             where=f"{columns.where(row)}, column {column}",
             found=f"{stamp} ns after {before} ns",
-            expected="each later than the one before",
+            expected="strictly increasing stamps",
         )
 
 
-# A trajectory from a CSV file: poses, points, shape and velocities, whichever it has
+# Tracks from tables
 
 
 def load_csv_track(path: Path, subject: Subject) -> Track:
-    """Read a trajectory from a CSV file with a header row; lines that begin with ``#`` are comments.
+    """Read a track from a CSV file with a header row; lines starting with ``#`` are comments.
 
-    Columns, in any order, all but the stamps optional, unknown ones ignored:
+    Columns in any order; all but the stamps are optional, and unknown columns are ignored:
 
     - ``stamp_ns`` (integer), or ``t_s`` or ``time_s`` (seconds, rounded to ns);
-    - ``x_mm y_mm z_mm``: the object's origin in camera axes; ``qx qy qz qw``: ``camera_T_object``'s rotation;
-    - ``<point>_x_mm <point>_y_mm <point>_z_mm``: all of the subject's points or none; of a hand its joints in
-      camera axes, of a head its points **in the model frame**, which the pose takes to camera axes;
-    - ``<angle>_rad`` of a hand, ``<coefficient>`` of a head: all of the subject's or none;
-    - ``vx_mm_s vy_mm_s vz_mm_s`` in camera axes, ``wx_rad_s wy_rad_s wz_rad_s`` in the body's,
-      ``<angle>_rad_s`` or ``<coefficient>_per_s``: velocities; a cell that is empty or nan is unknown;
-    - ``status``: rows where it is ``lost`` are no truth and are left out.
+    - ``x_mm y_mm z_mm``: object origin in camera axes; ``qx qy qz qw``: rotation of ``camera_T_object``;
+    - ``<point>_x_mm <point>_y_mm <point>_z_mm``: all points of the subject or none; joints of a hand in
+      camera axes, points of a head **in the model frame**, which the pose transforms to camera axes;
+    - ``<angle>_rad`` of a hand, ``<coefficient>`` of a head: all of the subject or none;
+    - ``vx_mm_s vy_mm_s vz_mm_s`` in camera axes, ``wx_rad_s wy_rad_s wz_rad_s`` in body axes,
+      ``<angle>_rad_s`` or ``<coefficient>_per_s``: velocities; empty or nan cells are unknown;
+    - ``status``: rows with ``lost`` are skipped.
 
-    An export of a result as CSV is such a file; as JSON or TUM's trajectory it has the same columns, the
-    latter those of the pose alone.
+    CSV exports of results have this format. JSON exports have the same columns, TUM exports only the pose.
 
     Args:
         path: the file.
-        subject: of the result, whose names the columns have.
+        subject: subject of the result, which determines the column names.
 
     Returns:
-        A track without status; quaternions normalised; ``shape_names`` is empty if the file has no shape, and
-        an entry of ``twist`` that the file does not have is NaN.
+        A track without status, with normalised quaternions. ``shape_names`` is empty if the file has no
+        shape; missing entries of ``twist`` are NaN.
 
     Raises:
-        TruthError: names file, line and column of what cannot be used.
+        TruthError: the file is invalid; states file, line and column.
     """
     table = open_table(path)
     layout = _Layout.of(table, subject)
@@ -370,13 +371,13 @@ def load_csv_track(path: Path, subject: Subject) -> Track:
 
 @dataclass(frozen=True)
 class _Layout:
-    """What a file has.
+    """Columns of a file.
 
     Attributes:
         subject: name of the subject.
-        position, quaternion: whether it has them.
+        position, quaternion: whether the file has them.
         points: names of the points, () for none.
-        shape, velocities: columns.
+        shape, velocities: names of their columns, () for none.
     """
 
     subject: str
@@ -388,7 +389,7 @@ class _Layout:
 
     @classmethod
     def of(cls, table: Table, subject: Subject) -> _Layout:
-        """Find the subject's columns in a header row."""
+        """Return the columns of the subject in a header row."""
         groups = (LINEAR_VELOCITY, ANGULAR_VELOCITY, rate_columns(subject))
         layout = cls(
             subject.name,
@@ -409,22 +410,22 @@ class _Layout:
 
 
 def _check(table: Table, subject: Subject, layout: _Layout) -> None:
-    """Raise unless there are stamps and something to compare."""
+    """Raise an error unless there are stamps and something to compare."""
     if not layout.columns:
         raise TruthError(
-            "no column is known",
+            "no known column",
             where=table.file.path,
             found=table.shown,
             expected=_known(subject),
         )
     if first_of(STAMPS, table.names) is None:
         expected = " or ".join(STAMPS)
-        raise TruthError("has no column of stamps", where=table.file.path, expected=expected)
+        raise TruthError("no stamp column", where=table.file.path, expected=expected)
     if kind_of(subject.name).rigid and layout.points and not (layout.position and layout.quaternion):
         raise TruthError(
-            f"points of a {subject.name} are in its model frame and need its pose",
+            f"points of a {subject.name} are in its model frame and require the pose",
             where=table.file.path,
-            expected=", ".join((*POSITION, *QUATERNION)),
+            expected=f"columns {', '.join((*POSITION, *QUATERNION))}",
         )
 
 
@@ -432,17 +433,17 @@ def _has_all(table: Table, group: Sequence[str]) -> bool:
     """Whether the file has the columns of a group.
 
     Raises:
-        TruthError: it has only some of them.
+        TruthError: the file has only some of them.
     """
     missing = [name for name in group if name not in table.names]
     if missing and len(missing) < len(group):
         expected = f"all or none of {', '.join(group)}"
-        raise TruthError(f"lacks {', '.join(missing)}", where=table.file.path, expected=expected)
+        raise TruthError(f"missing columns {', '.join(missing)}", where=table.file.path, expected=expected)
     return bool(group) and not missing
 
 
 def _point_names(table: Table, subject: Subject) -> tuple[str, ...]:
-    """Return the subject's point names if the file has its points, none if it has no points at all."""
+    """Return the point names of the subject if the file has its points; () if it has no points at all."""
     begun = [name for name in subject.point_names if set(point_columns([name])) & set(table.names)]
     found = {name.removesuffix("_x_mm") for name in table.names if name.endswith("_x_mm")}
     if not (begun or found) or not subject.point_names:
@@ -454,7 +455,7 @@ def _point_names(table: Table, subject: Subject) -> tuple[str, ...]:
 
 
 def _known(subject: Subject) -> str:
-    """Return what columns a file of this subject may have."""
+    """Return a description of the columns for a subject."""
     point, shape = "<point>", replace(subject, shape_names=("<name>",))
     groups = [
         "/".join(STAMPS),
@@ -470,7 +471,7 @@ def _known(subject: Subject) -> str:
 def _points(
     read: Columns, layout: _Layout, position: FloatArray | None, quaternion: FloatArray | None
 ) -> FloatArray:
-    """Return the points (N, P, 3) in camera axes; those of a rigid subject come in its own."""
+    """Return the points (N, P, 3) in camera axes; files have those of rigid subjects in the model frame."""
     points = read.of(point_columns(layout.points)).reshape(len(read.values), -1, 3)
     if not kind_of(layout.subject).rigid or position is None or quaternion is None:
         return points
@@ -478,7 +479,7 @@ def _points(
 
 
 def _twist(read: Columns, subject: Subject, layout: _Layout) -> FloatArray | None:
-    """Return the velocities (N, 6 + K), NaN where the file has none; None if it has none at all."""
+    """Return the velocities (N, 6 + K), NaN for missing entries; None if the file has none."""
     names = (*LINEAR_VELOCITY, *ANGULAR_VELOCITY, *(rate_columns(subject) if layout.shape else ()))
     twist = np.full((len(read.values), len(names)), np.nan)
     for column, name in enumerate(names):

@@ -1,4 +1,4 @@
-"""Truth on the ``/truth`` topics of an MCAP file: poses and shapes as Foxglove's, or points."""
+"""Ground truth on ``/truth`` topics of MCAP files: Foxglove Odometry and JointStates, or points."""
 
 from __future__ import annotations
 
@@ -25,35 +25,35 @@ from posetrack_cli.results.records import COUNT, LENGTH_MM, NAME, list_of, objec
 
 ODOMETRY_SCHEMA = "foxglove.Odometry"
 JOINT_STATES_SCHEMA = "foxglove.JointStates"
-WITHOUT_JOINT_STATES = "true pose without joint states of its stamp, left out"
+WITHOUT_JOINT_STATES = "true pose without joint states at its stamp, skipped"
 MM_PER_METRE = 1e3
 
 
 def odometry_topic(subject: str) -> str:
-    """Return the topic of a subject's true pose and velocity."""
+    """Return the topic of the true pose and velocity of a subject."""
     return f"{TRUTH_PREFIX}{subject}/odometry"
 
 
 def joint_states_topic(subject: str) -> str:
-    """Return the topic of a subject's true shape entries."""
+    """Return the topic of the true shape entries of a subject."""
     return f"{TRUTH_PREFIX}{subject}/joint_states"
 
 
 def odometry_track(file: McapFile, subject: str, schemas: Mapping[str, str], name: str) -> Track:
-    """Return the truth of a topic of Odometry and, if there is one, of JointStates; it has no points.
+    """Return the ground truth on a topic of Odometry and, if available, of JointStates; it has no points.
 
-    An Odometry gives the linear velocity in the body's axes, a track in camera axes: with R the rotation of
-    ``camera_T_object``, v = R v_body; metres become millimetres. A velocity that a message leaves out is NaN.
-    A pose without joint states of the same stamp is left out, and a loss.
+    Odometry states the linear velocity in body axes: v = R v_body with R the rotation of ``camera_T_object``.
+    Metres are converted to millimetres. Missing velocities are NaN. A pose without joint states at the same
+    stamp is skipped and recorded as a loss.
 
     Args:
-        file: has a topic ``/truth/<subject>/odometry``.
-        subject: its name.
-        schemas: names of the schemas of the file's topics.
-        name: what tables and errors call the track.
+        file: file with a topic ``/truth/<subject>/odometry``.
+        subject: name of the subject.
+        schemas: schema names by topic.
+        name: name of the track in tables and errors.
 
     Raises:
-        TruthError: a quaternion is no rotation, or joint states cannot be used.
+        TruthError: a quaternion is not a rotation, or joint states change their names.
         ResultError: stamps do not increase strictly.
     """
     poses, joints = _Rows(), _Rows()
@@ -76,17 +76,17 @@ _POSE = ("pose",)
 
 @dataclass
 class _Rows:
-    """Rows of numbers with their stamps, and what the numbers are called."""
+    """Rows of numbers with stamps and column names."""
 
     names: tuple[str, ...] = ()
     stamp_ns: list[int] = field(default_factory=list)
     rows: list[list[float]] = field(default_factory=list)
 
     def add(self, stamp_ns: int, names: tuple[str, ...], row: list[float]) -> None:
-        """Add a row; raises TruthError if it is called otherwise than the rows before."""
+        """Add a row; raise TruthError if its names differ from those of the previous rows."""
         if self.rows and names != self.names:
             raise TruthError(
-                "joint states change their names",
+                "joint names change within the topic",
                 where=f"at {stamp_ns} ns",
                 found=", ".join(names),
                 expected=", ".join(self.names),
@@ -97,11 +97,11 @@ class _Rows:
 
     @property
     def stamps(self) -> IntArray:
-        """(N,) ns."""
+        """Stamps (N,), ns."""
         return np.array(self.stamp_ns, dtype=np.int64)
 
     def values(self, columns: int) -> FloatArray:
-        """(N, columns)."""
+        """Return the values (N, columns)."""
         return np.array(self.rows, dtype=np.float64).reshape(len(self.rows), columns)
 
     def of(self, chosen: IntArray) -> _Rows:
@@ -111,7 +111,7 @@ class _Rows:
 
 
 def _decoded(file: McapFile, topics: set[str]) -> Iterator[tuple[str, int, Any]]:
-    """Yield topic, stamp and message; one that does not decode is a loss."""
+    """Yield topic, stamp and message; undecodable messages are recorded as losses."""
     decoder = MessageDecoder()
     for schema, channel, message in file.messages(topics):
         try:
@@ -137,7 +137,7 @@ def _pose_row(message: Any) -> list[float]:
 
 
 def _joint_row(message: Any) -> list[float]:
-    """Return the positions of the joints, then their velocities, NaN where one is not given."""
+    """Return the positions of the joints, then their velocities; NaN where missing."""
     fields = ("position", "velocity")
     return [
         getattr(joint, name) if joint.HasField(name) else math.nan
@@ -147,7 +147,7 @@ def _joint_row(message: Any) -> list[float]:
 
 
 def _together(poses: _Rows, joints: _Rows, losses: LossLog) -> tuple[_Rows, _Rows]:
-    """Return the rows whose stamps both have; a pose without joint states is a loss."""
+    """Return the rows with common stamps; poses without joint states are recorded as losses."""
     _, mine, theirs = np.intersect1d(poses.stamps, joints.stamps, return_indices=True)
     for stamp_ns in np.setdiff1d(poses.stamps, joints.stamps).tolist():
         losses.add(WITHOUT_JOINT_STATES, f"at {stamp_ns} ns")
@@ -205,20 +205,20 @@ _read = reader_of(object_of({"stamp_ns": COUNT, "points": list_of(_POINT)}), lim
 
 
 def points_topic(subject: str) -> str:
-    """Return the topic of a subject's true points."""
+    """Return the topic of the true points of a subject."""
     return f"{TRUTH_PREFIX}{subject}/points"
 
 
 def points_messages(track: Track) -> Iterator[TruthMessage]:
-    """Yield the points of a track as messages of truth, a message per frame.
+    """Yield the points of a track as ground-truth messages, one per frame.
 
     Raises:
-        TruthError: it has none, or a stamp before 1970.
+        TruthError: the track has no points, or a negative stamp.
     """
     if track.points is None:
-        raise TruthError("has no points", where=track.name)
+        raise TruthError("ground truth has no points", where=track.name)
     if len(track) and track.stamp_ns[0] < 0:
-        raise TruthError("stamp cannot be stored", where=track.name, found=f"{track.stamp_ns[0]} ns")
+        raise TruthError("negative stamp cannot be stored", where=track.name, found=f"{track.stamp_ns[0]} ns")
     schema = json.dumps(POINTS_SCHEMA, separators=(",", ":")).encode()
     for stamp_ns, points in zip(track.stamp_ns.tolist(), track.points.tolist(), strict=True):
         named = [
@@ -231,15 +231,15 @@ def points_messages(track: Track) -> Iterator[TruthMessage]:
 
 
 def points_track(file: McapFile, subject: Subject, name: str) -> Track:
-    """Return the truth of a topic of ``posetrack.Points``: points, no poses.
+    """Return the ground truth on a topic of ``posetrack.Points``, without poses.
 
     Args:
-        file: has the topic ``/truth/<subject>/points``.
-        subject: of the result.
-        name: what tables and errors call the track.
+        file: file with the topic ``/truth/<subject>/points``.
+        subject: subject of the result.
+        name: name of the track in tables and errors.
 
     Raises:
-        TruthError: a message cannot be used, or the points change their names.
+        TruthError: a message is invalid, or the names of the points change.
         ResultError: stamps do not increase strictly.
     """
     topic = points_topic(subject.name)
@@ -250,7 +250,7 @@ def points_track(file: McapFile, subject: Subject, name: str) -> Track:
         where = f"{name}, {topic} at {message.log_time} ns"
         own, stamp, points = _parsed(message.data, where)
         if stamps and own != names:
-            raise TruthError("points change their names", where=where, found=", ".join(own))
+            raise TruthError("point names change within the topic", where=where, found=", ".join(own))
         names = own
         stamps.append(stamp)
         rows.append(points)
@@ -269,11 +269,11 @@ def points_track(file: McapFile, subject: Subject, name: str) -> Track:
 
 
 def _parsed(data: bytes, where: str) -> tuple[tuple[str, ...], int, FloatArray]:
-    """Names, stamp and points (P, 3) of a message."""
+    """Return names, stamp and points (P, 3) of a message."""
     try:
         fields = _read(data)
         points = fields["points"]
         values = np.array([(p["x"], p["y"], p["z"]) for p in points], dtype=np.float64).reshape(-1, 3)
         return tuple(p["name"] for p in points), fields["stamp_ns"], values
     except ValueError as error:
-        raise TruthError(f"message is no {POINTS_SCHEMA_NAME}", where=where, found=error) from error
+        raise TruthError(f"message is not a {POINTS_SCHEMA_NAME}", where=where, found=error) from error

@@ -1,1 +1,1 @@
-"""Evaluations as tables, JSON and CSV."""
+"""Reports of evaluations: terminal tables, JSON, CSV, Markdown, JUnit and MCAP."""

@@ -1,4 +1,4 @@
-"""Write results with their metrics: those of every frame as topics, totals, gates and truth as metadata."""
+"""Copies of results with metrics: per-frame metrics as topics, totals, gates and ground truth as metadata."""
 
 from __future__ import annotations
 
@@ -28,29 +28,29 @@ from posetrack_cli.mcap.sink import McapSink, SchemaText
 from posetrack_cli.mcap.stream import McapFile
 from posetrack_cli.outputs import check_output, whole_or_nothing
 from posetrack_cli.recording.identity import file_digest, identity_record, shown_name
-from posetrack_cli.results.channels import topics_prefix
 from posetrack_cli.results.reader import read_result
 from posetrack_cli.results.records import SUMMARY_RECORD
+from posetrack_cli.results.topics import topics_prefix
 
 EVAL_PREFIX = "/eval/"
 EVAL_RECORD = "posetrack.eval"
 METRICS_SCHEMA_NAME = "posetrack.FrameMetrics"
 _CHUNK_BYTES = limits.MIB
+# Short chunks of metrics, so that readers which seek in time read them along with their frames.
 _CHUNK_FRAMES = 100
-"""Of metrics: chunks that span little time are read along with the frames that they are of."""
 
 
 def mcap_outputs(out: Path, results: Sequence[Path], *, overwrite: bool) -> dict[Path, Path]:
-    """Return the file that each result is written to with its metrics, before anything is measured.
+    """Return the output file of each result, and check that it can be written.
 
     Args:
-        out: the file, or a folder with a file for each result, named as tables name it.
-        results: to be measured.
+        out: output file, or folder for one file per result.
+        results: result files.
         overwrite: whether existing files may be replaced.
 
     Raises:
-        UsageError: several results would go into one file, or as of ``check_output``.
-        ResultError: as of ``check_output``.
+        UsageError: several results would be written to one file, or as for ``check_output``.
+        ResultError: as for ``check_output``.
     """
     in_folder = out.is_dir() or len(results) > 1
     if not in_folder:
@@ -58,13 +58,13 @@ def mcap_outputs(out: Path, results: Sequence[Path], *, overwrite: bool) -> dict
         return {results[0]: out}
     if (out.suffix == ".mcap" and not out.is_dir()) or out.is_file():
         found, expected = f"{len(results)} results for one file", "a folder"
-        raise UsageError("output is no folder", where=out, found=found, expected=expected)
+        raise UsageError("output is not a folder", where=out, found=found, expected=expected)
     if not out.parent.is_dir():
         raise ResultError("cannot be written", where=out, found=f"no folder {out.parent}")
     names = [f"{name.replace('/', '-')}.mcap" for name in unique_names(results)]
     twice = next((name for name, count in Counter(names).items() if count > 1), None)
     if twice is not None:
-        raise UsageError("two results would have one name", where=out / twice, hint="rename one of them")
+        raise UsageError("two results have the same name", where=out / twice, hint="rename one of them")
     outputs = {result: out / name for result, name in zip(results, names, strict=True)}
     if out.is_dir():
         for result, written in outputs.items():
@@ -75,19 +75,19 @@ def mcap_outputs(out: Path, results: Sequence[Path], *, overwrite: bool) -> dict
 def write_mcaps(
     found: Assessment, request: Request, outputs: Mapping[Path, Path], tracks: Sequence[str] | None
 ) -> Iterator[tuple[str, tuple[Loss, ...]]]:
-    """Write every result that was measured with its metrics; yield its name and what of it was not readable.
+    """Write a copy of each evaluated result with its metrics; yield its name and its unreadable parts.
 
-    What was kept of a result is written as it is; of rows, which keep figures alone, each result is measured
-    again, so that the frames of one are in memory at a time.
+    In the layout ``rows``, which keeps no per-frame values, each result is evaluated again, so that only one
+    is in memory at a time.
 
     Args:
-        found: what was found out.
-        request: of it; one that keeps tracks.
-        outputs: the file for each result.
-        tracks: to write the metrics of; None for all of a result.
+        found: the assessment.
+        request: its request, with ``keep_tracks``.
+        outputs: output file of each result.
+        tracks: tracks to write metrics of; None for all tracks of a result.
 
     Raises:
-        PosetrackError: a result or its truth cannot be read any more, or a file not be written.
+        PosetrackError: a result or its ground truth cannot be read, or a file cannot be written.
     """
     names = [one.name for one in found.evaluations]
     kept = {} if found.rows else {(one.path, one.which): one for one in found.on_page}
@@ -96,13 +96,13 @@ def write_mcaps(
         _make_folder(folder)
     for path, out in outputs.items():
         if path not in of_path:
-            continue  # it cannot be read, which is a failed gate
-        there = read_result(path).tracks
+            continue  # unreadable; already reported as a failed gate
+        available = read_result(path).tracks
         evaluations = [
             kept.get((path, which))
             or evaluate(path, request.options_of(path, which), track_name(of_path[path], which, names))
-            for which in tracks or there
-            if which in there
+            for which in tracks or available
+            if which in available
         ]
         yield of_path[path], write_mcap(path, out, evaluations, _record(found, request, path, evaluations))
 
@@ -119,17 +119,17 @@ def write_mcap(
 ) -> tuple[Loss, ...]:
     """Write a copy of a result with metrics on ``/eval/<subject>`` and ``/eval/smoothed/<subject>``.
 
-    Channels, messages, attachments and metadata are copied, one chunk in memory at a time. Metrics of an
-    earlier evaluation are replaced. The summary stays last, so that a copy that is cut off is unfinished.
+    Channels, messages, attachments and metadata are copied, one chunk at a time. Metrics of an earlier
+    evaluation are replaced.
 
     Args:
         source: the result.
-        out: the file, written whole or not at all.
-        evaluations: of its tracks, with tracks kept.
-        record: of the metadata ``posetrack.eval``, apart from what of the result could not be read.
+        out: output file, written atomically.
+        evaluations: evaluations of its tracks, with ``keep_tracks``.
+        record: content of the metadata record ``posetrack.eval``, without the losses.
 
     Returns:
-        What of the result could not be read, and is missing.
+        The parts of the result that could not be read and are missing in the copy.
 
     Raises:
         ResultError: the file cannot be written.
@@ -142,6 +142,7 @@ def write_mcap(
             _write_metrics(sink, one)
         lost = {"losses": json.dumps([asdict(loss) for loss in file.losses.losses])}
         sink.metadata(EVAL_RECORD, {**record, **lost})
+        # The summary comes last, so that a truncated copy is recognised as unfinished.
         for summary in summaries:
             sink.metadata(SUMMARY_RECORD, summary)
         sink.finish()
@@ -149,7 +150,7 @@ def write_mcap(
 
 
 def _copy_extras(file: McapFile, sink: McapSink) -> list[Mapping[str, str]]:
-    """Copy metadata and attachments; return summaries, which stand behind the messages."""
+    """Copy metadata and attachments; return the summaries, which must be written after the messages."""
     summaries: list[Mapping[str, str]] = []
     for extra in file.extras():
         if isinstance(extra, Attachment):
@@ -177,13 +178,13 @@ def _is_copied(topic: str) -> bool:
 
 @dataclass
 class _CopiedChannels:
-    """Channels of another file, each registered once, also those that no message is on."""
+    """Registry of the channels copied from another file."""
 
     sink: McapSink
     _ids: dict[tuple[object, ...], int] = field(default_factory=dict)
 
     def id_of(self, schema: Schema | None, channel: Channel) -> int:
-        """Return the id of the channel that is like one of the other file."""
+        """Return the id of the copy of a channel, which is registered on the first call."""
         text = (
             SchemaText("", "", b"")
             if schema is None
@@ -197,7 +198,7 @@ class _CopiedChannels:
 
 
 def _write_metrics(sink: McapSink, evaluation: Evaluation) -> None:
-    """Write one message for each estimate, at its stamp."""
+    """Write a message per estimate, at its stamp."""
     values, track = frame_metrics(evaluation), evaluation.track
     topic = f"{EVAL_PREFIX.rstrip('/')}{topics_prefix(evaluation.subject, evaluation.which)}"
     channel_id = sink.json_channel(topic, METRICS_SCHEMA_NAME, metrics_schema(values))
@@ -211,24 +212,24 @@ def _write_metrics(sink: McapSink, evaluation: Evaluation) -> None:
 
 
 def frame_metrics(evaluation: Evaluation) -> dict[str, FloatArray]:
-    """Return the metrics of every frame of a track (N,) by name, in the order of tables; NaN for no value.
+    """Return the per-frame metrics of a track (N,) by name, in table order; NaN for missing values.
 
-    A metric of parts, such as joints, is their mean. Metrics that no frame has a value of are left out.
+    Metrics with parts, such as joints, are means over the parts. Metrics without any value are left out.
     """
     every = {**evaluation.placed_series(), **run_series(evaluation.track), **evaluation.track_series}
     return {name: every[name] for name in sorted(every, key=place_of) if np.isfinite(every[name]).any()}
 
 
 def metrics_schema(names: Iterable[str]) -> dict[str, Any]:
-    """Return the JSON schema of messages with some metrics; names end in their units."""
+    """Return the JSON schema of messages with these metrics."""
     properties: dict[str, Any] = {
-        "stamp_ns": {"type": "integer", "description": "Of the estimate."},
-        "status": {"type": "string", "description": "Of the estimate."},
+        "stamp_ns": {"type": "integer", "description": "Stamp of the estimate, ns."},
+        "status": {"type": "string", "description": "Tracking status of the estimate."},
     }
     properties |= {name: {"type": "number", "description": metric_of(name).meaning} for name in names}
     return {
         "title": METRICS_SCHEMA_NAME,
-        "description": "Metrics of one frame, of parts such as joints their mean; unknown ones are left out.",
+        "description": "Metrics of a frame, averaged over parts such as joints; missing ones are left out.",
         "type": "object",
         "properties": properties,
         "required": ["stamp_ns", "status"],
@@ -239,7 +240,7 @@ def metrics_schema(names: Iterable[str]) -> dict[str, Any]:
 def _record(
     found: Assessment, request: Request, path: Path, evaluations: Sequence[Evaluation]
 ) -> dict[str, str]:
-    """What metadata say: totals as ``--json`` has them, gates of the result and of pools, and the truth."""
+    """Return the metadata: totals as in ``--json``, gates of the result and its pools, ground truth."""
     names = {*(one.name for one in evaluations), *(pool.name for pool in found.pools)}
     values = {
         "options": stated_options(request.options_of(path, evaluations[0].which)),
@@ -251,7 +252,7 @@ def _record(
 
 
 def _truth(path: Path, request: Request, evaluations: Sequence[Evaluation]) -> dict[str, str]:
-    """Where the truth is from: a file, by its name and SHA-256, or topics of the result."""
+    """Return the source of the ground truth: name and SHA-256 of a file, or topics of the result."""
     if not any(one.coverage.has_truth for one in evaluations):
         return {}
     given = request.options_of(path, evaluations[0].which).truth

@@ -1,4 +1,4 @@
-"""Reports as files: everything as JSON, figures and curves as CSV; where they are written."""
+"""JSON and CSV reports, and checks of report paths."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from posetrack_cli.text import printable_json
 
 
 def check_reports(reports: Iterable[Path], inputs: Iterable[Path], *, overwrite: bool) -> None:
-    """Refuse reports that cannot be written, before time is spent on what stands in them.
+    """Check that reports can be written, before the evaluation starts.
 
     Args:
         reports: files to write.
@@ -43,31 +43,32 @@ def check_reports(reports: Iterable[Path], inputs: Iterable[Path], *, overwrite:
         overwrite: whether existing reports may be replaced.
 
     Raises:
-        UsageError: a report is a folder, a device, an input, the same file as another, or is there already.
-        ResultError: its folder does not exist.
+        UsageError: a report is a folder, a device, an input or another report, or exists already.
+        ResultError: the folder of a report does not exist.
     """
     taken = {real_path(path): "an input" for path in inputs}
     for report in reports:
         check_place(report)
-        if report.exists() and not report.is_file():  # a device would be replaced, not written to
+        if report.exists() and not report.is_file():  # writing would replace a device file
             found = "a folder" if report.is_dir() else "a device"
-            hint = "- is standard output"
+            hint = "use - for standard output"
             raise UsageError("report cannot be written", where=report, found=found, hint=hint)
         use = taken.get(real_path(report))
         if use:
-            raise UsageError(f"report would replace {use}", where=report, hint="choose another name")
+            raise UsageError(f"report would overwrite {use}", where=report, hint="choose another name")
         if not overwrite:
             check_free(report)
         taken[real_path(report)] = "another report"
 
 
 def write_report(path: Path, text: str) -> None:
-    """Write a report as UTF-8; a name that is no text is written as an escape that JSON reads back.
+    """Write a report atomically as UTF-8.
 
     Raises:
-        ResultError: it cannot be written.
+        ResultError: the file cannot be written.
     """
     with whole_or_nothing(path) as part:
+        # Undecodable bytes in file names are written as escapes that JSON readers understand.
         write_output(part, text.encode("utf-8", "backslashreplace"))
 
 
@@ -83,22 +84,21 @@ def json_report(
     *,
     rows: bool = False,
 ) -> str:
-    """Return the report as JSON text.
+    """Return the JSON report.
 
-    ``results`` has for each result its name, file, track, subject, coverage, metrics by address (``unit``
-    with either ``value`` or mean, sd, median, p95, max, p5 and count), absent metrics with reasons, curve,
-    reliability and ROC curve of confidence, joint offsets that were removed, notes, losses and run record;
-    ``pooled`` the same of the results together and of each group, as far as it is pooled; ``comparison`` the
-    paired differences, ``gates`` the outcome of every gate. Results that are rows of a table have no curve,
-    no reliability and of the run record only what tells recordings apart; ``layout`` says what they are.
+    ``results`` has name, file, track, subject, coverage, metrics by address (``unit`` and either ``value`` or
+    mean, sd, median, p95, max, p5 and count), absent metrics with reasons, curve, reliability diagram and ROC
+    curve, removed joint offsets, notes, losses and run record of each result. ``pooled`` has the values of
+    all pools, ``comparison`` the paired differences, ``gates`` the outcomes of all gates. With the ``layout``
+    ``rows``, results have no curves, and only ``OF_RECORDING`` of the run record.
 
     Args:
         evaluations: the results.
-        options: what they were evaluated with.
-        comparison: of the results or groups.
-        gates: of ``--fail-if``, files of gates and a baseline.
-        pools: results together.
-        rows: whether the results are rows of a table.
+        options: evaluation options.
+        comparison: comparison of results or groups.
+        gates: outcomes of gates and baseline.
+        pools: the pools.
+        rows: whether the layout is ``rows``.
     """
     report = {
         "format": FORMAT,
@@ -114,7 +114,7 @@ def json_report(
 
 
 def finite(value: Any) -> Any:
-    """Replace numbers that JSON cannot hold by None, in nested lists and dictionaries."""
+    """Replace NaN and infinity by None in nested lists and dictionaries, as JSON does not support them."""
     if isinstance(value, float) and not math.isfinite(value):
         return None
     if isinstance(value, Mapping):
@@ -125,11 +125,11 @@ def finite(value: Any) -> Any:
 
 
 OF_RECORDING = ("seed", "input.name", RECORDING_KEY)
-"""What rows keep of a run record."""
+"""Entries of the run record in the layout ``rows``."""
 
 
 def result_values(evaluation: Evaluation) -> dict[str, Any]:
-    """Return what every report says of a result, apart from its run record."""
+    """Return the values of a result that all reports share, without its run record."""
     return {
         "name": evaluation.name,
         "file": str(evaluation.path),
@@ -170,7 +170,7 @@ def _pool(pool: Pool) -> dict[str, Any]:
 
 
 def _figures(measured: Evaluation | Pool) -> dict[str, Any]:
-    """What results alone and pooled have in common."""
+
     return {
         "coverage": {**asdict(measured.coverage), "share": measured.coverage.share},
         "metrics": {base: _metric(base, value) for base, value in measured.metrics.items()},
@@ -179,7 +179,7 @@ def _figures(measured: Evaluation | Pool) -> dict[str, Any]:
 
 
 def _honesty(judged: JudgedFrames) -> dict[str, Any]:
-    """What confidence says: bins with the share of frames that are right, and the ROC curve."""
+    """Return the reliability diagram and the ROC curve."""
     curve = roc_curve(*judged.scored)
     return {
         "right_if": judged.right_if,
@@ -222,7 +222,7 @@ def _comparison(comparison: Comparison) -> dict[str, Any]:
 
 
 def _flat(difference: dict[str, Any]) -> dict[str, Any]:
-    """The paired figures beside the names; one note."""
+    """Return a difference with the fields of ``paired`` on the same level, except its note."""
     paired = difference.pop("paired")
     return {**{key: value for key, value in paired.items() if key != "note"}, **difference}
 
@@ -232,20 +232,20 @@ Line = tuple[str, str, str, str, float, str]
 
 
 KINDS = ("largest", "mean")
-"""Of a frame's joint errors."""
+"""Columns per result of a curve report, by joint errors of a frame."""
 
 
 def csv_report(
     evaluations: Sequence[Evaluation], comparison: Comparison | None = None, pools: Sequence[Pool] = ()
 ) -> str:
-    """Return lines ``result,metric,part,statistic,value,unit``, UTF-8, with a header.
+    """Return the CSV report with the columns ``result,metric,part,statistic,value,unit``.
 
-    ``part`` is empty for a metric as a whole; ``statistic`` is empty for a metric that is one number. Of a
-    comparison ``result`` is ``second - first`` and ``statistic`` ends in ``difference``, ``low``, ``high``,
-    ``p_value`` or ``pairs``; of results that are pooled ``result`` is the pool's name. Values have all their
-    digits; those that are not finite are ``nan`` or ``inf``.
+    ``part`` is empty for a whole metric, ``statistic`` for scalar metrics. In comparisons, ``result`` is
+    ``second - first`` and ``statistic`` ends with ``difference``, ``low``, ``high``, ``p_value`` or
+    ``pairs``. For pools, ``result`` is the name of the pool. Values have full precision; they can be ``nan``
+    or ``inf``.
     """
-    every: list[Evaluation | Pool] = [*evaluations, *(pool for pool in pools if pool.says_more)]
+    every: list[Evaluation | Pool] = [*evaluations, *(pool for pool in pools if pool.has_pooled_values)]
     lines = [
         line for one in every for base, value in one.metrics.items() for line in _lines(one.name, base, value)
     ]
@@ -253,10 +253,10 @@ def csv_report(
 
 
 def csv_rows(sets: Sequence[ResultSet]) -> str:
-    """Return a line for each result, the worst first, and after them one of all together, with a header.
+    """Return the CSV report with a line per result, worst first, followed by the line of the pool.
 
-    The columns are ``result``, ``subject``, ``track``, ``gates_failed`` and the address of each figure; what
-    a result has not is empty. The last line of each set has the name of its pool.
+    The columns are ``result``, ``subject``, ``track``, ``gates_failed`` and one per address; missing values
+    are empty.
     """
     rows = [row for one in sets for row in (*one.rows, one.total)]
     bases = sorted(dict.fromkeys(base for row in rows for base in row.measured.metrics), key=place_of)
@@ -305,17 +305,17 @@ def _differences(comparison: Comparison) -> Iterator[Line]:
 
 
 def curve_report(evaluations: Sequence[Evaluation]) -> str:
-    """Return a table with the column ``d_mm``, and for each result ``NAME largest`` and ``NAME mean``.
+    """Return the error curves as CSV with the columns ``d_mm``, ``NAME largest`` and ``NAME mean``.
 
-    Shares, 0 to 1, are of the frames due: those that a result missed count as not below D.
+    Values are shares, 0 to 1, of the expected frames; missed frames count as above D.
 
     Raises:
-        UsageError: no result has a curve: they are no hands, or there is no truth with joints.
+        UsageError: no result has a curve: none is of a hand with true joints.
     """
     curves = {one.name: one.curve for one in evaluations if one.curve is not None}
     if not curves:
         names = ", ".join(one.name for one in evaluations)
-        raise UsageError("no curve: no result of a hand has a truth with joints", found=names)
+        raise UsageError("no curve: requires a hand result and ground truth with joints", found=names)
     columns = [next(iter(curves.values())).thresholds_mm]
     columns += [shares for curve in curves.values() for shares in (curve.share, curve.mean_share)]
     header = ["d_mm", *(f"{name} {kind}" for name in curves for kind in KINDS)]

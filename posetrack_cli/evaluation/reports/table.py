@@ -1,4 +1,4 @@
-"""The tables of reports: metrics, rows of results, comparisons."""
+"""Text tables of metrics, result rows and comparisons."""
 
 from __future__ import annotations
 
@@ -29,34 +29,34 @@ from posetrack_cli.evaluation.measuring.pooling import Pool
 from posetrack_cli.evaluation.reading.alignment import JointOffsets
 from posetrack_cli.losses import loss_line
 
-# Evaluations as tables of text, for the terminal and the HTML report alike
+# Tables of evaluations, for the terminal and the HTML report
 
 
 ABSENT = "-"
 SHOWN = ("mean", "sd", "median", "p95", "max", "p5")
-"""Columns of one result; the last is filled where small is bad."""
+"""Statistics of a single result; p5 only for metrics where higher is better."""
 SPREAD, LOW_SPREAD = ("median", "p95", "max"), ("median", "p5")
-"""What several results show below the mean, where large is bad and where small is."""
+"""Statistics below the mean for several results, where lower is better and where higher is better."""
 
-OFFSETS_TITLE = "Joint offsets removed, mm"
-OFFSET_COLUMNS: tuple[str, ...] = ("x", "y", "z", "length")
-"""Truth minus estimate, in the axes that a note names."""
+OFFSETS_TITLE = "Removed joint offsets, mm"
+OFFSET_COLUMNS: tuple[str, ...] = ("x", "y", "z", "norm")
+"""Ground truth minus estimate, in the axes that a note states."""
 
-RELIABILITY_COLUMNS: tuple[str, ...] = ("frames", "mean confidence", "share right")
+RELIABILITY_COLUMNS: tuple[str, ...] = ("frames", "mean confidence", "share correct")
 
 MOST_NAMES = 4
-"""How many results a line below the tables names."""
+"""Maximum number of result names in a line."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """One line of a table.
+    """A table row.
 
     Attributes:
-        label: what it is about.
+        label: label of the row.
         cells: one text per column.
-        address: the metric's address without statistic, or empty.
-        indent: 0 for a metric, 1 for what belongs to the metric above.
+        address: address of the metric without statistic; empty for none.
+        indent: 0 for a metric, 1 for a detail of the metric above.
     """
 
     label: str
@@ -67,7 +67,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Section:
-    """Rows under a title of their own, which may be empty."""
+    """Rows with a common title, which may be empty."""
 
     title: str
     rows: tuple[Row, ...]
@@ -75,7 +75,7 @@ class Section:
 
 @dataclass(frozen=True)
 class Table:
-    """A title, headings of the columns (without that of the labels), and sections."""
+    """A table: title, column headings (without that of the labels), and sections."""
 
     title: str
     columns: tuple[str, ...]
@@ -83,19 +83,19 @@ class Table:
 
 
 RowsOf: TypeAlias = Callable[[str], list[Row]]
-"""Makes the rows of a metric or a part, by its address."""
+"""Returns the rows of an address."""
 
 
 def tables(evaluations: Sequence[Evaluation], *, parts: bool = False) -> list[Table]:
-    """Make the tables of results beside each other, in the catalogue's order, coverage always first.
+    """Return the tables of one result, or of several side by side, in catalogue order.
 
-    One result has a column for each statistic; of several each has a column with mean and sd, and below it
-    median, 95th percentile and largest, or where small is bad median and 5th percentile. Metrics without a
-    value are left out: see ``closing_lines``.
+    A single result has a column per statistic. Several results have a column each with mean and sd, and below
+    median, p95 and max, or median and p5 if higher is better. Metrics without a value are left out; see
+    ``closing_lines``.
 
     Args:
         evaluations: at least one.
-        parts: also a row for every joint, finger, angle or point.
+        parts: include rows of joints, fingers, angles and points.
     """
     more = (thesis_table(evaluations), offsets_table(evaluations))
     bases = [base for base in _bases(evaluations) if parts or "." not in base]
@@ -105,7 +105,7 @@ def tables(evaluations: Sequence[Evaluation], *, parts: bool = False) -> list[Ta
 
 
 def catalogue_lines() -> Iterator[str]:
-    """Yield every metric's address, unit and direction, and below it its meaning, for people to read."""
+    """Yield address, unit, direction and meaning of all metrics, for ``--list-metrics``."""
     for metric in CATALOGUE:
         part = f"[.{metric.part.upper()}]" if metric.part else ""
         statistic = "" if metric.scalar else ".STATISTIC"
@@ -113,15 +113,15 @@ def catalogue_lines() -> Iterator[str]:
         unit = f", {metric.unit}" if metric.unit else ""
         yield f"{metric.name}{part}{statistic}{unit}{better}"
         yield f"    {metric.meaning}"
-    yield f"STATISTIC is one of {', '.join(STATISTIC_NAMES)}"
+    yield f"STATISTIC: one of {', '.join(STATISTIC_NAMES)}"
     lone = ", ".join(metric.name for metric in CATALOGUE if not is_pooled(metric.name))
-    yield "pooled.NAME is the figure of the frames of all results together, or of each group; not of " + lone
-    yield "p95(NAME), and so every STATISTIC, is that of the figures that the results have: p5(coverage)"
+    yield f"pooled.NAME: value over the frames of all results, or of each group; not available for {lone}"
+    yield "STATISTIC(NAME): statistic over the values of all results, e.g. p95(joint_error_mm.mean)"
 
 
 def pooled_table(pools: Sequence[Pool]) -> Table | None:
-    """The figures of results together, or None where no two were pooled."""
-    shown_pools = [pool for pool in pools if pool.says_more]
+    """Return the table of pooled values, or None if there are none."""
+    shown_pools = [pool for pool in pools if pool.has_pooled_values]
     if not shown_pools:
         return None
     bases = [base for base in _bases(shown_pools) if "." not in base]
@@ -133,11 +133,8 @@ def pooled_table(pools: Sequence[Pool]) -> Table | None:
 
 
 def reliability_table(evaluations: Sequence[Evaluation], pools: Sequence[Pool]) -> Table | None:
-    """How many frames of each confidence are right, of results and pools; None where no frame was judged.
-
-    One result has columns of counts, mean confidences and shares right; of several each has a column.
-    """
-    every: list[Evaluation | Pool] = [*evaluations, *(pool for pool in pools if pool.says_more)]
+    """Return the reliability diagrams of results and pools as a table, or None if no frame was judged."""
+    every: list[Evaluation | Pool] = [*evaluations, *(pool for pool in pools if pool.has_pooled_values)]
     found = {one.name: reliability(*one.judged.scored) for one in every if one.judged is not None}
     if not found:
         return None
@@ -155,14 +152,14 @@ def reliability_table(evaluations: Sequence[Evaluation], pools: Sequence[Pool]) 
 
 
 def criterion_lines(evaluations: Sequence[Evaluation]) -> list[str]:
-    """What makes frames right, or far off, in the results that were judged."""
+    """Return the criteria for correct and far-off frames."""
     judged = [one.judged for one in evaluations if one.judged is not None]
-    lines = (f"right: {one.right_if}; far off: {one.far_if}" for one in judged)
+    lines = (f"correct: {one.right_if}; far off: {one.far_if}" for one in judged)
     return list(dict.fromkeys(lines))
 
 
 def pool_lines(pools: Sequence[Pool]) -> list[str]:
-    """Why results have no figures together, or not all of them."""
+    """Return the reasons for missing pooled values."""
     several = [pool for pool in pools if len(pool.results) > 1]
     return [f"{one.name}: {line}" for one in several for line in _absent_lines(one.absent)]
 
@@ -174,17 +171,17 @@ def _reliability_cells(one: Bin) -> tuple[str, ...]:
 
 
 def thesis_table(evaluations: Sequence[Evaluation]) -> Table | None:
-    """Mean and sd of a head's six absolute errors side by side, or None where no result has them."""
+    """Return mean and sd of the six absolute pose errors of heads, or None if no result has them."""
     heads = [one for one in evaluations if all(name in one.metrics for name in HEAD_POSE)]
     if not heads:
         return None
     rows = tuple(_thesis_row(one, name, len(heads)) for one in heads for name in ("mean", "sd"))
     columns = tuple(name.replace("_", " ") for name in HEAD_POSE)
-    return Table("Absolute errors of the pose", columns, (Section("", rows),))
+    return Table("Absolute pose errors", columns, (Section("", rows),))
 
 
 def offsets_table(evaluations: Sequence[Evaluation]) -> Table | None:
-    """The constant offset that each joint was rid of, or None where no result has any."""
+    """Return the removed constant offsets of the joints, or None if none were removed."""
     removed = {one.name: one.joint_offsets for one in evaluations if one.joint_offsets is not None}
     if not removed:
         return None
@@ -199,7 +196,7 @@ def offsets_table(evaluations: Sequence[Evaluation]) -> Table | None:
 
 
 def _offset_cells(removed: JointOffsets, name: str) -> tuple[str, ...]:
-    """x, y, z and length."""
+
     if name not in removed.names:
         return (ABSENT,) * len(OFFSET_COLUMNS)
     row = removed.names.index(name)
@@ -208,9 +205,9 @@ def _offset_cells(removed: JointOffsets, name: str) -> tuple[str, ...]:
 
 
 def closing_lines(evaluations: Sequence[Evaluation]) -> list[str]:
-    """What belongs under the tables: renderer, notes, metrics without a value and why, data lost.
+    """Return the lines below the tables: renderer, notes, lost data, and reasons for missing values.
 
-    What holds for all results is said once, else with the names of those that it holds for.
+    Lines that apply to all results are not repeated; others are prefixed with the names of the results.
     """
     of: dict[str, list[str]] = {}
     for one in evaluations:
@@ -223,14 +220,14 @@ def closing_lines(evaluations: Sequence[Evaluation]) -> list[str]:
 
 
 def some_names(names: Sequence[str]) -> str:
-    """The names, of many the first ones and how many more there are."""
+    """Return the names as text, abbreviated if there are many."""
     if len(names) <= MOST_NAMES:
         return ", ".join(names)
     return f"{', '.join(names[: MOST_NAMES - 1])} and {len(names) - MOST_NAMES + 1} more"
 
 
 def shown(value: float) -> str:
-    """Show four digits without exponent; what looks exact is: 1 is 1, and 0.99999 is 1.0000."""
+    """Format a value with four digits. Only integers are shown without decimals: 0.99999 is 1.0000."""
     if not math.isfinite(value):
         return str(value)
     size = abs(value)
@@ -242,12 +239,12 @@ def shown(value: float) -> str:
 
 
 def mean_and_sd(mean: float, sd: float) -> str:
-    """Show both in one cell."""
+    """Format mean and standard deviation for one cell."""
     return f"{shown(mean)} \u00b1 {shown(sd)}"
 
 
 def _of_one(evaluations: Sequence[Evaluation]) -> tuple[str, tuple[str, ...], RowsOf]:
-    """Title, columns and the rows of an address of a table of the only result."""
+    """Return title, columns and row function of the table of a single result."""
     (evaluation,) = evaluations
 
     def rows(base: str) -> list[Row]:
@@ -257,7 +254,7 @@ def _of_one(evaluations: Sequence[Evaluation]) -> tuple[str, tuple[str, ...], Ro
 
 
 def _of_several(evaluations: Sequence[Evaluation]) -> tuple[str, tuple[str, ...], RowsOf]:
-    """The same of a table of results beside each other."""
+    """Return title, columns and row function of the table of several results."""
 
     def rows(base: str) -> list[Row]:
         values = [one.metrics.get(base) for one in evaluations]
@@ -271,7 +268,7 @@ def _of_several(evaluations: Sequence[Evaluation]) -> tuple[str, tuple[str, ...]
 
 
 def _sections(grouped: Iterable[tuple[Group, list[Row]]]) -> tuple[Section, ...]:
-    """The rows of each group of metrics together, in the order of the groups."""
+    """Return a section per group of metrics, in table order."""
     found: dict[Group, list[Row]] = {group: [] for group in GROUP_TITLES}
     for group, rows in grouped:
         found[group] += rows
@@ -279,7 +276,7 @@ def _sections(grouped: Iterable[tuple[Group, list[Row]]]) -> tuple[Section, ...]
 
 
 def _bases(evaluations: Iterable[Measured]) -> list[str]:
-    """Every address that a result has, in the catalogue's order; parts as they come."""
+    """Return all addresses with a value, in catalogue order."""
     found = dict.fromkeys(base for one in evaluations for base in one.metrics)
     return sorted(found, key=place_of)
 
@@ -322,35 +319,35 @@ def _lines(evaluation: Evaluation) -> list[str]:
     renderer = evaluation.run.get("renderer")
     lines = [f"renderer: {renderer}"] if renderer else []
     lines += [f"note: {note}" for note in evaluation.notes]
-    lines += [f"data lost: {loss_line((loss,))}" for loss in evaluation.losses]
+    lines += [f"lost data: {loss_line((loss,))}" for loss in evaluation.losses]
     return [*lines, *_absent_lines(evaluation.absent)]
 
 
 def _absent_lines(absent: Mapping[str, str]) -> Iterator[str]:
-    """One line for each reason; a part is left out where its whole is absent too."""
+    """Yield one line per reason; parts are left out if the whole is also missing."""
     wholes = [base for base in absent if base.partition(".")[0] == base or base.split(".")[0] not in absent]
     for reason in dict.fromkeys(absent[base] for base in wholes):
         names = ", ".join(base for base in wholes if absent[base] == reason)
-        yield f"not measured ({reason}): {names}"
+        yield f"not available ({reason}): {names}"
 
 
-# Many results as a table of text: a row for each, the worst first, and one for all
+# Tables with a row per result, worst first
 
 
 MOST_SHOWN = 50
-"""Rows that are shown unless more are asked for."""
+"""Default number of result rows."""
 MOST_LINES = 20
-"""Lines below the tables: every result may have some of its own."""
+"""Maximum number of lines below the tables."""
 NEW = "new"
-"""Of a result that the baseline has not."""
+"""Change of a result that is not in the baseline."""
 
 
 def row_table(results: ResultSet, most: int = MOST_SHOWN) -> Table:
-    """Make the table of a set; headings take two lines, the second as the first row.
+    """Return the table of a set. Headings have two lines; the second is the first row.
 
     Args:
         results: the set.
-        most: how many results are shown, the worst; 0 for all.
+        most: maximum number of results, worst first; 0 for all.
     """
     headings = [heading(figure) for figure in results.figures]
     if results.compared and results.worst_by in results.figures:
@@ -377,63 +374,63 @@ def _row_cells(row: ResultRow, results: ResultSet) -> tuple[str, ...]:
 
 
 def shown_change(row: ResultRow, figure: str) -> str:
-    """Show by how much a figure changed, with its sign; a result that the baseline has not is new."""
+    """Format the change of a value with its sign, or "new" for results that are not in the baseline."""
     change = row.change(figure)
     if change is None:
-        return NEW if row.earlier is None and not isinstance(row.measured, Pool) else ABSENT
+        return NEW if row.baseline is None and not isinstance(row.measured, Pool) else ABSENT
     text = shown(abs(change))
     return "0" if text == "0" else f"{'-' if change < 0 else '+'}{text}"
 
 
 def row_lines(sets: Sequence[ResultSet], most: int = MOST_SHOWN) -> list[str]:
-    """What belongs under the tables: names of columns, what is not shown, why there is no total."""
+    """Return the lines below the tables: columns, hidden rows, and reasons for missing totals."""
     lines: list[str] = []
     for one in sets:
         names = ", ".join(dict.fromkeys(figure for figure in one.figures))
         what = f"{one.title}: " if one.title else ""
-        lines.append(f"{what}columns: {names}; worst by {one.worst_by}; TOTAL: every frame counts alike")
+        lines.append(f"{what}columns: {names}; sorted by {one.worst_by}; TOTAL: over all frames")
         if most and len(one.rows) > most:
             lines.append(
-                f"{what}{most} of {len(one.rows)} results are shown, the worst: --worst 0 shows all, "
-                "--json, --csv and --html have them"
+                f"{what}showing the worst {most} of {len(one.rows)} results; use --worst 0 for all "
+                "(--json, --csv and --html include all)"
             )
         lines += [f"{what}{line}" for line in total_lines(one)]
     return lines
 
 
 def total_lines(results: ResultSet) -> list[str]:
-    """Why there is no total of some columns, one line a reason."""
+    """Return the reasons for missing totals, one line per reason."""
     reasons: dict[str, list[str]] = {}
     for figure in results.figures:
         reason = figure_of(results.pool, figure).reason
         if reason:
             reasons.setdefault(reason, []).append(figure)
-    return [f"no total of {', '.join(figures)}: {reason}" for reason, figures in reasons.items()]
+    return [f"no total for {', '.join(figures)}: {reason}" for reason, figures in reasons.items()]
 
 
 def fewer(lines: Sequence[str]) -> list[str]:
-    """Return the first lines, and how many more there are."""
+    """Return at most ``MOST_LINES`` lines, the last one with the number of omitted lines."""
     if len(lines) <= MOST_LINES:
         return list(lines)
-    return [*lines[: MOST_LINES - 1], f"{len(lines) - MOST_LINES + 1} more notes: --json has those of all"]
+    return [*lines[: MOST_LINES - 1], f"{len(lines) - MOST_LINES + 1} more notes; --json includes all"]
 
 
-# Comparisons as tables of text
+# Tables of comparisons
 
 
 NOT_COMPARED = (
-    "not compared: no two results are of the same recording with figures in common; "
-    "--group compares groups, recording by recording"
+    "not compared: no two results have the same recording and common metrics; "
+    "use --group to compare groups of results"
 )
-COLUMNS = ("difference", "95 % from", "to", "p", "pairs")
+COLUMNS = ("difference", "95 % CI low", "high", "p", "pairs")
 
 
 def comparison_tables(comparison: Comparison, *, parts: bool = False) -> list[Table]:
-    """Make a table of the groups' figures, where there are groups, and one of each pair's differences.
+    """Return a table of the groups, if any, and a table of differences for each pair.
 
     Args:
-        comparison: what to show.
-        parts: also figures of single fingers, joints, angles or points.
+        comparison: the comparison.
+        parts: include metrics of single fingers, joints, angles and points.
     """
     pairs = dict.fromkeys((one.first, one.second) for one in comparison.differences)
     differences = [_differences(_shown(comparison, *pair, parts=parts), *pair) for pair in pairs]
@@ -441,10 +438,8 @@ def comparison_tables(comparison: Comparison, *, parts: bool = False) -> list[Ta
 
 
 def comparison_lines(comparison: Comparison, *, parts: bool = False) -> list[str]:
-    """What belongs under the tables: the unit of the test, and its notes; arguments as of the tables."""
-    lines = [
-        f"a pair is {comparison.unit}; p: Wilcoxon's signed-rank test, two-sided; interval: bootstrap, BCa"
-    ]
+    """Return the lines below the tables: statistical methods and notes."""
+    lines = [f"pairs: {comparison.unit}; p: two-sided Wilcoxon signed-rank test; CI: BCa bootstrap"]
     for first, second in dict.fromkeys((one.first, one.second) for one in comparison.differences):
         shown = _shown(comparison, first, second, parts=parts)
         for note in dict.fromkeys(one.note for one in shown if one.note):
@@ -455,7 +450,7 @@ def comparison_lines(comparison: Comparison, *, parts: bool = False) -> list[str
 
 
 def _shown(comparison: Comparison, first: str, second: str, *, parts: bool) -> list[Difference]:
-    """The differences of a pair, with or without those of parts."""
+    """Return the differences of a pair of results or groups."""
     return [
         one
         for one in comparison.differences
@@ -464,7 +459,7 @@ def _shown(comparison: Comparison, first: str, second: str, *, parts: bool) -> l
 
 
 def _groups(comparison: Comparison) -> Table:
-    """Mean and sd of each figure over the results of a group."""
+    """Return the table with mean and sd over the results of each group."""
     groups = comparison.groups
     figures = list(dict.fromkeys(figure for summary in groups.values() for figure in summary))
     counts = Row("results", tuple(_largest_count(summary.values()) for summary in groups.values()))
@@ -500,7 +495,7 @@ def _difference_cells(one: Difference) -> tuple[str, ...]:
 
 
 def shown_p(p_value: float) -> str:
-    """Show a p-value in two digits, and those below 0.0001 as such."""
+    """Format a p-value with two digits, or as below 0.0001."""
     return "<0.0001" if p_value < 1e-4 else f"{p_value:.2g}"
 
 

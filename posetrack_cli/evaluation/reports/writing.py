@@ -1,4 +1,4 @@
-"""How reports are written: to files, to the terminal, as JUnit XML and Markdown."""
+"""Report output: terminal tables, JUnit XML, Markdown, and the texts of all reports."""
 
 from __future__ import annotations
 
@@ -31,12 +31,10 @@ from posetrack_cli.evaluation.reports.table import (
 from posetrack_cli.losses import loss_line
 from posetrack_cli.text import one_line
 
-# All reports of an assessment, by what they are called; commands say where they go
-
 
 @dataclass(frozen=True)
 class Reports:
-    """Where the reports that are texts go; None writes none.
+    """Paths of the text reports; None for reports that are not requested.
 
     Attributes:
         json, csv, curve: see ``report_files``.
@@ -54,16 +52,16 @@ class Reports:
 def report_texts(
     found: Assessment, options: EvalOptions, reports: Reports, most: int = MOST_SHOWN
 ) -> Iterator[tuple[Path, str]]:
-    """Yield the text of each report that is asked for, with its place.
+    """Yield path and text of each requested report.
 
     Args:
-        found: what was found out.
-        options: how results were measured.
-        reports: where the reports go.
-        most: how many results Markdown lists, the worst; 0 for all.
+        found: the assessment.
+        options: evaluation options.
+        reports: paths of the reports.
+        most: maximum number of results in the Markdown report, worst first; 0 for all.
 
     Raises:
-        UsageError: a curve is asked for, and no result has one.
+        UsageError: a curve is requested, and no result has one.
     """
     if reports.json is not None:
         shown = worst_first(found.sets) if found.rows else found.evaluations
@@ -82,28 +80,28 @@ def report_texts(
 
 
 def rows_page_of(found: Assessment) -> RowsPage:
-    """Return the page that shows results as rows."""
+    """Return the content of the HTML page with a row per result."""
     return RowsPage(found.sets, found.outcomes, found.notes, found.comparison)
 
 
-# Outcomes of gates as JUnit XML, which GitLab, Jenkins and reporters of GitHub show as tests
+# JUnit XML, which GitLab, Jenkins and GitHub actions display as test results
 
 
 SUITE = "posetrack eval"
-# All that XML 1.0 allows but C1 controls; not lone surrogates, which stand for bytes that are no UTF-8.
+# Characters that XML 1.0 forbids, C1 controls, and lone surrogates, which stand for bytes that are not UTF-8.
 _FORBIDDEN = re.compile("[^\t\n\x20-\x7e\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 def junit_report(outcomes: Sequence[GateOutcome], suite: str = SUITE) -> str:
-    """Return a document with one test for each outcome; one that failed has a failure with its message.
+    """Return a JUnit document with one test case per outcome.
 
-    The class of a test is the result's name, its own name the gate's title, which stays from run to run. The
-    type of a failure is ``failed`` or, where there was no figure, ``not judged``. No time is in it: equal
-    outcomes give equal text.
+    ``classname`` is the name of the result, ``name`` the title of the gate, which does not change from run to
+    run. The type of a failure is ``failed``, or ``not judged`` without a value. The document contains no
+    times, so that equal outcomes give equal text.
 
     Args:
-        outcomes: of gates and baselines.
-        suite: what the suite is called.
+        outcomes: outcomes of gates and baselines.
+        suite: name of the test suite.
     """
     counts = {"tests": str(len(outcomes)), "failures": str(sum(one.failed for one in outcomes))}
     counts |= {"errors": "0"}
@@ -121,17 +119,17 @@ def junit_report(outcomes: Sequence[GateOutcome], suite: str = SUITE) -> str:
 
 
 def _allowed(text: str) -> str:
-    """Return text without the characters that no XML may hold, and without other controls."""
+    """Return text without forbidden characters."""
     return _FORBIDDEN.sub("", text)
 
 
-# Tables of text on a terminal, in a pipe or in a log
+# Tables on a terminal or in a pipe
 
 
 PIPE_WIDTH = 1_000_000
-"""Nothing is broken or cut where no terminal says how much it shows."""
+"""Width without a terminal: tables are not wrapped."""
 BETWEEN = 2
-"""Columns of text between two of a table."""
+"""Spaces between columns."""
 
 _BOLD = "\x1b[1m"
 _BOLD_CYAN = "\x1b[1;36m"
@@ -141,16 +139,15 @@ _RESET = "\x1b[0m"
 def print_tables(
     tables: Iterable[Table], lines: Iterable[str], file: TextIO, width: int | None = None
 ) -> None:
-    """Print tables and the lines below them; colours only on a terminal.
+    """Print tables and the lines below them, with colours on a terminal.
 
-    Columns that do not fit beside each other on a terminal go below each other; nothing is left out or cut,
-    and one column that alone is too wide is left to the terminal to break.
+    A table that is too wide is split into blocks of columns; nothing is truncated.
 
     Args:
-        tables: what to show.
-        lines: closing lines; the terminal breaks long ones.
-        file: where to.
-        width: columns of text; by default the terminal's, or no limit.
+        tables: tables to print.
+        lines: closing lines.
+        file: output stream.
+        width: width in characters; defaults to that of the terminal, or no limit.
     """
     is_terminal = file.isatty()
     available = width or (get_terminal_size().columns if is_terminal else PIPE_WIDTH)
@@ -169,7 +166,7 @@ def print_tables(
 
 
 def _rows(table: Table, plain: bool) -> Iterator[tuple[str, list[str]]]:
-    """Yield the style and the texts of each row, the header first: all have the same number of texts."""
+    """Yield style and texts of each row, the header first; all rows have the same number of texts."""
     rows = [(_BOLD, [table.title, *table.columns])]
     for section in table.sections:
         if section.title:
@@ -180,7 +177,7 @@ def _rows(table: Table, plain: bool) -> Iterator[tuple[str, list[str]]]:
 
 
 def _pieces(widths: Sequence[int], limit: int) -> Iterator[list[int]]:
-    """Yield which columns stand beside each other: that of the labels, and as many others as fit."""
+    """Yield the column indices of each block: the labels, and as many other columns as fit."""
     piece = [0]
     for at in range(1, len(widths)):
         if len(piece) > 1 and sum(widths[one] + BETWEEN for one in [*piece, at]) - BETWEEN > limit:
@@ -192,31 +189,28 @@ def _pieces(widths: Sequence[int], limit: int) -> Iterator[list[int]]:
 
 
 def _line(texts: Sequence[str], widths: Sequence[int]) -> str:
-    """Return the label, flush left, and the other texts, flush right."""
+    """Return a line with the label left-aligned and the other texts right-aligned."""
     gaps = [" " * (width - _width(text)) for text, width in zip(texts, widths, strict=True)]
     others = [" " * BETWEEN + gap + text for text, gap in zip(texts[1:], gaps[1:], strict=True)]
     return "".join([texts[0], gaps[0], *others]).rstrip()
 
 
 def _width(text: str) -> int:
-    """Return how many columns of a terminal a text takes."""
+    """Return the width of a text on a terminal."""
     return sum(0 if combining(char) else 2 if east_asian_width(char) in "WF" else 1 for char in text)
 
 
 def _shown(text: str, plain: bool) -> str:
-    """Return text on one line without control characters; +- where an output has no sign for it.
-
-    Names of results, joints and persons come from files.
-    """
-    safe = one_line(text).expandtabs()
+    """Return text on one line without control characters, and without the sign +- if ``plain``."""
+    safe = one_line(text).expandtabs()  # names come from files, which are untrusted
     return safe.replace("\u00b1", "+-") if plain else safe
 
 
-# What gates, a baseline and results say, as Markdown: the summary of a job, as GitHub and GitLab show it
+# Markdown, as displayed in job summaries of GitHub and GitLab
 
 
 MOST_FAILED = 100
-"""Failed gates that are listed: a summary of GitHub's holds a megabyte."""
+"""Maximum number of failed gates in the report, as GitHub limits job summaries to 1 MiB."""
 
 
 def markdown_report(
@@ -225,21 +219,19 @@ def markdown_report(
     notes: Sequence[str] = (),
     most: int = MOST_SHOWN,
 ) -> str:
-    """Return a summary: what failed, all results together, and each, with changes against the baseline.
-
-    Names of results stand as code, so that nothing in them is formatted, links or mentions anybody.
+    """Return the Markdown report: failed gates, pooled values and results, with changes to the baseline.
 
     Args:
         sets: the results.
-        outcomes: of gates and a baseline.
-        notes: what limits the comparison with the baseline.
-        most: how many results are listed, the worst; 0 for all.
+        outcomes: outcomes of gates and baseline.
+        notes: limitations of the comparison with the baseline.
+        most: maximum number of results, worst first; 0 for all.
     """
     failed = [one for one in outcomes if one.failed]
     lines = [f"## {_heading_of(sets, outcomes, failed)}", ""]
     if failed:
         rows = [_failure(one) for one in failed[:MOST_FAILED]]
-        lines += _table(("failed gate", "result", "why"), rows, numbers=False)
+        lines += _table(("failed gate", "result", "reason"), rows, numbers=False)
         if len(failed) > MOST_FAILED:
             lines += [f"{len(failed) - MOST_FAILED} more failed.", ""]
     lines += [f"- {code(note)}" for note in notes] + ([""] if notes else [])
@@ -265,19 +257,19 @@ def _heading_of(
 
 
 def _failure(one: GateOutcome) -> tuple[str, ...]:
-    why = one.reason if one.figure is not None else f"cannot be judged: {one.reason}"
+    why = one.reason if one.figure is not None else f"could not be evaluated: {one.reason}"
     return code(one.gate), code(one.result), code(why)
 
 
 def _totals(results: ResultSet) -> Iterator[str]:
-    """The figures of all together, a line each."""
+    """Yield the lines of the table of pooled values."""
     row = results.total
     figures = [
         figure
         for figure in dict.fromkeys((*results.figures, *results.further))
         if row.value(figure) is not None
     ]
-    columns = ("figure", "now", *(("baseline", "change") if row.earlier is not None else ()))
+    columns = ("metric", "value", *(("baseline", "change") if row.baseline is not None else ()))
     if figures:
         yield from _table(columns, [(code(figure), *_now_and_then(row, figure)) for figure in figures])
     yield from (f"- {code(line)}" for line in total_lines(results))
@@ -287,7 +279,7 @@ def _totals(results: ResultSet) -> Iterator[str]:
 def _now_and_then(row: ResultRow, figure: str) -> tuple[str, ...]:
     now, change = row.value(figure), row.change(figure)
     cells = (ABSENT if now is None else shown(now),)
-    if row.earlier is None:
+    if row.baseline is None:
         return cells
     then = ABSENT if now is None or change is None else shown(now - change)
     return (*cells, then, shown_change(row, figure))
@@ -295,7 +287,7 @@ def _now_and_then(row: ResultRow, figure: str) -> tuple[str, ...]:
 
 def _heading(results: ResultSet, most: int) -> str:
     count = len(results.rows)
-    return f"The {most} worst of {count} results" if most and count > most else "Results, worst first"
+    return f"Worst {most} of {count} results" if most and count > most else "Results, worst first"
 
 
 def _results(results: ResultSet, most: int) -> Iterator[str]:
@@ -314,25 +306,26 @@ def _cell(row: ResultRow, figure: str, results: ResultSet) -> str:
     if not results.compared or figure == "frames":
         return text
     change = shown_change(row, figure)
-    told = change not in (ABSENT, "0") and (change != NEW or figure == results.worst_by)
-    return f"{text} ({change})" if told else text
+    # "new" is shown once per row, in the column that ranks the rows.
+    has_change = change not in (ABSENT, "0") and (change != NEW or figure == results.worst_by)
+    return f"{text} ({change})" if has_change else text
 
 
 def _losses(evaluations: Iterable[Evaluation]) -> list[str]:
     lines = [f"- {code(one.name)}: {code(loss_line(one.losses))}" for one in evaluations if one.losses]
     more = [f"- and {len(lines) - MOST_FAILED} more"] if len(lines) > MOST_FAILED else []
-    return ["### Measured over what can be read", "", *lines[:MOST_FAILED], *more] if lines else []
+    return ["### Unreadable data", "", *lines[:MOST_FAILED], *more] if lines else []
 
 
 def _table(columns: Sequence[str], rows: Iterable[Sequence[str]], numbers: bool = True) -> list[str]:
-    """A table whose columns but the first are numbers, or none."""
+    """Return the lines of a table; with ``numbers``, all columns but the first are right-aligned."""
     sign = " ---: |" if numbers else " --- |"
     lines = [f"| {' | '.join(columns)} |", f"| --- |{sign * (len(columns) - 1)}"]
     return [*lines, *(f"| {' | '.join(cells)} |" for cells in rows), ""]
 
 
 def code(text: str) -> str:
-    """Return text as code, also in a table: whatever it holds, it is shown and not obeyed."""
+    """Return text as an inline code span, so that names from files are not interpreted as Markdown."""
     shown_text = one_line(text).replace("|", "\\|")
     runs = [len(run) for run in re.findall("`+", shown_text)]
     fence = "`" * (max(runs, default=0) + 1)

@@ -1,1 +1,1 @@
-"""Pictures of estimates on the frames they were made from."""
+"""Rendering of estimates onto the recorded frames, as images and video."""

@@ -1,4 +1,4 @@
-"""Drawing on images: colours, the part that is shown, lines, text."""
+"""Drawing primitives: colours, viewports, lines and captions."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from posetrack_cli.evaluation.reading.tracks import Track
 from posetrack_cli.geometry import rotations
 from posetrack_cli.geometry.camera import Camera, in_camera_axes
 
-# Colours of pictures, blue green red as OpenCV has them: depth in false colour, shaded surfaces
+# Colours (BGR, as in OpenCV), depth in false colour, shading
 
 
 Colour = tuple[int, int, int]
@@ -31,24 +31,24 @@ FOUND_ANEW: Colour = (60, 190, 255)
 TEXT: Colour = (235, 235, 235)
 TONES = (SKIN, SECOND)
 
-# A hand and what is near behind it get most colours; a body further back is dark blue.
+# Most colours are used for the hand and its surroundings; a body further back is dark blue.
 _IN_FRONT_MM, _BEHIND_MM = 90.0, 330.0
 _USUAL_MM = (450.0, 1100.0)
-_BLUEST = 14.0  # of 255: the colour map's lowest end is nearly black, which means no reading
-_STEEPEST = 2.0  # mm per pixel at scale 1: steeper surfaces are as dark
+_BLUEST = 14.0  # of 255; lower values of the colour map look like missing readings, which are black
+_STEEPEST = 2.0  # mm per pixel at scale 1; the shading saturates on steeper surfaces
 _AMBIENT, _SLOPE_LIGHT = 0.75, 0.25
 
 
 @dataclass(frozen=True)
 class DepthRange:
-    """The depths that get colours, mm: ``near`` is red, ``far`` blue."""
+    """Range of depths in false colour, mm: ``near`` is red, ``far`` is blue."""
 
     near: float
     far: float
 
     @classmethod
     def of_points(cls, z: FloatArray) -> DepthRange:
-        """Around the depths of tracked points (any shape), mm; outliers do not count."""
+        """Return the range around the depths of tracked points (any shape), mm, without outliers."""
         good = z[np.isfinite(z) & (z > 0)]
         if not good.size:
             return cls(*_USUAL_MM)
@@ -57,7 +57,7 @@ class DepthRange:
 
 
 def false_colour(depth: Float32Array, depths: DepthRange) -> ImageArray:
-    """Depth (h, w), mm, as a picture (h, w, 3): near is red, far is blue, no reading is black."""
+    """Return depth (h, w), mm, in false colour (h, w, 3): near is red, far is blue, no reading is black."""
     gain = (255.0 - _BLUEST) / (depths.far - depths.near)
     value = np.clip(_BLUEST + (depths.far - depth) * gain, _BLUEST, 255.0).astype(np.uint8)
     picture: ImageArray = cv2.applyColorMap(value, cv2.COLORMAP_TURBO)
@@ -66,11 +66,11 @@ def false_colour(depth: Float32Array, depths: DepthRange) -> ImageArray:
 
 
 def lit(depth: Float32Array, mm_per_pixel: float) -> FloatArray:
-    """How bright a surface (h, w), mm, 0 where there is none, is under light from the upper left: 0 to 1.
+    """Return the brightness (h, w), 0 to 1, of a surface lit from the upper left.
 
     Args:
-        depth: of the surface.
-        mm_per_pixel: how far apart neighbouring pixels of a plain surface lie at its depth.
+        depth: (h, w) depth, mm; 0 for no surface.
+        mm_per_pixel: distance of neighbouring pixels at the depth of the surface, mm.
     """
     down, right = np.gradient(np.where(depth > 0, depth, np.nan))
     slope = np.clip((down + right) / max(mm_per_pixel, 1e-3), -_STEEPEST, _STEEPEST)
@@ -79,26 +79,26 @@ def lit(depth: Float32Array, mm_per_pixel: float) -> FloatArray:
 
 
 def shaded(colours: ImageArray, light: FloatArray) -> ImageArray:
-    """Colours (h, w, 3) or (3,) under a light (h, w)."""
+    """Return colours (h, w, 3) or (3,) multiplied by a brightness (h, w)."""
     return np.asarray(light[..., None] * colours, dtype=np.uint8)
 
 
-# Which part of an image a picture shows, and how large
+# Viewports
 
 
 MARGIN_MM = 45.0
-"""How far skin reaches beyond the outermost joints, and some room around it."""
+"""Margin around the joints for the skin."""
 LEAST_ROWS = 300
-"""A picture is enlarged by whole numbers until it is at least so high, unless a scale is asked for."""
+"""Minimum height of a picture, which is enlarged by an integer factor if no scale is given."""
 
 
 @dataclass(frozen=True)
 class Viewport:
-    """A part of an image, drawn ``scale`` times as large.
+    """A part of an image, drawn at a scale.
 
     Attributes:
-        left, top, width, height: of the part, pixels of the image.
-        scale: picture pixels per image pixel; the picture has at least one pixel.
+        left, top, width, height: the part of the image, px.
+        scale: picture pixels per image pixel.
     """
 
     left: int
@@ -109,21 +109,22 @@ class Viewport:
 
     @classmethod
     def whole(cls, camera: Camera, scale: float = 1.0) -> Viewport:
-        """All of a camera's image."""
+        """Return the viewport of the whole image."""
         return cls(0, 0, camera.width, camera.height, scale)
 
     def scaled(self, scale: float | None, shrunk: float = 1.0) -> Viewport:
-        """The same part at a scale; by default the whole number that makes it ``LEAST_ROWS`` high, shrunk."""
+        """Return the viewport at a scale; defaults to an integer for ``LEAST_ROWS``, times ``shrunk``."""
         return replace(self, scale=scale or shrunk * -(-LEAST_ROWS // self.height))
 
     @property
     def size(self) -> tuple[int, int]:
-        """(width, height) of the picture, pixels."""
+        """(width, height) of the picture, px."""
         return max(1, round(self.width * self.scale)), max(1, round(self.height * self.scale))
 
     def camera(self, camera: Camera) -> Camera:
-        """The pinhole camera that sees the picture: a pixel's edges, not its centre, are scaled."""
+        """Return the pinhole camera of the picture."""
         across, down = self.size[0] / self.width, self.size[1] / self.height
+        # The half-pixel shifts are needed because scaling preserves the edges of pixels, not their centres.
         return replace(
             camera,
             width=self.size[0],
@@ -136,22 +137,22 @@ class Viewport:
         )
 
     def cut(self, image: ImageArray) -> ImageArray:
-        """The picture of an image: its pixels are repeated, or averaged where the picture is smaller."""
+        """Return the picture of an image; pixels are repeated, or averaged if the picture is smaller."""
         part = image[self.top : self.top + self.height, self.left : self.left + self.width]
         way = cv2.INTER_AREA if self.scale < 1.0 else cv2.INTER_NEAREST
         return cv2.resize(part, self.size, interpolation=way) if self.scale != 1.0 else part
 
 
 class Framing:
-    """Chooses which part of a camera's image pictures show; all pictures are of one size.
+    """Selects the viewport of each picture; all viewports have the same size.
 
     Args:
-        camera: of the image.
-        points: (N, P, 3) mm, in the axes of the reference camera, that pictures are cut out around; None for
-            all of the image.
+        camera: camera of the image.
+        points: (N, P, 3) points to crop around, mm, in the axes of the reference camera; None for the whole
+            image.
         scale: picture pixels per image pixel; None enlarges small pictures.
-        still: whether all pictures show the same part, or each is centred on its own points.
-        shrunk: factor on the size of pictures whose scale is not told.
+        still: True for one viewport for all pictures, False to centre each on its own points.
+        shrunk: additional factor on the size if ``scale`` is None.
     """
 
     def __init__(
@@ -171,22 +172,22 @@ class Framing:
 
     @property
     def size(self) -> tuple[int, int]:
-        """(width, height) of every picture, pixels."""
+        """(width, height) of all pictures, px."""
         return self._common.size
 
     def viewport(self, points: FloatArray | None) -> Viewport:
-        """Return the part to show where points (P, 3) mm are, in the axes of the reference camera."""
+        """Return the viewport for points (P, 3), mm, in the axes of the reference camera."""
         if not self._moves or points is None:
             return self._common
         return moved_to(self._common, in_camera_axes(self._camera, points), self._camera)
 
 
 def around_points(points: FloatArray, camera: Camera) -> Viewport:
-    """The part of the image in which all points can be seen, with a margin for skin.
+    """Return the viewport that contains all points, with a margin for the skin.
 
     Args:
-        points: (..., 3) mm; those behind the camera do not count.
-        camera: of the image.
+        points: (..., 3) points, mm; those behind the camera are ignored.
+        camera: camera of the image.
     """
     flat = points.reshape(-1, 3)
     flat = flat[flat[:, 2] > 0.0]
@@ -202,11 +203,11 @@ def around_points(points: FloatArray, camera: Camera) -> Viewport:
 
 
 def largest_viewport(points: FloatArray, camera: Camera) -> Viewport:
-    """A viewport as large as that of the largest of several subjects.
+    """Return a viewport that is large enough for each of several frames.
 
     Args:
-        points: (N, P, 3) of each, mm.
-        camera: of the image.
+        points: (N, P, 3) points of each frame, mm.
+        camera: camera of the image.
     """
     each = [around_points(subject, camera) for subject in points]
     if not each:
@@ -215,7 +216,7 @@ def largest_viewport(points: FloatArray, camera: Camera) -> Viewport:
 
 
 def moved_to(viewport: Viewport, points: FloatArray, camera: Camera) -> Viewport:
-    """A viewport of the same size, centred on points (..., 3), mm, as far as the image reaches."""
+    """Return the viewport centred on points (..., 3), mm, but inside the image."""
     flat = points.reshape(-1, 3)
     flat = flat[flat[:, 2] > 0.0]
     if not flat.size:
@@ -227,29 +228,29 @@ def moved_to(viewport: Viewport, points: FloatArray, camera: Camera) -> Viewport
     return replace(viewport, left=left, top=top)
 
 
-# What can be drawn of an estimate: the interface, what every subject has (points, bones, axes)
+# Drawing of estimates: points, bones, axes
 
 
 AXIS_COLOURS: tuple[Colour, ...] = ((60, 60, 255), (60, 220, 60), (255, 120, 60))
-"""Of x, y, z: red, green, blue."""
+"""Colours of x, y, z: red, green, blue."""
 AXIS_MM = 60.0
 NEAREST_MM = 1.0
 _SUBPIXEL_BITS = 4
 _BORDER_PX = 4
+# Larger coordinates overflow when OpenCV clips a line to the image.
 _FARTHEST_PX = 20_000.0
-"""Lines are cut at the edges of the image; coordinates beyond this overflow in that."""
 
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """One estimate or truth as drawn; what its source does not know is None.
+    """An estimate or ground truth to draw; None for unknown quantities.
 
     Attributes:
         position: (3,) mm.
         quaternion: (4,) x y z w.
-        shape: (K,).
+        shape: (K,) shape entries.
         points: (P, 3) mm.
-        numbers: (M,) further numbers of its tracker.
+        numbers: (M,) further numbers of the tracker.
     """
 
     position: FloatArray | None = None
@@ -260,18 +261,18 @@ class Shown:
 
     @classmethod
     def of_row(cls, track: Track, row: int) -> Shown:
-        """One frame of a track."""
+        """Return a frame of a track."""
         parts = (track.position, track.quaternion, track.shape, track.points, track.numbers)
         return cls(*(None if part is None else part[row] for part in parts))
 
 
 @dataclass(frozen=True, eq=False)
 class Canvas:
-    """What is painted on.
+    """A picture with its camera.
 
     Attributes:
-        picture: (height, width, 3) blue green red, changed in place.
-        camera: the pinhole camera that sees it, of its size.
+        picture: (height, width, 3), BGR, modified in place.
+        camera: pinhole camera of the picture, of the same size.
     """
 
     picture: ImageArray
@@ -279,12 +280,12 @@ class Canvas:
 
     @property
     def thickness(self) -> int:
-        """Of lines, pixels."""
+        """Thickness of lines, px."""
         height: int = self.picture.shape[0]
         return max(1, round(height / 400))
 
     def draw_line(self, points: FloatArray, colour: Colour, thickness: int) -> None:
-        """A polyline through points (P, 3), mm; pieces that reach behind the camera are left out."""
+        """Draw a polyline through points (P, 3), mm, without segments that reach behind the camera."""
         valid = points[:, 2] >= NEAREST_MM
         pixels = _fixed_point(self.camera.pixels_from_points(points)[0])
         for (start, begins), (end, ends) in pairwise(zip(pixels, valid, strict=True)):
@@ -292,7 +293,7 @@ class Canvas:
                 cv2.line(self.picture, start, end, colour, thickness, cv2.LINE_AA, _SUBPIXEL_BITS)
 
     def draw_dots(self, points: FloatArray, colour: Colour, radius: int) -> None:
-        """A dot at each of the points (P, 3), mm, before the camera."""
+        """Draw a dot at each of the points (P, 3), mm, in front of the camera."""
         pixels = self.camera.pixels_from_points(points[points[:, 2] >= NEAREST_MM])[0]
         for x, y in _fixed_point(pixels):
             cv2.circle(
@@ -301,30 +302,30 @@ class Canvas:
 
 
 class Drawer(Protocol):
-    """Draws one subject; every tracker's pictures come from one of these."""
+    """Draws estimates of one kind of subject."""
 
     def draw(self, canvas: Canvas, shown: Shown, colour: Colour) -> None:
-        """Paint what is shown; ``colour`` is of what has none of its own."""
+        """Draw an estimate; ``colour`` is the default colour."""
 
     def outline(self, canvas: Canvas, shown: Shown, colour: Colour) -> None:
-        """Paint a line drawing in this colour, such as the truth's: an estimate is seen over or below it."""
+        """Draw lines in one colour, used for ground truth so that the estimate remains visible."""
 
 
 class Segments(Protocol):
-    """Tells the pixels of a subject from others, around an estimate."""
+    """Draws the segmentation around an estimate."""
 
     def paint(self, straight: ImageArray, depth: ImageArray, shown: Shown) -> None:
-        """Paint over a picture (h, w, 3) of the whole image without lens distortion, in place."""
+        """Draw onto a picture (h, w, 3) of the whole undistorted image, in place."""
 
 
 @dataclass(frozen=True)
 class SkeletonDrawer:
-    """Points, the bones between them and their parents, lines, and the axes of the pose.
+    """Draws points, bones, lines, and the axes of the pose.
 
     Attributes:
-        parents: P indices, -1 for a root; empty draws no bones.
-        axes: whether x, y, z of the pose are drawn, red, green and blue.
-        lines: further pairs of points with a line between them.
+        parents: P parent indices, -1 for a root; empty for no bones.
+        axes: draw the axes of the pose in red, green and blue.
+        lines: further pairs of points to connect by lines.
     """
 
     parents: tuple[int, ...] = ()
@@ -332,11 +333,11 @@ class SkeletonDrawer:
     lines: tuple[tuple[int, int], ...] = ()
 
     def draw(self, canvas: Canvas, shown: Shown, colour: Colour) -> None:
-        """Paint bones, points and axes; see ``Drawer``."""
+        """Draw bones, points and axes; see ``Drawer``."""
         self._paint(canvas, shown, colour, AXIS_COLOURS, 0)
 
     def outline(self, canvas: Canvas, shown: Shown, colour: Colour) -> None:
-        """Paint the same in one colour and so wide that an estimate over it is seen with a rim."""
+        """Draw everything in one colour, wider than ``draw``, so that it is visible below an estimate."""
         self._paint(canvas, shown, colour, (colour,) * 3, 2 * canvas.thickness)
 
     def _paint(
@@ -355,49 +356,48 @@ class SkeletonDrawer:
 
 
 def _fixed_point(pixels: FloatArray) -> Sequence[tuple[int, int]]:
-    """Pixels (N, 2) as OpenCV's line drawing takes them: integers of 1/16 pixel."""
+    """Return pixels (N, 2) in OpenCV's fixed-point format, integers of 1/16 px."""
     fixed = np.rint(np.clip(pixels, -_FARTHEST_PX, _FARTHEST_PX) * (1 << _SUBPIXEL_BITS))
     return [(int(x), int(y)) for x, y in fixed]
 
 
 def marked(picture: ImageArray, mark: Colour | None) -> ImageArray:
-    """The picture in a frame of this colour, for frames that are lost or found anew."""
+    """Draw a border onto a picture, for frames that are lost or reinitialised."""
     if mark is not None:
         height, width = picture.shape[:2]
         cv2.rectangle(picture, (0, 0), (width - 1, height - 1), mark, 2 * _BORDER_PX - 1)
     return picture
 
 
-# Captions below pictures: never cut, and equally high below pictures that are equally wide
+# Captions
 
 
 CaptionLine: TypeAlias = tuple[Sequence[str], Colour]
-"""Words, one after the other with gaps between them, and their colour."""
+"""Words of a line and their colour."""
 
 USUAL_SIZE, SMALLEST_SIZE = 0.45, 0.38
-"""Of letters, in OpenCV's units: below the smaller one they are hard to read."""
+"""Default font size and smallest legible one, in OpenCV units."""
 _TINY_SIZE = 0.1
 _STEP = 0.01
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _ROW_PX, _BASE_PX, _LEFT_PX, _GAP_PX = 18, 13, 4, 11
+# OpenCV underestimates the width of a text by up to this much.
 _STROKE_PX = 3
-"""By so much letters reach beyond the width that OpenCV tells."""
 _GROUND: Colour = (24, 24, 24)
 
 
 class Captions:
-    """Writes captions below pictures of one width.
+    """Writes captions below pictures of equal width.
 
-    Words that do not fit beside each other stand in several rows, as many as the longest caption needs: so
-    pictures with captions are of one size, as a video wants it. A picture that is narrower than the longest
-    word gets a margin on its right.
+    Long lines are wrapped. All captions have the height of the longest one, as the frames of a video must
+    have the same size. Pictures that are narrower than the longest word are padded on the right.
 
     Args:
-        longest: for each line its words, each as long as it gets (digits may be any).
-        width: of the pictures, pixels.
+        longest: the widest words that each line can have (with any digits).
+        width: width of the pictures, px.
 
     Attributes:
-        width: of pictures with captions, pixels.
+        width: width of the pictures with captions, px.
     """
 
     def __init__(self, longest: Sequence[Sequence[str]], width: int) -> None:
@@ -410,7 +410,7 @@ class Captions:
         ]
 
     def below(self, body: ImageArray, lines: Sequence[CaptionLine]) -> ImageArray:
-        """Return a picture (height, width, 3) with lines below it, as many as were told of."""
+        """Return a picture (height, width, 3) with caption lines below it."""
         height, margin = sum(self._rows) * _ROW_PX, self.width - body.shape[1]
         caption = np.full((height, self.width, 3), _GROUND, dtype=np.uint8)
         top = 0
@@ -425,7 +425,7 @@ class Captions:
 
 
 def _largest_size(words: Sequence[str], rows: int, width: int) -> float:
-    """The largest size, not above the usual one, at which words fit into so many rows of a width."""
+    """Return the largest font size up to ``USUAL_SIZE`` at which the words fit into the rows."""
     size = USUAL_SIZE
     while size > _TINY_SIZE and not _fits(words, size, rows, width):
         size = round(size - _STEP, 2)
@@ -438,7 +438,7 @@ def _fits(words: Sequence[str], size: float, rows: int, width: int) -> bool:
 
 
 def _broken(words: Sequence[str], size: float, width: int) -> list[list[str]]:
-    """Words in rows that are not wider than a width, each as full as it can be; at least one row."""
+    """Wrap words into rows of at most a width; returns at least one row."""
     rows: list[list[str]] = [[]]
     left = float(_LEFT_PX)
     for word in words:
@@ -460,17 +460,17 @@ def _write(picture: ImageArray, words: Sequence[str], base: int, size: float, co
 
 @lru_cache(maxsize=4096)
 def _length(word: str, size: float) -> int:
-    """Width of a word, pixels."""
+    """Return the width of a word, px."""
     (width, _), _ = cv2.getTextSize(word, _FONT, size, 1)
     return int(width) + _STROKE_PX
 
 
 def widest(words: Sequence[str]) -> str:
-    """Return the word that takes the most room."""
+    """Return the widest word."""
     return max(words, key=lambda word: _length(_plain(word), USUAL_SIZE))
 
 
 def _plain(text: str) -> str:
-    """The text in the letters that the font has: accents are left off, other letters are ``?``."""
+    """Return the text in ASCII, as the font has no other characters: no accents, others as ``?``."""
     letters = (c for c in unicodedata.normalize("NFKD", text) if not unicodedata.combining(c))
     return "".join(letters).encode("ascii", "replace").decode()

@@ -1,4 +1,4 @@
-"""Which frames of a result are drawn."""
+"""Selection of the frames to draw."""
 
 from __future__ import annotations
 
@@ -11,24 +11,25 @@ from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
 from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.reading.tracks import Track
 
-EXPECTED = "all, numbers and ranges such as 0:300:5,420 or 7, spread:6, or worst:8"
+EXPECTED = "all, frame numbers and ranges (0:300:5,420), spread:N or worst:N"
 APART_NS = 1_000_000_000
+"""Minimum distance of the worst frames, so that they do not show the same moment."""
 _LARGEST = 2**62
 _PART = re.compile(r"(?P<number>\d+)|(?P<start>\d*):(?P<stop>\d*)(?::(?P<step>\d*))?", re.ASCII)
 _MANY = re.compile(r"(spread|worst):(\d+)", re.ASCII)
 
 
 def chosen_rows(choice: str, track: Track, errors: FloatArray | None) -> IntArray:
-    """Rows of a track, increasing, that a choice names.
+    """Return the selected rows of a track, increasing.
 
     Args:
-        choice: ``all``; frame numbers of the recording and ranges FIRST:STOP:STEP of them (without STOP),
-            separated by commas; ``spread:N``, N evenly spread; ``worst:N``, see ``worst_rows``.
-        track: of the result.
-        errors: (N,) mm, NaN without truth; None where there is none at all.
+        choice: ``all``; comma-separated frame numbers of the recording and half-open ranges FIRST:STOP:STEP;
+            ``spread:N``, N evenly spaced frames; or ``worst:N``, see ``worst_rows``.
+        track: track of the result.
+        errors: (N,) errors, mm, NaN in frames without ground truth; None without ground truth.
 
     Raises:
-        UsageError: it cannot be read, or names no frame of the result or one that is not there.
+        UsageError: invalid syntax, or no such frame in the result.
     """
     rows = np.arange(len(track), dtype=np.int64)
     if not rows.size:
@@ -47,26 +48,26 @@ def chosen_rows(choice: str, track: Track, errors: FloatArray | None) -> IntArra
 
 
 def fewer_said(choice: str, found: int) -> str:
-    """Say why there are fewer of the worst frames than were asked for; nothing where there are not."""
+    """Return why fewer of the worst frames than requested were found; empty otherwise."""
     many = _MANY.fullmatch(choice)
     if many is None or many[1] != "worst" or found >= int(many[2]):
         return ""
-    return f"{choice} gives {found}: they are {APART_NS / 1e9:g} s or more apart"
+    return f"{choice} selects only {found} frames, as they must be {APART_NS / 1e9:g} s apart"
 
 
 def worst_rows(track: Track, errors: FloatArray | None, count: int) -> IntArray:
-    """Rows of the worst frames, the worst first, at least a second apart: not all of the same moment.
+    """Return the rows of the worst frames, worst first, at least ``APART_NS`` apart.
 
-    The largest error counts; where there is no truth, lost frames come first, then the least confidence, and
-    of frames with as much the highest cost.
+    Frames are ranked by error; without ground truth, lost frames come first, then those with the lowest
+    confidence, then those with the highest cost.
 
     Args:
-        track: of the result.
-        errors: (N,) mm, NaN for frames without truth, which then are not chosen; None without truth.
-        count: how many at most; a short recording gives fewer.
+        track: track of the result.
+        errors: (N,) errors, mm, NaN in frames without ground truth, which are skipped; None without it.
+        count: maximum number of frames.
     """
     chosen: list[int] = []
-    stamps: list[int] = []  # of these, sorted
+    stamps: list[int] = []  # stamps of the chosen rows, sorted
     for row in _worst_first(track, errors).tolist():
         if len(chosen) == count:
             break
@@ -97,7 +98,7 @@ def _rows_of_numbers(choice: str, frame_index: IntArray) -> IntArray:
 
 
 def _named(part: str, frame_index: IntArray) -> BoolArray:
-    """Which frames one number or range names."""
+    """Return the mask of frames in a number or range."""
     found = _PART.fullmatch(part)
     if found is None or found["step"] == "0":
         raise _unknown(part)
@@ -110,17 +111,17 @@ def _named(part: str, frame_index: IntArray) -> BoolArray:
     named = (frame_index >= first) & (frame_index < last) & ((frame_index - first) % step == 0)
     if not named.any():
         raise UsageError(
-            "frame is not in the result",
+            "no such frame in the result",
             where=f"--select {part}",
-            expected=f"some of {frame_index.min()} to {frame_index.max()}",
+            expected=f"frames from {frame_index.min()} to {frame_index.max()}",
         )
     return np.asarray(named, dtype=np.bool_)
 
 
 def _bounded(digits: str | None, usual: int) -> int:
-    """A number that 64 bits hold; the usual one where none is given."""
+    """Return the number limited to the range of int64, or the default if it is missing."""
     return min(int(digits), _LARGEST) if digits else usual
 
 
 def _unknown(choice: str) -> UsageError:
-    return UsageError("--select cannot be read", found=f"'{choice}'", expected=EXPECTED)
+    return UsageError("invalid --select", found=f"'{choice}'", expected=EXPECTED)

@@ -1,4 +1,4 @@
-"""Draws hands: the fine mesh in an estimate's pose, and what a hand's segmentation tells apart."""
+"""Drawing of hands: shaded mesh, contours and segmentation."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ _OPACITY = 0.7
 
 
 class HandDrawer:
-    """Draws a hand's skin; where only joints are known, its skeleton.
+    """Draws the skin of a hand, or its skeleton if only the joints are known.
 
     Args:
-        device: draws the skin.
-        hand: bones and skin.
+        device: rendering device.
+        hand: hand model.
     """
 
     def __init__(self, device: RenderingDevice, hand: HandModel) -> None:
@@ -48,7 +48,7 @@ class HandDrawer:
         self._skeleton = SkeletonDrawer(JOINT_PARENTS, axes=False)
 
     def depth(self, camera: Camera, shown: Shown) -> Float32Array | None:
-        """Depth (h, w), mm, 0 where the hand is not; None where its pose is not known."""
+        """Return the depth (h, w) of the hand, mm, 0 for background; None if the pose is unknown."""
         if shown.position is None or shown.quaternion is None or shown.shape is None:
             return None
         bones = skinning_transforms(self._hand.anatomy, _pose_of(shown)[None], _thumb_of(shown))
@@ -58,7 +58,7 @@ class HandDrawer:
         return depth
 
     def draw(self, canvas: Canvas, shown: Shown, colour: Colour) -> None:
-        """Paint the shaded hand; see ``Drawer``."""
+        """Draw the shaded hand; see ``Drawer``."""
         depth = self.depth(canvas.camera, shown)
         if depth is None:
             self._skeleton.draw(canvas, shown, colour)
@@ -71,16 +71,16 @@ class HandDrawer:
         self._outline_arm(canvas, shown, hand)
 
     def outline(self, canvas: Canvas, shown: Shown, colour: Colour) -> None:
-        """Paint the hand's contour."""
+        """Draw the contour of the hand."""
         depth = self.depth(canvas.camera, shown)
         if depth is None:
-            self._skeleton.draw(canvas, shown, colour)  # thin lines, over a hand that is filled
+            self._skeleton.draw(canvas, shown, colour)  # thin lines, visible on a filled hand
         else:
             canvas.picture[_rim(depth > 0)] = colour
             self._outline_arm(canvas, shown, depth > 0)
 
     def _outline_arm(self, canvas: Canvas, shown: Shown, hand: BoolArray) -> None:
-        """Paint the forearm's contour, where one is known well behind a hand that covers (h, w) pixels."""
+        """Draw the contour of a confident forearm estimate, except on the pixels (h, w) of the hand."""
         inner, camera = inner_of(shown.numbers), canvas.camera
         if not inner[:3].any() or forearm_confidence_of(shown.numbers) < LEAST_CONFIDENCE:
             return
@@ -89,7 +89,7 @@ class HandDrawer:
         canvas.picture[_rim((depth > 0) & ~hand)] = LABEL_COLOURS[Label.FOREARM]
 
     def _renderer(self, camera: Camera, *, with_arm: bool) -> DepthRenderer:
-        """A renderer for pictures of this size; those of one view are all alike."""
+        """Return the renderer for the picture size, which is the same for all pictures of a view."""
         size = (camera.width, camera.height)
         if with_arm not in self._renderers or self._renderers[with_arm].tile != size:
             mesh = self._hand.smooth_with_arm if with_arm else self._hand.skin(MESH_LEVEL)
@@ -98,29 +98,29 @@ class HandDrawer:
 
 
 def _pose_of(shown: Shown) -> FloatArray:
-    """The pose (22,) of what is shown, all of which is known."""
+    """Return the pose (22,) of a complete estimate."""
     assert shown.position is not None and shown.quaternion is not None and shown.shape is not None
     return np.concatenate([shown.position, shown.quaternion, shown.shape])
 
 
 def _thumb_of(shown: Shown) -> FloatArray:
-    """Inner angles (2,) of the thumb of what is shown."""
+    """Return the inner angles (2,) of the thumb."""
     return inner_of(shown.numbers)[THUMB]
 
 
 def _rim(mask: BoolArray) -> BoolArray:
-    """The pixels of a region that touch what is outside."""
+    """Return the boundary pixels of a region."""
     eroded = cv2.erode(mask.astype(np.uint8), _RIM, borderType=cv2.BORDER_CONSTANT, borderValue=1)
     return np.asarray(mask & (eroded == 0), dtype=np.bool_)
 
 
 class HandSegments:
-    """Segments images around estimates as a run with this configuration does around its predictions.
+    """Segments images around estimates with the settings of the run.
 
     Args:
-        anatomy: of the hand.
-        config: of the run: window and segmentation.
-        camera: of the images.
+        anatomy: anatomy of the hand.
+        config: configuration of the run.
+        camera: camera of the images.
     """
 
     def __init__(self, anatomy: HandAnatomy, config: HandConfig, camera: Camera) -> None:
@@ -128,7 +128,7 @@ class HandSegments:
         self._sampler = PixelSampler(camera)
 
     def segmentation(self, depth: ImageArray, shown: Shown) -> Segmentation | None:
-        """The labels around an estimate in a depth image, mm; None where its pose is not known."""
+        """Return the labels around an estimate in a depth image, mm; None if the pose is unknown."""
         if shown.position is None or shown.quaternion is None or shown.shape is None:
             return None
         pose = _pose_of(shown)
@@ -137,20 +137,20 @@ class HandSegments:
         return segment(depth, self._sampler, window, self._camera, hand)
 
     def paint(self, straight: ImageArray, depth: ImageArray, shown: Shown) -> None:
-        """Paint the labels over a picture (h, w, 3) of the whole image without lens distortion, in place."""
-        told = self.segmentation(depth, shown)
-        if told is None:
+        """Draw the labels onto a picture (h, w, 3) of the whole undistorted image, in place."""
+        found = self.segmentation(depth, shown)
+        if found is None:
             return
         colours = np.array([LABEL_COLOURS[label] for label in sorted(Label)], dtype=np.uint8)
-        step = told.window.step
-        tile = np.repeat(np.repeat(colours[told.labels], step, axis=0), step, axis=1)
-        # a label is told at a pixel: it stands for the block around it
-        left, top = told.window.left - step // 2, told.window.top - step // 2
+        step = found.window.step
+        tile = np.repeat(np.repeat(colours[found.labels], step, axis=0), step, axis=1)
+        # Labels are sampled at the centres of blocks of step x step pixels.
+        left, top = found.window.left - step // 2, found.window.top - step // 2
         _blend(straight, tile, left, top)
 
 
 def _blend(picture: ImageArray, tile: ImageArray, left: int, top: int) -> None:
-    """Blend a tile into a picture, as far as it reaches over it."""
+    """Blend a tile into a picture, clipped to its edges."""
     height, width = picture.shape[:2]
     x0, y0 = max(left, 0), max(top, 0)
     x1, y1 = min(left + tile.shape[1], width), min(top + tile.shape[0], height)

@@ -1,4 +1,4 @@
-"""Results and truth as they are drawn: which estimate belongs to a frame, its colour, its words."""
+"""Content of pictures: estimates and ground truth of a frame, with colours and captions."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ from posetrack_cli.evaluation.viewing.drawing import (
 )
 from posetrack_cli.evaluation.viewing.frame_choice import chosen_rows
 from posetrack_cli.recording.base import Frame
-from posetrack_cli.results.channels import FILTERED
 from posetrack_cli.results.reader import Result
+from posetrack_cli.results.topics import FILTERED
 from posetrack_cli.units import NS_PER_S
 
 TOLERANCE_NS = 5_000_000
-"""How far apart the stamps of a frame and of an estimate of it may be."""
+"""Maximum difference between the stamps of a frame and its estimate."""
 
 
 CONFIDENCE_WORDS, ERROR_WORDS = "confidence {:.2f}", "error {:.1f} mm"
@@ -52,15 +52,15 @@ USUAL_RATE_HZ = 30.0
 
 @dataclass(frozen=True, eq=False)
 class DrawnTrack:
-    """One track as it is drawn.
+    """A track with its drawing style.
 
     Attributes:
-        track: its poses.
-        drawer: draws them.
-        colour: of what has none of its own.
-        name: what captions call it; empty where there is only one.
-        error_mm: (N,) mean distance of the points from the truth, NaN where there is none.
-        segments: tells the subject's pixels from others; None where that is not drawn.
+        track: the track.
+        drawer: draws its estimates.
+        colour: default colour.
+        name: name in captions; empty if there is only one track.
+        error_mm: (N,) mean distance of the points from the ground truth, mm; NaN without ground truth.
+        segments: segmentation to draw; None for none.
     """
 
     track: Track
@@ -71,7 +71,7 @@ class DrawnTrack:
     segments: Segments | None = None
 
     def row(self, stamp_ns: int) -> int | None:
-        """The row of the estimate whose stamp is nearest within the tolerance; None without one."""
+        """Return the row of the estimate nearest in time within ``TOLERANCE_NS``; None without one."""
         stamps = self.track.stamp_ns
         if not stamps.size:
             return None
@@ -80,7 +80,7 @@ class DrawnTrack:
 
     @property
     def longest_words(self) -> list[str]:
-        """The words of a caption that take the most room, see ``DrawnEstimate.words``."""
+        """The widest words that captions can have; see ``DrawnEstimate.words``."""
         words = [_shortened(self.name)] if self.name else []
         words.append(widest(STATUS_WORDS))
         words += [] if self.track.confidence is None else [CONFIDENCE_WORDS.format(1.0)]
@@ -88,19 +88,19 @@ class DrawnTrack:
         return [*words, *([ERROR_WORDS.format(errors.max())] if errors.size else [])]
 
     def at(self, stamp_ns: int) -> DrawnEstimate:
-        """What is drawn at a stamp; nothing where there is no estimate."""
+        """Return the estimate at a stamp, which is empty if there is none."""
         row = self.row(stamp_ns)
         return DrawnEstimate(self, row, Shown() if row is None else Shown.of_row(self.track, row))
 
 
 @dataclass(frozen=True, eq=False)
 class DrawnEstimate:
-    """What is drawn of a track at one instant.
+    """Estimate of a track at one instant.
 
     Attributes:
         of: the track.
-        row: of its estimate, None without one.
-        shown: of the estimate, in the axes of the camera that it is drawn for.
+        row: row of the estimate; None without one.
+        shown: the estimate in the axes of the camera that it is drawn for.
     """
 
     of: DrawnTrack
@@ -114,12 +114,12 @@ class DrawnEstimate:
 
     @property
     def mark(self) -> Colour | None:
-        """The colour that marks a frame which is not simply tracked; None for one that is."""
+        """Colour of the border of frames that are lost or reinitialised; None for other frames."""
         return {"tracking": None, "reinitialised": FOUND_ANEW}.get(self.status, LOST)
 
     @property
     def words(self) -> list[str]:
-        """What a caption says of the estimate."""
+        """Words of the caption about the estimate."""
         words = [_shortened(self.of.name)] if self.of.name else []
         words.append(self.status.upper() if self.status in ("lost", "no estimate") else self.status)
         if self.row is not None:
@@ -128,16 +128,16 @@ class DrawnEstimate:
         return words
 
     def draw(self, canvas: Canvas) -> None:
-        """Paint it in the track's colour."""
+        """Draw the estimate in the colour of the track."""
         self.of.drawer.draw(canvas, self.shown, self.of.colour)
 
     def outline(self, canvas: Canvas, colour: Colour) -> None:
-        """Paint it as lines."""
+        """Draw the estimate as lines."""
         self.of.drawer.outline(canvas, self.shown, colour)
 
 
 def _shortened(name: str) -> str:
-    """A name that leaves room for what is said of it: its beginning and end."""
+    """Abbreviate a long name in the middle."""
     if len(name) <= MOST_OF_NAME:
         return name
     half = (MOST_OF_NAME - 3) // 2
@@ -150,13 +150,13 @@ def _figure(values: FloatArray | None, row: int, words: str) -> list[str]:
 
 @dataclass(frozen=True, eq=False)
 class Instant:
-    """What is drawn of one frame.
+    """Content of the picture of one frame.
 
     Attributes:
-        frame: what the cameras saw.
-        when: what a caption says of the time, and of the truth's colour.
-        estimates: of each track.
-        truth: drawn over them, None for none.
+        frame: the recorded frame.
+        when: words of the caption about frame number, time and colour of the ground truth.
+        estimates: estimate of each track.
+        truth: ground truth, drawn on top; None for none.
     """
 
     frame: Frame
@@ -166,14 +166,14 @@ class Instant:
 
     @property
     def points(self) -> FloatArray | None:
-        """(P, 3) mm that its picture is cut out around, where the part that is shown moves."""
+        """Points (P, 3), mm, that the picture is cropped around if the viewport moves."""
         return self.estimates[0].shown.points
 
 
 def point_errors(track: Track, truth: Track | None) -> FloatArray | None:
-    """Mean distance (N,) of the points of each frame from the truth's, mm; NaN without truth at its stamp.
+    """Return the mean distance (N,) of the points from the ground truth, mm; NaN in frames without it.
 
-    Of the positions where either knows no points, or they are others; None where there is no such truth.
+    If the points are unknown or different, the positions are compared; None if that is not possible either.
     """
     if truth is None:
         return None
@@ -189,18 +189,19 @@ def point_errors(track: Track, truth: Track | None) -> FloatArray | None:
 
 @dataclass(frozen=True)
 class ViewOptions:
-    """How results are drawn.
+    """Options of a view.
 
     Attributes:
-        frames: see ``chosen_rows``; None for all, or for six of a sheet.
-        layout: one of ``LAYOUTS``; None for beside, or side-by-side for two results.
-        crop: ``full``, or ``hand`` or ``head`` for where it goes; None for full, or hand in the layout paper.
+        frames: selection of frames, see ``chosen_rows``; None for all, or six for a sheet.
+        layout: one of ``DEPTH_LAYOUTS``; None for ``beside``, or ``side-by-side`` for two results.
+        crop: ``full``, or ``hand`` or ``head`` to crop around the track; None for ``full``, except in the
+            layout ``paper``.
         scale: picture pixels per image pixel; None enlarges small images.
-        range_mm: depths that are red and blue; None takes them from the hand's.
-        truth: whether the truth is drawn.
-        skeleton: whether joints, bones and axes are drawn.
-        sheet: whether all pictures go onto one, each cut out around the hand by itself.
-        tracks: of each result; both tracks of one result are drawn beside each other.
+        range_mm: depths drawn red and blue, mm; None for a range around the hand.
+        truth: draw the ground truth.
+        skeleton: draw joints, bones and axes.
+        sheet: draw all frames onto one picture, each cropped around the hand.
+        tracks: tracks of each result; several tracks are drawn like several results.
     """
 
     frames: str | None = None
@@ -216,16 +217,16 @@ class ViewOptions:
 
 @dataclass(frozen=True, eq=False)
 class Drawing:
-    """What pictures show.
+    """Content of a sequence of pictures.
 
     Attributes:
-        tracks: of results; captions count the time from the first one's first frame.
-        truth: drawn over them, None for none.
-        around: (N, P, 3) mm, in the axes of the first camera, that pictures are cut out around; None for all
-            of the image.
+        tracks: tracks to draw; times in captions are relative to the first frame of the first track.
+        truth: ground truth, drawn on top; None for none.
+        around: (N, P, 3) points that the pictures are cropped around, mm, in the axes of the first camera;
+            None for the whole image.
         scale: picture pixels per image pixel; None enlarges small pictures.
-        still: whether all pictures show the same part.
-        shrunk: factor on the size of pictures whose scale is not told.
+        still: whether all pictures show the same part of the image.
+        shrunk: additional factor on the size if ``scale`` is None.
     """
 
     tracks: tuple[DrawnTrack, ...]
@@ -237,12 +238,12 @@ class Drawing:
 
     @property
     def start_ns(self) -> int:
-        """The stamp that captions count the time from."""
+        """Stamp of time 0 in captions, ns."""
         return int(self.tracks[0].track.stamp_ns[0])
 
     @property
     def longest_when(self) -> list[str]:
-        """The words of a caption about the time that take the most room."""
+        """The widest words that captions can have about frame number and time."""
         track = self.tracks[0].track
         if not len(track):
             return []
@@ -254,7 +255,7 @@ class Drawing:
         return words if self.truth is None else [*words, TRUTH_WORDS]
 
     def at(self, frame: Frame, stamp_ns: int) -> Instant:
-        """Return what is drawn of a frame, given the stamp of its estimates."""
+        """Return the content of the picture of a frame, given the stamp of its estimates."""
         return Instant(
             frame,
             self._when(frame.index, stamp_ns),
@@ -264,7 +265,7 @@ class Drawing:
 
 
 def truth_of(result: Result, options: ViewOptions) -> Track | None:
-    """The truth that a result carries; one that cannot be used is an error only where it is to be drawn."""
+    """Return the ground truth in a result; if it is unusable, raise an error only if it is to be drawn."""
     try:
         truth = load_truth(result, None)
     except PosetrackError:
@@ -272,7 +273,7 @@ def truth_of(result: Result, options: ViewOptions) -> Track | None:
             raise
         return None
     if truth is None and options.truth:
-        raise ResultError("carries no truth to draw", where=result.path, hint="leave out --show-truth")
+        raise ResultError("no ground truth in the result", where=result.path, hint="omit --show-truth")
     return truth
 
 
@@ -282,7 +283,7 @@ def drawn_tracks(
     truth: Track | None,
     drawer_of: Callable[[Result], Drawer],
 ) -> tuple[DrawnTrack, ...]:
-    """Return what is drawn of results: each of these tracks, by the drawer of its result."""
+    """Return these tracks of all results with their drawers, colours and names."""
     names = unique_names([result.path for result in results])
     shown = [
         (result, which, name if len(tracks) == 1 else f"{name} {which}")
@@ -298,23 +299,23 @@ def drawn_tracks(
 
 
 def rows_to_draw(options: ViewOptions, first: DrawnTrack) -> IntArray:
-    """The rows to draw, of the first result."""
+    """Return the rows of the first track to draw."""
     choice = options.frames or (SHEET_CHOICE if options.sheet else "all")
     rows = chosen_rows(choice, first.track, first.error_mm)
     if options.sheet and len(rows) > MOST_IN_SHEET:
         expected = f"at most {MOST_IN_SHEET} in one picture"
-        raise UsageError("too many frames", found=len(rows), expected=expected, hint="choose with --select")
+        raise UsageError("too many frames", found=len(rows), expected=expected, hint="use --select")
     return rows
 
 
 def not_lost(track: Track, rows: IntArray) -> IntArray:
-    """The rows that are tracked; all where none is."""
+    """Return the rows that are not lost, or all rows if all are lost."""
     if track.lost is None or track.lost[rows].all():
         return rows
     return rows[~track.lost[rows]]
 
 
 def rate_of(track: Track, rows: IntArray) -> float:
-    """Pictures per second that show some rows as fast as they were recorded."""
+    """Return the frame rate of some rows for playback in real time, Hz."""
     steps = np.diff(track.stamp_ns[rows])
     return NS_PER_S / float(np.median(steps)) if steps.size else USUAL_RATE_HZ

@@ -1,4 +1,4 @@
-"""Where drawn frames go: a video, a folder of pictures, or one picture of them all."""
+"""Outputs of a view: video, folder of pictures, or one picture of all frames."""
 
 from __future__ import annotations
 
@@ -36,47 +36,47 @@ STANDARD_OUTPUT = Path("-")
 VIDEO_SUFFIX, PICTURE_SUFFIX = ".mp4", ".png"
 CODEC: Final = "libx264"
 PIXELS = "yuv420p"
-"""H.264 with halved colour, which is what browsers, phones and chats play."""
+"""H.264 with 4:2:0 chroma subsampling, the format that browsers and phones support."""
 CODEC_OPTIONS = {"preset": "veryfast", "crf": "20"}
 INDEX_FIRST = {"movflags": "+faststart"}
-"""So that a player begins before it has the whole file."""
+"""Index at the start of the file, so that playback starts before the file is fully loaded."""
 BT709 = 1
-"""FFmpeg's number for the colours of HD video: primaries, curve and matrix; untold, players guess."""
+"""FFmpeg's constant for HD primaries, transfer curve and matrix; without it, players guess the colours."""
 HUNDREDTHS = 100
 SLOWEST_HZ, FASTEST_HZ = 0.1, 240.0
 FAST = 1
 SHEET_PX = 3000, 2000
-"""Width and height that a sheet has at most, unless there are so many pictures that none could be read."""
+"""Maximum width and height of a sheet, unless its pictures would be smaller than ``LEAST_PICTURE_PX``."""
 LEAST_PICTURE_PX = 160
-"""Rows that a picture of a sheet keeps."""
+"""Minimum height of a picture in a sheet."""
 _SHEET_GAP, _CAPTION_ROOM_PX = 6, 36
-_EMPTY_WEIGHT = 1.5  # four square pictures are two by two, not three and one
-_ROUNDED_PX = 3  # a picture of several panels may be larger by so much than the factor says
+_EMPTY_WEIGHT = 1.5  # prefers 2 x 2 for four square pictures over 3 x 2 with two empty places
+_ROUNDED_PX = 3  # pictures of several panels can be this much larger than the factor, because of rounding
 _NUMBERED = re.compile(r"frame_\d{6,}\.png", re.ASCII)
 
 
 class Output(Protocol):
-    """Takes pictures one after the other."""
+    """Writes a sequence of pictures."""
 
     def add(self, frame_index: int, picture: ImageArray) -> None:
-        """Take the picture (height, width, 3), blue green red, of a frame."""
+        """Add the picture (height, width, 3), BGR, of a frame."""
 
     def close(self) -> None:
-        """Finish: what was added can be read afterwards, also after an interruption."""
+        """Finish the output; also called after an interruption, to keep the pictures added so far."""
 
     def discard(self) -> None:
-        """Leave nothing unfinished behind after a failure."""
+        """Remove unfinished files after an error."""
 
 
 class VideoFile:
-    """An MP4 file, written as NAME.part.mp4 and renamed.
+    """An MP4 file, written as NAME.part.mp4 and then renamed.
 
     Args:
         path: the file.
-        rate_hz: pictures per second.
+        rate_hz: frame rate, Hz.
 
     Raises:
-        ResultError: it cannot be written.
+        ResultError: the file cannot be written.
     """
 
     def __init__(self, path: Path, rate_hz: float) -> None:
@@ -85,11 +85,11 @@ class VideoFile:
         check_not_written(self._part)
         self._writer: OutputContainer | None = None
         self._stream: VideoStream | None = None
-        self._held = ExitStack()  # lock and name, as long as FFmpeg needs them
+        self._held = ExitStack()  # lock and name, until FFmpeg has closed the file
         self._size, self._count = (0, 0), 0
 
     def add(self, frame_index: int, picture: ImageArray) -> None:
-        """Take the next picture; all are of one size."""
+        """Add the next picture; all pictures must have the same size."""
         from av import VideoFrame
 
         even = _even(picture)
@@ -116,10 +116,10 @@ class VideoFile:
             context = stream.codec_context
             context.colorspace = context.color_primaries = context.color_trc = BT709
             self._stream = stream
-            self._writer.start_encoding()  # the codec says now what it does not take
+            self._writer.start_encoding()  # reports unsupported sizes now rather than at the first frame
 
     def _mux(self, frame: VideoFrame | None) -> None:
-        """Write a picture; None for those that the codec still holds."""
+        """Write a picture; None flushes the encoder."""
         if self._writer is not None and self._stream is not None:
             straight = None if frame is None else frame.reformat(format=PIXELS, dst_colorspace=BT709)
             self._writer.mux(self._stream.encode(straight))
@@ -137,11 +137,11 @@ class VideoFile:
                 "video cannot be written",
                 where=self._path,
                 found=f"{width}x{height}, {error.strerror}",
-                hint="is the disk full? If not, try a smaller --zoom",
+                hint="check disk space, or try a smaller --zoom",
             ) from error
 
     def close(self) -> None:
-        """Finish the file and give it its name, once it is sure that it plays."""
+        """Finish the file, check that it can be read back, and rename it."""
         if self._writer is None:
             return
         with self._failures_told():
@@ -149,12 +149,12 @@ class VideoFile:
             self._release()
         if not _plays(self._part, self._size, self._count):
             self.discard()
-            raise ResultError("video does not play back", where=self._path, hint="is the disk full?")
+            raise ResultError("video cannot be read back", where=self._path, hint="check disk space")
         self._part.replace(self._path)
 
     def discard(self) -> None:
-        """Delete what was written."""
-        with suppress(Exception):  # what cannot be finished is not wanted
+        """Delete the unfinished file."""
+        with suppress(Exception):  # closing a broken file can fail in FFmpeg
             self._release()
         self._part.unlink(missing_ok=True)
 
@@ -170,12 +170,12 @@ def _video_part(path: Path) -> Path:
 
 
 def playable_rate(rate_hz: float) -> Fraction:
-    """A rate that a file can state exactly: hundredths, within what players play."""
+    """Return the rate as a fraction of hundredths, limited to the range that players support."""
     return Fraction(round(min(max(rate_hz, SLOWEST_HZ), FASTEST_HZ) * HUNDREDTHS), HUNDREDTHS)
 
 
 def _even(picture: ImageArray) -> ImageArray:
-    """The picture with black at its right and lower edge where its size is odd: the codec wants pairs."""
+    """Pad a picture to even width and height, as 4:2:0 chroma subsampling requires."""
     down, right = picture.shape[0] % 2, picture.shape[1] % 2
     if not (down or right):
         return picture
@@ -183,7 +183,7 @@ def _even(picture: ImageArray) -> ImageArray:
 
 
 def _plays(path: Path, size: tuple[int, int], count: int) -> bool:
-    """Whether a video states so many pictures of this size, and the first can be read."""
+    """Whether a video has the expected size and number of frames, and the first can be decoded."""
     try:
         with opened_video(path) as video:
             frame = next(video.frames(), None)
@@ -194,10 +194,10 @@ def _plays(path: Path, size: tuple[int, int], count: int) -> bool:
 
 
 class PictureFolder:
-    """A folder of frame_000123.png; pictures of an earlier view in it are deleted first.
+    """A folder of frame_000123.png; existing pictures with such names are deleted first.
 
     Args:
-        path: the folder; made if it does not exist.
+        path: the folder; created if missing.
     """
 
     def __init__(self, path: Path) -> None:
@@ -207,28 +207,28 @@ class PictureFolder:
             old.unlink()
 
     def add(self, frame_index: int, picture: ImageArray) -> None:
-        """Write the picture of a frame; raises ResultError where it cannot."""
+        """Write the picture of a frame; raise ResultError if that fails."""
         path = self._path / f"frame_{frame_index:06d}{PICTURE_SUFFIX}"
         try:
             write_output(path, png_of(picture, FAST))
-        except OSError as error:  # a full disk leaves half a picture, and its error no name
+        except OSError as error:  # on a full disk, a truncated file would remain
             path.unlink(missing_ok=True)
             raise ResultError("cannot be written", where=path, found=error.strerror or error) from error
 
     def close(self) -> None:
-        """Nothing is left to do."""
+        """Do nothing."""
 
     def discard(self) -> None:
-        """Every picture is whole as soon as it is there; they stay."""
+        """Keep the pictures written so far."""
 
 
 def numbered_pictures(folder: Path) -> list[Path]:
-    """The pictures that an earlier view wrote into a folder."""
+    """Return the pictures of an earlier view in a folder."""
     return [path for path in folder.iterdir() if _NUMBERED.fullmatch(path.name)]
 
 
 class Sheet:
-    """One PNG of all pictures beside each other, row by row.
+    """A PNG with all pictures in rows.
 
     Args:
         path: the file.
@@ -239,7 +239,7 @@ class Sheet:
         self._pictures: list[ImageArray] = []
 
     def add(self, frame_index: int, picture: ImageArray) -> None:
-        """Put the picture beside the ones before."""
+        """Add a picture to the sheet."""
         self._pictures.append(picture)
 
     def close(self) -> None:
@@ -249,15 +249,15 @@ class Sheet:
                 write_output(part, png_of(sheet_of(self._pictures)))
 
     def discard(self) -> None:
-        """Nothing was written."""
+        """Do nothing, as the file is only written by ``close``."""
 
 
 def fitting_sheet(count: int, size: tuple[int, int]) -> float:
-    """Return the factor, 1 at most, that makes pictures small enough for a sheet, but not too small to read.
+    """Return the factor, at most 1, by which pictures must be scaled to fit on a legible sheet.
 
     Args:
-        count: how many there are.
-        size: (width, height) of each without its caption, pixels.
+        count: number of pictures.
+        size: (width, height) of a picture without caption, px.
     """
     width, height = size
     most_wide, most_high = SHEET_PX
@@ -271,13 +271,11 @@ def fitting_sheet(count: int, size: tuple[int, int]) -> float:
 
 
 def sheet_columns(count: int, size: tuple[int, int]) -> int:
-    """Return how many pictures stand in a row: no sheet is too wide or high that need not be.
-
-    Of what remains that is chosen whose shape is near to a sheet's and that has few empty places.
+    """Return the number of pictures per row: within ``SHEET_PX`` if possible, then by shape and empty places.
 
     Args:
-        count: how many there are.
-        size: (width, height) of each, pixels.
+        count: number of pictures.
+        size: (width, height) of a picture, px.
     """
     width, height = size
     most_wide, most_high = SHEET_PX
@@ -295,7 +293,7 @@ def sheet_columns(count: int, size: tuple[int, int]) -> int:
 
 
 def sheet_of(pictures: list[ImageArray]) -> ImageArray:
-    """Pictures of one size in rows that are equally long as far as can be."""
+    """Arrange pictures of equal size in rows."""
     height, width = pictures[0].shape[:2]
     columns = sheet_columns(len(pictures), (width, height))
     rows = math.ceil(len(pictures) / columns)
@@ -308,41 +306,43 @@ def sheet_of(pictures: list[ImageArray]) -> ImageArray:
 
 
 def png_of(picture: ImageArray, level: int = 9) -> bytes:
-    """A picture as PNG; level 9 is small, 1 fast."""
+    """Encode a picture as PNG at a compression level, 1 (fast) to 9 (small)."""
     return cv2.imencode(PICTURE_SUFFIX, picture, [cv2.IMWRITE_PNG_COMPRESSION, level])[1].tobytes()
 
 
 def is_sheet(path: Path) -> bool:
-    """Whether all pictures go onto one."""
+    """Whether the output is a single picture."""
     return path.suffix.lower() == PICTURE_SUFFIX
 
 
 def open_output(path: Path, rate_hz: float) -> Output:
-    """A video, a picture or a folder, by what the name ends in."""
+    """Open a video, a sheet or a folder, depending on the extension."""
     if path.suffix.lower() == VIDEO_SUFFIX:
         return VideoFile(path, rate_hz)
     return Sheet(path) if is_sheet(path) else PictureFolder(path)
 
 
 def check_view_output(path: Path, *, overwrite: bool) -> None:
-    """Refuse an output before anything is drawn.
+    """Check that an output can be written, before anything is drawn.
 
     Raises:
-        UsageError: the name ends in something else than .mp4, .png or nothing, or something would be replaced
-            or written through a link.
-        ResultError: its folder does not exist.
+        UsageError: unsupported extension, existing files without ``overwrite``, or a symbolic link.
+        ResultError: the parent folder does not exist.
     """
     if path == STANDARD_OUTPUT:
-        raise UsageError("pictures cannot go to standard output", expected="FILE.mp4, FILE.png or a folder")
+        raise UsageError(
+            "pictures cannot be written to standard output", expected="FILE.mp4, FILE.png or a folder"
+        )
     is_file = path.suffix.lower() in (VIDEO_SUFFIX, PICTURE_SUFFIX)
     if path.is_dir() == is_file and path.exists():
         found = "a folder" if path.is_dir() else "a file"
-        raise UsageError("output is something else already", where=path, found=found)
+        expected = "a file" if is_file else "a folder"
+        raise UsageError("output exists and is of another kind", where=path, found=found, expected=expected)
     if not is_file and path.suffix and not path.is_dir():
         raise UsageError(
-            "output cannot be written",
+            "unsupported output format",
             where=path,
-            found=f"a name that ends in {path.suffix}",
+            found=path.suffix,
             expected="FILE.mp4, FILE.png or a folder",
         )
     check_place(path)
@@ -350,4 +350,4 @@ def check_view_output(path: Path, *, overwrite: bool) -> None:
         raise link_refused(_video_part(path))
     there = numbered_pictures(path) if path.is_dir() else is_taken(path)
     if there and not overwrite:
-        raise UsageError("exists already", where=path, hint="use --overwrite to replace it")
+        raise UsageError("already exists", where=path, hint="use --overwrite to replace it")

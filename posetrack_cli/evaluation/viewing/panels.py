@@ -1,4 +1,4 @@
-"""Panels of a picture: depth images and those of cameras, with what was tracked in them."""
+"""Panels of a picture: depth or camera images with estimates and captions."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ from posetrack_cli.rendering.port import Window
 from posetrack_cli.results.estimate import kind_of
 from posetrack_cli.results.reader import Result
 
-# Pictures of one instant on a depth image: observed, rendered, over, and how they are put together
+# Depth images
 
 
 DEPTH_LAYOUTS = ("beside", "over", "paper", "segments", "side-by-side")
@@ -53,14 +53,14 @@ _BONE: Colour = (255, 255, 255)
 
 
 class DepthPanels:
-    """Draws frames.
+    """Draws frames of a depth camera.
 
     Args:
-        camera: that the estimates are relative to, lens distortion included.
-        drawing: what is shown.
-        depths: that get colours.
+        camera: camera of the estimates, with lens distortion.
+        drawing: content of the pictures.
+        depths: range of the false colours.
         layout: one of ``DEPTH_LAYOUTS``.
-        skeleton: drawn over every estimate, None for none.
+        skeleton: drawn over each estimate; None for none.
     """
 
     def __init__(
@@ -73,7 +73,9 @@ class DepthPanels:
     ) -> None:
         self.drawing = drawing
         self._camera, self._depths, self._layout, self._skeleton = camera, depths, layout, skeleton
-        self._sampler = PixelSampler(camera)  # what is drawn comes from a pinhole camera
+        self._sampler = PixelSampler(
+            camera
+        )  # undistorts the image, as estimates are drawn without distortion
         self._framing = Framing(
             camera, drawing.around, drawing.scale, still=drawing.still, shrunk=drawing.shrunk
         )
@@ -87,7 +89,7 @@ class DepthPanels:
 
     @property
     def size(self) -> tuple[int, int]:
-        """(width, height) of a picture without its caption, pixels."""
+        """(width, height) of a picture without caption, px."""
         (width, height), count = self._framing.size, len(self.drawing.tracks)
         if self._layout == "paper":
             return width, (1 + count) * height
@@ -95,7 +97,7 @@ class DepthPanels:
         return across * width, height
 
     def picture(self, instant: Instant) -> ImageArray:
-        """Return the picture (height, width, 3), blue green red, of a frame, with its caption below."""
+        """Return the picture (height, width, 3), BGR, of a frame, with its caption below."""
         scene, estimates = self.scene(instant), instant.estimates
         if self._layout == "side-by-side":
             parts = zip(self._captions, estimates, strict=True)
@@ -114,17 +116,17 @@ class DepthPanels:
         return self._captions[0].below(body, scene.lines(estimates))
 
     def _longest(self, tracks: Sequence[DrawnTrack]) -> list[list[str]]:
-        """The words of a caption that take the most room, line by line."""
+        """Return the widest words that captions can have, line by line."""
         words = [drawn.longest_words for drawn in tracks]
         return _caption_lines(self.drawing.longest_when, words, named=bool(tracks[0].name))
 
     def plain(self, instant: Instant) -> ImageArray:
-        """Return observed depth and, right of it, the estimates over it; no caption."""
+        """Return the observed depth next to the estimates over it, without caption."""
         scene = self.scene(instant)
         return np.hstack([scene.observed, scene.over(*instant.estimates)])
 
     def scene(self, instant: Instant) -> DepthScene:
-        """Return what panels of an instant are drawn from."""
+        """Return the scene that the panels of an instant are drawn from."""
         camera, viewport = self._camera, self._framing.viewport(instant.points)
         straight = self._sampler.sample(instant.frame.depth, Window.whole(camera))
         return DepthScene(instant, viewport, camera, false_colour(straight, self._depths), self._skeleton)
@@ -132,14 +134,14 @@ class DepthPanels:
 
 @dataclass(frozen=True, eq=False)
 class DepthScene:
-    """One instant on a depth image, of which panels show the same part.
+    """One instant on a depth image; all panels show the same viewport.
 
     Attributes:
-        instant: what is drawn.
-        viewport: the part.
-        camera: of the whole image.
-        whole: the whole depth in false colour, without lens distortion.
-        skeleton: drawn over every estimate, None for none.
+        instant: content of the picture.
+        viewport: part of the image to show.
+        camera: camera of the whole image.
+        whole: undistorted depth image in false colour.
+        skeleton: drawn over each estimate; None for none.
     """
 
     instant: Instant
@@ -150,11 +152,11 @@ class DepthScene:
 
     @property
     def observed(self) -> ImageArray:
-        """The frame's depth."""
+        """Panel with the observed depth."""
         return self.viewport.cut(self.whole)
 
     def rendered(self, drawn: DrawnEstimate) -> ImageArray:
-        """The estimate, and the truth's contour, on black."""
+        """Return the panel with the estimate and the contour of the ground truth on black."""
         width, height = self.viewport.size
         picture = np.zeros((height, width, 3), dtype=np.uint8)
         self._draw(picture, drawn)
@@ -162,7 +164,7 @@ class DepthScene:
         return marked(picture, drawn.mark)
 
     def segments(self, drawn: DrawnEstimate) -> ImageArray:
-        """What segmentation around an estimate tells apart, over the observed depth, with the contour."""
+        """Return the panel with the segmentation around an estimate over the depth, and its contour."""
         ground = cv2.convertScaleAbs(self.whole, alpha=_DIMMED)
         if drawn.of.segments is not None:
             drawn.of.segments.paint(ground, self.instant.frame.depth, drawn.shown)
@@ -172,7 +174,7 @@ class DepthScene:
         return marked(picture, drawn.mark)
 
     def over(self, *estimates: DrawnEstimate) -> ImageArray:
-        """Estimates over the observed depth, which shines through; the truth's contour on top."""
+        """Return the panel with semi-transparent estimates over the depth, and the true contour on top."""
         ground = cv2.convertScaleAbs(self.observed, alpha=_DIMMED)
         painted = ground.copy()
         for drawn in estimates:
@@ -183,7 +185,7 @@ class DepthScene:
         return marked(picture, marks[0] if marks else None)
 
     def lines(self, estimates: Sequence[DrawnEstimate]) -> list[CaptionLine]:
-        """What a caption says: frame and time, then of each estimate; all in one where there is but one."""
+        """Return the caption lines: frame and time, then each estimate."""
         named = bool(estimates[0].of.name)
         lines = _caption_lines(self.instant.when, [drawn.words for drawn in estimates], named=named)
         inks = [self._ink(drawn) for drawn in estimates]
@@ -207,14 +209,14 @@ class DepthScene:
 
 
 def _caption_lines(when: list[str], said: Sequence[list[str]], *, named: bool) -> list[list[str]]:
-    """Frame and time, then the words about each estimate; on one line where one without a name is drawn."""
+    """Return the words of each caption line; a single line for one estimate without a name."""
     return [when, *said] if named or len(said) > 1 else [[*when, *said[0]]]
 
 
 def depth_panels(
     results: Sequence[Result], cameras: Sequence[Camera], drawing: Drawing, options: ViewOptions
 ) -> DepthPanels:
-    """Return what draws results on the depth images of a camera."""
+    """Return the panels that draw results on depth images."""
     (camera,), layout = cameras, depth_layout(options, len(drawing.tracks))
     if layout == "segments":
         drawing = _with_segments(drawing, results, camera)
@@ -223,24 +225,24 @@ def depth_panels(
 
 
 def depth_layout(options: ViewOptions, count: int) -> str:
-    """Return how so many tracks are arranged.
+    """Return the layout for a number of tracks.
 
     Raises:
-        UsageError: there are too many, or too few for the layout that is asked for.
+        UsageError: too many tracks, or too few for the requested layout.
     """
     if count > MOST_RESULTS:
-        expected = f"at most {MOST_RESULTS} beside each other"
+        expected = f"at most {MOST_RESULTS}"
         raise UsageError("too many results", found=count, expected=expected)
     if options.layout == "side-by-side" and count == 1:
-        raise UsageError("--layout side-by-side needs two results", found="one")
+        raise UsageError("--layout side-by-side requires two results", found="one")
     return options.layout or ("beside" if count == 1 else "side-by-side")
 
 
 def _with_segments(drawing: Drawing, results: Sequence[Result], camera: Camera) -> Drawing:
-    """The tracks, each with what tells the hand's pixels as its own run does.
+    """Add the segmentation of its run to each track.
 
     Raises:
-        ResultError: a result is of another subject than a hand.
+        ResultError: a result is not of a hand.
     """
     sources = [result for result in results for _ in range(len(drawing.tracks) // len(results))]
     tracks = tuple(
@@ -251,23 +253,23 @@ def _with_segments(drawing: Drawing, results: Sequence[Result], camera: Camera) 
 
 
 def _depth_range(options: ViewOptions, track: Track) -> DepthRange:
-    """The same colours for all frames, so that they do not flicker: by default around where a track goes."""
+    """Return the depth range, the same for all frames to avoid flicker; by default around the track."""
     if options.range_mm is not None:
         near, far = options.range_mm
         if not 0.0 <= near < far < np.inf:
             found = f"{near:g} {far:g}"
-            raise UsageError("--range-mm cannot be used", found=found, expected="0 <= NEAR < FAR")
+            raise UsageError("invalid --range-mm", found=found, expected="0 <= NEAR < FAR")
         return DepthRange(near, far)
     rows = not_lost(track, np.arange(len(track), dtype=np.int64))
     source = track.points if track.points is not None else track.position
     return DepthRange.of_points(np.empty(0) if source is None else source[rows][..., 2])
 
 
-# Pictures of one instant on the images of cameras: estimates drawn on each, and a caption
+# Camera images
 
 
 NO_IMAGE = 40
-"""Grey of a picture that the camera did not take."""
+"""Grey value of a missing image."""
 
 
 IMAGE_LAYOUTS = ("beside", "over", "side-by-side")
@@ -275,11 +277,11 @@ ANGLES = ("roll", "pitch", "yaw")
 
 
 class CameraPanel:
-    """Draws what one of several cameras saw.
+    """Prepares the picture of one of several cameras.
 
     Args:
-        camera: placed relative to that of the estimates.
-        drawing: says which part is shown.
+        camera: camera with extrinsics relative to that of the estimates.
+        drawing: content of the pictures.
     """
 
     def __init__(self, camera: Camera, drawing: Drawing) -> None:
@@ -290,16 +292,16 @@ class CameraPanel:
 
     @property
     def size(self) -> tuple[int, int]:
-        """(width, height) of its pictures, pixels."""
+        """(width, height) of the pictures, px."""
         return self._framing.size
 
     def canvas(self, image: ImageArray | None, points: FloatArray | None) -> Canvas:
-        """Return the picture of an image, to paint on.
+        """Return the picture of an image, to draw on.
 
         Args:
-            image: (h, w) or (h, w, 3) uint8 as it was taken, None where the camera gave none.
-            points: (P, 3) mm, in the axes of the reference camera, that it is cut out around if the part that
-                is shown moves.
+            image: (h, w) or (h, w, 3) uint8 with lens distortion; None if the camera has no image.
+            points: (P, 3) points to crop around if the viewport moves, mm, in the axes of the reference
+                camera.
         """
         viewport = self._framing.viewport(points)
         straight = self._straight(image)
@@ -308,7 +310,7 @@ class CameraPanel:
         return Canvas(picture, viewport.camera(self._camera))
 
     def _straight(self, image: ImageArray | None) -> ImageArray:
-        """The image without lens distortion."""
+        """Return the undistorted image."""
         if image is None:
             return np.full((self._camera.height, self._camera.width), NO_IMAGE, dtype=np.uint8)
         if not self._camera.is_distorted:
@@ -318,12 +320,12 @@ class CameraPanel:
 
     @cached_property
     def _map(self) -> tuple[Float32Array, Float32Array]:
-        """u and v (h, w) in the image as it was taken, for every pixel of one without distortion."""
+        """u and v (h, w) in the distorted image of each pixel of the undistorted image."""
         return pixel_map(replace(self._camera, distortion=()), self._camera)
 
 
 def seen_from(camera: Camera, drawn: DrawnEstimate) -> DrawnEstimate:
-    """The estimate, from the reference camera's axes to another's."""
+    """Transform an estimate from the axes of the reference camera to those of another camera."""
     shown, turned = drawn.shown, None
     if shown.quaternion is not None:
         rotation = quaternions_from_matrices(np.array(camera.camera_T_reference)[:, :3])
@@ -334,11 +336,11 @@ def seen_from(camera: Camera, drawn: DrawnEstimate) -> DrawnEstimate:
 
 
 class ImagePanels:
-    """Draws frames: cameras beside each other, results one below the other.
+    """Draws frames of cameras: one column per camera, one row per track.
 
     Args:
-        cameras: of the images.
-        drawing: what is shown.
+        cameras: cameras of the images.
+        drawing: content of the pictures.
     """
 
     def __init__(self, cameras: Sequence[Camera], drawing: Drawing) -> None:
@@ -350,18 +352,18 @@ class ImagePanels:
 
     @property
     def _body_size(self) -> tuple[int, int]:
-        """(width, height) of the cameras' pictures beside each other."""
+        """(width, height) of a row of pictures, px."""
         widths, heights = zip(*(panel.size for panel in self._panels), strict=True)
         return sum(widths), max(heights)
 
     @property
     def size(self) -> tuple[int, int]:
-        """(width, height) of a picture without its captions, pixels."""
+        """(width, height) of a picture without captions, px."""
         width, height = self._body_size
         return width, height * len(self.drawing.tracks)
 
     def picture(self, instant: Instant) -> ImageArray:
-        """Return the picture (height, width, 3) of a frame, with a caption below each result."""
+        """Return the picture (height, width, 3), BGR, of a frame, with a caption below each track."""
         parts = [
             captions.below(
                 self._body(instant, drawn),
@@ -372,7 +374,7 @@ class ImagePanels:
         return np.vstack(_equally_wide(parts))
 
     def plain(self, instant: Instant) -> ImageArray:
-        """Return what the cameras saw, with the first result's estimate; no caption."""
+        """Return the images with the estimate of the first track, without caption."""
         return self._body(instant, instant.estimates[0])
 
     def _body(self, instant: Instant, drawn: DrawnEstimate) -> ImageArray:
@@ -387,30 +389,29 @@ class ImagePanels:
 
 
 def image_layout(options: ViewOptions, count: int) -> str:
-    """Return how so many tracks are arranged: all layouts are the same.
+    """Return the layout for a number of tracks; all layouts for camera images are equivalent.
 
     Raises:
-        UsageError: there are too many, or an option is for depth.
+        UsageError: too many tracks, or an option for depth images.
     """
     if count > MOST_RESULTS:
-        expected = f"at most {MOST_RESULTS} one below the other"
+        expected = f"at most {MOST_RESULTS}"
         raise UsageError("too many results", found=count, expected=expected)
     if options.layout is not None and options.layout not in IMAGE_LAYOUTS:
-        found, hint = f"--layout {options.layout}", "it is drawn on the images of its cameras"
-        raise UsageError("layout cannot be used", found=found, expected="none", hint=hint)
+        raise UsageError(f"--layout {options.layout} requires depth images", hint="omit --layout")
     if options.range_mm is not None:
-        raise UsageError("--range-mm does not apply to images", hint="leave it out")
+        raise UsageError("--range-mm requires depth images", hint="omit --range-mm")
     return options.layout or IMAGE_LAYOUTS[0]
 
 
 def _equally_high(pictures: Sequence[ImageArray]) -> list[ImageArray]:
-    """Pictures with black below those that are lower than others."""
+    """Pad pictures at the bottom to equal height."""
     height = max(len(picture) for picture in pictures)
     return [np.pad(picture, ((0, height - len(picture)), (0, 0), (0, 0))) for picture in pictures]
 
 
 def _equally_wide(pictures: Sequence[ImageArray]) -> list[ImageArray]:
-    """Pictures with black beside those that are narrower than others."""
+    """Pad pictures on the right to equal width."""
     width = max(picture.shape[1] for picture in pictures)
     return [np.pad(picture, ((0, 0), (0, width - picture.shape[1]), (0, 0))) for picture in pictures]
 
@@ -420,7 +421,7 @@ def _longest_angles(drawn: DrawnTrack) -> list[str]:
 
 
 def _angles(drawn: DrawnEstimate) -> list[str]:
-    """The words of a caption about where the subject is turned."""
+    """Return the words of a caption about the rotation."""
     if drawn.shown.quaternion is None or drawn.status == "lost":
         return []
     angles = np.degrees(kind_of(drawn.of.track.subject).euler_angles(drawn.shown.quaternion))

@@ -1,4 +1,4 @@
-"""Pictures of a result for a page, and of a face model."""
+"""Pictures of the worst frames for the HTML report, and of face models."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ if TYPE_CHECKING:
     from posetrack_cli.recording.recording import Recording
 
 
-# A picture of what a face model knows: identities downwards, deformations across (thesis, figure 4.6)
+# Face model: identities in rows, deformations in columns (thesis, figure 4.6)
 
 
 IDENTITY_AXES, DEFORMATION_AXES = 2, 3
-"""How many of each are shown, at most."""
+"""Maximum numbers of axes to draw."""
 DEVIATIONS = 2.0
 PIXELS_PER_MM = 1.6
 _FRONT_MM, _SIDE_MM, _HEIGHT_MM = 116.0, 84.0, 148.0
 _FRONT_X_MM, _SIDE_Z_MM, _TOP_MM = -58.0, -24.0, 44.0
 _RIGHT = [POINT_NAMES.index(f"right_{name}") for name in ("eye_outer", "eye_inner", "brow_inner", "nostril")]
 _RIGHT.append(POINT_NAMES.index("right_mouth_corner"))
+# Indices into _RIGHT: the eye, and the profile from brow over nose to mouth.
 _SIDE_LINES = ((0, 1), (2, 3), (3, 4))
-"""Of ``_RIGHT``: the eye, and from the brow over the nose to the mouth."""
 _GROUND: Colour = (24, 24, 24)
 _MEAN: Colour = (95, 95, 95)
 _BITS = 4
@@ -46,10 +46,10 @@ Numbered = tuple[str, FloatArray]
 
 
 def face_model_picture(model: FaceModel) -> ImageArray:
-    """Draw faces (height, width, 3), each from the front and its right side, over the mean face in grey.
+    """Draw faces (height, width, 3) from the front and the right, over the mean face in grey.
 
-    The mean identity comes first, then those ``DEVIATIONS`` standard deviations along the axes that change
-    the face most; so do deformations.
+    The first row is the mean identity, the others are ``DEVIATIONS`` standard deviations along the axes that
+    change the face most; likewise the columns for deformations.
     """
     neutral = model.shapes(model.identity_mean, model.deformation_mean)
     identities = _along(model.identity_mean, model.identity_deviations, _identity_reach(model), "s")
@@ -64,7 +64,7 @@ def face_model_picture(model: FaceModel) -> ImageArray:
 
 
 def _identity_reach(model: FaceModel) -> FloatArray:
-    """(S,) how far one standard deviation moves the points, mm, at the mean deformation."""
+    """Return the displacement (S,) of the points by one standard deviation, mm, at the mean deformation."""
     moved = np.einsum("kisa,a->kis", model.core, model.deformation_mean) * model.identity_deviations
     reach: FloatArray = np.linalg.norm(moved, axis=(0, 1))
     return reach
@@ -77,7 +77,7 @@ def _deformation_reach(model: FaceModel) -> FloatArray:
 
 
 def _along(mean: FloatArray, deviations: FloatArray, reach: FloatArray, name: str) -> Sequence[Numbered]:
-    """The mean, and both ways along the axes that reach furthest, with captions."""
+    """Return the mean and both directions along the axes with the largest displacement, with captions."""
     shown = [(f"{name} mean", mean)]
     most = IDENTITY_AXES if name == "s" else DEFORMATION_AXES
     for axis in np.argsort(-reach, kind="stable")[:most].tolist():
@@ -89,7 +89,7 @@ def _along(mean: FloatArray, deviations: FloatArray, reach: FloatArray, name: st
 
 
 def _cell(shape: FloatArray, neutral: FloatArray, text: str) -> ImageArray:
-    """One face from the front and from its right side, and what it is."""
+    """Draw a face from the front and the right, with a caption."""
     width, height = (round(PIXELS_PER_MM * mm) for mm in (_FRONT_MM + _SIDE_MM, _HEIGHT_MM))
     picture = np.full((height, width, 3), _GROUND, np.uint8)
     for points, colour in ((neutral, _MEAN), (shape, SKIN)):
@@ -100,7 +100,7 @@ def _cell(shape: FloatArray, neutral: FloatArray, text: str) -> ImageArray:
 
 
 def _draw(picture: ImageArray, places: FloatArray, lines: Sequence[tuple[int, int]], colour: Colour) -> None:
-    """Points (P, 2), mm to the right and upwards of the mean face's origin, and lines between them."""
+    """Draw points (P, 2), mm to the right and above the origin of the mean face, and lines."""
     pixels = PIXELS_PER_MM * (places * [1.0, -1.0] + [0.0, _TOP_MM])
     fixed = [(int(x), int(y)) for x, y in np.rint(pixels * (1 << _BITS))]
     for start, end in lines:
@@ -109,18 +109,18 @@ def _draw(picture: ImageArray, places: FloatArray, lines: Sequence[tuple[int, in
         cv2.circle(picture, place, 4 << _BITS, colour, -1, cv2.LINE_AA, _BITS)
 
 
-# Pictures for reports: the worst frames of a result
+# Worst frames of a result
 
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A drawn frame.
+    """Picture of a frame.
 
     Attributes:
-        png: the image file.
-        frame_index: position in the recording.
-        stamp_ns: when the frame was taken, integer nanoseconds.
-        caption: one line: frame, time, what the estimate is like.
+        png: PNG file.
+        frame_index: frame number in the recording.
+        stamp_ns: stamp of the frame, ns.
+        caption: frame, time, status and error in one line.
     """
 
     png: bytes
@@ -132,22 +132,22 @@ class Picture:
 def worst_frame_pictures(
     evaluation: Evaluation, recording: Recording, count: int, device: int | None = None
 ) -> list[Picture]:
-    """Draw the worst frames: the largest error, without truth the lost ones and then the least confidence.
+    """Draw the worst frames (``worst_rows``), with the ground truth in green.
 
-    Each picture shows what was observed, in depth with the estimate right of it, on grey images with the
-    estimate on them, the truth in green; all are cut out around the subject and of one size.
+    Pictures are cropped around the subject and have the same size. Depth images are shown next to the
+    estimate, grey images below it.
 
     Args:
-        evaluation: what was measured.
-        recording: what the result was made from (``search_recording``).
-        count: how many at most. They are at least a second apart, so a short recording gives fewer.
-        device: EGL device index, None for the default, or the processor without OpenGL.
+        evaluation: the evaluation, with tracks.
+        recording: recording of the result (``search_recording``).
+        count: maximum number of pictures; fewer for short recordings.
+        device: EGL device index; None for the default device, or the CPU without OpenGL.
 
     Returns:
-        The worst first. Frames that the recording does not give are left out.
+        Pictures, worst first, without frames that the recording does not have.
 
     Raises:
-        RenderingError: nothing can be rendered here.
+        RenderingError: no renderer is available.
         ResultError, UsageError: the result cannot be drawn on these images.
     """
     from posetrack_cli.evaluation.viewing.frame_choice import worst_rows
@@ -166,7 +166,7 @@ def worst_frame_pictures(
 
 
 def errors_of(evaluation: Evaluation) -> tuple[FloatArray | None, str]:
-    """Return the error (N,) of every frame, NaN without truth, and its name; None where there is none."""
+    """Return the errors (N,) of all frames, NaN without ground truth, and their name; None without errors."""
     kind = KINDS[evaluation.subject]
     found = next((name for name in kind.worst_by if name in evaluation.series), None)
     if found is None or evaluation.pairs is None:
@@ -179,7 +179,7 @@ def errors_of(evaluation: Evaluation) -> tuple[FloatArray | None, str]:
 def _drawn(
     evaluation: Evaluation, recording: Recording, rows: IntArray, device: OpenDevice
 ) -> dict[int, tuple[bytes, int, int]]:
-    """PNG, frame number and stamp of each row that the recording has a frame of."""
+    """Return PNG, frame number and stamp of the rows whose frame is in the recording."""
     from posetrack_cli.evaluation.reading.tracks import matched_frames
     from posetrack_cli.evaluation.viewing.outputs import png_of
     from posetrack_cli.evaluation.viewing.view import drawer_of, report_panels
@@ -209,7 +209,7 @@ def _drawing(evaluation: Evaluation, rows: IntArray, drawer: Drawer) -> Drawing:
 
 
 def caption_of(evaluation: Evaluation, row: int, errors: FloatArray | None, name: str) -> str:
-    """Return the line below a picture: frame, time, what the estimate is like."""
+    """Return the caption of a picture: frame, time, status, error, confidence or cost."""
     track = evaluation.track
     seconds = 1e-9 * int(track.stamp_ns[row] - track.stamp_ns[0])
     number = row if track.frame_index is None else int(track.frame_index[row])

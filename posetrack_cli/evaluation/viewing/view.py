@@ -1,4 +1,4 @@
-"""Pictures of one result, or of two together, on the recording they were made from."""
+"""Rendering of one or two results onto the frames of their recording."""
 
 from __future__ import annotations
 
@@ -38,32 +38,32 @@ OpenDevice: TypeAlias = Callable[[], RenderingDevice]
 DrawerOf: TypeAlias = Callable[[Result, OpenDevice], Drawer]
 
 DRAWERS: Mapping[str, DrawerOf] = {"hand": lambda result, device: HandDrawer(device(), hand_of(result))}
-"""What draws a subject, by its name; of any other its points, lines and axes are drawn."""
+"""Drawers by subject name; for other subjects, points, lines and axes are drawn."""
 
 
 class Panels(Protocol):
-    """Draws frames, all of one size.
+    """Draws frames as pictures of equal size.
 
     Attributes:
-        drawing: what is shown, of which instants are taken.
+        drawing: content of the pictures.
     """
 
     drawing: Drawing
 
     @property
     def size(self) -> tuple[int, int]:
-        """(width, height) of a picture without its captions, pixels."""
+        """(width, height) of a picture without caption, px."""
 
     def picture(self, instant: Instant) -> ImageArray:
-        """Return the picture (height, width, 3), blue green red, of a frame, with its caption below."""
+        """Return the picture (height, width, 3), BGR, of a frame, with its caption below."""
 
     def plain(self, instant: Instant) -> ImageArray:
-        """Return the picture of a frame for a report, which has captions of its own."""
+        """Return the picture of a frame without caption, for reports."""
 
 
 @dataclass(frozen=True)
 class _Style:
-    """How results are drawn on one kind of images: the layout of so many tracks, and the panels."""
+    """Layout and panels for one kind of images."""
 
     layout: Callable[[ViewOptions, int], str]
     panels: Callable[[Sequence[Result], Sequence[Camera], Drawing, ViewOptions], Panels]
@@ -76,21 +76,21 @@ _STYLES: Mapping[PixelKind, _Style] = {
 
 
 class ResultView:
-    """Draws the chosen frames, one after the other, in the recording's order.
+    """Draws selected frames in recording order.
 
     Args:
-        results: one, or two of the same recording and kind of subject.
-        recording: what they were made from.
-        options: how.
-        device: opens what renders; asked only where something is rendered.
+        results: one result, or two of the same recording and kind of subject.
+        recording: recording of the results.
+        options: view options.
+        device: opens the rendering device; called only if needed.
 
     Raises:
-        UsageError: options that cannot be meant, or no frame to draw.
-        ResultError: a result that cannot be drawn, or without truth where truth is asked for.
+        UsageError: invalid options, or no frame to draw.
+        ResultError: a result cannot be drawn, or has no ground truth although it is requested.
 
     Attributes:
-        rows: of the first result that are drawn.
-        remark: why there are fewer than were asked for, or nothing.
+        rows: rows of the first result that are drawn.
+        remark: reason why fewer frames than requested are drawn; empty otherwise.
     """
 
     def __init__(
@@ -120,21 +120,21 @@ class ResultView:
 
     @property
     def rate_hz(self) -> float:
-        """Pictures per second that show the chosen frames as fast as they were recorded."""
+        """Rate of the pictures for playback in real time, Hz."""
         return rate_of(self._track, self.rows)
 
     @property
     def recording_path(self) -> Path:
-        """Where the frames come from."""
+        """Path of the recording."""
         return self._recording.path
 
     @property
     def losses(self) -> tuple[Loss, ...]:
-        """Chosen frames that could not be drawn, once all were asked for."""
+        """Selected frames that could not be drawn; complete once ``pictures`` is exhausted."""
         return self._log.losses
 
     def pictures(self) -> Generator[tuple[int, ImageArray]]:
-        """Yield (frame number, picture), all pictures of one size."""
+        """Yield (frame number, picture); all pictures have the same size."""
         track, self._log = self._track, LossLog()
         numbers = None if track.frame_index is None else track.frame_index[self.rows]
         stamps = track.stamp_ns[self.rows]
@@ -142,7 +142,7 @@ class ResultView:
             yield frame.index, self._panels.picture(self._panels.drawing.at(frame, int(stamps[position])))
 
     def _around(self, options: ViewOptions, layout: str) -> FloatArray | None:
-        """The points that pictures are cut out around; None for all of the image."""
+        """Return the points that the pictures are cropped around; None for the whole image."""
         is_whole = options.crop == "full" or (options.crop is None and layout != "paper")
         if is_whole or self._track.points is None:
             return None
@@ -150,36 +150,36 @@ class ResultView:
 
 
 def style_of(results: Sequence[Result]) -> _Style:
-    """Return how results are drawn on images as they were made from.
+    """Return the drawing style for the kind of images of the results.
 
     Raises:
-        UsageError: they were made from different ones.
+        UsageError: the results have different kinds of images.
     """
     pixels = {pixels_of(result) for result in results}
     if len(pixels) > 1:
         found = ", ".join(f"a {result.subject.name} in {result.path}" for result in results)
-        raise UsageError("results are of different subjects", found=found)
+        raise UsageError("results have different subjects", found=found)
     return _STYLES[pixels.pop()]
 
 
 def report_panels(result: Result, recording: Recording, drawing: Drawing) -> Panels:
-    """Return what draws a result for a report.
+    """Return the panels that draw a result for a report.
 
     Raises:
-        UsageError: the result's cameras cannot have taken these images.
+        UsageError: the image size of the recording differs from the result.
     """
     return style_of([result]).panels([result], cameras_of(result, recording), drawing, ViewOptions())
 
 
 def drawer_of(result: Result, device: OpenDevice) -> Drawer:
-    """Return what draws the subject of a result."""
+    """Return the drawer for the subject of a result."""
     if result.subject.name in DRAWERS:
         return DRAWERS[result.subject.name](result, device)
     return SkeletonDrawer(result.subject.point_parents, lines=result.subject.lines)
 
 
 def _common_cameras(results: Sequence[Result], recording: Recording) -> tuple[Camera, ...]:
-    """The cameras of all results."""
+    """Return the cameras that all results have in common."""
     cameras = cameras_of(results[0], recording)
     for other in results[1:]:
         if _unnamed(other.cameras()) != _unnamed(cameras):

@@ -12,7 +12,7 @@ import posetrack_cli.evaluation.judging.comparing as paired_module
 from posetrack_cli.evaluation.judging.comparing import (
     block_means,
     compare,
-    neighbour_correlation,
+    lag_one_correlation,
     paired,
     paired_blocks,
 )
@@ -99,12 +99,12 @@ def test_frames_that_err_alike_are_no_independent_samples(monkeypatch: pytest.Mo
 
 def test_neighbours_that_are_alike_are_noticed() -> None:
     """An AR(1) series has the correlation phi; its estimate's sd is about sqrt((1 - phi^2) / n) = 0.019."""
-    assert abs(neighbour_correlation(walks(1, 1000, 0.8, seed=3)[0]) - 0.8) < 4 * 0.019
-    independent = [neighbour_correlation(walk) for walk in walks(200, 100, 0.0, seed=4)]
+    assert abs(lag_one_correlation(walks(1, 1000, 0.8, seed=3)[0]) - 0.8) < 4 * 0.019
+    independent = [lag_one_correlation(walk) for walk in walks(200, 100, 0.0, seed=4)]
     # one-sided: Phi(-2) = 2.3 % of 200 are above 2 / sqrt(n), sd 2.1
     assert sum(r > 0 for r in independent) < 5 + 4 * 2.1
-    assert neighbour_correlation(np.ones(50)) == neighbour_correlation(np.arange(7.0)) == 0.0
-    assert neighbour_correlation(np.empty(0)) == 0.0
+    assert lag_one_correlation(np.ones(50)) == lag_one_correlation(np.arange(7.0)) == 0.0
+    assert lag_one_correlation(np.empty(0)) == 0.0
 
 
 def test_the_difference_is_that_of_the_second_s_means() -> None:
@@ -152,7 +152,7 @@ def test_results_without_a_common_frame_say_so() -> None:
     comparison = compare([series("a", np.arange(9.0)), series("b", np.arange(9.0), later)])
     assert comparison is not None
     assert comparison.differences[0].paired.count == 0
-    assert comparison.differences[0].note == "no pairs; 18 frames without a figure in both are not compared"
+    assert comparison.differences[0].note == "no pairs; 18 frames without a value in both are left out"
 
 
 def test_errors_that_last_are_pointed_out() -> None:
@@ -160,4 +160,4 @@ def test_errors_that_last_are_pointed_out() -> None:
     stamps = np.arange(1800, dtype=np.int64) * (SECOND // 30)
     comparison = compare([series("a", np.zeros(1800), stamps), series("b", slow, stamps)])
     assert comparison is not None
-    assert "neighbouring seconds are alike" in comparison.differences[0].note
+    assert "consecutive seconds are correlated" in comparison.differences[0].note

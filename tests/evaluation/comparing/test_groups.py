@@ -106,9 +106,9 @@ def test_notes_say_how_pairs_were_found() -> None:
     a = units("a", [("p", "1"), ("p", "2"), ("q", "1")])
     comparison = compare_groups({"a": a, "b": units("b", [("p", "1"), ("p", "2"), ("q", "9"), ("r", "1")])})
     assert list(comparison.notes[:3]) == [
-        "b - a: no partner of the same recording and seed: br1",
-        "b - a: seeds differ, so pairs are of the same recording alone",
-        "b - a: 3 pairs are of 2 recordings: not all independent",
+        "b - a: unpaired (no result of the same recording and seed): br1",
+        "b - a: seeds differ, so results are paired by recording only",
+        "b - a: 3 pairs of 2 recordings are not all independent",
     ]
 
 
@@ -119,7 +119,10 @@ def test_pairs_of_the_same_seed_and_of_different_recordings_need_no_note() -> No
 
 def test_nothing_is_said_about_pairs_where_there_are_none() -> None:
     comparison = compare_groups({"a": units("a", [("p", "1")]), "b": units("b", [("q", "2")])})
-    assert comparison.notes == ("b - a: no partner of the same recording and seed: ap1, bq2", UNCORRECTED)
+    assert comparison.notes == (
+        "b - a: unpaired (no result of the same recording and seed): ap1, bq2",
+        UNCORRECTED,
+    )
     assert {one.paired.count for one in comparison.differences} == {0}
 
 

@@ -73,7 +73,7 @@ def test_a_constant_difference_has_an_interval_without_width() -> None:
 def test_few_pairs_say_what_p_can_be(count: int, smallest: float) -> None:
     result = paired(np.zeros(count), np.arange(1.0, count + 1))
     assert result.p_value == pytest.approx(smallest)
-    said = f"p cannot be below {smallest:g} with {count} different pair{'s' * (count > 1)}"
+    said = f"too few data: p >= {smallest:g} with {count} differing pair{'s' * (count > 1)}"
     assert result.note == (said if smallest > 0.05 else "")
 
 

@@ -93,13 +93,13 @@ def test_other_joints_than_ours_can_be_listed() -> None:
     [
         (
             "joint_eror_mm.mean",
-            r"no metric 'joint_eror_mm'; did you mean 'joint_error_mm'\? known: angle_err",
+            r"unknown metric 'joint_eror_mm'; did you mean 'joint_error_mm'\? known: angle_err",
         ),
-        ("qqq", r"no metric 'qqq'; known: angle_error_deg, .*z_mm$"),
-        ("", r"no metric ''; known: "),
+        ("qqq", r"unknown metric 'qqq'; known: angle_error_deg, .*z_mm$"),
+        ("", r"unknown metric ''; known: "),
         ("joint_error_mm.maen", r"'joint_error_mm' has no 'maen'; did you mean 'mean'\? known: count, index"),
         ("joint_error_mm.index_tp.mean", r"has no 'index_tp.mean'; did you mean 'index_tip'\?"),
-        ("coverage.mean", r"'coverage' has no 'mean'; it is one number"),
+        ("coverage.mean", r"'coverage' has no 'mean'; it is a single number without parts or statistics"),
         ("nees.position", r"'nees' has no 'position'; known: count, max, mean"),
         ("joint_error_mm.wrist.wrist", r"'joint_error_mm' has no 'wrist.wrist'"),
         ("joint_error_mm.mean.max", r"'joint_error_mm' has no 'mean.max'"),

@@ -141,8 +141,8 @@ def test_a_head_s_deformation_is_not_judged() -> None:
 @pytest.mark.parametrize(
     ("side", "change", "reason"),
     [
-        ("truth", {"shape": None}, "the truth has no finger angles"),
-        ("truth", {"quaternion": None}, "the truth has no rotation"),
+        ("truth", {"shape": None}, "the ground truth has no finger angles"),
+        ("truth", {"quaternion": None}, "the ground truth has no rotation"),
         ("estimate", {"pose_variance": None}, "the result has no covariance"),
     ],
 )
@@ -161,10 +161,14 @@ def test_half_a_state_has_no_nees(side: str, change: dict[str, None], reason: st
 @pytest.mark.parametrize(
     ("side", "change", "reason"),
     [
-        ("truth", {"twist": None}, "the truth has no velocity"),
-        ("truth", {"quaternion": None}, "the truth has no rotation"),
-        ("estimate", {"twist_variance": None}, "the result has no covariance of velocities"),
-        ("estimate", {"twist": np.zeros((3, 21)), "twist_variance": None}, "the run estimates no velocity"),
+        ("truth", {"twist": None}, "the ground truth has no velocity"),
+        ("truth", {"quaternion": None}, "the ground truth has no rotation"),
+        ("estimate", {"twist_variance": None}, "the result has no velocity covariance"),
+        (
+            "estimate",
+            {"twist": np.zeros((3, 21)), "twist_variance": None},
+            "the run does not estimate velocities",
+        ),
     ],
 )
 def test_half_a_velocity_has_no_nees(side: str, change: dict[str, FloatArray | None], reason: str) -> None:
@@ -215,5 +219,5 @@ def test_a_truth_that_lacks_an_angle_has_no_nees() -> None:
         twist=np.delete(truth.twist, 6, axis=1),
     )
     measures, _ = measure(estimate, fewer)
-    reason = f"the truth has no angle {truth.shape_names[0]}"
+    reason = f"the ground truth has no angle {truth.shape_names[0]}"
     assert measures.absent["nees"] == measures.absent["velocity_nees"] == reason

@@ -59,7 +59,7 @@ def test_fingers_leave_out_the_wrist(small: tuple[Track, Track]) -> None:
     measures, _ = measure(*small)
     for address in ("finger_error_mm", "finger_error_mm.index", "fingertip_error_mm"):
         assert figures(measures, address).mean == pytest.approx((12 + 25 + 300) / 3)
-    assert measures.absent["finger_error_mm.thumb"] == "the truth has other joints"
+    assert measures.absent["finger_error_mm.thumb"] == "the ground truth has other joints"
 
 
 def test_lost_frames_count_but_where_the_name_says_they_do_not(small: tuple[Track, Track]) -> None:
@@ -68,7 +68,7 @@ def test_lost_frames_count_but_where_the_name_says_they_do_not(small: tuple[Trac
     assert (tracked.mean, tracked.count) == (pytest.approx((5 + 12 + 0 + 25) / 4), 4)
     estimate, truth = small
     measures, _ = measure(replace(estimate, lost=np.ones(3, dtype=np.bool_)), truth)
-    assert measures.absent["joint_error_tracked_mm"] == "every frame with truth is lost"
+    assert measures.absent["joint_error_tracked_mm"] == "all frames with ground truth are lost"
     assert figures(measures, "joint_error_mm").count == 6
 
 
@@ -86,10 +86,10 @@ def test_shares_are_of_the_frames_due(small: tuple[Track, Track]) -> None:
 def test_a_truth_of_joints_alone_has_a_wrist_and_reasons_for_the_rest(small: tuple[Track, Track]) -> None:
     measures, _ = measure(*small)
     assert figures(measures, "wrist_position_mm").mean == pytest.approx((5 + 0 + 400) / 3)
-    assert measures.absent["wrist_rotation_deg"] == "the truth has no rotation"
-    assert measures.absent["angle_error_deg"] == "the truth has no finger angles"
-    assert measures.absent["velocity_error_mm_s"] == "the truth has no velocity"
-    assert measures.absent["nees"] == "the truth has no position"
+    assert measures.absent["wrist_rotation_deg"] == "the ground truth has no rotation"
+    assert measures.absent["angle_error_deg"] == "the ground truth has no finger angles"
+    assert measures.absent["velocity_error_mm_s"] == "the ground truth has no velocity"
+    assert measures.absent["nees"] == "the ground truth has no position"
 
 
 def test_angles_by_hand() -> None:
@@ -181,7 +181,7 @@ def test_joints_that_the_truth_lacks_are_named() -> None:
     assert truth.points is not None
     fewer = replace(truth, points=truth.points[:, 1:], point_names=truth.point_names[1:])
     measures, _ = measure(truth, fewer)
-    assert measures.notes == ["joint errors over 20 of 21 joints: the truth has no wrist"]
+    assert measures.notes == ["joint errors over 20 of 21 joints: the ground truth has no wrist"]
     assert "joint_error_mm.wrist" not in measures.metrics
     assert figures(measures, "joint_error_mm").count == 60
 
@@ -191,8 +191,8 @@ def test_a_truth_of_other_joints_is_not_compared() -> None:
     other = replace(truth, point_names=tuple(f"p{i}" for i in range(21)))
     measures, curve = measure(truth, other)
     assert curve is None
-    assert measures.absent["joint_error_mm"] == "the truth has other joints"
-    assert measures.absent["frames_within_20mm"] == "the truth has other joints"
+    assert measures.absent["joint_error_mm"] == "the ground truth has other joints"
+    assert measures.absent["frames_within_20mm"] == "the ground truth has other joints"
 
 
 def test_a_truth_of_the_wrist_alone_has_no_fingers() -> None:
@@ -201,7 +201,7 @@ def test_a_truth_of_the_wrist_alone_has_no_fingers() -> None:
     wrist = replace(truth, point_names=JOINT_NAMES[:1], point_parents=(-1,), points=truth.points[:, :1])
     measures, _ = measure(estimate, wrist)
     for address in ("finger_error_mm", "fingertip_error_mm", "finger_error_mm.index"):
-        assert measures.absent[address] == "the truth has other joints"
+        assert measures.absent[address] == "the ground truth has other joints"
     assert measures.metrics["joint_error_mm"] == measures.metrics["joint_error_mm.wrist"]
 
 
@@ -221,15 +221,15 @@ def test_a_truth_without_any_wrist_says_so(joints: tuple[str, ...]) -> None:
     estimate, truth = random_hand(3, 1), random_hand(3, 2)
     points = None if truth.points is None or not joints else truth.points[:, 1:]
     measures, _ = measure(estimate, replace(truth, position=None, point_names=joints, points=points))
-    assert measures.absent["wrist_position_mm"] == "the truth has no position"
+    assert measures.absent["wrist_position_mm"] == "the ground truth has no position"
 
 
 def test_a_truth_of_other_angles_says_so() -> None:
     estimate, truth = random_hand(3, 1), random_hand(3, 2)
     others = tuple(f"other_{name}" for name in truth.shape_names)
     measures, _ = measure(estimate, replace(truth, shape_names=others))
-    assert measures.absent["angle_error_deg"] == "the truth has other finger angles"
-    assert measures.absent["nees"] == f"the truth has no angle {ANGLE_NAMES[0]}"
+    assert measures.absent["angle_error_deg"] == "the ground truth has other finger angles"
+    assert measures.absent["nees"] == f"the ground truth has no angle {ANGLE_NAMES[0]}"
 
 
 def test_a_truth_without_joints_says_so() -> None:
@@ -237,7 +237,7 @@ def test_a_truth_without_joints_says_so() -> None:
     measures, curve = measure(estimate, replace(truth, points=None, point_names=()))
     assert curve is None
     for address in ("joint_error_mm", "largest_joint_error_mm", "frames_within_20mm"):
-        assert measures.absent[address] == "the truth has no points"
+        assert measures.absent[address] == "the ground truth has no points"
 
 
 def test_without_any_pair_nothing_is_measured_and_every_frame_due_is_missed() -> None:

@@ -112,12 +112,12 @@ def test_points_in_head_coordinates_do_not_see_the_camera_move(seed: int, motion
 def test_what_the_truth_lacks_is_told() -> None:
     estimate, truth = random_head(3, 1), random_head(3, 2)
     measures, _ = measure(estimate, replace(truth, points=None, quaternion=None))
-    assert measures.absent["roll_deg"] == "the truth has no rotation"
-    assert measures.absent["rotation_deg"] == "the truth has no rotation"
-    assert measures.absent["point_error_mm"] == "the truth has no points"
+    assert measures.absent["roll_deg"] == "the ground truth has no rotation"
+    assert measures.absent["rotation_deg"] == "the ground truth has no rotation"
+    assert measures.absent["point_error_mm"] == "the ground truth has no points"
     assert figures(measures, "x_mm").count == 3
     measures, _ = measure(estimate, replace(truth, point_names=("a", "b", "c", "d")))
-    assert measures.absent["point_error_mm"] == "the truth has other points"
+    assert measures.absent["point_error_mm"] == "the ground truth has other points"
     assert truth.points is not None
     measures, _ = measure(estimate, replace(truth, point_names=HEAD_POINTS[1:], points=truth.points[:, 1:]))
-    assert measures.notes == ["point errors without left_eye_inner: the truth has none"]
+    assert measures.notes == ["point errors without left_eye_inner: missing in the ground truth"]

@@ -92,7 +92,7 @@ def test_heads_are_right_to_3_degrees_and_5_mm_of_their_points() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "reason"), [({"quaternion": None}, "the truth has no rotation"), ({}, None)]
+    ("changes", "reason"), [({"quaternion": None}, "the ground truth has no rotation"), ({}, None)]
 )
 def test_what_nothing_judges_by_has_no_figure(changes: dict[str, None], reason: str | None) -> None:
     estimate, truth = random_head(4, 1), replace(random_head(4, 2), **changes)  # type: ignore[arg-type]

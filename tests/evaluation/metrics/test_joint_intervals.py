@@ -112,17 +112,17 @@ def test_what_no_pose_can_be_is_outside_and_no_error() -> None:
 
 
 def unknown_bones() -> HandAnatomy:
-    raise ResultError("the hand that the run tracked is not found")
+    raise ResultError("hand file of the run not found")
 
 
 @pytest.mark.parametrize(
     ("change", "of_truth", "reason"),
     [
         ({"pose_variance": None}, {}, "the result has no pose with covariance"),
-        ({"point_names": ("a",) * 21}, {}, "the result has other joints or angles than the hand's"),
-        ({"shape_names": ("a",) * 15}, {}, "the result has other joints or angles than the hand's"),
-        ({}, {"points": None}, "the truth has no points"),
-        ({}, {"point_names": ("a",) * 21}, "the truth has other joints"),
+        ({"point_names": ("a",) * 21}, {}, "the result has other joints or angles than the hand model"),
+        ({"shape_names": ("a",) * 15}, {}, "the result has other joints or angles than the hand model"),
+        ({}, {"points": None}, "the ground truth has no points"),
+        ({}, {"point_names": ("a",) * 21}, "the ground truth has other joints"),
     ],
 )
 def test_what_cannot_be_told_has_a_reason(
@@ -135,5 +135,5 @@ def test_what_cannot_be_told_has_a_reason(
 
 def test_bones_that_are_not_known_are_a_reason_and_no_error() -> None:
     measures = measured(random_hand(3, 1), random_hand(3, 2), unknown_bones)
-    reason = "bones of the hand are not known: the hand that the run tracked is not found"
+    reason = "unknown hand anatomy: hand file of the run not found"
     assert measures.absent == dict.fromkeys(METRICS, reason)

@@ -101,8 +101,8 @@ def test_a_missing_frame_of_the_truth_has_no_difference_across_more() -> None:
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        ({"twist": None}, "the run estimates no velocity"),
-        ({"twist_variance": None}, "the run estimates no velocity"),
+        ({"twist": None}, "the run does not estimate velocities"),
+        ({"twist_variance": None}, "the run does not estimate velocities"),
         ({"quaternion": None}, "the result has no pose with covariance"),
     ],
 )
@@ -118,7 +118,7 @@ def test_two_frames_have_no_velocity() -> None:
         replace(track, **{name: getattr(track, name)[:2] for name in vars(track) if _is_long(track, name)})
         for track in (estimate, truth)
     ]
-    assert measured(*short).absent[ERROR] == "the truth has no velocity"
+    assert measured(*short).absent[ERROR] == "the ground truth has no velocity"
 
 
 def _is_long(track: Track, name: str) -> bool:
@@ -140,4 +140,4 @@ def test_aligned_poses_have_no_velocities_of_joints() -> None:
     estimate, truth = moving()
     assert estimate.position is not None
     moved = replace(estimate, position=estimate.position + 20.0)
-    assert measured(moved, truth).absent[ERROR] == "poses are aligned, and no longer those of the joints"
+    assert measured(moved, truth).absent[ERROR] == "not available after alignment of the poses"

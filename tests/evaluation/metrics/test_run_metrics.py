@@ -58,7 +58,7 @@ def test_frames_without_a_time_are_told() -> None:
     measures = measured(replace(hand_track("a", 3, 0.0), milliseconds=np.array([10.0, np.nan, 30.0])))
     assert figures(measures, "ms_per_frame").mean == 20.0
     assert number(measures, "frames_per_s") == pytest.approx(2 / 0.04)
-    assert measures.notes == ["times of the 2 of 3 frames that were timed"]
+    assert measures.notes == ["timings cover 2 of 3 frames"]
 
 
 def test_no_time_at_all_is_no_infinite_speed() -> None:

@@ -57,7 +57,7 @@ def test_a_filter_without_velocity_is_not_judged_by_it() -> None:
     nothing = np.zeros((3, 21))
     measures, _ = measure(replace(truth, twist=nothing, twist_variance=nothing), truth)
     for address in (*VELOCITIES, "velocity_nees", "velocity_inside_90"):
-        assert measures.absent[address] == "the run estimates no velocity"
+        assert measures.absent[address] == "the run does not estimate velocities"
     assert "nees" in measures.metrics
 
 
@@ -88,7 +88,7 @@ def test_a_truth_without_velocity_says_so(twist: np.ndarray | None) -> None:
     truth = random_hand(3)
     measures, _ = measure(truth, replace(truth, twist=twist))
     for address in (*VELOCITIES, "velocity_nees", "velocity_inside_90"):
-        assert measures.absent[address] == "the truth has no velocity"
+        assert measures.absent[address] == "the ground truth has no velocity"
 
 
 def test_frames_without_a_velocity_are_left_out_and_told() -> None:
@@ -98,7 +98,7 @@ def test_frames_without_a_velocity_are_left_out_and_told() -> None:
     twist[1] = np.nan
     whole, _ = measure(estimate, truth)
     measures, _ = measure(estimate, replace(truth, twist=twist))
-    assert measures.notes == [f"{address} is over the 3 of 4 frames that have it" for address in VELOCITIES]
+    assert measures.notes == [f"{address} covers 3 of 4 frames" for address in VELOCITIES]
     for address in (*VELOCITIES, "velocity_nees"):
         kept = whole.series[address][[0, 2, 3]]
         got = measures.series[address]
@@ -117,18 +117,18 @@ def test_a_truth_may_know_some_velocities_only() -> None:
     measures, _ = measure(estimate, replace(truth, twist=twist))
     assert figures(measures, VELOCITIES[0]) == figures(whole, VELOCITIES[0])
     for address in (*VELOCITIES[1:], "velocity_nees", "velocity_inside_90"):
-        assert measures.absent[address] == "the truth has no velocity"
+        assert measures.absent[address] == "the ground truth has no velocity"
         assert address not in measures.metrics
     # a CSV without finger angles has six velocities
     measures, _ = measure(estimate, replace(truth, shape=None, shape_names=(), twist=truth.twist[:, :6]))
     assert figures(measures, VELOCITIES[1]) == figures(whole, VELOCITIES[1])
-    assert measures.absent[VELOCITIES[2]] == "the truth has no finger angles"
+    assert measures.absent[VELOCITIES[2]] == "the ground truth has no finger angles"
 
 
 def test_angular_velocities_need_a_rotation() -> None:
     truth = random_hand(3)
     measures, _ = measure(truth, replace(truth, quaternion=None))
-    assert measures.absent["angular_velocity_error_deg_s"] == "the truth has no rotation"
+    assert measures.absent["angular_velocity_error_deg_s"] == "the ground truth has no rotation"
     assert figures(measures, "velocity_error_mm_s").max == 0.0
 
 
@@ -149,11 +149,11 @@ def test_a_truth_that_only_turns_and_has_no_velocity_says_so() -> None:
     assert truth.position is not None
     turning = replace(truth, position=np.broadcast_to(truth.position[0], (3, 3)), twist=np.zeros((3, 21)))
     measures, _ = measure(truth, turning)
-    assert measures.absent[VELOCITIES[1]] == "the truth has no velocity"
+    assert measures.absent[VELOCITIES[1]] == "the ground truth has no velocity"
 
 
 def test_one_frame_without_velocity_is_enough_to_tell_that_the_filter_has_none() -> None:
     truth = random_hand(1)
     still = replace(truth, twist=np.zeros((1, 21)), twist_variance=np.zeros((1, 21)))
     measures, _ = measure(still, truth)
-    assert measures.absent[VELOCITIES[0]] == "the run estimates no velocity"
+    assert measures.absent[VELOCITIES[0]] == "the run does not estimate velocities"

@@ -169,12 +169,12 @@ def test_the_table_of_differences() -> None:
     assert comparison is not None
     (table,) = comparison_tables(comparison)
     assert table.title == "b - a"
-    assert table.columns == ("difference", "95 % from", "to", "p", "pairs")
+    assert table.columns == ("difference", "95 % CI low", "high", "p", "pairs")
     (row,) = table.sections[0].rows
     assert (row.label, row.cells) == ("joint_error_mm", ("2.500", "2.500", "2.500", "0.12", "4"))
     lines = comparison_lines(comparison)
-    assert lines[0].startswith("a pair is one second of a recording; p: Wilcoxon's signed-rank test")
-    assert lines[1] == "b - a: p cannot be below 0.125 with 4 different pairs"
+    assert lines[0].startswith("pairs: one second of a recording; p: two-sided Wilcoxon signed-rank test")
+    assert lines[1] == "b - a: too few data: p >= 0.125 with 4 differing pairs"
 
 
 def test_one_pair_has_a_difference_and_no_interval() -> None:
@@ -182,7 +182,9 @@ def test_one_pair_has_a_difference_and_no_interval() -> None:
     _, differences = comparison_tables(comparison)
     cells = {row.label: row.cells for row in differences.sections[0].rows}["joint_error_mm.mean"]
     assert float(cells[0]) > 0 and cells[1:] == ("-", "-", "1", "1")
-    assert any("p cannot be below 1 with 1 different pair: " in line for line in comparison_lines(comparison))
+    assert any(
+        "too few data: p >= 1 with 1 differing pair: " in line for line in comparison_lines(comparison)
+    )
 
 
 def test_differences_of_parts_are_shown_when_asked_for() -> None:
@@ -198,7 +200,7 @@ def test_differences_of_parts_are_shown_when_asked_for() -> None:
     ]
     assert labels == [["finger_error_mm"], list(names)]
     assert comparison_lines(comparison, parts=True)[1:3] == [
-        "b - a: p cannot be below 0.125 with 4 different pairs: finger_error_mm",
+        "b - a: too few data: p >= 0.125 with 4 differing pairs: finger_error_mm",
         "b - a: no pair differs: finger_error_mm.thumb",
     ]
 

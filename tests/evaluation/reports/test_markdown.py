@@ -66,7 +66,7 @@ def test_long_lists_are_cut_and_say_so() -> None:
     text = markdown_report([result_set(members, outcomes)], outcomes, most=5)
     failed, _, rows = tables(text)
     assert len(failed) == MOST_FAILED + 1 and "7 more failed" in text
-    assert len(rows) == 6 and f"The 5 worst of {len(members)} results" in text
+    assert len(rows) == 6 and f"Worst 5 of {len(members)} results" in text
 
 
 def test_hostile_names_are_shown_and_not_obeyed() -> None:
@@ -104,4 +104,4 @@ def test_code_shows_any_text_as_it_is(name: str) -> None:
 def test_without_a_total_the_reason_is_told() -> None:
     same = [result(name, 2.0, run={"input.sha256": "one"}) for name in "ab"]
     text = markdown_report([result_set(same)])
-    assert "- `no total of frames, coverage, " in text and len(tables(text)) == 1
+    assert "- `no total for frames, coverage, " in text and len(tables(text)) == 1

@@ -154,23 +154,23 @@ def test_lines_below_say_what_holds_for_all_once() -> None:
     second = evaluation("b", notes=("unfinished run",), losses=(Loss("damaged chunks", 2, "byte 7"),))
     assert closing_lines([first, second]) == [
         "renderer: llvmpipe",
-        "a: not measured (no truth): nees",
-        "a: not measured (no recording): residual_mm",
+        "a: not available (no truth): nees",
+        "a: not available (no recording): residual_mm",
         "b: note: unfinished run",
-        "b: data lost: damaged chunks: 2, first byte 7",
+        "b: lost data: damaged chunks: 2, first byte 7",
     ]
 
 
 def test_what_holds_for_some_is_said_once_with_their_names() -> None:
     plain = evaluation("first")
     others = [evaluation(f"r{index}", absent={"nees": "no truth"}) for index in range(6)]
-    assert closing_lines([plain, *others[:3]])[1:] == ["r0, r1, r2: not measured (no truth): nees"]
-    assert closing_lines([plain, *others])[1:] == ["r0, r1, r2 and 3 more: not measured (no truth): nees"]
+    assert closing_lines([plain, *others[:3]])[1:] == ["r0, r1, r2: not available (no truth): nees"]
+    assert closing_lines([plain, *others])[1:] == ["r0, r1, r2 and 3 more: not available (no truth): nees"]
 
 
 def test_a_part_that_is_absent_alone_is_said() -> None:
     line = closing_lines([evaluation(absent={"joint_error_mm.wrist": "never seen"}, run={})])
-    assert line == ["not measured (never seen): joint_error_mm.wrist"]
+    assert line == ["not available (never seen): joint_error_mm.wrist"]
 
 
 def test_one_result_fits_into_80_columns() -> None:
@@ -240,7 +240,7 @@ def test_colours_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_offsets_of_joints_have_a_table_of_their_own() -> None:
     offsets = JointOffsets(("wrist", "thumb_tip"), "bone", np.array([[3.0, -4.0, 0.0], [-0.04, 0.0, 12.06]]))
     (_, one) = tables([hand_evaluation("a", joint_offsets=offsets)])
-    assert one.columns == ("x", "y", "z", "length")
+    assert one.columns == ("x", "y", "z", "norm")
     assert [(row.label, row.cells) for row in one.sections[0].rows] == [
         ("wrist", ("3.0", "-4.0", "0.0", "5.0")),
         ("thumb_tip", ("0.0", "0.0", "12.1", "12.1")),

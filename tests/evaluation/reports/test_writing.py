@@ -52,7 +52,7 @@ def test_every_report_tells_of_the_same_results(tmp_path: Path) -> None:
     tests = ET.fromstring(places["junit"].read_bytes()).findall(".//testcase")
     assert [test.get("classname") for test in tests] == list(NAMES)
     assert [test.get("classname") for test in tests if len(test)] == ["f"]
-    assert "The 2 worst of 6 results" in places["markdown"].read_text()
+    assert "Worst 2 of 6 results" in places["markdown"].read_text()
     page = (tmp_path / "r.html").read_text()
     assert [page.index(f"<bdi>{name}</bdi>") for name in worst_first] == sorted(
         page.index(f"<bdi>{name}</bdi>") for name in NAMES

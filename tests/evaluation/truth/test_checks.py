@@ -34,7 +34,7 @@ def test_estimates_from_another_recording_are_noted(
 ) -> None:
     own, other = result_of(tmp_path / "own.mcap", mine), result_of(tmp_path / "other.mcap", its)
     notes = evaluate(own, EvalOptions(truth=other)).notes
-    said = "the truth other.mcap was made from another recording than the result"
+    said = "the ground truth other.mcap is of another recording than the result"
     assert notes == ((said,) if noted else ())
 
 
@@ -51,7 +51,9 @@ def test_a_truth_in_metres_is_noted(tmp_path: Path, factor: float, noted: bool, 
     result = read_result(result_of(tmp_path / "own.mcap", "aa"))
     track, truth = hand_track("own", 9, 5.0), scaled(hand_track("truth", 9, 0.0), factor, points=points)
     notes = list(truth_warnings(result, track, truth, None))
-    assert [note.endswith("is it in metres?") for note in notes] == ([True] if noted else [])
+    assert [note.startswith("the ground truth may be in metres") for note in notes] == (
+        [True] if noted else []
+    )
 
 
 def test_what_tells_no_distance_is_not_doubted(tmp_path: Path) -> None:

@@ -169,8 +169,8 @@ def test_a_trajectory_in_tum_s_format_is_a_truth(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("[1, 2]", "holds no table, found list"),
-        ('{"rows": []}', "holds no table, found rows"),
+        ("[1, 2]", "no table in the JSON file, found list"),
+        ('{"rows": []}', "no table in the JSON file, found rows"),
         ('{"columns": {"t_s": [1, 2], "x_mm": [1]}}', "columns differ in length"),
         ("{", "is not valid JSON"),
         ("[" * 100_000, "is not valid JSON"),
@@ -185,7 +185,7 @@ def test_json_that_is_no_export(tmp_path: Path, text: str, says: str) -> None:
 
 def test_a_file_of_lost_frames_has_no_truth(tmp_path: Path) -> None:
     text = "stamp_ns,status,x_mm,y_mm,z_mm\n1,lost,1,2,3\n2,lost,1,2,3\n"
-    assert message(tmp_path, text) == "F: has no truth, found 2 rows, all lost, expected a row per frame"
+    assert message(tmp_path, text) == "F: no ground truth, found 2 rows, all lost, expected a row per frame"
 
 
 def test_integer_stamps_come_before_seconds(tmp_path: Path) -> None:
@@ -219,8 +219,8 @@ def test_a_velocity_that_is_unknown_everywhere_is_none(tmp_path: Path) -> None:
 GOOD = f"{POSE_HEADER}\n0,1,2,3,0,0,0,1\n0.5,1,2,3,0,0,0,1\n"
 ONE_POINT = "t_s,{0}_x_mm,{0}_y_mm,{0}_z_mm\n0,1,2,3\n"
 T = " line 4, column t_s"
-Q = " line 4, columns qx qy qz qw: quaternion is no rotation"
-OTHER = ": truth has other points than the result, found"
+Q = " line 4, columns qx qy qz qw: quaternion is not normalised"
+OTHER = ": ground truth has other points than the result, found"
 
 
 @pytest.mark.parametrize(
@@ -231,12 +231,12 @@ OTHER = ": truth has other points than the result, found"
         ("stamp_ns;x_mm;y_mm;z_mm\n0;1,5;2;3\n", ": columns are not separated by commas, found semicolons"),
         ("t_s\tx_mm\ty_mm\tz_mm\n0\t1\t2\t3\n", ": columns are not separated by commas, found tabs"),
         ("t_s x_mm y_mm z_mm\n0 1 2 3\n", ": columns are not separated by commas, found spaces"),
-        ("fx = 363.9\n", ": no column is known, found fx = 363.9"),
+        ("fx = 363.9\n", ": no known column, found fx = 363.9"),
         (
             "t_s,x_mm,y_mm,z_mm\r0,1,2,3\r",
             " line 1: is not valid CSV, found a bare carriage return; end lines",
         ),
-        (f"{POSE_HEADER}\n", ": has no truth, found no row after the header, expected a row per frame"),
+        (f"{POSE_HEADER}\n", ": no ground truth, found no row after the header, expected a row per frame"),
         (GOOD + "0.6,1,2,3,0,0,0\n", " line 4: row does not fit the header, found 7 cells, expected 8"),
         (GOOD + "0.6,1,2,3,0,0,0,1,\n", " line 4: row does not fit the header, found 9 cells"),
         (GOOD + "# c\n0.6,1,two,3,0,0,0,1\n", " line 5, column y_mm: is not a number, found 'two'"),
@@ -245,18 +245,18 @@ OTHER = ": truth has other points than the result, found"
         (GOOD + "0.6,1e999,2,3,0,0,0,1\n", " line 4, column x_mm: is not finite, found '1e999'"),
         (GOOD + "0.6,1,2,3,0,0,0,0\n", f"{Q}, found length 0, expected 1"),
         (GOOD + "0.6,1,2,3,0,0,0,1.01\n", f"{Q}, found length 1.01"),
-        (GOOD + "0.5,1,2,3,0,0,0,1\n", f"{T}: stamp occurs twice, found 500000000 ns after 500000000 ns"),
+        (GOOD + "0.5,1,2,3,0,0,0,1\n", f"{T}: duplicate stamp, found 500000000 ns after 500000000 ns"),
         (GOOD + "0.4,1,2,3,0,0,0,1\n", f"{T}: stamps are not sorted, found 400000000 ns after 5"),
         (GOOD + "now,1,2,3,0,0,0,1\n", f"{T}: stamp is not a number, found 'now'"),
         (GOOD + "nan,1,2,3,0,0,0,1\n", f"{T}: stamp is not a number, found 'nan'"),
         (GOOD + "1e99999,1,2,3,0,0,0,1\n", f"{T}: stamp is out of range, found '1e99999'"),
         ("stamp_ns,x_mm,y_mm,z_mm\n1.5,1,2,3\n", " line 2, column stamp_ns: stamp is not a whole number"),
-        ("t_s,x_mm,z_mm\n0,1,2\n", ": lacks y_mm, expected all or none of x_mm, y_mm, z_mm"),
-        ("t_s,qx,qy,qz,qW\n0,0,0,0,1\n", ": lacks qw, expected all or none of qx, qy, qz"),
-        ("t_s,vx_mm_s\n0,1\n", ": lacks vy_mm_s, vz_mm_s, expected all"),
+        ("t_s,x_mm,z_mm\n0,1,2\n", ": missing columns y_mm, expected all or none of x_mm, y_mm, z_mm"),
+        ("t_s,qx,qy,qz,qW\n0,0,0,0,1\n", ": missing columns qw, expected all or none of qx, qy, qz"),
+        ("t_s,vx_mm_s\n0,1\n", ": missing columns vy_mm_s, vz_mm_s, expected all"),
         ("t_s,x_mm,x_mm,y_mm,z_mm\n0,1,1,2,3\n", ": column occurs twice, found x_mm"),
-        ("x_mm,y_mm,z_mm\n1,2,3\n", ": has no column of stamps, expected stamp_ns or t_s or time_s"),
-        ("time,x,y,z\n0,1,2,3\n", ": no column is known, found time, x, y, z, expected stamp_ns/t_s"),
+        ("x_mm,y_mm,z_mm\n1,2,3\n", ": no stamp column, expected stamp_ns or t_s or time_s"),
+        ("time,x,y,z\n0,1,2,3\n", ": no known column, found time, x, y, z, expected stamp_ns/t_s"),
         (ONE_POINT.format("eye"), f"{OTHER} 1 points, expected also nose, mouth"),
         (ONE_POINT.format("brow"), f"{OTHER} brow, expected also eye, nose, mouth"),
         (b"t_s,x_mm,y_mm,z_mm\n0,1,2,3\n0.5,\xe4,2,3\n", " line 3: is not UTF-8 text, found byte 0xe4"),
@@ -277,15 +277,15 @@ def test_every_known_column_is_listed_and_few_of_the_file_s(tmp_path: Path) -> N
 def test_points_of_a_head_need_its_pose(tmp_path: Path) -> None:
     columns = ",".join(f"{name}_{axis}_mm" for name in HEAD.point_names for axis in "xyz")
     assert message(tmp_path, f"t_s,{columns}\n0,1,2,3,4,5,6,7,8,9\n") == (
-        "F: points of a head are in its model frame and need its pose, "
-        "expected x_mm, y_mm, z_mm, qx, qy, qz, qw"
+        "F: points of a head are in its model frame and require the pose, "
+        "expected columns x_mm, y_mm, z_mm, qx, qy, qz, qw"
     )
 
 
 def test_one_axis_of_a_point_is_not_enough(tmp_path: Path) -> None:
     columns = ",".join(f"{name}_{axis}_mm" for name in HEAD.point_names for axis in "xyz")
     text = f"{POSE_HEADER},{columns.removesuffix(',mouth_z_mm')}\n0,1,2,3,0,0,0,1,1,2,3,4,5,6,7,8\n"
-    assert message(tmp_path, text).startswith("F: lacks mouth_z_mm, expected")
+    assert message(tmp_path, text).startswith("F: missing columns mouth_z_mm, expected")
 
 
 @pytest.mark.parametrize("line", [2, BLOCK_ROWS, BLOCK_ROWS + 1, BLOCK_ROWS + 2, 2 * BLOCK_ROWS + 7])

@@ -107,7 +107,7 @@ def test_the_projected_points_themselves_have_no_error(tmp_path: Path, first: in
     got = measured(result_at(tmp_path), folder)
     assert got.metrics["matched"] == FRAMES
     assert figures(got, "landmark_error_px").max < PX
-    assert f"the truth has only image points: annot (00000{first}.pts is frame 0)" in got.notes
+    assert f"the ground truth has only image points: annot (00000{first}.pts is frame 0)" in got.notes
 
 
 def test_one_pixel_is_one_pixel_and_a_share_of_the_distance_of_the_eyes(tmp_path: Path) -> None:
@@ -152,10 +152,10 @@ def test_all_that_needs_a_truth_in_space_says_so(tmp_path: Path) -> None:
     path = result_at(tmp_path)
     got = measured(path, annotated(tmp_path / "annot"))
     for name in ("x_mm", "rotation_deg", "point_error_mm", "nees", "velocity_error_mm_s", "frames_wrong"):
-        assert got.absent[name] == "the truth has only image points"
+        assert got.absent[name] == "the ground truth has only image points"
     (tmp_path / "other").mkdir()
     in_space = evaluate(path, EvalOptions(truth=result_at(tmp_path / "other")))
-    assert in_space.absent["landmark_error_px"] == "the truth has no image points"
+    assert in_space.absent["landmark_error_px"] == "the ground truth has no image points"
 
 
 def test_points_behind_the_camera_have_no_image_error(tmp_path: Path) -> None:
@@ -166,30 +166,30 @@ def test_points_behind_the_camera_have_no_image_error(tmp_path: Path) -> None:
             writer.write(replace(blank[k], points=points(k) - [0.0, 0.0, 2000.0 if k == 2 else 0.0]))
         writer.finish({})
     got = measured(path, annotated(tmp_path / "annot"))
-    assert "image errors without 1 frames with points outside the view" in got.notes
+    assert "landmark errors without 1 frames with points outside the field of view" in got.notes
     assert figures(got, "landmark_error_px").max < PX
     assert np.isnan(got.series["landmark_nme"]).tolist() == [k == 2 for k in range(FRAMES)]
 
 
 def test_annotations_of_other_frames_are_told(tmp_path: Path) -> None:
     got = measured(result_at(tmp_path), annotated(tmp_path / "annot", first=100))
-    reason = "no estimate is of an annotated frame: annot (000100.pts is frame 99)"
+    reason = "no annotated frame has an estimate: annot (000100.pts is frame 99)"
     assert got.absent["landmark_error_px"] == reason
 
 
 def test_options_that_do_not_fit_are_refused(tmp_path: Path) -> None:
     folder = annotated(tmp_path / "annot")
     result = read_result(result_at(tmp_path))
-    with pytest.raises(UsageError, match="leave --time-offset-s out"):
+    with pytest.raises(UsageError, match="omit --time-offset-s"):
         load_truth(result, folder, time_offset_s=1.0)
-    with pytest.raises(UsageError, match="leave --align out"):
+    with pytest.raises(UsageError, match="omit --align"):
         evaluate(result.path, EvalOptions(truth=folder, align="rigid"))
     (tmp_path / "mirrored").mkdir()
     mirrored = result_at(tmp_path / "mirrored", run={"input.mirror": "true"})
     with pytest.raises(UsageError, match="mirrored"):
         measured(mirrored, folder)
     hand = write_result(tmp_path / "h.mcap", HAND, estimates(HAND, 3))
-    with pytest.raises(TruthError, match="is no file"):
+    with pytest.raises(TruthError, match="not a file"):
         measured(hand, folder)
 
 
@@ -201,19 +201,19 @@ def test_annotations_of_larger_images_are_refused(tmp_path: Path) -> None:
 
 GOOD = text_of(projected(points(0)) + 1.0)
 DAMAGED: dict[str, tuple[Callable[[Path], object], str]] = {
-    "cut": (lambda p: p.write_text(GOOD[:300]), "not a complete .pts file"),
-    "empty": (lambda p: p.write_bytes(b""), "not a complete .pts file"),
+    "cut": (lambda p: p.write_text(GOOD[:300]), "incomplete .pts file"),
+    "empty": (lambda p: p.write_bytes(b""), "incomplete .pts file"),
     "binary": (lambda p: p.write_bytes(b"\xff\xfe{\x00}"), "not UTF-8"),
     "fewer": (lambda p: p.write_text(GOOD.replace("8.000000 9.000000\n", "", 1)), "found 67, expected"),
     "count": (lambda p: p.write_text(GOOD.replace("68", "66")), "found 68, expected 66"),
-    "column": (lambda p: p.write_text(GOOD.replace("8.000000 9", "8 9 9")), "point 2: is not a point"),
+    "column": (lambda p: p.write_text(GOOD.replace("8.000000 9", "8 9 9")), "point 2: not a point"),
     "nan": (lambda p: p.write_text(GOOD.replace("8.000000", "nan")), "point 2: is not finite"),
     "word": (lambda p: p.write_text(GOOD.replace("8.000000", "x")), "point 2: is not a number"),
     "long": (lambda p: p.write_text(GOOD.replace("8.000000", "x" * 9999)), "not a number"),
-    "eyes": (lambda p: p.write_text(text_of(np.full((10, 2), 50.0))), "at one pixel"),
+    "eyes": (lambda p: p.write_text(text_of(np.full((10, 2), 50.0))), "outer eye corners coincide"),
     "unnamed": (lambda p: p.rename(p.with_name("x.pts")), "no frame number"),
     "number": (lambda p: p.rename(p.with_name("9" * 40 + ".pts")), "no frame number"),
-    "twice": (lambda p: p.with_name("1.pts").write_text(GOOD), "two files are of one frame"),
+    "twice": (lambda p: p.with_name("1.pts").write_text(GOOD), "two files have the same frame number"),
     "folder": (lambda p: (p.unlink(), p.mkdir()), "cannot be read"),
 }
 

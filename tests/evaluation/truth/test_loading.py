@@ -108,7 +108,7 @@ def test_the_truth_that_a_result_carries(tmp_path: Path) -> None:
     own = estimates(HAND, 8)
     track = truth_of(result_of(tmp_path, HAND, carried(own)))
     assert_same(track, own, *EVERYTHING)
-    assert (track.name, track.subject) == ("truth", "hand")
+    assert (track.name, track.subject) == ("ground truth", "hand")
     assert (track.shape_names, track.point_names) == (HAND.shape_names, HAND.point_names)
     assert (track.lost, track.pose_variance, track.confidence, track.cost) == (None,) * 4
 
@@ -191,7 +191,9 @@ def test_a_quaternion_that_was_never_set_is_refused(tmp_path: Path) -> None:
         message.timestamp.FromNanoseconds(7)
         sink.write(sink.channel("/truth/head/odometry", messages.Odometry), 7, message.SerializeToString())
         sink.finish()
-    with pytest.raises(TruthError, match=r"o\.mcap, pose at 7 ns: quaternion is no rotation, found length 0"):
+    with pytest.raises(
+        TruthError, match=r"o\.mcap, pose at 7 ns: quaternion is not normalised, found length 0"
+    ):
         load_truth(result_of(tmp_path, HEAD), tmp_path / "o.mcap")
 
 
@@ -261,7 +263,7 @@ def test_a_shape_of_other_coefficients_keeps_its_names(tmp_path: Path) -> None:
     ("subject", "message"),
     [
         (Subject("head", "camera", (), ("eye", "jaw"), (-1, -1)), "found jaw, expected also nose, mouth"),
-        (HAND, r"other\.mcap: is of another subject, found hand, expected head"),
+        (HAND, r"other\.mcap: wrong subject, found hand, expected head"),
     ],
 )
 def test_a_result_of_something_else_is_refused(tmp_path: Path, subject: Subject, message: str) -> None:
@@ -273,7 +275,7 @@ def test_a_result_of_something_else_is_refused(tmp_path: Path, subject: Subject,
 def test_estimates_of_other_sizes_are_refused(tmp_path: Path) -> None:
     small = Subject("hand", "camera", ("a",), ("wrist",), (-1,))
     with pytest.raises(
-        TruthError, match=r"/truth/hand/estimate: truth has other .* found 1 and 1, expected 15"
+        TruthError, match=r"/truth/hand/estimate: ground truth has a different .* found 1 and 1, expected 15"
     ):
         load_truth(result_of(tmp_path, HAND, carried(estimates(small, 3))))
 
@@ -295,7 +297,7 @@ def test_the_offset_is_added_to_the_truth_s_stamps(tmp_path: Path, offset: float
 
 def test_an_offset_beyond_64_bits_is_refused(tmp_path: Path) -> None:
     result = result_of(tmp_path, HAND, carried(estimates(HAND, 2)))
-    with pytest.raises(UsageError, match="time offset leads beyond 64-bit stamps"):
+    with pytest.raises(UsageError, match="time offset exceeds the range of 64-bit stamps"):
         load_truth(result, time_offset_s=1e11)
 
 
@@ -340,11 +342,11 @@ def test_faults_of_the_path_are_one_line(tmp_path: Path) -> None:
     (tmp_path / "folder").mkdir()
     (tmp_path / "link.mcap").symlink_to(result.path)
     cases: list[tuple[str, type[Exception], str]] = [
-        ("none.csv", TruthError, "does not exist"),
-        ("folder", TruthError, "is no file"),
+        ("none.csv", TruthError, "no such file"),
+        ("folder", TruthError, "not a file"),
         ("empty.mcap", TruthError, "is empty"),
-        ("result.mcap", UsageError, "a result cannot be its own truth"),
-        ("link.mcap", UsageError, "a result cannot be its own truth"),
+        ("result.mcap", UsageError, "a result cannot be its own ground truth"),
+        ("link.mcap", UsageError, "a result cannot be its own ground truth"),
     ]
     for name, kind, message in cases:
         with pytest.raises(kind, match=message) as caught:
@@ -356,18 +358,18 @@ def test_a_recording_without_truth_of_the_subject_lists_what_it_has(tmp_path: Pa
     result = result_of(tmp_path)
     path = recording_of(tmp_path / "r.mcap", HEAD, estimates(HEAD, 2), ("odometry",))
     with pytest.raises(
-        TruthError, match="no truth of a hand, found /truth/head/odometry, expected /truth/hand"
+        TruthError, match="no ground truth of a hand, found /truth/head/odometry, expected /truth/hand"
     ):
         load_truth(result, path)
     empty = recording_of(tmp_path / "e.mcap", HEAD, [], ())
-    with pytest.raises(TruthError, match="found no topic of truth"):
+    with pytest.raises(TruthError, match="found no /truth topics"):
         load_truth(result, empty)
 
 
 def test_stamps_of_truth_must_increase(tmp_path: Path) -> None:
     own = estimates(HAND, 3)
     own[2] = replace(own[2], stamp_ns=own[1].stamp_ns)
-    with pytest.raises(ResultError, match=f"truth, row 2: stamp occurs twice, found {FRAME_NS} ns"):
+    with pytest.raises(ResultError, match=f"truth, row 2: duplicate stamp, found {FRAME_NS} ns"):
         load_truth(result_of(tmp_path, HAND, carried(own)))
 
 
@@ -421,7 +423,7 @@ def test_the_rendered_heads_against_themselves(tmp_path: Path, measured_data: Pa
         assert isinstance(figures, Statistics)
         assert figures.max < 1e-9, name
     aligned = evaluate(result, EvalOptions(truth=path, align="rigid+points"))
-    assert aligned.notes[0].startswith("one constant rigid offset removed: 0.0 0.0 0.0 mm, 0.0 deg")
+    assert aligned.notes[0].startswith("removed constant rigid offset: 0.0 0.0 0.0 mm, 0.0 deg")
 
 
 def test_truth_without_shape_entries_measures_a_head_whose_model_is_its_own(tmp_path: Path) -> None:
@@ -433,7 +435,7 @@ def test_truth_without_shape_entries_measures_a_head_whose_model_is_its_own(tmp_
     other = replace(HEAD, shape_names=("b1",))
     (tmp_path / "other").mkdir()
     wrong = carried(estimates(other, 8), "/truth/head/estimate")
-    with pytest.raises(TruthError, match="other shape entries"):
+    with pytest.raises(TruthError, match="different number of shape entries"):
         truth_of(result_of(tmp_path / "other", HEAD, wrong))
 
 

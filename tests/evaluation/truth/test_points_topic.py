@@ -54,7 +54,7 @@ def test_a_result_is_measured_by_them(tmp_path: Path) -> None:
     assert own is not None
     expected = np.linalg.norm(own - joints().points, axis=2)
     assert found.metrics["joint_error_mm"].mean == pytest.approx(expected.mean(), rel=1e-12)
-    assert found.absent["wrist_rotation_deg"] == "the truth has no rotation"
+    assert found.absent["wrist_rotation_deg"] == "the ground truth has no rotation"
     assert found.curve is not None
 
 
@@ -86,10 +86,10 @@ def test_a_recording_s_points_are_a_truth_given_by_path(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        (lambda fields: fields.pop("points"), "message is no posetrack.Points"),
-        (lambda fields: fields["points"][3].pop("x"), "message is no posetrack.Points"),
-        (lambda fields: fields["points"][3].update(x="far"), "message is no posetrack.Points"),
-        (lambda fields: fields["points"][3].update(name="sixth"), "points change their names"),
+        (lambda fields: fields.pop("points"), "message is not a posetrack.Points"),
+        (lambda fields: fields["points"][3].pop("x"), "message is not a posetrack.Points"),
+        (lambda fields: fields["points"][3].update(x="far"), "message is not a posetrack.Points"),
+        (lambda fields: fields["points"][3].update(name="sixth"), "point names change within the topic"),
     ],
 )
 def test_damage_is_one_line_with_its_place(tmp_path: Path, change, told: str) -> None:
@@ -106,7 +106,7 @@ def test_damage_is_one_line_with_its_place(tmp_path: Path, change, told: str) ->
 def test_points_of_another_hand_are_refused(tmp_path: Path) -> None:
     few = replace(joints(), point_names=HAND.point_names[:4], points=joints().points[:, :4])
     result = read_result(with_truth(tmp_path / "r.mcap", list(points_messages(few))))
-    with pytest.raises(TruthError, match="truth has other points than the result"):
+    with pytest.raises(TruthError, match="ground truth has other points than the result"):
         load_truth(result)
 
 

@@ -173,10 +173,10 @@ def test_it_is_found_beside_the_result(result: Callable[..., Path], recording: P
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
-        (["--layout", "segments"], "layout cannot be used, found --layout segments"),
-        (["--range-mm", "1", "2"], "--range-mm does not apply to images"),
+        (["--layout", "segments"], "--layout segments requires depth images"),
+        (["--range-mm", "1", "2"], "--range-mm requires depth images"),
         (["--missing", "3"], "--missing does not apply to a folder of images"),
-        (["--show-truth"], "carries no truth to draw"),
+        (["--show-truth"], "no ground truth in the result"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
@@ -204,7 +204,7 @@ def test_other_images_are_refused(
     (changed / "camera.toml").write_text(camera_file_text(CAMERAS))
     path = result()
     assert view(path, "-o", tmp_path / "a.png", "--recording", changed) == 1
-    assert "is not the recording that the result was made from" in capsys.readouterr().err
+    assert "not the recording of the result" in capsys.readouterr().err
     anyway = ("--any-recording", "--fps", FPS)
     assert view(path, "-o", tmp_path / "a.png", "--recording", changed, *anyway) == 0
 

@@ -87,7 +87,7 @@ def test_a_video_that_was_cut_short_is_not_taken_for_one(tmp_path: Path) -> None
     for index in range(5):
         video.add(index, plain(50))
     video._count += 1  # as if the last one had not reached the disk
-    with pytest.raises(ResultError, match=r"v.mp4: video does not play back"):
+    with pytest.raises(ResultError, match=r"v.mp4: video cannot be read back"):
         video.close()
     assert list(tmp_path.iterdir()) == []
 
@@ -205,7 +205,7 @@ def test_outputs_that_are_refused(tmp_path: Path) -> None:
     full.mkdir()
     (full / "frame_000001.png").write_bytes(b"")
     for name, words in {
-        "v.avi": "a name that ends in .avi, expected FILE.mp4",
+        "v.avi": "unsupported output format, found .avi, expected FILE.mp4",
         "v.mp4": "exists already; use --overwrite",
         "full": "exists already; use --overwrite",
         "folder.png": "output is something else already, found a folder",

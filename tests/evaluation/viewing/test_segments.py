@@ -73,6 +73,6 @@ def test_view_draws_observed_and_segments_beside_each_other(tmp_path: Path, devi
 
 
 def test_a_record_without_a_hand_s_configuration_is_refused() -> None:
-    with pytest.raises(ResultError, match="no hand's configuration"):
+    with pytest.raises(ResultError, match="no hand configuration"):
         configuration_of({"configuration": "{}x"})
     assert configuration_of({"configuration": HandConfig().model_dump_json()}) == HandConfig()

@@ -3,7 +3,7 @@
 const PLOT_MARGIN = { top: 24, right: 14, bottom: 36 };
 const PIXELS_PER_TICK = 62;
 
-/** Grid lines with their values left of them; the title stands above. */
+/** Grid lines with values on the left and the title above. */
 function yAxis(scale, left, right, ticks, texts, title) {
   const shapes = ticks.flatMap((tick, i) => {
     const y = scale.at(tick);
@@ -15,7 +15,7 @@ function yAxis(scale, left, right, ticks, texts, title) {
   return [...shapes, makeSvg("text", { class: "axis-title", x: 0, y: 12 }, title)];
 }
 
-/** A line with ticks below it; the title stands at its end. */
+/** A line with ticks below it and the title at its end. */
 function xAxis(scale, height, title) {
   const bottom = height - PLOT_MARGIN.bottom, [left, right] = scale.range;
   const ticks = niceTicks(...scale.domain, (right - left) / PIXELS_PER_TICK);

@@ -1,11 +1,11 @@
-/* How the 3-D view looks at the scene: an orthographic view that turns about a centre. */
+/* Orthographic camera of the 3D view, which orbits a centre. */
 
 const MOST_PITCH = Math.PI / 2;
 const ZOOM_LIMITS = [0.1, 20];
 
 /**
- * The view begins as the camera sees the scene: x right, y down, z away. `yaw` turns it about the
- * vertical axis, `pitch` about the horizontal one, rad.
+ * The initial view is that of the recording camera: x right, y down, z forward. `yaw` and `pitch` (rad)
+ * rotate it about the vertical and the horizontal axis.
  */
 class CameraView {
   constructor() {
@@ -25,14 +25,14 @@ class CameraView {
     this.zoom = Math.min(ZOOM_LIMITS[1], Math.max(ZOOM_LIMITS[0], this.zoom * factor));
   }
 
-  /** Turned coordinates of a vector: right, down, away. */
+  /** Rotated coordinates of a vector: right, down, forward. */
   turned([x, y, z]) {
     const [cy, sy, cp, sp] = [Math.cos(this.yaw), Math.sin(this.yaw), Math.cos(this.pitch), Math.sin(this.pitch)];
     const right = cy * x + sy * z, away = cy * z - sy * x;
     return [right, cp * y - sp * away, sp * y + cp * away];
   }
 
-  /** Pixels of a point, and how far away it is from the centre, mm. */
+  /** Pixel coordinates of a point, and its depth relative to the centre, mm. */
   project(point, centre, pixelsPerMm, width, height) {
     const [right, down, away] = this.turned(point.map((value, axis) => value - centre[axis]));
     const scale = pixelsPerMm * this.zoom;

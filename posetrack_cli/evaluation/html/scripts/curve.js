@@ -1,4 +1,4 @@
-/* The field's curve: share of frames whose largest, or mean, joint error is below D. */
+/* Error curve: share of frames whose largest, or mean, joint error is below D. */
 
 const CURVES = { share: "largest joint error", meanShare: "mean joint error" };
 
@@ -11,7 +11,7 @@ function showCurve(store, select, parent) {
   const lines = curves();
   if (!lines.length) {
     select.parentElement.hidden = true;
-    parent.append(makeMissing("No truth with joints, so no errors to count."));
+    parent.append(makeMissing("No ground truth with joints."));
     return;
   }
   if (store.results.length > 1) {
@@ -27,5 +27,5 @@ function showCurve(store, select, parent) {
   store.on("result", () => plot.update({ lines: curves() }));
   select.addEventListener("change", () => plot.update({ lines: curves() }));
   parent.append(makeElement("p", { class: "remark" },
-    "Share of the frames due whose error is below D. Frames that the result left out count as not below."));
+    "Share of the expected frames whose error is below D. Missed frames count as above D."));
 }

@@ -1,10 +1,10 @@
-/* The embedded data: arrays are decoded when they are first used. */
+/* Access to the embedded data; arrays are decoded on first use. */
 
 const ARRAY_TYPES = { u1: Uint8Array, i2: Int16Array, i4: Int32Array, u4: Uint32Array, f4: Float32Array };
 const STATE_NAMES = ["tracking", "lost", "reinitialised"];
 const decodedArrays = new WeakMap();
 
-/** The typed array that a packed one holds. */
+/** Returns the typed array of a packed array. */
 function unpack(packed) {
   let array = decodedArrays.get(packed);
   if (!array) {
@@ -17,7 +17,7 @@ function unpack(packed) {
   return array;
 }
 
-/** One result: its lines name frames by their place in the table of kept frames. */
+/** A result; its lines refer to frames by their index in the table of kept frames. */
 class Result {
   constructor(data, index, tickSeconds) {
     Object.assign(this, data);
@@ -67,7 +67,7 @@ function nearestIndex(values, x) {
   return x - values[low] <= values[high] - x ? low : high;
 }
 
-/** What the parts of the page share: chosen result, current time, shown time span. Parts listen for changes. */
+/** Shared state of the page: selected result, current time, visible time span. Notifies listeners of changes. */
 class Store {
   constructor(results) {
     this.results = results;
@@ -77,7 +77,7 @@ class Store {
     this.listeners = { result: [], now: [], window: [] };
   }
 
-  /** Calls a listener at each change; returns what ends that. */
+  /** Adds a listener; returns a function that removes it. */
   on(what, listener) {
     this.listeners[what].push(listener);
     return () => {
@@ -91,7 +91,7 @@ class Store {
     for (const listener of this.listeners[what]) listener(value);
   }
 
-  /** Span of time over all results, s. */
+  /** Time span of all results, s. */
   get span() {
     const spans = this.results.map((result) => result.span).filter((span) => span);
     if (!spans.length) return [0, 1];

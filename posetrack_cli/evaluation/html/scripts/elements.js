@@ -1,4 +1,4 @@
-/* Making elements of HTML and SVG; text is always set as text, never parsed. */
+/* Creation of HTML and SVG elements; text is never parsed as HTML. */
 
 const SVG_NAMESPACE = "http://www.w3.org/2000/svg";
 
@@ -18,22 +18,22 @@ function makeSvg(name, attributes = {}, ...children) {
   return fill(document.createElementNS(SVG_NAMESPACE, name), attributes, children);
 }
 
-/** The class that gives an element the colour of a result. */
+/** The CSS class with the colour of a result. */
 function colourClass(index) {
   return `colour-${index % 6}`;
 }
 
-/** Dashes tell results apart that share a colour. */
+/** Dash pattern that distinguishes results with the same colour. */
 function dashes(index) {
   return [null, "7 3", "2 3", "8 3 2 3"][Math.floor(index / 6) % 4];
 }
 
-/** Many results are too many colours: all but the one shown in detail step back. */
+/** With many results, all but the selected one are faded. */
 function stepsBack(store, result) {
   return store.results.length > 6 && result !== store.result;
 }
 
-/** A sample of a line, or of an area that is called band, lost or gap. */
+/** Legend sample of a line, or of an area of kind band, lost or gap. */
 function makeSwatch(kind, index) {
   const isArea = ["band", "lost", "gap"].includes(kind);
   const sample = isArea
@@ -42,7 +42,7 @@ function makeSwatch(kind, index) {
   return makeSvg("svg", { class: `swatch ${colourClass(index)}`, "aria-hidden": "true" }, sample);
 }
 
-/** A paragraph that says what is missing and why. */
+/** A paragraph about missing content. */
 function makeMissing(text) {
   return makeElement("p", { class: "missing" }, text);
 }

@@ -1,6 +1,6 @@
 /* Numbers and names as text. */
 
-/** A figure with about four significant digits; an en dash where there is none. */
+/** A number with about four significant digits; an en dash if it is missing. */
 function formatNumber(value) {
   if (value === null || !Number.isFinite(value)) return "–";
   const size = Math.abs(value);
@@ -9,7 +9,7 @@ function formatNumber(value) {
   return value.toFixed(digits).replace("-", "−");
 }
 
-/** A figure with its unit. */
+/** A number with its unit. */
 function formatValue(value, unit) {
   const text = formatNumber(value);
   return unit && text !== "–" ? `${text} ${unit}` : text;
@@ -20,7 +20,7 @@ function formatTime(seconds) {
   return `${seconds.toFixed(3).replace("-", "−")} s`;
 }
 
-/** What an axis is called: its name and its unit. */
+/** Title of an axis: name and unit. */
 function axisTitle(label, unit) {
   return unit ? `${label}, ${unit}` : label;
 }

@@ -1,10 +1,10 @@
-/* What confidence says against the truth: its reliability, and the ROC curve of right against wrong frames. */
+/* Reliability diagram and ROC curve of the confidence. */
 
 const HONESTY_HEIGHT = 300;
 const LARGEST_SPOT = 8, SMALLEST_SPOT = 2;
 const PERCENT_AXES = { height: HONESTY_HEIGHT, xDomain: () => [-2, 102], yDomain: [-4, 104], diagonal: [0, 100], yText: (tick) => `${tick}` };
 
-/** Results and pools whose frames were judged; a pool's line is drawn as the truth is. */
+/** Results and pools with judged frames; pools use the line style of ground truth. */
 function judgedOnes(store) {
   const results = store.results.map((result) => ({
     index: result.index, name: result.name, honesty: result.honesty, faded: stepsBack(store, result),
@@ -15,13 +15,13 @@ function judgedOnes(store) {
 
 function showHonesty(store, reliabilityParent, rocParent) {
   showPercentPlot(store, reliabilityParent, reliabilityLine, {
-    label: "Reliability diagram: share of right frames over confidence",
-    xTitle: "confidence, %", yTitle: "right frames, %", title: (x) => `confidence ${formatValue(x, "%")}`,
-  }, "Every spot is a tenth of the range of confidence, the larger the more frames. On the dashed line so many frames are right as confidence says.");
+    label: "Reliability diagram: share of correct frames over confidence",
+    xTitle: "confidence, %", yTitle: "correct frames, %", title: (x) => `confidence ${formatValue(x, "%")}`,
+  }, "Each point is one of ten confidence bins; its size shows the number of frames. Dashed: perfect calibration.");
   showPercentPlot(store, rocParent, rocLine, {
-    label: "ROC curve: share of right over share of wrong frames kept",
-    xTitle: "wrong frames kept, %", yTitle: "right frames kept, %", title: (x) => `${formatValue(x, "%")} of the wrong frames kept`,
-  }, "What is left where frames below a confidence are dropped, for every such confidence. On the dashed line it tells nothing.");
+    label: "ROC curve: share of correct over share of wrong frames kept",
+    xTitle: "wrong frames kept, %", yTitle: "correct frames kept, %", title: (x) => `${formatValue(x, "%")} of the wrong frames kept`,
+  }, "Frames kept when those below a confidence threshold are dropped. Dashed: chance level.");
 }
 
 function showPercentPlot(store, parent, lineOf, options, remark) {
@@ -29,7 +29,7 @@ function showPercentPlot(store, parent, lineOf, options, remark) {
   const first = lines();
   if (!first.length) {
     const judged = judgedOnes(store).length > 0;
-    parent.append(makeMissing(judged ? "All frames are right, or all are wrong." : "No truth to judge frames by."));
+    parent.append(makeMissing(judged ? "All frames are correct, or all are wrong." : "No ground truth."));
     return;
   }
   if (first.length > 1) {

@@ -1,4 +1,4 @@
-/* Puts the page together. */
+/* Entry point of the page. */
 
 function showReport() {
   const data = JSON.parse(document.getElementById("report-data").textContent);
@@ -20,7 +20,7 @@ function showReport() {
   preparePrinting(store);
 }
 
-/** The choice of the result that trajectories, 3-D view and pictures are of. */
+/** Selection of the result for trajectories, 3D view and pictures. */
 function showChooser(store, bar, select) {
   if (store.results.length < 2) return;
   bar.hidden = false;
@@ -28,7 +28,7 @@ function showChooser(store, bar, select) {
   select.addEventListener("change", () => store.set("result", store.results[Number(select.value)]));
 }
 
-/** Pictures of the chosen result; each leads to its frame in the 3-D view. */
+/** Pictures of the selected result, with buttons that show the frame in the 3D view. */
 function showGallery(store) {
   const groups = [...document.querySelectorAll(".gallery-of")];
   const choose = () => groups.forEach((group) => { group.hidden = Number(group.dataset.result) !== store.result?.index; });
@@ -52,7 +52,7 @@ function linkFigure(store, group, figure) {
   figure.querySelector("img").addEventListener("click", jump);
 }
 
-/** Paper is light, and what is folded is shown on it. */
+/** Prints with light colours and all sections expanded. */
 function preparePrinting(store) {
   const folded = [...document.querySelectorAll("details")];
   let opened = [];

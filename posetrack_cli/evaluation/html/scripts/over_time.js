@@ -1,4 +1,4 @@
-/* Errors and other quantities over time, all results over each other; lost frames shaded. */
+/* Plot of errors and other quantities of all results over time; lost frames are shaded. */
 
 const MEAN_ERROR = "joint_error_mm", LARGEST_ERROR = "largest_joint_error_mm", BOTH_ERRORS = "both";
 const MOST_PAIRED_RESULTS = 3;
@@ -12,7 +12,7 @@ class OverTime {
     const choices = this.choices();
     if (!choices.length) {
       select.parentElement.hidden = true;
-      parent.append(makeMissing(store.results.some((result) => result.frames) ? "No result has values per frame." : "There are no frames."));
+      parent.append(makeMissing(store.results.some((result) => result.frames) ? "No per-frame values." : "No frames."));
       return;
     }
     select.append(...choices.map(([value, text]) => makeElement("option", { value }, text)));
@@ -24,7 +24,7 @@ class OverTime {
     this.show();
   }
 
-  /** Quantities that any result has, in the catalogue's order; mean and largest error together first. */
+  /** Quantities of all results in catalogue order; mean and largest error together come first. */
   choices() {
     const found = new Map();
     for (const result of this.store.results) {
@@ -89,7 +89,7 @@ class OverTime {
     return [
       ...lines,
       ...(result.lost.length ? [key("lost", "lost")] : []),
-      ...(result.gaps.length ? [key("gap", "frames missing")] : []),
+      ...(result.gaps.length ? [key("gap", "missing frames")] : []),
     ];
   }
 
@@ -108,12 +108,12 @@ function spansOf(result, field, kind) {
   return result[field].map(([from, to]) => ({ kind, from, to }));
 }
 
-/** A span of time that is never empty. */
+/** A time span, padded if it is empty. */
 function paddedSpan([from, to]) {
   return to > from ? [from, to] : [from - 0.5, to + 0.5];
 }
 
 function timeTitle(store) {
   if (store.results.length < 2 || store.sharedTime) return "time since the first frame, s";
-  return "time since each result's first frame, s";
+  return "time since the first frame of each result, s";
 }

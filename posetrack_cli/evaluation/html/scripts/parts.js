@@ -1,4 +1,4 @@
-/* The mean error of each joint or point of one result, with its 95th percentile. */
+/* Bar chart of the mean error and the 95th percentile of each joint or point of a result. */
 
 const PART_ROW = 17, PART_TOP = 26;
 
@@ -15,9 +15,9 @@ class Parts {
     const { result } = this.store;
     this.width = this.parent.clientWidth;
     if (!result?.parts.length) {
-      this.parent.replaceChildren(makeMissing("No errors of single joints: there is no truth with joints."));
+      this.parent.replaceChildren(makeMissing("No ground truth with joints."));
     } else if (this.width) {
-      const key = makeElement("p", { class: "remark" }, "Bar: mean. Line: to the 95th percentile. In mm.");
+      const key = makeElement("p", { class: "remark" }, "Bar: mean; line: 95th percentile; mm.");
       this.parent.replaceChildren(makeElement("div", { class: "plot" }, this.drawing(result)), key);
     }
   }

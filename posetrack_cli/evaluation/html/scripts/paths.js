@@ -1,6 +1,6 @@
 /* Lines and bands as SVG path data. */
 
-/** First and last index of the points inside a domain, with one neighbour on each side. */
+/** First and last index of the points in a domain, plus one neighbour on each side. */
 function visibleRange(x, [low, high]) {
   let first = 0, last = x.length - 1;
   while (first < last && x[first + 1] < low) first++;
@@ -9,8 +9,8 @@ function visibleRange(x, [low, high]) {
 }
 
 /**
- * Runs of indices without a break. A line breaks where it has no value, and at gaps wide enough to be seen.
- * `gaps` are [from, to] in order; a run is [first, last].
+ * Runs [first, last] of indices without interruption. Lines are interrupted at missing values and at visible
+ * gaps. `gaps` are sorted [from, to] pairs.
  */
 function unbrokenRuns(x, y, [first, last], gaps) {
   const runs = [];
@@ -34,7 +34,7 @@ function unbrokenRuns(x, y, [first, last], gaps) {
   return runs;
 }
 
-/** Path of a line; a run of a single point is a dot. */
+/** Path of a line; a run of one point is drawn as a dot. */
 function linePath(xs, ys, x, y, runs) {
   const parts = [];
   for (const [first, last] of runs) {
@@ -64,7 +64,7 @@ function bandPath(xs, ys, x, y, half, runs) {
   return parts.join("");
 }
 
-/** Smallest and largest value that the shown part of some lines has. */
+/** Minimum and maximum of the visible part of some lines. */
 function valueExtent(lines, domain) {
   let low = Infinity, high = -Infinity;
   for (const { x, y } of lines) {
@@ -77,7 +77,7 @@ function valueExtent(lines, domain) {
   return [low, high];
 }
 
-/** The middle one of the finite half widths of the bands: how much room a typical band needs. */
+/** Median of the finite half widths of the bands, used to reserve space for them. */
 function typicalHalfWidth(lines) {
   const widths = lines.flatMap((line) => (line.half ? Array.from(line.half).filter(Number.isFinite) : []));
   widths.sort((a, b) => a - b);

@@ -1,4 +1,4 @@
-/* The 3-D view with its controls: plays, steps, jumps, turns, zooms. */
+/* The 3D view with playback, rotation and zoom controls. */
 
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
 const TURN_PER_PIXEL = 0.01, TURN_PER_KEY = 0.12, ZOOM_PER_KEY = 1.15;
@@ -16,12 +16,12 @@ class Player {
     const button = (text, label, kind = "") => makeElement("button", { type: "button", class: kind, "aria-label": label }, text);
     this.canvas = makeElement("canvas", {
       tabindex: "0", role: "application", "aria-describedby": "scene-keys",
-      "aria-label": "Points of estimate and truth in 3-D, moved by keys",
+      "aria-label": "3D view of estimate and ground truth, controlled by keys",
     });
     this.reading = makeElement("div", { class: "reading" });
     this.play = button("Play", "Play", "play");
     this.back = button("◀", "One frame back");
-    this.forward = button("▶", "One frame on");
+    this.forward = button("▶", "One frame forward");
     this.slider = makeElement("input", { type: "range", min: "0", step: "1", value: "0", "aria-label": "Frame" });
     this.speed = makeElement("select", {}, ...SPEEDS.map((speed) => makeElement("option", { value: speed }, `${speed}×`)));
     this.speed.value = "1";
@@ -36,8 +36,8 @@ class Player {
       makeElement("div", { class: "controls" }, makeElement("label", {}, "Speed ", this.speed), this.reset,
         makeElement("label", {}, this.follow, " Follow"), makeElement("label", {}, this.connect, " Error lines")),
       makeElement("p", { class: "remark", id: "scene-keys" },
-        "Drag to turn, wheel or pinch to zoom. Keys in the view: space plays, ← → step, Home and End jump, " +
-        "Shift with arrows turns, + and − zoom, 0 resets."));
+        "Drag to rotate, wheel or pinch to zoom. Keys: space plays, ← → step, Home and End jump, " +
+        "Shift + arrows rotate, + and − zoom, 0 resets."));
     this.parent.append(this.missing, this.box);
   }
 
@@ -60,7 +60,7 @@ class Player {
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.redraw());
   }
 
-  /* what is shown */
+  /* scene */
 
   showResult() {
     this.pause();
@@ -70,7 +70,7 @@ class Player {
     this.missing.hidden = Boolean(this.data);
     this.remark.textContent = this.data ? sceneRemark(this.data) : "";
     if (!this.data) {
-      this.missing.textContent = result?.frames ? "The result states neither points nor poses." : "There are no frames to show.";
+      this.missing.textContent = result?.frames ? "The result has neither points nor poses." : "No frames.";
       return;
     }
     this.canvas.className = colourClass(result.index);
@@ -83,7 +83,7 @@ class Player {
 
   showLegend(result) {
     const key = (kind, text) => makeElement("span", {}, makeSwatch(kind, result.index), text);
-    this.legend.replaceChildren(key("", "estimate"), this.data.truth ? key("truth solid", "truth") : makeElement("span", {}, "no truth"));
+    this.legend.replaceChildren(key("", "estimate"), this.data.truth ? key("truth solid", "ground truth") : makeElement("span", {}, "no ground truth"));
     this.connect.parentElement.hidden = !this.data.truth;
   }
 
@@ -103,7 +103,7 @@ class Player {
     this.redraw();
   }
 
-  /** Frame, time, status and errors of the shown frame. */
+  /** Frame number, time, status and errors of the current frame. */
   words() {
     const { result, at, times, readings } = this.data;
     const place = at[this.frame], state = result.state(place);
@@ -111,7 +111,7 @@ class Player {
     return [{ text: `frame ${result.frame(place)}` }, { text: formatTime(times[this.frame]) }, { text: state, kind: `state-${state}` }, ...errors];
   }
 
-  /* going through time */
+  /* playback */
 
   goTo(frame) {
     this.show(frame);
@@ -160,7 +160,7 @@ class Player {
     this.request = requestAnimationFrame((later) => this.tick(later));
   }
 
-  /* the view */
+  /* view */
 
   resetView() {
     this.skeleton.view.reset();
@@ -194,7 +194,7 @@ class Player {
     }
   }
 
-  /** Distance of two fingers. */
+  /** Distance of two touch points. */
   spread() {
     const [a, b] = [...this.pointers.values()];
     return b ? Math.hypot(a.clientX - b.clientX, a.clientY - b.clientY) : 0;
@@ -230,8 +230,8 @@ class Player {
 }
 
 function sceneRemark({ scene, result, length }) {
-  const which = scene.every === 1 ? `All ${length} frames` : `${length} of ${result.frames} frames: every ${ordinal(scene.every)}, the pictured and the worst ones`;
-  return `${which}; coordinates in steps of ${formatNumber(scene.stepMm)} mm, seen without perspective, first as from the camera (x right, y down, z away).`;
+  const which = scene.every === 1 ? `All ${length} frames` : `${length} of ${result.frames} frames (every ${ordinal(scene.every)}, those with pictures, and the worst)`;
+  return `${which}; coordinates rounded to ${formatNumber(scene.stepMm)} mm. Orthographic view, initially from the camera (x right, y down, z forward).`;
 }
 
 function ordinal(number) {

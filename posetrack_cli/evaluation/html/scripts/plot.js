@@ -1,4 +1,4 @@
-/* A plot of lines over one axis: axes, bands, spans, a cursor with its read-out, and the choice of a shorter time. */
+/* Line plot with axes, bands, spans, a cursor with a read-out, and zoom in time. */
 
 const DRAG_PIXELS = 5;
 let plotCount = 0;
@@ -6,7 +6,7 @@ let plotCount = 0;
 /**
  * Options: label (for screen readers), xTitle, yTitle, height, fromZero, xDomain (a function), yDomain, yText,
  * lines [{x, y, half, kind, index, name, unit, gaps, frameOf}], spans [{kind, from, to}],
- * (a line may have noteOf(i) for the read-out and radius, px, of its spots), diagonal [from, to],
+ * (optionally with noteOf(i) for the read-out and radius, px, of its spots), diagonal [from, to],
  * rasters [{index, name, spans}], title(x) of the read-out, onPick(x), store (for a time axis).
  */
 class Plot {
@@ -25,7 +25,7 @@ class Plot {
     this.draw();
   }
 
-  /** Shows other lines. */
+  /** Replaces the lines. */
   update(options) {
     Object.assign(this.options, options);
     this.hideTip();
@@ -122,7 +122,7 @@ class Plot {
     return shown;
   }
 
-  /** Where both axes have the same value. */
+  /** The line y = x. */
   diagonalShapes() {
     if (!this.options.diagonal) return [];
     const [low, high] = this.options.diagonal;
@@ -134,7 +134,7 @@ class Plot {
   lineShapes() {
     const bands = [], paths = [];
     const faded = this.options.lines.filter((line) => line.faded);
-    for (const line of [...this.options.lines.filter((one) => !one.faded), ...faded]) {  // the first ends up on top
+    for (const line of [...this.options.lines.filter((one) => !one.faded), ...faded]) {  // drawn in reverse order, so that the first line is on top
       const wide = (line.gaps ?? []).filter(([from, to]) => this.xs.at(to) - this.xs.at(from) >= 2);
       const runs = unbrokenRuns(line.x, line.y, visibleRange(line.x, this.xs.domain), wide);
       const colour = colourClass(line.index ?? 0);
@@ -148,7 +148,7 @@ class Plot {
     return [...bands, ...paths, ...this.options.lines.flatMap((line) => this.spotShapes(line))];
   }
 
-  /** A spot on each point of a line that has radii. */
+  /** Spots on the points of a line with radii. */
   spotShapes(line) {
     if (!line.radius) return [];
     const kind = `spot ${line.kind ?? ""} ${line.faded ? "faded" : ""} ${colourClass(line.index ?? 0)}`;
@@ -161,7 +161,7 @@ class Plot {
     });
   }
 
-  /** Marks the time that the 3-D view shows. */
+  /** Marks the current time of the 3D view. */
   placeNow() {
     const now = this.options.store?.now;
     if (!this.nowLine) return;
@@ -224,7 +224,7 @@ class Plot {
     const step = event.shiftKey ? Math.max(1, Math.round(points.length / 50)) : 1;
     const along = (by) => {
       let at = place + by;
-      while (points[at] === points[place] && at > 0 && at < last) at += Math.sign(by);  // a curve may rise upright
+      while (points[at] === points[place] && at > 0 && at < last) at += Math.sign(by);  // curves can have vertical segments
       return at;
     };
     const next = { ArrowLeft: place < 0 ? last : along(-step), ArrowRight: along(step), Home: 0, End: last }[event.key];
@@ -239,14 +239,14 @@ class Plot {
     }
   }
 
-  /** The place of the nearest point of any line. */
+  /** The x value of the nearest point of all lines. */
   nearest(value) {
     const places = this.options.lines.filter((line) => line.x.length).map((line) => line.x[nearestIndex(line.x, value)]);
     places.sort((a, b) => Math.abs(a - value) - Math.abs(b - value));
     return places[0];
   }
 
-  /** Reads out the values at a place; of many lines those nearest the pointer, if it has a height. */
+  /** Shows the values at x; of many lines, those nearest to the pointer. */
   showTip(value, height) {
     const at = this.nearest(value);
     if (at === undefined || !this.xs) return;

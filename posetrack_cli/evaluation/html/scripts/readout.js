@@ -1,9 +1,9 @@
-/* What a plot's cursor reads out: a line, spots on the curves, a box with time, frame and values. */
+/* Read-out of a plot's cursor: a line, spots on the curves, and a box with time, frame and values. */
 
 const MOST_READOUT_ROWS = 10;
 const READOUT_DISTANCE = 14;
 
-/** Of many hits {line, i} those nearest a height, px, in their own order; the first ones if there is none. */
+/** Limits many hits {line, i} to those nearest to a height, px, or to the first ones without a height. */
 function nearestHits(hits, scale, height) {
   if (hits.length <= MOST_READOUT_ROWS) return hits;
   const away = ({ line, i }) => (height === undefined ? 0 : Math.abs(scale.at(line.y[i]) - height));
@@ -11,7 +11,7 @@ function nearestHits(hits, scale, height) {
   return hits.filter((hit) => nearest.includes(hit));
 }
 
-/** The cursor's line and a spot on each curve that has a value there. */
+/** The line of the cursor, and a spot on each curve with a value there. */
 function cursorShapes(hits, xs, ys, x) {
   const spots = hits.filter(({ line, i }) => Number.isFinite(line.y[i])).map(({ line, i }) => makeSvg("circle", {
     class: `spot ${line.kind ?? ""} ${colourClass(line.index ?? 0)}`, r: 3.5, cx: xs.at(line.x[i]), cy: ys.at(line.y[i]),
@@ -19,7 +19,7 @@ function cursorShapes(hits, xs, ys, x) {
   return [makeSvg("line", { class: "cursor", x1: x, x2: x, y1: ys.range[1], y2: ys.range[0] }), ...spots];
 }
 
-/** Title, a row for each hit, and how many are not shown. A frame that all have in common is in the title. */
+/** Title, a row per hit, and the number of hidden hits. A common frame number is shown in the title. */
 function fillReadout(box, title, hits, rest) {
   const frames = [...new Set(hits.flatMap(({ line, i }) => (line.frameOf ? [line.frameOf(i)] : [])))];
   box.replaceChildren(
@@ -43,7 +43,7 @@ function frameText(frame) {
   return makeElement("span", { class: "unit" }, `frame ${frame}`);
 }
 
-/** Beside the cursor, on the side where there is room. */
+/** Places the box next to the cursor, on the side with enough space. */
 function placeReadout(box, x, width) {
   const own = box.offsetWidth;
   const left = x + READOUT_DISTANCE + own <= width ? x + READOUT_DISTANCE : x - READOUT_DISTANCE - own;

@@ -1,15 +1,15 @@
-/* Tables with a row for each result: sorted by a click on a heading, filtered by name. */
+/* Tables with a row per result: sortable by column, filterable by name. */
 
 const BY_NAME = new Intl.Collator("en", { numeric: true });
 
-/** The value a row is sorted by: a number, null where there is none, or a name. */
+/** Sort key of a row: a number, null if it is missing, or a name. */
 function sortValue(row, column, kind) {
   const cell = row.cells[column];
   if (kind === "text") return cell.textContent;
   return cell.dataset.value === undefined ? null : Number(cell.dataset.value);
 }
 
-/** Rows in order; those without a value stand last either way. */
+/** Sorted rows; those without a value come last in both directions. */
 function sortedRows(rows, column, kind, descending) {
   const keyed = rows.map((row) => [sortValue(row, column, kind), row]);
   const known = keyed.filter(([value]) => value !== null);

@@ -1,6 +1,6 @@
-/* Linear scales and the places of their ticks. */
+/* Linear scales and their ticks. */
 
-/** Multiples of 1, 2 or 5 times a power of ten inside [low, high], at most about `count` of them. */
+/** About `count` multiples of 1, 2 or 5 times a power of ten in [low, high]. */
 function niceTicks(low, high, count) {
   const raw = (high - low) / Math.max(1, count);
   if (!(raw > 0)) return [low];
@@ -11,13 +11,13 @@ function niceTicks(low, high, count) {
   return ticks;
 }
 
-/** The largest 1, 2 or 5 times a power of ten that is not above a value. */
+/** The largest 1, 2 or 5 times a power of ten that does not exceed a value. */
 function roundBelow(value) {
   const power = 10 ** Math.floor(Math.log10(value));
   return [5, 2, 1].find((factor) => factor * power <= value) * power;
 }
 
-/** Ticks as text, all with the digits that their distance needs. */
+/** Ticks as text, with the number of digits that their distance requires. */
 function tickTexts(ticks) {
   const step = ticks.length > 1 ? ticks[1] - ticks[0] : Math.abs(ticks[0]) || 1;
   const digits = Math.min(8, Math.max(0, -Math.floor(Math.log10(step) + 1e-9)));
@@ -42,7 +42,7 @@ class Scale {
   }
 }
 
-/** A domain with some air, never empty; from zero if asked and nothing lies below. */
+/** A padded domain that is not empty; starts at zero if requested and no value is negative. */
 function paddedDomain(low, high, fromZero) {
   if (!(high >= low)) return [0, 1];
   const air = high > low ? 0.05 * (high - low) : 0.5 * Math.abs(high) || 1;

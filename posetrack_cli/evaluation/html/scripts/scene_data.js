@@ -1,7 +1,7 @@
-/* The embedded 3-D scene of one result: points by frame, and how much room they take. */
+/* The 3D scene of a result: points by frame, and their extent. */
 
 const MISSING_STEP = -32768;
-const MOST_REACH = 1.5;  /* an estimate farther off than this part of the true one's size may leave the view */
+const MOST_REACH = 1.5;  /* limit of the view in units of the true extent; estimates farther away can be outside */
 
 class SceneData {
   constructor(result) {
@@ -17,7 +17,7 @@ class SceneData {
     this.radius = { hand: this.handRadius(), path: this.pathRadius() };
   }
 
-  /** The points of one frame, mm, camera axes; null where one is not known. */
+  /** The points of a frame, mm, camera axes; null for unknown points. */
   points(which, frame) {
     const values = this[which];
     if (!values) return [];
@@ -29,7 +29,7 @@ class SceneData {
     });
   }
 
-  /** Mean of the known points of truth, or else of the estimate; null without any. */
+  /** Mean of the known points of the ground truth, else of the estimate; null without points. */
   centroid(frame) {
     for (const which of ["truth", "estimate"]) {
       const known = this.points(which, frame).filter((point) => point);
@@ -38,7 +38,7 @@ class SceneData {
     return null;
   }
 
-  /** A sample of the frames, for sizes. */
+  /** A sample of the frames for computing the extent. */
   sample() {
     const step = Math.max(1, Math.floor(this.length / 200));
     return Array.from({ length: Math.ceil(this.length / step) }, (_, i) => i * step);
@@ -52,13 +52,13 @@ class SceneData {
     });
   }
 
-  /** The radius to show; estimates that are far off do not count in full. */
+  /** The visible radius; estimates that are far off have limited influence. */
   handRadius() {
     const reference = this.reach(this.truth ? ["truth"] : ["estimate"]) || this.reach(["estimate"]);
     return Math.min(this.reach(["truth", "estimate"]), MOST_REACH * reference) || 100;
   }
 
-  /** The largest distance of a point from its frame's centroid; estimates that are lost do not count. */
+  /** The largest distance of a point from the centroid of its frame, without lost estimates. */
   reach(which) {
     const radii = this.sample().map((frame) => {
       const centre = this.centroid(frame);

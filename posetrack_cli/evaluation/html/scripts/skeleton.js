@@ -1,6 +1,6 @@
-/* Draws one frame of a scene on a canvas: estimate and truth as skeletons, a scale bar, the camera's axes. */
+/* Drawing of a scene on a canvas: skeletons of estimate and ground truth, scale bar, camera axes. */
 
-const VIEW_FILL = 0.46;  /* of the canvas's shorter side: the radius that is shown */
+const VIEW_FILL = 0.46;  /* visible radius as a fraction of the shorter side of the canvas */
 const AXIS_NAMES = ["x", "y", "z"];
 
 class Skeleton {
@@ -11,7 +11,7 @@ class Skeleton {
     this.connect = false;
   }
 
-  /** Chooses the scene; null clears the canvas. */
+  /** Sets the scene; null clears the canvas. */
   setScene(data) {
     this.data = data;
   }
@@ -54,7 +54,7 @@ class Skeleton {
     return this.data.points(which, frame).map((point) => point && this.project(point));
   }
 
-  /** Bones and joints of both, the farthest first, so that what is near covers what is behind. */
+  /** Bones and joints of both skeletons, drawn from back to front. */
   drawFigures(seen, isLost) {
     const shapes = ["truth", "estimate"].flatMap((which) => this.shapes(which, seen[which]));
     shapes.sort((a, b) => b.away - a.away);
@@ -81,7 +81,7 @@ class Skeleton {
     return shapes;
   }
 
-  /** The axes of a pose, with their names at the ends. */
+  /** Axes of a pose with labels at their ends. */
   axisShapes(which, [origin, ...ends], width) {
     return ends.flatMap((end, axis) => (end ? [{
       which, away: (origin[2] + end[2]) / 2,
@@ -138,13 +138,13 @@ class Skeleton {
     this.label(`${mm} mm`, left, y - 9, this.colours.soft);
   }
 
-  /** The camera's axes, turned as the scene is. */
+  /** The camera axes, rotated like the scene. */
   drawAxes() {
     const [x, y] = [this.size[0] - 44, this.size[1] - 44];
     AXIS_NAMES.forEach((name, axis) => {
       const [right, down] = this.view.turned([0, 1, 2].map((other) => (other === axis ? 1 : 0)));
       this.line([x, y], [x + 24 * right, y + 24 * down], this.colours.soft, 1.5);
-      const seen = Math.hypot(right, down) > 0.2;  // one that points at the viewer has its name beside it
+      const seen = Math.hypot(right, down) > 0.2;  // the label of an axis that points at the viewer is placed next to it
       this.label(name, x + (seen ? 33 * right : -9) - 3, y + (seen ? 33 * down : -9) + 4, this.colours.soft);
     });
   }

@@ -1,4 +1,4 @@
-/* Chosen components of one result over time: estimate, truth and the 90 % band. */
+/* Plots of selected components of a result over time: estimate, ground truth and 90 % band. */
 
 class Trajectories {
   constructor(store, select, legend, parent) {
@@ -8,7 +8,7 @@ class Trajectories {
     this.fillChoices();
   }
 
-  /** The groups of components that the chosen result has; the choice stays if it can. */
+  /** Groups of components of the selected result; the selected group is kept if possible. */
   fillChoices() {
     const { result } = this.store;
     const chosen = this.select.value;
@@ -23,7 +23,7 @@ class Trajectories {
     const { result } = this.store;
     this.plots.forEach((plot) => plot.dispose());
     const shown = result?.components.filter((one) => one.group === this.select.value) ?? [];
-    this.parent.replaceChildren(...(shown.length ? [] : [makeMissing("The result states no trajectory.")]));
+    this.parent.replaceChildren(...(shown.length ? [] : [makeMissing("No trajectory.")]));
     this.plots = shown.map((one) => this.plot(result, one));
     this.showLegend(result, shown);
   }
@@ -35,7 +35,7 @@ class Trajectories {
       x, y: unpack(one.estimate), half: one.halfWidth && unpack(one.halfWidth), unit: one.unit, index, gaps,
       name: "estimate", frameOf: (i) => result.frame(at[i]),
     };
-    const truth = one.truth && { x, y: unpack(one.truth), unit: one.unit, index, gaps, name: "truth", kind: "truth" };
+    const truth = one.truth && { x, y: unpack(one.truth), unit: one.unit, index, gaps, name: "ground truth", kind: "truth" };
     return new Plot(this.parent, {
       lines: truth ? [estimate, truth] : [estimate], spans: [...spansOf(result, "gaps", "gap"), ...spansOf(result, "lost", "lost")],
       store, height: 210, label: `Plot of ${one.group}, ${one.label}, over time`, yTitle: axisTitle(one.label, one.unit),
@@ -48,8 +48,8 @@ class Trajectories {
     const key = (kind, text) => makeElement("span", {}, makeSwatch(kind, result.index), text);
     this.legend.replaceChildren(...(shown.length ? [
       key("", "estimate"),
-      ...(shown.some((one) => one.truth) ? [key("truth", "truth")] : [makeElement("span", {}, "no truth of these")]),
-      ...(shown.some((one) => one.halfWidth) ? [key("band", "90 % band")] : [makeElement("span", {}, "no variance stated")]),
+      ...(shown.some((one) => one.truth) ? [key("truth", "ground truth")] : [makeElement("span", {}, "no ground truth")]),
+      ...(shown.some((one) => one.halfWidth) ? [key("band", "90 % band")] : [makeElement("span", {}, "no variance")]),
       ...(result.lost.length ? [key("lost", "lost")] : []),
     ] : []));
   }

@@ -1,4 +1,4 @@
-"""The kinds of subjects that can be measured; a new one is stated in a module of its own and listed here."""
+"""Registry of the kinds of subjects that can be evaluated, one module each."""
 
 from __future__ import annotations
 
@@ -7,6 +7,6 @@ from posetrack_cli.evaluation.measuring.subjects.head import HEAD
 from posetrack_cli.evaluation.measuring.subjects.kind import SubjectKind
 
 KINDS = {kind.name: kind for kind in (HAND, HEAD)}
-"""By the subject's name, in the order of the catalogue."""
+"""Kinds by subject name, in catalogue order."""
 
 __all__ = ["KINDS", "SubjectKind"]

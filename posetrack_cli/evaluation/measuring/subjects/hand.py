@@ -1,4 +1,4 @@
-"""Hands: 21 joints, finger angles, depth images."""
+"""Metrics of hands: 21 joints, finger angles, comparison with depth images."""
 
 from __future__ import annotations
 
@@ -21,19 +21,20 @@ if TYPE_CHECKING:
     from posetrack_cli.recording.recording import Recording
 
 FAR_MM = 40.0
-"""A hand whose joints are farther off on average is somewhere else, or turned over."""
+"""Mean joint error above which the estimate is at another place or flipped."""
+# Direction of the positive palm axes.
 _PALM_AXES = {
-    "x": "a right hand's thumb ahead",
-    "y": "the wrist ahead",
-    "z": "the back of the hand ahead",
+    "x": "towards the thumb of a right hand",
+    "y": "towards the wrist",
+    "z": "out of the back of the hand",
 }
 
 
 def _within(threshold_mm: int, which: str) -> Metric:
     name = f"within_{threshold_mm}mm"
     meaning = (
-        f"Share of the frames with truth, those that the result missed included, whose {which} joint error "
-        f"is below {threshold_mm} mm."
+        f"Share of the frames with ground truth, including missed ones, whose {which} joint error is below "
+        f"{threshold_mm} mm."
     )
     if which == "mean":
         return Metric(f"frames_mean_{name}", "", meaning, better="higher", scalar=True, pooled=True)
@@ -66,8 +67,8 @@ def _joints_by_pose(measures: Measures, result: Result, matched: Matched) -> Non
 
 def _inside(percent: int, half_width: float, prefix: str, spoken: str, stated: str) -> Metric:
     meaning = (
-        f"Share of the true coordinates of {spoken} within +-{half_width:.3f} standard deviations that "
-        f"follow from the stated ones of the {stated}; with independent Gaussian errors {percent / 100:g}."
+        f"Share of the true coordinates of {spoken} within +-{half_width:.3f} standard deviations, "
+        f"propagated from those of the {stated}; {percent / 100:g} for independent Gaussian errors."
     )
     return Metric(
         f"{prefix}_inside_{percent}",
@@ -92,49 +93,50 @@ _METRICS = (
     Metric(
         "joint_error_mm",
         "mm",
-        "Distance between an estimated and the true joint, over frames and joints, lost frames included.",
+        "Distance between estimated and true joint position, over frames (including lost ones) and joints.",
         "joint",
     ),
     Metric("joint_error_tracked_mm", "mm", "Joint error over the frames that are not lost."),
     Metric(
         "finger_error_mm",
         "mm",
-        "Joint error over the joints of one finger, or of all five: every joint but the wrist.",
+        "Joint error over the joints of one finger, or of all fingers (all joints except the wrist).",
         "finger",
     ),
     Metric("fingertip_error_mm", "mm", "Joint error over the fingertips."),
-    Metric("largest_joint_error_mm", "mm", "Largest joint error of a frame, over frames."),
+    Metric("largest_joint_error_mm", "mm", "Largest joint error of each frame."),
     *(_within(threshold, "largest") for threshold in WITHIN_MM),
     *(_within(threshold, "mean") for threshold in WITHIN_MM),
-    _bias("", "Length of a joint's mean error vector where tracked, over all joints the mean length."),
+    _bias("", "Norm of a joint's mean error vector over tracked frames; mean norm for all joints."),
     *(
-        _bias(axis, f"Mean of the joints' errors along the palm's {axis} axis, {towards}, where tracked.")
+        _bias(axis, f"Mean joint error along the palm's {axis} axis ({towards}) over tracked frames.")
         for axis, towards in _PALM_AXES.items()
     ),
     Metric(
         "wrist_position_mm",
         "mm",
-        "Distance between the estimated and the true wrist.",
+        "Distance between estimated and true wrist position.",
         spoken="wrist position error",
     ),
     Metric(
         "wrist_rotation_deg",
         "deg",
-        "Angle of the rotation between the estimated and the true hand, 0 to 180.",
+        "Angle of the rotation between estimated and true hand orientation, 0 to 180.",
         spoken="wrist rotation error",
     ),
     Metric("angle_error_deg", "deg", "Absolute error of the finger angles, over frames and angles.", "angle"),
     Metric(
         "angle_velocity_error_deg_s",
         "deg/s",
-        "Absolute error of the finger angles' velocities, over frames and angles.",
+        "Absolute error of the finger angle velocities, over frames and angles.",
         "angle",
         "velocity",
     ),
     Metric(
         "joint_velocity_error_mm_s",
         "mm/s",
-        "Distance between a joint's estimated velocity and the central difference of its true places.",
+        "Norm of the difference between a joint's estimated velocity and the central difference of its true "
+        "positions.",
         "joint",
         "velocity",
     ),

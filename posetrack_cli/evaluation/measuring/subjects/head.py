@@ -1,4 +1,4 @@
-"""Heads: points of a face, grey images of one or more cameras."""
+"""Metrics of heads: pose, face points, annotated landmarks."""
 
 from __future__ import annotations
 
@@ -31,28 +31,29 @@ _METRICS = (
     Metric(
         "rotation_deg",
         "deg",
-        "Angle of the rotation between the estimated and the true head, 0 to 180.",
+        "Angle of the rotation between estimated and true head orientation, 0 to 180.",
         spoken="rotation error",
     ),
     Metric(
         "point_error_mm",
         "mm",
-        "Distance between an estimated and the true feature point in head coordinates, each by its own pose.",
+        "Distance between estimated and true feature point in head coordinates, each transformed by its own "
+        "pose.",
         "point",
     ),
     Metric(
         "landmark_error_px",
         "px",
-        "Image distance between a projected and the annotated feature point, in which constant offsets are "
-        "expected as nostrils and brows are not quite those of annotations.",
+        "Image distance between projected and annotated feature point; includes a constant offset, as "
+        "annotators define nostrils and brows differently.",
         "point",
     ),
     Metric(
         "landmark_nme",
         "%",
-        "Landmark error over the points of a frame, in percent of the distance of the annotated outer eye "
-        "corners.",
-        spoken="normalised landmark error",
+        "Normalised mean error: mean landmark error of a frame in percent of the distance between the "
+        "annotated outer eye corners.",
+        spoken="normalised mean landmark error",
     ),
 )
 

@@ -1,4 +1,4 @@
-"""What measuring and reporting must know of a kind of subject; each kind is stated in a module of its own."""
+"""Description of a kind of subject for evaluation and reports."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ if TYPE_CHECKING:
     from posetrack_cli.recording.recording import Recording
 
 Measure: TypeAlias = Callable[[Measures, Matched, int], Curve | None]
-"""Adds what is measured of matched frames against truth; the number is that of frames that were missed."""
+"""Adds metrics against ground truth over the matched frames; the integer is the number of missed frames."""
 RemoveOffsets: TypeAlias = Callable[[Result, Matched, OffsetFrame], tuple[Track, JointOffsets | None]]
 MeasureOfResult: TypeAlias = Callable[[Measures, Result, Matched], None]
 CompareImages: TypeAlias = Callable[[Result, "Recording", str], Mapping[str, FloatArray]]
-"""Measures a track of a result, by name, against images: values (N,) by metric, NaN where there is none."""
+"""Compares the named track of a result with images: values (N,) by metric, NaN in frames without a value."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,28 +29,28 @@ class SubjectKind:
     """A kind of subject.
 
     Attributes:
-        name: of the subject.
-        body: what the page calls the part that the pose is of.
-        metrics: of errors against truth, beyond those of every subject, in the order of tables.
-        measure: fills them.
-        parts: names of parts by the kind of part (``Metric.part``). ``state`` are those that the covariance
-            metrics tell apart.
-        point_part, shape_part: kinds of part that a result's points and shape entries are; empty for none.
-        point_metric: the error of single points.
-        key_figures: how good a track is, in a few figures. Regressions are found in these.
-        studied_figures: what groups of results are compared by beyond the key figures.
-        lead: metrics that a page begins with.
-        readings: metrics that a page tells beside the view in space.
-        right: the largest errors of a frame that is right, by metric; empty where that is not defined. Frames
-            are judged where the first is known; confidence is the probability that they are right.
-        far: the errors above which a frame is far off; the first must be the first of ``right``.
-        worst_by: those of its metrics that say how bad a frame is; the first counts that an evaluation has.
-        measure_of_result: adds metrics that need more of the result than its track, such as its camera; None
-            where there are none.
-        expressions: those of a result's numbers that say what it does, in shares; each has its deviation as
-            ``NAME_sd``. A page of such a subject begins with them, and with how it is turned.
-        remove_offsets: takes a constant offset of each point out of an estimate; None where none is meant.
-        compare_images: measures against depth images; None where there are none.
+        name: name of the subject.
+        body: label of the posed body part in the HTML report.
+        metrics: metrics of this kind, in addition to those of every subject, in table order.
+        measure: computes them.
+        parts: names of parts by kind of part (``Metric.part``); ``state`` lists the parts that covariance
+            metrics are reported for.
+        point_part, shape_part: kinds of part of a result's points and shape entries; empty for none.
+        point_metric: metric of the error of single points.
+        key_figures: addresses that summarise track quality; regressions are tested on these.
+        studied_figures: further addresses that groups of results are compared by.
+        lead: metrics at the top of the HTML report.
+        readings: metrics shown next to the 3D view.
+        right: upper limits of the errors of a correct frame, by metric; empty if not defined. Frames are
+            judged if the first metric is known. Confidence is the probability that a frame is correct.
+        far: limits above which a frame is far off; the first metric must be the first of ``right``.
+        worst_by: metrics that rank the worst frames; the first one that an evaluation has is used.
+        measure_of_result: adds metrics that need more of the result than its track, such as the camera; None
+            if there are none.
+        expressions: names of a result's action numbers, as shares; each has a standard deviation
+            ``NAME_sd``. The HTML report starts with them and the head rotation.
+        remove_offsets: removes the constant offset of each point from an estimate; None if not supported.
+        compare_images: compares with depth images; None if not supported.
     """
 
     name: str
@@ -74,7 +74,7 @@ class SubjectKind:
     compare_images: CompareImages | None = None
 
     def in_words(self, limits: Mapping[str, float], relation: str, between: str) -> str:
-        """Say limits of errors: ``rotation error at most 3 deg and point error at most 5 mm``."""
+        """Describe error limits: ``rotation error at most 3 deg and point error at most 5 mm``."""
         metrics = {metric.name: metric for metric in self.metrics}
         labels = {name: f"mean {one.label}" if one.part else one.label for name, one in metrics.items()}
         return between.join(
@@ -84,7 +84,7 @@ class SubjectKind:
     def part_names(
         self, metric: Metric, point_names: Sequence[str] = (), shape_names: Sequence[str] = ()
     ) -> tuple[str, ...]:
-        """Return the parts of a metric for these points and shape entries, by default our own."""
+        """Return the parts of a metric; names of points and shape entries default to the built-in model's."""
         if metric.part is None:
             return ()
         own = {self.point_part: tuple(point_names), self.shape_part: tuple(shape_names)}
