@@ -28,7 +28,7 @@ SIGN_NAMES = tuple(f"{SIGN}{name}" for name in ("cost", "innovation", "fits", "c
 NO_SIGNS: FloatArray = np.full(len(SIGN_NAMES), np.nan)
 NO_SIGNS.setflags(write=False)
 REGRESSION = Regression(10.27, np.array([-1.08, -1.60, -1.40, 3.11, -7.07]))
-_LEAST_COST_MM, _LEAST_INNOVATION_MM = 1.0, 0.5
+_MIN_COST_MM, _MIN_INNOVATION_MM = 1.0, 0.5
 
 
 def with_model_error(pose_variance: FloatArray, mean_cost_mm: float) -> FloatArray:
@@ -61,8 +61,8 @@ def signs_of(
     """
     return np.array(
         [
-            np.log(max(mean_cost_mm, _LEAST_COST_MM)),
-            np.log(innovation_mm + _LEAST_INNOVATION_MM),
+            np.log(max(mean_cost_mm, _MIN_COST_MM)),
+            np.log(innovation_mm + _MIN_INNOVATION_MM),
             float(fits),
             contrast,
             np.log(cost_ratio),

@@ -90,8 +90,8 @@ def make_tracker(
     if is_swarm:
         objective = RenderedObjective(device, hand, camera, config)
         return SwarmTracker(config, hand.anatomy, objective, observer, finder)
-    told = None if keypoints is None else KeypointHands(keypoints, camera, hand.anatomy)
-    return HandTracker(config, hand.anatomy, scorer, observer, finder, told)
+    keypoint_hands = None if keypoints is None else KeypointHands(keypoints, camera, hand.anatomy)
+    return HandTracker(config, hand.anatomy, scorer, observer, finder, keypoint_hands)
 
 
 # A run

@@ -125,25 +125,25 @@ def extended_fingers(observation: Observation, scale: float, camera: Camera) -> 
         return []
     steepest = jump_mm(np.full(image.shape, apart, dtype=np.float32))
     count, numbers = surface_labels(np.where(thin, image, np.float32(0.0)), steepest)
-    beside = cv2.dilate(palm.astype(np.uint8), _BLOCK) > 0
-    parts = (_finger(numbers == k, beside, points, apart, scale) for k in range(1, count))
+    adjacent = cv2.dilate(palm.astype(np.uint8), _BLOCK) > 0
+    parts = (_finger(numbers == k, adjacent, points, apart, scale) for k in range(1, count))
     fingers = [finger for finger in parts if finger is not None]
     return _sort_clockwise(fingers, points[_middle_of(palm)], observation.inner[:3]) if fingers else []
 
 
 def _finger(
-    part: BoolArray, beside: BoolArray, points: FloatArray, apart: float, scale: float
+    part: BoolArray, adjacent: BoolArray, points: FloatArray, apart: float, scale: float
 ) -> ExtendedFinger | None:
     """Return the finger of a thin part (h, w) of a hand; None for other parts, such as a palm's rim.
 
     Args:
         part: its pixels.
-        beside: (h, w) pixels of the palm and those next to them.
+        adjacent: (h, w) pixels of the palm and those next to them.
         points: (h, w, 3) of all pixels, mm.
         apart: distance of neighbouring pixels, mm.
         scale: of the hand.
     """
-    roots = points[part & beside]
+    roots = points[part & adjacent]
     if not len(roots):
         return None
     inside, base = points[part], roots.mean(axis=0)

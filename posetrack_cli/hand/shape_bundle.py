@@ -10,7 +10,7 @@ import numpy as np
 from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
 from posetrack_cli.geometry import rotations
 from posetrack_cli.geometry.least_squares import back_substituted, bounded_step, eliminated, geman_mcclure
-from posetrack_cli.hand.fit.gauss_newton import ABDUCTION_SD, IP_SD, MOST_THUMB
+from posetrack_cli.hand.fit.gauss_newton import ABDUCTION_SD, IP_SD, MAX_THUMB
 from posetrack_cli.hand.fit.skeleton import NO_THUMB, Skin, skin_of
 from posetrack_cli.hand.fit.terms import Terms, Tile
 from posetrack_cli.hand.model.anatomy import TANGENT_SIZE, HandShape, ShapeSpace
@@ -30,8 +30,8 @@ FRAME_STEPS: FloatArray = np.repeat([0.5, 0.005, 0.005], [3, 3, FRAME_SIZE - 6])
 """(23,) finite-difference steps of a frame's unknowns, mm and rad: about half a millimetre of the skin."""
 _FRAME, _SHAPE = slice(0, FRAME_SIZE), slice(FRAME_SIZE, None)
 """Columns of the frame's and of the shape's unknowns."""
-WRIST_PART, LEAST_SHARE = 0.35, 0.05
-"""Share of the palm's length, from the wrist, with reduced weight: models differ most there, and the cut to
+WRIST_PART, MIN_SHARE = 0.35, 0.05
+"""Share of the palm's length, from the wrist, with reduced weight: models differ most mask, and the cut to
 the forearm is uncertain."""
 _SPACE = BodySpace()
 
@@ -103,10 +103,10 @@ class FrameRows:
         """Projective point to plane: n . (observed - drawn) where both exist and are close."""
         terms, z = self._terms, _depth(drawing)
         distance = tile.image - z
-        there = (drawing.inverse > 0) & (tile.image > 0) & (np.abs(distance) < terms.gate_mm)
-        faces, points = drawing.triangle[there], _points(tile, there, z)
+        mask = (drawing.inverse > 0) & (tile.image > 0) & (np.abs(distance) < terms.gate_mm)
+        faces, points = drawing.triangle[mask], _points(tile, mask, z)
         normals = drawing.normals[faces]
-        residuals = distance[there] * np.einsum("nk,nk->n", normals, points / points[:, 2:])
+        residuals = distance[mask] * np.einsum("nk,nk->n", normals, points / points[:, 2:])
         weights = geman_mcclure((residuals / terms.surface_tau_mm) ** 2) / terms.sigma_mm**2
         weights *= wrist_shares(hand)[hand.smooth.triangles[faces]].mean(axis=1)
         return _along(hand, drawing, moves, faces, points, normals), residuals, weights
@@ -116,20 +116,20 @@ class FrameRows:
     ) -> tuple[FloatArray, ...]:
         """Rendered in front of a farther reading: distance in the image plane to the nearest hand pixel."""
         terms, z, view = self._terms, _depth(drawing), tile.projection
-        there = (drawing.inverse > 0) & (tile.image < 0) & (-tile.image > z - terms.explained_mm)
-        rows, columns = np.nonzero(there)
-        across = (tile.nearest[0][there] - columns) / view.a * z[there]
-        down = (tile.nearest[1][there] - rows) / view.c * z[there]
+        mask = (drawing.inverse > 0) & (tile.image < 0) & (-tile.image > z - terms.explained_mm)
+        rows, columns = np.nonzero(mask)
+        across = (tile.nearest[0][mask] - columns) / view.a * z[mask]
+        down = (tile.nearest[1][mask] - rows) / view.c * z[mask]
         residuals = np.hypot(across, down)
-        points = _points(tile, there, z)
+        points = _points(tile, mask, z)
         safe = np.maximum(residuals, 1e-9)
-        ways = np.stack([across / safe, down / safe, np.zeros_like(safe)], axis=1)
+        directions = np.stack([across / safe, down / safe, np.zeros_like(safe)], axis=1)
         # orthogonal to the ray: motion along it does not change the pixel
-        ways[:, 2] = -np.einsum("nk,nk->n", ways, points / points[:, 2:])
-        faces = drawing.triangle[there]
+        directions[:, 2] = -np.einsum("nk,nk->n", directions, points / points[:, 2:])
+        faces = drawing.triangle[mask]
         weights = geman_mcclure((residuals / terms.silhouette_tau_mm) ** 2) / terms.sigma_mm**2
         weights *= wrist_shares(hand)[hand.smooth.triangles[faces]].mean(axis=1)
-        return _along(hand, drawing, moves, faces, points, ways), residuals, weights
+        return _along(hand, drawing, moves, faces, points, directions), residuals, weights
 
     def _unexplained(
         self, tile: Tile, drawing: Drawing, pose: FloatArray, hand: HandModel, moves: FloatArray
@@ -143,19 +143,19 @@ class FrameRows:
 
         terms, z = self._terms, _depth(drawing)
         far = np.abs(tile.image - z) > terms.explained_mm
-        there = (tile.image > 0) & ((drawing.inverse == 0) | far)
+        mask = (tile.image > 0) & ((drawing.inverse == 0) | far)
         facing = np.flatnonzero(drawing.facing)
-        if not facing.size or not there.any():
+        if not facing.size or not mask.any():
             return np.zeros((0, moves.shape[1])), np.zeros(0), np.zeros(0)
-        points = _points(tile, there, tile.image)
+        points = _points(tile, mask, tile.image)
         behind = (points - pose[:3]) @ rotations.matrices_from_quaternions(pose[3:7])[:, 1]
         points = points[behind < -WRIST_PART * _palm_length(hand)]
         residuals, nearest = cKDTree(drawing.vertices[facing]).query(points)
         vertices = facing[nearest]
-        ways = (points - drawing.vertices[vertices]) / np.maximum(residuals, 1e-9)[:, None]
+        directions = (points - drawing.vertices[vertices]) / np.maximum(residuals, 1e-9)[:, None]
         weights = geman_mcclure((residuals / terms.closest_tau_mm) ** 2) / terms.closest_mm**2
         weights *= wrist_shares(hand)[vertices]
-        return np.einsum("nkc,nc->nk", moves[vertices], ways), residuals, weights
+        return np.einsum("nkc,nc->nk", moves[vertices], directions), residuals, weights
 
 
 def vertex_moves(
@@ -174,10 +174,10 @@ def vertex_moves(
     moves = np.vstack([np.zeros(FRAME_SIZE), np.diag(FRAME_STEPS)])
     for f, (pose, thumb) in enumerate(zip(poses, thumbs, strict=True)):
         moved = _SPACE.retract(np.tile(pose, (FRAME_SIZE + 1, 1)), moves[:, :TANGENT_SIZE])
-        here, *there = _posed(hand, moved, thumb + moves[:, TANGENT_SIZE:])
-        by_pose = (np.array(there) - here) / FRAME_STEPS[:, None, None]
-        shape_moves = [(other[f] - here) / step for other, step in zip(others, steps, strict=True)]
-        by_shape = np.array(shape_moves).reshape(-1, *here.shape)
+        base, *shifted = _posed(hand, moved, thumb + moves[:, TANGENT_SIZE:])
+        by_pose = (np.array(shifted) - base) / FRAME_STEPS[:, None, None]
+        shape_moves = [(other[f] - base) / step for other, step in zip(others, steps, strict=True)]
+        by_shape = np.array(shape_moves).reshape(-1, *base.shape)
         yield np.moveaxis(np.concatenate([by_pose, by_shape]), 0, 1)
 
 
@@ -185,7 +185,7 @@ def wrist_shares(hand: HandModel) -> FloatArray:
     """Return the weight of each vertex (V,): small at the wrist, 1 from ``WRIST_PART`` of the palm on."""
     along = -hand.smooth.vertices[:, 1] / _palm_length(hand)
     palm = hand.smooth.weights[:, 0] > 0.5
-    return np.where(palm, np.clip(along / WRIST_PART, LEAST_SHARE, 1.0), 1.0)
+    return np.where(palm, np.clip(along / WRIST_PART, MIN_SHARE, 1.0), 1.0)
 
 
 def _palm_length(hand: HandModel) -> float:
@@ -203,24 +203,24 @@ def _along(
     moves: FloatArray,
     faces: IntArray,
     points: FloatArray,
-    ways: FloatArray,
+    directions: FloatArray,
 ) -> FloatArray:
     """Return the derivatives (N, 23 + S) of points (N, 3) on triangles (N) along unit vectors (N, 3)."""
     corners = hand.smooth.triangles[faces]
     # barycentric coordinates; solvable, as no visible triangle is coplanar with the camera centre
     matrix = np.swapaxes(drawing.vertices[corners], 1, 2)
     shares = np.linalg.solve(matrix, points[..., None])[..., 0]
-    return np.asarray(np.einsum("ni,nikc,nc->nk", shares, moves[corners], ways, optimize=True))
+    return np.asarray(np.einsum("ni,nikc,nc->nk", shares, moves[corners], directions, optimize=True))
 
 
 def _depth(drawing: Drawing) -> FloatArray:
     return 1.0 / np.maximum(drawing.inverse, 1e-12)
 
 
-def _points(tile: Tile, there: BoolArray, depth: FloatArray) -> FloatArray:
+def _points(tile: Tile, mask: BoolArray, depth: FloatArray) -> FloatArray:
     """Return points (N, 3) of pixels at the depths of an image, mm."""
-    rows, columns = np.nonzero(there)
-    view, z = tile.projection, depth[there]
+    rows, columns = np.nonzero(mask)
+    view, z = tile.projection, depth[mask]
     return np.stack([(columns + 0.5 - view.b) / view.a * z, (rows + 0.5 - view.d) / view.c * z, z], axis=1)
 
 
@@ -234,9 +234,9 @@ CORRELATED = 64.0
 OVERCONFIDENCE = 3.0
 """Factor by which the stated covariance reduces the information of the images: some errors, such as the cut
 to the forearm, are the same in all frames. Calibrated on synthetic random hands."""
-LEAST_RESIDUAL_MM = 0.5
+MIN_RESIDUAL_MM = 0.5
 CONVERGED = 0.05
-MOST_SHAPE_STEP, MOST_FRAME_STEP = 0.75, np.repeat([15.0, 0.2, 0.3], [3, 3, FRAME_SIZE - 6])
+MAX_SHAPE_STEP, MAX_FRAME_STEP = 0.75, np.repeat([15.0, 0.2, 0.3], [3, 3, FRAME_SIZE - 6])
 _RELAXED_SD = np.append(np.repeat([np.inf, np.inf, 0.6], [3, 3, 15]), [IP_SD, ABDUCTION_SD])
 
 
@@ -297,7 +297,7 @@ def adjusted(
     terms = terms or Terms()
     rows, theta = FrameRows(terms, tile_px), space.theta(shape)
     covariance, residual, taken = np.diag(space.sd**2), 0.0, 0
-    prior, most = np.diag(1.0 / space.sd**2), MOST_SHAPE_STEP * space.sd
+    prior, most = np.diag(1.0 / space.sd**2), MAX_SHAPE_STEP * space.sd
     while taken < iterations:
         taken += 1
         hand, varied = _hands(maker, space, side, theta)
@@ -307,7 +307,7 @@ def adjusted(
             for f, (pose, thumb, move) in enumerate(zip(poses, thumbs, moves, strict=True))
         ]
         residual = _root_mean_square([(frame.residuals, frame.weights) for frame in frames])
-        share = (terms.sigma_mm / max(residual, LEAST_RESIDUAL_MM)) ** 2 / CORRELATED
+        share = (terms.sigma_mm / max(residual, MIN_RESIDUAL_MM)) ** 2 / CORRELATED
         equations = [
             _with_frame_prior(*frame.normal(share), pose, thumb)
             for frame, pose, thumb in zip(frames, poses, thumbs, strict=True)
@@ -316,9 +316,9 @@ def adjusted(
         covariance = np.asarray(np.linalg.inv(matrix), dtype=np.float64)
         step = np.clip(bounded_step(matrix, vector, space.low - theta, space.high - theta), -most, most)
         turns = np.array([back_substituted(*equation, _SHAPE, _FRAME, step) for equation in equations])
-        turns = np.clip(turns, -MOST_FRAME_STEP, MOST_FRAME_STEP)
+        turns = np.clip(turns, -MAX_FRAME_STEP, MAX_FRAME_STEP)
         poses = inside_limits(_SPACE.retract(poses, turns[:, :TANGENT_SIZE]))
-        thumbs = np.clip(thumbs + turns[:, TANGENT_SIZE:], -MOST_THUMB, MOST_THUMB)
+        thumbs = np.clip(thumbs + turns[:, TANGENT_SIZE:], -MAX_THUMB, MAX_THUMB)
         theta = np.clip(theta + step, space.low, space.high)  # rounding may exceed a bound by an ulp
         if np.abs(step / np.sqrt(np.diag(covariance))).max() < CONVERGED:
             break

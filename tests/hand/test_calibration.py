@@ -37,7 +37,7 @@ from posetrack_cli.hand.search import Acquisition
 from posetrack_cli.hand.shape_bundle import (
     FRAME_SIZE,
     FRAME_STEPS,
-    LEAST_SHARE,
+    MIN_SHARE,
     WRIST_PART,
     FrameRows,
     vertex_moves,
@@ -630,7 +630,7 @@ def test_the_skin_counts_less_towards_the_wrist_alone(side: str) -> None:
     palm = hand.smooth.weights[:, 0] > 0.5
     knuckles = -hand.anatomy.base_positions[1:, 1].mean()
     end, before = palm & (along <= along.min() + 3.0), along >= WRIST_PART * knuckles
-    assert (shares >= LEAST_SHARE).all() and (shares[end] < 0.4).all()
+    assert (shares >= MIN_SHARE).all() and (shares[end] < 0.4).all()
     assert before.any() and (shares[before] == 1.0).all() and (shares[~palm] == 1.0).all()
     between = palm & ~before
     order = np.argsort(along[between])

@@ -13,7 +13,7 @@ from posetrack_cli.hand.fit.gauss_newton import ABDUCTION_SD, IP_SD
 from posetrack_cli.hand.fit.likelihood import RenderedCosts
 from posetrack_cli.hand.fit.local_fits import (
     MARGINAL_THUMB_SHARE,
-    MOST_MODES,
+    MAX_MODES,
     SHARPENING,
     USUAL_MOTION,
     LocalFits,
@@ -135,12 +135,12 @@ def test_alternatives_are_fits_nearly_as_good_that_lie_elsewhere(
     monkeypatch.setattr(local_fits, "ALTERNATIVE_MM", 40.0)
     monkeypatch.setattr(local_fits, "APART_MM", 3.0)
     many = fitted(local_fitter(), observation, expected).modes
-    assert 2 <= len(many) <= MOST_MODES
+    assert 2 <= len(many) <= MAX_MODES
     np.testing.assert_array_equal(many.poses[0], one.poses[0])
     joints = joint_positions(HAND.anatomy, many.poses)
     for k in range(1, len(many)):
         assert np.linalg.norm(joints[k] - joints[:k], axis=2).max(axis=1).min() > 3.0
-    monkeypatch.setattr(local_fits, "MOST_MODES", 2)
+    monkeypatch.setattr(local_fits, "MAX_MODES", 2)
     assert len(fitted(local_fitter(), observation, expected).modes) == 2
 
 

@@ -13,9 +13,9 @@ from posetrack_cli.hand.config import HandSettings
 from posetrack_cli.hand.model.anatomy import (
     COEFFICIENTS,
     FINGERS,
+    MAX_DRAWN,
     MIRROR,
     MOST_COEFFICIENT,
-    MOST_DRAWN,
     POPULATION_SD,
     SHAPE_NAMES,
     SHAPE_SIZE,
@@ -147,7 +147,7 @@ def test_random_hands_differ_as_people_do() -> None:
     # uniform: that none of 400 lies in the outermost 5 per cent of the range has a chance of .95^400, 1e-9
     assert 0.85 <= scales.min() < 0.865 and 1.135 < scales.max() <= 1.15
     drawn = np.array([shape.coefficients for shape in shapes])
-    assert drawn.shape[1] == COEFFICIENTS and np.abs(drawn).max() == MOST_DRAWN
+    assert drawn.shape[1] == COEFFICIENTS and np.abs(drawn).max() == MAX_DRAWN
     # normal, cut at 2: of variance 1 - 2 * (what lies beyond) about .92; sd of it sqrt(2 / 400) each
     assert (np.abs(drawn.mean(axis=0)) < 5.0 / np.sqrt(400)).all()
     assert (np.abs(drawn.var(axis=0) - 0.92) < 5.0 * np.sqrt(2.0 / 400)).all()

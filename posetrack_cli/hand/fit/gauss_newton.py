@@ -42,7 +42,7 @@ SWING_SD, GIRTH_SD = 0.25, 0.1
 """Of the forearm around its prediction, rad, and of the logarithm of its girth."""
 IP_SD, ABDUCTION_SD = np.deg2rad(8.0), np.deg2rad(8.0)
 """Of the thumb's inner angles around their prediction, rad."""
-MOST_GIRTH, MOST_THUMB = 0.5, np.deg2rad(40.0)
+MAX_GIRTH, MAX_THUMB = 0.5, np.deg2rad(40.0)
 FREE_BEND, STIFF_BEND = np.deg2rad(60.0), 30.0
 """Wrist flexion up to which there is no potential, rad, and its weight beyond, 1 / rad^2."""
 
@@ -238,7 +238,7 @@ def _move_inner(inner: FloatArray, delta: FloatArray, posed: Posed, most: Steps)
     """Move the inner numbers by the last part of a step (26,): thumb angles, forearm swing and girth."""
     for k in range(2):
         angle = inner[IP_OFFSET + k] + min(max(delta[THUMB_PLACE + k], -most.angle_rad), most.angle_rad)
-        inner[IP_OFFSET + k] = min(max(angle, -MOST_THUMB), MOST_THUMB)
+        inner[IP_OFFSET + k] = min(max(angle, -MAX_THUMB), MAX_THUMB)
     _move_arm(inner, delta[ARM_PLACE:THUMB_PLACE], posed, most)
 
 
@@ -257,7 +257,7 @@ def _move_arm(arm: FloatArray, delta: FloatArray, posed: Posed, most: Steps) -> 
     share = 1.0 / np.sqrt(arm[0] * arm[0] + arm[1] * arm[1] + arm[2] * arm[2])
     for i in range(3):
         arm[i] *= share
-    arm[3] = min(max(arm[3] + delta[2], -MOST_GIRTH), MOST_GIRTH)
+    arm[3] = min(max(arm[3] + delta[2], -MAX_GIRTH), MAX_GIRTH)
 
 
 @kernel

@@ -81,7 +81,7 @@ class FrameReading(NamedTuple):
 _REFOLD_ITERATIONS = 3
 SHARPENING = 1.6
 """Ratio of the likelihood's information to that of the fit's residuals, which omit part of the outline."""
-ALTERNATIVE_MM, APART_MM, MOST_MODES = 1.0, 6.0, 4
+ALTERNATIVE_MM, APART_MM, MAX_MODES = 1.0, 6.0, 4
 """A fit is a separate mode if its cost is within ``ALTERNATIVE_MM`` of the best and some joint differs from
 the other modes by more than ``APART_MM``."""
 USUAL_MOTION = ComponentSettings(position_mm=12.0, rotation_rad=0.12, flexion_rad=0.33, abduction_rad=0.1)
@@ -239,10 +239,10 @@ class LocalFitter:
         chosen: list[Fit] = []
         joints: list[FloatArray] = []
         for fit in (near[k] for k in order):
-            if len(chosen) == MOST_MODES:
+            if len(chosen) == MAX_MODES:
                 break
             here = joint_positions(self._anatomy, fit.pose[None])[0]
-            apart = [np.linalg.norm(here - there, axis=1).max() for there in joints]
+            apart = [np.linalg.norm(here - other, axis=1).max() for other in joints]
             if min(apart, default=np.inf) > APART_MM:
                 chosen.append(fit)
                 joints.append(here)
@@ -313,7 +313,7 @@ _RESIDUAL_SHARPENING = 3.5
 """Like ``SHARPENING``, for noise estimated from the fit's residual."""
 _HEIGHT_SHARE = 0.3
 """Weight of the cost between several fits of a frame, against the smoothed prediction."""
-LEAST_COST_MM = 0.5
+MIN_COST_MM = 0.5
 """Lower bound on the residual: the quantisation of the readings."""
 SD_PER_COST = float(np.sqrt(np.pi / 2.0))
 """Ratio of standard deviation to mean absolute value of a normal distribution."""
@@ -350,7 +350,7 @@ class HandFits:
             pose: (22,) the filter's estimate.
             confidence: of the estimate.
         """
-        poses, count = np.zeros((MOST_MODES, POSE_SIZE)), 0
+        poses, count = np.zeros((MAX_MODES, POSE_SIZE)), 0
         image, place = np.zeros((self._size, self._size), dtype=np.float32), np.zeros(3, dtype=np.int64)
         inner = NO_INNER
         if observation is not None and modes is not None:
@@ -435,7 +435,7 @@ class HandFits:
         """Return the likelihood around fits, with noise from each fit's residual."""
         fitter, poses = self._local.fitter, np.array([fit.pose for fit in fits])
         cost = np.array([_cost(fit) for fit in fits])
-        noise_sd = SD_PER_COST * np.maximum(cost, LEAST_COST_MM)
+        noise_sd = SD_PER_COST * np.maximum(cost, MIN_COST_MM)
         scales = reading.share * _RESIDUAL_SHARPENING * (self._local.sigma_mm / noise_sd) ** 2
         height = _HEIGHT_SHARE * reading.height / self._clamp_mm
         return self._local.modes(fits, scales, -height * cost - fitter.potentials(poses, reading.tile.inner))

@@ -240,7 +240,7 @@ SHAPE_NAMES: tuple[str, ...] = (
 )
 SHAPE_SIZE = len(SHAPE_NAMES)
 _LENGTHS, _WIDTHS = slice(1, 6), slice(6, 11)
-MOST_DRAWN, MOST_COEFFICIENT = 2.0, 5.0
+MAX_DRAWN, MOST_COEFFICIENT = 2.0, 5.0
 """Largest coefficients, in standard deviations: of random hands, and of any valid hand."""
 MOST_PADDING_MM, PADDING_SD_MM = 12.0, 3.0
 """Limit and standard deviation of the skin's extra thickness **[ours]**: images of a Senz3D and a Kinect v2
@@ -390,7 +390,7 @@ def shape_space(mesh: str | None) -> ShapeSpace:
 def random_shape(rng: np.random.Generator) -> HandShape:
     """Return a random hand of the population with a scale of .85 to 1.15."""
     scale = 1.0 + 0.15 * rng.uniform(-1.0, 1.0)
-    drawn = np.clip(rng.normal(size=COEFFICIENTS), -MOST_DRAWN, MOST_DRAWN)
+    drawn = np.clip(rng.normal(size=COEFFICIENTS), -MAX_DRAWN, MAX_DRAWN)
     return HandShape(scale, coefficients=tuple(float(c) for c in drawn.round(_DECIMALS)))
 
 

@@ -87,7 +87,7 @@ MESH_DIGEST = "hand.mesh_sha256"
 """Key of the run record with the digest of a hand file."""
 SMOOTH_TRIANGLES = 1640
 """Triangles of the smooth skin of a hand from a file, as many as the average hand's."""
-_MOST_TRIANGLES = 2 * SMOOTH_TRIANGLES
+_MAX_TRIANGLES = 2 * SMOOTH_TRIANGLES
 """Largest skin after simplification (of parts that cannot be joined); memory grows with its square."""
 
 HandMaker = Callable[[str, HandShape], "HandModel"]
@@ -172,7 +172,7 @@ def _file_hand(path: Path) -> HandMaker:
     hand = load_hand(path)
     with damage_named(path), np.errstate(all="ignore"):  # triangles without area divide by zero
         smooth = simplified(hand.skin, SMOOTH_TRIANGLES)
-        if max(len(smooth.triangles), len(smooth.vertices)) > _MOST_TRIANGLES:
+        if max(len(smooth.triangles), len(smooth.vertices)) > _MAX_TRIANGLES:
             what = "skin has too many separate parts to be simplified"
             raise UsageError(what, where=path, found=f"{len(smooth.triangles)} remaining triangles")
         lean = decimated(smooth, LEAN_TRIANGLES, bent_hands(hand.anatomy))
@@ -261,7 +261,7 @@ class AdditiveSpace(BodySpace):
     def local(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """Return y (-) x (..., 6 + K), with x (+) (y (-) x) = y; it diverges at half a turn."""
         q = rotations.multiply(rotations.conjugate(x[..., 3:7]), y[..., 3:7])
-        w = np.where(np.abs(q[..., 3:]) < LEAST_COSINE, np.copysign(LEAST_COSINE, q[..., 3:]), q[..., 3:])
+        w = np.where(np.abs(q[..., 3:]) < MIN_COSINE, np.copysign(MIN_COSINE, q[..., 3:]), q[..., 3:])
         return np.concatenate(
             [y[..., :3] - x[..., :3], 2.0 * q[..., :3] / w, y[..., 7:] - x[..., 7:]], axis=-1
         )
@@ -279,7 +279,7 @@ class AdditiveSpace(BodySpace):
         return log_volume
 
 
-LEAST_COSINE = 1e-9
+MIN_COSINE = 1e-9
 """Bound on the cosine of half the angle between two rotations, to keep tangent vectors finite."""
 
 

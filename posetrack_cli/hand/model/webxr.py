@@ -35,8 +35,8 @@ PER_METRE = 1000.0
 _LENGTHS_MM = (90.0, 360.0)  # wrist to middle fingertip: half and twice an adult's
 _WELD_MM = 0.01
 _WRIST_END_MM = 8.0  # end of the average hand's mesh behind the wrist joint; beyond it is forearm
-_LEAST_PALM_MM2 = 100.0  # twice the area between wrist, index and little finger: 1 % of a hand's
-_MOST_OPEN = 1.0 / 3.0  # share of the edges; a skin is open at the wrist, and perhaps around nails
+_MIN_PALM_MM2 = 100.0  # twice the area between wrist, index and little finger: 1 % of a hand's
+_MAX_OPEN = 1.0 / 3.0  # share of the edges; a skin is open at the wrist, and perhaps around nails
 _FLAT = 0.03  # thumb and fingers closer to the palm's plane do not determine its side
 
 
@@ -127,7 +127,7 @@ def _check_size(joints: FloatArray, path: Path) -> None:
         finger = FINGERS[int(parts.min(axis=1).argmin())]
         raise UsageError(f"joints of the {finger} coincide", where=path)
     index, little = joints[5] - joints[0], joints[17] - joints[0]
-    if np.linalg.norm(np.cross(index, little)) < _LEAST_PALM_MM2:
+    if np.linalg.norm(np.cross(index, little)) < _MIN_PALM_MM2:
         raise UsageError("wrist, index and little finger knuckles are collinear", where=path)
 
 
@@ -256,7 +256,7 @@ def _without_forearm(mesh: SkinnedMesh, scale: float, path: Path) -> SkinnedMesh
     flat = welded(replace(mesh, vertices=vertices), _WELD_MM)
     edges, of_triangle = edges_of(flat.triangles)
     single = np.count_nonzero(np.bincount(of_triangle.ravel(), minlength=len(edges)) == 1)
-    if single > _MOST_OPEN * len(edges):
+    if single > _MAX_OPEN * len(edges):
         found = f"{single} of {len(edges)} edges with only one triangle"
         raise UsageError("skin is not a surface", where=path, found=found)
     whole = closed(flat)

@@ -15,7 +15,7 @@ BIN_MM = 4.0
 """Length of a slice."""
 _WRIST_SD_MM = 40.0
 """Standard deviation of the predicted wrist along the arm."""
-_MOST_FORESHORTENED = 0.33
+_MAX_FORESHORTENED = 0.33
 """Arms pointing more towards the camera are sliced at this foreshortening."""
 
 
@@ -59,8 +59,8 @@ def extents(apart: FloatArray, axis: FloatArray) -> FloatArray:
         axis: (3,) unit vector along the arm, camera axes.
     """
     x, y = np.abs(axis[:2])
-    length = max(float(np.hypot(x, y)), _MOST_FORESHORTENED)
-    across = max(x, y, np.sqrt(0.5) * _MOST_FORESHORTENED)
+    length = max(float(np.hypot(x, y)), _MAX_FORESHORTENED)
+    across = max(x, y, np.sqrt(0.5) * _MAX_FORESHORTENED)
     return np.asarray(apart * (across / length**2), dtype=np.float64)
 
 
@@ -102,17 +102,17 @@ _ARM_MM = (20.0, 120.0)
 """Part of the forearm, from the wrist, that determines its direction."""
 _HALF_WIDTH_MM, _OPENING = 55.0, 0.5
 """Cone in which the forearm is searched: half width at the wrist, and its increase per length."""
-_WIDEST_MM, _LEAST_MM2 = 125.0, 900.0
+_WIDEST_MM, _MIN_MM2 = 125.0, 900.0
 """Largest width of an arm, not a body, and smallest area."""
 _SKIN_MM = 25.0
 """Depth of the forearm's axis behind its skin."""
 _PASSES = 2
-_MOST_BENT = float(np.cos(np.deg2rad(75.0)))
+_MAX_BENT = float(np.cos(np.deg2rad(75.0)))
 _FINGERS_MM, _BEYOND_MM = 240.0, 80.0
 """Extent of the slices from the wrist towards fingers and elbow."""
 _COMPARED_MM = 8.0
 """End of the compared widths beyond the wrist joint, where the drawn hand ends."""
-_MOST_SHIFT_MM = 40.0
+_MAX_SHIFT_MM = 40.0
 _AREA_PER_SD_MM2 = 1000.0
 """Area of disagreement equivalent to one standard deviation of the wrist."""
 
@@ -162,7 +162,7 @@ def arm_of(
     cut = predicted.towards_elbow + towards_elbow
     cut /= np.linalg.norm(cut)
     along = offset @ cut
-    counted = hand[limb] | ((along > 0.0) & _beside_axis(offset, towards_elbow, predicted.scale))
+    counted = hand[limb] | ((along > 0.0) & _near_axis(offset, towards_elbow, predicted.scale))
     observed = _widths(along[counted], apart[counted], cut, predicted.scale)
     expected = _expected_widths(view, silhouette, cut, predicted)
     shift = _shift_mm(observed, expected, predicted.scale)
@@ -184,7 +184,7 @@ def _direction(offset: FloatArray, area: FloatArray, predicted: PredictedHand) -
     for _ in range(_PASSES):
         chosen, length = _in_cone(offset, direction, scale)
         total = float(area[chosen].sum())
-        if not scale**2 * _LEAST_MM2 <= total <= scale * _WIDEST_MM * length:
+        if not scale**2 * _MIN_MM2 <= total <= scale * _WIDEST_MM * length:
             return None
         middle = (area[chosen] / total) @ offset[chosen] + to_axis
         direction = _towards(middle / max(float(np.linalg.norm(middle)), 1e-9), predicted.towards_elbow)
@@ -196,17 +196,17 @@ def _in_cone(offset: FloatArray, direction: FloatArray, scale: float) -> tuple[B
     along = offset @ direction
     first, last = _ARM_MM
     in_length = (along > scale * first) & (along < scale * last)
-    chosen = in_length & _beside_axis(offset, direction, scale)
+    chosen = in_length & _near_axis(offset, direction, scale)
     return chosen, float(np.ptp(along[chosen])) if chosen.any() else 0.0
 
 
 def is_forearm(offset: FloatArray, towards_elbow: FloatArray, scale: float) -> BoolArray:
     """Return which points (P, 3) of a limb, from the wrist, are near the forearm's axis and the wrist."""
-    seen: BoolArray = offset @ towards_elbow < scale * SEEN_MM
-    return seen & _beside_axis(offset, towards_elbow, scale)
+    near_wrist: BoolArray = offset @ towards_elbow < scale * SEEN_MM
+    return near_wrist & _near_axis(offset, towards_elbow, scale)
 
 
-def _beside_axis(offset: FloatArray, direction: FloatArray, scale: float) -> BoolArray:
+def _near_axis(offset: FloatArray, direction: FloatArray, scale: float) -> BoolArray:
     """Return which points (P, 3) lie in the cone around the arm's axis, not on a body behind the hand."""
     along = offset @ direction
     squared_aside = np.einsum("ij,ij->i", offset, offset) - along**2
@@ -220,11 +220,11 @@ def _towards(direction: FloatArray, palm: FloatArray) -> FloatArray:
     cosine = float(direction @ palm)
     aside = direction - cosine * palm
     length = float(np.linalg.norm(aside))
-    if cosine >= _MOST_BENT:
+    if cosine >= _MAX_BENT:
         return direction
     if length < 1e-9:
         return palm
-    turned: FloatArray = _MOST_BENT * palm + np.sqrt(1.0 - _MOST_BENT**2) * aside / length
+    turned: FloatArray = _MAX_BENT * palm + np.sqrt(1.0 - _MAX_BENT**2) * aside / length
     return turned
 
 
@@ -245,7 +245,7 @@ def _widths(along: FloatArray, apart: FloatArray, cut: FloatArray, scale: float)
 
 def _shift_mm(observed: FloatArray, expected: FloatArray, scale: float) -> float:
     last = _slices(_FINGERS_MM, scale) + _slices(_COMPARED_MM, scale)
-    most = max(0, min(_slices(_MOST_SHIFT_MM, scale), last, len(observed) - last))
+    most = max(0, min(_slices(_MAX_SHIFT_MM, scale), last, len(observed) - last))
     sd = _WRIST_SD_MM * scale / BIN_MM
     stiffness = scale**2 * _AREA_PER_SD_MM2 / BIN_MM / sd**2
     return BIN_MM * best_shift(observed, expected, max(last, 0), most, stiffness)

@@ -23,14 +23,14 @@ from posetrack_cli.hand.observe.region import (
 )
 from posetrack_cli.rendering.port import Window
 
-_APART_MM, _MOST_ACROSS = 3.5, 240
+_APART_MM, _MAX_ACROSS = 3.5, 240
 """Smallest distance of pixels on the nearest surface, and largest number of pixels along the shorter side."""
 _NEAREST_PERCENT, _SPARSE = 10.0, 4
-_MOST_SHARED = 0.2
+_MAX_SHARED = 0.2
 _REACH_MM = 170.0
 """Distance from the palm beyond which a hand does not reach; only the arm continues."""
 _TWO_PALMS_MM = 110.0
-_MOST_HANDS, _LEAST_SCORE = 4, 0.4
+_MAX_HANDS, _MIN_SCORE = 4, 0.4
 """Largest number of detections, and smallest score."""
 _AS_LIKELY = 0.85
 _STEPS_OUTWARDS = 3
@@ -102,15 +102,15 @@ def detect(
     surfaces = surfaces_of(tile, window, camera)
     found: list[_Candidate] = []
     for place in palm_pixels(surfaces, settings).tolist():
-        if not any(_is_of(surfaces, place, candidate) for candidate in found):
-            found.append(_better(surfaces, place))
-    likely = [candidate for candidate in found if candidate.score >= _LEAST_SCORE]
+        if not any(_is_on_palm(surfaces, place, candidate) for candidate in found):
+            found.append(_move_outwards(surfaces, place))
+    likely = [candidate for candidate in found if candidate.score >= _MIN_SCORE]
     kept: list[Detection] = []
     for candidate in sorted(likely, key=_rank, reverse=True):
         detection = _detection(surfaces, candidate)
-        if all(_are_two(detection, other) for other in kept):
+        if all(_are_distinct(detection, other) for other in kept):
             kept.append(detection)
-        if len(kept) == _MOST_HANDS:
+        if len(kept) == _MAX_HANDS:
             break
     return sorted(kept, key=lambda d: float(d.palm[2]))
 
@@ -120,7 +120,7 @@ def coarse_window(depth: ImageArray, camera: Camera, settings: DetectionSettings
     few = depth[::_SPARSE, ::_SPARSE]
     in_range = few[(few >= settings.nearest_mm) & (few <= settings.farthest_mm)]
     near = float(np.percentile(in_range, _NEAREST_PERCENT)) if in_range.size else settings.farthest_mm
-    least = -(-min(camera.width, camera.height) // _MOST_ACROSS)
+    least = -(-min(camera.width, camera.height) // _MAX_ACROSS)
     step = max(least, round(_APART_MM * float(np.sqrt(camera.fx * camera.fy)) / near))
     return Window(0, 0, step, -(-camera.width // step), -(-camera.height // step))
 
@@ -134,7 +134,7 @@ class _Candidate:
     arm: FloatArray | None  # from elbow to wrist
 
 
-def _is_of(surfaces: Surfaces, place: list[int], candidate: _Candidate) -> bool:
+def _is_on_palm(surfaces: Surfaces, place: list[int], candidate: _Candidate) -> bool:
     """Return whether a place is on the palm of a certain candidate."""
     if candidate.score < _SURE:
         return False
@@ -147,17 +147,17 @@ def _rank(candidate: _Candidate) -> float:
     return candidate.score * region.radius_mm / max(float(region.palm[2]), 1.0)
 
 
-def _better(surfaces: Surfaces, place: list[int]) -> _Candidate:
+def _move_outwards(surfaces: Surfaces, place: list[int]) -> _Candidate:
     """Return the candidate at a place, or one farther out on the limb of about the same score."""
     here = _candidate(surfaces, place)
     for _ in range(_STEPS_OUTWARDS):
         outwards = None if here.score == 0.0 else _farther_out(surfaces, here)
         if outwards is None:
             break
-        there = _candidate(surfaces, outwards)
-        if there.score < _AS_LIKELY * here.score:
+        outer = _candidate(surfaces, outwards)
+        if outer.score < _AS_LIKELY * here.score:
             break
-        here = there
+        here = outer
     return here
 
 
@@ -165,10 +165,10 @@ def _candidate(surfaces: Surfaces, place: list[int]) -> _Candidate:
     row, column = place
     reach = max(_REACH_MM, _REACH_OF_RADIUS * float(surfaces.radius[row, column]))
     region = region_around(surfaces, row, column, reach)
-    way = arm_exit(region)
-    if way is None:
+    leaving = arm_exit(region)
+    if leaving is None:
         return _Candidate(region, likeness(region), None)
-    arm = region.palm - way.middle
+    arm = region.palm - leaving.middle
     return _Candidate(region, likeness(region), arm / max(float(np.linalg.norm(arm)), 1e-9))
 
 
@@ -182,8 +182,8 @@ def _farther_out(surfaces: Surfaces, candidate: _Candidate) -> list[int] | None:
     if end <= _LONGEST_FROM_PALM_MM:
         return None
     from_end = end - outwards
-    there = region.mask & (from_end > _SHORTEST_FROM_PALM_MM) & (from_end < _LONGEST_FROM_PALM_MM)
-    radius = np.where(there, surfaces.radius[region.rows, region.columns], 0.0)
+    band = region.mask & (from_end > _SHORTEST_FROM_PALM_MM) & (from_end < _LONGEST_FROM_PALM_MM)
+    radius = np.where(band, surfaces.radius[region.rows, region.columns], 0.0)
     if not radius.any():
         return None
     row, column = np.unravel_index(int(np.argmax(radius)), radius.shape)
@@ -228,9 +228,9 @@ def _without_arm(region: Region, surfaces: Surfaces, arm: FloatArray) -> tuple[B
     return region.mask & (along < wrist), region.palm - wrist * arm
 
 
-def _are_two(first: Detection, second: Detection) -> bool:
+def _are_distinct(first: Detection, second: Detection) -> bool:
     """Return whether two detections are different hands."""
     apart = float(np.linalg.norm(first.palm - second.palm))
     shared = int(np.count_nonzero(first.mask & second.mask))
     least = min(int(np.count_nonzero(d.mask)) for d in (first, second))
-    return apart > _TWO_PALMS_MM and shared < _MOST_SHARED * least
+    return apart > _TWO_PALMS_MM and shared < _MAX_SHARED * least

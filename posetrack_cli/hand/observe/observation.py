@@ -14,7 +14,7 @@ from posetrack_cli.hand.config import ObservationSettings
 from posetrack_cli.hand.fit.skeleton import NO_INNER
 from posetrack_cli.rendering.port import Window
 
-_LEAST_SHARE = 0.8
+_MIN_SHARE = 0.8
 """Smallest window, as a share of ``window_mm``."""
 _MARGIN_MM = 12.0
 """Margin around the joints: a finger's radius and some motion."""
@@ -123,7 +123,7 @@ def window_around(joints: FloatArray, camera: Camera, settings: ObservationSetti
 def _covering_step(pixels: FloatArray, px_per_mm: float, settings: ObservationSettings) -> int:
     """Return the least step of a tile that covers most of ``window_mm`` and pixels (N, 2) with a margin."""
     extent_px = float(np.ptp(pixels, axis=0).max())
-    needed = max(_LEAST_SHARE * settings.window_mm * px_per_mm, extent_px + 2.0 * _MARGIN_MM * px_per_mm)
+    needed = max(_MIN_SHARE * settings.window_mm * px_per_mm, extent_px + 2.0 * _MARGIN_MM * px_per_mm)
     return max(1, int(np.ceil(needed / settings.tile_px)))
 
 

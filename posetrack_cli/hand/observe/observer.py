@@ -28,7 +28,7 @@ from posetrack_cli.hand.observe.segmentation import segment as segment_hand
 from posetrack_cli.hand.observe.surfaces import pixel_mm, points_of, without_pinholes
 from posetrack_cli.rendering.port import Window
 
-LEAST_CONTRAST, LEAST_BROKEN = 0.25, 0.15
+MIN_CONTRAST, MIN_BROKEN = 0.25, 0.15
 """Thresholds for an untracked hand (contrast) and a tracked one (broken share).
 
 Contrast is 0.0 on a bare wall, at most 0.1 on a noisy one and 0.15 at a step; on tracked hands 0.3 to 1.0,
@@ -68,7 +68,7 @@ class Outline(NamedTuple):
             is_known: whether the hand was tracked before; then it is only lost if nothing is left of its
                 outline.
         """
-        return self.contrast >= LEAST_CONTRAST or (is_known and self.broken >= LEAST_BROKEN)
+        return self.contrast >= MIN_CONTRAST or (is_known and self.broken >= MIN_BROKEN)
 
 
 def outline_of(depth: ImageArray, sampler: PixelSampler, camera: Camera, hand: PredictedHand) -> Outline:
@@ -92,10 +92,10 @@ def outline_of(depth: ImageArray, sampler: PixelSampler, camera: Camera, hand: P
     readings = np.asarray(cv2.medianBlur(np.where(sampled > 0, sampled, _FAR_MM), 3), dtype=np.float32)
     distance_px, inside = _nearest_inside(readings, silhouette)
     distance_mm = distance_px * pixel_mm(float(hand.joints[:, 2].mean()), window, camera) / hand.scale
-    beside = (distance_mm > _BESIDE_MM[0]) & (distance_mm < _BESIDE_MM[1]) & _in_image(window, camera)
-    if not beside.any():
+    surroundings = (distance_mm > _BESIDE_MM[0]) & (distance_mm < _BESIDE_MM[1]) & _in_image(window, camera)
+    if not surroundings.any():
         return Outline(1.0, 1.0)
-    steps = (readings - inside)[beside]
+    steps = (readings - inside)[surroundings]
     contrast = float(np.clip(steps / _CLEAR_STEP_MM, -1.0, 1.0).mean())
     return Outline(contrast, float((np.abs(steps) > _BREAK_MM).mean()))
 

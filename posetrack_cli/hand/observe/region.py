@@ -30,7 +30,7 @@ _APART_MM = 12.0
 """Discs closer together than this are one place."""
 PALM_RADIUS_MM = (11.0, 85.0)
 """Range of the largest disc on a palm; smallest for a hand seen edge-on."""
-_MOST_PLACES = 24
+_MAX_PLACES = 24
 """Largest number of places, the nearest first."""
 
 
@@ -98,7 +98,7 @@ def palm_pixels(surfaces: Surfaces, settings: DetectionSettings) -> IntArray:
     maxima = np.argwhere(fits & (radius >= around))
     places = _spread_out(maxima, surfaces)
     order = np.argsort(depth[places[:, 0], places[:, 1]], kind="stable")
-    return np.asarray(places[order][:_MOST_PLACES], dtype=np.int64)
+    return np.asarray(places[order][:_MAX_PLACES], dtype=np.int64)
 
 
 def _spread_out(maxima: IntArray, surfaces: Surfaces) -> IntArray:
@@ -121,10 +121,10 @@ def _spread_out(maxima: IntArray, surfaces: Surfaces) -> IntArray:
 
 _RING_MM = 14.0
 """Thickness of the shell in which a region's exits are searched."""
-_LEAST_PIXELS = 3
+_MIN_PIXELS = 3
 _NEAR_PALM_MM = 80.0
 """Distance within which a palm, unlike a finger, is the widest part."""
-_MOST_BEHIND = 0.25
+_MAX_BEHIND = 0.25
 _ARM_MM = 150.0
 """Largest width of an arm."""
 
@@ -221,7 +221,7 @@ def _islands(
     inside = np.bincount(numbers[within], minlength=int(numbers.max()) + 1)
     in_all = surfaces.sizes[: len(inside)]
     behind = np.bincount(numbers[within & surfaces.behind[rows, columns]], minlength=len(inside))
-    whole = (inside == in_all) & (inside >= _LEAST_PIXELS) & (behind <= _MOST_BEHIND * inside)
+    whole = (inside == in_all) & (inside >= _MIN_PIXELS) & (behind <= _MAX_BEHIND * inside)
     whole[0] = False
     islands: BoolArray = within & whole[numbers]
     return islands
@@ -245,7 +245,7 @@ def _exits(
     points, apart = surfaces.points[rows, columns], surfaces.pixel_mm[rows, columns]
     exits = []
     for number in range(1, count):
-        if stats[number, cv2.CC_STAT_AREA] >= _LEAST_PIXELS:
+        if stats[number, cv2.CC_STAT_AREA] >= _MIN_PIXELS:
             part = labels == number
             width = extent_mm(points[part].astype(np.float64), float(apart[part].mean()))
             exits.append(Exit(points[part].mean(axis=0, dtype=np.float64), width))
@@ -284,7 +284,7 @@ _LARGER_FIRST = 0.1
 
 def arm_exit(region: Region) -> Exit | None:
     """Return the exit of the arm: the widest one that is not a finger; None without one."""
-    return max(_arms(region), key=lambda way: way.width_mm, default=None)
+    return max(_arms(region), key=lambda one: one.width_mm, default=None)
 
 
 def likeness(region: Region) -> float:
@@ -303,7 +303,7 @@ def likeness(region: Region) -> float:
 
 
 def _of_exits(region: Region) -> float:
-    arms = [way.width_mm for way in _arms(region)]
+    arms = [one.width_mm for one in _arms(region)]
     fingers = _LONG_FINGER ** (len(region.exits) - len(arms))
     if not arms:
         return fingers * _NO_ARM
@@ -313,7 +313,7 @@ def _of_exits(region: Region) -> float:
 
 def _arms(region: Region) -> list[Exit]:
     narrowest = min(_FINGER_MM, _OF_DISC * 2.0 * region.radius_mm)
-    return [way for way in region.exits if way.width_mm >= narrowest]
+    return [one for one in region.exits if one.width_mm >= narrowest]
 
 
 def _plateau(value: float, low: float, first: float, last: float, high: float) -> float:

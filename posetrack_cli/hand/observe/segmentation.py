@@ -29,7 +29,7 @@ from posetrack_cli.rendering.port import Window
 # Lengths are of a hand of scale 1, mm.
 _IN_FRONT_MM, _BEHIND_MM, _ASIDE_MM = 70.0, 70.0, 60.0
 """Distances from the predicted skin, in depth and in the image, up to which pixels may be the hand's."""
-_REACH_MM, _LEAST_SHARE = 140.0, 0.5
+_REACH_MM, _MIN_SHARE = 140.0, 0.5
 """A surface is the hand's if this share of its pixels within reach of the joints' centre lies at the
 prediction ..."""
 _VOTE_ASIDE_MM, _VOTE_MM = 15.0, 45.0
@@ -142,11 +142,11 @@ def _widened(window: Window, margin: int) -> Window:
     )
 
 
-_WAY_OUT_MM, _PAST_WRIST_MM = 25.0, 40.0
+_EXIT_WIDTH_MM, _PAST_WRIST_MM = 25.0, 40.0
 """An arm leaving the view is at least this wide, and this far beyond the wrist; for a hand of scale 1."""
 
 
-def _goes_on(view: View, limb: BoolArray, arm: Arm, scale: float) -> bool:
+def _leaves_towards_fingers(view: View, limb: BoolArray, arm: Arm, scale: float) -> bool:
     """Return whether a limb leaves the view or the image on the fingers' side only."""
     assert arm.direction is not None
     window, camera = view.window, view.camera
@@ -160,7 +160,7 @@ def _goes_on(view: View, limb: BoolArray, arm: Arm, scale: float) -> bool:
     width = view.apart[leaves]
     towards_fingers = float(width[along > _PAST_WRIST_MM * scale].sum())
     towards_elbow = float(width[along < 0.0].sum())
-    return towards_fingers > _WAY_OUT_MM * scale and towards_elbow == 0.0
+    return towards_fingers > _EXIT_WIDTH_MM * scale and towards_elbow == 0.0
 
 
 def _labels(view: View, predicted: PredictedHand, is_followed: bool) -> tuple[ImageArray, Arm, bool]:
@@ -176,7 +176,8 @@ def _labels(view: View, predicted: PredictedHand, is_followed: bool) -> tuple[Im
         offset = view.points[beyond].astype(np.float64) - predicted.wrist
         near = is_forearm(offset, -arm.direction, predicted.scale)
         labels[beyond] = np.where(near, Label.FOREARM, Label.BEYOND)
-    return labels, arm, arm.direction is not None and _goes_on(view, limb, arm, predicted.scale)
+    is_reversed = arm.direction is not None and _leaves_towards_fingers(view, limb, arm, predicted.scale)
+    return labels, arm, is_reversed
 
 
 def _limb(
@@ -194,11 +195,11 @@ def _limb(
     jump = jump_mm(view.apart)
     count, numbers = surface_labels(without_pinholes(view.depth, jump), jump)
     read = view.depth > 0
-    at_hand = read & _beside(view, silhouette, predicted, _VOTE_ASIDE_MM, _VOTE_MM, _VOTE_MM)
+    at_hand = read & _near_prediction(view, silhouette, predicted, _VOTE_ASIDE_MM, _VOTE_MM, _VOTE_MM)
     near = read & _within_reach(view.points, predicted)
     inside = np.bincount(numbers[at_hand & near], minlength=count)
     inside[0] = 0
-    own = inside > _LEAST_SHARE * np.bincount(numbers[near], minlength=count)
+    own = inside > _MIN_SHARE * np.bincount(numbers[near], minlength=count)
     merged = np.zeros(count, dtype=np.bool_)
     if inside.any():
         merged[int(np.argmax(inside))] = True
@@ -208,17 +209,17 @@ def _limb(
     if is_followed:
         others = np.where(read & ~limb, numbers, 0)
         fingers = _fingers(view, others, near, inside > 0, limb, jump, predicted.scale)
-    beside = _beside(view, silhouette, predicted, _ASIDE_MM, _IN_FRONT_MM, _BEHIND_MM)
+    near_hand = _near_prediction(view, silhouette, predicted, _ASIDE_MM, _IN_FRONT_MM, _BEHIND_MM)
     limb |= fingers[numbers] & read
-    return limb, limb & (np.where(merged[numbers], at_hand, beside) | fingers[numbers])
+    return limb, limb & (np.where(merged[numbers], at_hand, near_hand) | fingers[numbers])
 
 
-_FINGER_MM2, _LEAST_NEAR = 3000.0, 0.9
+_FINGER_MM2, _MIN_NEAR = 3000.0, 0.9
 """Largest area of a finger, for a hand of scale 1, and its smallest share within the hand's reach."""
-_LEAST_MM2, _LEAST_MM, _WIDEST_MM, _GAP_MM = 300.0, 30.0, 26.0, 10.0
+_MIN_MM2, _MIN_MM, _WIDEST_MM, _GAP_MM = 300.0, 30.0, 26.0, 10.0
 """Smallest area and length of an extended finger, its largest width, and its largest gap to the limb behind
 the rim of a nearer finger; for a hand of scale 1."""
-_MOST_BEHIND = 0.4
+_MAX_BEHIND = 0.4
 """Largest share of a finger behind its neighbours: about 0.15 where a thumb hides its base, but most of a
 background visible between two fingers."""
 
@@ -253,22 +254,22 @@ def _fingers(
         np.bincount(numbers[part], weights=view.apart[part] ** 2, minlength=len(at_prediction))
         for part in (numbers > 0, near & (numbers > 0))
     )
-    small = (whole < scale**2 * _FINGER_MM2) & (reached > _LEAST_NEAR * whole)
+    small = (whole < scale**2 * _FINGER_MM2) & (reached > _MIN_NEAR * whole)
     fingers: BoolArray = at_prediction & small
-    others = small & ~at_prediction & (whole > scale**2 * _LEAST_MM2)
+    others = small & ~at_prediction & (whole > scale**2 * _MIN_MM2)
     if others.any() and limb.any():
         gap_px = cv2.distanceTransform((~limb).astype(np.uint8), cv2.DIST_L2, 3)
-        beside = others[numbers] & (gap_px * view.apart < scale * _GAP_MM)
+        adjacent = others[numbers] & (gap_px * view.apart < scale * _GAP_MM)
         behind = behind_others(view.depth, jump)
-        for k in np.unique(numbers[beside]).tolist():
+        for k in np.unique(numbers[adjacent]).tolist():
             part = numbers == k
             length = extent_mm(view.points[part].astype(np.float64), float(view.apart[part].mean()))
-            is_slim = length > scale * _LEAST_MM and whole[k] < scale * _WIDEST_MM * length
-            fingers[k] = is_slim and bool(behind[part].mean() < _MOST_BEHIND)
+            is_slim = length > scale * _MIN_MM and whole[k] < scale * _WIDEST_MM * length
+            fingers[k] = is_slim and bool(behind[part].mean() < _MAX_BEHIND)
     return fingers
 
 
-def _beside(
+def _near_prediction(
     view: View,
     silhouette: Silhouette,
     predicted: PredictedHand,
@@ -278,8 +279,8 @@ def _beside(
 ) -> BoolArray:
     """Return the pixels near the predicted hand in image and depth; limits in mm, for a hand of scale 1."""
     scale, beyond = predicted.scale, view.depth - silhouette.depth
-    beside: BoolArray = silhouette.outside_px * view.apart < scale * aside
-    return beside & (beyond > -scale * in_front) & (beyond < scale * behind)
+    near: BoolArray = silhouette.outside_px * view.apart < scale * aside
+    return near & (beyond > -scale * in_front) & (beyond < scale * behind)
 
 
 def _within_reach(points: Float32Array, predicted: PredictedHand) -> BoolArray:
