@@ -27,7 +27,7 @@ DEPTH_WORD = "depth"
 STAMP = re.compile(r"[0-9]{1,20}(\.[0-9]{0,20})?([eE][+-]?[0-9]{1,2})?")
 # Smaller steps are image numbers: 0.1 ms would be 10,000 images per second.
 LEAST_STEP_NS = 100_000
-EXPECTED = "lines of a stamp and a file name"
+EXPECTED = "each line must have a stamp and a file name"
 
 
 @dataclass(frozen=True)

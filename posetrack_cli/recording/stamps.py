@@ -21,7 +21,7 @@ from posetrack_cli.units import NS_PER_S
 
 # timestamps.csv, fixed rates, and video
 STAMPS_FILE_NAME = "timestamps.csv"
-EXPECTED = "a CSV file in UTF-8"
+EXPECTED = "stamps must be a CSV file in UTF-8"
 EXPECTED_HEADER = "header 'stamp_ns' or 'time_s', optionally after 'filename'"
 STAMP_COLUMNS = ("stamp_ns", "time_s")
 SLOWEST_HZ, FASTEST_HZ = 1e-6, 1e6

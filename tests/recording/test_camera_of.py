@@ -373,7 +373,7 @@ def test_a_matrix_of_other_images_is_refused_with_the_scaled_one(folder: Callabl
         str(path),
         "at 1.5 times the image centre",
         "belong to 36x24 images",
-        "scale them: fx = 30, fy = 31",
+        "use the scaled values fx = 30, fy = 31",
     ):
         assert words in str(caught.value)
     (path / "camera.toml").write_text("width = 24\nheight = 16\nfx = 45.0\nfy = 46.5\ncx = 17.5\ncy = 11.5\n")

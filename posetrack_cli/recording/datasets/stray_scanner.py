@@ -45,7 +45,7 @@ LIKELY_SIZE = (1920, 1440)  # video size if there is no video
 UNTRUSTED = 0
 TIME, NUMBER, INTRINSICS = "timestamp", "frame", ("fx", "fy", "cx", "cy")
 IMAGE = re.compile(r"([0-9]{1,18})\.png")
-EXPECTED = "a CSV file in UTF-8"
+EXPECTED = "odometry must be a CSV file in UTF-8"
 
 
 def is_stray_scanner(path: Path) -> bool:

@@ -40,7 +40,7 @@ from posetrack_cli.recording.keypoints.layout import (
 )
 from posetrack_cli.tables import FRAME_FIELDS, LOST, NS_PER_UNIT, STATUS, Row, Table, TextFile, first_of
 
-KIND = "a CSV or JSON file in UTF-8"
+KIND = "keypoints must be a CSV or JSON file in UTF-8"
 _LONGER = "use JSON lines (.jsonl) or CSV for longer files"
 
 
