@@ -57,6 +57,7 @@ def displacements() -> FloatArray:
     """Return D (E, K, 3), mm."""
     found = np.zeros((len(ACTIONS), POINT_COUNT, 3))
     for action, (name, moved) in enumerate(_RIGHT_SIDE.items()):
+        # mirroring flips x; the left side of an asymmetric action moves against its mirror image
         mirror = np.array([-1.0, 1.0, 1.0]) * (-1.0 if name == _ONE_SIDED else 1.0)
         for point, one in zip(_RIGHT, moved, strict=True):
             found[action, point] = one
@@ -81,6 +82,7 @@ MEAN_STRENGTHS = np.array([0.15, 0.15, 0.15, 0.0, 0.2])
 
 abar is the mean of ten training actions: five of a mouth from round to wide, and five of brows from down to
 up with an opening jaw (4.2)."""
+# prior and noise are constant, so the estimate is a fixed linear map
 _PRECISIONS = np.repeat(_deviations_mm() ** -2, 3)
 _DIRECTIONS = displacements().reshape(len(ACTIONS), -1)
 _COVARIANCE = np.linalg.inv(_DIRECTIONS * _PRECISIONS @ _DIRECTIONS.T + np.eye(len(ACTIONS)) / USUAL**2)

@@ -40,6 +40,7 @@ def model_bytes(
         "points": list(POINT_NAMES),
         "cameras": [camera.name for camera in cameras],
     }
+    # sorted and uncompressed, for reproducible bytes
     arrays = {f"{_PREFIX}{name}": values for name, values in sorted(learned.items())}
     stream = BytesIO()
     np.savez(stream, **{_HEADER: np.array(json.dumps(header))}, **arrays)  # type: ignore[arg-type]
@@ -97,7 +98,7 @@ def read_model(path: Path) -> tuple[dict[str, Any], Learned]:
         contents = read_npz(data)
         header = json.loads(str(contents[_HEADER]))
         _check(header)
-    except PosetrackError:
+    except PosetrackError:  # it names the file already
         raise
     except OSError as error:
         raise ResultError("cannot be read", where=path, found=error.strerror or error) from error

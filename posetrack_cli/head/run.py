@@ -126,6 +126,7 @@ class HeadRun(TwoPassRun):
         """
         searched = self.tracker.not_found(state)
         if searched:
+            # examined only after a failure, because it costs detections in several orientations
             evidence = self._evidence or self._examine(self.sampled())
             raise NothingTrackedError(
                 "no face found",
@@ -187,6 +188,7 @@ def check_head_run(recording: Recording, options: HeadRunOptions) -> None:
     Raises:
         UsageError: an output may not be written, or result and model are the same file.
     """
+    # a resumed run continues its own files, so they may exist
     replace = options.overwrite or options.resume
     check_output(options.output, overwrite=replace, source=recording.path)
     if options.save_model is not None:

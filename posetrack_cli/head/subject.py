@@ -109,7 +109,7 @@ def head_subject(camera_frame: str, components: int, numbers: tuple[str, ...] | 
 
 
 def stereo_diagnostic_names(components: int) -> tuple[str, ...]:
-    """Return the names of the M = B + 3 + K + 2 E numbers, in the order of ``StereoDiagnostics.numbers``."""
+    """Return the M = B + 3 + K + 2 E names, in the order of ``StereoDiagnostics.numbers``."""
     return (
         *(f"eigenvalue_{b + 1}_mm2" for b in range(components)),
         "contribution_ratio",
@@ -155,7 +155,7 @@ def mono_subject(camera_frame: str, model: FaceModel) -> Subject:
 
 
 def mono_diagnostic_names(identities: int) -> tuple[str, ...]:
-    """Return the names of the M = 2 S' + 7 + K + 2 E numbers, in the order of ``MonoDiagnostics.numbers``."""
+    """Return the M = 2 S' + 7 + K + 2 E names, in the order of ``MonoDiagnostics.numbers``."""
     return (
         *(f"identity_{s + 1}" for s in range(identities)),
         *(f"identity_spread_{s + 1}" for s in range(identities)),

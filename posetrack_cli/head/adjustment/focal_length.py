@@ -67,6 +67,7 @@ def fit_focal_length(
     """
     fits = _FocalFits(adjuster, iterations)
     fits.known[0] = adjuster.adjust(views, person, iterations=2 * iterations, wide=True)
+    # outwards from the camera's focal length, each fit starting from its neighbour
     for i in range(COARSE, ENDS + 1, COARSE):
         fits.fit(i - COARSE, i)
         fits.fit(COARSE - i, -i)
@@ -136,8 +137,8 @@ def _at_scaled_depth(view: PointView, factor: float) -> PointView:
 def _summary(fits: _FocalFits) -> FocalCheck:
     best = fits.best
     costs = {at: fit.cost / _variance(fits.known[best]) for at, fit in fits.known.items()}
-    beside = costs.get(best - 1, np.inf) + costs.get(best + 1, np.inf)
-    curvature = (beside - 2.0 * costs[best]) / STEP**2
+    neighbours = costs.get(best - 1, np.inf) + costs.get(best + 1, np.inf)
+    curvature = (neighbours - 2.0 * costs[best]) / STEP**2
     deviation = 1.0 / np.sqrt(curvature) if np.isfinite(curvature) and curvature > 0.0 else np.inf
     return FocalCheck(float(np.exp(STEP * best)), costs[0] - costs[best], float(deviation))
 

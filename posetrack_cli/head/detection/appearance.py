@@ -74,6 +74,7 @@ def histograms(grey: ImageArray) -> Float32Array:
     strength, place = length / around, turn * np.float32(BINS / (2.0 * np.pi))
     found = np.empty((BINS, *grey.shape), dtype=np.float32)
     for number in range(BINS):
+        # linear interpolation between neighbouring orientations, cyclic
         away = np.abs(place - np.float32(number))
         share = np.maximum(1.0 - np.minimum(away, BINS - away), 0.0)
         found[number] = cv2.GaussianBlur(share * strength, (0, 0), SPREAD)
@@ -142,5 +143,5 @@ def _checked(arrays: Arrays) -> Appearance:
 
 def mirrored_weights(weights: Float32Array) -> Float32Array:
     """Return mirrored weights (BINS, TAPS, TAPS): an orientation a becomes pi - a."""
-    turned = (BINS // 2 - np.arange(BINS)) % BINS
+    turned = (BINS // 2 - np.arange(BINS)) % BINS  # bins are centred at multiples of 2 pi / BINS
     return np.ascontiguousarray(weights[turned][:, :, ::-1])

@@ -70,6 +70,7 @@ class FaceDetector:
             guesses = find_rotated(self._finder, image, (roll,))
         else:
             guesses = self._finder.find(image)
+        # rotated images only if needed: each costs as much as the upright one
         if roll is None and len(self._sure(guesses)) < wanted:
             guesses = find_rotated(self._finder, image, (0.0, *ROTATIONS))
         found = [find_points(image, guess, self._appearance) for guess in self._sure(guesses)[: limits.FACES]]

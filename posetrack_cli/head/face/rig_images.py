@@ -124,7 +124,7 @@ NO_LENS = np.eye(2, 3)
 def _lens(camera: Camera, points: FloatArray) -> FloatArray:
     """Return (K, 2, 3) the lens linearised at the projections of points (K, 3)."""
     local = in_camera_axes(camera, points)
-    z = np.where(local[:, 2] > 0.0, local[:, 2], 1.0)
+    z = np.where(local[:, 2] > 0.0, local[:, 2], 1.0)  # no division by 0; points behind are invalid anyway
     x, y = local[:, 0] / z, local[:, 1] / z
     a, b, c, d = distortion_jacobian(camera, x, y)
     u, v = distort(camera, x, y)

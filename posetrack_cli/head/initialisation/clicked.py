@@ -135,6 +135,7 @@ def _lookup(name: str, names: Sequence[str], kind: str, where: str) -> int:
 
 def _pixel(x: str, y: str, camera: Camera, where: str) -> FloatArray:
     pixel = np.array([number_of(cell, where, UsageError) for cell in (x, y)])
+    # pixel centres have integer coordinates, so the image extends by half a pixel; also rejects NaN
     if not (np.all(pixel >= -0.5) and np.all(pixel < np.array([camera.width, camera.height]) - 0.5)):
         raise PosetrackError(
             "pixel outside the image",

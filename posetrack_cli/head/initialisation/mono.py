@@ -185,6 +185,7 @@ class MonoInitialiser:
         settings = self._config.adjustment
         score = float(np.mean([face.score for face in detected]))
         misfit = float(np.median([face.misfit for face in detected]))
+        # before the adjustment, whose offsets could fit any points
         if misfit > MOST_RESIDUAL:
             return InitFailure(_unlike(misfit), score)
         adjusted = self._adjuster.adjust(
@@ -217,7 +218,7 @@ class MonoInitialiser:
         return self._model.of_person(start.person.identity, start.person.offsets).mean
 
     def _view(self, face: DetectedFace) -> PointView:
-        """Return a frame for the adjustment, its points weighted by their noise relative to tracked ones."""
+        """Return a frame for the adjustment, with weights from the noise relative to tracked points."""
         noise = np.full(POINT_COUNT, self._config.start.pixel_sd)
         if self._landmarks is not None:
             noise = np.maximum(noise, self._landmarks.noise_px / self._config.adjustment.pixel_sd.values)
@@ -265,6 +266,7 @@ def slope_deviation(pixels: FloatArray, camera: Camera) -> float:
     along = segments.sum(axis=0) / max(float(np.linalg.norm(segments.sum(axis=0))), 1e-12)
     across = segments @ along
     angles = np.arctan2(segments[:, 1] * along[0] - segments[:, 0] * along[1], across)
+    # the variance of a segment's angle is inversely proportional to its squared length
     weights = lengths**2 / np.sum(lengths**2)
     return float(np.sqrt(weights @ (angles - weights @ angles) ** 2))
 

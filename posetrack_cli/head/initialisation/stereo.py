@@ -140,6 +140,7 @@ class StereoAttempt:
             return InitFailure("fewer than two cameras have an image")
         detections: dict[int, Detection] = {}
         failures = [InitFailure(NO_FACE)]
+        # stable sort with the reference camera first
         for camera in sorted(present, key=lambda c: not is_reference(cameras[c])):
             detections[camera] = detector.detect(required(self.views[camera]).image)
             failures.append(InitFailure(NO_FACE, detections[camera].best_score))
@@ -166,13 +167,13 @@ class StereoAttempt:
         pixels, correlations = self._matched(camera, clicked[camera], scale, FEATURES @ rotation[2])
         given = ~np.isnan(clicked[..., 0])
         pixels[given] = clicked[given]
-        correlations[given.sum(axis=0) > 1] = 1.0
+        correlations[given.sum(axis=0) > 1] = 1.0  # clicked in several images, so not matched
         return self.from_pixels(camera, pixels, correlations)
 
     def from_pixels(
         self, camera: int, pixels: FloatArray, correlations: FloatArray
     ) -> StereoInitialisation | InitFailure:
-        """Triangulate points at pixels (C, K, 2), NaN where not found, and check that they form a face.
+        """Triangulate points at pixels (C, K, 2), NaN if not found; check that they form a face.
 
         Args:
             camera: index of a camera with all points.

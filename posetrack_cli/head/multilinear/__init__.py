@@ -1,1 +1,1 @@
-"""Faces of many people in many expressions: a model that keeps who it is apart from what the face does."""
+"""Multilinear face model: separate parameters for the identity and the expression of a face."""

@@ -1,7 +1,7 @@
-"""From the shapes of several people to the separated model of identity and deformation (thesis, 4.2).
+"""Construction of the multilinear face model from the shapes of several people (thesis, 4.2).
 
-A tensor's mode is the number of an axis. A tensor is unfolded along mode n into a matrix with a row for each
-index of that axis; its columns run over the other axes in their order, the last one fastest.
+A tensor's mode is the number of an axis. Unfolding a tensor along mode n gives a matrix with a row for each
+index of that axis; its columns run over the other axes in order, the last one fastest.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from posetrack_cli.head.face.points import BROWS, EYES, MEAN_SHAPE, MIRRORED, MO
 from posetrack_cli.head.multilinear.face_model import FaceModel
 
 SWEEPS = 200
-"""Most sweeps of ``hooi``."""
+"""Maximum number of sweeps of ``hooi``."""
 CONVERGED = 1e-13
-"""Share of a tensor's square by which a sweep must improve its approximation for another to follow."""
+"""Minimum improvement of a sweep, relative to the tensor's square."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +26,7 @@ class Decomposition:
     """T ~ C x_n U_n over the decomposed modes, (4.7), (4.10); other modes stay in the core, (4.12).
 
     Attributes:
-        core: C, as long along each decomposed mode as its basis has columns.
+        core: C, with the number of basis vectors along each decomposed mode.
         bases: U_n (I_n, J_n) by mode, with orthonormal columns.
     """
 
@@ -34,7 +34,7 @@ class Decomposition:
     bases: Mapping[int, FloatArray]
 
     def tensor(self) -> FloatArray:
-        """Return the tensor that is described."""
+        """Return the represented tensor."""
         return _products(self.core, self.bases)
 
 
@@ -45,45 +45,45 @@ def unfold(tensor: FloatArray, mode: int) -> FloatArray:
 
 
 def mode_product(tensor: FloatArray, matrix: FloatArray, mode: int) -> FloatArray:
-    """Return the tensor with a matrix (J, I_n) applied along a mode, Y_(n) = C X_(n), (4.1), (4.2)."""
+    """Apply a matrix (J, I_n) along a mode, Y_(n) = C X_(n), (4.1), (4.2)."""
     product: FloatArray = np.moveaxis(np.tensordot(matrix, tensor, axes=(1, mode)), 0, mode)
     return product
 
 
 def singular_values(tensor: FloatArray, mode: int) -> FloatArray:
-    """Return the singular values of a tensor along a mode, descending: how much each basis vector carries."""
+    """Return the singular values of a tensor along a mode, descending."""
     values: FloatArray = np.linalg.svd(unfold(tensor, mode), full_matrices=False)[1]
     return values
 
 
 def truncated_svd(tensor: FloatArray, ranks: Mapping[int, int]) -> Decomposition:
-    """Return the N-mode SVD with so many leading basis vectors of each mode, (4.8)-(4.10).
+    """Return the N-mode SVD with the leading basis vectors of each mode, (4.8)-(4.10).
 
     Exact at full rank. Not the best approximation of its ranks: see ``hooi``.
 
     Args:
         tensor: T.
-        ranks: J_n by mode; modes that are not named are not decomposed.
+        ranks: J_n by mode; other modes are not decomposed.
     """
     bases = {mode: _leading(unfold(tensor, mode), rank) for mode, rank in ranks.items()}
     return Decomposition(_projected(tensor, bases), bases)
 
 
 def hooi(tensor: FloatArray, ranks: Mapping[int, int]) -> Decomposition:
-    """Return a better approximation of the same ranks, by alternating least squares.
+    """Improve the truncated SVD by alternating least squares (HOOI).
 
     De Lathauwer et al., "On the best rank-1 and rank-(R1, R2, ..., RN) approximation of higher-order
-    tensors", 2000 (reference [23] of the thesis). Each basis in turn becomes the best one while the others
-    are held, so that no sweep makes the approximation worse and the first is no worse than
-    ``truncated_svd``.
+    tensors", 2000 (reference [23] of the thesis). Each basis in turn is optimised while the others are fixed,
+    so the approximation is never worse than ``truncated_svd``.
 
     Args:
         tensor: T.
-        ranks: J_n by mode; modes that are not named are not decomposed.
+        ranks: J_n by mode; other modes are not decomposed.
     """
     bases = dict(truncated_svd(tensor, ranks).bases)
     square, kept = float(np.sum(tensor**2)), 0.0
     for _ in range(SWEEPS):
+        # the kept square can only increase, as each basis is optimal for the others
         for mode, rank in ranks.items():
             others = {other: basis for other, basis in bases.items() if other != mode}
             bases[mode] = _leading(unfold(_projected(tensor, others), mode), rank)
@@ -94,7 +94,10 @@ def hooi(tensor: FloatArray, ranks: Mapping[int, int]) -> Decomposition:
 
 
 def _leading(matrix: FloatArray, rank: int) -> FloatArray:
-    """The first left singular vectors (I_n, rank) of X_(n); the largest entry of each is positive."""
+    """Return the leading left singular vectors (I_n, rank) of X_(n).
+
+    The sign of a singular vector is arbitrary; the largest entry is made positive.
+    """
     vectors: FloatArray = np.linalg.svd(matrix, full_matrices=False)[0][:, :rank]
     largest = np.take_along_axis(vectors, np.argmax(np.abs(vectors), axis=0)[None], axis=0)
     signed: FloatArray = vectors * np.where(largest < 0.0, -1.0, 1.0)
@@ -114,17 +117,17 @@ def _products(tensor: FloatArray, matrices: Mapping[int, FloatArray]) -> FloatAr
 PEOPLE, ACTIONS = 0, 1
 """Modes of the data tensor (2S, A, K, 3)."""
 LEAST_DEVIATION = 1e-4
-"""Least standard deviation of a parameter, of its root mean square."""
+"""Minimum standard deviation of a parameter, relative to its root mean square."""
 RANK_TOLERANCE = 1e-9
-"""Singular values below this share of the largest are rounding."""
+"""Singular values below this share of the largest are rounding errors."""
 
 
 @dataclass(frozen=True, eq=False)
 class BuiltModel:
-    """A model and what it was built from.
+    """A model with its training data.
 
     Attributes:
-        model: of which ``identities`` and ``deformations`` are parameters.
+        model: face model with parameters ``identities`` and ``deformations``.
         samples: (2S, A, K, 3) symmetric shapes, mm: those of the right halves, then those of the left.
         identities: (2S, S') s of each sample, the rows of U_shape.
         deformations: (A, A') a of each action, the rows of U_action.
@@ -138,12 +141,12 @@ class BuiltModel:
     spectra: tuple[FloatArray, FloatArray]
 
     def approximations(self) -> FloatArray:
-        """Return what the model makes of the samples (2S, A, K, 3), mm, (4.14)."""
+        """Return the model's reconstruction of the samples (2S, A, K, 3), mm, (4.14)."""
         return self.model.shapes(self.identities[:, None], self.deformations[None])
 
 
 def build_model(shapes: FloatArray, identity: int = 10, deformation: int = 5) -> BuiltModel:
-    """Separate who a face is from what it does, (4.11)-(4.15).
+    """Separate identity and deformation of faces, (4.11)-(4.15).
 
     Args:
         shapes: (S, A, K, 3) of each person in each action, mm in the head's frame.
@@ -168,13 +171,13 @@ def build_model(shapes: FloatArray, identity: int = 10, deformation: int = 5) ->
 def add_deformation(
     built: BuiltModel, displacement: FloatArray, sizes: FloatArray, deviation: float
 ) -> BuiltModel:
-    """Return the model with one more deformation parameter a, that halves of faces cannot show **[ours]**.
+    """Add a deformation parameter a that symmetrised faces cannot contain **[ours]**.
 
-    M = ... + a (c^T s) D, where c^T s is the size of the person as nearly as s tells it. No sample does any
-    of it: abar and the rows of U_action are 0 there.
+    M = ... + a (c^T s) D, where c^T s predicts the size of the person from s. The samples do not contain it:
+    abar and the rows of U_action are 0 there.
 
     Args:
-        built: without it.
+        built: model without it.
         displacement: D (K, 3), mm, for a = 1 of a face of size 1.
         sizes: (2S,) of the samples' people, 1 on average.
         deviation: sigma_a.
@@ -192,26 +195,26 @@ def add_deformation(
 
 
 def possible_ranks(shapes: FloatArray) -> tuple[int, int]:
-    """Return the most S' and A' that shapes (S, A, K, 3) have anything to say about."""
+    """Return the largest S' and A' supported by shapes (S, A, K, 3)."""
     tensor = _data(shapes)[2]
     return _rank(singular_values(tensor, PEOPLE)), _rank(singular_values(tensor, ACTIONS))
 
 
 def mirrored(shapes: FloatArray) -> FloatArray:
-    """Return shapes (..., K, 3) as a mirror shows them: left and right are exchanged."""
+    """Return mirrored shapes (..., K, 3), with left and right points exchanged."""
     image: FloatArray = shapes[..., MIRRORED, :] * np.array([-1.0, 1.0, 1.0])
     return image
 
 
 def symmetric_halves(shapes: FloatArray) -> FloatArray:
-    """Return the symmetric faces (2, ..., K, 3) of the right and of the left halves of shapes (..., K, 3)."""
+    """Return symmetric faces (2, ..., K, 3) from the right and the left halves of shapes (..., K, 3)."""
     images = mirrored(shapes)
     right = (MEAN_SHAPE[:, 0] < 0.0)[:, None]
     return np.stack([np.where(right, shapes, images), np.where(right, images, shapes)])
 
 
 def _data(shapes: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Symmetric samples (2S, A, K, 3), their mean (K, 3), and the data tensor, the samples without it."""
+    """Return symmetric samples (2S, A, K, 3), their mean (K, 3), and the centred data tensor."""
     samples = symmetric_halves(shapes).reshape(-1, *shapes.shape[1:])
     mean: FloatArray = samples.mean(axis=(PEOPLE, ACTIONS))
     return samples, mean, samples - mean
@@ -228,12 +231,12 @@ def _deviations(rows: FloatArray) -> FloatArray:
 
 
 def _along_means(found: Decomposition) -> Decomposition:
-    """The same decomposition with bases turned so that the rows' elements are not correlated **[ours]**.
+    """Rotate the bases so that the rows' elements are uncorrelated **[ours]**.
 
-    A basis is free up to a rotation, which the core undoes. As its columns are orthonormal, its rows have
-    the covariance 1 / n - m m^T about their mean m: diagonal where m lies along the first axis. Then
-    the standard deviations say all that the first two moments can. The other axes are sorted by what they
-    carry.
+    A basis is determined only up to a rotation, which the core compensates. With orthonormal columns, the
+    rows have the covariance 1 / n - m m^T about their mean m, which is diagonal if m lies along the first
+    axis. Standard deviations then describe the first two moments completely. The other axes are sorted by
+    singular value.
     """
     core, bases = found.core, dict(found.bases)
     for mode, basis in found.bases.items():
@@ -244,10 +247,10 @@ def _along_means(found: Decomposition) -> Decomposition:
 
 
 def _to_mean(basis: FloatArray, core: FloatArray, mode: int) -> FloatArray:
-    """(J, J) orthonormal: the mean row's direction, then those that carry most of what is left."""
+    """Return (J, J) orthonormal: the mean row's direction, then the leading directions of the rest."""
     mean = basis.mean(axis=0)
     length = float(np.linalg.norm(mean))
-    if length < np.sqrt(np.finfo(float).eps):
+    if length < np.sqrt(np.finfo(float).eps):  # no mean direction: the rows are uncorrelated already
         return np.eye(len(mean))
     first = mean / length
     rows = np.moveaxis(core, mode, 0).reshape(len(mean), -1)
@@ -261,7 +264,7 @@ KINDS: Mapping[str, slice] = {"eyes": EYES, "mouth": MOUTH, "nostrils": NOSTRILS
 
 
 def distances_by_kind(differences: FloatArray) -> dict[str, float]:
-    """Return the root mean square distance, mm, of each kind of point and of ``all``.
+    """Return the RMS distance, mm, of each kind of point and of ``all``.
 
     Args:
         differences: (..., K, 3) mm.
@@ -272,7 +275,7 @@ def distances_by_kind(differences: FloatArray) -> dict[str, float]:
 
 
 def cumulative_contribution(spectrum: FloatArray) -> FloatArray:
-    """Return the share, 0 to 1, of a tensor's square that the first 1, 2, ... singular values hold."""
+    """Return the share, 0 to 1, of a tensor's square in the first 1, 2, ... singular values."""
     squares = np.square(spectrum)
     shares: FloatArray = np.cumsum(squares) / np.sum(squares)
     return shares

@@ -1,4 +1,4 @@
-"""The separated model of identity and deformation (thesis, 4.2), its files, and the one that is shipped."""
+"""Multilinear model of identity and deformation (thesis, 4.2), and its file format."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from posetrack_cli.outputs import whole_or_nothing
 class FaceModel:
     """M = Mbar + C x_shape s^T x_action a^T, (4.15).
 
-    Identity s and deformation a have no unit; their distribution over the people and actions that the model
-    was built from is taken for normal.
+    Identity s and deformation a have no unit; their distribution over the training people and actions is
+    assumed normal.
 
     Attributes:
         mean: (K, 3) Mbar, mm in the head's frame.
@@ -59,14 +59,14 @@ class FaceModel:
         return shapes
 
     def of_person(self, identity: FloatArray, offsets: FloatArray | None = None) -> ShapeModel:
-        """Return how one person's face deforms, (4.38), (4.39).
+        """Return the shape model of one person, (4.38), (4.39).
 
-        Its coefficients are a - abar, so that 0 is the mean deformation: with the deviations sigma_a their
-        prior is that of (4.41).
+        Its coefficients are a - abar, so that 0 is the mean deformation, and the deviations sigma_a give the
+        prior of (4.41).
 
         Args:
             identity: (S,) s.
-            offsets: (K, 3) mm, how far each image feature lies from the model's point; none without.
+            offsets: (K, 3) mm, offset of each image feature from the model's point; zero by default.
         """
         basis: FloatArray = np.einsum("kisa,s->kia", self.core, identity)
         mean = self.mean + basis @ self.deformation_mean
@@ -79,15 +79,15 @@ SHIPPED = Path(__file__).with_name("default.npz")
 """Built by ``scripts/build face-model`` from statistics of ICT-FaceKit (USC ICT, MIT licence)."""
 _HEADER = "header"
 _LARGEST = 1e9
-"""Of coordinates, mm, and of parameters; no deviation is smaller than its reciprocal."""
+"""Limit on coordinates, mm, and parameters; its reciprocal is the smallest standard deviation."""
 
 
 def load_face_model(path: Path | None = None) -> FaceModel:
-    """Read a face model; none is the shipped one.
+    """Read a face model, by default the shipped one.
 
     Raises:
         UsageError: the file does not exist.
-        ResultError: it is no face model, or damaged.
+        ResultError: not a face model, or damaged.
     """
     path = SHIPPED if path is None else path
     if not path.is_file():
@@ -100,23 +100,23 @@ def load_face_model(path: Path | None = None) -> FaceModel:
         raise ResultError("cannot be read", where=path, found=error.strerror or error) from error
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise ResultError(
-            "is no face model",
+            "not a face model",
             where=path,
             found=_message(error),
-            expected="what posetrack head build-model wrote",
+            expected="a file written by posetrack head build-model",
         ) from error
 
 
 def save_face_model(path: Path, model: FaceModel, source: str) -> None:
-    """Write a face model, whole or not at all; the same bytes for the same model.
+    """Write a face model atomically; equal models give equal bytes.
 
     Args:
         path: the file.
         model: to write.
-        source: what it was built from, in words, for the file's header.
+        source: description of the training data, for the file's header.
 
     Raises:
-        ResultError: it cannot be written.
+        ResultError: the file cannot be written.
     """
     header = {"format": FORMAT, "version": VERSION, "source": source, "points": list(POINT_NAMES)}
     arrays = {name: getattr(model, name) for name in sorted(_shapes(0, 0))}
@@ -139,43 +139,43 @@ def _shapes(identity: int, deformation: int) -> dict[str, tuple[int, ...]]:
 
 def _check_header(header: Any) -> None:
     if not isinstance(header, dict):
-        raise ValueError(f"a header that is a {type(header).__name__}")
+        raise ValueError(f"header of type {type(header).__name__}")
     if header.get("format") != FORMAT:
         raise ValueError(f"format {header.get('format')}")
     if header.get("version") != VERSION:
-        raise ValueError(f"version {header.get('version')} of the format")
+        raise ValueError(f"format version {header.get('version')}")
     if tuple(header.get("points", ())) != POINT_NAMES:
-        raise ValueError("other feature points")
+        raise ValueError("different feature points")
 
 
 def _checked(arrays: Mapping[str, np.ndarray[Any, Any]]) -> FaceModel:
     core = arrays["core"]
     if core.ndim != 4 or 0 in core.shape:
-        raise ValueError(f"array 'core' of shape {core.shape}")
+        raise ValueError(f"array 'core' has shape {core.shape}")
     if max(core.shape[2:]) > limits.FACE_PARAMETERS:
         raise ValueError(
-            f"array 'core' of {core.shape}, at most {limits.FACE_PARAMETERS} parameters of a kind"
+            f"array 'core' has shape {core.shape}, at most {limits.FACE_PARAMETERS} parameters of a kind"
         )
     expected = _shapes(*core.shape[2:])
     for name, shape in expected.items():
         array = arrays[name]
         if array.dtype.kind != "f" or array.shape != shape:
-            raise ValueError(f"array '{name}' as {array.dtype} {array.shape} beside 'core' of {core.shape}")
+            raise ValueError(f"array '{name}' is {array.dtype} {array.shape}, with 'core' of {core.shape}")
         _check_values(name, array)
     return FaceModel(**{name: arrays[name].astype(np.float64) for name in expected})
 
 
 def _check_values(name: str, array: np.ndarray[Any, Any]) -> None:
-    """Refuse values of no face: squares and quotients of those that are left are numbers, too."""
+    """Reject implausible values, so that squares and quotients of the others are finite."""
     if not np.all(np.isfinite(array)):
-        raise ValueError(f"array '{name}' with values that are not finite")
+        raise ValueError(f"array '{name}' has non-finite values")
     if name.endswith("deviations") and np.any(array <= 0.0):
-        raise ValueError(f"array '{name}' with values that are not above 0")
+        raise ValueError(f"array '{name}' has values that are not above 0")
     largest = float(np.abs(array).max())
     if largest > _LARGEST or (name.endswith("deviations") and float(array.min()) < 1.0 / _LARGEST):
-        raise ValueError(f"array '{name}' with values far beyond a face's")
+        raise ValueError(f"array '{name}' has implausible values")
 
 
 def _message(error: Exception) -> str:
-    """The error's words; a KeyError's are only a name."""
-    return f"no array {error}" if isinstance(error, KeyError) else str(error)
+    """Return the error's text; a KeyError contains only the name."""
+    return f"array {error} is missing" if isinstance(error, KeyError) else str(error)

@@ -1,7 +1,7 @@
-"""From the faces that stereo results saw to a model of them (thesis, 4.2.2 and figure 4.4).
+"""Learning a face model from stereo results (thesis, 4.2.2 and figure 4.4).
 
-Each person shows two motions in frames of any order. Each motion has a distance l in the face; its rate is
-r = (l - l_min) / (l_max - l_min), and the model is built of the shapes at even rates.
+Each person shows two motions in frames of any order. Each motion changes a distance l in the face; its rate
+is r = (l - l_min) / (l_max - l_min), and the model is built from the shapes at evenly spaced rates.
 """
 
 from __future__ import annotations
@@ -26,24 +26,24 @@ from posetrack_cli.results.reader import Result, read_result
 
 TRACKER = "head-stereo"
 LEAST_WEIGHT = 0.05
-"""[ours] A frame counts if every point of it counted more than this for the tracker."""
+"""[ours] A frame is used if every point has a higher weight in the tracker."""
 LEAST_FRAMES = 30
 MOST_SHIFT_MM = 4.0
-"""[ours] How far the mouth's corners may move other than symmetrically."""
+"""[ours] Maximum asymmetric motion of the mouth corners."""
 _RIGHT_CORNER = POINT_NAMES.index("right_mouth_corner")
 _FIELDS = ("status", "position", "quaternion", "points", NUMBERS)
 
 
 @dataclass(frozen=True, eq=False)
 class ObservedFace:
-    """One person's face in the frames that can be relied on.
+    """One person's face in the usable frames.
 
     Attributes:
-        path: the result.
-        frames: of the result.
-        shapes: (N, K, 3) recalculated points M', mm in the head's frame; the mean of the eye corners is its
+        path: of the result.
+        frames: number of frames of the result.
+        shapes: (N, K, 3) refined points M', mm in the head's frame, with the mean of the eye corners as
             origin.
-        losses: what could not be read of the result.
+        losses: parts of the result that could not be read.
     """
 
     path: Path
@@ -56,8 +56,8 @@ def read_face(path: Path) -> ObservedFace:
     """Read a result of ``posetrack head stereo``.
 
     Raises:
-        UsageError: it is another tracker's.
-        ResultError: it cannot be read, or has too few frames that can be relied on.
+        UsageError: a result of another tracker.
+        ResultError: the result cannot be read, or has too few usable frames.
     """
     result = read_result(path)
     _check_tracker(result)
@@ -67,7 +67,7 @@ def read_face(path: Path) -> ObservedFace:
     shapes = _symmetric_only(_centred(in_object(columns["points"][used], *place)))
     if len(shapes) < LEAST_FRAMES:
         raise ResultError(
-            "too few frames show all of the face",
+            "too few frames show the whole face",
             where=path,
             found=f"{len(shapes)} of {len(used)}",
             expected=f"{LEAST_FRAMES} or more",
@@ -80,33 +80,33 @@ def _check_tracker(result: Result) -> None:
     if (result.subject.name, tracker) == (HEAD, TRACKER) and result.subject.point_names == POINT_NAMES:
         return
     raise UsageError(
-        "faces cannot be learned from this result",
+        "cannot learn a face model from this result",
         where=result.path,
-        found=f"one of '{tracker or result.subject.name}'",
-        expected="one of posetrack head stereo, which sees shapes without a model",
+        found=f"a result of '{tracker or result.subject.name}'",
+        expected="a result of posetrack head stereo, which measures shapes without a model",
     )
 
 
 def _usable_frames(
     columns: Columns, number_names: Sequence[str]
 ) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    """(N,) tracked, with every point seen; where the result states no weights, tracked."""
+    """Return (N,) tracked frames with all points visible; results without weights count as visible."""
     tracked = columns["status"] == Status.TRACKING.value
     rows = [
         number_names.index(f"{WEIGHT}{name}") for name in POINT_NAMES if f"{WEIGHT}{name}" in number_names
     ]
-    hidden = np.any(columns[NUMBERS][:, rows] < LEAST_WEIGHT, axis=1)  # what is not known is no reason
+    hidden = np.any(columns[NUMBERS][:, rows] < LEAST_WEIGHT, axis=1)  # False for NaN, an unknown weight
     good: np.ndarray[tuple[int], np.dtype[np.bool_]] = tracked & ~hidden
     return good
 
 
 def _centred(shapes: FloatArray) -> FloatArray:
-    """With the mean of the eye corners at the origin over the recording: in a frame, they blink."""
+    """Move the mean of the eye corners to the origin, by its median over frames because of blinks."""
     return shapes - np.median(shapes[:, EYES].mean(axis=1), axis=0) if len(shapes) else shapes
 
 
 def _symmetric_only(shapes: FloatArray) -> FloatArray:
-    """The frames in which both corners of the mouth do the same, as in the model **[ours]**."""
+    """Return the frames in which both mouth corners move symmetrically, as in the model **[ours]**."""
     if not len(shapes):
         return shapes
     one_sided = 0.5 * (shapes - mirrored(shapes))[:, _RIGHT_CORNER]
@@ -125,8 +125,8 @@ class LearnedModel:
     Attributes:
         built: the model and its samples.
         faces: S people.
-        examples: what each of them does, motion by motion.
-        possible: the most identity and deformation parameters that their faces tell of.
+        examples: each person's motions.
+        possible: largest numbers of identity and deformation parameters that the faces support.
     """
 
     built: BuiltModel
@@ -136,15 +136,15 @@ class LearnedModel:
 
 
 def learn_model(faces: Sequence[ObservedFace], identity: int, deformation: int) -> LearnedModel:
-    """Build a model from several people; with fewer parameters than asked where the faces tell of no more.
+    """Build a model from several people, with fewer parameters if the faces do not support more.
 
     Raises:
         UsageError: there are too few people.
-        ResultError: one of them shows too little.
+        ResultError: a person shows too little motion.
     """
     if len(faces) < LEAST_PEOPLE:
         raise UsageError(
-            "too few people", found=len(faces), expected=f"results of {LEAST_PEOPLE} or more, one of each"
+            "too few people", found=len(faces), expected=f"results of {LEAST_PEOPLE} or more people, one each"
         )
     examples = tuple(examples_of(face) for face in faces)
     shapes = np.stack([np.concatenate([motion.shapes for motion in motions]) for motions in examples])
@@ -156,12 +156,12 @@ def learn_model(faces: Sequence[ObservedFace], identity: int, deformation: int) 
 RATES = np.linspace(0.0, 1.0, 5)
 MOTIONS = ("mouth sideways", "whole face up and down")
 NEAR_MM = 2.0
-"""[ours] A motion is at rest where its distance is so near that of the neutral face."""
+"""[ours] A motion is at rest if its distance is within this of the neutral face."""
 ENDS = (3.0, 97.0)
-"""[ours] Percentiles of a distance that count as l_min and l_max: no outlier does."""
+"""[ours] Percentiles of a distance used as l_min and l_max, which excludes outliers."""
 LEAST_RANGE_MM = 5.0
 LEAST_AT_RATE, LEAST_VISITED = 3, 3
-"""[ours] A rate was visited in so many frames; a motion in so many rates."""
+"""[ours] Minimum number of frames for a rate, and of rates for a motion."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,8 +170,8 @@ class MotionExamples:
 
     Attributes:
         lowest, highest: l_min and l_max, mm.
-        counts: (R,) frames at each of ``RATES``; between those with fewer than ``LEAST_AT_RATE`` and their
-            neighbours the shapes are interpolated.
+        counts: (R,) frames at each of ``RATES``; shapes at rates with fewer than ``LEAST_AT_RATE`` are
+            interpolated.
         shapes: (R, K, 3) mm.
     """
 
@@ -182,10 +182,10 @@ class MotionExamples:
 
 
 def examples_of(face: ObservedFace) -> tuple[MotionExamples, ...]:
-    """Return what a person does in each of ``MOTIONS``.
+    """Return a person's examples of each of ``MOTIONS``.
 
     A frame belongs to the motion whose distance differs more from the neutral face's **[ours]**: a smile
-    shortens the face, and an open jaw narrows the mouth, but by less.
+    shortens the face and an open jaw narrows the mouth, but by less.
 
     Raises:
         ResultError: the person shows too little of a motion.
@@ -193,7 +193,7 @@ def examples_of(face: ObservedFace) -> tuple[MotionExamples, ...]:
     distances = _distances(face.shapes)
     away = np.abs(distances - np.array([neutral_of(values) for values in distances])[:, None])
     at_rest = away.max(axis=0) < NEAR_MM
-    moving = away.argmax(axis=0)
+    moving = away.argmax(axis=0)  # a frame at rest is an example of every motion
     chosen = [(moving == number) | at_rest for number in range(len(MOTIONS))]
     return tuple(
         _examples(face, name, face.shapes[rows], values[rows])
@@ -202,9 +202,9 @@ def examples_of(face: ObservedFace) -> tuple[MotionExamples, ...]:
 
 
 def neutral_of(distances: FloatArray) -> float:
-    """Return the distance of a face at rest: the median of the shortest interval that holds half of (N,).
+    """Return the distance of a face at rest: the median of the shortest interval with half of (N,).
 
-    It is where a face is most often, also where it moves to one side only.
+    It is the most frequent distance, even if the face only moves to one side.
     """
     ordered = np.sort(distances)
     half = (len(ordered) + 1) // 2
@@ -213,7 +213,7 @@ def neutral_of(distances: FloatArray) -> float:
 
 
 def _distances(shapes: FloatArray) -> FloatArray:
-    """(motions, N) mm: between the mouth's corners, and from the brows to the mouth."""
+    """Return (motions, N) mm: between the mouth corners, and from the brows to the mouth."""
     right, left = np.moveaxis(shapes[:, MOUTH], 1, 0)
     down = shapes[:, BROWS].mean(axis=1) - shapes[:, MOUTH].mean(axis=1)
     return np.stack([np.linalg.norm(left - right, axis=-1), np.linalg.norm(down, axis=-1)])
@@ -227,17 +227,17 @@ def _examples(face: ObservedFace, motion: str, shapes: FloatArray, distances: Fl
     visited = [nearest == number for number in np.flatnonzero(counts >= LEAST_AT_RATE)]
     if highest - lowest < LEAST_RANGE_MM or len(visited) < LEAST_VISITED:
         raise ResultError(
-            f"shows too little of the motion '{motion}'",
+            f"too little of the motion '{motion}'",
             where=face.path,
-            found=f"a distance that changes by {highest - lowest:.1f} mm, and {len(visited)} of its rates",
-            expected=f"{LEAST_RANGE_MM:g} mm and {LEAST_VISITED} rates or more",
-            hint="leave this person out, or record the motion in full",
+            found=f"a range of {highest - lowest:.1f} mm with {len(visited)} rates",
+            expected=f"at least {LEAST_RANGE_MM:g} mm with {LEAST_VISITED} rates",
+            hint="record the full motion, or leave out this person",
         )
     return MotionExamples(float(lowest), float(highest), counts, _at_rates(shapes, rates, visited))
 
 
 def _at_rates(shapes: FloatArray, rates: FloatArray, groups: Sequence[IntArray]) -> FloatArray:
-    """(R, K, 3): medians of groups of frames, each at its own median rate, and linear between them."""
+    """Return (R, K, 3): medians of groups of frames at their median rates, linearly interpolated."""
     known = np.array([np.median(rates[rows]) for rows in groups])
     medians = np.stack([np.median(shapes[rows], axis=0) for rows in groups])
     shares = np.stack([np.interp(RATES, known, row) for row in np.eye(len(known))], axis=1)

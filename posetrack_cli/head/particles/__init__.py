@@ -1,1 +1,1 @@
-"""The particle filter over pose and deformation of a head (thesis, 3.3)."""
+"""Particle filter over pose and deformation of a head (thesis, 3.3)."""

@@ -1,4 +1,4 @@
-"""The particle filter over pose and deformation of a head (thesis, 3.3)."""
+"""Particle filter over pose and deformation of a head (thesis, 3.3)."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from posetrack_cli.head.particles.particles import FRAME_S, HeadMotion, HeadPart
 from posetrack_cli.head.particles.scores import ParticleScores, PatchObservation
 
 LEAST_DEVIATION_MM = 1e-3
-"""mu of a deformation that hardly takes place: nothing is divided by less."""
+"""Minimum mu, to avoid division by deformations that hardly occur."""
 PATCH_NOISE = 0.35
-"""s: of patches of zero mean and unit norm; larger than their white noise, see ``_log_weights``."""
+"""s: of patches with zero mean and unit norm; larger than their white noise, see ``_log_weights``."""
 LOCAL_RADIUS = 6.0
-"""d of (3.29), in units of the diffusion's standard deviations; none is printed."""
+"""d of (3.29), in standard deviations of the diffusion; the thesis states none."""
 
 
 @dataclass(frozen=True, eq=False)
 class Filtered:
-    """What the filter says of one frame.
+    """Filter estimate of one frame.
 
     Attributes:
-        particles: to go on with; their reference is the estimate.
+        particles: their reference is the estimate.
         effective_sample_size: of the weights.
     """
 
@@ -49,14 +49,14 @@ class Filtered:
 
 
 class HeadFilter:
-    """Follows a head by particles: predict, weigh, resample, in halves, then a robust mean."""
+    """Particle filter of a head: partitioned prediction, weighting and resampling, then a local mean."""
 
     def __init__(self, settings: ParticleSettings, cameras: Sequence[Camera]) -> None:
         self._settings = settings
         self._scores = ParticleScores(cameras, settings.lookup == "bilinear")
 
     def start(self, pose: HeadPose, model: ShapeModel, rng: np.random.Generator) -> HeadParticles:
-        """Return particles about a pose and the mean shape, spread like the diffusion of a head at rest."""
+        """Return particles around a pose and the mean shape, with the diffusion of a head at rest."""
         sd = _diffusion(HeadMotion(np.zeros(POSE_SIZE), FRAME_S, self._settings), model)
         deviations = sd * rng.standard_normal((self._settings.count, sd.size))
         weights = np.full(len(deviations), 1.0 / len(deviations))
@@ -72,16 +72,16 @@ class HeadFilter:
         """Advance the particles by one frame.
 
         Args:
-            particles: of the frame before, shifted to its final estimate (``HeadParticles.moved_to``), their
-                coefficients those of the model of the face now.
-            motion: since then; templates are warped to where it takes that estimate.
+            particles: of the previous frame, shifted to its final estimate (``HeadParticles.moved_to``), with
+                coefficients of the current face model.
+            motion: since then; templates are warped to its prediction.
             observation: images, templates, visibility.
             rng: source of randomness.
         """
         before, predicted = particles, motion.predicted(particles.pose)
         sd = _diffusion(motion, before.model)
         drift = np.zeros(sd.size)
-        if self._settings.sampling == "printed":  # there the drift belongs to one half of the particles
+        if self._settings.sampling == "printed":  # as printed, the drift applies to one partition only
             drift[:POSE_SIZE] = before.pose.difference(predicted)
         else:
             before = before.moved_to(predicted, before.coefficients)
@@ -98,8 +98,9 @@ class HeadFilter:
         return self._summarised(replace(before, deviations=moved.points, weights=moved.weighing.weights), sd)
 
     def _summarised(self, particles: HeadParticles, sd: FloatArray) -> Filtered:
-        """Return the local mean, and the particles about it."""
+        """Return the local mean, with the particles relative to it."""
         weights = particles.weights
+        # a deformation that hardly occurs has no diffusion, but distances are divided by it
         scale = np.maximum(sd, LEAST_DEVIATION_MM * self._settings.kappa)
         mean = local_mean(particles.deviations, weights, scale, LOCAL_RADIUS)
         return Filtered(particles.about(mean), effective_count(weights))
@@ -107,14 +108,14 @@ class HeadFilter:
     def _log_weights(self, particles: HeadParticles, deviations: FloatArray) -> FloatArray:
         """Return log pi (N,) of deviations (N, 6 + B), (3.27).
 
-        -(2K - c)^2 / (2 sigma^2) - 1/2 sum_b (a_b / mu_b)^2. What is missing, 2K - c, is the sum of
-        visibility (1 - correlation): the same where all is visible; a point or camera that is not seen
-        says nothing **[ours]**.
+        -(2K - c)^2 / (2 sigma^2) - 1/2 sum_b (a_b / mu_b)^2. 2K - c is the sum of visibility (1 -
+        correlation): the same if everything is visible; invisible points and missing cameras do not
+        contribute **[ours]**.
 
-        **[ours]** -(2K - c) / s^2 in place of the first term: patches of zero mean and unit norm with white
-        noise, as |p - q|^2 = 2 (1 - correlation); s is larger than that noise, since what makes patches
-        differ is common to their pixels. The square tells a good match hardly from a fair one, and of a face
-        half covered lets a single particle survive.
+        **[ours]** -(2K - c) / s^2 replaces the first term: the likelihood of patches of zero mean and unit
+        norm with white noise, since |p - q|^2 = 2 (1 - correlation). s exceeds that noise because errors are
+        correlated between pixels. The square barely separates good matches from fair ones, and lets a single
+        particle survive if half of the face is covered.
         """
         missing = self._scores.missing(deviations)
         mu = np.maximum(particles.model.deviations, LEAST_DEVIATION_MM)

@@ -1,13 +1,13 @@
-"""Hypotheses of a head's pose and deformation, and how they move between two frames (thesis, 3.3.1).
+"""Particles of a head's pose and deformation, and their motion between two frames (thesis, 3.3.1).
 
     s_t = s_{t-1} + tau v_{t-1} + omega                                                           (3.26)
     sd(omega) = max(FLOOR, GAIN |v| tau0) sqrt(tau / tau0),    tau0 = 1/30 s
 
-The thesis has the diffusion grow with the velocity (Oka et al. 2005) and gives no constants; FLOOR and GAIN
-are ours, and so is that noise is a density: one step of 2 tau spreads as two of tau do **[ours]**.
+In the thesis the diffusion increases with the velocity (Oka et al. 2005), without constants; FLOOR and GAIN
+are ours. Noise is a density: one step of 2 tau diffuses like two of tau **[ours]**.
 
-Particles are held as deviations from one pose and one deformation: moving the head that they stand for, by
-its velocity or to where a refinement found it, changes these two and leaves all particles alone.
+Particles are stored as deviations from a reference pose and deformation. Shifting them all, by the velocity
+or to a refined pose, changes only the reference.
 """
 
 from __future__ import annotations
@@ -27,26 +27,26 @@ from posetrack_cli.results.columns import Layout, LayoutError, floats
 from posetrack_cli.tracking.state_codec import Codec, Fields, parts_of
 
 FRAME_S = 1.0 / 30.0
-"""tau0, the thesis's time between frames, that FLOOR and GAIN belong to."""
+"""tau0, the thesis's frame interval, to which FLOOR and GAIN refer."""
 FLOOR = np.array([0.8, 0.8, 1.5, 0.008, 0.010, 0.006])
-"""(6,) least diffusion, of a head at rest: mm along camera x, y, z; rad about them (pitch, yaw, roll)."""
+"""(6,) minimum diffusion: mm along camera x, y, z; rad about them (pitch, yaw, roll)."""
 GAIN = 0.4
-"""The diffusion is this share of the way that the velocity goes, where that is more."""
+"""Diffusion relative to the predicted displacement, if larger."""
 SPEED_LIMITS = np.repeat([2000.0, 12.0], 3)
-"""(6,) mm/s and rad/s: no head is predicted faster, so that one wild frame is not followed."""
+"""(6,) mm/s and rad/s: limits of the predicted velocity, so that a single outlier is not followed."""
 
 
 @dataclass(frozen=True, eq=False)
 class HeadParticles:
-    """Weighted hypotheses of pose and deformation.
+    """Weighted particles of pose and deformation.
 
     Attributes:
         pose: reference pose.
-        coefficients: reference deformation of the model, mm.
-        deviations: (N, 6 + B) tangent vectors from the reference pose (see ``HeadPose``), then what a
-            particle's coefficients have beyond the reference's.
+        coefficients: reference deformation, mm.
+        deviations: (N, 6 + B) tangent vectors from the reference pose (see ``HeadPose``), then differences
+            from the reference's coefficients.
         weights: of the particles.
-        model: whose deformation coefficients these are.
+        model: shape model of the coefficients.
     """
 
     pose: HeadPose
@@ -56,22 +56,21 @@ class HeadParticles:
     model: ShapeModel
 
     def variance(self) -> FloatArray:
-        """Return the variances (6 + B,) of the weighted particles: of tangent vectors and coefficients."""
+        """Return the variances (6 + B,) of the weighted tangent vectors and coefficients."""
         away = self.deviations - self.weights @ self.deviations
         spread: FloatArray = self.weights @ np.square(away)
         return spread
 
     def moved_to(self, pose: HeadPose, coefficients: FloatArray) -> HeadParticles:
-        """Return the particles shifted as a whole: the reference goes to this pose and deformation."""
+        """Shift all particles by moving the reference to a pose and deformation."""
         return replace(self, pose=pose, coefficients=coefficients)
 
     def with_model(self, model: ShapeModel) -> HeadParticles:
-        """Return the particles with the shapes nearest to theirs that another model has.
+        """Convert the particles to the nearest shapes of another model.
 
-        a' = V'^T (M(a) - Mbar') for a model with orthonormal directions V'; a model that has learnt since
-        has others, perhaps more of them.
+        a' = V'^T (M(a) - Mbar') for orthonormal directions V'; the other model may have more of them.
         """
-        if model is self.model:
+        if model is self.model:  # usual: a learned model changes only with new samples
             return self
         onto = _flat(model).T
         coefficients = onto @ (self.model.shapes(self.coefficients) - model.mean).ravel()
@@ -80,7 +79,7 @@ class HeadParticles:
         return replace(self, coefficients=coefficients, deviations=deviations, model=model)
 
     def about(self, mean: FloatArray) -> HeadParticles:
-        """Return the same particles as deviations from one of them, or from their mean (6 + B,)."""
+        """Return the particles as deviations from one of them, or from their mean (6 + B,)."""
         away = self.deviations.copy()
         recentre(away, mean)
         away[:, POSE_SIZE:] -= mean[POSE_SIZE:]
@@ -96,7 +95,7 @@ class HeadParticles:
 def _checked(deviations: FloatArray, coefficients: FloatArray, **parts: Any) -> HeadParticles:
     wanted = POSE_SIZE + len(coefficients)
     if deviations.shape[1] != wanted:
-        raise LayoutError(f"'particles.deviations' of {deviations.shape[1]} components, not {wanted}")
+        raise LayoutError(f"'particles.deviations' has {deviations.shape[1]} components, expected {wanted}")
     return HeadParticles(deviations=deviations, coefficients=coefficients, **parts)
 
 
@@ -104,18 +103,17 @@ PARTICLES: Codec[HeadParticles] = Fields(_checked, **parts_of(HeadParticles))
 
 
 def _flat(model: ShapeModel) -> FloatArray:
-    """The directions as a matrix (3K, B)."""
+    """Return the directions as a matrix (3K, B)."""
     return model.basis.reshape(model.mean.size, -1)
 
 
 class HeadMotion:
-    """What a head does until the next frame: it keeps its velocity, and diffuses.
+    """Motion until the next frame: constant velocity with diffusion.
 
     Args:
-        velocity: (6,) tangent vector per second, camera axes; its components count for no larger than those
-            of any head **[ours]**.
-        dt: s until that frame; long gaps count for shorter ones.
-        settings: the longest gap, and the deformation's diffusion.
+        velocity: (6,) tangent vector per second, camera axes; clipped to ``SPEED_LIMITS`` **[ours]**.
+        dt: s until that frame; clipped to the longest gap.
+        settings: longest gap, and diffusion of the deformation.
 
     Raises:
         FilterError: dt is not > 0.
@@ -127,7 +125,7 @@ class HeadMotion:
         self._seconds, self._settings = min(dt, settings.gap_max_s), settings
 
     def predicted(self, pose: HeadPose) -> HeadPose:
-        """Return the pose after that time of constant velocity."""
+        """Return the pose predicted with constant velocity."""
         return pose.moved(self._velocity * self._seconds)
 
     @property

@@ -1,4 +1,4 @@
-"""Scores of templates over whole maps."""
+"""Compiled kernels of the particle filter: projection of particles, and score maps of templates."""
 
 from __future__ import annotations
 
@@ -12,28 +12,24 @@ from posetrack_cli.compiled import inlined, kernel
 from posetrack_cli.geometry.kernels import quaternion_from_vector, quaternion_product, vector_from_quaternion
 from posetrack_cli.head.face.templates import LEAST_CONTRAST, PATCH, SIZE
 
-# The loops over particles that cost time: their turns and shapes, and where they see the points; compiled.
-#
-# Arrays have the particles last, and float32 numbers: 1e-4 px at 1000 px.
-
+# Rotation, deformation and projection of particles. Particles are the last dimension, in float32: 1e-4 px at
+# 1000 px.
 
 BEHIND = 1e6
-"""Pixel, or normalised coordinate, of a point behind a camera: on no image."""
-_TERMS = (
-    11  # of the series of sin(a)/a and (1 - cos a)/a^2: they are left with an error of 1e-9 at half a turn
-)
+"""Pixel, or normalised coordinate, of a point behind a camera, outside of any image."""
+_TERMS = 11  # of the series of sin(a)/a and (1 - cos a)/a^2, for an error of 1e-9 at half a turn
 _SIN = np.array([(-1.0) ** i / math.factorial(2 * i + 1) for i in range(_TERMS)], np.float32)
 _COS = np.array([(-1.0) ** i / math.factorial(2 * i + 2) for i in range(_TERMS)], np.float32)
 
 
 @kernel
 def recentre(deviations: FloatArray, mean: FloatArray) -> None:
-    """Make tangent vectors from a pose those from that pose moved by the mean.
+    """Convert tangent vectors from a pose to tangent vectors from that pose moved by the mean.
 
     d - d_m and log(exp(w) exp(-w_m)), d mm and w rad as in ``HeadPose``.
 
     Args:
-        deviations: (N, >= 6), changed in place.
+        deviations: (N, >= 6), modified in place.
         mean: (>= 6,).
     """
     mx, my, mz, mw = quaternion_from_vector(-mean[3], -mean[4], -mean[5])
@@ -84,7 +80,7 @@ def write_transforms(
         shifts: (3, N) d, mm.
         rotations: (9, N) exp(w).
         to_camera: (3, 3) C, from the reference camera's axes to this one's.
-        origin: (3,) o of the head at the reference pose, in this camera's axes, mm.
+        origin: (3,) o, origin of the head at the reference pose, in this camera's axes, mm.
         out: (12, N), the (3, 4) transforms row by row.
     """
     for i in range(3):
@@ -126,7 +122,7 @@ def write_pixels(
     u: Float32Array,
     v: Float32Array,
 ) -> None:
-    """Write where a pinhole sees each particle's points, u = fx X/Z + cx and v = fy Y/Z + cy.
+    """Write the pinhole projections of each particle's points, u = fx X/Z + cx and v = fy Y/Z + cy.
 
     Args:
         shapes: (3K, N) points in turned head axes, mm.
@@ -148,33 +144,32 @@ def write_pixels(
             v[k, n] = fy * (Y * over) + cy if in_front else behind
 
 
-# Score maps: what a template correlates by at every place, and what particles look up there; compiled.
+# Score maps: correlations of a template at every place of a box.
 #
-# The thesis correlates per particle and point (3.3.1). All particles see a point within a small box of the
-# image: there every correlation is computed once, and particles look theirs up. The numbers are the same, and
-# the cost depends on the box, not on the number of particles.
+# The thesis correlates for each particle and point (3.3.1). Since all particles see a point within a small
+# box of the image, every correlation there is computed once and looked up. The results are the same, and the
+# cost depends on the box, not on the number of particles.
 #
-# A template has PATCH x PATCH pixels, at the offsets (column - 7.5, row - 7.5) from its point. A box is four
-# numbers: the first and last columns and rows that its top left corner is laid at.
-
+# A template has PATCH x PATCH pixels, at the offsets (column - 7.5, row - 7.5) from its point. A box
+# consists of the first and last columns and rows of the template's top left corner.
 
 HALF = 0.5 * (PATCH - 1)
 LARGEST_BOX = 160
-"""Places a side. A box is cut about its middle beyond; particles outside score 0."""
+"""Maximum side of a box. Larger boxes are cropped about their centre; particles outside score 0."""
 MARGIN_PX = 2
-"""What a map has around its particles, so that it often serves for the second weighing too."""
+"""Margin of a map around its particles, so that it often serves the second weighting as well."""
 LEFT, RIGHT, TOP, BOTTOM = range(4)
 _STRIDE = 4  # columns of the template that are added at a time
 _LEAST_ENERGY = SIZE * LEAST_CONTRAST**2
 
 
 class ScoreMaps(NamedTuple):
-    """The maps of K points on one camera's image.
+    """Maps of K points in one camera's image.
 
     Attributes:
-        boxes: (K, 4) left, right, top, bottom; empty, right < left, where there is no map.
-        scores: (K, side, side) normalised correlations, -1 to 1, of the template laid at left + column and
-            top + row; used as far as the box goes.
+        boxes: (K, 4) left, right, top, bottom; empty, right < left, without a map.
+        scores: (K, side, side) normalised correlations, -1 to 1, of the template at left + column and top +
+            row; valid within the box.
     """
 
     boxes: IntArray
@@ -182,14 +177,14 @@ class ScoreMaps(NamedTuple):
 
     @classmethod
     def of(cls, points: int) -> ScoreMaps:
-        """Return room for the maps of so many points; there are none yet."""
+        """Allocate the maps of this number of points."""
         side = LARGEST_BOX + 2 * MARGIN_PX
         maps = cls(np.zeros((points, 4), np.int64), np.empty((points, side, side), np.float32))
         maps.clear()
         return maps
 
     def clear(self) -> None:
-        """Forget the maps: another image comes."""
+        """Invalidate the maps for another image."""
         self.boxes[:] = 0, -1, 0, -1
 
 
@@ -205,19 +200,19 @@ def add_all_scores(
     scores: Float32Array,
     total: FloatArray,
 ) -> int:
-    """Add what each particle's points score on an image, weighted.
+    """Add the weighted scores of each particle's points in an image.
 
     Args:
         image: (height, width), grey.
         templates: (K, PATCH, PATCH) of zero mean and unit norm.
-        weights: (K,); a point of weight 0 is left out.
+        weights: (K,); points of weight 0 are skipped.
         u, v: (K, N) pixels.
-        between: interpolate bilinearly, else take the nearest score.
-        boxes, scores: ``ScoreMaps``: of this image, or none; renewed where they do not hold all particles.
+        between: interpolate bilinearly, otherwise use the nearest score.
+        boxes, scores: ``ScoreMaps`` of this image, or empty; recomputed if they do not cover all particles.
         total: (N,) added to.
 
     Returns:
-        How many maps were made.
+        Number of maps computed.
     """
     height, width = image.shape
     made, box = 0, np.empty(4, np.int64)
@@ -240,13 +235,13 @@ def add_all_scores(
 
 @kernel
 def write_box(u: Float32Array, v: Float32Array, width: int, height: int, largest: int, box: IntArray) -> None:
-    """Write the places, within an image, that particles look at for a point.
+    """Write the box of template corners, within the image, that the particles of a point need.
 
     Args:
         u, v: (N,) pixels.
         width, height: of the image.
-        largest: side; what is larger is cut about its middle.
-        box: (4,) out, empty if no place of the image is looked at.
+        largest: maximum side; larger boxes are cropped about their centre.
+        box: (4,) out, empty if outside the image.
     """
     box[LEFT], box[RIGHT] = _span(u, width, largest)
     box[TOP], box[BOTTOM] = _span(v, height, largest)
@@ -268,9 +263,9 @@ def _span(pixels: Float32Array, size: int, largest: int) -> tuple[int, int]:
 
 @inlined
 def _extremes(pixels: Float32Array) -> tuple[float, float]:
-    """Return the least and the largest pixel; of none inf and -inf. Two are looked at a time.
+    """Return the minimum and maximum pixel, inf and -inf if there is none; two at a time.
 
-    NaN, which a lens beyond its range makes of a point, is no pixel: every comparison with it is false.
+    NaN, from points outside the lens's range, is ignored because every comparison with it is false.
     """
     a, b = np.float32(np.inf), np.float32(-np.inf)
     c, d = a, b
@@ -278,14 +273,14 @@ def _extremes(pixels: Float32Array) -> tuple[float, float]:
         one, two = pixels[n], pixels[n + 1]
         a, b = one if one < a else a, one if one > b else b
         c, d = two if two < c else c, two if two > d else d
-    last = pixels[pixels.size - 1]  # of an odd number; of an even one it was looked at
+    last = pixels[pixels.size - 1]  # left over if the number is odd, and otherwise harmless
     a, b = last if last < a else a, last if last > b else b
     return float(min(a, c)), float(max(b, d))
 
 
 @inlined
 def _holds(box: IntArray, other: IntArray) -> bool:
-    """Whether another box lies in this one."""
+    """Whether this box contains another."""
     across = bool(box[LEFT] <= other[LEFT] and box[RIGHT] >= other[RIGHT])
     return across and bool(box[TOP] <= other[TOP] and box[BOTTOM] >= other[BOTTOM])
 
@@ -296,7 +291,7 @@ def correlate(image: ImageArray, template: Float32Array, box: IntArray, scores: 
 
     With I' = I - mean of the box, t of zero mean and unit norm and sums over the template's pixels,
     sum t I' / sqrt(sum I'^2 - (sum I')^2 / SIZE). 0 where the image has less contrast than LEAST_CONTRAST.
-    Sums of I' and I'^2 are whole numbers below 2^24: float32 holds them exactly.
+    Sums of I' and I'^2 are integers below 2^24, which float32 represents exactly.
 
     Args:
         image: (height, width), grey.
@@ -326,7 +321,7 @@ def correlate(image: ImageArray, template: Float32Array, box: IntArray, scores: 
 
 @inlined
 def _window(image: ImageArray, box: IntArray) -> Float32Array:
-    """Return the pixels under a template anywhere in a box, less their mean, rounded down."""
+    """Return the pixels under a template anywhere in a box, minus their rounded mean."""
     width, height = box[RIGHT] - box[LEFT] + PATCH, box[BOTTOM] - box[TOP] + PATCH
     total = 0
     for y in range(height):
@@ -342,7 +337,7 @@ def _window(image: ImageArray, box: IntArray) -> Float32Array:
 
 @inlined
 def _add_row(row: Float32Array, sign: np.float32, sums: Float32Array, squares: Float32Array) -> None:
-    """Add a row of pixels, and their squares, to each column's sums; or take it away."""
+    """Add a row of pixels and their squares to each column's sums, or subtract it."""
     for x in range(row.size):
         sums[x] += sign * row[x]
         squares[x] += sign * row[x] * row[x]
@@ -372,13 +367,13 @@ def add_scores(
     between: bool,
     total: FloatArray,
 ) -> None:
-    """Add weight times the score at each particle's pixel; nothing outside the map.
+    """Add the weighted score at each particle's pixel; nothing outside the map.
 
     Args:
         scores, box: of a map.
         u, v: (N,) pixels.
         weight: of this point.
-        between: interpolate bilinearly, else take the nearest score.
+        between: interpolate bilinearly, otherwise use the nearest score.
         total: (N,) added to.
     """
     left, top = np.float32(box[LEFT] + HALF), np.float32(box[TOP] + HALF)

@@ -1,4 +1,4 @@
-"""How well the images agree with particles: project, correlate, look up (thesis, 3.28 and 3.4)."""
+"""Image scores of particles: projection, correlation, look-up (thesis, 3.28 and 3.4)."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from posetrack_cli.head.particles.score_maps import (
 
 @dataclass(frozen=True, eq=False)
 class PatchObservation:
-    """What the particles of one frame are compared with.
+    """Data that the particles of one frame are compared with.
 
     Attributes:
-        images: one a camera, grey; None where a camera gave none.
+        images: grey, one per camera; None for a missing image.
         templates: (C, K, PATCH, PATCH) float32 of zero mean and unit norm, warped to the predicted pose.
-        visibility: (C, K) weights 0 to 1 of the correlations.
+        visibility: (C, K) weights of the correlations, 0 to 1.
     """
 
     images: Sequence[ImageArray | None]
@@ -37,28 +37,28 @@ class PatchObservation:
 
     @property
     def weights(self) -> FloatArray:
-        """(C, K) visibility, 0 where there is no image."""
+        """(C, K) visibility, 0 without an image."""
         seen = np.array([image is not None for image in self.images])
         weights: FloatArray = self.visibility * seen[:, None]
         return weights
 
 
 class ParticleScores:
-    """Scores particles on the images of one frame at a time; keeps its arrays from frame to frame.
+    """Scores particles on the images of one frame at a time, reusing its arrays.
 
     Attributes:
-        maps_made: how many score maps the frame took so far.
+        maps_made: number of score maps computed for the frame.
     """
 
     def __init__(self, cameras: Sequence[Camera], between: bool) -> None:
-        """Score on images of these cameras, looked up bilinearly if `between`, else at the nearest place."""
+        """Use these cameras, with bilinear look-up if `between`, otherwise nearest."""
         self._projection = ParticleProjection(cameras)
         self._between = between
         self._maps: list[ScoreMaps] = []
         self.maps_made = 0
 
     def observe(self, observation: PatchObservation, particles: HeadParticles) -> None:
-        """Take a frame, and what the deviations of particles are counted from."""
+        """Set the frame, and the reference of the particles' deviations."""
         self._images = [_for_kernels(image) for image in observation.images]
         self._templates, self._weights = observation.templates, observation.weights
         self._projection.set_reference(particles)
@@ -71,13 +71,13 @@ class ParticleScores:
 
     @property
     def visible(self) -> float:
-        """Sum of the weights: CK where all points are visible."""
+        """Sum of the weights: CK if all points are visible."""
         return float(self._weights.sum())
 
     def missing(self, deviations: FloatArray) -> FloatArray:
-        """Return CK - c, (N,): the sum over cameras and points of visibility (1 - correlation), (3.28).
+        """Return CK - c, (N,): summed visibility (1 - correlation) of all points, (3.28).
 
-        A point that is not on the image correlates by 0.
+        Points outside the image have a correlation of 0.
 
         Args:
             deviations: (N, 6 + B) of particles from the reference.
@@ -95,7 +95,7 @@ class ParticleScores:
 
 
 def _for_kernels(image: ImageArray | None) -> ImageArray | None:
-    """Return an image as kernels are compiled for: rows one after the other, and writable."""
+    """Return a C-contiguous, writable image, the only layout for which the kernels are compiled."""
     return None if image is None else np.require(image, np.uint8, ("C", "W"))
 
 
@@ -103,7 +103,7 @@ NORMALISED = np.array([1.0, 1.0, 0.0, 0.0], np.float32)
 
 
 class ParticleProjection:
-    """Projects particles, given as deviations from a reference; keeps its arrays from call to call."""
+    """Projects particles, given as deviations from a reference, reusing its arrays."""
 
     def __init__(self, cameras: Sequence[Camera]) -> None:
         self._cameras = cameras
@@ -111,7 +111,7 @@ class ParticleProjection:
         self._shape = 0, 0
 
     def set_reference(self, particles: HeadParticles) -> None:
-        """Count deviations from the pose and deformation that these particles are about."""
+        """Set the reference pose and deformation."""
         self._pose, model = particles.pose, particles.model
         rotation = self._pose.rotation
         points = model.shapes(particles.coefficients) @ rotation.T
@@ -120,7 +120,7 @@ class ParticleProjection:
         self._directions = np.ascontiguousarray(directions.reshape(points.size, -1), np.float32)
 
     def set_particles(self, deviations: FloatArray) -> None:
-        """Take particles (N, 6 + B): tangent vectors from the reference pose, and coefficients beyond it."""
+        """Set the particles (N, 6 + B): tangent vectors and coefficients relative to the reference."""
         parts = np.ascontiguousarray(deviations.T, np.float32)
         self._allocate(len(self._points) // 3, len(deviations))
         self._shifts = parts[:3]
@@ -128,12 +128,13 @@ class ParticleProjection:
         write_shapes(self._points, self._directions, parts[POSE_SIZE:], self._shapes)
 
     def pixels(self, camera: int) -> tuple[Float32Array, Float32Array]:
-        """Return the columns and rows (K, N) where a camera sees the points; overwritten by the next call."""
+        """Return columns and rows (K, N) of the points in a camera; overwritten by the next call."""
         lens, transform = self._cameras[camera], self._transforms[camera]
         origin = transform[:, :3] @ self._pose.position + transform[:, 3]
         to_camera = np.ascontiguousarray(transform[:, :3], np.float32)
         write_transforms(self._shifts, self._rotations, to_camera, origin.astype(np.float32), self._in_camera)
         intrinsics = np.array([lens.fx, lens.fy, lens.cx, lens.cy], np.float32)
+        # a lens distorts normalised coordinates, so the intrinsics are applied afterwards
         pinhole = NORMALISED if lens.is_distorted else intrinsics
         write_pixels(self._shapes, self._in_camera, pinhole, self._u, self._v)
         if lens.is_distorted:

@@ -1,1 +1,1 @@
-"""From the particle filter's estimate to the pose, deformation and points that the patches agree on best."""
+"""Refinement of the particle filter's pose, deformation and points by image patches."""

@@ -1,4 +1,4 @@
-"""What the images say about a pose's points."""
+"""Patch comparisons of one frame, and their normal equations in a point's coordinates."""
 
 from __future__ import annotations
 
@@ -29,23 +29,23 @@ from posetrack_cli.head.face.templates import (
     warps_between,
 )
 
-# What the patches say about where a point is: normal equations in its three coordinates; compiled.
+# Normal equations of a point's coordinates; compiled.
 #
-# Of a point X, mm in the reference camera's axes, patches p_c(X) about its pixels m_c(X) are compared with
+# For a point X, mm in the reference camera's axes, patches p_c(X) at its pixels m_c(X) are compared with
 # templates q and with each other:
 #
 #     E(X) = 1/2 sum_c,s w |p_c - q_cs|^2  +  1/2 sum_(c,b) w |p_c - p_b|^2
 #
-# As |p| = 1, p^T dp = 0: the gradient of a template's term is -G^T q, with G = dp / dm. Weights are held.
+# As |p| = 1, p^T dp = 0: the gradient of a template's term is -G^T q, with G = dp / dm. Weights are constant.
 
 
 class Evidence(NamedTuple):
-    """Of one point.
+    """Patch comparisons of one point.
 
     Attributes:
-        hessian: (3, 3) Gauss-Newton's of E, 1 / mm^2.
+        hessian: (3, 3) Gauss-Newton approximation for E, 1 / mm^2.
         gradient: (3,) of E, 1 / mm.
-        correlations: (C,) the best with a template that is not of the frame before; NaN where there is none.
+        correlations: (C,) the best with a template other than the previous frame's; NaN if there is none.
         pixels: (C, 2).
     """
 
@@ -56,7 +56,7 @@ class Evidence(NamedTuple):
 
 
 class Workspace(NamedTuple):
-    """Arrays that are written over for every point."""
+    """Arrays reused for every point."""
 
     grid: FloatArray
     patches: FloatArray
@@ -71,13 +71,13 @@ class Workspace(NamedTuple):
 
 @kernel
 def make_evidence(cameras: int) -> Evidence:
-    """Return room for one point's evidence."""
+    """Allocate one point's evidence."""
     return Evidence(np.zeros((3, 3)), np.zeros(3), np.zeros(cameras), np.zeros((cameras, 2)))
 
 
 @kernel
 def make_workspace(cameras: int) -> Workspace:
-    """Return room for one point."""
+    """Allocate the work arrays."""
     return Workspace(
         np.zeros((GRID, GRID)),
         np.zeros((cameras, SIZE)),
@@ -93,7 +93,7 @@ def make_workspace(cameras: int) -> Workspace:
 
 @kernel
 def project_point(optics: Optics, c: int, k: int, X: FloatArray, pixel: FloatArray, J: FloatArray) -> bool:
-    """Write the pixel (2,) of point k on camera c and its derivative (2, 3); False behind the camera."""
+    """Write the pixel (2,) of point k in camera c and its derivative (2, 3); False behind the camera."""
     T, focal, lens = optics.transforms[c], optics.intrinsics[c], optics.lenses[c, k]
     local = np.empty(3)
     for i in range(3):
@@ -126,7 +126,7 @@ def gather_evidence(scene: Scene, k: int, X: FloatArray, work: Workspace, out: E
 
 @kernel
 def _sample_patch(scene: Scene, c: int, k: int, X: FloatArray, work: Workspace, pixel: FloatArray) -> None:
-    """Sample the patch of point k on camera c; its norm is 0 where there is none."""
+    """Sample the patch of point k in camera c; its norm is 0 if there is none."""
     work.norms[c] = 0.0
     pixel[:] = np.nan
     if not project_point(scene.optics, c, k, X, pixel, work.jacobians[c]):
@@ -142,14 +142,14 @@ def _sample_patch(scene: Scene, c: int, k: int, X: FloatArray, work: Workspace, 
 
 @inlined
 def comparison_weight(robustness: Robustness, ncc: float) -> float:
-    """The weight of a comparison that correlates so."""
+    """Return the weight of a comparison with a correlation."""
     above = (ncc - robustness.floor) / (1.0 - robustness.floor)
     return robustness.precision * above**robustness.power if above > 0.0 else 0.0
 
 
 @inlined
 def likeness(robustness: Robustness, ncc: float) -> float:
-    """How far the frame before counts for a point that correlates so with the stored templates."""
+    """Return the factor on the previous frame's weight, from the correlation with stored templates."""
     if robustness.likeness <= 0.0 or np.isnan(ncc):
         return 1.0
     return ncc**robustness.likeness if ncc > 0.0 else 0.0
@@ -206,7 +206,7 @@ def _add_pair(scene: Scene, pair: int, k: int, work: Workspace, out: Evidence) -
 
 @kernel
 def _pair_rows(work: Workspace, c: int, b: int, W: FloatArray) -> None:
-    """Write (4, 3): how the centres of both grids move with X, in each grid's pixels; the second negative."""
+    """Write (4, 3): derivatives of both grid centres by X, in grid pixels; the second negated."""
     determinant = W[0, 0] * W[1, 1] - W[0, 1] * W[1, 0]
     J, K, rows = work.jacobians[c], work.jacobians[b], work.rows
     for j in range(3):
@@ -233,31 +233,30 @@ def _add_quadratic(work: Workspace, c: int, weight: float, out: Evidence) -> Non
                     out.hessian[i, j] += weight * rows[n, i] * gram[n, m] * rows[m, j]
 
 
-# One frame as the kernels of the refinement read it: images, optics, templates and what is compared
-
+# Data of one frame for the kernels: images, optics, templates and comparisons
 
 REFERENCE, KEYFRAME, PREVIOUS = 1.0, 2.0, 1.0
-"""Weights of comparisons: with the first frame, with that in which the face looked nearest the same way, and
-with the frame before."""
+"""Weights of comparisons: with the reference, with the keyframe of the nearest direction, and with the
+previous frame."""
 BETWEEN_CAMERAS = 4.3
-"""The same of one camera with another."""
+"""Weight of comparisons between cameras."""
 VISIBILITY_POWER = 0.3
-"""Of the cosine of skin normal and view, which a comparison's weight is multiplied by."""
+"""Exponent of the cosine between skin normal and ray in a comparison's weight."""
 PATCH_SD = 0.4
-"""Of the difference of two patches, as vectors of zero mean and unit norm, per unit of weight."""
+"""Standard deviation of the difference of two patches of zero mean and unit norm, per unit of weight."""
 CORRELATION_FLOOR, CORRELATION_POWER = 0.2, 6.0
-"""A comparison is believed as ((ncc - floor) / (1 - floor)) ^ power."""
+"""A comparison's weight is ((ncc - floor) / (1 - floor)) ^ power."""
 MARGIN = 48
-"""Pixels kept around the predicted points: half a patch and how far a point may be refined."""
+"""Pixels kept around the predicted points: half a patch and the range of the refinement."""
 
 
 class Images(NamedTuple):
-    """The part of each camera's image that shows the face.
+    """Region of each camera's image that shows the face.
 
     Attributes:
         windows: (C, h, w), h and w the largest over the cameras.
         corners: (C, 2) column and row of a window's first pixel in the image.
-        sizes: (C, 2) width and height of the part that is filled; 0 where a camera gave no image.
+        sizes: (C, 2) width and height of the used part; 0 for a missing image.
     """
 
     windows: ImageArray
@@ -266,7 +265,7 @@ class Images(NamedTuple):
 
 
 class Optics(NamedTuple):
-    """C cameras; their lenses are linearised about the predicted points.
+    """C cameras, with lenses linearised at the predicted points.
 
     Attributes:
         transforms: (C, 3, 4) camera_T_reference, mm.
@@ -280,14 +279,14 @@ class Optics(NamedTuple):
 
 
 class Targets(NamedTuple):
-    """What the patches of the frame are compared with.
+    """Patches to compare the frame with.
 
     Attributes:
-        patches: (S, C, K, SIZE) warped templates, that of the frame before, if there is one, the last.
-        stored: number of the sets that are not of the frame before.
-        weights: (S, C, K) of each comparison, visibility included; 0 where there is no template.
-        pairs: (P, 2) cameras whose patches are compared with each other: of the first, with the second's.
-        pair_warps: (P, K, 2, 2) from the first's patch to the second's image; NaN where there is none.
+        patches: (S, C, K, SIZE) warped templates; the previous frame's, if any, is the last.
+        stored: number of template sets other than the previous frame's.
+        weights: (S, C, K) of each comparison, including visibility; 0 without a template.
+        pairs: (P, 2) cameras whose patches are compared with each other.
+        pair_warps: (P, K, 2, 2) from the first camera's patch to the second's image; NaN if there is none.
         pair_weights: (P, K).
     """
 
@@ -300,9 +299,9 @@ class Targets(NamedTuple):
 
 
 class Robustness(NamedTuple):
-    """How far a comparison is believed: precision x ((ncc - floor) / (1 - floor)) ^ power.
+    """Weight of a comparison: precision x ((ncc - floor) / (1 - floor)) ^ power.
 
-    One with the frame before also counts by how like its stored templates the point is, ncc ^ likeness.
+    For the previous frame it is multiplied by ncc ^ likeness of the point with its stored templates.
     """
 
     precision: float
@@ -312,11 +311,11 @@ class Robustness(NamedTuple):
 
 
 class Scene(NamedTuple):
-    """All of it.
+    """All data of a frame.
 
     Attributes:
-        raw: (2, C, K, GRID, GRID) intensities of the reference and of the frame before, not warped, NaN where
-            there are none; empty where only the thesis's recalculation would need them.
+        raw: (2, C, K, GRID, GRID) intensities of the reference and of the previous frame, not warped, NaN if
+            missing; empty unless the printed recalculation is used.
     """
 
     images: Images
@@ -328,13 +327,13 @@ class Scene(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ComparedFrame:
-    """The images of a frame, and what the points on them are compared with.
+    """Images of a frame, with the templates to compare them with.
 
     Attributes:
         images: of all cameras.
         templates: of the reference, then of keyframes.
-        previous: templates of the frame before; None without one.
-        settings: weights, priors, steps.
+        previous: templates of the previous frame; None without one.
+        settings: of the refinement.
     """
 
     images: RigImages
@@ -343,7 +342,7 @@ class ComparedFrame:
     settings: RefinementSettings
 
     def scene(self, pose: HeadPose, shape: FloatArray) -> tuple[Scene, FloatArray]:
-        """Return the frame about a predicted pose and shape (K, 3), and its points' visibility (C, K)."""
+        """Return the frame at a predicted pose and shape (K, 3), and its points' visibility (C, K)."""
         projection = project(self.images.cameras, pose.points(shape))
         there = np.array([image is not None for image in self.images.images])
         seen = visibility(projection, pose) * there[:, None]
@@ -378,7 +377,7 @@ class ComparedFrame:
 
     @property
     def _raw(self) -> FloatArray:
-        """Intensities as ``Scene.raw`` has them."""
+        """Intensities for ``Scene.raw``."""
         shape, previous = (*self.templates[0].seen.shape, GRID, GRID), self.previous
         if self.settings.recalculation != "printed":
             return np.zeros((0, *shape))
@@ -411,7 +410,7 @@ def _optics(cameras: Sequence[Camera], projection: Projection) -> Optics:
 
 
 def _pairs(now: FloatArray, seen: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Compare each camera with the first that gave an image."""
+    """Pair each camera with the first one that has an image."""
     there = np.flatnonzero(seen.any(axis=1))
     pairs = np.array([(c, there[0]) for c in there[1:]], dtype=np.int64).reshape(-1, 2)
     warps = warps_between(now[pairs[:, 0]], now[pairs[:, 1]])

@@ -1,12 +1,12 @@
-"""Gauss-Newton over pose, deformation and a residual per point at once **[ours]**; compiled.
+"""Joint Gauss-Newton over pose, deformation and a residual for each point **[ours]**; compiled.
 
     X_k = R (Mbar_k + V_k a + delta_k) + t
     E = sum_k E_k(X_k)  +  1/2 sum_b (a_b / mu_b)^2  +  sum_k (nu + 3)/2 log(1 + |delta_k|^2 / (nu s_k^2))
         + 1/2 |pose (-) predicted|^2 in units of a wide prior
 
-E_k is the patches' (``evidence``). delta is Student-t: a point that lies elsewhere than the model says costs
-little more the farther it is. Every step reweights it, l_k = (nu + 3) / (nu s_k^2 + |delta_k|^2), and
-eliminates it (Schur complement), so that 6 + B unknowns are solved for, whatever K is.
+E_k is the patch term (``evidence``). delta is Student-t, so that points far from the model cost little more
+than near ones. Every step reweights it, l_k = (nu + 3) / (nu s_k^2 + |delta_k|^2), and eliminates it (Schur
+complement), which leaves 6 + B unknowns for any K.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from posetrack_cli.head.refinement.evidence import (
 
 POSE = 6
 CONVERGED_PX = 0.01
-"""No point moves farther in a last step: a tenth of what the patches tell."""
+"""Largest motion of a point in the last step: a tenth of the patches' accuracy."""
 
 
 class Face(NamedTuple):
-    """The model, as the kernels read it.
+    """The shape model.
 
     Attributes:
         mean: (K, 3) mm.
@@ -47,7 +47,7 @@ class Face(NamedTuple):
 
 
 class Prior(NamedTuple):
-    """What is thought of residuals and pose before looking.
+    """Prior of residuals and pose.
 
     Attributes:
         scales: (K,) s_k, mm.
@@ -61,14 +61,14 @@ class Prior(NamedTuple):
 
 
 class FaceUnknowns(NamedTuple):
-    """The unknowns; written over by ``descend``.
+    """Unknowns, modified in place by ``descend``.
 
     Attributes:
         rotation: (3, 3) R.
         position: (3,) t, mm.
         coefficients: (B,) a, mm.
         residuals: (K, 3) delta in the head's frame, mm.
-        moved: (6,) how far the pose went, a tangent vector summed over the steps.
+        moved: (6,) total displacement of the pose, a tangent vector summed over the steps.
         correlations: (C, K).
     """
 
@@ -82,10 +82,11 @@ class FaceUnknowns(NamedTuple):
 
 @kernel
 def descend(scene: Scene, face: Face, prior: Prior, iterations: int, state: FaceUnknowns) -> None:
-    """Take Gauss-Newton steps until no point moves any more, then look once more at where it ended."""
+    """Iterate Gauss-Newton steps to convergence, then compute the correlations at the result."""
     count, size = len(face.mean), POSE + len(face.precisions)
     cameras = len(scene.images.sizes)
     evidence, work = make_evidence(cameras), make_workspace(cameras)
+    # allocated once and reused in every step
     matrix, vector, step, e = np.empty((size, size)), np.empty(size), np.empty(size), np.empty(3)
     arm, hessians, gradients = np.empty(3), np.empty((count, 3, 3)), np.empty((count, 3))
     rows, residuals, weights = np.empty((count, 3, size)), np.empty((count, 3)), np.empty(count)
@@ -94,12 +95,13 @@ def descend(scene: Scene, face: Face, prior: Prior, iterations: int, state: Face
         for k in range(count):
             point_in_camera(face, state, k, arm)
             gather_evidence(scene, k, arm + state.position, work, evidence)
-            for i in range(3):  # number by number: a slice would compile a second of error messages
+            for i in range(3):  # element by element: slices add a second to the compile time
                 gradients[k, i] = evidence.gradient[i]
                 for j in range(3):
                     hessians[k, i, j] = evidence.hessian[i, j]
             squared = _residual(state, k, residuals[k])
             weights[k] = student_t(squared, 3.0, prior.freedom, prior.scales[k])
+            # the residual is eliminated here and recovered below, once the common step is known
             jacobian(face, state, k, arm, rows[k])
             eliminate(hessians[k], gradients[k], weights[k], residuals[k], rows[k], matrix, vector)
         solve(matrix, -vector, step)
@@ -120,7 +122,7 @@ def descend(scene: Scene, face: Face, prior: Prior, iterations: int, state: Face
 def write_correlations(
     scene: Scene, face: Face, state: FaceUnknowns, arm: FloatArray, evidence: Evidence
 ) -> None:
-    """Write correlations at the present unknowns."""
+    """Write the correlations at the current unknowns."""
     work = make_workspace(len(scene.images.sizes))
     for k in range(len(face.mean)):
         point_in_camera(face, state, k, arm)
@@ -131,7 +133,7 @@ def write_correlations(
 
 @inlined
 def point_in_camera(face: Face, state: FaceUnknowns, k: int, arm: FloatArray) -> None:
-    """Write R M_k (3,), the point from the head's origin in camera axes."""
+    """Write R M_k (3,), the point relative to the head's origin in camera axes."""
     local = np.empty(3)
     for i in range(3):
         local[i] = face.mean[k, i] + state.residuals[k, i]
@@ -147,7 +149,7 @@ def point_in_camera(face: Face, state: FaceUnknowns, k: int, arm: FloatArray) ->
 def start_equations(
     face: Face, prior: Prior, state: FaceUnknowns, matrix: FloatArray, vector: FloatArray
 ) -> None:
-    """Begin the normal equations with the priors of pose and deformation."""
+    """Initialise the normal equations with the priors of pose and deformation."""
     matrix[:] = 0.0
     for i in range(POSE):
         matrix[i, i] = prior.pose[i]
@@ -193,7 +195,7 @@ def eliminate(
     matrix: FloatArray,
     vector: FloatArray,
 ) -> None:
-    """Add what a point says about pose and deformation, its residual eliminated.
+    """Add a point's contribution to pose and deformation, with its residual eliminated.
 
     (H + l) e + H T x = -(g + l d), with d = R delta, gives T^T S T x = -T^T s, S = l (H + l)^-1 H and
     s = l (H + l)^-1 (g - H d).
@@ -217,7 +219,7 @@ def eliminate(
 
 @kernel
 def _add_along(H: FloatArray, T: FloatArray, step: FloatArray, pull: FloatArray, moved: FloatArray) -> None:
-    """Add to ``moved`` how far pose and deformation take a point, T x, and H T x to ``pull``."""
+    """Add the displacement T x of a point to ``moved``, and H T x to ``pull``."""
     for i in range(3):
         for a in range(len(step)):
             moved[i] += T[i, a] * step[a]
@@ -230,7 +232,7 @@ def _add_along(H: FloatArray, T: FloatArray, step: FloatArray, pull: FloatArray,
 def move_point(
     H: FloatArray, weight: float, pull: FloatArray, rotation: FloatArray, point: FloatArray, e: FloatArray
 ) -> None:
-    """Write e = -(H + weight)^-1 pull, camera axes, and add it to a point (3,) in the head's."""
+    """Write e = -(H + weight)^-1 pull, camera axes, and add it to a point (3,) in head axes."""
     inverse = np.empty((3, 3))
     invert_symmetric(H, weight, inverse)
     for i in range(3):
@@ -244,7 +246,7 @@ def move_point(
 
 @kernel
 def apply_step(state: FaceUnknowns, step: FloatArray) -> None:
-    """Add a step to pose and deformation: t + d, exp(w) R, a + da."""
+    """Apply a step to pose and deformation: t + d, exp(w) R, a + da."""
     for i in range(POSE):
         state.moved[i] += step[i]
     for i in range(3):

@@ -1,4 +1,4 @@
-"""Points found again in the image, and the pose that they give."""
+"""Recalculation of feature points, and the refinement of one frame."""
 
 from __future__ import annotations
 
@@ -42,25 +42,25 @@ from posetrack_cli.head.refinement.joint import (
     move_point,
 )
 
-# The feature points' own places, with the pose held (thesis, 3.2.3); compiled.
+# Recalculation of the feature points with the pose fixed (thesis, 3.2.3); compiled.
 #
-# ``recalculate_points`` minimises E = sum_k E_k(R M'_k + t) + Student-t of M'_k - M_k, which stands for eps
-# |M' - M|^2 of (3.3): with patches of zero mean and unit norm, warped, and between cameras, too **[ours]**.
-# As in (3.9) the start is the result of the frame before. Each point is a system of three unknowns (3.17).
+# ``recalculate_points`` minimises E = sum_k E_k(R M'_k + t) + Student-t of M'_k - M_k, which replaces eps
+# |M' - M|^2 of (3.3), with warped patches of zero mean and unit norm, also between cameras **[ours]**. As in
+# (3.9) it starts from the previous frame's result. Each point is a system of three unknowns (3.17).
 #
-# ``recalculate_as_printed`` is the thesis's, (3.3)-(3.19), and ``recalculate_2d_as_printed`` that of one
-# camera's image, (4.42)-(4.52):
+# ``recalculate_as_printed`` is the thesis's method, (3.3)-(3.19), and ``recalculate_2d_as_printed`` that for
+# one camera's image, (4.42)-(4.52):
 #
 #     E = sum over cameras and 16 x 16 regions of  rho |I_t(m_t) - I_t-1(m_t-1)|^2 + |I_t(m_t) - I_1(m_1)|^2
 #         + eps |M'_t - M_t|^2,                                     m = P(p_t, M')
 #     E = sum over 16 x 16 regions of  rho |I_t(m_t) - I_t-1(m_t-1)|^2 + |I_t(m_t) - I_1(m_1)|^2
-#         + eps |m_t - m'_t|^2,                              m'_t where the filter's estimate projects to
+#         + eps |m_t - m'_t|^2,                              m'_t the projection of the filter's estimate
 #
-# by dM = -D^-1 d, or dm = -D^-1 d, repeated (the second until it is small). **[fix]** (3.16) has the factor 2
-# of the derivative of eps |.|^2, (3.18) and (3.19) lost it; (4.51) and (4.52) have the factor 2 of the
-# derivative of E_I and not that of eps |.|^2: as E is defined, D = (rho + 1) sum K^T K + eps 1 and d = sum
-# K^T (rho dI + dI_0) + eps (M'_t-1 - M_t), in the image eps (m_t-1 - m'_t). No point shares an entry of D
-# with another, so it is solved in blocks of three, or of two.
+# by iterating dM = -D^-1 d, or dm = -D^-1 d until it is small. **[fix]** (3.16) has the factor 2 of the
+# derivative of eps |.|^2, which (3.18) and (3.19) lack; (4.51) and (4.52) have the factor 2 of the
+# derivative of E_I but not that of eps |.|^2. As E is defined, D = (rho + 1) sum K^T K + eps 1 and d = sum
+# K^T (rho dI + dI_0) + eps (M'_t-1 - M_t), in the image eps (m_t-1 - m'_t). D is block-diagonal over points,
+# with blocks of three or two.
 
 
 @kernel
@@ -75,15 +75,15 @@ def recalculate_points(
     correlations: FloatArray,
     pixels: FloatArray,
 ) -> None:
-    """Descend from points (K, 3), which are written over.
+    """Minimise E over points (K, 3), in place.
 
     Args:
         scene: the frame.
-        rotation, position: R (3, 3) and t (3,), held.
+        rotation, position: R (3, 3) and t (3,), fixed.
         shape: (K, 3) M, the filter's estimate, in the head's frame, mm.
         prior: of M' - M.
-        iterations: steps at most.
-        points: (K, 3) M' of the frame before; out: of this one.
+        iterations: maximum number of steps.
+        points: (K, 3) M' of the previous frame; out: of this one.
         correlations: (C, K) out.
         pixels: (C, K, 2) out.
     """
@@ -108,7 +108,7 @@ def recalculate_points(
 
 @inlined
 def write_point(evidence: Evidence, k: int, correlations: FloatArray, pixels: FloatArray) -> None:
-    """Write where a point is seen, and how well; number by number, as slices compile for seconds."""
+    """Write a point's pixels and correlations, element by element to keep compilation fast."""
     for c in range(len(correlations)):
         correlations[c, k] = evidence.correlations[c]
         for i in range(2):
@@ -123,7 +123,7 @@ def transform(R: FloatArray, v: FloatArray, t: FloatArray, out: FloatArray) -> N
 
 
 class PrintedConstants(NamedTuple):
-    """The two constants, which belong to 8-bit intensities and mm."""
+    """The thesis's constants, for 8-bit intensities and mm."""
 
     rho: float
     epsilon: float
@@ -141,7 +141,7 @@ def recalculate_as_printed(
     correlations: FloatArray,
     pixels: FloatArray,
 ) -> None:
-    """Descend from points (K, 3), which are written over; arguments as of ``recalculate_points``."""
+    """Minimise the printed E over points (K, 3), in place; arguments as in ``recalculate_points``."""
     cameras = len(scene.images.sizes)
     evidence, work = make_evidence(cameras), make_workspace(cameras)
     X, d, e = np.empty(3), np.empty(3), np.empty(3)
@@ -159,7 +159,7 @@ def recalculate_as_printed(
 
 @kernel
 def _gather_raw(scene: Scene, k: int, X: FloatArray, rho: float, work: Workspace, out: Evidence) -> None:
-    """Write half the derivatives of the regions' part of E at X (3,), in camera axes."""
+    """Write half the derivatives of E's image terms at X (3,), in camera axes."""
     images, upright = scene.images, np.eye(2)
     out.hessian[:] = 0.0
     out.gradient[:] = 0.0
@@ -177,7 +177,7 @@ def _gather_raw(scene: Scene, k: int, X: FloatArray, rho: float, work: Workspace
 
 @kernel
 def _add_region(grid: FloatArray, target: FloatArray, J: FloatArray, weight: float, out: Evidence) -> None:
-    """Add weight |I - target|^2 / 2 over a region's pixels: K = (dI/dm) J is one row for each."""
+    """Add weight |I - target|^2 / 2 over a region's pixels; K = (dI/dm) J is one row per pixel."""
     row = np.empty(3)
     for j in range(1, PATCH + 1):
         for i in range(1, PATCH + 1):
@@ -193,7 +193,7 @@ def _add_region(grid: FloatArray, target: FloatArray, J: FloatArray, weight: flo
 
 
 REFERENCE, BEFORE = 0, 1
-"""Which of ``Scene.raw`` is what."""
+"""Indices of ``Scene.raw``."""
 
 
 @kernel
@@ -205,17 +205,17 @@ def recalculate_2d_as_printed(
     pixels: FloatArray,
     correlations: FloatArray,
 ) -> None:
-    """Descend from pixels (K, 2), which are written over.
+    """Minimise the printed E over pixels (K, 2), in place.
 
-    Where a region leaves the image, the point stays where the last step took it.
+    A point whose region leaves the image stays at its last place.
 
     Args:
-        scene: the frame, of one camera, made for the printed recalculation.
+        scene: the frame, of one camera, built for the printed recalculation.
         expected: (K, 2) m'_t, pixels.
-        printed: rho and eps, which belong to 8-bit intensities and pixels.
-        iterations: steps at most.
-        pixels: (K, 2) m of the frame before; out: of this one.
-        correlations: (K,) out: the best with a template that is not of the frame before; NaN without one.
+        printed: rho and eps, for 8-bit intensities and pixels.
+        iterations: maximum number of steps.
+        pixels: (K, 2) m of the previous frame; out: of this one.
+        correlations: (K,) out: the best with a template other than the previous frame's; NaN without one.
     """
     grid, upright, patch = np.empty((GRID, GRID)), np.eye(2), np.empty(SIZE)
     sums = np.empty(5)
@@ -249,7 +249,7 @@ def _sample(scene: Scene, pixel: FloatArray, upright: FloatArray, grid: FloatArr
 
 @kernel
 def _regions(scene: Scene, k: int, grid: FloatArray, rho: float, sums: FloatArray) -> None:
-    """Write what both comparisons add to D (xx, xy, yy) and d (x, y): half the derivatives of E_I."""
+    """Write the image terms of D (xx, xy, yy) and d (x, y): half the derivatives of E_I."""
     sums[:] = 0.0
     for s in range(2):
         target = scene.raw[s, 0, k]
@@ -270,7 +270,7 @@ def _regions(scene: Scene, k: int, grid: FloatArray, rho: float, sums: FloatArra
 
 @kernel
 def _best(scene: Scene, k: int, patch: FloatArray) -> float:
-    """Return the best correlation with a template of the sets; NaN where there is none."""
+    """Return the best correlation with a stored template; NaN if there is none."""
     targets, best = scene.targets, np.nan
     for s in range(targets.stored):
         if targets.weights[s, 0, k] > 0.0:
@@ -280,35 +280,34 @@ def _best(scene: Scene, k: int, patch: FloatArray) -> float:
     return best
 
 
-# One frame's refinement: the calls that a tracker makes
-
+# Refinement of one frame, as called by the tracker
 
 WIDE_PRIOR = np.array([50.0] * 3 + [0.5] * 3)
-"""(6,) standard deviations about the predicted pose, mm and rad: keep what no patch tells."""
+"""(6,) standard deviations about the predicted pose, mm and rad; regularises unobserved directions."""
 LEAST_DEVIATION_MM = 1e-3
 ITERATIONS = 3
-"""Of Gauss-Newton over pose, deformation and a residual per point."""
+"""Maximum number of joint Gauss-Newton steps."""
 RESIDUAL_MM = of_kinds(eyes=0.8, mouth=2.5, nostrils=3.0, brows=0.9)
-"""(K,) standard deviations of what the model does not explain."""
+"""(K,) standard deviations of the points about the model."""
 RECALCULATION_MM = of_kinds(eyes=1.0, mouth=12.0, nostrils=2.5, brows=2.0)
-"""(K,) the same for the points' own places, with the pose held."""
+"""(K,) the same for the recalculation, with the pose fixed."""
 DEGREES_OF_FREEDOM = 4.0
-"""Of the Student-t density of the points' residuals."""
+"""Of the Student-t density of the residuals."""
 KEYFRAME_NEUTRAL_MM, KEYFRAME_CORRELATION = 3.0, 0.7
-"""A keyframe's face is deformed by less (length of 3K numbers), and looks more like itself."""
+"""Limits for a keyframe: maximum deformation (norm of 3K values) and minimum correlation."""
 
 
 @dataclass(frozen=True, eq=False)
 class Refined:
-    """What the patches of one frame agree on.
+    """Refined pose and deformation of a frame.
 
     Attributes:
         pose: of the head.
         coefficients: (B,) a, mm.
-        residuals: (K, 3) delta, how far each point lies from the model, in the head's frame, mm.
-        correlations: (C, K) the best with a template of ``templates``; NaN where there is none.
+        residuals: (K, 3) delta, difference of each point from the model, in the head's frame, mm.
+        correlations: (C, K) the best with a template of ``templates``; NaN if there is none.
         visibility: (C, K) cosine of normal and ray at the predicted pose; 0 from behind and without an image.
-        scene: the frame as it was looked at, for ``recalculate``.
+        scene: data of the frame, for ``recalculate``.
     """
 
     pose: HeadPose
@@ -321,11 +320,11 @@ class Refined:
 
 @dataclass(frozen=True, eq=False)
 class Recalculated:
-    """The points' own places.
+    """Recalculated points.
 
     Attributes:
         shape: (K, 3) M' in the head's frame, mm.
-        correlations: (C, K) as of ``Refined``.
+        correlations: (C, K) as in ``Refined``.
         pixels: (C, K, 2).
     """
 
@@ -335,17 +334,17 @@ class Recalculated:
 
 
 def refine(frame: ComparedFrame, model: ShapeModel, pose: HeadPose, coefficients: FloatArray) -> Refined:
-    """Refine pose and deformation together from where a filter puts them (``joint``).
+    """Refine pose and deformation jointly from the filter's estimate (``joint``).
 
-    Without ``settings.joint`` they stay, and only how they look is told.
+    Without ``settings.joint`` they are unchanged, and only correlations are computed.
 
     Args:
         frame: images and templates.
-        model: mean and deformations of the face.
+        model: shape model of the face.
         pose, coefficients: start, (B,) mm.
     """
     residuals = np.zeros_like(model.mean)
-    # lenses are linearised about the start, so with a distorted one a second round begins where it ended
+    # lenses are linearised at the start, so distorted ones need a second round from the result
     for _ in range(2 if any(camera.is_distorted for camera in frame.images.cameras) else 1):
         shape = model.shapes(coefficients) + residuals
         scene, seen = frame.scene(pose, shape)
@@ -357,16 +356,16 @@ def refine(frame: ComparedFrame, model: ShapeModel, pose: HeadPose, coefficients
 def recalculate(
     scene: Scene, pose: HeadPose, shape: FloatArray, start: FloatArray, settings: RefinementSettings
 ) -> Recalculated:
-    """Find the points' own places with the pose held (``recalculation``, or the thesis's, ``printed``).
+    """Recalculate the points with the pose fixed, by ``settings.recalculation``.
 
-    As printed, several cameras move points in space (3.3), one camera moves them in its image (4.42); their
-    depths are then those of M.
+    As printed, several cameras move points in space (3.3), one camera moves them in its image (4.42), with
+    the depths of M.
 
     Args:
-        scene: of the frame, about nearly this pose and shape: ``Refined.scene``.
+        scene: of the frame, at nearly this pose and shape: ``Refined.scene``.
         pose: of the head.
-        shape: (K, 3) M, what the model says, in the head's frame, mm.
-        start: (K, 3) M' of the frame before.
+        shape: (K, 3) M, the model's shape, in the head's frame, mm.
+        start: (K, 3) M' of the previous frame.
         settings: weights, priors, steps.
     """
     count = (len(scene.images.sizes), len(shape))
@@ -386,7 +385,7 @@ def recalculate(
 def _recalculated_in_image(
     scene: Scene, pose: HeadPose, shape: FloatArray, start: FloatArray, settings: RefinementSettings
 ) -> Recalculated:
-    """(4.42) to (4.52), and the points at M's depths that are seen at the pixels found."""
+    """Apply (4.42) to (4.52), and return the points at M's depths."""
     expected, jacobians = _seen_at(scene, pose.points(shape))
     pixels, _ = _seen_at(scene, pose.points(start))
     correlations, printed = np.empty(len(shape)), PrintedConstants(settings.rho, settings.epsilon)
@@ -398,7 +397,7 @@ def _recalculated_in_image(
 
 
 def _seen_at(scene: Scene, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Where the one camera sees points (K, 3), mm in its axes: (K, 2), and (K, 2, 3) its derivatives."""
+    """Return the projections (K, 2) of points (K, 3), mm, in the only camera, and their derivatives."""
     pixels, jacobians = np.empty((len(points), 2)), np.empty((len(points), 2, 3))
     for k, point in enumerate(points):
         project_point(scene.optics, 0, k, point, pixels[k], jacobians[k])
@@ -433,23 +432,23 @@ def _pose(state: FaceUnknowns) -> HeadPose:
 
 
 def make_prior(scales: FloatArray) -> Prior:
-    """Return the prior of points that lie off their model by standard deviations (K,), mm."""
+    """Return the prior of points with standard deviations (K,), mm, about the model."""
     return Prior(scales, DEGREES_OF_FREEDOM, WIDE_PRIOR**-2)
 
 
 ROUNDS, STEPS = 3, 5
-"""A point that came nearer or went away is looked at from there again."""
+"""Rounds of template updates, for points whose depth changed, and steps of each."""
 
 
 def refine_initial_depth(
     images: RigImages, pose: HeadPose, shape: FloatArray, settings: StereoRefinementSettings
 ) -> FloatArray:
-    """Return the shape (K, 3), mm, at which the patches of all cameras agree best **[ours]**.
+    """Return the shape (K, 3), mm, on which the patches of all cameras agree best **[ours]**.
 
-    A point of a shape that was just found may lie some mm before or behind the skin that its patches show:
-    then the reference templates of two cameras ask for one depth and the comparison between the cameras
-    for another, and every later pose is pulled to and fro. Here the first camera with an image holds the
-    point at its pixel, and the comparison between the cameras moves it along the ray.
+    Triangulated points may lie some mm in front of or behind the skin. Reference templates of two cameras and
+    the comparison between the cameras would then imply different depths and bias every later pose. The first
+    camera with an image keeps the point at its pixel, and the comparison between the cameras moves it along
+    the ray.
 
     Args:
         images: of all cameras.
@@ -473,7 +472,7 @@ def refine_initial_depth(
 
 
 def _first_camera_only(seen: BoolArray) -> BoolArray:
-    """Return (C, K) where the first camera that sees anything sees a point."""
+    """Return (C, K) points seen by the first camera that sees any."""
     first: BoolArray = np.zeros_like(seen)
     camera = int(np.argmax(seen.any(axis=1)))
     first[camera] = seen[camera]

@@ -1,1 +1,1 @@
-"""The skin between the feature points, as one camera saw it over a whole recording **[ours]**."""
+"""Skin texture between the feature points, observed by one camera over a whole recording **[ours]**."""

@@ -1,4 +1,4 @@
-"""The skin's map and poses adjusted together."""
+"""Joint adjustment of poses and skin points."""
 
 from __future__ import annotations
 
@@ -11,29 +11,29 @@ from posetrack_cli.compiled import inlined, kernel
 from posetrack_cli.geometry.least_squares import cauchy, invert_symmetric
 from posetrack_cli.head.face.points import POSE_SIZE, HeadPose
 
-# The normal equations of poses and skin, point by point; compiled.
+# Normal equations of poses and points; compiled.
 #
-# With A and V the diagonal blocks of views and points, W those between them, b and c the right sides:
+# With A and V the diagonal blocks of views and points, W those between them, b and c the right-hand sides:
 #
 #     (A - W V^-1 W^T) x = b - W V^-1 c,    y = V^-1 (c - W^T x)
 
 
 POSE, PLACE = 6, 3
 NOISE_PX = 0.7
-"""sigma, of a place that was found."""
+"""sigma, of a matched place."""
 TAIL = 2.0
-"""Cauchy's: at so many deviations a place counts half."""
+"""Scale of Cauchy's function, in standard deviations: the residual with a weight of one half."""
 NEAREST_MM = 1.0
-"""Whatever is nearer to the camera, or behind it, is taken to be so far away."""
+"""Minimum depth of a point."""
 
 
 class Observations(NamedTuple):
-    """Where points were found, in the order of the points.
+    """Matched places, sorted by point.
 
     Attributes:
         views: (N,) index of the view.
         first: (M + 1,) observations of point j are those from first[j] up to first[j + 1].
-        rays: (N, 2) without the lens, z = 1.
+        rays: (N, 2) undistorted, z = 1.
     """
 
     views: IntArray
@@ -42,7 +42,7 @@ class Observations(NamedTuple):
 
 
 class Equations(NamedTuple):
-    """The equations of the views with the points eliminated, and what leads back to the points.
+    """Equations of the views with the points eliminated, and data for the back substitution.
 
     Attributes:
         matrix: (6 n, 6 n) A - W V^-1 W^T.
@@ -60,7 +60,7 @@ class Equations(NamedTuple):
 
 
 def make_equations(views: int, observed: Observations) -> Equations:
-    """Return room for the equations of so many views."""
+    """Allocate the equations."""
     points = len(observed.first) - 1
     return Equations(
         np.empty((POSE * views, POSE * views)),
@@ -81,15 +81,16 @@ def linearise(
     residual: FloatArray,
     J: FloatArray,
 ) -> float:
-    """Write an observation about where it is expected, and return its weight, 1 / pixel^2.
+    """Linearise an observation, and return its weight, 1 / pixel^2.
 
     Args:
         ray: (2,).
         R, t: (3, 3), (3,) of its view.
         point: (3,) X.
         f: (2,) focal lengths, pixels.
-        residual: (2,) written, pixels.
-        J: (2, 9) written, what is seen by the view's tangent vector, then by X: G (1, -[R X]_x, R).
+        residual: (2,) out, pixels.
+        J: (2, 9) out, derivative of the projection by the view's tangent vector, then by X: G (1, -[R X]_x,
+            R).
     """
     a = R[0, 0] * point[0] + R[0, 1] * point[1] + R[0, 2] * point[2]
     b = R[1, 0] * point[0] + R[1, 1] * point[1] + R[1, 2] * point[2]
@@ -119,7 +120,7 @@ def add_to_pose(
     matrix: FloatArray,
     vector: FloatArray,
 ) -> None:
-    """Add to the equations (6, 6), (6,) of one pose what observations (N, 2) of points (N, 3) say of it."""
+    """Add observations (N, 2) of points (N, 3) to the equations (6, 6), (6,) of one pose."""
     residual, J = np.empty(2), np.empty((2, POSE + PLACE))
     for o in range(len(rays)):
         weight = linearise(rays[o], R, t, points[o], f, residual, J)
@@ -147,7 +148,7 @@ def add_points(
     f: FloatArray,
     equations: Equations,
 ) -> None:
-    """Add all observations to the equations, which hold the priors, and eliminate the points.
+    """Add all observations to the equations, which contain the priors, and eliminate the points.
 
     Args:
         observed: in the views.
@@ -187,7 +188,7 @@ def _add_place(
 
 @kernel
 def _eliminate(observed: Observations, j: int, equations: Equations) -> None:
-    """Take W V^-1 W^T and W V^-1 c of a point away."""
+    """Subtract W V^-1 W^T and W V^-1 c of a point."""
     inverse, pull, along = equations.inverses[j], equations.pulls[j], np.empty((POSE, PLACE))
     first, last = observed.first[j], observed.first[j + 1]
     for o in range(first, last):
@@ -207,8 +208,10 @@ def _eliminate(observed: Observations, j: int, equations: Equations) -> None:
 
 
 @kernel
-def move_points(observed: Observations, equations: Equations, turns: FloatArray, moves: FloatArray) -> None:
-    """Write the shifts (M, 3) of points y that go with tangent vectors (n, 6) of views x."""
+def move_points(
+    observed: Observations, equations: Equations, tangents: FloatArray, moves: FloatArray
+) -> None:
+    """Write the steps (M, 3) of points y for tangent vectors (n, 6) of views x."""
     for j in range(len(moves)):
         for i in range(PLACE):
             moves[j, i] = 0.0
@@ -216,35 +219,34 @@ def move_points(observed: Observations, equations: Equations, turns: FloatArray,
             left = equations.pulls[j, m]
             for o in range(observed.first[j], observed.first[j + 1]):
                 for a in range(POSE):
-                    left -= equations.cross[o, a, m] * turns[observed.views[o], a]
+                    left -= equations.cross[o, a, m] * tangents[observed.views[o], a]
             for i in range(PLACE):
                 moves[j, i] += equations.inverses[j, i, m] * left
 
 
-# Poses of a head and the places of skin in it, adjusted to where the skin was found.
+# Bundle adjustment of head poses and skin points (Triggs et al. 2000).
 #
 #     E = sum_o rho(|f (r_o - pi(R_i X_j + t_i))| / sigma)
-#         + 1/2 sum_i |pose_i (-) told_i|^2 / S_p  +  1/2 sum_j |X_j - X0_j|^2 / S_x
+#         + 1/2 sum_i |pose_i (-) prior_i|^2 / S_p  +  1/2 sum_j |X_j - X0_j|^2 / S_x
 #
-# pi(x, y, z) = (x, y) / z, r_o the ray of an observation of point j in view i, rho Cauchy's. Points are
-# eliminated (Schur complement), as in any bundle adjustment (Triggs et al. 2000).
-
+# pi(x, y, z) = (x, y) / z, r_o the ray of an observation of point j in view i, rho Cauchy's function. Points
+# are eliminated (Schur complement).
 
 POSE_SD = np.array([6.0, 6.0, 25.0, *np.radians([6.0, 6.0, 6.0])])
-"""(6,) mm and rad about the poses that feature points tell: wide, as those may slide."""
+"""(6,) mm and rad about the poses of the feature points: wide, as these may slide."""
 POINT_SD = np.array([2.0, 2.0, 8.0])
 """(3,) mm about the surface."""
 CONVERGED = 1e-4
-"""A pose is found where a step changes it by no more, in ``POSE_SD``."""
+"""Largest change of a pose in the last step, in ``POSE_SD``."""
 
 
 def observations(views: IntArray, points: IntArray, rays: FloatArray, count: int) -> Observations:
-    """Return observations in the order of ``count`` points; those of one point stay in their order.
+    """Sort observations by point, stably.
 
     Args:
         views, points: (N,) indices of each.
         rays: (N, 2) of each.
-        count: M, of points.
+        count: M, number of points.
     """
     order = np.argsort(points, kind="stable")
     first = np.searchsorted(points[order], np.arange(count + 1))
@@ -252,20 +254,20 @@ def observations(views: IntArray, points: IntArray, rays: FloatArray, count: int
 
 
 def adjust_pose(
-    rays: FloatArray, points: FloatArray, start: HeadPose, told: HeadPose, f: FloatArray, steps: int
+    rays: FloatArray, points: FloatArray, start: HeadPose, prior: HeadPose, f: FloatArray, steps: int
 ) -> HeadPose:
-    """Return the pose from which points (N, 3), mm in the head's frame, lie on rays (N, 2).
+    """Fit the pose in which points (N, 3), mm in the head's frame, lie on rays (N, 2).
 
     Args:
         rays, points: of observations.
-        start: of the descent.
-        told: by feature points.
+        start: of the optimisation.
+        prior: pose of the feature points.
         f: (2,) focal lengths, pixels.
-        steps: of Gauss and Newton, at most.
+        steps: maximum number of Gauss-Newton steps.
     """
     pose, precisions = start, POSE_SD**-2
     for _ in range(steps):
-        matrix, vector = np.diag(precisions), precisions * pose.difference(told)
+        matrix, vector = np.diag(precisions), precisions * pose.difference(prior)
         add_to_pose(rays, points, pose.rotation, pose.position, f, matrix, vector)
         tangent = np.asarray(np.linalg.solve(matrix, vector), dtype=np.float64)
         pose = pose.moved(tangent)
@@ -275,23 +277,23 @@ def adjust_pose(
 
 
 def adjust_skin(
-    observed: Observations, told: HeadPose, surface: FloatArray, f: FloatArray, steps: int
+    observed: Observations, prior: HeadPose, surface: FloatArray, f: FloatArray, steps: int
 ) -> tuple[HeadPose, FloatArray]:
-    """Return the poses (n) of all views and the places (M, 3) of all points.
+    """Adjust the poses (n) of all views and the places (M, 3) of all points.
 
     Args:
         observed: in the views.
-        told: (n) poses of the views by their feature points, where the descent begins.
+        prior: (n) poses of the views from their feature points, also the start.
         surface: (M, 3) X0, mm in the head's frame.
         f: (2,) focal lengths, pixels.
-        steps: of Gauss and Newton.
+        steps: number of Gauss-Newton steps.
     """
-    poses, points = told, surface
-    equations, moves = make_equations(len(told.position), observed), np.empty_like(surface)
+    poses, points = prior, surface
+    equations, moves = make_equations(len(prior.position), observed), np.empty_like(surface)
     for _ in range(steps):
-        turns = _solve(observed, poses, points, told, surface, f, equations)
-        move_points(observed, equations, turns, moves)
-        poses, points = poses.moved(turns), points + moves
+        tangents = _solve(observed, poses, points, prior, surface, f, equations)
+        move_points(observed, equations, tangents, moves)
+        poses, points = poses.moved(tangents), points + moves
     return poses, points
 
 
@@ -299,18 +301,18 @@ def _solve(
     observed: Observations,
     poses: HeadPose,
     points: FloatArray,
-    told: HeadPose,
+    prior: HeadPose,
     surface: FloatArray,
     f: FloatArray,
     equations: Equations,
 ) -> FloatArray:
-    """Write the normal equations, and return the tangent vectors (n, 6) of the views."""
+    """Build and solve the normal equations; return the tangent vectors (n, 6) of the views."""
     precisions = np.tile(POSE_SD**-2, len(poses.position))
     equations.matrix[:] = 0.0
     np.fill_diagonal(equations.matrix, precisions)
-    equations.vector[:] = precisions * poses.difference(told).ravel()
+    equations.vector[:] = precisions * poses.difference(prior).ravel()
     equations.inverses[:] = np.diag(POINT_SD**-2)
     equations.pulls[:] = (surface - points) / POINT_SD**2
     add_points(observed, poses.rotation, poses.position, points, f, equations)
-    turns = np.linalg.solve(equations.matrix, equations.vector)
-    return np.asarray(turns, dtype=np.float64).reshape(-1, POSE_SIZE)
+    tangents = np.linalg.solve(equations.matrix, equations.vector)
+    return np.asarray(tangents, dtype=np.float64).reshape(-1, POSE_SIZE)

@@ -1,10 +1,9 @@
-"""A map of a person's skin, made of a first pass, and where it says that a head is.
+"""Map of a person's skin, built in a first pass, and poses relative to it.
 
-Ten feature points of a real face slide: by 2 to 4 % of the eyes' distance, which is 3 to 5 degrees of yaw.
-Corners of the skin between them, some hundred in a frame, are matched between frames all over a recording,
-and poses and their depths are adjusted together; then a frame's pose is where its skin lies on the map's. On
-real faces the skin is nearer to what others say of them, on rendered ones the feature points are, and the
-mean of the two is better than either: ``share`` says how far the skin is believed.
+The ten feature points of a real face slide, which causes yaw errors of a few degrees. Some hundred corners of
+the skin are matched between frames over the whole recording, and their positions are adjusted together with
+the poses. A frame's pose then follows from its skin points. Skin is more accurate on real faces, feature
+points on rendered ones; ``share`` is the weight of the skin.
 """
 
 from __future__ import annotations
@@ -36,19 +35,19 @@ from posetrack_cli.head.skin.matching import (
 from posetrack_cli.opencv import in_one_thread
 
 LEAST_VIEWS = 4
-"""A map of fewer says nothing that is not in the frame."""
+"""Minimum number of views; a map of fewer adds nothing to a single frame."""
 POINTS, DISTANCE_MM = 40, 9.0
-"""Corners of skin in a view, at most, and how far they are apart."""
+"""Maximum number of skin corners per view, and their minimum spacing."""
 LINKED = 6
-"""They are looked for in so many views near in time, and in as many turned alike."""
+"""Number of views near in time, and with similar pose, in which points are matched."""
 ROUNDS, STEPS = 2, 8
-"""Poses and points are adjusted to what was found so many times, in so many steps."""
+"""Rounds of matching and adjustment, and steps of each."""
 NEAR, ALIKE = 2, 1
-"""A frame is compared with so many views near in time, and so many turned alike."""
+"""Number of views near in time, and with similar pose, that a frame is compared with."""
 ERROR_DEG = 1.5
-"""The skin's poses err by about so much, on all faces: how far they are believed."""
+"""Typical error of poses from skin; determines their weight."""
 LEAST_POINTS, ENOUGH_POINTS = 15, 60
-"""Points found: so few say nothing, and so many say all that skin can."""
+"""Number of matched points below which the skin has no weight, and above which it has its full weight."""
 POSE_STEPS = 5
 
 
@@ -60,10 +59,10 @@ class SkinMap:
         stamps: (n,) of the views, ns.
         crops: (n, HEIGHT, WIDTH).
         poses: (n) adjusted.
-        views: (M,) in which view each point was chosen, in order.
-        places: (M, 2) where, in its crop.
+        views: (M,) view in which each point was chosen, in ascending order.
+        places: (M, 2) its place in that crop.
         points: (M, 3) adjusted, mm in the head's frame.
-        share: 0 to 1, how far a pose by the skin is believed, beside that by feature points.
+        share: 0 to 1, weight of a pose from skin relative to that from feature points.
     """
 
     stamps: IntArray
@@ -80,17 +79,17 @@ class SkinMap:
         return np.searchsorted(self.views, np.arange(len(self.stamps) + 1))
 
     def of_view(self, index: int) -> slice:
-        """Return which points were chosen in a view."""
+        """Return the points chosen in a view."""
         return slice(int(self.bounds[index]), int(self.bounds[index + 1]))
 
 
 class SkinPose(NamedTuple):
-    """Where a head is that was compared with a map.
+    """Pose of a head compared with a map.
 
     Attributes:
-        pose: between what its feature points tell and where its skin lies.
-        share: how far it is the skin's, 0 to 1.
-        unmatched: share of the skin looked for that was not found; all of it where no view looks alike.
+        pose: between those of feature points and skin.
+        share: weight of the skin, 0 to 1.
+        unmatched: share of the skin points that were not found; 1 without a similar view.
     """
 
     pose: HeadPose
@@ -100,55 +99,58 @@ class SkinPose(NamedTuple):
 
 @in_one_thread()
 def make_map(views: Sequence[SkinView], shape: FloatArray, camera: Camera) -> SkinMap | None:
-    """Return the map of views whose poses are those of one person's points; None of too few.
+    """Build a map from views with the poses of one person's points; None if there are too few.
 
     Args:
-        views: in the order of their time.
+        views: in the order of time.
         shape: (K, 3) the person's neutral face, mm.
-        camera: that took them.
+        camera: of the views.
     """
     if len(views) < LEAST_VIEWS:
         return None
     begun = _with_points(views, shape, camera)
     if not len(begun.points):
         return None
-    told, surface = begun.poses, begun.points
+    by_points, surface = begun.poses, begun.points
     focal, found = np.array([camera.fx, camera.fy]), begun
     for _ in range(ROUNDS):
+        # better poses predict the places of points better, so matching is repeated
         observed = _observe(found, views, camera)
-        poses, points = adjust_skin(observed, told, surface, focal, STEPS)
-        poses, points = _in_prior_frame(*_at_prior_distance(poses, points, told), told)
+        poses, points = adjust_skin(observed, by_points, surface, focal, STEPS)
+        poses, points = _in_prior_frame(*_at_prior_distance(poses, points, by_points), by_points)
         found = replace(found, points=points, poses=poses)
-    return replace(found, share=_share(told.difference(found.poses)))
+    return replace(found, share=_share(by_points.difference(found.poses)))
 
 
-def _at_prior_distance(poses: HeadPose, points: FloatArray, told: HeadPose) -> tuple[HeadPose, FloatArray]:
-    """Return poses and points so many times as large that heads are as far away as they were told to be.
+def _at_prior_distance(
+    poses: HeadPose, points: FloatArray, by_points: HeadPose
+) -> tuple[HeadPose, FloatArray]:
+    """Scale poses and points so that the median distance of the head equals the prior's.
 
-    A head twice as large and as far away looks the same, so skin says nothing of it.
+    A head of twice the size at twice the distance looks the same, so skin does not determine the scale.
     """
-    away = [np.linalg.norm(each.position, axis=1) for each in (told, poses)]
-    far, nearer = np.maximum(away, 1.0)  # mm; a file may say that a head is at the camera
+    away = [np.linalg.norm(each.position, axis=1) for each in (by_points, poses)]
+    far, nearer = np.maximum(away, 1.0)  # mm; a damaged file may place a head at the camera
     factor = float(np.exp(np.median(np.log(far / nearer))))
     return HeadPose(factor * poses.position, poses.quaternion), factor * points
 
 
-def _in_prior_frame(poses: HeadPose, points: FloatArray, told: HeadPose) -> tuple[HeadPose, FloatArray]:
-    """Return poses and points in the head's frame that the feature points tell, on average over the views.
+def _in_prior_frame(poses: HeadPose, points: FloatArray, by_points: HeadPose) -> tuple[HeadPose, FloatArray]:
+    """Express poses and points in the head's frame of the feature points, averaged over the views.
 
-    With C the mean of R'^T R, of told rotations R' and the skin's R, and d the median of C R^T (t - t'):
-    R C^T and t - R C^T d, and C X + d. No point is seen elsewhere; where the head's frame sits in the head
-    is a convention that skin says nothing of, and begun with rough depths all heads looked up by .7 degrees.
+    With C the mean of R'^T R, of prior rotations R' and the skin's R, and d the median of C R^T (t - t'):
+    R C^T and t - R C^T d, and C X + d. The projections do not change. The placement of the head's frame is a
+    convention that skin does not determine; rough initial depths would otherwise bias the pitch.
     """
-    between = multiply(conjugate(told.quaternion), poses.quaternion)
+    between = multiply(conjugate(by_points.quaternion), poses.quaternion)
     turn = mean_quaternion(between, np.ones(len(between)))
     turned = multiply(poses.quaternion, conjugate(turn))
-    shift = np.median(rotate(conjugate(turned), poses.position - told.position), axis=0)
+    shift = np.median(rotate(conjugate(turned), poses.position - by_points.position), axis=0)
     return HeadPose(poses.position - rotate(turned, shift), canonical(turned)), rotate(turn, points) + shift
 
 
 def _with_points(views: Sequence[SkinView], shape: FloatArray, camera: Camera) -> SkinMap:
-    """The map with its points on the surface, and the poses as the feature points tell them."""
+    """Return the map with initial points on the surface and the poses of the feature points."""
     surface, owners, places, points = surface_of(shape), [], [], []
     for index, one in enumerate(views):
         pixels = pixels_wherever(camera, one.view.pose.points(surface.points))
@@ -169,7 +171,7 @@ def _with_points(views: Sequence[SkinView], shape: FloatArray, camera: Camera) -
 
 
 def _observe(found: SkinMap, views: Sequence[SkinView], camera: Camera) -> Observations:
-    """Find the points of all views in those that are near in time or turned alike."""
+    """Match the points of all views in others that are near in time or have a similar pose."""
     in_views, of_points, pixels = [], [], []
     for index, one in enumerate(views):
         own = found.of_view(index)
@@ -190,7 +192,7 @@ def _observe(found: SkinMap, views: Sequence[SkinView], camera: Camera) -> Obser
 def _matched(
     found: SkinMap, view: int, crop: ImageArray, placement: FloatArray, pose: HeadPose, camera: Camera
 ) -> tuple[IntArray, FloatArray]:
-    """Return which points of a view are found in a crop, and where in it."""
+    """Return the points of a view found in a crop, and their places in it."""
     which = found.of_view(view)
     if which.start == which.stop:
         return np.zeros(0, dtype=np.int64), np.zeros((0, 2))
@@ -200,45 +202,48 @@ def _matched(
 
 
 def _share(apart: FloatArray) -> float:
-    """How far the skin is believed: d^2 / (d^2 + s^2), d how far the two poses of views (n, 6) are apart.
+    """Return the weight of the skin, d^2 / (d^2 + s^2), d the RMS of pose differences (n, 6).
 
-    Both err; the skin by about s, ``ERROR_DEG``, on all faces, the feature points the more the more d is.
+    Both have errors; that of the skin is about s, ``ERROR_DEG``, so a larger d is due to the feature points.
     """
+    # a constant rotation between the two is a matter of convention, not an error
     turns = apart[:, 3:] - np.median(apart[:, 3:], axis=0)
     squared = float(np.mean(np.sum(np.degrees(turns) ** 2, axis=1)))
     return squared / (squared + ERROR_DEG**2)
 
 
 @in_one_thread()
-def pose_on_map(found: SkinMap, image: ImageArray, stamp_ns: int, told: HeadPose, camera: Camera) -> SkinPose:
-    """Return the pose of a head, between what its feature points tell and where its skin lies on a map.
+def pose_on_map(
+    found: SkinMap, image: ImageArray, stamp_ns: int, by_points: HeadPose, camera: Camera
+) -> SkinPose:
+    """Return the pose of a head between those of its feature points and of its skin on a map.
 
     Args:
         found: the map.
         image: grey, of the frame.
         stamp_ns: of the frame.
-        told: pose by feature points.
-        camera: that took it.
+        by_points: pose from feature points.
+        camera: of the image.
     """
-    placement = place_crop(camera, told)
+    placement = place_crop(camera, by_points)
     crop, away = cut(image, placement), np.abs(found.stamps - stamp_ns).astype(np.float64)
-    chosen = views_for(told.quaternion, away, found.poses.quaternion, NEAR, ALIKE)
-    matches = [_matched(found, view, crop, placement, told, camera) for view in chosen]
+    chosen = views_for(by_points.quaternion, away, found.poses.quaternion, NEAR, ALIKE)
+    matches = [_matched(found, view, crop, placement, by_points, camera) for view in chosen]
     count = sum(len(which) for which, _ in matches)
     looked_for = sum(len(found.places[found.of_view(view)]) for view in chosen)
     unmatched = 1.0 - count / max(looked_for, 1)
     if count <= LEAST_POINTS:
-        return SkinPose(told, 0.0, unmatched)
+        return SkinPose(by_points, 0.0, unmatched)
     which = np.concatenate([one for one, _ in matches])
     pixels = to_image(placement, np.concatenate([places for _, places in matches]))
     rays, focal = normalised_from_pixels(camera, pixels), np.array([camera.fx, camera.fy])
-    pose = adjust_pose(rays, found.points[which], told, told, focal, POSE_STEPS)
+    pose = adjust_pose(rays, found.points[which], by_points, by_points, focal, POSE_STEPS)
     sure = min((count - LEAST_POINTS) / (ENOUGH_POINTS - LEAST_POINTS), 1.0)
     share = found.share * sure
-    return SkinPose(told.moved(share * told.difference(pose)), share, unmatched)
+    return SkinPose(by_points.moved(share * by_points.difference(pose)), share, unmatched)
 
 
 def cut_view(image: ImageArray, camera: Camera, view: PointView) -> SkinView:
-    """Return what is kept of a frame whose points were found."""
+    """Return the skin view of a frame with located points."""
     placement = place_crop(camera, view.pose)
     return SkinView(view, cut(image, placement), placement)

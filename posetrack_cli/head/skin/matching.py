@@ -1,4 +1,4 @@
-"""A head's skin in an image: its surface, crops of it, what they match."""
+"""Skin in images: upright crops, its surface, and matches between crops."""
 
 from __future__ import annotations
 
@@ -13,36 +13,34 @@ from posetrack_cli.geometry.rotations import angle_between
 from posetrack_cli.head.adjustment.adjuster import PointView
 from posetrack_cli.head.face.points import EYES, MEAN_SHAPE, MOUTH, HeadPose
 
-# Faces cut out upright and at one size, and which of them a first pass keeps.
+# Upright crops of faces at one size, and the selection of those kept by a first pass.
 #
-# Lighting stays where it is while skin turns through it: a cheek that is brighter on one side looks as if it
-# moved less than it did. So crops keep only what is finer than ``FINE_PX``; with all of it rendered heads
-# were said to nod by .75 to .9 of what they did.
-
+# Lighting does not move with the skin, so smooth shading biases the motion towards zero. Crops therefore
+# contain only detail finer than ``FINE_PX``.
 
 WIDTH, HEIGHT = 176, 208
-"""Of a crop, from the forehead to the chin."""
+"""Size of a crop, from the forehead to the chin."""
 PX_PER_MM = 1.25
-"""Eyes come 80 pixels apart. With 1 or 1.6 rendered and real heads came out alike."""
+"""Scale of a crop: an eye distance of 80 pixels."""
 MIDDLE = np.array([0.0, -20.0, 15.0])
-"""(3,) of a crop, in the head's frame, mm: the bridge of the nose."""
+"""(3,) centre of a crop, in the head's frame, mm: the bridge of the nose."""
 FINE_PX, GREY, CONTRAST = 4.0, 128.0, 2.0
-"""Deviation of the blur that is taken away, and how the rest is kept in eight bits."""
+"""Standard deviation of the blur that is subtracted, and offset and gain of the rest in eight bits."""
 
 EVERY_NS = 250_000_000
-"""Between two frames kept, at first ..."""
+"""Initial minimum time between two stored frames."""
 SOONEST, TURNED_DEG = 0.25, 10.0
-"""... and this share of it where the head turned by so much."""
+"""Factor on it while the head turns by this angle."""
 MOST_VIEWS = 120
-"""Of more frames kept every second goes."""
+"""Maximum number of stored frames; beyond, every second one is dropped."""
 
 
 @dataclass(frozen=True, eq=False)
 class SkinView:
-    """A frame as it shows the skin.
+    """A frame for the skin map.
 
     Attributes:
-        view: its feature points, and the pose that they tell.
+        view: its feature points and their pose.
         crop: (HEIGHT, WIDTH) fine detail.
         placement: (2, 3) from pixels of the crop to those of the image.
     """
@@ -52,7 +50,7 @@ class SkinView:
     placement: FloatArray
 
     def rescaled(self, ratio: float) -> SkinView:
-        """Return the frame as an image shows it that is so many times as large."""
+        """Return the view for an image scaled by a ratio."""
         placement = ratio * self.placement
         placement[:, 2] += 0.5 * (ratio - 1.0)
         return replace(self, view=self.view.rescaled(ratio), placement=placement)
@@ -60,18 +58,18 @@ class SkinView:
 
 @dataclass(frozen=True, eq=False)
 class SkinAlbum:
-    """Frames kept, evenly in time, and more of them while the head turns.
+    """Stored frames, evenly spaced in time, and denser while the head turns.
 
     Attributes:
-        views: in the order of their time.
-        every_ns: between two of them, at least; ``SOONEST`` of it where the head turned.
+        views: in the order of time.
+        every_ns: minimum time between two of them; ``SOONEST`` of it while the head turns.
     """
 
     views: tuple[SkinView, ...] = ()
     every_ns: int = 0
 
     def wants(self, stamp_ns: int, pose: HeadPose, turned_deg: float = TURNED_DEG) -> bool:
-        """Whether a frame is late enough after the last one kept: sooner if the head turned by so much."""
+        """Whether a frame is late enough after the last one; sooner if the head turned by an angle."""
         if not self.views:
             return True
         last = self.views[-1].view
@@ -79,25 +77,27 @@ class SkinAlbum:
         return stamp_ns - last.stamp_ns >= (SOONEST if turned else 1.0) * self.every_ns
 
     def with_view(self, view: SkinView, most: int) -> SkinAlbum:
-        """Return the album with a frame; of more than ``most`` every second goes, and stays away."""
+        """Return the album with a frame; beyond ``most``, every second one is dropped and the interval
+        doubled.
+        """
         views = (*self.views, view)
         if len(views) <= most:
             return replace(self, views=views)
         return SkinAlbum(views[::2], 2 * self.every_ns)
 
     def rescaled(self, ratio: float) -> SkinAlbum:
-        """Return the same frames as images show them that are so many times as large."""
+        """Return the frames for images scaled by a ratio."""
         return replace(self, views=tuple(one.rescaled(ratio) for one in self.views))
 
 
 def place_crop(camera: Camera, pose: HeadPose) -> FloatArray:
-    """Return (2, 3), from pixels of a crop to pixels of an image: turned, scaled and moved, not sheared.
+    """Return (2, 3), the similarity transform from pixels of a crop to pixels of an image.
 
-    A head that looks along the camera's x axis, which has no upright in the image, is taken as it is.
+    The rotation is arbitrary for a head along the camera's x axis, which has no upright direction.
     """
     middle = pose.points(MIDDLE)
-    centre, beside = pixels_wherever(camera, np.stack([middle, middle + pose.rotation[:, 0]]))
-    across = beside - centre
+    centre, right = pixels_wherever(camera, np.stack([middle, middle + pose.rotation[:, 0]]))
+    across = right - centre
     angle = float(np.arctan2(across[1], across[0]))
     scale = 0.5 * (camera.fx + camera.fy) / max(float(middle[2]), 1.0) / PX_PER_MM
     turn = scale * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
@@ -105,7 +105,7 @@ def place_crop(camera: Camera, pose: HeadPose) -> FloatArray:
 
 
 def cut(image: ImageArray, placement: FloatArray) -> ImageArray:
-    """Return the crop (HEIGHT, WIDTH) of a grey image; beyond its border as at the border."""
+    """Return the crop (HEIGHT, WIDTH) of a grey image, with replicated borders."""
     warp = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     raw = cv2.warpAffine(image, placement, (WIDTH, HEIGHT), flags=warp, borderMode=cv2.BORDER_REPLICATE)
     fine = raw.astype(np.float32)
@@ -115,22 +115,19 @@ def cut(image: ImageArray, placement: FloatArray) -> ImageArray:
 
 
 def to_image(placement: FloatArray, places: FloatArray) -> FloatArray:
-    """Return the pixels (..., 2) of an image at places (..., 2) of its crop."""
+    """Convert places (..., 2) in a crop to pixels of its image."""
     pixels: FloatArray = places @ placement[:, :2].T + placement[:, 2]
     return pixels
 
 
 def to_crop(placement: FloatArray, pixels: FloatArray) -> FloatArray:
-    """Return the places (..., 2) in a crop of pixels (..., 2) of its image."""
+    """Convert pixels (..., 2) of an image to places in its crop."""
     places: FloatArray = (pixels - placement[:, 2]) @ np.linalg.inv(placement[:, :2]).T
     return places
 
 
-# About where the skin of a face lies between its feature points, to begin with.
-#
-# Points of the skin get the depths of a smooth surface through the person's ten points and ``ANCHORS``, which
-# are rough: their depths are then found from the whole recording (``equations``).
-
+# Initial surface of the skin: smooth, through the person's ten points and the rough ``ANCHORS``. The depths
+# are then adjusted over the whole recording (``equations``).
 
 ANCHORS = np.array(
     [
@@ -152,23 +149,23 @@ ANCHORS = np.array(
         [0.0, -100.0, 5.0],  # chin
     ]
 )
-"""(n, 3) mm in the head's frame, of a face whose outer corners of the eyes are as far apart as on average."""
+"""(n, 3) mm in the head's frame, for a face with an average distance of the outer eye corners."""
 SMOOTHING = 30.0
-"""Of the surface, mm^2: it passes a few mm beside points that do not fit each other."""
+"""Of the surface, mm^2: it may miss inconsistent points by a few mm."""
 STEP_MM, MOST_STEPS = 2.0, 200
-"""Between points of the surface; faces that are larger than any, as a file may say, have no more of them."""
+"""Spacing of surface points, and limit of their number along an axis, for implausible faces in files."""
 LIDS_MM, LIPS_MM = (26.0, 12.0), (32.0, 14.0)
-"""Half the width and height about the middle of an eye and of the mouth, whose skin moves by itself."""
+"""Half width and height of the excluded regions around eyes and mouth, where the skin moves by itself."""
 BORDER_PX = 10
-"""Points are looked for no nearer to a crop's border."""
+"""Minimum distance of points from a crop's border."""
 QUALITY = 1e-3
-"""A corner counts down to so much of the strongest one's smaller eigenvalue."""
+"""Minimum corner strength (smaller eigenvalue) relative to the strongest corner."""
 BLOCK = 9
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """A surface.
+    """Surface of a face.
 
     Attributes:
         points: (n, 3) on it, ``STEP_MM`` apart, where skin moves with the head; mm in the head's frame.
@@ -177,13 +174,13 @@ class Surface:
     points: FloatArray
 
     def corners(self, crop: ImageArray, places: FloatArray, count: int, distance_px: float) -> list[int]:
-        """Return which points lie at a crop's clearest corners.
+        """Return the indices of the points at a crop's strongest corners.
 
         Args:
             crop: (HEIGHT, WIDTH).
             places: (n, 2) of the points in it.
-            count: of corners at most.
-            distance_px: between two of them at least.
+            count: maximum number of corners.
+            distance_px: minimum distance between two of them.
         """
         low, high = np.array([BORDER_PX, BORDER_PX]), np.array([WIDTH, HEIGHT]) - BORDER_PX
         inside = np.flatnonzero(((places >= low) & (places < high)).all(axis=1))
@@ -196,7 +193,7 @@ class Surface:
         found = cv2.goodFeaturesToTrack(crop, count, QUALITY, distance_px, mask=mask, blockSize=BLOCK)
         if found is None:
             return []
-        from scipy.spatial import cKDTree  # after the start, as a run of one pass never needs it
+        from scipy.spatial import cKDTree  # imported late: single-pass runs never need it
 
         _, nearest = cKDTree(places[inside]).query(found[:, 0])
         return [int(one) for one in inside[np.unique(nearest)]]
@@ -204,7 +201,7 @@ class Surface:
 
 def surface_of(shape: FloatArray) -> Surface:
     """Return the surface of a face with ten points (K, 3), mm in the head's frame."""
-    from scipy.interpolate import RBFInterpolator  # as above; it takes half a second
+    from scipy.interpolate import RBFInterpolator  # imported late: takes half a second
 
     size = (shape[3, 0] - shape[0, 0]) / (MEAN_SHAPE[3, 0] - MEAN_SHAPE[0, 0])
     known = np.vstack([shape, size * ANCHORS])
@@ -225,38 +222,37 @@ def surface_of(shape: FloatArray) -> Surface:
     return Surface(np.column_stack([places, depth(places)]))
 
 
-# Points of the skin found again in another crop, and in which crops they are looked for
-
+# Matching of skin points between crops, and selection of similar views
 
 WINDOW, LEVELS = (15, 15), 1
-"""Of the search (Lucas and Kanade 1981, by pyramids: Bouguet 2000)."""
+"""Of the pyramidal Lucas-Kanade tracker (Lucas and Kanade 1981; Bouguet 2000)."""
 CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.02)
 BACK_PX = 0.4
-"""A point is found if it is led back to within so much of where it came from."""
+"""Maximum forward-backward error."""
 FAR_PX = 12.0
-"""No point is found so far from where it is expected."""
+"""Maximum distance from the expected place."""
 SEEN_DEG, ALIKE_DEG = 30.0, 22.0
-"""Skin looks no more like itself in a view that is turned by more: one near in time, or any other."""
+"""Maximum rotation between matched views: near in time, or any others."""
 
 
 def track_points(
     first: ImageArray, places: FloatArray, second: ImageArray, expected: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
-    """Find points of one crop in another.
+    """Track points from one crop to another.
 
     Args:
         first: crop.
         places: (N, 2) of the points in it.
         second: crop.
-        expected: (N, 2) about where they are in it.
+        expected: (N, 2) approximate places in it.
 
     Returns:
-        (N, 2) where they are, and (N,) whether they were found.
+        (N, 2) places in the second crop, and (N,) whether they were found.
     """
     there = places.astype(np.float32)
     guess = expected.astype(np.float32)
     found, forth = _flow(first, second, there, guess, LEVELS)
-    again, back = _flow(second, first, found, there, 0)  # it begins where it should end
+    again, back = _flow(second, first, found, there, 0)  # no pyramid: it starts at the expected result
     near = np.linalg.norm(again - there, axis=1) < BACK_PX
     near &= np.linalg.norm(found - guess, axis=1) < FAR_PX
     return found.astype(np.float64), near & forth & back
@@ -281,13 +277,13 @@ def _flow(
 def views_for(
     quaternion: FloatArray, away_ns: FloatArray, quaternions: FloatArray, near: int, alike: int
 ) -> list[int]:
-    """Return the views in which skin looks about as from a pose: some near in time, some turned as it is.
+    """Return views in which skin looks similar: some near in time, some of similar rotation.
 
     Args:
         quaternion: (4,) of the pose.
-        away_ns: (n,) of the views in time; inf of one to leave out.
+        away_ns: (n,) time differences of the views; inf to exclude one.
         quaternions: (n, 4) of their poses.
-        near, alike: how many, at most.
+        near, alike: maximum numbers.
     """
     turned = np.degrees(angle_between(quaternions, quaternion))
     known = np.isfinite(away_ns)

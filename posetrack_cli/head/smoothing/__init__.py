@@ -1,1 +1,1 @@
-"""A head smoothed over a whole recording: its pose by what points say, their places by their neighbours."""
+"""Smoothing of a head over a whole recording: poses by refitting, points by local regression."""

@@ -1,4 +1,4 @@
-"""Poses of a whole recording fitted together."""
+"""Refits of single frames, and smoothing of the points in a smoothed head."""
 
 from __future__ import annotations
 
@@ -25,41 +25,40 @@ from posetrack_cli.tracking.smoothing import FrameFacts
 from posetrack_cli.tracking.velocity import BodySpace, pose_rates
 from posetrack_cli.units import NS_PER_S
 
-# Where a face's points are in a smoothed head, and which deformation that is **[ours]**.
+# Points and deformation in a smoothed head **[ours]**.
 #
-# A point that was found in a frame is where it was found, whatever pose the head had: in the smoothed head it
-# has another place, m_k + d_k. Of one camera it lies on its ray, as deep as the neutral face has it. These
-# displacements move faster than the head, so each is smoothed by itself: at a frame it is the value of the
-# line, by weighted least squares, through its neighbours (local linear regression; Cleveland 1979), weighted
-# by how well the point was seen and by a Gaussian of the time between. Its slope is the displacement's rate.
+# Detected points keep their place in space, so they have other coordinates m_k + d_k in the smoothed head.
+# With one camera a point lies on its ray at the neutral face's depth. The displacements change faster than
+# the pose and are smoothed individually by local linear regression (Cleveland 1979), weighted by visibility
+# and a Gaussian of the time difference. The slope is the displacement's rate.
 #
-# The deformation's coefficients are those that come nearest to the places:
+# The deformation coefficients fit the displacements:
 #
 #     a = argmin |V a - d|^2 / n^2 + sum_b (a_b / mu_b)^2
 
 
 WINDOW_S = 0.05
-"""Standard deviation of the Gaussian: places in the face are smoothed over so long."""
+"""Standard deviation of the Gaussian in time."""
 REACH = 3.0
-"""Times the Gaussian's standard deviation: frames farther away do not count."""
+"""Support of the Gaussian, in standard deviations."""
 LEAST_SHARE = 1e-3
-"""Of the weight of a point that is not seen: alone it stays where the tracker left it."""
+"""Weight of a hidden point: without visible neighbours it keeps the tracker's place."""
 SLOPE_REGULARISATION = 0.01
-"""Of the Gaussian's variance, added to that of the times: a frame without neighbours has a flat line."""
+"""Added to the variance of the times, relative to the Gaussian's: without neighbours the slope is 0."""
 
 
 class PosedFrame(NamedTuple):
-    """A frame whose pose is smoothed, and whose points are yet to be.
+    """A frame with a smoothed pose, before its points are smoothed.
 
     Attributes:
-        facts: what its estimate says of it.
-        pose: (7,), with
-        variance: (6,), and
-        velocity: (6,), with
+        facts: of its estimate.
+        pose: (7,).
+        variance: (6,) of the pose.
+        velocity: (6,).
         velocity_variance: (6,).
         displacements: (K, 3) mm, d in the head's frame.
-        weights: (K,) how much each counts.
-        memory: the frame's, with the face.
+        weights: (K,) of the points.
+        memory: stored data of the frame, with the face.
     """
 
     facts: FrameFacts
@@ -73,7 +72,7 @@ class PosedFrame(NamedTuple):
 
 
 def posed_frame(smoothed: Smoothed, facts: FrameFacts, memory: Memory, cameras: int) -> PosedFrame:
-    """Return a frame with its smoothed pose; as its chain was gone through backwards, so are velocities."""
+    """Return a frame with its smoothed pose; velocities are reversed, as is the chain."""
     pose, neutral = smoothed.pose, memory["neutral"]
     points = memory["points"]
     if cameras == 1:
@@ -93,11 +92,11 @@ def posed_frame(smoothed: Smoothed, facts: FrameFacts, memory: Memory, cameras: 
 
 
 def with_smoothed_points(frames: Iterable[PosedFrame], origin: FloatArray) -> Iterator[Estimate]:
-    """Yield the estimates of frames whose points are smoothed.
+    """Yield the estimates of frames with smoothed points.
 
     Args:
-        frames: in the order of time; those of other chains are no neighbours.
-        origin: (B,) what the coefficients of the neutral face are called in results.
+        frames: in the order of time; frames of other chains are not neighbours.
+        origin: (B,) coefficients of the neutral face in results.
     """
     window, done = list[PosedFrame](), 0
     reach = REACH * WINDOW_S
@@ -119,7 +118,7 @@ def _seconds(earlier: PosedFrame, later: PosedFrame) -> float:
 
 
 def _estimate(window: list[PosedFrame], index: int, origin: FloatArray) -> Estimate:
-    """The estimate of one frame among its neighbours."""
+    """Return the estimate of one frame, given its neighbours."""
     frame = window[index]
     displacements, rates = local_line(
         np.array([_seconds(frame, one) for one in window]),
@@ -154,8 +153,8 @@ def local_line(
     Args:
         times: (N,) s.
         values: (N, K, D).
-        weights: (N, K), above 0 for some frame of each point.
-        width: of the Gaussian of times, s, one standard deviation.
+        weights: (N, K), above 0 in at least one frame of each point.
+        width: standard deviation of the Gaussian in time, s.
     """
     shares = weights * np.exp(-0.5 * np.square(times / width))[:, None]
     zeroth, first = shares.sum(axis=0)[:, None], (times @ shares)[:, None]
@@ -178,63 +177,61 @@ def _deformation(
     return onto @ displacements.ravel(), onto @ rates.ravel(), np.diag(covariance).copy()
 
 
-# What the points of one frame say of a head's pose, for a smoother **[ours]**.
+# Fit of a single frame, as input of the smoother **[ours]**.
 #
-# The tracker's own fit takes what a face does for what its model knows, and what the model does not know for
-# a turn of the head. Here each point lies about the neutral face beside that,
+# The tracker's own fit attributes deformations that the model lacks to rotations of the head. Here each point
+# also deviates individually from the model:
 #
 #     p_k = R (m_k + V_k a + d_k) + t + e_k,    a ~ N(0, mu^2),    d_k ~ N(0, s_k^2),
 #     e_k ~ N(0, n^2 (1 - r r^T) + l^2 r r^T)
 #
-# with s_k as far as points of its kind move in expressions, r the ray to the point, n the noise across it and
-# l that along it; of one camera l is without end. The deformation is integrated out of the pose's normal
-# equations; of several cameras, where it was learned from few frames, mu is 0 and s_k larger: measured, that
-# is nearer. Integrated over d_k the precision of a point is
+# with s_k the motion of its kind of point in expressions, r the ray to the point, n the noise across it and l
+# that along it, infinite with one camera. The deformation is marginalised out of the pose's normal equations.
+# With several cameras, where it was learned from few frames, mu is 0 and s_k larger, which is more accurate.
+# Marginalised over d_k, the precision of a point is
 #
 #     P_k = (1 - r r^T) / (s_k^2 + n^2) + r r^T / (s_k^2 + l^2)
 #
-# and what it leaves is Student-t, so that a raised brow or a closed eye counts less the farther it goes: w_k
-# = (nu + D) / (nu + e^T P e), D = 3, or 2 of one camera. m is the face as the whole recording knows it in the
-# end: a face that is still being learnt would turn the head a little at each step.
+# and the residual is Student-t, which down-weights a raised brow or a closed eye:
+# w_k = (nu + D) / (nu + e^T P e), D = 3, or 2 with one camera. m is the face learned by the end of the
+# recording; a face still being learned would rotate the head slightly with each update.
 #
-# Errors of neighbouring frames are alike, as expressions last and templates slide; so a frame's say is
-# lowered to ``INDEPENDENT_SHARE``.
-
+# Errors of neighbouring frames are correlated, because expressions last and templates slide, so the
+# information of a frame is scaled by ``INDEPENDENT_SHARE``.
 
 SPACE = BodySpace()
 GROUPS = (np.arange(3), np.arange(3, POSE_SIZE))
-"""Position and rotation are doubted apart: a blink moves a head without turning it."""
+"""Position and rotation are down-weighted separately: a blink shifts a head without rotating it."""
 _POSE, _DEFORMATION = slice(0, POSE_SIZE), slice(POSE_SIZE, None)
 UNKNOWN_SPEED = np.repeat([500.0, 3.0], 3)
 """(6,) mm/s and rad/s, standard deviations at the end of a chain."""
 STEPS, CONVERGED = 8, 1e-4
-"""Gauss-Newton steps at most, and mm or rad that end them."""
+"""Maximum number of Gauss-Newton steps, and convergence threshold, mm or rad."""
 LEAST_DEVIATION_MM = 1e-6
-"""Of a component of the deformation: what is not known yet stays at 0."""
+"""Of a deformation component: unknown components stay at 0."""
 SKIN_SD = np.array([2.0, 2.0, 8.0, *np.radians([1.0, 1.0, 1.0])])
-"""(6,) mm and rad, by how much a pose by the skin errs otherwise than those about it; chosen on twelve
-rendered heads and three real ones. What all err by alike no smoothing takes away."""
+"""(6,) mm and rad, frame-to-frame errors of a pose from skin; smoothing does not reduce common errors."""
 NOISE_MM, DEPTH_NOISE_MM = 0.25, 0.5
-"""n and l: of the points found, across the ray and, where several cameras see them, along it."""
+"""n and l: noise of the points across the ray and, with several cameras, along it."""
 FREEDOM = 4.0
-"""nu, of the Student-t density of errors: the smaller, the more outliers."""
+"""nu, of the Student-t density of errors; smaller values allow more outliers."""
 INDEPENDENT_SHARE = 0.1
-"""What a frame says counts by so much: errors of its neighbours are like its own."""
+"""Factor on the information of a frame, because errors of neighbouring frames are correlated."""
 LEAST_WEIGHT = 0.02
-"""Of a point that is hardly seen: ten of them still say where the head is."""
+"""Of a hardly visible point: ten of them still determine the pose."""
 
 
 class HeadFits:
-    """The fits of frames (``filtering.fit_smoothing.FrameFits``).
+    """Fits of frames (``filtering.fit_smoothing.FrameFits``).
 
-    A frame's memory has the pose that was ``tracked`` (7,), ``points`` (K, 3), ``weights`` (K,), the
-    ``neutral`` face (K, 3), the ``basis`` (K, 3, B) of its deformations with their ``deviations`` (B,), how
-    far ``beside`` the pose of its points (6,) what it states is, by the skin, what ``skin_share`` of it is
-    the skin's, and whether the head was ``seen``; where not, it says hardly more than nothing.
+    A frame's memory contains the ``tracked`` pose (7,), ``points`` (K, 3), ``weights`` (K,), the ``neutral``
+    face (K, 3), the ``basis`` (K, 3, B) of its deformations with their ``deviations`` (B,), the tangent
+    vector ``beside`` (6,) from the pose of the points to the reported one, the ``skin_share`` of the latter,
+    and whether the head was ``seen``; an unseen frame has almost no information.
 
     Args:
-        model: how faces move.
-        cameras: how many see the head.
+        model: motion model of the tracker.
+        cameras: number of cameras.
     """
 
     def __init__(self, model: TrackModel, cameras: int) -> None:
@@ -243,15 +240,15 @@ class HeadFits:
         self._moved = np.square(model.expression_mm)
 
     def known(self, frame: Memory) -> LikelihoodModes:
-        """Return the fit that is found from the tracker's pose."""
+        """Return the fit that starts from the tracker's pose."""
         return self._fit(frame, frame["tracked"])
 
     def more(self, frame: Memory, known: LikelihoodModes, belief: StateGaussian) -> LikelihoodModes:
-        """Return the fit that is found from the pose that all other frames expect."""
+        """Return the fit that starts from the prediction of all other frames."""
         return self._fit(frame, belief.pose) if frame["seen"] else known
 
     def belief(self, frame: Memory) -> StateGaussian:
-        """Return what a frame alone says: the end of a chain."""
+        """Return the state from a frame alone, at the end of a chain."""
         fit = self.known(frame)
         covariance = np.zeros((2 * POSE_SIZE, 2 * POSE_SIZE))
         covariance[:POSE_SIZE, :POSE_SIZE] = np.linalg.inv(fit.information[0])
@@ -266,7 +263,7 @@ class HeadFits:
         gradient, information = np.zeros(POSE_SIZE), vague
         for _ in range(STEPS):
             matrix, vector = self._normal_equations(frame, pose, deformation)
-            across = matrix[_POSE, _DEFORMATION]  # integrated out: the Schur complement
+            across = matrix[_POSE, _DEFORMATION]  # marginalised by the Schur complement
             onto = np.linalg.solve(matrix[_DEFORMATION, _DEFORMATION], across.T).T
             gradient = vector[_POSE] - onto @ vector[_DEFORMATION]
             information = matrix[_POSE, _POSE] - onto @ across.T
@@ -283,9 +280,10 @@ class HeadFits:
     def _normal_equations(
         self, frame: Memory, pose: FloatArray, deformation: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return what the points say about a pose and a deformation (B,) together, each point reweighted.
+        """Return the equations of pose and deformation (B,), with each point reweighted.
 
-        Information (6 + B, 6 + B) and gradient (6 + B,) of the log-likelihood times the deformation's prior.
+        Information (6 + B, 6 + B) and gradient (6 + B,) of the log-likelihood and the deformation's
+        log-prior.
         """
         rotation, directions = matrices_from_quaternions(pose[3:7]), frame["basis"]
         shape = frame["neutral"] + directions @ deformation
@@ -317,9 +315,9 @@ class HeadFits:
 
 
 def make_head_smoother(settings: HeadSmoothingSettings, fits: HeadFits) -> FitSmoother:
-    """Return the smoother of poses: velocities wander, and fits that contradict all others are doubted.
+    """Return the pose smoother, with random-walk velocities and robust fits.
 
-    A head that moves fast also changes its velocity fast: with the frame's ``speed`` (2,), mm/s and rad/s,
+    Fast heads also accelerate more: with the frame's ``speed`` (2,), mm/s and rad/s,
 
         sd(velocity) = sqrt(least^2 + speed^2)    per square root of a second
     """
@@ -333,18 +331,18 @@ def make_head_smoother(settings: HeadSmoothingSettings, fits: HeadFits) -> FitSm
 
 
 def _with_skin(pose: FloatArray, frame: Memory) -> FloatArray:
-    """Return a pose (7,) between a fit of the points and the skin, as the one that the tracker stated is.
+    """Combine a fit (7,) of the points with the skin, like the reported pose of the tracker.
 
-    Without skin it is the fit's, bit by bit.
+    Without skin the fit is returned unchanged, bit by bit.
 
-    With s the skin's share, p the tracker's pose of the points, q the one it stated: q + (1 - s) (pose - p).
+    With s the skin's share, p the tracker's pose of the points, q the reported one: q + (1 - s) (pose - p).
     """
     if not frame["beside"].any():
         return pose
-    stated = HeadPose(frame["tracked"][:3], frame["tracked"][3:])
-    by_points = stated.moved(-frame["beside"])
+    reported = HeadPose(frame["tracked"][:3], frame["tracked"][3:])
+    by_points = reported.moved(-frame["beside"])
     apart = by_points.difference(HeadPose(pose[:3], pose[3:]))
-    posed = stated.moved((1.0 - frame["skin_share"]) * apart)
+    posed = reported.moved((1.0 - frame["skin_share"]) * apart)
     return np.concatenate([posed.position, posed.quaternion])
 
 

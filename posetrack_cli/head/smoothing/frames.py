@@ -1,4 +1,4 @@
-"""The smoothed track of a head."""
+"""Smoothed track of a head: stored frames, chains of frames, and the output."""
 
 from __future__ import annotations
 
@@ -35,35 +35,33 @@ from posetrack_cli.tracking.smoothing import STATUSES, FrameFacts, SmoothedTrack
 from posetrack_cli.tracking.velocity import smoothed_velocities
 from posetrack_cli.units import NS_PER_S
 
-# What is kept of every frame of a head that will be smoothed, and which frames are of one chain
-
+# Stored data of frames, and their division into chains
 
 PERSON = "person"
-"""Of the diagnostics, the number that tells people apart."""
+"""Name of the diagnostic that identifies the person."""
 AT_REST = np.zeros(2)
 AROUND = 3
-"""Frames before and after that tell how fast a head is: a single wild one does not make it fast."""
+"""Frames before and after that determine the speed, so that a single outlier does not."""
 Record = Mapping[str, np.ndarray[Any, Any]]
 
 
 @dataclass(frozen=True, eq=False)
 class HeadFrame:
-    """One frame of a head as it was tracked.
+    """Stored data of a tracked frame.
 
     Attributes:
-        frame_index, stamp_ns, status, confidence: as of its estimate; the status is a place in ``STATUSES``.
-        person: which of several; 0 where they are not told apart.
+        frame_index, stamp_ns, status, confidence: of its estimate; the status is an index into ``STATUSES``.
+        person: index of the person; 0 if people are not distinguished.
         position: (3,) mm, and
-        quaternion: (4,) of the pose.
-        points: (K, 3) mm, where they were found, camera axes.
-        weights: (K,) how much each counts, 0 to 1.
-        mean: (K, 3) mm, the neutral face as the tracker then knew it,
-        basis: (K, 3, B) how it deforms; zeros for components that it did not know yet, and
-        deviations: (B,) by how much.
-        systematic: (6,) variances that its estimate states beyond the frame's own: what the whole track is
-            wrong by, which no smoothing takes away.
-        beside: (6,) tangent vector from the pose that its points tell to the one stated, by the skin, too.
-        skin_share: how far the one stated is the skin's, 0 to 1.
+        quaternion: (4,) of the reported pose.
+        points: (K, 3) mm, camera axes.
+        weights: (K,) of the points, 0 to 1.
+        mean: (K, 3) mm, the neutral face as known in this frame.
+        basis: (K, 3, B) its deformation basis; zeros for unknown components.
+        deviations: (B,) standard deviations of the components.
+        systematic: (6,) variances of the track's systematic error, which smoothing does not reduce.
+        beside: (6,) tangent vector from the pose of the points to the reported one, which includes the skin.
+        skin_share: weight of the skin in the reported pose, 0 to 1.
     """
 
     frame_index: int
@@ -84,17 +82,17 @@ class HeadFrame:
 
     @property
     def is_lost(self) -> bool:
-        """Whether the frame says nothing about the head."""
+        """Whether the frame has no information about the head."""
         return is_unobserved(STATUSES[self.status], self.confidence)
 
     @property
     def facts(self) -> FrameFacts:
-        """What its estimate says of the frame."""
+        """Index, stamp, status and confidence of the frame."""
         return FrameFacts(self.frame_index, self.stamp_ns, STATUSES[self.status], self.confidence)
 
     @property
     def pose(self) -> HeadPose:
-        """Where the head is."""
+        """Reported pose of the head."""
         return HeadPose(self.position, self.quaternion)
 
     @property
@@ -104,16 +102,16 @@ class HeadFrame:
 
     @classmethod
     def of_record(cls, record: Record) -> HeadFrame:
-        """Return the frame that a record is of."""
+        """Return the frame of a record."""
         single = {name: values.item() for name, values in record.items() if values.ndim == 0}
         return cls(**{**record, **single})
 
 
 class FrameRecorder:
-    """Makes of a tracker's frames what is kept of them.
+    """Extracts the stored data of tracked frames.
 
     Args:
-        subject: names the diagnostics, and the deformation's components.
+        subject: names the diagnostics and the deformation's components.
     """
 
     def __init__(self, subject: Subject) -> None:
@@ -124,11 +122,11 @@ class FrameRecorder:
         self._skin_share = names.index(SKIN_SHARE) if SKIN_SHARE in names else None
 
     def frame(self, state: HeadState, estimate: Estimate) -> HeadFrame:
-        """Return what is kept of a frame.
+        """Return the stored data of a frame.
 
         Args:
-            state: the tracker's after it.
-            estimate: of it.
+            state: of the tracker after the frame.
+            estimate: of the frame.
         """
         numbers = np.zeros(0) if estimate.numbers is None else estimate.numbers
         weights = np.clip(np.nan_to_num(numbers[self._weights]), 0.0, 1.0)
@@ -157,7 +155,7 @@ class FrameRecorder:
         )
 
     def layouts(self) -> dict[str, Layout]:
-        """Return what the arrays of a record must be."""
+        """Return the layouts of a record's arrays."""
         B, K = self._components, POINT_COUNT
         return {
             "frame_index": counts(),
@@ -178,25 +176,26 @@ class FrameRecorder:
         }
 
     def blank(self) -> Record:
-        """Return a record such as all others are: of the same names, types and shapes."""
+        """Return an empty record with the names, types and shapes of all records."""
         return {name: np.zeros(layout.shape, layout.dtype) for name, layout in self.layouts().items()}
 
 
 def is_unobserved(status: Status, confidence: float) -> bool:
-    """Whether no head was followed in a frame; one that was, and is doubted, has some confidence."""
+    """Whether no head was tracked; a tracked but doubtful frame has a confidence above 0."""
     return status is Status.LOST and confidence <= 0.0
 
 
 def _offset_from_points(state: HeadState, estimate: Estimate) -> FloatArray:
-    """How far what is stated is from the pose that points tell; nothing without a head in the frame."""
+    """Return the tangent vector from the pose of the points to the reported one; 0 without a head."""
     track = state.track
+    # identity, not equality: without skin the estimate contains the track's own array
     if track is None or track.stamp_ns != estimate.stamp_ns or track.pose.position is estimate.position:
         return np.zeros(POSE_SIZE)
     return track.pose.difference(HeadPose(estimate.position, estimate.quaternion))
 
 
 def _systematic(state: HeadState, estimate: Estimate) -> FloatArray:
-    """What an estimate's variances (6,) have beyond those of the frame; nothing where the head is lost."""
+    """Return the systematic variances (6,) in an estimate; 0 if the head is lost."""
     missed = is_unobserved(estimate.status, estimate.confidence)
     if state.track is None or missed or estimate.pose_variance is None:
         return np.zeros(POSE_SIZE)
@@ -205,12 +204,12 @@ def _systematic(state: HeadState, estimate: Estimate) -> FloatArray:
 
 
 class Link(NamedTuple):
-    """A frame in a chain of frames that show one head without a break.
+    """A frame in a chain: consecutive frames of one head.
 
     Attributes:
-        frame: as it was tracked.
-        begins: whether it is the first of a chain, as they are gone through: the last one in time.
-        speed: (2,) of the head, mm/s and rad/s; not known before ``with_speeds``.
+        frame: stored data.
+        begins: first of a chain in the processing order, so the last one in time.
+        speed: (2,) of the head, mm/s and rad/s; set by ``with_speeds``.
     """
 
     frame: HeadFrame
@@ -219,21 +218,21 @@ class Link(NamedTuple):
 
 
 class GapLimit:
-    """How far a head may have moved while it was not seen, and how long it may have been away.
+    """Maximum duration and motion of a head across a gap.
 
     Args:
-        bridge_s: a head that is lost for no longer is bridged.
+        bridge_s: longest gap to bridge.
     """
 
     def __init__(self, bridge_s: float) -> None:
         self._longest_ns = round(bridge_s * NS_PER_S)
 
     def in_time(self, earlier: HeadFrame, later: HeadFrame) -> bool:
-        """Whether no more time lies between two frames."""
+        """Whether two frames are close enough in time."""
         return later.stamp_ns - earlier.stamp_ns <= self._longest_ns
 
     def joins(self, earlier: HeadFrame, later: HeadFrame) -> bool:
-        """Whether two frames that are not lost may show one head without a break."""
+        """Whether two tracked frames may belong to one chain."""
         if earlier.person != later.person or not self.in_time(earlier, later):
             return False
         dt = (later.stamp_ns - earlier.stamp_ns) / NS_PER_S
@@ -241,18 +240,19 @@ class GapLimit:
 
 
 def chained(frames: Iterable[HeadFrame], limit: GapLimit) -> Iterator[Link]:
-    """Yield the frames with the chains that they belong to.
+    """Yield the frames with their chains.
 
-    Lost frames belong to the chain on both sides of them, or, where that breaks or they are at its end,
-    to none: each of them is a chain of its own.
+    Lost frames belong to the chain around them. Where it breaks, or at its end, each of them is a chain of
+    its own.
 
     Args:
         frames: the last one first.
-        limit: of a head that is not seen.
+        limit: of gaps.
     """
     later: HeadFrame | None = None
     waiting: list[HeadFrame] = []
     for frame in frames:
+        # lost frames wait until the next tracked one decides whether the chain continues across them
         if frame.is_lost:
             waiting.append(frame)
             if later is None or not limit.in_time(frame, later):
@@ -274,7 +274,7 @@ def with_speeds(links: Iterable[Link]) -> Iterator[Link]:
     """Yield the links with the speeds of the heads, from ``AROUND`` frames before to as many after.
 
     Args:
-        links: the last one first; lost frames do not count, nor those of other chains.
+        links: the last one first; lost frames and other chains are ignored.
     """
     chain: list[Link] = []
     done = 0
@@ -296,34 +296,30 @@ def _moving(chain: Sequence[Link], index: int) -> Link:
     seen = [link.frame for link in near if not link.frame.is_lost]
     if len(seen) < 2:
         return chain[index]
+    # the mean velocity over the window is insensitive to the noise of single frames
     later, earlier = seen[0], seen[-1]
     velocity = velocity_between(earlier.pose, later.pose, (later.stamp_ns - earlier.stamp_ns) / NS_PER_S)
     speed = np.array([np.linalg.norm(velocity[:3]), np.linalg.norm(velocity[3:])])
     return chain[index]._replace(speed=speed)
 
 
-# The memory of a head run that is smoothed: frames on the way forward, the smoothed track in the end
-
-
 class HeadMemory:
-    """Remembers every frame of a run, and writes the smoothed track (``tracking.run.FrameMemory``).
+    """Stores every frame of a run, and writes the smoothed track (``tracking.run.FrameMemory``).
 
-    The frames are gone through twice more. From the last to the first a Kalman filter runs over their fits,
-    backwards in time, with the face as it was known in the end; then the smoother goes on from the first to
-    the last. What is held does not grow with the recording: the frames, and what the filter expects of each,
-    are in files beside the result.
+    A Kalman filter runs over the fits backwards in time, with the face learned by the end; the smoother then
+    runs forwards. Memory use does not grow with the recording: frames and predictions are stored in files
+    next to the result.
 
     Args:
-        path: of the file of frames; that of the way back lies beside it.
-        config: the tracker's.
-        subject: what is tracked.
-        cameras: how many see it.
-        origin: (B,) what the coefficients of the neutral face are called in results.
-        kept: of an interrupted run's frames, so many stay.
+        path: file of the frames; that of the backward pass lies next to it.
+        config: of the tracker.
+        subject: of the estimates.
+        cameras: number of cameras.
+        origin: (B,) coefficients of the neutral face in results.
+        kept: number of frames kept from an interrupted run.
 
     Raises:
-        ResultError: here and in every method, when a file cannot be written or read, or holds what no run
-            wrote.
+        ResultError: here and in every method, if a file cannot be written or read, or is damaged.
     """
 
     def __init__(
@@ -343,26 +339,26 @@ class HeadMemory:
         self._spool = RecordSpool(path, kept, self._keeper.blank())
 
     def remember(self, state: Any, estimate: Estimate) -> None:
-        """Keep what is needed of a frame."""
+        """Store a frame."""
         self._spool.append(self._keeper.frame(state, estimate).record)
 
     def flush(self) -> None:
-        """Wait until everything is on the disk."""
+        """Wait until all frames are on disk."""
         self._spool.flush()
 
     def finish(self, writer: ResultWriter) -> None:
-        """Write the smoothed track, the first frame first, and forget the frames."""
+        """Write the smoothed track in the order of time, and delete the stored frames."""
         path = self._path.with_name(f"{self._path.name}.back")
         describe = partial(posed_frame, cameras=self._cameras)
         smoother = make_head_smoother(self._settings, self._fits)
         with SmoothedTrack[PosedFrame](path, smoother, describe) as track:
-            with phase("smoothing, way back", "frame", len(self._spool)) as advance:
+            with phase("smoothing, backward pass", "frame", len(self._spool)) as advance:
                 for link, chain, dt, end in self._linked():
                     memory = _memory(link, end, chain)
                     track.remember(self._fits.belief(memory), link.frame.facts, dt, link.begins, memory)
                     advance(1)
             placed = with_smoothed_points(track.backward(), self._origin)
-            with phase("smoothing, way on", "frame", len(track)) as advance:
+            with phase("smoothing, forward pass", "frame", len(track)) as advance:
                 for estimate in smoothed_velocities(placed, self._model.velocity):
                     writer.write_smoothed(estimate)
                     advance(1)
@@ -373,11 +369,11 @@ class HeadMemory:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Let the file lie, for a run that is resumed."""
+        """Keep the file, for a run that is resumed."""
         self._spool.close()
 
     def _linked(self) -> Iterator[tuple[Link, int, float, HeadFrame]]:
-        """Yield frames, the last first, with their chain's number, s to the last one, and the chain's end."""
+        """Yield frames, the last first, with chain number, s to the previous one, and the chain's end."""
         chain, end, last_ns = 0, None, 0
         for link in with_speeds(chained(self._frames(), self._limit)):
             frame = link.frame
@@ -388,7 +384,7 @@ class HeadMemory:
             last_ns = frame.stamp_ns
 
     def _frames(self) -> Iterator[HeadFrame]:
-        """The frames, the last first, each known to be what a run wrote."""
+        """Yield the validated frames, the last first."""
         layouts = self._keeper.layouts()
         for record in reversed(self._spool):
             try:
@@ -400,7 +396,7 @@ class HeadMemory:
 
 
 def _memory(link: Link, end: HeadFrame, chain: int) -> Memory:
-    """What fits and places need of a frame, with the face as it was known at its chain's end."""
+    """Return the data for fits and points, with the face as known at the chain's end."""
     frame = link.frame
     return {
         "tracked": np.concatenate([frame.position, frame.quaternion]),

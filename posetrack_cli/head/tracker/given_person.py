@@ -84,6 +84,7 @@ def read_person(path: Path, model: FaceModel, settings: AdjustmentSettings) -> G
             (person, *_), focal = known_people(learned, people), _focal_of(learned)
     except ResultError as error:
         raise ResultError(str(error), where=path) from error
+    # views and album belong to the images of that run
     held = replace(person, views=(), album=Album(), is_settled=True, is_held=True)
     is_measured = header["tracker"] == STEREO
     return GivenPerson(people.to_arrays((held,)) | {FOCAL_PX: focal}, held.size, is_measured)

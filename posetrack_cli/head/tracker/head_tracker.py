@@ -78,6 +78,7 @@ def tracked_estimate(
     if face.systematic is not None:
         stated[:POSE_SIZE] += face.systematic
     twist = np.concatenate([now.velocity[:3], rotation.T @ now.velocity[3:], rate])
+    # position in camera axes, rotation in head axes, as twists are defined in results
     return Estimate(
         frame_index=frame.index,
         stamp_ns=frame.stamp_ns,

@@ -223,6 +223,7 @@ class MonoPeople:
         so that a sliding track loses confidence over time.
         """
         clear = max(self.least_score(state), self._config.status.check_below)
+        # the search costs several fits, so only poor frames are searched
         if fit.score >= clear or track.templates is None:
             return fit
         (image,), fitter = frame.frame.images, self._pipeline(state).fitter
@@ -274,6 +275,7 @@ class MonoPeople:
     def least_score(self, state: MonoState) -> float:
         """Return the minimum score of a tracked face, higher for some time after a cut."""
         least = self._config.status.tracking_above
+        # soon after a cut poorly matching frames are not learned from, so the usual threshold is safe
         if not state.cut or state.strange < self._patience(state):
             return least
         return max(least, RECOGNITION_SHARE * state.person.mean_score)

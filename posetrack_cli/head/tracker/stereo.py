@@ -145,6 +145,7 @@ class StereoFace:
         if landmarks is None:
             return state, fit
         again = self._from_points(state, landmarks, frame, track.stamp_ns)
+        # landmarks only propose a pose: the images decide
         return state, again if again.score > fit.score else fit
 
     def recognise(

@@ -62,13 +62,15 @@ def test_lost_hidden_and_one_sided_frames_do_not_count(neutral: np.ndarray, tmp_
 
 def test_too_few_frames_are_refused(neutral: np.ndarray, tmp_path: Path) -> None:
     path = write_stereo_result(tmp_path / "r.mcap", np.repeat(neutral[None], 35, axis=0), lost=range(20))
-    with pytest.raises(ResultError, match="too few frames show all of the face, found 15 of 35"):
+    with pytest.raises(ResultError, match="too few frames show the whole face, found 15 of 35"):
         read_face(path)
 
 
 def test_other_trackers_are_refused(neutral: np.ndarray, tmp_path: Path) -> None:
     path = write_stereo_result(tmp_path / "r.mcap", performance(neutral, 40), tracker="head-mono")
-    with pytest.raises(UsageError, match="found one of 'head-mono', expected one of posetrack head stereo"):
+    with pytest.raises(
+        UsageError, match="found a result of 'head-mono', expected a result of posetrack head stereo"
+    ):
         read_face(path)
 
 
@@ -76,7 +78,9 @@ def test_hands_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "hand.mcap"
     with ResultWriter(path, Subject("hand", "left", (), (), ()), CAMERA, {"tracker": "hand"}) as writer:
         writer.finish({})
-    with pytest.raises(UsageError, match="faces cannot be learned from this result, found one of 'hand'"):
+    with pytest.raises(
+        UsageError, match="cannot learn a face model from this result, found a result of 'hand'"
+    ):
         read_face(path)
 
 
@@ -133,7 +137,7 @@ def test_rates_that_were_not_seen_are_interpolated(neutral: np.ndarray) -> None:
 def test_too_little_of_a_motion_is_said(neutral: np.ndarray, at_rest: slice, name: str) -> None:
     shapes = performance(neutral)
     shapes[at_rest] = neutral
-    with pytest.raises(ResultError, match=f"r.mcap: shows too little of the motion '{name}'"):
+    with pytest.raises(ResultError, match=f"r.mcap: too little of the motion '{name}'"):
         examples_of(observed(shapes))
 
 

@@ -20,8 +20,8 @@ from posetrack_cli.head.skin.map import (
     NEAR,
     POINTS,
     SkinMap,
-    _in_told_frame,
-    _of_told_size,
+    _in_prior_frame,
+    _at_prior_distance,
     _share,
     make_map,
     pose_on_map,
@@ -120,7 +120,7 @@ def test_a_map_of_another_size_looks_the_same(seed: int, size: float, count: int
     told = HeadPose.stacked([pose_at(index) for index in rng.uniform(0.0, 20.0, count)])
     larger = replace(told, position=size * told.position)
     points = rng.normal(0.0, 30.0, (5, 3))
-    poses, scaled = _of_told_size(larger, points, told)
+    poses, scaled = _at_prior_distance(larger, points, told)
     np.testing.assert_allclose(poses.position, told.position, rtol=1e-9)
     for index in range(count):
         seen = poses.of_frame(index).points(scaled)
@@ -137,7 +137,7 @@ def test_a_map_in_another_head_frame_looks_the_same(seed: int, count: int) -> No
     turned = canonical(multiply(told.quaternion, other.quaternion))
     before = HeadPose(in_camera(other.position, told.position, told.quaternion), turned)
     points = rng.normal(0.0, 30.0, (5, 3))
-    poses, moved = _in_told_frame(before, points, told)
+    poses, moved = _in_prior_frame(before, points, told)
     np.testing.assert_allclose(poses.difference(told), 0.0, atol=ROUNDING_MM)
     for index in range(count):
         one, was = poses.of_frame(index), before.of_frame(index)
@@ -147,7 +147,7 @@ def test_a_map_in_another_head_frame_looks_the_same(seed: int, count: int) -> No
 def test_a_head_at_the_camera_has_no_size() -> None:
     """Nor has it any other become NaN."""
     told = HeadPose.stacked([replace(pose_at(0), position=np.zeros(3)), pose_at(1), pose_at(2)])
-    poses, points = _of_told_size(told, np.ones((2, 3)), told)
+    poses, points = _at_prior_distance(told, np.ones((2, 3)), told)
     np.testing.assert_allclose(points, 1.0)
     assert np.isfinite(poses.position).all()
 

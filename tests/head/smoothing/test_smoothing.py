@@ -235,7 +235,7 @@ def test_what_the_whole_track_is_wrong_by_stays_in_its_variances(tmp_path) -> No
 
 def test_frames_that_no_run_wrote_are_refused(tmp_path) -> None:
     wrong = replace(frame(1, np.zeros(3)), quaternion=np.zeros(4))
-    with pytest.raises(ResultError, match="spool cannot be used, found 'quaternion' with vectors"):
+    with pytest.raises(ResultError, match="spool cannot be used, found 'quaternion' has vectors"):
         smoothed(tmp_path, [frame(0, np.zeros(3) + 700.0), wrong])
 
 
