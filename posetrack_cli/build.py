@@ -81,7 +81,7 @@ def _version_of(distribution: str) -> str:
 
 @cache
 def processor_features() -> str:
-    """Return the CPU features by which libraries select code; they affect the last digits of results."""
+    """Return the CPU features that libraries use to select code; they affect the last digits of results."""
     import platform
 
     import cv2

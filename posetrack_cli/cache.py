@@ -22,7 +22,7 @@ def cache_folder(name: str) -> Path | None:
     return next((parent / name for parent in _parents() if _is_writable(parent / name)), None)
 
 
-def kept_arrays(
+def cached_arrays(
     name: str, sources: Sequence[str], arguments: Sequence[object], compute: Callable[[], Arrays]
 ) -> Arrays:
     """Return the arrays of an expensive computation, from the cache if available.

@@ -70,7 +70,7 @@ def _compiled(function: Function, **options: Any) -> Function:
     import numba.core.config
 
     compiled: Any = numba.njit(**_OPTIONS, **options)(function)
-    compiled.get_call_template = functools.partial(_for_any_value, compiled.get_call_template)
+    compiled.get_call_template = functools.partial(_resolved_by_type, compiled.get_call_template)
     config: Any = numba.core.config  # attributes are created at run time, so type checkers do not see them
     folder, others = kernel_folder(), config.CACHE_DIR
     if folder is not None:
@@ -83,7 +83,7 @@ def _compiled(function: Function, **options: Any) -> Function:
     return dispatcher
 
 
-def _for_any_value(template: Callable[..., Any], args: Any, kws: Any) -> Any:
+def _resolved_by_type(template: Callable[..., Any], args: Any, kws: Any) -> Any:
     """Resolve calls by argument types alone; numba would otherwise recompile for each constant argument."""
     import numba.core.types
 
@@ -113,14 +113,14 @@ def _cache_class() -> type[Any]:
 
         def save_overload(self, sig: Any, data: Any) -> None:
             """Store compiled code under a lock, as numba numbers files by reading and rewriting an index."""
-            with suppress(OSError, EOFError, pickle.PickleError), _alone(Path(self.cache_path)):
+            with suppress(OSError, EOFError, pickle.PickleError), _locked(Path(self.cache_path)):
                 super().save_overload(sig, data)
 
     return KernelCache
 
 
 @contextmanager
-def _alone(folder: Path) -> Iterator[None]:
+def _locked(folder: Path) -> Iterator[None]:
     from filelock import lock_descriptor
 
     folder.mkdir(parents=True, exist_ok=True)

@@ -24,11 +24,11 @@ class PosetrackError(Exception):
     """Base class of all errors that posetrack raises deliberately.
 
     Args:
-        what: what went wrong, in a few words.
+        what: description of the problem, in a few words.
         where: file, topic, frame or time of the problem.
-        found: what was found there.
-        expected: what was expected.
-        hint: what the user can do about it.
+        found: offending value.
+        expected: valid values.
+        hint: suggestion for the user.
 
     ``str(error)`` is one line of the given parts, without control characters.
     """

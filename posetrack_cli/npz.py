@@ -46,7 +46,7 @@ _DAMAGE = (
 
 
 class NpzError(ValueError):
-    """File that is not an npz file, is damaged, or is too large; the message says which."""
+    """Invalid, damaged or oversized npz file."""
 
 
 def read_npz(source: bytes | IO[bytes]) -> Arrays:

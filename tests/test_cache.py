@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from posetrack_cli import cache
-from posetrack_cli.cache import kept_arrays
+from posetrack_cli.cache import cached_arrays
 from posetrack_cli.npz import Arrays
 
 SOURCES = ("rendering/mesh.py",)
@@ -34,7 +34,7 @@ class Counted:
 
 
 def kept(compute: Callable[[], Arrays], *arguments: object) -> Arrays:
-    return kept_arrays("numbers", SOURCES, arguments, compute)
+    return cached_arrays("numbers", SOURCES, arguments, compute)
 
 
 def test_the_second_time_it_is_read(folder: Path) -> None:
@@ -52,7 +52,7 @@ def test_other_arguments_are_another_computation(folder: Path) -> None:
     for arguments in ((np.eye(2), 3), (np.eye(2), 4), (np.eye(3), 3), (np.eye(2, dtype=np.float32), 3)):
         kept(counted, *arguments)
     assert counted.calls == 4
-    kept_arrays("numbers", ("rendering/port.py",), (np.eye(2), 3), counted)
+    cached_arrays("numbers", ("rendering/port.py",), (np.eye(2), 3), counted)
     assert counted.calls == 5  # and so is another source
 
 

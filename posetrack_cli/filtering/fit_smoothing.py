@@ -146,7 +146,7 @@ class FitSmoother:
         fit = only(modes, likeliest(belief, modes, self._space))
         if self._freedom is None:
             return fit
-        return doubted(belief, fit, self._groups, self._freedom, self._space)
+        return down_weighted(belief, fit, self._groups, self._freedom, self._space)
 
     def _dynamics_of(self, frame: Memory) -> Dynamics:
         return self._dynamics if isinstance(self._dynamics, Dynamics) else self._dynamics(frame)
@@ -213,7 +213,7 @@ def only(modes: LikelihoodModes, k: int) -> LikelihoodModes:
     )
 
 
-def doubted(
+def down_weighted(
     belief: StateGaussian,
     modes: LikelihoodModes,
     groups: Sequence[IntArray],

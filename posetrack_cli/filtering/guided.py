@@ -118,6 +118,7 @@ def draw_guided(
     weights, log_sum = normalise(prediction.log_weights)
     mixture = laplace_mixture(prediction, guide.inflated, space)
     shares, log_mass = normalise((prediction.log_weights - log_sum + mixture.log_masses).ravel())
+    # One joint draw over (mode, ancestor) pairs; the last block is the prior alone.
     table = np.concatenate([(1.0 - a) * shares, a * weights])
     picked, ancestors = np.divmod(resample(scheme, table, rng, count), count)
     poses = mixture.sample(picked, ancestors, rng)

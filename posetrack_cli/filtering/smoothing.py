@@ -90,6 +90,7 @@ def state_gaussian(state: MarginalState, weights: FloatArray, space: StateSpace)
     pose, velocity = space.mean(state.poses, weights), weights @ state.velocities
     away = np.hstack([space.local(pose, state.poses), state.velocities - velocity])
     covariance = shrunk((weights[:, None] * away).T @ away, effective_count(weights))
+    # Law of total variance: the particles share P in addition to the spread of their means.
     own = np.concatenate([np.zeros_like(velocity), state.velocity_variance])
     return StateGaussian(pose, velocity, covariance + np.diag(own))
 

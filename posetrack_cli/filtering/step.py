@@ -80,6 +80,7 @@ def propose(
     Returns:
         (N, S) new poses and (N, D) z = x_t (-) x_{t-1}, (58), **after** constraining.
     """
+    # Drawn for all components, even frozen ones, so that the random stream does not depend on the noise.
     increments = rng.standard_normal((len(poses), variance.size))
     increments *= np.sqrt(variance)
     if drift is not None:

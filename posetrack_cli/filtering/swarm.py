@@ -118,6 +118,7 @@ def scattered(
 ) -> FloatArray:
     """Return start positions (N, D): the centre, and N(centre, diag sd^2) clipped to the box."""
     positions = centre + sd * rng.standard_normal((count, centre.size))
+    # The start itself is always a candidate, so the result is never worse.
     positions[0] = centre
     return box.nearest(positions)
 

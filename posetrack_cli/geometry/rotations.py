@@ -42,12 +42,12 @@ def canonical(q: FloatArray) -> FloatArray:
     q = np.asarray(q, dtype=np.float64)
     length = np.sqrt(np.einsum("...i,...i->...", q, q))
     if not (np.all(length > 0.0) and np.all(np.isfinite(length))):
-        raise without_direction()
+        raise invalid_quaternion()
     unit: FloatArray = q * (_canonical_sign(q) / length)[..., None]
     return unit
 
 
-def without_direction() -> PosetrackError:
+def invalid_quaternion() -> PosetrackError:
     """Return the error for a quaternion that is zero, NaN or infinite."""
     return PosetrackError(
         "invalid quaternion", found="length 0, NaN or infinite", expected="a finite length > 0"

@@ -16,7 +16,7 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.rendering.mesh import SkinnedMesh
 from posetrack_cli.rendering.pixel_model import (
     LOGISTIC_OF_NORMAL,
-    LOOKS_BESIDE,
+    NEIGHBOUR_MISFIT,
     REACH_PX,
     PixelMixture,
     outline_distances,
@@ -40,7 +40,7 @@ from posetrack_cli.rendering.raster import Drawing, RestMesh, View, draw_depth, 
 
 _FAR = 40.0  # log odds beyond which the smaller share is below the last bit of the larger one
 _SMALL = 0.1  # exp of smaller arguments is computed by a polynomial
-_MUCH = np.exp(LOOKS_BESIDE)  # ratio of densities at a misfit of LOOKS_BESIDE
+_MUCH = np.exp(NEIGHBOUR_MISFIT)  # ratio of densities at a misfit of NEIGHBOUR_MISFIT
 _LARGE, _TINY = 1e150, 1e-150  # range of products of densities, far from overflow
 ROW = 8
 """Sums per tile, in the order of ``TileSums.from_rows``."""
@@ -66,9 +66,9 @@ class Reading(NamedTuple):
 
 
 class Mixture(NamedTuple):
-    """Parameters of a ``PixelMixture``; ``is_asked`` is False without one."""
+    """Parameters of a ``PixelMixture``; ``enabled`` is False without one."""
 
-    is_asked: bool
+    enabled: bool
     near_sd: float = 1.0
     sd_growth: float = 0.0
     occluder_rate: float = 1.0
@@ -150,7 +150,7 @@ def _fill_depths(inverses: FloatArray, depths: FloatArray) -> None:
 
 
 @kernel
-def _misfit_beside(depths: FloatArray, i: int, j: int, reading: Reading, model: Mixture) -> float:
+def _misfit_with_neighbours(depths: FloatArray, i: int, j: int, reading: Reading, model: Mixture) -> float:
     """Return the misfit of a target pixel with the best-fitting surface within ``REACH_PX``."""
     y = reading.image[j, i]
     per_sd, pixel = 1.0 / (model.near_sd + model.sd_growth * y * y), reading.slope * y
@@ -174,7 +174,7 @@ def _misfit_beside(depths: FloatArray, i: int, j: int, reading: Reading, model: 
 @inlined
 def _relief(depths: FloatArray, i: int, j: int, reading: Reading, model: Mixture) -> float:
     """Return the cost reduction of an uncovered target pixel due to a surface next to it."""
-    beside = _misfit_beside(depths, i, j, reading, model)
+    beside = _misfit_with_neighbours(depths, i, j, reading, model)
     return max(0.0, _unexplained(reading.image[j, i], model) - beside) if beside < np.inf else 0.0
 
 
@@ -217,17 +217,17 @@ def add_sums(drawing: Drawing, depths: FloatArray, reading: Reading, model: Mixt
         for i in range(left, right):
             d, y = depths[j + REACH_PX, i + REACH_PX], image[j, i]
             if d == np.inf:
-                if model.is_asked and y > 0.0:
+                if model.enabled and y > 0.0:
                     relief += _relief(depths, i, j, reading, model)
                 continue
             if y > 0.0:
                 apart = abs(d - y)
                 both, error = both + 1, error + min(apart, reading.clamp_mm)
                 matched += apart < reading.match_mm
-                if model.is_asked:
+                if model.enabled:
                     of_best, of_this = _densities(d, y, reading.before[j, i], 0.0, model)
                     if of_best > _MUCH * of_this:
-                        beside = _misfit_beside(depths, i, j, reading, model)
+                        beside = _misfit_with_neighbours(depths, i, j, reading, model)
                         misfit += min(np.log(of_best / of_this), beside)
                         continue
                     most, found = most * of_best, found * of_this
@@ -237,7 +237,7 @@ def add_sums(drawing: Drawing, depths: FloatArray, reading: Reading, model: Mixt
                 continue
             unread, other = unread + (y == 0.0), other + (y < 0.0)
             hidden += (y < 0.0) & (-y < d)
-            if model.is_asked:
+            if model.enabled:
                 misfit += _misfit_of_other(d, y, reading.off[j, i] * reading.slope * d, model)
     misfit += np.log(most / found)
     row[0], row[1], row[2], row[3] = error, both, other, unread
@@ -324,7 +324,7 @@ class CompiledDepthRenderer:
         check_poses(self, transforms, window)
         bones, view = _bones_of(transforms), View(*window.tile_projection(camera))
         model = mixture_of(comparison.model)
-        off = outline_distances(comparison.observed) if model.is_asked else comparison.observed
+        off = outline_distances(comparison.observed) if model.enabled else comparison.observed
         reading = reading_of(comparison, off.astype(np.float64), window.step / camera.fx)
         rows = np.empty((len(bones), ROW))
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
-from posetrack_cli.cache import kept_arrays
+from posetrack_cli.cache import cached_arrays
 from posetrack_cli.npz import Arrays
 from posetrack_cli.rendering.mesh import SkinnedMesh, closest_points, edges_of
 
@@ -171,7 +171,7 @@ def decimation(mesh: SkinnedMesh, triangles: int, transforms: FloatArray | None 
     def compute() -> Arrays:
         return vars(_decimation(mesh, triangles, transforms))
 
-    return Decimation(**kept_arrays("meshes", _SOURCES, arguments, compute))
+    return Decimation(**cached_arrays("meshes", _SOURCES, arguments, compute))
 
 
 def _decimation(mesh: SkinnedMesh, triangles: int, transforms: FloatArray) -> Decimation:

@@ -16,7 +16,7 @@ LOGISTIC_OF_NORMAL = 1.702
 """1 / (1 + exp(-1.702 t)) approximates the normal distribution function to .01 (Camilli 1994)."""
 REACH_PX = 2
 """Radius in which a target pixel is matched with rendered surfaces next to it."""
-LOOKS_BESIDE = 2.0
+NEIGHBOUR_MISFIT = 2.0
 FAR_PX = 1e4
 
 
@@ -41,7 +41,7 @@ class PixelMixture:
 
     A missing reading costs ``unread_weight`` times -log b(x), as most missing readings are near the hand's
     outline. An uncovered target pixel costs ``unexplained``. Such pixels, and those with a misfit above
-    ``LOOKS_BESIDE``, may be explained by a surface rendered up to ``REACH_PX`` away, at distance x, as an
+    ``NEIGHBOUR_MISFIT``, may be explained by a surface rendered up to ``REACH_PX`` away, at distance x, as an
     outline error: v N(y; d, s^2) is then multiplied by exp(-x^2 / (2 s_o^2)). The cost of outlines,
     including that of one finger in front of another, is thus quadratic near the truth like that of depth,
     instead of a step.
@@ -149,7 +149,7 @@ def misfits_in_numpy(
     rho[other] = model.misfit_of_other(d[other], -y[other], off[other])
     rho[unread] = model.misfit_of_unread(d[unread], off[unread])
     beside = _misfits_with_neighbours(d, y, model, slope)
-    rho = np.where(target & (rho > LOOKS_BESIDE), np.minimum(rho, beside), rho)
+    rho = np.where(target & (rho > NEIGHBOUR_MISFIT), np.minimum(rho, beside), rho)
     relief = np.where((d == 0) & (y > 0), np.maximum(0.0, model.unexplained(y) - beside), 0.0)
     return rho.sum(axis=(1, 2)), relief.sum(axis=(1, 2))
 

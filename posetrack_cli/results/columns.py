@@ -109,6 +109,7 @@ def joined(blocks: Iterable[Columns]) -> Columns:
 
 def _resize(column: np.ndarray[Any, Any], rows: int) -> None:
     """Resize in place; safe without refcheck, as nothing else refers to the array yet."""
+    # Growing in place avoids a second copy of the column, which np.concatenate would need.
     column.resize((rows, *column.shape[1:]), refcheck=False)
 
 
@@ -280,6 +281,7 @@ def check_arrays(arrays: Arrays, layouts: Mapping[str, Layout]) -> None:
         if name not in arrays:
             raise LayoutError(f"array '{name}' is missing")
         array = arrays[name]
+        # numpy encodes text lengths in the dtype name, e.g. str96.
         kind = "str" if array.dtype.kind == "U" else array.dtype.name
         if kind != layout.dtype or not _fits(array.shape, layout.shape, lengths):
             wanted = ", ".join(str(lengths.get(str(length), length)) for length in layout.shape)
@@ -323,6 +325,7 @@ def _fits(shape: tuple[int, ...], stated: tuple[int | str, ...], lengths: dict[s
 def _check_values(name: str, array: np.ndarray[Any, Any], layout: Layout) -> None:
     inside = (array >= layout.least) & (array <= layout.most)
     if layout.missing:
+        # Comparisons with NaN are False, so NaN needs its own test.
         inside |= np.isnan(array)
     if not np.all(inside):
         wrong = array[~inside].flat[0]

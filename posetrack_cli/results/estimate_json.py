@@ -83,6 +83,7 @@ def estimate_to_json(estimate: Estimate, number_names: Sequence[str] = ()) -> by
     fields["resampled"] = bool(estimate.resampled)
     for name in UNKNOWN_NUMBERS:
         value = getattr(estimate, name)
+        # Foxglove's JSON schemas have no null, and JSON has no NaN: unknown values are omitted.
         if value is not None and math.isfinite(value):
             fields[name] = int(value) if name == "evaluations" else float(value)
     in_order = {name: fields[name] for name in FIELD_NAMES if name in fields}

@@ -297,6 +297,7 @@ def check_estimate(estimate: Estimate, subject: Subject) -> None:
 
 
 def _check_arrays(estimate: Estimate, subject: Subject, where: str) -> None:
+    # The three velocity fields come from one estimator; a partial set would be a bug of the tracker.
     unknown = [name for name in VELOCITY_FIELDS if getattr(estimate, name) is None]
     if unknown and len(unknown) < len(VELOCITY_FIELDS):
         raise ResultError(

@@ -94,6 +94,7 @@ def _first_problem(error: ValidationError) -> str:
     if problem["type"] == "missing":
         return f"'{where}' is missing"
     found = repr(problem["input"])
+    # The value may be arbitrarily long, as it comes from the file.
     found = found if len(found) <= _SHOWN_CHARACTERS else f"{found[:_SHOWN_CHARACTERS]}..."
     return f"'{where}' is {found}, expected {expected_words(problem)}"
 

@@ -63,6 +63,7 @@ class Replay:
         position = 0
         with opened(self._part) as stream:
             for span in record_spans(stream):
+                # Bytes after the last checkpoint belong to frames that are tracked again.
                 if span.end > file_bytes:
                     break
                 position = span.end

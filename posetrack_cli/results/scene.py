@@ -27,6 +27,7 @@ LINE_PX = 2.0
 POINT_MM = 4.0
 """Diameter of the spheres drawn at points."""
 
+# Wire format tags: field number << 3 | wire type.
 _UPDATE_ENTITIES = b"\x12"  # SceneUpdate.entities = 2, length-delimited
 _ENTITY_TRIANGLES = b"\x62"  # SceneEntity.triangles = 12, length-delimited
 _POINT = np.dtype(
@@ -67,6 +68,7 @@ class SceneEncoder:
         """
         shape = (max(len(vertices), self._vertex_count), 3)
         check_array(vertices, shape, "mesh", f"{self._subject.name}, {stamp_ns} ns")
+        # Protobuf fields may be concatenated in tag order: pose, points, then colour and indices.
         primitive = self._pose + _points_field(vertices * METRES_PER_MM) + self._tails[status]
         entity = SceneEntity(frame_id=self._subject.camera_frame, id=self._subject.name)
         entity.timestamp.FromNanoseconds(stamp_ns)

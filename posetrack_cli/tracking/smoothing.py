@@ -23,7 +23,7 @@ from posetrack_cli.results.spool import RESTART_HINT, Array, RecordSpool
 
 Described = TypeVar("Described")
 STATUSES = tuple(Status)
-KEPT, BESIDES = "filter.", "frame."
+KEPT, EXTRA = "filter.", "frame."
 """Record name prefixes: of the smoother's data, and of additional data for ``describe``."""
 _NO_FRAME = {"frame_index": 0, "stamp_ns": 0, "status": 0, "cut": 0, "dt": 0.0, "confidence": 0.0}
 
@@ -132,7 +132,7 @@ class SmoothedTrack(Generic[Described]):
             else:
                 later = self._smoother.back(memory, dt) if dt > 0.0 else self._smoother.stay(memory, later)
             ends, dt = bool(record["cut"]), float(record["dt"])
-            yield self._describe(later, _facts(record), memory | _named(record, BESIDES))
+            yield self._describe(later, _facts(record), memory | _named(record, EXTRA))
 
     def delete(self) -> None:
         """Delete the file."""
@@ -172,7 +172,7 @@ def _facts(record: Mapping[str, Array]) -> FrameFacts:
 def _record(about: Mapping[str, float], memory: Memory, frame: Memory) -> dict[str, Array]:
     """Return a frame's record; data that the smoother already stores is not duplicated."""
     kept = {f"{KEPT}{name}": values for name, values in memory.items()}
-    besides = {f"{BESIDES}{name}": values for name, values in frame.items() if name not in memory}
+    besides = {f"{EXTRA}{name}": values for name, values in frame.items() if name not in memory}
     return {name: np.asarray(value) for name, value in (dict(about) | kept | besides).items()}
 
 

@@ -81,7 +81,7 @@ class BodySpace:
         x, delta = (np.array(rows, dtype=np.float64, order="C") for rows in (x, delta))
         out = np.empty_like(x)
         if not _retract_each(x, delta, out):
-            raise rotations.without_direction()
+            raise rotations.invalid_quaternion()
         return out
 
     def local(self, x: FloatArray, y: FloatArray) -> FloatArray:
@@ -117,8 +117,8 @@ def pose_rates(pose: FloatArray, twist: FloatArray) -> FloatArray:
 # The velocity of a tracked body, estimated from its poses with a lag of one frame.
 #
 # The difference of two poses is the velocity half a frame earlier, and a filter's velocity lags further. The
-# next frame's pose removes this lag: an estimate is written after the next frame is tracked, with its velocity
-# given both. Everything else in the estimate stays as the tracker computed it.
+# next frame's pose removes this lag: an estimate is written after the next frame is tracked, with its
+# velocity given both. Everything else in the estimate stays as the tracker computed it.
 #
 # Each entry of the tangent vector has its own filter, with white acceleration of density q^2 and pose errors
 # of standard deviation r (Kalman 1960; F and noise as in ``filtering.model``, exact, without pose noise)::

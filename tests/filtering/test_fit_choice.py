@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from posetrack_cli.filtering.fit_smoothing import doubted, likeliest, log_evidence, only
+from posetrack_cli.filtering.fit_smoothing import down_weighted, likeliest, log_evidence, only
 from posetrack_cli.filtering.model import Euclidean, Gaussian
 from posetrack_cli.filtering.modes import LikelihoodModes
 from posetrack_cli.filtering.smoothing import StateGaussian
@@ -64,10 +64,10 @@ def test_a_group_that_contradicts_loses_information() -> None:
     H = np.array([[1.0, 0.3], [0.3, 1.0]])
     modes = LikelihoodModes(np.array([[6.0, 1.0]]), np.zeros((1, 2)), np.eye(2)[None], np.zeros(1))
     groups, state = [np.array([0]), np.array([1])], belief(np.zeros(2), np.eye(2))
-    found = doubted(state, modes, groups, 4.0, SPACE)
+    found = down_weighted(state, modes, groups, 4.0, SPACE)
     np.testing.assert_allclose(found.information[0], np.diag([5.0 / 22.0, 1.0]), rtol=1e-6)
     coupled = LikelihoodModes(modes.poses, modes.gradients, H[None], modes.log_heights)
-    found = doubted(state, coupled, groups, 4.0, SPACE)
+    found = down_weighted(state, coupled, groups, 4.0, SPACE)
     root = np.sqrt((4.0 + 1.0) / (4.0 + 36.0 / (1.0 + np.linalg.inv(H)[0, 0])))
     np.testing.assert_allclose(found.information[0], [[root**2, 0.3 * root], [0.3 * root, 1.0]], rtol=1e-6)
     assert np.linalg.eigvalsh(found.information[0])[0] > 0.0
@@ -78,7 +78,7 @@ def test_a_doubted_fit_keeps_its_maximum() -> None:
     root = rng.standard_normal((3, 3))
     H, g = root @ root.T, 5.0 * rng.standard_normal(3)
     modes = LikelihoodModes(rng.standard_normal((1, 3)), g[None], H[None], np.zeros(1))
-    found = doubted(belief(np.zeros(3), np.eye(3)), modes, [np.arange(2), np.array([2])], 1.0, SPACE)
+    found = down_weighted(belief(np.zeros(3), np.eye(3)), modes, [np.arange(2), np.array([2])], 1.0, SPACE)
     assert not np.allclose(found.information[0], H)
     np.testing.assert_allclose(
         np.linalg.solve(found.information[0], found.gradients[0]), np.linalg.solve(H, g), rtol=1e-5
@@ -88,6 +88,6 @@ def test_a_doubted_fit_keeps_its_maximum() -> None:
 def test_what_agrees_is_not_doubted_even_if_it_knows_little() -> None:
     H = np.diag([2.0, 0.0])
     modes = LikelihoodModes(np.array([[0.1, 9.0]]), np.array([[0.2, 0.0]]), H[None], np.zeros(1))
-    found = doubted(belief(np.zeros(2), np.eye(2)), modes, [np.array([0]), np.array([1])], 4.0, SPACE)
+    found = down_weighted(belief(np.zeros(2), np.eye(2)), modes, [np.array([0]), np.array([1])], 4.0, SPACE)
     np.testing.assert_allclose(found.information[0], H, atol=1e-12)
     np.testing.assert_allclose(found.gradients[0], modes.gradients[0], rtol=1e-8)

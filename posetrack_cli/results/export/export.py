@@ -125,6 +125,7 @@ def save_text(pieces: Iterable[str], source: ExportSource, out: Path, *, overwri
     """Write text to a file like ``export_file``."""
     with _whole(source, out, overwrite=overwrite) as part, open_output(part) as stream:
         for piece in pieces:
+            # Names may have surrogates from file names that are not UTF-8.
             stream.write(piece.encode("utf-8", "backslashreplace"))
 
 

@@ -73,6 +73,7 @@ def fixed_rate(stamps_ns: IntArray, where: str) -> FixedRate:
     steps = steps[steps > 0]
     if not len(steps):
         return FixedRate(SINGLE_HZ, order[:1], len(stamps_ns))
+    # Rounded step counts make the rate robust to dropped frames and jitter.
     step_ns = since[-1] / float(np.sum(np.rint(steps / np.median(steps))))
     places = since / step_ns
     count = round(float(places[-1])) + 1

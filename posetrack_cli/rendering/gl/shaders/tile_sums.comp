@@ -28,7 +28,7 @@ uniform float outline_sd;
 uniform float unread_weight;
 uniform float slope;  // width of a pixel, mm, per mm of depth
 
-const float LOOKS_BESIDE = 2.0;  // misfit above which an outline error is considered
+const float NEIGHBOUR_MISFIT = 2.0;  // misfit above which an outline error is considered
 const ivec2 NEAR[12] = ivec2[](
     ivec2(-1, 0), ivec2(1, 0), ivec2(0, -1), ivec2(0, 1),
     ivec2(-1, -1), ivec2(1, -1), ivec2(-1, 1), ivec2(1, 1),
@@ -122,7 +122,7 @@ void main() {
         float alone = !drawn ? log(1.0 + 1.0 / outlier_at(y))
                     : y > 0.0 ? misfit(d, y, 0.0) : misfit_of_other(d, y, reading.y * slope * d);
         float rho = alone;
-        if (y > 0.0 && alone > LOOKS_BESIDE) rho = min(rho, misfit_with_neighbours(y, at, corner));
+        if (y > 0.0 && alone > NEIGHBOUR_MISFIT) rho = min(rho, misfit_with_neighbours(y, at, corner));
         more.x += drawn ? rho : 0.0;
         more.w += drawn ? 0.0 : alone - rho;
 #endif
