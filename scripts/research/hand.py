@@ -44,8 +44,8 @@ class Entrant(NamedTuple):
     def arguments(self) -> tuple[str, ...]:
         """Of ``posetrack hand run``; no mesh is written, as nothing shows it."""
         changes = self.changes | {"output.mesh": "none"}
-        told = (part for key, value in changes.items() for part in ("--set", f"{key}={value}"))
-        return ("--config", self.configuration, *told)
+        settings = (part for key, value in changes.items() for part in ("--set", f"{key}={value}"))
+        return ("--config", self.configuration, *settings)
 
 
 PLAIN = {"filter.proposal": "marginal", "observation.sigma_mm": 4.0}
@@ -155,7 +155,7 @@ def _artificial_jobs(options: Options) -> Iterator[Job]:
         yield tracked(options, motion, 1.0, FIRST_SEED, entrants)
 
 
-def _tell_artificial(options: Options, files: Files, report: Report) -> None:
+def _report_artificial(options: Options, files: Files, report: Report) -> None:
     for motion, (number, components) in SHOWN.items():
         report.text(f"## Artificial data {motion} (figure {number})", f"> **Paper:** {PAPER[motion]}")
         panels, errors = [], {}
@@ -196,7 +196,7 @@ def _real_jobs(options: Options) -> Iterator[Job]:
         yield Job(f"kinect-{entrant}", (result, Step(f"figure{number}-{name}.png", view)))
 
 
-def _tell_real(options: Options, files: Files, report: Report) -> None:
+def _report_real(options: Options, files: Files, report: Report) -> None:
     report.text("## Real depth (figures 8 and 9)", f"> **Paper:** {PAPER['real']}")
     if options.kinect is None:
         report.text("Not redone: no real recording was given (`--kinect`).")
@@ -213,7 +213,7 @@ PARTICLES = (64, 128, 256, 512, 1024, 2048, 4096)
 TIMED_FRAMES, WARM_UP = 34, 4
 
 
-def _tell_times(options: Options, files: Files, report: Report) -> None:
+def _report_times(options: Options, files: Files, report: Report) -> None:
     """Time both filters alternately, frame by frame, on motion B with the paper's settings."""
     device = open_fastest_device()
     made = SynthOptions("B", TIMED_FRAMES, FIRST_SEED, 1.0, switches=Switches.usual("B"))
@@ -264,7 +264,7 @@ def _study_jobs(options: Options) -> Iterator[Job]:
         yield tracked(options, motion, speed, FIRST_SEED + k, entrants)
 
 
-def _tell_study(options: Options, files: Files, report: Report) -> None:
+def _report_study(options: Options, files: Files, report: Report) -> None:
     found: dict[str, dict[tuple[str, float], dict[str, Figures]]] = {}
     for kind, name in itertools.product(("pf", "rbpf"), STUDIED):
         entrant = f"{kind}-{name}"
@@ -338,10 +338,10 @@ STUDY = Study(
     "hand",
     Options,
     (
-        Part("artificial", _artificial_jobs, _tell_artificial),
-        Part("real", _real_jobs, _tell_real),
-        Part("time", lambda options: (), _tell_times),
-        Part("study", _study_jobs, _tell_study),
+        Part("artificial", _artificial_jobs, _report_artificial),
+        Part("real", _real_jobs, _report_real),
+        Part("time", lambda options: (), _report_times),
+        Part("study", _study_jobs, _report_study),
     ),
     _head,
     __doc__,

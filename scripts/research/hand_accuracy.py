@@ -110,7 +110,7 @@ def _own_jobs(options: Options) -> Iterator[Job]:
             yield recorded(options, name, synthetic(options, "C", speed, seed), OWN)
 
 
-def _tell_own(options: Options, files: Files, report: Report) -> None:
+def _report_own(options: Options, files: Files, report: Report) -> None:
     report.text(
         "## Own model, all Kinect effects, automatic start",
         "Motion C with noise, edges, background, body, forearm, dropped and late frames. Errors are of the "
@@ -175,7 +175,7 @@ def _filters_jobs(options: Options) -> Iterator[Job]:
             )
 
 
-def _tell_filters(options: Options, files: Files, report: Report) -> None:
+def _report_filters(options: Options, files: Files, report: Report) -> None:
     report.text(
         "## RBPF against the plain filter, same budget",
         "All filters on the same recordings with the same seed, from the true pose, all else as in `hand`. "
@@ -211,7 +211,7 @@ def _kinect_jobs(options: Options) -> Iterator[Job]:
     yield Job("kinect", (made, Step("runs/kinect2-hand.mcap", run)))
 
 
-def _tell_kinect(options: Options, files: Files, report: Report) -> None:
+def _report_kinect(options: Options, files: Files, report: Report) -> None:
     report.text("## Real Kinect v2, a left hand")
     result, recording = (files.made(name) for name in ("runs/kinect2-hand.mcap", "kinect2.mcap"))
     if result is None or recording is None:
@@ -232,7 +232,7 @@ def _tell_kinect(options: Options, files: Files, report: Report) -> None:
 
 def _head(options: Options) -> Iterator[str]:
     last = options.first_seed + options.seeds - 1
-    yield "# What the hand tracker reaches"
+    yield "# Accuracy of the hand tracker"
     yield (
         f"posetrack {version()}; seeds {options.first_seed} to "
         f"{last}{unused_for_tuning(options.first_seed)}, {options.frames} frames each; {os.cpu_count()} "
@@ -244,9 +244,9 @@ STUDY = Study(
     "hand-accuracy",
     Options,
     (
-        Part("own", _own_jobs, _tell_own),
-        Part("filters", _filters_jobs, _tell_filters),
-        Part("kinect", _kinect_jobs, _tell_kinect),
+        Part("own", _own_jobs, _report_own),
+        Part("filters", _filters_jobs, _report_filters),
+        Part("kinect", _kinect_jobs, _report_kinect),
     ),
     _head,
     __doc__,

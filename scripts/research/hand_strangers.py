@@ -212,7 +212,7 @@ def _mesh_figures(options: Options, files: Files) -> dict[Person, dict[str, floa
     return rows
 
 
-def _tell_mesh(options: Options, files: Files, report: Report) -> None:
+def _report_mesh(options: Options, files: Files, report: Report) -> None:
     report.text(
         "## With the person's exact mesh",
         "Automatic start, the side is not given. Errors: mean over the 21 joints and all frames, lost ones "
@@ -228,7 +228,7 @@ def _tell_mesh(options: Options, files: Files, report: Report) -> None:
         report.judge(what, over(rows.values(), name), most=most)
 
 
-def _tell_smooth(options: Options, files: Files, report: Report) -> None:
+def _report_smooth(options: Options, files: Files, report: Report) -> None:
     report.text(
         "## Smoothed against filtered",
         "Mean joint errors with the exact mesh; ratio: smoothed over filtered.",
@@ -260,7 +260,7 @@ ELBOW_COLUMNS = (
 )
 
 
-def _tell_default(options: Options, files: Files, report: Report) -> None:
+def _report_default(options: Options, files: Files, report: Report) -> None:
     report.text(
         "## Defaults",
         "The same recordings, nothing given. Found within: the first frame, from 1, on the true wrist that "
@@ -295,7 +295,7 @@ def _tell_default(options: Options, files: Files, report: Report) -> None:
     report.judge("defaults, offsets removed: worst recording, mm", worst, most=4.5)
 
 
-def _tell_elbow(options: Options, files: Files, report: Report) -> None:
+def _report_elbow(options: Options, files: Files, report: Report) -> None:
     report.text("## Free elbow", "Defaults, without an upper arm. Kept: whatever the status says.")
     rows = {}
     for person in options.people[:ELBOW_PEOPLE]:
@@ -344,7 +344,7 @@ def confidence_figures(judged: JudgedFrames) -> dict[str, float]:
     return {"frames": float(len(judged.right)), **known}
 
 
-def _tell_honesty(options: Options, files: Files, report: Report) -> None:
+def _report_honesty(options: Options, files: Files, report: Report) -> None:
     report.text(
         "## Honesty",
         f"Wrong is a frame whose mean joint error is above {RIGHT_MM:g} mm; offsets: after one constant "
@@ -356,14 +356,14 @@ def _tell_honesty(options: Options, files: Files, report: Report) -> None:
     results = [path for one in outputs if (path := files.made(one)) is not None]
     heads = {name: files.made(f"runs/{name}-{DEFAULT}.mcap") for name in _sequences(options)}
     known = {name: path for name, path in heads.items() if path is not None}
-    asked = {"all pooled": ([*results, *known.values()], hands.RAW, 0.9)}
+    groups = {"all pooled": ([*results, *known.values()], hands.RAW, 0.9)}
     for name, path in known.items():
-        asked[name] = ([path], hands.RAW, 0.75)
-        asked[f"{name}, offsets"] = ([path], hands.WITHOUT_OFFSETS, 0.75)
-    asked["P1, P4, P7, offsets"] = (list(known.values()), hands.WITHOUT_OFFSETS, 0.75)
-    rows = {name: _confidence(paths, how) for name, (paths, how, _) in asked.items()}
+        groups[name] = ([path], hands.RAW, 0.75)
+        groups[f"{name}, offsets"] = ([path], hands.WITHOUT_OFFSETS, 0.75)
+    groups["P1, P4, P7, offsets"] = (list(known.values()), hands.WITHOUT_OFFSETS, 0.75)
+    rows = {name: _confidence(paths, how) for name, (paths, how, _) in groups.items()}
     report.figures("honesty", HONESTY_COLUMNS, rows, {})
-    for name, (_, _, least) in asked.items():
+    for name, (_, _, least) in groups.items():
         area = rows[name].get("confidence_roc_area")
         report.judge(f"confidence, {name}: area under the ROC curve", area, least=least, digits=3)
     far = rows["all pooled"].get("frames_far_tracked")
@@ -382,24 +382,24 @@ def _confidence(results: Sequence[Path], how: EvalOptions) -> dict[str, float]:
     return confidence_figures(pooled_frames(judged)) if judged else {}
 
 
-# Told the truth
+# True keypoints given
 
 TOLD_COLUMNS = (
     Column("error_mm", "error, mm"),
-    Column("told_error_mm", "told, mm"),
+    Column("told_error_mm", "with keypoints, mm"),
     Column("off", "frames off", 0, whole="sum"),
-    Column("mended", "of these right when told", 0, whole="sum"),
+    Column("mended", "of these right with keypoints", 0, whole="sum"),
 )
 MOST_MM = {"P1": 18.0, "P4": 9.0, "P7": 12.0}
 
 
-def _tell_told(options: Options, files: Files, report: Report) -> None:
+def _report_told(options: Options, files: Files, report: Report) -> None:
     report.text(
-        "## Told the truth",
-        "Fits of every frame also begin at the true joints (`--keypoints`). A frame that is off, and right "
-        "when told, was a failure of the search: the truth costs less. If it is off both times, another "
-        "pose costs less than the truth. People with the exact mesh, off from 10 mm on; P1, P4, P7 by "
-        f"default, offsets per bone removed, off from {RIGHT_MM:g} mm on.",
+        "## With true keypoints",
+        "Fits of every frame also start from the true joints (`--keypoints`). A frame that is off, but right "
+        "with keypoints, is a failure of the search: the truth costs less. If it is off both times, another "
+        "pose costs less than the truth. People with the exact mesh: off from 10 mm; P1, P4, P7 with "
+        f"defaults, offsets per bone removed: off from {RIGHT_MM:g} mm.",
     )
     found = {}
     for person in options.people:
@@ -447,12 +447,12 @@ QUESTIONS = (
 )
 
 
-def _tell_choices(options: Options, files: Files, report: Report) -> None:
+def _report_choices(options: Options, files: Files, report: Report) -> None:
     report.text(
-        "## What filter, cost and shape are worth",
-        "The recordings of the part `default`, tracked again with one thing changed: `--filter pf`, `--cost "
-        "paper`, `--cost union`, `--filter pso` (64 particles, 25 generations), all given the side and the "
-        "shape that the default found, so that nothing else differs; and `--shape average`, nothing given.",
+        "## Filter, cost and shape",
+        "The recordings of the part `default`, tracked with one setting changed: `--filter pf`, `--cost "
+        "paper`, `--cost union`, `--filter pso` (64 particles, 25 generations), all with the side and "
+        "shape of the default run; and `--shape average` with nothing given.",
     )
     rows = {
         entrant: {
@@ -465,12 +465,12 @@ def _tell_choices(options: Options, files: Files, report: Report) -> None:
     titled = {title: list(rows[entrant].values()) for entrant, title in CHOSEN.items()}
     report.entrants("choices", CHOICE_COLUMNS, titled)
     errors = {"raw": "error_mm", "offsets removed": "error_without_offsets_mm"}
-    asked = {
+    chosen_pairs = {
         (question, kind): pairs_of(rows[first], rows[second], name)
         for question, first, second in QUESTIONS
         for kind, name in errors.items()
     }
-    report.pairs("choices, paired", ("", "errors, mm"), asked)
+    report.pairs("choices, paired", ("", "errors, mm"), chosen_pairs)
 
 
 # Stated sizes and proportions
@@ -502,15 +502,14 @@ def true_measures(mesh: Path) -> tuple[FloatArray, FloatArray]:
     return measures_of(person_hand(mesh, None).anatomy), measures_of(load_hand(mesh).anatomy)
 
 
-def _tell_shape(options: Options, files: Files, report: Report) -> None:
+def _report_shape(options: Options, files: Files, report: Report) -> None:
     report.text(
         "## Stated sizes and proportions",
-        "Measures and standard deviations as `posetrack hand calibrate` writes them, nothing given, against "
-        "the person's own hand. Inside: the share of 90 % intervals (1.645 standard deviations) that hold "
-        "it. True is the person's skin with joints where our hands have them, by rules: knuckles where the "
-        "first phalanx is 1.6 times the second, fingers divided as by Buryanov and Kotiuk 2010; the last "
-        "column takes the joints of the rig that drew the person. Lengths from the wrist are not counted. "
-        "Spread: standard deviation of the true measure over the people.",
+        "Measures and standard deviations from `posetrack hand calibrate`, nothing given, against the "
+        "person's own hand. Inside: share of 90 % intervals (1.645 standard deviations) with the true "
+        "value. True: the person's skin with joints by our rules (first phalanx 1.6 times the second, "
+        "fingers as by Buryanov and Kotiuk 2010); the last column uses the joints of the person's rig. "
+        "Lengths from the wrist are not counted. Spread: standard deviation of the true measure over people.",
     )
     known = []
     for person in options.people:
@@ -557,7 +556,7 @@ def shape_figures(
 
 
 def _head(options: Options) -> Iterator[str]:
-    yield "# What the hand tracker does on strangers"
+    yield "# Hand tracker on strangers"
     people = ", ".join(str(person.number) for person in options.people)
     yield (
         f"posetrack {version()}; {len(options.people)} people ({people}), drawn by `{options.tool.name}`, "
@@ -581,12 +580,12 @@ STUDY = Study(
     "hand-strangers",
     Options,
     (
-        Part("mesh", lambda options: tracked(options, EXACT_KINDS, EXACT), _tell_mesh),
-        Part("default", lambda options: tracked(options, DEFAULT_KINDS, DEFAULT), _tell_default),
+        Part("mesh", lambda options: tracked(options, EXACT_KINDS, EXACT), _report_mesh),
+        Part("default", lambda options: tracked(options, DEFAULT_KINDS, DEFAULT), _report_default),
         Part(
             "free-elbow",
             lambda options: tracked(options, (FREE_ELBOW,), DEFAULT, most=ELBOW_PEOPLE),
-            _tell_elbow,
+            _report_elbow,
         ),
         Part(
             "honesty",
@@ -595,16 +594,16 @@ STUDY = Study(
                 *tracked(options, DEFAULT_KINDS, DEFAULT),
                 *cvar_jobs(options),
             ),
-            _tell_honesty,
+            _report_honesty,
         ),
-        Part("smooth", lambda options: tracked(options, (ARM,), EXACT), _tell_smooth),
+        Part("smooth", lambda options: tracked(options, (ARM,), EXACT), _report_smooth),
         Part(
             "told",
             lambda options: (*tracked(options, (ARM,), EXACT, TOLD), *cvar_jobs(options, told=True)),
-            _tell_told,
+            _report_told,
         ),
-        Part("choices", lambda options: tracked(options, (ARM,), *CHOSEN), _tell_choices),
-        Part("shape", lambda options: tracked(options, (ARM,), SHAPE_ALONE), _tell_shape),
+        Part("choices", lambda options: tracked(options, (ARM,), *CHOSEN), _report_choices),
+        Part("shape", lambda options: tracked(options, (ARM,), SHAPE_ALONE), _report_shape),
     ),
     _head,
     __doc__,

@@ -47,8 +47,8 @@ class Options:
     left_out: Path | None = setting(  # noqa: RUF009
         "--left-out",
         None,
-        "Folder of what was learned without each stranger: NAME-features.npz of build face-features "
-        "--without NAME, NAME-model.npz of build face-model --without NAME.  [default: what is shipped]",
+        "Folder of models learned without each stranger: NAME-features.npz from build face-features "
+        "--without NAME, NAME-model.npz from build face-model --without NAME.  [default: shipped models]",
         type=FOLDER,
     )
     only: tuple[str, ...] = setting(
@@ -127,7 +127,7 @@ def judged_people(folders: Sequence[Path], kind: str, files: Files) -> dict[str,
     return {folder.name: judge(path, folder) for folder, path in found.items() if path is not None}
 
 
-def _tell_people(part: str, options: Options, files: Files, report: Report) -> list[Figures]:
+def _report_people(part: str, options: Options, files: Files, report: Report) -> list[Figures]:
     """Add the table of a part: strangers with median and worst, then people used for tuning."""
     rows: dict[str, dict[str, Figures]] = {"": {}, " (tuned on)": {}}
     for folders, (ending, of) in zip((options.strangers, options.familiar), rows.items(), strict=True):
@@ -172,7 +172,7 @@ def _judge_honesty(people: Sequence[Judged], report: Report, what: str) -> None:
 
 EXPLAINED = (
     "Means of absolute errors over all frames in which the head was followed, after one constant rigid "
-    "offset of the head's frame. Right depth factor: what all lengths must be multiplied by to be nearest. "
+    "offset of the head's frame. Right depth factor: scale of the result that fits the truth best. "
     "First points: of the first followed frame on the image, less the mean offset of the other people. "
     "Tracked: share of frames that are not lost. Off: share of frames whose rotation is off by more than "
     f"{WRONG_DEG:g} deg. Inside: share of entries within the stated 90 % intervals, nothing removed."
@@ -187,9 +187,9 @@ def _mono_jobs(options: Options) -> Iterator[Job]:
         yield Job(name, (Step(f"runs/{name}.mcap", options.mono(person)),))
 
 
-def _tell_mono(options: Options, files: Files, report: Report) -> None:
+def _report_mono(options: Options, files: Files, report: Report) -> None:
     report.text("## One camera", EXPLAINED)
-    rows = _tell_people("mono", options, files, report)
+    rows = _report_people("mono", options, files, report)
     factors = values_of(rows, "factor")
     outside = float((np.abs(factors - 1.0) > 0.05).sum()) if len(factors) else None
     report.judge("one camera: depth factors outside 0.95 to 1.05", outside, most=1, digits=0)
@@ -216,8 +216,8 @@ def pupil_distance_mm(truth: Path) -> float:
 
 def _told_jobs(options: Options) -> Iterator[Job]:
     for person in options.strangers:
-        name, told = f"{person.name}-{DISTANCE}", f"{pupil_distance_mm(person / heads.TRUTH):.2f}"
-        yield Job(name, (Step(f"runs/{name}.mcap", options.mono(person, "--interpupillary-mm", told)),))
+        name, distance = f"{person.name}-{DISTANCE}", f"{pupil_distance_mm(person / heads.TRUTH):.2f}"
+        yield Job(name, (Step(f"runs/{name}.mcap", options.mono(person, "--interpupillary-mm", distance)),))
         name = f"{person.name}-{PERSON}"
         reading = heads.reading_arguments(person, options.output / "recordings")
         stereo = Step(f"runs/{name}-stereo.mcap", ("head", "stereo", *reading, "--start", str(STEREO_FROM)))
@@ -225,12 +225,12 @@ def _told_jobs(options: Options) -> Iterator[Job]:
         yield Job(name, (stereo, mono))
 
 
-def _tell_told(options: Options, files: Files, report: Report) -> None:
+def _report_told(options: Options, files: Files, report: Report) -> None:
     report.text("## One camera, the size of the head given", "With `--interpupillary-mm` from the truth:")
-    rows = _tell_people(DISTANCE, options, files, report)
+    rows = _report_people(DISTANCE, options, files, report)
     _judge(report, "given the distance of pupils", rows, {"x_mm": 1.0, "y_mm": 1.0, "z_mm": 4.0})
     report.text(f"With `--person`, the result of two cameras that saw the frames from {STEREO_FROM} on:")
-    _tell_people(PERSON, options, files, report)
+    _report_people(PERSON, options, files, report)
 
 
 # When the person is adjusted, and in how many passes
@@ -276,7 +276,7 @@ def _adjusting_jobs(options: Options) -> Iterator[Job]:
             yield Job(name, (Step(f"runs/{name}.mcap", options.mono(person, *arguments)),))
 
 
-def _tell_adjusting(options: Options, files: Files, report: Report) -> None:
+def _report_adjusting(options: Options, files: Files, report: Report) -> None:
     title = "## When the person is adjusted, and in how many passes"
     report.text(title, "Medians over the people, then pairs.")
     rows = {
@@ -289,12 +289,12 @@ def _tell_adjusting(options: Options, files: Files, report: Report) -> None:
     }
     titled = {title: list(rows[way].values()) for way, (title, _) in WAYS.items()}
     report.entrants("adjusting", WAY_COLUMNS, titled)
-    asked = {
+    chosen_pairs = {
         (f"{WAYS[first][0]} → {WAYS[second][0]}", title): pairs_of(rows[first], rows[second], name)
         for first, second in PAIRS
         for name, title in PAIRED.items()
     }
-    report.pairs("adjusting, paired", ("", ""), asked)
+    report.pairs("adjusting, paired", ("", ""), chosen_pairs)
 
 
 # Two cameras
@@ -312,28 +312,28 @@ def _stereo_jobs(options: Options) -> Iterator[Job]:
         yield Job(name, (Step(f"runs/{name}.mcap", run),))
 
 
-def _tell_stereo(options: Options, files: Files, report: Report) -> None:
+def _report_stereo(options: Options, files: Files, report: Report) -> None:
     report.text("## Two cameras, two passes")
-    rows = _tell_people("stereo", options, files, report)
+    rows = _report_people("stereo", options, files, report)
     _judge(report, "two cameras", rows, STEREO_MEDIAN)
     _judge_honesty([*judged_people(options.everybody, "stereo", files).values()], report, "two cameras")
 
 
 def _head(options: Options) -> Iterator[str]:
-    yield "# What the head trackers do on strangers"
+    yield "# Head trackers on strangers"
     names = ", ".join(folder.name for folder in options.strangers)
-    told = "what is shipped" if options.left_out is None else "what was learned from the others"
-    yield f"posetrack {version()}; strangers: {names}; one camera with {told}; {os.cpu_count()} cores."
+    models = "shipped models" if options.left_out is None else "models learned from the others"
+    yield f"posetrack {version()}; strangers: {names}; one camera with {models}; {os.cpu_count()} cores."
 
 
 STUDY = Study(
     "heads-strangers",
     Options,
     (
-        Part("mono", _mono_jobs, _tell_mono),
-        Part("told", _told_jobs, _tell_told),
-        Part("adjusting", _adjusting_jobs, _tell_adjusting),
-        Part("stereo", _stereo_jobs, _tell_stereo),
+        Part("mono", _mono_jobs, _report_mono),
+        Part("told", _told_jobs, _report_told),
+        Part("adjusting", _adjusting_jobs, _report_adjusting),
+        Part("stereo", _stereo_jobs, _report_stereo),
     ),
     _head,
     __doc__,

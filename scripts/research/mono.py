@@ -140,7 +140,7 @@ def _people_jobs(options: Options) -> Iterator[Job]:
         yield Job(person.name, tuple(steps))
 
 
-def _tell_people(options: Options, files: Files, report: Report) -> None:
+def _report_people(options: Options, files: Files, report: Report) -> None:
     report.text("## Recordings of other faces, left camera alone", f"The shipped model. {EXPLAINED}")
     aims = dict(zip(HEAD_POSE, (1.3, 1.6, 4.8, 0.22, 1.2, 1.2), strict=True))
     for person in heads.persons_in(options.heads):
@@ -212,7 +212,7 @@ def clip_figures(track: Track) -> dict[str, float]:
     }
 
 
-def _tell_clips(options: Options, files: Files, report: Report) -> None:
+def _report_clips(options: Options, files: Files, report: Report) -> None:
     report.text(
         "## Videos of real faces, no truth",
         "Jitter: root mean square of second differences over frames in a row, divided by sqrt 6, which is "
@@ -319,7 +319,7 @@ AGAINST: dict[str, tuple[bool, Alignment]] = {
 SPREAD_COLUMNS = tuple(Column(one.name, one.title, spread=True) for one in heads.POSE_COLUMNS)
 
 
-def _tell_experiments(options: Options, files: Files, report: Report) -> None:
+def _report_experiments(options: Options, files: Files, report: Report) -> None:
     person, first, last = options.persons[0], options.modelled[0], options.modelled[-1]
     report.text(
         "## Experiments A, B and C (4.5)",
@@ -435,7 +435,7 @@ METRICS = {
 }
 
 
-def _tell_population(options: Options, files: Files, report: Report) -> None:
+def _report_population(options: Options, files: Files, report: Report) -> None:
     report.text(
         "## Over all persons",
         f"{options.people} persons of {options.frames} frames each, against the truth. {EXPLAINED}",
@@ -453,22 +453,22 @@ def _tell_population(options: Options, files: Files, report: Report) -> None:
         titled = {POPULATION[name].title: list(found.values()) for name, found in rows.items()}
         report.entrants(f"population, {title}", COLUMNS, titled)
         if align == "rigid":
-            asked = {
+            chosen_pairs = {
                 (what, name): pairs_of(rows[first], rows[second], metric)
                 for first, second, what in PAIRS
                 for metric, name in METRICS.items()
             }
-            report.pairs("population, paired", ("", ""), asked)
+            report.pairs("population, paired", ("", ""), chosen_pairs)
 
 
 STUDY = Study(
     "mono",
     Options,
     (
-        Part("people", _people_jobs, _tell_people),
-        Part("clips", _clips_jobs, _tell_clips),
-        Part("experiments", population_jobs, _tell_experiments),
-        Part("population", population_jobs, _tell_population),
+        Part("people", _people_jobs, _report_people),
+        Part("clips", _clips_jobs, _report_clips),
+        Part("experiments", population_jobs, _report_experiments),
+        Part("population", population_jobs, _report_population),
     ),
     lambda options: thesis_head(
         "Head pose and face deformation from one camera", 4, "head-mono", options.modelled

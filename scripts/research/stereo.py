@@ -170,8 +170,8 @@ def event_end_s(recording: Path) -> float | None:
     if not recording.is_file():
         return None
     records = (record for record in McapFile(recording).extras() if isinstance(record, Metadata))
-    told = next((record.metadata for record in records if record.name == SYNTH_RECORD), {})
-    ends = [float(text.split()[1]) for name in ("turn_s", "occlusion_s") if (text := told.get(name, ""))]
+    found = next((record.metadata for record in records if record.name == SYNTH_RECORD), {})
+    ends = [float(text.split()[1]) for name in ("turn_s", "occlusion_s") if (text := found.get(name, ""))]
     return max(ends, default=None)
 
 
@@ -184,7 +184,7 @@ def _measured(options: Options, files: Files, name: str) -> dict[str, Figures]:
     return {e: stereo_figures(course(path, known), end_s) for e, path in results.items() if path is not None}
 
 
-def _tell_accuracy(report: Report, part: str, found: list[dict[str, Figures]]) -> None:
+def _report_accuracy(report: Report, part: str, found: list[dict[str, Figures]]) -> None:
     """Add one row per entrant, averaged over recordings."""
     rows = {title: [one[way] for one in found if way in one] for way, (title, _) in ENTRANTS.items()}
     report.entrants(part, COLUMNS, rows)
@@ -205,12 +205,12 @@ def _people_jobs(options: Options) -> Iterator[Job]:
         yield Job(person.name, tuple(_tracked(person.name, reading)))
 
 
-def _tell_people(options: Options, files: Files, report: Report) -> None:
+def _report_people(options: Options, files: Files, report: Report) -> None:
     report.text("## Recordings of other faces, automatic start", EXPLAINED)
     for person in persons_in(options.heads):
         report.text(f"### {person.name}")
         found = _measured(options, files, person.name)
-        _tell_accuracy(report, person.name, [found])
+        _report_accuracy(report, person.name, [found])
         for entrant, (passes, limits) in LIMITS.items():
             for name, most in zip((*HEAD_POSE, "mouth_mm"), limits, strict=True):
                 if most is not None:
@@ -227,7 +227,7 @@ def _conditions_jobs(options: Options) -> Iterator[Job]:
             yield _synthetic(name, person, options.frames, *CONDITIONS[condition])
 
 
-def _tell_conditions(options: Options, files: Files, report: Report) -> None:
+def _report_conditions(options: Options, files: Files, report: Report) -> None:
     report.text(
         "## Synthetic recordings, automatic start",
         f"{options.identities} persons of {options.frames} frames per condition: faces deform in the first "
@@ -238,7 +238,7 @@ def _tell_conditions(options: Options, files: Files, report: Report) -> None:
     found = {name: [_measured(options, files, one) for one in options.names(name)] for name in options.chosen}
     for condition, of in found.items():
         report.text(f"### {condition.capitalize()}")
-        _tell_accuracy(report, condition, of)
+        _report_accuracy(report, condition, of)
     again = (Column("recovery_s", "mean, s"), Column("longest_s", "longest, s", whole="max"))
     for condition in ("occlusion", "sudden turn"):
         rows = {}
@@ -271,7 +271,7 @@ def _comparison_jobs(options: Options) -> Iterator[Job]:
     yield from (*_people_jobs(options), *_conditions_jobs(options))
 
 
-def _tell_comparison(options: Options, files: Files, report: Report) -> None:
+def _report_comparison(options: Options, files: Files, report: Report) -> None:
     report.text(
         "## Deformable against rigid model, and a second pass",
         f"Pairs are recordings. Frames after the first {RIGID_FRAMES}, before which both models are rigid. "
@@ -300,7 +300,7 @@ def _tell_comparison(options: Options, files: Files, report: Report) -> None:
 
 # Experiment 3.4
 
-SETTLED_FRAMES = 600  # after so many frames the contribution ratio is said to have come back
+SETTLED_FRAMES = 600  # by this frame the contribution ratio has recovered, according to the thesis
 THESIS = {
     "deforming": "From frame 121 to about frame 1200, while the face deforms, the two estimates clearly "
     "differ; the pictures show that those of the deformable model are the right ones (3.4, figures 3.9 and "
@@ -365,7 +365,7 @@ def _moving(one: Compared, rows: BoolArray | slice = slice(None)) -> tuple[Float
     return np.where(count > 0, errors.sum(axis=1) / np.maximum(count, 1), np.nan), whole
 
 
-def _tell_experiment(options: Options, files: Files, report: Report) -> None:
+def _report_experiment(options: Options, files: Files, report: Report) -> None:
     report.text(
         "## Experiment 3.4: rigid and deformable model",
         f"{options.experiment_frames} frames of each of {len(options.persons)} synthetic heads: the face "
@@ -381,10 +381,10 @@ def _tell_experiment(options: Options, files: Files, report: Report) -> None:
             if len(known) == len(pair):
                 results.append((name, known))
         if results:
-            _tell_models(options, report, title, results)
+            _report_models(options, report, title, results)
     report.text("### Over the whole recording", EXPLAINED)
     found = [_measured(options, files, name) for name in options.experiments]
-    _tell_accuracy(report, "experiment", found)
+    _report_accuracy(report, "experiment", found)
     times = {way: values_of([one[way] for one in found if way in one], "ms") for way in ENTRANTS}
     report.text(
         "Thesis: 30 frames per second with 1000 particles on a Pentium 4, 3.0 GHz (3.4). Ours, median "
@@ -393,7 +393,7 @@ def _tell_experiment(options: Options, files: Files, report: Report) -> None:
     )
 
 
-def _tell_models(
+def _report_models(
     options: Options, report: Report, title: str, results: Sequence[tuple[str, Mapping[str, Path]]]
 ) -> None:
     """Add figures 3.9 and 3.10 of a configuration, and the thesis's statements with our figures."""
@@ -467,10 +467,10 @@ STUDY = Study(
     "stereo",
     Options,
     (
-        Part("people", _people_jobs, _tell_people),
-        Part("conditions", _conditions_jobs, _tell_conditions),
-        Part("comparison", _comparison_jobs, _tell_comparison),
-        Part("experiment", _experiment_jobs, _tell_experiment),
+        Part("people", _people_jobs, _report_people),
+        Part("conditions", _conditions_jobs, _report_conditions),
+        Part("comparison", _comparison_jobs, _report_comparison),
+        Part("experiment", _experiment_jobs, _report_experiment),
     ),
     lambda options: thesis_head(
         "Head pose and face deformation from two cameras", 3, "head-stereo", options.persons

@@ -26,18 +26,18 @@ FOLDER = click.Path(path_type=Path, exists=True, file_okay=False, resolve_path=T
 HEADS = "Folder of recordings with left/, right/, calibration.json, truth.csv."
 
 
-def setting(flag: str, default: Any, told: str, least: int = 1, **more: Any) -> Any:
+def setting(flag: str, default: Any, text: str, least: int = 1, **more: Any) -> Any:
     """Declare an option of a study as a dataclass field.
 
     Args:
         flag: name on the command line.
         default: default value.
-        told: help text.
+        text: help text.
         least: minimum of a number.
         more: further parameters of ``click.option``.
     """
     number = {"type": click.IntRange(least), "show_default": True} if isinstance(default, int) else {}
-    return field(default=default, metadata={"flag": flag, "more": {"help": told, **number, **more}})
+    return field(default=default, metadata={"flag": flag, "more": {"help": text, **number, **more}})
 
 
 class Part(NamedTuple):
@@ -45,7 +45,7 @@ class Part(NamedTuple):
 
     name: str
     jobs: Callable[[Any], Iterable[Job]]
-    tell: Callable[[Any, Files, Report], None]
+    write: Callable[[Any, Files, Report], None]
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Study:
     options: type  # dataclass with ``output`` (folder) and ``setting`` fields
     parts: Sequence[Part]
     head: Callable[[Any], Iterable[str]]  # returns title and first paragraph of the report
-    told: str  # first paragraph of the help
+    about: str  # first paragraph of the help
     # options set by ``--quick`` unless given; empty for no such flag
     quick: Mapping[str, Any] = field(default_factory=dict)
     more: Sequence[Callable[[Any], Any]] = ()  # further click options
@@ -107,12 +107,12 @@ class Study:
         ]
         for option in reversed(options):
             run = option(run)
-        told = (
-            f"{self.told}\n\nFinished files of the same code and arguments are reused. The report is "
+        text = (
+            f"{self.about}\n\nFinished files of the same code and arguments are reused. The report is "
             f"{self.name}.md in the output folder."
         )
         settings = {"help_option_names": ["-h", "--help"]}
-        return click.command(self.name, help=told, context_settings=settings)(run)
+        return click.command(self.name, help=text, context_settings=settings)(run)
 
     def _run(self, options: Any, chosen: Sequence[str], jobs: int) -> list[str]:
         options.output.mkdir(parents=True, exist_ok=True)
@@ -121,7 +121,7 @@ class Study:
         failures = run_jobs(files, jobs, self.name)
         report = Report()
         for part in parts:
-            part.tell(options, files, report)
+            part.write(options, files, report)
         click.echo(f"written: {report.write(options.output, self.name, self.head(options), failures)}")
         return failures
 

@@ -81,10 +81,10 @@ class Findings:
 
     def troubles_of(self, name: str, lines: Iterable[str]) -> bool:
         """Record the failed checks of one run; return whether there were none."""
-        told = [f"{name}: {line}" for line in lines]
-        for line in told:
+        troubles = [f"{name}: {line}" for line in lines]
+        for line in troubles:
             self.trouble(line)
-        return not told
+        return not troubles
 
     def as_json(self, machine: Mapping[str, str]) -> str:
         """Return all findings as JSON, in the format of scripts/bench plus failed checks."""
@@ -192,15 +192,15 @@ class Ended(NamedTuple):
     def troubles(self, codes: Sequence[int]) -> Iterator[str]:
         """Yield failed checks: wrong exit code, a traceback, or not exactly one line for a failure."""
         lines = self.said.splitlines()
-        told = [line for line in lines if line.startswith(LINE)]
+        reported = [line for line in lines if line.startswith(LINE)]
         wanted = 1 if self.code == FAILED else 0
         last = f"; said: {lines[-1][:300]}" if lines else ""
         if self.code not in codes:
             yield f"exit code {self.code}, expected {' or '.join(map(str, codes))}{last}"
         if any("Traceback" in line or "Warning:" in line for line in lines):
             yield f"a traceback or a Python warning{last}"
-        if self.code in codes and len(told) != wanted:
-            yield f"{len(told)} lines '{LINE}...', expected {wanted}{last}"
+        if self.code in codes and len(reported) != wanted:
+            yield f"{len(reported)} lines '{LINE}...', expected {wanted}{last}"
 
 
 class Started:
@@ -265,11 +265,11 @@ def run_to_end(command: Sequence[str], said: Path, *, file_bytes: int | None = N
 
 def frames_readable(path: Path) -> tuple[int, Ended]:
     """Return the number of frames in an unfinished result by ``posetrack info``; 0 if unreadable."""
-    asked = subprocess.run([*POSETRACK, "info", str(path), "--json", "-"], capture_output=True, text=True)
-    ended = Ended(asked.returncode, asked.stderr)
+    listed = subprocess.run([*POSETRACK, "info", str(path), "--json", "-"], capture_output=True, text=True)
+    ended = Ended(listed.returncode, listed.stderr)
     if ended.code not in (DONE, DATA_LOST):
         return 0, ended
-    topics = json.loads(asked.stdout)["topics"]
+    topics = json.loads(listed.stdout)["topics"]
     estimates = [topic for topic in topics if topic["type"] == ESTIMATE_SCHEMA_NAME]
     others = (SMOOTHED_PREFIX, TRUTH_PREFIX)
     return sum(t["messages"] for t in estimates if not t["topic"].startswith(others)), ended
