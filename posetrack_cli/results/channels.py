@@ -1,4 +1,4 @@
-"""Channels of a result, and its tracks."""
+"""Tracks and channels of a result file."""
 
 from __future__ import annotations
 
@@ -22,13 +22,12 @@ from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA_NAME, estimate_s
 from posetrack_cli.results.fields import check_estimate
 from posetrack_cli.results.scene import SceneEncoder, image_annotations, line_scene
 
-# The tracks that a result may hold: what they are called, where they lie, and the order of their frames
-
+# Tracks: names, topics, order of frames
 
 FILTERED = "filtered"
-"""Each estimate rests on the frames up to its own."""
+"""Each estimate uses only frames up to its own."""
 SMOOTHED = "smoothed"
-"""Each estimate rests on all frames of the recording."""
+"""Each estimate uses all frames of the recording."""
 TRACKS = (FILTERED, SMOOTHED)
 
 SMOOTHED_PREFIX = f"/{SMOOTHED}/"
@@ -37,10 +36,10 @@ SMOOTHED_TRANSFORMS_TOPIC = f"{SMOOTHED_PREFIX}tf"
 
 
 def topics_prefix(subject: str, track: str) -> str:
-    """Return what the topics of a subject's track begin with: ``/hand``, ``/smoothed/hand``.
+    """Return the topic prefix of a subject's track: ``/hand``, ``/smoothed/hand``.
 
     Raises:
-        ResultError: there is no such track.
+        ResultError: unknown track.
     """
     if track not in TRACKS:
         raise ResultError("no such track", found=repr(track), expected=" or ".join(TRACKS))
@@ -53,20 +52,20 @@ def estimate_topic(subject: str, track: str = FILTERED) -> str:
 
 
 def body_frame(subject: str, track: str = FILTERED) -> str:
-    """Return the frame id of a track's body: two bodies of one file must not share theirs."""
+    """Return the frame id of a track's body, unique within a file."""
     return subject if track == FILTERED else f"{subject}_{track}"
 
 
 @dataclass
 class StampOrder:
-    """Which way the stamps of a track go: up, or down as a backward pass makes them."""
+    """Direction of a track's stamps: ascending, or descending as in a backward pass."""
 
     count: int = 0
     _last_ns: int = 0
     _direction: int = 0  # 1 up, -1 down, 0 not known yet
 
     def check(self, stamp_ns: int, where: Path) -> None:
-        """Raise ResultError unless the stamp goes on as those before."""
+        """Raise ResultError if the stamp does not continue the order of the earlier ones."""
         step = stamp_ns - self._last_ns
         if self.count and (step == 0 or step * self._direction < 0):
             found, expected = (
@@ -82,32 +81,32 @@ class StampOrder:
         self.count, self._last_ns = self.count + 1, stamp_ns
 
 
-# The topics of a result: which message goes where, and in which order they are registered
-
+# Topics of a result and their order of registration
 
 CAMERA_PREFIX = "/camera"
 CALIBRATION, ANNOTATIONS = "calibration", "annotations"
 CALIBRATION_TOPIC = f"{CAMERA_PREFIX}/{CALIBRATION}"
-"""Of the only camera; of several each has its own, ``/camera/<name>/calibration``."""
+"""Topic of a single camera; with several cameras each has its own, ``/camera/<name>/calibration``."""
 PLACES_TOPIC = "/tf_static"
-"""Where the other cameras stand."""
+"""Poses of the other cameras."""
 
 
 class TrackChannels:
-    """Writes the estimates of one track, each on every topic that shows it.
+    """Writer for the estimates of one track, on all its topics.
 
     Topics, registered in this order: ``transforms``, and below ``prefix``: ``odometry``, ``estimate``,
-    ``joint_states`` (when the shape entries are angles) and ``scene`` (when it has a mesh or lines).
+    ``joint_states`` (if the shape parameters are angles) and ``scene`` (if the subject has a mesh or
+    lines).
 
     Args:
-        sink: the file.
-        subject: what is tracked; its name is that of the body's frame.
-        transforms: topic of the frames.
-        prefix: of the other topics, such as ``/hand``.
+        sink: output file.
+        subject: tracked subject; its name is also the body's frame id.
+        transforms: topic of the frame transforms.
+        prefix: prefix of the other topics, such as ``/hand``.
 
     Attributes:
-        ids: of all channels.
-        estimate_id: of the one with the complete estimates.
+        ids: ids of all channels.
+        estimate_id: id of the channel with complete estimates.
     """
 
     def __init__(self, sink: McapSink, subject: Subject, transforms: str, prefix: str) -> None:
@@ -147,7 +146,7 @@ class TrackChannels:
         self._sink.write(self.estimate_id, stamp, estimate_to_json(estimate, self._subject.number_names))
 
     def _drawn(self, estimate: Estimate, vertices: FloatArray | None) -> bytes | None:
-        """The scene of an estimate: its mesh, or its lines."""
+        """Return the scene of an estimate: its mesh or its lines."""
         if self._encoder is not None and vertices is not None:
             return self._encoder.encode(estimate.stamp_ns, estimate.status, vertices)
         if self._encoder is None and self._subject.lines:
@@ -156,23 +155,23 @@ class TrackChannels:
 
 
 def camera_topic(camera: Camera, what: str, cameras: int) -> str:
-    """Return the topic of what is written of one of so many cameras: ``calibration`` or ``annotations``."""
+    """Return a camera's topic for ``calibration`` or ``annotations``, given the number of cameras."""
     return f"{CAMERA_PREFIX}/{what}" if cameras == 1 else f"{CAMERA_PREFIX}/{camera.name.strip('/')}/{what}"
 
 
 class ResultChannels:
-    """Writes estimates and truth to the topics of a sink.
+    """Writer for estimates and ground truth, on the topics of a sink.
 
-    Topics: ``/camera/calibration`` (of several cameras one each), ``/tf``, ``/<subject>/...``
-    (``TrackChannels``), of a subject with lines what is drawn on the images of each camera, and of several
-    cameras their places on ``/tf_static``, registered in a fixed order, so a channel's id is the same in
-    every file of one kind of subject; then those of truth when they come; in the end ``/smoothed/tf`` and
-    ``/smoothed/<subject>/...``, if there is a smoothed track.
+    Registers in a fixed order, so that channel ids are equal in all files of one kind of subject:
+    ``/camera/calibration`` (one per camera), ``/tf``, ``/<subject>/...`` (``TrackChannels``), annotations
+    of each camera image (if the subject has lines), and camera poses on ``/tf_static`` (if there are
+    several). Ground truth topics follow as they occur, and finally ``/smoothed/tf`` and
+    ``/smoothed/<subject>/...`` if there is a smoothed track.
 
     Args:
-        sink: the file.
-        subject: what is tracked.
-        cameras: the first is the one that estimates are relative to.
+        sink: output file.
+        subject: tracked subject.
+        cameras: all cameras; estimates are relative to the first.
     """
 
     def __init__(self, sink: McapSink, subject: Subject, cameras: Sequence[Camera]) -> None:
@@ -203,7 +202,7 @@ class ResultChannels:
         return TrackChannels(self._sink, subject, transforms, topics_prefix(self._subject.name, track))
 
     def write_calibration(self, stamp_ns: int) -> None:
-        """Write every camera's calibration, and where the others stand in the axes of the first."""
+        """Write every camera's calibration, and the poses of the others relative to the first."""
         for channel_id, camera in self._calibrations.items():
             self._sink.write(channel_id, stamp_ns, self._calibration_bytes(camera, stamp_ns))
         if len(self._cameras) > 1:
@@ -211,7 +210,7 @@ class ResultChannels:
             self._sink.write(self._places, stamp_ns, serialised(placed))
 
     def write_estimate(self, estimate: Estimate, vertices: FloatArray | None) -> None:
-        """Write one estimate on every topic that shows it.
+        """Write one estimate on all its topics.
 
         Raises:
             ResultError: the arrays do not fit the subject or are not finite; nothing is written then.
@@ -222,18 +221,18 @@ class ResultChannels:
             self._sink.write(channel_id, estimate.stamp_ns, serialised(drawn))
 
     def write_smoothed(self, estimate: Estimate, vertices: FloatArray | None) -> None:
-        """Write one estimate of the smoothed track; its topics are registered with the first.
+        """Write one estimate of the smoothed track, whose topics are registered on first use.
 
         Raises:
-            ResultError: as of ``write_estimate``.
+            ResultError: see ``write_estimate``.
         """
         self._smoothed_track().write(estimate, vertices)
 
     def copy(self, messages: Iterable[tuple[str, int, bytes]], track: str = FILTERED) -> None:
-        """Write messages of another result of this kind as they are: topic, log time, bytes.
+        """Write messages (topic, log time, bytes) of another result of the same kind unchanged.
 
         Raises:
-            ResultError: a topic that this result has not.
+            ResultError: this result does not have one of the topics.
         """
         if track == SMOOTHED:
             self._smoothed_track()
@@ -241,23 +240,22 @@ class ResultChannels:
             self._sink.write(self._sink.channel_of(topic), stamp_ns, data)
 
     def _smoothed_track(self) -> TrackChannels:
-        """The channels of the smoothed track, registered when it begins."""
         if self._smoothed is None:
             self._smoothed = self._track(SMOOTHED, SMOOTHED_TRANSFORMS_TOPIC)
         return self._smoothed
 
     def write_truth(self, message: TruthMessage) -> None:
-        """Write a truth message as it is, on its own topic.
+        """Write a ground truth message unchanged on its own topic.
 
         Raises:
-            ResultError: its topic is no truth topic, so it might be taken for a result.
+            ResultError: its topic is not a truth topic, so it could be mistaken for a result.
         """
         self._sink.write(self.truth_channel(message), message.log_time_ns, message.data)
 
     def truth_channel(self, message: TruthMessage) -> int:
-        """Return the channel of a truth message's topic and schema, registered when it is new."""
+        """Return the channel of a truth message's topic and schema, registering new ones."""
         if not message.topic.startswith(TRUTH_PREFIX):
-            raise ResultError("no truth topic", where=message.topic, expected=f"{TRUTH_PREFIX}...")
+            raise ResultError("not a truth topic", where=message.topic, expected=f"{TRUTH_PREFIX}...")
         schema = SchemaText(message.schema_name, message.schema_encoding, message.schema_data)
         about = message.topic, schema, message.message_encoding
         key = (*about, tuple(sorted(message.channel_metadata.items())))
@@ -266,28 +264,28 @@ class ResultChannels:
         return self._truth[key]
 
     def write_replayed(self, channel_id: int, stamp_ns: int, data: bytes) -> None:
-        """Write a message of an interrupted run as it is.
+        """Write a message of an interrupted run unchanged.
 
         Raises:
             UsageError: it is the calibration of another camera.
-            ResultError: its channel is none of this result's.
+            ResultError: its channel does not belong to this result.
         """
         if channel_id not in self.own_ids and channel_id not in self._truth.values():
-            raise ResultError("a message of no channel", where=channel_id)
+            raise ResultError("message on an unknown channel", where=channel_id)
         camera = self._calibrations.get(channel_id)
         if camera is not None and data != self._calibration_bytes(camera, stamp_ns):
-            raise UsageError("the unfinished result is of another camera", where=camera.name)
+            raise UsageError("the unfinished result belongs to another camera", where=camera.name)
         self._sink.write(channel_id, stamp_ns, data)
         self._replayed[channel_id] += 1
 
     @property
     def estimates_replayed(self) -> int:
-        """How many estimates of the interrupted run were written."""
+        """Number of replayed estimates of the interrupted run."""
         return self._replayed[self._filtered.estimate_id]
 
     @property
     def truth_replayed(self) -> int:
-        """How many of its truth messages were."""
+        """Number of replayed truth messages."""
         return sum(self._replayed[channel_id] for channel_id in self._truth.values())
 
     def _calibration_bytes(self, camera: Camera, stamp_ns: int) -> bytes:

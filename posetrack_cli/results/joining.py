@@ -1,4 +1,4 @@
-"""Several results of one recording as one: each gives some of the frames, message by message as they are."""
+"""Joining of results of one recording: each contributes some of the frames, messages unchanged."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ _FLUSH_FRAMES = 10
 
 
 class Message(NamedTuple):
-    """A message of a result.
+    """Message of a result.
 
     Attributes:
-        topic: where it lies.
-        stamp_ns: its log time.
-        data: its bytes.
+        topic: topic name.
+        stamp_ns: log time.
+        data: message bytes.
     """
 
     topic: str
@@ -46,11 +46,11 @@ class Message(NamedTuple):
 
 @dataclass(frozen=True)
 class Share:
-    """What the joined result has of one.
+    """Frames that one result contributes.
 
     Attributes:
-        path: of a finished result.
-        first, last: numbers of its frames, ``last`` not included.
+        path: finished result.
+        first, last: frame range, ``last`` excluded.
     """
 
     path: Path
@@ -58,27 +58,28 @@ class Share:
     last: int
 
     def holds(self, estimate: Estimate) -> bool:
-        """Whether a frame is one of them."""
+        """Return whether the frame is in the range."""
         return self.first <= estimate.frame_index < self.last
 
 
 def join_results(
     shares: Sequence[Share], output: Path, changes: Mapping[str, str], *, overwrite: bool = False
 ) -> None:
-    """Write one result of several: the frames of each share, in this order, and all that comes with them.
+    """Join results into one: the frames of each share, in this order, with everything that belongs to them.
 
-    The record is that of the first with some changes and the processors of all; the attachments are those of
-    the first. Equal results give equal bytes. One frame of one result is in memory at a time.
+    The run record is that of the first result plus ``changes`` and the processors of all; attachments are
+    those of the first. Equal inputs give equal bytes. Only one frame is in memory at a time.
 
     Args:
-        shares: of one recording and subject, one after the other.
-        output: of the joined result.
-        changes: of the record, by key.
+        shares: consecutive frame ranges of one recording and subject.
+        output: joined result.
+        changes: entries to change in the run record.
         overwrite: whether an existing result may be replaced.
 
     Raises:
-        ResultError: one is missing, unfinished, damaged or of something else, or nothing can be written.
-        UsageError: there is a result that may not be replaced.
+        ResultError: a result is missing, unfinished, damaged or of another recording, or the output cannot
+            be written.
+        UsageError: the output exists and may not be replaced.
     """
     results = [read_result(share.path) for share in shares]
     first = results[0]
@@ -114,14 +115,14 @@ def join_results(
 
 def _check(result: Result, first: Result) -> None:
     if not result.finished:
-        raise ResultError("is unfinished, and cannot be joined", where=result.path)
-    for (what, value), expected in zip(_told_of(result).items(), _told_of(first).values(), strict=True):
+        raise ResultError("is unfinished and cannot be joined", where=result.path)
+    for (what, value), expected in zip(_identity(result).items(), _identity(first).values(), strict=True):
         if value != expected:
-            raise ResultError(f"is of another {what}", where=result.path, expected=f"that of {first.path}")
+            raise ResultError(f"has a different {what}", where=result.path, expected=f"that of {first.path}")
 
 
-def _told_of(result: Result) -> dict[str, object]:
-    """What results must have in common to be joined."""
+def _identity(result: Result) -> dict[str, object]:
+    """Return the properties that results must share to be joined."""
     subject = result.subject
     return {
         "subject": (subject.name, subject.shape_names, subject.point_names),
@@ -131,7 +132,7 @@ def _told_of(result: Result) -> dict[str, object]:
 
 
 def _copy_filtered(writer: ResultWriter, result: Result, share: Share, after_ns: int) -> int:
-    """Copy a share with the truth up to each frame; return the stamp of its last frame."""
+    """Copy a share, with ground truth up to each frame; return the stamp of its last frame."""
     truth = _truth_after(result, after_ns)
     message = next(truth, None)
     for messages, estimate in _frames(result, FILTERED):
@@ -143,7 +144,7 @@ def _copy_filtered(writer: ResultWriter, result: Result, share: Share, after_ns:
         writer.copy(messages, estimate)
         after_ns = estimate.stamp_ns
     if result.losses:
-        raise ResultError("is damaged, and cannot be joined", where=result.path, found=result.losses[0].what)
+        raise ResultError("is damaged and cannot be joined", where=result.path, found=result.losses[0].what)
     return after_ns
 
 
@@ -153,7 +154,7 @@ def _truth_after(result: Result, after_ns: int) -> Iterator[TruthMessage]:
 
 
 def _frames(result: Result, track: str) -> Iterator[tuple[list[Message], Estimate]]:
-    """The messages of each frame of a track, and its estimate, which is one of them."""
+    """Yield the messages of each frame of a track, and the estimate among them."""
     topic = result.topic_of_track(track)
     wanted = {channel.topic for _, channel in result.channels if _is_of_track(channel.topic, track)}
     messages: list[Message] = []
@@ -170,7 +171,7 @@ def _frames(result: Result, track: str) -> Iterator[tuple[list[Message], Estimat
 
 
 def _is_of_track(topic: str, track: str) -> bool:
-    """Whether a topic tells of the frames of a track; where cameras stand is told once, and truth apart."""
+    """Return whether a topic has per-frame messages of the track; static cameras and truth are excluded."""
     if topic.startswith(SMOOTHED_PREFIX):
         return track == SMOOTHED
     is_camera = topic.startswith(f"{CAMERA_PREFIX}/") and topic.endswith(f"/{CALIBRATION}")
@@ -179,8 +180,8 @@ def _is_of_track(topic: str, track: str) -> bool:
 
 
 def _summary(shares: Sequence[Share], results: Sequence[Result]) -> dict[str, str]:
-    """What the summaries say, each of its frames; counts are made anew."""
-    said: dict[str, str] = {}
+    """Return the summaries' texts, labelled by frame range; the writer counts frames itself."""
+    texts: dict[str, str] = {}
     for name in ("losses", "remarks"):
         lines = [
             f"frames {share.first} to {share.last - 1}: {result.summary[name]}"
@@ -188,12 +189,12 @@ def _summary(shares: Sequence[Share], results: Sequence[Result]) -> dict[str, st
             if result.summary.get(name)
         ]
         if lines:
-            said[name] = "; ".join(lines)
-    return said
+            texts[name] = "; ".join(lines)
+    return texts
 
 
 def _flush_frames(result: Result) -> int:
-    """How often the result was flushed."""
+    """Return the result's flush interval, as it determines chunk boundaries."""
     with suppress(KeyError, TypeError, ValueError):
         return max(1, int(json.loads(result.run["configuration"])["output"]["flush_frames"]))
     return _FLUSH_FRAMES

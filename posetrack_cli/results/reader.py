@@ -1,4 +1,4 @@
-"""Read a result, also one that is unfinished, damaged, or whose writer was killed."""
+"""Reading of results, including unfinished, truncated and damaged ones."""
 
 from __future__ import annotations
 
@@ -53,29 +53,29 @@ from posetrack_cli.results.records import (
     subject_from_record,
 )
 
-PATTERN = "a shell fills in patterns that are not quoted"
+PATTERN = "the shell expands patterns only if they are not quoted"
 NO_SCHEMA = Schema(id=0, name="", encoding="", data=b"")
-NO_ESTIMATES = "there are none at all: it ends before the first, or was never begun"
+NO_ESTIMATES = "the file has no estimates: the run ended before its first flush"
 
 
 class ResultWarning(UserWarning):
-    """A result was read that is truncated or damaged: some of it is missing."""
+    """Warning that a truncated or damaged result was read incompletely."""
 
 
 @dataclass(frozen=True)
 class Result:
-    """A result file; its messages are read when they are asked for, one chunk in memory at a time.
+    """Result file; messages are read on demand, one chunk in memory at a time.
 
-    A truncated or damaged file is read as far as it goes: ``losses`` tells what was missing.
+    Truncated or damaged files are read as far as possible; ``losses`` lists what is missing.
 
     Attributes:
         path: the file, NAME or NAME.part.
-        subject: what was tracked.
-        run: the run record.
-        summary: written at the end; empty for a run that did not finish.
-        truncated: whether the file ends without a footer, as a killed writer leaves it. Every flushed
-            estimate can be read all the same.
-        several_cameras: all of them, the reference first; () for a result from one camera.
+        subject: tracked subject.
+        run: run record.
+        summary: written at the end; empty for an unfinished run.
+        truncated: whether the file has no footer, as after a killed run. All flushed estimates are
+            readable.
+        several_cameras: all cameras, the reference first; () if there is only one.
     """
 
     path: Path
@@ -88,22 +88,22 @@ class Result:
 
     @property
     def finished(self) -> bool:
-        """Whether the run came to its end."""
+        """Whether the run finished."""
         return bool(self.summary)
 
     @property
     def field_names(self) -> tuple[str, ...]:
-        """The fields of this subject's estimates: those of all, and its further numbers if it has some."""
+        """Fields of this subject's estimates, including additional numbers if it has any."""
         return (*FIELD_NAMES, NUMBERS) if self.subject.number_names else FIELD_NAMES
 
     @property
     def estimate_topic(self) -> str:
-        """The topic of this result's own, filtered estimates."""
+        """Topic of this result's filtered estimates."""
         return estimate_topic(self.subject.name)
 
     @property
     def tracks(self) -> tuple[str, ...]:
-        """The names of the tracks in it: ``filtered``, and ``smoothed`` where the run made one to its end."""
+        """Names of its tracks: ``filtered``, and ``smoothed`` if the backward pass was completed."""
         topics = {channel.topic for _, channel in self.channels}
         smoothed = self.finished and estimate_topic(self.subject.name, SMOOTHED) in topics
         return TRACKS if smoothed else (FILTERED,)
@@ -112,8 +112,8 @@ class Result:
         """Return the topic of a track's estimates.
 
         Raises:
-            ResultError: there is no such track, or the result has none; a run that did not finish has no
-                smoothed one, as its backward pass did not come to the first frame.
+            ResultError: unknown track, or the result does not have it. An unfinished run has no smoothed
+                track, as its backward pass did not reach the first frame.
         """
         topic = estimate_topic(self.subject.name, track)
         if track not in self.tracks:
@@ -123,30 +123,30 @@ class Result:
 
     @cached_property
     def channels(self) -> tuple[tuple[Schema, Channel], ...]:
-        """Every channel with its schema, ordered by topic."""
+        """All channels with their schemas, ordered by topic."""
         with self._reading() as file:
             found = [(schema or NO_SCHEMA, channel) for schema, channel in file.channels()]
         return tuple(sorted(found, key=lambda pair: (pair[1].topic, pair[1].id)))
 
     @property
     def truth_topics(self) -> tuple[str, ...]:
-        """The topics of ground truth."""
+        """Topics of ground truth."""
         topics = (channel.topic for _, channel in self.channels)
         return tuple(topic for topic in topics if topic.startswith(TRUTH_PREFIX))
 
     @property
     def losses(self) -> tuple[Loss, ...]:
-        """What could not be read so far: the rest of a truncated file, damaged chunks. Empty if all is well.
+        """Data that could not be read so far: a truncated tail, damaged chunks.
 
-        Filled by reading: a pass that goes through the whole file tells all of it.
+        Updated by reading; complete after a pass over the whole file.
         """
         return self._losses.losses
 
     def topic_of_estimates(self, topic: str | None = None) -> str:
-        """Return a topic that is asked for, by default this result's own.
+        """Return the given topic after checking it, or this result's own by default.
 
         Raises:
-            ResultError: it is no topic of ``posetrack.Estimate``.
+            ResultError: it is not a topic of ``posetrack.Estimate``.
         """
         if topic is None:
             return self.estimate_topic
@@ -157,17 +157,17 @@ class Result:
         return topic
 
     def estimates(self, topic: str | None = None) -> Iterator[Estimate]:
-        """Yield the estimates in file order; what cannot be read is left out and told in ``losses``.
+        """Yield the estimates in file order; unreadable ones are skipped and listed in ``losses``.
 
-        Those of a smoothed track come by their stamps, whichever way they were written, as long as the file
-        has its index.
+        Smoothed estimates are ordered by stamp regardless of the order of writing, if the file has its
+        index.
 
         Args:
-            topic: any topic of ``posetrack.Estimate``, such as that of a truth or another track
-                (``topic_of_track``); by default the result's own.
+            topic: any topic of ``posetrack.Estimate``, such as ground truth or another track
+                (``topic_of_track``); default: the result's own.
 
         Raises:
-            ResultError: there is no such topic, or a message on it is no estimate.
+            ResultError: unknown topic, or a message on it is not an estimate.
         """
         topic = self.topic_of_estimates(topic)
         own = not topic.startswith(TRUTH_PREFIX)
@@ -181,18 +181,18 @@ class Result:
     def column_blocks(
         self, topic: str | None = None, fields: Collection[str] | None = None
     ) -> Iterator[Columns]:
-        """Yield ``columns`` 1000 frames at a time (the last block has fewer); memory does not grow."""
+        """Yield ``columns`` in blocks of 1000 frames, in constant memory."""
         topic, fields = self.topic_of_estimates(topic), fields or self.field_names
         messages = (message.data for _, _, message in self._messages([topic]))
         blocks = column_blocks(
             messages, fields, where=f"{self.path}, {topic}", number_names=self.subject.number_names
         )
         own = not topic.startswith(TRUTH_PREFIX)
-        # map, as a loop's variable would keep each block while the next one grows
+        # map instead of a loop: the loop variable would keep a block alive while the next one grows
         yield from map(partial(self._checked, topic), blocks) if own else blocks
 
     def _checked(self, topic: str, block: Columns) -> Columns:
-        """Return a block if its estimates have the shape entries and points that the subject record names."""
+        """Return a block after checking its array sizes against the subject."""
         sized = ("shape", "points")
         self._check_sizes(topic, {name: block[name].shape[1] for name in sized if name in block})
         return block
@@ -203,35 +203,35 @@ class Result:
             expected = len(names[field_name])
             if found != expected:
                 raise ResultError(
-                    f"estimates have other {field_name} than the subject",
+                    f"size of {field_name} differs from the subject's",
                     where=f"{self.path}, {topic}",
                     found=f"{found} entries",
                     expected=expected,
                 )
 
     def columns(self, topic: str | None = None, fields: Collection[str] | None = None) -> Columns:
-        """Return all estimates as arrays, in file order; what cannot be read is left out, see ``losses``.
+        """Return all estimates as arrays, in file order; unreadable ones are skipped, see ``losses``.
 
         Args:
-            topic: as of ``estimates``.
-            fields: of ``Estimate``, those that are wanted; by default ``field_names``.
+            topic: see ``estimates``.
+            fields: fields of ``Estimate`` to return; default: ``field_names``.
 
         Returns:
-            One array per field, under its name, with the frames (N) along the first axis; ``status`` as text;
-            a cost, time or velocity that a message does not have as NaN.
+            One array per field, frames (N) along the first axis; ``status`` as text; missing costs, times
+            and velocities as NaN.
 
         Raises:
-            ResultError: as of ``estimates``, or messages differ in their numbers of shape entries or points,
-                on the topics of tracks from those of the subject, too.
+            ResultError: see ``estimates``; or array sizes differ between messages or, on tracks, from the
+                subject's.
         """
         fields = fields or self.field_names
         return joined(self.column_blocks(topic, fields)) or empty_columns(fields, Sizes.of(self.subject))
 
     def numbers(self) -> dict[str, FloatArray]:
-        """Return the further numbers of the result's own estimates, (N,) by name; NaN where one is not known.
+        """Return the additional numbers of the result's own estimates, (N,) by name; NaN where unknown.
 
         Raises:
-            ResultError: as of ``columns``.
+            ResultError: see ``columns``.
         """
         names = self.subject.number_names
         if not names:
@@ -239,11 +239,11 @@ class Result:
         return dict(zip(names, self.columns(fields=(NUMBERS,))[NUMBERS].T, strict=True))
 
     def truth(self) -> Iterator[TruthMessage]:
-        """Return the messages of ground truth undecoded, in file order."""
+        """Return the ground truth messages undecoded, in file order."""
         return map(truth_message, self._messages(lambda topic: topic.startswith(TRUTH_PREFIX)))
 
     def camera(self) -> Camera:
-        """Return the camera that the estimates are relative to; its name is the frame id.
+        """Return the reference camera of the estimates; its name is the frame id.
 
         Raises:
             ResultError: the file ends before its first flush.
@@ -252,24 +252,24 @@ class Result:
             return self.several_cameras[0]
         for _, _, message in self._messages([CALIBRATION_TOPIC]):
             return self._calibrated(message.data)
-        raise ResultError("holds no camera calibration", where=self.path)
+        raise ResultError("has no camera calibration", where=self.path)
 
     def _calibrated(self, data: bytes) -> Camera:
         where = f"{self.path}, {CALIBRATION_TOPIC}"
         if len(data) > limits.MESSAGE_BYTES:
-            raise ResultError("camera calibration cannot be used", where=where, found=f"{len(data)} bytes")
+            raise ResultError("invalid camera calibration", where=where, found=f"{len(data)} bytes")
         try:
             calibration = CameraCalibration.FromString(data)
             camera = camera_from_message(calibration, calibration.frame_id, CALIBRATION_TOPIC)
         except (DecodeError, PosetrackError) as error:
-            raise ResultError("camera calibration cannot be used", where=where, found=error) from error
+            raise ResultError("invalid camera calibration", where=where, found=error) from error
         if camera.width * camera.height > limits.IMAGE_PIXELS:
             found = f"images of {camera.width}x{camera.height}"
-            raise ResultError("camera calibration cannot be used", where=where, found=found)
+            raise ResultError("invalid camera calibration", where=where, found=found)
         return camera
 
     def cameras(self) -> tuple[Camera, ...]:
-        """Return all cameras, that of the estimates first, the others placed relative to it.
+        """Return all cameras, the reference first, the others with poses relative to it.
 
         Raises:
             ResultError: the file ends before its first flush.
@@ -277,28 +277,28 @@ class Result:
         return self.several_cameras or (self.camera(),)
 
     def attachment(self, name: str) -> bytes:
-        """Return the bytes of an attached file, such as a model.
+        """Return the bytes of an attachment, such as a model.
 
         Raises:
-            ResultError: there is none of this name.
+            ResultError: there is no such attachment.
         """
         with self._reading() as file:
             found = {record.name: record.data for record in file.extras() if isinstance(record, Attachment)}
         if name not in found:
             raise ResultError(
-                f"holds no attachment '{name}'", where=self.path, found=", ".join(found) or "none"
+                f"has no attachment '{name}'", where=self.path, found=", ".join(found) or "none"
             )
         return found[name]
 
     def _messages(self, topics: Topics) -> Iterator[McapItem]:
-        """Yield the messages on some topics in file order, those of a smoothed track by their log times."""
+        """Yield messages in file order, those of a smoothed track (written in reverse) by log time."""
         with self._reading() as file:
             backward = not callable(topics) and any(name.startswith(SMOOTHED_PREFIX) for name in topics or ())
             yield from file.messages(topics, in_file_order=not backward)
 
     @contextmanager
     def _reading(self) -> Iterator[McapFile]:
-        """Whatever a pass loses is told in ``losses``, also by a pass that ends early."""
+        """Open the file and collect its losses, even if the pass ends early."""
         file = McapFile(self.path)
         try:
             with opened(self.path):
@@ -308,20 +308,20 @@ class Result:
 
 
 def read_result(path: Path | str) -> Result:
-    """Open a result file, finished or not, also one that is truncated or damaged.
+    """Open a result, finished or not, including truncated and damaged files.
 
     Raises:
-        ResultError: it is missing, no MCAP file, or not written by posetrack.
+        ResultError: it is missing, not an MCAP file, or not written by posetrack.
     """
     path = Path(path)
     if not path.exists() and part_path(path).exists():
-        raise ResultError("does not exist", where=path, hint=f"an unfinished run left {part_path(path)}")
+        raise ResultError("does not exist", where=path, hint=f"found an unfinished run, {part_path(path)}")
     file = McapFile(path)
     with opened(path):
         metadata = {r.name: r.metadata for r in file.extras() if isinstance(r, Metadata)}
     if RUN_RECORD not in metadata or SUBJECT_RECORD not in metadata:
         raise ResultError(
-            "is no result of posetrack",
+            "is not a posetrack result",
             where=path,
             found=loss_line(file.losses.losses),
             expected=f"metadata {RUN_RECORD}",
@@ -339,15 +339,15 @@ def read_result(path: Path | str) -> Result:
 
 @contextmanager
 def opened(path: Path) -> Iterator[IO[bytes]]:
-    """Open an MCAP file; whatever the operating system refuses while it is read is one line.
+    """Open an MCAP file; convert OS errors during reading into a ResultError.
 
     Raises:
-        ResultError: the file cannot be read, or is no MCAP file.
+        ResultError: the file cannot be read or is not an MCAP file.
     """
     try:
         with open_input(path) as stream:
             if stream.read(len(MAGIC)) != MAGIC:
-                raise ResultError("is no MCAP file", where=path, hint="results are .mcap files")
+                raise ResultError("is not an MCAP file", where=path, hint="results are .mcap files")
             yield stream
     except OSError as error:
         hint = "" if path.exists() else hint_of_missing(path, PATTERN)
@@ -356,7 +356,7 @@ def opened(path: Path) -> Iterator[IO[bytes]]:
 
 
 def is_result(path: Path) -> bool:
-    """Whether an MCAP file has a run record: a result has one, a recording has none."""
+    """Return whether an MCAP file is a result, i.e. has a run record."""
     summary = read_summary(path)
     if summary is not None:
         return any(index.name == RUN_RECORD for index in summary.metadata_indexes)
@@ -364,23 +364,23 @@ def is_result(path: Path) -> bool:
 
 
 def load_arrays(path: Path | str, topic: str | None = None) -> Columns:
-    """Load all estimates of a result as arrays, in three lines of Python::
+    """Load all estimates of a result as arrays::
 
         from posetrack_cli.results import load_arrays
         result = load_arrays("result.mcap")
         print(result["position"])
 
-    A file that is truncated or damaged gives what can be read, with a ``ResultWarning``.
+    Truncated or damaged files are read as far as possible, with a ``ResultWarning``.
 
     Args:
-        path: the result.
-        topic: as of ``Result.estimates``.
+        path: result file.
+        topic: see ``Result.estimates``.
 
     Returns:
-        As ``Result.columns``.
+        See ``Result.columns``.
 
     Raises:
-        ResultError: as of ``read_result`` and ``Result.columns``.
+        ResultError: see ``read_result`` and ``Result.columns``.
     """
     result = read_result(path)
     columns = result.columns(topic)

@@ -1,4 +1,4 @@
-"""Write a result that can be read at any moment, resumed when interrupted, and reproduced bit by bit."""
+"""Writing of results that are readable at any time, resumable, and reproducible to the bit."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ from posetrack_cli.results.spool import Checkpoint, Progress
 
 
 class ResultWriter:
-    """Writes the estimates of one run to an MCAP file.
+    """Writer of one run's estimates to an MCAP file.
 
-    The file is NAME.part until ``finish``. Every ``flush_frames`` estimates the chunk ends and everything
-    is handed to the operating system; this counts frames, never seconds, so two runs give the same bytes::
+    The file is NAME.part until ``finish``. Every ``flush_frames`` estimates the chunk ends and all data is
+    handed to the operating system. This counts frames, never seconds, so equal runs give equal bytes::
 
         with ResultWriter(path, subject, camera, run) as writer:
             for frame in frames:
@@ -42,37 +42,38 @@ class ResultWriter:
                     writer.save_checkpoint(Checkpoint(frame.index, writer.frames_written, arrays, state))
             writer.finish({"skipped": "0"})
 
-    Leaving the ``with`` block without ``finish`` aborts: NAME.part stays, and can be read and resumed.
+    Leaving the ``with`` block without ``finish`` aborts: NAME.part is kept and can be read and resumed.
 
-    A smoothed track, whose estimates rest on later frames, too, follows the filtered one on topics of its own
-    (``write_smoothed``). Up to there the file's bytes are those of a run without it.
+    A smoothed track, which also uses later frames, follows the filtered one on its own topics
+    (``write_smoothed``). Up to there the bytes equal those of a run without it.
 
     Args:
-        path: of the finished result.
-        subject: what is tracked.
-        camera: that the estimates are relative to.
-        others: further cameras, placed relative to it.
-        run: the run record: input, configuration, seed, version; nothing that changes from run to run.
+        path: path of the finished result.
+        subject: tracked subject.
+        camera: reference camera of the estimates.
+        others: further cameras, with poses relative to it.
+        run: run record: input, configuration, seed, version; must not contain anything that differs between
+            equal runs.
         flush_frames: estimates per flush.
         overwrite: whether an existing result or an interrupted run may be replaced.
 
     Raises:
-        UsageError: there is a result, or an interrupted run, that may not be replaced, or another process
-            is writing it.
-        ResultError: two cameras have one name; here and in every method, when the file cannot be written.
-            What was flushed before stays readable.
+        UsageError: a result or an interrupted run exists and may not be replaced, or another process is
+            writing it.
+        ResultError: camera names are not unique; here and in every method: the file cannot be written.
+            Flushed data stays readable.
     """
 
-    _path: Path  # of the finished result
-    _part: Path  # of the file that is open
+    _path: Path  # finished result
+    _part: Path  # open file
     _sink: McapSink
     _channels: ResultChannels
     _run: dict[str, str]
     _flush_frames: int
-    _statuses: dict[str, int]  # how many estimates of each status
+    _statuses: dict[str, int]  # number of estimates per status
     _truth_messages: int
     _attached: set[str]
-    _smoothed: StampOrder  # of the smoothed track
+    _smoothed: StampOrder  # smoothed track
     _last_index: int
     _flushed: tuple[int, int]  # frame index and number of frames at the last flush
     _progress: Progress  # at the last flush
@@ -94,7 +95,7 @@ class ResultWriter:
             check_free(path)
         check_not_written(part_path(path))
         with _reported(path):
-            state_path(path).unlink(missing_ok=True)  # it belongs to the file that is replaced now
+            state_path(path).unlink(missing_ok=True)  # a stale checkpoint of the file replaced now
         self._begin(path, part_path(path), subject, (camera, *others), run, flush_frames)
 
     @classmethod
@@ -109,23 +110,23 @@ class ResultWriter:
         flush_frames: int = 10,
         check: Callable[[Checkpoint], object] = lambda checkpoint: None,
     ) -> tuple[ResultWriter, Checkpoint]:
-        """Go on with an interrupted run, such that the finished file equals an uninterrupted run's.
+        """Continue an interrupted run so that the finished file equals an uninterrupted run's.
 
-        Frames after the checkpoint are dropped, to be tracked and written again; attachments and truth
-        messages before it are carried over (``truth_messages`` says how many, to leave them out). To
-        resume also what was interrupted before the first flush, save a checkpoint of frame -1 at the start.
+        Frames after the checkpoint are dropped and must be tracked again. Earlier attachments and truth
+        messages are copied; ``truth_messages`` is their number, so that the caller can skip them. To be
+        able to resume before the first flush, save a checkpoint of frame -1 at the start.
 
         Args:
-            path, subject, camera, run, others, flush_frames: as of the class.
-            check: of the tracker's part of the checkpoint, before any file is touched; raises LayoutError or
-                ResultError if nothing can be made of it.
+            path, subject, camera, run, others, flush_frames: see the class.
+            check: checks the tracker's part of the checkpoint before any file is changed; raises
+                LayoutError or ResultError if it is unusable.
 
         Returns:
-            The writer, and the checkpoint of the last frame in it.
+            The writer, and the checkpoint of its last frame.
 
         Raises:
-            UsageError: the run record, subject, camera or ``flush_frames`` differ from the interrupted run's.
-            ResultError: there is no unfinished result or checkpoint, or they are damaged or do not match.
+            UsageError: run record, subject, camera or ``flush_frames`` differ from the interrupted run's.
+            ResultError: the unfinished result or the checkpoint is missing, damaged or inconsistent.
         """
         records = _first_records(run, subject, (camera, *others))
         check_not_written(part_path(path))
@@ -149,57 +150,57 @@ class ResultWriter:
 
     @property
     def frames_written(self) -> int:
-        """Number of estimates written, those of a resumed run included."""
+        """Number of estimates written, including those before a resume."""
         return sum(self._statuses.values())
 
     def count(self, status: Status) -> int:
-        """Number of estimates of a status, those of a resumed run included."""
+        """Return the number of estimates with a status, including those before a resume."""
         return self._statuses[status.value]
 
     @property
     def truth_messages(self) -> int:
-        """Number of truth messages written, those of a resumed run included."""
+        """Number of truth messages written, including those before a resume."""
         return self._truth_messages
 
     def write(self, estimate: Estimate, vertices: FloatArray | None = None) -> bool:
         """Write one estimate, with the mesh's vertices (V, 3) in mm and camera axes if it is to be drawn.
 
         Returns:
-            Whether the file was flushed, so that a checkpoint can be saved now.
+            Whether the file was flushed, i.e. a checkpoint can be saved now.
 
         Raises:
-            ResultError: as in the class; also when arrays do not fit the subject or are not finite, or the
+            ResultError: see the class; also if arrays do not fit the subject or are not finite, or the
                 smoothed track has begun.
         """
         return self._add_filtered(estimate, lambda: self._channels.write_estimate(estimate, vertices))
 
     def copy(self, messages: Iterable[tuple[str, int, bytes]], estimate: Estimate) -> bool:
-        """Write what another result of this kind says of a frame, as ``write`` does.
+        """Write a frame's messages from another result of the same kind, like ``write``.
 
         Args:
             messages: topic, log time and bytes of each.
-            estimate: that is among them.
+            estimate: the estimate among them.
         """
         return self._add_filtered(estimate, lambda: self._channels.copy(messages))
 
     def write_smoothed(self, estimate: Estimate, vertices: FloatArray | None = None) -> None:
-        """Write one estimate of the smoothed track, after all of the filtered one; as ``write``.
+        """Write one estimate of the smoothed track, after the filtered track is complete; see ``write``.
 
-        Frames come in their order or, as a backward pass makes them, in reverse; each lies at its own log
-        time. No checkpoint covers them: a run that is interrupted here is resumed with all of them to do.
+        Frames come in order or, from a backward pass, in reverse, each at its own log time. Checkpoints do
+        not cover them: a run interrupted here restarts the smoothed track.
 
         Raises:
-            ResultError: as of ``write``, or a stamp that is not on the side that the others went on to.
+            ResultError: see ``write``; or the stamp breaks the order.
         """
         self._add_smoothed(estimate, lambda: self._channels.write_smoothed(estimate, vertices))
 
     def copy_smoothed(self, messages: Iterable[tuple[str, int, bytes]], estimate: Estimate) -> None:
-        """Write what the smoothed track of another result says of a frame, as ``write_smoothed`` does."""
+        """Write a frame's smoothed messages from another result, like ``write_smoothed``."""
         self._add_smoothed(estimate, lambda: self._channels.copy(messages, SMOOTHED))
 
     def _add_filtered(self, estimate: Estimate, write: Callable[[], None]) -> bool:
         if self._smoothed.count:
-            raise ResultError("the filtered track has ended", where=self._part, found="another frame of it")
+            raise ResultError("filtered frame after the smoothed track began", where=self._part)
         with self._guarded():
             if not self._calibrated:
                 self._channels.write_calibration(estimate.stamp_ns)
@@ -215,7 +216,7 @@ class ResultWriter:
     def _add_smoothed(self, estimate: Estimate, write: Callable[[], None]) -> None:
         with self._guarded():
             if not self._smoothed.count:
-                self._flush()  # what is filtered and what is smoothed share no chunk
+                self._flush()  # keeps the bytes up to here equal to a run without smoothing
             self._smoothed.check(estimate.stamp_ns, self._part)
             write()
         self._smoothed.add(estimate.stamp_ns)
@@ -223,7 +224,7 @@ class ResultWriter:
             self._flush()
 
     def add_truth(self, message: TruthMessage) -> None:
-        """Carry over a message of a ``/truth/...`` topic, unchanged."""
+        """Copy a message of a ``/truth/...`` topic unchanged."""
         with self._guarded():
             self._channels.write_truth(message)
         self._truth_messages += 1
@@ -231,7 +232,7 @@ class ResultWriter:
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Attach the bytes of a file, such as a model.
 
-        A name that is in the file already is left out, so a resumed run may attach everything again.
+        Names that are already attached are skipped, so a resumed run may attach everything again.
         """
         if name in self._attached:
             return
@@ -245,14 +246,14 @@ class ResultWriter:
         Before the first frame, a checkpoint with frame_index -1 and frames_written 0 can be saved.
 
         Raises:
-            ResultError: it cannot be saved, or is not of the frame that was flushed last.
+            ResultError: it cannot be saved, or is not of the last flushed frame.
         """
         self._check_open()
         if self._smoothed.count:
-            raise ResultError("no checkpoint covers smoothed frames", where=self._part)
+            raise ResultError("checkpoint after the smoothed track began", where=self._part)
         if (checkpoint.frame_index, checkpoint.frames_written) != self._flushed:
             raise ResultError(
-                "checkpoint is not of the flushed frame",
+                "checkpoint is not of the last flushed frame",
                 where=self._part,
                 found=f"frame {checkpoint.frame_index}, {checkpoint.frames_written} written",
                 expected=f"frame {self._flushed[0]}, {self._flushed[1]} written",
@@ -262,12 +263,12 @@ class ResultWriter:
         spool.save(state_path(self._path), marked, self._progress)
 
     def finish(self, summary: Mapping[str, str]) -> None:
-        """Write the summary and the index, and give the file its final name.
+        """Write summary and index, and rename the file to its final name.
 
         Args:
-            summary: of the run, such as the frames skipped; the numbers of frames, lost and reinitialised
-                ones are added, and of smoothed ones if there are any. Nothing that changes from run to run,
-                such as a duration.
+            summary: summary of the run, such as skipped frames; must not contain anything that differs
+                between equal runs, such as durations. Numbers of frames, lost, reinitialised and smoothed
+                frames are added.
         """
         counts = {"frames": self.frames_written}
         counts |= {status: self._statuses[status] for status in (Status.LOST, Status.REINITIALISED)}
@@ -285,9 +286,9 @@ class ResultWriter:
             state_path(self._path).unlink(missing_ok=True)
 
     def abort(self) -> None:
-        """Write what there is, with index and footer but no summary, and leave it as NAME.part.
+        """Close the file with index and footer but no summary, and keep it as NAME.part.
 
-        Harmless after ``finish``, a second ``abort`` or a failed write.
+        Does nothing after ``finish``, a previous ``abort`` or a failed write.
         """
         if self._closed:
             return
@@ -304,7 +305,7 @@ class ResultWriter:
         if error is None:
             self.abort()
         else:
-            with suppress(ResultError):  # the first error is the one to tell
+            with suppress(ResultError):  # the first error is the one to report
                 self.abort()
 
     def _begin(
@@ -316,9 +317,9 @@ class ResultWriter:
         run: Mapping[str, str],
         flush_frames: int,
     ) -> None:
-        """Open ``written`` and write what every result begins with."""
+        """Open ``written`` and write the initial records."""
         if flush_frames < 1:
-            raise ResultError("flush_frames cannot be used", found=flush_frames, expected="1 or more")
+            raise ResultError("invalid flush_frames", found=flush_frames, expected="1 or more")
         self._path, self._part = path, written
         self._run, self._flush_frames = dict(run), flush_frames
         self._statuses = dict.fromkeys((status.value for status in Status), 0)
@@ -339,14 +340,14 @@ class ResultWriter:
         self._flush()
 
     def _restore(self, checkpoint: Checkpoint, progress: Progress) -> None:
-        """Copy the flushed part of the interrupted file, take its place and go on counting from there."""
+        """Copy the flushed part of the interrupted file, replace it and restore the counters."""
         with self._guarded():
             replay = Replay(part_path(self._path), self._sink, self._channels)
             replay.run(progress.file_bytes)
         self._attached = replay.attached
         found = self._channels.estimates_replayed, self._channels.truth_replayed
         if found != (checkpoint.frames_written, progress.truth_messages):
-            raise _unusable(self._path, "{} estimates and {} truth messages in it".format(*found))
+            raise _unusable(self._path, "{} estimates and {} truth messages in the result".format(*found))
         self._statuses |= progress.statuses
         self._truth_messages = progress.truth_messages
         self._calibrated = self.frames_written > 0
@@ -374,7 +375,7 @@ class ResultWriter:
 
     @contextmanager
     def _guarded(self) -> Iterator[None]:
-        """Refuse to write to a closed file, and close it when writing fails."""
+        """Refuse to write to a closed file, and close it if writing fails."""
         self._check_open()
         try:
             yield
@@ -384,7 +385,7 @@ class ResultWriter:
             raise
 
     def _abandon(self) -> None:
-        """Close after a failure and cut off what was written in part, down to the last flush."""
+        """Close after a failure and truncate the file to the last flush."""
         self._closed = True
         with suppress(ResultError):
             self._sink.close()
@@ -396,7 +397,7 @@ class ResultWriter:
 def _first_records(
     run: Mapping[str, str], subject: Subject, cameras: Sequence[Camera]
 ) -> dict[str, Mapping[str, str]]:
-    """Return the metadata that a result begins with; sorted, since the order is part of the bytes."""
+    """Return the initial metadata, sorted, since their order affects the bytes."""
     about: dict[str, Mapping[str, str]] = {
         RUN_RECORD: dict(sorted(run.items())),
         SUBJECT_RECORD: subject_to_record(subject),
@@ -407,16 +408,18 @@ def _first_records(
 def _check_checkpoint(
     path: Path, checkpoint: Checkpoint, progress: Progress, run: Mapping[str, str], flush_frames: int
 ) -> None:
-    """Raise unless the checkpoint is of this run, of the same spacing of flushes, and agrees with itself."""
+    """Check that the checkpoint belongs to this run, has the same flush interval, and is consistent."""
     if checkpoint.fingerprint != spool.fingerprint(run):
-        raise ResultError("checkpoint is of another run", where=state_path(path), hint=spool.RESTART_HINT)
+        raise ResultError(
+            "checkpoint belongs to another run", where=state_path(path), hint=spool.RESTART_HINT
+        )
     if progress.flush_frames != flush_frames:
         raise UsageError(
-            "the unfinished result was flushed at other frames",
+            "the unfinished result has another flush interval",
             where=part_path(path),
-            found=f"every {progress.flush_frames}",
-            expected=f"every {flush_frames}",
-            hint=f"resume with the options it was begun with, or {spool.RESTART_HINT}",
+            found=f"{progress.flush_frames} frames",
+            expected=f"{flush_frames} frames",
+            hint=f"resume with its original options, or {spool.RESTART_HINT}",
         )
     try:
         check_numbers(progress.statuses, {status.value: COUNTS for status in Status})
@@ -428,14 +431,14 @@ def _check_checkpoint(
 
 
 def _unusable(path: Path, found: object) -> ResultError:
-    """The error of a checkpoint that can be read, but is of no run."""
+    """Return the error for a readable but inconsistent checkpoint."""
     return ResultError(
         "checkpoint cannot be used", where=state_path(path), found=found, hint=spool.RESTART_HINT
     )
 
 
 def _sync(path: Path) -> None:
-    """Wait until the file's bytes are on the disk."""
+    """Sync the file to disk."""
     with _reported(path), path.open("rb") as stream:
         os.fsync(stream.fileno())
 

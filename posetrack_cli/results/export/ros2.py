@@ -1,8 +1,8 @@
-"""A track as an MCAP file of ROS 2 messages, as rosbag2 writes them: for RViz, ``ros2 bag`` and rosbag tools.
+"""Export of a track as an MCAP file of ROS 2 messages, for RViz, ``ros2 bag`` and rosbag tools.
 
-A result itself holds Foxglove's messages and JSON. rosbag2 plays no file in which some messages are not CDR,
-so this is a file of its own rather than more topics in the result. It says what Foxglove's messages say, in
-metres; ``/tf`` also says, with each frame, where further cameras stand.
+A result itself has Foxglove messages and JSON, and rosbag2 plays only files in which all messages are CDR,
+so this is a separate file. It has the contents of the Foxglove messages, in metres; ``/tf`` also has the
+poses of further cameras with each frame.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from posetrack_cli.units import METRES_PER_MM, NS_PER_S
 
 CAMERA_INFO = "camera_info"
 LINE_MM = 3.0
-"""Thickness of drawn lines: RViz knows no pixels."""
+"""Width of drawn lines; RViz has no pixel units."""
 LINE_LIST, SPHERE_LIST = 5, 7
 """Types of ``visualization_msgs/Marker``."""
 FLOAT32 = 7
-"""Of ``sensor_msgs/PointField``."""
+"""Datatype of ``sensor_msgs/PointField``."""
 
 Values = Mapping[str, Any]
 
@@ -41,7 +41,7 @@ def write_ros2(source: ExportSource, path: Path) -> None:
     """Write a track's estimates.
 
     Raises:
-        ResultError: it cannot be read or written, or a stamp does not fit into a message of ROS.
+        ResultError: it cannot be read or written, or a stamp does not fit into a ROS message.
     """
     cameras = source.result.cameras()
     with McapSink(path, profile="ros2") as sink:
@@ -52,7 +52,7 @@ def write_ros2(source: ExportSource, path: Path) -> None:
 
 
 class _Topics:
-    """The topics of a track, named as those of the result: ``/hand/odometry`` and so on."""
+    """Topics of a track, named like the result's: ``/hand/odometry`` and so on."""
 
     def __init__(self, sink: McapSink, source: ExportSource, cameras: tuple[Camera, ...]) -> None:
         prefix = source.topic.rpartition("/")[0]
@@ -90,13 +90,13 @@ class _Topics:
             self._points(stamp_ns, _point_cloud(estimate, subject))
             self._markers(stamp_ns, {"markers": list(_markers(estimate, subject))})
         except struct.error as error:
-            what, expected = "cannot be told in messages of ROS", "stamps before 2038"
+            what, expected = "stamp does not fit into a ROS message", "stamps before 2038"
             raise ResultError(what, where=self._where, found=f"{stamp_ns} ns", expected=expected) from error
         self._confidence(stamp_ns, {"data": estimate.confidence})
         self._status(stamp_ns, {"data": estimate.status.value})
 
     def _topic(self, topic: str, kind: str) -> Callable[[int, Values], None]:
-        """Register a topic, and return what writes a message to it."""
+        """Register a topic, and return a function that writes messages to it."""
         channel_id = self._sink.raw_channel(f"/{_name(topic)}", ros2_schema(kind), CDR)
         encode = ros2_encoder(kind)
 
@@ -107,13 +107,13 @@ class _Topics:
 
 
 def _name(topic: str) -> str:
-    """A name that ROS takes: letters, digits and underscores between slashes, and no digit first."""
+    """Return a valid ROS name: letters, digits and underscores between slashes, no leading digit."""
     parts = (re.sub(r"\W", "_", part, flags=re.ASCII) for part in topic.split("/") if part)
     return "/".join(f"_{part}" if part[0].isdigit() else part for part in parts)
 
 
 def _drawable(subject: Subject) -> Subject:
-    """The subject with lines: those it is drawn with, else from each point to its parent."""
+    """Return the subject with lines, by default from each point to its parent."""
     bones = tuple((parent, k) for k, parent in enumerate(subject.point_parents) if parent >= 0)
     return replace(subject, lines=subject.lines or bones, triangles=None)
 
@@ -156,7 +156,7 @@ def _camera_info(camera: Camera, stamp_ns: int, frame: str) -> Values:
 
 
 def _odometry(estimate: Estimate, subject: Subject) -> Values:
-    """Covariances that are not known are 0, as is usual in ROS."""
+    """Return an odometry message; unknown covariances are 0, as usual in ROS."""
     message = messages.odometry(estimate, subject)
     pose = {"position": _xyz(message.pose.position), "orientation": _xyzw(message.pose.orientation)}
     twist = {"linear": _xyz(message.linear_velocity), "angular": _xyz(message.angular_velocity)}
@@ -195,7 +195,7 @@ def _point_cloud(estimate: Estimate, subject: Subject) -> Values:
 
 
 def _markers(estimate: Estimate, subject: Subject) -> Iterable[Values]:
-    """The lines between points, and balls at them; faint while the track is lost."""
+    """Yield markers for lines and points; faint while the track is lost."""
     (entity,) = line_scene(estimate, subject).entities
     (lines,) = entity.lines
     balls = [_xyz(ball.pose.position) for ball in entity.spheres]
