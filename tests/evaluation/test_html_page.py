@@ -336,7 +336,7 @@ def test_a_result_whose_pictures_find_no_room_says_so(monkeypatch: pytest.Monkey
 @pytest.mark.parametrize("name", ["page.txt", "page", "folder.html"])
 def test_a_name_that_no_page_can_have_is_refused(tmp_path: Path, name: str) -> None:
     (tmp_path / "folder.html").mkdir()
-    with pytest.raises(UsageError, match="not an HTML file name|output is a folder"):
+    with pytest.raises(UsageError, match=r"not an HTML file name|output is a folder"):
         write_html(tmp_path / name, ReportPage([hand_evaluation(frames=2)], None, {}, "T"))
 
 

@@ -78,7 +78,7 @@ def test_the_worst_are_those_of_largest_error_a_second_apart() -> None:
 @pytest.mark.parametrize(
     ("choice", "found", "said"),
     [
-        ("worst:8", 2, "worst:8 gives 2: they are 1 s or more apart"),
+        ("worst:8", 2, "worst:8 selects only 2 frames, as they must be 1 s apart"),
         ("worst:2", 2, ""),
         ("spread:8", 2, ""),
         ("", 9, ""),

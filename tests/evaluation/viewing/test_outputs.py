@@ -206,8 +206,8 @@ def test_outputs_that_are_refused(tmp_path: Path) -> None:
     (full / "frame_000001.png").write_bytes(b"")
     for name, words in {
         "v.avi": "unsupported output format, found .avi, expected FILE.mp4",
-        "v.mp4": "exists already; use --overwrite",
-        "full": "exists already; use --overwrite",
+        "v.mp4": "already exists; use --overwrite",
+        "full": "already exists; use --overwrite",
         "folder.png": "output is something else already, found a folder",
         "file": "output is something else already, found a file",
     }.items():
