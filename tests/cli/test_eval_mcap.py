@@ -207,7 +207,7 @@ def test_what_is_measured_again_is_equal_and_replaces_what_was(
     assert metrics(aligned, "/eval/smoothed/hand") == []
     assert record(aligned)["options"]["align"] == "rigid"
     assert any(
-        note.startswith("one constant rigid offset") for note in record(aligned)["results"][0]["notes"]
+        note.startswith("removed constant rigid offset") for note in record(aligned)["results"][0]["notes"]
     )
     off = [column(metrics(path), "wrist_position_mm").mean() for path in (again, aligned)]
     assert off[1] < off[0]

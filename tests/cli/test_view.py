@@ -236,14 +236,14 @@ def test_a_folder_needs_no_options_again_nor_its_camera_file(
         (["nowhere.mcap", "-o", "v.mp4"], 1, "nowhere.mcap"),
         (["RECORDING", "-o", "v.mp4"], 1, "not a posetrack result"),
         (["RESULT", "-o", "v.avi"], 2, "expected FILE.mp4, FILE.png or a folder"),
-        (["RESULT", "-o", "RESULT"], 2, "output is something else already"),
-        (["RESULT", "-o", "v.mp4", "--select", "77"], 2, "expected some of 0 to 5"),
+        (["RESULT", "-o", "RESULT"], 2, "output exists and is of another kind"),
+        (["RESULT", "-o", "v.mp4", "--select", "77"], 2, "expected frames from 0 to 5"),
         (["RESULT", "-o", "v.mp4", "--select", "best"], 2, "invalid --select"),
         (["RESULT", "-o", "v.mp4", "--range-mm", "9", "1"], 2, "expected 0 <= NEAR < FAR"),
         (["RESULT", "-o", "v.mp4", "--layout", "side-by-side"], 2, "needs two results"),
         (["RESULT", "RESULT", "RESULT", "-o", "v.mp4"], 2, "at most 2"),
         (["RESULT", "-o", "v.mp4", "--recording", "RESULT"], 1, "is not the recording"),
-        (["RESULT", "-o", "v.mp4", "--any-recording"], 2, "needs --recording"),
+        (["RESULT", "-o", "v.mp4", "--any-recording"], 2, "--any-recording requires --recording"),
         (["RESULT", "-o", "v.mp4", "--fps", "3"], 2, "does not apply to an MCAP file"),
         (["RESULT", "-o", "v.mp4", "--device", "99"], 1, "no headless context"),
         (["RESULT", "-o", "v.mp4", "--zoom", "0"], 2, "--zoom"),
@@ -280,8 +280,8 @@ def test_a_missing_recording_says_where_it_looked(
     monkeypatch.chdir(tmp_path)
     assert view(alone, "-o", tmp_path / "v.mp4") == 1
     line = one_line(capsys)
-    assert "no recording 'hand.mcap'" in line and "--recording" in line
-    assert f"at {gone}, beside {alone}, in a folder above it or in the working folder" in line
+    assert "recording 'hand.mcap' not found" in line and "--recording" in line
+    assert f"at {gone}, next to {alone}, in a parent folder or in the working directory" in line
 
 
 def test_results_of_different_recordings_are_not_drawn_together(

@@ -284,10 +284,10 @@ def test_without_a_pair_nothing_is_removed() -> None:
         (
             ("position", "quaternion"),
             False,
-            "csv: the ground truth has no position and no quaternion to align by",
+            "csv: cannot align: the ground truth has no position and no quaternion",
         ),
-        (("quaternion",), False, "csv: the ground truth has no quaternion to align by; omit --align"),
-        (("points",), True, "csv: the ground truth has no points to align by"),
+        (("quaternion",), False, "csv: cannot align: the ground truth has no quaternion; omit --align"),
+        (("points",), True, "csv: cannot align: the ground truth has no points"),
     ],
 )
 def test_what_is_needed_is_named(lacking: tuple[str, ...], points: bool, message: str) -> None:

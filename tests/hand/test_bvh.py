@@ -190,4 +190,4 @@ def test_a_result_that_tells_no_hand_is_one_line(tmp_path: Path, capfd: pytest.C
     with ResultWriter(tmp_path / "r.mcap", SUBJECT, CAMERA, {"configuration": "{}"}) as writer:
         writer.finish({})
     assert run(["export", str(tmp_path / "r.mcap"), "--format", "bvh"]) == EXIT_FAILED
-    assert "run record holds no hand's configuration" in capfd.readouterr().err
+    assert "run record has no hand configuration" in capfd.readouterr().err

@@ -208,8 +208,8 @@ def test_outputs_that_are_refused(tmp_path: Path) -> None:
         "v.avi": "unsupported output format, found .avi, expected FILE.mp4",
         "v.mp4": "already exists; use --overwrite",
         "full": "already exists; use --overwrite",
-        "folder.png": "output is something else already, found a folder",
-        "file": "output is something else already, found a file",
+        "folder.png": "output exists and is of another kind, found a folder",
+        "file": "output exists and is of another kind, found a file",
     }.items():
         with pytest.raises(UsageError, match=words):
             check_view_output(tmp_path / name, overwrite=False)
