@@ -1,4 +1,4 @@
-"""The layers of CONTRIBUTING.md, read off the source; declared dependencies; what --help must not load."""
+"""Layers (docs/architecture.md) as imported, declared dependencies, and what --help must not load."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from pathlib import Path
 PACKAGE = Path(__file__).parents[1] / "posetrack_cli"
 LAYERS = (
     "cli",
+    "api",
     "batch",
     "evaluation",
     "synthesis",
@@ -90,6 +91,8 @@ def layer(name: str) -> str:
     """The layer that a module is in, itself if it lies below all, or the library's name."""
     if name == f"{PACKAGE.name}.__main__":
         return "cli"
+    if name == PACKAGE.name:  # its names are those of the Python interface
+        return "api"
     return name.split(".")[1 if name in MODULES and name != PACKAGE.name else 0]
 
 
@@ -107,7 +110,7 @@ def test_what_is_imported_is_a_declared_dependency() -> None:
     """A library that happens to come with another one is missing as soon as that one is dropped."""
     project = tomllib.loads((PACKAGE.parent / "pyproject.toml").read_text())["project"]
     extras = project["optional-dependencies"]
-    installed = [*project["dependencies"], *extras["batch"], *extras["c3d"]]
+    installed = [*project["dependencies"], *extras["batch"], *extras["c3d"], *extras["tables"]]
     assert not imported_in("posetrack_cli") - names_of(installed)
     assert not imported_in("tests", "scripts") - names_of([*installed, *extras["dev"]])
 

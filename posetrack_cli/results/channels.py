@@ -21,39 +21,15 @@ from posetrack_cli.results.estimate import Estimate, Subject, kind_of
 from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA_NAME, estimate_schema, estimate_to_json
 from posetrack_cli.results.fields import check_estimate
 from posetrack_cli.results.scene import SceneEncoder, image_annotations, line_scene
-
-# Tracks: names, topics, order of frames
-
-FILTERED = "filtered"
-"""Each estimate uses only frames up to its own."""
-SMOOTHED = "smoothed"
-"""Each estimate uses all frames of the recording."""
-TRACKS = (FILTERED, SMOOTHED)
-
-SMOOTHED_PREFIX = f"/{SMOOTHED}/"
-TRANSFORMS_TOPIC = "/tf"
-SMOOTHED_TRANSFORMS_TOPIC = f"{SMOOTHED_PREFIX}tf"
-
-
-def topics_prefix(subject: str, track: str) -> str:
-    """Return the topic prefix of a subject's track: ``/hand``, ``/smoothed/hand``.
-
-    Raises:
-        ResultError: unknown track.
-    """
-    if track not in TRACKS:
-        raise ResultError("no such track", found=repr(track), expected=" or ".join(TRACKS))
-    return f"/{subject}" if track == FILTERED else f"{SMOOTHED_PREFIX}{subject}"
-
-
-def estimate_topic(subject: str, track: str = FILTERED) -> str:
-    """Return the topic of a track's complete estimates."""
-    return f"{topics_prefix(subject, track)}/estimate"
-
-
-def body_frame(subject: str, track: str = FILTERED) -> str:
-    """Return the frame id of a track's body, unique within a file."""
-    return subject if track == FILTERED else f"{subject}_{track}"
+from posetrack_cli.results.topics import (
+    FILTERED,
+    SMOOTHED,
+    SMOOTHED_TRANSFORMS_TOPIC,
+    TRANSFORMS_TOPIC,
+    body_frame,
+    camera_topic,
+    topics_prefix,
+)
 
 
 @dataclass
@@ -83,10 +59,7 @@ class StampOrder:
 
 # Topics of a result and their order of registration
 
-CAMERA_PREFIX = "/camera"
 CALIBRATION, ANNOTATIONS = "calibration", "annotations"
-CALIBRATION_TOPIC = f"{CAMERA_PREFIX}/{CALIBRATION}"
-"""Topic of a single camera; with several cameras each has its own, ``/camera/<name>/calibration``."""
 PLACES_TOPIC = "/tf_static"
 """Poses of the other cameras."""
 
@@ -152,11 +125,6 @@ class TrackChannels:
         if self._encoder is None and self._subject.lines:
             return serialised(line_scene(estimate, self._subject))
         return None
-
-
-def camera_topic(camera: Camera, what: str, cameras: int) -> str:
-    """Return a camera's topic for ``calibration`` or ``annotations``, given the number of cameras."""
-    return f"{CAMERA_PREFIX}/{what}" if cameras == 1 else f"{CAMERA_PREFIX}/{camera.name.strip('/')}/{what}"
 
 
 class ResultChannels:

@@ -8,9 +8,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
-from typing import IO
+from typing import IO, TYPE_CHECKING
 
-from google.protobuf.message import DecodeError
 from mcap.records import Attachment, Channel, Metadata, Schema
 
 from posetrack_cli import limits
@@ -30,20 +29,10 @@ from posetrack_cli.mcap.stream import (
 from posetrack_cli.mcap.summary import read_summary
 from posetrack_cli.outputs import part_path
 from posetrack_cli.recording.base import RUN_RECORD, TRUTH_PREFIX, TruthMessage, truth_message
-from posetrack_cli.recording.message_cameras import camera_from_message
-from posetrack_cli.results.channels import (
-    CALIBRATION_TOPIC,
-    FILTERED,
-    SMOOTHED,
-    SMOOTHED_PREFIX,
-    TRACKS,
-    estimate_topic,
-)
 from posetrack_cli.results.columns import Columns, column_blocks, empty_columns, joined
 from posetrack_cli.results.estimate import Estimate, Subject
 from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA_NAME, estimate_from_json
 from posetrack_cli.results.fields import FIELD_NAMES, NUMBERS, Sizes
-from posetrack_cli.results.messages import CameraCalibration
 from posetrack_cli.results.records import (
     CAMERAS_RECORD,
     SUBJECT_RECORD,
@@ -52,6 +41,18 @@ from posetrack_cli.results.records import (
     check_run_record,
     subject_from_record,
 )
+from posetrack_cli.results.topics import (
+    CALIBRATION_TOPIC,
+    FILTERED,
+    SMOOTHED,
+    SMOOTHED_PREFIX,
+    TRACKS,
+    estimate_topic,
+)
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
 
 PATTERN = "the shell expands patterns only if they are not quoted"
 NO_SCHEMA = Schema(id=0, name="", encoding="", data=b"")
@@ -227,6 +228,38 @@ class Result:
         fields = fields or self.field_names
         return joined(self.column_blocks(topic, fields)) or empty_columns(fields, Sizes.of(self.subject))
 
+    def to_numpy(self, track: str = FILTERED) -> Columns:
+        """Return a track as arrays by field, frames (N) along the first axis; see ``columns``.
+
+        Raises:
+            ResultError: see ``topic_of_track`` and ``columns``.
+        """
+        return self.columns(self.topic_of_track(track))
+
+    def to_pandas(self, track: str = FILTERED) -> pd.DataFrame:
+        """Return a track as a table with one row per frame, indexed by ``stamp_ns``.
+
+        Columns have the names and units of exported CSV files.
+
+        Raises:
+            UsageError: pandas is not installed.
+            ResultError: see ``to_numpy``.
+        """
+        from posetrack_cli.results.export.frames import to_pandas
+
+        return to_pandas(self.to_numpy(track), self.subject)
+
+    def to_xarray(self, track: str = FILTERED) -> xr.Dataset:
+        """Return a track as a dataset with labelled axes, points and parameters.
+
+        Raises:
+            UsageError: xarray is not installed.
+            ResultError: see ``to_numpy``.
+        """
+        from posetrack_cli.results.export.frames import to_xarray
+
+        return to_xarray(self.to_numpy(track), self.subject, self.run)
+
     def numbers(self) -> dict[str, FloatArray]:
         """Return the additional numbers of the result's own estimates, (N,) by name; NaN where unknown.
 
@@ -255,6 +288,12 @@ class Result:
         raise ResultError("has no camera calibration", where=self.path)
 
     def _calibrated(self, data: bytes) -> Camera:
+        # reading estimates needs neither protobuf nor OpenCV, which are slow to load
+        from google.protobuf.message import DecodeError
+
+        from posetrack_cli.recording.message_cameras import camera_from_message
+        from posetrack_cli.results.messages import CameraCalibration
+
         where = f"{self.path}, {CALIBRATION_TOPIC}"
         if len(data) > limits.MESSAGE_BYTES:
             raise ResultError("invalid camera calibration", where=where, found=f"{len(data)} bytes")

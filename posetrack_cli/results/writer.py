@@ -16,7 +16,7 @@ from posetrack_cli.mcap.sink import McapSink
 from posetrack_cli.outputs import check_free, check_not_written, check_place, part_path, state_path
 from posetrack_cli.recording.base import RUN_RECORD, TruthMessage
 from posetrack_cli.results import spool
-from posetrack_cli.results.channels import SMOOTHED, ResultChannels, StampOrder
+from posetrack_cli.results.channels import ResultChannels, StampOrder
 from posetrack_cli.results.columns import COUNTS, LayoutError, check_numbers
 from posetrack_cli.results.estimate import Estimate, Status, Subject
 from posetrack_cli.results.records import (
@@ -28,6 +28,7 @@ from posetrack_cli.results.records import (
 )
 from posetrack_cli.results.replay import Replay, check_same_run
 from posetrack_cli.results.spool import Checkpoint, Progress
+from posetrack_cli.results.topics import SMOOTHED
 
 
 class ResultWriter:

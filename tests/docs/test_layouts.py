@@ -15,7 +15,7 @@ from posetrack_cli.evaluation.measuring.catalogue import catalogue, is_measured
 from posetrack_cli.evaluation.measuring.subjects import KINDS
 from posetrack_cli.recording.conversion import IMAGE_TOPIC
 from posetrack_cli.results import ResultWriter, read_result
-from posetrack_cli.results.channels import TRACKS, topics_prefix
+from posetrack_cli.results.topics import TRACKS, topics_prefix
 from support.markdown import ROOT
 from support.results import CAMERA, RUN, SUBJECT, make_estimate
 

@@ -20,10 +20,10 @@ from posetrack_cli.mcap.ros2_messages import CDR, ros2_encoder, ros2_schema
 from posetrack_cli.mcap.sink import McapSink
 from posetrack_cli.recording.message_cameras import calibration_message
 from posetrack_cli.results import messages
-from posetrack_cli.results.channels import TRANSFORMS_TOPIC, camera_topic
 from posetrack_cli.results.estimate import Estimate, Subject, kind_of
 from posetrack_cli.results.export.source import ExportSource
 from posetrack_cli.results.scene import line_scene
+from posetrack_cli.results.topics import TRANSFORMS_TOPIC, camera_topic
 from posetrack_cli.units import METRES_PER_MM, NS_PER_S
 
 CAMERA_INFO = "camera_info"

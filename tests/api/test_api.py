@@ -1,0 +1,207 @@
+"""The Python interface: arrays are tracked as recordings are, and results read as they were written."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import posetrack_cli as posetrack
+from posetrack_cli.cli.main import run
+from posetrack_cli.errors import PosetrackError
+from posetrack_cli.outputs import part_path
+from posetrack_cli.recording.opening import open_recording
+from posetrack_cli.results import load_arrays
+from posetrack_cli.results.estimate import Estimate
+from posetrack_cli.results.export.table import table_of
+
+FRAMES = 6
+QUICK: dict[str, Any] = {"filter.particles": 32, "output.flush_frames": 2}
+SIZE = {"width": 8, "height": 6}
+CAMERA = posetrack.Camera(**SIZE, fx=6.0, fy=6.0, cx=3.5, cy=2.5)
+STORED = ("position", "quaternion", "shape", "points", "twist", "pose_variance", "twist_variance")
+
+
+class Depth:
+    """A recording, its images as it stores them, and what the command line makes of it."""
+
+    def __init__(self, folder: Path) -> None:
+        self.path, self.result = folder / "hand.mcap", folder / "result.mcap"
+        synth = ["hand", "synth", "--motion", "C", "--frames", str(FRAMES), "--seed", "3", "--no-drops"]
+        assert run([*synth, "-o", str(self.path)]) == 0
+        settings = [part for key, value in QUICK.items() for part in ("--set", f"{key}={value}")]
+        own = ["--hand-side", "right", "--shape", "average", *settings]
+        assert run(["hand", "run", str(self.path), "-o", str(self.result), *own]) == 0
+        recording = open_recording(self.path)
+        frames = list(recording.frames())
+        self.camera = recording.cameras[0]
+        self.images = np.stack([frame.depth for frame in frames]).astype(np.uint16)
+        self.stamps = [frame.stamp_ns for frame in frames]
+
+    def track(self, **more: Any) -> posetrack.api.Tracking:
+        given = {"side": "right", "shape": "average", "settings": QUICK} | more
+        return posetrack.track_hand(self.images, self.camera, stamps_ns=self.stamps, **given)
+
+
+@pytest.fixture(scope="module")
+def depth(tmp_path_factory: pytest.TempPathFactory) -> Depth:
+    return Depth(tmp_path_factory.mktemp("depth"))
+
+
+def assert_equal(estimates: list[Estimate], arrays: dict[str, np.ndarray]) -> None:
+    assert [estimate.stamp_ns for estimate in estimates] == arrays["stamp_ns"].tolist()
+    assert [str(estimate.status) for estimate in estimates] == arrays["status"].tolist()
+    for name in STORED:
+        np.testing.assert_array_equal([getattr(estimate, name) for estimate in estimates], arrays[name])
+
+
+def test_arrays_are_tracked_like_the_recording_they_come_from(depth: Depth) -> None:
+    with depth.track() as tracking:
+        assert tracking.subject.name == "hand" and tracking.outcome is None
+        estimates = list(tracking)
+    assert_equal(estimates, load_arrays(depth.result))
+    assert tracking.outcome is not None and tracking.outcome.frames == FRAMES
+    by_path = posetrack.track_hand(depth.path, side="right", shape="average", settings=QUICK)
+    assert_equal(list(by_path), load_arrays(depth.result))
+
+
+def test_a_run_that_is_closed_can_be_resumed_to_equal_estimates(depth: Depth, tmp_path: Path) -> None:
+    output = tmp_path / "hand.mcap"
+    with depth.track(output=output) as tracking:
+        first = [next(tracking) for _ in range(3)]
+    assert part_path(output).exists() and not output.exists()
+    rest = list(depth.track(output=output, resume=True))
+    kept = FRAMES - len(rest)
+    assert 0 < kept <= len(first)
+    assert_equal([*first[:kept], *rest], load_arrays(depth.result))
+    assert_equal([*first[:kept], *rest], posetrack.read(output).to_numpy())
+
+
+def test_nothing_is_left_of_a_run_without_output(depth: Depth, tmp_path: Path, monkeypatch: Any) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with depth.track() as tracking:
+        next(tracking)
+        assert list(tmp_path.iterdir())
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_head_is_tracked_from_arrays_like_from_its_recording(tmp_path: Path) -> None:
+    recording, result = tmp_path / "head.mcap", tmp_path / "result.mcap"
+    assert run(["head", "synth", "--frames", "8", "--seed", "1", "-o", str(recording)]) == 0
+    assert run(["head", "stereo", str(recording), "-o", str(result)]) == 0
+    source = open_recording(recording, "grey")
+    frames = list(source.frames())
+    images = {camera.name: [frame.images[c] for frame in frames] for c, camera in enumerate(source.cameras)}
+    stamps = [frame.stamp_ns for frame in frames]
+    assert_equal(list(posetrack.track_head(images, source.cameras, stamps_ns=stamps)), load_arrays(result))
+    reference = source.cameras[0]
+    alone = ["--cameras", reference.name, "--passes", "1", "--overwrite"]
+    assert run(["head", "mono", str(recording), "-o", str(result), *alone]) == 0
+    one_pass = {"settings": {"run.passes": 1}, "stamps_ns": stamps}
+    tracking = posetrack.track_head(images[reference.name], reference, **one_pass)
+    assert_equal(list(tracking), load_arrays(result))
+
+
+def test_an_uncalibrated_camera_is_guessed_or_given_by_its_field_of_view() -> None:
+    images = np.zeros((2, 60, 80), np.uint8)
+    for given, focal in ({}, 80.0), ({"fov_deg": 90.0}, 40.0):
+        tracking = posetrack.track_head(images, fps=30.0, **given)
+        assert json.loads(tracking.run["camera"])["fx"] == pytest.approx(focal, rel=0.01)
+        assert tracking.run["intrinsics"] == "guessed"
+        tracking.close()
+
+
+def test_tables_and_datasets_hold_what_the_arrays_do(depth: Depth) -> None:
+    pytest.importorskip("pandas"), pytest.importorskip("xarray")
+    result = posetrack.read(depth.result)
+    arrays, table, dataset = result.to_numpy(), result.to_pandas(), result.to_xarray()
+    names = [name for group in table_of(result.subject) for name in group.names]
+    assert [table.index.name, *table.columns] == sorted(
+        names, key=lambda name: (name != "stamp_ns", names.index(name))
+    )
+    np.testing.assert_array_equal(table.index, arrays["stamp_ns"])
+    np.testing.assert_array_equal(table[["x_mm", "y_mm", "z_mm"]], arrays["position"])
+    tip = result.subject.point_names.index("index_tip")
+    np.testing.assert_array_equal(table["index_tip_y_mm"], arrays["points"][:, tip, 1])
+    np.testing.assert_array_equal(dataset["points"].sel(point="index_tip", axis="y"), table["index_tip_y_mm"])
+    np.testing.assert_array_equal(dataset["twist"].sel(tangent="rz"), arrays["twist"][:, 5])
+    assert dataset["status"].values.tolist() == arrays["status"].tolist()
+    assert dataset.attrs["seed"] == "0"
+
+
+def test_an_evaluation_is_that_of_the_command_line(depth: Depth, tmp_path: Path) -> None:
+    path = tmp_path / "eval.json"
+    assert run(["eval", str(depth.result), "--json", str(path)]) == 0
+    evaluation = posetrack.evaluate(depth.result)
+    mean = evaluation.metrics["joint_error_mm"].mean
+    assert f"{mean:.6g}" in {f"{value:.6g}" for value in numbers_in(json.loads(path.read_text()))}
+
+
+def numbers_in(value: object) -> Iterator[float]:
+    if isinstance(value, dict | list):
+        for part in value.values() if isinstance(value, dict) else value:
+            yield from numbers_in(part)
+    elif isinstance(value, float):
+        yield value
+
+
+IMAGES = np.full((3, SIZE["height"], SIZE["width"]), 600, np.uint16)
+
+
+@pytest.mark.parametrize(
+    ("images", "camera", "times", "expected"),
+    [
+        (IMAGES, None, {"fps": 30.0}, "camera of the images is missing"),
+        (IMAGES, CAMERA, {}, "found neither, expected fps or stamps_ns"),
+        (IMAGES, CAMERA, {"fps": 30.0, "stamps_ns": [1, 2, 3]}, "found both"),
+        (IMAGES, CAMERA, {"stamps_ns": [1, 2]}, "another length"),
+        (IMAGES, CAMERA, {"stamps_ns": [1, 3, 2]}, "do not increase"),
+        (IMAGES[:, :-1], CAMERA, {"fps": 30.0}, "found 8x5, expected 8x6"),
+        (IMAGES[..., None].repeat(3, -1), CAMERA, {"fps": 30.0}, "not a depth image"),
+        (IMAGES > 0, CAMERA, {"fps": 30.0}, "not a depth image"),
+        (IMAGES[:0], CAMERA, {"fps": 30.0}, "no frame to track"),
+        (iter(IMAGES), CAMERA, {"fps": 30.0}, "can be read only once"),
+        (np.zeros((3, 4)), CAMERA, {"fps": 30.0}, "not an image"),
+    ],
+)
+def test_unusable_arrays_are_refused_in_one_line(
+    images: Any, camera: posetrack.Camera | None, times: dict[str, Any], expected: str
+) -> None:
+    with pytest.raises(PosetrackError) as error:
+        posetrack.track_hand(images, camera, **times)
+    assert expected in str(error.value) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("images", "cameras", "more", "expected"),
+    [
+        ({"left": IMAGES, "right": IMAGES[:2]}, ("left", "right"), {}, "different numbers of images"),
+        ({"left": IMAGES, "right": IMAGES}, ("left",), {}, "images and cameras differ"),
+        ({"left": IMAGES, "right": IMAGES}, (), {}, "cameras are missing"),
+        (IMAGES, ("left",), {"fov_deg": 60.0}, "mutually exclusive"),
+        (IMAGES, (), {"smooth": True}, "smooth needs a result file"),
+    ],
+)
+def test_unusable_images_of_heads_are_refused_in_one_line(
+    images: Any, cameras: tuple[str, ...], more: dict[str, Any], expected: str
+) -> None:
+    rig = [posetrack.Camera(**SIZE, fx=6.0, fy=6.0, cx=3.5, cy=2.5, name=name) for name in cameras]
+    with pytest.raises(PosetrackError) as error:
+        posetrack.track_head(images, rig, fps=30.0, **more)
+    assert expected in str(error.value) and "\n" not in str(error.value)
+
+
+def test_reading_loads_neither_numba_nor_scipy_nor_opencv_nor_pyav(depth: Depth) -> None:
+    code = (
+        "import sys, posetrack_cli as posetrack\n"
+        f"posetrack.read({str(depth.result)!r}).to_numpy()\n"
+        "print(sorted({'numba', 'scipy', 'cv2', 'av', 'moderngl'} & sys.modules.keys()))"
+    )
+    printed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert printed.stdout.strip() == "[]"
