@@ -90,7 +90,7 @@ def test_a_part_by_itself_is_printed_and_written(tmp_path: Path) -> None:
     result = CliRunner().invoke(main, ["--quick", "--part", "commands", "--json", str(out)])
     assert result.exit_code == 0, result.output
     written = json.loads(out.read_text())
-    assert written["machine"]["length"] == "quick"
+    assert written["source"]["length"] == "quick"
     names = [row["name"] for row in written["rows"]]
     commands_ = ("posetrack", "posetrack head stereo", "posetrack head mono")
     assert names == [f"{command} --help, CPU time" for command in commands_]
