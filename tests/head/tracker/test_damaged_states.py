@@ -130,5 +130,5 @@ def attempt(step: Callable[[Any], object], state: object) -> None:
 
 
 def test_nothing_is_no_state(saved: Saved) -> None:
-    with pytest.raises(LayoutError, match="no array"):
+    with pytest.raises(LayoutError, match="is missing"):
         saved[0]({})

@@ -80,12 +80,12 @@ def test_every_array_is_needed_and_has_its_shape_and_kind(name: str) -> None:
     with pytest.raises(ResultError, match=f"incomplete or damaged, found array '{name}' is missing"):
         CODECS.from_model(arrays)
     for wrong in (np.array(["text"]), learned()[name][None], np.zeros(0, learned()[name].dtype)):
-        with pytest.raises(ResultError, match=f"found '{name}' as "):
+        with pytest.raises(ResultError, match=f"found '{name}' is "):
             CODECS.from_model(learned() | {name: wrong})
 
 
 def test_templates_of_other_cameras_and_of_different_lengths() -> None:
-    with pytest.raises(ResultError, match=r"found 'sets.windows' as uint8 \(2, 3, 10, 48, 48\)"):
+    with pytest.raises(ResultError, match=r"found 'sets.windows' is uint8 \(2, 3, 10, 48, 48\)"):
         CODECS.from_model(learned(cameras=3))
     with pytest.raises(ResultError, match=r"'sets.facing' is float64 \(1, 3\), expected float64 \(2, 3\)"):
         CODECS.from_model(learned() | {"sets.facing": np.zeros((1, 3))})
@@ -120,4 +120,4 @@ def test_a_run_tells_the_file(tmp_path: Path, left_out: tuple[str, ...]) -> None
         return
     with pytest.raises(ResultError) as told:
         run()
-    assert str(told.value).startswith(f"{path}: model is incomplete or damaged, found no array ")
+    assert str(told.value).startswith(f"{path}: model is incomplete or damaged, found array '")

@@ -42,10 +42,10 @@ def test_every_array_is_needed_and_has_its_shape_and_kind(name: str) -> None:
     assert_refused(
         {other: array for other, array in learned().items() if other != name}, f"array '{name}' is missing"
     )
-    assert_refused(learned() | {name: right[None]}, f"'{name}' as {right.dtype} (1")
-    assert_refused(learned() | {name: np.full(right.shape, "text")}, f"'{name}' as <U4")
+    assert_refused(learned() | {name: right[None]}, f"'{name}' is {right.dtype} (1")
+    assert_refused(learned() | {name: np.full(right.shape, "text")}, f"'{name}' is <U4")
     if right.ndim:
-        assert_refused(learned() | {name: right[:0]}, f"'{name}' as {right.dtype} (0")
+        assert_refused(learned() | {name: right[:0]}, f"'{name}' is {right.dtype} (0")
 
 
 @pytest.mark.parametrize("name", [name for name in NEEDED if learned()[name].dtype.kind == "f"])
@@ -62,7 +62,7 @@ def test_only_what_may_be_unknown_may_be_nan(name: str) -> None:
 def test_arrays_that_belong_together_are_equally_long(group: str) -> None:
     name = next(name for name in NEEDED if name.startswith(f"person1.{group}."))
     longer = np.concatenate([learned()[name], learned()[name]])
-    with pytest.raises(ResultError, match=rf"found 'person1\.{group}\.[a-z]+' as "):
+    with pytest.raises(ResultError, match=rf"found 'person1\.{group}\.[a-z]+' is "):
         known_people(learned() | {name: longer}, people_codec(MODEL, AdjustmentSettings()))
 
 
@@ -79,10 +79,10 @@ def test_a_person_without_frames_is_as_good() -> None:
 
 @pytest.mark.parametrize("count", [np.array([2]), np.array(2.0), np.array("2")])
 def test_how_many_people_there_are_is_one_whole_number(count: np.ndarray[Any, Any]) -> None:
-    assert_refused(learned() | {PEOPLE: count}, f"'{PEOPLE}' as {count.dtype}")
+    assert_refused(learned() | {PEOPLE: count}, f"'{PEOPLE}' is {count.dtype}")
 
 
 @pytest.mark.parametrize("focal", [np.nan, np.inf, 0.0, -700.0, [700.0], "700"])
 def test_the_size_of_a_face_is_a_focal_length(focal: object) -> None:
-    with pytest.raises(ResultError, match="found 'focal_px' as"):
+    with pytest.raises(ResultError, match="found 'focal_px' is"):
         MonoPeople(HeadMonoConfig(), CAMERA, MODEL, known={"focal_px": np.array(focal)})

@@ -281,7 +281,7 @@ def test_points_are_clicked_in_the_first_frame_only() -> None:
     stranger = replace(scene.state, people=(), track=None)
     faces = scene.tracker._faces
     (image,) = FACE.render((SCENE_CAMERA,), pose_at(1), SHAPE, seed=1)
-    state, later = faces.look(stranger, Frame(1, FRAME_NS, (image,)))
+    state, later = faces.prepare(stranger, Frame(1, FRAME_NS, (image,)))
     scene.told.index = 1
     state, _ = faces.begin(state, SeededFrame(later, scene.rng))
     assert len(state.candidates) == 1
