@@ -295,7 +295,7 @@ def test_a_video_without_calibration_is_tracked_on_a_guess_that_is_said(
     video: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert mono(video, tmp_path / "r.mcap", "--passes", "1", "--end", "6") == 0
-    assert lines(capsys) == [f"{video}: {GUESSED.format(640)}; distances are a guess"]
+    assert lines(capsys) == [f"{video}: {GUESSED.format(640)}; distances are approximate"]
     result = read_result(tmp_path / "r.mcap")
     assert (result.run["intrinsics"], result.camera().fx) == ("guessed", 640.0)
     status = load_arrays(result.path)["status"]
@@ -361,7 +361,7 @@ def test_as_printed_there_is_one_pass_unless_another_is_asked_for(
     listed = json.loads(result.run["deviations_from_print"])
     assert listed[0] == "4.5: particles.count is 50, not 750"
     assert ("3.4, 4.5: run.passes is 2, not 1" in listed) == (count == 2)
-    assert "4.2: the shipped face model is learned from ICT-FaceKit" in listed
+    assert "4.2: the shipped face model was built from ICT-FaceKit" in listed
 
 
 def test_two_passes_are_the_default_and_equal_a_run_with_the_saved_model(made: Path, tracked: Path) -> None:
