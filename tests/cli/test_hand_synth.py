@@ -131,7 +131,7 @@ def test_shapes_beyond_hands_are_wrong_usage(tmp_path: Path, option: str, values
 def test_a_random_hand_has_no_size_of_one_s_own(tmp_path: Path) -> None:
     with pytest.raises(
         UsageError,
-        match="--random-hand cannot be combined .*, found --palm-width",
+        match=r"--random-hand cannot be combined .*, found --palm-width",
     ):
         invoke("-o", str(tmp_path / "a.mcap"), "--random-hand", "--palm-width", "1.1")
 

@@ -105,7 +105,7 @@ def test_names_that_cannot_be_meant(
 ) -> None:
     output = tmp_path / "face.npz"
     assert build(*results, "-o", output, "--picture", tmp_path / "face.jpg") == 2
-    assert "expected a name that ends in .png" in one_line(capsys)
+    assert "expected a name ending in .png" in one_line(capsys)
     assert build(*results, "-o", tmp_path / "a.png", "--picture", tmp_path / "a.png") == 2
     assert "--output and --picture are the same file" in one_line(capsys)
     other_name = results[0].parent / "." / ".." / results[0].parent.name / results[0].name

@@ -132,7 +132,7 @@ def test_a_person_whom_two_cameras_measured_is_held_with_one(
     np.testing.assert_allclose([numbers[name][-1] for name in names][:2], [1.0, 0.005])
     capsys.readouterr()
     assert run([*asked, "-o", str(output), "--overwrite", "--interpupillary-mm", "63"]) == 2
-    assert "--person says how large the person is, and so does --interpupillary-mm" in line(capsys)
+    assert "--person and --interpupillary-mm both set the size of the head" in line(capsys)
 
 
 def stereo(recording: Path, output: Path, *arguments: object) -> int:
