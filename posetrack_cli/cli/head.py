@@ -83,14 +83,14 @@ def head_build_model(
     _check_outputs(results, output, picture, overwrite=overwrite)
     faces = [read_face(path) for path in results]
     learned = learn_model(faces, identity_size, deformation_size)
-    _say_limits(learned, identity_size, deformation_size)
+    _print_limits(learned, identity_size, deformation_size)
     _show(learned)
     model = learned.built.model
     save_face_model(output, model, f"{len(faces)} results of posetrack head stereo")
     if picture is not None:
         _draw(model, picture)
     print_line(f"{output}: identity {model.identity_size}, deformation {model.deformation_size}")
-    _say_losses(faces)
+    _print_losses(faces)
 
 
 def _check_outputs(results: Sequence[Path], output: Path, picture: Path | None, *, overwrite: bool) -> None:
@@ -109,7 +109,7 @@ def _check_outputs(results: Sequence[Path], output: Path, picture: Path | None, 
             check_target(written, overwrite=overwrite, source=source, source_name="result")
 
 
-def _say_limits(learned: LearnedModel, *asked: int) -> None:
+def _print_limits(learned: LearnedModel, *asked: int) -> None:
     people, names = len(learned.faces), ("identity", "deformation")
     for name, wanted, possible in zip(names, asked, learned.possible, strict=True):
         if wanted > possible:
@@ -166,7 +166,7 @@ def _draw(model: FaceModel, path: Path) -> None:
         write_output(part, png_of(face_model_picture(model)))
 
 
-def _say_losses(faces: Sequence[ObservedFace]) -> None:
+def _print_losses(faces: Sequence[ObservedFace]) -> None:
     from posetrack_cli.losses import loss_line
 
     lost = [face for face in faces if face.losses]

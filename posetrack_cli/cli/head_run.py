@@ -366,7 +366,7 @@ def head_mono(recording: Path, **options: Any) -> None:
         from posetrack_cli.head.runs import make_mono_run
 
         run = make_mono_run(source, config, chosen, face, first_pass)
-        _say_guess(source, options["fov"])
+        _print_guess(source, options["fov"])
         return run
 
     track_head(source, config.run.passes, chosen, made)
@@ -393,7 +393,7 @@ def open_mono_recording(recording: Path, options: dict[str, Any]) -> Recording:
     return source
 
 
-def _say_guess(source: Recording, fov: float | None) -> None:
+def _print_guess(source: Recording, fov: float | None) -> None:
     if not source.is_guessed:
         return
     by = "field of view of 53 degrees; change it with --fov" if fov is None else "--fov"

@@ -113,7 +113,7 @@ def test_the_hand_that_is_told_is_tracked_from_the_first_frame(
     assert track(two_hands, tmp_path / "told.mcap", "--keypoints", keypoints) == 0
     assert errors(tmp_path / "told.mcap", joints(FARTHER)).max() < TRACKED_MM
     said = capsys.readouterr().err
-    assert f"{keypoints}: 10 hands of 21 points by frame number, in px, no sides" in said
+    assert f"{keypoints}: 10 hands of 21 points by frame number, in px, no side labels" in said
     record = read_result(tmp_path / "told.mcap").run
     assert record["keypoints"] == "k.csv" and len(record["keypoints.sha256"]) == 64
     assert "keypoints" not in read_result(tmp_path / "silent.mcap").run

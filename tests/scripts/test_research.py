@@ -197,7 +197,7 @@ def test_what_was_not_measured_is_said_to_be_so(tmp_path: Path) -> None:
     for study, options in every_study(tmp_path):
         for part in study.parts:
             if part.name != "time":  # which is measured while it is told
-                part.tell(options, Files(tmp_path, []), report)
+                part.write(options, Files(tmp_path, []), report)
     assert {said for _, _, _, said in report.targets} == {"not measured"}
     assert "nan" not in "\n".join(report.lines)
 
