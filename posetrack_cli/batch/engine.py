@@ -178,7 +178,7 @@ def open_engine(
         EngineError: no scheduler responds, or a worker runs another build of posetrack.
     """
     for name in ("distributed", "distributed.worker", "distributed.scheduler", "distributed.nanny"):
-        logging.getLogger(name).setLevel(logging.CRITICAL)
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # job failures are reported by the batch itself
     with ExitStack() as stack:
         scratch = {} if where.scratch is None else {"temporary-directory": str(where.scratch)}
         stack.enter_context(dask.config.set(_SETTINGS | scratch))

@@ -110,7 +110,7 @@ def run_child(
                 stdin=subprocess.PIPE,
                 stdout=log,
                 stderr=subprocess.STDOUT,
-                pass_fds=(writing,),
+                pass_fds=(writing,),  # messages have their own pipe, as libraries print to stdout
                 env=_environment(limits.threads),
                 start_new_session=True,
             )

@@ -281,7 +281,7 @@ def handover_frame(one: tuple[Path, Piece], other: tuple[Path, Piece]) -> int:
     later = both >= both[len(both) // 2]
     apart = before["points"][rows[later]] - after["points"][columns[later]]
     distances = np.linalg.norm(apart, axis=2).mean(axis=1)
-    nearest = np.flatnonzero(distances == distances.min())[-1]
+    nearest = np.flatnonzero(distances == distances.min())[-1]  # the last one, furthest from initialisation
     return int(both[later][nearest])
 
 

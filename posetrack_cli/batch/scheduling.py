@@ -67,6 +67,7 @@ def run_batch(
         recording = parts[recording_of(outcome.name)]
         for job in recording.after(outcome):
             engine.submit(job, limits, is_continuation=True)
+        # Each recording is reported once.
         if recording.result is not None and recording.job.name not in found:
             found[recording.job.name] = recording.result
             report(recording.result)
@@ -96,6 +97,7 @@ class _Recording:
         if outcome.state is State.DONE and outcome.pieces:
             self._split, self.job = outcome.pieces, replace(self.job, digests=outcome.digests)
             self._before.append(outcome)
+            # A short recording is tracked as a whole, without joining.
             return [self.job] if len(self._split) == 1 else [self._piece(0)]
         self.result = _together(outcome, [*self._before, *self._pieces.values()])
         return []
@@ -119,6 +121,7 @@ class _Recording:
         number = int(worst.name.partition(PIECE)[2])
         piece = self._split[number]
         reason = f"frames {piece.start} to {piece.end - 1}: {worst.reason}" if worst.reason else ""
+        # Time and frames are zeroed here, as they are added up over all pieces below.
         outcome = replace(worst, name=self.job.name, reason=reason, seconds=0.0, cpu_s=0.0, frames=0)
         return _together(outcome, self._pieces.values())
 

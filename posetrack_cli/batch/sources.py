@@ -397,6 +397,7 @@ def _check_names(sources: Sequence[Source]) -> None:
     """Raise an error if two recordings would write the same result file."""
     first: dict[str, Source] = {}
     for source in sources:
+        # Job names are printable, so names that differ only in control characters also collide.
         other = first.setdefault(one_line(source.name), source)
         if other is not source:
             raise UsageError(

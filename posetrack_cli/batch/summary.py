@@ -122,7 +122,7 @@ def summarise(
             job.output: PerResultOptions(job.name, job.truth, tuple(map(parse_gate, job.gates)))
             for job in tracked
         },
-        lenient=True,
+        lenient=True,  # an unreadable result is a row of the report, not an error of the batch
     )
     found = assess(request, report)
     found = replace(found, outcomes=(*map(_tracked_gate, outcomes), *found.outcomes))
@@ -160,6 +160,7 @@ def markdown_of(summary: Summary, judging: Judging) -> str:
 
 def _rows(summary: Summary) -> Iterator[tuple[Job, Outcome, ResultRow | None]]:
     """Yield all recordings: first those without a result or evaluation, then the others, worst first."""
+    # Failures come first, as they need attention before any error.
     jobs = {job.name: job for job in summary.jobs}
     outcomes = {one.name: one for one in summary.outcomes}
     measured = {row.name: row for one in summary.found.sets for row in one.rows}
@@ -241,6 +242,7 @@ def _page(folder: Path, summary: Summary) -> RowsPage:
         missing=missing,
         remarks=[(one.name, remark) for one in summary.outcomes for remark in one.remarks],
         links={
+            # "./", as a name with a colon would be parsed as a URL scheme.
             job.name: "./" + quote(os.fsencode(job.page.relative_to(folder)))
             for job in summary.jobs
             if job.page is not None and job.page.is_file()

@@ -108,8 +108,8 @@ def test_a_gate_that_fails_is_one_line_with_its_figure(
 @pytest.mark.parametrize(
     ("made", "gate", "reason"),
     [
-        ({"truth": False}, FAILS, "no truth"),
-        ({"truth": False}, PASSES, "no truth"),
+        ({"truth": False}, FAILS, "no ground truth"),
+        ({"truth": False}, PASSES, "no ground truth"),
         ({}, "ms_per_frame.p95 < 1", "no timings"),
         ({"frames": 0, "truth": False}, "coverage < 0", "no estimate"),
         ({"frames": 0, "truth": False}, "lost > 5", "no estimate"),
@@ -152,7 +152,7 @@ def test_hardly_any_frames_are_evaluated(
     [
         (["--fail-if", "joint_eror_mm.mean > 1"], "did you mean 'joint_error_mm'"),
         (["--fail-if", "joint_error_mm > 1"], "lacks a statistic"),
-        (["--fail-if", "coverage is 1"], "METRIC[.PART].STATISTIC or METRIC, then one of > >= < <= == !="),
+        (["--fail-if", "coverage is 1"], "METRIC[.PART][.STATISTIC] OPERATOR NUMBER, with OPERATOR one of > >= < <= == !="),
         (["--fail-if", "coverage < 99%"], "write 0.99 for 99 %"),
         (["--truth-tolerance-ms", "-1"], "tolerance out of range"),
         (["--align", "loose"], "'loose' is not one of"),
@@ -440,7 +440,7 @@ def test_two_reports_in_one_file_are_refused(
     result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert evaluate(result, "--json", tmp_path / "r", "--csv", tmp_path / "r") == 2
-    assert "would replace another report" in capsys.readouterr().err
+    assert "would overwrite another report" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("where", "code"), [("none/r.json", 1), (".", 2)])
@@ -455,7 +455,7 @@ def test_a_report_without_a_place_is_refused_before_the_work(
 def test_truth_from_another_result(tmp_path: Path, result: Path, capsys: pytest.CaptureFixture[str]) -> None:
     blind = write_result(tmp_path / "blind.mcap", truth=False)
     assert evaluate(blind) == 0
-    assert "not available (no truth" in capsys.readouterr().out
+    assert "not available (no ground truth" in capsys.readouterr().out
     assert evaluate(blind, "--truth", result) == 0
     assert "joint_error_mm" in shown(capsys.readouterr().out)
 

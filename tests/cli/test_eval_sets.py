@@ -125,7 +125,7 @@ def test_gates_on_all_together_and_over_results(
     ("arguments", "said"),
     [
         (["--fail-if", "pooled.joint_error_mm.wrist.mean > 1"], "parts of 'joint_error_mm' are not pooled"),
-        (["--fail-if", "p99(coverage) < 1"], "no figure over results, expected one of mean(...)"),
+        (["--fail-if", "p99(coverage) < 1"], "invalid statistic over results 'p99(coverage)', expected one of mean(...)"),
         (["--fail-if", "p95(coverag) < 1"], "did you mean 'coverage'"),
         (["--junit", "/tmp/none.xml"], "--junit requires gates, expected --fail-if, --gates or --baseline"),
         (["--worst", "-1"], "-1"),
@@ -206,7 +206,7 @@ def test_groups_of_many_recordings_are_compared_and_rows(
         write_set(tmp_path / name, [factor * error for error in ERRORS_MM])
     groups = [part for name in ("old", "new") for part in ("--group", f"{name}={tmp_path}/{name}/*.mcap")]
     assert evaluate(*groups, "--html", tmp_path / "r.html", "--csv", tmp_path / "r.csv") == 0
-    assert "a pair is one recording" in capsys.readouterr().out
+    assert "pairs: one recording" in capsys.readouterr().out
     page = (tmp_path / "r.html").read_text()
     assert "Paired differences" in page and page.count("Total of 6") == 2
     totals = [line for line in (tmp_path / "r.csv").read_text().splitlines() if line.startswith("pooled")]

@@ -113,6 +113,7 @@ def _columns(
     if truth is not None and truth.shape != estimate.shape:
         truth = None
     for i, name in enumerate(names):
+        # Negative variances, possible in untrusted files, are drawn as 0.
         half = None if variance is None else INSIDE_90 * np.sqrt(np.maximum(variance[:, i], 0.0))
         yield Component(group, name, unit, estimate[:, i], None if truth is None else truth[:, i], half)
 
@@ -199,6 +200,7 @@ def _true_twists(evaluation: Evaluation) -> FloatArray | None:
     true_turns = matched_truth(evaluation, lambda other: other.quaternion)
     if twists is not None and true_turns is not None and evaluation.track.quaternion is not None:
         turns = rotations.multiply(rotations.conjugate(evaluation.track.quaternion), true_turns)
+        # matched_truth returns a copy, so the ground truth itself is not modified.
         twists[:, 3:6] = rotations.rotate(turns, twists[:, 3:6])
     return twists
 
@@ -307,8 +309,8 @@ NO_ROOM = "No pictures: the size limit is used up by other results."
 
 WIDE = 1.5
 """Aspect ratio above which pictures get more space."""
+# Offset of width and height in a PNG file.
 _PNG_SIZE_AT = 16
-"""Offset of width and height in a PNG file."""
 
 Pictures: TypeAlias = Mapping[str, Sequence[Picture] | str]
 """Pictures by result name, worst first; or the reason why there are none."""

@@ -71,6 +71,7 @@ def _extremes(line: FloatArray, size: int) -> list[IntArray]:
     valid = np.isfinite(values)
     has_value = valid.any(axis=1)
     missing = ~valid
+    # Padding at the end of the last block is not a missing value.
     if padding:
         missing[-1, -padding:] = False
     start = np.arange(len(values), dtype=np.int64) * size
@@ -218,6 +219,7 @@ def _minus(value: object) -> str:
 
 def scripts(names: Iterable[str]) -> str:
     """Return the concatenated scripts."""
+    # One script element, so that the security policy needs a single hash.
     return '"use strict";\n' + "\n".join(asset(f"scripts/{name}.js") for name in names)
 
 

@@ -231,7 +231,7 @@ def timebases(tracks: Sequence[Track]) -> tuple[list[Timebase], bool]:
     first, last = [int(stamps[0]) for stamps in filled], [int(stamps[-1]) for stamps in filled]
     shared = max(first) <= min(last)
     longest = max(last) - min(first) if shared else max(b - a for a, b in zip(first, last, strict=True))
-    tick_ns = max(TICK_NS, -(-longest // MOST_TICKS))
+    tick_ns = max(TICK_NS, -(-longest // MOST_TICKS))  # -(-a // b) rounds up
     starts = [int(track.stamp_ns[0]) if len(track) and not shared else min(first) for track in tracks]
     return [Timebase(start, tick_ns) for start in starts], shared
 
@@ -400,6 +400,7 @@ def _rows(evaluation: Evaluation, limit: int, wanted_ns: Sequence[int]) -> tuple
         for name, values in evaluation.series.items()
         if name in KINDS[evaluation.subject].readings and np.isfinite(values).any()
     ]
+    # Picture stamps can be those of the frames, which differ slightly from the estimates; clipped below.
     wanted = np.searchsorted(stamps, np.array([*wanted_ns, *worst], dtype=np.int64))
     rows = np.concatenate([np.arange(0, len(stamps), step), [len(stamps) - 1], wanted])
     return np.unique(np.clip(rows, 0, len(stamps) - 1)).astype(np.int64), step

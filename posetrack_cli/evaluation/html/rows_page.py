@@ -189,7 +189,7 @@ def _heads(results: ResultSet, figures: Sequence[str]) -> Iterator[Head]:
     yield Head("result", "result", "text")
     for figure in figures:
         yield Head("", figure, "number", figure, figure == results.worst_by)
-        if results.compared and figure != "frames":
+        if results.compared and figure != "frames":  # a note reports a changed number of frames
             yield Head("change", f"{figure}: value minus baseline", "number")
     if results.judged:
         yield Head(GATES_FAILED, GATES_FAILED, "number")
@@ -199,6 +199,7 @@ def _line(one: ResultRow, figures: Sequence[str], results: ResultSet, name: str,
     cells = []
     for figure in figures:
         value = one.value(figure)
+        # The script sorts by the exact value, not by the rounded text.
         cells.append(Cell(_words(figure), _number(value), None if value is None else repr(value)))
         if results.compared and figure != "frames":
             cells.append(_change(one, figure))

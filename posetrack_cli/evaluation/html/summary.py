@@ -109,7 +109,7 @@ def _json(value: str) -> Any:
         return value
     try:
         return json.loads(value)
-    except (ValueError, RecursionError):
+    except (ValueError, RecursionError):  # run records are untrusted
         return value
 
 

@@ -84,6 +84,7 @@ def write_html(path: Path, page: ReportPage) -> None:
 
 def html_page(page: ReportPage) -> str:
     """Return the text of an HTML report; see ``write_html``."""
+    # Jinja2 and markupsafe are only imported if a page is written.
     from markupsafe import Markup
 
     evaluations = page.evaluations
@@ -108,5 +109,5 @@ def html_page(page: ReportPage) -> str:
         meanings=meanings(evaluations),
         records=provenance(evaluations),
         about=about(data),
-        data=Markup(json_text(data)),
+        data=Markup(json_text(data)),  # json_text escapes everything that could end the script element
     )

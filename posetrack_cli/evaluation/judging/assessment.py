@@ -240,6 +240,7 @@ class _Measuring:
             try:
                 self._measure(path, name, names)
             except (ResultError, TruthError) as error:
+                # With few results an error is clearest; with many, one must not stop the others.
                 if len(paths) <= MOST_BESIDE and not request.lenient:
                     raise
                 first = first or error
@@ -264,6 +265,7 @@ class _Measuring:
         for key in self._pool_keys(path, one):
             self.builders[key].add(one)
         self._recordings.add(one.run.get(RECORDING_KEY) or str(path))
+        # Once there are too many recordings, results evaluated so far are also reduced to metric values.
         if not self.rows and self._request.layout is None and len(self._recordings) > MOST_BESIDE:
             self.rows, self.other_tracks = True, []
             kept = {place: self._request.kept(other, rows=True) for place, other in self.evaluations.items()}

@@ -189,6 +189,7 @@ def _unjudged(name: str, reason: str) -> GateOutcome:
 
 def _partners(baseline: StoredReport, evaluations: Sequence[Evaluation]) -> dict[str, StoredFigures]:
     """Return the stored results that correspond to current ones, by name."""
+    # File names of single results often differ between runs, for example by a date.
     if len(evaluations) == len(baseline.results) == 1:
         return {evaluations[0].name: baseline.results[0]}
     stored: dict[str, StoredFigures] = {}
@@ -206,6 +207,7 @@ def _gates(stored: StoredFigures, tolerance: float, pooled: bool = False) -> Ite
 
 def _gate(figure: str, before: float, tolerance: float, pooled: bool = False) -> Gate:
     address = split_address(figure)
+    # Shares get an absolute tolerance: relative to a share near 1 and near 0 it would mean different things.
     if address.metric.better == "higher":
         sign, limit = "<", before - tolerance
     else:

@@ -175,7 +175,7 @@ def _interval(differences: FloatArray, rng_seed: int) -> tuple[float, float]:
         batch=max(1, BATCH_VALUES // count),
         vectorized=True,
         confidence_level=CONFIDENCE,
-        method="BCa",
+        method="BCa",  # corrects bias and skewness, which errors with long tails have
         rng=np.random.default_rng(rng_seed),
     ).confidence_interval
     return float(interval.low), float(interval.high)

@@ -167,6 +167,7 @@ def read_gates(path: Path) -> list[Gate]:
         UsageError: the file cannot be read or is empty, or a line is invalid.
     """
     try:
+        # utf-8-sig: editors on Windows write a byte order mark.
         lines = read_text(path, limits.TEXT_BYTES, "utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         found = error.strerror if isinstance(error, OSError) else "bytes that are not UTF-8"
@@ -199,6 +200,7 @@ def check_gates(
     Raises:
         UsageError: a gate names a part, such as a feature point, that no result has.
     """
+    # Misspelt parts are reported before any gate is evaluated, so that a typo never looks like a failed gate.
     for gate in gates:
         _check_part(gate.address, evaluations)
     by_name = {one.name: one for one in evaluations}
@@ -250,12 +252,14 @@ def judge_figure(gate: Gate, name: str, figure: Figure, results: int = 0) -> Gat
 
 def shown_figure(value: float, limit: float) -> str:
     """Format a value with 4 digits, or with all digits if it would then look equal to the limit."""
+    # Otherwise a log could read "coverage is 0.99" for the failed gate "coverage < 0.99".
     short = f"{value:.4g}"
     return short if value == limit or float(short) != limit else repr(value)
 
 
 def _judged(evaluation: Measured, address: Address) -> Figure:
     figure = figure_of(evaluation, address)
+    # With coverage 0, every error is that of lost or unmatched frames: a gate must not pass on it.
     if figure.value is not None and address.metric.group != "coverage" and evaluation.coverage.share == 0:
         return Figure(None, "coverage is 0")
     return figure

@@ -127,6 +127,7 @@ def worst_first(sets: Iterable[ResultSet]) -> tuple[Evaluation, ...]:
 
 def _set(pool: Pool, members: Sequence[Evaluation], failed: Counter[str], gates: GateReport) -> ResultSet:
     kind = KINDS[pool.subject]
+    # One ranking for the whole table: the first metric that at least one result has.
     worst = next((name for name in kind.worst_by if any(name in one.metrics for one in members)), None)
     worst_by = f"{worst}.mean" if worst else "coverage"
     rows = [ResultRow(one, failed[one.name], gates.baseline.get(one.name)) for one in members]
@@ -177,5 +178,6 @@ def heading(figure: str) -> tuple[str, str]:
     below = ", ".join(filter(None, (address.statistic, metric.unit)))
     if below or " " not in metric.label:
         return metric.label, below
+    # Without statistic and unit, the last word moves to the second line to keep columns narrow.
     first, _, rest = metric.label.rpartition(" ")
     return first, rest

@@ -342,6 +342,7 @@ def split_address(address: str) -> Address:
     """
     metric = metric_of(address)
     rest = address.split(".")[1:]
+    # A trailing statistic name is always parsed as a statistic, never as a part.
     statistic = rest.pop() if rest and not metric.scalar and rest[-1] in STATISTIC_NAMES else None
     part = rest[0] if rest else None
     kinds = [kind for kind in KINDS.values() if is_measured(metric, kind)]

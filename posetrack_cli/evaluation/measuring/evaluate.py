@@ -155,11 +155,13 @@ def _measured(
     curve = offsets = judged = None
     if truth is not None and pairs is not None:
         measures.notes += truth_warnings(result, track, truth, options.truth)
+        # All metrics below see the aligned track; the warnings above must see the original one.
         track = _aligned(measures, track, truth, pairs, options)
         if options.joint_offsets is not None:
             matched = Matched(track, truth, pairs)
             track, offsets = _without_offsets(measures, result, matched, options.joint_offsets)
         curve, judged = _against_truth(measures, result, Matched(track, truth, pairs), coverage)
+    # Series are restricted to matched frames, so that plots and comparisons show the evaluated ones.
     rows = np.arange(len(track), dtype=np.int64) if pairs is None else pairs.estimate
     _without_truth(measures, result, track, options, rows)
     metrics, absent = _in_order(measures, track, truth)
@@ -226,6 +228,7 @@ def _run_notes(result: Result, options: EvalOptions) -> list[str]:
 
 
 def _paired(track: Track, truth: Track, options: EvalOptions) -> Pairs:
+    # Annotated images have interpolated stamps, so frame numbers are more reliable.
     if truth.frame_index is not None and track.frame_index is not None:
         return associate_frames(track.frame_index, truth.frame_index)
     return associate(track.stamp_ns, truth.stamp_ns, options.tolerance_ns)
@@ -264,6 +267,7 @@ def _against_truth(
     curve = kind.measure(measures, matched, coverage.missed)
     if kind.measure_of_result is not None:
         kind.measure_of_result(measures, result, matched)
+    # Judges by the error series that the calls above have added.
     judged = judged_frames(measures, matched, kind)
     if judged is not None:
         honesty_metrics(measures, judged)
@@ -281,6 +285,7 @@ def _without_truth(
 
 
 def _against_images(measures: Measures, result: Result, options: EvalOptions, rows: IntArray) -> None:
+    # Imported here, as it loads the readers of all recording formats.
     from posetrack_cli.evaluation.reading.recording_of import required_recording
 
     recording = required_recording(result, options.recording)

@@ -182,7 +182,8 @@ def _largest(measures: Measures, errors: FloatArray, missed: int) -> Curve | Non
         shares = pose_metrics.share_below(values, np.array(WITHIN_MM), due)
         measures.metrics |= {name: float(share) for name, share in zip(names, shares, strict=True)}
         measures.counts |= {
-            name: Count(round(float(share) * due), due) for name, share in zip(names, shares, strict=True)
+            name: Count(round(float(share) * due), due)  # the share is a quotient of integers
+            for name, share in zip(names, shares, strict=True)
         }
     return Curve(CURVE_MM, *(pose_metrics.share_below(values, CURVE_MM, due) for values in (largest, mean)))
 

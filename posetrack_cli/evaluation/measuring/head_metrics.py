@@ -107,6 +107,7 @@ def landmark_metrics(measures: Measures, matched: Matched, camera: Camera) -> No
     projected, visible = pixels_from_points(camera, matched.of_estimate("points")[:, points.estimate])
     pixels = matched.of_truth("pixels")
     errors = distances(projected, pixels[:, points.truth])
+    # Projections of points behind the camera are meaningless, so such frames are left out.
     known: BoolArray = np.logical_and.reduce(visible, axis=1)
     if not known.all():
         measures.notes.append(

@@ -43,7 +43,7 @@ class JudgedFrames:
     @property
     def scored(self) -> tuple[FloatArray, BoolArray]:
         """Confidence and correctness of the frames with a valid confidence."""
-        known = (self.confidence >= 0.0) & (self.confidence <= 1.0)
+        known = (self.confidence >= 0.0) & (self.confidence <= 1.0)  # False for NaN
         return self.confidence[known], self.right[known]
 
 
@@ -72,6 +72,7 @@ def roc_area(confidence: FloatArray, right: BoolArray) -> float:
         confidence: (M,) any numbers; only their order matters.
         right: (M,) whether the frame is correct.
     """
+    # Mann-Whitney statistic by binary search: O(M log M) time without the M x M comparison matrix.
     high, low = confidence[right], np.sort(confidence[~right])
     if not len(high) or not len(low):
         return float("nan")
@@ -140,6 +141,7 @@ def reliability(confidence: FloatArray, right: BoolArray) -> tuple[Bin, ...]:
         right: (M,) whether the frame is correct.
     """
     edges = np.arange(BINS + 1) / BINS
+    # Clipping puts a confidence of exactly 1 into the last bin.
     places = np.clip(np.searchsorted(edges, confidence, side="right") - 1, 0, BINS - 1)
     return tuple(
         _bin(float(low), float(high), confidence[places == place], right[places == place])

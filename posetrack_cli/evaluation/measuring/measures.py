@@ -89,6 +89,7 @@ class Matched:
         for side, track in (("ground truth", self.truth), ("result", self.estimate)):
             for name in names:
                 if getattr(track, name) is None:
+                    # More helpful than naming the first of many missing arrays.
                     if track.pixels is not None:
                         return f"the {side} has only image points"
                     return f"the {side} has no {_WORDS.get(name, name)}"
@@ -202,7 +203,7 @@ class Measures:
         """Summarise values and return True; record the reason and return False if there are none."""
         if values.size:
             summary = self.metrics[address] = statistics(values)
-            if "." not in address:
+            if "." not in address:  # parts are not pooled, and their distributions would dominate memory
                 self.distributions[address] = distribution(values, summary)
         else:
             self.absent[address] = nothing or self.nothing

@@ -97,6 +97,7 @@ def make_pools(
     kinds: dict[tuple[str, str], list[Evaluation]] = {}
     for one in evaluations:
         kinds.setdefault((one.subject, one.which), []).append(one)
+    # Groups may contain the same recording twice, such as with several seeds: their pools always have values.
     alone = [pool(_name(of, kinds), of, _same_recording(of), known.get(kind)) for kind, of in kinds.items()]
     together = (pool(f"{POOLED} {name}", of, "", known.get(name)) for name, of in groups.items())
     return (*alone, *(replace(one, grouped=True) for one in together))
@@ -150,6 +151,7 @@ def pool(
         if judged is not None:
             honesty_metrics(measures, judged)
     found = measures.metrics
+    # A dict keeps the order of first occurrence, and sorted() is stable within a metric.
     every = dict.fromkeys((*_addresses(members), *found, *measures.absent))
     addresses = sorted(every, key=place_of)
     return Pool(
@@ -182,6 +184,7 @@ def _judged(members: Sequence[Evaluation]) -> JudgedFrames | None:
 
 def _shares(members: Sequence[Evaluation]) -> dict[str, Value]:
     """Return the pooled shares of the metrics that all members have counts of."""
+    # Confidence metrics are not sums of shares; pool() recomputes them from all frames.
     first, *others = (one.counts for one in members)
     common = [base for base in first if base not in HONESTY and all(base in other for other in others)]
     return {base: _share([one.counts[base] for one in members]) for base in common}

@@ -146,6 +146,7 @@ def _known(measures: Measures, name: str, values: FloatArray | None, nothing: st
 
 def _timings(measures: Measures, track: Track) -> None:
     """Add processing time and frame rate over the frames with a stored time."""
+    # NaN marks frames without a stored time.
     recorded = np.empty(0) if track.milliseconds is None else track.milliseconds
     timed = recorded[np.isfinite(recorded)]
     if not timed.size:
@@ -168,7 +169,7 @@ def particle_count(run: Mapping[str, str]) -> int | None:
             return int(configuration["particles"]["count"])
         swarm = configuration["filter"].get("kind") == "pso"
         return int(configuration["pso" if swarm else "filter"]["particles"])
-    except (KeyError, ValueError, TypeError, AttributeError, OverflowError):
+    except (KeyError, ValueError, TypeError, AttributeError, OverflowError):  # run records are untrusted
         return None
 
 

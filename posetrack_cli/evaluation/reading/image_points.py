@@ -57,6 +57,7 @@ def load_image_points(folder: Path, result: Result) -> Track:
     numbers = np.array(sorted(files), dtype=np.int64)
     pixels = np.array([_read_points(files[n]) for n in numbers.tolist()])
     _check_inside(folder, pixels, result)
+    # Numbering starts at 0 or 1; annotations need not start with the first frame.
     frames = numbers - min(1, int(numbers[0]))
     first = files[int(numbers[0])]
     return Track(
@@ -123,6 +124,7 @@ def _read_points(path: Path) -> FloatArray:
         if row in places:
             points[places[row]] = values
     right, left = (points[FACE_POINTS.names.index(name)] for name in OUTER_EYES)
+    # The normalised error is divided by the distance of the outer eye corners.
     if (right == left).all():
         raise TruthError("outer eye corners coincide", where=path)
     return points - FIRST_PIXEL
@@ -131,6 +133,7 @@ def _read_points(path: Path) -> FloatArray:
 def _check_inside(folder: Path, pixels: FloatArray, result: Result) -> None:
     """Raise an error if most points are outside the images of the result."""
     camera = result.camera()
+    # Integer coordinates are pixel centres, so the image extends from -0.5 to size - 0.5.
     inside = ((pixels >= -0.5) & (pixels < [camera.width - 0.5, camera.height - 0.5])).all(axis=2)
     if 2 * inside.sum() < inside.size:
         x, y = np.ceil(pixels.max(axis=(0, 1))).astype(int) + 1
@@ -150,6 +153,7 @@ def _stamps(folder: Path, frames: IntArray, result: Result) -> IntArray:
         known = stamp_ns = np.zeros(1, dtype=np.int64)
     if (np.diff(known) <= 0).any():
         raise TruthError("frame numbers of the result do not increase", where=folder)
+    # Relative to the first stamp, as float64 cannot represent current stamps in ns exactly.
     since = (stamp_ns - stamp_ns[0]).astype(float)
     interval = since[-1] / float(known[-1] - known[0]) if len(known) > 1 else float(NS_PER_S)
     beyond = np.minimum(frames - known[0], 0) + np.maximum(frames - known[-1], 0)

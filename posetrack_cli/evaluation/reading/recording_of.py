@@ -95,6 +95,7 @@ def check_identity(recording: Recording, run: Mapping[str, str]) -> None:
     if not stated:
         return  # the input of the run had no identity
     found = recording.identity()
+    # The size is also reported, as it often shows at a glance that a file was cut or converted.
     if found["sha256"] != stated:
         size = f" ({found['bytes']} bytes)", f" ({run.get('input.bytes', 'unknown')} bytes)"
         digests = f"{found['sha256'][:SHOWN_DIGITS]}{size[0]}", f"{stated[:SHOWN_DIGITS]}{size[1]}"
@@ -216,6 +217,7 @@ def required_recording(result: Result, given: Path | None = None, **options: Any
 
 def pixels_of(result: Result) -> PixelKind:
     """Return the kind of images of a result, from its run record or its subject."""
+    # Run records do not state the kind of images; it follows from the options of the input.
     if "input.cameras" in result.run:
         return "grey"
     if {"input.topic", "input.depth_unit_mm"} & result.run.keys():

@@ -238,6 +238,7 @@ def truth_of_columns(columns: Columns, name: str, subject: Subject) -> Track:
         ResultError: the stamps do not increase strictly.
     """
     known = columns["status"] != Status.LOST.value
+    # Lost estimates would count as errors of the evaluated result.
     if not known.all():
         columns = {key: column[known] for key, column in columns.items()}
         name = f"{name} without its {int((~known).sum())} lost frames"
@@ -264,6 +265,7 @@ def _motion(columns: Columns, name: str, subject: Subject) -> dict[str, Any]:
 
 def _known(column: np.ndarray[Any, Any]) -> np.ndarray[Any, Any] | None:
     """Return the column, or None if no message has it."""
+    # Readers fill missing optional fields with NaN.
     return None if len(column) and np.isnan(column).all() else column
 
 

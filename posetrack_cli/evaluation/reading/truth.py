@@ -150,6 +150,7 @@ def _given(result: Result, path: Path, losses: LossLog) -> Track:
         return load_image_points(path, result)
     if not path.is_file():
         raise TruthError("not a file" if path.exists() else "no such file", where=path)
+    # samefile also recognises links; all errors would be 0.
     if path.samefile(result.path):
         raise UsageError(
             "a result cannot be its own ground truth",
@@ -255,7 +256,7 @@ def _with_shape_of(truth: Track, subject: Subject) -> Track:
     ):
         return truth
     columns = np.array([truth.shape_names.index(name) for name in subject.shape_names], dtype=np.int64)
-    twist = truth.twist
+    twist = truth.twist  # its last K columns are the shape rates, in the same order
     if twist is not None:
         twist = np.hstack([twist[:, :6], twist[:, 6 + columns]])
     return replace(truth, shape_names=subject.shape_names, shape=truth.shape[:, columns], twist=twist)

@@ -91,7 +91,7 @@ class _Rows:
                 found=", ".join(names),
                 expected=", ".join(self.names),
             )
-        self.names = names
+        self.names = names  # of the first row; equal for all others
         self.stamp_ns.append(stamp_ns)
         self.rows.append(row)
 
@@ -157,6 +157,7 @@ def _together(poses: _Rows, joints: _Rows, losses: LossLog) -> tuple[_Rows, _Row
 def _track(poses: _Rows, joints: _Rows, subject: str, name: str) -> Track:
     values = poses.values(13)
     quaternion = unit_quaternions(values[:, 3:7], lambda row: f"{name}, pose at {poses.stamp_ns[row]} ns")
+    # Odometry has the linear velocity in body axes, tracks have it in camera axes.
     twist = np.hstack([rotate(quaternion, values[:, 7:10]), values[:, 10:]])
     shape = None
     if joints.names:
@@ -256,6 +257,7 @@ def points_track(file: McapFile, subject: Subject, name: str) -> Track:
         rows.append(points)
     stamp_ns = np.array(stamps, dtype=np.int64)
     check_stamps(stamp_ns, f"{name}, {topic}")
+    # Parents are indices and only valid for the exact points of the subject.
     known = names == subject.point_names
     return Track(
         name,

@@ -164,6 +164,7 @@ def _copy_extras(file: McapFile, sink: McapSink) -> list[Mapping[str, str]]:
 
 def _copy_messages(file: McapFile, sink: McapSink) -> None:
     channels = _CopiedChannels(sink)
+    # Channels are registered first, to keep their order and those without messages.
     for schema, channel in sorted(file.channels(), key=lambda pair: pair[1].id):
         if _is_copied(channel.topic):
             channels.id_of(schema, channel)
@@ -204,6 +205,7 @@ def _write_metrics(sink: McapSink, evaluation: Evaluation) -> None:
     channel_id = sink.json_channel(topic, METRICS_SCHEMA_NAME, metrics_schema(values))
     for row, stamp_ns in enumerate(track.stamp_ns.tolist()):
         message = {"stamp_ns": stamp_ns, "status": track.status(row).value}
+        # JSON has no NaN; missing metrics are left out.
         message |= {name: float(of[row]) for name, of in values.items() if np.isfinite(of[row])}
         sink.write(channel_id, stamp_ns, json.dumps(message, separators=(",", ":")).encode())
         if row % _CHUNK_FRAMES == _CHUNK_FRAMES - 1:

@@ -46,6 +46,7 @@ def check_reports(reports: Iterable[Path], inputs: Iterable[Path], *, overwrite:
         UsageError: a report is a folder, a device, an input or another report, or exists already.
         ResultError: the folder of a report does not exist.
     """
+    # Compared by real path, as symbolic links can lead to an input.
     taken = {real_path(path): "an input" for path in inputs}
     for report in reports:
         check_place(report)
@@ -100,6 +101,7 @@ def json_report(
         pools: the pools.
         rows: whether the layout is ``rows``.
     """
+    # No creation time, so that equal evaluations give equal files.
     report = {
         "format": FORMAT,
         "version": version(),

@@ -200,7 +200,7 @@ def _offset_cells(removed: JointOffsets, name: str) -> tuple[str, ...]:
     if name not in removed.names:
         return (ABSENT,) * len(OFFSET_COLUMNS)
     row = removed.names.index(name)
-    values = np.round([*removed.offsets[row], removed.lengths[row]], 1) + 0.0  # no -0.0
+    values = np.round([*removed.offsets[row], removed.lengths[row]], 1) + 0.0  # + 0.0 turns -0.0 into 0.0
     return tuple(f"{value:.1f}" for value in values)
 
 
@@ -211,7 +211,7 @@ def closing_lines(evaluations: Sequence[Evaluation]) -> list[str]:
     """
     of: dict[str, list[str]] = {}
     for one in evaluations:
-        for line in dict.fromkeys(_lines(one)):
+        for line in dict.fromkeys(_lines(one)):  # without duplicates, in order
             of.setdefault(line, []).append(one.name)
     return [
         line if len(names) == len(evaluations) else f"{some_names(names)}: {line}"
@@ -325,6 +325,7 @@ def _lines(evaluation: Evaluation) -> list[str]:
 
 def _absent_lines(absent: Mapping[str, str]) -> Iterator[str]:
     """Yield one line per reason; parts are left out if the whole is also missing."""
+    # With 21 joints per metric, listing the parts of missing metrics would hide everything else.
     wholes = [base for base in absent if base.partition(".")[0] == base or base.split(".")[0] not in absent]
     for reason in dict.fromkeys(absent[base] for base in wholes):
         names = ", ".join(base for base in wholes if absent[base] == reason)

@@ -52,7 +52,7 @@ class DepthRange:
         good = z[np.isfinite(z) & (z > 0)]
         if not good.size:
             return cls(*_USUAL_MM)
-        low, high = np.percentile(good, [1.0, 99.0])
+        low, high = np.percentile(good, [1.0, 99.0])  # single bad frames must not compress the colours
         return cls(max(0.0, float(low) - _IN_FRONT_MM), float(high) + _BEHIND_MM)
 
 

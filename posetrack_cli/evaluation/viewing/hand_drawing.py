@@ -110,6 +110,7 @@ def _thumb_of(shown: Shown) -> FloatArray:
 
 def _rim(mask: BoolArray) -> BoolArray:
     """Return the boundary pixels of a region."""
+    # A border value of 1 keeps the edge of the image from being drawn as a contour.
     eroded = cv2.erode(mask.astype(np.uint8), _RIM, borderType=cv2.BORDER_CONSTANT, borderValue=1)
     return np.asarray(mask & (eroded == 0), dtype=np.bool_)
 

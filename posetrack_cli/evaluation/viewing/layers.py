@@ -73,7 +73,7 @@ class DrawnTrack:
     def row(self, stamp_ns: int) -> int | None:
         """Return the row of the estimate nearest in time within ``TOLERANCE_NS``; None without one."""
         stamps = self.track.stamp_ns
-        if not stamps.size:
+        if not stamps.size:  # nearest_rows requires at least one stamp
             return None
         row = int(nearest_rows(np.array([stamp_ns]), stamps)[0])
         return row if abs(int(stamps[row]) - stamp_ns) <= TOLERANCE_NS else None
@@ -115,6 +115,7 @@ class DrawnEstimate:
     @property
     def mark(self) -> Colour | None:
         """Colour of the border of frames that are lost or reinitialised; None for other frames."""
+        # Frames without an estimate are marked like lost ones.
         return {"tracking": None, "reinitialised": FOUND_ANEW}.get(self.status, LOST)
 
     @property
@@ -140,7 +141,7 @@ def _shortened(name: str) -> str:
     """Abbreviate a long name in the middle."""
     if len(name) <= MOST_OF_NAME:
         return name
-    half = (MOST_OF_NAME - 3) // 2
+    half = (MOST_OF_NAME - 3) // 2  # 3 for the ellipsis
     return f"{name[:half]}...{name[-half:]}"
 
 
@@ -291,7 +292,7 @@ def drawn_tracks(
         for which in tracks
     ]
     drawn = []
-    for (result, which, name), tone in zip(shown, TONES, strict=False):
+    for (result, which, name), tone in zip(shown, TONES, strict=False):  # the layout checks the number
         track = track_of_result(result, name, which)
         shown_name = name if len(shown) > 1 else ""
         drawn.append(DrawnTrack(track, drawer_of(result), tone, shown_name, point_errors(track, truth)))
@@ -317,5 +318,6 @@ def not_lost(track: Track, rows: IntArray) -> IntArray:
 
 def rate_of(track: Track, rows: IntArray) -> float:
     """Return the frame rate of some rows for playback in real time, Hz."""
+    # The median ignores gaps between selected ranges.
     steps = np.diff(track.stamp_ns[rows])
     return NS_PER_S / float(np.median(steps)) if steps.size else USUAL_RATE_HZ

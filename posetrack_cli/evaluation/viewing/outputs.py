@@ -147,6 +147,7 @@ class VideoFile:
         with self._failures_told():
             self._mux(None)
             self._release()
+        # FFmpeg does not report all write errors, for example on a full disk.
         if not _plays(self._part, self._size, self._count):
             self.discard()
             raise ResultError("video cannot be read back", where=self._path, hint="check disk space")

@@ -81,6 +81,7 @@ class DepthPanels:
         )
         width, _ = self.size
         tracks = drawing.tracks
+        # Side by side, each panel has its own caption; otherwise one caption spans all panels.
         if layout == "side-by-side":
             each = width // len(tracks)
             self._captions = [Captions(self._longest((drawn,)), each) for drawn in tracks]
@@ -381,6 +382,7 @@ class ImagePanels:
         pictures = []
         for panel, image in zip(self._panels, instant.frame.images, strict=True):
             canvas = panel.canvas(image, instant.points)
+            # Ground truth first: its wide lines remain visible around the estimate.
             if instant.truth is not None:
                 seen_from(canvas.camera, instant.truth).outline(canvas, TRUTH)
             seen_from(canvas.camera, drawn).draw(canvas)

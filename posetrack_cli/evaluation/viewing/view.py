@@ -113,6 +113,7 @@ class ResultView:
         )
         cameras = _common_cameras(results, recording)
         self._panels = style.panels(results, cameras, drawing, options)
+        # The size of the panels is only known once they exist, so they are created again if they must shrink.
         if options.sheet and options.scale is None:
             shrunk = fitting_sheet(len(self.rows), self._panels.size)
             if shrunk < 1.0:
@@ -182,6 +183,7 @@ def _common_cameras(results: Sequence[Result], recording: Recording) -> tuple[Ca
     """Return the cameras that all results have in common."""
     cameras = cameras_of(results[0], recording)
     for other in results[1:]:
+        # Camera names can differ, for example with another camera file.
         if _unnamed(other.cameras()) != _unnamed(cameras):
             raise UsageError("results have different cameras", found=f"{results[0].path} and {other.path}")
     return cameras

@@ -87,5 +87,6 @@ class SubjectKind:
         """Return the parts of a metric; names of points and shape entries default to the built-in model's."""
         if metric.part is None:
             return ()
+        # Names of a result take precedence, as head points depend on its face model.
         own = {self.point_part: tuple(point_names), self.shape_part: tuple(shape_names)}
         return own.get(metric.part) or self.parts.get(metric.part, ())
