@@ -152,7 +152,10 @@ def test_hardly_any_frames_are_evaluated(
     [
         (["--fail-if", "joint_eror_mm.mean > 1"], "did you mean 'joint_error_mm'"),
         (["--fail-if", "joint_error_mm > 1"], "lacks a statistic"),
-        (["--fail-if", "coverage is 1"], "METRIC[.PART][.STATISTIC] OPERATOR NUMBER, with OPERATOR one of > >= < <= == !="),
+        (
+            ["--fail-if", "coverage is 1"],
+            "METRIC[.PART][.STATISTIC] OPERATOR NUMBER, with OPERATOR one of > >=",
+        ),
         (["--fail-if", "coverage < 99%"], "write 0.99 for 99 %"),
         (["--truth-tolerance-ms", "-1"], "tolerance out of range"),
         (["--align", "loose"], "'loose' is not one of"),

@@ -125,7 +125,10 @@ def test_gates_on_all_together_and_over_results(
     ("arguments", "said"),
     [
         (["--fail-if", "pooled.joint_error_mm.wrist.mean > 1"], "parts of 'joint_error_mm' are not pooled"),
-        (["--fail-if", "p99(coverage) < 1"], "invalid statistic over results 'p99(coverage)', expected one of mean(...)"),
+        (
+            ["--fail-if", "p99(coverage) < 1"],
+            "invalid statistic over results 'p99(coverage)', expected one of",
+        ),
         (["--fail-if", "p95(coverag) < 1"], "did you mean 'coverage'"),
         (["--junit", "/tmp/none.xml"], "--junit requires gates, expected --fail-if, --gates or --baseline"),
         (["--worst", "-1"], "-1"),
