@@ -153,5 +153,5 @@ def test_a_recording_too_short_to_say_anything(tmp_path: Path, capsys: pytest.Ca
     short, output = tmp_path / "short.mcap", tmp_path / "hand.toml"
     write_synthetic(SynthOptions(frames=3, seed=4), short)
     assert calibrate(short, output, "--hand-side", "right") == 1
-    assert "no hand that can be tracked" in one_line(capsys)
+    assert "no trackable hand" in one_line(capsys)
     assert not output.exists()

@@ -144,7 +144,7 @@ def test_a_hand_of_another_size_is_found_with_it(tmp_path: Path, monkeypatch: py
     """
 
     def too_few(*arguments: object) -> Calibration:
-        raise RecordingError("no hand that can be tracked")
+        raise RecordingError("no trackable hand")
 
     monkeypatch.setattr(autodetect, "shape_of", too_few)
     path = tmp_path / "small.mcap"

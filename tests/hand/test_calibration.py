@@ -378,12 +378,12 @@ def test_frames_that_fit_badly_are_left_out_and_too_few_are_refused(monkeypatch:
     costs = np.array([2.0, 1.0, 2.2, 9.0, np.inf, 2.1, 2.3, 3.0, 1.5])
     assert calibrator.chosen(costs).tolist() == [0, 1, 2, 5, 6, 8]  # median 2.15
     for costs in (np.full(9, np.inf), np.where(np.arange(9) < 3, 2.0, np.inf)):
-        with pytest.raises(RecordingError, match=r"shown\.mcap: no hand that can be tracked, found \d of 9"):
+        with pytest.raises(RecordingError, match=r"shown\.mcap: no trackable hand, found \d of 9"):
             calibrator.chosen(costs)
 
 
 def test_a_recording_without_frames_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(RecordingError, match=r"shown\.mcap: holds no frame"):
+    with pytest.raises(RecordingError, match=r"shown\.mcap: recording has no frame"):
         chosen_of(Shown([]), CalibrationOptions("right"), monkeypatch)
 
 
@@ -619,7 +619,7 @@ def test_a_recording_without_a_hand_is_told(tmp_path: Path) -> None:
     for k in range(6):
         (source / f"{k:06d}.png").write_bytes(encode_png(np.full((424, 512), 2500, np.uint16), 1))
     (source / "camera.toml").write_text("fx = 365.0\nfy = 365.0\ncx = 255.5\ncy = 211.5\n")
-    with pytest.raises(RecordingError, match=r"no hand that can be tracked.*0 of 6 frames"):
+    with pytest.raises(RecordingError, match=r"no trackable hand.*0 of 6 frames"):
         calibrate(open_recording(source, fps=30.0), HandConfig(), CalibrationOptions())
 
 

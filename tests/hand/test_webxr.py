@@ -125,7 +125,7 @@ def test_a_flat_hand_s_side_is_in_the_file_s_name(tmp_path: Path) -> None:
     same = [load_hand(write_hand(tmp_path / name, flat, AXES)) for name in ("my_right.glb", "left-hand.glb")]
     # what is laid out flat is its own mirror image, seen from the other side
     np.testing.assert_allclose(same[0].anatomy.segments, same[1].anatomy.segments, atol=FLOAT32_MM)
-    with pytest.raises(UsageError, match=r"flat\.glb: a flat hand.*name the file right\.glb"):
+    with pytest.raises(UsageError, match=r"flat\.glb: side of a flat hand.*name the file right\.glb"):
         load_hand(write_hand(tmp_path / "flat.glb", flat, AXES))
 
 
