@@ -201,7 +201,10 @@ def test_a_run_that_cannot_be_done_is_refused_before_a_shape_is_estimated(
         (("--shape", "none.toml"), "none.toml: no such configuration"),
         (("--shape", "FOLDER"), "configuration cannot be read"),
         (("--shape", "FILE", "--hand-mesh", "MESH"), "no hand.coefficients together with hand.mesh"),
-        (("--hand-mesh", "MESH", "--set", "hand.coefficients=[1.0]"), "no hand.coefficients together with hand.mesh"),
+        (
+            ("--hand-mesh", "MESH", "--set", "hand.coefficients=[1.0]"),
+            "no hand.coefficients together with hand.mesh",
+        ),
         (
             ("--set", "hand.coefficients=[9.0]"),
             "'hand.coefficients.0' cannot be used, found 9.0, expected 5 or",
