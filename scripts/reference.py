@@ -219,8 +219,8 @@ def _row(uses: Sequence[Use]) -> str:
     return f"| {names} | {value} | {meaning} | {listed} |\n"
 
 
+# A bar within a table cell; some renderers show the backslash of ``\|`` inside code
 _BAR = "&#124;"
-"""A bar within a table cell; some renderers show the backslash of ``\\|`` inside code."""
 
 
 def _code(text: str) -> str:

@@ -25,8 +25,10 @@ gc.disable()  # a compiler's objects stay alive; collection would take an eighth
 from posetrack_cli.cli.main import run
 sys.exit(next((code for code in map(run, map(str.split, sys.argv[1:])) if code), 0))
 """
+# Program that runs command lines (one per argument) in one process until one fails
 POSETRACK = (sys.executable, "-c", _ALL)
-"""Program that runs command lines (one per argument) in one process until one fails."""
+# Command lines that use every kernel; tuples run in parallel, the lines of a tuple in sequence. The head
+# recording is long enough for a skin map.
 RUNS = (
     (
         "hand synth --frames 3 -o hand.mcap",
@@ -40,8 +42,6 @@ RUNS = (
         "head mono head.mcap --cameras left --particles 20 -o mono.mcap",
     ),
 )
-"""Command lines that use every kernel; tuples run in parallel, the lines of a tuple in sequence. The head
-recording is long enough for a skin map."""
 TRACKERS = ("run", "stereo", "mono")  # commands whose second run must give an identical file
 
 

@@ -61,6 +61,7 @@ class Size(click.ParamType[int]):
         return size
 
 
+# Options of every batch command
 BATCH_OPTIONS = options_of(
     option_group(
         option(
@@ -135,7 +136,6 @@ BATCH_OPTIONS = options_of(
         title=WRITTEN,
     )
 )
-"""Options of every batch command."""
 
 
 @click.group()
@@ -219,6 +219,7 @@ def run_batch_command(
     folder = options["results"]
     _make_folder(folder)
     with _locked(folder):
+        # The test for case needs the folder to exist, so names that differ only in case are checked late.
         if _folds_case(folder):
             _check_places(folder, plan.jobs, str.casefold)
         outcomes = _run(plan, options)
@@ -251,7 +252,7 @@ def _judging(options: dict[str, Any]) -> Judging:
     )
     written = [path for path in (reports.junit, reports.markdown) if path is not None]
     inputs = [*options["gate_files"], *([] if baseline is None else [baseline])]
-    check_reports(written, inputs, overwrite=True)
+    check_reports(written, inputs, overwrite=True)  # a repeated batch rewrites its reports
     return Judging(request, reports, MOST_SHOWN)
 
 
@@ -328,6 +329,7 @@ def _check_places(folder: Path, jobs: Sequence[Job], alike: Callable[[str], str]
                 taken |= {
                     alike(str(one)): f"the {what} of {job.recording}" for one in (path, part_path(path))
                 }
+    # A name such as a.mcap/b would need a folder at the path of a file.
     for job in jobs:
         for above in job.output.relative_to(folder).parents[:-1]:
             check("folder", folder / above, job)
@@ -387,6 +389,7 @@ def _run(plan: _Plan, options: dict[str, Any]) -> list[Outcome]:
     from posetrack_cli.batch.scheduling import run_batch
 
     scratch = options["results"] / RECORDS_FOLDER / "scratch"
+    # The affinity respects taskset and container limits, unlike os.cpu_count.
     jobs = options["jobs"] or len(os.sched_getaffinity(0))
     if plan.piece_arguments is None:
         jobs = min(jobs, len(plan.jobs))  # cores are divided among jobs: a single one gets all of them
@@ -442,6 +445,7 @@ def _note_processors(summary: Summary) -> None:
     from posetrack_cli.build import only_in, processor_features
 
     kinds = set(summary.processors)
+    # Reused results are compared with those that this machine would give.
     if any(one.state is State.KEPT for one in summary.outcomes):
         kinds.add(processor_features())
     if len(kinds) > 1:

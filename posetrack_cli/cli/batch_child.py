@@ -54,6 +54,7 @@ def _leave_when_alone() -> None:
     """Exit as soon as the parent has ended: the job may be started elsewhere."""
     while os.read(_INPUT, _READ_BYTES):
         pass
+    # sys.exit would only end this thread.
     os._exit(EXIT_FAILED)
 
 
@@ -80,6 +81,7 @@ def _do(task: dict[str, Any], told: IO[str]) -> int:
             expected=task["sources"],
             hint="install the same version on all workers, then run the same command again",
         )
+    # Digests computed by the split job save reading the whole recording again for each piece.
     if task["digests"]:
         tell_digests(task["digests"])
     if task["kind"] == "split":

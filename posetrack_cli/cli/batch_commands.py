@@ -36,7 +36,7 @@ class BatchProgress:
         self._total, self._over, self._failed = total, 0, 0
         self._frames: dict[str, int] = {}  # of running jobs, by name
         self._done, self._began_s = 0, time.monotonic()
-        self._lock = Lock()
+        self._lock = Lock()  # callbacks come from threads of the engine
         self._stack = ExitStack()
         self._bar = self._stack.enter_context(bar("batch", "recording", total))
 
@@ -93,10 +93,10 @@ def line_of(outcome: Outcome) -> str:
     return f"{outcome.name}: {outcome.state.value}, {done}{reason}"
 
 
+# Parameters that a batch sets itself, or that name a single output file
 _OWN = ("recording", "output", "resume", "overwrite", "save_model", "quiet", "verbose")
-"""Parameters that a batch sets itself, or that name a single output file."""
+# Applies to the first piece of a recording only
 _OF_FIRST = "init"
-"""Applies to the first piece of a recording only."""
 _FRAMES = ("start", "end")
 
 
@@ -164,6 +164,7 @@ class BatchCommand:
         Raises:
             UsageError: an invalid value.
         """
+        # Placeholders for required arguments; nothing is opened.
         line = [*arguments, "--output=checked.mcap", "--", "checked"]
         try:
             with self.command.make_context(" ".join(self.words), line) as context:
@@ -196,7 +197,7 @@ def _is_given(context: click.Context, parameter: click.Parameter) -> bool:
 
 def _tokens(parameter: click.Parameter, value: Any) -> list[str]:
     """Convert a parsed option back to arguments."""
-    long = max(parameter.opts, key=len)
+    long = max(parameter.opts, key=len)  # "--seed=1" is one argument, and safe for values with a dash
     if isinstance(parameter, click.Option) and parameter.is_flag:
         return [long if value else max(parameter.secondary_opts, key=len)]
     values = value if parameter.multiple else [value]
@@ -222,6 +223,7 @@ def _hand_learned(arguments: Sequence[str], result: Path) -> tuple[str, ...]:
 def _head_learned(arguments: Sequence[str], result: Path) -> tuple[str, ...]:
     if any(one.startswith("--person=") for one in arguments):
         return ()  # --person fixes the face of all pieces
+    # The model of the first piece replaces the learning pass.
     return ("--passes=1", f"--load-model={result}")
 
 

@@ -212,6 +212,7 @@ def hand_calibrate(recording: Path, output: Path, **options: Any) -> None:
     )
     if warning := found.warning:
         print_note(f"{recording}: a {found.side} hand, {found.length_mm:.0f} mm long{warning}")
+    # resolve(): the recording may be "." or a link.
     result = Path(f"{recording.resolve().stem}-tracked.mcap")
     print_next(("hand", "run", recording, "--shape", output, "-o", result))
     if source.losses:

@@ -58,7 +58,7 @@ class Command(click.Command):
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command at the requested verbosity."""
-        check_memory()
+        check_memory()  # here and not in main: --help works under any limit
         began_s = time.perf_counter(), time.process_time()
         ctx.meta[_BEGAN] = began_s[0]
         with volume(ctx.meta.get(_VOLUME, USUAL)), phases_shown(show_phase):
@@ -84,11 +84,12 @@ class Command(click.Command):
             return parameters
         more: dict[str, Any] = {"is_flag": True, "is_eager": True, "expose_value": False}
         shown = Option([HELP_ALL], help="Show all options and exit.", callback=_show_all, **more)
-        return [*parameters[:-1], shown, parameters[-1]]
+        return [*parameters[:-1], shown, parameters[-1]]  # click's --help stays last
 
     def groups(self, context: click.Context, *, rare: bool) -> dict[str, list[tuple[str, str]]]:
         """Return the help records of the options by heading, in order of declaration."""
         found: dict[str, list[tuple[str, str]]] = {}
+        # getattr: the --help option is click's own and has no group.
         for parameter in self.get_params(context):
             is_shown = isinstance(parameter, click.Option) and (rare or not getattr(parameter, "rare", False))
             record = parameter.get_help_record(context) if is_shown else None
@@ -114,8 +115,9 @@ class Command(click.Command):
 
 
 def _show_all(context: click.Context, parameter: click.Parameter, value: bool) -> None:
-    if value and not context.resilient_parsing:
+    if value and not context.resilient_parsing:  # resilient parsing is shell completion
         context.meta[HELP_ALL] = True
+        # Line by line: print_line escapes line breaks.
         for line in context.get_help().splitlines():
             print_line(line)
         context.exit()
@@ -141,6 +143,7 @@ def option(*names: str, **attributes: Any) -> OptionDecorator:
 def _set_volume(context: click.Context, parameter: click.Parameter, value: bool) -> None:
     if not value:
         return
+    # The meta data of a context is shared by nested commands.
     own = QUIET if parameter.name == "quiet" else VERBOSE
     if context.meta.setdefault(_VOLUME, own) != own:
         raise click.BadParameter("--quiet and --verbose are mutually exclusive", context, parameter)

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 PARTICLES = 512
 REPEATS = 11
 MOST_DEVICES = 16
+# Run-time dependencies; their versions belong in every bug report
 LIBRARIES = (
     "av",
     "numpy",

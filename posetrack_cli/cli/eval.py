@@ -45,8 +45,8 @@ if TYPE_CHECKING:
     from posetrack_cli.evaluation.viewing.pictures import Picture
     from posetrack_cli.losses import Loss
 
+# Option names of the reports that are text
 TEXT_REPORTS = ("json", "csv", "curve", "junit", "markdown")
-"""Option names of the reports that are text."""
 WORST_FRAMES = 6
 
 
@@ -275,6 +275,7 @@ def _check_reports(request: Request, options: dict[str, Any]) -> dict[Path, Path
         raise UsageError("more than one report goes to standard output", hint="write the others to files")
     if STANDARD_OUTPUT in reports and sys.stdout is None:
         raise UsageError("standard output is closed", hint="write the report to a file")
+    # Checks come before the measurement, which may take minutes.
     if options["html"] is not None:
         from posetrack_cli.evaluation.html import check_page
 
@@ -284,7 +285,7 @@ def _check_reports(request: Request, options: dict[str, Any]) -> dict[Path, Path
     inputs += [path for paths in request.groups.values() for path in paths]
     out, overwrite = options["mcap"], options["overwrite"]
     outputs = {} if out is None else mcap_outputs(out, request.paths, overwrite=overwrite)
-    reports += [path for path in outputs.values() if path.parent.is_dir()]
+    reports += [path for path in outputs.values() if path.parent.is_dir()]  # other folders are created later
     check_reports((path for path in reports if path != STANDARD_OUTPUT), inputs, overwrite=overwrite)
     return outputs
 
@@ -458,6 +459,7 @@ def _close(found: Assessment, lost: dict[str, tuple[Loss, ...]]) -> None:
     cut = {name: losses for name, losses in lost.items() if losses and name not in known}
     for name, losses in cut.items():
         print_note(f"{name}: only the readable part was written: {loss_line(losses)}")
+    # A failed gate takes precedence: CI should see it whatever else happened.
     context = click.get_current_context()
     if found.failed:
         context.exit(EXIT_FAILED)

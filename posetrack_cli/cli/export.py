@@ -168,6 +168,7 @@ def export(
     source = export_source(result, topic or result.topic_of_track(track), lost=not no_lost)
     notes: tuple[str, ...] = ()
     pieces: Iterable[str] | None = None
+    # BVH needs the hand model, which is above the results package in the layers.
     if chosen == "bvh":
         pieces, notes = _bvh(source)
     if output is None:

@@ -194,6 +194,7 @@ def _prepare(recording: Path, options: dict[str, Any]) -> tuple[HandRun, int | N
     config = _configuration(options)
     source = open_hand_recording(recording, options)
     keypoints = _keypoints(options, source)
+    # Cheap checks come first; detection of side and shape takes seconds.
     own = {name: options[name] for name in (*RUN_OPTIONS, "init", "smooth")}
     run_options = RunOptions(**own, keypoints=keypoints)
     device = open_fastest_device(options["device"])

@@ -52,13 +52,13 @@ if TYPE_CHECKING:
 
 
 HeadConfig = TypeVar("HeadConfig", "HeadStereoConfig", "HeadMonoConfig")
+# Configuration keys by option name
 CONFIGURED = {
     "particles": "particles.count",
     "detector": "start.detection.detector",
     "detector_model": "start.detection.model",
     "passes": "run.passes",
 }
-"""Configuration keys by option name."""
 HEAD_RUN_OPTIONS = (*RUN_OPTIONS, "load_model", "save_model", "smooth")
 
 
@@ -200,6 +200,7 @@ def track_head(
         name_partial_result(options.output),
         ExitStack() as stack,
     ):
+        # The run reports to bars that are created after it, so the callback looks them up late.
         reports: list[Report] = []
         run = made(lambda estimate: reports[0](estimate))  # may print, so the bars come later
         total = frames_ahead(source, options)

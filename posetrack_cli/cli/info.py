@@ -58,6 +58,7 @@ def _json_text(report: Values) -> str:
 
 def report_lines(report: Values) -> Iterator[str]:
     """Yield a report of ``describe`` as lines of text."""
+    # The lines are stable: scripts/digests compares them between versions.
     lines = {
         "folder": _folder_lines,
         "images": _image_lines,

@@ -30,8 +30,8 @@ from posetrack_cli.cli.terminal import discard_output, print_line, print_note
 from posetrack_cli.cli.view import view
 from posetrack_cli.errors import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED, PosetrackError, error_words
 
+# CPython's message for every limit on threads; it raises a plain RuntimeError
 _NO_THREAD = "can't start new thread"
-"""CPython's message for every limit on threads; it raises a plain RuntimeError."""
 
 
 class _Group(click.Group):
@@ -77,6 +77,7 @@ for command in (hand, head, batch, evaluate, view, export, info, convert, calibr
 
 def main() -> None:
     """Run posetrack on ``sys.argv`` and exit."""
+    # The order matters: BLAS settings must precede the import of numpy, and a fork must precede all threads.
     prepare_process()
     terminate_as_interrupted()
     fork_under_memory_limit()
@@ -94,6 +95,7 @@ def run_safely(work: Callable[[], int]) -> int:
         return work()
     except PosetrackError as error:
         return _failed(str(error), error.exit_code)
+    # A ClickException whose message is the help; shown as it is, not as one line.
     except click.exceptions.NoArgsIsHelpError as error:
         error.show()
         return error.exit_code
@@ -101,6 +103,7 @@ def run_safely(work: Callable[[], int]) -> int:
         return _failed(_usage_line(error), error.exit_code)
     except (click.Abort, KeyboardInterrupt):
         return _failed("interrupted", EXIT_INTERRUPTED)
+    # The reader of the output has gone, for example `head`; there is nobody to report to.
     except BrokenPipeError:
         discard_output()
         return EXIT_FAILED
@@ -119,6 +122,7 @@ def run_safely(work: Callable[[], int]) -> int:
 
 
 def _done(arguments: list[str]) -> int:
+    # Standalone mode would print errors itself and exit.
     code = cli.main(args=arguments, prog_name="posetrack", standalone_mode=False)
     if sys.stdout is not None:
         sys.stdout.flush()

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from posetrack_cli.configuration import Settings
 
 
+# Path of a file or folder, with shell completion
 FILE = click.Path(path_type=Path)
-"""Path of a file or folder, with shell completion."""
 FILE_OR_STANDARD_OUTPUT = click.Path(path_type=Path, allow_dash=True)
 
 
@@ -47,6 +47,7 @@ def options_of(group: OptionDecorator) -> tuple[Option, ...]:
     def nothing() -> None:
         pass
 
+    # Click collects the options of decorators here, last one first.
     added: list[Option] = getattr(group(nothing), "__click_params__")  # noqa: B009 as click keeps them
     return tuple(reversed(added))
 
@@ -125,8 +126,8 @@ def only_once(context: click.Context, parameter: click.Parameter, values: tuple[
 
 
 FILTERED, SMOOTHED = "filtered", "smoothed"
+# As in ``results.topics``, whose import would slow down --help
 TRACKS = (FILTERED, SMOOTHED)
-"""As in ``results.channels``, whose import would slow down --help."""
 BOTH = "both"
 
 
@@ -467,8 +468,8 @@ def markdown_option() -> OptionDecorator:
 
 Config = TypeVar("Config", bound="Settings")
 
+# Options that are also fields of ``tracking.options.RunOptions``
 RUN_OPTIONS = ("output", "seed", "start", "end", "stride", "resume", "overwrite", "timings")
-"""Options that are also fields of ``tracking.options.RunOptions``."""
 
 
 def config_option(shipped: str) -> OptionDecorator:
@@ -506,6 +507,7 @@ def configuration_options(shipped: str, example: str) -> OptionDecorator:
     )
 
 
+# Defaults are part of the text where click would add the range to them.
 frame_options = option_group(
     option("--start", metavar="N", type=click.IntRange(min=0), default=0, help="First frame.  [default: 0]"),
     option(
@@ -561,5 +563,6 @@ def configuration_of(kind: type[Config], options: Mapping[str, Any], configured:
     from posetrack_cli.configuration import find_configuration, load_settings, parse_assignments
 
     files = [find_configuration(name) for name in options["configs"]]
+    # Options that set a key have no default of their own, so None means that they are not given.
     own = {key: options[name] for name, key in configured.items() if options[name] is not None}
     return load_settings(kind, files, parse_assignments(options["settings"]) | own)

@@ -31,9 +31,9 @@ _DEBUG = "POSETRACK_DEBUG"
 _STANDARD = (0, 1, 2)
 _ERROR = 2
 _BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+# Threshold of the garbage collector, 700 by default. Most objects are created by imports and compilation
+# and stay alive; looking for garbage took a tenth of a short run.
 _NEW_OBJECTS = 20_000
-"""Threshold of the garbage collector, 700 by default. Most objects are created by imports and compilation
-and stay alive; looking for garbage took a tenth of a short run."""
 
 
 def is_debugging() -> bool:
@@ -100,11 +100,11 @@ def _silence_python_libraries() -> None:
 
 
 LEAST_DATA_BYTES = 1 << 29
+# Minimum limits of address space and data, bytes; below them libraries abort or hang while loading
 _LEAST = {
     "ulimit -v": (resource.RLIMIT_AS, 5 << 28),
     "ulimit -d": (resource.RLIMIT_DATA, LEAST_DATA_BYTES),
 }
-"""Minimum limits of address space and data, bytes; below them libraries abort or hang while loading."""
 
 
 def check_memory() -> None:
@@ -148,15 +148,16 @@ def fork_under_memory_limit() -> None:
             f"posetrack: a library aborted, probably out of memory ({', '.join(limited)}); raise the limit"
         )
         code = EXIT_FAILED
+    # A negative code is a signal; shells report 128 plus its number.
     os._exit(code if code >= 0 else 128 - code)
 
 
+# ``PR_SET_PDEATHSIG`` of Linux
 _SET_SIGNAL_AT_PARENTS_END = 1
-"""``PR_SET_PDEATHSIG`` of Linux."""
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
+# Time a stop may take while kernels compile; a single step of the compiler takes up to 10 s
 GRACE_S = 1.0
-"""Time a stop may take while kernels compile; a single step of the compiler takes up to 10 s."""
 
 
 def terminate_as_interrupted() -> None:
@@ -175,6 +176,7 @@ def stop_signals(at_once: Callable[[], bool] = lambda: False) -> Iterator[Callab
 
     def stop(number: int, frame: object) -> None:
         requested.set()
+        # The next Ctrl-C raises KeyboardInterrupt.
         signal.signal(signal.SIGINT, signal.default_int_handler)
         if at_once():
             raise KeyboardInterrupt
@@ -198,7 +200,7 @@ def watch_signals(is_stuck: Callable[[], bool], give_up: Callable[[], None]) -> 
     # Python runs signal handlers between bytecodes only; the wakeup descriptor is written immediately.
     requested, left = threading.Event(), threading.Event()
     reading, writing = os.pipe()
-    os.set_blocking(writing, False)
+    os.set_blocking(writing, False)  # required by set_wakeup_fd
 
     def watch() -> None:
         while number := os.read(reading, 1):
@@ -215,6 +217,7 @@ def watch_signals(is_stuck: Callable[[], bool], give_up: Callable[[], None]) -> 
     finally:
         signal.set_wakeup_fd(before)
         left.set()
+        # Closing the writing end ends the thread's read.
         os.close(writing)
         thread.join()
         os.close(reading)

@@ -196,14 +196,15 @@ def next_of_result(recording: Path, result: Path) -> Iterator[Sequence[str | Pat
     """Yield the commands for a report and a video of a result."""
     page, video = result.with_suffix(".html"), result.with_suffix(".mp4")
     yield ("eval", result, "--html", page, *(["--overwrite"] if page.exists() else []))
+    # face.mp4 tracked to face.mcap: the video must not replace the recording.
     is_recording = video.exists() and recording.exists() and video.samefile(recording)
     if is_recording:
         video = video.with_stem(f"{video.stem}-tracked")
     yield ("view", result, "-o", video, *(["--overwrite"] if video.exists() else []))
 
 
+# Shorter compilation is not reported
 _LEAST_COMPILING_S = 1.0
-"""Shorter compilation is not reported."""
 
 
 def _rate(frames: int, seconds: float) -> str:
@@ -234,6 +235,7 @@ def close(recording: Path, output: Path, outcome: RunOutcome, passes: int = 1) -
     if outcome.stopped:
         print_note(f"interrupted after {what}: {part_path(output)}; continue with --resume")
         click.get_current_context().exit(EXIT_INTERRUPTED)
+    # Problems come after the suggested commands, at the end of the output, where they are seen.
     print_line(f"{what}: {output}")
     for remark in outcome.remarks:
         print_remark(recording, remark)

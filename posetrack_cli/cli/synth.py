@@ -56,11 +56,11 @@ SHAPE = (
 )
 
 
+# Their default, None, stands for the default of the motion
 switch_options = option_group(
     *(option(f"--{name}/--no-{name}", default=None, help=text) for name, text in SWITCHES),
     title="Switches",
 )
-"""Their default, None, stands for the default of the motion."""
 shape_options = option_group(
     option("--random-hand", is_flag=True, help="Choose hand size and shape at random from the seed."),
     hand_mesh_option,
@@ -150,6 +150,7 @@ def synth_options(values: dict[str, Any]) -> Any:
     from posetrack_cli.synthesis.hand.options import Switches, SynthOptions, hand_of_seed
 
     values = dict(values)
+    # None: the switch was not given, and the default of the motion applies.
     given = {name: values.pop(name) for name, _ in SWITCHES}
     chosen = {name: value for name, value in given.items() if value is not None}
     random_hand, shape = values.pop("random_hand", False), _given_shape(values)

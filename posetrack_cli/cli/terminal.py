@@ -18,17 +18,17 @@ from posetrack_cli.text import one_line, printable
 # control characters are escaped; only data for other programs is written unchanged, and not to a terminal.
 
 
+# Value of a path option that stands for standard output
 STANDARD_OUTPUT = Path("-")
-"""Value of a path option that stands for standard output."""
 
 
 QUIET, USUAL, VERBOSE = -1, 0, 1
+# Stack of verbosity levels
 _volume = [USUAL]
-"""Stack of verbosity levels."""
 
 
+# The tqdm bar on the screen, if any; lines are printed above it
 drawn_bars: list[Any] = []
-"""The tqdm bar on the screen, if any; lines are printed above it."""
 
 
 @contextmanager
@@ -47,6 +47,7 @@ def is_quiet() -> bool:
 
 
 def _print(text: str, file: IO[str]) -> None:
+    # tqdm clears its bar, lets the line through and redraws the bar below.
     drawn = next(iter(drawn_bars), None)
     with nullcontext() if drawn is None else drawn.external_write_mode(file):
         print(one_line(text), file=file, flush=True)
@@ -105,11 +106,11 @@ def ignore_closed_pipe() -> Iterator[None]:
 
 
 _USUAL_COLUMNS = 80
+# Left free after a bar: terminals echo ^C there, which would wrap a full line
 _ECHO_COLUMNS = 3
-"""Left free after a bar: terminals echo ^C there, which would wrap a full line."""
 
+# Redraw interval that keeps the elapsed time running while the count stands still
 _REDRAWN_EVERY_S = 1.0
-"""Redraw interval that keeps the elapsed time running while the count stands still."""
 
 _LOCK = RLock()
 
@@ -220,6 +221,7 @@ def bar(name: str, unit: str, total: int | None = None, *, stays: bool = True) -
         total: total count; None if unknown.
         stays: whether the bar stays on the screen at the end.
     """
+    # Log files get lines instead of bars.
     is_seen = sys.stderr.isatty() and not is_quiet()
     try:
         yield Bar({"desc": name, "unit": unit, "total": total, "leave": stays} if is_seen else None)

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from posetrack_cli.results.reader import Result
 
 LAYOUTS = ("beside", "over", "paper", "segments", "side-by-side")
+# Fields of ``ViewOptions``, and the names of their options
 DRAWN = {
     "frames": "select",
     "layout": "layout",
@@ -47,7 +48,6 @@ DRAWN = {
     "truth": "show_truth",
     "skeleton": "skeleton",
 }
-"""Fields of ``ViewOptions``, and the names of their options."""
 
 
 @click.command(
@@ -158,6 +158,7 @@ def _prepare(results: Sequence[Result], output: Path, options: dict[str, Any]) -
     style_of(results)
     chosen = {"any_recording": options["any_recording"], "in_colour": True, **reading_options(options)}
     recording = required_recording(results[0], options["recording"], **chosen)
+    # The device is opened on first use: heads are drawn without one.
     return ResultView(results, recording, view_options, cache(lambda: open_usual_device(options["device"])))
 
 
@@ -190,6 +191,7 @@ def _draw(drawn: ResultView, out: Output, stopped: Any) -> int:
     from contextlib import closing
 
     count = 0
+    # closing(): a stopped generator must release the recording before the output is finished.
     with bar("view", "frame", len(drawn.rows)) as shown, closing(drawn.pictures()) as pictures:
         for frame_index, picture in pictures:
             out.add(frame_index, picture)

@@ -70,8 +70,8 @@ def link_recording(path: Path, folder: Path, frames: int) -> None:
 
 # A result with ground truth: natural motion, and estimates with known noise
 
+# Standard deviations of the errors, mm and rad; also stated as covariance
 SD = np.r_[np.full(3, 5.0), np.full(3, 0.06), np.full(15, 0.12)]
-"""Standard deviations of the errors, mm and rad; also stated as covariance."""
 SCRIPT_S = 300.0
 LOST_EVERY, LOST_FOR = 1000, 10
 

@@ -18,10 +18,10 @@ import numpy as np
 from mcap.reader import make_reader
 
 RUN_RECORD = "posetrack.run"
+# JSON keys and CSV columns that describe the run or its cost
 LEFT_OUT = frozenset(
     {"version", "run", "configuration", "bytes", "seconds", "cpu_s", "frames_per_s", "peak_mb", "peak_bytes"}
 )
-"""JSON keys and CSV columns that describe the run or its cost."""
 _VERSION = re.compile(r"\bposetrack \d+\.\d\S*(?: \(sources \w+\))?")
 _RECORD_TABLE = re.compile(r'<table class="record">.*?</table>', re.DOTALL)
 _PRINTED_RECORD = re.compile(rf"^metadata {re.escape(RUN_RECORD)}:.*\n(?:    .*\n)*", re.MULTILINE)

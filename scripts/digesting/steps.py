@@ -54,8 +54,8 @@ def made(name: str, make: Callable[[Path], object], outputs: str, needed: str = 
 
 FEW = "--particles 64"
 FEWER = "--particles 200"
+# Options of ``hand run`` that skip the detection before the first frame
 GIVEN = "--hand-side right --shape average --init {hand-C}"
-"""Options of ``hand run`` that skip the detection before the first frame."""
 FLUSH = "--set output.flush_frames=3"
 OF_BAG = f"--topic {DEPTH_TOPIC} --camera-topic {INFO_TOPIC}"
 OF_TENTHS = f"--depth-unit-mm .1 --missing {TENTHS_MISSING} --camera {{tenths:1}} --fps 30"

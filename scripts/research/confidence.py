@@ -34,16 +34,16 @@ Bounds = tuple[float | None, float | None]
 PENALTY = 1e-3  # on squared weights, for standardised signs
 AGAINST: Bounds = (None, 0.0)
 FOR: Bounds = (0.0, None)  # bounds of weights of signs that can only lower, or raise, the confidence
+# Costs, innovation and alternatives lower the confidence, contrast raises it
 HAND_BOUNDS = (AGAINST, AGAINST, AGAINST, FOR, AGAINST)
-"""Costs, innovation and alternatives lower the confidence, contrast raises it."""
+# All signs lower the confidence of a head; a positive weight would overfit these people
 HEAD_BOUNDS = [AGAINST] * len(of_heads.SIGN_NAMES)
-"""All signs lower the confidence of a head; a positive weight would overfit these people."""
+# Total weight of real against rendered recordings; the references of real heads are inaccurate
 HAND_REAL_SHARE, HEAD_REAL_SHARE = 1.0, 0.25
-"""Total weight of real against rendered recordings; the references of real heads are inaccurate."""
 USUAL_WEIGHT = 4.0  # weight of an unmodified head recording against a hardened one
+# Error of the reference of a real head. Frames whose error exceeds the limit for right ones by one to two
+# times this are ambiguous and left out.
 UNSURE_DEG, UNSURE_MM = 3.0, 1.0
-"""Error of the reference of a real head. Frames whose error exceeds the limit for right ones by one to two
-times this are ambiguous and left out."""
 OFFSETS, USUAL, REAL = "*", "+", "~"
 
 
@@ -183,8 +183,8 @@ def report(frames: Sequence[Frames], real_share: float, bounds: Sequence[Bounds]
 # Hardened recordings: the fit needs wrong frames as well
 
 REDUCED = 0.3  # scale of small images: about 27 pixels between the eyes
+# Height and width of the occluder, px, and its first frame
 COVER_PX, COVER_FROM = (110, 90), 15
-"""Height and width of the occluder, px, and its first frame."""
 Hardening = Callable[[Sequence[ImageArray], int, np.random.Generator], ImageArray]
 
 

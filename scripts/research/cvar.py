@@ -26,12 +26,12 @@ CAMERA = Camera(width=320, height=240, fx=224.5, fy=230.5, cx=160.0, cy=120.0)  
 MISSING = 32001
 RATE_HZ = 30.0
 _FINGERS = ("index", "middle", "ring", "little")
+# The joints in the file's order
 ANNOTATED: tuple[str, ...] = (
     "wrist",
     *(f"{finger}_{joint}" for finger in _FINGERS for joint in ("mcp", "pip", "dip", "tip")),
     *(f"thumb_{joint}" for joint in ("cmc", "mcp", "ip", "tip")),
 )
-"""The joints in the file's order."""
 
 
 def convert(folder: Path, out: Path) -> Path:

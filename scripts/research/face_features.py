@@ -37,16 +37,16 @@ from posetrack_cli.recording.opening import open_recording
 from research.face_model import SEEN_BESIDE, Statistics, read_statistics
 from research.heads import CALIBRATION, TRUTH, cameras_of
 
+# Frames per person and camera, patches per frame, and random seed; enough for stable weights
 FRAMES, DRAWS, SEED = 24, 4, 1
-"""Frames per person and camera, patches per frame, and random seed; enough for stable weights."""
+# Uncertainty of size, roll and position of a face at the initialisation
 SIZE_SD, ROLL_SD, SHIFT_SD_MM = 0.08, np.radians(6.0), 4.0
-"""Uncertainty of size, roll and position of a face at the initialisation."""
+# Negative samples near a point: smallest and largest distance, number per frame
 NEAR_PX, REACH_PX, NEIGHBOURS = 3.5, 14.0, 30
-"""Negative samples near a point: smallest and largest distance, number per frame."""
+# Share of the mean variance added to every variance; covariances of few people are poor
 SHRINKAGE = 0.025
-"""Share of the mean variance added to every variance; covariances of few people are poor."""
+# Numbers of shape modes, and RMS strength of each published expression
 IDENTITY_MODES, EXPRESSION_MODES, EXPRESSION_STRENGTH = 10, 8, 0.25
-"""Numbers of shape modes, and RMS strength of each published expression."""
 DRAWN_SHARE = 0.25  # weight of a synthetic person against a rendered photographic one
 
 

@@ -39,23 +39,22 @@ def _both_sides(right: Sequence[tuple[float, float, float]]) -> FloatArray:
     return found
 
 
+# (K, 3) mm, mean offset from the statistics' landmarks to the tracked features **[ours]**, from
+# ``measured_offsets`` on the ten recordings person-c to person-l of the study.
+#
+# These faces are larger than the statistics' mean face, and the visible nostril openings and brow ends lie
+# next to the vertices. A model built from tracking results needs no offsets.
 FEATURE_OFFSETS = _both_sides(
     [(-2.2, 0.0, 1.9), (-1.6, 0.2, 2.3), (-1.7, 0.2, -0.2), (-3.1, 2.3, 3.8), (-4.9, -10.1, 6.5)]
 )
-"""(K, 3) mm, mean offset from the statistics' landmarks to the tracked features **[ours]**, from
-``measured_offsets`` on the ten recordings person-c to person-l of the study.
 
-These faces are larger than the statistics' mean face, and the visible nostril openings and brow ends lie next
-to the vertices. A model built from tracking results needs no offsets.
-"""
-
+# (K, 3) mm in the head frame: offset from mesh vertices to the tracked features.
+#
+# Symmetrised medians over the same ten people of the constant offsets that explain the tracked points in
+# the left images, given true poses and vertices. They are not recomputed when a person is left out.
 SEEN_BESIDE = _both_sides(
     [(-0.5, 0.3, 2.2), (-0.8, -0.1, 2.0), (0.1, -0.3, 0.9), (-2.1, 2.8, 3.8), (-3.7, -6.2, -2.1)]
 )
-"""(K, 3) mm in the head frame: offset from mesh vertices to the tracked features.
-
-Symmetrised medians over the same ten people of the constant offsets that explain the tracked points in the
-left images, given true poses and vertices. They are not recomputed when a person is left out."""
 
 NEUTRAL: Expression = {}
 SIDEWAYS: Mapping[float, Expression] = {
@@ -63,14 +62,14 @@ SIDEWAYS: Mapping[float, Expression] = {
     0.5: NEUTRAL,
     1.0: {"mouthSmile": 0.7, "mouthStretch": 0.3},
 }
+# Strengths of the published expressions by rate of a motion, interpolated linearly. The brows move before
+# the jaw, so that the model can separate the two.
 VERTICAL: Mapping[float, Expression] = {
     0.0: {"browDown": 1.0},
     0.25: NEUTRAL,
     0.5: {"browInnerUp": 1.0},
     1.0: {"browInnerUp": 1.0, "jawOpen": 1.0},
 }
-"""Strengths of the published expressions by rate of a motion, interpolated linearly. The brows move before
-the jaw, so that the model can separate the two."""
 RATES = np.linspace(0.0, 1.0, 5)
 
 

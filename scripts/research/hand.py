@@ -29,8 +29,8 @@ from research.report import Column, Figures, Report, pairs_of
 from research.runner import FILE, Files, Job, Step
 from research.study import FIRST_SEED, Part, Study, setting
 
+# Motion and speed. A and B show a bare hand, as in the paper, C all that a Kinect sees.
 CONDITIONS = tuple(itertools.product("ABC", (1.0, 2.0)))
-"""Motion and speed. A and B show a bare hand, as in the paper, C all that a Kinect sees."""
 TRUTH = "/truth/hand/estimate"
 
 
@@ -48,8 +48,8 @@ class Entrant(NamedTuple):
         return ("--config", self.configuration, *settings)
 
 
+# The paper's question is about sampling from the motion alone; such particles need a wide sigma
 PLAIN = {"filter.proposal": "marginal", "observation.sigma_mm": 4.0}
-"""The paper's question is about sampling from the motion alone; such particles need a wide sigma."""
 ENTRANTS = {
     f"{kind}-{name}": Entrant(configuration, {"filter.kind": kind, **changes})
     for name, configuration, changes in (
@@ -61,8 +61,8 @@ ENTRANTS = {
     for kind in ("pf", "rbpf")
 }
 STUDIED = ("printed", "paper", "union")  # those whose recordings are compared
+# Rows of figures, and their entrants
 ROWS = {"hand-paper": "printed", "union cost, drawn from the motion": "union", "hand (default)": "default"}
-"""Rows of figures, and their entrants."""
 
 
 @dataclass(frozen=True)
@@ -108,6 +108,7 @@ def tracked(options: Options, motion: str, speed: float, seed: int, entrants: It
 
 # Figures 6 to 9
 
+# The paper's statements, in our words
 PAPER = {
     "A": "For small changes without velocity both methods give nearly right estimates for some parts of the "
     "hand (left); other parts neither follows well (right). The methods do not differ visibly (7.2.1, "
@@ -121,7 +122,6 @@ PAPER = {
     "conclusion": "No evidence that velocity makes tracking more accurate, at almost no additional cost; "
     "the cost function may be the reason (8).",
 }
-"""The paper's statements, in our words."""
 
 
 class Component(NamedTuple):
@@ -145,8 +145,8 @@ class Component(NamedTuple):
 
 WRIST_X, WRIST_Y = Component("wrist x, mm", "position", 0), Component("wrist y, mm", "position", 1)
 MIDDLE = Component("middle, joint 2, deg", "shape", ANGLE_NAMES.index("middle_pip_flexion"), 180.0 / np.pi)
+# By motion the figure's number and its columns
 SHOWN = {"A": ("6", (WRIST_Y, MIDDLE)), "B": ("7", (WRIST_Y, WRIST_X))}
-"""By motion the figure's number and its columns."""
 
 
 def _artificial_jobs(options: Options) -> Iterator[Job]:

@@ -19,8 +19,8 @@ from research.runner import FILE, Files, Job, Step
 from research.study import FIRST_SEED, FOLDER, Part, Study, setting, unused_for_tuning
 
 NO_MESH = ("--set", "output.mesh=none")
+# The rendered hand is the average one, so the shape need not be estimated
 AVERAGE = ("--shape", "average")
-"""The rendered hand is the average one, so the shape need not be estimated."""
 
 
 @dataclass(frozen=True)
@@ -139,13 +139,13 @@ CONDITIONS = (*((motion, speed, 30) for motion in "BC" for speed in (1.0, 2.0)),
 CONDITIONS += tuple(("C", 1.0, fps) for fps in (10, 20, 60))
 """Motion, speed and frame rate."""
 PROPOSALS = {"guided": "local fits", "paper": "(51) as printed"}
+# The noise densities of the smoothed track, with which nearly all motion is velocity
 SMOOTH = tuple(
     part
     for name, settings in (("pose", SMOOTH_POSE), ("velocity", SMOOTH_VELOCITY))
     for key, value in settings
     for part in ("--set", f"motion.{name}.{key}={value}")
 )
-"""The noise densities of the smoothed track, with which nearly all motion is velocity."""
 FILTERS = {"pf": ("pf", ()), "rbpf": ("rbpf", ()), "smooth": ("rbpf", SMOOTH)}
 
 

@@ -94,18 +94,18 @@ def people_of(text: str, *, final: bool) -> tuple[Person, ...]:
 # Recordings and entrants
 
 ARM, NO_ARM, DOUBLE_SPEED, FREE_ELBOW = "arm", "no-arm", "double-speed", "free-elbow"
+# Further arguments of the tool by kind of recording
 RECORDINGS = {ARM: (), NO_ARM: ("--no-arm",), DOUBLE_SPEED: ("--speed", "2"), FREE_ELBOW: ("--free-elbow",)}
-"""Further arguments of the tool by kind of recording."""
 EXACT_KINDS, DEFAULT_KINDS = (ARM, NO_ARM, DOUBLE_SPEED), (ARM, DOUBLE_SPEED)
+# Entrants: the person's own mesh; defaults; the mesh and true keypoints; ``hand calibrate``
 EXACT, DEFAULT, TOLD, SHAPE_ALONE = "mesh", "default", "told", "shape"
-"""Entrants: the person's own mesh; defaults; the mesh and true keypoints; ``hand calibrate``."""
+# Entrants that differ from the default in one setting and use side and shape from its result
 CHOICES = {
     "pf": ("plain filter", ("--filter", "pf")),
     "paper": ("the paper's cost", ("--cost", "paper")),
     "union": ("union cost", ("--cost", "union")),
     "pso": ("swarm", ("--filter", "pso")),
 }
-"""Entrants that differ from the default in one setting and use side and shape from its result."""
 AVERAGE_HAND = "average"
 
 
@@ -306,8 +306,8 @@ def _report_elbow(options: Options, files: Files, report: Report) -> None:
 
 # Honesty
 
+# Of Oberweger et al. (CVPR 2016), head-mounted, whose joints are marked by another convention.
 SEQUENCES = ("P1", "P4", "P7")
-"""Of Oberweger et al. (CVPR 2016), head-mounted, whose joints are marked by another convention."""
 HONESTY_COLUMNS = (
     Column("frames", "frames", 0),
     Column("frames_wrong", "wrong", 2, percent=True),
@@ -475,8 +475,8 @@ def _report_choices(options: Options, files: Files, report: Report) -> None:
 
 # Stated sizes and proportions
 
+# The position of the wrist in the skin is a convention of the rig; no image determines it
 OF_THE_WRIST = ("hand_length", "palm_length")
-"""The position of the wrist in the skin is a convention of the rig; no image determines it."""
 COUNTED = np.array([name not in OF_THE_WRIST for name in MEASURES])
 _STATED = re.compile(r"^# ([a-z ]+) (\d+\.\d) \+- (\d+\.\d)$", re.MULTILINE)
 SHAPE_COLUMNS = (

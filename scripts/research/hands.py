@@ -22,8 +22,9 @@ from posetrack_cli.results.topics import FILTERED
 WRIST = JOINT_NAMES[0]
 RAW, WITHOUT_OFFSETS = EvalOptions(), EvalOptions(joint_offsets="bone")
 OFF_MM = 60.0  # largest error of a wrist that counts as found
+# Mean joint error from which the hand is not being followed, whatever the status
 ASTRAY_MM = 20
-"""Mean joint error from which the hand is not being followed, whatever the status."""
+# Addresses in ``posetrack eval`` by figure
 ADDRESSES = {
     "error_mm": "joint_error_mm.mean",
     "tip_error_mm": "fingertip_error_mm.mean",
@@ -36,7 +37,6 @@ ADDRESSES = {
     "lost": "lost",
     "frames": "frames",
 }
-"""Addresses in ``posetrack eval`` by figure."""
 
 
 @dataclass(frozen=True, eq=False)

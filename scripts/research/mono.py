@@ -23,16 +23,16 @@ from research.stereo import thesis_head
 from research.study import FIRST_SEED, FOLDER, HEADS, Part, Study, setting
 
 MODEL_PEOPLE, PEOPLE = 11, 6  # S of the thesis; and with six pairs Wilcoxon's test can find a difference
+# In shorter recordings the two motions are too fast for the stereo tracker, and no model can be built
 LEAST_MOTION_FRAMES = 240
-"""In shorter recordings the two motions are too fast for the stereo tracker, and no model can be built."""
 MOTIONS_SEED = 1000  # added to a person's seed, so that the recordings of a person are independent
 PAPER = ("--config", "head-mono-paper")
+# Kinds of alignment, and their values of ``posetrack eval --align``
 WAYS: dict[str, Alignment] = {
     "as measured": "rigid",
     "depth factor removed": "similarity",
     "nothing removed": "none",
 }
-"""Kinds of alignment, and their values of ``posetrack eval --align``."""
 EXPLAINED = (
     "Mean absolute errors over the frames in which the head was followed, after one constant rigid offset "
     "of the head's frame (`eval --align rigid`). Depth factor removed: also one common factor on all "
@@ -93,8 +93,9 @@ class Entrant(NamedTuple):
 
 
 ADJUSTED = {when: ("--adjust", when) for when in ("always", "start", "never")}
+# The thesis's experiments: model, and when the face is adjusted (4.5)
 EXPERIMENTS = {"A": ("all", "always"), "B": ("others", "always"), "C": ("all", "start")}
-"""The thesis's experiments: model, and when the face is adjusted (4.5)."""
+# For recordings of the synthetic persons
 POPULATION = {
     f"{name}{ending}": Entrant(f"{name}, {title}", (*first, *ADJUSTED[when], *passes), model)
     for name, (model, when) in EXPERIMENTS.items()
@@ -109,7 +110,6 @@ POPULATION = {
     "shipped": Entrant("shipped model, one pass", heads.FIRST),
     "shipped-2": Entrant("shipped model, two passes", heads.SECOND),
 }
-"""For recordings of the synthetic persons."""
 OTHER_FACES = {
     "always": Entrant("adjusted always, one pass", heads.FIRST),
     "always-2": Entrant("adjusted always, two passes (default)", heads.SECOND),
@@ -162,8 +162,8 @@ def _report_people(options: Options, files: Files, report: Report) -> None:
 # Videos of real faces without ground truth
 
 VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".webm")
+# Rotation between two frames that counts as a flip of the pose: 600 deg/s at 30 Hz
 FLIP_DEG = 20.0
-"""Rotation between two frames that counts as a flip of the pose: 600 deg/s at 30 Hz."""
 CLIP_COLUMNS = (
     Column("frames", "frames", 0),
     Column("tracked", "tracked", 1, percent=True),
@@ -291,6 +291,7 @@ TITLES = {
     "B": "B: the person is not in the model",
     "C": "C: adjusted at the start only",
 }
+# Statements of the thesis, paraphrased
 SAID = {
     "A": "x, y and roll nearly agree with the estimates of two cameras; z, pitch and yaw, which are harder "
     "for one camera, are accurate, too. In head coordinates the points are 5.9 mm off on average, and "
@@ -300,14 +301,14 @@ SAID = {
     "C": "Without adjustment after each frame the estimates are much less stable, most visibly in z, of "
     "whose error mean and standard deviation grow (4.5 C).",
 }
-"""Statements of the thesis, paraphrased."""
+# Mean and standard deviation of the absolute errors by experiment, mm and deg (tables 4.1 to 4.3)
 THESIS = {
     "A": ((2.60, 3.12, 9.56, 0.43, 2.45, 2.33), (2.24, 1.73, 9.69, 0.31, 2.08, 1.95)),
     "B": ((3.73, 1.92, 17.85, 0.43, 3.07, 2.49), (2.57, 1.47, 9.37, 0.32, 2.31, 1.96)),
     "C": ((2.71, 3.43, 11.38, 0.43, 2.52, 2.26), (2.11, 2.03, 11.43, 0.32, 2.03, 2.02)),
 }
-"""Mean and standard deviation of the absolute errors by experiment, mm and deg (tables 4.1 to 4.3)."""
 THESIS_POINTS_MM = 5.9  # mean error of the feature points in head coordinates, experiment A (4.5 A)
+# Whether the stereo result is the reference, and the alignment
 AGAINST: dict[str, tuple[bool, Alignment]] = {
     "two cameras": (True, "rigid"),
     "two cameras, depth factor removed": (True, "similarity"),
@@ -315,7 +316,6 @@ AGAINST: dict[str, tuple[bool, Alignment]] = {
     "truth": (False, "rigid"),
     "truth, depth factor removed": (False, "similarity"),
 }
-"""Whether the stereo result is the reference, and the alignment."""
 SPREAD_COLUMNS = tuple(Column(one.name, one.title, spread=True) for one in heads.POSE_COLUMNS)
 
 

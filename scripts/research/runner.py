@@ -30,16 +30,16 @@ from posetrack_cli.recording.identity import files_digest
 SHARED = PACKAGE.parent.parent / "shared"
 FILE = "@"  # prefix of arguments that are outputs of other steps, or files in output folders
 TOOL = "tool"  # first argument of a step that runs an external Python program; its path follows
+# Sources that determine synthetic head recordings, in addition to the average face
 DRAWING = (
     *("synthesis/*.py", "synthesis/head/*.py", "head/face/points.py", "rendering/port.py"),
     *(f"geometry/{name}.py" for name in ("camera", "kernels", "rigid", "rotations")),
     *("rendering/gl/device.py", "rendering/gl/shaders/textured.*"),
 )
-"""Sources that determine synthetic head recordings, in addition to the average face."""
+# Parallel recordings use the cores better than threads of software OpenGL
 ONE_CORE = dict.fromkeys(
     ("LP_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
 )
-"""Parallel recordings use the cores better than threads of software OpenGL."""
 
 
 class Step(NamedTuple):

@@ -27,6 +27,7 @@ from research.runner import FILE, Files, Job, Step, command
 from research.study import FIRST_SEED, FOLDER, HEADS, Part, Study, setting, unused_for_tuning
 
 RIGID, PAPER = ("--model", "rigid"), ("--config", "head-stereo-paper")
+# Title and arguments of ``posetrack head stereo`` by name
 ENTRANTS: dict[str, tuple[str, tuple[str, ...]]] = {
     "deformable": ("deformable (default)", ()),
     "deformable-2": ("deformable, two passes", ("--passes", "2")),
@@ -35,15 +36,14 @@ ENTRANTS: dict[str, tuple[str, tuple[str, ...]]] = {
     "paper": ("`head-stereo-paper`, deformable", PAPER),
     "paper-rigid": ("`head-stereo-paper`, rigid", (*PAPER, *RIGID)),
 }
-"""Title and arguments of ``posetrack head stereo`` by name."""
+# Number of first frames in which every model is rigid; deformable and rigid ones are compared after them
 RIGID_FRAMES = HeadStereoConfig().model.rigid_frames
-"""Number of first frames in which every model is rigid; deformable and rigid ones are compared after them."""
+# Distance of a point from its neutral position above which it moves and the face deforms
 MOVING_MM, DEFORMING_MM = 3.0, 1.0
-"""Distance of a point from its neutral position above which it moves and the face deforms."""
 WRONG = (10.0, 5.0)  # pose error, mm and deg, above which a frame is wrong
 STEADY_S = 0.5  # time a head must be tracked to count as recovered
+# Points whose true motion is visible; nostril openings hardly follow their vertices
 FOLLOWED = np.setdiff1d(np.arange(POINT_COUNT), np.arange(POINT_COUNT)[NOSTRILS])
-"""Points whose true motion is visible; nostril openings hardly follow their vertices."""
 COLUMNS = (*POSE_COLUMNS, Column("mouth_mm", "mouth, mm"), *heads.TRACKED_COLUMNS)
 EXPLAINED = (
     "Mean absolute errors over the frames that are reported as tracked, after one constant rigid offset of "
@@ -52,6 +52,7 @@ EXPLAINED = (
     "number, from 0, of the first one tracked; of several recordings the latest. Wrong: frames reported as "
     "tracked whose pose is off by more than 10 mm or 5 deg."
 )
+# Further arguments of ``posetrack head synth`` by name; the light drifts in all of them
 CONDITIONS: dict[str, tuple[str, ...]] = {
     "slow light": (),
     "sudden light": ("--light", "sudden"),
@@ -62,7 +63,6 @@ CONDITIONS: dict[str, tuple[str, ...]] = {
     "speed 2": ("--speed", "2"),
     "missing images": ("--drops",),
 }
-"""Further arguments of ``posetrack head synth`` by name; the light drifts in all of them."""
 
 
 @dataclass(frozen=True)
@@ -192,11 +192,11 @@ def _report_accuracy(report: Report, part: str, found: list[dict[str, Figures]])
 
 # Recordings of other faces
 
+# Targets for ``HEAD_POSE`` and the mouth corners by entrant
 LIMITS = {
     "deformable": ("one pass", (0.3, 0.3, 0.6, 0.25, 0.6, 0.6, 2.5)),
     "deformable-2": ("two", (0.2, 0.2, 0.4, None, 0.5, 0.5, 2.0)),
 }
-"""Targets for ``HEAD_POSE`` and the mouth corners by entrant."""
 
 
 def _people_jobs(options: Options) -> Iterator[Job]:
@@ -301,6 +301,7 @@ def _report_comparison(options: Options, files: Files, report: Report) -> None:
 # Experiment 3.4
 
 SETTLED_FRAMES = 600  # by this frame the contribution ratio has recovered, according to the thesis
+# The thesis's statements, in our words
 THESIS = {
     "deforming": "From frame 121 to about frame 1200, while the face deforms, the two estimates clearly "
     "differ; the pictures show that those of the deformable model are the right ones (3.4, figures 3.9 and "
@@ -311,7 +312,6 @@ THESIS = {
     "after tracking begins, and is back near 80 % after some 600 frames, 20 s, of learning (3.4, figure "
     "3.10).",
 }
-"""The thesis's statements, in our words."""
 MODELS = {"head-stereo": ("rigid", "deformable"), "head-stereo-paper": ("paper-rigid", "paper")}
 
 

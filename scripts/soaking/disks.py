@@ -16,9 +16,9 @@ from soaking.kills import unreadable
 from soaking.runs import DONE, FAILED, Case, Findings, Reference, run_to_end, started
 
 PAGE = 4096
+# Share of the estimated disk space of a run. The estimate is an upper bound (it counts the last, largest
+# checkpoint twice), so the share must be small enough for the run to fail.
 LARGEST = 0.85
-"""Share of the estimated disk space of a run. The estimate is an upper bound (it counts the last, largest
-checkpoint twice), so the share must be small enough for the run to fail."""
 
 
 class Disk(NamedTuple):

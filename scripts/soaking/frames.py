@@ -17,9 +17,9 @@ from posetrack_cli.results import load_arrays
 from soaking.runs import DONE, Case, Findings, Looker, run_to_end, started
 
 GROWTH_MIB = 16.0  # allowed growth of memory after the first thousand frames
+# Allowed ratio of CPU times, last over first thousand frames. CPU time includes reading, writing and
+# checkpoints, and does not depend on the load of the machine.
 SLOWER = 1.10
-"""Allowed ratio of CPU times, last over first thousand frames. CPU time includes reading, writing and
-checkpoints, and does not depend on the load of the machine."""
 WARM_UP = 60  # frames of the preceding run, enough to compile every kernel
 MARKS = (1_000, 5_000, 10_000, 20_000)
 FIRST = 1_000

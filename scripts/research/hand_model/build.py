@@ -20,8 +20,8 @@ from posetrack_cli.rendering.mesh import smoothing
 from research.hand_model.people import rows
 from research.hand_model.template import adult, cage_of
 
+# Weight of a bone length against one coordinate of the skin; the modes must explain both
 BONE_WEIGHT = 4.0
-"""Weight of a bone length against one coordinate of the skin; the modes must explain both."""
 _BONES = 30  # values after those of the cage: bases and segments
 _RADII = 20
 _DIGITS = 6

@@ -23,12 +23,12 @@ from posetrack_cli.rendering.mesh import SkinnedMesh, smoothing
 from research.hand_model.registration import Skin, Template
 from research.hand_model.template import SEGMENTS, THUMB_BASE, adult, cage_of, with_wrist
 
+# (16,) standard deviations of the logarithms of shape factors: additional variation, to cover people and
+# rigs outside the training set
 FURTHER_SD: FloatArray = np.array([0.0, *[0.03] * 5, *[0.05] * 5, 0.035, 0.025, 0.05, 0.06, 0.03])
-"""(16,) standard deviations of the logarithms of shape factors: additional variation, to cover people and
-rigs outside the training set."""
+# Length from the wrist to the tip of the middle finger in the rigs, mean of women and men; the registered
+# skin ends 2 mm before
 RIG_LENGTH_MM = 181.0
-"""Length from the wrist to the tip of the middle finger in the rigs, mean of women and men; the registered
-skin ends 2 mm before."""
 _MEAN_OF, _SEED = 120, 5
 _WRIST_MM = 4.0
 
@@ -115,10 +115,10 @@ def _length(anatomy: HandAnatomy) -> float:
 # Anatomy: first phalanx at least 1.6 times as long as the second, finger segments by Buryanov and Kotiuk
 # 2010, thumb base at the trapezium.
 
+# Mean and standard deviation of the joint position between rig (0) and anatomy (1)
 ANATOMY_SHARE = (1.0, 0.5)
-"""Mean and standard deviation of the joint position between rig (0) and anatomy (1)."""
+# Further standard deviations of joints 3, 2 and 1, mm: along the finger, and out of the palm plane
 ALONG_SD, BESIDE_SD = np.array([2.0, 1.2, 1.2]), np.array([2.0, 0.8, 0.8])
-"""Further standard deviations of joints 3, 2 and 1, mm: along the finger, and out of the palm plane."""
 THUMB_BASE_SD, WRIST_SD = (3.0, 2.0, 3.0), (3.0, 2.0, 2.0)  # mm: along the palm, out of its plane, across it
 _KNUCKLE = 1.6  # ratio of first to second phalanx, for rigs that bend at the webs
 _PALM_MM = 90.0  # wrist to middle knuckle of the hand that ``THUMB_BASE`` refers to

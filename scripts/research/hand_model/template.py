@@ -18,6 +18,7 @@ from posetrack_cli.rendering.mesh import SkinnedMesh
 
 # Buryanov and Kotiuk 2010, mm: metacarpal, then the three moving segments out to the tip of the skin.
 _METACARPAL = np.array([68.1, 64.6, 58.0, 53.7])
+# (5, 3) of an adult hand, thumb first
 SEGMENTS: FloatArray = np.array(
     [
         (46.2, 31.6, 21.7 + 5.7),  # thumb: metacarpal, proximal, distal with soft tip
@@ -27,12 +28,11 @@ SEGMENTS: FloatArray = np.array(
         (32.6, 18.1, 16.0 + 3.7),
     ]
 )
-"""(5, 3) of an adult hand, thumb first."""
 # Not in that table: the start of each metacarpal, mm, and its direction, deg.
 _CARPAL = np.array([(11.0, -19.0, 1.0), (2.0, -25.0, 2.0), (-7.0, -23.0, 1.0), (-14.0, -20.0, -2.0)])
 _METACARPAL_FAN = np.deg2rad([10.0, 1.0, -9.0, -20.0])
+# (3,) base of the thumb at the trapezium of an adult hand, hand coordinates, mm
 THUMB_BASE: FloatArray = np.array([19.0, -18.0, -8.0])
-"""(3,) base of the thumb at the trapezium of an adult hand, hand coordinates, mm."""
 _RADII = np.array(
     [
         (12.5, 10.5, 9.8, 8.0),  # thumb: at CMC side, MCP, IP, near the tip
