@@ -274,8 +274,8 @@ def another_build(tmp_path_factory: pytest.TempPathFactory) -> Path:
         shutil.copytree(PACKAGE.parent / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
     config = folder / "posetrack_cli" / "hand" / "config.py"
     text = config.read_text()
-    assert text.count('256, "a guided') == 1
-    config.write_text(text.replace('256, "a guided', '8, "a guided'))
+    assert text.count('256, "enough for the guided') == 1
+    config.write_text(text.replace('256, "enough for the guided', '8, "enough for the guided'))
     return folder
 
 
