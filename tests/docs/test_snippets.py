@@ -1,9 +1,9 @@
-"""What README and the documentation say is typed here, on small recordings, in a folder of its page.
+"""Snippets of README and the documentation run as printed, on small recordings, in one folder per page.
 
-A shell runs each ``bash`` block and each ``run`` of a ``yaml`` block as it stands there, Python each Python
-block; what is a file (``toml``, ``json``, ``csv``, gates) goes to what reads such files. What cannot be run
-is marked so, with its reason, and listed below. Pages in ``docs/reference`` are made of the commands
-themselves: their examples are parsed (``test_reference``).
+``bash`` blocks and ``run`` steps of ``yaml`` blocks run in a shell, ``python`` blocks in Python. Blocks with
+file contents (``toml``, ``json``, ``csv``, gates) go to the matching reader; ``text`` blocks are diagrams.
+Blocks that are not run carry their reason and are listed in ``NOT_RUN``. ``docs/reference`` is generated;
+its examples are parsed in ``test_reference``.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -44,13 +44,11 @@ FRAMES, FEW = 8, 4
 NOT_RUN = {
     ("README.md", "installs packages"): 1,
     ("README.md", "prepares a checkout"): 1,
-    ("CONTRIBUTING.md", "takes an hour"): 1,
     ("docs/index.md", "installs packages"): 1,
     ("docs/index.md", "prepares a checkout"): 1,
     ("docs/batch.md", "needs Slurm"): 1,
 }
-"""Blocks that are marked as not run, by page and reason: whoever marks another one, tells it here.
-What prepares a checkout is typed in a copy of one (``test_setting_up``)."""
+"""Blocks that are not run, by page and reason; ``test_setting_up`` runs those that prepare a checkout."""
 CAMERA = Camera(512, 424, 365.0, 365.0, 255.5, 211.5)
 """What keypoints in the documentation may lie in."""
 GENERATED = ROOT / "docs" / "reference"
@@ -62,10 +60,10 @@ class Made:
     """What pages are typed on, made once.
 
     Attributes:
-        folder: with ``depth.mcap``, ``face.mp4``, its beginning ``short.mp4`` and the result ``face.mcap``;
-            ``few.mcap``, its images ``kinect`` and its result ``hand.mcap``; ``rig``, images of two cameras
-            without calibration, and ``boards`` for that; keypoints.
-        newcomer: where README is typed.
+        folder: ``depth.mcap``; ``face.mp4``, its first frames ``short.mp4`` and its result ``face.mcap``;
+            ``few.mcap``, its images ``kinect`` and ``depth.npy``, its result ``hand.mcap``; ``rig``, images
+            of two cameras without calibration, and ``boards`` for that; keypoints.
+        newcomer: folder for the README's snippets.
     """
 
     folder: Path
@@ -105,9 +103,13 @@ def make(folder: Path, place: Place, warm: Warm) -> None:
     for camera in rig.cameras:
         images = sorted((folder / "made-rig" / camera.name).iterdir())[:FEW]
         link(folder / "rig" / camera.name, {image.name: image for image in images})
+    depths = [
+        frame.depth.astype(np.uint16) for frame in open_recording(folder / "few.mcap", "depth").frames()
+    ]
+    np.save(folder / "depth.npy", np.stack(depths))
     (folder / "kinect").mkdir()
-    for frame in open_recording(folder / "few.mcap", "depth").frames():
-        cv2.imwrite(str(folder / "kinect" / f"{frame.index}.png"), frame.depth.astype(np.uint16))
+    for index, depth in enumerate(depths):
+        cv2.imwrite(str(folder / "kinect" / f"{index}.png"), depth)
     stamps = (folder / "made-rig" / "timestamps.csv").read_text(encoding="utf-8").splitlines(keepends=True)
     (folder / "rig" / "timestamps.csv").write_text("".join(stamps[: FEW + 1]), encoding="utf-8")
     files = {name: str(folder / name) for name in ("few.mcap", "hand.mcap", "face.mp4", "face.mcap")}
@@ -134,9 +136,10 @@ BOUND: Mapping[str, Mapping[str, str]] = {
     | {"few.mcap": "few.mcap"},
     "docs/ci.md": {"recordings/one.mcap": "few.mcap", "results/one.mcap": "hand.mcap"},
     "docs/batch.md": {"recordings/day1/a.mcap": "few.mcap"},
+    "docs/python.md": {"hand.mcap": "hand.mcap", "face.mp4": "short.mp4", "depth.npy": "depth.npy"},
     "docs/other-tools.md": {"hand.mcap": "hand.mcap", "face.mcap": "face.mcap", "depth.mcap": "few.mcap"},
 }
-"""The files that a page speaks of, and which of those in ``Made.folder`` they are here."""
+"""Files that a page mentions, and the files in ``Made.folder`` that stand in for them."""
 
 
 def folder_of_depth(text: str, folder: Path, made: Made) -> None:
@@ -200,7 +203,7 @@ READERS = {
     "docs/keypoints.md": (keypoints,) * 5,
     "docs/landmarks.md": (landmarks, landmarks),
 }
-"""What reads a page's blocks that are files, in their order; ``...`` in them stands for more of the same."""
+"""Readers of a page's data blocks, in order; ``...`` in a block is expanded."""
 
 
 def prepare_ci(place: Place, of_page: list[Block]) -> None:
@@ -221,8 +224,16 @@ def prepare_batch(place: Place, of_page: list[Block]) -> None:
 PREPARED = {"docs/ci.md": prepare_ci, "docs/batch.md": prepare_batch}
 
 
+ONE_SCRIPT = {"docs/python.md"}
+"""Pages whose Python blocks continue each other."""
+
+
 def is_typed(block: Block) -> bool:
     return block.language in ("bash", "python", "yaml") and block.reason is None
+
+
+def is_data(block: Block) -> bool:
+    return not is_typed(block) and block.reason is None and block.language != "text"
 
 
 def page_of(path: Path) -> str:
@@ -230,16 +241,18 @@ def page_of(path: Path) -> str:
 
 
 def type_page(path: Path, place: Place) -> None:
-    for block in filter(is_typed, blocks(path)):
-        if all(map(find_spec, block.needs)):
-            place.type(block)
+    typed = [block for block in filter(is_typed, blocks(path)) if all(map(find_spec, block.needs))]
+    if page_of(path) in ONE_SCRIPT:
+        typed = [replace(typed[0], text="\n".join(block.text for block in typed))]
+    for block in typed:
+        place.type(block)
 
 
 def test_nothing_else_is_left_out() -> None:
     every = [block for path in TYPED for block in blocks(path)]
     assert Counter((block.page, block.reason) for block in every if block.reason) == NOT_RUN
     assert {block.page for block in every if is_typed(block)} == set(BOUND)
-    data = Counter(block.page for block in every if not is_typed(block) and not block.reason)
+    data = Counter(block.page for block in every if is_data(block))
     assert data == {page: len(readers) for page, readers in READERS.items()}
 
 
@@ -281,7 +294,7 @@ def test_what_a_page_says_to_type_works(path: Path, made: Made, tmp_path: Path) 
 
 @pytest.mark.parametrize("page", READERS)
 def test_files_in_the_text_are_read(page: str, made: Made, tmp_path: Path) -> None:
-    data = [block for block in blocks(ROOT / page) if not is_typed(block) and not block.reason]
+    data = list(filter(is_data, blocks(ROOT / page)))
     for number, (block, reader) in enumerate(zip(data, READERS[page], strict=True)):
         (tmp_path / str(number)).mkdir()
         reader(block.text, tmp_path / str(number), made)
