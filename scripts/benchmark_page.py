@@ -76,9 +76,14 @@ def _source_row(name: str, source: Mapping[str, str]) -> str:
 
 
 def _places(template: str) -> list[tuple[str, str, str]]:
-    """Return (study, address, format) of ``{{study|address|format}}``."""
-    places = (place.split("|") for place in _PLACE.findall(template) if place != SOURCES)
-    return [(study, "|".join(address), form) for study, *address, form in places]
+    """Return (study, address, format) of ``{{study|address|.1f}}``; the format of text is left out."""
+    found = []
+    for place in _PLACE.findall(template):
+        if place != SOURCES:
+            study, *address = place.split("|")
+            form = address.pop() if address[-1].startswith(".") else ""
+            found.append((study, "|".join(address), form))
+    return found
 
 
 def write(files: list[Path]) -> None:

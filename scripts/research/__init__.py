@@ -1,1 +1,1 @@
-"""The studies behind docs/accuracy.md and the papers' figures, and how the shipped models are built."""
+"""The studies behind docs/benchmarks.md and the papers' figures, and how the shipped models are built."""

@@ -91,7 +91,7 @@ class Findings:
         return rows_json(machine, self.rows, troubles=self.troubles)
 
     def as_markdown(self, machine: Mapping[str, str]) -> str:
-        """The tables of docs/robustness.md: the machine, then every figure."""
+        """Return Markdown tables: the machine, then every figure."""
         lines = ["| machine | |", "|---|---|", *(f"| {key} | {value} |" for key, value in machine.items())]
         lines += ["", "| what | figure | at most |", "|---|---:|---:|"]
         for row in self.rows:
