@@ -197,7 +197,7 @@ def _called(argv: list[str], instead: str) -> int:
     sys.argv = argv
     code: Any = 0
     try:
-        with patch.object(command, "survive_memory_limit"):  # who limits and watches this process does it
+        with patch.object(command, "fork_under_memory_limit"):  # who limits and watches this process does it
             exec(instead, {}) if instead else command.main()
     except SystemExit as error:
         code = error.code
