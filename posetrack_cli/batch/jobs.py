@@ -247,6 +247,7 @@ def pieces_of(
     """
     length, ahead, later = (round(seconds * _NS) for seconds in (chunk_s, before_s, after_s))
     count = max(1, round((stamps[-1] - stamps[0]) / length))
+    # Cuts by stamp rather than by frame number: pieces have equal duration even if frames were dropped.
     begins = [stamps[0] + k * length for k in range(count)]
     cuts = [*(bisect_left(stamps, begin) for begin in begins), len(stamps)]
     pieces = []

@@ -180,5 +180,6 @@ def _digests_of_options(arguments: Iterable[str]) -> dict[str, str]:
 
 
 def _digest_of(values: Any) -> str:
+    # sort_keys and default=str: equal values give equal text, whatever their order or path type.
     text = json.dumps(values, sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()

@@ -123,7 +123,7 @@ def _components(evaluation: Evaluation, table: RowTable, limit: int) -> list[dic
     for one in components(evaluation):
         lines = [one.estimate] if one.truth is None else [one.estimate, one.truth]
         if not any(np.isfinite(line).any() for line in lines):
-            continue
+            continue  # an empty plot would only take space
         rows = envelope_rows(np.stack(lines), limit)
         found.append(
             {

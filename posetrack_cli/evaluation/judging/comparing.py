@@ -62,6 +62,7 @@ def paired_blocks(
     a, b = first[mine], second[theirs]
     usable = np.isfinite(a) & np.isfinite(b)
     stamps, a, b = stamps[usable], a[usable], b[usable]
+    # Frames of one series only, plus common frames without a finite value (counted once).
     left_out = len(first_ns) + len(second_ns) - len(mine) - len(stamps)
     return PairedBlocks(block_means(stamps, a), block_means(stamps, b), len(stamps), left_out)
 

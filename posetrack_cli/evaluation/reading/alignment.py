@@ -349,7 +349,7 @@ def remove_joint_offsets(
     capped = tuple(
         name for name, long in zip(track.point_names, lengths[:, 0] > MOST_MM, strict=True) if long
     )
-    shares = np.minimum(1.0, MOST_MM / np.maximum(lengths, 1e-9))
+    shares = np.minimum(1.0, MOST_MM / np.maximum(lengths, 1e-9))  # 1e-9 avoids a division by 0
     offsets = JointOffsets(track.point_names, frame, found * shares, capped)
     return replace(track, points=_joints_moved(track, offsets.offsets, turns)), offsets
 

@@ -152,7 +152,7 @@ def print_tables(
     is_terminal = file.isatty()
     available = width or (get_terminal_size().columns if is_terminal else PIPE_WIDTH)
     coloured = is_terminal and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
-    plain = (file.encoding or "utf-8").lower() not in ("utf-8", "utf8")
+    plain = (file.encoding or "utf-8").lower() not in ("utf-8", "utf8")  # no plus-minus sign
     for table in tables:
         rows = list(_rows(table, plain))
         widths = [max(map(_width, column)) for column in zip(*(texts for _, texts in rows), strict=True)]

@@ -32,6 +32,7 @@ def chosen_rows(choice: str, track: Track, errors: FloatArray | None) -> IntArra
         UsageError: invalid syntax, or no such frame in the result.
     """
     rows = np.arange(len(track), dtype=np.int64)
+    # Also for "all": an empty video or sheet cannot be written.
     if not rows.size:
         raise UsageError("no frame to draw", found="a result without estimates")
     if choice == "all":
