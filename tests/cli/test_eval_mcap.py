@@ -187,7 +187,7 @@ def test_the_schema_says_what_each_number_is(evaluated: Path) -> None:
         known = {name for message in metrics(evaluated, topic) for name in message} - {"log"}
         assert told["properties"].keys() == known
         numbers = {name: of for name, of in told["properties"].items() if of["type"] == "number"}
-        assert numbers["nees"]["description"].startswith("Squared error in stated standard deviations")
+        assert numbers["nees"]["description"].startswith("Normalised estimation error squared")
         assert all(of["description"].endswith(".") for of in numbers.values())
 
 
@@ -220,7 +220,7 @@ def test_without_truth_the_consistency_is_written(tmp_path: Path) -> None:
     assert found[1].keys() == {"log", "stamp_ns", "status", "jitter_mm", "cost_mm", "confidence", "ess"}
     said = record(tmp_path / "out.mcap")
     assert not any(key.startswith("truth") for key in said)
-    assert said["results"][0]["absent"]["joint_error_mm"].startswith("no truth")
+    assert said["results"][0]["absent"]["joint_error_mm"].startswith("no ground truth")
 
 
 def test_a_truth_that_is_given_is_named_and_covers_what_it_covers(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ import pytest
 
 from posetrack_cli.cli.main import run
 from posetrack_cli.errors import EXIT_DATA_LOST
+from posetrack_cli.evaluation.measuring.evaluate import GUESS_NOTE, PRIOR_NOTE
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.config import HeadMonoConfig
 from posetrack_cli.head.face.points import POINT_NAMES
@@ -271,7 +272,7 @@ def test_the_record_says_what_one_camera_cannot_know(
     assert {key: record[key] for key in stated} == stated
     assert record["face_model"] == "shipped"
     assert run(["eval", str(tracked)]) == 0
-    assert "one camera sees no scale" in capsys.readouterr().out
+    assert PRIOR_NOTE in capsys.readouterr().out
 
 
 def test_a_folder_with_its_camera_file_is_as_good(made: Path, tracked: Path, tmp_path: Path) -> None:
@@ -303,7 +304,7 @@ def test_a_video_without_calibration_is_tracked_on_a_guess_that_is_said(
     drawn = ["--recording", str(video), "--select", "0:2", "-o", str(tmp_path / "sheet.png")]
     assert run(["view", str(result.path), *drawn]) == 0
     assert run(["eval", str(result.path), "--recording", str(video), "--html", str(tmp_path / "r.html")]) == 0
-    assert "the camera was not calibrated" in (tmp_path / "r.html").read_text()
+    assert GUESS_NOTE in (tmp_path / "r.html").read_text()
     assert run(["export", str(result.path), "-o", str(tmp_path / "r.csv")]) == 0
     assert "identity_10" in (tmp_path / "r.csv").read_text()
 

@@ -250,13 +250,13 @@ def test_a_curve_that_rises_upright_can_be_walked_along(make: Make) -> None:
 
 def test_what_cannot_be_judged_is_said_in_place_of_its_plot(make: Make) -> None:
     page = make(without_truth(hand_evaluation(frames=5)))
-    assert "No truth" in page.find("#reliability-plot .missing").text
+    assert "No ground truth" in page.find("#reliability-plot .missing").text
     evaluation = hand_evaluation(frames=5)
     assert evaluation.judged is not None
     right = dataclasses.replace(evaluation.judged, right=np.ones(5, dtype=np.bool_))
     page = make(dataclasses.replace(evaluation, judged=right))
     assert page.all("#reliability-plot circle.spot")
-    assert "All frames are right" in page.find("#roc-plot .missing").text
+    assert "All frames are correct" in page.find("#roc-plot .missing").text
 
 
 def test_the_slider_moves_the_hand_as_projected(make: Make) -> None:
@@ -604,8 +604,8 @@ def lost_everywhere(evaluation: Evaluation) -> Evaluation:
     ("evaluation", "said"),
     [
         (shortened(hand_evaluation(frames=9), 1), "frame 0"),
-        (dataclasses.replace(without_truth(shortened(hand_evaluation(frames=9), 0))), "There are no frames"),
-        (without_truth(hand_evaluation(frames=30)), "No truth with joints"),
+        (dataclasses.replace(without_truth(shortened(hand_evaluation(frames=9), 0))), "No frames"),
+        (without_truth(hand_evaluation(frames=30)), "No ground truth with joints"),
         (lost_everywhere(hand_evaluation(frames=30)), "lost"),
         (head_evaluation(frames=30), "position error, mm"),
     ],
@@ -620,7 +620,7 @@ def test_pages_of_little_say_what_is_missing(make: Make, evaluation: Evaluation,
 def test_a_page_without_results_is_silent(make: Make) -> None:
     page = make()
     assert console_lines(page.driver) == []
-    assert "No result was given" in page.find("main").text
+    assert "No results" in page.find("main").text
 
 
 def test_a_head_s_points_and_axes_move(make: Make) -> None:
