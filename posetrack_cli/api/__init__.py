@@ -178,6 +178,7 @@ def track_hand(
         files.append(shape)
     configuration = _configured(HandConfig, files, {**(settings or {}), **own})
     if isinstance(depth, Recording):
+        _check_unset(camera=camera, fps=fps, stamps_ns=stamps_ns, depth_unit_mm=depth_unit_mm)
         recording = depth
     elif isinstance(depth, Path | str):
         file = _camera_file(camera, stamps_ns)
@@ -234,6 +235,7 @@ def track_head(
     from posetrack_cli.head.run import HeadRunOptions
     from posetrack_cli.head.runs import make_mono_run, make_stereo_run
     from posetrack_cli.recording.array_source import open_grey_arrays
+    from posetrack_cli.recording.base import NotCalibratedError
     from posetrack_cli.recording.camera_of import Guess, guess_of_field
     from posetrack_cli.recording.recording import Recording
 
@@ -241,16 +243,24 @@ def track_head(
         raise UsageError("cameras and fov_deg are mutually exclusive", hint="leave one of them out")
     guess = Guess() if fov_deg is None else guess_of_field(fov_deg)
     if isinstance(images, Recording):
+        _check_unset(cameras=cameras or None, fps=fps, stamps_ns=stamps_ns)
         recording = images
     elif isinstance(images, Path | str):
         file = _camera_file(cameras or None, stamps_ns)
-        recording = open_recording(images, "grey", fps=fps, guess=guess, camera_file=file)
+        try:
+            recording = open_recording(images, "grey", fps=fps, camera_file=file)
+        except NotCalibratedError:  # a guess is for one camera: with it a calibrated rig would be refused
+            recording = open_recording(images, "grey", fps=fps, camera_file=file, guess=guess)
     elif isinstance(cameras, Path | str):
         raise UsageError("images are arrays", found=f"cameras {cameras}", expected="posetrack.Camera objects")
     else:
         rig = [cameras] if isinstance(cameras, Camera) else list(cameras)
         by_name = images if isinstance(images, Mapping) else {rig[0].name if rig else "camera": images}
         recording = open_grey_arrays(by_name, rig, fps=fps, stamps_ns=stamps_ns, guess=None if rig else guess)
+    if fov_deg is not None and not recording.is_guessed:
+        raise UsageError(
+            "fov_deg cannot be used with a calibrated camera", found=fov_deg, hint="leave it out"
+        )
     path, folder = _output(output, smooth=smooth, resume=resume)
     options = HeadRunOptions(path, seed=seed, smooth=smooth, overwrite=overwrite, resume=resume)
     files, own = _as_list(config), dict(settings or {})
@@ -307,6 +317,13 @@ def _one_camera(camera: object) -> Camera:
         expected = "posetrack.Camera(width, height, fx, fy, cx, cy)"
         raise UsageError("camera of the images is missing", found=repr(camera), expected=expected)
     return camera
+
+
+def _check_unset(**given: object) -> None:
+    """Refuse parameters that a recording has settled when it was opened."""
+    for name, value in given.items():
+        if value is not None:
+            raise UsageError(f"{name} does not apply to an open recording", hint="pass it to open_recording")
 
 
 def _camera_file(camera: object, stamps_ns: object) -> Path | None:

@@ -100,6 +100,11 @@ def test_a_head_is_tracked_from_arrays_like_from_its_recording(tmp_path: Path) -
     images = {camera.name: [frame.images[c] for frame in frames] for c, camera in enumerate(source.cameras)}
     stamps = [frame.stamp_ns for frame in frames]
     assert_equal(list(posetrack.track_head(images, source.cameras, stamps_ns=stamps)), load_arrays(result))
+    assert_equal(list(posetrack.track_head(recording)), load_arrays(result))
+    assert_equal(list(posetrack.track_head(source)), load_arrays(result))
+    for more in ({"fps": 30.0}, {"cameras": source.cameras}, {"fov_deg": 60.0}):
+        with pytest.raises(PosetrackError, match=r"does not apply|calibrated camera"):
+            posetrack.track_head(source, **more)  # type: ignore[arg-type]
     reference = source.cameras[0]
     alone = ["--cameras", reference.name, "--passes", "1", "--overwrite"]
     assert run(["head", "mono", str(recording), "-o", str(result), *alone]) == 0
