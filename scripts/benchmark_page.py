@@ -46,7 +46,11 @@ def collect(measured: dict[str, Any], name: str, report: Mapping[str, Any], temp
     used = {address for study, address, _ in _places(template) if study == name and address in found}
     if not used:
         raise MeasurementError(f"{name}: the template uses none of its {len(found)} figures")
-    kept = measured.get(name, {}).get("figures", {})
+    before = measured.get(name, {"source": report["source"], "figures": {}})
+    kept = {address: value for address, value in before["figures"].items() if address not in used}
+    if kept and before["source"]["posetrack"] != report["source"]["posetrack"]:
+        version = before["source"]["posetrack"]  # one source is stated for all figures of a study
+        raise MeasurementError(f"{name}: {next(iter(kept))} is of {version}; measure its part, too")
     figures = {**kept, **{address: found[address] for address in used}}
     measured[name] = {"source": report["source"], "figures": dict(sorted(figures.items()))}
 

@@ -58,3 +58,12 @@ def test_a_figure_that_was_not_measured_is_refused() -> None:
         page_of(measured(), "{{mono|x|.1f}}")
     with pytest.raises(MeasurementError, match="uses none of its 3 figures"):
         collect({}, "hand", STUDY, "{{hand|other|.1f}}")
+
+
+def test_figures_of_two_versions_are_not_mixed_under_one_source() -> None:
+    found = measured()
+    newer = {"source": SOURCE | {"posetrack": "2.0"}, "targets": []}
+    with pytest.raises(MeasurementError, match=r"asked\|joints, mm is of 1"):
+        collect(found, "hand", newer | {"figures": STUDY["figures"]}, TEMPLATE)
+    collect(found, "hand", newer | {"figures": STUDY["figures"], "targets": STUDY["targets"]}, TEMPLATE)
+    assert found["hand"]["source"]["posetrack"] == "2.0"  # type: ignore[index]
