@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,8 @@ import pytest
 import posetrack_cli as posetrack
 from posetrack_cli.cli.main import run
 from posetrack_cli.errors import PosetrackError
+from posetrack_cli.hand.autodetect import DetectedHand
+from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.outputs import part_path
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results import load_arrays
@@ -71,6 +74,26 @@ def test_arrays_are_tracked_like_the_recording_they_come_from(depth: Depth) -> N
     assert_equal(list(by_path), load_arrays(depth.result))
 
 
+def test_the_shape_of_an_earlier_result_is_used(depth: Depth, tmp_path: Path) -> None:
+    earlier = tmp_path / "earlier.mcap"
+    with depth.track(settings=QUICK | {"hand.scale": 1.1}, output=earlier) as tracking:
+        list(tracking)
+    again = depth.track(shape=earlier)
+    hand = json.loads(again.run["configuration"])["hand"]
+    again.close()
+    assert hand == json.loads(posetrack.read(earlier).run["configuration"])["hand"]
+    assert hand["scale"] == 1.1
+
+
+def test_a_doubtful_shape_is_a_warning(depth: Depth, monkeypatch: pytest.MonkeyPatch) -> None:
+    def doubtful(recording: object, config: HandConfig, *_: object) -> DetectedHand:
+        return DetectedHand(config, "shape is uncertain", is_doubtful=True)
+
+    monkeypatch.setattr("posetrack_cli.hand.autodetect.detect_hand", doubtful)
+    with pytest.warns(UserWarning, match="shape is uncertain"):
+        depth.track().close()
+
+
 def test_a_run_that_is_closed_can_be_resumed_to_equal_estimates(depth: Depth, tmp_path: Path) -> None:
     output = tmp_path / "hand.mcap"
     with depth.track(output=output) as tracking:
@@ -106,17 +129,25 @@ def test_a_head_is_tracked_from_arrays_like_from_its_recording(tmp_path: Path) -
         with pytest.raises(PosetrackError, match=r"does not apply|calibrated camera"):
             posetrack.track_head(source, **more)  # type: ignore[arg-type]
     reference = source.cameras[0]
-    alone = ["--cameras", reference.name, "--passes", "1", "--overwrite"]
-    assert run(["head", "mono", str(recording), "-o", str(result), *alone]) == 0
+    alone = ["--cameras", reference.name, "--passes", "1"]
+    mono = tmp_path / "mono.mcap"
+    assert run(["head", "mono", str(recording), "-o", str(mono), *alone]) == 0
     one_pass = {"settings": {"run.passes": 1}, "stamps_ns": stamps}
     tracking = posetrack.track_head(images[reference.name], reference, **one_pass)
-    assert_equal(list(tracking), load_arrays(result))
+    assert_equal(list(tracking), load_arrays(mono))
+    with pytest.raises(PosetrackError, match="person applies to one camera"):
+        posetrack.track_head(recording, person=result)
+    same = posetrack.track_head(images[reference.name], reference, person=result, **one_pass)
+    assert same.run["scale"] == "person"
+    same.close()
 
 
 def test_an_uncalibrated_camera_is_guessed_or_given_by_its_field_of_view() -> None:
     images = np.zeros((2, 60, 80), np.uint8)
     for given, focal in ({}, 80.0), ({"fov_deg": 90.0}, 40.0):
-        tracking = posetrack.track_head(images, fps=30.0, **given)
+        told = pytest.warns(UserWarning, match="focal length set to 80 px") if not given else nullcontext()
+        with told:
+            tracking = posetrack.track_head(images, fps=30.0, **given)
         assert json.loads(tracking.run["camera"])["fx"] == pytest.approx(focal, rel=0.01)
         assert tracking.run["intrinsics"] == "guessed"
         tracking.close()
