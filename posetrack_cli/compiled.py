@@ -142,7 +142,9 @@ def announced(
         report: called with a message, in the compiling thread.
         each: called with the number of each kernel, from 1, in the same thread.
     """
-    kept = "cached for later runs" if kernel_folder() else "not cached: no writable cache folder"
+    folder = kernel_folder()
+    is_kept = folder is not None and os.access(folder, os.W_OK)
+    kept = "cached for later runs" if is_kept else "not cached: no writable cache folder"
     counts = itertools.count(1)
 
     def say() -> None:

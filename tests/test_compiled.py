@@ -94,6 +94,16 @@ def test_the_folder_is_the_users_choice_first(tmp_path: Path, where: Callable[..
     assert where(HOME=home) == f"{home}/.cache/posetrack/{digest}"
 
 
+def test_a_chosen_folder_is_used_although_it_cannot_be_written(
+    tmp_path: Path, where: Callable[..., str | None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("posetrack_cli.cache._is_writable", lambda folder: False)
+    assert where(NUMBA_CACHE_DIR=str(tmp_path)) is None
+    folder = tmp_path / "posetrack" / source_digest(KERNEL_SOURCES)
+    folder.mkdir(parents=True)
+    assert where(NUMBA_CACHE_DIR=str(tmp_path)) == str(folder)
+
+
 def test_without_a_home_compiled_code_lies_in_a_temporary_folder_of_ones_own(
     tmp_path: Path, where: Callable[..., str | None]
 ) -> None:
