@@ -94,13 +94,26 @@ def _resolved_by_type(template: Callable[..., Any], args: Any, kws: Any) -> Any:
 
 @functools.cache
 def _cache_class() -> type[Any]:
-    """Return a numba cache that tolerates damaged files, full disks and concurrent writers."""
+    """Return a numba cache that tolerates damage, read-only folders, full disks and concurrent writers."""
     from numba.core import caching
 
     FunctionCache: Any = caching.FunctionCache  # untyped library
+    in_given_folder: Any = FunctionCache._impl_class._locator_classes[0]
+
+    class Locator(in_given_folder):  # type: ignore[misc]
+        """Locator that accepts a folder that can only be read."""
+
+        def ensure_cache_path(self) -> None:
+            with suppress(OSError):
+                super().ensure_cache_path()
+
+    class Implementation(FunctionCache._impl_class):  # type: ignore[misc]
+        _locator_classes = (Locator,)
 
     class KernelCache(FunctionCache):  # type: ignore[misc]
         """Cache that recompiles on read errors and ignores write errors."""
+
+        _impl_class = Implementation
 
         def load_overload(self, sig: Any, target_context: Any) -> Any:
             """Return the compiled code of a signature, or None if there is no usable entry."""

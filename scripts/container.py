@@ -1,8 +1,8 @@
 """Execute the steps of ``containers/Dockerfile`` in a chroot, and use the image as its own user.
 
-Every stage is a chroot: a temporary file system with this machine's system folders, and empty folders that the
-steps fill. Stages need Python 3.11, pip, git and OpenGL from the system. Call it in a mount namespace of its
-own (``scripts/check-container``).
+Every stage is a chroot: a temporary file system with this machine's system folders, and empty folders that
+the steps fill. Stages need Python 3.11, pip, git and OpenGL from the system. Call it in a mount namespace of
+its own (``scripts/check-container``).
 """
 
 from __future__ import annotations

@@ -221,6 +221,17 @@ def test_a_damaged_cache_is_made_anew(folder: Path, suffix: str, damage: bytes) 
     assert [compilations(), compilations()] == [1, 0]
 
 
+def test_a_cache_that_can_only_be_read_is_read(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in a container image. Permissions do not stop root, under which tests run."""
+    assert compilations() == 1
+
+    def refuse(locator: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("numba.core.caching._CacheLocator.ensure_cache_path", refuse)
+    assert compilations() == 0
+
+
 def test_what_cannot_be_kept_is_no_error(folder: Path) -> None:
     """As on a disk that is full, or was taken away."""
     made = kernel(doubled)
