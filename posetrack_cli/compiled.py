@@ -66,9 +66,11 @@ def inlined(function: Function) -> Function:
 
 
 def _compiled(function: Function, **options: Any) -> Function:
-    import numba
-    import numba.core.config
-
+    try:
+        import numba
+        import numba.core.config
+    except ModuleNotFoundError:  # an installation for evaluation, which calls few kernels; trackers refuse it
+        return function
     compiled: Any = numba.njit(**_OPTIONS, **options)(function)
     compiled.get_call_template = functools.partial(_resolved_by_type, compiled.get_call_template)
     config: Any = numba.core.config  # attributes are created at run time, so type checkers do not see them

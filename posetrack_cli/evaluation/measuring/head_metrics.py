@@ -15,9 +15,9 @@ from posetrack_cli.evaluation.measuring.pose_metrics import (
     distances,
     velocity_metrics,
 )
-from posetrack_cli.evaluation.reading.image_points import OUTER_EYES
 from posetrack_cli.geometry.camera import Camera, pixels_from_points
 from posetrack_cli.geometry.rigid import in_object
+from posetrack_cli.head.subject import OUTER_EYES
 
 HEAD_POSE = ("x_mm", "y_mm", "z_mm", "roll_deg", "pitch_deg", "yaw_deg")
 """Columns of tables 4.1-4.3 of the thesis, each reported as mean and standard deviation."""
