@@ -280,7 +280,7 @@ class Result:
         """
         from posetrack_cli.results.export.frames import to_xarray
 
-        return to_xarray(self.to_numpy(track), self)
+        return to_xarray(self.to_numpy(track), self.subject, self.image_cameras, self.run)
 
     def numbers(self) -> dict[str, FloatArray]:
         """Return the additional numbers of the result's own estimates, (N,) by name; NaN where unknown.

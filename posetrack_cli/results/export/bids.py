@@ -130,7 +130,7 @@ def write_bids(source: ExportSource, out: Path, *, overwrite: bool = False) -> P
     channels = list(_channels(columns, source.result.subject, seconds - seconds[0]))
     motion = place.file("motion.tsv")
     try:
-        make_folder(place.folder, place.root.parent)
+        make_folder(place.folder, place.root if place.root.is_dir() else place.root.parent)
         check_target(motion, overwrite=overwrite, source=source.result.path, source_name="result")
         _complete_dataset(place, source)
         if start is not None:

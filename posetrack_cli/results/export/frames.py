@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +11,7 @@ import numpy as np
 from posetrack_cli.errors import UsageError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.results.columns import Columns
-from posetrack_cli.results.derived import JOINT_ANGLES, MEANINGS, PIXELS, UNITS
+from posetrack_cli.results.derived import JOINT_ANGLES, MEANINGS, PIXELS, UNITS, joint_angle_names
 from posetrack_cli.results.estimate import Subject
 from posetrack_cli.results.export.table import table_of
 from posetrack_cli.results.fields import BY_NAME, NUMBERS
@@ -19,8 +19,6 @@ from posetrack_cli.results.fields import BY_NAME, NUMBERS
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
-
-    from posetrack_cli.results.reader import Result
 
 _POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _TANGENT = ("x", "y", "z", "rx", "ry", "rz")
@@ -55,7 +53,9 @@ def to_pandas(columns: Columns, subject: Subject, cameras: Sequence[Camera]) -> 
     return frame
 
 
-def to_xarray(columns: Columns, result: Result) -> xr.Dataset:
+def to_xarray(
+    columns: Columns, subject: Subject, cameras: Sequence[Camera], run: Mapping[str, str]
+) -> xr.Dataset:
     """Return a dataset with dimension ``frame`` and labelled axes, parameters and points.
 
     Variables are the arrays of ``Result.to_numpy`` and the tracker's additional numbers; each array has its
@@ -64,7 +64,7 @@ def to_xarray(columns: Columns, result: Result) -> xr.Dataset:
     Raises:
         UsageError: xarray is not installed.
     """
-    xarray, subject = _module("xarray"), result.subject
+    xarray = _module("xarray")
     variables: dict[str, Any] = {}
     for name, values in columns.items():
         if name == NUMBERS:
@@ -86,14 +86,14 @@ def to_xarray(columns: Columns, result: Result) -> xr.Dataset:
         "pose": (*_POSE, *subject.shape_names),
         "tangent": (*_TANGENT, *subject.shape_names),
         "point": subject.point_names,
-        "camera": tuple(camera.name for camera in result.image_cameras),
+        "camera": tuple(camera.name for camera in cameras),
         "pixel": ("u", "v"),
-        "angle": result.angle_names,
+        "angle": joint_angle_names(subject),
     }
     used = {dimension for name in columns for dimension in _DIMENSIONS.get(name, ())}
     coordinates = {name: np.array(labels[name], dtype=str) for name in labels if name in used}
     stamp = {"stamp_ns": variables.pop("stamp_ns")}
-    dataset: xr.Dataset = xarray.Dataset(variables, coords=coordinates | stamp, attrs=dict(result.run))
+    dataset: xr.Dataset = xarray.Dataset(variables, coords=coordinates | stamp, attrs=dict(run))
     return dataset
 
 
