@@ -138,7 +138,7 @@ SCHEMAS = ("ros2",)
 @option(
     "--session-start",
     metavar="TIME",
-    help="Start of the session for nwb and bids, e.g. 2026-01-31T10:00:00+01:00.  [default: the first frame, "
+    help="Start of the session for nwb and bids, such as 2026-01-31T10:00:00+01:00.  [default: first frame, "
     "if stamps are UNIX time]",
 )
 @volume_options
