@@ -117,8 +117,9 @@ SCHEMAS = ("ros2",)
 @option(
     "--format",
     "format_name",
+    metavar="NAME",
     type=click.Choice(FORMATS),
-    help="Output format.  [default: by the ending of FILE, else csv]",
+    help="Output format, see above.  [default: by the ending of FILE, else csv]",
 )
 @option(
     "--schemas",
@@ -156,11 +157,11 @@ def export(
     """Export the estimates of RESULT, which may be unfinished.
 
     \b
-    csv        a row per frame: pose, points, pixels, angles; units in column names
+    csv        a row per frame: pose, points, pixels, angles; units in names
     parquet    the table of csv with types and units; requires -o
     json       the columns of csv as lists, with their meanings and the run record
     npz        one array per field of an estimate, for NumPy; requires -o
-    rom        range and speed of each joint angle (hand) or Euler angle (head), CSV
+    rom        range and speed of joint angles (hand) or Euler angles (head), CSV
     tum        timestamp tx ty tz qx qy qz qw, in s and m, for trajectory tools
     nwb        NWB with ndx-pose; requires -o
     bids       BIDS Motion; requires -o DATASET/sub-01_task-reach

@@ -8,6 +8,7 @@ result, and dates from the session, so that equal results give equal bytes.
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -40,6 +41,7 @@ def write_nwb(source: ExportSource, path: Path) -> None:
         UsageError: pynwb or ndx-pose is not installed, or the session's start is unknown.
         ResultError: the result has no estimates or cannot be read, or NWB cannot represent a name.
     """
+    os.environ.setdefault("PYNWB_NO_CACHE_DIR", "1")  # its cache is a pickle in the user's home
     try:
         import ndx_pose
         import pynwb  # optional dependencies, extra "nwb"
