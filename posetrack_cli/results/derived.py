@@ -57,10 +57,10 @@ def is_tracked(columns: Columns) -> BoolArray:
 
 # Joint angles of a hand
 #
-# Zero pose and signs are those of the hand model (``hand.model.anatomy``), which couples the last joints: a
-# DIP joint bends half as far as its PIP, the thumb's IP half as far as its MCP, plus an offset.
+# Zero pose and signs are those of the hand model (``hand.model.anatomy``). Its skeleton couples the last
+# joints: a DIP joint bends half as far as its PIP, the thumb's IP half as far as its MCP, plus an offset.
 
-DISTAL_SHARE = 0.5
+_DISTAL_SHARE = 0.5
 _FINGERS = ("index", "middle", "ring", "little")
 _THUMB_ANGLES = ("cmc_flexion", "cmc_abduction", "mcp_flexion", "mcp_abduction", "ip_flexion")
 _FINGER_ANGLES = ("mcp_flexion", "mcp_abduction", "pip_flexion", "dip_flexion")
@@ -90,7 +90,7 @@ def joint_angles(columns: Columns, subject: Subject) -> FloatArray:
     if numbers is not None:
         stated = dict(zip(subject.number_names, numbers.T, strict=True))
         known |= {name: np.nan_to_num(stated[name]) for name in _NUMBERS if name in stated}
-    known |= {name: DISTAL_SHARE * known[other] for name, other in _COUPLED.items()}
+    known |= {name: _DISTAL_SHARE * known[other] for name, other in _COUPLED.items()}
     known["thumb_ip_flexion"] = known["thumb_ip_flexion"] + known[_OFFSET]
     return np.degrees(np.stack([known[name] for name in _NAMES], axis=1))
 

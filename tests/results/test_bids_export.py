@@ -138,6 +138,7 @@ def test_another_track_is_added_and_what_people_wrote_is_kept(result: Result, tm
         "task-reach_sub-01",
         "sub-01_task-a_space-b",
         "sub-_task-a",
+        "sub-01_task-a_run-b",
     ],
 )
 def test_other_names_are_refused(result: Result, tmp_path: Path, name: str) -> None:

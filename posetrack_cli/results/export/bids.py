@@ -65,10 +65,10 @@ class Place:
         Raises:
             UsageError: the name does not have this form.
         """
-        found = re.findall(r"(?:^|_)([a-z]+)-([0-9A-Za-z]+)(?=_|$)", out.name.removesuffix(ENDING))
-        given = dict(found)
+        given = dict(re.findall(r"(?:^|_)([a-z]+)-([0-9A-Za-z]+)(?=_|$)", out.name.removesuffix(ENDING)))
         written = "_".join(f"{key}-{given[key]}" for key in ENTITIES if key in given)
-        if written != out.name.removesuffix(ENDING) or not {"sub", "task"} <= given.keys():
+        complete = {"sub", "task"} <= given.keys() and given.get("run", "1").isdigit()
+        if written != out.name.removesuffix(ENDING) or not complete:
             expected = "DATASET/sub-01_task-reach, optionally with ses, tracksys, acq and run"
             raise UsageError("not a name of BIDS", where=out, found=out.name, expected=expected)
         given.setdefault("tracksys", re.sub("[^0-9A-Za-z]", "", subject.name) or "posetrack")
@@ -127,14 +127,14 @@ def write_bids(source: ExportSource, out: Path, *, overwrite: bool = False) -> P
     if not len(columns["stamp_ns"]):
         raise ResultError("has no estimates", where=source.where)
     start, seconds = session_time(source, columns["stamp_ns"])
-    channels = list(_channels(columns, source.result.subject, seconds - seconds[0]))
+    channels = list(_channels(columns, source.result.subject, seconds - seconds.min()))
     motion = place.file("motion.tsv")
     try:
         make_folder(place.folder, place.root if place.root.is_dir() else place.root.parent)
         check_target(motion, overwrite=overwrite, source=source.result.path, source_name="result")
         _complete_dataset(place, source)
         if start is not None:
-            date = (start + timedelta(seconds=float(seconds[0]))).isoformat().replace("+00:00", "Z")
+            date = (start + timedelta(seconds=float(seconds.min()))).isoformat().replace("+00:00", "Z")
             row = {"filename": f"motion/{motion.name}", "acq_time": date}
             _add_row(place.folder.parent / f"{place.prefix}_scans.tsv", row)
         described = (channel[:-1] for channel in channels)
