@@ -157,7 +157,7 @@ def test_tables_and_datasets_hold_what_the_arrays_do(depth: Depth) -> None:
     pytest.importorskip("pandas"), pytest.importorskip("xarray")
     result = posetrack.read(depth.result)
     arrays, table, dataset = result.to_numpy(), result.to_pandas(), result.to_xarray()
-    names = [name for group in table_of(result.subject) for name in group.names]
+    names = [name for group in table_of(result.subject, result.image_cameras) for name in group.names]
     assert [table.index.name, *table.columns] == sorted(
         names, key=lambda name: (name != "stamp_ns", names.index(name))
     )
@@ -166,6 +166,13 @@ def test_tables_and_datasets_hold_what_the_arrays_do(depth: Depth) -> None:
     tip = result.subject.point_names.index("index_tip")
     np.testing.assert_array_equal(table["index_tip_y_mm"], arrays["points"][:, tip, 1])
     np.testing.assert_array_equal(dataset["points"].sel(point="index_tip", axis="y"), table["index_tip_y_mm"])
+    np.testing.assert_array_equal(table["index_tip_v_px"], arrays["pixels"][:, 0, tip, 1])
+    np.testing.assert_array_equal(
+        dataset["pixels"].sel(point="index_tip", pixel="u")[:, 0], table["index_tip_u_px"]
+    )
+    bent = dataset["joint_angles_deg"].sel(angle="index_pip_flexion")
+    np.testing.assert_array_equal(table["index_pip_flexion_deg"], bent)
+    np.testing.assert_allclose(np.radians(bent), table["index_pip_flexion_rad"], rtol=1e-15)
     np.testing.assert_array_equal(dataset["twist"].sel(tangent="rz"), arrays["twist"][:, 5])
     assert dataset["status"].values.tolist() == arrays["status"].tolist()
     assert dataset.attrs["seed"] == "0"
@@ -236,8 +243,9 @@ def test_unusable_images_of_heads_are_refused_in_one_line(
 def test_reading_loads_neither_numba_nor_scipy_nor_opencv_nor_pyav(depth: Depth) -> None:
     code = (
         "import sys, posetrack_cli as posetrack\n"
-        f"posetrack.read({str(depth.result)!r}).to_numpy()\n"
-        "print(sorted({'numba', 'scipy', 'cv2', 'av', 'moderngl'} & sys.modules.keys()))"
+        f"result = posetrack.read({str(depth.result)!r})\n"
+        "assert result.to_numpy()['pixels'].size and result.range_of_motion()['frames'].any()\n"
+        "print(sorted({'numba', 'scipy', 'cv2', 'av', 'moderngl', 'google.protobuf'} & sys.modules.keys()))"
     )
     printed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert printed.stdout.strip() == "[]"
