@@ -196,7 +196,7 @@ def _table(summary: Summary) -> str:
         values = ["" if row is None or (value := row.value(one)) is None else repr(value) for one in figures]
         lines.append(
             [
-                *(outcome.name, str(job.recording), outcome.state.value, _reason(summary, outcome)),
+                *(outcome.name, job.shown_recording, outcome.state.value, _reason(summary, outcome)),
                 *values,
                 str(failed[outcome.name]),
                 *(f"{outcome.seconds:.2f}", f"{outcome.cpu_s:.2f}", _rate(outcome)),
@@ -230,7 +230,7 @@ def _report(summary: Summary, options: EvalOptions) -> str:
 def _facts(summary: Summary, job: Job, outcome: Outcome) -> dict[str, Any]:
     return {
         "name": outcome.name,
-        "recording": str(job.recording),
+        "recording": job.shown_recording,
         "result": str(job.output),
         "page": None if job.page is None or not job.page.is_file() else str(job.page),
         "state": outcome.state.value,
