@@ -26,7 +26,7 @@ from posetrack_cli.results.fields import (
     UNKNOWN_ARRAYS,
     UNKNOWN_NUMBERS,
 )
-from posetrack_cli.results.records import object_of, reader_of
+from posetrack_cli.strict_json import object_of, reader_of
 
 ESTIMATE_SCHEMA_NAME = "posetrack.Estimate"
 

@@ -29,15 +29,14 @@ from posetrack_cli.mcap.stream import (
 from posetrack_cli.mcap.summary import read_summary
 from posetrack_cli.outputs import part_path
 from posetrack_cli.recording.base import RUN_RECORD, TRUTH_PREFIX, TruthMessage, truth_message
+from posetrack_cli.recording.camera_record import CAMERAS_RECORD, cameras_from_record
 from posetrack_cli.results.columns import Columns, column_blocks, empty_columns, joined
 from posetrack_cli.results.estimate import Estimate, Subject
 from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA_NAME, estimate_from_json
 from posetrack_cli.results.fields import FIELD_NAMES, NUMBERS, Sizes
 from posetrack_cli.results.records import (
-    CAMERAS_RECORD,
     SUBJECT_RECORD,
     SUMMARY_RECORD,
-    cameras_from_record,
     check_run_record,
     subject_from_record,
 )

@@ -21,7 +21,7 @@ from posetrack_cli.mcap.decoding import MessageDecoder, UndecodableMessageError,
 from posetrack_cli.mcap.stream import McapFile
 from posetrack_cli.recording.base import TRUTH_PREFIX, TruthMessage
 from posetrack_cli.results.estimate import Subject
-from posetrack_cli.results.records import COUNT, LENGTH_MM, NAME, list_of, object_of, reader_of
+from posetrack_cli.strict_json import COUNT, LENGTH_MM, NAME, list_of, object_of, reader_of
 
 ODOMETRY_SCHEMA = "foxglove.Odometry"
 JOINT_STATES_SCHEMA = "foxglove.JointStates"
