@@ -104,6 +104,11 @@ class OpenVideo:
     stream: VideoStream
 
     @property
+    def codec(self) -> str:
+        """FFmpeg's name of the codec."""
+        return str(self.stream.codec_context.codec.canonical_name)
+
+    @property
     def rate_hz(self) -> float:
         """The stated frame rate; 0 if unknown."""
         return float(self.stream.average_rate or self.stream.guessed_rate or 0)

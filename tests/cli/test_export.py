@@ -40,7 +40,7 @@ def rows(text: str) -> list[str]:
 
 
 def test_formats_are_those_of_the_library() -> None:
-    assert set(FORMATS) == {*library.FORMATS, "bvh"}  # whose skeleton is no matter of results
+    assert set(FORMATS) == {*library.FORMATS, "bvh"} - {"protobuf"}  # whose skeleton is no matter of results
 
 
 def test_csv_goes_to_standard_output_and_nothing_else(path: Path, capfd: pytest.CaptureFixture[str]) -> None:
