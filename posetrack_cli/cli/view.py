@@ -134,7 +134,7 @@ def view(paths: tuple[Path, ...], output: Path, **options: Any) -> None:
     the mean point error. Lens distortion is removed from the images.
 
     FILE.mcap is a copy of RESULT with the images of its frames: depth as 16UC1, other images as stored if
-    possible, else as JPEG. Options for drawing do not apply to it.
+    possible, else as JPEG. Its estimates are protobuf. Options for drawing do not apply to it.
 
     Videos are H.264. After Ctrl-C, the part drawn so far is a valid output, except for FILE.mcap. Exit code
     3: the result is truncated, or some of its frames are not in the recording.

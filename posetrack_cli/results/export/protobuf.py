@@ -1,21 +1,21 @@
-"""Export of a result as an MCAP file of protobuf messages only, for readers without JSON."""
+"""Copies of a result in which JSON messages are protobuf, for readers without JSON such as rerun."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 from mcap.records import Channel, Schema
 
 from posetrack_cli.errors import UsageError
+from posetrack_cli.limits import MIB
 from posetrack_cli.losses import LossLog, loss_line
 from posetrack_cli.mcap.protobuf_twin import NoTwinError, ProtobufTwin, twin_of_channel
 from posetrack_cli.mcap.sink import McapSink
 from posetrack_cli.mcap.stream import McapFile
 from posetrack_cli.results.copying import Copied, copied_result, unchanged
 from posetrack_cli.results.export.source import ExportSource
-
-CHUNK_BYTES = 1024 * 1024
 
 
 def write_protobuf(source: ExportSource, path: Path) -> Iterator[str]:
@@ -37,23 +37,36 @@ def write_protobuf(source: ExportSource, path: Path) -> Iterator[str]:
     left_out: list[str] = []
 
     def choice(schema: Schema | None, channel: Channel) -> Copied | None:
-        if channel.message_encoding == "protobuf":
-            return unchanged(schema, channel)
         try:
-            twin = twin_of_channel(schema, channel)
+            return as_protobuf(schema, channel, losses)
         except NoTwinError as error:
             left_out.append(f"{channel.topic} is left out: {error}")
             return None
-        return Copied(twin.schema, "protobuf", lambda data: _encoded(twin, data, channel.topic, losses))
 
-    with McapSink(path, chunk_bytes=CHUNK_BYTES) as sink, copied_result(file, sink, choice):
+    with McapSink(path, chunk_bytes=MIB) as sink, copied_result(file, sink, choice):
         pass
     yield from left_out
     if losses.losses:
         yield loss_line(losses.losses)
 
 
-def _encoded(twin: ProtobufTwin, data: bytes, topic: str, losses: LossLog) -> bytes | None:
+def as_protobuf(schema: Schema | None, channel: Channel, losses: LossLog) -> Copied:
+    """Return the protobuf copy of a channel of protobuf or JSON messages.
+
+    Args:
+        schema, channel: the channel.
+        losses: receives the messages that do not fit the schema and are left out.
+
+    Raises:
+        NoTwinError: there is none.
+    """
+    if channel.message_encoding == "protobuf":
+        return unchanged(schema, channel)
+    twin = twin_of_channel(schema, channel)
+    return Copied(twin.schema, "protobuf", partial(_encoded, twin, channel.topic, losses))
+
+
+def _encoded(twin: ProtobufTwin, topic: str, losses: LossLog, data: bytes) -> bytes | None:
     try:
         return twin.encode(data)
     except NoTwinError as error:
