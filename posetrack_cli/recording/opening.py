@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -197,12 +196,16 @@ def open_any(path: Path, *, images: bool = False, **options: Unpack[ReadingOptio
 def _open_of_kind(path: Path, pixels: PixelKind, options: ReadingOptions) -> Recording:
     try:
         return open_recording(path, pixels, **options)
-    except RecordingError:
+    except RecordingError as error:
+        if pixels == "depth":
+            raise
         guessed: ReadingOptions = {**options, "guess": Guess()}
-        with suppress(PosetrackError):  # the first error says what is missing
-            if pixels == "grey":
-                return open_recording(path, pixels, **guessed)
-        raise
+        try:
+            return open_recording(path, pixels, **guessed)
+        except PosetrackError as further:
+            # A single camera needs no calibration: it is something else that is missing.
+            is_single = isinstance(error, NotCalibratedError) and not isinstance(further, UsageError)
+            raise (further if is_single else error) from None
 
 
 def options_for(path: Path, pixels: PixelKind) -> frozenset[str]:
