@@ -71,10 +71,14 @@ class ProtobufTwin:
         try:
             if len(data) > limits.MESSAGE_BYTES:
                 raise ValueError(f"{len(data)} bytes")
-            message = ParseDict(json.loads(data), self._class())
+            values = json.loads(data)
+            encoded = bytes(ParseDict(values, self._class()).SerializeToString(deterministic=True))
+            stated = {name: value for name, value in values.items() if value is not None}
+            if json.loads(self.decode(encoded)) != stated:  # such as text that reads like a number
+                raise ValueError("values of other types")
         except (ValueError, TypeError, AttributeError, RecursionError, ParseError) as error:
             raise NoTwinError(f"message is not a {self.schema.name}") from error
-        return bytes(message.SerializeToString(deterministic=True))
+        return encoded
 
     def decode(self, data: bytes) -> bytes:
         """Return a protobuf message as JSON, fields in the order of the schema.
