@@ -255,7 +255,12 @@ def shown_image(frame: VideoFrame, pixel_aspect: float = 1.0) -> ImageArray:
 
 def orientation_of_frame(frame: VideoFrame) -> Orientation:
     """Return the orientation in a frame's display matrix."""
-    sides: Any = frame.side_data  # PyAV's stubs declare strings
+    from av.sidedata import sidedata
+
+    # ``frame.side_data`` would refer to the frame from the frame, so that its pixels wait for the garbage
+    # collector; PyAV's stubs do not declare the argument.
+    container: Any = sidedata.SideDataContainer
+    sides = container(frame)
     matrix = next((side for side in sides if side.type.name == DISPLAY_MATRIX), None)
     return UPRIGHT if matrix is None else orientation_of_matrix(bytes(matrix))
 
