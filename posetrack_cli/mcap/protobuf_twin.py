@@ -15,7 +15,6 @@ from posetrack_cli.mcap.sink import SchemaText
 from posetrack_cli.mcap.stream import McapItem
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,127}")
-DEEPEST, MOST_FIELDS = 4, 2000
 
 
 class NoTwinError(ValueError):
@@ -49,7 +48,7 @@ class ProtobufTwin:
         if not all(NAME.fullmatch(part) for part in name.split(".")):
             raise NoTwinError(f"schema {name!r} is not named like a message")
         file = FileDescriptorProto(name=f"{name.replace('.', '/')}.proto", package=package, syntax="proto3")
-        _describe(file.message_type.add(name=own), schema, f".{name}", [MOST_FIELDS])
+        _describe(file.message_type.add(name=own), schema, f".{name}", [limits.COLUMNS])
         try:
             pool = DescriptorPool()
             pool.Add(file)
@@ -155,7 +154,7 @@ def _describe(message: Any, schema: Mapping[str, Any], path: str, left: list[int
         "boolean": FieldDescriptorProto.TYPE_BOOL,
     }
     left[0] -= len(schema["properties"])
-    if depth > DEEPEST or left[0] < 0:
+    if depth > limits.KEY_PARTS or left[0] < 0:
         raise NoTwinError("schema is too large")
     for number, (name, stated) in enumerate(schema["properties"].items(), 1):
         is_list = stated["type"] == "array"
