@@ -189,7 +189,7 @@ def export(
     npz   one array per field of an estimate, for NumPy; requires -o
     bvh   hand skeleton for Blender: m, y up, fixed frame rate
     c3d   joints or points as markers: mm, fixed frame rate; requires -o
-    mcap  ROS 2 messages (tf2, nav_msgs, sensor_msgs), or --schemas protobuf; requires -o
+    mcap  ROS 2 messages, or RESULT as protobuf (--schemas); requires -o
 
     Euler angles: R = R_y(yaw) R_x(pitch) R_z(roll), in camera axes. Lost frames are exported with their last
     pose and status lost; c3d marks their points as occluded. tum and bvh have no status: use --no-lost. Exit
