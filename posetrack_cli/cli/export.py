@@ -98,6 +98,7 @@ def convert(
     source = open_any(recording, images=images, **reading_options(options))
     print_opened(recording, source)
     joints = [] if truth is None else _joints(truth, source)
+    source.identity()  # of a large file it takes long, and has a bar of its own
     with bar("convert", "frame", source.frame_count) as shown:
         conversion = convert_recording(
             source, output, overwrite=overwrite, raw=raw, truth=joints, advance=shown.advance

@@ -165,7 +165,7 @@ def _join(results: Sequence[Result], output: Path, options: dict[str, Any]) -> N
         raise UsageError("an MCAP file holds one result with all its tracks", found=found)
     (result,) = results
     recording = _recording_of(result, options)
-    with bar("view", "frame") as shown:
+    with bar("view", "frame", recording.frame_count) as shown:
         count, losses = write_with_images(
             result, recording, output, overwrite=options["overwrite"], advance=shown.advance
         )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import sys
 from pathlib import Path
 
 import av
@@ -19,6 +21,7 @@ from posetrack_cli.mcap.stream import McapFile
 from posetrack_cli.recording import conversion
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results.export.table import point_columns
+from support.terminal import Terminal
 
 
 @pytest.fixture
@@ -93,6 +96,13 @@ def test_what_a_video_loses_is_told(tmp_path: Path, capsys: pytest.CaptureFixtur
         assert "5 frames" in caught.out
         for note, line in zip(notes, caught.err.splitlines(), strict=True):
             assert line.startswith(f"{video}: ") and note in line
+
+
+def test_progress_is_a_bar_of_frames_on_a_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    video, terminal = write_video(tmp_path / "v.mp4"), Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    assert run(["convert", str(video), "-o", str(tmp_path / "o.mcap")]) == EXIT_DONE
+    assert re.match(r"convert: 100%\|.*\| 5/5 \[", terminal.lines[0]), terminal.lines
 
 
 def test_images_are_converted_on_request(tmp_path: Path, folder: Path) -> None:
