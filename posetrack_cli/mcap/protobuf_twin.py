@@ -11,7 +11,6 @@ from typing import Any
 from mcap.records import Channel, Schema
 
 from posetrack_cli import limits
-from posetrack_cli.mcap.sink import SchemaText
 from posetrack_cli.mcap.stream import McapItem
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,127}")
@@ -32,7 +31,8 @@ class ProtobufTwin:
         schema: JSON schema of objects, arrays, numbers, integers, booleans and text.
 
     Attributes:
-        schema: schema of a channel with such messages.
+        name: name of the message type, as of the schema.
+        definition: serialised FileDescriptorSet, for the schema of a channel.
 
     Raises:
         NoTwinError: the schema has other types, or names that are not identifiers.
@@ -56,8 +56,8 @@ class ProtobufTwin:
         except (TypeError, ValueError, KeyError) as error:
             raise NoTwinError(f"schema {name} has clashing names") from error
         self._json_schema = schema
-        data = FileDescriptorSet(file=[file]).SerializeToString(deterministic=True)
-        self.schema = SchemaText(name, "protobuf", data)
+        self.name = name
+        self.definition = bytes(FileDescriptorSet(file=[file]).SerializeToString(deterministic=True))
 
     def encode(self, data: bytes) -> bytes:
         """Return a JSON message as protobuf.
@@ -76,7 +76,7 @@ class ProtobufTwin:
             if json.loads(self.decode(encoded)) != stated:  # such as text that reads like a number
                 raise ValueError("values of other types")
         except (ValueError, TypeError, AttributeError, RecursionError, ParseError) as error:
-            raise NoTwinError(f"message is not a {self.schema.name}") from error
+            raise NoTwinError(f"message is not a {self.name}") from error
         return encoded
 
     def decode(self, data: bytes) -> bytes:
@@ -90,7 +90,7 @@ class ProtobufTwin:
         try:
             message = self._class.FromString(data)
         except DecodeError as error:
-            raise NoTwinError(f"message is not a {self.schema.name}") from error
+            raise NoTwinError(f"message is not a {self.name}") from error
         return json.dumps(_plain(message, self._json_schema), separators=(",", ":")).encode()
 
 
@@ -138,7 +138,7 @@ def json_of(item: McapItem, twins: Callable[[], Iterable[ProtobufTwin]]) -> byte
     if schema is None or channel.message_encoding != "protobuf":
         return message.data
     for twin in twins():
-        if twin.schema.data == schema.data:
+        if twin.definition == schema.data:
             return twin.decode(message.data)
     raise NoTwinError("protobuf layout of another version: export the result again")
 

@@ -106,7 +106,7 @@ def test_an_existing_file_is_kept_unless_it_may_be_replaced(
         (["{path}", "-o", "{folder}/a.txt"], EXIT_USAGE, "a.txt: unknown format"),
         (["{path}", "--format", "mcap"], EXIT_USAGE, "mcap is not a text format"),
         (["{path}", "--schemas", "ros2", "-o", "{folder}/a.csv"], EXIT_USAGE, "--schemas requires MCAP"),
-        (["{path}", "--schemas", "ros1"], EXIT_USAGE, "'ros1' is not 'ros2'"),
+        (["{path}", "--schemas", "ros1"], EXIT_USAGE, "'ros1' is not one of 'ros2', 'protobuf'"),
         (["{path}", "--format", "bvh"], EXIT_USAGE, "BVH requires a result of posetrack hand run"),
         (["{path}", "--estimate-topic", "/hand/estimat"], EXIT_FAILED, "did you mean '/hand/estimate'?"),
         (["{path}", "-o", "{path}", "--overwrite"], EXIT_USAGE, "output would replace the result"),

@@ -63,7 +63,7 @@ def test_there_and_back_is_the_same_json(value: dict[str, Any]) -> None:
 
 @given(values)
 def test_a_reader_that_knows_only_the_schema_reads_the_same_values(value: dict[str, Any]) -> None:
-    schema = Schema(id=1, data=TWIN.schema.data, encoding="protobuf", name="posetrack.Test")
+    schema = Schema(id=1, data=TWIN.definition, encoding="protobuf", name="posetrack.Test")
     decode = DecoderFactory().decoder_for("protobuf", schema)
     assert decode is not None
     message = decode(TWIN.encode(in_order(value)))
@@ -132,7 +132,7 @@ def test_messages_that_do_not_fit_have_none(data: bytes) -> None:
         TWIN.encode(data)
 
 
-def item(data: bytes, encoding: str = "protobuf", definition: bytes = TWIN.schema.data) -> Any:
+def item(data: bytes, encoding: str = "protobuf", definition: bytes = TWIN.definition) -> Any:
     schema = Schema(id=1, data=definition, encoding=encoding, name="posetrack.Test")
     channel = Channel(id=1, topic="/t", message_encoding=encoding, metadata={}, schema_id=1)
     return schema, channel, Message(channel_id=1, log_time=0, data=data, publish_time=0, sequence=0)
@@ -143,7 +143,7 @@ def test_only_the_known_layout_is_read() -> None:
     assert json_of(item(data), lambda: [TWIN]) == b'{"count":1,"listed":[],"points":[]}'
     assert json_of(item(b"as it is", "json"), lambda: pytest.fail()) == b"as it is"
     with pytest.raises(NoTwinError, match="another version"):
-        json_of(item(data, definition=TWIN.schema.data + b"\0"), lambda: [TWIN])
+        json_of(item(data, definition=TWIN.definition + b"\0"), lambda: [TWIN])
     with pytest.raises(NoTwinError, match=r"not a posetrack\.Test"):
         json_of(item(b"\xff\xff"), lambda: [TWIN])
     with pytest.raises(NoTwinError, match="not JSON with a schema"):

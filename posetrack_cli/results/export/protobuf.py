@@ -12,7 +12,7 @@ from posetrack_cli.errors import UsageError
 from posetrack_cli.limits import MIB
 from posetrack_cli.losses import LossLog, loss_line
 from posetrack_cli.mcap.protobuf_twin import NoTwinError, ProtobufTwin, twin_of_channel
-from posetrack_cli.mcap.sink import McapSink
+from posetrack_cli.mcap.sink import McapSink, SchemaText
 from posetrack_cli.mcap.stream import McapFile
 from posetrack_cli.results.copying import Copied, copied_result, unchanged
 from posetrack_cli.results.export.source import ExportSource
@@ -63,7 +63,8 @@ def as_protobuf(schema: Schema | None, channel: Channel, losses: LossLog) -> Cop
     if channel.message_encoding == "protobuf":
         return unchanged(schema, channel)
     twin = twin_of_channel(schema, channel)
-    return Copied(twin.schema, "protobuf", partial(_encoded, twin, channel.topic, losses))
+    stated = SchemaText(twin.name, "protobuf", twin.definition)
+    return Copied(stated, "protobuf", partial(_encoded, twin, channel.topic, losses))
 
 
 def _encoded(twin: ProtobufTwin, topic: str, losses: LossLog, data: bytes) -> bytes | None:
