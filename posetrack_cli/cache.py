@@ -15,10 +15,14 @@ from posetrack_cli.npz import Arrays, NpzError, read_npz
 
 
 def cache_folder(name: str) -> Path | None:
-    """Return a writable cache folder: in NUMBA_CACHE_DIR, the user's cache or a temporary folder.
+    """Return the cache folder of this name: in NUMBA_CACHE_DIR, the user's cache or a temporary folder.
 
-    None if none of them is writable.
+    A folder in NUMBA_CACHE_DIR is also used if it exists and cannot be written, as in a container image. None
+    if there is neither that nor a writable folder.
     """
+    chosen = _chosen()
+    if chosen is not None and (chosen / name).is_dir():
+        return chosen / name
     return next((parent / name for parent in _parents() if _is_writable(parent / name)), None)
 
 
@@ -73,9 +77,9 @@ def _write(path: Path, arrays: Arrays) -> None:
 
 
 def _parents() -> Iterator[Path]:
-    chosen, caches = os.environ.get("NUMBA_CACHE_DIR"), os.environ.get("XDG_CACHE_HOME")
-    if chosen:
-        yield Path(chosen) / "posetrack"
+    chosen, caches = _chosen(), os.environ.get("XDG_CACHE_HOME")
+    if chosen is not None:
+        yield chosen
     if caches:
         yield Path(caches) / "posetrack"
     else:
@@ -84,6 +88,11 @@ def _parents() -> Iterator[Path]:
         temporary = Path(tempfile.gettempdir()) / f"posetrack-{_user()}"
         if _is_own(temporary):
             yield temporary
+
+
+def _chosen() -> Path | None:
+    chosen = os.environ.get("NUMBA_CACHE_DIR")
+    return Path(chosen) / "posetrack" if chosen else None
 
 
 def _user() -> int:

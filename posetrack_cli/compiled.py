@@ -66,9 +66,11 @@ def inlined(function: Function) -> Function:
 
 
 def _compiled(function: Function, **options: Any) -> Function:
-    import numba
-    import numba.core.config
-
+    try:
+        import numba
+        import numba.core.config
+    except ModuleNotFoundError:  # an installation for evaluation, which calls few kernels; trackers refuse it
+        return function
     compiled: Any = numba.njit(**_OPTIONS, **options)(function)
     compiled.get_call_template = functools.partial(_resolved_by_type, compiled.get_call_template)
     config: Any = numba.core.config  # attributes are created at run time, so type checkers do not see them
@@ -94,13 +96,26 @@ def _resolved_by_type(template: Callable[..., Any], args: Any, kws: Any) -> Any:
 
 @functools.cache
 def _cache_class() -> type[Any]:
-    """Return a numba cache that tolerates damaged files, full disks and concurrent writers."""
+    """Return a numba cache that tolerates damage, read-only folders, full disks and concurrent writers."""
     from numba.core import caching
 
     FunctionCache: Any = caching.FunctionCache  # untyped library
+    in_given_folder: Any = FunctionCache._impl_class._locator_classes[0]
+
+    class Locator(in_given_folder):  # type: ignore[misc]
+        """Locator that accepts a folder that can only be read."""
+
+        def ensure_cache_path(self) -> None:
+            with suppress(OSError):
+                super().ensure_cache_path()
+
+    class Implementation(FunctionCache._impl_class):  # type: ignore[misc]
+        _locator_classes = (Locator,)
 
     class KernelCache(FunctionCache):  # type: ignore[misc]
         """Cache that recompiles on read errors and ignores write errors."""
+
+        _impl_class = Implementation
 
         def load_overload(self, sig: Any, target_context: Any) -> Any:
             """Return the compiled code of a signature, or None if there is no usable entry."""
@@ -142,7 +157,9 @@ def announced(
         report: called with a message, in the compiling thread.
         each: called with the number of each kernel, from 1, in the same thread.
     """
-    kept = "cached for later runs" if kernel_folder() else "not cached: no writable cache folder"
+    folder = kernel_folder()
+    is_kept = folder is not None and os.access(folder, os.W_OK)
+    kept = "cached for later runs" if is_kept else "not cached: no writable cache folder"
     counts = itertools.count(1)
 
     def say() -> None:

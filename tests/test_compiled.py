@@ -94,6 +94,16 @@ def test_the_folder_is_the_users_choice_first(tmp_path: Path, where: Callable[..
     assert where(HOME=home) == f"{home}/.cache/posetrack/{digest}"
 
 
+def test_a_chosen_folder_is_used_although_it_cannot_be_written(
+    tmp_path: Path, where: Callable[..., str | None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("posetrack_cli.cache._is_writable", lambda folder: False)
+    assert where(NUMBA_CACHE_DIR=str(tmp_path)) is None
+    folder = tmp_path / "posetrack" / source_digest(KERNEL_SOURCES)
+    folder.mkdir(parents=True)
+    assert where(NUMBA_CACHE_DIR=str(tmp_path)) == str(folder)
+
+
 def test_without_a_home_compiled_code_lies_in_a_temporary_folder_of_ones_own(
     tmp_path: Path, where: Callable[..., str | None]
 ) -> None:
@@ -209,6 +219,17 @@ def test_a_damaged_cache_is_made_anew(folder: Path, suffix: str, damage: bytes) 
     (damaged,) = folder.rglob(f"*.{suffix}")
     damaged.write_bytes(damage)
     assert [compilations(), compilations()] == [1, 0]
+
+
+def test_a_cache_that_can_only_be_read_is_read(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in a container image. Permissions do not stop root, under which tests run."""
+    assert compilations() == 1
+
+    def refuse(locator: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("numba.core.caching._CacheLocator.ensure_cache_path", refuse)
+    assert compilations() == 0
 
 
 def test_what_cannot_be_kept_is_no_error(folder: Path) -> None:

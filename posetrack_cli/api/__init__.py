@@ -6,7 +6,9 @@ version, parameters and results only gain members. All other modules are interna
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Generator, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Literal
@@ -81,7 +83,7 @@ class Tracking:
         outcome: counts, losses and remarks; None before the last frame.
     """
 
-    def __init__(self, run: Run, folder: TemporaryDirectory[str] | None) -> None:
+    def __init__(self, run: Run, folder: ExitStack) -> None:
         self.subject: Subject = run.subject
         self.run: Mapping[str, str] = run.record
         self.outcome: RunOutcome | None = None
@@ -92,8 +94,7 @@ class Tracking:
         try:
             self.outcome = yield from run.estimates()
         finally:
-            if self._folder is not None:
-                self._folder.cleanup()
+            self._folder.close()
 
     def __iter__(self) -> Iterator[Estimate]:
         return self
@@ -104,8 +105,7 @@ class Tracking:
     def close(self) -> None:
         """End the run."""
         self._estimates.close()
-        if self._folder is not None:
-            self._folder.cleanup()
+        self._folder.close()
 
     def __enter__(self) -> Self:
         return self
@@ -136,7 +136,8 @@ def track_hand(
 ) -> Tracking:
     """Track a hand in depth images; same as ``posetrack hand run``, with the same defaults.
 
-    Side, size and shape are estimated before this function returns, which takes about ten seconds.
+    Side, size and shape are estimated before this function returns, which takes about ten seconds. Warns if
+    the estimate is doubtful.
 
     Args:
         depth: N images (height, width), a list, an array or a memory map of integers or floats with 0 for no
@@ -146,7 +147,7 @@ def track_hand(
         stamps_ns: (N,) stamps, ns, strictly increasing.
         depth_unit_mm: millimetres per stored unit; None decides by content (integers mm, floats m).
         side: which hand it is.
-        shape: ``auto``, ``average``, or a file of ``posetrack hand calibrate``.
+        shape: ``auto``, ``average``, a file of ``posetrack hand calibrate``, or an earlier hand result.
         config: shipped configurations or TOML files; later ones override earlier ones.
         settings: values by configuration key, such as ``{"filter.particles": 128}``.
         seed: of the random generator; equal inputs and seeds give equal estimates.
@@ -163,20 +164,20 @@ def track_hand(
     Raises:
         PosetrackError: unusable input, configuration or output, as one line.
     """
+    from posetrack_cli.configuration import parse_assignments
     from posetrack_cli.hand.autodetect import detect_hand
     from posetrack_cli.hand.config import HandConfig
     from posetrack_cli.hand.run import HandRun, RunOptions, check_run
+    from posetrack_cli.hand.shape_fit import read_shape
     from posetrack_cli.recording.array_source import open_depth_arrays
     from posetrack_cli.recording.recording import Recording
     from posetrack_cli.rendering.devices import open_fastest_device
 
     files = _as_list(config)
-    own: dict[str, Any] = {} if side == "auto" else {"hand.side": side}
-    if str(shape) in ("auto", "average"):
-        own |= {"init.shape": "given"} if str(shape) == "average" else {}
-    else:
-        files.append(shape)
-    configuration = _configured(HandConfig, files, {**(settings or {}), **own})
+    given = read_shape(None if shape == "auto" else shape)
+    own = {"hand.side": None if side == "auto" else side, "init.shape": given.init}
+    values = {**parse_assignments(given.assignments), **(settings or {}), **own}
+    configuration = _configured(HandConfig, [*files, *given.files], values)
     if isinstance(depth, Recording):
         _check_unset(camera=camera, fps=fps, stamps_ns=stamps_ns, depth_unit_mm=depth_unit_mm)
         recording = depth
@@ -189,10 +190,13 @@ def track_hand(
         )
     path, folder = _output(output, smooth=smooth, resume=resume)
     options = RunOptions(path, seed=seed, smooth=smooth, overwrite=overwrite, resume=resume)
-    renderer = open_fastest_device(device)
-    check_run(recording, configuration, options)
-    found = detect_hand(recording, configuration, 0, None)
-    return Tracking(HandRun(recording, found.config, options, renderer), folder)
+    with folder:
+        renderer = open_fastest_device(device)
+        check_run(recording, configuration, options)
+        found = detect_hand(recording, configuration, 0, None)
+        if found.is_doubtful:
+            warnings.warn(found.line, stacklevel=2)
+        return Tracking(HandRun(recording, found.config, options, renderer), folder.pop_all())
 
 
 def track_head(
@@ -203,6 +207,7 @@ def track_head(
     stamps_ns: Sequence[int] | None = None,
     fov_deg: float | None = None,
     face: int = 1,
+    person: Path | str | None = None,
     config: str | Path | Sequence[str | Path] = (),
     settings: Mapping[str, Any] | None = None,
     seed: int = 0,
@@ -213,6 +218,8 @@ def track_head(
 ) -> Tracking:
     """Track a head; same as ``posetrack head mono``, or ``head stereo`` with several cameras.
 
+    Warns if the focal length is a guess.
+
     Args:
         images: N images (height, width) or (height, width, 3) in blue, green, red; several cameras as a
             mapping from name to images; or a recording, or its path.
@@ -221,6 +228,7 @@ def track_head(
         fps, stamps_ns: see ``track_hand``.
         fov_deg: field of view along the longer side of one uncalibrated camera; None guesses 53 degrees.
         face: which face to track with one camera, 1 for the largest.
+        person: earlier head result of the same person, whose shape and size one camera then uses.
         config, settings, seed, smooth, output, overwrite, resume: see ``track_hand``.
 
     Returns:
@@ -230,10 +238,38 @@ def track_head(
     Raises:
         PosetrackError: unusable input, configuration or output, as one line.
     """
-    from posetrack_cli.geometry.camera import Camera
     from posetrack_cli.head.config import HeadMonoConfig, HeadStereoConfig
     from posetrack_cli.head.run import HeadRunOptions
-    from posetrack_cli.head.runs import make_mono_run, make_stereo_run
+    from posetrack_cli.head.runs import guess_note, make_mono_run, make_stereo_run
+
+    recording = _head_recording(images, cameras, fps, stamps_ns, fov_deg)
+    path, folder = _output(output, smooth=smooth, resume=resume)
+    known = None if person is None else Path(person)
+    options = HeadRunOptions(path, seed=seed, smooth=smooth, overwrite=overwrite, resume=resume, person=known)
+    files, own = _as_list(config), dict(settings or {})
+    with folder:
+        if len(recording.cameras) > 1:
+            if person is not None:
+                raise UsageError("person applies to one camera", found=f"{len(recording.cameras)} cameras")
+            stereo = _configured(HeadStereoConfig, files, own)
+            run = make_stereo_run(recording, stereo, options, _ignore)
+        else:
+            mono = _configured(HeadMonoConfig, files, own)
+            run = make_mono_run(recording, mono, options, face, _ignore)
+        if fov_deg is None and recording.is_guessed:
+            warnings.warn(guess_note(recording, "fov_deg", is_given=False), stacklevel=2)
+        return Tracking(run, folder.pop_all())
+
+
+def _head_recording(
+    images: Images | Mapping[str, Images] | Recording | Path | str,
+    cameras: Camera | Sequence[Camera] | Path | str,
+    fps: float | None,
+    stamps_ns: Sequence[int] | None,
+    fov_deg: float | None,
+) -> Recording:
+    """Return the recording that the first parameters of ``track_head`` state."""
+    from posetrack_cli.geometry.camera import Camera
     from posetrack_cli.recording.array_source import open_grey_arrays
     from posetrack_cli.recording.base import NotCalibratedError
     from posetrack_cli.recording.camera_of import Guess, guess_of_field
@@ -261,14 +297,7 @@ def track_head(
         raise UsageError(
             "fov_deg cannot be used with a calibrated camera", found=fov_deg, hint="leave it out"
         )
-    path, folder = _output(output, smooth=smooth, resume=resume)
-    options = HeadRunOptions(path, seed=seed, smooth=smooth, overwrite=overwrite, resume=resume)
-    files, own = _as_list(config), dict(settings or {})
-    if len(recording.cameras) > 1:
-        stereo = _configured(HeadStereoConfig, files, own)
-        return Tracking(make_stereo_run(recording, stereo, options, _ignore), folder)
-    mono = _configured(HeadMonoConfig, files, own)
-    return Tracking(make_mono_run(recording, mono, options, face, _ignore), folder)
+    return recording
 
 
 def evaluate(
@@ -335,17 +364,15 @@ def _camera_file(camera: object, stamps_ns: object) -> Path | None:
     raise UsageError("a recording takes a camera file", found=type(camera).__name__, expected="a path")
 
 
-def _output(
-    output: Path | str | None, *, smooth: bool, resume: bool
-) -> tuple[Path, TemporaryDirectory[str] | None]:
-    """Return where the result goes: the given path, or a temporary folder to be deleted."""
+def _output(output: Path | str | None, *, smooth: bool, resume: bool) -> tuple[Path, ExitStack]:
+    """Return where the result goes: the given path, or a temporary folder, which the stack deletes."""
+    folder = ExitStack()
     if output is not None:
-        return Path(output), None
+        return Path(output), folder
     for name, value in {"smooth": smooth, "resume": resume}.items():
         if value:
             raise UsageError(f"{name} needs a result file", hint="pass output=")
-    folder = TemporaryDirectory(prefix="posetrack-")
-    return Path(folder.name) / _RESULT, folder
+    return Path(folder.enter_context(TemporaryDirectory(prefix="posetrack-"))) / _RESULT, folder
 
 
 def _ignore(estimate: Estimate) -> None:

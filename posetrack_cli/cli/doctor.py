@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from posetrack_cli.cli.command import Command
+from posetrack_cli.cli.command import Command, option
 from posetrack_cli.cli.options import device_option, particles_option
 from posetrack_cli.cli.running import announce_compiling
 from posetrack_cli.cli.terminal import print_line, print_note
@@ -47,12 +47,17 @@ LIBRARIES = (
 
 @click.command(
     cls=Command,
-    examples=("posetrack doctor", "posetrack doctor --device cpu"),
+    examples=("posetrack doctor", "posetrack doctor --device cpu", "posetrack doctor --warm"),
     short_help="Check renderers and measure their speed.",
 )
 @device_option("EGL device to test, or cpu.  [default: all]")
 @particles_option(PARTICLES)
-def doctor(device: int | str | None, particles: int | None) -> None:
+@option(
+    "--warm",
+    is_flag=True,
+    help="Only compile all kernels and cache them, e.g. in a container image or a CI job.",
+)
+def doctor(device: int | str | None, particles: int | None, warm: bool) -> None:
     """List the available renderers, their speed, and missing packages.
 
     Hand particles are scored on the GPU if there is one, else on the CPU; everything else is rendered with
@@ -60,6 +65,8 @@ def doctor(device: int | str | None, particles: int | None) -> None:
     """
     from posetrack_cli.rendering.devices import CPU
 
+    if warm:
+        return _warm()
     _print_versions()
     particles = particles or PARTICLES
     if device is None or device == CPU:
@@ -74,6 +81,14 @@ def doctor(device: int | str | None, particles: int | None) -> None:
             _check(f"device {number}", number, particles)
     if not works:
         click.get_current_context().exit(EXIT_FAILED)
+
+
+def _warm() -> None:
+    from posetrack_cli.cli.warm import RUNS, warm_kernels
+
+    with phase("compiling kernels", "group", len(RUNS)) as advance:
+        cache = warm_kernels(advance)
+    print_line(f"kernels are compiled and cached in {cache}")
 
 
 def _print_versions() -> None:

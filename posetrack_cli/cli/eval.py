@@ -361,6 +361,8 @@ def _pictures(evaluation: Evaluation, given: Path | None) -> list[Picture] | str
         pictures, reason = _worst_frames(evaluation, given)
     except RenderingError as error:
         pictures, reason = None, str(error)
+    except ModuleNotFoundError as error:
+        pictures, reason = None, f"{error.name} is not installed"
     if pictures is not None:
         return pictures
     print_note(f"{evaluation.name}: no pictures of the worst frames: {reason}")

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import click
 
@@ -129,9 +130,14 @@ def _joints(path: Path, source: Recording) -> list[TruthMessage]:
 # posetrack export
 
 
-FORMATS = ("csv", "tum", "npz", "json", "bvh", "c3d", "mcap")
+_BY_SUFFIX = {
+    f".{name}": name for name in ("csv", "tum", "npz", "json", "parquet", "nwb", "bvh", "c3d", "mcap")
+}
+_BY_ENDING = {"_motion.tsv": "bids"} | _BY_SUFFIX
+FORMATS = (*_BY_SUFFIX.values(), "bids", "openface", "mediapipe", "rom")
+DATED = ("nwb", "bids")
+"""Formats with the date of the session."""
 SCHEMAS = ("ros2", "protobuf")
-_BY_SUFFIX = {f".{name}": name for name in FORMATS}
 
 
 @click.command(
@@ -139,20 +145,22 @@ _BY_SUFFIX = {f".{name}": name for name in FORMATS}
     examples=(
         "posetrack export result.mcap -o result.csv",
         "posetrack export result.mcap --format tum --no-lost -o head.tum",
-        "posetrack export result.mcap -o hand.bvh",
+        "posetrack export result.mcap --format rom -o angles.csv",
+        "posetrack export result.mcap --format bids -o study/sub-01_task-reach",
         "posetrack export result.mcap --schemas ros2 -o result-ros2.mcap",
         "posetrack export result.mcap --schemas protobuf -o result-protobuf.mcap",
         "posetrack export result.mcap --estimate-topic /truth/hand/estimate",
     ),
     former={"--topic": "--estimate-topic"},
-    short_help="Export a result as CSV, TUM, NumPy, JSON, BVH, C3D or ROS 2 messages.",
+    short_help="Export a result as CSV, Parquet, NumPy, NWB, BIDS, BVH, C3D or ROS 2 messages.",
 )
 @click.argument("path", metavar="RESULT", type=FILE)
 @option(
     "--format",
     "format_name",
+    metavar="NAME",
     type=click.Choice(FORMATS),
-    help="Output format.  [default: by the suffix of FILE, else csv]",
+    help="Output format, see above.  [default: by the ending of FILE, else csv]",
 )
 @option(
     "--schemas",
@@ -170,6 +178,12 @@ _BY_SUFFIX = {f".{name}": name for name in FORMATS}
     help="MCAP topic to export, e.g. /truth/hand/estimate.  [default: the estimates of RESULT]",
 )
 @option("--no-lost", is_flag=True, help="Omit frames with status lost.")
+@option(
+    "--session-start",
+    metavar="TIME",
+    help="Start of the session for nwb and bids, such as 2026-01-31T10:00:00+01:00.  [default: first frame, "
+    "if stamps are UNIX time]",
+)
 @volume_options
 def export(
     path: Path,
@@ -179,25 +193,33 @@ def export(
     track: str,
     topic: str | None,
     no_lost: bool,
+    session_start: str | None,
     overwrite: bool,
 ) -> None:
     """Export the estimates of RESULT, which may be unfinished.
 
     \b
-    csv   header row and one row per frame; units (mm, rad, deg) in column names
-    tum   timestamp tx ty tz qx qy qz qw, in s and m, for trajectory tools
-    json  the columns of csv as lists, with their meanings and the run record
-    npz   one array per field of an estimate, for NumPy; requires -o
-    bvh   hand skeleton for Blender: m, y up, fixed frame rate
-    c3d   joints or points as markers: mm, fixed frame rate; requires -o
-    mcap  ROS 2 messages, or RESULT as protobuf (--schemas); requires -o
+    csv        a row per frame: pose, points, pixels, angles; units in names
+    parquet    the table of csv with types and units; requires -o
+    json       the columns of csv as lists, with their meanings and the run record
+    npz        one array per field of an estimate, for NumPy; requires -o
+    rom        range and speed of joint angles (hand) or Euler angles (head), CSV
+    tum        timestamp tx ty tz qx qy qz qw, in s and m, for trajectory tools
+    nwb        NWB with ndx-pose; requires -o
+    bids       BIDS Motion; requires -o DATASET/sub-01_task-reach
+    openface   head pose and landmarks in the columns of OpenFace, CSV
+    mediapipe  hand landmarks as MediaPipe's HandLandmarker returns them, JSON
+    bvh        hand skeleton for Blender: m, y up, fixed frame rate
+    c3d        joints or points as markers: mm, fixed frame rate; requires -o
+    mcap       ROS 2 messages, or RESULT as protobuf (--schemas); requires -o
 
     Euler angles: R = R_y(yaw) R_x(pitch) R_z(roll), in camera axes. Lost frames are exported with their last
-    pose and status lost; c3d marks their points as occluded. tum and bvh have no status: use --no-lost. Exit
-    code 3: RESULT is truncated or damaged, and its readable part was exported.
+    pose and status lost, without pixels; nwb, bids, openface, mediapipe and c3d leave them empty, and rom
+    omits them. tum and bvh have no status: use --no-lost. Exit code 3: RESULT is truncated or damaged, and
+    its readable part was exported.
     """
     from posetrack_cli.losses import loss_line
-    from posetrack_cli.results.export.export import export_file, save_text, text_pieces
+    from posetrack_cli.results.export.export import text_pieces
     from posetrack_cli.results.export.source import export_source
     from posetrack_cli.results.reader import read_result
 
@@ -206,24 +228,20 @@ def export(
     if topic is not None and track != FILTERED:
         what = "--estimate-topic and --track are mutually exclusive"
         raise UsageError(what, found=f"{topic} and {track}")
+    start_ns = _session_start_ns(session_start, chosen)
     result = read_result(path)
-    source = export_source(result, topic or result.topic_of_track(track), lost=not no_lost)
-    notes: tuple[str, ...] = ()
-    pieces: Iterable[str] | None = None
-    # BVH needs the hand model, which is above the results package in the layers.
-    if chosen == "bvh":
-        pieces, notes = _bvh(source)
+    topic = topic or result.topic_of_track(track)
+    source = export_source(result, topic, lost=not no_lost, session_start_ns=start_ns)
+    pieces, notes = _OF_SUBJECTS[chosen](source) if chosen in _OF_SUBJECTS else (None, ())
     if output is None:
         if sys.stdout is None:
             raise UsageError("standard output is closed", hint="write to a file with -o")
         for piece in text_pieces(source, chosen) if pieces is None else pieces:
             print_data(piece)
     else:
-        if pieces is None:
-            notes = export_file(source, chosen, output, overwrite=overwrite)
-        else:
-            save_text(pieces, source, output, overwrite=overwrite)
-        print_line(f"{output}: {chosen}, {output.stat().st_size} bytes")
+        written, more = _written(source, chosen, output, pieces, overwrite=overwrite)
+        notes = (*notes, *more)
+        print_line(f"{written}: {chosen}, {written.stat().st_size} bytes")
     for note in notes:
         print_note(f"{path}: {note}")
     if result.losses:
@@ -232,24 +250,85 @@ def export(
 
 
 def _chosen_format(format_name: str | None, schemas: str | None, output: Path | None) -> str:
-    """Return the output format from --format, --schemas or the suffix of the output."""
-    suffix = output.suffix.lower() if output else ""
-    chosen = format_name or _BY_SUFFIX.get(suffix) or ("mcap" if schemas else "csv")
-    if suffix and not (format_name or schemas or suffix in _BY_SUFFIX):
-        known = ", ".join(_BY_SUFFIX)
-        hint = "or choose one with --format"
-        raise UsageError("unknown format", where=output, found=suffix, expected=known, hint=hint)
+    """Return the output format from --format, --schemas or the ending of the output."""
+    name, suffix = (output.name.lower(), output.suffix.lower()) if output else ("", "")
+    by_name = next((kind for ending, kind in _BY_ENDING.items() if name.endswith(ending)), None)
+    chosen = format_name or by_name or ("mcap" if schemas else "csv")
+    if suffix and not (format_name or schemas or by_name):
+        hint = f"or choose one with --format: {', '.join(FORMATS)}"
+        expected = ", ".join(_BY_ENDING)
+        raise UsageError("unknown format", where=output, found=suffix, expected=expected, hint=hint)
     if schemas and chosen != "mcap":
         expected = "--format mcap or -o NAME.mcap"
         raise UsageError("--schemas requires MCAP output", found=chosen, expected=expected)
     return "protobuf" if schemas == "protobuf" else chosen
 
 
-def _bvh(source: ExportSource) -> tuple[Iterable[str], tuple[str, ...]]:
-    """Return the BVH text of a hand, and notes on its frame rate."""
+def _session_start_ns(text: str | None, chosen: str) -> int | None:
+    """Return --session-start as UNIX time, ns."""
+    if text is None:
+        return None
+    if chosen not in DATED:
+        expected = f"--format {' or '.join(DATED)}"
+        raise UsageError("--session-start does not apply to this format", found=chosen, expected=expected)
+    try:
+        since = datetime.fromisoformat(text) - datetime.fromtimestamp(0, UTC)
+    except (ValueError, TypeError) as error:  # a TypeError without time zone
+        expected = "date, time and zone, e.g. 2026-01-31T10:00:00+01:00"
+        raise UsageError("invalid --session-start", found=text, expected=expected) from error
+    return since // timedelta(microseconds=1) * 1000
+
+
+def _written(
+    source: ExportSource, chosen: str, output: Path, pieces: Iterable[str] | None, *, overwrite: bool
+) -> tuple[Path, tuple[str, ...]]:
+    """Write an export, from text pieces if given; return the main file, and notes."""
+    from posetrack_cli.results.export.export import export_file, save_text
+
+    if chosen == "bids":
+        from posetrack_cli.results.export.bids import write_bids
+
+        return write_bids(source, output, overwrite=overwrite), ()
+    if pieces is None:
+        return output, export_file(source, chosen, output, overwrite=overwrite)
+    save_text(pieces, source, output, overwrite=overwrite)
+    return output, ()
+
+
+# Formats that need what is above the results package in the layers, such as the hand model
+
+
+Pieces: TypeAlias = tuple[Iterable[str], tuple[str, ...]]
+"""Text of an export, and notes for the user."""
+
+
+def _bvh(source: ExportSource) -> Pieces:
     from posetrack_cli.evaluation.reading.recording_of import anatomy_of
     from posetrack_cli.hand.bvh import bvh_text, check_hand
 
-    check_hand(source)
+    check_hand(source, "BVH")
     rate, pieces = bvh_text(source, anatomy_of(source.result))
     return pieces, tuple(rate.notes("they lie between their neighbours"))
+
+
+def _mediapipe(source: ExportSource) -> Pieces:
+    from posetrack_cli.evaluation.reading.recording_of import configuration_of
+    from posetrack_cli.hand.bvh import check_hand
+    from posetrack_cli.hand.mediapipe import mediapipe_text
+
+    check_hand(source, "mediapipe")
+    side = configuration_of(source.result.run).hand.side
+    return mediapipe_text(source, "left" if side == "left" else "right"), ()
+
+
+def _openface(source: ExportSource) -> Pieces:
+    from posetrack_cli.head.openface import openface_text
+
+    return openface_text(source), ()
+
+
+_OF_SUBJECTS: Mapping[str, Callable[[ExportSource], Pieces]] = {
+    "bvh": _bvh,
+    "mediapipe": _mediapipe,
+    "openface": _openface,
+}

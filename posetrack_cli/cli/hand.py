@@ -241,15 +241,15 @@ def _configuration(options: dict[str, Any]) -> HandConfig:
 
 
 def _with_shape(options: dict[str, Any]) -> dict[str, Any]:
-    """Replace ``--shape`` by the configuration key, file or assignments that it stands for."""
+    """Replace ``--shape`` by the configuration that it stands for."""
+    from posetrack_cli.hand.shape_fit import read_shape
+
     shape = options["shape"]
     if shape is None and options["scale"] is not None:
         shape = "average"  # --scale alone fixes the size, so nothing is estimated
-    if shape in (None, "auto", "average"):
-        return options | {"shape": {"auto": "auto", "average": "given"}.get(shape)}
-    if Path(shape).suffix == ".mcap":
-        from posetrack_cli.hand.shape_fit import hand_assignments
-
-        assignments = hand_assignments(Path(shape))
-        return options | {"shape": "given", "settings": (*assignments, *options["settings"])}
-    return options | {"shape": None, "configs": (*options["configs"], shape)}
+    given = read_shape(shape)
+    return options | {
+        "shape": given.init,
+        "configs": (*options["configs"], *given.files),
+        "settings": (*given.assignments, *options["settings"]),
+    }

@@ -157,8 +157,8 @@ def _shares(percent: FloatArray, kept: int) -> str:
 
 
 def _draw(model: FaceModel, path: Path) -> None:
+    from posetrack_cli.evaluation.viewing.face_picture import face_model_picture
     from posetrack_cli.evaluation.viewing.outputs import png_of
-    from posetrack_cli.evaluation.viewing.pictures import face_model_picture
     from posetrack_cli.files import write_output
     from posetrack_cli.outputs import whole_or_nothing
 

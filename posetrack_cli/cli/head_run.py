@@ -364,10 +364,12 @@ def head_mono(recording: Path, **options: Any) -> None:
         raise UsageError("--face cannot be combined with --init FILE", found=face, hint="leave it out")
 
     def made(first_pass: Report) -> HeadRun:
-        from posetrack_cli.head.runs import make_mono_run
+        from posetrack_cli.head.runs import guess_note, make_mono_run
 
         run = make_mono_run(source, config, chosen, face, first_pass)
-        _print_guess(source, options["fov"])
+        note = guess_note(source, "--fov", is_given=options["fov"] is not None)
+        if note:
+            print_note(f"{source.path}: {note}")
         return run
 
     track_head(source, config.run.passes, chosen, made)
@@ -385,22 +387,10 @@ def open_mono_recording(recording: Path, options: dict[str, Any]) -> Recording:
         raise UsageError(
             "--fov cannot be used with a calibrated camera",
             where=recording,
-            found=_focal(source),
+            found=f"{source.cameras[0].fx:.0f} px",
             hint="leave it out",
         )
     if any(isinstance(pixels, Grey) and pixels.bits > PLAIN_BITS for pixels in source.pixels):
         note = "images of more than 8 bits are read as intensities"
         print_note(f"{recording}: {note}; for depth images, use posetrack hand run")
     return source
-
-
-def _print_guess(source: Recording, fov: float | None) -> None:
-    if not source.is_guessed:
-        return
-    by = "field of view of 53 degrees; change it with --fov" if fov is None else "--fov"
-    guess = f"no calibration: focal length set to {_focal(source)} ({by})"
-    print_note(f"{source.path}: {guess}; distances are approximate")
-
-
-def _focal(source: Recording) -> str:
-    return f"{source.cameras[0].fx:.0f} px"

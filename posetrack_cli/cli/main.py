@@ -113,12 +113,7 @@ def run_safely(work: Callable[[], int]) -> int:
     except MemoryError as error:
         return _failed(_memory_line(error), EXIT_FAILED)
     except Exception as error:
-        if _NO_THREAD in str(error):
-            return _failed(
-                "out of memory or threads: raise ulimit -v or -u, or set POSETRACK_THREADS=1", EXIT_FAILED
-            )
-        # Any other exception is a bug; the fuzzing harness counts this line as a failure.
-        return _failed(_bug_line(error), EXIT_FAILED)
+        return _failed(_unexpected_line(error), EXIT_FAILED)
 
 
 def _done(arguments: list[str]) -> int:
@@ -142,7 +137,12 @@ def _memory_line(error: MemoryError) -> str:
     return f"out of memory{detail}; use smaller images, fewer frames or fewer --particles"
 
 
-def _bug_line(error: Exception) -> str:
+def _unexpected_line(error: Exception) -> str:
+    if _NO_THREAD in str(error):
+        return "out of memory or threads: raise ulimit -v or -u, or set POSETRACK_THREADS=1"
+    if isinstance(error, ModuleNotFoundError) and not str(error.name).startswith("posetrack_cli"):
+        return f"{error.name} is not installed; install posetrack with all dependencies"
+    # Any other exception is a bug; the fuzzing harness counts this line as a failure.
     return (
         f"internal error: {error_words(error)}; this is a bug, please report it with the output of "
         "POSETRACK_DEBUG=1"

@@ -62,8 +62,8 @@ def bvh_text(source: ExportSource, anatomy: HandAnatomy) -> tuple[FixedRate, Ite
         UsageError: see ``check_hand``.
         ResultError: the track is of another hand, or see ``results.export.table``.
     """
-    check_hand(source)
-    where = f"{source.result.path}, {source.topic}"
+    check_hand(source, "BVH")
+    where = source.where
     further = (NUMBERS,) if source.result.subject.number_names else ()
     columns = source.columns(FIELDS + further)
     rate = fixed_rate(columns["stamp_ns"], where)
@@ -79,11 +79,11 @@ def bvh_text(source: ExportSource, anatomy: HandAnatomy) -> tuple[FixedRate, Ite
     return rate, _pieces(anatomy, rate, poses, _interpolated(thumbs, rate))
 
 
-def check_hand(source: ExportSource) -> None:
-    """Raise UsageError unless a track has our hand's joints and angles."""
+def check_hand(source: ExportSource, format_name: str) -> None:
+    """Raise UsageError unless a track has our hand's joints and angles, for a format that needs them."""
     subject = source.result.subject
     if (subject.name, subject.point_names, subject.shape_names) != (SUBJECT, JOINT_NAMES, ANGLE_NAMES):
-        what = f"BVH requires a result of posetrack hand run, not of a {subject.name}"
+        what = f"{format_name} requires a result of posetrack hand run, not of a {subject.name}"
         raise UsageError(what, where=source.result.path, hint="use --format tum for poses, c3d for points")
 
 

@@ -7,7 +7,7 @@ from bisect import insort
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from pydantic import ValidationError
@@ -172,7 +172,39 @@ def measured(
 # Shape from an earlier result
 
 
-def hand_assignments(path: Path) -> tuple[str, ...]:
+class GivenShape(NamedTuple):
+    """Configuration that a requested shape stands for.
+
+    Attributes:
+        init: value of ``init.shape``; None leaves it as configured.
+        files: configuration files.
+        assignments: settings such as ``hand.scale=1.05``, which others may override.
+    """
+
+    init: Literal["auto", "given"] | None = None
+    files: tuple[str, ...] = ()
+    assignments: tuple[str, ...] = ()
+
+
+def read_shape(shape: str | Path | None) -> GivenShape:
+    """Return the configuration of ``auto``, ``average``, a file of ``hand calibrate`` or a hand result.
+
+    Raises:
+        ResultError: not a hand result.
+    """
+    name = None if shape is None else str(shape)
+    if name is None:
+        return GivenShape()
+    if name == "auto":
+        return GivenShape("auto")
+    if name == "average":
+        return GivenShape("given")
+    if Path(name).suffix == ".mcap":
+        return GivenShape("given", assignments=_hand_assignments(Path(name)))
+    return GivenShape(files=(name,))
+
+
+def _hand_assignments(path: Path) -> tuple[str, ...]:
     """Return the ``[hand]`` table of a result's run as assignments, such as ``hand.scale=1.05``.
 
     Args:

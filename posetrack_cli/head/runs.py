@@ -78,6 +78,22 @@ def make_mono_run(
     )
 
 
+def guess_note(source: Recording, option: str, *, is_given: bool) -> str:
+    """Return a note on the focal length of an uncalibrated camera; empty for a calibrated one.
+
+    Args:
+        source: the recording.
+        option: name of the option or parameter of the field of view.
+        is_given: whether the user gave it.
+    """
+    if not source.is_guessed:
+        return ""
+    by = option if is_given else f"field of view of 53 degrees; change it with {option}"
+    return (
+        f"no calibration: focal length set to {source.cameras[0].fx:.0f} px ({by}); distances are approximate"
+    )
+
+
 def _given_person(options: HeadRunOptions, config: HeadMonoConfig, model: FaceModel) -> GivenPerson | None:
     """Read the person of --person, if given.
 

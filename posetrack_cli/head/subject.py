@@ -77,6 +77,7 @@ def track_model(config: HeadStereoConfig | HeadMonoConfig) -> TrackModel:
 
 
 HEAD = "head"
+OUTER_EYES = ("right_eye_outer", "left_eye_outer")
 RIGHT_DEG, RIGHT_MM = 3.0, 5.0
 """Error limits of a correct frame: rotation, and mean distance of the points in head coordinates."""
 COLOUR = (0.3, 0.85, 0.95, 1.0)

@@ -10,7 +10,6 @@ from types import TracebackType
 from typing import Any, Literal, NamedTuple
 
 from mcap.writer import CompressionType, Writer
-from mcap_protobuf.schema import build_file_descriptor_set
 
 from posetrack_cli import limits
 from posetrack_cli.errors import ResultError
@@ -81,6 +80,8 @@ class McapSink:
 
     def channel(self, topic: str, message_class: Any, *, metadata: Mapping[str, str] | None = None) -> int:
         """Register a topic of protobuf messages of a generated class and return its channel id."""
+        from mcap_protobuf.schema import build_file_descriptor_set
+
         name = message_class.DESCRIPTOR.full_name
         data = build_file_descriptor_set(message_class).SerializeToString(deterministic=True)
         return self.raw_channel(topic, SchemaText(name, "protobuf", data), "protobuf", metadata)

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
-import cv2
 import numpy as np
 
 from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray
@@ -142,6 +141,8 @@ class Resampling:
 
         Depth uses the nearest neighbour: interpolation would invent depths between hand and wall.
         """
+        import cv2  # evaluation also works without it
+
         is_depth = image.dtype == np.float32
         u, v = self._nearest if is_depth else (self._u, self._v)
         how = cv2.INTER_NEAREST if is_depth else cv2.INTER_LINEAR

@@ -10,7 +10,6 @@ from itertools import islice
 from math import sqrt
 from typing import Any, ClassVar, Literal, TypeVar
 
-import cv2
 import numpy as np
 
 from posetrack_cli import limits
@@ -496,6 +495,8 @@ def _are_readings(image: ImageArray, missing: int) -> ImageArray:
 
 def _nearest(image: ImageArray, mask: ImageArray, focal: float) -> tuple[float, float]:
     """Return where the nearest large surface begins and the square root of its area, in its unit."""
+    import cv2  # results are read without it
+
     near, area = 0.0, 0
     for near in np.percentile(image[mask], _NEAREST_SHARES):
         surface = (mask & (image >= near) & (image <= _SURFACE_REACH * near)).astype(np.uint8)

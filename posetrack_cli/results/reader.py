@@ -29,8 +29,9 @@ from posetrack_cli.mcap.stream import (
 from posetrack_cli.mcap.summary import read_summary
 from posetrack_cli.outputs import part_path
 from posetrack_cli.recording.base import RUN_RECORD, TRUTH_PREFIX, TruthMessage, truth_message
-from posetrack_cli.recording.camera_record import CAMERAS_RECORD, cameras_from_record
+from posetrack_cli.recording.camera_record import CAMERAS_RECORD, camera_from_json, cameras_from_record
 from posetrack_cli.results.columns import Columns, column_blocks, empty_columns, joined
+from posetrack_cli.results.derived import derived, joint_angle_names, range_of_motion
 from posetrack_cli.results.estimate import Estimate, Subject
 from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA_NAME, estimate_from_json, json_of_estimate
 from posetrack_cli.results.fields import FIELD_NAMES, NUMBERS, Sizes
@@ -233,10 +234,30 @@ class Result:
     def to_numpy(self, track: str = FILTERED) -> Columns:
         """Return a track as arrays by field, frames (N) along the first axis; see ``columns``.
 
+        In addition there are ``pixels`` (N, C, P, 2), the points in the images of the C ``image_cameras``,
+        and for hands ``joint_angles_deg`` (N, A), in the order of ``angle_names``.
+
         Raises:
             ResultError: see ``topic_of_track`` and ``columns``.
         """
-        return self.columns(self.topic_of_track(track))
+        columns = self.columns(self.topic_of_track(track))
+        return columns | derived(columns, self.subject, self.image_cameras)
+
+    @property
+    def angle_names(self) -> tuple[str, ...]:
+        """Names of the joint angles of a hand, () for other subjects."""
+        return joint_angle_names(self.subject)
+
+    def range_of_motion(self, track: str = FILTERED) -> Columns:
+        """Return range and speed of each joint angle, or of a head's roll, pitch and yaw.
+
+        Returns:
+            Arrays with one value per angle; see ``results.derived.range_of_motion``.
+
+        Raises:
+            ResultError: the subject has no angles; or see ``to_numpy``.
+        """
+        return range_of_motion(self.columns(self.topic_of_track(track)), self.subject)
 
     def to_pandas(self, track: str = FILTERED) -> pd.DataFrame:
         """Return a track as a table with one row per frame, indexed by ``stamp_ns``.
@@ -249,7 +270,7 @@ class Result:
         """
         from posetrack_cli.results.export.frames import to_pandas
 
-        return to_pandas(self.to_numpy(track), self.subject)
+        return to_pandas(self.columns(self.topic_of_track(track)), self.subject, self.image_cameras)
 
     def to_xarray(self, track: str = FILTERED) -> xr.Dataset:
         """Return a track as a dataset with labelled axes, points and parameters.
@@ -260,7 +281,7 @@ class Result:
         """
         from posetrack_cli.results.export.frames import to_xarray
 
-        return to_xarray(self.to_numpy(track), self.subject, self.run)
+        return to_xarray(self.to_numpy(track), self.subject, self.image_cameras, self.run)
 
     def numbers(self) -> dict[str, FloatArray]:
         """Return the additional numbers of the result's own estimates, (N,) by name; NaN where unknown.
@@ -316,6 +337,16 @@ class Result:
             ResultError: the file ends before its first flush.
         """
         return self.several_cameras or (self.camera(),)
+
+    @cached_property
+    def image_cameras(self) -> tuple[Camera, ...]:
+        """Cameras of the recorded images, read from metadata if possible; () if the calibration is lost."""
+        try:
+            if self.several_cameras or "camera" not in self.run:
+                return self.cameras()
+            return (camera_from_json(self.run["camera"]),)
+        except (ValueError, PosetrackError):
+            return ()
 
     def attachment(self, name: str) -> bytes:
         """Return the bytes of an attachment, such as a model.

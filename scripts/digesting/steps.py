@@ -230,6 +230,15 @@ def exports() -> Iterator[Step]:
     ros2 = "--format mcap --schemas ros2 --estimate-topic /truth/hand/estimate --overwrite"
     yield command("export-truth", f"export {{smooth}} {ros2} -o exported-truth.mcap")
     yield command("export-printed", "export {stereo} --format tum", printed=True)
+    for name, kind, suffix in (
+        *(("smooth", "rom", "csv"), ("smooth", "mediapipe", "json")),
+        *(("stereo", "rom", "csv"), ("stereo", "openface", "csv")),
+    ):
+        yield command(
+            f"export-{name}-{kind}", f"export {{{name}}} --format {kind} -o exported-{name}-{kind}.{suffix}"
+        )
+    motion = "study/sub-01/motion/sub-01_task-reach_tracksys-hand_motion.tsv"
+    yield command("export-bids", f"export {{smooth}} --session-start 2026-01-31T10:00:00Z -o {motion}")
 
 
 def reports() -> Iterator[Step]:

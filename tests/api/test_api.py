@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,8 @@ import pytest
 import posetrack_cli as posetrack
 from posetrack_cli.cli.main import run
 from posetrack_cli.errors import PosetrackError
+from posetrack_cli.hand.autodetect import DetectedHand
+from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.outputs import part_path
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results import load_arrays
@@ -71,6 +74,26 @@ def test_arrays_are_tracked_like_the_recording_they_come_from(depth: Depth) -> N
     assert_equal(list(by_path), load_arrays(depth.result))
 
 
+def test_the_shape_of_an_earlier_result_is_used(depth: Depth, tmp_path: Path) -> None:
+    earlier = tmp_path / "earlier.mcap"
+    with depth.track(settings=QUICK | {"hand.scale": 1.1}, output=earlier) as tracking:
+        list(tracking)
+    again = depth.track(shape=earlier)
+    hand = json.loads(again.run["configuration"])["hand"]
+    again.close()
+    assert hand == json.loads(posetrack.read(earlier).run["configuration"])["hand"]
+    assert hand["scale"] == 1.1
+
+
+def test_a_doubtful_shape_is_a_warning(depth: Depth, monkeypatch: pytest.MonkeyPatch) -> None:
+    def doubtful(recording: object, config: HandConfig, *_: object) -> DetectedHand:
+        return DetectedHand(config, "shape is uncertain", is_doubtful=True)
+
+    monkeypatch.setattr("posetrack_cli.hand.autodetect.detect_hand", doubtful)
+    with pytest.warns(UserWarning, match="shape is uncertain"):
+        depth.track().close()
+
+
 def test_a_run_that_is_closed_can_be_resumed_to_equal_estimates(depth: Depth, tmp_path: Path) -> None:
     output = tmp_path / "hand.mcap"
     with depth.track(output=output) as tracking:
@@ -106,17 +129,25 @@ def test_a_head_is_tracked_from_arrays_like_from_its_recording(tmp_path: Path) -
         with pytest.raises(PosetrackError, match=r"does not apply|calibrated camera"):
             posetrack.track_head(source, **more)  # type: ignore[arg-type]
     reference = source.cameras[0]
-    alone = ["--cameras", reference.name, "--passes", "1", "--overwrite"]
-    assert run(["head", "mono", str(recording), "-o", str(result), *alone]) == 0
+    alone = ["--cameras", reference.name, "--passes", "1"]
+    mono = tmp_path / "mono.mcap"
+    assert run(["head", "mono", str(recording), "-o", str(mono), *alone]) == 0
     one_pass = {"settings": {"run.passes": 1}, "stamps_ns": stamps}
     tracking = posetrack.track_head(images[reference.name], reference, **one_pass)
-    assert_equal(list(tracking), load_arrays(result))
+    assert_equal(list(tracking), load_arrays(mono))
+    with pytest.raises(PosetrackError, match="person applies to one camera"):
+        posetrack.track_head(recording, person=result)
+    same = posetrack.track_head(images[reference.name], reference, person=result, **one_pass)
+    assert same.run["scale"] == "person"
+    same.close()
 
 
 def test_an_uncalibrated_camera_is_guessed_or_given_by_its_field_of_view() -> None:
     images = np.zeros((2, 60, 80), np.uint8)
     for given, focal in ({}, 80.0), ({"fov_deg": 90.0}, 40.0):
-        tracking = posetrack.track_head(images, fps=30.0, **given)
+        told = pytest.warns(UserWarning, match="focal length set to 80 px") if not given else nullcontext()
+        with told:
+            tracking = posetrack.track_head(images, fps=30.0, **given)
         assert json.loads(tracking.run["camera"])["fx"] == pytest.approx(focal, rel=0.01)
         assert tracking.run["intrinsics"] == "guessed"
         tracking.close()
@@ -126,7 +157,7 @@ def test_tables_and_datasets_hold_what_the_arrays_do(depth: Depth) -> None:
     pytest.importorskip("pandas"), pytest.importorskip("xarray")
     result = posetrack.read(depth.result)
     arrays, table, dataset = result.to_numpy(), result.to_pandas(), result.to_xarray()
-    names = [name for group in table_of(result.subject) for name in group.names]
+    names = [name for group in table_of(result.subject, result.image_cameras) for name in group.names]
     assert [table.index.name, *table.columns] == sorted(
         names, key=lambda name: (name != "stamp_ns", names.index(name))
     )
@@ -135,6 +166,13 @@ def test_tables_and_datasets_hold_what_the_arrays_do(depth: Depth) -> None:
     tip = result.subject.point_names.index("index_tip")
     np.testing.assert_array_equal(table["index_tip_y_mm"], arrays["points"][:, tip, 1])
     np.testing.assert_array_equal(dataset["points"].sel(point="index_tip", axis="y"), table["index_tip_y_mm"])
+    np.testing.assert_array_equal(table["index_tip_v_px"], arrays["pixels"][:, 0, tip, 1])
+    np.testing.assert_array_equal(
+        dataset["pixels"].sel(point="index_tip", pixel="u")[:, 0], table["index_tip_u_px"]
+    )
+    bent = dataset["joint_angles_deg"].sel(angle="index_pip_flexion")
+    np.testing.assert_array_equal(table["index_pip_flexion_deg"], bent)
+    np.testing.assert_allclose(np.radians(bent), table["index_pip_flexion_rad"], rtol=1e-15)
     np.testing.assert_array_equal(dataset["twist"].sel(tangent="rz"), arrays["twist"][:, 5])
     assert dataset["status"].values.tolist() == arrays["status"].tolist()
     assert dataset.attrs["seed"] == "0"
@@ -205,8 +243,9 @@ def test_unusable_images_of_heads_are_refused_in_one_line(
 def test_reading_loads_neither_numba_nor_scipy_nor_opencv_nor_pyav(depth: Depth) -> None:
     code = (
         "import sys, posetrack_cli as posetrack\n"
-        f"posetrack.read({str(depth.result)!r}).to_numpy()\n"
-        "print(sorted({'numba', 'scipy', 'cv2', 'av', 'moderngl'} & sys.modules.keys()))"
+        f"result = posetrack.read({str(depth.result)!r})\n"
+        "assert result.to_numpy()['pixels'].size and result.range_of_motion()['frames'].any()\n"
+        "print(sorted({'numba', 'scipy', 'cv2', 'av', 'moderngl', 'google.protobuf'} & sys.modules.keys()))"
     )
     printed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert printed.stdout.strip() == "[]"

@@ -40,7 +40,9 @@ def rows(text: str) -> list[str]:
 
 
 def test_formats_are_those_of_the_library() -> None:
-    assert set(FORMATS) == {*library.FORMATS, "bvh"} - {"protobuf"}  # whose skeleton is no matter of results
+    # Hands and heads are no matter of results, BIDS is a folder, and protobuf is chosen by --schemas.
+    of_commands = {"bvh", "openface", "mediapipe", "bids"}
+    assert set(FORMATS) == {*library.FORMATS, *of_commands} - {"protobuf"}
 
 
 def test_csv_goes_to_standard_output_and_nothing_else(path: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -96,11 +98,38 @@ def test_an_existing_file_is_kept_unless_it_may_be_replaced(
         (["{folder}"], EXIT_FAILED, "cannot be read, found Is a directory"),
         (["{folder}/text.mcap"], EXIT_FAILED, "is not an MCAP file"),
         (["{path}", "--format", "npz"], EXIT_USAGE, "npz is not a text format"),
-        (["{path}", "--format", "xml"], EXIT_USAGE, "'csv', 'tum', 'npz', 'json', 'bvh', 'c3d', 'mcap'"),
+        (["{path}", "--format", "xml"], EXIT_USAGE, "'csv', 'tum', 'npz', 'json', 'parquet', 'nwb', 'bvh'"),
         (
-            ["{path}", "-o", "{folder}/a.parquet"],
+            ["{path}", "-o", "{folder}/a.feather"],
             EXIT_USAGE,
-            "found .parquet, expected .csv, .tum, .npz, .json",
+            "found .feather, expected _motion.tsv, .csv, .tum",
+        ),
+        (["{path}", "-o", "{folder}/a.tsv"], EXIT_USAGE, "--format: csv, tum, npz, json, parquet, nwb"),
+        (["{path}", "--format", "nwb"], EXIT_USAGE, "nwb is not a text format"),
+        (["{path}", "--format", "bids"], EXIT_USAGE, "bids is not a text format"),
+        (
+            ["{path}", "--format", "bids", "-o", "{folder}/study"],
+            EXIT_USAGE,
+            "expected DATASET/sub-01_task-reach",
+        ),
+        (["{path}", "-o", "{folder}/sub-_task-a_motion.tsv"], EXIT_USAGE, "not a name of BIDS"),
+        (["{path}", "--format", "openface"], EXIT_USAGE, "openface requires a result of posetrack head"),
+        (
+            ["{path}", "--format", "mediapipe"],
+            EXIT_USAGE,
+            "mediapipe requires a result of posetrack hand run",
+        ),
+        (["{path}", "--format", "rom"], EXIT_FAILED, "a hand has no angles"),
+        (["{path}", "--session-start", "2026-01-31T10:00:00Z"], EXIT_USAGE, "does not apply to this format"),
+        (
+            ["{path}", "-o", "{folder}/a.nwb", "--session-start", "2026-01-31T10:00:00"],
+            EXIT_USAGE,
+            "invalid --session-start, found 2026-01-31T10:00:00, expected date, time and zone",
+        ),
+        (
+            ["{path}", "-o", "{folder}/a.nwb", "--session-start", "2026-01-31T10:00:00Z"],
+            EXIT_USAGE,
+            "session starts after its first frame",
         ),
         (["{path}", "-o", "{folder}/a.xlsx"], EXIT_USAGE, "or choose one with --format"),
         (["{path}", "-o", "{folder}/a.txt"], EXIT_USAGE, "a.txt: unknown format"),

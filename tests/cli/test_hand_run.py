@@ -166,7 +166,7 @@ def test_a_run_that_compiles_says_once_why_it_waits(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Here every frame compiles. That real kernels are kept, with equal bytes, ``warm_kernels.py`` checks."""
+    """Here every frame compiles. That real kernels are kept, with equal bytes, ``doctor --warm`` checks."""
     step = HandTracker.step
 
     def compiling(*arguments: Any) -> Any:

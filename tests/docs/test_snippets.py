@@ -137,6 +137,7 @@ BOUND: Mapping[str, Mapping[str, str]] = {
     "docs/ci.md": {"recordings/one.mcap": "few.mcap", "results/one.mcap": "hand.mcap"},
     "docs/batch.md": {"recordings/day1/a.mcap": "few.mcap"},
     "docs/python.md": {"hand.mcap": "hand.mcap", "face.mp4": "short.mp4", "depth.npy": "depth.npy"},
+    "docs/exports.md": {"hand.mcap": "hand.mcap", "face.mcap": "face.mcap"},
     "docs/other-tools.md": {"hand.mcap": "hand.mcap", "face.mcap": "face.mcap", "depth.mcap": "few.mcap"},
 }
 """Files that a page mentions, and the files in ``Made.folder`` that stand in for them."""

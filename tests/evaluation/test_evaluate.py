@@ -183,7 +183,7 @@ def test_images_are_looked_at_when_the_recording_is_given(
         return answers[len(asked) - 1]
 
     monkeypatch.setattr(
-        "posetrack_cli.evaluation.measuring.without_truth.image_consistency", image_consistency
+        "posetrack_cli.evaluation.measuring.image_consistency.image_consistency", image_consistency
     )
     monkeypatch.setattr(
         "posetrack_cli.evaluation.reading.recording_of.required_recording",

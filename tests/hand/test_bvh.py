@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,71 +12,15 @@ from scipy.spatial.transform import Rotation, Slerp
 from posetrack_cli.cli.main import run
 from posetrack_cli.errors import EXIT_DONE, EXIT_FAILED, ResultError
 from posetrack_cli.hand.bvh import bvh_text
-from posetrack_cli.hand.config import HandConfig
-from posetrack_cli.hand.fit.skeleton import FOREARM, INNER_NUMBERS, NO_INNER, NO_THUMB, inner_numbers
-from posetrack_cli.hand.model.anatomy import (
-    ANGLE_LIMITS,
-    ANGLE_NAMES,
-    JOINT_NAMES,
-    JOINT_PARENTS,
-    HandAnatomy,
-    HandShape,
-    make_anatomy,
-    reshaped_anatomy,
-)
+from posetrack_cli.hand.model.anatomy import JOINT_NAMES, JOINT_PARENTS, make_anatomy
 from posetrack_cli.hand.model.kinematics import joint_positions
-from posetrack_cli.results import Estimate, ResultWriter, Status, Subject, load_arrays, read_result
+from posetrack_cli.results import ResultWriter, load_arrays, read_result
 from posetrack_cli.results.export.source import export_source
-from support.results import CAMERA, make_estimate, with_fields
+from support.hand_results import FRAMES, STEP_NS, SUBJECT, hand, poses, thumbs, write
+from support.results import CAMERA
 
-FRAMES, STEP_NS = 40, 33_333_333
-SUBJECT = Subject("hand", "kinect", ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS)
-SHAPE = HandShape(0.9, (1.1, 1.0, 0.95, 1.0, 1.05), palm_width=1.1, thumb_place=1.2, coefficients=(1.0, -0.5))
 ROUNDING_MM = 2e-3
 """Six digits of metres: 1e-3 mm; of degrees along 200 mm: 2e-5; rotations in single precision: 4e-5."""
-
-
-def hand(side: str) -> HandAnatomy:
-    return reshaped_anatomy(make_anatomy(), side, SHAPE)
-
-
-def poses(anatomy: HandAnatomy) -> np.ndarray:
-    """A hand that turns all the way around while its fingers go from limit to limit."""
-    along = np.linspace(0.0, 1.0, FRAMES)[:, None]
-    low, high = ANGLE_LIMITS.T
-    turning = Rotation.from_rotvec(along * [5.0, 1.0, -2.0]).as_quat(canonical=True)
-    places = [20.0, -30.0, 700.0] + 100.0 * np.sin(6.0 * along + [0.0, 1.0, 2.0])
-    return np.hstack([places, turning, low + (high - low) * along])
-
-
-def thumbs() -> np.ndarray:
-    """Inner angles (F, 2) that come and go."""
-    return 0.4 * np.sin(np.linspace(0.0, 7.0, FRAMES)[:, None] + [0.0, 1.0])
-
-
-def estimate(
-    anatomy: HandAnatomy, pose: np.ndarray, index: int, thumb: np.ndarray | None = None, **fields: object
-) -> Estimate:
-    made = make_estimate(index, k=15, p=21)
-    stated = {"position": pose[:3], "quaternion": pose[3:7], "shape": pose[7:], "status": Status.TRACKING}
-    points = joint_positions(anatomy, pose[None], NO_THUMB if thumb is None else thumb)[0]
-    if thumb is not None:
-        fields["numbers"] = inner_numbers(np.concatenate([NO_INNER[FOREARM], thumb]))
-    return with_fields(made, **stated, points=points, stamp_ns=index * STEP_NS, **fields)
-
-
-def write(path: Path, anatomy: HandAnatomy, left_out: range = range(0), *, inner: bool = False) -> Path:
-    """A result, with a thumb's inner angles or as older versions wrote it."""
-    subject = replace(SUBJECT, number_names=INNER_NUMBERS) if inner else SUBJECT
-    settings = {"side": anatomy.side, **{name: getattr(SHAPE, name) for name in ("scale", "finger_lengths")}}
-    settings |= {name: getattr(SHAPE, name) for name in ("palm_width", "thumb_place", "coefficients")}
-    configuration = HandConfig.model_validate({"hand": settings}).model_dump(mode="json")
-    with ResultWriter(path, subject, CAMERA, {"configuration": json.dumps(configuration)}) as writer:
-        for index, pose in enumerate(poses(anatomy)):
-            if index not in left_out:
-                writer.write(estimate(anatomy, pose, index, thumbs()[index] if inner else None))
-        writer.finish({})
-    return path
 
 
 def read_bvh(text: str) -> tuple[float, dict[str, np.ndarray]]:

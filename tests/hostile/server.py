@@ -79,6 +79,8 @@ def prepare() -> None:
     for name in (
         "av",
         "ezc3d",
+        "ndx_pose",
+        "pyarrow.parquet",
         "encodings.idna",
         "multiprocessing.util",
         "http.client",

@@ -49,6 +49,7 @@ from support.rvl import encoded as encoded_rvl
 
 Strategy = st.SearchStrategy[Case]
 OUT = ("out.mcap",)
+EXPORTED = ("out.npz", "out.c3d", "out.parquet", "out.nwb", "study")
 START_S = 1_305_031_102
 """Seconds since 1970, in names of images."""
 HAND = ("--particles", "4", "--hand-side", "right", "--shape", "average", "--init", "center", "--end", "2")
@@ -92,6 +93,12 @@ def of_result(name: str) -> st.SearchStrategy[tuple[str, ...]]:
         (1, ("export", name, "--format", "tum")),
         (1, ("export", name, "--format", "bvh")),
         (1, ("export", name, "-o", "out.c3d")),
+        (1, ("export", name, "-o", "out.parquet")),
+        (1, ("export", name, "-o", "out.nwb", "--session-start", "2026-01-31T10:00:00Z")),
+        (1, ("export", name, "-o", "study/sub-01_task-reach_motion.tsv")),
+        (1, ("export", name, "--format", "rom")),
+        (1, ("export", name, "--format", "openface")),
+        (1, ("export", name, "--format", "mediapipe")),
         (1, ("export", name, "--schemas", "ros2", "-o", "out.mcap")),
         (1, ("export", name, "--schemas", "protobuf", "-o", "out.mcap")),
     )
@@ -103,7 +110,7 @@ def made_of(
     """Cases of one changed file beside others."""
     return st.builds(
         lambda data, words: Case(
-            target, words, {name: data, **files}, (*OUT, "out.html", "out.npz", "out.c3d", "v", "out.toml")
+            target, words, {name: data, **files}, (*OUT, *EXPORTED, "out.html", "v", "out.toml")
         ),
         content,
         command,

@@ -15,9 +15,9 @@ from posetrack_cli.evaluation.measuring.pose_metrics import (
     distances,
     velocity_metrics,
 )
-from posetrack_cli.evaluation.reading.image_points import OUTER_EYES
 from posetrack_cli.geometry.camera import Camera, pixels_from_points
 from posetrack_cli.geometry.rigid import in_object
+from posetrack_cli.head.subject import OUTER_EYES
 
 HEAD_POSE = ("x_mm", "y_mm", "z_mm", "roll_deg", "pitch_deg", "yaw_deg")
 """Columns of tables 4.1-4.3 of the thesis, each reported as mean and standard deviation."""
@@ -90,13 +90,13 @@ def _in_head(side: Callable[..., FloatArray], point: int) -> FloatArray:
 ERROR, NORMALISED = "landmark_error_px", "landmark_nme"
 
 
-def landmark_metrics(measures: Measures, matched: Matched, camera: Camera) -> None:
+def landmark_metrics(measures: Measures, matched: Matched, camera: Callable[[], Camera]) -> None:
     """Add the distances between projected and annotated points, px, and normalised by the eye distance, %.
 
     Args:
         measures: collector.
         matched: the frames with ground truth.
-        camera: camera of the estimates, with lens distortion.
+        camera: returns the camera of the estimates, with lens distortion; called only if needed.
     """
     estimate, truth = matched.estimate, matched.truth
     if truth.pixels is None:
@@ -104,7 +104,7 @@ def landmark_metrics(measures: Measures, matched: Matched, camera: Camera) -> No
     points = common_columns(estimate.point_names, truth.point_names)
     if estimate.points is None or not points.names:
         return measures.lack("the result has other points", ERROR, NORMALISED)
-    projected, visible = pixels_from_points(camera, matched.of_estimate("points")[:, points.estimate])
+    projected, visible = pixels_from_points(camera(), matched.of_estimate("points")[:, points.estimate])
     pixels = matched.of_truth("pixels")
     errors = distances(projected, pixels[:, points.truth])
     # Projections of points behind the camera are meaningless, so such frames are left out.

@@ -18,7 +18,7 @@ from posetrack_cli.errors import TruthError, UsageError
 from posetrack_cli.evaluation.reading.tracks import Track, check_stamps
 from posetrack_cli.files import read_text
 from posetrack_cli.head.landmarks.faces import FACE_POINTS
-from posetrack_cli.head.subject import HEAD
+from posetrack_cli.head.subject import HEAD, OUTER_EYES
 from posetrack_cli.recording.matching import LATEST_NS
 from posetrack_cli.recording.stamps import DIGITS, number
 from posetrack_cli.results.reader import Result
@@ -29,7 +29,6 @@ SUFFIX, FOLDER = ".pts", "annot"
 EXPECTED = "a folder of 000001.pts, 000002.pts, ... as in 300-VW"
 FIRST_PIXEL = 1.0
 """Coordinate of the centre of the first pixel in ``.pts`` files."""
-OUTER_EYES = ("right_eye_outer", "left_eye_outer")
 _COUNT = re.compile(r"n_points:\s*0*([0-9]+)")
 
 

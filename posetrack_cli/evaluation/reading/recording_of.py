@@ -29,7 +29,6 @@ from posetrack_cli.recording.camera_file import camera_file_text
 from posetrack_cli.recording.camera_of import guess_of_camera
 from posetrack_cli.recording.camera_record import camera_from_json
 from posetrack_cli.recording.identity import file_digest
-from posetrack_cli.recording.opening import open_recording, options_for
 from posetrack_cli.recording.pixels import PixelKind
 from posetrack_cli.recording.recording import Recording
 from posetrack_cli.results.estimate import kind_of
@@ -253,6 +252,8 @@ def _places(result: Result, stated: str) -> Iterator[Path]:
 
 def _same(path: Path, result: Result, opening: Mapping[str, Any]) -> Recording:
     """Open a recording with the options of the run; raise RecordingError if it is another one."""
+    from posetrack_cli.recording.opening import open_recording, options_for
+
     run = result.run
     check_kind(path, run)
     check_size(path, run)
@@ -276,6 +277,8 @@ def _same(path: Path, result: Result, opening: Mapping[str, Any]) -> Recording:
 
 def _another(path: Path, result: Result, opening: Mapping[str, Any]) -> Recording:
     """Open any recording; if it has no calibration, use the cameras of the run."""
+    from posetrack_cli.recording.opening import open_recording, options_for
+
     pixels, run = pixels_of(result), _options_of(result.run)
     usable = options_for(path, pixels) & run.keys()
     given = {key: value for key, value in opening.items() if value is not None}

@@ -11,7 +11,6 @@ import numpy as np
 
 from posetrack_cli import limits
 from posetrack_cli.errors import PosetrackError, TruthError, UsageError
-from posetrack_cli.evaluation.reading.image_points import load_image_points
 from posetrack_cli.evaluation.reading.tracks import MOTION_FIELDS, Track, truth_of_columns
 from posetrack_cli.evaluation.reading.truth_tables import check_point_names, load_csv_track
 from posetrack_cli.evaluation.reading.truth_topics import (
@@ -28,8 +27,6 @@ from posetrack_cli.head.subject import HEAD
 from posetrack_cli.losses import LossLog
 from posetrack_cli.mcap.stream import McapFile, is_mcap
 from posetrack_cli.recording.base import TRUTH_PREFIX
-from posetrack_cli.recording.datasets.biwi import SENSOR
-from posetrack_cli.recording.datasets.layout import nominal_stamps, numbered, numbers_of
 from posetrack_cli.recording.matching import LATEST_NS
 from posetrack_cli.results.columns import column_blocks, empty_columns, joined
 from posetrack_cli.results.estimate import Subject
@@ -67,6 +64,9 @@ def load_biwi_poses(folder: Path, run: Mapping[str, str]) -> Track:
     Raises:
         TruthError: a file is invalid.
     """
+    from posetrack_cli.recording.datasets.biwi import SENSOR
+    from posetrack_cli.recording.datasets.layout import nominal_stamps, numbered
+
     try:
         files = numbered(folder, POSE_FILE)
         if len(files) > limits.KEYPOINT_SETS:
@@ -92,6 +92,8 @@ def load_biwi_poses(folder: Path, run: Mapping[str, str]) -> Track:
 
 
 def _numbers(file: Path) -> list[float]:
+    from posetrack_cli.recording.datasets.layout import numbers_of
+
     values = numbers_of(file)
     if len(values) != NUMBERS or not np.isfinite(values).all() or np.abs(values).max() > limits.LENGTH_MM:
         expected = "nine numbers of a rotation and three of a centre, mm"
@@ -144,10 +146,11 @@ def load_truth(
 
 
 def _given(result: Result, path: Path, losses: LossLog) -> Track:
-    if path.is_dir() and result.subject.name == HEAD and holds_poses(path):
-        return load_biwi_poses(path, result.run)
     if path.is_dir() and result.subject.name == HEAD:
-        return load_image_points(path, result)
+        # imported here: other ground truth is read without OpenCV
+        from posetrack_cli.evaluation.reading.image_points import load_image_points
+
+        return load_biwi_poses(path, result.run) if holds_poses(path) else load_image_points(path, result)
     if not path.is_file():
         raise TruthError("not a file" if path.exists() else "no such file", where=path)
     # samefile also recognises links; all errors would be 0.

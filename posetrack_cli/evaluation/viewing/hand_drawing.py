@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from posetrack_cli.arrays import BoolArray, Float32Array, FloatArray, ImageArray
-from posetrack_cli.evaluation.measuring.without_truth import MESH_LEVEL
+from posetrack_cli.evaluation.measuring.image_consistency import MESH_LEVEL
 from posetrack_cli.evaluation.viewing.drawing import Canvas, Colour, Shown, SkeletonDrawer, lit, shaded
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.config import HandConfig

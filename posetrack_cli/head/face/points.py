@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -275,6 +274,8 @@ def reduced(frame: Frame, scale: float) -> Frame:
     (image,) = frame.images
     if scale >= UNSCALED or image is None:
         return frame
+    import cv2  # evaluation also works without it
+
     height, width = (_length(side, scale) for side in image.shape)
     return replace(frame, images=(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA),))
 
@@ -287,6 +288,8 @@ def enlarged(frame: Frame, scale: float, pixels: FloatArray) -> Frame:
         scale: above 1, a multiple of ``STEP``.
         pixels: (K, 2) approximate points of the face in the magnified image.
     """
+    import cv2
+
     (image,) = frame.images
     if image is None:
         return frame

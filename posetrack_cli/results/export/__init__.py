@@ -1,1 +1,1 @@
-"""Export of results to formats of other tools: CSV, TUM, JSON, numpy, C3D, ROS 2."""
+"""Export of results to formats of other tools: tables, arrays, NWB, BIDS, C3D, ROS 2."""

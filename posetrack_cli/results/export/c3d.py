@@ -39,7 +39,7 @@ def write_c3d(source: ExportSource, path: Path) -> FixedRate:
         import ezc3d  # optional dependency, extra "c3d"
     except ImportError as error:
         raise UsageError("c3d needs ezc3d", hint="pip install 'posetrack[c3d]'") from error
-    where, names = f"{source.result.path}, {source.topic}", source.result.subject.point_names
+    where, names = source.where, source.result.subject.point_names
     columns = source.columns(FIELDS)
     rate = fixed_rate(columns["stamp_ns"], where)
     _check(rate, names, where)

@@ -1,4 +1,4 @@
-"""Export of a result as text or as arrays for numpy."""
+"""Export of a result as text, as arrays for numpy, or in a format of another module."""
 
 from __future__ import annotations
 
@@ -13,14 +13,15 @@ from posetrack_cli.errors import UsageError
 from posetrack_cli.files import open_output
 from posetrack_cli.outputs import check_target, whole_or_nothing
 from posetrack_cli.results.columns import Columns
+from posetrack_cli.results.derived import UNITS, derived, range_of_motion
 from posetrack_cli.results.estimate import kind_of
 from posetrack_cli.results.export.source import (
     ExportSource,
     header_lines,
     header_values,
 )
-from posetrack_cli.results.export.table import ColumnGroup, Values, table_of
-from posetrack_cli.results.fields import BY_NAME
+from posetrack_cli.results.export.table import ColumnGroup, Values
+from posetrack_cli.results.fields import BY_NAME, NUMBERS
 from posetrack_cli.tables import csv_of
 from posetrack_cli.text import printable, printable_json
 from posetrack_cli.units import METRES_PER_MM, NS_PER_S
@@ -35,7 +36,7 @@ def csv_text(source: ExportSource) -> Iterator[str]:
     names end in their units; the header of ``json_text`` has descriptions. Numbers round-trip exactly;
     missing values are empty cells.
     """
-    blocks, groups = source.begun_blocks(), table_of(source.result.subject)
+    blocks, groups = source.begun_blocks(), source.table
     yield csv_of([[name for group in groups for name in group.names]])
     for block in blocks:
         yield csv_of(zip(*_cells(groups, block), strict=True))
@@ -65,12 +66,22 @@ def json_text(source: ExportSource) -> Iterator[str]:
     header = printable_json(json.dumps(header_values(source), indent=1, ensure_ascii=False))
     yield f'{{"header": {header},\n"columns": {{'
     between = "\n"
-    for group in table_of(source.result.subject):
+    for group in source.table:
         for name, values in zip(group.names, group.values(columns).T, strict=True):
             key = printable_json(json.dumps(name, ensure_ascii=False))
             yield f"{between}{key}: {json.dumps(_plain(values))}"
             between = ",\n"
     yield "\n}}\n"
+
+
+def rom_text(source: ExportSource) -> Iterator[str]:
+    """Yield the range of motion as CSV: a row per angle, empty cells without tracked frames."""
+    subject = source.result.subject
+    further = (NUMBERS,) if subject.number_names else ()
+    columns = source.columns(("stamp_ns", "status", "quaternion", "shape", *further))
+    table = range_of_motion(columns, subject)
+    yield csv_of([list(table)])
+    yield csv_of(zip(*map(_plain, table.values()), strict=True))
 
 
 def _comments(lines: Iterable[str]) -> Iterator[str]:
@@ -98,6 +109,7 @@ TEXT_FORMATS: Mapping[str, Callable[[ExportSource], Iterator[str]]] = {
     "csv": csv_text,
     "tum": tum_text,
     "json": json_text,
+    "rom": rom_text,
 }
 ROLL_PITCH_YAW = "roll_pitch_yaw_deg"
 
@@ -156,31 +168,37 @@ def text_pieces(source: ExportSource, format_name: str) -> Iterator[str]:
 def write_npz(source: ExportSource, path: Path) -> None:
     """Write every field of the estimates as one array, frames first.
 
-    Also contains ``roll_pitch_yaw_deg`` (N, 3), ``shape_names``, ``point_names``, ``number_names`` (if
-    there are additional numbers), and ``header``, a JSON text with units, Euler order and the run record.
+    Also contains ``roll_pitch_yaw_deg`` (N, 3), the arrays of ``results.derived``, the names of their parts
+    (``point_names``, ``camera_names`` etc.), and ``header``, a JSON text with units, Euler order and the run
+    record.
     """
-    columns = source.columns()
-    subject = source.result.subject
+    columns, subject, cameras = source.columns(), source.result.subject, source.result.image_cameras
+    more = derived(columns, subject, cameras)
     header = {key: value for key, value in header_values(source).items() if key != "meanings"}
-    header["units"] = _units(source.result.field_names)  # of arrays
+    header["units"] = _units((*source.result.field_names, *more))  # of arrays
     extras = {
         ROLL_PITCH_YAW: np.degrees(kind_of(subject.name).euler_angles(columns["quaternion"])),
         "shape_names": np.array(subject.shape_names, dtype=np.str_),
         "point_names": np.array(subject.point_names, dtype=np.str_),
         "header": np.array(json.dumps(header, ensure_ascii=False)),
     }
-    if subject.number_names:
-        extras["number_names"] = np.array(subject.number_names, dtype=np.str_)
+    for name, names in {
+        "number_names": subject.number_names,
+        "camera_names": tuple(camera.name for camera in cameras),
+        "angle_names": source.result.angle_names,
+    }.items():
+        if names:
+            extras[name] = np.array(names, dtype=np.str_)
     with open_output(path) as stream:
-        np.savez(stream, **columns, **extras)  # type: ignore[arg-type]
+        np.savez(stream, **columns, **more, **extras)  # type: ignore[arg-type]
 
 
 def _units(fields: Iterable[str]) -> dict[str, str]:
-    """Return the units of the arrays, including the derived Euler angles."""
+    """Return the units of the arrays, including derived ones."""
     units = {}
     for name in fields:
-        if BY_NAME[name].unit:
-            units[name] = BY_NAME[name].unit
+        if unit := UNITS.get(name) or BY_NAME[name].unit:
+            units[name] = unit
         if name == "quaternion":
             units[ROLL_PITCH_YAW] = "deg"
     return units
@@ -195,6 +213,20 @@ def _write_c3d(source: ExportSource, path: Path) -> Iterator[str]:
     from posetrack_cli.results.export.c3d import write_c3d
 
     yield from write_c3d(source, path).notes("their markers are not seen")
+
+
+def _write_parquet(source: ExportSource, path: Path) -> Iterator[str]:
+    from posetrack_cli.results.export.parquet import write_parquet
+
+    write_parquet(source, path)
+    yield from ()
+
+
+def _write_nwb(source: ExportSource, path: Path) -> Iterator[str]:
+    from posetrack_cli.results.export.nwb import write_nwb
+
+    write_nwb(source, path)
+    yield from ()
 
 
 def _write_ros2(source: ExportSource, path: Path) -> Iterator[str]:
@@ -212,6 +244,8 @@ def _write_protobuf(source: ExportSource, path: Path) -> Iterator[str]:
 
 BINARY_FORMATS: Mapping[str, Callable[[ExportSource, Path], Iterable[str]]] = {
     "npz": _write_npz,
+    "parquet": _write_parquet,
+    "nwb": _write_nwb,
     "c3d": _write_c3d,
     "mcap": _write_ros2,
     "protobuf": _write_protobuf,

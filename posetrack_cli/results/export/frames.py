@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from posetrack_cli.errors import UsageError
+from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.results.columns import Columns
+from posetrack_cli.results.derived import JOINT_ANGLES, MEANINGS, PIXELS, UNITS, joint_angle_names
 from posetrack_cli.results.estimate import Subject
 from posetrack_cli.results.export.table import table_of
 from posetrack_cli.results.fields import BY_NAME, NUMBERS
@@ -29,11 +31,13 @@ _DIMENSIONS = {
     "pose_variance": ("tangent",),
     "twist_variance": ("tangent",),
     "points": ("point", "axis"),
+    PIXELS: ("camera", "point", "pixel"),
+    JOINT_ANGLES: ("angle",),
 }
 """Dimensions of each array after ``frame``."""
 
 
-def to_pandas(columns: Columns, subject: Subject) -> pd.DataFrame:
+def to_pandas(columns: Columns, subject: Subject, cameras: Sequence[Camera]) -> pd.DataFrame:
     """Return one row per frame, indexed by ``stamp_ns``; columns as in exported CSV files.
 
     Raises:
@@ -41,7 +45,7 @@ def to_pandas(columns: Columns, subject: Subject) -> pd.DataFrame:
     """
     pandas = _module("pandas")
     data: dict[str, Any] = {}
-    for group in table_of(subject):
+    for group in table_of(subject, cameras):
         data |= dict(zip(group.names, group.values(columns).T, strict=True))
     index = pandas.Index(data.pop("stamp_ns"), name="stamp_ns")
     frame: pd.DataFrame = pandas.DataFrame(data, index=index)
@@ -49,11 +53,13 @@ def to_pandas(columns: Columns, subject: Subject) -> pd.DataFrame:
     return frame
 
 
-def to_xarray(columns: Columns, subject: Subject, run: Mapping[str, str]) -> xr.Dataset:
+def to_xarray(
+    columns: Columns, subject: Subject, cameras: Sequence[Camera], run: Mapping[str, str]
+) -> xr.Dataset:
     """Return a dataset with dimension ``frame`` and labelled axes, parameters and points.
 
-    Variables are the fields of ``Estimate`` and the tracker's additional numbers; each has its ``units``
-    and ``long_name``. The attributes of the dataset are the run record.
+    Variables are the arrays of ``Result.to_numpy`` and the tracker's additional numbers; each array has its
+    ``units`` and ``long_name``. The attributes of the dataset are the run record.
 
     Raises:
         UsageError: xarray is not installed.
@@ -63,9 +69,12 @@ def to_xarray(columns: Columns, subject: Subject, run: Mapping[str, str]) -> xr.
     for name, values in columns.items():
         if name == NUMBERS:
             continue
-        field = BY_NAME[name]
-        about = {"units": field.unit or field.meaning} if field.shape else {"units": field.unit}
-        about["long_name"] = field.description
+        if name in UNITS:
+            unit, meaning = UNITS[name], MEANINGS[name]
+        else:
+            field = BY_NAME[name]
+            unit, meaning = field.unit or (field.meaning if field.shape else ""), field.description
+        about = {"units": unit, "long_name": meaning}
         variables[name] = (("frame", *_DIMENSIONS.get(name, ())), values, about)
     if NUMBERS in columns:
         numbers = zip(subject.number_names, columns[NUMBERS].T, strict=True)
@@ -77,8 +86,12 @@ def to_xarray(columns: Columns, subject: Subject, run: Mapping[str, str]) -> xr.
         "pose": (*_POSE, *subject.shape_names),
         "tangent": (*_TANGENT, *subject.shape_names),
         "point": subject.point_names,
+        "camera": tuple(camera.name for camera in cameras),
+        "pixel": ("u", "v"),
+        "angle": joint_angle_names(subject),
     }
-    coordinates = {name: np.array(values, dtype=str) for name, values in labels.items()}
+    used = {dimension for name in columns for dimension in _DIMENSIONS.get(name, ())}
+    coordinates = {name: np.array(labels[name], dtype=str) for name in labels if name in used}
     stamp = {"stamp_ns": variables.pop("stamp_ns")}
     dataset: xr.Dataset = xarray.Dataset(variables, coords=coordinates | stamp, attrs=dict(run))
     return dataset

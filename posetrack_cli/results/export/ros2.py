@@ -58,7 +58,7 @@ class _Topics:
     def __init__(self, sink: McapSink, source: ExportSource, cameras: tuple[Camera, ...]) -> None:
         prefix = source.topic.rpartition("/")[0]
         self._sink, self._cameras = sink, cameras
-        self._where = f"{source.result.path}, {source.topic}"
+        self._where = source.where
         self._subject = _drawable(replace(source.result.subject, name=_name(prefix).replace("/", "_")))
         self._transforms = self._topic(TRANSFORMS_TOPIC, "tf2_msgs/TFMessage")
         self._infos = [

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -11,8 +12,17 @@ import numpy as np
 from posetrack_cli import limits
 from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
 from posetrack_cli.errors import ResultError
+from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.rigid import in_object
 from posetrack_cli.results.columns import Columns
+from posetrack_cli.results.derived import (
+    JOINT_ANGLES,
+    MEANINGS,
+    PIXELS,
+    joint_angle_names,
+    joint_angles,
+    pixels,
+)
 from posetrack_cli.results.estimate import Subject, kind_of
 from posetrack_cli.results.fields import BY_NAME, NUMBERS
 from posetrack_cli.units import NS_PER_S
@@ -144,8 +154,19 @@ class ColumnGroup:
     values: Callable[[Columns], Values]
 
 
-def table_of(subject: Subject) -> tuple[ColumnGroup, ...]:
-    """Return the column groups of a subject's table in order, without empty ones."""
+def pixel_columns(names: Iterable[str], camera: str = "") -> tuple[str, ...]:
+    """Return two column names per point, in px: ``wrist_u_px``, or ``wrist_in_left_u_px`` in a rig."""
+    place = f"_in_{camera}" if camera else ""
+    return tuple(f"{name}{place}_{axis}_px" for name in names for axis in "uv")
+
+
+def table_of(subject: Subject, cameras: Sequence[Camera] = ()) -> tuple[ColumnGroup, ...]:
+    """Return the column groups of a subject's table in order, without empty ones.
+
+    Args:
+        subject: whose estimates are listed.
+        cameras: list the points in the images of these.
+    """
     groups = (
         *_frame_groups(),
         *_pose_groups(subject),
@@ -154,6 +175,8 @@ def table_of(subject: Subject) -> tuple[ColumnGroup, ...]:
         _point_group(subject),
         *_filter_groups(),
         _further_group(subject),
+        *_pixel_groups(subject, cameras),
+        _joint_angle_group(subject),
     )
     return tuple(group for group in groups if group.names)
 
@@ -244,6 +267,23 @@ def _further_group(subject: Subject) -> ColumnGroup:
     """Return the tracker's additional numbers, whose names include units."""
     meaning = "additional numbers of this tracker, empty where unknown"
     return ColumnGroup(subject.number_names, "", meaning, lambda block: block[NUMBERS])
+
+
+def _pixel_groups(subject: Subject, cameras: Sequence[Camera]) -> Iterable[ColumnGroup]:
+    """Yield the points in each camera's images; the columns of several cameras have their names."""
+    for camera in cameras:
+        names = pixel_columns(subject.point_names, camera.name.strip("/") if len(cameras) > 1 else "")
+        yield ColumnGroup(names, "px", MEANINGS[PIXELS], partial(_flat_pixels, camera=camera))
+
+
+def _flat_pixels(block: Columns, camera: Camera) -> FloatArray:
+    found = pixels(block, camera)
+    return found.reshape(len(found), 2 * found.shape[1])
+
+
+def _joint_angle_group(subject: Subject) -> ColumnGroup:
+    names = tuple(f"{name}_deg" for name in joint_angle_names(subject))
+    return ColumnGroup(names, "deg", MEANINGS[JOINT_ANGLES], lambda block: joint_angles(block, subject))
 
 
 def _field(name: str) -> ColumnGroup:

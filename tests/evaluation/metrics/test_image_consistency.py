@@ -12,7 +12,11 @@ import pytest
 
 from posetrack_cli.errors import ResultError
 from posetrack_cli.evaluation.measuring.evaluation import Statistics, Value, statistics
-from posetrack_cli.evaluation.measuring.without_truth import image_consistency, region_overlap, residual_mm
+from posetrack_cli.evaluation.measuring.image_consistency import (
+    image_consistency,
+    region_overlap,
+    residual_mm,
+)
 from posetrack_cli.evaluation.viewing.drawing import Shown
 from posetrack_cli.evaluation.viewing.hand_drawing import HandDrawer
 from posetrack_cli.hand.model.hand import average_hand

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from posetrack_cli.evaluation.viewing.drawing import SKIN
-from posetrack_cli.evaluation.viewing.pictures import DEFORMATION_AXES, IDENTITY_AXES, face_model_picture
+from posetrack_cli.evaluation.viewing.face_picture import DEFORMATION_AXES, IDENTITY_AXES, face_model_picture
 from posetrack_cli.head.multilinear.face_model import load_face_model
 
 ROWS, COLUMNS = 1 + 2 * IDENTITY_AXES, 1 + 2 * DEFORMATION_AXES

@@ -84,7 +84,7 @@ def _inside(percent: int, half_width: float, prefix: str, spoken: str, stated: s
 
 
 def _compared(result: Result, recording: Recording, which: str) -> Mapping[str, FloatArray]:
-    from posetrack_cli.evaluation.measuring.without_truth import image_consistency
+    from posetrack_cli.evaluation.measuring.image_consistency import image_consistency
 
     return image_consistency(result, recording, which=which)
 

@@ -59,7 +59,7 @@ _METRICS = (
 
 
 def _landmarks(measures: Measures, result: Result, matched: Matched) -> None:
-    landmark_metrics(measures, matched, result.camera())
+    landmark_metrics(measures, matched, result.camera)
 
 
 HEAD = SubjectKind(
