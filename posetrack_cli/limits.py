@@ -163,6 +163,6 @@ SEARCH_ENTRIES = 1_000_000
 LINE_BYTES = MIB
 """Line of a reference CSV file; a row of a thousand columns has about 20 kB."""
 COLUMNS = 10_000
-"""Columns of a reference CSV file."""
+"""Columns of a reference CSV file; fields of a JSON schema."""
 KEY_PARTS = 32
-"""Parts of a dotted TOML key such as ``a.b.c``."""
+"""Parts of a dotted TOML key such as ``a.b.c``; levels of a JSON schema."""

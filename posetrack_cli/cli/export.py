@@ -14,16 +14,21 @@ from posetrack_cli.cli.command import Command, option, volume_options
 from posetrack_cli.cli.options import (
     FILE,
     FILTERED,
+    READ,
     TRACKS,
+    WRITTEN,
+    cameras_option,
     option_group,
     output_option,
     overwrite_option,
+    reading_options,
     recording_options,
+    tolerance_option,
     track_option,
     truth_option,
 )
-from posetrack_cli.cli.running import open_for_reading
-from posetrack_cli.cli.terminal import STANDARD_OUTPUT, print_data, print_line, print_note
+from posetrack_cli.cli.running import print_opened
+from posetrack_cli.cli.terminal import STANDARD_OUTPUT, bar, print_data, print_line, print_note
 from posetrack_cli.errors import EXIT_DATA_LOST, UsageError
 
 if TYPE_CHECKING:
@@ -40,12 +45,19 @@ if TYPE_CHECKING:
     examples=(
         "posetrack convert depth/ --fps 30 -o recording.mcap",
         "posetrack convert depth/ --truth joints.csv -o recording.mcap",
+        "posetrack convert face.mp4 -o face.mcap",
     ),
-    short_help="Convert a depth recording to MCAP without loss.",
+    short_help="Convert a recording to MCAP for Foxglove and rerun.",
 )
 @click.argument("recording", metavar="IN", type=FILE)
 @output_option("Output file (MCAP).", "OUT.mcap")
 @overwrite_option("OUT.mcap if it exists")
+@option(
+    "--raw",
+    is_flag=True,
+    help="Store whole millimetres of depth uncompressed (16UC1), which Foxglove and rerun show in colour.",
+    group=WRITTEN,
+)
 @option_group(
     truth_option(
         "Ground truth of hand joints to add, CSV: stamp_ns or t_s, and <joint>_x_mm, _y_mm, _z_mm in camera "
@@ -53,22 +65,50 @@ if TYPE_CHECKING:
     ),
     title="Ground truth",
 )
+@option_group(
+    cameras_option("Cameras to convert, reference first; for MCAP files also topics.  [default: all]"),
+    option("--images", is_flag=True, help="Convert the camera images of IN even if it has depth."),
+    tolerance_option,
+    title=READ,
+)
 @recording_options
 @volume_options
-def convert(recording: Path, output: Path, truth: Path | None, overwrite: bool, **options: Any) -> None:
-    """Convert the depth recording IN, in any supported format, to Foxglove MCAP without loss.
+def convert(
+    recording: Path,
+    output: Path,
+    truth: Path | None,
+    overwrite: bool,
+    raw: bool,
+    images: bool,
+    **options: Any,
+) -> None:
+    """Convert the recording IN, in any supported format, to Foxglove MCAP.
 
-    Depth in whole millimetres is stored as 16-bit PNG (copied unchanged if IN has that format), other depth
-    as 32-bit float metres. Ground truth in IN is copied; --truth adds joints as /truth/hand/points, used by
-    eval. Exit code 3: frames were lost.
+    Depth is written if IN has any: whole millimetres as 16-bit PNG, other depth as 32-bit float metres.
+    Without depth, images of one or more cameras are written with calibration and poses. JPEG, PNG, WebP and
+    raw images and H.264 and H.265 video without B-frames are copied unchanged. Other images are stored as the
+    8-bit grey that is tracked, other video as JPEG images, which differ slightly.
+
+    Ground truth in IN is copied; --truth adds joints as /truth/hand/points, used by eval. Exit code 3: frames
+    were lost.
     """
     from posetrack_cli.losses import loss_line
     from posetrack_cli.recording.conversion import convert_recording
+    from posetrack_cli.recording.opening import open_any
 
-    source = open_for_reading(recording, options)
+    source = open_any(recording, images=images, **reading_options(options))
+    print_opened(recording, source)
     joints = [] if truth is None else _joints(truth, source)
-    conversion = convert_recording(source, output, overwrite=overwrite, truth=joints)
+    source.identity()  # of a large file it takes long, and has a bar of its own
+    with bar("convert", "frame", source.frame_count) as shown:
+        conversion = convert_recording(
+            source, output, overwrite=overwrite, raw=raw, truth=joints, advance=shown.advance
+        )
     print_line(f"{output}: {conversion.frames} frames, {output.stat().st_size} bytes")
+    if source.is_guessed:
+        print_note(f"{recording}: camera is not calibrated, so no calibration is written")
+    for note in conversion.notes:
+        print_note(f"{recording}: {note}")
     if conversion.losses:
         print_note(f"{recording}: {loss_line(conversion.losses)}")
         click.get_current_context().exit(EXIT_DATA_LOST)
@@ -97,7 +137,7 @@ _BY_ENDING = {"_motion.tsv": "bids"} | _BY_SUFFIX
 FORMATS = (*_BY_SUFFIX.values(), "bids", "openface", "mediapipe", "rom")
 DATED = ("nwb", "bids")
 """Formats with the date of the session."""
-SCHEMAS = ("ros2",)
+SCHEMAS = ("ros2", "protobuf")
 
 
 @click.command(
@@ -108,6 +148,7 @@ SCHEMAS = ("ros2",)
         "posetrack export result.mcap --format rom -o angles.csv",
         "posetrack export result.mcap --format bids -o study/sub-01_task-reach",
         "posetrack export result.mcap --schemas ros2 -o result-ros2.mcap",
+        "posetrack export result.mcap --schemas protobuf -o result-protobuf.mcap",
         "posetrack export result.mcap --estimate-topic /truth/hand/estimate",
     ),
     former={"--topic": "--estimate-topic"},
@@ -124,7 +165,8 @@ SCHEMAS = ("ros2",)
 @option(
     "--schemas",
     type=click.Choice(SCHEMAS),
-    help="Message schemas of an exported MCAP file; RESULT itself uses Foxglove schemas.  [default: ros2]",
+    help="Messages of an exported MCAP file: ROS 2, or all topics of RESULT with protobuf in place of JSON.  "
+    "[default: ros2]",
 )
 @output_option("Output file.  [default: standard output]", "FILE|-", required=False)
 @overwrite_option("FILE if it exists")
@@ -169,7 +211,7 @@ def export(
     mediapipe  hand landmarks as MediaPipe's HandLandmarker returns them, JSON
     bvh        hand skeleton for Blender: m, y up, fixed frame rate
     c3d        joints or points as markers: mm, fixed frame rate; requires -o
-    mcap       ROS 2 messages (tf2, nav_msgs, sensor_msgs); requires -o
+    mcap       ROS 2 messages, or RESULT as protobuf (--schemas); requires -o
 
     Euler angles: R = R_y(yaw) R_x(pitch) R_z(roll), in camera axes. Lost frames are exported with their last
     pose and status lost, without pixels; nwb, bids, openface, mediapipe and c3d leave them empty, and rom
@@ -219,7 +261,7 @@ def _chosen_format(format_name: str | None, schemas: str | None, output: Path | 
     if schemas and chosen != "mcap":
         expected = "--format mcap or -o NAME.mcap"
         raise UsageError("--schemas requires MCAP output", found=chosen, expected=expected)
-    return chosen
+    return "protobuf" if schemas == "protobuf" else chosen
 
 
 def _session_start_ns(text: str | None, chosen: str) -> int | None:

@@ -342,6 +342,14 @@ _MIRROR = option(
     rare=True,
 )
 
+tolerance_option = option(
+    "--tolerance-ms",
+    metavar="MS",
+    type=float,
+    help="Maximum difference between the timestamps of a frame's images.  [default: 10]",
+    rare=True,
+)
+
 recording_options = option_group(
     option("--topic", metavar="TOPIC", help="Topic of the depth images.  [default: best match]"),
     option(
@@ -375,13 +383,7 @@ image_options = option_group(
     _CAMERA,
     fps_option("Frame rate of an image folder or video without timestamps."),
     _MIRROR,
-    option(
-        "--tolerance-ms",
-        metavar="MS",
-        type=float,
-        help="Maximum difference between the timestamps of a frame's images.  [default: 10]",
-        rare=True,
-    ),
+    tolerance_option,
     title=READ,
 )
 one_camera_options = option_group(

@@ -41,11 +41,16 @@ def open_for_reading(
     from posetrack_cli.recording.opening import open_recording
 
     recording = open_recording(path, pixels, **reading_options(options), **further)
+    print_opened(path, recording)
+    return recording
+
+
+def print_opened(path: Path, recording: Recording) -> None:
+    """Print the remarks on how a recording was opened."""
     for camera in recording.cameras:
         print_detail(f"{path}: {camera.name or 'camera'} {camera.width}x{camera.height}, fx {camera.fx:.1f}")
     for remark in recording.remarks:
         print_note(f"{path}: {remark}")
-    return recording
 
 
 @contextmanager

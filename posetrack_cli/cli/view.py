@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
 from posetrack_cli.cli.command import Command, option, volume_options
 from posetrack_cli.cli.options import (
@@ -35,6 +36,7 @@ from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_INTERRUPTED, UsageError
 if TYPE_CHECKING:
     from posetrack_cli.evaluation.viewing.outputs import Output
     from posetrack_cli.evaluation.viewing.view import ResultView
+    from posetrack_cli.recording.recording import Recording
     from posetrack_cli.results.reader import Result
 
 LAYOUTS = ("beside", "over", "paper", "segments", "side-by-side")
@@ -56,14 +58,16 @@ DRAWN = {
         "posetrack view result.mcap -o result.mp4",
         "posetrack view result.mcap -o worst.png --select worst:8 --show-truth",
         "posetrack view result.mcap -o pictures/ --recording /data/recording.mcap",
+        "posetrack view result.mcap -o with-images.mcap",
     ),
     former={"--frames": "--select", "--scale": "--zoom", "--truth": "--show-truth"},
-    short_help="Render a result over its recording as a video, images or a contact sheet.",
+    short_help="Render a result over its recording, or join both in one MCAP file.",
 )
 @click.argument("paths", metavar="RESULT [RESULT2]", nargs=-1, required=True, type=FILE)
 @output_option(
-    "Output: video (FILE.mp4), folder of images (frame_000123.png, ...), or contact sheet (FILE.png).",
-    "FILE.mp4|FILE.png|FOLDER",
+    "Output: video (FILE.mp4), folder of images (frame_000123.png, ...), contact sheet (FILE.png), or the "
+    "result and its images for Foxglove and rerun (FILE.mcap).",
+    "FILE.mp4|FILE.png|FILE.mcap|FOLDER",
 )
 @overwrite_option("existing output")
 @option_group(
@@ -129,23 +133,63 @@ def view(paths: tuple[Path, ...], output: Path, **options: Any) -> None:
     ones an orange border. Captions show frame, time, status, confidence and, with ground truth in the result,
     the mean point error. Lens distortion is removed from the images.
 
-    Videos are H.264. After Ctrl-C, the part drawn so far is a valid output. Exit code 3: the result is
-    truncated, or some of its frames are not in the recording.
+    FILE.mcap is a copy of RESULT with the images of its frames: depth as 16UC1, other images as stored if
+    possible, else as JPEG. Its estimates are protobuf. Options for drawing do not apply to it.
+
+    Videos are H.264. After Ctrl-C, the part drawn so far is a valid output, except for FILE.mcap. Exit code
+    3: the result is truncated, or some of its frames are not in the recording.
     """
-    from posetrack_cli.evaluation.viewing.outputs import check_view_output, open_output
+    from posetrack_cli.evaluation.viewing.outputs import check_view_output, is_messages, open_output
     from posetrack_cli.results.reader import read_result
 
     check_view_output(output, overwrite=options["overwrite"])
     results = [read_result(path) for path in paths]
+    if is_messages(output):
+        _join(results, output, options)
+        return
     drawn = _prepare(results, output, options)
     with stop_signals() as stopped, _finished(open_output(output, options["rate"] or drawn.rate_hz)) as out:
         count = _draw(drawn, out, stopped)
     _close(output, count, drawn, results, interrupted=stopped())
 
 
+def _join(results: Sequence[Result], output: Path, options: dict[str, Any]) -> None:
+    """Write a result and its images to one file, print the closing lines and set the exit code."""
+    from posetrack_cli.evaluation.viewing.with_images import write_with_images
+    from posetrack_cli.losses import loss_line
+
+    context = click.get_current_context()
+    given = [name for name in (*DRAWN.values(), "track", "rate", "device") if _is_given(context, name)]
+    if len(results) > 1 or given:
+        found = f"--{given[0].replace('_', '-')}" if given else f"{len(results)} results"
+        raise UsageError("an MCAP file holds one result with all its tracks", found=found)
+    (result,) = results
+    recording = _recording_of(result, options)
+    with bar("view", "frame", recording.frame_count) as shown:
+        count, losses = write_with_images(
+            result, recording, output, overwrite=options["overwrite"], advance=shown.advance
+        )
+    print_line(f"{count} {'frame' if count == 1 else 'frames'}: {output}")
+    for where, lost in ((result.path, result.losses), (recording.path, losses)):
+        if lost:
+            print_note(f"{where}: {loss_line(lost)}")
+    if result.losses or losses:
+        context.exit(EXIT_DATA_LOST)
+
+
+def _is_given(context: click.Context, name: str) -> bool:
+    return context.get_parameter_source(name) is ParameterSource.COMMANDLINE
+
+
+def _recording_of(result: Result, options: dict[str, Any]) -> Recording:
+    from posetrack_cli.evaluation.reading.recording_of import required_recording
+
+    chosen = {"any_recording": options["any_recording"], "in_colour": True, **reading_options(options)}
+    return required_recording(result, options["recording"], **chosen)
+
+
 def _prepare(results: Sequence[Result], output: Path, options: dict[str, Any]) -> ResultView:
     """Return the view, checked before the first frame is drawn."""
-    from posetrack_cli.evaluation.reading.recording_of import required_recording
     from posetrack_cli.evaluation.viewing.layers import ViewOptions
     from posetrack_cli.evaluation.viewing.outputs import is_sheet
     from posetrack_cli.evaluation.viewing.view import ResultView, style_of
@@ -156,8 +200,7 @@ def _prepare(results: Sequence[Result], output: Path, options: dict[str, Any]) -
     view_options = ViewOptions(**drawn, sheet=is_sheet(output), tracks=tracks)
     _check_one_recording(results, options)
     style_of(results)
-    chosen = {"any_recording": options["any_recording"], "in_colour": True, **reading_options(options)}
-    recording = required_recording(results[0], options["recording"], **chosen)
+    recording = _recording_of(results[0], options)
     # The device is opened on first use: heads are drawn without one.
     return ResultView(results, recording, view_options, cache(lambda: open_usual_device(options["device"])))
 

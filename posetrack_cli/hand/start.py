@@ -26,7 +26,7 @@ from posetrack_cli.hand.search import Acquisition
 from posetrack_cli.mcap.stream import McapFile, is_mcap
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate
-from posetrack_cli.results.estimate_json import estimate_from_json
+from posetrack_cli.results.estimate_json import estimate_from_json, json_of_estimate
 from posetrack_cli.text import parse_toml
 from posetrack_cli.tracking.confidence import RunningSigns
 from posetrack_cli.tracking.loop import Tracker
@@ -138,8 +138,8 @@ def _parse(path: Path) -> dict[str, Any]:
 def _first_pose(path: Path) -> FloatArray:
     """Return the first estimate in a result, or the first true pose in a recording."""
     for topic in ESTIMATE_TOPICS:
-        for _, _, message in McapFile(path).messages([topic]):
-            first = estimate_from_json(message.data)
+        for item in McapFile(path).messages([topic]):
+            first = estimate_from_json(json_of_estimate(item, NUMBER_NAMES))
             if first.shape.size == POSE_SIZE - 7:
                 return np.concatenate([first.position, first.quaternion, first.shape])
             break

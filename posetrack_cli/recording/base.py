@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError
@@ -109,8 +109,21 @@ class UnreadableImageError(Exception):
     """An image that cannot be decoded; readers skip it and count a loss."""
 
 
-def no_png() -> None:
-    """Return None: no depth PNG is stored."""
+@dataclass(frozen=True)
+class Encoded:
+    """An image as a Foxglove message stores it.
+
+    Attributes:
+        kind: ``RAW_IMAGE``, ``COMPRESSED_IMAGE`` or ``VIDEO_IMAGE``.
+        fields: fields of the message except stamp and frame id.
+    """
+
+    kind: str
+    fields: Mapping[str, Any]
+
+
+def not_encoded() -> None:
+    """Return None: a message must encode the decoded pixels."""
 
 
 @dataclass(frozen=True)
@@ -122,13 +135,14 @@ class StoredImage:
         where: file name, or topic and time.
         decode: returns the (height, width) pixels of a frame; raises UnreadableImageError to skip the
             image, RecordingError to end the pass.
-        png: returns the stored 16-bit PNG if its pixels already are depth in mm, else None.
+        encoded: returns the image for a message, from which the same pixels are read, or for video nearly
+            the same; None if it is not stored in such a form.
     """
 
     stamp_ns: int
     where: str
     decode: Callable[[], ImageArray]
-    png: Callable[[], bytes | None] = no_png
+    encoded: Callable[[], Encoded | None] = not_encoded
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,8 @@ from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.mcap.decoding import COMPRESSED_IMAGE, DISPARITY_IMAGE, RAW_IMAGE, VIDEO_IMAGE
-from posetrack_cli.recording.base import UnreadableImageError
-from posetrack_cli.recording.image_files import PNG_SIGNATURE, PNG_SIZE_AT, decode_codes
+from posetrack_cli.recording.base import Encoded, UnreadableImageError
+from posetrack_cli.recording.image_files import PNG_SIGNATURE, PNG_SIZE_AT, decode_codes, encoded_file
 from posetrack_cli.recording.pixels import check_size, raw_values
 
 # Stored depth and its conversion to millimetres
@@ -90,7 +90,7 @@ class Depth:
         values = stored_depth(decoded, kind, where, self.disparity_px_m)
         return depth_from_stored(values, self.unit_mm, self.missing)
 
-    def png_of_message(self, decoded: Any, kind: str) -> bytes | None:
+    def encoded_message(self, decoded: Any, kind: str) -> Encoded | None:
         """Return the 16-bit PNG of depth in mm in a message, None if there is none."""
         if kind != COMPRESSED_IMAGE or self.unit_mm != 1.0 or self.missing:
             return None
@@ -98,7 +98,7 @@ class Depth:
         offset = _png_offset(data)
         if offset is None or _describe_compressed(str(decoded.format), data).depth != "16UC1":
             return None
-        return data[offset:]
+        return encoded_file(data[offset:])
 
 
 @dataclass(frozen=True)

@@ -21,11 +21,12 @@ from posetrack_cli.recording.base import (
     CAMERA_FILE_NAME,
     TRUTH_FILE_NAME,
     TRUTH_PREFIX,
+    Encoded,
     StoredImage,
     TruthMessage,
     UnreadableImageError,
     no_intrinsics,
-    no_png,
+    not_encoded,
     truth_message,
 )
 from posetrack_cli.recording.camera_file import (
@@ -52,9 +53,9 @@ from posetrack_cli.recording.depth import (
 from posetrack_cli.recording.grey import PLAIN_BITS, Grey, decode_shown, grey_like, with_bits_of
 from posetrack_cli.recording.identity import files_digest, identity_record
 from posetrack_cli.recording.image_files import (
-    PNG_SIGNATURE,
     ImageFile,
     decode_codes,
+    encoded_file,
     files_of,
     first_decoded,
     read_image,
@@ -112,9 +113,9 @@ def open_depth_folder(path: Path, options: ReadingOptions) -> Recording:
         width, height, encoding, decision.unit_mm, settings.missing, is_float=first.dtype.kind == "f"
     )
     camera = settings.window.camera(found.camera)
-    copied = encoding == "16UC1" and settings.missing == 0 and settings.window.keeps_pixels
+    is_copied = encoding == "16UC1" and settings.missing == 0
     (stamped,) = timing.stamped.values()
-    stream = _stream(camera, pixels, settings.window, "", stamped, is_millimetres=copied)
+    stream = _stream(camera, pixels, settings.window, "", stamped, _encoded if is_copied else None)
 
     def identity() -> Mapping[str, str]:
         files = [(image.name, image) for image in files_of(images)]
@@ -176,7 +177,14 @@ def open_grey_folder(path: Path, options: ReadingOptions) -> Recording:
     sizes = {name: Picture(kind.width, kind.height, turns[name]) for name, kind in kinds.items()}
     stored = rig.stored_cameras(sizes)
     streams = [
-        _stream(windows[name].camera(camera), kinds[name], windows[name], name, timing.stamped[name])
+        _stream(
+            windows[name].camera(camera),
+            kinds[name],
+            windows[name],
+            name,
+            timing.stamped[name],
+            _encoded_upright if kinds[name].bits == PLAIN_BITS else None,
+        )
         for name, camera in zip(folders, stored, strict=True)
     ]
     count = sum(1 for _ in match_streams(streams, tolerance, LossLog()))
@@ -250,15 +258,14 @@ def _stream(
     window: Window,
     folder: str,
     stamped: Stamped,
-    *,
-    is_millimetres: bool = False,
+    encoded: Callable[[ImageFile], Encoded | None] | None,
 ) -> CameraStream:
-    """Return the stream of one camera; ``is_millimetres`` if stored codes equal the frames' depth."""
+    """Return the stream of one camera; ``encoded`` returns a file's content for a message."""
 
     def images(losses: LossLog) -> Iterator[StoredImage]:
         for stamp, image in stamped:
-            png = partial(_png, image) if is_millimetres else no_png
-            yield StoredImage(stamp, _label(folder, image), partial(_decoded, image, pixels, window), png)
+            own = partial(encoded, image) if encoded and window.keeps_pixels else not_encoded
+            yield StoredImage(stamp, _label(folder, image), partial(_decoded, image, pixels, window), own)
 
     return CameraStream(camera, pixels, images)
 
@@ -267,9 +274,14 @@ def _decoded(image: ImageFile, pixels: Pixels, window: Window) -> ImageArray:
     return window.apply(pixels.from_file(read_image(image), image))
 
 
-def _png(image: ImageFile) -> bytes | None:
+def _encoded(image: ImageFile) -> Encoded | None:
+    return encoded_file(read_image(image))
+
+
+def _encoded_upright(image: ImageFile) -> Encoded | None:
+    """Return an image for a message, which is read as stored; None if EXIF rotates it."""
     data = read_image(image)
-    return data if data.startswith(PNG_SIGNATURE) else None
+    return encoded_file(data) if orientation_of_file(data) == UPRIGHT else None
 
 
 def _rate(fps: float | None) -> dict[str, str]:

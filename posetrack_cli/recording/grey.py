@@ -12,8 +12,8 @@ import numpy as np
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.mcap.decoding import COMPRESSED_IMAGE, RAW_IMAGE, VIDEO_IMAGE
-from posetrack_cli.recording.base import UnreadableImageError
-from posetrack_cli.recording.image_files import JPEG_BEGIN, PNG_SIGNATURE, WEBP_BEGIN, decode_any
+from posetrack_cli.recording.base import Encoded, UnreadableImageError
+from posetrack_cli.recording.image_files import MESSAGE_FORMATS, decode_any, encoded_file
 from posetrack_cli.recording.message_video import is_video_format
 from posetrack_cli.recording.orientation import UPRIGHT, Orientation, orientation_after_decoding
 from posetrack_cli.recording.pixels import check_size, raw_values
@@ -64,6 +64,7 @@ RAW_GREY = {
     "bayer_gbrg8": RawEncoding("u1", 1, cv2.COLOR_BayerGR2GRAY, cv2.COLOR_BayerGR2BGR),
     "bayer_grbg8": RawEncoding("u1", 1, cv2.COLOR_BayerGB2GRAY, cv2.COLOR_BayerGB2BGR),
 }
+NOT_FOXGLOVE = ("8UC4",)  # raw encodings that foxglove.RawImage does not have
 
 
 @dataclass(frozen=True)
@@ -127,9 +128,20 @@ class Grey:
             return grey_of(image, bits)
         return eight_bits(image[..., :3], bits) if image.shape[2] > 2 else grey_of(image, bits)
 
-    def png_of_message(self, decoded: Any, kind: str) -> bytes | None:
-        """Return None: grey messages have no depth."""
-        return None
+    def encoded_message(self, decoded: Any, kind: str) -> Encoded | None:
+        """Return the content of a message of 8-bit values; None for others, and if Foxglove lacks the format.
+
+        Viewers would show deeper images nearly black.
+        """
+        if self.bits > PLAIN_BITS:
+            return None
+        if kind == COMPRESSED_IMAGE:
+            return encoded_file(bytes(decoded.data))
+        encoding = str(decoded.encoding)
+        if RAW_GREY[encoding].dtype != "u1" or encoding in NOT_FOXGLOVE:
+            return None
+        sizes = {name: int(getattr(decoded, name)) for name in ("width", "height", "step")}
+        return Encoded(RAW_IMAGE, {**sizes, "encoding": encoding, "data": bytes(decoded.data)})
 
 
 def grey_like(image: ImageArray, where: object, bits: int | None = None) -> Grey:
@@ -189,9 +201,7 @@ def holds_grey(decoded: Any, kind: str | None) -> bool:
         return str(decoded.encoding) in RAW_GREY
     if kind == VIDEO_IMAGE:
         return is_video_format(str(decoded.format))
-    return kind == COMPRESSED_IMAGE and bytes(decoded.data).startswith(
-        (PNG_SIGNATURE, JPEG_BEGIN, WEBP_BEGIN)
-    )
+    return kind == COMPRESSED_IMAGE and bytes(decoded.data).startswith(tuple(MESSAGE_FORMATS))
 
 
 def grey_of(image: ImageArray, bits: int) -> ImageArray:

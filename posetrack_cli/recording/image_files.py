@@ -16,7 +16,8 @@ from posetrack_cli import limits
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.files import read_input
-from posetrack_cli.recording.base import UnreadableImageError
+from posetrack_cli.mcap.decoding import COMPRESSED_IMAGE
+from posetrack_cli.recording.base import Encoded, UnreadableImageError
 from posetrack_cli.recording.orientation import TIFF_BEGIN
 from posetrack_cli.recording.stamps import order_of_names, order_remark
 from posetrack_cli.recording.tiff import Page, find_pages, page_bytes
@@ -34,6 +35,8 @@ SIGNATURES = (
     *(PNG_SIGNATURE, JPEG_BEGIN, WEBP_BEGIN, *TIFF_BEGIN, b"BM"),
     *(b"P%d" % kind for kind in range(1, 7)),
 )
+# Formats of foxglove.CompressedImage by signature.
+MESSAGE_FORMATS = {PNG_SIGNATURE: "png", JPEG_BEGIN: "jpeg", WEBP_BEGIN: "webp"}
 TIFF_SUFFIXES = (".tif", ".tiff")
 # If every file has the same small number of pages, they are channels of one image (depth, confidence,
 # infrared).
@@ -44,6 +47,7 @@ PNG_SIZE, PNG_SIZE_AT = struct.Struct(">II"), 16
 # import.
 TOO_LARGE = "CV_IO_MAX_IMAGE"
 PNG_LEVEL = 9
+JPEG_QUALITY = 95
 PNG_CHUNK = struct.Struct(">I4s")  # length of the content, type; content and checksum follow
 
 
@@ -309,6 +313,18 @@ def is_complete_png(data: bytes) -> bool:
 
 
 def encode_png(codes: ImageArray, level: int = PNG_LEVEL) -> bytes:
-    """Encode (height, width) uint16 codes as a PNG; level 0 is fast, 9 is small."""
+    """Encode (height, width) uint8 or uint16 codes as a PNG; level 0 is fast, 9 is small."""
     _, data = cv2.imencode(".png", codes, [cv2.IMWRITE_PNG_COMPRESSION, level])
     return data.tobytes()
+
+
+def encode_jpeg(image: ImageArray) -> bytes:
+    """Encode (height, width) uint8 grey, or (height, width, 3) blue green red, as a JPEG."""
+    _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    return data.tobytes()
+
+
+def encoded_file(data: bytes) -> Encoded | None:
+    """Return the content of an image file for a message; None if no message has its format."""
+    found = next((name for sign, name in MESSAGE_FORMATS.items() if data.startswith(sign)), None)
+    return None if found is None else Encoded(COMPRESSED_IMAGE, {"format": found, "data": data})

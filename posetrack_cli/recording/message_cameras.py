@@ -17,7 +17,11 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import PosetrackError, RecordingError, UsageError, nearest_name
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.rigid import composed, inverse, placed, relative_to, rotation_from_rows
-from posetrack_cli.geometry.rotations import canonical, matrices_from_quaternions
+from posetrack_cli.geometry.rotations import (
+    canonical,
+    matrices_from_quaternions,
+    quaternions_from_matrices,
+)
 from posetrack_cli.mcap.decoding import (
     TRANSFORM_TYPES,
     VIDEO_IMAGE,
@@ -44,6 +48,7 @@ from posetrack_cli.recording.grey import Grey, grey_like, grey_like_message, hol
 from posetrack_cli.recording.message_topics import TRIES, FileTopics, Topic
 from posetrack_cli.recording.message_video import first_picture
 from posetrack_cli.recording.pixels import Pixels
+from posetrack_cli.units import METRES_PER_MM
 
 # Cameras from CameraCalibration and CameraInfo messages, and back
 
@@ -80,6 +85,22 @@ def calibration_message(camera: Camera, stamp_ns: int, frame_id: str) -> Any:
         P=(camera.fx, 0, camera.cx, 0, 0, camera.fy, camera.cy, 0, 0, 0, 1, 0),
     )
     message.timestamp.FromNanoseconds(stamp_ns)
+    return message
+
+
+def camera_transforms(cameras: Sequence[Camera], frame: str, stamp_ns: int) -> Any:
+    """Return the poses of the other cameras relative to the first, whose frame id is ``frame``."""
+    from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+
+    message = FrameTransforms()
+    for camera in cameras[1:]:
+        pose = inverse(np.array(camera.camera_T_reference))
+        child = message.transforms.add(parent_frame_id=frame, child_frame_id=camera.name)
+        child.timestamp.FromNanoseconds(stamp_ns)
+        x, y, z = (pose[:, 3] * METRES_PER_MM).tolist()
+        child.translation.x, child.translation.y, child.translation.z = x, y, z
+        x, y, z, w = quaternions_from_matrices(pose[:, :3]).tolist()
+        child.rotation.x, child.rotation.y, child.rotation.z, child.rotation.w = x, y, z, w
     return message
 
 

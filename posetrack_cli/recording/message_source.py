@@ -15,12 +15,14 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from mcap.records import Metadata
 
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.bags.message_file import MessageFile, message_file, required_container
 from posetrack_cli.bags.ros2 import parts_of
-from posetrack_cli.errors import PosetrackError, RecordingError
+from posetrack_cli.errors import PosetrackError, RecordingError, ResultError
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.geometry.rigid import relative_to
 from posetrack_cli.losses import LossLog
 from posetrack_cli.mcap.decoding import (
     DISPARITY_IMAGE,
@@ -30,13 +32,15 @@ from posetrack_cli.mcap.decoding import (
     frame_id_of,
     own_stamp_of,
 )
+from posetrack_cli.mcap.stream import McapFile
 from posetrack_cli.recording.base import (
     TRUTH_PREFIX,
+    Encoded,
     NotCalibratedError,
     StoredImage,
     TruthMessage,
     UnreadableImageError,
-    no_png,
+    not_encoded,
     truth_message,
 )
 from posetrack_cli.recording.camera_file import (
@@ -59,6 +63,7 @@ from posetrack_cli.recording.camera_of import (
     pair_with_calibration,
     require_single_camera,
 )
+from posetrack_cli.recording.camera_record import CAMERAS_RECORD, cameras_from_record
 from posetrack_cli.recording.depth import (
     DISPARITY,
     MM_PER_M,
@@ -88,7 +93,7 @@ from posetrack_cli.recording.message_cameras import (
     sources_of_rig,
 )
 from posetrack_cli.recording.message_topics import FileTopics, Topic, scan_topics
-from posetrack_cli.recording.message_video import decoded_video
+from posetrack_cli.recording.message_video import decoded_video, encoded_video
 from posetrack_cli.recording.pixels import Pixels, Window
 from posetrack_cli.recording.recording import CameraStream, ReadingOptions, Recording, no_truth, tolerance_ns
 from posetrack_cli.recording.timeline import Clock, Shifts, Timed
@@ -281,7 +286,11 @@ def _grey_cameras(
         every = distinct_names(find_sources(topics, wanted))
         sources = _only_colour(every) if guess is not None else every
         words = _choice_remark("colour", sources[0], [source.topic for source in every], "--cameras")
-        return None, sources, *_cameras(topics, sources, guess), words if len(sources) == 1 else ()
+        said = words if len(sources) == 1 else ()
+        if guess is not None:
+            require_single_camera(topics.path, [source.name for source in sources])
+        found = _recorded_cameras(topics, sources, in_order=wanted is None)
+        return None, *(found or (sources, *_cameras(topics, sources, guess))), said
     rig = load_rig(file)
     rig = rig if wanted is None else rig.subset(wanted)
     sources = sources_of_rig(topics, rig)
@@ -296,8 +305,6 @@ def _cameras(
     topics: FileTopics, sources: Sequence[GreyTopic], guess: Guess | None
 ) -> tuple[list[ImageCamera], str]:
     """Return the cameras of stored images, and where they are from."""
-    if guess is not None:
-        require_single_camera(topics.path, [source.name for source in sources])
     try:
         return cameras_of_messages(topics, sources), FROM_MESSAGES
     except NotCalibratedError:
@@ -305,6 +312,38 @@ def _cameras(
             raise
     guessed = [guess.stored_camera(*source.size, source.name) for source in sources]
     return [ImageCamera(camera, GUESSED) for camera in guessed], GUESSED
+
+
+def _recorded_cameras(
+    topics: FileTopics, sources: list[GreyTopic], *, in_order: bool
+) -> tuple[list[GreyTopic], list[ImageCamera], str] | None:
+    """Return topics and cameras as a conversion recorded them, without rounding; None if it did not.
+
+    Args:
+        topics: topics of the file.
+        sources: topics of the images.
+        in_order: sort them as recorded, the reference first.
+
+    Raises:
+        RecordingError: the record is invalid.
+    """
+    extras = topics.file.extras() if isinstance(topics.file, McapFile) else iter(())
+    records = [r.metadata for r in extras if isinstance(r, Metadata) and r.name == CAMERAS_RECORD]
+    try:
+        cameras = {camera.name: camera for record in records for camera in cameras_from_record(record)}
+    except ResultError as error:
+        raise RecordingError(str(error), where=topics.path) from error
+    if not all(s.name in cameras and _size_of(cameras[s.name]) == s.size for s in sources):
+        return None
+    if in_order:
+        sources = sorted(sources, key=lambda source: list(cameras).index(source.name))
+    first = cameras[sources[0].name]
+    placed = relative_to(first, [cameras[source.name] for source in sources])
+    return sources, [ImageCamera(camera, f"metadata {CAMERAS_RECORD}") for camera in placed], FROM_MESSAGES
+
+
+def _size_of(camera: Camera) -> tuple[int, int]:
+    return camera.width, camera.height
 
 
 def _only_colour(sources: list[GreyTopic]) -> list[GreyTopic]:
@@ -411,7 +450,8 @@ class _TopicImages:
         for (image, calibration), picture in decoded_video(own):
             if not self._fault(image):
                 lacking = UndecodableMessageError("video picture cannot be decoded")
-                image = image._replace(decoded=lacking if picture is None else picture)
+                decoded = lacking if picture is None else picture
+                image = image._replace(decoded=decoded, video=image.decoded)
             yield image, calibration
 
     def _fault(self, image: _Decoded) -> str:
@@ -459,18 +499,20 @@ class _TopicImages:
                 values = pixels.from_message(image.decoded, kind, f"{self.path}, {where}")
             return self.window.apply(values if resampling is None else resampling.apply(values))
 
-        is_kept = self.window.keeps_pixels and resampling is None
-        is_kept = is_kept and kind != VIDEO_IMAGE
-        png = partial(pixels.png_of_message, image.decoded, kind) if is_kept else no_png
-        return StoredImage(stamp, where, decode, png)
+        encoded: Callable[[], Encoded | None] = not_encoded
+        if self.window.keeps_pixels and resampling is None:
+            own = partial(pixels.encoded_message, image.decoded, kind)
+            encoded = own if image.video is None else partial(encoded_video, image.video)
+        return StoredImage(stamp, where, decode, encoded)
 
 
 class _Decoded(NamedTuple):
-    """A decoded message or video picture, or the decoding error; and its times."""
+    """A decoded message or video picture, or the decoding error; its times; and a picture's message."""
 
     decoded: Any
     own_ns: int
     log_time: int
+    video: Any = None
 
 
 def _truth(topics: FileTopics, *, mirror: bool) -> Callable[[], Iterator[TruthMessage]]:

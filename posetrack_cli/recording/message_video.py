@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from posetrack_cli import limits
 from posetrack_cli.arrays import ImageArray
-from posetrack_cli.recording.base import UnreadableImageError
+from posetrack_cli.mcap.decoding import VIDEO_IMAGE
+from posetrack_cli.recording.base import Encoded, UnreadableImageError
 from posetrack_cli.recording.stamps import MAX_REORDERED
 from posetrack_cli.recording.video_file import decode_errors, frame_pixels
 
@@ -31,7 +32,14 @@ DECODERS = {
     "vp9": "vp9",
     "av1": "libdav1d",
 }
+OTHER_NAMES = {"hevc": "h265"}  # Foxglove's name of a format, where messages may have another
 KEYFRAME_SEARCH = 300  # first messages searched for a keyframe
+
+
+def encoded_video(message: Any) -> Encoded:
+    """Return the content of a video message, whose format may have a name that only other tools use."""
+    name = str(message.format)
+    return Encoded(VIDEO_IMAGE, {"format": OTHER_NAMES.get(name, name), "data": bytes(message.data)})
 
 
 def is_video_format(name: str) -> bool:
@@ -54,7 +62,7 @@ def decoded_video(messages: Iterable[tuple[Item, Any]]) -> Iterator[tuple[Item, 
         decoder = None if message is None else DECODERS.get(str(message.format))
         if decoder is None:
             continue
-        context = context or _context(decoder)
+        context = context or open_decoder(decoder)
         for shown, picture in _pictures(context, bytes(message.data), number):
             yield from _until(waiting, shown, picture)
     if context is not None:
@@ -78,7 +86,8 @@ def _until(
         yield item, picture if number == shown else None
 
 
-def _context(decoder: str) -> VideoCodecContext:
+def open_decoder(decoder: str) -> VideoCodecContext:
+    """Return one of FFmpeg's decoders, for packets without a container."""
     import av
     from av.video.codeccontext import VideoCodecContext
 

@@ -9,9 +9,11 @@ from pathlib import Path
 from typing import Any, Unpack
 
 from posetrack_cli.bags.message_file import container_of
-from posetrack_cli.errors import RecordingError, UsageError, damage_reported
+from posetrack_cli.errors import PosetrackError, RecordingError, UsageError, damage_reported
 from posetrack_cli.files import hint_of_missing
+from posetrack_cli.recording.base import NotCalibratedError
 from posetrack_cli.recording.camera_file import camera_path
+from posetrack_cli.recording.camera_of import Guess
 from posetrack_cli.recording.datasets.biwi import describe_biwi, is_biwi, open_biwi_colour, open_biwi_depth
 from posetrack_cli.recording.datasets.nyu import describe_nyu, is_nyu, open_nyu_depth
 from posetrack_cli.recording.datasets.record3d import (
@@ -160,6 +162,50 @@ def open_recording(path: Path, pixels: PixelKind = "depth", **options: Unpack[Re
         options["camera_file"] = camera_path(file)
     with damage_reported(lambda: path):
         return opener.open(path, options)
+
+
+def open_any(path: Path, *, images: bool = False, **options: Unpack[ReadingOptions]) -> Recording:
+    """Open the depth of a recording or, if it has none, its images; a single camera may be uncalibrated.
+
+    Args:
+        path: folder or file.
+        images: open images even if there is depth.
+        options: reading options; those of only one kind of pixels select it.
+
+    Raises:
+        RecordingError, UsageError: see ``open_recording``.
+    """
+    given = {name for name, value in options.items() if value is not None}
+    kinds: tuple[PixelKind, ...] = ("grey",) if images else ("depth", "grey")
+    usable = [kind for kind in kinds if given <= options_for(path, kind)]
+    if usable != ["depth", "grey"]:
+        return _open_of_kind(path, (usable or kinds)[0], options)
+    try:
+        return open_recording(path, "depth", **options)
+    except NotCalibratedError:
+        raise
+    except RecordingError as no_depth:
+        try:
+            return _open_of_kind(path, "grey", options)
+        except RecordingError as error:
+            reason = str(no_depth).removeprefix(f"{path}: ")
+            both = str(error) if reason in str(error) else f"{error}; as depth: {reason}"
+            raise RecordingError(both) from error
+
+
+def _open_of_kind(path: Path, pixels: PixelKind, options: ReadingOptions) -> Recording:
+    try:
+        return open_recording(path, pixels, **options)
+    except RecordingError as error:
+        if pixels == "depth":
+            raise
+        guessed: ReadingOptions = {**options, "guess": Guess()}
+        try:
+            return open_recording(path, pixels, **guessed)
+        except PosetrackError as further:
+            # A single camera needs no calibration: it is something else that is missing.
+            is_single = isinstance(error, NotCalibratedError) and not isinstance(further, UsageError)
+            raise (further if is_single else error) from None
 
 
 def options_for(path: Path, pixels: PixelKind) -> frozenset[str]:

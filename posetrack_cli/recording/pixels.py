@@ -10,7 +10,7 @@ import numpy as np
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.recording.base import UnreadableImageError
+from posetrack_cli.recording.base import Encoded, UnreadableImageError
 
 PixelKind = Literal["depth", "grey"]  # float32 depth, mm, 0 = no reading; or uint8 grey
 
@@ -45,8 +45,8 @@ class Pixels(Protocol):
     def from_message(self, decoded: Any, kind: str, where: str) -> ImageArray:
         """Return the (height, width) pixels of a message of kind RAW_IMAGE or COMPRESSED_IMAGE."""
 
-    def png_of_message(self, decoded: Any, kind: str) -> bytes | None:
-        """Return the 16-bit PNG of depth in mm in a message, None if there is none."""
+    def encoded_message(self, decoded: Any, kind: str) -> Encoded | None:
+        """Return the content of a message for a Foxglove message with the same pixels, None if it differs."""
 
 
 @dataclass(frozen=True)

@@ -14,17 +14,19 @@ from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.files import placed_path
 from posetrack_cli.losses import LossLog
-from posetrack_cli.recording.base import CAMERA_FILE_NAME, StoredImage, UnreadableImageError
+from posetrack_cli.recording.base import CAMERA_FILE_NAME, Encoded, StoredImage, UnreadableImageError
 from posetrack_cli.recording.camera_file import Rig, camera_record, load_or_guess_rig
 from posetrack_cli.recording.camera_of import GUESSED, Guess
 from posetrack_cli.recording.depth import Depth
 from posetrack_cli.recording.description import described_cameras, try_open
 from posetrack_cli.recording.grey import Grey, grey_like
 from posetrack_cli.recording.identity import file_digest, identity_record, shown_name
-from posetrack_cli.recording.orientation import Picture
+from posetrack_cli.recording.image_files import encode_jpeg, encoded_file
+from posetrack_cli.recording.orientation import UPRIGHT, Picture
 from posetrack_cli.recording.pixels import Window
 from posetrack_cli.recording.recording import CameraStream, ReadingOptions, Recording
 from posetrack_cli.recording.stamps import VideoStamps, stamp_at_rate, stamps_at_rate
+from posetrack_cli.recording.video_copy import VideoCopy
 from posetrack_cli.recording.video_file import (
     MOST_FAILURES,
     OpenVideo,
@@ -39,6 +41,7 @@ if TYPE_CHECKING:
     from av.video.frame import VideoFrame
 
 UNDECODABLE, MISSING = "video frame cannot be decoded", "video frame missing"
+REENCODED = "video is stored as JPEG images, which differ slightly from its frames"
 
 
 def open_video(path: Path, options: ReadingOptions, known: Rig | None = None) -> Recording:
@@ -141,6 +144,8 @@ class VideoImages(Generic[P]):
             first, image = _first_image(video, path, stored)
             self.pixels: P = pixels_of(image)
         self.picture = Picture(self.pixels.width, self.pixels.height, orientation_of_frame(first))
+        is_upright = self.picture.orientation == UPRIGHT
+        self._shows_packets = is_upright and image.shape[:2] == (first.height, first.width)
         self._period_ns = NS_PER_S / rate if rate > 0 else 0.0  # 0 for an unknown rate
 
     def images(self, window: Window, losses: LossLog) -> Iterator[StoredImage | None]:
@@ -151,6 +156,7 @@ class VideoImages(Generic[P]):
         """
         index, failed, reached = 0, 0, -1.0
         stamps = VideoStamps(round(self._period_ns))
+        encoded = partial(self._encoded, window, self._copy(window), losses)
         with self._opened(self._path) as video:
             begin = video.stream.start_time or 0
             for frame in video.frames():
@@ -166,7 +172,8 @@ class VideoImages(Generic[P]):
                 stamp = stamps.stamp(_pts_ns(frame, begin))
                 if self._fps is not None:
                     stamp = stamp_at_rate(index, self._fps)
-                yield StoredImage(stamp, f"video frame {index}", partial(self._decoded, frame, window))
+                decoded = partial(self._decoded, frame, window)
+                yield StoredImage(stamp, f"video frame {index}", decoded, partial(encoded, frame))
                 index += 1
         missing = self._end(index, reached) - index
         if missing > 0:
@@ -185,6 +192,21 @@ class VideoImages(Generic[P]):
 
     def _decoded(self, frame: VideoFrame, window: Window) -> ImageArray:
         return window.apply(self.pixels.from_stored(self._stored(frame)))
+
+    def _copy(self, window: Window) -> VideoCopy:
+        is_kept = self._shows_packets and window.keeps_pixels
+        fault = "" if is_kept else "its pictures are rotated, resampled, cropped or mirrored"
+        return VideoCopy(partial(self._opened, self._path), fault)
+
+    def _encoded(self, window: Window, copy: VideoCopy, losses: LossLog, frame: VideoFrame) -> Encoded | None:
+        """Return the message content of a frame: its packet, or a JPEG in colour; None for depth."""
+        if isinstance(self.pixels, Depth):
+            return None
+        found = copy.encoded(frame)
+        if found is None:
+            losses.note(f"{REENCODED}, as {copy.fault}")
+            found = encoded_file(encode_jpeg(window.apply(self._stored(frame))))
+        return found
 
 
 def _pixels(path: Path, options: ReadingOptions, first: ImageArray) -> Grey:

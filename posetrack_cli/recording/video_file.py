@@ -104,6 +104,11 @@ class OpenVideo:
     stream: VideoStream
 
     @property
+    def codec(self) -> str:
+        """FFmpeg's name of the codec."""
+        return str(self.stream.codec_context.codec.canonical_name)
+
+    @property
     def rate_hz(self) -> float:
         """The stated frame rate; 0 if unknown."""
         return float(self.stream.average_rate or self.stream.guessed_rate or 0)
@@ -250,7 +255,12 @@ def shown_image(frame: VideoFrame, pixel_aspect: float = 1.0) -> ImageArray:
 
 def orientation_of_frame(frame: VideoFrame) -> Orientation:
     """Return the orientation in a frame's display matrix."""
-    sides: Any = frame.side_data  # PyAV's stubs declare strings
+    from av.sidedata import sidedata
+
+    # ``frame.side_data`` would refer to the frame from the frame, so that its pixels wait for the garbage
+    # collector; PyAV's stubs do not declare the argument.
+    container: Any = sidedata.SideDataContainer
+    sides = container(frame)
     matrix = next((side for side in sides if side.type.name == DISPLAY_MATRIX), None)
     return UPRIGHT if matrix is None else orientation_of_matrix(bytes(matrix))
 

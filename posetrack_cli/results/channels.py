@@ -15,7 +15,8 @@ from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.mcap.sink import McapSink, SchemaText, serialised
 from posetrack_cli.recording.base import TRUTH_PREFIX, TruthMessage
-from posetrack_cli.recording.message_cameras import calibration_message
+from posetrack_cli.recording.message_cameras import calibration_message, camera_transforms
+from posetrack_cli.recording.topics import CALIBRATION, PLACES_TOPIC, camera_topic
 from posetrack_cli.results import messages
 from posetrack_cli.results.estimate import Estimate, Subject, kind_of
 from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA_NAME, estimate_schema, estimate_to_json
@@ -27,7 +28,6 @@ from posetrack_cli.results.topics import (
     SMOOTHED_TRANSFORMS_TOPIC,
     TRANSFORMS_TOPIC,
     body_frame,
-    camera_topic,
     topics_prefix,
 )
 
@@ -59,9 +59,7 @@ class StampOrder:
 
 # Topics of a result and their order of registration
 
-CALIBRATION, ANNOTATIONS = "calibration", "annotations"
-PLACES_TOPIC = "/tf_static"
-"""Poses of the other cameras."""
+ANNOTATIONS = "annotations"
 
 
 class TrackChannels:
@@ -174,7 +172,7 @@ class ResultChannels:
         for channel_id, camera in self._calibrations.items():
             self._sink.write(channel_id, stamp_ns, self._calibration_bytes(camera, stamp_ns))
         if len(self._cameras) > 1:
-            placed = messages.camera_transforms(self._cameras, self._subject.camera_frame, stamp_ns)
+            placed = camera_transforms(self._cameras, self._subject.camera_frame, stamp_ns)
             self._sink.write(self._places, stamp_ns, serialised(placed))
 
     def write_estimate(self, estimate: Estimate, vertices: FloatArray | None) -> None:

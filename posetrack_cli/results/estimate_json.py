@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,8 @@ import numpy as np
 from posetrack_cli import limits
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import ResultError
+from posetrack_cli.mcap.protobuf_twin import NoTwinError, ProtobufTwin, json_of
+from posetrack_cli.mcap.stream import McapItem
 from posetrack_cli.results.estimate import Estimate, Status
 from posetrack_cli.results.fields import (
     BY_NAME,
@@ -26,7 +29,7 @@ from posetrack_cli.results.fields import (
     UNKNOWN_ARRAYS,
     UNKNOWN_NUMBERS,
 )
-from posetrack_cli.results.records import object_of, reader_of
+from posetrack_cli.strict_json import object_of, reader_of
 
 ESTIMATE_SCHEMA_NAME = "posetrack.Estimate"
 
@@ -126,6 +129,25 @@ def estimate_from_json(data: bytes, where: object = "", number_names: Sequence[s
         )
     except (ValueError, KeyError, TypeError) as error:
         raise ResultError(f"message is not a {ESTIMATE_SCHEMA_NAME}", where=where, found=error) from error
+
+
+@lru_cache(maxsize=16)
+def _twins(number_names: tuple[str, ...]) -> tuple[ProtobufTwin, ...]:
+    """Return the twins of messages with and without additional numbers."""
+    schemas = (estimate_schema(names) for names in dict.fromkeys([number_names, ()]))
+    return tuple(ProtobufTwin(ESTIMATE_SCHEMA_NAME, schema) for schema in schemas)
+
+
+def json_of_estimate(item: McapItem, number_names: Sequence[str] = ()) -> bytes:
+    """Return an estimate as JSON, also if its message is the protobuf twin of that.
+
+    Raises:
+        ResultError: the twin has another layout, or is damaged.
+    """
+    try:
+        return json_of(item, lambda: _twins(tuple(number_names)))
+    except NoTwinError as error:
+        raise ResultError("estimate cannot be read", where=item[1].topic, found=error) from error
 
 
 def parse_fields(data: bytes) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from pydantic_core import core_schema as schemas
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import ResultError
 from posetrack_cli.results.estimate import Estimate, Status, Subject
-from posetrack_cli.results.records import (
+from posetrack_cli.strict_json import (
     COUNT,
     LENGTH_MM,
     NOT_NEGATIVE,

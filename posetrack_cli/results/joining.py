@@ -14,11 +14,11 @@ from mcap.records import Attachment
 from posetrack_cli.errors import ResultError
 from posetrack_cli.mcap.stream import McapFile
 from posetrack_cli.recording.base import TRUTH_PREFIX, TruthMessage
-from posetrack_cli.results.channels import CALIBRATION, PLACES_TOPIC
+from posetrack_cli.recording.topics import CALIBRATION, CAMERA_PREFIX, PLACES_TOPIC
 from posetrack_cli.results.estimate import Estimate
 from posetrack_cli.results.estimate_json import estimate_from_json
 from posetrack_cli.results.reader import Result, read_result
-from posetrack_cli.results.topics import CAMERA_PREFIX, FILTERED, SMOOTHED, SMOOTHED_PREFIX
+from posetrack_cli.results.topics import FILTERED, SMOOTHED, SMOOTHED_PREFIX
 from posetrack_cli.results.writer import ResultWriter
 
 _FLUSH_FRAMES = 10

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
@@ -13,9 +11,7 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.message import Message
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.geometry.rigid import inverse
-from posetrack_cli.geometry.rotations import matrices_from_quaternions, quaternions_from_matrices
+from posetrack_cli.geometry.rotations import matrices_from_quaternions
 from posetrack_cli.results.estimate import Estimate, Subject
 from posetrack_cli.units import METRES_PER_MM
 
@@ -26,7 +22,6 @@ __all__ = [
     "Message",
     "Odometry",
     "SceneUpdate",
-    "camera_transforms",
     "frame_transforms",
     "joint_states",
     "odometry",
@@ -75,18 +70,6 @@ def frame_transforms(estimate: Estimate, subject: Subject) -> FrameTransforms:
         child.timestamp.CopyFrom(body.timestamp)
         _set_xyz(child.translation, translation)
         child.rotation.w = 1.0
-    return message
-
-
-def camera_transforms(cameras: Sequence[Camera], frame: str, stamp_ns: int) -> FrameTransforms:
-    """Return the poses of the other cameras relative to the first, whose frame id is ``frame``."""
-    message = FrameTransforms()
-    for camera in cameras[1:]:
-        placed = inverse(np.array(camera.camera_T_reference))
-        child = message.transforms.add(parent_frame_id=frame, child_frame_id=camera.name)
-        child.timestamp.FromNanoseconds(stamp_ns)
-        _set_xyz(child.translation, placed[:, 3] * METRES_PER_MM)
-        _set_quaternion(child.rotation, quaternions_from_matrices(placed[:, :3]))
     return message
 
 

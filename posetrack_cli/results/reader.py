@@ -29,17 +29,15 @@ from posetrack_cli.mcap.stream import (
 from posetrack_cli.mcap.summary import read_summary
 from posetrack_cli.outputs import part_path
 from posetrack_cli.recording.base import RUN_RECORD, TRUTH_PREFIX, TruthMessage, truth_message
+from posetrack_cli.recording.camera_record import CAMERAS_RECORD, camera_from_json, cameras_from_record
 from posetrack_cli.results.columns import Columns, column_blocks, empty_columns, joined
 from posetrack_cli.results.derived import derived, joint_angle_names, range_of_motion
 from posetrack_cli.results.estimate import Estimate, Subject
-from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA_NAME, estimate_from_json
+from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA_NAME, estimate_from_json, json_of_estimate
 from posetrack_cli.results.fields import FIELD_NAMES, NUMBERS, Sizes
 from posetrack_cli.results.records import (
-    CAMERAS_RECORD,
     SUBJECT_RECORD,
     SUMMARY_RECORD,
-    camera_from_json,
-    cameras_from_record,
     check_run_record,
     subject_from_record,
 )
@@ -174,9 +172,9 @@ class Result:
         """
         topic = self.topic_of_estimates(topic)
         own = not topic.startswith(TRUTH_PREFIX)
-        for _, _, message in self._messages([topic]):
-            where = f"{self.path}, {topic} at {message.log_time} ns"
-            estimate = estimate_from_json(message.data, where, self.subject.number_names)
+        for item in self._messages([topic]):
+            where = f"{self.path}, {topic} at {item[2].log_time} ns"
+            estimate = estimate_from_json(self._json(item), where, self.subject.number_names)
             if own:
                 self._check_sizes(topic, {"shape": len(estimate.shape), "points": len(estimate.points)})
             yield estimate
@@ -186,13 +184,16 @@ class Result:
     ) -> Iterator[Columns]:
         """Yield ``columns`` in blocks of 1000 frames, in constant memory."""
         topic, fields = self.topic_of_estimates(topic), fields or self.field_names
-        messages = (message.data for _, _, message in self._messages([topic]))
+        messages = map(self._json, self._messages([topic]))
         blocks = column_blocks(
             messages, fields, where=f"{self.path}, {topic}", number_names=self.subject.number_names
         )
         own = not topic.startswith(TRUTH_PREFIX)
         # map instead of a loop: the loop variable would keep a block alive while the next one grows
         yield from map(partial(self._checked, topic), blocks) if own else blocks
+
+    def _json(self, item: McapItem) -> bytes:
+        return json_of_estimate(item, self.subject.number_names)
 
     def _checked(self, topic: str, block: Columns) -> Columns:
         """Return a block after checking its array sizes against the subject."""

@@ -8,6 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
 from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
+from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
+from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.PointsAnnotation_pb2 import PointsAnnotation
 from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
@@ -161,6 +163,19 @@ def _scene_of(frame: str, name: str, lines: _Lines, count: int, colour: _Rgba) -
         ball.pose.orientation.w = 1.0
         ball.size.x = ball.size.y = ball.size.z = POINT_MM * METRES_PER_MM
         _colour(ball.color, colour)
+    return message
+
+
+def point_cloud(estimate: Estimate, subject: Subject) -> PointCloud:
+    """Return the points in the axes of the reference camera, for viewers without scenes, such as rerun."""
+    names = ("x", "y", "z")
+    message = PointCloud(frame_id=subject.camera_frame, point_stride=4 * len(names))
+    message.timestamp.FromNanoseconds(estimate.stamp_ns)
+    message.pose.position.SetInParent()
+    message.pose.orientation.w = 1.0
+    for k, name in enumerate(names):
+        message.fields.add(name=name, offset=4 * k, type=PackedElementField.FLOAT32)
+    message.data = (estimate.points * METRES_PER_MM).astype("<f4").tobytes()
     return message
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from posetrack_cli.errors import ResultError
-from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.recording.topics import CALIBRATION, CAMERA_PREFIX
 
 FILTERED = "filtered"
 """Each estimate uses only frames up to its own."""
@@ -14,8 +14,7 @@ TRACKS = (FILTERED, SMOOTHED)
 SMOOTHED_PREFIX = f"/{SMOOTHED}/"
 TRANSFORMS_TOPIC = "/tf"
 SMOOTHED_TRANSFORMS_TOPIC = f"{SMOOTHED_PREFIX}tf"
-CAMERA_PREFIX = "/camera"
-CALIBRATION_TOPIC = f"{CAMERA_PREFIX}/calibration"
+CALIBRATION_TOPIC = f"{CAMERA_PREFIX}/{CALIBRATION}"
 """Topic of a single camera; with several cameras each has its own, ``/camera/<name>/calibration``."""
 
 
@@ -38,8 +37,3 @@ def estimate_topic(subject: str, track: str = FILTERED) -> str:
 def body_frame(subject: str, track: str = FILTERED) -> str:
     """Return the frame id of a track's body, unique within a file."""
     return subject if track == FILTERED else f"{subject}_{track}"
-
-
-def camera_topic(camera: Camera, what: str, cameras: int) -> str:
-    """Return a camera's topic for ``calibration`` or ``annotations``, given the number of cameras."""
-    return f"{CAMERA_PREFIX}/{what}" if cameras == 1 else f"{CAMERA_PREFIX}/{camera.name.strip('/')}/{what}"

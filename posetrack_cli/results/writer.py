@@ -15,15 +15,14 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.mcap.sink import McapSink
 from posetrack_cli.outputs import check_free, check_not_written, check_place, part_path, state_path
 from posetrack_cli.recording.base import RUN_RECORD, TruthMessage
+from posetrack_cli.recording.camera_record import CAMERAS_RECORD, cameras_to_record
 from posetrack_cli.results import spool
 from posetrack_cli.results.channels import ResultChannels, StampOrder
 from posetrack_cli.results.columns import COUNTS, LayoutError, check_numbers
 from posetrack_cli.results.estimate import Estimate, Status, Subject
 from posetrack_cli.results.records import (
-    CAMERAS_RECORD,
     SUBJECT_RECORD,
     SUMMARY_RECORD,
-    cameras_to_record,
     subject_to_record,
 )
 from posetrack_cli.results.replay import Replay, check_same_run

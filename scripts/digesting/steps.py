@@ -101,7 +101,7 @@ def recordings() -> Iterator[Step]:
 
 
 def conversions() -> Iterator[Step]:
-    """Yield conversions of every depth format."""
+    """Yield conversions of every format of depth and images."""
     converted = {
         "mcap": "{hand-C} --overwrite",
         "truth": "{depth} --fps 30 --truth {keypoints:1}",
@@ -109,6 +109,11 @@ def conversions() -> Iterator[Step]:
         "bag": f"{{bags}} {OF_BAG}",
         "ros2": "{ros2} --mirror",
         "kinect": "{kinect}",
+        "raw": "{hand-C} --raw",
+        "two": "{two} --cameras right,left --tolerance-ms 5",
+        "faces": "{faces}",
+        "video": "{video}",
+        "colour": "{bags:1} --images",
     }
     for name, line in converted.items():
         yield command(f"convert-{name}", f"convert {line} -o converted-{name}.mcap")
@@ -221,6 +226,7 @@ def exports() -> Iterator[Step]:
         for kind in kinds.split():
             yield command(f"export-{name}-{kind}", f"export {{{name}}} -o exported-{name}.{kind}")
     yield command("export-smoothed", "export {smooth} --track smoothed --no-lost -o exported-smoothed.csv")
+    yield command("export-protobuf", "export {smooth} --schemas protobuf -o exported-protobuf.mcap")
     ros2 = "--format mcap --schemas ros2 --estimate-topic /truth/hand/estimate --overwrite"
     yield command("export-truth", f"export {{smooth}} {ros2} -o exported-truth.mcap")
     yield command("export-printed", "export {stereo} --format tum", printed=True)
@@ -277,6 +283,8 @@ def pictures() -> Iterator[Step]:
         "segments": "{rbpf} --layout segments --select spread:4 --device cpu -o view-segments.png",
         "paper": "{rbpf} --layout paper --select worst:2 --range-mm 500 900 -o view-paper.png",
         "compared": "{rbpf} {fast} --recording {hand-C} --rate 10 --select 0:6 -o view-compared.mp4",
+        "messages": "{smooth} --recording {hand-C} -o view-smooth.mcap",
+        "images": "{stereo} --recording {two} -o view-stereo.mcap",
         "bag": f"{{bag-run}} --recording {{bags}} {OF_BAG} --select 2,4 -o view-bag",
         "tenths": f"{{folder-tenths}} --recording {{tenths}} {of_folder} --select 2 -o view-tenths",
     }

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import re
+import sys
 from pathlib import Path
 
+import av
 import cv2
 import numpy as np
 import pytest
@@ -11,11 +14,14 @@ from click.testing import CliRunner
 
 from posetrack_cli.cli.export import convert
 from posetrack_cli.cli.main import run
-from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_DONE, EXIT_USAGE, UsageError
+from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_DONE, EXIT_INTERRUPTED, EXIT_USAGE, UsageError
 from posetrack_cli.evaluation.reading.truth_topics import points_topic
 from posetrack_cli.hand.model.anatomy import JOINT_NAMES
+from posetrack_cli.mcap.stream import McapFile
+from posetrack_cli.recording import conversion
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results.export.table import point_columns
+from support.terminal import Terminal
 
 
 @pytest.fixture
@@ -66,6 +72,67 @@ def test_existing_output_needs_overwrite(tmp_path: Path, folder: Path) -> None:
     result = CliRunner().invoke(convert, [*arguments, "--overwrite"])
     assert result.exit_code == EXIT_DONE
     assert out.read_bytes() == first, "equal input gives equal bytes"
+
+
+def write_video(path: Path, *, b_frames: int = 0) -> Path:
+    rng = np.random.default_rng(0)
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=25, options={"bf": str(b_frames)})
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        for _ in range(5):
+            picture = rng.integers(0, 255, (48, 64, 3), dtype=np.uint8)
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="bgr24")))
+        container.mux(stream.encode(None))
+    return path
+
+
+def test_what_a_video_loses_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Nothing but a calibration that there is none of; with B-frames the pictures, too."""
+    uncalibrated = "camera is not calibrated, so no calibration is written"
+    for b_frames, notes in ((0, [uncalibrated]), (2, [uncalibrated, "it has B-frames"])):
+        video = write_video(tmp_path / f"v{b_frames}.mp4", b_frames=b_frames)
+        assert run(["convert", str(video), "-o", str(tmp_path / f"c{b_frames}.mcap")]) == EXIT_DONE
+        caught = capsys.readouterr()
+        assert "5 frames" in caught.out
+        for note, line in zip(notes, caught.err.splitlines(), strict=True):
+            assert line.startswith(f"{video}: ") and note in line
+
+
+def test_progress_is_a_bar_of_frames_on_a_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    video, terminal = write_video(tmp_path / "v.mp4"), Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    assert run(["convert", str(video), "-o", str(tmp_path / "o.mcap")]) == EXIT_DONE
+    assert re.match(r"convert: 100%\|.*\| 5/5 \[", terminal.lines[0]), terminal.lines
+
+
+def test_images_are_converted_on_request(tmp_path: Path, folder: Path) -> None:
+    reading = ["--camera", str(tmp_path / "camera.toml"), "--fps", "10"]
+    assert run(["convert", str(folder), "-o", str(tmp_path / "i.mcap"), "--images", *reading]) == EXIT_DONE
+    (image, *_) = next(open_recording(tmp_path / "i.mcap", "grey").frames()).images
+    assert image.dtype == np.uint8
+    raw = ["convert", str(folder), "-o", str(tmp_path / "r.mcap"), "--raw", *reading]
+    assert run(raw) == EXIT_DONE
+    kinds = {c.topic: s.name for s, c in McapFile(tmp_path / "r.mcap").channels() if s is not None}
+    assert kinds["/camera/depth/image"] == "foxglove.RawImage"
+
+
+def test_an_interruption_leaves_nothing_and_spares_the_old_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    video, out = write_video(tmp_path / "v.mp4"), tmp_path / "o.mcap"
+    out.write_bytes(b"precious")
+    written: list[bytes] = []
+
+    def image_message(*arguments: object) -> bytes:
+        if len(written) == 3:
+            raise KeyboardInterrupt
+        written.append(b"")
+        return b""
+
+    monkeypatch.setattr(conversion, "image_message", image_message)
+    assert run(["convert", str(video), "-o", str(out), "--overwrite"]) == EXIT_INTERRUPTED
+    assert out.read_bytes() == b"precious"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["o.mcap", "v.mp4"]
 
 
 def test_joints_of_a_csv_go_along(tmp_path: Path, folder: Path) -> None:

@@ -40,8 +40,9 @@ def rows(text: str) -> list[str]:
 
 
 def test_formats_are_those_of_the_library() -> None:
-    # What needs a hand or a head is no matter of results, and BIDS is a folder.
-    assert set(FORMATS) == {*library.FORMATS, "bvh", "openface", "mediapipe", "bids"}
+    # Hands and heads are no matter of results, BIDS is a folder, and protobuf is chosen by --schemas.
+    of_commands = {"bvh", "openface", "mediapipe", "bids"}
+    assert set(FORMATS) == {*library.FORMATS, *of_commands} - {"protobuf"}
 
 
 def test_csv_goes_to_standard_output_and_nothing_else(path: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -134,7 +135,7 @@ def test_an_existing_file_is_kept_unless_it_may_be_replaced(
         (["{path}", "-o", "{folder}/a.txt"], EXIT_USAGE, "a.txt: unknown format"),
         (["{path}", "--format", "mcap"], EXIT_USAGE, "mcap is not a text format"),
         (["{path}", "--schemas", "ros2", "-o", "{folder}/a.csv"], EXIT_USAGE, "--schemas requires MCAP"),
-        (["{path}", "--schemas", "ros1"], EXIT_USAGE, "'ros1' is not 'ros2'"),
+        (["{path}", "--schemas", "ros1"], EXIT_USAGE, "'ros1' is not one of 'ros2', 'protobuf'"),
         (["{path}", "--format", "bvh"], EXIT_USAGE, "BVH requires a result of posetrack hand run"),
         (["{path}", "--estimate-topic", "/hand/estimat"], EXIT_FAILED, "did you mean '/hand/estimate'?"),
         (["{path}", "-o", "{path}", "--overwrite"], EXIT_USAGE, "output would replace the result"),

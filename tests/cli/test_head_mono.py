@@ -28,6 +28,7 @@ from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results import load_arrays, read_result
 from posetrack_cli.tracking.options import RunOutcome
 from support.mono_scene import map_skin_soon
+from support.results import all_messages
 
 FRAMES = 12
 SEED = ("--frames", str(FRAMES), "--seed", "3", "--camera-count", "1")
@@ -290,6 +291,9 @@ def test_a_folder_with_its_camera_file_is_as_good(made: Path, tracked: Path, tmp
     for name in mine:
         # But for the last one, whose velocity does not know the next frame.
         np.testing.assert_array_equal(mine[name][:-1], theirs[name][: len(frames) - 1], err_msg=name)
+    assert run(["convert", str(folder), "-o", str(tmp_path / "c.mcap")]) == 0
+    assert mono(tmp_path / "c.mcap", tmp_path / "rc.mcap", "--passes", "1") == 0
+    assert all_messages(tmp_path / "rc.mcap") == all_messages(tmp_path / "r.mcap")
 
 
 def test_a_video_without_calibration_is_tracked_on_a_guess_that_is_said(

@@ -23,6 +23,7 @@ from posetrack_cli.recording.camera_file import camera_file_text
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results import load_arrays, read_result
 from posetrack_cli.tracking.options import RunOutcome
+from support.results import all_messages
 
 ASIDE = ((1.0, 0.0, 0.0, -120.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0))
 CAMERAS = (
@@ -159,6 +160,12 @@ def test_a_made_head_is_tracked_and_measured_against_its_own_truth(tracked: Path
     assert result.finished
     assert [camera.name for camera in result.cameras()] == ["left", "right"]
     assert result.truth_topics
+
+
+def test_a_converted_recording_gives_the_same_messages(made: Path, tracked: Path, tmp_path: Path) -> None:
+    assert run(["convert", str(made), "-o", str(tmp_path / "c.mcap")]) == 0
+    assert stereo(tmp_path / "c.mcap", tmp_path / "r.mcap") == 0
+    assert all_messages(tmp_path / "r.mcap") == all_messages(tracked)
 
 
 def test_a_page_shows_the_worst_frames(

@@ -235,8 +235,8 @@ def test_a_folder_needs_no_options_again_nor_its_camera_file(
     [
         (["nowhere.mcap", "-o", "v.mp4"], 1, "nowhere.mcap"),
         (["RECORDING", "-o", "v.mp4"], 1, "not a posetrack result"),
-        (["RESULT", "-o", "v.avi"], 2, "expected FILE.mp4, FILE.png or a folder"),
-        (["RESULT", "-o", "RESULT"], 2, "output exists and is of another kind"),
+        (["RESULT", "-o", "v.avi"], 2, "expected FILE.mp4, FILE.png, FILE.mcap or a folder"),
+        (["RESULT", "-o", "RESULT"], 2, "already exists"),
         (["RESULT", "-o", "v.mp4", "--select", "77"], 2, "expected frames from 0 to 5"),
         (["RESULT", "-o", "v.mp4", "--select", "best"], 2, "invalid --select"),
         (["RESULT", "-o", "v.mp4", "--range-mm", "9", "1"], 2, "expected 0 <= NEAR < FAR"),

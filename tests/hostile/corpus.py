@@ -43,6 +43,7 @@ READING = {
     "info": ("info", "r.mcap"),
     "info json": ("info", "r.mcap", "--json", "-"),
     "convert": ("convert", "r.mcap", "-o", "out.mcap"),
+    "convert images": ("convert", "r.mcap", "-o", "out.mcap", "--images"),
     "hand run": RUN,
     "head mono": MONO,
 }
@@ -51,6 +52,7 @@ MEASURING = {
     "info json": ("info", "r.mcap", "--json", "-"),
     "eval": ("eval", "r.mcap"),
     "export": ("export", "r.mcap"),
+    "export protobuf": ("export", "r.mcap", "--schemas", "protobuf", "-o", "out.mcap"),
 }
 
 

@@ -67,7 +67,8 @@ def of_recording(name: str, *, depth: bool = True, heads: bool = True) -> st.Sea
     choices = [(6, ("info", name)), (6, ("info", name, "--json", "-"))]
     if depth:
         choices += [
-            (8, ("convert", name, "-o", "out.mcap")),
+            (6, ("convert", name, "-o", "out.mcap")),
+            (2, ("convert", name, "-o", "out.mcap", "--images")),
             (1, ("hand", "run", name, "-o", "out.mcap", *HAND)),
         ]
     if heads:
@@ -99,6 +100,7 @@ def of_result(name: str) -> st.SearchStrategy[tuple[str, ...]]:
         (1, ("export", name, "--format", "openface")),
         (1, ("export", name, "--format", "mediapipe")),
         (1, ("export", name, "--schemas", "ros2", "-o", "out.mcap")),
+        (1, ("export", name, "--schemas", "protobuf", "-o", "out.mcap")),
     )
 
 

@@ -245,7 +245,7 @@ def test_transforms_place_cameras_whose_calibrations_do_not(
     from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 
     from posetrack_cli.mcap.sink import McapSink
-    from posetrack_cli.results.messages import camera_transforms
+    from posetrack_cli.recording.message_cameras import camera_transforms
 
     cameras = support.rig(["left", "right", "third"])
     transforms = camera_transforms(cameras, "left", support.START_NS)

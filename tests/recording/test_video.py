@@ -18,7 +18,7 @@ from posetrack_cli import limits
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.recording.camera_of import Guess
 from posetrack_cli.recording.opening import describe, open_recording
-from posetrack_cli.recording.video_file import CODECS, DECODERS, opened_container, opened_video
+from posetrack_cli.recording.video_file import CODECS, DECODERS, opened_container, opened_video, shown_image
 
 COUNT, RATE = 12, 25.0
 CAMERA = "fx = 70.0\nfy = 71.0\ncx = 31.0\ncy = 24.0\n"
@@ -56,6 +56,15 @@ def test_frames_are_grey_with_the_video_s_stamps(video: Path) -> None:
         assert (image.dtype, image.shape) == (np.uint8, (48, 64))
         grey = picture @ [0.114, 0.587, 0.299]
         assert np.abs(image - grey).mean() < CODEC_LEVELS
+
+
+def test_frames_are_freed_without_the_garbage_collector(video: Path) -> None:
+    """It runs so rarely that thousands of frames would wait for it."""
+    with opened_video(video) as opened:
+        frame = next(frame for frame in opened.frames() if frame is not None)
+        before = sys.getrefcount(frame)
+        shown_image(frame)
+        assert sys.getrefcount(frame) == before
 
 
 def test_range_rate_and_mirror(video: Path) -> None:

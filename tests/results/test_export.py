@@ -240,7 +240,7 @@ def truth_message(topic: str, truth: Estimate) -> TruthMessage:
     return TruthMessage(topic, ESTIMATE_SCHEMA_NAME, "jsonschema", b"{}", "json", truth.stamp_ns, data)
 
 
-@pytest.mark.parametrize("format_name", FORMATS)
+@pytest.mark.parametrize("format_name", sorted({*FORMATS} - {"protobuf"}))  # which exports all topics
 def test_estimates_of_another_subject_leave_no_file(tmp_path: Path, format_name: str) -> None:
     topic, out = "/truth/other/estimate", tmp_path / "out"
     with begin(tmp_path / "r.mcap") as writer:

@@ -11,16 +11,11 @@ import pytest
 from posetrack_cli import limits
 from posetrack_cli.errors import ResultError
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.recording.camera_record import cameras_from_record, cameras_to_record
 from posetrack_cli.results.columns import column_blocks
 from posetrack_cli.results.estimate import Subject
 from posetrack_cli.results.estimate_json import estimate_from_json, estimate_to_json
-from posetrack_cli.results.records import (
-    cameras_from_record,
-    cameras_to_record,
-    check_run_record,
-    subject_from_record,
-    subject_to_record,
-)
+from posetrack_cli.results.records import check_run_record, subject_from_record, subject_to_record
 from support.results import make_estimate
 
 DEEP = "[" * 1000 + "]" * 1000

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.mcap.stream import McapFile
 from posetrack_cli.recording.base import TruthMessage
 from posetrack_cli.results import Checkpoint, Estimate, ResultWriter, Status, Subject
 
@@ -70,6 +71,11 @@ def make_truth(index: int) -> TruthMessage:
         data=b'{"i":%d}' % index,
         channel_metadata={"unit": "mm"},
     )
+
+
+def all_messages(path: Path) -> list[tuple[str, int, bytes]]:
+    """Topic, log time and bytes of every message, in file order."""
+    return [(c.topic, m.log_time, m.data) for _, c, m in McapFile(path).messages(in_file_order=True)]
 
 
 def checkpoint_at(writer: ResultWriter, index: int) -> Checkpoint:

@@ -27,12 +27,12 @@ from posetrack_cli.recording.base import (
 )
 from posetrack_cli.recording.camera_file import camera_file_text
 from posetrack_cli.recording.camera_of import guess_of_camera
+from posetrack_cli.recording.camera_record import camera_from_json
 from posetrack_cli.recording.identity import file_digest
 from posetrack_cli.recording.pixels import PixelKind
 from posetrack_cli.recording.recording import Recording
 from posetrack_cli.results.estimate import kind_of
 from posetrack_cli.results.reader import Result
-from posetrack_cli.results.records import camera_from_json
 
 # Search for the recording by path or name; it is identified by its SHA-256
 

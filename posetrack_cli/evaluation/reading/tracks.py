@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -315,10 +315,37 @@ def _free(name: str, taken: Sequence[str]) -> str:
 # Frames of a recording that belong to the estimates of a result
 
 
+class Matched(Protocol):
+    """A frame, decoded or encoded otherwise."""
+
+    @property
+    def index(self) -> int:
+        """Position in the recording."""
+
+    @property
+    def stamp_ns(self) -> int:
+        """Time of capture, ns."""
+
+
+AnyFrame = TypeVar("AnyFrame", bound=Matched)
+Read: TypeAlias = Callable[[Iterable[tuple[int, StoredFrame]], LossLog], Iterator[AnyFrame]]
+
+
 def matched_frames(
     recording: Recording, stamp_ns: IntArray, frame_index: IntArray | None, losses: LossLog
 ) -> Iterator[tuple[int, Frame]]:
-    """Yield (position in ``stamp_ns``, frame) in recording order; only these frames are decoded.
+    """Yield (position in ``stamp_ns``, decoded frame); see ``matched_stored``."""
+    return matched_stored(recording, stamp_ns, frame_index, losses, decode_frames)
+
+
+def matched_stored(
+    recording: Recording,
+    stamp_ns: IntArray,
+    frame_index: IntArray | None,
+    losses: LossLog,
+    read: Read[AnyFrame],
+) -> Iterator[tuple[int, AnyFrame]]:
+    """Yield (position in ``stamp_ns``, frame) in recording order; only these frames are read.
 
     Frames are matched by stamp. If no stamp matches, as after reading a folder at another rate, they are
     matched by number.
@@ -328,6 +355,7 @@ def matched_frames(
         stamp_ns: (N,) stamps of the estimates, unique.
         frame_index: (N,) frame numbers of the estimates in the recording; None if unknown.
         losses: receives undecodable frames and estimates without a frame.
+        read: yields the frames of stored ones; in a thread, some frames ahead.
     """
     met: list[int] = []  # numbers of matched frames, including undecodable ones
     for keys in (stamp_ns, frame_index):
@@ -335,15 +363,21 @@ def matched_frames(
             continue
         positions = {int(key): position for position, key in enumerate(keys)}
         by_number = keys is frame_index
-        for frame in _frames_at(recording, positions, met, losses, by_number=by_number):
+        for frame in _frames_at(recording, positions, met, losses, read, by_number=by_number):
             yield positions[frame.index if by_number else frame.stamp_ns], frame
     for _ in range(len(stamp_ns) - len(met)):
         losses.add("estimates without a frame in the recording", str(recording.path))
 
 
 def _frames_at(
-    recording: Recording, keys: Collection[int], met: list[int], losses: LossLog, *, by_number: bool
-) -> Iterator[Frame]:
+    recording: Recording,
+    keys: Collection[int],
+    met: list[int],
+    losses: LossLog,
+    read: Read[AnyFrame],
+    *,
+    by_number: bool,
+) -> Iterator[AnyFrame]:
     """Yield the frames whose stamps or numbers are among the keys."""
     if not keys:
         return
@@ -359,7 +393,7 @@ def _frames_at(
                 met.append(index)
                 yield index, stored
 
-    decoded = read_from(recording.path, decode_frames(chosen(), losses), "frame")
+    decoded = read_from(recording.path, read(chosen(), losses), "frame")
     with closing(read_ahead(decoded)) as frames:
         yield from frames
 

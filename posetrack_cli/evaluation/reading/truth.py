@@ -30,7 +30,7 @@ from posetrack_cli.recording.base import TRUTH_PREFIX
 from posetrack_cli.recording.matching import LATEST_NS
 from posetrack_cli.results.columns import column_blocks, empty_columns, joined
 from posetrack_cli.results.estimate import Subject
-from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA_NAME
+from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA_NAME, json_of_estimate
 from posetrack_cli.results.fields import Sizes
 from posetrack_cli.results.reader import Result, is_result, read_result
 from posetrack_cli.units import NS_PER_S
@@ -201,8 +201,9 @@ def topics_truth(file: McapFile, subject: Subject, name: str) -> Track | None:
 
 def _estimates_truth(file: McapFile, subject: Subject, name: str) -> Track:
     """Return the ground truth on a topic of ``posetrack.Estimate``."""
-    messages = file.messages([_estimate_topic(subject.name)])
-    columns = joined(column_blocks((message.data for _, _, message in messages), MOTION_FIELDS))
+    items = file.messages([_estimate_topic(subject.name)])
+    messages = (json_of_estimate(item, subject.number_names) for item in items)
+    columns = joined(column_blocks(messages, MOTION_FIELDS))
     sizes = Sizes.of(subject)
     columns = columns or empty_columns(MOTION_FIELDS, sizes)
     found = columns["shape"].shape[1], columns["points"].shape[1]

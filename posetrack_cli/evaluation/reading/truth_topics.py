@@ -18,10 +18,11 @@ from posetrack_cli.evaluation.reading.truth_tables import unit_quaternions
 from posetrack_cli.geometry.rotations import rotate
 from posetrack_cli.losses import LossLog
 from posetrack_cli.mcap.decoding import MessageDecoder, UndecodableMessageError, stamp_of
-from posetrack_cli.mcap.stream import McapFile
+from posetrack_cli.mcap.protobuf_twin import json_of, twin_of
+from posetrack_cli.mcap.stream import McapFile, McapItem
 from posetrack_cli.recording.base import TRUTH_PREFIX, TruthMessage
 from posetrack_cli.results.estimate import Subject
-from posetrack_cli.results.records import COUNT, LENGTH_MM, NAME, list_of, object_of, reader_of
+from posetrack_cli.strict_json import COUNT, LENGTH_MM, NAME, list_of, object_of, reader_of
 
 ODOMETRY_SCHEMA = "foxglove.Odometry"
 JOINT_STATES_SCHEMA = "foxglove.JointStates"
@@ -201,6 +202,7 @@ POINTS_SCHEMA: Mapping[str, Any] = {
 }
 
 
+_SCHEMA_TEXT = json.dumps(POINTS_SCHEMA, separators=(",", ":")).encode()
 _POINT = object_of({"name": NAME, **dict.fromkeys("xyz", LENGTH_MM)})
 _read = reader_of(object_of({"stamp_ns": COUNT, "points": list_of(_POINT)}), limits.MESSAGE_BYTES)
 
@@ -220,7 +222,6 @@ def points_messages(track: Track) -> Iterator[TruthMessage]:
         raise TruthError("ground truth has no points", where=track.name)
     if len(track) and track.stamp_ns[0] < 0:
         raise TruthError("negative stamp cannot be stored", where=track.name, found=f"{track.stamp_ns[0]} ns")
-    schema = json.dumps(POINTS_SCHEMA, separators=(",", ":")).encode()
     for stamp_ns, points in zip(track.stamp_ns.tolist(), track.points.tolist(), strict=True):
         named = [
             {"name": name, "x": x, "y": y, "z": z}
@@ -228,7 +229,7 @@ def points_messages(track: Track) -> Iterator[TruthMessage]:
         ]
         data = json.dumps({"stamp_ns": stamp_ns, "points": named}, separators=(",", ":")).encode()
         topic = points_topic(track.subject)
-        yield TruthMessage(topic, POINTS_SCHEMA_NAME, "jsonschema", schema, "json", stamp_ns, data)
+        yield TruthMessage(topic, POINTS_SCHEMA_NAME, "jsonschema", _SCHEMA_TEXT, "json", stamp_ns, data)
 
 
 def points_track(file: McapFile, subject: Subject, name: str) -> Track:
@@ -247,9 +248,9 @@ def points_track(file: McapFile, subject: Subject, name: str) -> Track:
     names: tuple[str, ...] = ()
     stamps: list[int] = []
     rows: list[FloatArray] = []
-    for _, _, message in file.messages([topic]):
-        where = f"{name}, {topic} at {message.log_time} ns"
-        own, stamp, points = _parsed(message.data, where)
+    for item in file.messages([topic]):
+        where = f"{name}, {topic} at {item[2].log_time} ns"
+        own, stamp, points = _parsed(item, where)
         if stamps and own != names:
             raise TruthError("point names change within the topic", where=where, found=", ".join(own))
         names = own
@@ -270,10 +271,10 @@ def points_track(file: McapFile, subject: Subject, name: str) -> Track:
     )
 
 
-def _parsed(data: bytes, where: str) -> tuple[tuple[str, ...], int, FloatArray]:
+def _parsed(item: McapItem, where: str) -> tuple[tuple[str, ...], int, FloatArray]:
     """Return names, stamp and points (P, 3) of a message."""
     try:
-        fields = _read(data)
+        fields = _read(json_of(item, lambda: [twin_of(POINTS_SCHEMA_NAME, _SCHEMA_TEXT)]))
         points = fields["points"]
         values = np.array([(p["x"], p["y"], p["z"]) for p in points], dtype=np.float64).reshape(-1, 3)
         return tuple(p["name"] for p in points), fields["stamp_ns"], values

@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from mcap.records import Attachment, Channel, Schema
+from mcap.records import Channel, Schema
 
 from posetrack_cli import limits
 from posetrack_cli.arrays import FloatArray
@@ -24,12 +24,12 @@ from posetrack_cli.evaluation.measuring.without_truth import run_series
 from posetrack_cli.evaluation.reading.tracks import track_name, unique_names
 from posetrack_cli.evaluation.reports.report_files import FORMAT, finite, result_values
 from posetrack_cli.losses import Loss
-from posetrack_cli.mcap.sink import McapSink, SchemaText
+from posetrack_cli.mcap.sink import McapSink
 from posetrack_cli.mcap.stream import McapFile
 from posetrack_cli.outputs import check_output, whole_or_nothing
 from posetrack_cli.recording.identity import file_digest, identity_record, shown_name
+from posetrack_cli.results.copying import Copied, copied_result, unchanged
 from posetrack_cli.results.reader import read_result
-from posetrack_cli.results.records import SUMMARY_RECORD
 from posetrack_cli.results.topics import topics_prefix
 
 EVAL_PREFIX = "/eval/"
@@ -135,67 +135,20 @@ def write_mcap(
         ResultError: the file cannot be written.
     """
     file = McapFile(source)
-    with whole_or_nothing(out) as part, McapSink(part, chunk_bytes=_CHUNK_BYTES) as sink:
-        summaries = _copy_extras(file, sink)
-        _copy_messages(file, sink)
+    with (
+        whole_or_nothing(out) as part,
+        McapSink(part, chunk_bytes=_CHUNK_BYTES) as sink,
+        copied_result(file, sink, _copied, without=[EVAL_RECORD], in_file_order=True),
+    ):
         for one in evaluations:
             _write_metrics(sink, one)
         lost = {"losses": json.dumps([asdict(loss) for loss in file.losses.losses])}
         sink.metadata(EVAL_RECORD, {**record, **lost})
-        # The summary comes last, so that a truncated copy is recognised as unfinished.
-        for summary in summaries:
-            sink.metadata(SUMMARY_RECORD, summary)
-        sink.finish()
     return file.losses.losses
 
 
-def _copy_extras(file: McapFile, sink: McapSink) -> list[Mapping[str, str]]:
-    """Copy metadata and attachments; return the summaries, which must be written after the messages."""
-    summaries: list[Mapping[str, str]] = []
-    for extra in file.extras():
-        if isinstance(extra, Attachment):
-            sink.attachment(extra.name, extra.media_type, extra.data, extra.log_time, extra.create_time)
-        elif extra.name == SUMMARY_RECORD:
-            summaries.append(extra.metadata)
-        elif extra.name != EVAL_RECORD:
-            sink.metadata(extra.name, extra.metadata)
-    return summaries
-
-
-def _copy_messages(file: McapFile, sink: McapSink) -> None:
-    channels = _CopiedChannels(sink)
-    # Channels are registered first, to keep their order and those without messages.
-    for schema, channel in sorted(file.channels(), key=lambda pair: pair[1].id):
-        if _is_copied(channel.topic):
-            channels.id_of(schema, channel)
-    for schema, channel, message in file.messages(_is_copied, in_file_order=True):
-        sink.write(channels.id_of(schema, channel), message.log_time, message.data)
-    sink.flush()
-
-
-def _is_copied(topic: str) -> bool:
-    return not topic.startswith(EVAL_PREFIX)
-
-
-@dataclass
-class _CopiedChannels:
-    """Registry of the channels copied from another file."""
-
-    sink: McapSink
-    _ids: dict[tuple[object, ...], int] = field(default_factory=dict)
-
-    def id_of(self, schema: Schema | None, channel: Channel) -> int:
-        """Return the id of the copy of a channel, which is registered on the first call."""
-        text = (
-            SchemaText("", "", b"")
-            if schema is None
-            else SchemaText(schema.name, schema.encoding, schema.data)
-        )
-        about = channel.topic, text, channel.message_encoding
-        key = (*about, tuple(sorted(channel.metadata.items())))
-        if key not in self._ids:
-            self._ids[key] = self.sink.raw_channel(*about, channel.metadata)
-        return self._ids[key]
+def _copied(schema: Schema | None, channel: Channel) -> Copied | None:
+    return None if channel.topic.startswith(EVAL_PREFIX) else unchanged(schema, channel)
 
 
 def _write_metrics(sink: McapSink, evaluation: Evaluation) -> None:

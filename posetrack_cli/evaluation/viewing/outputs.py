@@ -33,7 +33,8 @@ if TYPE_CHECKING:
     from av.video.stream import VideoStream
 
 STANDARD_OUTPUT = Path("-")
-VIDEO_SUFFIX, PICTURE_SUFFIX = ".mp4", ".png"
+VIDEO_SUFFIX, PICTURE_SUFFIX, MESSAGES_SUFFIX = ".mp4", ".png", ".mcap"
+OUTPUTS = "FILE.mp4, FILE.png, FILE.mcap or a folder"
 CODEC: Final = "libx264"
 PIXELS = "yuv420p"
 """H.264 with 4:2:0 chroma subsampling, the format that browsers and phones support."""
@@ -311,6 +312,11 @@ def png_of(picture: ImageArray, level: int = 9) -> bytes:
     return cv2.imencode(PICTURE_SUFFIX, picture, [cv2.IMWRITE_PNG_COMPRESSION, level])[1].tobytes()
 
 
+def is_messages(path: Path) -> bool:
+    """Whether the output is a file of messages, not of pictures."""
+    return path.suffix.lower() == MESSAGES_SUFFIX
+
+
 def is_sheet(path: Path) -> bool:
     """Whether the output is a single picture."""
     return path.suffix.lower() == PICTURE_SUFFIX
@@ -331,21 +337,14 @@ def check_view_output(path: Path, *, overwrite: bool) -> None:
         ResultError: the parent folder does not exist.
     """
     if path == STANDARD_OUTPUT:
-        raise UsageError(
-            "pictures cannot be written to standard output", expected="FILE.mp4, FILE.png or a folder"
-        )
-    is_file = path.suffix.lower() in (VIDEO_SUFFIX, PICTURE_SUFFIX)
+        raise UsageError("pictures cannot be written to standard output", expected=OUTPUTS)
+    is_file = path.suffix.lower() in (VIDEO_SUFFIX, PICTURE_SUFFIX, MESSAGES_SUFFIX)
     if path.is_dir() == is_file and path.exists():
         found = "a folder" if path.is_dir() else "a file"
         expected = "a file" if is_file else "a folder"
         raise UsageError("output exists and is of another kind", where=path, found=found, expected=expected)
     if not is_file and path.suffix and not path.is_dir():
-        raise UsageError(
-            "unsupported output format",
-            where=path,
-            found=path.suffix,
-            expected="FILE.mp4, FILE.png or a folder",
-        )
+        raise UsageError("unsupported output format", where=path, found=path.suffix, expected=OUTPUTS)
     check_place(path)
     if path.suffix.lower() == VIDEO_SUFFIX and _video_part(path).is_symlink():
         raise link_refused(_video_part(path))

@@ -236,11 +236,18 @@ def _write_ros2(source: ExportSource, path: Path) -> Iterator[str]:
     yield from ()
 
 
+def _write_protobuf(source: ExportSource, path: Path) -> Iterator[str]:
+    from posetrack_cli.results.export.protobuf import write_protobuf
+
+    yield from write_protobuf(source, path)
+
+
 BINARY_FORMATS: Mapping[str, Callable[[ExportSource, Path], Iterable[str]]] = {
     "npz": _write_npz,
     "parquet": _write_parquet,
     "nwb": _write_nwb,
     "c3d": _write_c3d,
     "mcap": _write_ros2,
+    "protobuf": _write_protobuf,
 }
 FORMATS = (*TEXT_FORMATS, *BINARY_FORMATS)

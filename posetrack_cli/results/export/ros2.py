@@ -18,12 +18,13 @@ from posetrack_cli.errors import ResultError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.mcap.ros2_messages import CDR, ros2_encoder, ros2_schema
 from posetrack_cli.mcap.sink import McapSink
-from posetrack_cli.recording.message_cameras import calibration_message
+from posetrack_cli.recording.message_cameras import calibration_message, camera_transforms
+from posetrack_cli.recording.topics import camera_topic
 from posetrack_cli.results import messages
 from posetrack_cli.results.estimate import Estimate, Subject, kind_of
 from posetrack_cli.results.export.source import ExportSource
 from posetrack_cli.results.scene import line_scene
-from posetrack_cli.results.topics import TRANSFORMS_TOPIC, camera_topic
+from posetrack_cli.results.topics import TRANSFORMS_TOPIC
 from posetrack_cli.units import METRES_PER_MM, NS_PER_S
 
 CAMERA_INFO = "camera_info"
@@ -78,7 +79,7 @@ class _Topics:
         stamp_ns, subject = estimate.stamp_ns, self._subject
         transforms = [messages.frame_transforms(estimate, subject)]
         if len(self._cameras) > 1:
-            transforms.append(messages.camera_transforms(self._cameras, subject.camera_frame, stamp_ns))
+            transforms.append(camera_transforms(self._cameras, subject.camera_frame, stamp_ns))
         try:
             self._transforms(stamp_ns, _transforms(transforms))
             for info, camera in zip(self._infos, self._cameras, strict=True):

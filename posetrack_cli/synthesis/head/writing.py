@@ -20,9 +20,8 @@ from posetrack_cli.mcap.sink import McapSink, serialised
 from posetrack_cli.outputs import check_output, check_place, is_taken, part_path
 from posetrack_cli.recording.base import CAMERA_FILE_NAME, TRUTH_FILE_NAME
 from posetrack_cli.recording.camera_file import camera_file_text
-from posetrack_cli.recording.message_cameras import calibration_message
+from posetrack_cli.recording.message_cameras import calibration_message, camera_transforms
 from posetrack_cli.recording.stamps import STAMPS_FILE_NAME
-from posetrack_cli.results import messages
 from posetrack_cli.synthesis.head.frames import Plan, SyntheticHeadFrame, make_plan, render_plan
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
 from posetrack_cli.synthesis.head.person import deforming_interval
@@ -130,7 +129,7 @@ class _Channels:
         cameras = self._plan.cameras
         static = {f"/{c.name}/calibration": calibration_message(c, stamp_ns, c.name) for c in cameras}
         if len(cameras) > 1:
-            static[TRANSFORMS_TOPIC] = messages.camera_transforms(cameras, cameras[0].name, stamp_ns)
+            static[TRANSFORMS_TOPIC] = camera_transforms(cameras, cameras[0].name, stamp_ns)
         for topic, message in static.items():
             self._sink.write(self._sink.channel(topic, type(message)), stamp_ns, serialised(message))
 
