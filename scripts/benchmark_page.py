@@ -76,7 +76,9 @@ def page_of(measured: Mapping[str, Any], template: str) -> str:
 
 
 def _source_row(name: str, source: Mapping[str, str]) -> str:
-    return f"| {name} | `{source['command']}` | {source['posetrack']} | {source['processor']} |"
+    commit = re.search(r"\+g(\w{8})", source["posetrack"])  # the version states it
+    version = commit[1] if commit else source["posetrack"]
+    return f"| {name} | `{source['command']}` | {version} | {source['processor']} |"
 
 
 def _places(template: str) -> list[tuple[str, str, str]]:

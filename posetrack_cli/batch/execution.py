@@ -25,8 +25,10 @@ from posetrack_cli.batch.records import (
     output_stamp,
     page_key,
     read_record,
+    remote_digest,
     write_record,
 )
+from posetrack_cli.batch.remote import CopyStoppedError, local_copy
 from posetrack_cli.compiled import THREADS_VARIABLE
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_DONE, EXIT_INTERRUPTED, PosetrackError, UsageError
 from posetrack_cli.files import open_output
@@ -281,15 +283,33 @@ def run_job(
         return Outcome(job.name, State.STOPPED)
     try:
         tell_digests(job.digests)
-        job_run = _JobRun(job, limits)
-        if job.kind is Kind.SPLIT and not job_run.is_kept:
-            return _split(job, limits, stopped)
-        return job_run.run(progress, stopped)
+        with _provided(job, stopped) as provide:
+            job_run = _JobRun(job, limits, provide)
+            if job.kind is Kind.SPLIT and not job_run.is_kept:
+                return _split(job, limits, stopped)
+            return job_run.run(progress, stopped)
+    except CopyStoppedError:
+        return Outcome(job.name, State.STOPPED)
     except PosetrackError as error:
         return Outcome(job.name, State.FAILED, str(error))
     except OSError as error:
         where = error.filename or job.output
         return Outcome(job.name, State.FAILED, one_line(f"{where}: {error.strerror or error}"))
+
+
+@contextmanager
+def _provided(job: Job, stopped: Callable[[], bool]) -> Iterator[Callable[[], None]]:
+    """Yield a function that provides the files: a local copy of a remote recording, deleted at the end."""
+    if not job.url:
+        yield lambda: None
+        return
+    make_folder(job.recording.parent, job.results)
+    with local_copy(job.url, job.recording, stopped) as copy:
+        yield copy
+
+
+def _refuse_copy() -> None:
+    raise CopyStoppedError
 
 
 def planned_action(job: Job, limits: Limits) -> str:
@@ -298,23 +318,36 @@ def planned_action(job: Job, limits: Limits) -> str:
     Raises:
         PosetrackError: the recording, or a file named by an option, cannot be read.
     """
-    job_run = _JobRun(job, limits)
+    try:
+        job_run = _JobRun(job, limits, _refuse_copy)
+    except CopyStoppedError:  # its content decides, and a plan copies nothing
+        return "copy and track"
     if job_run.is_kept:
         return "keep" if job_run.has_page else "keep, write page"
     return f"{job_run.action} ({job_run.damage})" if job_run.damage else job_run.action
 
 
 class _JobRun:
-    """A job with its stored record and the action that follows from it."""
+    """A job with its stored record and the action that follows from it.
 
-    def __init__(self, job: Job, limits: Limits) -> None:
-        self._job, self._limits = job, limits
+    Args:
+        job: the job.
+        limits: resource limits of its child process.
+        provide: provides the files of a remote recording; called if they are needed.
+    """
+
+    def __init__(self, job: Job, limits: Limits, provide: Callable[[], None]) -> None:
+        self._job, self._limits, self._provide = job, limits, provide
         self._known, self.damage = None, ""
         try:
             self._known = read_record(job.record)
         except DamagedRecordError as error:
             self.damage = str(error)
-        self._input = input_digest(job.recording, {} if self._known is None else self._known.input)
+        known = {} if self._known is None else self._known.input
+        if job.url:
+            self._input = remote_digest(job.url, job.recording, known, provide)
+        else:
+            self._input = input_digest(job.recording, known)
         self._key = job_key(job, self._input["sha256"])
         self._page, self._stamp = page_key(job), output_stamp(job.output)
 
@@ -370,6 +403,7 @@ class _JobRun:
         action = self.action
         make_folder(self._job.output.parent, self._job.results)
         _wait_for_writer(self._job)
+        self._provide()
         self._write_record(RUNNING)
         process = self._child(action, progress, stopped)
         if action == "resume" and _was_refused(process):
@@ -394,6 +428,7 @@ class _JobRun:
         known = self._known.outcome or Outcome(self._job.name, State.KEPT)
         outcome = replace(known, name=self._job.name, state=State.KEPT, reason="")
         if not self.has_page:
+            self._provide()
             process = run_child(self._job, (), self._limits, progress, stopped)
             if process.code != EXIT_DONE:
                 return _failure(self._job, process, self._limits)

@@ -42,6 +42,17 @@ def record_path(results: Path, name: str) -> Path:
     return Path(results, RECORDS_FOLDER, "records", *(f"{one}.dir" for one in folders), f"{last}.json")
 
 
+def input_path(results: Path, name: str, file: Path) -> Path:
+    """Return the path of the local copy of a remote recording; copies of running jobs do not collide.
+
+    Args:
+        results: results folder.
+        name: path of the job's result relative to ``results``, without extension.
+        file: name of the remote file, whose extension states its kind.
+    """
+    return record_path(results, name).with_suffix(".input") / file
+
+
 PIECE = "//"
 """Separates recording and number in the name of a piece's job; normalised paths never contain it."""
 
@@ -103,6 +114,7 @@ class Job:
         pieces: results and pieces to join.
         digests: digests of the recording's files that an earlier process computed (``identity.Digests``).
         sources: digest of the posetrack sources that must run the job (``build.source_digest``).
+        url: of a remote recording, whose local copy is ``recording``; empty for a local one.
     """
 
     name: str
@@ -121,6 +133,12 @@ class Job:
     pieces: tuple[tuple[Path, Piece], ...] = ()
     digests: Mapping[str, tuple[int, str]] = field(default_factory=dict)
     sources: str = field(default_factory=source_digest)
+    url: str = ""
+
+    @property
+    def shown_recording(self) -> str:
+        """The recording as the user named it."""
+        return self.url or str(self.recording)
 
     @property
     def log(self) -> Path:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
@@ -14,6 +14,7 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from posetrack_cli import limits
+from posetrack_cli.batch import remote
 from posetrack_cli.batch.jobs import Count, Job, Outcome
 from posetrack_cli.build import libraries
 from posetrack_cli.errors import PosetrackError, RecordingError
@@ -134,6 +135,25 @@ def input_digest(path: Path, known: Mapping[str, Any]) -> dict[str, Any]:
         return dict(known)
     alone = len(files) == 1 and files[0][1] == path
     return {"state": state, "sha256": (file_digest(path) if alone else files_digest(files))[1]}
+
+
+def remote_digest(url: str, path: Path, known: Mapping[str, Any], copy: Callable[[], None]) -> dict[str, Any]:
+    """Return the state and digest of a remote recording like ``input_digest``.
+
+    Args:
+        url: of the recording.
+        path: its local copy.
+        known: return value of an earlier call; an unchanged file is not copied again.
+        copy: copies the file.
+
+    Raises:
+        RecordingError: the file cannot be read.
+    """
+    state = remote.stamp(url)
+    if known.get("state") == state and "sha256" in known:
+        return dict(known)
+    copy()
+    return {"state": state, "sha256": file_digest(path)[1]}
 
 
 def output_stamp(path: Path) -> tuple[int, str] | tuple[()]:

@@ -11,12 +11,13 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from pydantic import Field
 
 from posetrack_cli import limits
 from posetrack_cli.bags.ros2 import is_ros2_folder
+from posetrack_cli.batch.remote import find, is_url
 from posetrack_cli.configuration import Settings, validated
 from posetrack_cli.errors import UsageError
 from posetrack_cli.files import read_text, real_path
@@ -202,6 +203,7 @@ class Source:
         truth: ground-truth file for its result.
         gates: gates for its result.
         manifest: manifest that lists the recording; None if it was given otherwise.
+        url: of a remote recording, whose ``path`` is its file name; empty for a local one.
     """
 
     path: Path
@@ -210,6 +212,7 @@ class Source:
     truth: Path | None = None
     gates: tuple[str, ...] = ()
     manifest: Path | None = None
+    url: str = ""
 
 
 class ManifestRecording(Settings):
@@ -244,18 +247,19 @@ class Manifest(Settings):
     recordings: tuple[ManifestRecording, ...]
 
 
-def find_sources(given: Sequence[str], results: Path | None = None) -> list[Source]:
+def find_sources(given: Sequence[str], results: Path | None = None, *, remote: bool = False) -> list[Source]:
     """Return the recordings of a batch.
 
     Args:
         given: paths of recordings, glob patterns (``**`` matches folders recursively), lists (``.txt``, one
-            path or pattern per line) or manifests (``.toml``).
+            path or pattern per line), manifests (``.toml``) or URLs.
         results: results folder; patterns do not match files in it.
+        remote: accept URLs also in lists and manifests, which may come from others.
 
     Raises:
         UsageError: no recording is found, a list or manifest is invalid, or result names collide.
     """
-    scope = _SearchScope(Search(), results)
+    scope = _SearchScope(Search(), results, remote)
     found = [source for one in given for source in _sources_of(one, scope)]
     _check_names(found)
     return found
@@ -267,24 +271,44 @@ class _SearchScope:
 
     search: Search
     results: Path | None
+    remote: bool
 
 
 def _sources_of(given: str, scope: _SearchScope) -> list[Source]:
+    if is_url(given):
+        return [_source(*one) for one in _remote(given, given)]
     path = Path(given)
     if path.suffix == ".toml":
         return _read_manifest(path, scope)
     if path.suffix in _LIST_ENDINGS and not path.is_dir():
         return _read_list(path, scope)
-    return [Source(path, name) for path, name in _matching(given, None, scope)]
+    return [_source(*one) for one in _matching(given, None, scope)]
 
 
-def _matching(pattern: str, base: Path | None, scope: _SearchScope) -> list[tuple[Path, str]]:
+_Found: TypeAlias = tuple[Path, str, str]  # path, name and URL of a recording
+
+
+def _source(path: Path, name: str, url: str) -> Source:
+    return Source(path, name, url=url)
+
+
+def _remote(url: str, where: object) -> list[_Found]:
+    found = [(_checked_name(where, name), one) for one, name in find(url)]
+    return [(Path(one.rpartition("/")[2]), name, one) for name, one in found]
+
+
+def _matching(pattern: str, base: Path | None, scope: _SearchScope) -> list[_Found]:
     """Return the recordings that match a path or pattern, named relative to its part without wildcards."""
+    if is_url(pattern):
+        if not scope.remote:
+            hint = "--remote reads them; only do so for lists that you trust"
+            raise UsageError("URL in a list or manifest", where=base, found=pattern, hint=hint)
+        return _remote(pattern, base)
     path = Path(pattern) if base is None else base / pattern
     if not any(sign in pattern for sign in MAGIC) or path.exists():
         if not path.exists():
             raise UsageError("no such recording", where=path)
-        return [(path, _plain_name(path))]
+        return [(path, _plain_name(path), "")]
     fixed = _fixed_part(path)
     found = scope.search.matches(path)
     whole = {one for one in found if is_ros2_folder(one)}
@@ -298,7 +322,7 @@ def _matching(pattern: str, base: Path | None, scope: _SearchScope) -> list[tupl
         raise UsageError(
             "no matching recording", where=path, hint="quote the pattern so that the shell does not expand it"
         )
-    return [(one, str(one.relative_to(fixed).with_suffix(""))) for one in recordings]
+    return [(one, str(one.relative_to(fixed).with_suffix("")), "") for one in recordings]
 
 
 def _fixed_part(pattern: Path) -> Path:
@@ -336,12 +360,7 @@ def _plain_name(path: Path) -> str:
 def _read_list(path: Path, scope: _SearchScope) -> list[Source]:
     """Read a list with one path or pattern per line, relative to the list; ``#`` starts a comment."""
     lines = [line.partition("#")[0].strip() for line in _read(path).splitlines()]
-    found = [
-        Source(recording, name)
-        for line in lines
-        if line
-        for recording, name in _matching(line, path.parent, scope)
-    ]
+    found = [_source(*one) for line in lines if line for one in _matching(line, path.parent, scope)]
     if not found:
         raise UsageError("list is empty", where=path, expected="one path or pattern per line")
     return found
@@ -370,11 +389,11 @@ def _manifest_sources(
     given = {**manifest.options, **one.options}
     options = {key: resolved_option(path, key, value) for key, value in given.items()}
     gates = (*manifest.gates, *one.gates)
-    for recording, name in found:
-        yield Source(recording, _checked_name(path, one.name or name), options, truth, gates, path)
+    for recording, name, url in found:
+        yield Source(recording, _checked_name(path, one.name or name), options, truth, gates, path, url)
 
 
-def _checked_name(path: Path, name: str) -> str:
+def _checked_name(path: object, name: str) -> str:
     """Return the normalised name; raise an error if it would lead out of the results folder."""
     parts = Path(name).parts
     if not parts or Path(name).is_absolute() or ".." in parts:
@@ -402,6 +421,6 @@ def _check_names(sources: Sequence[Source]) -> None:
         if other is not source:
             raise UsageError(
                 f"two recordings have the same result name, {source.name}.mcap",
-                found=f"{other.path} and {source.path}",
+                found=f"{other.url or other.path} and {source.url or source.path}",
                 hint="set names in a manifest, or use a pattern that starts at a common parent folder",
             )

@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import os
+import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from html import unescape
+from itertools import islice
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from posetrack_cli import limits
 from posetrack_cli.batch.jobs import Job, Outcome, State
 from posetrack_cli.batch.scheduling import states_line
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED
-from posetrack_cli.evaluation.html.rows_page import RowsPage, write_rows_html
+from posetrack_cli.evaluation.html.components import DATA_URL, data_url
+from posetrack_cli.evaluation.html.rows_page import RowsPage, Thumbnail, write_rows_html
 from posetrack_cli.evaluation.judging.assessment import (
     MEASURED,
     Assessment,
@@ -28,11 +35,19 @@ from posetrack_cli.evaluation.judging.rows import ResultRow, worst_first
 from posetrack_cli.evaluation.measuring.evaluate import EvalOptions
 from posetrack_cli.evaluation.reports.report_files import json_report, write_report
 from posetrack_cli.evaluation.reports.writing import Reports, report_texts
+from posetrack_cli.files import read_text
 from posetrack_cli.tables import csv_of
 from posetrack_cli.text import printable_json
 
 PAGE, TABLE, REPORT = "index.html", "summary.csv", "summary.json"
 DATA_LOST = "part of the recording was unusable"
+MOST_THUMBNAILS, THUMBNAIL_PX = 12, 240
+PAGE_BYTES = 32 * limits.MIB
+"""Limit of the size of a page that pictures are taken from; pages have at most 10 MB."""
+_PICTURE = re.compile(
+    rf'<figure><img src="{re.escape(DATA_URL)}([A-Za-z0-9+/=]+)" alt="[^"]*" width="\d+" height="\d+">'
+    r"<figcaption>([^<]*)<"
+)
 TRACKED = "tracked"
 """Title of the gate that a recording has a result: the first of its test cases in JUnit."""
 
@@ -181,7 +196,7 @@ def _table(summary: Summary) -> str:
         values = ["" if row is None or (value := row.value(one)) is None else repr(value) for one in figures]
         lines.append(
             [
-                *(outcome.name, str(job.recording), outcome.state.value, _reason(summary, outcome)),
+                *(outcome.name, job.shown_recording, outcome.state.value, _reason(summary, outcome)),
                 *values,
                 str(failed[outcome.name]),
                 *(f"{outcome.seconds:.2f}", f"{outcome.cpu_s:.2f}", _rate(outcome)),
@@ -215,7 +230,7 @@ def _report(summary: Summary, options: EvalOptions) -> str:
 def _facts(summary: Summary, job: Job, outcome: Outcome) -> dict[str, Any]:
     return {
         "name": outcome.name,
-        "recording": str(job.recording),
+        "recording": job.shown_recording,
         "result": str(job.output),
         "page": None if job.page is None or not job.page.is_file() else str(job.page),
         "state": outcome.state.value,
@@ -242,12 +257,48 @@ def _page(folder: Path, summary: Summary) -> RowsPage:
         missing=missing,
         remarks=[(one.name, remark) for one in summary.outcomes for remark in one.remarks],
         links={
-            # "./", as a name with a colon would be parsed as a URL scheme.
-            job.name: "./" + quote(os.fsencode(job.page.relative_to(folder)))
+            job.name: _link(folder, job.page)
             for job in summary.jobs
             if job.page is not None and job.page.is_file()
         },
+        worst=tuple(_thumbnails(folder, summary)),
     )
+
+
+def _thumbnails(folder: Path, summary: Summary) -> Iterator[Thumbnail]:
+    """Yield reduced pictures of the worst frames of the worst results, from their pages."""
+    pages = {job.name: job.page for job in summary.jobs if job.page is not None and job.page.is_file()}
+    rows = (row for one in summary.found.sets for row in one.rows if row.name in pages)
+    for row in islice(rows, MOST_THUMBNAILS):
+        page = pages[row.name]
+        with suppress(OSError, ValueError):  # a damaged page has no picture
+            found = _PICTURE.search(read_text(page, PAGE_BYTES))
+            if found is not None:
+                yield Thumbnail(row.name, _link(folder, page), _reduced(found[1]), unescape(found[2]))
+
+
+def _reduced(encoded: str) -> str:
+    """Return a picture, PNG in base64, as a data URL of at most ``THUMBNAIL_PX``.
+
+    Raises:
+        ValueError: not a picture.
+    """
+    import cv2
+    import numpy as np
+
+    from posetrack_cli.evaluation.viewing.outputs import png_of
+
+    stored = np.frombuffer(base64.b64decode(encoded, validate=True), np.uint8)
+    picture = cv2.imdecode(stored, cv2.IMREAD_COLOR) if len(stored) else None
+    if picture is None:
+        raise ValueError("not a picture")
+    scale = min(THUMBNAIL_PX / max(picture.shape[:2]), 1.0)
+    return data_url(png_of(cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)))
+
+
+def _link(folder: Path, page: Path) -> str:
+    # "./", as a name with a colon would be parsed as a URL scheme.
+    return "./" + quote(os.fsencode(page.relative_to(folder)))
 
 
 def _failure(outcome: Outcome) -> str:

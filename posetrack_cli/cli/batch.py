@@ -77,6 +77,12 @@ BATCH_OPTIONS = options_of(
         option("--redo", is_flag=True, help="Track all recordings again and overwrite existing results."),
         option("--dry-run", is_flag=True, help="Show the action for each recording and exit."),
         option(
+            "--remote",
+            is_flag=True,
+            help="Read URLs in lists and manifests (s3://, gs://, https://); those on the command line are "
+            "always read.",
+        ),
+        option(
             "--reports/--no-reports", default=True, show_default=True, help="Write an HTML page per result."
         ),
         junit_option("Write gates as JUnit XML: a test per gate and result, and whether each was tracked."),
@@ -209,7 +215,8 @@ def run_batch_command(
     if options["scheduler"] is not None and options["scheduler_file"] is not None:
         what = "--scheduler and --scheduler-file are mutually exclusive"
         raise UsageError(what, hint="leave one of them out")
-    plan = _planned(command, find_sources(recordings, options["results"]), arguments, options)
+    sources = find_sources(recordings, options["results"], remote=options["remote"])
+    plan = _planned(command, sources, arguments, options)
     judging = _judging(options)
     if options["dry_run"]:
         _show_plan(plan)
@@ -260,7 +267,7 @@ def _planned(
     command: BatchCommand, sources: Sequence[Source], arguments: tuple[str, ...], options: dict[str, Any]
 ) -> _Plan:
     """Return the jobs and limits, checked before the first job starts."""
-    from posetrack_cli.batch.jobs import Job, Limits, record_path
+    from posetrack_cli.batch.jobs import Job, Limits, input_path, record_path
     from posetrack_cli.evaluation.judging.gates import parse_gate
     from posetrack_cli.text import one_line
 
@@ -270,13 +277,15 @@ def _planned(
         where = source.manifest or ""
         own = (*arguments, *command.arguments_of(source.options, where))
         command.check(own, where)
+        if source.url and chunk_s:
+            raise UsageError("--chunk-s does not apply to remote recordings", where=source.url)
         for gate in source.gates:
             parse_gate(gate)
         jobs.append(
             Job(
                 one_line(source.name),
                 command.words,
-                source.path,
+                input_path(folder, source.name, source.path) if source.url else source.path,
                 own,
                 folder / f"{source.name}.mcap",
                 record_path(folder, source.name),
@@ -286,6 +295,7 @@ def _planned(
                 folder / f"{source.name}.html" if options["reports"] else None,
                 chunk_s=chunk_s or 0.0,
                 overlap_s=options["overlap_s"] if chunk_s else 0.0,
+                url=source.url,
             )
         )
     _check_places(folder, jobs)
@@ -344,7 +354,7 @@ def _show_plan(plan: _Plan) -> None:
             way = planned_action(job, plan.limits)
         except PosetrackError as error:
             way = f"fail: {error}"
-        print_line(f"{way}: {job.recording} -> {job.output}")
+        print_line(f"{way}: {job.shown_recording} -> {job.output}")
 
 
 def _make_folder(folder: Path) -> None:

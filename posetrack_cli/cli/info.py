@@ -9,10 +9,10 @@ from typing import Any
 
 import click
 
-from posetrack_cli.cli.command import Command
+from posetrack_cli.cli.command import Command, option
 from posetrack_cli.cli.options import FILE, WRITTEN, json_option, option_group, overwrite_option
 from posetrack_cli.cli.terminal import STANDARD_OUTPUT, print_data, print_line, print_note
-from posetrack_cli.errors import EXIT_DATA_LOST
+from posetrack_cli.errors import EXIT_DATA_LOST, UsageError
 from posetrack_cli.text import printable_json
 
 Values = Mapping[str, Any]
@@ -20,13 +20,19 @@ Values = Mapping[str, Any]
 
 @click.command(
     cls=Command,
-    examples=("posetrack info recording.mcap", "posetrack info recording.mcap --json -"),
+    examples=("posetrack info recording.mcap", "posetrack info hand.mcap --methods"),
     short_help="List the contents of a recording or result.",
 )
 @click.argument("path", metavar="FILE", type=FILE)
 @option_group(json_option("Write the full report as JSON."), title=WRITTEN)
 @overwrite_option("the --json file if it exists")
-def info(path: Path, json: Path | None, overwrite: bool) -> None:
+@option(
+    "--methods",
+    is_flag=True,
+    help="Print a methods paragraph for publications instead: what the run of a result did, the command that "
+    "repeats it, and the works to cite.",
+)
+def info(path: Path, json: Path | None, overwrite: bool, methods: bool) -> None:
     """List the contents of FILE: an image folder, video, recording or result, finished or not.
 
     Exit code 3: the file is truncated or damaged, and its readable part was listed.
@@ -35,6 +41,8 @@ def info(path: Path, json: Path | None, overwrite: bool) -> None:
     from posetrack_cli.outputs import check_target, whole_or_nothing
     from posetrack_cli.recording.opening import describe
 
+    if methods:
+        return _print_methods(path, json)
     if json is not None and json != STANDARD_OUTPUT:
         check_target(json, overwrite=overwrite, source=path)
     report = describe(path)
@@ -50,6 +58,15 @@ def info(path: Path, json: Path | None, overwrite: bool) -> None:
         print_note(f"{path}: {loss['what']}: {loss['count']}, first {loss['first']}")
     if report["losses"]:
         click.get_current_context().exit(EXIT_DATA_LOST)
+
+
+def _print_methods(path: Path, json: Path | None) -> None:
+    from posetrack_cli.evaluation.reports.methods import methods
+    from posetrack_cli.results.reader import read_result
+
+    if json is not None:
+        raise UsageError("--methods and --json are mutually exclusive", hint="leave one of them out")
+    print_data(methods(read_result(path)) + "\n")
 
 
 def _json_text(report: Values) -> str:

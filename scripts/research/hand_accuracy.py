@@ -13,7 +13,7 @@ from posetrack_cli.build import version
 from posetrack_cli.evaluation.measuring.evaluate import EvalOptions
 from posetrack_cli.hand.smoothing import SMOOTH_POSE, SMOOTH_VELOCITY
 from posetrack_cli.results.topics import FILTERED, SMOOTHED
-from research.hands import evaluated, figures_of
+from research.hands import VELOCITIES, evaluated, figures_of, velocities_of
 from research.report import Column, Figures, Report, number, pairs_of
 from research.runner import FILE, Files, Job, Step
 from research.study import FIRST_SEED, FOLDER, Part, Study, setting, unused_for_tuning
@@ -70,7 +70,8 @@ def measured(
 ) -> dict[str, Figures]:
     """Return the figures of the existing results by seed."""
     names = {str(seed): f"runs/{begin}-{seed}-{options.frames}{end}.mcap" for seed in options.all_seeds}
-    found = {seed: figures_of(files.made(name), track) for seed, name in names.items()}
+    made = {seed: files.made(name) for seed, name in names.items()}
+    found = {seed: figures_of(path, track) | velocities_of(path, track) for seed, path in made.items()}
     return {seed: figures for seed, figures in found.items() if figures}
 
 
@@ -100,6 +101,7 @@ OWN_COLUMNS = (
     Column("astray", "astray", percent=True),
     Column("inside_90", "inside 90 %"),
     Column("evaluations", "poses a frame", digits=0),
+    *(Column(name, title) for name, title in VELOCITIES.items()),
 )
 
 

@@ -251,6 +251,7 @@ DEFAULT_COLUMNS = (
     Column("fast error_without_offsets_mm", "double speed, offsets removed, mm"),
     Column("fast tip_error_mm", "tips, mm"),
     Column("fast lost", "lost frames", 0, whole="sum"),
+    *(Column(name, title, 0) for name, title in hands.VELOCITIES.items()),
 )
 ELBOW_PEOPLE = 5
 ELBOW_COLUMNS = (
@@ -270,6 +271,7 @@ def _report_default(options: Options, files: Files, report: Report) -> None:
     for person in options.people:
         usual, fast = (files.made(options.result(person, kind, DEFAULT)) for kind in DEFAULT_KINDS)
         row = {**hands.figures_of(usual), **hands.start_of(usual), **hands.without_offsets(usual)}
+        row |= hands.velocities_of(usual)
         if usual is not None:
             row["side_right"] = float(hands.side_of(usual) == person.side)
         more = {**hands.figures_of(fast), **hands.without_offsets(fast)}

@@ -13,11 +13,12 @@ from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.evaluation.measuring.catalogue import figure_of
 from posetrack_cli.evaluation.measuring.evaluate import EvalOptions, evaluate
 from posetrack_cli.evaluation.measuring.evaluation import Evaluation
-from posetrack_cli.evaluation.measuring.hand_metrics import joint_errors
+from posetrack_cli.evaluation.measuring.hand_metrics import central_differences, joint_errors
 from posetrack_cli.evaluation.measuring.measures import Matched, common_columns, rows_of
 from posetrack_cli.hand.model.anatomy import JOINT_NAMES
 from posetrack_cli.results.reader import read_result
 from posetrack_cli.results.topics import FILTERED
+from posetrack_cli.units import NS_PER_S
 
 WRIST = JOINT_NAMES[0]
 RAW, WITHOUT_OFFSETS = EvalOptions(), EvalOptions(joint_offsets="bone")
@@ -78,6 +79,48 @@ def figures_of(result: Path | None, track: str = FILTERED) -> dict[str, float]:
     if within is not None:
         figures["astray"] = 1.0 - within
     return figures
+
+
+def velocities_of(result: Path | None, track: str = FILTERED) -> dict[str, float]:
+    """Return mean errors of the wrist's and the fingers' joint velocities, mm/s, and those of differencing.
+
+    The true velocity is the central difference of the true joints. Differencing: backward difference of the
+    estimated joints, over the same frames.
+    """
+    if result is None or track not in read_result(result).tracks:
+        return {}
+    raw = evaluated(result, replace(RAW, track=track))
+    names = {"wrist": f"{VELOCITY}.{WRIST}.mean", "joints": f"{VELOCITY}.mean"}
+    stated = {part: figure_of(raw, address).value for part, address in names.items()}
+    truth, pairs = raw.truth, raw.pairs
+    if truth is None or pairs is None or None in stated.values():
+        return {}
+    joints = common_columns(raw.track.point_names, truth.point_names)
+    true = rows_of(central_differences(truth), pairs.truth)[:, joints.truth]
+    points, stamps = raw.track.points, raw.track.stamp_ns
+    assert points is not None
+    backward = np.full(points.shape, np.nan)
+    backward[1:] = np.diff(points, axis=0) / (np.diff(stamps) / NS_PER_S)[:, None, None]
+    errors = np.linalg.norm(rows_of(backward, pairs.estimate)[:, joints.estimate] - true, axis=-1)
+    means = errors[np.isfinite(errors).all(axis=1)].mean(axis=0)
+    wrist, count = joints.names.index(WRIST), len(joints.names)
+    others = (count * float(stated["joints"] or 0.0) - float(stated["wrist"] or 0.0)) / (count - 1)
+    return {
+        "wrist_velocity": float(stated["wrist"] or 0.0),
+        "wrist_differences": float(means[wrist]),
+        "finger_velocity": others,
+        "finger_differences": float(np.delete(means, wrist).mean()),
+    }
+
+
+VELOCITY = "joint_velocity_error_mm_s"
+VELOCITIES = {
+    "wrist_velocity": "wrist velocity error, mm/s",
+    "wrist_differences": "by differences",
+    "finger_velocity": "finger joints, mm/s",
+    "finger_differences": "by differences",
+}
+"""Titles of the figures of ``velocities_of``."""
 
 
 def without_offsets(result: Path | None) -> dict[str, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import csv
 import json
 import os
@@ -9,13 +10,16 @@ from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
+import cv2
+import numpy as np
 import pytest
 
 from posetrack_cli.batch.jobs import Job, Outcome, State, record_path
-from posetrack_cli.batch.summary import Judging, Summary, markdown_of, summarise, write_summary
+from posetrack_cli.batch.summary import Judging, Summary, _reduced, markdown_of, summarise, write_summary
 from posetrack_cli.evaluation.judging.assessment import Request
 from posetrack_cli.evaluation.judging.gates import parse_gate
 from posetrack_cli.evaluation.reports.writing import Reports
+from posetrack_cli.evaluation.viewing.outputs import png_of
 from posetrack_cli.text import one_line
 from support.results import write_result
 
@@ -100,3 +104,18 @@ def test_names_of_strangers_are_text_everywhere(tmp_path: Path) -> None:
     assert {row["name"] for row in rows} == {"'=1+1", "sur\\udcff\\udcfe", "a\\tb\\x1b[31m"}
     assert {row["remarks"] for row in rows} == {"'-1+1"}
     assert 'href="./sur%FF%FE.html"' in (tmp_path / "index.html").read_text()
+
+
+@pytest.mark.parametrize("picture", ["AAAA", "A", "", "=" * 9])
+def test_a_page_with_a_damaged_picture_gives_no_thumbnail(picture: str) -> None:
+    with pytest.raises(ValueError):
+        _reduced(picture)
+
+
+def test_thumbnails_are_small_and_whole() -> None:
+    wide = np.zeros((300, 1200, 3), np.uint8)
+    wide[:, 600:] = 255
+    shown = _reduced(base64.b64encode(png_of(wide)).decode()).removeprefix("data:image/png;base64,")
+    small = cv2.imdecode(np.frombuffer(base64.b64decode(shown), np.uint8), cv2.IMREAD_GRAYSCALE)
+    assert small.shape == (60, 240)
+    assert (small[:, :119] == 0).all() and (small[:, 121:] == 255).all()

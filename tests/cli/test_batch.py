@@ -340,6 +340,7 @@ def test_a_page_has_a_row_for_each_and_links_to_theirs(
     assert "a1: gate 'joint_error_mm.mean > 0' failed" in done.stderr
     page = (out / "index.html").read_text()
     assert 'href="./a1.html"' in page
+    assert '<section id="worst">' in page and 'alt="a1, frame ' in page  # from the page of the result
     assert (out / "a1.html").is_file()
     assert "Recordings without a result (1)" in page
     report = json.loads((out / "summary.json").read_text())

@@ -46,7 +46,9 @@ NOT_RUN = {
     ("README.md", "prepares a checkout"): 1,
     ("docs/index.md", "installs packages"): 1,
     ("docs/index.md", "prepares a checkout"): 1,
+    ("docs/python.md", "installs packages"): 1,
     ("docs/batch.md", "needs Slurm"): 1,
+    ("docs/ci.md", "needs Docker"): 1,
 }
 """Blocks that are not run, by page and reason; ``test_setting_up`` runs those that prepare a checkout."""
 CAMERA = Camera(512, 424, 365.0, 365.0, 255.5, 211.5)
@@ -134,7 +136,7 @@ BOUND: Mapping[str, Mapping[str, str]] = {
     | {f"out/{name}-{k}.mcap": "hand.mcap" for name in ("rbpf", "pf") for k in (1,)}
     | {f"results/{name}.mcap": "hand.mcap" for name in "ab"}
     | {"few.mcap": "few.mcap"},
-    "docs/ci.md": {"recordings/one.mcap": "few.mcap", "results/one.mcap": "hand.mcap"},
+    "docs/ci.md": {"recordings/one.mcap": "few.mcap"},
     "docs/batch.md": {"recordings/day1/a.mcap": "few.mcap"},
     "docs/python.md": {"hand.mcap": "hand.mcap", "face.mp4": "short.mp4", "depth.npy": "depth.npy"},
     "docs/exports.md": {"hand.mcap": "hand.mcap", "face.mcap": "face.mcap"},
@@ -212,7 +214,17 @@ def prepare_ci(place: Place, of_page: list[Block]) -> None:
     (text,) = [block.text for block in of_page if not block.language]
     (place.folder / "accuracy").mkdir()
     (place.folder / "accuracy" / "gates.txt").write_text(text.replace("120", "1"), encoding="utf-8")
-    place.run("posetrack eval results/*.mcap --json accuracy/baseline.json && rm -r results")
+    place.type(next(block for block in of_page if "cp results/summary.json" in block.text))
+    for name, script in STAND_INS.items():
+        (place.commands / name).write_text(f"#!/bin/bash\n{script}\n")
+        (place.commands / name).chmod(0o755)
+
+
+STAND_INS = {
+    "docker": 'while [ "$1" != "$IMAGE" ]; do shift; done; shift; exec posetrack "$@"',
+    "gh": '[ "$1 $2 $3 $4" = "pr comment 7 --body-file" ] && grep -q "^|" "$5"',
+}
+"""Commands of a CI machine: the image's entry point without a container, and one that checks a comment."""
 
 
 def prepare_batch(place: Place, of_page: list[Block]) -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.html import packing, rows_page
-from posetrack_cli.evaluation.html.rows_page import RowsPage, write_rows_html
+from posetrack_cli.evaluation.html.rows_page import RowsPage, Thumbnail, write_rows_html
 from posetrack_cli.evaluation.judging.gates import GateOutcome, check_gates, parse_gate
 from posetrack_cli.evaluation.measuring.evaluation import Evaluation
 from support.html import NASTY
@@ -112,3 +112,20 @@ def test_two_thousand_rows_are_one_page(tmp_path: Path) -> None:
 def test_a_page_is_named_as_one(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="expected a name that ends with"):
         write_rows_html(tmp_path / "page.txt", RowsPage([result_set([result("a", 2.0)])]))
+
+
+def test_distributions_are_histograms_over_results_with_different_values() -> None:
+    """Errors of 1 to 10 mm fill 20 bins in pairs of one and none; coverage is 1 everywhere."""
+    text = page(many_results(10))
+    (shape,) = re.findall(r'<svg[^>]*aria-label="joint_error_mm.mean: ([^"]*)">(.*?)</svg>', text)
+    assert shape[0] == "1 to 10, median 5.500"
+    heights = {float(height) for height in re.findall(r' height="([0-9.]+)"', shape[1])}
+    assert heights == {60.0} and shape[1].count("<rect") == 10
+    assert "<svg" not in page(many_results(4))
+
+
+def test_thumbnails_link_to_their_pages() -> None:
+    worst = (Thumbnail(NASTY, "./a%20b.html", "data:image/png;base64,AAAA", "frame 3, lost"),)
+    text = rows_page.rows_page(RowsPage([result_set(many_results(2))], worst=worst))
+    assert '<a href="./a%20b.html"><img src="data:image/png;base64,AAAA"' in text and "frame 3, lost" in text
+    assert NASTY[:40] not in text and NASTY[:40] in html.unescape(text)

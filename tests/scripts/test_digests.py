@@ -25,6 +25,8 @@ NOT_RUN = {
     "--scheduler-file": "needs a cluster; the bytes are those of --jobs",
     "--detector-model": "needs a model that is not shipped",
     "--dashboard": "opens a port; the bytes are those of --jobs",
+    "--remote": "needs a server; tests/batch/test_remote.py compares the result with that of a local file",
+    "--methods": "states the version, which differs by design",
 }
 """Options that no step has, and why."""
 MACHINE = {"doctor": "reports the machine"}

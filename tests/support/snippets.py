@@ -27,6 +27,8 @@ from support.markdown import ROOT, Block, statements
 
 INSTALLING = ("sudo apt-get ", "pip install ")
 """How steps of jobs begin that install packages, and are not run."""
+JOB = {"GITHUB_STEP_SUMMARY": "shown.md", "IMAGE": "posetrack", "NUMBER": "7"}
+"""Variables of a job."""
 MADE_FRAMES = 3
 """Of recordings that the documentation has made: it says 300 where 3 show as well that the line works."""
 _MADE = re.compile(r"posetrack (hand|head) synth\b")
@@ -83,7 +85,7 @@ class Place:
         ran = subprocess.run(
             command,
             cwd=self.folder,
-            env=os.environ | own | {"GITHUB_STEP_SUMMARY": "summary.md"},
+            env=os.environ | own | JOB,
             capture_output=True,
             text=True,
             timeout=TIMEOUT_S,
@@ -97,19 +99,16 @@ def _plain(line: str) -> str:
 
 
 def scripts(block: Block) -> list[str]:
-    """What a block has a shell run: all of it, or what it says to ``run`` in the steps of a job."""
+    """What a block has a shell run: all of it, or the steps of a job."""
     return list(_steps(yaml.safe_load(block.text))) if block.language == "yaml" else [block.text]
 
 
 def _steps(value: Any) -> Iterator[str]:
     for each in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
         yield from _steps(each)
-    if (
-        isinstance(value, dict)
-        and isinstance(value.get("run"), str)
-        and not value["run"].startswith(INSTALLING)
-    ):
-        yield value["run"]
+    if isinstance(value, dict):
+        found = [value.get("run"), *value.get("script", ())]
+        yield from (one for one in found if isinstance(one, str) and not one.startswith(INSTALLING))
 
 
 def link(folder: Path, bound: Mapping[str, Path]) -> None:

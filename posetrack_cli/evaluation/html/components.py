@@ -422,6 +422,13 @@ def chosen_by(evaluation: Evaluation) -> str:
 
 
 def _figure(picture: Picture) -> Figure:
-    source = "data:image/png;base64," + base64.b64encode(picture.png).decode("ascii")
     width, height = struct.unpack_from(">II", picture.png, _PNG_SIZE_AT)
-    return Figure(source, picture.caption, picture.frame_index, width, height)
+    return Figure(data_url(picture.png), picture.caption, picture.frame_index, width, height)
+
+
+DATA_URL = "data:image/png;base64,"
+
+
+def data_url(png: bytes) -> str:
+    """Return a PNG file as a data URL."""
+    return DATA_URL + base64.b64encode(png).decode("ascii")

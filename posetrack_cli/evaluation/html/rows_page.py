@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 
+import numpy as np
+
 from posetrack_cli.evaluation.html.packing import rendered, write_page
 from posetrack_cli.evaluation.html.summary import Notice, described, differences
 from posetrack_cli.evaluation.judging.comparing import Comparison
@@ -20,6 +22,25 @@ MOST_UNFOLDED = 20
 """Maximum length of lists that are not collapsed."""
 GATES_FAILED = "gates failed"
 NOTHING = "\u2013"
+LEAST_RESULTS, BINS = 5, 20
+"""Smallest number of results with a histogram, and its bins."""
+
+
+@dataclass(frozen=True)
+class Thumbnail:
+    """Picture of a result's worst frame.
+
+    Attributes:
+        name: name of the result.
+        link: link to its page.
+        source: data URL of the picture.
+        caption: frame, time, status and error.
+    """
+
+    name: str
+    link: str
+    source: str
+    caption: str
 
 
 @dataclass(frozen=True)
@@ -35,6 +56,7 @@ class RowsPage:
         missing: names of recordings without a result, with the reason.
         remarks: names of results, with a remark.
         links: links to pages about single results, by name.
+        worst: pictures of the worst results.
     """
 
     sets: Sequence[ResultSet]
@@ -45,6 +67,7 @@ class RowsPage:
     missing: Sequence[tuple[str, str]] = ()
     remarks: Sequence[tuple[str, str]] = ()
     links: Mapping[str, str] = field(default_factory=dict)
+    worst: Sequence[Thumbnail] = ()
 
 
 def write_rows_html(path: Path, page: RowsPage) -> None:
@@ -73,6 +96,7 @@ def rows_page(page: RowsPage) -> str:
         missing=page.missing,
         failed=[("", one.line) for one in failed],
         sets=[_shown_set(one, page.links) for one in page.sets],
+        worst=page.worst,
         comparison=differences(page.comparison),
         remarks=page.remarks,
         notes=closing_lines(evaluations),
@@ -134,6 +158,23 @@ class Total:
 
 
 @dataclass(frozen=True)
+class Distribution:
+    """Histogram of a metric over results.
+
+    Attributes:
+        figure: address of the metric.
+        bars: relative heights, 0 to 1, of bins of equal width from the smallest to the largest value.
+        least, median, most: texts.
+    """
+
+    figure: str
+    bars: tuple[float, ...]
+    least: str
+    median: str
+    most: str
+
+
+@dataclass(frozen=True)
 class ShownSet:
     """Section of a result set.
 
@@ -143,6 +184,7 @@ class ShownSet:
         total_columns, totals: table of pooled values.
         total_lines: reasons for missing pooled values.
         judged: whether there are gates.
+        distributions: histograms over the results.
         heads, rows, total: table with a row per result.
     """
 
@@ -152,6 +194,7 @@ class ShownSet:
     totals: tuple[Total, ...]
     total_lines: tuple[str, ...]
     judged: bool
+    distributions: tuple[Distribution, ...]
     heads: tuple[Head, ...]
     rows: tuple[Line, ...]
     total: Line
@@ -169,10 +212,25 @@ def _shown_set(results: ResultSet, links: Mapping[str, str]) -> ShownSet:
         totals=tuple(Total(figure, _total_cells(results.total, figure, compared)) for figure in known),
         total_lines=tuple(total_lines(results)),
         judged=results.judged,
+        distributions=tuple(_distributions(results)),
         heads=tuple(_heads(results, figures)),
         rows=tuple(_line(one, figures, results, one.name, links.get(one.name, "")) for one in results.rows),
         total=_line(results.total, figures, results, f"Total of {len(results.rows)}"),
     )
+
+
+def _distributions(results: ResultSet) -> Iterator[Distribution]:
+    """Yield the histograms of the columns with enough different values."""
+    for figure in results.figures:
+        if figure == "frames":
+            continue
+        values = np.array([value for one in results.rows if (value := one.value(figure)) is not None])
+        values = values[np.isfinite(values)]
+        if len(values) < LEAST_RESULTS or values.min() == values.max():
+            continue
+        counts, _ = np.histogram(values, BINS)
+        least, median, most = (shown(float(of(values))) for of in (np.min, np.median, np.max))
+        yield Distribution(figure, tuple((counts / counts.max()).round(3).tolist()), least, median, most)
 
 
 def _total_cells(total: ResultRow, figure: str, compared: bool) -> tuple[Cell, ...]:
