@@ -70,13 +70,17 @@ class MessageDecoder:
     def __init__(self) -> None:
         self._decoders: dict[int, Callable[[bytes], Any] | str] = {}  # or why nothing decodes them
 
-    def decode(self, schema: Schema | None, channel: Channel, message: Message) -> Any:
+    def decode(
+        self, schema: Schema | None, channel: Channel, message: Message, kind: str | None = None
+    ) -> Any:
         """Return the decoded message.
 
         Raises:
             UndecodableMessageError: the message does not fit its layout or is too large, or the layout is
-                unknown.
+                unknown, or not of the given kind.
         """
+        if kind is not None and kind_of(schema) != kind:
+            raise UndecodableMessageError(f"message on {channel.topic} is no {kind}")
         try:
             if channel.id not in self._decoders:
                 self._decoders[channel.id] = _decoder(schema, channel)

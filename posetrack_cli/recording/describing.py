@@ -250,7 +250,7 @@ class MessageSurvey:
         stamp = item[2].log_time
         if topic.kind is not None:
             try:
-                stamp = stamp_of(self._decoder.decode(*item), item[2])
+                stamp = stamp_of(self._decoder.decode(*item, topic.kind), item[2])
             except UndecodableMessageError as error:
                 self._file.losses.add(str(error), f"at {stamp} ns")
         if topic.name not in self._timelines:

@@ -25,6 +25,7 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.rigid import relative_to
 from posetrack_cli.losses import LossLog
 from posetrack_cli.mcap.decoding import (
+    CALIBRATION,
     DISPARITY_IMAGE,
     VIDEO_IMAGE,
     MessageDecoder,
@@ -473,7 +474,7 @@ class _TopicImages:
         for item in file.messages(names):
             is_image = item[1].topic == topic.name
             try:
-                decoded: Any = decoder.decode(*item)
+                decoded: Any = decoder.decode(*item, topic.kind if is_image else CALIBRATION)
                 own = own_stamp_of(decoded)
             except UndecodableMessageError as error:
                 if not is_image:

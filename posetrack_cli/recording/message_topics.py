@@ -110,7 +110,7 @@ class TopicScan:
             return topic
         topic.tries += 1
         try:
-            decoded = self._decoder.decode(*item)
+            decoded = self._decoder.decode(*item, topic.kind)
             if topic.kind == CALIBRATION:
                 topic.first = decoded
             else:

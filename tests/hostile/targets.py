@@ -68,10 +68,10 @@ def of_recording(name: str, *, depth: bool = True, heads: bool = True) -> st.Sea
     if depth:
         choices += [
             (6, ("convert", name, "-o", "out.mcap")),
-            (2, ("convert", name, "-o", "out.mcap", "--images")),
             (1, ("hand", "run", name, "-o", "out.mcap", *HAND)),
         ]
     if heads:
+        choices.append((2, ("convert", name, "-o", "out.mcap", "--images")))
         choices.append((3, ("head", "mono", name, "-o", "out.mcap", *HEAD, "--passes", "1")))
         choices.append((2, ("head", "stereo", name, "-o", "out.mcap", *HEAD)))
     return commands(*choices)

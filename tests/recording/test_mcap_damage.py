@@ -16,8 +16,9 @@ from mcap.writer import CompressionType, IndexType, Writer
 
 from posetrack_cli.errors import PosetrackError, RecordingError
 from posetrack_cli.losses import LossLog
+from posetrack_cli.mcap.sink import McapSink
 from posetrack_cli.mcap.stream import McapFile
-from posetrack_cli.recording.opening import open_recording
+from posetrack_cli.recording.opening import describe, open_recording
 
 
 def image_ends(path: Path) -> list[int]:
@@ -56,6 +57,18 @@ def test_cuts_before_the_first_image_are_plain_errors(tmp_path: Path, foxglove_f
         path.write_bytes(data[:offset])
         with pytest.raises(RecordingError):
             open_recording(path)
+
+
+def test_messages_of_another_kind_on_a_topic_are_counted(tmp_path: Path, make: SimpleNamespace) -> None:
+    from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+    from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+
+    with McapSink(tmp_path / "a.mcap") as sink:
+        for kind, fields in ((CameraCalibration, make.calibration_fields()), (FrameTransforms, {})):
+            sink.write(sink.channel("/cam/info", kind), 5, kind(**fields).SerializeToString())
+        sink.finish()
+    (loss,) = describe(tmp_path / "a.mcap")["losses"]
+    assert (loss["what"], loss["count"]) == ("message on /cam/info is no calibration", 1)
 
 
 def test_range_that_ends_before_the_cut_loses_nothing(tmp_path: Path, foxglove_file: Path) -> None:
