@@ -14,7 +14,7 @@ from posetrack_cli.evaluation.measuring.evaluate import EvalOptions
 from posetrack_cli.hand.smoothing import SMOOTH_POSE, SMOOTH_VELOCITY
 from posetrack_cli.results.topics import FILTERED, SMOOTHED
 from research.hands import VELOCITIES, evaluated, figures_of, velocities_of
-from research.report import Column, Figures, Report, number, pairs_of
+from research.report import Column, Figures, Report, pairs_of
 from research.runner import FILE, Files, Job, Step
 from research.study import FIRST_SEED, FOLDER, Part, Study, setting, unused_for_tuning
 
@@ -203,6 +203,15 @@ def _report_filters(options: Options, files: Files, report: Report) -> None:
 KINECT_CAMERA = "fx = 363.9\nfy = 363.9\ncx = 255.4\ncy = 206.3\n"
 
 
+KINECT_COLUMNS = (
+    Column("frames", "frames", 0),
+    Column("lost", "lost", 0),
+    Column("first", "first tracked frame", 0),
+    Column("median", "region overlap, median", 3),
+    Column("low", "5th percentile", 3),
+)
+
+
 def _kinect_jobs(options: Options) -> Iterator[Job]:
     if options.kinect is None:
         return
@@ -223,11 +232,8 @@ def _report_kinect(options: Options, files: Files, report: Report) -> None:
     overlap, lost = found.series["region_overlap"], found.track.lost
     assert lost is not None
     median, low = (float(np.nanpercentile(overlap, percent)) for percent in (50.0, 5.0))
-    report.text(
-        f"{int(lost.sum())} of {len(lost)} frames are lost, the first tracked one is "
-        f"{int(np.argmin(lost)) + 1}. Region overlap: median {number(median, 3)}, 5th percentile "
-        f"{number(low, 3)}."
-    )
+    row = {"lost": float(lost.sum()), "frames": float(len(lost)), "first": float(np.argmin(lost)) + 1.0}
+    report.figures("kinect", KINECT_COLUMNS, {"recording": row | {"median": median, "low": low}})
     report.judge("Kinect: region overlap, median", median, least=0.85, digits=3)
     report.judge("Kinect: region overlap in 95 % of frames", low, least=0.72, digits=3)
 
