@@ -30,9 +30,18 @@ class MeasurementError(Exception):
 
 
 def figures_of(report: Mapping[str, Any]) -> dict[str, float | str]:
-    """Return all figures of a report by address: ``part|row|name`` of a study, a benchmark's row name."""
+    """Return all figures of a report by address: ``part|row|name`` of a study, a benchmark's row name.
+
+    Indented rows of a benchmark are details of the row above and follow its name.
+    """
     if "rows" in report:
-        return {row["name"]: row["value"] for row in report["rows"]}
+        values: dict[str, float | str] = {}
+        above = ""
+        for row in report["rows"]:
+            name = row["name"]
+            above = above if name.startswith(" ") else name
+            values[f"{above}, {name.strip()}" if name.startswith(" ") else name] = row["value"]
+        return values
     found: dict[str, float | str] = {f"asked|{what}": measured for what, _, measured, _ in report["targets"]}
     for part, rows in report["figures"].items():
         for row, figures in rows.items():

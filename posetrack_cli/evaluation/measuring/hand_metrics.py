@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray
+from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.errors import PosetrackError
 from posetrack_cli.evaluation.measuring import pose_metrics
 from posetrack_cli.evaluation.measuring.evaluation import Count, Curve
@@ -289,15 +289,17 @@ def joint_intervals(measures: Measures, matched: Matched, anatomy: Callable[[], 
     reason = hand_lacks(matched, joints) or ("" if len(matched) else measures.nothing)
     if reason:
         return measures.lack(reason, *METRICS)
+    inside: dict[str, dict[str, BoolArray]] = {metric: {} for metric in METRICS}
     try:
-        normalised = dict(_normalised(matched, joints, anatomy()))
+        for name, normalised in _normalised(matched, joints, anatomy()):
+            for metric, half_width in METRICS.items():
+                inside[metric][name] = pose_metrics.inside_interval(normalised, half_width)
     except PosetrackError as error:
         return measures.lack(f"unknown hand anatomy: {error}", *METRICS)
-    together = np.stack(list(normalised.values()), axis=1)
-    for metric, half_width in METRICS.items():
-        measures.share(metric, pose_metrics.inside_interval(together, half_width))
-        for name, own in normalised.items():
-            measures.share(f"{metric}.{name}", pose_metrics.inside_interval(own, half_width))
+    for metric, of_joints in inside.items():
+        measures.share(metric, np.stack(list(of_joints.values()), axis=1))
+        for name, own in of_joints.items():
+            measures.share(f"{metric}.{name}", own)
 
 
 def hand_lacks(matched: Matched, joints: Common) -> str:
@@ -352,21 +354,24 @@ def joint_velocities(measures: Measures, matched: Matched, anatomy: Callable[[],
     true = rows_of(central_differences(matched.truth), matched.pairs.truth)[:, joints.truth]
     if not known_frames(true).any():
         return measures.lack(NO_VELOCITY, ERROR, *INTERVALS)
+    distances = np.empty(true.shape[:2])
+    insides = {metric: np.empty(true.shape, dtype=np.bool_) for metric in INTERVALS}
     try:
-        velocity, variance = _of_joints(matched, anatomy())
+        for rows, velocity, variance in _of_joints(matched, anatomy()):
+            off = true[rows] - velocity[:, joints.estimate]
+            distances[rows] = np.linalg.norm(off, axis=-1)
+            normalised = pose_metrics.normalised_squares(off, variance[:, joints.estimate])
+            for metric, half_width in INTERVALS.items():
+                insides[metric][rows] = pose_metrics.inside_interval(normalised, half_width)
     except PosetrackError as error:
         return measures.lack(f"unknown hand anatomy: {error}", ERROR, *INTERVALS)
-    off = true - velocity[:, joints.estimate]
-    known = known_frames(off)
-    distances: FloatArray = np.linalg.norm(off, axis=-1)
+    known = known_frames(distances)
     measures.add(ERROR, distances, known)
     measures.summarise_parts(ERROR, distances[known], joints.names)
-    normalised = pose_metrics.normalised_squares(off, variance[:, joints.estimate])[known]
-    for metric, half_width in INTERVALS.items():
-        inside = pose_metrics.inside_interval(normalised, half_width)
-        measures.share(metric, inside)
+    for metric, inside in insides.items():
+        measures.share(metric, inside[known])
         for column, name in enumerate(joints.names):
-            measures.share(f"{metric}.{name}", inside[:, column])
+            measures.share(f"{metric}.{name}", inside[known, column])
 
 
 def central_differences(truth: Track) -> FloatArray:
@@ -397,12 +402,10 @@ def _is_moved(track: Track) -> bool:
     return not np.allclose(track.position, track.points[:, 0], rtol=0.0, atol=_SAME_MM)
 
 
-def _of_joints(matched: Matched, anatomy: HandAnatomy) -> tuple[FloatArray, FloatArray]:
-    """Return the estimated joint velocities (M, 21, 3), mm/s, and their variances."""
+def _of_joints(matched: Matched, anatomy: HandAnatomy) -> Iterator[tuple[slice, FloatArray, FloatArray]]:
+    """Yield blocks of rows, the estimated joint velocities (n, 21, 3), mm/s, and their variances."""
     twist, variance = matched.of_estimate("twist"), matched.of_estimate("twist_variance")
-    found: FloatArray = np.empty((2, len(matched), len(JOINT_NAMES), 3))
     with np.errstate(all="ignore"):  # poses of untrusted results can overflow the derivatives
         for rows, jacobian in jacobians(anatomy, *poses_of(matched)):
-            found[0, rows] = np.einsum("njck,nk->njc", jacobian, twist[rows])
-            found[1, rows] = np.einsum("njck,nk->njc", jacobian**2, variance[rows])
-    return found[0], found[1]
+            velocity = np.einsum("njck,nk->njc", jacobian, twist[rows])
+            yield rows, velocity, np.einsum("njck,nk->njc", jacobian**2, variance[rows])
