@@ -7,13 +7,14 @@ import posixpath
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from posetrack_cli import limits
 from posetrack_cli.errors import RecordingError, UsageError
 
 SCHEMES = ("gs", "https", "s3")
 _CHAIN = "::"  # fsspec's syntax for nested file systems, which could open local files
+_MAGIC = "*["
 _BLOCK_BYTES = 4 * limits.MIB
 # Entries of fsspec's file information that change with the content, by file system
 _STAMPS = ("ETag", "etag", "md5Hash", "LastModified", "mtime", "updated", "last_modified")
@@ -25,8 +26,22 @@ def is_url(text: str) -> bool:
     return "://" in text
 
 
-def find(url: str) -> list[tuple[str, str]]:
-    """Return the URLs that match a URL or pattern, and their names relative to its part without wildcards.
+class Found(NamedTuple):
+    """A remote file.
+
+    Attributes:
+        url: its URL.
+        name: its path without extension, relative to the part of a pattern without wildcards.
+        file: its file name.
+    """
+
+    url: str
+    name: str
+    file: str
+
+
+def find(url: str) -> list[Found]:
+    """Return the files of a URL or pattern (``*``, ``[...]``; a ``?`` begins the query of a URL).
 
     Raises:
         UsageError: an unknown scheme, or nothing matches.
@@ -37,8 +52,9 @@ def find(url: str) -> list[tuple[str, str]]:
         expected = " or ".join(f"{name}://" for name in SCHEMES)
         raise UsageError("recording has an unknown kind of URL", where=url, expected=expected)
     system, path = _opened(url)
-    if not any(sign in path for sign in "*?["):
-        return [(url, _stem(path))]
+    pattern = min((path.index(sign) for sign in _MAGIC if sign in path), default=None)
+    if pattern is None:
+        return [_found(url, "")]
     found = _tried(url, lambda: sorted(system.glob(path)))
     if len(found) > limits.SEARCH_ENTRIES:
         raise UsageError(
@@ -46,8 +62,22 @@ def find(url: str) -> list[tuple[str, str]]:
         )
     if not found:
         raise UsageError("no matching recording", where=url)
-    fixed = posixpath.dirname(path[: min(path.index(sign) for sign in "*?[" if sign in path)])
-    return [(system.unstrip_protocol(one), _stem(posixpath.relpath(one, fixed))) for one in found]
+    fixed = system.unstrip_protocol(posixpath.dirname(path[:pattern]))
+    return [_found(system.unstrip_protocol(one), fixed) for one in found]
+
+
+def _found(url: str, fixed: str) -> Found:
+    """Return a file with its name relative to a folder, or its own name without one."""
+    below = _path_of(url)
+    file = posixpath.basename(below)
+    if fixed:
+        below = posixpath.relpath(below, _path_of(fixed) or ".")
+    return Found(url, str(Path(below if fixed else file).with_suffix("")), file)
+
+
+def _path_of(url: str) -> str:
+    """Return host or bucket and path, without a query."""
+    return url.partition("://")[2].partition("?")[0]
 
 
 def stamp(url: str) -> str:
@@ -119,7 +149,3 @@ def _tried(url: str, work: Callable[[], Value]) -> Value:
         raise UsageError("URL cannot be read", where=url, found=error) from error
     except Exception as error:
         raise RecordingError("cannot be read", where=url, found=error or type(error).__name__) from error
-
-
-def _stem(path: str) -> str:
-    return str(Path(path).with_suffix("")) if "/" in path and not path.startswith("/") else Path(path).stem

@@ -293,8 +293,7 @@ def _source(path: Path, name: str, url: str) -> Source:
 
 
 def _remote(url: str, where: object) -> list[_Found]:
-    found = [(_checked_name(where, name), one) for one, name in find(url)]
-    return [(Path(one.rpartition("/")[2]), name, one) for name, one in found]
+    return [(Path(one.file), _checked_name(where, one.name), one.url) for one in find(url)]
 
 
 def _matching(pattern: str, base: Path | None, scope: _SearchScope) -> list[_Found]:

@@ -43,6 +43,11 @@ class Guess:
 
     focal: float = LIKELY_FOCAL
 
+    @property
+    def fov_deg(self) -> float:
+        """Field of view along the longer image side, degrees; inverse of ``guess_of_field``."""
+        return math.degrees(2.0 * math.atan(0.5 / self.focal))
+
     # the attributes of cameras in a camera file
     fps: ClassVar[None] = None
     picture: ClassVar[None] = None

@@ -90,10 +90,9 @@ def velocities_of(result: Path | None, track: str = FILTERED) -> dict[str, float
     if result is None or track not in read_result(result).tracks:
         return {}
     raw = evaluated(result, replace(RAW, track=track))
-    names = {"wrist": f"{VELOCITY}.{WRIST}.mean", "joints": f"{VELOCITY}.mean"}
-    stated = {part: figure_of(raw, address).value for part, address in names.items()}
+    whole, of_wrist = (figure_of(raw, f"{VELOCITY}{part}.mean").value for part in ("", f".{WRIST}"))
     truth, pairs = raw.truth, raw.pairs
-    if truth is None or pairs is None or None in stated.values():
+    if truth is None or pairs is None or whole is None or of_wrist is None:
         return {}
     joints = common_columns(raw.track.point_names, truth.point_names)
     true = rows_of(central_differences(truth), pairs.truth)[:, joints.truth]
@@ -104,9 +103,9 @@ def velocities_of(result: Path | None, track: str = FILTERED) -> dict[str, float
     errors = np.linalg.norm(rows_of(backward, pairs.estimate)[:, joints.estimate] - true, axis=-1)
     means = errors[np.isfinite(errors).all(axis=1)].mean(axis=0)
     wrist, count = joints.names.index(WRIST), len(joints.names)
-    others = (count * float(stated["joints"] or 0.0) - float(stated["wrist"] or 0.0)) / (count - 1)
+    others = (count * whole - of_wrist) / (count - 1)
     return {
-        "wrist_velocity": float(stated["wrist"] or 0.0),
+        "wrist_velocity": of_wrist,
         "wrist_differences": float(means[wrist]),
         "finger_velocity": others,
         "finger_differences": float(np.delete(means, wrist).mean()),

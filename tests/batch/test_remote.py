@@ -122,3 +122,46 @@ def test_names_from_a_server_do_not_leave_the_results_folder(
     monkeypatch.setattr(type(store), "glob", lambda system, path: ["/in/../../a.mcap"])
     with pytest.raises(PosetrackError, match="invalid result name"):
         find_sources(["memory://in/*.mcap"])
+
+
+class Bucket(fsspec.AbstractFileSystem):
+    """An object store whose paths begin with the bucket, as those of S3 do."""
+
+    protocol = "bucket"
+    names = ("data/day1/a.mcap", "data/day2/b.mcap")
+
+    def ls(self, path: str, detail: bool = True, **options: object) -> list[object]:
+        path = self._strip_protocol(path)
+        below = {
+            "/".join(name.split("/")[: path.count("/") + 2])
+            for name in self.names
+            if name.startswith(f"{path}/")
+        }
+        kinds = {one: "file" if one in self.names else "directory" for one in below}
+        return [{"name": one, "size": 0, "type": kind} if detail else one for one, kind in kinds.items()]
+
+
+@pytest.mark.parametrize(
+    ("url", "expected"),
+    [
+        ("bucket://data/day1/a.mcap", [("a", "a.mcap", "bucket://data/day1/a.mcap")]),
+        (
+            "bucket://data/*/*.mcap",
+            [
+                ("day1/a", "a.mcap", "bucket://data/day1/a.mcap"),
+                ("day2/b", "b.mcap", "bucket://data/day2/b.mcap"),
+            ],
+        ),
+    ],
+)
+def test_names_do_not_depend_on_how_a_store_writes_paths(
+    monkeypatch: pytest.MonkeyPatch, url: str, expected: list[tuple[str, str, str]]
+) -> None:
+    monkeypatch.setattr(remote, "SCHEMES", ("bucket",))
+    fsspec.register_implementation("bucket", Bucket, clobber=True)
+    assert [(one.name, str(one.path), one.url) for one in find_sources([url])] == expected
+
+
+def test_a_query_is_no_part_of_the_name() -> None:
+    found = remote._found("https://host/day/a.mcap?signature=b.c", "")
+    assert (found.name, found.file) == ("a", "a.mcap")

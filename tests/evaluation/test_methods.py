@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 from pathlib import Path
 
@@ -13,6 +14,7 @@ import posetrack_cli as posetrack
 from posetrack_cli.cli.main import run
 from posetrack_cli.errors import EXIT_DONE, EXIT_USAGE
 from posetrack_cli.evaluation.reports.methods import HAND, HEAD, methods, methods_of
+from posetrack_cli.geometry.camera import Camera
 
 ROOT = Path(__file__).parents[2]
 # Settings by --config, --set and options, shape by scale, and frames
@@ -33,9 +35,10 @@ def command_of(text: str) -> list[str]:
             ["head", "synth", "--camera-count", "1"],
             ["head", "mono", "--passes", "1", "--interpupillary-mm", "61"],
         ),
+        (["head", "synth"], ["head", "mono", "--passes", "1", "--cameras", "right"]),
         (["head", "synth"], ["head", "stereo", "--particles", "50"]),
     ],
-    ids=["hand", "mono", "stereo"],
+    ids=["hand", "mono", "one of two cameras", "stereo"],
 )
 def test_the_command_repeats_the_run(
     made: list[str], tracked: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -52,7 +55,7 @@ def test_the_command_repeats_the_run(
 
 
 def test_a_guessed_field_of_view_is_part_of_the_command() -> None:
-    camera = '{"width": 640, "height": 480, "fx": 320.0}'
+    camera = json.dumps(Camera(640, 480, 320.0, 320.0, 319.5, 239.5).values())
     record = {"tracker": "head-mono", "configuration": '{"particles": {"count": 5}}', "camera": camera}
     record |= {
         "scale": "prior",
@@ -65,6 +68,9 @@ def test_a_guessed_field_of_view_is_part_of_the_command() -> None:
     text = methods_of(record, 1, 4)
     words = command_of(text)
     assert words[:3] == ["head", "mono", "a b.mp4"] and words[words.index("--fov") + 1] == "90"
+    assert "To be added" not in text
+    given = methods_of(record | {"landmarks.sha256": "0", "input.sha256": "1"}, 1, 4)
+    assert "the options of the files that this run was given (landmarks)." in given
     assert "1 of 4 frames were tracked (25.0%); the others were reported as lost." in text
     for missing in ("configuration", "scale", "version", "camera"):
         with pytest.raises(ValueError, match=missing):

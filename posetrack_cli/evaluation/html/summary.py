@@ -22,7 +22,7 @@ from posetrack_cli.evaluation.measuring.catalogue import (
 from posetrack_cli.evaluation.measuring.evaluation import Evaluation, Statistics
 from posetrack_cli.evaluation.measuring.pooling import Pool
 from posetrack_cli.evaluation.measuring.subjects import KINDS
-from posetrack_cli.evaluation.reports.methods import methods_of
+from posetrack_cli.evaluation.reports.methods import flattened, methods_of
 from posetrack_cli.evaluation.reports.table import (
     ABSENT,
     Row,
@@ -127,13 +127,9 @@ def _json(value: str) -> Any:
 
 def _flat(value: Any, key: str = "") -> Iterator[tuple[str, str]]:
     """Yield dotted keys and texts of a nested value."""
-    if isinstance(value, Mapping):
-        for name, inner in value.items():
-            yield from _flat(inner, f"{key}.{name}" if key else str(name))
-    elif isinstance(value, str):
-        yield key or "configuration", value
-    else:
-        yield key, json.dumps(value, ensure_ascii=False)
+    for name, inner in flattened(value, key):
+        is_text = isinstance(inner, str)
+        yield (name or "configuration", inner) if is_text else (name, json.dumps(inner, ensure_ascii=False))
 
 
 def _rows(columns: Sequence[Mapping[str, str]]) -> tuple[RecordRow, ...]:

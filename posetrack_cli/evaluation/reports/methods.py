@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
-import math
 import shlex
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from posetrack_cli.errors import ResultError
+from posetrack_cli.errors import PosetrackError, ResultError
+from posetrack_cli.recording.base import CAMERA_FILE_KEY, RECORDING_KEY
+from posetrack_cli.recording.camera_of import guess_of_camera
+from posetrack_cli.recording.camera_record import camera_from_json
 from posetrack_cli.results.estimate import Status
 from posetrack_cli.results.reader import Result
 
@@ -34,6 +36,7 @@ OPTIONS = {
     "input.fps": "--fps",
     "input.depth_unit_mm": "--depth-unit-mm",
 }
+_DIGEST = ".sha256"
 DEFAULTS = {"seed": "0", "start": "0", "stride": "1", "init": "auto", "face": "1"}
 
 
@@ -62,10 +65,16 @@ def methods_of(run: Mapping[str, str], tracked: int, frames: int) -> str:
         configuration = json.loads(run["configuration"])
         what, cited = _tracker(run, configuration)
         paragraph = f"{what} {_frames(tracked, frames)} {_software(run)}"
-        command = shlex.join(_command(run, configuration))
-    except (KeyError, TypeError, AttributeError, RecursionError) as error:
+        command = f"Command: {shlex.join(_command(run, configuration))}"
+    except (KeyError, TypeError, AttributeError, RecursionError, PosetrackError) as error:
         raise ValueError(str(error)) from error
-    return "\n\n".join((paragraph, f"Command: {command}", "\n".join(f"[{k}] {one}." for k, one in cited)))
+    files = [
+        key.removesuffix(_DIGEST) for key in sorted(run) if key.endswith(_DIGEST) and key != RECORDING_KEY
+    ]
+    files += ["camera"] if f"input.{CAMERA_FILE_KEY}" in run else []
+    if files:
+        command += f"\nTo be added: the options of the files that this run was given ({', '.join(files)})."
+    return "\n\n".join((paragraph, command, "\n".join(f"[{k}] {one}." for k, one in cited)))
 
 
 def _tracker(run: Mapping[str, str], configuration: Any) -> tuple[str, list[tuple[int, str]]]:
@@ -130,11 +139,11 @@ def _command(run: Mapping[str, str], configuration: Any) -> Iterator[str]:
     if run.get("input.mirror") == "true":
         yield "--mirror"
     if run.get("intrinsics") == "guessed":
-        camera = json.loads(run["camera"])
-        half = math.atan(max(camera["width"], camera["height"]) / (2.0 * camera["fx"]))
-        yield from ("--fov", f"{math.degrees(2.0 * half):.9g}")
-    usual = dict(_settings(_default(run["tracker"])))
-    for key, value in _settings(configuration):
+        yield from ("--fov", f"{guess_of_camera(camera_from_json(run['camera'])).fov_deg:.9g}")
+    if run["tracker"] == "head-mono" and "input.topics" in run:
+        yield from ("--cameras", run["input.topics"])
+    usual = dict(flattened(_default(run["tracker"])))
+    for key, value in flattened(configuration):
         if value is not None and value != usual.get(key):
             yield from ("--set", f"{key}={json.dumps(value)}")
 
@@ -150,10 +159,10 @@ def _default(tracker: str) -> Any:
     return Config().model_dump(mode="json")
 
 
-def _settings(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield keys such as ``filter.particles`` and their values."""
+def flattened(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield keys such as ``filter.particles`` of nested tables, and their values."""
     if isinstance(value, Mapping):
         for name, inner in value.items():
-            yield from _settings(inner, f"{key}.{name}" if key else str(name))
+            yield from flattened(inner, f"{key}.{name}" if key else str(name))
     else:
         yield key, value
