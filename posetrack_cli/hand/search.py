@@ -363,7 +363,7 @@ _HOPELESS_MM, _CLOSE_MM, _ALIKE_MM = 8.0, 2.0, 4.0
 
 _SIZES = (0.66, 1.25)
 """Range of hand scales, from a three-year-old to the largest men."""
-_SAME_WRIST_MM = 60.0
+SAME_WRIST_MM = 60.0
 """Wrist distance up to which two candidates are the same hand."""
 
 
@@ -430,9 +430,12 @@ class Acquisition:
             depth: (height, width) mm.
             extra: further candidates, such as from keypoints.
         """
+        return min(self.candidates(depth, extra), key=lambda one: one.total_cost, default=None)
+
+    def candidates(self, depth: ImageArray, extra: Sequence[Candidate] = ()) -> list[Candidate]:
+        """Return the hands that fit a whole image, one per place; see ``search``."""
         likely = merge_candidates([one for _, one in self._fit_places(depth, self.detect(depth))], extra)
-        fitting = [one for one in likely if one.cost <= ACCEPT_MM]
-        return min(fitting, key=lambda one: one.total_cost, default=None)
+        return [one for one in likely if one.cost <= ACCEPT_MM]
 
     def appraise(
         self, depth: ImageArray, detections: Sequence[Detection], extra: Sequence[Candidate] = ()
@@ -593,7 +596,7 @@ def merge_candidates(found: Sequence[Candidate], extra: Sequence[Candidate]) -> 
         near = [
             k
             for k, other in enumerate(merged)
-            if np.linalg.norm(other.pose[:3] - one.pose[:3]) < _SAME_WRIST_MM
+            if np.linalg.norm(other.pose[:3] - one.pose[:3]) < SAME_WRIST_MM
         ]
         for k in near:
             best = one if one.cost < merged[k].cost else merged[k]

@@ -1,0 +1,117 @@
+"""Tracker of a person's two hands: one tracker per hand, each without what the other explains."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Annotated
+
+import numpy as np
+
+from posetrack_cli.arrays import FloatArray, ImageArray
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.hand.fit.skeleton import INNER_SIZE
+from posetrack_cli.hand.observe.others import HandDrawer, SeenHand, without_others
+from posetrack_cli.hand.search import SAME_WRIST_MM, Candidate
+from posetrack_cli.hand.state import HandState
+from posetrack_cli.hand.tracker import HandTracker
+from posetrack_cli.recording.base import Frame
+from posetrack_cli.results.columns import floats
+from posetrack_cli.results.estimate import Estimate
+from posetrack_cli.tracking.confidence import PROBABLY
+
+_UNSEEN_MM = 18.0
+"""Cost of a hand without a place, when pairs of places are compared."""
+
+
+@dataclass(frozen=True, eq=False)
+class PairState:
+    """State of both trackers.
+
+    Attributes:
+        hands: states of the trackers.
+        inner: (2, 6) inner numbers of the last frame, without a forearm if none was visible.
+        confidence: (2,) of the last frame.
+    """
+
+    hands: tuple[HandState, ...]
+    inner: Annotated[FloatArray, floats(2, INNER_SIZE)]
+    confidence: Annotated[FloatArray, floats(2)]
+
+
+class PairTracker:
+    """Tracks two hands in the images of a pinhole camera.
+
+    Args:
+        trackers: of the hands.
+        drawers: of the hands.
+        camera: of the depth images, without distortion.
+    """
+
+    def __init__(
+        self, trackers: Sequence[HandTracker], drawers: Sequence[HandDrawer], camera: Camera
+    ) -> None:
+        self.trackers, self._drawers, self._camera = tuple(trackers), tuple(drawers), camera
+
+    def start_unknown(self, poses: Sequence[FloatArray], frame: Frame, rng: np.random.Generator) -> PairState:
+        """Return the state before a first frame in which both hands are to be detected."""
+        pairs = zip(self.trackers, poses, strict=True)
+        states = tuple(tracker.start_unknown(pose, frame, rng) for tracker, pose in pairs)
+        inner = np.array([state.expected for state in states])
+        return PairState(states, inner, np.zeros(len(states)))
+
+    def step(
+        self, state: PairState, frame: Frame, rng: np.random.Generator
+    ) -> tuple[PairState, tuple[Estimate, ...]]:
+        """Advance both trackers by one frame, the hand nearer to the camera first."""
+        seen = self._with_candidates([self._predicted(k, state, frame) for k in (0, 1)], state, frame.depth)
+        states, inner, confidence = list(state.hands), state.inner.copy(), state.confidence.copy()
+        estimates: dict[int, Estimate] = {}
+        for k in sorted((0, 1), key=lambda k: _depth_mm(seen[k])):
+            other = seen[1 - k]
+            depth = without_others(frame.depth, seen[k], () if other is None else (other,), self._camera)
+            after, estimates[k] = self.trackers[k].step(states[k], replace(frame, images=(depth,)), rng)
+            states[k], confidence[k] = after, estimates[k].confidence
+            inner[k] = after.expected if after.observation is None else after.observation.inner
+            seen[k] = None
+            if not after.monitor.lost:
+                seen[k] = SeenHand(self._drawers[k], after.pose, inner[k], bool(confidence[k] >= PROBABLY))
+        return PairState(tuple(states), inner, confidence), (estimates[0], estimates[1])
+
+    def _predicted(self, k: int, state: PairState, frame: Frame) -> SeenHand | None:
+        """Return a hand at its predicted place; None if it is lost."""
+        hand, tracker = state.hands[k], self.trackers[k]
+        if hand.monitor.lost:
+            return None
+        dt = min((frame.stamp_ns - hand.stamp_ns) * 1e-9, tracker.config.motion.gap_max_s)
+        is_sure = bool(state.confidence[k] >= PROBABLY)
+        return SeenHand(self._drawers[k], tracker.predict(hand, dt), state.inner[k], is_sure)
+
+    def _with_candidates(
+        self, seen: list[SeenHand | None], state: PairState, depth: ImageArray
+    ) -> list[SeenHand | None]:
+        """Return the hands with places for two lost ones, so that each searches without the other's.
+
+        Alone, a right hand's model would also fit the left hand. Of all pairs of places, the cheapest counts.
+        """
+        if any(one is not None for one in seen) or any(hand.monitor.search_wait for hand in state.hands):
+            return seen
+        first, second = (tracker.candidates(depth) for tracker in self.trackers)
+        pairs = [(a, b) for a, b in product([*first, None], [*second, None]) if _are_apart(a, b)]
+        best = min(pairs, key=lambda pair: sum(_UNSEEN_MM if one is None else one.total_cost for one in pair))
+        return [
+            None if one is None else SeenHand(drawer, one.pose, one.inner)
+            for drawer, one in zip(self._drawers, best, strict=True)
+        ]
+
+
+def _depth_mm(hand: SeenHand | None) -> float:
+    return np.inf if hand is None else float(hand.pose[2])
+
+
+def _are_apart(first: Candidate | None, second: Candidate | None) -> bool:
+    """Return whether two candidates are different hands; True if one is missing."""
+    if first is None or second is None:
+        return True
+    return bool(np.linalg.norm(first.pose[:3] - second.pose[:3]) > SAME_WRIST_MM)
