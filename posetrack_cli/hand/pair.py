@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 from typing import Annotated
 
 import numpy as np
@@ -13,16 +12,13 @@ from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.fit.skeleton import INNER_SIZE
 from posetrack_cli.hand.observe.others import HandDrawer, SeenHand, without_others
-from posetrack_cli.hand.search import SAME_WRIST_MM, Candidate
+from posetrack_cli.hand.search import cheapest_pair
 from posetrack_cli.hand.state import HandState
 from posetrack_cli.hand.tracker import HandTracker
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.columns import floats
 from posetrack_cli.results.estimate import Estimate
 from posetrack_cli.tracking.confidence import PROBABLY
-
-_UNSEEN_MM = 18.0
-"""Cost of a hand without a place, when pairs of places are compared."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,9 +93,7 @@ class PairTracker:
         """
         if any(one is not None for one in seen) or any(hand.monitor.search_wait for hand in state.hands):
             return seen
-        first, second = (tracker.candidates(depth) for tracker in self.trackers)
-        pairs = [(a, b) for a, b in product([*first, None], [*second, None]) if _are_apart(a, b)]
-        best = min(pairs, key=lambda pair: sum(_UNSEEN_MM if one is None else one.total_cost for one in pair))
+        best = cheapest_pair(*(tracker.candidates(depth) for tracker in self.trackers))
         return [
             None if one is None else SeenHand(drawer, one.pose, one.inner)
             for drawer, one in zip(self._drawers, best, strict=True)
@@ -108,10 +102,3 @@ class PairTracker:
 
 def _depth_mm(hand: SeenHand | None) -> float:
     return np.inf if hand is None else float(hand.pose[2])
-
-
-def _are_apart(first: Candidate | None, second: Candidate | None) -> bool:
-    """Return whether two candidates are different hands; True if one is missing."""
-    if first is None or second is None:
-        return True
-    return bool(np.linalg.norm(first.pose[:3] - second.pose[:3]) > SAME_WRIST_MM)
