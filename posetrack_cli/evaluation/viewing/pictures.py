@@ -115,7 +115,7 @@ def _drawing(evaluation: Evaluation, rows: IntArray, drawer: Drawer) -> Drawing:
     track, truth = evaluation.track, evaluation.truth
     return Drawing(
         (DrawnTrack(track, drawer),),
-        None if truth is None else DrawnTrack(truth, drawer, TRUTH),
+        () if truth is None else (DrawnTrack(truth, drawer, TRUTH),),
         around=None if track.points is None else track.points[rows],
         still=False,
     )
