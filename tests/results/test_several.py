@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import filecmp
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from posetrack_cli.cli.main import run
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.mcap.stream import McapFile
 from posetrack_cli.outputs import part_path
@@ -110,3 +112,34 @@ def test_a_resumed_result_equals_an_uninterrupted_one(tmp_path: Path) -> None:
         add_frames(writer, checkpoint.frame_index + 1, FRAMES)
         writer.finish({})
     assert filecmp.cmp(whole, path, shallow=False)
+
+
+def test_export_writes_every_track(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = written(tmp_path / "two.mcap")
+    assert run(["export", str(path)]) == 0
+    rows = list(csv.DictReader(capsys.readouterr().out.splitlines()))
+    assert [row["track"] for row in rows] == ["left"] * FRAMES + ["right"] * FRAMES
+    assert float(rows[FRAMES]["x_mm"]) == both(0)[1].position[0]
+    for ending in ("npz", "tum", "mcap", "json"):
+        assert run(["export", str(path), "-o", str(tmp_path / f"out.{ending}")]) == 0
+        assert {file.name for file in tmp_path.glob(f"out*.{ending}")} == {
+            f"out-left.{ending}",
+            f"out-right.{ending}",
+        }
+    with np.load(tmp_path / "out-right.npz") as arrays:
+        assert np.array_equal(arrays["position"][3], both(3)[1].position)
+    assert run(["export", str(path), "--format", "tum"]) == 2
+    assert run(["export", str(path), "--format", "tum", "--of", "left"]) == 0
+    assert run(["export", str(path), "--schemas", "protobuf", "-o", str(tmp_path / "all.mcap")]) == 0
+    topics = {channel.topic for _, channel in McapFile(tmp_path / "all.mcap").channels()}
+    assert {"/hand/left/estimate", "/hand/right/estimate"} <= topics
+    assert run(["export", str(path), "-o", str(tmp_path / "study" / "sub-01_task-reach_motion.tsv")]) == 0
+    motions = {file.name for file in (tmp_path / "study").rglob("*_motion.tsv")}
+    assert motions == {f"sub-01_task-reach_tracksys-hand{side}_motion.tsv" for side in ("left", "right")}
+
+
+def test_info_lists_every_track(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["info", str(written(tmp_path / "two.mcap"))]) == 0
+    shown = capsys.readouterr().out
+    assert "topic /hand/left/estimate" in shown
+    assert "metadata posetrack.subject.right" in shown
