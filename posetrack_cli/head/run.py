@@ -101,7 +101,7 @@ class HeadRun(TwoPassRun):
         landmarks = options.landmarks
         self._use = None if landmarks is None else KeypointUse(landmarks.name, landmarks.sets, "landmarks")
         self._origin = np.zeros(len(subject.shape_names)) if origin is None else origin
-        self.subject, self._name, load = subject, name, options.load_model
+        self.subjects, self._name, load = (subject,), name, options.load_model
         self._evidence: FaceEvidence | None = None
         self.tracker = make_tracker(None) if load is None else self._tracker_from_model(load)
         self.record = {**head_record(name, recording, config, options), **extra_record}

@@ -338,8 +338,9 @@ class HeadMemory:
         self._keeper = FrameRecorder(subject)
         self._spool = RecordSpool(path, kept, self._keeper.blank())
 
-    def remember(self, state: Any, estimate: Estimate) -> None:
+    def remember(self, state: Any, *estimates: Estimate) -> None:
         """Store a frame."""
+        (estimate,) = estimates
         self._spool.append(self._keeper.frame(state, estimate).record)
 
     def flush(self) -> None:
