@@ -67,6 +67,7 @@ class ResultWriter:
     _run: dict[str, str]
     _flush_frames: int
     _subjects: tuple[Subject, ...]
+    _cameras: tuple[Camera, ...]
     _statuses: dict[str, int]  # number of estimates per subject and status, see _counted
     _truth_messages: int
     _attached: set[str]
@@ -255,6 +256,14 @@ class ResultWriter:
         if order.count % self._flush_frames == 0:
             self._flush()
 
+    def restart(self, subjects: Sequence[Subject]) -> None:
+        """Begin again with other subjects; nothing may have been written yet."""
+        self._check_open()
+        if self.frames_written or self._truth_messages:
+            raise ResultError("subjects change after the first frame", where=self._part)
+        self._sink.close()
+        self._begin(self._path, self._part, tuple(subjects), self._cameras, self._run, self._flush_frames)
+
     def add_truth(self, message: TruthMessage) -> None:
         """Copy a message of a ``/truth/...`` topic unchanged."""
         with self._guarded():
@@ -357,7 +366,7 @@ class ResultWriter:
             raise ResultError("invalid flush_frames", found=flush_frames, expected="1 or more")
         self._path, self._part = path, written
         self._run, self._flush_frames = dict(run), flush_frames
-        self._subjects = subjects
+        self._subjects, self._cameras = subjects, tuple(cameras)
         self._statuses = dict.fromkeys(_counters(subjects), 0)
         self._truth_messages = 0
         self._attached = set()
