@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -18,6 +18,7 @@ from posetrack_cli.cli.options import (
     TRACKS,
     WRITTEN,
     cameras_option,
+    of_option,
     option_group,
     output_option,
     overwrite_option,
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     from posetrack_cli.recording.base import TruthMessage
     from posetrack_cli.recording.recording import Recording
     from posetrack_cli.results.export.source import ExportSource
+    from posetrack_cli.results.reader import Result
 
 
 # posetrack convert
@@ -171,6 +173,7 @@ SCHEMAS = ("ros2", "protobuf")
 @output_option("Output file.  [default: standard output]", "FILE|-", required=False)
 @overwrite_option("FILE if it exists")
 @track_option(*TRACKS, default=FILTERED, text="Track to export.")
+@of_option("export")
 @option(
     "--estimate-topic",
     "topic",
@@ -191,6 +194,7 @@ def export(
     schemas: str | None,
     output: Path | None,
     track: str,
+    of: str | None,
     topic: str | None,
     no_lost: bool,
     session_start: str | None,
@@ -215,11 +219,11 @@ def export(
 
     Euler angles: R = R_y(yaw) R_x(pitch) R_z(roll), in camera axes. Lost frames are exported with their last
     pose and status lost, without pixels; nwb, bids, openface, mediapipe and c3d leave them empty, and rom
-    omits them. tum and bvh have no status: use --no-lost. Exit code 3: RESULT is truncated or damaged, and
-    its readable part was exported.
+    omits them. tum and bvh have no status: use --no-lost. Of several heads or hands, csv has a column
+    track; other formats write a file for each, such as FILE-left.npz. Exit code 3: RESULT is truncated or
+    damaged, and its readable part was exported.
     """
     from posetrack_cli.losses import loss_line
-    from posetrack_cli.results.export.export import text_pieces
     from posetrack_cli.results.export.source import export_source
     from posetrack_cli.results.reader import read_result
 
@@ -230,23 +234,61 @@ def export(
         raise UsageError(what, found=f"{topic} and {track}")
     start_ns = _session_start_ns(session_start, chosen)
     result = read_result(path)
-    topic = topic or result.topic_of_track(track)
-    source = export_source(result, topic, lost=not no_lost, session_start_ns=start_ns)
-    pieces, notes = _OF_SUBJECTS[chosen](source) if chosen in _OF_SUBJECTS else (None, ())
-    if output is None:
-        if sys.stdout is None:
-            raise UsageError("standard output is closed", hint="write to a file with -o")
-        for piece in text_pieces(source, chosen) if pieces is None else pieces:
-            print_data(piece)
-    else:
-        written, more = _written(source, chosen, output, pieces, overwrite=overwrite)
-        notes = (*notes, *more)
-        print_line(f"{written}: {chosen}, {written.stat().st_size} bytes")
-    for note in notes:
+    sources = [
+        export_source(part, topic or part.topic_of_track(track), lost=not no_lost, session_start_ns=start_ns)
+        for part in _parts(result, of, topic)
+    ]
+    if output is None and sys.stdout is None:
+        raise UsageError("standard output is closed", hint="write to a file with -o")
+    for note in _exported(sources[:1] if chosen == "protobuf" else sources, chosen, output, overwrite):
         print_note(f"{path}: {note}")
     if result.losses:
         print_note(f"{path}: {loss_line(result.losses)}")
         click.get_current_context().exit(EXIT_DATA_LOST)
+
+
+def _parts(result: Result, label: str | None, topic: str | None) -> tuple[Result, ...]:
+    """Return the parts of a result to export: of one subject if it or its topic is chosen, else of all."""
+    if label is not None:
+        return (result.of(label),)
+    if topic is not None:
+        named = [part for part in result.parts if f"/{part.subject.topic}/" in topic]
+        return (*named, *result.parts)[:1]
+    return result.parts
+
+
+def _exported(
+    sources: Sequence[ExportSource], chosen: str, output: Path | None, overwrite: bool
+) -> Iterator[str]:
+    """Export subjects: CSV to one table, other formats to one file per subject; yield notes."""
+    from posetrack_cli.results.export.export import save_text, text_pieces, tracks_csv_text
+
+    if len(sources) > 1 and chosen == "csv":
+        together = tracks_csv_text(sources)
+        if output is None:
+            for piece in together:
+                print_data(piece)
+        else:
+            save_text(together, sources[0], output, overwrite=overwrite)
+            print_line(f"{output}: {chosen}, {output.stat().st_size} bytes")
+        return
+    if len(sources) > 1 and output is None:
+        found = f"{len(sources)} tracks in format {chosen}"
+        raise UsageError(
+            "standard output holds one track", found=found, hint="choose one with --of, or use -o"
+        )
+    for source in sources:
+        pieces, notes = _OF_SUBJECTS[chosen](source) if chosen in _OF_SUBJECTS else (None, ())
+        if output is None:
+            for piece in text_pieces(source, chosen) if pieces is None else pieces:
+                print_data(piece)
+        else:
+            label = source.result.subject.label if len(sources) > 1 and chosen != "bids" else ""
+            place = output.with_stem(f"{output.stem}-{label}") if label else output
+            written, more = _written(source, chosen, place, pieces, overwrite=overwrite)
+            notes = (*notes, *more)
+            print_line(f"{written}: {chosen}, {written.stat().st_size} bytes")
+        yield from notes
 
 
 def _chosen_format(format_name: str | None, schemas: str | None, output: Path | None) -> str:
@@ -317,7 +359,7 @@ def _mediapipe(source: ExportSource) -> Pieces:
     from posetrack_cli.hand.mediapipe import mediapipe_text
 
     check_hand(source, "mediapipe")
-    side = configuration_of(source.result.run).hand.side
+    side = source.result.subject.label or configuration_of(source.result.run).hand.side
     return mediapipe_text(source, "left" if side == "left" else "right"), ()
 
 

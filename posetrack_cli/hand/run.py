@@ -150,7 +150,7 @@ class HandRun(Run):
         renderer = str(device.info)
         self.cameras = (self._camera,)
         triangles = None if self._mesh is None else self._mesh.triangles
-        self.subject = Subject(
+        subject = Subject(
             "hand",
             self._camera.name,
             ANGLE_NAMES,
@@ -159,6 +159,7 @@ class HandRun(Run):
             triangles,
             number_names=NUMBER_NAMES,
         )
+        self.subjects = (subject,)
         self.record = run_record(recording, self._camera, config, options, renderer, self._start_pose)
         self._blank: list[int] = []
         self._use = (
@@ -175,7 +176,7 @@ class HandRun(Run):
             return self.tracker.start_unknown(pose, frame, rng)
         return self.tracker.start(pose, frame.stamp_ns, rng)
 
-    def vertices(self, estimate: Estimate) -> FloatArray | None:
+    def vertices(self, estimate: Estimate, subject: int = 0) -> FloatArray | None:
         """Return the skin of an estimate; None if no mesh is written."""
         if self._mesh is None:
             return None
@@ -239,7 +240,8 @@ class _Smoothing:
     def __init__(self, run: HandRun, track: SmoothedTrack[Estimate], fits: HandFits | None) -> None:
         self._run, self._track, self._fits = run, track, fits
 
-    def remember(self, state: Any, estimate: Estimate) -> None:
+    def remember(self, state: Any, *estimates: Estimate) -> None:
+        (estimate,) = estimates
         frame: Memory = {INNER: inner_of(estimate.numbers)}
         if self._fits is not None:
             frame = self._fits.keep(state.observation, state.modes, state.pose, estimate.confidence)
