@@ -19,6 +19,8 @@ from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.recording import Recording
 
 SIDES = ("right", "left")
+BOTH, ONE_OF_TWO = "2", "1 of 2"
+"""Values of ``hand.count`` with two hands in view."""
 QUICK_SEARCH = {"scattered": 4, "finished": 3}
 """Settings of a search for comparisons that do not need the last 0.1 mm."""
 FRAMES = 16
@@ -133,4 +135,6 @@ def shape_of_both(
         except RecordingError:  # too few frames
             continue
         shapes += [one] if is_usable(one) else []
-    return combined(*shapes, config.hand.mesh) if len(shapes) == len(SIDES) else next(iter(shapes), None)
+    if len(shapes) == len(SIDES):
+        return combined(shapes[0], shapes[1], config.hand.mesh)
+    return shapes[0] if shapes else None

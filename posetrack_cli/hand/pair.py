@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated
 
@@ -11,14 +11,17 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.fit.skeleton import INNER_SIZE
+from posetrack_cli.hand.observe.observation import PixelSampler
 from posetrack_cli.hand.observe.others import HandDrawer, SeenHand, without_others
 from posetrack_cli.hand.search import cheapest_pair
 from posetrack_cli.hand.state import HandState
 from posetrack_cli.hand.tracker import HandTracker
 from posetrack_cli.recording.base import Frame
+from posetrack_cli.rendering.port import Window
 from posetrack_cli.results.columns import floats
 from posetrack_cli.results.estimate import Estimate
 from posetrack_cli.tracking.confidence import PROBABLY
+from posetrack_cli.tracking.state_codec import Codec, Fields, codec_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,36 +34,72 @@ class PairState:
         confidence: (2,) of the last frame.
     """
 
-    hands: tuple[HandState, ...]
+    hands: tuple[HandState, HandState]
     inner: Annotated[FloatArray, floats(2, INNER_SIZE)]
     confidence: Annotated[FloatArray, floats(2)]
 
 
+def pinhole(camera: Camera) -> Camera:
+    """Return a camera without its lens distortion."""
+    return replace(camera, distortion=()) if camera.is_distorted else camera
+
+
+def _state_of(hands: Iterable[HandState]) -> PairState:
+    first, second = hands
+    return PairState((first, second), np.array([first.expected, second.expected]), np.zeros(2))
+
+
+def _both(first: HandState, second: HandState) -> tuple[HandState, HandState]:
+    return first, second
+
+
+def _first(hands: tuple[HandState, HandState]) -> HandState:
+    return hands[0]
+
+
+def _second(hands: tuple[HandState, HandState]) -> HandState:
+    return hands[1]
+
+
 class PairTracker:
-    """Tracks two hands in the images of a pinhole camera.
+    """Tracks two hands.
 
     Args:
-        trackers: of the hands.
-        drawers: of the hands.
-        camera: of the depth images, without distortion.
+        trackers: of the hands, for pinhole images.
+        drawers: of the hands, likewise.
+        camera: of the depth images; lens distortion is removed here.
+        reported: number of hands with an estimate, the first ones.
     """
 
     def __init__(
-        self, trackers: Sequence[HandTracker], drawers: Sequence[HandDrawer], camera: Camera
+        self,
+        trackers: Sequence[HandTracker],
+        drawers: Sequence[HandDrawer],
+        camera: Camera,
+        reported: int = 2,
     ) -> None:
-        self.trackers, self._drawers, self._camera = tuple(trackers), tuple(drawers), camera
+        self.trackers, self._drawers, self._reported = tuple(trackers), tuple(drawers), reported
+        self._camera = pinhole(camera)
+        self._sampler = PixelSampler(camera) if camera.is_distorted else None
+        right, left = (tracker.codec for tracker in self.trackers)
+        hands = Fields(_both, first=(_first, right), second=(_second, left))
+        self.codec: Codec[PairState] = codec_of(PairState, hands=hands)
 
-    def start_unknown(self, poses: Sequence[FloatArray], frame: Frame, rng: np.random.Generator) -> PairState:
+    def start(self, pose: FloatArray, stamp_ns: int, rng: np.random.Generator) -> PairState:
+        """Return the state with both hands around a pose (22,)."""
+        return _state_of(tracker.start(pose, stamp_ns, rng) for tracker in self.trackers)
+
+    def start_unknown(self, pose: FloatArray, frame: Frame, rng: np.random.Generator) -> PairState:
         """Return the state before a first frame in which both hands are to be detected."""
-        pairs = zip(self.trackers, poses, strict=True)
-        states = tuple(tracker.start_unknown(pose, frame, rng) for tracker, pose in pairs)
-        inner = np.array([state.expected for state in states])
-        return PairState(states, inner, np.zeros(len(states)))
+        return _state_of(tracker.start_unknown(pose, frame, rng) for tracker in self.trackers)
 
     def step(
         self, state: PairState, frame: Frame, rng: np.random.Generator
     ) -> tuple[PairState, tuple[Estimate, ...]]:
         """Advance both trackers by one frame, the hand nearer to the camera first."""
+        if self._sampler is not None:
+            whole = Window(0, 0, 1, self._camera.width, self._camera.height)
+            frame = replace(frame, images=(self._sampler.sample(frame.depth, whole),))
         seen = self._with_candidates([self._predicted(k, state, frame) for k in (0, 1)], state, frame.depth)
         states, inner, confidence = list(state.hands), state.inner.copy(), state.confidence.copy()
         estimates: dict[int, Estimate] = {}
@@ -73,7 +112,8 @@ class PairTracker:
             seen[k] = None
             if not after.monitor.lost:
                 seen[k] = SeenHand(self._drawers[k], after.pose, inner[k], bool(confidence[k] >= PROBABLY))
-        return PairState(tuple(states), inner, confidence), (estimates[0], estimates[1])
+        after_both = PairState((states[0], states[1]), inner, confidence)
+        return after_both, tuple(estimates[k] for k in range(self._reported))
 
     def _predicted(self, k: int, state: PairState, frame: Frame) -> SeenHand | None:
         """Return a hand at its predicted place; None if it is lost."""

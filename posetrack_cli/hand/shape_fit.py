@@ -448,7 +448,7 @@ class _Calibrator:
         poses, costs = np.zeros((len(frames), POSE_SIZE)), np.full(len(frames), np.inf)
         poses[:, 6], thumbs = 1.0, np.zeros((len(frames), len(NO_THUMB)))
         with phase(f"finding the {self._side} hand, {round_name}", "frame", len(frames)) as advance:
-            for k, frame in enumerate(frames):
+            for k in range(len(frames)):
                 found = self._search(finder, k)
                 if found is not None:
                     poses[k], costs[k] = inside_limits(found.pose[None])[0], found.cost
