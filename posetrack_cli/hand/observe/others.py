@@ -1,9 +1,9 @@
 """Several hands in one image: which readings each of them explains **[ours]**.
 
-Trackers of several hands see the same image, each without what the others explain (Kyriazis and Argyros 2014:
-one tracker per object, with the others' last renderings as context, is nearly as good as a joint state at
-linear cost). The joint likelihood factors over pixels: a pixel belongs to the hand whose surface is nearest to
-the reading. For every other hand it is a foreign surface, which hides what is behind it and is no evidence
+Trackers of several hands see the same image, each without what the others explain: one tracker per object,
+with the others' last renderings as context, is nearly as good as a joint state at linear cost (Kyriazis and
+Argyros 2014). The joint likelihood factors over pixels: a pixel belongs to the hand whose surface is nearest
+to the reading. For every other hand it is a foreign surface, which hides what is behind it and is no evidence
 against it.
 """
 
