@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 from posetrack_cli.hand.config import StatusSettings
 from posetrack_cli.hand.fit.skeleton import NO_INNER
 from posetrack_cli.hand.model.anatomy import make_anatomy
-from posetrack_cli.hand.observe.observation import Observation
 from posetrack_cli.hand.policy import (
     LEAVE_AFTER_SEARCHES,
     Decision,
