@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import heapq
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime, timedelta
@@ -26,7 +27,6 @@ from posetrack_cli.cli.options import (
     recording_options,
     tolerance_option,
     track_option,
-    truth_option,
 )
 from posetrack_cli.cli.running import print_opened
 from posetrack_cli.cli.terminal import STANDARD_OUTPUT, bar, print_data, print_line, print_note
@@ -61,9 +61,13 @@ if TYPE_CHECKING:
     group=WRITTEN,
 )
 @option_group(
-    truth_option(
-        "Ground truth of hand joints to add, CSV: stamp_ns or t_s, and <joint>_x_mm, _y_mm, _z_mm in camera "
-        "axes."
+    option(
+        "--truth",
+        metavar="[SIDE=]FILE",
+        multiple=True,
+        help="Ground truth of hand joints to add, CSV: stamp_ns or t_s, and <joint>_x_mm, _y_mm, _z_mm in "
+        "camera axes; of two hands left=FILE and right=FILE. Repeatable.",
+        meaning="Ground truth file",
     ),
     title="Ground truth",
 )
@@ -78,7 +82,7 @@ if TYPE_CHECKING:
 def convert(
     recording: Path,
     output: Path,
-    truth: Path | None,
+    truth: tuple[str, ...],
     overwrite: bool,
     raw: bool,
     images: bool,
@@ -91,8 +95,8 @@ def convert(
     raw images and H.264 and H.265 video without B-frames are copied unchanged. Other images are stored as the
     8-bit grey that is tracked, other video as JPEG images, which differ slightly.
 
-    Ground truth in IN is copied; --truth adds joints as /truth/hand/points, used by eval. Exit code 3: frames
-    were lost.
+    Ground truth in IN is copied; --truth adds joints as /truth/hand/points (or /truth/hand/left/points), used
+    by eval. Exit code 3: frames were lost.
     """
     from posetrack_cli.losses import loss_line
     from posetrack_cli.recording.conversion import convert_recording
@@ -100,7 +104,7 @@ def convert(
 
     source = open_any(recording, images=images, **reading_options(options))
     print_opened(recording, source)
-    joints = [] if truth is None else _joints(truth, source)
+    joints = _joints(truth, source)
     source.identity()  # of a large file it takes long, and has a bar of its own
     with bar("convert", "frame", source.frame_count) as shown:
         conversion = convert_recording(
@@ -116,17 +120,35 @@ def convert(
         click.get_current_context().exit(EXIT_DATA_LOST)
 
 
-def _joints(path: Path, source: Recording) -> list[TruthMessage]:
+def _joints(given: Sequence[str], source: Recording) -> list[TruthMessage]:
+    """Read joints of one or two hands from CSV as ground truth messages in log-time order."""
+    each = [_joints_of(*_side_and_file(text), source) for text in given]
+    return list(heapq.merge(*each, key=lambda message: message.log_time_ns))
+
+
+_SIDES = ("right", "left")
+
+
+def _side_and_file(text: str) -> tuple[str, Path]:
+    """Return side and path of ``[SIDE=]FILE``; the side is empty if it is not given."""
+    side, equals, path = text.partition("=")
+    if not equals or side not in _SIDES:
+        side, path = "", text
+    return side, Path(FILE.convert(path, None, None))
+
+
+def _joints_of(side: str, path: Path, source: Recording) -> list[TruthMessage]:
     """Read joints from CSV as ground truth messages; refuse recordings that already have some."""
     from posetrack_cli.evaluation.reading.truth_tables import load_csv_track
     from posetrack_cli.evaluation.reading.truth_topics import points_messages, points_topic
     from posetrack_cli.hand.model.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS
     from posetrack_cli.results.estimate import Subject
 
-    subject = Subject("hand", source.cameras[0].name, ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS)
-    if any(message.topic == points_topic(subject.name) for message in source.truth()):
+    names = ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS
+    subject = Subject("hand", source.cameras[0].name, *names, label=side)
+    if any(message.topic == points_topic(subject.topic) for message in source.truth()):
         raise UsageError("recording already has ground truth joints", where=source.path, hint="omit --truth")
-    return list(points_messages(load_csv_track(path, subject)))
+    return list(points_messages(load_csv_track(path, subject), subject.topic))
 
 
 # posetrack export

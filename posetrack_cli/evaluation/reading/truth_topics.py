@@ -212,8 +212,8 @@ def points_topic(subject: str) -> str:
     return f"{TRUTH_PREFIX}{subject}/points"
 
 
-def points_messages(track: Track) -> Iterator[TruthMessage]:
-    """Yield the points of a track as ground-truth messages, one per frame.
+def points_messages(track: Track, subject: str) -> Iterator[TruthMessage]:
+    """Yield the points of a track as ground-truth messages of a subject (``Subject.topic``), one per frame.
 
     Raises:
         TruthError: the track has no points, or a negative stamp.
@@ -228,7 +228,7 @@ def points_messages(track: Track) -> Iterator[TruthMessage]:
             for name, (x, y, z) in zip(track.point_names, points, strict=True)
         ]
         data = json.dumps({"stamp_ns": stamp_ns, "points": named}, separators=(",", ":")).encode()
-        topic = points_topic(track.subject)
+        topic = points_topic(subject)
         yield TruthMessage(topic, POINTS_SCHEMA_NAME, "jsonschema", _SCHEMA_TEXT, "json", stamp_ns, data)
 
 
