@@ -21,9 +21,11 @@ from posetrack_cli.results import read_result
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
 from support.two_people import Walker, make_recording
 
-FPS, FRAMES = 15.0, 30
-CONFIG = HeadMonoConfig.model_validate({"particles": {"count": 150}})
-HIDDEN = range(11, 18)
+FPS, FRAMES = 15.0, 24
+CONFIG = HeadMonoConfig.model_validate(
+    {"particles": {"count": 100}, "adjustment": {"views": 6}, "skin": {"use": False}}
+)
+HIDDEN = range(10, 14)
 """Frames in which the head behind is covered by more than half."""
 
 
@@ -74,7 +76,7 @@ def test_identities_survive_a_crossing(crossing: Path, result: Path) -> None:
         assert turned.median < 3.0  # right, by the definition of a right frame
         lost = read_result(result).of(label).to_numpy()["status"] == "lost"
         assert lost.mean() < 0.5
-        assert set(np.flatnonzero(lost)) <= {*range(5), *range(8, 22)}  # not found yet, or partly hidden
+        assert set(np.flatnonzero(lost)) <= {*range(4), *range(7, 19)}  # not found yet, or partly hidden
 
 
 def test_a_hidden_head_is_lost_and_found_again(result: Path) -> None:
@@ -94,12 +96,10 @@ def test_every_track_has_a_smoothed_one_and_shares_topics(result: Path) -> None:
         assert len(part.to_numpy("smoothed")["stamp_ns"]) == FRAMES
 
 
-@pytest.mark.parametrize("stop_after", [14, FRAMES + 16])
-def test_an_interrupted_run_continues_to_the_same_bytes(
-    crossing: Path, result: Path, tmp_path: Path, stop_after: int
-) -> None:
+def test_an_interrupted_run_continues_to_the_same_bytes(crossing: Path, result: Path, tmp_path: Path) -> None:
     path = tmp_path / result.name
-    tracked(crossing, path, stop_after=stop_after)
+    tracked(crossing, path, stop_after=FRAMES + 13)  # within the second pass
+    assert read_result(part_path(path)).labels == ("1", "2")
     assert part_path(path).exists()
     tracked(crossing, path, resume=True)
     assert filecmp.cmp(path, result, shallow=False)

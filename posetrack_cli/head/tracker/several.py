@@ -38,6 +38,8 @@ COVERED_EYES = (1.25, 1.7)
 """Half axes, across and along the face, of the region that a head covers, in eye distances."""
 ONE_FACE_EYES = 0.7
 """Heads closer than this in the image, in eye distances, follow the same face."""
+JUMP_NS, JUMP_RATIO = 200_000_000, 1.25
+"""Within this time, no head moves by an eye distance or changes its size by this ratio."""
 TRAIL_EVERY_NS = 250_000_000
 """Interval of the places of a head that a second pass knows."""
 GUIDED_NS, GUIDED_EYES = 1_000_000_000, 2.0
@@ -174,7 +176,7 @@ class HeadsTracker:
             if own is None:
                 continue
             found[k] = _Found(*own)
-            if self._is_elsewhere(k, found[k], frame.stamp_ns):
+            if self._is_elsewhere(k, found[k], frame.stamp_ns) or self._has_jumped(state, k, found[k]):
                 del found[k]
                 continue
             for other in [j for j in found if j != k and self._are_one(found[j].state, found[k].state)]:
@@ -217,6 +219,18 @@ class HeadsTracker:
         if found.is_seen and self._is_elsewhere(k, found, frame.stamp_ns):
             return _Found(*self._of(k).miss(member.state, frame, rng))
         return found
+
+    def _has_jumped(self, state: HeadsState, k: int, found: _Found) -> bool:
+        """Whether a track has gone over to another face, near to it or about to become a person."""
+        member, now = state.members[k], self._region(found.state)
+        before, sought = self._region(member.state), _sought(state.seeker, member)
+        if now is None or before is None or member.state.track is None:
+            return False
+        if sought is not None and now.is_near(sought, ONE_FACE_EYES):
+            return True
+        is_soon = found.estimate.stamp_ns - member.state.track.stamp_ns <= JUMP_NS
+        ratio = now.eye_distance / before.eye_distance
+        return is_soon and not (now.is_near(before, 1.0) and 1.0 / JUMP_RATIO < ratio < JUMP_RATIO)
 
     def _is_elsewhere(self, k: int, found: _Found, stamp_ns: int) -> bool:
         """Whether a head is not where it was in the first pass."""
