@@ -100,9 +100,11 @@ def make_heads_run(
     _check_of_all(config, options)
 
     def make_tracker(known: Learned | None) -> LearningTracker[Any]:
-        people: list[Learned | None] = [None] if known is None else [*people_of(known)]
-        trackers = [make_mono_tracker(config, camera, one, follows_one=True) for one in people]
-        return HeadsTracker(camera, trackers, is_second_pass=known is not None)
+        if known is None:
+            return HeadsTracker(camera, [make_mono_tracker(config, camera, follows_one=True)])
+        people = people_of(known)
+        trackers = [make_mono_tracker(config, camera, one, follows_one=True) for one, _ in people]
+        return HeadsTracker(camera, trackers, [trail for _, trail in people])
 
     run = HeadsRun(
         source,

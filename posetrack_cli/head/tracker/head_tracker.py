@@ -240,6 +240,15 @@ class HeadTracker(Generic[State, Found]):
             return self._coast(state, now)
         return self._reacquire(state, now)
 
+    def follow(self, state: State, frame: Frame, rng: np.random.Generator) -> tuple[State, Estimate] | None:
+        """Advance a tracked head by a frame without a search; None if it is not where it is expected."""
+        state, prepared = self._faces.prepare(state, frame)
+        if state.track is None:
+            return None
+        now = SeededFrame(prepared, rng)
+        state, fit = self._faces.fit(state, state.track, now)
+        return self._update(state, now, fit, reinitialised=False) if self._accepts(state, fit) else None
+
     def miss(self, state: State, frame: Frame, rng: np.random.Generator) -> tuple[State, Estimate]:
         """Advance by a frame in which the head counts as lost, without a search."""
         state, prepared = self._faces.prepare(state, frame)

@@ -80,6 +80,8 @@ changes the image like a cut but stays near its place."""
 RECOGNITION_SHARE = 0.85
 """After a cut, share of the usual score that a known person must reach. Until then the face is tracked
 without learning."""
+RESEMBLANCE_SHARE = 0.75
+"""Share of the usual score that the only person must reach to be found again among others."""
 LEAST_SIMILARITY = 0.2
 """Minimum score for following a face at the last place and size without its templates, which do not match a
 turned or blurred face."""
@@ -272,12 +274,16 @@ class MonoPeople:
             fit = fitter.fit_detection(state.people[index], found, last_seen_ns, frame)
             last = fit if last is None else last
             yield state.switch_person(index, frame.index), fit
-        if last is not None and last.score > LEAST_SIMILARITY and not self._is_elsewhere(state, found):
+        if last is None or self._follows_one:  # a place is no evidence where heads cross
+            return
+        if last.score > LEAST_SIMILARITY and not self._is_elsewhere(state, found):
             yield state, self._pipeline(state).fitter.fit_anchored(state.person, found, last_seen_ns, frame)
 
     def least_score(self, state: MonoState) -> float:
         """Return the minimum score of a tracked face, higher for some time after a cut."""
         least = self._config.status.tracking_above
+        if self._follows_one and state.lost:
+            least = max(least, RESEMBLANCE_SHARE * state.person.mean_score)
         # soon after a cut poorly matching frames are not learned from, so the usual threshold is safe
         if not state.cut or state.strange < self._patience(state):
             return least
