@@ -255,9 +255,10 @@ def track_head(
             run = make_stereo_run(recording, stereo, options, _ignore)
         else:
             mono = _configured(HeadMonoConfig, files, own)
-            run = make_mono_run(recording, mono, options, face, _ignore)
-        if fov_deg is None and recording.is_guessed:
-            warnings.warn(guess_note(recording, "fov_deg", is_given=False), stacklevel=2)
+            run = make_mono_run(recording, mono, options, face, _ignore, fov_is_given=fov_deg is not None)
+            note = guess_note(run, "fov_deg")
+            if note and fov_deg is None:
+                warnings.warn(note, stacklevel=2)
         return Tracking(run, folder.pop_all())
 
 

@@ -366,8 +366,9 @@ def head_mono(recording: Path, **options: Any) -> None:
     def made(first_pass: Report) -> HeadRun:
         from posetrack_cli.head.runs import guess_note, make_mono_run
 
-        run = make_mono_run(source, config, chosen, face, first_pass)
-        note = guess_note(source, "--fov", is_given=options["fov"] is not None)
+        fov_is_given = options["fov"] is not None
+        run = make_mono_run(source, config, chosen, face, first_pass, fov_is_given=fov_is_given)
+        note = guess_note(run, "--fov")
         if note:
             print_note(f"{source.path}: {note}")
         return run

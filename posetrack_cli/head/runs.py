@@ -6,13 +6,17 @@ from pathlib import Path
 from typing import Any
 
 from posetrack_cli.errors import UsageError
-from posetrack_cli.head.config import HeadMonoConfig, HeadStereoConfig
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.head.config import HeadMonoConfig, HeadStereoConfig, SkinSettings
+from posetrack_cli.head.lens.estimation import estimate_lens
+from posetrack_cli.head.lens.lens import EstimatedLens
 from posetrack_cli.head.multilinear.face_model import FaceModel, load_face_model
-from posetrack_cli.head.run import HeadRun, HeadRunOptions
+from posetrack_cli.head.run import HeadRun, HeadRunOptions, check_head_run
 from posetrack_cli.head.subject import head_subject, mono_subject
 from posetrack_cli.head.tracker.given_person import GivenPerson, read_person
-from posetrack_cli.head.tracker.mono import make_mono_tracker
+from posetrack_cli.head.tracker.mono import MonoPeople, make_mono_people, make_mono_tracker
 from posetrack_cli.head.tracker.stereo import components_of, make_stereo_tracker
+from posetrack_cli.recording.camera_of import guess_of_camera
 from posetrack_cli.recording.identity import file_digest, shown_name
 from posetrack_cli.recording.recording import Recording
 from posetrack_cli.tracking.run import Report
@@ -48,20 +52,44 @@ def make_mono_run(
     options: HeadRunOptions,
     face: int,
     first_pass: Report,
+    *,
+    fov_is_given: bool = False,
 ) -> HeadRun:
-    """Return a run of the tracker for one camera; ``face`` counts from 1, the largest first."""
-    (camera,) = source.cameras
+    """Return a run of the tracker for one camera.
+
+    Args:
+        source: the recording.
+        config: of the run.
+        options: of the run.
+        face: face to track, from 1, the largest first.
+        first_pass: see ``HeadRun``.
+        fov_is_given: whether the user states the focal length of a camera without calibration; otherwise it
+            is estimated.
+    """
     file = None if config.model.file is None else Path(config.model.file)
     clicked = None if options.init is None else Path(options.init)
     model = load_face_model(file)
     given = _given_person(options, config, model)
     person = {} if given is None else {"systematic_sd": given.systematic_sd}
+    lens = None
+    if source.is_guessed and config.lens.estimate and not fov_is_given:
+        check_head_run(source, options)  # before some seconds of work
+        lens = _estimated_lens(source, config, options, face, clicked)
+        source = source.with_camera(lens.camera)
+    (camera,) = source.cameras
 
     def make_tracker(known: Learned | None) -> LearningTracker[Any]:
         if known is None and given is not None:
             known = given.learned
         return make_mono_tracker(
-            config, camera, known, face=face - 1, clicked=clicked, landmarks=options.landmarks, **person
+            config,
+            camera,
+            known,
+            face=face - 1,
+            clicked=clicked,
+            landmarks=options.landmarks,
+            lens=lens,
+            **person,
         )
 
     return HeadRun(
@@ -74,23 +102,42 @@ def make_mono_run(
         make_tracker=make_tracker,
         origin=model.deformation_mean,
         first_pass=first_pass,
-        extra_record=_stated(source, file, face, _scale_from(config, given)),
+        extra_record=_stated(source, file, face, _scale_from(config, given))
+        | ({} if lens is None else lens.record()),
     )
 
 
-def guess_note(source: Recording, option: str, *, is_given: bool) -> str:
+def _estimated_lens(
+    source: Recording, config: HeadMonoConfig, options: HeadRunOptions, face: int, clicked: Path | None
+) -> EstimatedLens:
+    """Return the camera of a recording without calibration, estimated from some of its frames."""
+    with_skin = config.model_copy(update={"skin": SkinSettings(use=True)})
+
+    def make_people(camera: Camera) -> MonoPeople:
+        return make_mono_people(
+            with_skin, camera, face=face - 1, clicked=clicked, landmarks=options.landmarks
+        )
+
+    return estimate_lens(source, options, make_people)
+
+
+def guess_note(run: HeadRun, option: str) -> str:
     """Return a note on the focal length of an uncalibrated camera; empty for a calibrated one.
 
     Args:
-        source: the recording.
+        run: the run.
         option: name of the option or parameter of the field of view.
-        is_given: whether the user gave it.
     """
-    if not source.is_guessed:
+    (camera,), record = run.cameras, run.record
+    if record["intrinsics"] == "given":
         return ""
-    by = option if is_given else f"field of view of 53 degrees; change it with {option}"
+    focal, fov = f"{camera.fx:.0f}", f"{guess_of_camera(camera).fov_deg:.0f} degrees"
+    if record["intrinsics"] == "guessed":
+        return f"no calibration: focal length set to {focal} px ({fov}); distances are approximate"
+    sd = float(record["focal_sd_px"])
     return (
-        f"no calibration: focal length set to {source.cameras[0].fx:.0f} px ({by}); distances are approximate"
+        f"no calibration: focal length estimated as {focal} +- {sd:.0f} px (field of view {fov}); state the "
+        f"field of view with {option} if you know it"
     )
 
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import queue
 import threading
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from itertools import islice
+from copy import copy
+from dataclasses import dataclass, replace
+from itertools import islice, takewhile
 from pathlib import Path
 from typing import Generic, TypedDict, TypeVar
 
@@ -157,6 +158,19 @@ class Recording:
             self.matched(log), log, start=start, end=start + frames * stride, stride=every
         )
         return islice(self._decoded(selected, log), 2 * count)
+
+    def pick(self, indices: Sequence[int]) -> Iterator[Frame]:
+        """Yield the frames with these indices, in ascending order; losses are not recorded."""
+        wanted, last, log = frozenset(indices), max(indices, default=-1), LossLog()
+        upto = takewhile(lambda one: one[0] <= last, self.stored_frames(log))
+        return self._decoded((one for one in upto if one[0] in wanted), log)
+
+    def with_camera(self, camera: Camera) -> Recording:
+        """Return the recording with another model of its only camera."""
+        (stream,) = self._streams
+        other = copy(self)
+        other.cameras, other._streams = (camera,), (replace(stream, camera=camera),)
+        return other
 
     def stored_frames(self, losses: LossLog) -> Iterator[tuple[int, StoredFrame]]:
         """Yield (index, undecoded frame) for every frame that ``frames`` yields."""
