@@ -12,9 +12,11 @@ from posetrack_cli.head.lens.estimation import estimate_lens
 from posetrack_cli.head.lens.lens import EstimatedLens
 from posetrack_cli.head.multilinear.face_model import FaceModel, load_face_model
 from posetrack_cli.head.run import HeadRun, HeadRunOptions, check_head_run
-from posetrack_cli.head.subject import head_subject, mono_subject
+from posetrack_cli.head.several_run import HeadsRun
+from posetrack_cli.head.subject import MONO_TRACK, head_subject, mono_subject
 from posetrack_cli.head.tracker.given_person import GivenPerson, read_person
 from posetrack_cli.head.tracker.mono import MonoPeople, make_mono_people, make_mono_tracker
+from posetrack_cli.head.tracker.several import HeadsTracker, people_of
 from posetrack_cli.head.tracker.stereo import components_of, make_stereo_tracker
 from posetrack_cli.recording.camera_of import guess_of_camera
 from posetrack_cli.recording.identity import file_digest, shown_name
@@ -70,12 +72,8 @@ def make_mono_run(
     clicked = None if options.init is None else Path(options.init)
     model = load_face_model(file)
     given = _given_person(options, config, model)
-    person = {} if given is None else {"systematic_sd": given.systematic_sd}
-    lens = None
-    if source.is_guessed and config.lens.estimate and not fov_is_given:
-        check_head_run(source, options)  # before some seconds of work
-        lens = _estimated_lens(source, config, options, face, clicked)
-        source = source.with_camera(lens.camera)
+    systematic_sd = MONO_TRACK.systematic_sd if given is None else given.systematic_sd
+    source, lens = _with_lens(source, config, options, face, fov_is_given=fov_is_given)
     (camera,) = source.cameras
 
     def make_tracker(known: Learned | None) -> LearningTracker[Any]:
@@ -88,8 +86,8 @@ def make_mono_run(
             face=face - 1,
             clicked=clicked,
             landmarks=options.landmarks,
+            systematic_sd=systematic_sd,
             lens=lens,
-            **person,
         )
 
     return HeadRun(
@@ -102,23 +100,84 @@ def make_mono_run(
         make_tracker=make_tracker,
         origin=model.deformation_mean,
         first_pass=first_pass,
-        extra_record=_stated(source, file, face, _scale_from(config, given))
-        | ({} if lens is None else lens.record()),
+        extra_record=_stated(source, lens, file, face, _scale_from(config, given)),
     )
 
 
-def _estimated_lens(
-    source: Recording, config: HeadMonoConfig, options: HeadRunOptions, face: int, clicked: Path | None
-) -> EstimatedLens:
-    """Return the camera of a recording without calibration, estimated from some of its frames."""
+def _with_lens(
+    source: Recording, config: HeadMonoConfig, options: HeadRunOptions, face: int, *, fov_is_given: bool
+) -> tuple[Recording, EstimatedLens | None]:
+    """Return the recording with an estimated camera if it has no calibration, and that camera."""
+    if not (source.is_guessed and config.lens.estimate) or fov_is_given:
+        return source, None
+    check_head_run(source, options)  # before some seconds of work
     with_skin = config.model_copy(update={"skin": SkinSettings(use=True)})
+    clicked = None if options.init is None else Path(options.init)
 
     def make_people(camera: Camera) -> MonoPeople:
         return make_mono_people(
             with_skin, camera, face=face - 1, clicked=clicked, landmarks=options.landmarks
         )
 
-    return estimate_lens(source, options, make_people)
+    lens = estimate_lens(source, options, make_people)
+    return source.with_camera(lens.camera), lens
+
+
+def make_heads_run(
+    source: Recording,
+    config: HeadMonoConfig,
+    options: HeadRunOptions,
+    first_pass: Report,
+    *,
+    fov_is_given: bool = False,
+) -> HeadsRun:
+    """Return a run that tracks all heads in the images of one camera; see ``HeadsRun`` and ``make_mono_run``.
+
+    Raises:
+        UsageError: an option applies to one person.
+    """
+    file = None if config.model.file is None else Path(config.model.file)
+    model = load_face_model(file)
+    _check_of_all(config, options)
+    source, lens = _with_lens(source, config, options, 1, fov_is_given=fov_is_given)
+    (camera,) = source.cameras
+
+    def make_tracker(known: Learned | None) -> LearningTracker[Any]:
+        people: list[Learned | None] = [None] if known is None else [*people_of(known)]
+        trackers = [make_mono_tracker(config, camera, one, lens=lens, follows_one=True) for one in people]
+        return HeadsTracker(camera, trackers, is_second_pass=known is not None)
+
+    run = HeadsRun(
+        source,
+        config,
+        options,
+        name="head-mono",
+        subject=mono_subject(camera.name, model),
+        flush_frames=config.output.flush_frames,
+        make_tracker=make_tracker,
+        origin=model.deformation_mean,
+        first_pass=first_pass,
+        extra_record=_stated(source, lens, file, "all", "prior"),
+    )
+    run.check_passes()
+    return run
+
+
+def _check_of_all(config: HeadMonoConfig, options: HeadRunOptions) -> None:
+    """Raise UsageError for options that apply to one person."""
+    given = {
+        "--init": options.init,
+        "--landmarks": options.landmarks,
+        "--load-model": options.load_model,
+        "--save-model": options.save_model,
+        "--person": options.person,
+        "--interpupillary-mm": config.person.interpupillary_mm,
+    }
+    for name, value in given.items():
+        if value is not None:
+            raise UsageError(
+                f"{name} applies to one face", hint="leave out --faces all, or choose one with --face N"
+            )
 
 
 def guess_note(run: HeadRun, option: str) -> str:
@@ -172,13 +231,16 @@ def _scale_from(config: HeadMonoConfig, given: GivenPerson | None) -> str:
     return "prior" if given is None or given.size is None else "person"
 
 
-def _stated(source: Recording, face_model: Path | None, face: int, scale: str) -> dict[str, str]:
+def _stated(
+    source: Recording, lens: EstimatedLens | None, face_model: Path | None, face: int | str, scale: str
+) -> dict[str, str]:
     """Return entries of the run record: assumptions that the images do not determine."""
     stated = {
         "scale": scale,
         "intrinsics": "guessed" if source.is_guessed else "given",
         "face": str(face),
         "face_model": "shipped",
+        **({} if lens is None else lens.record()),
     }
     if face_model is None:
         return stated

@@ -127,6 +127,7 @@ class MonoPeople:
         landmarks: of the recorded images, from another program.
         systematic_sd: (6,) standard deviations of the systematic error of a track.
         lens: uncertainty of the camera if its focal length was estimated.
+        follows_one: another person is not tracked, even after a cut.
 
     Raises:
         UsageError: a face detector without its model.
@@ -145,8 +146,10 @@ class MonoPeople:
         landmarks: LandmarkFile | None = None,
         systematic_sd: FloatArray = MONO_TRACK.systematic_sd,
         lens: EstimatedLens | None = None,
+        follows_one: bool = False,
     ) -> None:
         self._config, self._recorded, self._model, self._lens = config, camera, model, lens
+        self._follows_one = follows_one
         self._systematic_sd = systematic_sd
         self._landmarks = landmarks
         self._pupil_distance = interpupillary_distance(config.person)
@@ -289,11 +292,12 @@ class MonoPeople:
         if off_axis_deg(found.pose) > NEW_PERSON_OFF_AXIS_DEG:
             return state, False
         state = replace(state, strange=state.strange + 1, elsewhere=self._is_elsewhere(state, found))
-        return state, state.strange >= self._patience(state)
+        return state, state.strange >= self._patience(state) and not self._follows_one
 
     def _patience(self, state: MonoState) -> int:
         """Return the number of frames after which an unknown face becomes a new person."""
-        return NEW_PERSON_FRAMES_AFTER_CUT if state.cut and state.elsewhere else NEW_PERSON_FRAMES
+        is_quick = state.cut and state.elsewhere and not self._follows_one
+        return NEW_PERSON_FRAMES_AFTER_CUT if is_quick else NEW_PERSON_FRAMES
 
     def _is_elsewhere(self, state: MonoState, found: DetectedFace) -> bool:
         """Whether a face is away from the last position of the head or of another size."""
@@ -606,6 +610,7 @@ def make_mono_people(
     landmarks: LandmarkFile | None = None,
     systematic_sd: FloatArray = MONO_TRACK.systematic_sd,
     lens: EstimatedLens | None = None,
+    follows_one: bool = False,
 ) -> MonoPeople:
     """Create the one-camera part of a run's tracker.
 
@@ -618,6 +623,7 @@ def make_mono_people(
         landmarks: of the recorded images, from another program.
         systematic_sd: (6,) standard deviations of the systematic error of a track.
         lens: uncertainty of the camera if its focal length was estimated.
+        follows_one: another person is not tracked, even after a cut.
 
     Raises:
         UsageError, ResultError: a file is missing or invalid.
@@ -633,6 +639,7 @@ def make_mono_people(
         landmarks=landmarks,
         systematic_sd=systematic_sd,
         lens=lens,
+        follows_one=follows_one,
     )
 
 
