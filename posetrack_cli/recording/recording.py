@@ -103,6 +103,7 @@ class Recording:
         truth: yields the messages on ``/truth/...`` topics undecoded, in log-time order if indexed.
         tolerance_ns: maximum stamp difference within a frame.
         is_guessed: True if the intrinsics are a ``Guess``.
+        stated_focal: focal length over the longer image side according to the files of a guessed camera.
         why: source of each camera's model, as text.
         remarks: detections, choices and conversions made on opening, one line each.
     """
@@ -117,10 +118,12 @@ class Recording:
         truth: Callable[[], Iterator[TruthMessage]] = no_truth,
         tolerance_ns: int = 0,
         is_guessed: bool = False,
+        stated_focal: float | None = None,
         why: Sequence[str] = (),
         remarks: Sequence[str] = (),
     ) -> None:
         self.path, self.frame_count, self.is_guessed = path, frame_count, is_guessed
+        self.stated_focal = stated_focal
         self.why, self.remarks = tuple(why), tuple(remarks)
         self.identity, self._truth = identity, truth
         self.cameras: tuple[Camera, ...] = tuple(stream.camera for stream in streams)

@@ -48,11 +48,13 @@ class FirstLook(NamedTuple):
         camera: with which they were tracked.
         poses: of tracked frames.
         skin: matched skin of the face, and its camera; None with too few views.
+        stated: focal length over the longer image side in the metadata of the files.
     """
 
     camera: Camera
     poses: list[HeadPose]
     skin: tuple[MatchedSkin, Camera] | None
+    stated: float | None = None
 
     @property
     def longer_px(self) -> int:
@@ -82,7 +84,7 @@ def posterior(seen: FirstLook) -> EstimatedLens:
     focal length again.
     """
     camera, u, centre = seen.camera, log_focal_lengths(), np.zeros(2)
-    prior = log_prior(u, _eye_distance(seen) / seen.longer_px, is_crop=is_crop(camera))
+    prior = log_prior(u, _eye_distance(seen) / seen.longer_px, is_crop=is_crop(camera), stated=seen.stated)
     focal = _moments(u, prior + _of_focal_lengths(seen, u, centre))
     places, of_places = centre_prior(camera, focal.mean)
     sds = np.zeros(2)
@@ -162,7 +164,8 @@ def _first_look(recording: Recording, options: RunOptions, camera: Camera, peopl
         lost += 1
         if lost >= MOST_LOST:
             break
-    return FirstLook(camera, poses, None if state is None else people.matched_skin(state))
+    skin = None if state is None else people.matched_skin(state)
+    return FirstLook(camera, poses, skin, recording.stated_focal)
 
 
 def _some_frames(recording: Recording, options: RunOptions) -> Iterator[Frame]:

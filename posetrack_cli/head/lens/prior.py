@@ -6,7 +6,8 @@ camera, the face is at z = f 63 mm / e. The log-density of u is
     log p(u) = log [w N(u; u_1, s_1) + (1 - w) N(u; u_2, s_2)] + log N(log z; log z_0, s_z)
 
 The first component describes webcams and phones, the second crops and longer lenses. Images whose size no
-camera records are probably crops.
+camera records are probably crops. A focal length in the metadata of image or video is right to ``STATED_SD``,
+unless the image was cropped afterwards, with the probability ``STATED_WRONG``.
 """
 
 from __future__ import annotations
@@ -34,6 +35,8 @@ DISTANCE_MM, DISTANCE_SD = 650.0, 0.5
 """z_0 and s_z: from 0.24 to 1.8 m within two standard deviations."""
 ASPECTS = (4 / 3, 16 / 9, 3 / 2, 16 / 10, 5 / 4)
 """Aspect ratios of cameras."""
+STATED_SD, STATED_WRONG, STATED_WRONG_OF_CROPS = 0.06, 0.02, 0.5
+"""Standard deviation of the logarithm of a stated focal length, and probabilities that it is wrong."""
 LENS_CENTRE_SD = 0.02
 """Standard deviation of a lens's principal point from the image's middle, over the longer side."""
 CROP_CENTRE_SCALE, CROP_FREEDOM = 0.05, 2.0
@@ -51,16 +54,23 @@ def log_focal_lengths() -> FloatArray:
     return np.arange(widest, narrowest, STEP)
 
 
-def log_prior(u: FloatArray, eye_distance: float, *, is_crop: bool) -> FloatArray:
+def log_prior(
+    u: FloatArray, eye_distance: float, *, is_crop: bool, stated: float | None = None
+) -> FloatArray:
     """Return log p(u) up to a constant.
 
     Args:
         u: values.
         eye_distance: e / L; NaN if no face was found.
         is_crop: whether the image has a size that no camera records.
+        stated: f / L in the metadata.
     """
     share = WHOLE_SHARE_OF_CROPS if is_crop else WHOLE_SHARE
     density = share * _normal(u, WHOLE, WHOLE_SD) + (1.0 - share) * _normal(u, PART, PART_SD)
+    if stated is not None:
+        believed = _normal(u, math.log(stated), STATED_SD)
+        wrong = STATED_WRONG_OF_CROPS if is_crop else STATED_WRONG
+        density = (1.0 - wrong) * believed + wrong * density
     total = np.log(density)
     if np.isfinite(eye_distance):
         distance = u + math.log(EYE_DISTANCE_MM / eye_distance)
