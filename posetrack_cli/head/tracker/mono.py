@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -37,8 +37,10 @@ from posetrack_cli.head.initialisation.mono import (
 from posetrack_cli.head.initialisation.search import InitFailure
 from posetrack_cli.head.initialisation.single_view import pose_near
 from posetrack_cli.head.landmarks.faces import LandmarkFile, Landmarks
+from posetrack_cli.head.lens.lens import EstimatedLens
 from posetrack_cli.head.multilinear.face_model import FaceModel, load_face_model
 from posetrack_cli.head.particles.particles import velocity_between
+from posetrack_cli.head.skin.map import MatchedSkin
 from posetrack_cli.head.subject import MONO_TRACK, MonoDiagnostics
 from posetrack_cli.head.tracker.codecs import (
     FOCAL_PX,
@@ -126,6 +128,7 @@ class MonoPeople:
         known: exported people and templates to start from.
         landmarks: of the recorded images, from another program.
         systematic_sd: (6,) standard deviations of the systematic error of a track.
+        lens: uncertainty of the camera if its focal length was estimated.
         follows_one: another person is not tracked, even after a cut.
 
     Raises:
@@ -144,9 +147,10 @@ class MonoPeople:
         known: Arrays | None = None,
         landmarks: LandmarkFile | None = None,
         systematic_sd: FloatArray = MONO_TRACK.systematic_sd,
+        lens: EstimatedLens | None = None,
         follows_one: bool = False,
     ) -> None:
-        self._config, self._recorded, self._model = config, camera, model
+        self._config, self._recorded, self._model, self._lens = config, camera, model, lens
         self._follows_one = follows_one
         self._systematic_sd = systematic_sd
         self._landmarks = landmarks
@@ -358,7 +362,10 @@ class MonoPeople:
 
     def regression(self, reported: FrameFit) -> Regression:
         """Return the confidence model for a frame."""
-        return MONO if reported.unmatched is None else MONO_WITH_SKIN
+        regression = MONO if reported.unmatched is None else MONO_WITH_SKIN
+        if self._lens is None:
+            return regression
+        return regression._replace(most=self._lens.share_right(reported.track.pose))
 
     def describe(self, state: MonoState, fit: FrameFit | None) -> FaceDescription:
         """Return deformation and diagnostics of a frame."""
@@ -368,8 +375,21 @@ class MonoPeople:
             mean if fit is None else fit.coefficients + mean,
             self._model.deformation_deviations,
             self._diagnostics(state, fit).numbers(),
-            None if fit is None else size_and_systematic_variance(fit.track.pose, self._systematic_sd, size),
+            None if fit is None else self._systematic_variance(fit.track.pose, size),
         )
+
+    def _systematic_variance(self, pose: HeadPose, size: Size | None) -> FloatArray:
+        variance = size_and_systematic_variance(pose, self._systematic_sd, size)
+        return variance if self._lens is None else variance + self._lens.variance(pose)
+
+    def matched_skin(self, state: MonoState) -> tuple[MatchedSkin, Camera] | None:
+        """Return the skin of the person seen most and the camera of its images; None with too few frames."""
+        if not state.people:
+            return None
+        adjuster = self._pipeline(state).adjuster
+        person = max(state.people, key=lambda one: len(one.skin.views)).adjusted_over_album(adjuster)
+        matched = person.matched_skin(adjuster)
+        return None if matched is None else (matched, adjuster.camera)
 
     def export_model(self, state: MonoState, *, for_second_pass: bool) -> Learned:
         """Return the learned people and the focal length at which they were observed."""
@@ -390,8 +410,13 @@ class MonoPeople:
             f"person {who} is tracked from frame {frame} on (the first person is 0)"
             for frame, who in state.changes
         )
-        check = focal_length_check(state.person, self._pipeline(state).adjuster, state.scale or UNSCALED)
-        return (*people, *check, *self._size_warning(state))
+        return (*people, *self._focal_length_warning(state), *self._size_warning(state))
+
+    def _focal_length_warning(self, state: MonoState) -> tuple[str, ...]:
+        """Warn about wrong intrinsics, unless they were estimated."""
+        if self._lens is not None:
+            return ()
+        return focal_length_check(state.person, self._pipeline(state).adjuster, state.scale or UNSCALED)
 
     def _size_warning(self, state: MonoState) -> tuple[str, ...]:
         """Warn if the interpupillary distance implies an unlikely size of the first person."""
@@ -581,7 +606,7 @@ def size_and_systematic_variance(pose: HeadPose, systematic_sd: FloatArray, size
 MonoTracker: TypeAlias = HeadTracker[MonoState, DetectedFace]
 
 
-def make_mono_tracker(
+def make_mono_people(
     config: HeadMonoConfig,
     camera: Camera,
     known: Arrays | None = None,
@@ -590,9 +615,10 @@ def make_mono_tracker(
     clicked: Path | None = None,
     landmarks: LandmarkFile | None = None,
     systematic_sd: FloatArray = MONO_TRACK.systematic_sd,
+    lens: EstimatedLens | None = None,
     follows_one: bool = False,
-) -> MonoTracker:
-    """Create the tracker of a run.
+) -> MonoPeople:
+    """Create the one-camera part of a run's tracker.
 
     Args:
         config: of the run; names the face model's file.
@@ -602,26 +628,32 @@ def make_mono_tracker(
         clicked: table of points in the first frame; without it the face is detected there as well.
         landmarks: of the recorded images, from another program.
         systematic_sd: (6,) standard deviations of the systematic error of a track.
+        lens: uncertainty of the camera if its focal length was estimated.
         follows_one: another person is not tracked, even after a cut.
 
     Raises:
         UsageError, ResultError: a file is missing or invalid.
         PosetrackError: invalid clicked points.
     """
-    model = load_face_model(None if config.model.file is None else Path(config.model.file))
-    points = None if clicked is None else ClickedPoints.read(clicked, (camera,))
-    people = MonoPeople(
+    return MonoPeople(
         config,
         camera,
-        model,
+        load_face_model(None if config.model.file is None else Path(config.model.file)),
         choice=face,
-        clicked=points,
+        clicked=None if clicked is None else ClickedPoints.read(clicked, (camera,)),
         known=known,
         landmarks=landmarks,
         systematic_sd=systematic_sd,
+        lens=lens,
         follows_one=follows_one,
     )
-    return HeadTracker(people)
+
+
+def make_mono_tracker(
+    config: HeadMonoConfig, camera: Camera, known: Arrays | None = None, **options: Any
+) -> MonoTracker:
+    """Create the tracker of a run; see ``make_mono_people``."""
+    return HeadTracker(make_mono_people(config, camera, known, **options))
 
 
 def _known_scale(known: Arrays, scaling: Scaling) -> float:
