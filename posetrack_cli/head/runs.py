@@ -9,12 +9,13 @@ from posetrack_cli.errors import UsageError
 from posetrack_cli.head.config import HeadMonoConfig, HeadStereoConfig
 from posetrack_cli.head.multilinear.face_model import FaceModel, load_face_model
 from posetrack_cli.head.run import HeadRun, HeadRunOptions
-from posetrack_cli.head.subject import head_subject, mono_subject
+from posetrack_cli.head.subject import head_subject, mono_subject, with_dense_face
 from posetrack_cli.head.tracker.given_person import GivenPerson, read_person
 from posetrack_cli.head.tracker.mono import make_mono_tracker
 from posetrack_cli.head.tracker.stereo import components_of, make_stereo_tracker
 from posetrack_cli.recording.identity import file_digest, shown_name
 from posetrack_cli.recording.recording import Recording
+from posetrack_cli.results.estimate import Subject
 from posetrack_cli.tracking.run import Report
 from posetrack_cli.tracking.two_pass import Learned, LearningTracker
 
@@ -35,7 +36,7 @@ def make_stereo_run(
         config,
         options,
         name="head-stereo",
-        subject=head_subject(source.cameras[0].name, components_of(config)),
+        subject=_subject(head_subject(source.cameras[0].name, components_of(config)), config),
         flush_frames=config.output.flush_frames,
         make_tracker=make_tracker,
         first_pass=first_pass,
@@ -69,13 +70,17 @@ def make_mono_run(
         config,
         options,
         name="head-mono",
-        subject=mono_subject(camera.name, model),
+        subject=_subject(mono_subject(camera.name, model), config),
         flush_frames=config.output.flush_frames,
         make_tracker=make_tracker,
         origin=model.deformation_mean,
         first_pass=first_pass,
         extra_record=_stated(source, file, face, _scale_from(config, given)),
     )
+
+
+def _subject(subject: Subject, config: HeadStereoConfig | HeadMonoConfig) -> Subject:
+    return with_dense_face(subject) if config.face.use else subject
 
 
 def guess_note(source: Recording, option: str, *, is_given: bool) -> str:

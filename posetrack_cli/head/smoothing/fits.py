@@ -129,7 +129,7 @@ def _estimate(window: list[PosedFrame], index: int, origin: FloatArray) -> Estim
     coefficients, coefficient_rates, variance = _deformation(frame.memory, displacements, rates)
     twist = np.concatenate([frame.velocity, coefficient_rates])
     pose = np.concatenate([frame.pose, origin + coefficients])
-    places = frame.memory["neutral"] + displacements
+    places = np.vstack([frame.memory["neutral"] + displacements, frame.memory["further"]])
     return Estimate(
         **frame.facts._asdict(),
         position=pose[:3],

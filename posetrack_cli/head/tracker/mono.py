@@ -15,6 +15,7 @@ from posetrack_cli.head.actions import MEAN_DISPLACEMENTS
 from posetrack_cli.head.adjustment.adjuster import Adjuster
 from posetrack_cli.head.adjustment.focal_length import focal_length_check
 from posetrack_cli.head.config import HeadMonoConfig, PersonSettings
+from posetrack_cli.head.dense.face import DenseFaces
 from posetrack_cli.head.detection.detector import FaceDetector
 from posetrack_cli.head.face.points import (
     UNSCALED,
@@ -39,7 +40,7 @@ from posetrack_cli.head.initialisation.single_view import pose_near
 from posetrack_cli.head.landmarks.faces import LandmarkFile, Landmarks
 from posetrack_cli.head.multilinear.face_model import FaceModel, load_face_model
 from posetrack_cli.head.particles.particles import velocity_between
-from posetrack_cli.head.subject import MONO_TRACK, MonoDiagnostics
+from posetrack_cli.head.subject import MONO_TRACK, SIGN_NAMES, MonoDiagnostics, mono_diagnostic_names
 from posetrack_cli.head.tracker.codecs import (
     FOCAL_PX,
     MonoState,
@@ -53,7 +54,7 @@ from posetrack_cli.head.tracker.codecs import (
 )
 from posetrack_cli.head.tracker.face_learning import off_axis_deg, shift_of
 from posetrack_cli.head.tracker.frame_tracker import MONO, MONO_WITH_SKIN, FrameFit, SeededFrame, TrackState
-from posetrack_cli.head.tracker.head_tracker import FaceDescription, HeadTracker
+from posetrack_cli.head.tracker.head_tracker import FaceDescription, HeadTracker, without_dense
 from posetrack_cli.head.tracker.person import (
     CORNERS_SD_MM,
     PRIOR_SD,
@@ -172,6 +173,10 @@ class MonoPeople:
     def is_known(self, state: MonoState) -> bool:
         """Whether a person has been learned."""
         return bool(state.people)
+
+    def person_index(self, state: MonoState) -> int:
+        """Return the index of the current person."""
+        return state.current
 
     def detect(self, state: MonoState, frame: SeededFrame) -> DetectedFace | InitFailure:
         """Detect a face, near the last position unless that is outdated."""
@@ -604,11 +609,12 @@ def make_mono_tracker(
         model,
         choice=face,
         clicked=points,
-        known=known,
+        known=None if known is None else without_dense(known),
         landmarks=landmarks,
         systematic_sd=systematic_sd,
     )
-    return HeadTracker(people)
+    names = (*mono_diagnostic_names(model.identity_size), *SIGN_NAMES)
+    return HeadTracker(people, DenseFaces((camera,), names) if config.face.use else None, known)
 
 
 def _known_scale(known: Arrays, scaling: Scaling) -> float:
