@@ -10,7 +10,6 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.head.actions import ACTION_NAMES, action_numbers
 from posetrack_cli.head.config import HeadMonoConfig, HeadStereoConfig
 from posetrack_cli.head.dense.numbers import FACE_NUMBERS
-from posetrack_cli.head.dense.points import DENSE_COUNT, DENSE_LINES, DENSE_NAMES
 from posetrack_cli.head.face.points import LINES, POINT_COUNT, POINT_NAMES, of_kinds
 from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.results.estimate import Subject
@@ -114,13 +113,10 @@ def head_subject(camera_frame: str, components: int, numbers: tuple[str, ...] | 
 def with_dense_face(subject: Subject) -> Subject:
     """Return the subject of a head whose dense face is measured as well.
 
-    Its points and numbers follow those of the head. Actions estimated from the ten points are left out.
+    Its numbers follow those of the head. Actions estimated from the ten points are left out.
     """
     return replace(
         subject,
-        point_names=(*subject.point_names, *DENSE_NAMES),
-        point_parents=(*subject.point_parents, *[-1] * DENSE_COUNT),
-        lines=(*subject.lines, *((POINT_COUNT + a, POINT_COUNT + b) for a, b in DENSE_LINES)),
         number_names=(*(name for name in subject.number_names if name not in ACTION_NAMES), *FACE_NUMBERS),
     )
 

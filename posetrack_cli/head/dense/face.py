@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.geometry.camera import Camera, pixels_wherever
 from posetrack_cli.head.actions import ACTION_NAMES
 from posetrack_cli.head.dense.expressions import strengths
 from posetrack_cli.head.dense.lengths import (
@@ -33,6 +33,8 @@ from posetrack_cli.results.columns import floats
 from posetrack_cli.results.estimate import Estimate
 from posetrack_cli.tracking.state_codec import Codec, Fields, Stacked, codec_of, flag
 
+DECIMALS = 3
+"""Digits after the point of coordinates in results, which keeps the files small."""
 CLOSED_SHARE = 0.15
 """Opening of a closed eye, as a share of the open one."""
 SHUT_BELOW, OPEN_ABOVE = 0.4, 0.55
@@ -122,24 +124,17 @@ class DenseFaces:
         """
         known = (*known, *[self._unknown] * (person + 1 - len(known)))
         face, pose = known[person], HeadPose(estimate.position, estimate.quaternion)
-        if estimate.confidence <= 0.0:  # no head: the neutral face at its last place
-            return known, self._with_face(estimate, face.neutral.places, np.full(len(FACE_NUMBERS), np.nan))
+        own = np.zeros(0) if estimate.numbers is None else estimate.numbers[self._kept]
+        if estimate.confidence <= 0.0:  # no head
+            nothing = np.full(len(FACE_NUMBERS), np.nan)
+            return known, replace(estimate, numbers=np.concatenate([own, nothing]))
         points = measure(self._networks, RigImages(self._cameras, frame.images), pose)
         lengths = lengths_of(points.places, points.covariances)
         face = _after(face, lengths, points)
         known = (*known[:person], face, *known[person + 1 :])
-        places = np.where(np.isnan(points.places), face.neutral.places, points.places)
-        return known, self._with_face(estimate, places, _numbers(face, lengths, points, pose))
-
-    def _with_face(self, estimate: Estimate, places: FloatArray, numbers: FloatArray) -> Estimate:
-        """Return the estimate with points at places (D, 3) in the head's frame, and numbers."""
-        seen = HeadPose(estimate.position, estimate.quaternion).points(places)
-        own = np.zeros(0) if estimate.numbers is None else estimate.numbers[self._kept]
-        return replace(
-            estimate,
-            points=np.vstack([estimate.points, seen]),
-            numbers=np.concatenate([own, numbers]),
-        )
+        numbers = [own, _actions(face, lengths, points), _gazes(face, lengths, points, pose)]
+        numbers.append(_dense(points, pose, self._cameras[0]))
+        return known, replace(estimate, numbers=np.concatenate(numbers))
 
 
 def _openings(person: Person, lengths: Lengths) -> tuple[FloatArray, FloatArray]:
@@ -170,36 +165,33 @@ def _after(face: KnownFace, lengths: Lengths, points: DensePoints) -> KnownFace:
     return KnownFace(person, face.neutral.after(points.places, weight), is_closed)
 
 
-def _numbers(face: KnownFace, lengths: Lengths, points: DensePoints, pose: HeadPose) -> FloatArray:
-    """Return the numbers of a frame, in the order of ``FACE_NUMBERS``."""
+def _actions(face: KnownFace, lengths: Lengths, points: DensePoints) -> FloatArray:
+    """Return the numbers of actions, their standard deviations, and whether the eyes are closed."""
     person = face.lengths
     as_they_are = np.isin(np.arange(len(LENGTH_NAMES)), [GAP, WIDTH, *LIDS])
     values = np.where(as_they_are, lengths.values, lengths.values - person.rest)
     sd = np.where(as_they_are, lengths.deviations, np.hypot(lengths.deviations, person.rest_sd))
     shares, share_sd = _openings(person, lengths)
-    variances = np.trace(points.covariances, axis1=1, axis2=2) / 3.0
-    found, found_sd = strengths(points.places - face.neutral.places, variances)
-    certain = _certain_openings(person, lengths)
-    closed = np.nan if np.isnan(certain).all() else float(face.is_closed)
-    gazes = np.where((certain >= SHUT_BELOW)[:, None], points.gazes, np.nan)
-    return np.concatenate(
-        [
-            values,
-            shares,
-            found,
-            sd,
-            share_sd,
-            found_sd,
-            [closed],
-            _directions(gazes, pose),
-            np.sqrt(variances),
-        ]
-    )
+    found, found_sd = strengths(points.places - face.neutral.places, points.variances)
+    closed = np.nan if np.isnan(_certain_openings(person, lengths)).all() else float(face.is_closed)
+    return np.concatenate([values, shares, found, sd, share_sd, found_sd, [closed]])
 
 
-def _directions(gazes: FloatArray, pose: HeadPose) -> FloatArray:
-    """Return the numbers of both eyes' gazes (2, 3): angles, deviation, direction in camera axes."""
+def _gazes(face: KnownFace, lengths: Lengths, points: DensePoints, pose: HeadPose) -> FloatArray:
+    """Return the numbers of both eyes' gazes: angles, deviation, direction in camera axes."""
+    is_open = _certain_openings(face.lengths, lengths) >= SHUT_BELOW
+    gazes = np.where(is_open[:, None], points.gazes, np.nan)
     side, up = gazes[:, 0], gazes[:, 1]
     in_head = np.stack([np.sin(side) * np.cos(up), np.sin(up), np.cos(side) * np.cos(up)], axis=1)
     numbers: FloatArray = np.hstack([gazes, in_head @ pose.rotation.T]).ravel()
     return numbers
+
+
+def _dense(points: DensePoints, pose: HeadPose, camera: Camera) -> FloatArray:
+    """Return the numbers of the points, in space and in the image of the reference camera."""
+    seen = pose.points(points.places)
+    sd = np.sqrt(points.variances)
+    focal = np.sqrt(camera.fx * camera.fy)
+    pixels, sd_px = pixels_wherever(camera, seen), sd * focal / seen[:, 2]
+    numbers: FloatArray = np.column_stack([points.places, sd, pixels, sd_px]).ravel()
+    return np.round(numbers, DECIMALS)

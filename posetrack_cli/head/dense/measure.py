@@ -48,6 +48,12 @@ class DensePoints:
     covariances: FloatArray
     gazes: FloatArray
 
+    @property
+    def variances(self) -> FloatArray:
+        """(D,) mm^2, mean over the axes."""
+        mean: FloatArray = np.trace(self.covariances, axis1=1, axis2=2) / 3.0
+        return mean
+
 
 def measure(networks: Mapping[str, Network], images: RigImages, pose: HeadPose) -> DensePoints:
     """Locate the dense points at a tracked pose.

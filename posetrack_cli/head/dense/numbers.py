@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
+from posetrack_cli.arrays import FloatArray
 from posetrack_cli.head.dense.expressions import BLEND_SHAPES
 from posetrack_cli.head.dense.lengths import LENGTH_NAMES
 from posetrack_cli.head.dense.points import DENSE_NAMES
@@ -24,6 +26,23 @@ GAZES = tuple(
     f"{side}_gaze_{part}" for side in _SIDES for part in ("to_left_rad", "up_rad", "sd_rad", "x", "y", "z")
 )
 """Per eye: angles in the head's frame with their standard deviation, and the direction in camera axes."""
-POINT_SDS = tuple(f"sd_{name}_mm" for name in DENSE_NAMES)
-"""Standard deviation of each point, mean over the axes; missing where no image shows the point."""
-FACE_NUMBERS = (*MEASURED_ACTIONS, *(f"{name}_sd" for name in MEASURED_ACTIONS), CLOSED, *GAZES, *POINT_SDS)
+_PARTS = ("x_mm", "y_mm", "z_mm", "sd_mm", "u_px", "v_px", "sd_px")
+DENSE_NUMBERS = tuple(f"{name}_{part}" for name in DENSE_NAMES for part in _PARTS)
+"""Each point in the head's frame and in the reference camera's image, with standard deviations of each
+coordinate; missing where no image shows it."""
+FACE_NUMBERS = (
+    *MEASURED_ACTIONS,
+    *(f"{name}_sd" for name in MEASURED_ACTIONS),
+    CLOSED,
+    *GAZES,
+    *DENSE_NUMBERS,
+)
+
+
+def dense_points(number_names: Sequence[str], numbers: FloatArray) -> FloatArray | None:
+    """Return the dense points (..., D, 7) in the parts' order, from numbers (..., M); None without them."""
+    if DENSE_NUMBERS[0] not in number_names:
+        return None
+    start = number_names.index(DENSE_NUMBERS[0])
+    found: FloatArray = numbers[..., start : start + len(DENSE_NUMBERS)]
+    return found.reshape(*found.shape[:-1], len(DENSE_NAMES), len(_PARTS))

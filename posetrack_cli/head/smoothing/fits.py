@@ -129,7 +129,7 @@ def _estimate(window: list[PosedFrame], index: int, origin: FloatArray) -> Estim
     coefficients, coefficient_rates, variance = _deformation(frame.memory, displacements, rates)
     twist = np.concatenate([frame.velocity, coefficient_rates])
     pose = np.concatenate([frame.pose, origin + coefficients])
-    places = np.vstack([frame.memory["neutral"] + displacements, frame.memory["further"]])
+    places = frame.memory["neutral"] + displacements
     return Estimate(
         **frame.facts._asdict(),
         position=pose[:3],

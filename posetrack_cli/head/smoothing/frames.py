@@ -13,7 +13,6 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import ResultError
 from posetrack_cli.filtering.smoothing import Memory
-from posetrack_cli.geometry.rigid import in_object
 from posetrack_cli.head.config import HeadMonoConfig, HeadStereoConfig
 from posetrack_cli.head.face.points import MEAN_SHAPE, POINT_COUNT, POSE_SIZE, HeadPose, rigid_model
 from posetrack_cli.head.particles.particles import SPEED_LIMITS, velocity_between
@@ -56,7 +55,6 @@ class HeadFrame:
         position: (3,) mm, and
         quaternion: (4,) of the reported pose.
         points: (K, 3) mm, camera axes.
-        further: (F, 3) mm, further points in the head's frame.
         weights: (K,) of the points, 0 to 1.
         mean: (K, 3) mm, the neutral face as known in this frame.
         basis: (K, 3, B) its deformation basis; zeros for unknown components.
@@ -74,7 +72,6 @@ class HeadFrame:
     position: FloatArray
     quaternion: FloatArray
     points: FloatArray
-    further: FloatArray
     weights: FloatArray
     mean: FloatArray
     basis: FloatArray
@@ -120,7 +117,6 @@ class FrameRecorder:
     def __init__(self, subject: Subject) -> None:
         names = subject.number_names
         self._components = len(subject.shape_names)
-        self._further = len(subject.point_names) - POINT_COUNT
         self._weights = [index for index, name in enumerate(names) if name.startswith(WEIGHT)]
         self._person = names.index(PERSON) if PERSON in names else None
         self._skin_share = names.index(SKIN_SHARE) if SKIN_SHARE in names else None
@@ -148,8 +144,7 @@ class FrameRecorder:
             int(person),
             estimate.position,
             estimate.quaternion,
-            estimate.points[:POINT_COUNT],
-            in_object(estimate.points[POINT_COUNT:], estimate.position, estimate.quaternion),
+            estimate.points,
             weights,
             model.mean,
             np.pad(model.basis, ((0, 0), (0, 0), (0, missing))),
@@ -171,7 +166,6 @@ class FrameRecorder:
             "position": floats(3),
             "quaternion": units(4),
             "points": floats(K, 3),
-            "further": floats(self._further, 3),
             "weights": floats(K, least=0.0, most=1.0),
             "mean": floats(K, 3),
             "basis": floats(K, 3, B),
@@ -407,7 +401,6 @@ def _memory(link: Link, end: HeadFrame, chain: int) -> Memory:
     return {
         "tracked": np.concatenate([frame.position, frame.quaternion]),
         "points": frame.points,
-        "further": frame.further,
         "weights": frame.weights,
         "seen": int(not frame.is_lost),
         "chain": chain,
