@@ -19,6 +19,8 @@ STRENGTH_NAMES = tuple(
 )
 """Names of the strengths of expressions, such as ``action_mouth_smile_left``."""
 MEASURED_ACTIONS = (*_MM, *_OPEN, *STRENGTH_NAMES)
+MEASURED_SHARES = tuple(name for name in (*_OPEN, *STRENGTH_NAMES) if name != "action_jaw_open")
+"""Shares and strengths that the ten points do not have."""
 CLOSED = "eyes_closed"
 """1 while both eyes are closed, 0 while they are open."""
 _SIDES = ("right", "left")

@@ -20,7 +20,7 @@ class Skin:
 
     Attributes:
         texture: (SIZE, SIZE) uint8, albedo.
-        brows: (10, 2) texture coordinates of the middle lines of both brows, the right one first, from outside.
+        brows: (10, 2) texture coordinates of the middle lines of both brows, the right one first.
     """
 
     texture: ImageArray
