@@ -132,7 +132,8 @@ def intervals(inside: BoolArray, stamp_ns: IntArray) -> FloatArray:
     """Return begin and end (N, 2), s, of the runs of frames that are inside."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]]).astype(np.int8)))
     begins, ends = edges[::2], edges[1::2] - 1
-    return np.stack([stamp_ns[begins], stamp_ns[ends]], axis=1) / NS_PER_S
+    found: FloatArray = np.stack([stamp_ns[begins], stamp_ns[ends]], axis=1) / NS_PER_S
+    return found
 
 
 def blink_f1(found: FloatArray, true: FloatArray) -> float:

@@ -15,6 +15,7 @@ from posetrack_cli.head.dense.expressions import strengths
 from posetrack_cli.head.dense.lengths import (
     GAP,
     LENGTH_NAMES,
+    LENGTHS,
     LIDS,
     UNKNOWN_PERSON,
     WIDTH,
@@ -43,6 +44,9 @@ LARGEST_LID_SD = 0.25
 """Standard deviation of an opening, as a share, up to which it determines blinks and gaze."""
 AT_REST_MM = np.array([1.5, 2.0, 3.0, 1.5, 1.5, 1.5, 1.5, 2.5, 2.5])
 """(L,) mm, difference of lengths from rest up to which a face counts as neutral."""
+CLOSED_LIPS_MM = LENGTHS[GAP].usual_mm
+LIP_ERROR_MM = (-1.5, 1.5)
+"""Limits of a person's constant error of the lip gap."""
 PRIOR_FACES = 10.0
 """Number of frames that the average face counts for in a person's neutral face."""
 
@@ -170,6 +174,8 @@ def _actions(face: KnownFace, lengths: Lengths, points: DensePoints) -> FloatArr
     person = face.lengths
     as_they_are = np.isin(np.arange(len(LENGTH_NAMES)), [GAP, WIDTH, *LIDS])
     values = np.where(as_they_are, lengths.values, lengths.values - person.rest)
+    # closed lips have a known gap, so a constant error shows in the usual lips
+    values[GAP] = max(values[GAP] - np.clip(person.rest[GAP] - CLOSED_LIPS_MM, *LIP_ERROR_MM), 0.0)
     sd = np.where(as_they_are, lengths.deviations, np.hypot(lengths.deviations, person.rest_sd))
     shares, share_sd = _openings(person, lengths)
     found, found_sd = strengths(points.places - face.neutral.places, points.variances)

@@ -168,7 +168,8 @@ def _prior() -> FloatArray:
 
 
 def _bins(values: FloatArray) -> IntArray:
-    return np.clip(((values - _LEAST) / BIN_MM).astype(np.int64), 0, BINS - 1)
+    bins: IntArray = np.clip(((values - _LEAST) / BIN_MM).astype(np.int64), 0, BINS - 1)
+    return bins
 
 
 _PRIOR = _prior()

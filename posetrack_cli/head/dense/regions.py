@@ -40,7 +40,9 @@ class Region:
         middle = 0.5 * np.array([self.width - 1.0, self.height - 1.0])
         direction = np.array([-1.0 if self.mirrored else 1.0, -1.0]) * self.mm_per_px
         across = (pixels - middle) * direction
-        return np.concatenate([across, np.zeros_like(across[..., :1])], axis=-1) + np.array(self.centre_mm)
+        offset = np.concatenate([across, np.zeros_like(across[..., :1])], axis=-1)
+        places: FloatArray = offset + np.array(self.centre_mm)
+        return places
 
     def corners(self) -> tuple[FloatArray, FloatArray]:
         """Return the crop's corner pixels (4, 2), and their places (4, 3) in the head's frame."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import multiprocessing
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
@@ -81,7 +82,7 @@ def build(face_kit: Path, out: Path) -> None:
     with multiprocessing.get_context("spawn").Pool(2) as pool:
         drawn = pool.map(_part, [(kit, part) for part in range(parts + 1)])
     checked, learned = drawn[0], {name: joined([part[name] for part in drawn[1:]]) for name in drawn[0]}
-    arrays: dict[str, FloatArray] = {}
+    arrays: dict[str, Any] = {}
     for name, numbers, pairs in (
         (MOUTH_NETWORK, MOUTH_POINTS, MOUTH_PAIRS),
         (EYE_NETWORK, EYE_POINTS[0], EYE_PAIRS),

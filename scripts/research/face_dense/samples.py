@@ -105,7 +105,7 @@ def _samples_of(
         homography = image_from_crop(region, pose, camera)
         assert homography is not None
         seen = pixels_wherever(camera, scene.pose.points(points))
-        at = mapped(np.linalg.inv(homography), seen)
+        at = mapped(np.asarray(np.linalg.inv(homography), np.float64), seen)
         target = np.column_stack([at, points[:, 2] - region.centre_mm[2]])
         yield region.name.split("_")[-1], (crop(image, homography, region), target, _gaze(region, face))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, TypeAlias
 
 import cv2
 import numpy as np
@@ -20,6 +21,8 @@ PX_PER_MM = 1.5
 """Resolution of drawn faces."""
 EYE_DISTANCE_MM = 63.0
 IRIS_MM, BALL_MM = 5.9, 12.0
+Mask: TypeAlias = np.ndarray[Any, np.dtype[Any]]
+"""Share (HEIGHT, WIDTH) of a covering thing in each pixel."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,18 +119,20 @@ def _eyes(places: FloatArray, face: Face, rng: np.random.Generator) -> FloatArra
     in_iris = 1.0 / (1.0 + np.exp((across - iris_mm) / (0.25 * soft)))
     limbus = rng.uniform(0.0, 0.6) * np.exp(-np.square((across - iris_mm) / 0.8))
     in_pupil = 1.0 / (1.0 + np.exp((across - pupil_mm) / 0.15))
-    return (sclera * (1.0 - in_iris) + iris * (1.0 - limbus) * in_iris) * (1.0 - in_pupil) + 0.02 * in_pupil
+    ball = sclera * (1.0 - in_iris) + iris * (1.0 - limbus) * in_iris
+    return np.asarray(ball * (1.0 - in_pupil) + 0.02 * in_pupil)
 
 
 def _background(rng: np.random.Generator) -> FloatArray:
     coarse = rng.uniform(0.0, 1.0) + rng.normal(
         0.0, rng.uniform(0.0, 0.25), (rng.integers(1, 9), rng.integers(1, 9))
     )
-    return cv2.resize(np.clip(coarse, 0.0, 1.0), (WIDTH, HEIGHT), interpolation=cv2.INTER_LINEAR)
+    drawn = cv2.resize(np.clip(coarse, 0.0, 1.0), (WIDTH, HEIGHT), interpolation=cv2.INTER_LINEAR)
+    return drawn.astype(np.float64)
 
 
-def _over(image: FloatArray, mask: FloatArray, colour: float) -> FloatArray:
-    return image * (1.0 - mask) + colour * mask
+def _over(image: FloatArray, mask: Mask, colour: float) -> FloatArray:
+    return np.asarray(image * (1.0 - mask) + colour * mask)
 
 
 def _drawn(camera: Camera, pose: HeadPose, places: FloatArray) -> IntArray:
@@ -189,9 +194,9 @@ def _hand(image: FloatArray, camera: Camera, pose: HeadPose, rng: np.random.Gene
     ring = middle + np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros(9)])
     mask = np.zeros_like(image, np.float32)
     cv2.fillPoly(mask, [_drawn(camera, pose, ring)], 1.0, cv2.LINE_AA, 4)
-    mask = cv2.GaussianBlur(mask, (0, 0), rng.uniform(0.5, 3.0))
+    soft = cv2.GaussianBlur(mask, (0, 0), rng.uniform(0.5, 3.0))
     shade = cv2.GaussianBlur(rng.normal(0.0, 1.0, image.shape), (0, 0), 12.0) * rng.uniform(0.0, 3.0)
-    return image * (1.0 - mask) + np.clip(rng.uniform(0.1, 0.9) + shade, 0.0, 1.0) * mask
+    return np.asarray(image * (1.0 - soft) + np.clip(rng.uniform(0.1, 0.9) + shade, 0.0, 1.0) * soft)
 
 
 def _shadow(image: FloatArray, camera: Camera, pose: HeadPose, rng: np.random.Generator) -> FloatArray:
@@ -201,7 +206,8 @@ def _shadow(image: FloatArray, camera: Camera, pose: HeadPose, rng: np.random.Ge
     distance = (x - WIDTH * rng.uniform(0.2, 0.8)) * np.cos(angle) + (
         y - HEIGHT * rng.uniform(0.2, 0.8)
     ) * np.sin(angle)
-    return image * (1.0 - rng.uniform(0.0, 0.7) / (1.0 + np.exp(-distance / rng.uniform(1.0, 25.0))))
+    lit = 1.0 - rng.uniform(0.0, 0.7) / (1.0 + np.exp(-distance / rng.uniform(1.0, 25.0)))
+    return np.asarray(image * lit)
 
 
 def degraded(image: FloatArray, rng: np.random.Generator) -> tuple[ImageArray, float]:
@@ -213,7 +219,7 @@ def degraded(image: FloatArray, rng: np.random.Generator) -> tuple[ImageArray, f
     scale = min(1.0, eyes_px / EYE_DISTANCE_MM / PX_PER_MM)
     image = image ** np.exp(rng.normal(0.0, 0.25))
     if rng.random() < 0.5:
-        image = cv2.GaussianBlur(image, (0, 0), rng.uniform(0.3, 1.2) / scale)
+        image = cv2.GaussianBlur(image, (0, 0), rng.uniform(0.3, 1.2) / scale).astype(np.float64)
     if rng.random() < 0.2:
         length = rng.uniform(1.0, 5.0) / scale
         image = _motion_blurred(image, length, rng.uniform(0.0, np.pi))
@@ -232,10 +238,10 @@ def degraded(image: FloatArray, rng: np.random.Generator) -> tuple[ImageArray, f
 def _motion_blurred(image: FloatArray, length: float, angle: float) -> FloatArray:
     size = 2 * int(np.ceil(length)) + 1
     kernel = np.zeros((size, size), np.float32)
-    middle = (size - 1) / 2
-    ends = [
-        np.array([middle, middle]) + sign * 0.5 * length * np.array([np.cos(angle), np.sin(angle)])
-        for sign in (-1, 1)
-    ]
-    cv2.line(kernel, *(tuple(int(v) for v in np.round(end * 16)) for end in ends), 1.0, 1, cv2.LINE_AA, 4)
-    return cv2.filter2D(image, -1, kernel / max(float(kernel.sum()), 1e-6))
+    middle, half = (size - 1) / 2, 0.5 * length
+    across, down = half * np.cos(angle), half * np.sin(angle)
+    start, end = (
+        (round((middle + sign * across) * 16), round((middle + sign * down) * 16)) for sign in (-1, 1)
+    )
+    cv2.line(kernel, start, end, 1.0, 1, cv2.LINE_AA, 4)
+    return cv2.filter2D(image, -1, kernel / max(float(kernel.sum()), 1e-6)).astype(np.float64)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, TypeAlias
 
 import cv2
 import numpy as np
@@ -12,6 +13,8 @@ from research.face_dense.mesh import LANDMARKS, SKIN, FaceKit
 
 SIZE = 768
 """Pixels of a texture's side."""
+Mask: TypeAlias = np.ndarray[Any, np.dtype[Any]]
+"""Share (SIZE, SIZE) of a colour in each pixel."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +88,7 @@ class SkinPainter:
         return skin * (1.0 - rng.uniform(0.0, 0.5) * seam)
 
     def _beard(self, skin: FloatArray, base: float, rng: np.random.Generator) -> FloatArray:
-        strength = rng.uniform(0.0, 0.9) if rng.random() < 0.35 else rng.uniform(0.0, 0.12)
+        strength = rng.uniform(0.2, 1.0) if rng.random() < 0.45 else rng.uniform(0.0, 0.12)
         jaw = self._at[2:15]
         cheek = rng.uniform(0.1, 0.45)
         upper = self._at[33] * (1.0 - cheek) + self._at[51] * cheek
@@ -102,10 +105,10 @@ class SkinPainter:
             chin = _polygon(np.vstack([self._at[[6, 7, 8, 9, 10]], self._at[[55, 57, 59]]]))
             lip = _polygon(np.vstack([self._at[[48, 49, 50, 51, 52, 53, 54]], self._at[[35, 33, 31]]]))
             mask = (chin if rng.random() < 0.5 else lip) if rng.random() < 0.6 else np.maximum(chin, lip)
-        mask = cv2.GaussianBlur(mask, (0, 0), rng.uniform(4.0, 14.0))
+        soft = cv2.GaussianBlur(mask, (0, 0), rng.uniform(3.0, 12.0))
         lips = cv2.GaussianBlur(_polygon(self._at[48:60]), (0, 0), 3.0)
-        hair = base * rng.uniform(0.1, 0.7) * (1.0 + _clouds(rng, (250, 90), 0.4))
-        return _mixed(skin, np.clip(mask - lips, 0.0, 1.0) * strength, hair)
+        hair = base * rng.uniform(0.05, 0.7) * (1.0 + _clouds(rng, (250, 90), 0.4))
+        return _mixed(skin, np.clip(soft - rng.uniform(0.3, 1.0) * lips, 0.0, 1.0) * strength, hair)
 
     def _lids(self, skin: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Draw lash lines, lid creases and liner."""
@@ -144,14 +147,14 @@ class SkinPainter:
             for place, share in zip(fine, np.linspace(0.0, 1.0, 24), strict=True):
                 radius = thickness * 0.5 * (0.35 + 0.65 * min(1.0, 1.4 * share))
                 cv2.circle(mask, _pixel(place), max(1, round(radius * 16)), 1.0, -1, cv2.LINE_AA, 4)
-            mask = cv2.GaussianBlur(mask, (0, 0), rng.uniform(1.0, 4.0))
-            hair = np.clip(mask * (1.0 + _clouds(rng, (110, 220), rng.uniform(0.1, 0.6))), 0.0, 1.0)
+            soft = cv2.GaussianBlur(mask, (0, 0), rng.uniform(1.0, 4.0))
+            hair = np.clip(soft * (1.0 + _clouds(rng, (110, 220), rng.uniform(0.1, 0.6))), 0.0, 1.0)
             skin = _mixed(skin, hair * density, colour)
         return skin, np.vstack(lines)
 
 
-def _mixed(below: FloatArray, share: FloatArray, colour: FloatArray | float) -> FloatArray:
-    return below * (1.0 - share) + colour * share
+def _mixed(below: FloatArray, share: Mask, colour: Mask | float) -> FloatArray:
+    return np.asarray(below * (1.0 - share) + colour * share)
 
 
 def _pixel(place: FloatArray) -> tuple[int, int]:
@@ -159,19 +162,19 @@ def _pixel(place: FloatArray) -> tuple[int, int]:
     return round(float(place[0]) * 16), round(float(place[1]) * 16)
 
 
-def _disc(centre: FloatArray, radius: float) -> FloatArray:
+def _disc(centre: FloatArray, radius: float) -> Mask:
     mask = np.zeros((SIZE, SIZE), np.float32)
     cv2.circle(mask, _pixel(centre), max(1, round(radius * 16)), 1.0, -1, cv2.LINE_AA, 4)
     return mask
 
 
-def _polygon(ring: FloatArray) -> FloatArray:
+def _polygon(ring: FloatArray) -> Mask:
     mask = np.zeros((SIZE, SIZE), np.float32)
     cv2.fillPoly(mask, [np.round(ring * 16).astype(np.int32)], 1.0, cv2.LINE_AA, 4)
     return mask
 
 
-def _line(places: FloatArray | list[FloatArray], width: float) -> FloatArray:
+def _line(places: FloatArray | list[FloatArray], width: float) -> Mask:
     mask = np.zeros((SIZE, SIZE), np.float32)
     cv2.polylines(
         mask,
@@ -190,7 +193,7 @@ def _resampled(places: FloatArray, count: int) -> FloatArray:
     return np.stack([np.interp(at, np.arange(len(places)), places[:, axis]) for axis in range(2)], axis=1)
 
 
-def _clouds(rng: np.random.Generator, cells: int | tuple[int, int], strength: float) -> FloatArray:
+def _clouds(rng: np.random.Generator, cells: int | tuple[int, int], strength: float) -> Mask:
     """Return smooth noise (SIZE, SIZE) with this number of cells, or of rows and columns of cells."""
     across, down = (cells, cells) if isinstance(cells, int) else (cells[1], cells[0])
     noise = rng.standard_normal((down, across)).astype(np.float32) * strength
