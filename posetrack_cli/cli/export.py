@@ -134,7 +134,7 @@ _BY_SUFFIX = {
     f".{name}": name for name in ("csv", "tum", "npz", "json", "parquet", "nwb", "bvh", "c3d", "mcap")
 }
 _BY_ENDING = {"_motion.tsv": "bids"} | _BY_SUFFIX
-FORMATS = (*_BY_SUFFIX.values(), "bids", "openface", "arkit", "mediapipe", "rom")
+FORMATS = (*_BY_SUFFIX.values(), "bids", "openface", "arkit", "blinks", "mediapipe", "rom")
 DATED = ("nwb", "bids")
 """Formats with the date of the session."""
 SCHEMAS = ("ros2", "protobuf")
@@ -209,6 +209,7 @@ def export(
     bids       BIDS Motion; requires -o DATASET/sub-01_task-reach
     openface   head pose and landmarks in the columns of OpenFace, CSV
     arkit      expression of a head as coefficients of ARKit's blend shapes, CSV
+    blinks     begin and end of each blink, CSV
     mediapipe  hand landmarks as MediaPipe's HandLandmarker returns them, JSON
     bvh        hand skeleton for Blender: m, y up, fixed frame rate
     c3d        joints or points as markers: mm, fixed frame rate; requires -o
@@ -334,9 +335,16 @@ def _arkit(source: ExportSource) -> Pieces:
     return arkit_text(source), ()
 
 
+def _blinks(source: ExportSource) -> Pieces:
+    from posetrack_cli.head.blinks import blinks_text
+
+    return blinks_text(source), ()
+
+
 _OF_SUBJECTS: Mapping[str, Callable[[ExportSource], Pieces]] = {
     "bvh": _bvh,
     "mediapipe": _mediapipe,
     "openface": _openface,
     "arkit": _arkit,
+    "blinks": _blinks,
 }

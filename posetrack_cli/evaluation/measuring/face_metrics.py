@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
+from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.evaluation.measuring.measures import Measures, Metric
 from posetrack_cli.evaluation.reading.tracks import Track, associate
 from posetrack_cli.evaluation.reading.truth_tables import Columns, open_table, read_columns
+from posetrack_cli.head.blinks import intervals
 from posetrack_cli.head.dense.numbers import CLOSED
-from posetrack_cli.units import NS_PER_S
 
 NUMBERS_USED = (*range(17, 27), *range(36, 48), 62, 66)
 """Points of the usual 68 that the metrics need."""
@@ -114,8 +114,8 @@ def _lengths(truth: Columns, rows: IntArray) -> dict[str, FloatArray]:
 
     def apart(pairs: tuple[tuple[int, int], ...]) -> FloatArray:
         first, second = zip(*pairs, strict=True)
-        distances: FloatArray = np.linalg.norm(at(*first) - at(*second), axis=-1)
-        return distances.mean(axis=1)
+        distances: FloatArray = np.linalg.norm(at(*first) - at(*second), axis=-1).mean(axis=1)
+        return distances
 
     def height(brow: range, corners: tuple[int, int]) -> FloatArray:
         above: FloatArray = at(*brow)[..., 1].mean(axis=1) - at(*corners)[..., 1].mean(axis=1)
@@ -126,14 +126,6 @@ def _lengths(truth: Columns, rows: IntArray) -> dict[str, FloatArray]:
         "lids": np.stack([apart(((37, 41), (38, 40))), apart(((43, 47), (44, 46)))], axis=1),
         "brows": np.stack([height(range(17, 22), (36, 39)), height(range(22, 27), (42, 45))], axis=1),
     }
-
-
-def intervals(inside: BoolArray, stamp_ns: IntArray) -> FloatArray:
-    """Return begin and end (N, 2), s, of the runs of frames that are inside."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]]).astype(np.int8)))
-    begins, ends = edges[::2], edges[1::2] - 1
-    found: FloatArray = np.stack([stamp_ns[begins], stamp_ns[ends]], axis=1) / NS_PER_S
-    return found
 
 
 def blink_f1(found: FloatArray, true: FloatArray) -> float:

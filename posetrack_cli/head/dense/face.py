@@ -42,6 +42,8 @@ SHUT_BELOW, OPEN_ABOVE = 0.4, 0.55
 """Lid openings at which eyes count as closed and as open again."""
 LARGEST_LID_SD = 0.25
 """Standard deviation of an opening, as a share, up to which it determines blinks and gaze."""
+EYE_DISTANCE_MM, LEAST_EYES_PX = 63.0, 40.0
+"""Usual distance of the eyes, and their distance in the reference image from which the gaze is stated."""
 AT_REST_MM = np.array([1.5, 2.0, 3.0, 1.5, 1.5, 1.5, 1.5, 2.5, 2.5])
 """(L,) mm, difference of lengths from rest up to which a face counts as neutral."""
 CLOSED_LIPS_MM = LENGTHS[GAP].usual_mm
@@ -136,8 +138,11 @@ class DenseFaces:
         lengths = lengths_of(points.places, points.covariances)
         face = _after(face, lengths, points)
         known = (*known[:person], face, *known[person + 1 :])
-        numbers = [own, _actions(face, lengths, points), _gazes(face, lengths, points, pose)]
-        numbers.append(_dense(points, pose, self._cameras[0]))
+        camera = self._cameras[0]
+        eyes_px = EYE_DISTANCE_MM * np.sqrt(camera.fx * camera.fy) / estimate.position[2]
+        gazes = points.gazes if eyes_px >= LEAST_EYES_PX else np.full((2, 3), np.nan)
+        numbers = [own, _actions(face, lengths, points), _gazes(face, lengths, gazes, pose)]
+        numbers.append(_dense(points, pose, camera))
         return known, replace(estimate, numbers=np.concatenate(numbers))
 
 
@@ -183,10 +188,10 @@ def _actions(face: KnownFace, lengths: Lengths, points: DensePoints) -> FloatArr
     return np.concatenate([values, shares, found, sd, share_sd, found_sd, [closed]])
 
 
-def _gazes(face: KnownFace, lengths: Lengths, points: DensePoints, pose: HeadPose) -> FloatArray:
-    """Return the numbers of both eyes' gazes: angles, deviation, direction in camera axes."""
+def _gazes(face: KnownFace, lengths: Lengths, gazes: FloatArray, pose: HeadPose) -> FloatArray:
+    """Return the numbers of both eyes' gazes (2, 3): angles, deviation, direction in camera axes."""
     is_open = _certain_openings(face.lengths, lengths) >= SHUT_BELOW
-    gazes = np.where(is_open[:, None], points.gazes, np.nan)
+    gazes = np.where(is_open[:, None], gazes, np.nan)
     side, up = gazes[:, 0], gazes[:, 1]
     in_head = np.stack([np.sin(side) * np.cos(up), np.sin(up), np.cos(side) * np.cos(up)], axis=1)
     numbers: FloatArray = np.hstack([gazes, in_head @ pose.rotation.T]).ravel()

@@ -9,7 +9,7 @@ import numpy as np
 
 from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.head.dense.network import EYE_NETWORK, MOUTH_NETWORK, Located, Network
+from posetrack_cli.head.dense.network import EYE_NETWORK, LEAST_SD, MOUTH_NETWORK, Located, Network
 from posetrack_cli.head.dense.points import DENSE_COUNT, EYE_POINTS, MOUTH_POINTS
 from posetrack_cli.head.dense.regions import (
     LEFT_EYE,
@@ -125,8 +125,10 @@ def _in_view(
 def _gaze(found: Located, region: Region) -> FloatArray | None:
     if not found.further.size:
         return None
-    side, up, log_sd = found.further
-    return np.array([-side if region.mirrored else side, up, np.exp(log_sd)])
+    side, up, log_spread = found.further
+    # the spread is that of a Laplace distribution
+    sd = np.sqrt(2.0) * (np.exp(log_spread) + LEAST_SD)
+    return np.array([-side if region.mirrored else side, up, sd])
 
 
 def _camera_centre(camera: Camera, pose: HeadPose) -> FloatArray:
