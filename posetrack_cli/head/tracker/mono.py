@@ -15,6 +15,7 @@ from posetrack_cli.head.actions import MEAN_DISPLACEMENTS
 from posetrack_cli.head.adjustment.adjuster import Adjuster
 from posetrack_cli.head.adjustment.focal_length import focal_length_check
 from posetrack_cli.head.config import HeadMonoConfig, PersonSettings
+from posetrack_cli.head.dense.face import DenseFaces
 from posetrack_cli.head.detection.detector import FaceDetector
 from posetrack_cli.head.face.points import (
     UNSCALED,
@@ -41,7 +42,7 @@ from posetrack_cli.head.lens.lens import EstimatedLens
 from posetrack_cli.head.multilinear.face_model import FaceModel, load_face_model
 from posetrack_cli.head.particles.particles import velocity_between
 from posetrack_cli.head.skin.map import MatchedSkin
-from posetrack_cli.head.subject import MONO_TRACK, MonoDiagnostics
+from posetrack_cli.head.subject import MONO_TRACK, SIGN_NAMES, MonoDiagnostics, mono_diagnostic_names
 from posetrack_cli.head.tracker.codecs import (
     FOCAL_PX,
     MonoState,
@@ -55,7 +56,7 @@ from posetrack_cli.head.tracker.codecs import (
 )
 from posetrack_cli.head.tracker.face_learning import off_axis_deg, shift_of
 from posetrack_cli.head.tracker.frame_tracker import MONO, MONO_WITH_SKIN, FrameFit, SeededFrame, TrackState
-from posetrack_cli.head.tracker.head_tracker import FaceDescription, HeadTracker
+from posetrack_cli.head.tracker.head_tracker import FaceDescription, HeadTracker, without_dense
 from posetrack_cli.head.tracker.person import (
     CORNERS_SD_MM,
     PRIOR_SD,
@@ -163,6 +164,11 @@ class MonoPeople:
         self.codec: Codec[MonoState] = mono_codec(self._people)
         self._first = self._known_state(known) if known else MonoState(scale=self._clicked_scale())
 
+    @property
+    def identity_size(self) -> int:
+        """Number of identity coefficients."""
+        return self._model.identity_size
+
     def start(self) -> MonoState:
         """Return the state before the first frame."""
         return self._first
@@ -181,6 +187,10 @@ class MonoPeople:
     def is_known(self, state: MonoState) -> bool:
         """Whether a person has been learned."""
         return bool(state.people)
+
+    def person_index(self, state: MonoState) -> int:
+        """Return the index of the current person."""
+        return state.current
 
     def detect(self, state: MonoState, frame: SeededFrame) -> DetectedFace | InitFailure:
         """Detect a face, near the last position unless that is outdated."""
@@ -641,7 +651,7 @@ def make_mono_people(
         load_face_model(None if config.model.file is None else Path(config.model.file)),
         choice=face,
         clicked=None if clicked is None else ClickedPoints.read(clicked, (camera,)),
-        known=known,
+        known=None if known is None else without_dense(known),
         landmarks=landmarks,
         systematic_sd=systematic_sd,
         lens=lens,
@@ -653,7 +663,9 @@ def make_mono_tracker(
     config: HeadMonoConfig, camera: Camera, known: Arrays | None = None, **options: Any
 ) -> MonoTracker:
     """Create the tracker of a run; see ``make_mono_people``."""
-    return HeadTracker(make_mono_people(config, camera, known, **options))
+    people = make_mono_people(config, camera, known, **options)
+    names = (*mono_diagnostic_names(people.identity_size), *SIGN_NAMES)
+    return HeadTracker(people, DenseFaces((camera,), names) if config.face.use else None, known)
 
 
 def _known_scale(known: Arrays, scaling: Scaling) -> float:
