@@ -175,7 +175,7 @@ class MonoPeople:
 
     def detect(self, state: MonoState, frame: SeededFrame) -> DetectedFace | InitFailure:
         """Detect a face, near the last position unless that is outdated."""
-        return self._detect_near(state, frame, self._last_pixels(state, frame))
+        return self._detect_near(state, frame, self._last_pixels(state, frame), thoroughly=False)
 
     def begin(self, state: MonoState, frame: SeededFrame) -> tuple[MonoState, FrameFit | InitFailure]:
         """Detect a new person.
@@ -398,7 +398,10 @@ class MonoPeople:
             return self._begin_with_clicks(self._clicked, state, frame)
         initialiser = self._pipeline(state).initialiser
         state = state.drop_before(frame.stamp_ns - round(CANDIDATE_SPAN_S * 1e9))
-        found = self._detect_near(state, frame, state.candidates[-1].pixels if state.candidates else None)
+        near = state.candidates[-1].pixels if state.candidates else None
+        # after the first frame, frames without a face are searched quickly
+        fresh = not state.search.frames or state.scale is not None
+        found = self._detect_near(state, frame, near, thoroughly=fresh or near is not None)
         if isinstance(found, InitFailure):
             return state, found
         frame = self._enlarged(state, frame, found.pixels)
@@ -461,14 +464,15 @@ class MonoPeople:
         return pixels
 
     def _detect_near(
-        self, state: MonoState, frame: SeededFrame, near: FloatArray | None
+        self, state: MonoState, frame: SeededFrame, near: FloatArray | None, *, thoroughly: bool
     ) -> DetectedFace | InitFailure:
         """Detect a face; small faces in the unscaled image, as magnification adds no information."""
         scale = state.scale or UNSCALED
         if scale <= UNSCALED:
-            return self._pipeline(state).initialiser.detect(frame.frame, near)
+            return self._pipeline(state).initialiser.detect(frame.frame, near, thoroughly=thoroughly)
         recorded = None if near is None else scaled_pixels(near, 1.0 / scale)
-        found = self._pipeline_at(UNSCALED).initialiser.detect(frame.frame, recorded)
+        unscaled = self._pipeline_at(UNSCALED).initialiser
+        found = unscaled.detect(frame.frame, recorded, thoroughly=thoroughly)
         if isinstance(found, InitFailure):
             return found
         pixels, camera = scaled_pixels(found.pixels, scale), self._pipeline(state).adjuster.camera
