@@ -21,6 +21,7 @@ from posetrack_cli.cli.options import (
     json_option,
     junit_option,
     markdown_option,
+    of_option,
     option_group,
     overwrite_option,
     recording_option,
@@ -118,6 +119,7 @@ def _list_metrics(context: click.Context, parameter: click.Parameter, value: boo
         default=None,
         text="Track to measure; both measures and compares the two.  [default: filtered; both with --html]",
     ),
+    of_option("measure"),
     option(
         "--group",
         "groups",
@@ -255,6 +257,7 @@ def _request(results: tuple[Path, ...], options: dict[str, Any]) -> Request:
         baseline=None if options["baseline"] is None else read_baseline(options["baseline"]),
         baseline_tolerance=options["baseline_tolerance"],
         keep_tracks=options["html"] is not None or options["mcap"] is not None,
+        label=options["of"],
     )
 
 
@@ -375,7 +378,7 @@ def _worst_frames(evaluation: Evaluation, given: Path | None) -> tuple[list[Pict
     from posetrack_cli.evaluation.viewing.pictures import worst_frame_pictures
     from posetrack_cli.results.reader import read_result
 
-    result = read_result(evaluation.path)
+    result = read_result(evaluation.path).of(evaluation.label)
     search = search_recording(result, given, in_colour=True)
     if search.recording is None:
         return None, search.reason
@@ -398,6 +401,8 @@ def _show(found: Assessment, given: int, options: dict[str, Any]) -> None:
     if is_quiet() or sys.stdout is None or STANDARD_OUTPUT in [options[name] for name in TEXT_REPORTS]:
         return
     made, lines = _rows(found, options) if found.rows else _columns(found, given, options)
+    if not found.rows and any(one.label for one in found.evaluations) and not options["honesty"]:
+        made += [table for table in (pooled_table(found.pools),) if table is not None]
     if options["honesty"]:
         columns = () if found.rows else found.evaluations
         more = (reliability_table(columns, found.pools), pooled_table(found.pools))
@@ -406,7 +411,7 @@ def _show(found: Assessment, given: int, options: dict[str, Any]) -> None:
     if found.comparison is not None:
         made += comparison_tables(found.comparison, parts=options["parts"])
         lines += comparison_lines(found.comparison, parts=options["parts"])
-    elif len(found.evaluations) > 1 and not found.rows:
+    elif len({one.path for one in found.evaluations}) > 1 and not found.rows:
         lines.append(NOT_COMPARED)
     if found.outcomes:
         passed = len(found.outcomes) - len(found.failed)

@@ -331,6 +331,11 @@ OWN_CONFIGURED = {
         show_default=True,
         help="Face to track, by size in the first frames; 1 is the largest.",
     ),
+    option(
+        "--faces",
+        type=click.Choice(["all"]),
+        help="Track all faces, each as a track of its own: 1, 2 and so on. Requires two passes.",
+    ),
     title=START,
 )
 @option_group(particles_option(750), title=CONFIGURATION)
@@ -363,10 +368,19 @@ def head_mono(recording: Path, **options: Any) -> None:
     if chosen.init is not None and face > 1:
         raise UsageError("--face cannot be combined with --init FILE", found=face, hint="leave it out")
 
-    def made(first_pass: Report) -> HeadRun:
-        from posetrack_cli.head.runs import guess_note, make_mono_run
+    if options["faces"] is not None and face > 1:
+        raise UsageError(
+            "--face and --faces are mutually exclusive", found=face, hint="leave one of them out"
+        )
 
-        run = make_mono_run(source, config, chosen, face, first_pass)
+    def made(first_pass: Report) -> HeadRun:
+        from posetrack_cli.head.runs import guess_note, make_heads_run, make_mono_run
+
+        run: HeadRun
+        if options["faces"] is None:
+            run = make_mono_run(source, config, chosen, face, first_pass)
+        else:
+            run = make_heads_run(source, config, chosen, first_pass)
         note = guess_note(source, "--fov", is_given=options["fov"] is not None)
         if note:
             print_note(f"{source.path}: {note}")

@@ -63,6 +63,9 @@ _MEAN_GAIN = 0.1  # of the running mean cost
 _BASELINE_GAIN, _BASELINE_RISE_MM = 0.3, 0.03  # per frame; it falls fast and rises slowly
 _BONUS_DECAY_MM = 0.02  # per frame
 
+MOSTLY_HIDDEN = 0.4
+"""Share of a hand behind another from which it follows its motion: any search would find the other."""
+
 # Longest pauses between searches, frames.
 _MAX_WAIT, _MAX_WAIT_AT_MEAN, _MAX_RETRY_WAIT = 4, 6, 3
 
@@ -323,6 +326,8 @@ class Policy:
             frame: the fitted frame.
             elsewhere: hands that keypoints show at other places; None without keypoints.
         """
+        if frame.observation.hidden > MOSTLY_HIDDEN:
+            return Decision(frame.monitor)
         if elsewhere is not None:
             decision = self._compare_keypoints(frame, elsewhere)
             if decision is not None:

@@ -30,7 +30,7 @@ from posetrack_cli.results.estimate import Subject
 from posetrack_cli.results.writer import ResultWriter
 from posetrack_cli.tracking import options as tracking_options
 from posetrack_cli.tracking.options import common_record, deviations_record
-from posetrack_cli.tracking.run import Report
+from posetrack_cli.tracking.run import FrameMemory, Report
 from posetrack_cli.tracking.smoothing import smoothing_path
 from posetrack_cli.tracking.two_pass import (
     Learned,
@@ -101,7 +101,7 @@ class HeadRun(TwoPassRun):
         landmarks = options.landmarks
         self._use = None if landmarks is None else KeypointUse(landmarks.name, landmarks.sets, "landmarks")
         self._origin = np.zeros(len(subject.shape_names)) if origin is None else origin
-        self.subject, self._name, load = subject, name, options.load_model
+        self.subjects, self._name, load = (subject,), name, options.load_model
         self._evidence: FaceEvidence | None = None
         self.tracker = make_tracker(None) if load is None else self._tracker_from_model(load)
         self.record = {**head_record(name, recording, config, options), **extra_record}
@@ -137,7 +137,7 @@ class HeadRun(TwoPassRun):
         return self.tracker.learned(state, for_second_pass=for_second_pass)
 
     @contextmanager
-    def open_memory(self, writer: ResultWriter) -> Iterator[HeadMemory | None]:
+    def open_memory(self, writer: ResultWriter) -> Iterator[FrameMemory | None]:
         """Open the store of frames for smoothing; None without smoothing."""
         if not self._options.smooth:
             yield None

@@ -9,9 +9,11 @@ from posetrack_cli.errors import UsageError
 from posetrack_cli.head.config import HeadMonoConfig, HeadStereoConfig
 from posetrack_cli.head.multilinear.face_model import FaceModel, load_face_model
 from posetrack_cli.head.run import HeadRun, HeadRunOptions
-from posetrack_cli.head.subject import head_subject, mono_subject
+from posetrack_cli.head.several_run import HeadsRun
+from posetrack_cli.head.subject import MONO_TRACK, head_subject, mono_subject
 from posetrack_cli.head.tracker.given_person import GivenPerson, read_person
 from posetrack_cli.head.tracker.mono import make_mono_tracker
+from posetrack_cli.head.tracker.several import HeadsTracker, people_of
 from posetrack_cli.head.tracker.stereo import components_of, make_stereo_tracker
 from posetrack_cli.recording.identity import file_digest, shown_name
 from posetrack_cli.recording.recording import Recording
@@ -55,13 +57,19 @@ def make_mono_run(
     clicked = None if options.init is None else Path(options.init)
     model = load_face_model(file)
     given = _given_person(options, config, model)
-    person = {} if given is None else {"systematic_sd": given.systematic_sd}
+    systematic_sd = MONO_TRACK.systematic_sd if given is None else given.systematic_sd
 
     def make_tracker(known: Learned | None) -> LearningTracker[Any]:
         if known is None and given is not None:
             known = given.learned
         return make_mono_tracker(
-            config, camera, known, face=face - 1, clicked=clicked, landmarks=options.landmarks, **person
+            config,
+            camera,
+            known,
+            face=face - 1,
+            clicked=clicked,
+            landmarks=options.landmarks,
+            systematic_sd=systematic_sd,
         )
 
     return HeadRun(
@@ -76,6 +84,57 @@ def make_mono_run(
         first_pass=first_pass,
         extra_record=_stated(source, file, face, _scale_from(config, given)),
     )
+
+
+def make_heads_run(
+    source: Recording, config: HeadMonoConfig, options: HeadRunOptions, first_pass: Report
+) -> HeadsRun:
+    """Return a run that tracks all heads in the images of one camera; see ``HeadsRun``.
+
+    Raises:
+        UsageError: an option applies to one person.
+    """
+    (camera,) = source.cameras
+    file = None if config.model.file is None else Path(config.model.file)
+    model = load_face_model(file)
+    _check_of_all(config, options)
+
+    def make_tracker(known: Learned | None) -> LearningTracker[Any]:
+        people: list[Learned | None] = [None] if known is None else [*people_of(known)]
+        trackers = [make_mono_tracker(config, camera, one, follows_one=True) for one in people]
+        return HeadsTracker(camera, trackers, is_second_pass=known is not None)
+
+    run = HeadsRun(
+        source,
+        config,
+        options,
+        name="head-mono",
+        subject=mono_subject(camera.name, model),
+        flush_frames=config.output.flush_frames,
+        make_tracker=make_tracker,
+        origin=model.deformation_mean,
+        first_pass=first_pass,
+        extra_record=_stated(source, file, "all", "prior"),
+    )
+    run.check_passes()
+    return run
+
+
+def _check_of_all(config: HeadMonoConfig, options: HeadRunOptions) -> None:
+    """Raise UsageError for options that apply to one person."""
+    given = {
+        "--init": options.init,
+        "--landmarks": options.landmarks,
+        "--load-model": options.load_model,
+        "--save-model": options.save_model,
+        "--person": options.person,
+        "--interpupillary-mm": config.person.interpupillary_mm,
+    }
+    for name, value in given.items():
+        if value is not None:
+            raise UsageError(
+                f"{name} applies to one face", hint="leave out --faces all, or choose one with --face N"
+            )
 
 
 def guess_note(source: Recording, option: str, *, is_given: bool) -> str:
@@ -125,7 +184,7 @@ def _scale_from(config: HeadMonoConfig, given: GivenPerson | None) -> str:
     return "prior" if given is None or given.size is None else "person"
 
 
-def _stated(source: Recording, face_model: Path | None, face: int, scale: str) -> dict[str, str]:
+def _stated(source: Recording, face_model: Path | None, face: int | str, scale: str) -> dict[str, str]:
     """Return entries of the run record: assumptions that the images do not determine."""
     stated = {
         "scale": scale,

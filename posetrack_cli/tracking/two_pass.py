@@ -135,13 +135,16 @@ class TwoPassRun(Run):
         return within_second_pass(super().checkpoint(run_state, frames), self._learned)
 
     def before_writing(self, writer: ResultWriter, run_state: RunState, stopped: Stopped) -> RunState | None:
-        """Do the first of two passes unless it is complete."""
+        """Do the first of two passes unless it is complete; it may determine the subjects."""
         if self._passes == 1 or self._learned:
             return run_state
         learned = self._first_pass(writer, run_state, stopped)
         if learned is None:
             return None
+        before = self.subjects
         self._begin_second_pass(learned)
+        if self.subjects is not before:
+            writer.restart(self.subjects)
         beginning = RunState(None, self.new_rng())
         writer.save_checkpoint(self.checkpoint(beginning, 0))
         return beginning

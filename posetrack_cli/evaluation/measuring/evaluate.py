@@ -31,6 +31,7 @@ from posetrack_cli.evaluation.reading.alignment import (
     common_factor,
     remove_constant_offset,
 )
+from posetrack_cli.evaluation.reading.identities import Identities, Identity, identities
 from posetrack_cli.evaluation.reading.tracks import (
     Coverage,
     Pairs,
@@ -60,7 +61,10 @@ NO_TRUTH = "no ground truth: the result contains none, and --truth was not given
 NO_IMAGES = "the recording has none of the result's frames"
 NO_OVERLAP = "the estimate overlaps the observed hand in no frame"
 NO_RECORDING = "requires the images: pass the recording with --recording"
+FALSE_TRACK = "follows no subject of the ground truth"
+_ONE_TRACK = "one track and one subject"
 WITHOUT_TRUTH = {
+    **dict.fromkeys(("identity_switches", "false_tracks", "missed_tracks"), _ONE_TRACK),
     "residual_mm": NO_RECORDING,
     "region_overlap": NO_RECORDING,
     "cost_mm": "the run stored no costs",
@@ -85,6 +89,7 @@ class EvalOptions:
         track: name of the track to evaluate.
         joint_offsets: frame in which the constant offset of each hand joint is removed, see
             ``remove_joint_offsets``; None removes none.
+        label: label of the subject, for a result of several.
 
     Raises:
         UsageError: a value is out of range, or the alignment is unknown.
@@ -97,6 +102,7 @@ class EvalOptions:
     recording: Path | None = None
     track: str = FILTERED
     joint_offsets: OffsetFrame | None = None
+    label: str = ""
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.tolerance_ms <= 1e9:
@@ -135,14 +141,44 @@ def evaluate(path: Path, options: EvalOptions = DEFAULT_OPTIONS, name: str | Non
         UsageError: the ground truth is the result itself, or lacks data that the options require.
         RecordingError: ``options.recording`` is not the recording of the result.
     """
-    result = read_result(path)
+    whole = read_result(path)
+    result = whole.of(options.label) if options.label else whole
     if result.subject.name not in KINDS:
         found, expected = f"subject '{result.subject.name}'", " or ".join(KINDS)
         raise ResultError("no metrics for this subject", where=path, found=found, expected=expected)
     track = track_of_result(result, name or plain_name(path), options.track)
-    truth_losses = LossLog()
-    truth = load_truth(result, options.truth, time_offset_s=options.time_offset_s, losses=truth_losses)
-    return _measured(result, track, truth, truth_losses, options)
+    truth_losses, offset_s = LossLog(), options.time_offset_s
+    known = identities(
+        whole, options.truth, options.track, time_offset_s=offset_s, tolerance_ns=options.tolerance_ns
+    )
+    of = Identity(None) if known is None else known.of[result.subject.label]
+    truth = None
+    if known is None or of.truth is not None:
+        truth = load_truth(result, options.truth, time_offset_s=offset_s, losses=truth_losses, label=of.truth)
+    measured = _measured(result, track, truth, truth_losses, options)
+    return measured if known is None else _with_identity(measured, known, of, whole)
+
+
+def _with_identity(measured: Evaluation, known: Identities, of: Identity, whole: Result) -> Evaluation:
+    """Return an evaluation with metrics and notes about the identities of several tracks."""
+    is_first = measured.label == whole.labels[0]  # which reports for all tracks
+    coverage = replace(
+        measured.coverage,
+        has_identities=True,
+        identity_switches=of.switches,
+        false_tracks=int(of.truth is None),
+        missed_tracks=len(known.missed) if is_first else 0,
+    )
+    notes = [FALSE_TRACK] if of.truth is None else [f"ground truth: {of.truth}"] if of.truth else []
+    if is_first and known.missed:
+        notes.append(f"no track of: {', '.join(known.missed)}")
+    metrics = {**measured.metrics, **coverage_metrics(coverage)}
+    absent = {address: reason for address, reason in measured.absent.items() if address not in metrics}
+    order = addresses(measured.subject, measured.track.point_names, measured.track.shape_names)
+    metrics = {address: metrics[address] for address in order if address in metrics}
+    return replace(
+        measured, coverage=coverage, notes=(*notes, *measured.notes), metrics=metrics, absent=absent
+    )
 
 
 def _measured(
@@ -187,6 +223,7 @@ def _measured(
         counts=measures.counts,
         distributions=measures.distributions,
         track_series=measures.track_series,
+        label=result.subject.label,
     )
 
 
@@ -317,6 +354,10 @@ def coverage_metrics(coverage: Coverage) -> dict[str, Value]:
         counts["unmatched"] = coverage.unmatched
         counts["missed"] = coverage.missed
         counts["truth_outside"] = coverage.outside
+    if coverage.has_identities:
+        counts["identity_switches"] = coverage.identity_switches
+        counts["false_tracks"] = coverage.false_tracks
+        counts["missed_tracks"] = coverage.missed_tracks
     return {name: float(count) for name, count in counts.items()}
 
 

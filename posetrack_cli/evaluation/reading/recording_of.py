@@ -221,7 +221,7 @@ def pixels_of(result: Result) -> PixelKind:
         return "grey"
     if {"input.topic", "input.depth_unit_mm"} & result.run.keys():
         return "depth"
-    return kind_of(result.subject.name).pixels
+    return kind_of(result.subjects[0].name).pixels
 
 
 def folders_of(result: Result) -> Iterator[Path]:
@@ -431,6 +431,8 @@ def _anatomy_of_file(path: Path) -> HandAnatomy:
 def _settings(result: Result) -> HandSettings:
     try:
         stated: Any = json.loads(result.run["configuration"])["hand"]
+        if result.subject.label in ("left", "right"):
+            stated = {**stated, "side": result.subject.label}
         return validated(HandSettings, stated, "run record")
     except (KeyError, TypeError, ValueError, RecursionError, UsageError) as error:
         what = "run record has no hand configuration"

@@ -240,6 +240,11 @@ class HeadTracker(Generic[State, Found]):
             return self._coast(state, now)
         return self._reacquire(state, now)
 
+    def miss(self, state: State, frame: Frame, rng: np.random.Generator) -> tuple[State, Estimate]:
+        """Advance by a frame in which the head counts as lost, without a search."""
+        state, prepared = self._faces.prepare(state, frame)
+        return self._coast(replace(state, lost=max(state.lost, 1)), SeededFrame(prepared, rng))
+
     def learned(self, state: State, *, for_second_pass: bool = False) -> Learned:
         """Return the learned face as arrays by name; empty while no face is known."""
         known = self._faces.is_known(state)

@@ -124,6 +124,7 @@ class MonoPeople:
         known: exported people and templates to start from.
         landmarks: of the recorded images, from another program.
         systematic_sd: (6,) standard deviations of the systematic error of a track.
+        follows_one: another person is not tracked, even after a cut.
 
     Raises:
         UsageError: a face detector without its model.
@@ -141,8 +142,10 @@ class MonoPeople:
         known: Arrays | None = None,
         landmarks: LandmarkFile | None = None,
         systematic_sd: FloatArray = MONO_TRACK.systematic_sd,
+        follows_one: bool = False,
     ) -> None:
         self._config, self._recorded, self._model = config, camera, model
+        self._follows_one = follows_one
         self._systematic_sd = systematic_sd
         self._landmarks = landmarks
         self._pupil_distance = interpupillary_distance(config.person)
@@ -285,11 +288,12 @@ class MonoPeople:
         if off_axis_deg(found.pose) > NEW_PERSON_OFF_AXIS_DEG:
             return state, False
         state = replace(state, strange=state.strange + 1, elsewhere=self._is_elsewhere(state, found))
-        return state, state.strange >= self._patience(state)
+        return state, state.strange >= self._patience(state) and not self._follows_one
 
     def _patience(self, state: MonoState) -> int:
         """Return the number of frames after which an unknown face becomes a new person."""
-        return NEW_PERSON_FRAMES_AFTER_CUT if state.cut and state.elsewhere else NEW_PERSON_FRAMES
+        is_quick = state.cut and state.elsewhere and not self._follows_one
+        return NEW_PERSON_FRAMES_AFTER_CUT if is_quick else NEW_PERSON_FRAMES
 
     def _is_elsewhere(self, state: MonoState, found: DetectedFace) -> bool:
         """Whether a face is away from the last position of the head or of another size."""
@@ -584,6 +588,7 @@ def make_mono_tracker(
     clicked: Path | None = None,
     landmarks: LandmarkFile | None = None,
     systematic_sd: FloatArray = MONO_TRACK.systematic_sd,
+    follows_one: bool = False,
 ) -> MonoTracker:
     """Create the tracker of a run.
 
@@ -595,6 +600,7 @@ def make_mono_tracker(
         clicked: table of points in the first frame; without it the face is detected there as well.
         landmarks: of the recorded images, from another program.
         systematic_sd: (6,) standard deviations of the systematic error of a track.
+        follows_one: another person is not tracked, even after a cut.
 
     Raises:
         UsageError, ResultError: a file is missing or invalid.
@@ -611,6 +617,7 @@ def make_mono_tracker(
         known=known,
         landmarks=landmarks,
         systematic_sd=systematic_sd,
+        follows_one=follows_one,
     )
     return HeadTracker(people)
 
