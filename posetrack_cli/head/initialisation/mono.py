@@ -30,6 +30,8 @@ MEAN_FACE_WEIGHTS = (FEATURE_SD.min() / FEATURE_SD) ** 2
 """(K,) weights of the points in fits of an average face: eyes vary least."""
 SLOPE_DEG = 4.0
 """Maximum standard deviation of the slopes of lines between left and right points."""
+TURNED_SLOPE_DEG = 10.0
+"""The same for a face with hidden points: the lines left are foreshortened."""
 MOST_RESIDUAL = 0.12
 """Maximum RMS distance of the points from the average and the adjusted face, eye distances."""
 DISTANCES_MM = (100.0, 5000.0)
@@ -146,7 +148,7 @@ class MonoInitialiser:
         if isinstance(face, str):
             return InitFailure(face, detection.best_score)
         deviation = np.rad2deg(slope_deviation(face.pixels, self._camera, face.responses > 0.0))
-        if deviation > SLOPE_DEG:
+        if deviation > (SLOPE_DEG if face.responses.all() else TURNED_SLOPE_DEG):
             reason = f"slopes between left and right points differ by {deviation:.0f} deg"
             return InitFailure(reason, face.score)
         return face_at(face.pixels, frame.stamp_ns, self._camera, face.responses)
