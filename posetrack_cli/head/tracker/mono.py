@@ -16,7 +16,7 @@ from posetrack_cli.head.adjustment.adjuster import Adjuster
 from posetrack_cli.head.adjustment.focal_length import focal_length_check
 from posetrack_cli.head.config import HeadMonoConfig, PersonSettings
 from posetrack_cli.head.dense.face import DenseFaces
-from posetrack_cli.head.detection.detector import FaceDetector
+from posetrack_cli.head.detection.detector import CERTAIN, FaceDetector
 from posetrack_cli.head.face.points import (
     UNSCALED,
     HeadPose,
@@ -101,6 +101,8 @@ CANDIDATE_SPAN_S = 2.0
 """Longest time span of the frames that initialise a face."""
 CHECK_EVERY_S = 0.5
 """Minimum time between detections in frames with a poor fit."""
+BEGIN_AGAIN_S = 0.2
+"""Minimum time between detections while the person was begun from a turned face."""
 POSITION_TIMEOUT_S = 1.0
 """After this time without the face, it may return anywhere in the image."""
 
@@ -194,7 +196,7 @@ class MonoPeople:
 
     def detect(self, state: MonoState, frame: SeededFrame) -> DetectedFace | InitFailure:
         """Detect a face, near the last position unless that is outdated."""
-        return self._detect_near(state, frame, self._last_pixels(state, frame))
+        return self._detect_near(state, frame.frame, self._last_pixels(state, frame), thoroughly=False)
 
     def begin(self, state: MonoState, frame: SeededFrame) -> tuple[MonoState, FrameFit | InitFailure]:
         """Detect a new person.
@@ -217,6 +219,11 @@ class MonoPeople:
         After a blink or a smile points may slide to places from which they do not return. Landmarks detect
         that even where the fit's score does not.
         """
+        if state.is_provisional and frame.stamp_ns - state.checked_ns >= BEGIN_AGAIN_S * 1e9:
+            state = replace(state, checked_ns=frame.stamp_ns)
+            begun = self._begin_again(state, track, frame)
+            if begun is not None:
+                return begun
         fitter, settings = self._pipeline(state).fitter, self._config.status
         here = self._enlarged(state, frame, self._pixels_of(state, track))
         fit = self._or_whole_face_fit(state, track, here, fitter.fit(state.person, track, here))
@@ -443,7 +450,10 @@ class MonoPeople:
             return self._begin_with_clicks(self._clicked, state, frame)
         initialiser = self._pipeline(state).initialiser
         state = state.drop_before(frame.stamp_ns - round(CANDIDATE_SPAN_S * 1e9))
-        found = self._detect_near(state, frame, state.candidates[-1].pixels if state.candidates else None)
+        near = state.candidates[-1].pixels if state.candidates else None
+        # after the first frame, frames without a face are searched quickly
+        fresh = not state.search.frames or state.scale is not None
+        found = self._detect_near(state, frame.frame, near, thoroughly=fresh or near is not None)
         if isinstance(found, InitFailure):
             return state, found
         frame = self._enlarged(state, frame, found.pixels)
@@ -459,6 +469,28 @@ class MonoPeople:
         if isinstance(start, InitFailure):
             return state.clear_candidates(), start
         return self._found(state, start, frame)
+
+    def _begin_again(
+        self, state: MonoState, track: TrackState, frame: SeededFrame
+    ) -> tuple[MonoState, FrameFit] | None:
+        """Replace a person begun from a turned face once the face looks at the camera **[ours]**.
+
+        Half of the points of a turned face are hidden, so that its person and templates are poor. None if it
+        does not look at the camera.
+        """
+        found = self._detect_near(state, frame.frame, self._pixels_of(state, track), thoroughly=False)
+        if isinstance(found, InitFailure) or found.score < CERTAIN:
+            return None
+        initialiser, frame = self._pipeline(state).initialiser, self._enlarged(state, frame, found.pixels)
+        start = initialiser.initialise((found,))
+        turned = off_axis_deg(found.pose) > NEW_PERSON_OFF_AXIS_DEG
+        if isinstance(start, InitFailure) or turned:
+            return None
+        search = state.search.failed(InitFailure("face turned away", found.score))
+        kept = {name: getattr(state, name) for name in ("scale", "first_ns", "scene", "evidence", "record")}
+        begun = replace(self._first, search=search, **kept)
+        begun = begun.with_candidate(found, initialiser.templates(frame.frame, found, start))
+        return self._found(begun, start, frame)
 
     def _begin_with_clicks(
         self, clicked: ClickedPoints, state: MonoState, frame: SeededFrame
@@ -506,14 +538,15 @@ class MonoPeople:
         return pixels
 
     def _detect_near(
-        self, state: MonoState, frame: SeededFrame, near: FloatArray | None
+        self, state: MonoState, frame: Frame, near: FloatArray | None, *, thoroughly: bool
     ) -> DetectedFace | InitFailure:
         """Detect a face; small faces in the unscaled image, as magnification adds no information."""
         scale = state.scale or UNSCALED
         if scale <= UNSCALED:
-            return self._pipeline(state).initialiser.detect(frame.frame, near)
+            return self._pipeline(state).initialiser.detect(frame, near, thoroughly=thoroughly)
         recorded = None if near is None else scaled_pixels(near, 1.0 / scale)
-        found = self._pipeline_at(UNSCALED).initialiser.detect(frame.frame, recorded)
+        unscaled = self._pipeline_at(UNSCALED).initialiser
+        found = unscaled.detect(frame, recorded, thoroughly=thoroughly)
         if isinstance(found, InitFailure):
             return found
         pixels, camera = scaled_pixels(found.pixels, scale), self._pipeline(state).adjuster.camera
