@@ -357,8 +357,8 @@ def head_mono(recording: Path, **options: Any) -> None:
     The face is detected automatically; a face model is fitted to the person's identity and deformation. The
     result (MCAP) holds pose, velocity, ten face points, deformation and identity. A single camera cannot
     measure scale: distance and size follow from the average face and from the focal length, which is
-    estimated without a calibration (--camera, --fov). The same input, configuration and seed give an identical file.
-    Exit code 3: some data was unusable, or fewer than 5 % of the frames were tracked.
+    estimated without a calibration (--camera, --fov). The same input, configuration and seed give an
+    identical file. Exit code 3: some data was unusable, or fewer than 5 % of the frames were tracked.
     """
     from posetrack_cli.head.config import HeadMonoConfig
 
