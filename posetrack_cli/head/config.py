@@ -180,6 +180,12 @@ class HeadStatusSettings(Settings):
     lost_after_frames: Count = setting(3, "search for the face again after this many lost frames in a row")
 
 
+class FaceSettings(Settings):
+    """Dense face: points of lips, jaw, lids, irises and brows, actions, blinks and gaze **[ours]**."""
+
+    use: bool = setting(True, "measure the dense face; false tracks the ten points only")
+
+
 class HeadSmoothingSettings(Settings):
     """Smoothed track written with `--smooth` **[ours]**.
 
@@ -227,6 +233,7 @@ class HeadStereoConfig(Settings):
         StereoRefinementSettings(), "Gauss-Newton over pose, deformation and a residual for each point"
     )
     status: HeadStatusSettings = HeadStatusSettings()
+    face: FaceSettings = setting(FaceSettings(), "dense face: lips, jaw, lids, irises, brows")
     smoothing: HeadSmoothingSettings = setting(
         HeadSmoothingSettings(), "--smooth: additional track, smoothed over the whole recording"
     )
@@ -390,6 +397,7 @@ class HeadMonoConfig(Settings):
     person: PersonSettings = setting(PersonSettings(), "prior knowledge of the (first) person")
     skin: SkinSettings = setting(SkinSettings(), "skin texture between the feature points (second pass)")
     lens: LensSettings = setting(LensSettings(), "focal length of a camera without calibration")
+    face: FaceSettings = setting(FaceSettings(), "dense face: lips, jaw, lids, irises, brows")
     smoothing: HeadSmoothingSettings = setting(
         HeadSmoothingSettings(velocity_mm=300.0, velocity_rad=2.0),
         "--smooth: additional track, smoothed over the whole recording",
@@ -411,6 +419,7 @@ BOTH = (
     PrintedSetting("(3.5)", "refinement.rho", 4.0),
     PrintedSetting("3.2.1", "refinement.keyframe_deg", 360.0),
     PrintedSetting("3.4, 4.5", "run.passes", 1),
+    PrintedSetting("5.2", "face.use", False),
 )
 STEREO = (
     PrintedSetting("3.2.1", "model.components", 5),

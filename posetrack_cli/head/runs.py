@@ -13,7 +13,7 @@ from posetrack_cli.head.lens.lens import EstimatedLens
 from posetrack_cli.head.multilinear.face_model import FaceModel, load_face_model
 from posetrack_cli.head.run import HeadRun, HeadRunOptions, check_head_run
 from posetrack_cli.head.several_run import HeadsRun
-from posetrack_cli.head.subject import MONO_TRACK, head_subject, mono_subject
+from posetrack_cli.head.subject import MONO_TRACK, head_subject, mono_subject, with_dense_face
 from posetrack_cli.head.tracker.given_person import GivenPerson, read_person
 from posetrack_cli.head.tracker.mono import MonoPeople, make_mono_people, make_mono_tracker
 from posetrack_cli.head.tracker.several import HeadsTracker, people_of
@@ -21,6 +21,7 @@ from posetrack_cli.head.tracker.stereo import components_of, make_stereo_tracker
 from posetrack_cli.recording.camera_of import guess_of_camera
 from posetrack_cli.recording.identity import file_digest, shown_name
 from posetrack_cli.recording.recording import Recording
+from posetrack_cli.results.estimate import Subject
 from posetrack_cli.tracking.run import Report
 from posetrack_cli.tracking.two_pass import Learned, LearningTracker
 
@@ -41,7 +42,7 @@ def make_stereo_run(
         config,
         options,
         name="head-stereo",
-        subject=head_subject(source.cameras[0].name, components_of(config)),
+        subject=_subject(head_subject(source.cameras[0].name, components_of(config)), config),
         flush_frames=config.output.flush_frames,
         make_tracker=make_tracker,
         first_pass=first_pass,
@@ -95,7 +96,7 @@ def make_mono_run(
         config,
         options,
         name="head-mono",
-        subject=mono_subject(camera.name, model),
+        subject=_subject(mono_subject(camera.name, model), config),
         flush_frames=config.output.flush_frames,
         make_tracker=make_tracker,
         origin=model.deformation_mean,
@@ -123,6 +124,10 @@ def _with_lens(
     return source.with_camera(lens.camera), lens
 
 
+def _subject(subject: Subject, config: HeadStereoConfig | HeadMonoConfig) -> Subject:
+    return with_dense_face(subject) if config.face.use else subject
+
+
 def make_heads_run(
     source: Recording,
     config: HeadMonoConfig,
@@ -143,16 +148,18 @@ def make_heads_run(
     (camera,) = source.cameras
 
     def make_tracker(known: Learned | None) -> LearningTracker[Any]:
-        people: list[Learned | None] = [None] if known is None else [*people_of(known)]
-        trackers = [make_mono_tracker(config, camera, one, lens=lens, follows_one=True) for one in people]
-        return HeadsTracker(camera, trackers, is_second_pass=known is not None)
+        if known is None:
+            return HeadsTracker(camera, [make_mono_tracker(config, camera, lens=lens, follows_one=True)])
+        people = people_of(known)
+        trackers = [make_mono_tracker(config, camera, one, lens=lens, follows_one=True) for one, _ in people]
+        return HeadsTracker(camera, trackers, [trail for _, trail in people])
 
     run = HeadsRun(
         source,
         config,
         options,
         name="head-mono",
-        subject=mono_subject(camera.name, model),
+        subject=_subject(mono_subject(camera.name, model), config),
         flush_frames=config.output.flush_frames,
         make_tracker=make_tracker,
         origin=model.deformation_mean,
