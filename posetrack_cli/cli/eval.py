@@ -79,6 +79,13 @@ def _list_metrics(context: click.Context, parameter: click.Parameter, value: boo
         "Ground truth: a recording, result, CSV file or folder of .pts files.  [default: from the result]"
     ),
     option(
+        "--face-truth",
+        metavar="CSV",
+        type=FILE,
+        help="Landmarks of the face in its own frame: stamp_ns or t_s, and p0_x_mm to p67_z_mm (68 points).",
+        rare=True,
+    ),
+    option(
         "--truth-tolerance-ms",
         metavar="MS",
         type=float,
@@ -241,7 +248,7 @@ def _request(results: tuple[Path, ...], options: dict[str, Any]) -> Request:
     groups = expand_groups(options["groups"])
     if not (results or groups):
         raise UsageError("no result to evaluate", hint="see: posetrack eval --help")
-    names = ("truth", "time_offset_s", "align", "recording", "joint_offsets")
+    names = ("truth", "time_offset_s", "align", "recording", "joint_offsets", "face_truth")
     track = options["track"]
     return Request(
         results=results,
@@ -283,7 +290,7 @@ def _check_reports(request: Request, options: dict[str, Any]) -> dict[Path, Path
         from posetrack_cli.evaluation.html import check_page
 
         check_page(options["html"])
-    given = [options[name] for name in ("truth", "recording", "baseline")]
+    given = [options[name] for name in ("truth", "face_truth", "recording", "baseline")]
     inputs = [*request.results, *options["gate_files"], *(path for path in given if path is not None)]
     inputs += [path for paths in request.groups.values() for path in paths]
     out, overwrite = options["mcap"], options["overwrite"]

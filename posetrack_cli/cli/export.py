@@ -158,7 +158,7 @@ _BY_SUFFIX = {
     f".{name}": name for name in ("csv", "tum", "npz", "json", "parquet", "nwb", "bvh", "c3d", "mcap")
 }
 _BY_ENDING = {"_motion.tsv": "bids"} | _BY_SUFFIX
-FORMATS = (*_BY_SUFFIX.values(), "bids", "openface", "mediapipe", "rom")
+FORMATS = (*_BY_SUFFIX.values(), "bids", "openface", "arkit", "blinks", "mediapipe", "rom")
 DATED = ("nwb", "bids")
 """Formats with the date of the session."""
 SCHEMAS = ("ros2", "protobuf")
@@ -234,14 +234,16 @@ def export(
     nwb        NWB with ndx-pose; requires -o
     bids       BIDS Motion; requires -o DATASET/sub-01_task-reach
     openface   head pose and landmarks in the columns of OpenFace, CSV
+    arkit      expression of a head as coefficients of ARKit's blend shapes, CSV
+    blinks     begin and end of each blink, CSV
     mediapipe  hand landmarks as MediaPipe's HandLandmarker returns them, JSON
     bvh        hand skeleton for Blender: m, y up, fixed frame rate
     c3d        joints or points as markers: mm, fixed frame rate; requires -o
     mcap       ROS 2 messages, or RESULT as protobuf (--schemas); requires -o
 
     Euler angles: R = R_y(yaw) R_x(pitch) R_z(roll), in camera axes. Lost frames are exported with their last
-    pose and status lost, without pixels; nwb, bids, openface, mediapipe and c3d leave them empty, and rom
-    omits them. tum and bvh have no status: use --no-lost. Of several heads or hands, csv has a column
+    pose and status lost, without pixels; nwb, bids, openface, arkit, mediapipe and c3d leave them empty, and
+    rom omits them. tum and bvh have no status: use --no-lost. Of several heads or hands, csv has a column
     track; other formats write a file for each, such as FILE-left.npz. Exit code 3: RESULT is truncated or
     damaged, and its readable part was exported.
     """
@@ -391,8 +393,22 @@ def _openface(source: ExportSource) -> Pieces:
     return openface_text(source), ()
 
 
+def _arkit(source: ExportSource) -> Pieces:
+    from posetrack_cli.head.arkit import arkit_text
+
+    return arkit_text(source), ()
+
+
+def _blinks(source: ExportSource) -> Pieces:
+    from posetrack_cli.head.blinks import blinks_text
+
+    return blinks_text(source), ()
+
+
 _OF_SUBJECTS: Mapping[str, Callable[[ExportSource], Pieces]] = {
     "bvh": _bvh,
     "mediapipe": _mediapipe,
     "openface": _openface,
+    "arkit": _arkit,
+    "blinks": _blinks,
 }

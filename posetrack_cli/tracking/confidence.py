@@ -56,12 +56,13 @@ def signs_codec(count: int) -> Codec[RunningSigns]:
 
 
 class Regression(NamedTuple):
-    """w_0 and w (S,)."""
+    """w_0 and w (S,); ``most`` is the probability that nothing beyond the signs makes the estimate wrong."""
 
     bias: float
     weights: FloatArray
+    most: float = 1.0
 
     def probability(self, signs: FloatArray) -> float:
         """Return p given signs (S,)."""
         logit = self.bias + float(self.weights @ signs)
-        return float(1.0 / (1.0 + np.exp(-np.clip(logit, -_LARGEST, _LARGEST))))
+        return float(self.most / (1.0 + np.exp(-np.clip(logit, -_LARGEST, _LARGEST))))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, TypeAlias, get_args
@@ -13,6 +13,8 @@ from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.evaluation.measuring.catalogue import addresses, metric_of
 from posetrack_cli.evaluation.measuring.evaluation import Curve, Evaluation, Value
+from posetrack_cli.evaluation.measuring.face_metrics import NAMES as FACE_NAMES
+from posetrack_cli.evaluation.measuring.face_metrics import face_metrics
 from posetrack_cli.evaluation.measuring.honesty import JudgedFrames
 from posetrack_cli.evaluation.measuring.measures import Matched, Measures, rows_of
 from posetrack_cli.evaluation.measuring.subjects import KINDS
@@ -60,6 +62,7 @@ GUESS_NOTE = "uncalibrated camera: the focal length is a guess, and the distance
 NO_TRUTH = "no ground truth: the result contains none, and --truth was not given"
 NO_IMAGES = "the recording has none of the result's frames"
 NO_OVERLAP = "the estimate overlaps the observed hand in no frame"
+NO_LANDMARKS = "requires landmarks of the face: pass them with --face-truth"
 NO_RECORDING = "requires the images: pass the recording with --recording"
 FALSE_TRACK = "follows no subject of the ground truth"
 _ONE_TRACK = "one track and one subject"
@@ -87,6 +90,7 @@ class EvalOptions:
             point, ``similarity`` one scale factor and one constant rigid offset.
         recording: recording of the result, for the metrics that compare with images; None skips them.
         track: name of the track to evaluate.
+        face_truth: landmarks of the dense face, CSV (``face_metrics``); None for none.
         joint_offsets: frame in which the constant offset of each hand joint is removed, see
             ``remove_joint_offsets``; None removes none.
         label: label of the subject, for a result of several.
@@ -102,6 +106,7 @@ class EvalOptions:
     recording: Path | None = None
     track: str = FILTERED
     joint_offsets: OffsetFrame | None = None
+    face_truth: Path | None = None
     label: str = ""
 
     def __post_init__(self) -> None:
@@ -197,6 +202,8 @@ def _measured(
             matched = Matched(track, truth, pairs)
             track, offsets = _without_offsets(measures, result, matched, options.joint_offsets)
         curve, judged = _against_truth(measures, result, Matched(track, truth, pairs), coverage)
+    if options.face_truth is not None:
+        face_metrics(measures, track, options.face_truth, options.tolerance_ns)
     # Series are restricted to matched frames, so that plots and comparisons show the evaluated ones.
     rows = np.arange(len(track), dtype=np.int64) if pairs is None else pairs.estimate
     _without_truth(measures, result, track, options, rows)
@@ -260,8 +267,14 @@ def _run_notes(result: Result, options: EvalOptions) -> list[str]:
     notes += [] if result.finished else ["unfinished run: evaluated over the frames written so far"]
     notes += [PRIOR_NOTE] if result.run.get("scale") == "prior" else []
     notes += [GUESS_NOTE] if result.run.get("intrinsics") == "guessed" else []
+    notes += [_estimated(result.run)] if result.run.get("intrinsics") == "estimated" else []
     stored = {"part of the run's input was unusable": "losses", "run remarks": "remarks"}
     return notes + [f"{what}: {result.summary[key]}" for what, key in stored.items() if key in result.summary]
+
+
+def _estimated(run: Mapping[str, str]) -> str:
+    focal = f"{run.get('focal_px', '')} +- {run.get('focal_sd_px', '')} px"
+    return f"uncalibrated camera: the focal length is estimated as {focal}, and the distance scales with it"
 
 
 def _paired(track: Track, truth: Track, options: EvalOptions) -> Pairs:
@@ -380,6 +393,8 @@ def _in_order(
 def _reason(measures: Measures, address: str, truth: Track | None) -> str:
     """Return why an address has no value: its own or its metric's reason, else that of its group."""
     metric = metric_of(address)
+    if address in FACE_NAMES:
+        return measures.absent.get(address, NO_LANDMARKS)
     if truth is None and metric.group in (*AGAINST_TRUTH, "coverage"):
         return NO_TRUTH
     reason = measures.absent.get(address) or measures.absent.get(metric.name)

@@ -16,6 +16,7 @@ from posetrack_cli.evaluation.reading.tracks import matched_frames
 from posetrack_cli.evaluation.viewing.drawing import TRUTH, Drawer, SkeletonDrawer
 from posetrack_cli.evaluation.viewing.frame_choice import fewer_said
 from posetrack_cli.evaluation.viewing.hand_drawing import HandDrawer
+from posetrack_cli.evaluation.viewing.head_drawing import HeadDrawer
 from posetrack_cli.evaluation.viewing.layers import (
     Drawing,
     DrawnTrack,
@@ -31,6 +32,7 @@ from posetrack_cli.evaluation.viewing.layers import (
 from posetrack_cli.evaluation.viewing.outputs import fitting_sheet
 from posetrack_cli.evaluation.viewing.panels import ImagePanels, depth_layout, depth_panels, image_layout
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.head.subject import HEAD
 from posetrack_cli.losses import Loss, LossLog
 from posetrack_cli.recording.pixels import PixelKind
 from posetrack_cli.recording.recording import Recording
@@ -199,7 +201,9 @@ def drawer_of(result: Result, device: OpenDevice) -> Drawer:
     """Return the drawer for the subject of a result."""
     if result.subject.name in DRAWERS:
         return DRAWERS[result.subject.name](result, device)
-    return SkeletonDrawer(result.subject.point_parents, lines=result.subject.lines)
+    subject = result.subject
+    skeleton = SkeletonDrawer(subject.point_parents, lines=subject.lines)
+    return HeadDrawer(skeleton, subject.number_names) if subject.name == HEAD else skeleton
 
 
 def _common_cameras(results: Sequence[Result], recording: Recording) -> tuple[Camera, ...]:
