@@ -343,7 +343,7 @@ class Policy:
         return self._search(frame)
 
     def decide_after_gap(self, frame: TrackedFrame) -> Decision:
-        """Decide on a frame after a gap **[ours]**: the hand may be anywhere, and the cheapest place counts."""
+        """Decide on a frame after a gap **[ours]**: the hand may be anywhere, the cheapest place counts."""
         monitor = replace(frame.monitor, better_elsewhere=0, search_wait=0)
         candidate = self._finder.search(frame.depth)
         if candidate is None or candidate.cost > frame.fits.cost - _AFTER_GAP_MM:
