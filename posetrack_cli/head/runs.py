@@ -7,7 +7,7 @@ from typing import Any
 
 from posetrack_cli.errors import UsageError
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.head.config import HeadMonoConfig, HeadStereoConfig, SkinSettings
+from posetrack_cli.head.config import FaceSettings, HeadMonoConfig, HeadStereoConfig, SkinSettings
 from posetrack_cli.head.lens.estimation import estimate_lens
 from posetrack_cli.head.lens.lens import EstimatedLens
 from posetrack_cli.head.multilinear.face_model import FaceModel, load_face_model
@@ -112,7 +112,8 @@ def _with_lens(
     if not (source.is_guessed and config.lens.estimate) or fov_is_given:
         return source, None
     check_head_run(source, options)  # before some seconds of work
-    with_skin = config.model_copy(update={"skin": SkinSettings(use=True)})
+    parts = {"skin": SkinSettings(use=True), "face": FaceSettings(use=False)}
+    with_skin = config.model_copy(update=parts)
     clicked = None if options.init is None else Path(options.init)
 
     def make_people(camera: Camera) -> MonoPeople:
