@@ -54,7 +54,7 @@ from posetrack_cli.head.tracker.codecs import (
 )
 from posetrack_cli.head.tracker.face_learning import off_axis_deg, shift_of
 from posetrack_cli.head.tracker.frame_tracker import MONO, MONO_WITH_SKIN, FrameFit, SeededFrame, TrackState
-from posetrack_cli.head.tracker.head_tracker import FaceDescription, HeadTracker, without_dense
+from posetrack_cli.head.tracker.head_tracker import FaceDescription, HeadTracker
 from posetrack_cli.head.tracker.person import (
     CORNERS_SD_MM,
     PRIOR_SD,
@@ -615,7 +615,7 @@ def make_mono_tracker(
         model,
         choice=face,
         clicked=points,
-        known=None if known is None else without_dense(known),
+        known=known,
         landmarks=landmarks,
         systematic_sd=systematic_sd,
         follows_one=follows_one,
