@@ -346,8 +346,8 @@ OWN_CONFIGURED = {
     "--fov",
     metavar="DEG",
     type=float,
-    help="Field of view along the longer image side, if the camera is not calibrated.  [default: 53, a "
-    "guess]",
+    help="Field of view along the longer image side, if the camera is not calibrated.  [default: "
+    "estimated from the face]",
     group=READ,
 )
 @volume_options
@@ -356,9 +356,9 @@ def head_mono(recording: Path, **options: Any) -> None:
 
     The face is detected automatically; a face model is fitted to the person's identity and deformation. The
     result (MCAP) holds pose, velocity, ten face points, deformation and identity. A single camera cannot
-    measure scale: distance and size follow from the average face and from the focal length, which is guessed
-    without a calibration (--camera, --fov). The same input, configuration and seed give an identical file.
-    Exit code 3: some data was unusable, or fewer than 5 % of the frames were tracked.
+    measure scale: distance and size follow from the average face and from the focal length, which is
+    estimated without a calibration (--camera, --fov). The same input, configuration and seed give an
+    identical file. Exit code 3: some data was unusable, or fewer than 5 % of the frames were tracked.
     """
     from posetrack_cli.head.config import HeadMonoConfig
 
@@ -377,11 +377,12 @@ def head_mono(recording: Path, **options: Any) -> None:
         from posetrack_cli.head.runs import guess_note, make_heads_run, make_mono_run
 
         run: HeadRun
+        fov_is_given = options["fov"] is not None
         if options["faces"] is None:
-            run = make_mono_run(source, config, chosen, face, first_pass)
+            run = make_mono_run(source, config, chosen, face, first_pass, fov_is_given=fov_is_given)
         else:
-            run = make_heads_run(source, config, chosen, first_pass)
-        note = guess_note(source, "--fov", is_given=options["fov"] is not None)
+            run = make_heads_run(source, config, chosen, first_pass, fov_is_given=fov_is_given)
+        note = guess_note(run, "--fov")
         if note:
             print_note(f"{source.path}: {note}")
         return run

@@ -26,9 +26,11 @@ QUICK_SEARCH = {"scattered": 4, "finished": 3}
 FRAMES = 16
 """Frames of the whole recording that are searched for two hands."""
 SECOND_MM = 10.0
-"""Largest total cost of the costlier of two hands **[ours]**. In recordings of one hand, faces, elbows and
-backgrounds cost at least 13.8 mm as a second one (16 in real ones); in every recording of two hands some frame
-costs less than 7 mm."""
+"""Largest total cost of the costlier of two hands **[ours]**.
+
+In recordings of one hand, faces, elbows and backgrounds cost at least 13.8 mm as a second one (16 in real
+ones); in every recording of two hands some frame costs less than 7 mm.
+"""
 LIKELY_MM = 15.0
 """Likewise in a recording that is known to show two hands."""
 _LEAST_COST_MM = 2.5

@@ -362,6 +362,14 @@ class PersonSettings(Settings):
     interpupillary_sd_mm: NotNegative = setting(0.5, "standard deviation of that measurement")
 
 
+class LensSettings(Settings):
+    """Camera without calibration and without --fov **[ours]**."""
+
+    estimate: bool = setting(
+        True, "estimate its focal length from the face; false assumes a field of view of 53 degrees"
+    )
+
+
 class SkinSettings(Settings):
     """Skin texture between the feature points, used by the second pass to refine the pose **[ours]**."""
 
@@ -388,6 +396,7 @@ class HeadMonoConfig(Settings):
     status: MonoStatusSettings = MonoStatusSettings()
     person: PersonSettings = setting(PersonSettings(), "prior knowledge of the (first) person")
     skin: SkinSettings = setting(SkinSettings(), "skin texture between the feature points (second pass)")
+    lens: LensSettings = setting(LensSettings(), "focal length of a camera without calibration")
     face: FaceSettings = setting(FaceSettings(), "dense face: lips, jaw, lids, irises, brows")
     smoothing: HeadSmoothingSettings = setting(
         HeadSmoothingSettings(velocity_mm=300.0, velocity_rad=2.0),
@@ -449,6 +458,7 @@ MONO = (
     PrintedSetting("4.4.3", "adjustment.neutral_mm", 1e6),
     PrintedSetting("4.4.3", "adjustment.gates_points", True),
     PrintedSetting("3.2.1", "skin.use", False),
+    PrintedSetting("4.5", "lens.estimate", False),
     PrintedSetting("4.4", "status.check_below", 0.0),
 )
 ALWAYS_BOTH = (

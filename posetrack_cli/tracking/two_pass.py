@@ -108,6 +108,10 @@ class TwoPassRun(Run):
             NothingFoundError: nothing was detected.
         """
 
+    def after_first_pass(self, state: Any) -> Any:
+        """Return the state from which a second pass starts, by default that after the last frame."""
+        return state
+
     def estimates(self, stopped: Stopped = lambda: False) -> Generator[Estimate, None, RunOutcome]:
         """Track every frame; see ``Run.estimates``. Only the last pass yields estimates.
 
@@ -160,7 +164,7 @@ class TwoPassRun(Run):
                     writer.save_checkpoint(within_first_pass(super().checkpoint(run_state, 0)))
                 if stopped():
                     return None
-        return self.learned_by(run_state.state, for_second_pass=True)
+        return self.learned_by(self.after_first_pass(run_state.state), for_second_pass=True)
 
     def _begin_second_pass(self, learned: Learned) -> None:
         self._learned = learned

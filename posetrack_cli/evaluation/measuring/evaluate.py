@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, TypeAlias, get_args
@@ -267,8 +267,14 @@ def _run_notes(result: Result, options: EvalOptions) -> list[str]:
     notes += [] if result.finished else ["unfinished run: evaluated over the frames written so far"]
     notes += [PRIOR_NOTE] if result.run.get("scale") == "prior" else []
     notes += [GUESS_NOTE] if result.run.get("intrinsics") == "guessed" else []
+    notes += [_estimated(result.run)] if result.run.get("intrinsics") == "estimated" else []
     stored = {"part of the run's input was unusable": "losses", "run remarks": "remarks"}
     return notes + [f"{what}: {result.summary[key]}" for what, key in stored.items() if key in result.summary]
+
+
+def _estimated(run: Mapping[str, str]) -> str:
+    focal = f"{run.get('focal_px', '')} +- {run.get('focal_sd_px', '')} px"
+    return f"uncalibrated camera: the focal length is estimated as {focal}, and the distance scales with it"
 
 
 def _paired(track: Track, truth: Track, options: EvalOptions) -> Pairs:

@@ -277,6 +277,11 @@ class HeadState:
         return frame.stamp_ns - round(FRAME_S * 1e9) if self.track is None else self.track.stamp_ns
 
     @property
+    def begun_late(self) -> int | None:
+        """The frame in which the head was found, if earlier ones may show it; None otherwise."""
+        return None
+
+    @property
     def is_continuous(self) -> bool:
         """Whether the head may still be near its last tracked pose."""
         return True

@@ -30,7 +30,7 @@ from posetrack_cli.synthesis.head.form import (
     smooth_field,
     smooth_step,
 )
-from posetrack_cli.synthesis.head.movement import FACING, Movement, Occluder, make_movement, make_occluder
+from posetrack_cli.synthesis.head.movement import Movement, Occluder, make_movement, make_occluder
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
 from posetrack_cli.synthesis.head.painting import head_texture
 from posetrack_cli.synthesis.head.person import (
@@ -250,7 +250,7 @@ class Scene:
         person, looks: the person.
         grid: skin grid.
         size: (width, height) of the rendered images.
-        origin: initial position of the head (3,), mm.
+        rest: pose of the head at rest.
         rng: random stream of cloth, wall and occluder.
     """
 
@@ -261,10 +261,10 @@ class Scene:
         looks: Looks,
         grid: SkinGrid,
         size: tuple[int, int],
-        origin: FloatArray,
+        rest: HeadPose,
         rng: np.random.Generator,
     ) -> None:
-        self._person, self._origin = person, origin
+        self._person, self._rest = person, rest
         self._trunk = trunk_vertices()
         ears, cloth, wall, board = rng.spawn(4)
         ear = ear_surface(looks, ears)
@@ -272,7 +272,7 @@ class Scene:
         others = (trunk_surface(cloth), wall_surface(wall))
         surfaces = [skin, ear, ear, *others, occluder_surface(board)]
         self.renderer = device.surface_renderer(size, surfaces, LAMPS)
-        self._place(WALL, wall_vertices(float(origin[2])), facing=True)
+        self._place(WALL, wall_vertices(float(rest.position[2])), facing=True)
 
     def set(self, pose: HeadPose, strengths: FloatArray, occluder: FloatArray | None) -> None:
         """Set the head's pose, the strengths (J,) of its expressions, and the occluder's centre (3,)."""
@@ -296,9 +296,10 @@ class Scene:
         self.renderer.place(index, vertices.reshape(-1, 3), normals.reshape(-1, 3))
 
     def _trunk_pose(self, pose: HeadPose) -> HeadPose:
-        turn = rotations.logarithm(rotations.multiply(pose.quaternion, rotations.conjugate(FACING)))
-        quaternion = rotations.multiply(rotations.exponential(TRUNK_TURNS * turn), FACING)
-        position = self._origin + TRUNK_FOLLOWS * (pose.position - self._origin)
+        rest = self._rest
+        turn = rotations.logarithm(rotations.multiply(pose.quaternion, rotations.conjugate(rest.quaternion)))
+        quaternion = rotations.multiply(rotations.exponential(TRUNK_TURNS * turn), rest.quaternion)
+        position = rest.position + TRUNK_FOLLOWS * (pose.position - rest.position)
         return HeadPose(position, rotations.canonical(quaternion))
 
 
@@ -522,8 +523,9 @@ def render_plan(plan: Plan, *, device: RenderingDevice | None = None) -> Iterato
     with device_or_default(device) as drawing:
         sensors = [Sensor(camera, plan.options.noise) for camera in plan.cameras]
         size = (sensors[0].drawn.width, sensors[0].drawn.height)
-        origin, looks, times = plan.movement.origin, plan.identity.looks, plan.timeline.seconds
-        scene = Scene(drawing, plan.person, looks, plan.grid, size, origin, plan.scenery)
+        rest = HeadPose(plan.movement.origin, plan.movement.rest)
+        looks, times = plan.identity.looks, plan.timeline.seconds
+        scene = Scene(drawing, plan.person, looks, plan.grid, size, rest, plan.scenery)
         poses, twists = plan.movement.poses(times), plan.movement.twists(times)
         strengths = plan.script.strengths(times)
         try:

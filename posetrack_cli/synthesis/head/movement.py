@@ -12,8 +12,10 @@ from posetrack_cli.synthesis.head.form import MINIMUM_JERK_PEAK, Sway, minimum_j
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
 
 _D = float(np.pi / 180.0)
-MOST = np.array([45.0, 28.0, 55.0, 26.0 * _D, 11.0 * _D, 10.0 * _D])
-"""Range of the natural motion: x, y, z mm; yaw, pitch, roll rad."""
+MOST_MM = (45.0, 28.0, 55.0)
+"""Range of the natural motion: x, y, z."""
+MOST_PITCH, MOST_ROLL = 11.0 * _D, 10.0 * _D
+"""Range of the natural motion, rad; that of the yaw is an option."""
 SLIGHT = 0.2
 """Factor on this range for slight motion."""
 FREQUENCIES_HZ = (0.08, 0.33)
@@ -50,24 +52,35 @@ class Movement:
         sway: of x, y, z (mm), yaw, pitch, roll (rad); None for a still head.
         speed: factor on the rate of time of the smooth motion.
         turn_s: start of the sudden turns, s; None for none.
+        roll: rad, clockwise in the image, of the head at rest.
     """
 
     origin: FloatArray
     sway: Sway | None
     speed: float
     turn_s: float | None
+    roll: float = 0.0
+
+    @property
+    def rest(self) -> FloatArray:
+        """Quaternion of the head at rest, which faces the camera."""
+        return rotations.canonical(rotations.multiply(self._rolled, FACING))
+
+    @property
+    def _rolled(self) -> FloatArray:
+        return rotations.exponential(np.array([0.0, 0.0, self.roll]))
 
     def poses(self, times: FloatArray) -> FloatArray:
         """Return poses (T, 7) at times (T,): position mm, quaternion x y z w, of ``camera_T_head``.
 
-        R = R_y(yaw) R_x(pitch) R_z(roll) R_facing.
+        R = R_z(roll at rest) R_y(yaw) R_x(pitch) R_z(roll) R_facing.
         """
         values = self._wandering(times)
         values[:, 3] += self._turning(times)
         poses = np.empty((len(times), 7))
         poses[:, :3] = self.origin + values[:, :3]
         pitch, yaw, roll = (rotations.exponential(values[:, i, None] * np.eye(3)[k]) for i, k in _ANGLES)
-        turned = rotations.multiply(yaw, rotations.multiply(pitch, roll))
+        turned = rotations.multiply(self._rolled, rotations.multiply(yaw, rotations.multiply(pitch, roll)))
         poses[:, 3:] = rotations.canonical(rotations.multiply(turned, FACING))
         return poses
 
@@ -115,11 +128,12 @@ def turn_time() -> float:
 
 def make_movement(options: HeadSynthOptions, rng: np.random.Generator) -> Movement:
     """Draw the trajectory for these options."""
-    most = MOST * _nearness(options) * (SLIGHT if options.motion == "slight" else 1.0)
-    sway = random_sway(most, FREQUENCIES_HZ, rng)
+    most = np.array([*MOST_MM, options.yaw_range * _D, MOST_PITCH, MOST_ROLL]) * _nearness(options)
+    sway = random_sway(most * (SLIGHT if options.motion == "slight" else 1.0), FREQUENCIES_HZ, rng)
     turn = TURN_AT * options.duration_s if options.motion == "turn" else None
     origin = np.array([0.0, 0.0, options.distance_mm])
-    return Movement(origin, None if options.motion == "still" else sway, options.speed, turn)
+    still = options.motion == "still"
+    return Movement(origin, None if still else sway, options.speed, turn, options.roll * _D)
 
 
 def _nearness(options: HeadSynthOptions) -> FloatArray:

@@ -15,6 +15,8 @@ MOST_FRAMES = 1_000_000
 SIZES_PX = (64, 4096)
 DISTANCES_MM = (350.0, 3000.0)
 BASELINES_MM = (20.0, 400.0)
+YAW_RANGES_DEG = (0.0, 90.0)
+ROLLS_DEG = (-180.0, 180.0)
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,8 @@ class HeadSynthOptions:
         motion: ``natural`` head motion; ``slight`` a fifth of it, facing the camera; ``turn`` additionally
             two sudden turns; ``still`` none.
         speed: factor on the rate of time of the natural motion.
+        yaw_range: largest yaw of the natural motion to either side, deg.
+        roll: rotation of the person in the image, deg, clockwise; trunk included, cameras and light not.
         light: ``slow`` drift; ``sudden``, additionally a lamp switched in the middle; or ``steady``.
         occlusion: whether an object covers half the face for one second.
         noise: factor on the sensor noise.
@@ -55,6 +59,8 @@ class HeadSynthOptions:
     script: str = FREE
     motion: str = "natural"
     speed: float = 1.0
+    yaw_range: float = 26.0
+    roll: float = 0.0
     light: str = "slow"
     occlusion: bool = False
     noise: float = 1.0
@@ -79,6 +85,8 @@ class HeadSynthOptions:
             "frames": (self.frames, 1, MOST_FRAMES),
             "fps": (self.fps, 1.0, 1000.0),
             "speed": (self.speed, 0.1, 10.0),
+            "yaw-range": (self.yaw_range, *YAW_RANGES_DEG),
+            "roll": (self.roll, *ROLLS_DEG),
             "noise-factor": (self.noise, 0.0, 20.0),
             "distance-mm": (self.distance_mm, *DISTANCES_MM),
             "baseline-mm": (self.baseline_mm, *BASELINES_MM),

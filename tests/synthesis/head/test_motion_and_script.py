@@ -72,6 +72,25 @@ def test_a_recording_begins_at_rest_facing_the_camera(motion: str) -> None:
     assert moved == 0.0 if motion == "still" else moved > (5.0 if motion == "slight" else 20.0)
 
 
+def test_yaw_reaches_the_wide_range() -> None:
+    """Sines of two frequencies add up to almost the sum of their amplitudes within five minutes."""
+    movement = make_movement(replace(MINUTE, yaw_range=70.0), np.random.default_rng(3))
+    facing = rotations.matrices_from_quaternions(movement.poses(np.arange(0.0, 300.0, 0.1))[:, 3:])[..., 2]
+    yaw = np.degrees(np.arctan2(facing[:, 0], -facing[:, 2]))
+    assert 60.0 < np.abs(yaw).max() <= 70.0 + ROUNDING
+
+
+def test_a_roll_turns_every_pose_about_the_camera_axis() -> None:
+    rolled, upright = (
+        make_movement(replace(MINUTE, roll=roll), np.random.default_rng(3)).poses(seconds)
+        for roll in (90.0, 0.0)
+    )
+    quarter = rotations.exponential(np.array([0.0, 0.0, np.pi / 2.0]))
+    expected = rotations.canonical(rotations.multiply(quarter, upright[:, 3:]))
+    np.testing.assert_allclose(rolled[:, 3:], expected, atol=ROUNDING)
+    np.testing.assert_array_equal(rolled[:, :3], upright[:, :3])
+
+
 def test_deformations_take_two_thirds_and_leave_a_neutral_beginning() -> None:
     script = make_script(MINUTE, np.random.default_rng(4))
     strengths = script.strengths(seconds)
