@@ -20,7 +20,7 @@ from posetrack_cli.head.face.points import POINT_NAMES
 from posetrack_cli.head.model_file import model_bytes
 from posetrack_cli.head.multilinear.face_model import load_face_model
 from posetrack_cli.head.run import HeadRun, HeadRunOptions
-from posetrack_cli.head.subject import mono_subject
+from posetrack_cli.head.subject import mono_subject, with_dense_face
 from posetrack_cli.head.tracker.mono import make_mono_tracker
 from posetrack_cli.outputs import part_path
 from posetrack_cli.recording.camera_file import camera_file_text
@@ -519,7 +519,7 @@ def test_the_tracker_goes_on_from_its_checkpoints_to_the_same_bytes(
             config,
             HeadRunOptions(tmp_path / name, resume=resume),
             name="head-mono",
-            subject=mono_subject(camera.name, load_face_model()),
+            subject=with_dense_face(mono_subject(camera.name, load_face_model())),
             flush_frames=config.output.flush_frames,
             make_tracker=lambda known: begun.append(known) or make_mono_tracker(config, camera, known),
         ).track(lambda estimate: None, lambda: next(asked) == stop_after)

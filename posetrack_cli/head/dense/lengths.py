@@ -18,6 +18,8 @@ from posetrack_cli.head.dense.points import DENSE_COUNT, LEFT_BROW, LEFT_LIDS, R
 from posetrack_cli.results.columns import counts
 
 BINS, BIN_MM = 256, 0.25
+OPENING = np.array([0.0, 1.0, 0.3])
+"""From the lower to the upper lip when the jaw opens; lengths along it are about distances."""
 PRIOR_FRAMES = 45
 """Number of frames that people in general count for."""
 
@@ -102,6 +104,8 @@ def lengths_of(places: FloatArray, covariances: FloatArray) -> Lengths:
     apart = _FROM_TO @ np.where(known[:, None], places, 0.0)
     values = np.linalg.norm(apart, axis=1)
     values[BROWS] = apart[BROWS, 1]
+    # noise makes a distance too long; the opening along the usual direction is the other way about if closed
+    values[GAP] = 0.5 * (np.hypot(*apart[GAP, 1:]) + OPENING @ apart[GAP])
     along = apart / np.maximum(values, 1e-6)[:, None]
     along[BROWS] = (0.0, 1.0, 0.0)
     covariance = np.einsum(

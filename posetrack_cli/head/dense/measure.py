@@ -18,7 +18,6 @@ from posetrack_cli.head.dense.regions import (
     Region,
     crop,
     image_from_crop,
-    mapped,
 )
 from posetrack_cli.head.face.points import HeadPose
 from posetrack_cli.head.face.rig_images import CameraImage, RigImages
@@ -102,7 +101,7 @@ class _Seen:
 def _in_view(
     network: Network, region: Region, view: CameraImage, pose: HeadPose, centre: FloatArray
 ) -> _Seen | None:
-    """Locate a region's points in one image; None if the region is turned away or outside of it."""
+    """Locate a region's points in one image; None if its middle is turned away or outside of it."""
     towards = centre - np.array(region.centre_mm)
     if towards[2] < LEAST_FACING * float(np.linalg.norm(towards)):
         return None
@@ -140,12 +139,10 @@ def _camera_centre(camera: Camera, pose: HeadPose) -> FloatArray:
 
 
 def _is_inside(homography: FloatArray, region: Region, image: ImageArray) -> bool:
-    """Whether at least half of a region lies in the image."""
-    x, y = np.meshgrid(np.linspace(0.0, region.width - 1.0, 6), np.linspace(0.0, region.height - 1.0, 6))
-    seen = mapped(homography, np.stack([x, y], axis=-1))
+    """Whether the middle of a region lies in the image."""
+    x, y, w = homography @ (0.5 * region.width, 0.5 * region.height, 1.0)
     height, width = image.shape
-    inside = (seen >= 0.0).all(axis=-1) & (seen[..., 0] < width) & (seen[..., 1] < height)
-    return bool(inside.mean() >= 0.5)
+    return bool(0.0 <= x / w < width and 0.0 <= y / w < height)
 
 
 def average_face(networks: Mapping[str, Network]) -> FloatArray:

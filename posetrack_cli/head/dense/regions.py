@@ -91,10 +91,3 @@ def crop(image: ImageArray, homography: FloatArray, region: Region) -> ImageArra
 
 MINIFIED = 1.5
 """Image pixels per crop pixel from which image pixels are averaged instead of interpolated."""
-
-
-def mapped(homography: FloatArray, pixels: FloatArray) -> FloatArray:
-    """Return pixels (..., 2) mapped by a homography."""
-    x, y = pixels[..., 0], pixels[..., 1]
-    u, v, w = (row[0] * x + row[1] * y + row[2] for row in homography)
-    return np.stack([u / w, v / w], axis=-1)

@@ -214,11 +214,6 @@ class Faces(Protocol[State, Found]):
         """Return warnings about a finished run, one line each."""
 
 
-def without_dense(known: Arrays) -> Learned:
-    """Return exported arrays without those of the dense face."""
-    return {name: array for name, array in known.items() if name.partition(".")[0] != DENSE}
-
-
 class HeadTracker(Generic[State, Found]):
     """Tracker of one head.
 
@@ -296,7 +291,7 @@ class HeadTracker(Generic[State, Found]):
         if not self._faces.is_known(state):
             return {}
         learned = self._faces.export_model(state, for_second_pass=for_second_pass)
-        faces = KNOWN_FACES.to_arrays(state.dense) if for_second_pass else {}
+        faces = KNOWN_FACES.to_arrays(state.dense)
         return learned | {joined(DENSE, name): array for name, array in faces.items()}
 
     def not_found(self, state: State) -> str:

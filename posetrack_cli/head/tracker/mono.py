@@ -56,7 +56,7 @@ from posetrack_cli.head.tracker.codecs import (
 )
 from posetrack_cli.head.tracker.face_learning import off_axis_deg, shift_of
 from posetrack_cli.head.tracker.frame_tracker import MONO, MONO_WITH_SKIN, FrameFit, SeededFrame, TrackState
-from posetrack_cli.head.tracker.head_tracker import FaceDescription, HeadTracker, without_dense
+from posetrack_cli.head.tracker.head_tracker import FaceDescription, HeadTracker
 from posetrack_cli.head.tracker.person import (
     CORNERS_SD_MM,
     PRIOR_SD,
@@ -684,7 +684,7 @@ def make_mono_people(
         load_face_model(None if config.model.file is None else Path(config.model.file)),
         choice=face,
         clicked=None if clicked is None else ClickedPoints.read(clicked, (camera,)),
-        known=None if known is None else without_dense(known),
+        known=known,
         landmarks=landmarks,
         systematic_sd=systematic_sd,
         lens=lens,

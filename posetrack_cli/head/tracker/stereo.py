@@ -39,7 +39,7 @@ from posetrack_cli.head.tracker.frame_tracker import (
     TrackState,
     initial_fit,
 )
-from posetrack_cli.head.tracker.head_tracker import FaceDescription, HeadTracker, padded, without_dense
+from posetrack_cli.head.tracker.head_tracker import FaceDescription, HeadTracker, padded
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.columns import Arrays, LayoutError, counts, floats
 from posetrack_cli.tracking.confidence import Regression
@@ -263,10 +263,9 @@ def make_stereo_tracker(
     else:
         points = ClickedPoints.read(clicked, cameras)
         initialiser = ClickedInitialiser(settings, cameras, points, faces)
-    model = None if known is None else without_dense(known)
     names = (*stereo_diagnostic_names(components_of(config)), *SIGN_NAMES)
     dense = DenseFaces(cameras, names) if config.face.use else None
-    return HeadTracker(StereoFace(config, cameras, initialiser, model), dense, known)
+    return HeadTracker(StereoFace(config, cameras, initialiser, known), dense, known)
 
 
 StereoTracker: TypeAlias = HeadTracker[StereoState, StereoInitialisation]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 
+import cv2
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray, ImageArray
@@ -17,7 +18,6 @@ from posetrack_cli.head.dense.regions import (
     Region,
     crop,
     image_from_crop,
-    mapped,
 )
 from posetrack_cli.head.face.points import HeadPose
 from research.face_dense.mesh import FaceKit
@@ -105,7 +105,7 @@ def _samples_of(
         homography = image_from_crop(region, pose, camera)
         assert homography is not None
         seen = pixels_wherever(camera, scene.pose.points(points))
-        at = mapped(np.asarray(np.linalg.inv(homography), np.float64), seen)
+        at = cv2.perspectiveTransform(seen[None], np.linalg.inv(homography))[0]
         target = np.column_stack([at, points[:, 2] - region.centre_mm[2]])
         yield region.name.split("_")[-1], (crop(image, homography, region), target, _gaze(region, face))
 

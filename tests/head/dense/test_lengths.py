@@ -18,16 +18,28 @@ def _person(values, frames):
     return person
 
 
-def test_lip_gap_and_its_deviation():
+def test_lip_gap():
     places = np.zeros((DENSE_COUNT, 3))
     places[rows(66)] = [0.0, -3.0, 4.0]
     covariances = np.broadcast_to(np.diag([9.0, 1.0, 4.0]), (DENSE_COUNT, 3, 3))
 
     found = lengths_of(places, covariances)
 
-    assert found.values[GAP] == pytest.approx(5.0)
-    # both ends have the variance along the gap, (0, .6, -.8)
-    assert found.deviations[GAP] == pytest.approx(np.sqrt(2.0 * (0.36 * 1.0 + 0.64 * 4.0)))
+    # mean of the distance, 5, and of the opening, 3 - .3 * 4
+    assert found.values[GAP] == pytest.approx(0.5 * (5.0 + 1.8))
+
+
+def test_deviation_along_a_length():
+    places = np.zeros((DENSE_COUNT, 3))
+    places[rows(54)] = [3.0, 0.0, 4.0]
+    covariances = np.broadcast_to(np.diag([9.0, 1.0, 4.0]), (DENSE_COUNT, 3, 3))
+
+    found = lengths_of(places, covariances)
+
+    width = LENGTH_NAMES.index("mouth_width")
+    assert found.values[width] == pytest.approx(5.0)
+    # both ends have the variance along the width, (.6, 0, .8)
+    assert found.deviations[width] == pytest.approx(np.sqrt(2.0 * (0.36 * 9.0 + 0.64 * 4.0)))
 
 
 def test_unknown_point_makes_its_lengths_unknown():
