@@ -11,17 +11,22 @@ import pytest
 from posetrack_cli.cli.main import run
 from posetrack_cli.evaluation.measuring.evaluate import EvalOptions, evaluate
 from posetrack_cli.evaluation.measuring.evaluation import Statistics
+from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.config import HeadMonoConfig
 from posetrack_cli.head.run import HeadRunOptions
 from posetrack_cli.head.runs import make_heads_run
+from posetrack_cli.head.tracker.several import HeadsState, HeadsTracker, Member, people_of
 from posetrack_cli.mcap.stream import McapFile
 from posetrack_cli.outputs import part_path
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.results import read_result
+from posetrack_cli.results.columns import floats
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
+from posetrack_cli.tracking.state_codec import Value
 from support.two_people import Walker, make_recording
 
 FPS, FRAMES = 15.0, 24
+CAMERA = Camera(400, 300, 350.0, 350.0, 199.5, 149.5)
 CONFIG = HeadMonoConfig.model_validate(
     {"particles": {"count": 100}, "adjustment": {"views": 6}, "skin": {"use": False}}
 )
@@ -124,3 +129,23 @@ def test_options_of_one_face_are_refused(
     assert run([*given, *arguments]) == 2
     assert message in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+class Noting:
+    """Stands for a head tracker that has learned something."""
+
+    codec = Value(floats())
+
+    def learned(self, state: str, *, for_second_pass: bool) -> dict[str, np.ndarray]:
+        return {"who": np.array(state)}
+
+
+def test_false_detections_are_no_people() -> None:
+    heads = HeadsTracker(CAMERA, [Noting()])  # type: ignore[list-item]
+    members = tuple(Member(name, tracked) for name, tracked in (("ann", 200), ("wall", 9), ("bob", 30)))  # type: ignore[arg-type]
+    learned = heads.learned(HeadsState(members, frames=200), for_second_pass=True)
+    assert [str(one["who"]) for one, _ in people_of(learned)] == ["ann", "bob"]
+    # in a short recording the longest track counts anyway
+    short = heads.learned(HeadsState(members[1:2], frames=9))
+    assert len(people_of(short)) == 1
+    assert heads.learned(HeadsState()) == {}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import cv2
@@ -56,8 +56,8 @@ def frames_of(walker: Walker, options: HeadSynthOptions) -> tuple[Camera, list[S
         start, end = np.array([x, 0.0, z - own.distance_mm]), np.array([end_x, 0.0, end_z - own.distance_mm])
         return start + share * (end - start)
 
-    moved = plan.movement
-    walk = Walk(moved.origin, moved.sway, moved.speed, moved.turn_s, along)
+    own_motion = {field.name: getattr(plan.movement, field.name) for field in fields(plan.movement)}
+    walk = Walk(**own_motion, along=along)
     return plan.cameras[0], list(render_plan(replace(plan, movement=walk)))
 
 

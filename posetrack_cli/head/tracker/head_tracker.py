@@ -251,7 +251,10 @@ class HeadTracker(Generic[State, Found]):
 
     def step(self, state: State, frame: Frame, rng: np.random.Generator) -> tuple[State, Estimate]:
         """Advance by one frame; the given state is not modified."""
-        state, estimate = self._step(state, frame, rng)
+        return self._with_dense(frame, *self._step(state, frame, rng))
+
+    def _with_dense(self, frame: Frame, state: State, estimate: Estimate) -> tuple[State, Estimate]:
+        """Add the dense face to the estimate of a frame."""
         if self._dense is None:
             return state, estimate
         known, estimate = self._dense.add(state.dense, frame, estimate, self._faces.person_index(state))
@@ -278,12 +281,15 @@ class HeadTracker(Generic[State, Found]):
             return None
         now = SeededFrame(prepared, rng)
         state, fit = self._faces.fit(state, state.track, now)
-        return self._update(state, now, fit, reinitialised=False) if self._accepts(state, fit) else None
+        if not self._accepts(state, fit):
+            return None
+        return self._with_dense(frame, *self._update(state, now, fit, reinitialised=False))
 
     def miss(self, state: State, frame: Frame, rng: np.random.Generator) -> tuple[State, Estimate]:
         """Advance by a frame in which the head counts as lost, without a search."""
         state, prepared = self._faces.prepare(state, frame)
-        return self._coast(replace(state, lost=max(state.lost, 1)), SeededFrame(prepared, rng))
+        waiting = replace(state, lost=max(state.lost, 1))
+        return self._with_dense(frame, *self._coast(waiting, SeededFrame(prepared, rng)))
 
     def learned(self, state: State, *, for_second_pass: bool = False) -> Learned:
         """Return the learned face as arrays by name; empty while no face is known."""
