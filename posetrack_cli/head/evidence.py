@@ -20,13 +20,13 @@ WHITE, DARK, FLAT = 250, 40, 12
 """Grey values: saturated from WHITE on, dark below DARK, and the minimum contrast range FLAT."""
 _MUCH = 0.3
 """Share of saturated pixels that hides a face."""
-_TURNS = (1, 3, 2)
-"""Quarter turns, anticlockwise, of rotated images that are tried."""
+TURNED_AWAY_DEG = 40.0
+"""Yaw from which a head hides half of its points."""
 _BITS = (
     "set bits in the camera file to the number of significant bits; for depth images use posetrack hand run"
 )
-_MOST_TURNED = 3
-"""Number of images that are tried in other orientations."""
+THOROUGHLY_SEARCHED = 2
+"""Number of images that are searched in all orientations."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +37,7 @@ class _Seen:
         low, middle, high: percentiles 5, 50 and 95 of brightness.
         white: share of white pixels.
         eye_distances: of the detected faces, pixels.
+        turned_deg: of the detected faces, their yaw to either side.
         score: of the best face.
     """
 
@@ -45,6 +46,7 @@ class _Seen:
     high: float
     white: float
     eye_distances: tuple[float, ...]
+    turned_deg: tuple[float, ...]
     score: float
 
 
@@ -60,7 +62,7 @@ class FaceEvidence:
     def __init__(self, recording: Recording, settings: DetectionSettings, frames: Sequence[Frame]) -> None:
         self._recording, self._detector = recording, FaceDetector(settings)
         self._images = [image for frame in frames for image in frame.images if image is not None]
-        self._seen = [self._look(image) for image in self._images]
+        self._seen = [self._look(image, index) for index, image in enumerate(self._images)]
 
     @property
     def line(self) -> str:
@@ -87,7 +89,6 @@ class FaceEvidence:
         """Most likely cause with a suggested fix; empty without evidence."""
         if not self._seen:
             return ""
-        # cheapest check first: rotated images need a detector run for each turn
         return self._of_camera or self._of_brightness or self._of_turn
 
     @property
@@ -122,21 +123,20 @@ class FaceEvidence:
 
     @property
     def _of_turn(self) -> str:
-        if any(one.eye_distances for one in self._seen):
+        turned = [angle for one in self._seen for angle in one.turned_deg if angle > TURNED_AWAY_DEG]
+        if not turned or len(turned) < sum(bool(one.turned_deg) for one in self._seen):
             return ""
-        for image in self._images[:_MOST_TURNED]:
-            for turns in _TURNS:
-                turned = np.ascontiguousarray(np.rot90(image, turns))
-                if self._detector.detect(turned).faces:
-                    degrees = 90 * (4 - turns)
-                    return (
-                        f"faces are detected after a clockwise rotation by {degrees} degrees: "
-                        "pass upright images and the matching camera"
-                    )
-        return ""
+        return (
+            f"heads are turned away from the camera, by about {np.median(turned):.0f} degrees: "
+            "--start N skips to a frame that shows more of the face"
+        )
 
-    def _look(self, image: ImageArray) -> _Seen:
+    def _look(self, image: ImageArray, index: int) -> _Seen:
         low, middle, high = (float(value) for value in np.percentile(image, (5.0, 50.0, 95.0)))
-        found = self._detector.detect(image)
+        # a thorough search takes a second
+        thorough = index < THOROUGHLY_SEARCHED
+        found = self._detector.detect(image) if thorough else self._detector.detect_quickly(image, 0)
         eyes = tuple(float(face.guess.eye_distance) for face in found.faces)
-        return _Seen(low, middle, high, float(np.mean(image >= WHITE)), eyes, found.best_score)
+        turned = tuple(float(np.degrees(abs(face.angles[1]))) for face in found.faces)
+        white = float(np.mean(image >= WHITE))
+        return _Seen(low, middle, high, white, eyes, turned, found.best_score)
