@@ -22,7 +22,13 @@ from posetrack_cli.hand.keypoints.hands import KeypointSide, keypoint_candidates
 from posetrack_cli.hand.model.hand import hand_maker
 from posetrack_cli.hand.observe.detection import Detection
 from posetrack_cli.hand.search import Acquisition
-from posetrack_cli.hand.shape_fit import Calibration, CalibrationOptions, shape_of
+from posetrack_cli.hand.shape_fit import (
+    Calibration,
+    CalibrationOptions,
+    length_warning,
+    measures_of,
+    shape_of,
+)
 from posetrack_cli.phases import Advance, phase
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.recording import Recording
@@ -452,8 +458,17 @@ def detect_hand(
         config = _with_baseline(_with_hand(sized, found.settings), found)
         return DetectedHand(config, line, bool(warning or found.warning))
     changed = sized.hand.scale != config.hand.scale
+    warning += _size_warning(sized) if changed else ""
     line = hand + (f" of scale {sized.hand.scale:.2f}" if changed else "") + warning
     return DetectedHand(sized, line if len(sides) > 1 or changed else "", bool(warning))
+
+
+def _size_warning(config: HandConfig) -> str:
+    """Return a clause about a hand whose size is none of a person's, with its length; else empty."""
+    hand = hand_maker(config.hand.mesh)(config.hand.side, config.hand.shape)
+    length = float(measures_of(hand.anatomy)[0])
+    doubt = length_warning(length)
+    return f", {length:.0f} mm long{doubt}" if doubt else ""
 
 
 def _counted(recording: Recording, config: HandConfig, start: int, scale: float) -> HandConfig:
@@ -487,7 +502,8 @@ def _both_hands(
         found = shape_of_both(recording, config, frames, _is_usable)
     hands = "two hands" if config.hand.count == BOTH else f"the {side} one of two hands"
     if found is None:
-        return DetectedHand(config, f"{hands} of scale {scale:.2f}")
+        warning = _size_warning(config)
+        return DetectedHand(config, f"{hands} of scale {scale:.2f}{warning}", bool(warning))
     config = _with_baseline(_with_hand(config, found.settings), found)
     return DetectedHand(config, f"{hands}, {found.length_mm:.0f} mm long{found.warning}", bool(found.warning))
 

@@ -115,6 +115,14 @@ MEASURES: tuple[str, ...] = (
 )
 
 
+def length_warning(length_mm: float) -> str:
+    """Return a clause about a length that no hand has; empty for a plausible one."""
+    low, high = HAND_LENGTHS_MM
+    if low <= length_mm <= high:
+        return ""
+    return f", outside {low:.0f} to {high:.0f} mm: is the depth in mm (--depth-unit-mm)?"
+
+
 def measures_of(anatomy: HandAnatomy) -> FloatArray:
     """Return the measures (13,) of a hand, mm, in the order of ``MEASURES``.
 
@@ -308,9 +316,8 @@ class Calibration:
     @property
     def warning(self) -> str:
         """Return a clause to append to a line about the hand; empty if its shape is plausible."""
-        length, (low, high) = self.length_mm, HAND_LENGTHS_MM
-        if not low <= length <= high:
-            return f", outside {low:.0f} to {high:.0f} mm: is the depth in mm (--depth-unit-mm)?"
+        if implausible := length_warning(self.length_mm):
+            return implausible
         if max((abs(c) for c in self.shape.coefficients), default=0.0) > LARGEST_COEFFICIENT:
             return ", of unusual proportions; check the fit with posetrack view"
         sd, prior = self.measured.sd, self.measured.prior_sd

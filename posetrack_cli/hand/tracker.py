@@ -167,10 +167,14 @@ class HandTracker:
         """Fit the frame around its prediction; search where the hand is lost or the fit is doubtful."""
         hands = () if self._keypoints is None else self._keypoints.of(frame)
         if self._policy is not None and state.monitor.lost:
-            decision = self._policy.decide_lost(state.monitor, frame.depth, hands)
+            monitor = replace(state.monitor, search_wait=0) if _is_after_gap(state, frame) else state.monitor
+            decision = self._policy.decide_lost(monitor, frame.depth, hands)
             return self._apply(decision, FrameFit(state, 0.0, None), frame, rng)
         predicted = self.predict(state, dt)
         observation = self._observer.observe(frame.depth, predicted, state.expected)
+        if observation.target_pixels == 0 and self._policy is not None and _is_after_gap(state, frame):
+            decision = self._policy.decide_lost(replace(state.monitor, search_wait=0), frame.depth, hands)
+            return self._apply(decision, FrameFit(state, dt, None), frame, rng)
         if observation.target_pixels == 0:
             dt = min(dt, self.config.motion.gap_max_s - state.unseen_ns * 1e-9)
             return FrameFit(state, dt, None, hidden=observation.hidden)
@@ -188,7 +192,10 @@ class HandTracker:
         )
         observation = replace(observation, inner=fits.inner)
         tracked = TrackedFrame(state.monitor, frame.depth, observation, fits, state.expected)
-        decision = self._policy.decide_tracked(tracked, None if self._keypoints is None else elsewhere)
+        if _is_after_gap(state, frame):
+            decision = self._policy.decide_after_gap(tracked)
+        else:
+            decision = self._policy.decide_tracked(tracked, None if self._keypoints is None else elsewhere)
         return self._apply(decision, FrameFit(state, dt, observation, fits), frame, rng)
 
     def _apply(
@@ -214,9 +221,10 @@ class HandTracker:
     def _assess(self, frame_fit: FrameFit, pose: FloatArray, frame: Frame) -> FrameAssessment:
         """Assess the estimated pose (22,) against the frame."""
         before, settings = frame_fit.state, self.config.status
+        steps = _usual_steps(before, frame)
         if frame_fit.observation is None:
             monitor = before.monitor
-            monitor = monitor if frame_fit.hidden > MOSTLY_HIDDEN else monitor.after_miss(settings)
+            monitor = monitor if frame_fit.hidden > MOSTLY_HIDDEN else monitor.after_miss(settings, steps)
             return FrameAssessment(None, monitor, before.evidence, 0.0, False)
         cost = float(self.scorer.costs(pose[None], frame_fit.observation)[0])
         outline = self._observer.outline(frame.depth, pose, frame_fit.inner[THUMB])
@@ -231,7 +239,7 @@ class HandTracker:
         elif outline.visible < 1.0 - MOSTLY_HIDDEN:
             monitor = before.monitor
         else:
-            monitor = before.monitor.after_miss(settings)
+            monitor = before.monitor.after_miss(settings, steps)
         evidence = before.evidence
         if frame_fit.fits is not None:
             innovation = mean_joint_distances(self.anatomy, self.predict(before, frame_fit.dt), pose[None])
@@ -239,11 +247,12 @@ class HandTracker:
             evidence = evidence.after(
                 signs_of(
                     monitor.mean_cost_mm or cost,
-                    float(innovation[0]),
+                    float(innovation[0]) / steps,
                     len(frame_fit.fits.modes),
                     outline.contrast,
                     ratio,
-                )
+                ),
+                steps,
             )
         confidence = probability(evidence) if quality and self._is_calibrated else quality
         confidence *= min(1.0, outline.visible / _CLEARLY_VISIBLE)
@@ -287,6 +296,20 @@ class HandTracker:
         score = self._log_likelihood(frame_fit.observation)
         advanced = particles.step(frame_fit.dt, self._model, score, rng, guide)
         return *advanced, 0 if score is None else score.count
+
+
+_MOST_STEPS = 3
+"""Usual frame intervals after which a prediction is not trusted."""
+
+
+def _usual_steps(state: HandState, frame: Frame) -> int:
+    """Return the time since a state in usual frame intervals, at least 1."""
+    return max(1, round((frame.stamp_ns - state.stamp_ns) / FIRST_STEP_NS))
+
+
+def _is_after_gap(state: HandState, frame: Frame) -> bool:
+    """Return whether so much time has passed since a state that the hand may be anywhere."""
+    return _usual_steps(state, frame) > _MOST_STEPS
 
 
 def _expected_after(frame_fit: FrameFit) -> FloatArray:

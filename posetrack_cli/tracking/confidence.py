@@ -44,9 +44,9 @@ class RunningSigns:
         """Return the initial state for ``count`` signs."""
         return cls(np.zeros(count))
 
-    def after(self, signs: FloatArray) -> RunningSigns:
-        """Return the means updated with one frame's signs (S,)."""
-        share = max(MEMORY, 1.0 / (self.frames + 1))
+    def after(self, signs: FloatArray, steps: int = 1) -> RunningSigns:
+        """Return the means updated with one frame's signs (S,), ``steps`` usual frame intervals later."""
+        share = max(1.0 - (1.0 - MEMORY) ** steps if steps > 1 else MEMORY, 1.0 / (self.frames + 1))
         return RunningSigns(self.signs + share * (signs - self.signs), self.frames + 1)
 
 

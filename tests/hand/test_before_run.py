@@ -180,6 +180,16 @@ def strange(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(trial, "FRAME_STRIDE", 1)
 
 
+def test_a_size_that_no_person_has_is_doubted(
+    seen: tuple[str, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A shape that is refused, and depth in a wrong unit."""
+    monkeypatch.setattr(autodetect.SideAndScaleSearch, "scale", lambda *arguments: 1.75)
+    found = detect_hand(open_path(seen[1]), FEW, start=0)
+    assert found.is_doubtful and "scale 1.75" in found.line
+    assert "313 mm long, outside 120 to 225 mm: is the depth in mm (--depth-unit-mm)?" in found.line
+
+
 @pytest.mark.usefixtures("strange")
 @pytest.mark.parametrize("side", ["auto", "right"])
 def test_a_hand_that_explains_little_gets_a_shape_of_its_own(

@@ -40,8 +40,8 @@ CLOSED_SHARE = 0.15
 """Opening of a closed eye, as a share of the open one."""
 SHUT_BELOW, OPEN_ABOVE = 0.4, 0.55
 """Lid openings at which eyes count as closed and as open again."""
-LARGEST_LID_SD = 0.25
-"""Standard deviation of an opening, as a share, up to which it determines blinks and gaze."""
+LARGEST_LID_SD = 0.5
+"""Standard deviation of both eyes' opening, as a share, up to which it determines blinks."""
 EYE_DISTANCE_MM, LEAST_EYES_PX = 63.0, 40.0
 """Usual distance of the eyes, and their distance in the reference image from which the gaze is stated."""
 AT_REST_MM = np.array([1.5, 2.0, 3.0, 1.5, 1.5, 1.5, 1.5, 2.5, 2.5])
@@ -155,20 +155,22 @@ def _openings(person: Person, lengths: Lengths) -> tuple[FloatArray, FloatArray]
     return np.maximum(scale * (ratio - CLOSED_SHARE), 0.0), scale * sd
 
 
-def _certain_openings(person: Person, lengths: Lengths) -> FloatArray:
-    """Return the openings (2,), NaN where they are too uncertain to tell open from closed."""
+def _mean_opening(person: Person, lengths: Lengths) -> float:
+    """Return the opening of both eyes; NaN if it is too uncertain to tell open from closed."""
     shares, sd = _openings(person, lengths)
-    # the comparison is false for unknown lids as well
-    return np.where(sd <= LARGEST_LID_SD, shares, np.nan)
+    known = ~np.isnan(shares)
+    precisions = sd[known] ** -2
+    if precisions.sum() < LARGEST_LID_SD**-2:
+        return np.nan
+    return float(precisions @ shares[known] / precisions.sum())
 
 
 def _after(face: KnownFace, lengths: Lengths, points: DensePoints) -> KnownFace:
     """Return what is known of a face after a frame."""
     person = face.lengths.after(lengths)
-    shares = _certain_openings(person, lengths)
-    is_closed = face.is_closed
-    if not np.isnan(shares).all():
-        is_closed = bool(np.nanmean(shares) < (OPEN_ABOVE if is_closed else SHUT_BELOW))
+    opening, is_closed = _mean_opening(person, lengths), face.is_closed
+    if not np.isnan(opening):
+        is_closed = opening < (OPEN_ABOVE if is_closed else SHUT_BELOW)
     away = np.nan_to_num(np.abs(lengths.values - person.rest) / AT_REST_MM)
     weight = float(np.exp(-0.5 * np.square(away).max()))
     return KnownFace(person, face.neutral.after(points.places, weight), is_closed)
@@ -184,13 +186,14 @@ def _actions(face: KnownFace, lengths: Lengths, points: DensePoints) -> FloatArr
     sd = np.where(as_they_are, lengths.deviations, np.hypot(lengths.deviations, person.rest_sd))
     shares, share_sd = _openings(person, lengths)
     found, found_sd = strengths(points.places - face.neutral.places, points.variances)
-    closed = np.nan if np.isnan(_certain_openings(person, lengths)).all() else float(face.is_closed)
+    closed = np.nan if np.isnan(_mean_opening(person, lengths)) else float(face.is_closed)
     return np.concatenate([values, shares, found, sd, share_sd, found_sd, [closed]])
 
 
 def _gazes(face: KnownFace, lengths: Lengths, gazes: FloatArray, pose: HeadPose) -> FloatArray:
     """Return the numbers of both eyes' gazes (2, 3): angles, deviation, direction in camera axes."""
-    is_open = _certain_openings(face.lengths, lengths) >= SHUT_BELOW
+    # False for unknown lids
+    is_open = (_openings(face.lengths, lengths)[0] >= SHUT_BELOW) & (not face.is_closed)
     gazes = np.where(is_open[:, None], gazes, np.nan)
     side, up = gazes[:, 0], gazes[:, 1]
     in_head = np.stack([np.sin(side) * np.cos(up), np.sin(up), np.cos(side) * np.cos(up)], axis=1)

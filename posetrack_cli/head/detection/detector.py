@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +40,8 @@ CERTAIN, LEAST_UNUSUAL = 0.9, 0.75
 detections between them are false."""
 NEAR = 3.0
 """Half the side, in eye distances, of the square searched for a face near an earlier one."""
+LEAST_CHANGE, BOX_EYES = 0.6, 2.7
+"""Smallest size of that face relative to the earlier one, and width of a cascade's box in eye distances."""
 NEAR_AREA = (2.0 * NEAR * 40.0) ** 2
 """Largest area, pixels, of that square: eyes 40 pixels apart suffice for the cascades."""
 
@@ -111,7 +113,9 @@ class FaceDetector:
         if not image[part].size:
             return Detection((), 0.0)
         roll = guess.roll if abs(guess.roll) > UPRIGHT_RAD else 0.0
-        return self._search(image, ((Way(turned, roll, NEAR_AREA), part) for turned in (False, True)), 1)
+        least = LEAST_CHANGE * reach / NEAR * BOX_EYES / self._settings.least_face_px
+        ways = ((Way(turned, roll, NEAR_AREA), part) for turned in (False, True))
+        return self._search(image, ways, 1, max(least, 1.0))
 
     def points_at(self, image: ImageArray, pixels: FloatArray) -> FacePoints | None:
         """Return the points of a face at a known place, None if nothing there resembles a face.
@@ -122,14 +126,21 @@ class FaceDetector:
         """
         return self._points(image, _guess_at(pixels))
 
-    def _search(self, image: ImageArray, steps: Iterable[tuple[Way, Part | None]], wanted: int) -> Detection:
+    def _search(
+        self,
+        image: ImageArray,
+        steps: Iterable[tuple[Way, Part | None]],
+        wanted: int,
+        larger: float = 1.0,
+    ) -> Detection:
         """Search in several ways until enough faces are certain; keep the best of overlapping ones."""
         faces: list[FacePoints] = []
         best_score = 0.0
         for way, part in steps:
-            guesses = tuple(SearchedImage.part(image, way.area, part).faces(self._finder, way))
+            searched = replace(SearchedImage.part(image, way.area, part), larger=larger)
+            guesses = tuple(searched.faces(self._finder, way))
             best_score = max([best_score, *(guess.score for guess in guesses)])
-            for guess in self._promising(guesses, way, faces):
+            for guess in self._promising(guesses, way, faces, wanted):
                 points = self._points(image, guess, way)
                 faces = faces if points is None else _with_better(faces, points)
             if sum(face.score >= self._certain for face in faces) >= wanted:
@@ -137,12 +148,15 @@ class FaceDetector:
         return Detection(tuple(sorted(faces, key=lambda face: -face.guess.eye_distance)), best_score)
 
     def _promising(
-        self, guesses: Sequence[FaceGuess], way: Way, faces: Sequence[FacePoints]
+        self, guesses: Sequence[FaceGuess], way: Way, faces: Sequence[FacePoints], wanted: int
     ) -> Sequence[FaceGuess]:
+        """Return the guesses whose points are worth locating, which costs as much as a search."""
         sure = [guess for guess in guesses if guess.score >= self._settings.least_face_score]
         certain = [face.guess for face in faces if face.score >= self._certain]
         new = [guess for guess in sure if all(is_elsewhere(guess, one) for one in certain)]
-        return (new if way.is_usual else distinct(new))[: limits.FACES]
+        if way.is_usual:
+            return new[: limits.FACES]
+        return sorted(distinct(new), key=lambda guess: -guess.score)[:wanted]
 
     def _points(self, image: ImageArray, guess: FaceGuess, way: Way = Way()) -> FacePoints | None:  # noqa: B008
         """Return the points of a face; of an unusual one, only if they look as learned from many faces."""

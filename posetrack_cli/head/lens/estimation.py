@@ -35,8 +35,8 @@ FRAMES, STRETCHES = 300, 5
 """Number of frames tracked; of longer recordings, in this number of stretches."""
 MOST_LOST = 60
 """Lost frames after which no more are looked at; searching for a face is slow."""
-EVERY = 5
-"""The evidence is computed at every fifth value of log f."""
+EVALUATIONS = 13
+"""Number of values of log f, and of each coordinate of the principal point, at which the skin is adjusted."""
 FLOOR_SD = 0.05
 """Least standard deviation of log f: faces move while they turn."""
 
@@ -114,23 +114,27 @@ def _moments(values: FloatArray, log_density: FloatArray) -> Moments:
 
 
 def _of_focal_lengths(seen: FirstLook, u: FloatArray, centre: FloatArray) -> FloatArray:
-    """Return the log-likelihood of values of u, interpolated between some."""
-    if seen.skin is None:
-        return np.zeros_like(u)
-    changes = [Change(one - seen.log_focal, centre) for one in u[::EVERY]]
-    return np.interp(u, u[::EVERY], log_likelihoods(*seen.skin, changes))
+    """Return the log-likelihood of values of u."""
+    return _interpolated(seen, u, lambda value: Change(value - seen.log_focal, centre))
 
 
 def _of_coordinates(
     seen: FirstLook, u: float, centre: FloatArray, axis: int, coordinates: FloatArray
 ) -> FloatArray:
-    """Return the log-likelihood of values of one coordinate of the principal point, interpolated."""
+    """Return the log-likelihood of values of one coordinate of the principal point."""
+    along, others = np.eye(2)[axis], centre * (1.0 - np.eye(2)[axis])
+    return _interpolated(seen, coordinates, lambda value: Change(u - seen.log_focal, others + value * along))
+
+
+def _interpolated(seen: FirstLook, values: FloatArray, change: Callable[[float], Change]) -> FloatArray:
+    """Return the skin's log-likelihood of values, from ``EVALUATIONS`` of them; zeros without skin."""
     if seen.skin is None:
-        return np.zeros_like(coordinates)
-    places = np.tile(centre, (len(coordinates[::EVERY]), 1))
-    places[:, axis] = coordinates[::EVERY]
-    changes = [Change(u - seen.log_focal, place) for place in places]
-    return np.interp(coordinates, coordinates[::EVERY], log_likelihoods(*seen.skin, changes))
+        return np.zeros_like(values)
+    from scipy.interpolate import CubicSpline  # imported late, as it takes time
+
+    some = np.linspace(values[0], values[-1], EVALUATIONS)
+    found: FloatArray = CubicSpline(some, log_likelihoods(*seen.skin, [change(one) for one in some]))(values)
+    return found
 
 
 def _eye_distance(seen: FirstLook) -> float:

@@ -49,11 +49,14 @@ class EstimatedLens:
         return np.concatenate([depth**2 * aside, [(depth * self.focal_sd) ** 2], about_head])
 
     def share_right(self, pose: HeadPose) -> float:
-        """Return the probability that the focal length causes less than the allowed error of rotation.
+        """Return the probability that the camera causes less than the allowed error of rotation.
 
-        Errors common to all frames do not count.
+        A constant rotation of the head does not count. One of the camera, by c / f, differs from it by c / f
+        times the angle by which the head is turned.
         """
-        sd = float(np.hypot(*self._turn(_ray(pose) - self.ray, pose)))
+        away = np.abs(angles_of(pose.facing) - self.angles)
+        by_centre = self.centre_sd_px / self.camera.fx * float(np.hypot(*away))
+        sd = float(np.linalg.norm([self._turn(_ray(pose) - self.ray, pose), by_centre]))
         return math.erf(math.radians(RIGHT_DEG) / (math.sqrt(2.0) * max(sd, 1e-9)))
 
     def _turn(self, ray: FloatArray, pose: HeadPose) -> FloatArray:

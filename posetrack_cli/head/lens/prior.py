@@ -39,10 +39,10 @@ STATED_SD, STATED_WRONG, STATED_WRONG_OF_CROPS = 0.06, 0.02, 0.5
 """Standard deviation of the logarithm of a stated focal length, and probabilities that it is wrong."""
 LENS_CENTRE_SD = 0.02
 """Standard deviation of a lens's principal point from the image's middle, over the longer side."""
-CROP_CENTRE_SCALE, CROP_FREEDOM = 0.05, 2.0
+CROP_CENTRE_SCALE, CROP_FREEDOM = 0.08, 2.0
 """Scale of Student's t for a crop, over the part of the original side that was cut off, and its degrees of
 freedom: most faces are filmed near the middle, but not all."""
-FARTHEST, PLACES = 8.0, 41
+FARTHEST, PLACES = 8.0, 81
 """Range of the principal point, in scales, and number of values along each axis."""
 
 

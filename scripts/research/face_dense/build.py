@@ -1,7 +1,8 @@
 """Build the networks and expressions of the dense face from rendered faces of ICT-FaceKit.
 
 ICT-FaceKit is a face model of the USC Institute for Creative Technologies (MIT licence). The results contain
-trained weights and mean displacements, no geometry and no image.
+trained weights and mean displacements, no geometry and no image. The shipped networks were trained in rounds
+of these steps: on 800 people, and then on 220 more with more beards.
 """
 
 from __future__ import annotations

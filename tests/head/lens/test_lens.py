@@ -47,3 +47,13 @@ def test_confidence_falls_with_the_distance_from_the_usual_direction() -> None:
     # two-sided normal probability of 3 degrees
     assert lens(0.4).share_right(aside) == pytest.approx(math.erf(3.0 / sd / math.sqrt(2.0)), rel=0.02)
     assert lens(0.05).share_right(aside) > 0.99
+
+
+def test_confidence_counts_a_turned_camera_only_for_a_turned_head() -> None:
+    """Turning the camera by 6 degrees and the head by 0.6 rad in either order differs by 6 deg times 0.6."""
+    px = 1000.0 * math.radians(6.0)
+    usual, turned = (multiply(exponential(np.array([0.0, angle, 0.0])), FACING) for angle in (0.0, 0.6))
+    shares = [lens(0.0, px).share_right(HeadPose(np.array([0.0, 0.0, 700.0]), q)) for q in (usual, turned)]
+    assert shares[0] == pytest.approx(1.0)
+    sd = math.sqrt(2.0) * 6.0 * 0.6  # both coordinates of the principal point
+    assert shares[1] == pytest.approx(math.erf(3.0 / sd / math.sqrt(2.0)), rel=0.01)

@@ -55,3 +55,19 @@ def test_the_principal_point_of_a_crop_is_less_certain_the_smaller_the_part() ->
         for camera, f in ((image(640, 480), 1.0), (image(500, 500), 2.0), (image(500, 500), 10.0))
     )
     assert whole < half < tenth
+
+
+def test_a_stated_focal_length_is_believed_unless_the_image_is_a_crop_at_an_odd_distance() -> None:
+    u = log_focal_lengths()
+
+    def moments(stated: float, eye_distance: float, *, crop: bool) -> tuple[float, float]:
+        density = np.exp(log_prior(u, eye_distance, is_crop=crop, stated=stated))
+        density /= density.sum()
+        centre = density @ u
+        return float(np.exp(centre)), float(np.sqrt(density @ (u - centre) ** 2))
+
+    focal, sd = moments(0.75, 0.1, crop=False)
+    assert focal == pytest.approx(0.75, rel=0.03) and sd < 0.1
+    # the face would be 19 cm away
+    focal, sd = moments(0.75, 0.25, crop=True)
+    assert focal > 1.2 and sd > 0.3
