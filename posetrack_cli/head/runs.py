@@ -16,7 +16,7 @@ from posetrack_cli.head.several_run import HeadsRun
 from posetrack_cli.head.subject import MONO_TRACK, head_subject, mono_subject, with_dense_face
 from posetrack_cli.head.tracker.given_person import GivenPerson, read_person
 from posetrack_cli.head.tracker.mono import MonoPeople, make_mono_people, make_mono_tracker
-from posetrack_cli.head.tracker.several import HeadsTracker, people_of
+from posetrack_cli.head.tracker.several import HeadsTracker, of_head, people_of
 from posetrack_cli.head.tracker.stereo import components_of, make_stereo_tracker
 from posetrack_cli.recording.camera_of import guess_of_camera
 from posetrack_cli.recording.identity import file_digest, shown_name
@@ -152,7 +152,10 @@ def make_heads_run(
         if known is None:
             return HeadsTracker(camera, [make_mono_tracker(config, camera, lens=lens, follows_one=True)])
         people = people_of(known)
-        trackers = [make_mono_tracker(config, camera, one, lens=lens, follows_one=True) for one, _ in people]
+        trackers = [
+            make_mono_tracker(config, camera, one, lens=of_head(lens, trail), follows_one=True)
+            for one, trail in people
+        ]
         return HeadsTracker(camera, trackers, [trail for _, trail in people])
 
     run = HeadsRun(

@@ -73,6 +73,7 @@ def test_options_are_stated_as_plain_values() -> None:
         "align": "none",
         "recording": None,
         "joint_offsets": None,
+        "face_truth": None,
     }
 
 

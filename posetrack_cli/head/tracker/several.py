@@ -18,15 +18,18 @@ from posetrack_cli import limits
 from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.errors import ResultError
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.head.adjustment.adjuster import angles_of
 from posetrack_cli.head.face.points import UNSCALED, scaled_pixels
 from posetrack_cli.head.face.rig_images import project
 from posetrack_cli.head.initialisation.mono import eye_distance_px
+from posetrack_cli.head.lens.lens import EstimatedLens
 from posetrack_cli.head.tracker.codecs import MonoState
 from posetrack_cli.head.tracker.frame_tracker import LONG_AGO_NS, TrackState
+from posetrack_cli.head.tracker.head_tracker import UNSEEN
 from posetrack_cli.head.tracker.mono import MonoTracker
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.columns import Stamp, floats
-from posetrack_cli.results.estimate import Estimate, Status
+from posetrack_cli.results.estimate import Estimate
 from posetrack_cli.tracking.state_codec import Codec, Maybe, Numbered, codec_of, joined, part_of
 from posetrack_cli.tracking.two_pass import Learned
 
@@ -42,6 +45,7 @@ JUMP_NS, JUMP_RATIO = 200_000_000, 1.25
 """Within this time, no head moves by an eye distance or changes its size by this ratio."""
 TRAIL_EVERY_NS = 250_000_000
 """Interval of the places of a head that a second pass knows."""
+TRAIL_SIZE = 8
 GUIDED_NS, GUIDED_EYES = 1_000_000_000, 2.0
 """A place is valid for this time, and this far around it, in eye distances."""
 LEAST_FRAMES, LEAST_SHARE = 10, 0.02
@@ -54,15 +58,18 @@ class Member:
 
     Attributes:
         state: of its tracker.
-        tracked: number of frames in which it was tracked.
+        tracked: number of frames in which it was followed.
         searched_ns: stamp of the last search while it is lost.
-        trail: (T, 4) stamps, ns, places, pixels, and eye distances, pixels, in a first pass.
+        trail: (T, 8) in a first pass: stamp, ns, place (2) and eye distance, pixels, ray x/z and y/z, yaw and
+            pitch, rad.
     """
 
     state: MonoState
     tracked: int = 0
     searched_ns: Stamp = LONG_AGO_NS
-    trail: Annotated[FloatArray, floats("trail", 4)] = field(default_factory=lambda: np.zeros((0, 4)))
+    trail: Annotated[FloatArray, floats("trail", TRAIL_SIZE)] = field(
+        default_factory=lambda: np.zeros((0, TRAIL_SIZE))
+    )
 
     @property
     def is_seen(self) -> bool:
@@ -239,7 +246,7 @@ class HeadsTracker:
 
     def _guide(self, k: int, stamp_ns: int) -> _Region | None:
         """Return where a head was in the first pass; None if unknown."""
-        trail = self._trails[k] if k < len(self._trails) else np.zeros((0, 4))
+        trail = self._trails[k] if k < len(self._trails) else np.zeros((0, TRAIL_SIZE))
         after = int(np.searchsorted(trail[:, 0], stamp_ns))
         near = [row for row in trail[max(after - 1, 0) : after + 1] if abs(row[0] - stamp_ns) <= GUIDED_NS]
         if not near:
@@ -273,12 +280,15 @@ class HeadsTracker:
 
     def _after(self, member: Member, found: _Found, stamp_ns: int) -> Member:
         """Return a head after a frame."""
-        is_tracked = found.estimate.status is not Status.LOST
+        # not by confidence, which an uncertain focal length limits
+        is_tracked = found.is_seen
         due = not member.is_seen and _is_due(member, stamp_ns)
         trail, place = member.trail, self._region(found.state) if is_tracked else None
         is_time = not len(trail) or stamp_ns - trail[-1, 0] >= TRAIL_EVERY_NS
         if place is not None and is_time and not self._knows_people:
-            trail = np.vstack([trail, [float(stamp_ns), *place.middle, place.eye_distance]])
+            own = found.state.track.pose if found.state.track is not None else UNSEEN
+            about = [*(own.position[:2] / own.position[2]), *angles_of(own.facing)]
+            trail = np.vstack([trail, [float(stamp_ns), *place.middle, place.eye_distance, *about]])
         searched_ns = stamp_ns if due else member.searched_ns
         return Member(found.state, member.tracked + is_tracked, searched_ns, trail)
 
@@ -317,12 +327,20 @@ def people_of(learned: Learned) -> list[tuple[Learned, FloatArray]]:
         if (
             trail is None
             or trail.dtype != np.float64
-            or trail.shape[1:] != (4,)
+            or trail.shape[1:] != (TRAIL_SIZE,)
             or not np.isfinite(trail).all()
         ):
             raise ResultError("checkpoint cannot be used", found="no places of the first pass")
         people.append((own, trail))
     return people
+
+
+def of_head(lens: EstimatedLens | None, trail: FloatArray) -> EstimatedLens | None:
+    """Return an estimated camera for a head with this trail, whose constant errors do not count."""
+    if lens is None or not len(trail):
+        return lens
+    usual = np.median(trail[:, 4:], axis=0)
+    return replace(lens, ray=usual[:2], angles=usual[2:])
 
 
 @dataclass(frozen=True, eq=False)
