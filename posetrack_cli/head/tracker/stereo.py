@@ -134,7 +134,7 @@ class StereoFace:
         face = new_face(shape, self._config.model)
         reference = take_templates(images, found.pose, shape)
         track = self._frame_tracker.start(frame, found.pose, shape, face.model, reference)
-        search = replace(state.search, order=found.alternative_order, swapped=0)
+        search = replace(state.search, order=(), swapped=0)
         state = replace(state, face=face, templates=(reference,), track=track, lost=0, search=search)
         return state, initial_fit(track, found.score, found.pixels)
 
@@ -197,14 +197,8 @@ class StereoFace:
         return self._codecs.to_model(state)
 
     def remarks(self, state: StereoState) -> tuple[str, ...]:
-        """Warn if the images may belong to other cameras."""
-        if not state.search.order:
-            return ()
-        names = ", ".join(self.cameras[c].name for c in state.search.order)
-        return (
-            f"at initialisation, faces fitted the calibration better with the images in the order {names},"
-            " but the points matched as recorded: check the assignment of cameras and the calibration",
-        )
+        """Return nothing: a head that was found as recorded confirms the order of the cameras."""
+        return ()
 
     def _is_keyframe(self, templates: Sequence[TemplateSet], fit: FrameFit) -> bool:
         """Whether a nearly neutral face is seen from a direction without templates."""
