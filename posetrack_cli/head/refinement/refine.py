@@ -286,8 +286,8 @@ def _best(scene: Scene, k: int, patch: FloatArray) -> float:
 WIDE_PRIOR = np.array([50.0] * 3 + [0.5] * 3)
 """(6,) standard deviations about the predicted pose, mm and rad; regularises unobserved directions."""
 LEAST_DEVIATION_MM = 1e-3
-ITERATIONS = 3
-"""Maximum number of joint Gauss-Newton steps."""
+ITERATIONS, WITH_EXPRESSIONS = 3, 5
+"""Maximum number of joint Gauss-Newton steps, without and with expressions."""
 RESIDUAL_MM = of_kinds(eyes=0.8, mouth=2.5, nostrils=3.0, brows=0.9)
 """(K,) standard deviations of the points about the model."""
 RECALCULATION_MM = of_kinds(eyes=1.0, mouth=12.0, nostrils=2.5, brows=2.0)
@@ -438,7 +438,8 @@ def _descended(
     )
     precisions = np.maximum(model.deviations, LEAST_DEVIATION_MM) ** -2
     face = Face(np.array(model.mean), np.ascontiguousarray(model.basis), precisions)
-    descend(scene, face, make_prior(RESIDUAL_MM), ITERATIONS if settings.joint else 0, state)
+    most = WITH_EXPRESSIONS if settings.expressions else ITERATIONS
+    descend(scene, face, make_prior(RESIDUAL_MM), most if settings.joint else 0, state)
     return state
 
 

@@ -353,13 +353,21 @@ class MonoPeople:
     def describe(self, state: MonoState, fit: FrameFit | None) -> FaceDescription:
         """Return deformation and diagnostics of a frame."""
         mean = self._model.deformation_mean
-        size = state.person.size if state.people else None
         return FaceDescription(
             mean if fit is None else fit.coefficients + mean,
             self._model.deformation_deviations,
             self._diagnostics(state, fit).numbers(),
-            None if fit is None else size_and_systematic_variance(fit.track.pose, self._systematic_sd, size),
+            None if fit is None else self._systematic_variance(state, fit),
         )
+
+    def _systematic_variance(self, state: MonoState, fit: FrameFit) -> FloatArray:
+        """Return the (6,) variances of the systematic error, which grow while the brows are raised."""
+        size = state.person.size if state.people else None
+        variance = size_and_systematic_variance(fit.track.pose, self._systematic_sd, size)
+        if not state.people:
+            return variance
+        neutral = state.person.shape.mean - MEAN_DISPLACEMENTS
+        return variance + MONO_TRACK.expression_variance(fit.track.shape - neutral)
 
     def export_model(self, state: MonoState, *, for_second_pass: bool) -> Learned:
         """Return the learned people and the focal length at which they were observed."""

@@ -189,7 +189,7 @@ class StereoFace:
             padded(nothing if fit is None else fit.coefficients, count),
             padded(nothing if face is None else face.model.deviations, count),
             _diagnostics(face, fit).numbers(count),
-            None if fit is None else np.square(STEREO_TRACK.systematic_sd),
+            None if face is None or fit is None else _systematic_variance(face, fit),
         )
 
     def export_model(self, state: StereoState, *, for_second_pass: bool) -> Learned:
@@ -261,6 +261,12 @@ StereoTracker: TypeAlias = HeadTracker[StereoState, StereoInitialisation]
 def components_of(config: HeadStereoConfig) -> int:
     """Return B, the number of deformation coefficients in the result."""
     return 0 if config.model.kind == "rigid" else config.model.components
+
+
+def _systematic_variance(face: FaceLearning, fit: FrameFit) -> FloatArray:
+    """Return the (6,) variances of the systematic error of a track, which grow while the brows are raised."""
+    moved = fit.track.shape - face.model.mean
+    return np.square(STEREO_TRACK.systematic_sd) + STEREO_TRACK.expression_variance(moved)
 
 
 def _diagnostics(face: FaceLearning | None, fit: FrameFit | None) -> StereoDiagnostics:
