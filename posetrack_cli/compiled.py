@@ -34,6 +34,7 @@ KERNEL_SOURCES = (
     "rendering/pixel_model.py",
     "rendering/port.py",
     "rendering/raster.py",
+    "head/dense/network.py",
     "head/detection/appearance.py",
     "head/face/templates.py",
     "head/face/points.py",

@@ -218,7 +218,7 @@ def track_head(
 ) -> Tracking:
     """Track a head; same as ``posetrack head mono``, or ``head stereo`` with several cameras.
 
-    Warns if the focal length is a guess.
+    Warns if the focal length is estimated.
 
     Args:
         images: N images (height, width) or (height, width, 3) in blue, green, red; several cameras as a
@@ -226,7 +226,7 @@ def track_head(
         cameras: of the images, the reference first, with names as in ``images``; none for one uncalibrated
             camera. For a recording a camera file, or none for its own calibration.
         fps, stamps_ns: see ``track_hand``.
-        fov_deg: field of view along the longer side of one uncalibrated camera; None guesses 53 degrees.
+        fov_deg: field of view along the longer side of one uncalibrated camera; None estimates it.
         face: which face to track with one camera, 1 for the largest.
         person: earlier head result of the same person, whose shape and size one camera then uses.
         config, settings, seed, smooth, output, overwrite, resume: see ``track_hand``.
@@ -255,9 +255,10 @@ def track_head(
             run = make_stereo_run(recording, stereo, options, _ignore)
         else:
             mono = _configured(HeadMonoConfig, files, own)
-            run = make_mono_run(recording, mono, options, face, _ignore)
-        if fov_deg is None and recording.is_guessed:
-            warnings.warn(guess_note(recording, "fov_deg", is_given=False), stacklevel=2)
+            run = make_mono_run(recording, mono, options, face, _ignore, fov_is_given=fov_deg is not None)
+            note = guess_note(run, "fov_deg")
+            if note and fov_deg is None:
+                warnings.warn(note, stacklevel=2)
         return Tracking(run, folder.pop_all())
 
 

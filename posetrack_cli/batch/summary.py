@@ -33,6 +33,7 @@ from posetrack_cli.evaluation.judging.assessment import (
 from posetrack_cli.evaluation.judging.gates import GateOutcome, parse_gate
 from posetrack_cli.evaluation.judging.rows import ResultRow, worst_first
 from posetrack_cli.evaluation.measuring.evaluate import EvalOptions
+from posetrack_cli.evaluation.measuring.evaluation import Evaluation
 from posetrack_cli.evaluation.reports.report_files import json_report, write_report
 from posetrack_cli.evaluation.reports.writing import Reports, report_texts
 from posetrack_cli.files import read_text
@@ -178,16 +179,25 @@ def _rows(summary: Summary) -> Iterator[tuple[Job, Outcome, ResultRow | None]]:
     # Failures come first, as they need attention before any error.
     jobs = {job.name: job for job in summary.jobs}
     outcomes = {one.name: one for one in summary.outcomes}
-    measured = {row.name: row for one in summary.found.sets for row in one.rows}
-    last = [name for name in measured if name in jobs]
+    measured = _measured(summary)
+    evaluated = {job.name for job, _ in measured}
     first = [one.name for one in summary.missing]
-    between = [name for name in jobs if name not in measured and name not in first]
-    for name in (*first, *between, *last):
-        yield jobs[name], outcomes[name], measured.get(name)
+    between = [name for name in jobs if name not in evaluated and name not in first]
+    for name in (*first, *between):
+        yield jobs[name], outcomes[name], None
+    for job, row in measured:
+        yield job, outcomes[job.name], row
+
+
+def _measured(summary: Summary) -> list[tuple[Job, ResultRow]]:
+    """Return the rows with their recordings, worst first; there is one per subject."""
+    jobs = {job.output: job for job in summary.jobs}
+    rows = [(row, row.measured) for one in summary.found.sets for row in one.rows]
+    return [(jobs[of.path], row) for row, of in rows if isinstance(of, Evaluation) and of.path in jobs]
 
 
 def _table(summary: Summary) -> str:
-    """Return the CSV table, one line per recording."""
+    """Return the CSV table, one line per recording, or per subject of one with several."""
     figures = list(dict.fromkeys(name for one in summary.found.sets for name in (*one.figures, *one.further)))
     facts = ("name", "recording", "state", "reason")
     lines = [[*facts, *figures, "gates_failed", "seconds", "cpu_s", "frames_per_s", "peak_mb", "remarks"]]
@@ -196,15 +206,19 @@ def _table(summary: Summary) -> str:
         values = ["" if row is None or (value := row.value(one)) is None else repr(value) for one in figures]
         lines.append(
             [
-                *(outcome.name, job.shown_recording, outcome.state.value, _reason(summary, outcome)),
+                *(_name(outcome, row), job.shown_recording, outcome.state.value, _reason(summary, outcome)),
                 *values,
-                str(failed[outcome.name]),
+                str(failed[_name(outcome, row)]),
                 *(f"{outcome.seconds:.2f}", f"{outcome.cpu_s:.2f}", _rate(outcome)),
                 f"{outcome.peak_bytes / 1e6:.0f}",
                 "; ".join(outcome.remarks),
             ]
         )
     return csv_of(lines)
+
+
+def _name(outcome: Outcome, row: ResultRow | None) -> str:
+    return outcome.name if row is None else row.name
 
 
 def _reason(summary: Summary, outcome: Outcome) -> str:
@@ -223,7 +237,8 @@ def _report(summary: Summary, options: EvalOptions) -> str:
             worst_first(found.sets), stated_options(options), None, found.outcomes, found.pools, rows=True
         )
     )
-    report["recordings"] = [_facts(summary, job, outcome) for job, outcome, _ in _rows(summary)]
+    recordings = {job.name: _facts(summary, job, outcome) for job, outcome, _ in _rows(summary)}
+    report["recordings"] = list(recordings.values())
     return printable_json(json.dumps(report, indent=1, ensure_ascii=False, allow_nan=False)) + "\n"
 
 
@@ -257,8 +272,8 @@ def _page(folder: Path, summary: Summary) -> RowsPage:
         missing=missing,
         remarks=[(one.name, remark) for one in summary.outcomes for remark in one.remarks],
         links={
-            job.name: _link(folder, job.page)
-            for job in summary.jobs
+            row.name: _link(folder, job.page)
+            for job, row in _measured(summary)
             if job.page is not None and job.page.is_file()
         },
         worst=tuple(_thumbnails(folder, summary)),
@@ -267,10 +282,10 @@ def _page(folder: Path, summary: Summary) -> RowsPage:
 
 def _thumbnails(folder: Path, summary: Summary) -> Iterator[Thumbnail]:
     """Yield reduced pictures of the worst frames of the worst results, from their pages."""
-    pages = {job.name: job.page for job in summary.jobs if job.page is not None and job.page.is_file()}
-    rows = (row for one in summary.found.sets for row in one.rows if row.name in pages)
-    for row in islice(rows, MOST_THUMBNAILS):
-        page = pages[row.name]
+    with_pages = (
+        (job.page, row) for job, row in _measured(summary) if job.page is not None and job.page.is_file()
+    )
+    for page, row in islice(with_pages, MOST_THUMBNAILS):
         with suppress(OSError, ValueError):  # a damaged page has no picture
             found = _PICTURE.search(read_text(page, PAGE_BYTES))
             if found is not None:

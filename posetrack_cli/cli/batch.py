@@ -279,6 +279,8 @@ def _planned(
         command.check(own, where)
         if source.url and chunk_s:
             raise UsageError("--chunk-s does not apply to remote recordings", where=source.url)
+        if chunk_s and "--faces=all" in own:
+            raise UsageError("--chunk-s applies to one face", hint="leave out --faces all")
         for gate in source.gates:
             parse_gate(gate)
         jobs.append(

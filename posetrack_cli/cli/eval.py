@@ -21,6 +21,7 @@ from posetrack_cli.cli.options import (
     json_option,
     junit_option,
     markdown_option,
+    of_option,
     option_group,
     overwrite_option,
     recording_option,
@@ -78,6 +79,13 @@ def _list_metrics(context: click.Context, parameter: click.Parameter, value: boo
         "Ground truth: a recording, result, CSV file or folder of .pts files.  [default: from the result]"
     ),
     option(
+        "--face-truth",
+        metavar="CSV",
+        type=FILE,
+        help="Landmarks of the face in its own frame: stamp_ns or t_s, and p0_x_mm to p67_z_mm (68 points).",
+        rare=True,
+    ),
+    option(
         "--truth-tolerance-ms",
         metavar="MS",
         type=float,
@@ -118,6 +126,7 @@ def _list_metrics(context: click.Context, parameter: click.Parameter, value: boo
         default=None,
         text="Track to measure; both measures and compares the two.  [default: filtered; both with --html]",
     ),
+    of_option("measure"),
     option(
         "--group",
         "groups",
@@ -239,7 +248,7 @@ def _request(results: tuple[Path, ...], options: dict[str, Any]) -> Request:
     groups = expand_groups(options["groups"])
     if not (results or groups):
         raise UsageError("no result to evaluate", hint="see: posetrack eval --help")
-    names = ("truth", "time_offset_s", "align", "recording", "joint_offsets")
+    names = ("truth", "time_offset_s", "align", "recording", "joint_offsets", "face_truth")
     track = options["track"]
     return Request(
         results=results,
@@ -255,6 +264,7 @@ def _request(results: tuple[Path, ...], options: dict[str, Any]) -> Request:
         baseline=None if options["baseline"] is None else read_baseline(options["baseline"]),
         baseline_tolerance=options["baseline_tolerance"],
         keep_tracks=options["html"] is not None or options["mcap"] is not None,
+        label=options["of"],
     )
 
 
@@ -280,7 +290,7 @@ def _check_reports(request: Request, options: dict[str, Any]) -> dict[Path, Path
         from posetrack_cli.evaluation.html import check_page
 
         check_page(options["html"])
-    given = [options[name] for name in ("truth", "recording", "baseline")]
+    given = [options[name] for name in ("truth", "face_truth", "recording", "baseline")]
     inputs = [*request.results, *options["gate_files"], *(path for path in given if path is not None)]
     inputs += [path for paths in request.groups.values() for path in paths]
     out, overwrite = options["mcap"], options["overwrite"]
@@ -375,7 +385,7 @@ def _worst_frames(evaluation: Evaluation, given: Path | None) -> tuple[list[Pict
     from posetrack_cli.evaluation.viewing.pictures import worst_frame_pictures
     from posetrack_cli.results.reader import read_result
 
-    result = read_result(evaluation.path)
+    result = read_result(evaluation.path).of(evaluation.label)
     search = search_recording(result, given, in_colour=True)
     if search.recording is None:
         return None, search.reason
@@ -398,6 +408,8 @@ def _show(found: Assessment, given: int, options: dict[str, Any]) -> None:
     if is_quiet() or sys.stdout is None or STANDARD_OUTPUT in [options[name] for name in TEXT_REPORTS]:
         return
     made, lines = _rows(found, options) if found.rows else _columns(found, given, options)
+    if not found.rows and any(one.label for one in found.evaluations) and not options["honesty"]:
+        made += [table for table in (pooled_table(found.pools),) if table is not None]
     if options["honesty"]:
         columns = () if found.rows else found.evaluations
         more = (reliability_table(columns, found.pools), pooled_table(found.pools))
@@ -406,7 +418,7 @@ def _show(found: Assessment, given: int, options: dict[str, Any]) -> None:
     if found.comparison is not None:
         made += comparison_tables(found.comparison, parts=options["parts"])
         lines += comparison_lines(found.comparison, parts=options["parts"])
-    elif len(found.evaluations) > 1 and not found.rows:
+    elif len({one.path for one in found.evaluations}) > 1 and not found.rows:
         lines.append(NOT_COMPARED)
     if found.outcomes:
         passed = len(found.outcomes) - len(found.failed)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import heapq
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -18,6 +19,7 @@ from posetrack_cli.cli.options import (
     TRACKS,
     WRITTEN,
     cameras_option,
+    of_option,
     option_group,
     output_option,
     overwrite_option,
@@ -25,7 +27,6 @@ from posetrack_cli.cli.options import (
     recording_options,
     tolerance_option,
     track_option,
-    truth_option,
 )
 from posetrack_cli.cli.running import print_opened
 from posetrack_cli.cli.terminal import STANDARD_OUTPUT, bar, print_data, print_line, print_note
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     from posetrack_cli.recording.base import TruthMessage
     from posetrack_cli.recording.recording import Recording
     from posetrack_cli.results.export.source import ExportSource
+    from posetrack_cli.results.reader import Result
 
 
 # posetrack convert
@@ -59,9 +61,13 @@ if TYPE_CHECKING:
     group=WRITTEN,
 )
 @option_group(
-    truth_option(
-        "Ground truth of hand joints to add, CSV: stamp_ns or t_s, and <joint>_x_mm, _y_mm, _z_mm in camera "
-        "axes."
+    option(
+        "--truth",
+        metavar="[SIDE=]FILE",
+        multiple=True,
+        help="Ground truth of hand joints to add, CSV: stamp_ns or t_s, and <joint>_x_mm, _y_mm, _z_mm in "
+        "camera axes; of two hands left=FILE and right=FILE. Repeatable.",
+        meaning="Ground truth file",
     ),
     title="Ground truth",
 )
@@ -76,7 +82,7 @@ if TYPE_CHECKING:
 def convert(
     recording: Path,
     output: Path,
-    truth: Path | None,
+    truth: tuple[str, ...],
     overwrite: bool,
     raw: bool,
     images: bool,
@@ -89,8 +95,8 @@ def convert(
     raw images and H.264 and H.265 video without B-frames are copied unchanged. Other images are stored as the
     8-bit grey that is tracked, other video as JPEG images, which differ slightly.
 
-    Ground truth in IN is copied; --truth adds joints as /truth/hand/points, used by eval. Exit code 3: frames
-    were lost.
+    Ground truth in IN is copied; --truth adds joints as /truth/hand/points (or /truth/hand/left/points), used
+    by eval. Exit code 3: frames were lost.
     """
     from posetrack_cli.losses import loss_line
     from posetrack_cli.recording.conversion import convert_recording
@@ -98,7 +104,7 @@ def convert(
 
     source = open_any(recording, images=images, **reading_options(options))
     print_opened(recording, source)
-    joints = [] if truth is None else _joints(truth, source)
+    joints = _joints(truth, source)
     source.identity()  # of a large file it takes long, and has a bar of its own
     with bar("convert", "frame", source.frame_count) as shown:
         conversion = convert_recording(
@@ -114,17 +120,35 @@ def convert(
         click.get_current_context().exit(EXIT_DATA_LOST)
 
 
-def _joints(path: Path, source: Recording) -> list[TruthMessage]:
+def _joints(given: Sequence[str], source: Recording) -> list[TruthMessage]:
+    """Read joints of one or two hands from CSV as ground truth messages in log-time order."""
+    each = [_joints_of(*_side_and_file(text), source) for text in given]
+    return list(heapq.merge(*each, key=lambda message: message.log_time_ns))
+
+
+_SIDES = ("right", "left")
+
+
+def _side_and_file(text: str) -> tuple[str, Path]:
+    """Return side and path of ``[SIDE=]FILE``; the side is empty if it is not given."""
+    side, equals, path = text.partition("=")
+    if not equals or side not in _SIDES:
+        side, path = "", text
+    return side, Path(FILE.convert(path, None, None))
+
+
+def _joints_of(side: str, path: Path, source: Recording) -> list[TruthMessage]:
     """Read joints from CSV as ground truth messages; refuse recordings that already have some."""
     from posetrack_cli.evaluation.reading.truth_tables import load_csv_track
     from posetrack_cli.evaluation.reading.truth_topics import points_messages, points_topic
     from posetrack_cli.hand.model.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS
     from posetrack_cli.results.estimate import Subject
 
-    subject = Subject("hand", source.cameras[0].name, ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS)
-    if any(message.topic == points_topic(subject.name) for message in source.truth()):
+    names = ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS
+    subject = Subject("hand", source.cameras[0].name, *names, label=side)
+    if any(message.topic == points_topic(subject.topic) for message in source.truth()):
         raise UsageError("recording already has ground truth joints", where=source.path, hint="omit --truth")
-    return list(points_messages(load_csv_track(path, subject)))
+    return list(points_messages(load_csv_track(path, subject), subject.topic))
 
 
 # posetrack export
@@ -134,7 +158,7 @@ _BY_SUFFIX = {
     f".{name}": name for name in ("csv", "tum", "npz", "json", "parquet", "nwb", "bvh", "c3d", "mcap")
 }
 _BY_ENDING = {"_motion.tsv": "bids"} | _BY_SUFFIX
-FORMATS = (*_BY_SUFFIX.values(), "bids", "openface", "mediapipe", "rom")
+FORMATS = (*_BY_SUFFIX.values(), "bids", "openface", "arkit", "blinks", "mediapipe", "rom")
 DATED = ("nwb", "bids")
 """Formats with the date of the session."""
 SCHEMAS = ("ros2", "protobuf")
@@ -171,6 +195,7 @@ SCHEMAS = ("ros2", "protobuf")
 @output_option("Output file.  [default: standard output]", "FILE|-", required=False)
 @overwrite_option("FILE if it exists")
 @track_option(*TRACKS, default=FILTERED, text="Track to export.")
+@of_option("export")
 @option(
     "--estimate-topic",
     "topic",
@@ -191,6 +216,7 @@ def export(
     schemas: str | None,
     output: Path | None,
     track: str,
+    of: str | None,
     topic: str | None,
     no_lost: bool,
     session_start: str | None,
@@ -208,18 +234,20 @@ def export(
     nwb        NWB with ndx-pose; requires -o
     bids       BIDS Motion; requires -o DATASET/sub-01_task-reach
     openface   head pose and landmarks in the columns of OpenFace, CSV
+    arkit      expression of a head as coefficients of ARKit's blend shapes, CSV
+    blinks     begin and end of each blink, CSV
     mediapipe  hand landmarks as MediaPipe's HandLandmarker returns them, JSON
     bvh        hand skeleton for Blender: m, y up, fixed frame rate
     c3d        joints or points as markers: mm, fixed frame rate; requires -o
     mcap       ROS 2 messages, or RESULT as protobuf (--schemas); requires -o
 
     Euler angles: R = R_y(yaw) R_x(pitch) R_z(roll), in camera axes. Lost frames are exported with their last
-    pose and status lost, without pixels; nwb, bids, openface, mediapipe and c3d leave them empty, and rom
-    omits them. tum and bvh have no status: use --no-lost. Exit code 3: RESULT is truncated or damaged, and
-    its readable part was exported.
+    pose and status lost, without pixels; nwb, bids, openface, arkit, mediapipe and c3d leave them empty, and
+    rom omits them. tum and bvh have no status: use --no-lost. Of several heads or hands, csv has a column
+    track; other formats write a file for each, such as FILE-left.npz. Exit code 3: RESULT is truncated or
+    damaged, and its readable part was exported.
     """
     from posetrack_cli.losses import loss_line
-    from posetrack_cli.results.export.export import text_pieces
     from posetrack_cli.results.export.source import export_source
     from posetrack_cli.results.reader import read_result
 
@@ -230,23 +258,61 @@ def export(
         raise UsageError(what, found=f"{topic} and {track}")
     start_ns = _session_start_ns(session_start, chosen)
     result = read_result(path)
-    topic = topic or result.topic_of_track(track)
-    source = export_source(result, topic, lost=not no_lost, session_start_ns=start_ns)
-    pieces, notes = _OF_SUBJECTS[chosen](source) if chosen in _OF_SUBJECTS else (None, ())
-    if output is None:
-        if sys.stdout is None:
-            raise UsageError("standard output is closed", hint="write to a file with -o")
-        for piece in text_pieces(source, chosen) if pieces is None else pieces:
-            print_data(piece)
-    else:
-        written, more = _written(source, chosen, output, pieces, overwrite=overwrite)
-        notes = (*notes, *more)
-        print_line(f"{written}: {chosen}, {written.stat().st_size} bytes")
-    for note in notes:
+    sources = [
+        export_source(part, topic or part.topic_of_track(track), lost=not no_lost, session_start_ns=start_ns)
+        for part in _parts(result, of, topic)
+    ]
+    if output is None and sys.stdout is None:
+        raise UsageError("standard output is closed", hint="write to a file with -o")
+    for note in _exported(sources[:1] if chosen == "protobuf" else sources, chosen, output, overwrite):
         print_note(f"{path}: {note}")
     if result.losses:
         print_note(f"{path}: {loss_line(result.losses)}")
         click.get_current_context().exit(EXIT_DATA_LOST)
+
+
+def _parts(result: Result, label: str | None, topic: str | None) -> tuple[Result, ...]:
+    """Return the parts of a result to export: of one subject if it or its topic is chosen, else of all."""
+    if label is not None:
+        return (result.of(label),)
+    if topic is not None:
+        named = [part for part in result.parts if f"/{part.subject.topic}/" in topic]
+        return (*named, *result.parts)[:1]
+    return result.parts
+
+
+def _exported(
+    sources: Sequence[ExportSource], chosen: str, output: Path | None, overwrite: bool
+) -> Iterator[str]:
+    """Export subjects: CSV to one table, other formats to one file per subject; yield notes."""
+    from posetrack_cli.results.export.export import save_text, text_pieces, tracks_csv_text
+
+    if len(sources) > 1 and chosen == "csv":
+        together = tracks_csv_text(sources)
+        if output is None:
+            for piece in together:
+                print_data(piece)
+        else:
+            save_text(together, sources[0], output, overwrite=overwrite)
+            print_line(f"{output}: {chosen}, {output.stat().st_size} bytes")
+        return
+    if len(sources) > 1 and output is None:
+        found = f"{len(sources)} tracks in format {chosen}"
+        raise UsageError(
+            "standard output holds one track", found=found, hint="choose one with --of, or use -o"
+        )
+    for source in sources:
+        pieces, notes = _OF_SUBJECTS[chosen](source) if chosen in _OF_SUBJECTS else (None, ())
+        if output is None:
+            for piece in text_pieces(source, chosen) if pieces is None else pieces:
+                print_data(piece)
+        else:
+            label = source.result.subject.label if len(sources) > 1 and chosen != "bids" else ""
+            place = output.with_stem(f"{output.stem}-{label}") if label else output
+            written, more = _written(source, chosen, place, pieces, overwrite=overwrite)
+            notes = (*notes, *more)
+            print_line(f"{written}: {chosen}, {written.stat().st_size} bytes")
+        yield from notes
 
 
 def _chosen_format(format_name: str | None, schemas: str | None, output: Path | None) -> str:
@@ -317,7 +383,7 @@ def _mediapipe(source: ExportSource) -> Pieces:
     from posetrack_cli.hand.mediapipe import mediapipe_text
 
     check_hand(source, "mediapipe")
-    side = configuration_of(source.result.run).hand.side
+    side = source.result.subject.label or configuration_of(source.result.run).hand.side
     return mediapipe_text(source, "left" if side == "left" else "right"), ()
 
 
@@ -327,8 +393,22 @@ def _openface(source: ExportSource) -> Pieces:
     return openface_text(source), ()
 
 
+def _arkit(source: ExportSource) -> Pieces:
+    from posetrack_cli.head.arkit import arkit_text
+
+    return arkit_text(source), ()
+
+
+def _blinks(source: ExportSource) -> Pieces:
+    from posetrack_cli.head.blinks import blinks_text
+
+    return blinks_text(source), ()
+
+
 _OF_SUBJECTS: Mapping[str, Callable[[ExportSource], Pieces]] = {
     "bvh": _bvh,
     "mediapipe": _mediapipe,
     "openface": _openface,
+    "arkit": _arkit,
+    "blinks": _blinks,
 }

@@ -55,6 +55,7 @@ CONFIGURED = {
     "proposal": "filter.proposal",
     "resampling": "filter.resampling",
     "cost": "observation.cost",
+    "hands": "hand.count",
     "side": "hand.side",
     "scale": "hand.scale",
     "mesh": "hand.mesh",
@@ -89,6 +90,12 @@ hand.add_command(hand_synth)
         "right",
         "left",
         text="Hand to track; auto decides from the first seconds.  [default: auto]",
+    ),
+    option(
+        "--hands",
+        type=click.Choice(["auto", "1", "2"]),
+        help="Hands to track: one, both, or as many as the recording shows (auto; one with --hand-side).  "
+        "[default: auto]",
     ),
     option(
         "--shape",

@@ -331,6 +331,11 @@ OWN_CONFIGURED = {
         show_default=True,
         help="Face to track, by size in the first frames; 1 is the largest.",
     ),
+    option(
+        "--faces",
+        type=click.Choice(["all"]),
+        help="Track all faces, each as a track of its own: 1, 2 and so on. Requires two passes.",
+    ),
     title=START,
 )
 @option_group(particles_option(750), title=CONFIGURATION)
@@ -341,8 +346,8 @@ OWN_CONFIGURED = {
     "--fov",
     metavar="DEG",
     type=float,
-    help="Field of view along the longer image side, if the camera is not calibrated.  [default: 53, a "
-    "guess]",
+    help="Field of view along the longer image side, if the camera is not calibrated.  [default: "
+    "estimated from the face]",
     group=READ,
 )
 @volume_options
@@ -351,9 +356,9 @@ def head_mono(recording: Path, **options: Any) -> None:
 
     The face is detected automatically; a face model is fitted to the person's identity and deformation. The
     result (MCAP) holds pose, velocity, ten face points, deformation and identity. A single camera cannot
-    measure scale: distance and size follow from the average face and from the focal length, which is guessed
-    without a calibration (--camera, --fov). The same input, configuration and seed give an identical file.
-    Exit code 3: some data was unusable, or fewer than 5 % of the frames were tracked.
+    measure scale: distance and size follow from the average face and from the focal length, which is
+    estimated without a calibration (--camera, --fov). The same input, configuration and seed give an
+    identical file. Exit code 3: some data was unusable, or fewer than 5 % of the frames were tracked.
     """
     from posetrack_cli.head.config import HeadMonoConfig
 
@@ -363,11 +368,21 @@ def head_mono(recording: Path, **options: Any) -> None:
     if chosen.init is not None and face > 1:
         raise UsageError("--face cannot be combined with --init FILE", found=face, hint="leave it out")
 
-    def made(first_pass: Report) -> HeadRun:
-        from posetrack_cli.head.runs import guess_note, make_mono_run
+    if options["faces"] is not None and face > 1:
+        raise UsageError(
+            "--face and --faces are mutually exclusive", found=face, hint="leave one of them out"
+        )
 
-        run = make_mono_run(source, config, chosen, face, first_pass)
-        note = guess_note(source, "--fov", is_given=options["fov"] is not None)
+    def made(first_pass: Report) -> HeadRun:
+        from posetrack_cli.head.runs import guess_note, make_heads_run, make_mono_run
+
+        run: HeadRun
+        fov_is_given = options["fov"] is not None
+        if options["faces"] is None:
+            run = make_mono_run(source, config, chosen, face, first_pass, fov_is_given=fov_is_given)
+        else:
+            run = make_heads_run(source, config, chosen, first_pass, fov_is_given=fov_is_given)
+        note = guess_note(run, "--fov")
         if note:
             print_note(f"{source.path}: {note}")
         return run

@@ -222,6 +222,16 @@ def track_option(*choices: str, default: str | None, text: str) -> OptionDecorat
     )
 
 
+def of_option(verb: str) -> OptionDecorator:
+    """Return --of with a verb in its help, for commands that read results."""
+    return option(
+        "--of",
+        metavar="NAME",
+        help=f"Name of the head or hand to {verb}, for results of several, e.g. 1 or left.  [default: all]",
+        meaning="Name of a head or hand in a result of several",
+    )
+
+
 def truth_option(text: str) -> OptionDecorator:
     """Return --truth (a file) with this help."""
     return option("--truth", metavar="FILE", type=FILE, help=text, meaning="Ground truth file")

@@ -218,6 +218,12 @@ def _rate(frames: int, seconds: float) -> str:
     return f"{rate:.1f}" if rate >= 1.0 else f"{rate:.2g}"
 
 
+def _lost(outcome: RunOutcome) -> str:
+    """Return the number of lost frames, with several subjects that of each."""
+    of_each = ", ".join(f"{label}: {count}" for label, count in outcome.lost_by_label.items())
+    return f"lost {of_each}" if of_each else f"{outcome.lost} lost"
+
+
 def close(recording: Path, output: Path, outcome: RunOutcome, passes: int = 1) -> None:
     """Print the closing line, remarks and suggested commands, and set the exit code."""
     from posetrack_cli.compiled import compiling_s
@@ -234,7 +240,7 @@ def close(recording: Path, output: Path, outcome: RunOutcome, passes: int = 1) -
         what += f" over {passes} passes, {outcome.frames} in the last"
     elif outcome.frames != outcome.tracked:
         what += f", {outcome.frames} including earlier runs"
-    what += f", {outcome.lost} lost"
+    what += f", {_lost(outcome)}"
     if compiled_s >= _LEAST_COMPILING_S:
         what += f", {compiled_s:.0f} s spent compiling"
     if outcome.stopped:

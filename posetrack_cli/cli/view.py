@@ -21,6 +21,7 @@ from posetrack_cli.cli.options import (
     FiniteRange,
     chosen_tracks,
     device_option,
+    of_option,
     option_group,
     output_option,
     overwrite_option,
@@ -78,6 +79,7 @@ DRAWN = {
         "[default: all; spread:6 for a contact sheet]",
     ),
     track_option(*TRACKS, BOTH, default=FILTERED, text="Track to draw; both draws the two side by side."),
+    of_option("draw"),
     option(
         "--layout",
         type=click.Choice(LAYOUTS),
@@ -143,10 +145,11 @@ def view(paths: tuple[Path, ...], output: Path, **options: Any) -> None:
     from posetrack_cli.results.reader import read_result
 
     check_view_output(output, overwrite=options["overwrite"])
-    results = [read_result(path) for path in paths]
+    wholes = [read_result(path) for path in paths]
     if is_messages(output):
-        _join(results, output, options)
+        _join(wholes, output, options)
         return
+    results = _parts(wholes, options["of"])
     drawn = _prepare(results, output, options)
     with stop_signals() as stopped, _finished(open_output(output, options["rate"] or drawn.rate_hz)) as out:
         count = _draw(drawn, out, stopped)
@@ -159,7 +162,8 @@ def _join(results: Sequence[Result], output: Path, options: dict[str, Any]) -> N
     from posetrack_cli.losses import loss_line
 
     context = click.get_current_context()
-    given = [name for name in (*DRAWN.values(), "track", "rate", "device") if _is_given(context, name)]
+    own = (*DRAWN.values(), "track", "of", "rate", "device")
+    given = [name for name in own if _is_given(context, name)]
     if len(results) > 1 or given:
         found = f"--{given[0].replace('_', '-')}" if given else f"{len(results)} results"
         raise UsageError("an MCAP file holds one result with all its tracks", found=found)
@@ -188,6 +192,17 @@ def _recording_of(result: Result, options: dict[str, Any]) -> Recording:
     return required_recording(result, options["recording"], **chosen)
 
 
+def _parts(wholes: Sequence[Result], label: str | None) -> list[Result]:
+    """Return the results of one subject each that are drawn."""
+    if label is not None:
+        return [whole.of(label) for whole in wholes]
+    several = [whole for whole in wholes if len(whole.subjects) > 1]
+    if several and len(wholes) > 1:
+        hint = "choose one of its tracks with --of"
+        raise UsageError("several tracks next to another result", where=several[0].path, hint=hint)
+    return [part for whole in wholes for part in whole.parts]
+
+
 def _prepare(results: Sequence[Result], output: Path, options: dict[str, Any]) -> ResultView:
     """Return the view, checked before the first frame is drawn."""
     from posetrack_cli.evaluation.viewing.layers import ViewOptions
@@ -202,7 +217,8 @@ def _prepare(results: Sequence[Result], output: Path, options: dict[str, Any]) -
     style_of(results)
     recording = _recording_of(results[0], options)
     # The device is opened on first use: heads are drawn without one.
-    return ResultView(results, recording, view_options, cache(lambda: open_usual_device(options["device"])))
+    device = cache(lambda: open_usual_device(options["device"]))
+    return ResultView(results, recording, view_options, device)
 
 
 def _check_one_recording(results: Sequence[Result], options: dict[str, Any]) -> None:

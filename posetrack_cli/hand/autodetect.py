@@ -10,8 +10,9 @@ from itertools import chain, islice, product, takewhile
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.errors import RecordingError
+from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.hand.both import BOTH, ONE_OF_TWO, QUICK_SEARCH, SIDES, PairFinder, shape_of_both
 from posetrack_cli.hand.config import HandConfig, HandSettings
 from posetrack_cli.hand.evidence import DepthEvidence
 from posetrack_cli.hand.fit.gauss_newton import STIFF_THUMB
@@ -21,7 +22,13 @@ from posetrack_cli.hand.keypoints.hands import KeypointSide, keypoint_candidates
 from posetrack_cli.hand.model.hand import hand_maker
 from posetrack_cli.hand.observe.detection import Detection
 from posetrack_cli.hand.search import Acquisition
-from posetrack_cli.hand.shape_fit import Calibration, CalibrationOptions, shape_of
+from posetrack_cli.hand.shape_fit import (
+    Calibration,
+    CalibrationOptions,
+    length_warning,
+    measures_of,
+    shape_of,
+)
 from posetrack_cli.phases import Advance, phase
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.recording import Recording
@@ -89,7 +96,6 @@ def _is_restarted_at_other_size(search: SideAndScaleSearch, shapes: Mapping[str,
 
 # Side and size from the first seconds
 
-SIDES = ("right", "left")
 NS_PER_S = 10**9
 EARLY_S = 10.0
 FRAME_STRIDE = 12  # neighbouring frames have correlated errors
@@ -116,7 +122,6 @@ _SAME_SIZE_MM, _SAME_SIZE = 4.0, 0.03  # cost, and relative difference, at which
 # unit.
 _SIZE_SD, _MAX_SIZE_PENALTY_MM = (0.12, 0.15), 2.5
 
-_QUICK_SEARCH = {"scattered": 4, "finished": 3}  # for comparisons that do not need the last 0.1 mm
 _HOPELESS_MM = 4.0  # a side this much worse is not tried in other sizes
 
 
@@ -203,7 +208,7 @@ class SideAndScaleSearch:
         has_sizes: bool,
     ) -> None:
         self._keypoints, self._keypoint_side = keypoints, KeypointSide(keypoints, camera)
-        quick = config.acquisition.model_copy(update=_QUICK_SEARCH)
+        quick = config.acquisition.model_copy(update=QUICK_SEARCH)
         never = config.status.model_copy(update={"doubt_above_mm": config.observation.clamp_mm})
         self._quick = config.model_copy(update={"acquisition": quick, "status": never})
         self._config, self._camera = config, camera
@@ -423,14 +428,18 @@ def detect_hand(
         UsageError: the configured mesh is not a usable hand.
     """
     is_open = is_size_unknown(config)
-    if config.hand.side != "auto" and not is_open:
-        return DetectedHand(config)
+    is_any_side = config.hand.side == "auto" and config.hand.count != BOTH
+    if not is_any_side and not is_open:
+        return DetectedHand(_counted(recording, config, start, config.hand.scale))
     sides = SIDES if config.hand.side == "auto" else (config.hand.side,)
     search = search_early_frames(recording, config, start, sides, keypoints)
     if not search.frame_count:
         line = _line_without_hand(recording, config, start, sides[0]) if len(sides) > 1 else ""
         return DetectedHand(_with_hand(config, {"side": sides[0]}), line, bool(line))
 
+    config = _counted(recording, config, start, search.scale(search.side))
+    if config.hand.count in (BOTH, ONE_OF_TWO):
+        return _both_hands(recording, config, start, search)
     estimate = _shapes(recording, config, search, CalibrationOptions(start=start))
 
     def estimate_usable(side: str) -> Calibration | None:
@@ -449,8 +458,54 @@ def detect_hand(
         config = _with_baseline(_with_hand(sized, found.settings), found)
         return DetectedHand(config, line, bool(warning or found.warning))
     changed = sized.hand.scale != config.hand.scale
+    warning += _size_warning(sized) if changed else ""
     line = hand + (f" of scale {sized.hand.scale:.2f}" if changed else "") + warning
     return DetectedHand(sized, line if len(sides) > 1 or changed else "", bool(warning))
+
+
+def _size_warning(config: HandConfig) -> str:
+    """Return a clause about a hand whose size is none of a person's, with its length; else empty."""
+    hand = hand_maker(config.hand.mesh)(config.hand.side, config.hand.shape)
+    length = float(measures_of(hand.anatomy)[0])
+    doubt = length_warning(length)
+    return f", {length:.0f} mm long{doubt}" if doubt else ""
+
+
+def _counted(recording: Recording, config: HandConfig, start: int, scale: float) -> HandConfig:
+    """Return the configuration with the number of hands in view; one if the tracker fits no frames."""
+    count = config.hand.count
+    fits = PROPOSALS[config.filter.proposal].fits_frames and config.filter.kind != "pso"
+    if count == BOTH and not fits:
+        raise UsageError(
+            "two hands cannot be tracked",
+            found=f"--filter {config.filter.kind} --proposal {config.filter.proposal}, which fits no frames",
+            expected="--filter rbpf or pf with --proposal guided",
+        )
+    if count in (BOTH, ONE_OF_TWO):
+        return config
+    if not fits or config.init.method != "auto":
+        return _with_hand(config, {"count": "1"})
+    is_one = count == "1" or config.hand.side != "auto"
+    shows_two = PairFinder(recording, config, scale, start).shows_two
+    return _with_hand(config, {"count": (ONE_OF_TWO if is_one else BOTH) if shows_two else "1"})
+
+
+def _both_hands(
+    recording: Recording, config: HandConfig, start: int, search: SideAndScaleSearch
+) -> DetectedHand:
+    """Estimate the shape that two hands share, if it is open."""
+    side = search.side if config.hand.side == "auto" else config.hand.side
+    scale = search.scale(search.side)
+    config, found = _with_hand(config, {"side": side, "scale": scale}), None
+    if is_size_unknown(config.model_copy(update={"hand": HandSettings(mesh=config.hand.mesh)})):
+        frames = PairFinder(recording, config, scale, start).frames
+        found = shape_of_both(recording, config, frames, _is_usable)
+    hands = "two hands" if config.hand.count == BOTH else f"the {side} one of two hands"
+    if found is None:
+        warning = _size_warning(config)
+        return DetectedHand(config, f"{hands} of scale {scale:.2f}{warning}", bool(warning))
+    config = _with_baseline(_with_hand(config, found.settings), found)
+    return DetectedHand(config, f"{hands}, {found.length_mm:.0f} mm long{found.warning}", bool(found.warning))
 
 
 def _line_without_hand(recording: Recording, config: HandConfig, start: int, side: str) -> str:

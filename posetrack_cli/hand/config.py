@@ -26,11 +26,15 @@ Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 class HandSettings(Settings):
     """Side, size and proportions of the hand; with ``mesh``, of the hand in that file.
 
-    Side ``auto`` is determined before the run (``hand.autodetect``).
+    Side and count ``auto`` are determined before the run (``hand.autodetect``). ``1 of 2`` tracks one of two
+    visible hands and reports nothing of the other.
     """
 
     side: Literal["auto", "right", "left"] = setting(
         "auto", '"right" or "left", or "auto": detected in the first seconds'
+    )
+    count: Literal["auto", "1", "2", "1 of 2"] = setting(
+        "auto", 'hands to track: "1" or "2", or "auto": as many as the recording shows'
     )
     scale: Size = setting(1.0, "1 is the average adult hand, 179 mm from wrist to middle fingertip")
     finger_lengths: PerFinger = setting(

@@ -63,6 +63,12 @@ _MEAN_GAIN = 0.1  # of the running mean cost
 _BASELINE_GAIN, _BASELINE_RISE_MM = 0.3, 0.03  # per frame; it falls fast and rises slowly
 _BONUS_DECAY_MM = 0.02  # per frame
 
+MOSTLY_HIDDEN = 0.4
+"""Share of a hand behind another from which it follows its motion: any search would find the other."""
+
+_AFTER_GAP_MM = 0.5
+"""After a gap, a search replaces a fit that costs this much more: the noise of two fits of one hand."""
+
 # Longest pauses between searches, frames.
 _MAX_WAIT, _MAX_WAIT_AT_MEAN, _MAX_RETRY_WAIT = 4, 6, 3
 
@@ -235,9 +241,9 @@ class TrackMonitor:
             return after
         return replace(after, search_wait=0, next_search_wait=max(1, self.next_search_wait // 2))
 
-    def after_miss(self, settings: StatusSettings) -> TrackMonitor:
-        """Return the record after a frame without a fit."""
-        misses = self.misses + 1
+    def after_miss(self, settings: StatusSettings, frames: int = 1) -> TrackMonitor:
+        """Return the record after a frame without a fit, which counts as several after a gap."""
+        misses = self.misses + frames
         return replace(self, misses=misses, lost=self.lost or misses >= settings.lost_after_frames)
 
 
@@ -323,6 +329,8 @@ class Policy:
             frame: the fitted frame.
             elsewhere: hands that keypoints show at other places; None without keypoints.
         """
+        if frame.observation.hidden > MOSTLY_HIDDEN:
+            return Decision(frame.monitor)
         if elsewhere is not None:
             decision = self._compare_keypoints(frame, elsewhere)
             if decision is not None:
@@ -333,6 +341,14 @@ class Policy:
         if monitor.skips_search(cost):
             return self._retry_in_place(frame._replace(monitor=monitor.after_search_wait()))
         return self._search(frame)
+
+    def decide_after_gap(self, frame: TrackedFrame) -> Decision:
+        """Decide on a frame after a gap **[ours]**: the hand may be anywhere, the cheapest place counts."""
+        monitor = replace(frame.monitor, better_elsewhere=0, search_wait=0)
+        candidate = self._finder.search(frame.depth)
+        if candidate is None or candidate.cost > frame.fits.cost - _AFTER_GAP_MM:
+            return Decision(monitor)
+        return Decision(monitor, candidate, restart=True)
 
     def _compare_keypoints(self, frame: TrackedFrame, hands: Sequence[KeypointHand]) -> Decision | None:
         """Compare the track with hands from keypoints; None leaves the frame to the next steps."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import UsageError
 from posetrack_cli.filtering.smoothing import Memory
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.hand.both import BOTH, ONE_OF_TWO
 from posetrack_cli.hand.config import ComponentSettings, HandConfig, deviations_from_print
 from posetrack_cli.hand.evidence import DepthEvidence
 from posetrack_cli.hand.fit.likelihood import PROPOSALS, RenderedCosts
@@ -26,6 +27,8 @@ from posetrack_cli.hand.model.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PAR
 from posetrack_cli.hand.model.hand import MESH_DIGEST, HandModel, dynamics, hand_model, tangent_vector
 from posetrack_cli.hand.model.kinematics import skinning_transforms
 from posetrack_cli.hand.observe.observer import Observer
+from posetrack_cli.hand.observe.others import HandDrawer
+from posetrack_cli.hand.pair import PairState, PairTracker, pinhole
 from posetrack_cli.hand.search import Acquisition
 from posetrack_cli.hand.smoothing import frame_fits, make_smoother, smoothed_hand
 from posetrack_cli.hand.start import (
@@ -94,6 +97,50 @@ def make_tracker(
     return HandTracker(config, hand.anatomy, scorer, observer, finder, keypoint_hands)
 
 
+# Two hands
+
+
+def configs_of(config: HandConfig) -> tuple[HandConfig, ...]:
+    """Return the configurations of all hands in view: the reported ones first, the right before the left."""
+    hand, side = config.hand, config.hand.side
+    if hand.count not in (BOTH, ONE_OF_TWO):
+        return (config,)
+    first = "left" if hand.count == ONE_OF_TWO and side == "left" else "right"
+    sides = (first, "right" if first == "left" else "left")
+    hands = (hand.model_copy(update={"side": one}) for one in sides)
+    return tuple(config.model_copy(update={"hand": one}) for one in hands)
+
+
+def tracks_of(config: HandConfig) -> int:
+    """Return the number of reported hands."""
+    return 2 if config.hand.count == BOTH else 1
+
+
+def hand_states(state: Any) -> tuple[Any, ...]:
+    """Return the states of all hands in a tracker's state."""
+    return state.hands if isinstance(state, PairState) else (state,)
+
+
+def _tracker_of(
+    configs: Sequence[HandConfig],
+    hands: Sequence[HandModel],
+    camera: Camera,
+    device: RenderingDevice,
+    keypoints: KeypointFile | None,
+) -> HandTrackerProtocol[Any]:
+    """Return the tracker of one or two hands."""
+    if len(configs) == 1:
+        return make_tracker(configs[0], hands[0], camera, device, keypoints)
+    images = pinhole(camera)
+    made = (
+        make_tracker(config, hand, images, device, keypoints)
+        for config, hand in zip(configs, hands, strict=True)
+    )
+    trackers = [tracker for tracker in made if isinstance(tracker, HandTracker)]
+    drawers = [HandDrawer(device, hand, images) for hand in hands]
+    return PairTracker(trackers, drawers, camera, tracks_of(configs[0]))
+
+
 # A run
 
 INIT_METHODS = ("auto", "center")
@@ -140,24 +187,28 @@ class HandRun(Run):
         self._config = config = with_init_method(config, options)
         check_run(recording, config, options)
         super().__init__(recording, options, config.output.flush_frames)
-        self._hand = hand = hand_model(config.hand)
-        self._anatomy = hand.anatomy
+        configs = configs_of(config)
+        self._hands = hands = [hand_model(one.hand) for one in configs]
         self._camera = recording.cameras[0]
-        self.tracker = make_tracker(config, hand, self._camera, device, options.keypoints)
-        self._mesh = None if config.output.mesh == "none" else hand.skin(config.output.mesh)
+        self.tracker = _tracker_of(configs, hands, self._camera, device, options.keypoints)
+        level = config.output.mesh
+        self._meshes = [None if level == "none" else hand.skin(level) for hand in hands]
         self.velocity_model = velocity_model(config)
         self._start_pose = _given_pose(options)
         renderer = str(device.info)
         self.cameras = (self._camera,)
-        triangles = None if self._mesh is None else self._mesh.triangles
-        self.subject = Subject(
-            "hand",
-            self._camera.name,
-            ANGLE_NAMES,
-            JOINT_NAMES,
-            JOINT_PARENTS,
-            triangles,
-            number_names=NUMBER_NAMES,
+        self.subjects = tuple(
+            Subject(
+                "hand",
+                self._camera.name,
+                ANGLE_NAMES,
+                JOINT_NAMES,
+                JOINT_PARENTS,
+                None if mesh is None else mesh.triangles,
+                number_names=NUMBER_NAMES,
+                label=one.hand.side if config.hand.count == BOTH else "",
+            )
+            for one, mesh in zip(configs[: tracks_of(config)], self._meshes, strict=False)
         )
         self.record = run_record(recording, self._camera, config, options, renderer, self._start_pose)
         self._blank: list[int] = []
@@ -170,19 +221,20 @@ class HandRun(Run):
         if self._start_pose is not None:
             return self.tracker.start(self._start_pose, frame.stamp_ns, rng)
         init = self._config.init
-        pose = centre_pose(frame.depth, self._camera, self._anatomy, init.depth_mm)
+        pose = centre_pose(frame.depth, self._camera, self._hands[0].anatomy, init.depth_mm)
         if init.method == "auto":
             return self.tracker.start_unknown(pose, frame, rng)
         return self.tracker.start(pose, frame.stamp_ns, rng)
 
-    def vertices(self, estimate: Estimate) -> FloatArray | None:
+    def vertices(self, estimate: Estimate, subject: int = 0) -> FloatArray | None:
         """Return the skin of an estimate; None if no mesh is written."""
-        if self._mesh is None:
+        mesh = self._meshes[subject]
+        if mesh is None:
             return None
         pose = np.concatenate([estimate.position, estimate.quaternion, estimate.shape])
         thumb = inner_of(estimate.numbers)[THUMB]
-        transforms = skinning_transforms(self._anatomy, pose[None], thumb)
-        vertices: FloatArray = self._mesh.posed(transforms.astype(np.float64))[0]
+        transforms = skinning_transforms(self._hands[subject].anatomy, pose[None], thumb)
+        vertices: FloatArray = mesh.posed(transforms.astype(np.float64))[0]
         return vertices
 
     @contextmanager
@@ -191,16 +243,31 @@ class HandRun(Run):
         if not self._options.smooth:
             yield None
             return
-        fits = frame_fits(self._config, self._hand, self._camera)
+        path = smoothing_path(self._options.output)
+        with ExitStack() as opened:
+            tracks = []
+            for number, subject in enumerate(self.subjects):
+                fits = frame_fits(self._config, self._hands[number], self._camera_of_fits)
+                track = self._smoothed_track(path.with_name(path.name + subject.label), fits, number, writer)
+                tracks.append((opened.enter_context(track), fits))
+            yield _Smoothing(self, tracks)
+
+    @property
+    def _camera_of_fits(self) -> Camera:
+        """The camera of the images that trackers see."""
+        return self._camera if len(self._hands) == 1 else pinhole(self._camera)
+
+    def _smoothed_track(
+        self, path: Path, fits: HandFits | None, number: int, writer: ResultWriter
+    ) -> SmoothedTrack[Estimate]:
         smoother = make_smoother(self._config, dynamics(self._config), fits)
         kept = None
         if writer.frames_written:
-            like = self.tracker.start(_REST, 0, np.random.default_rng(0)).particles
+            start = self.tracker.start(_REST, 0, np.random.default_rng(0))
             frame = {INNER: NO_INNER} if fits is None else fits.keep(None, None, _REST, 0.0)
+            like = hand_states(start)[number].particles
             kept = Kept(writer.frames_written, like, frame | {FOREARM_CONFIDENCE: 0.0})
-        path = smoothing_path(self._options.output)
-        with SmoothedTrack(path, smoother, smoothed_hand(self._anatomy), kept) as track:
-            yield _Smoothing(self, track, fits)
+        return SmoothedTrack(path, smoother, smoothed_hand(self._hands[number].anatomy), kept)
 
     def on_frame(self, frame: Frame) -> None:
         """Record frames without readings and frames with keypoints."""
@@ -212,13 +279,9 @@ class HandRun(Run):
     def remarks(self, state: Any) -> tuple[str, ...]:
         """Return warnings about missing keypoints and about mostly doubtful frames."""
         unused = () if self._use is None else self._use.remarks
-        if not isinstance(state, HandState) or 2 * state.doubtful <= state.frames:
-            return unused
-        return (
-            *unused,
-            f"{state.doubtful} of {state.frames} frames are probably wrong (confidence below 0.5); check them"
-            " with posetrack view, and set the hand's shape (--shape, --hand-mesh) or side (--hand-side)",
-        )
+        hands = hand_states(state)[: len(self.subjects)]
+        doubtful = (one for one in hands if isinstance(one, HandState) and 2 * one.doubtful > one.frames)
+        return (*unused, *dict.fromkeys(_doubt_of(one) for one in doubtful))
 
     def evidence(self, frames: Sequence[Frame]) -> str:
         """Return what frames show and the likeliest reason why few were tracked, as part of a line."""
@@ -233,29 +296,43 @@ class HandRun(Run):
         )
 
 
+def _doubt_of(state: HandState) -> str:
+    return (
+        f"{state.doubtful} of {state.frames} frames are probably wrong (confidence below 0.5); check them"
+        " with posetrack view, and set the hand's shape (--shape, --hand-mesh) or side (--hand-side)"
+    )
+
+
 class _Smoothing:
-    """Memory of a smoothed run (``tracking.run.FrameMemory``)."""
+    """Memory of a smoothed run (``tracking.run.FrameMemory``), with a track per hand."""
 
-    def __init__(self, run: HandRun, track: SmoothedTrack[Estimate], fits: HandFits | None) -> None:
-        self._run, self._track, self._fits = run, track, fits
+    def __init__(
+        self, run: HandRun, tracks: Sequence[tuple[SmoothedTrack[Estimate], HandFits | None]]
+    ) -> None:
+        self._run, self._tracks = run, tracks
 
-    def remember(self, state: Any, estimate: Estimate) -> None:
-        frame: Memory = {INNER: inner_of(estimate.numbers)}
-        if self._fits is not None:
-            frame = self._fits.keep(state.observation, state.modes, state.pose, estimate.confidence)
-        frame = {**frame, FOREARM_CONFIDENCE: np.nan_to_num(forearm_confidence_of(estimate.numbers))}
-        self._track.remember(state.particles, FrameFacts.of(estimate), state.dt, state.cut, frame)
+    def remember(self, state: Any, *estimates: Estimate) -> None:
+        hands = hand_states(state)[: len(estimates)]
+        for hand, estimate, (track, fits) in zip(hands, estimates, self._tracks, strict=True):
+            frame: Memory = {INNER: inner_of(estimate.numbers)}
+            if fits is not None:
+                frame = fits.keep(hand.observation, hand.modes, hand.pose, estimate.confidence)
+            confidence = np.nan_to_num(forearm_confidence_of(estimate.numbers))
+            frame = {**frame, FOREARM_CONFIDENCE: confidence}
+            track.remember(hand.particles, FrameFacts.of(estimate), hand.dt, hand.cut, frame)
 
     def flush(self) -> None:
-        self._track.flush()
+        for track, _ in self._tracks:
+            track.flush()
 
     def finish(self, writer: ResultWriter) -> None:
         model = self._run.velocity_model
-        with phase("smoothing", "frame", len(self._track)) as advance:
-            for estimate in smoothed_velocities(self._track.backward(), model, backward=True):
-                writer.write_smoothed(estimate, self._run.vertices(estimate))
-                advance(1)
-        self._track.delete()
+        for number, (track, _) in enumerate(self._tracks):
+            with phase("smoothing", "frame", len(track)) as advance:
+                for estimate in smoothed_velocities(track.backward(), model, backward=True):
+                    writer.write_smoothed(estimate, self._run.vertices(estimate, number), number)
+                    advance(1)
+            track.delete()
 
 
 def with_init_method(config: HandConfig, options: RunOptions) -> HandConfig:

@@ -351,7 +351,7 @@ def finger_bonus(fingers_mm2: float) -> float:
     return float(np.clip((fingers_mm2 - _USUAL_FINGERS_MM2) * _FINGERS_PER_MM2, low, high))
 
 
-def _detection_penalty(detection: Detection) -> float:
+def detection_penalty(detection: Detection) -> float:
     """Return the penalty of a detection before any fit, mm of cost."""
     lacking = _PER_SCORE_MM * max(0.0, _USUAL_SCORE - detection.score)
     return lacking - finger_bonus(detection.fingers_mm2) + depth_penalty(float(detection.palm[2]))
@@ -363,7 +363,9 @@ _HOPELESS_MM, _CLOSE_MM, _ALIKE_MM = 8.0, 2.0, 4.0
 
 _SIZES = (0.66, 1.25)
 """Range of hand scales, from a three-year-old to the largest men."""
-_SAME_WRIST_MM = 60.0
+_NEAR_WRIST_MM = 130.0
+"""Distance of a detected palm from the wrist of a hand at the same place."""
+SAME_WRIST_MM = 60.0
 """Wrist distance up to which two candidates are the same hand."""
 
 
@@ -430,9 +432,22 @@ class Acquisition:
             depth: (height, width) mm.
             extra: further candidates, such as from keypoints.
         """
+        return min(self.candidates(depth, extra), key=lambda one: one.total_cost, default=None)
+
+    def candidates(self, depth: ImageArray, extra: Sequence[Candidate] = ()) -> list[Candidate]:
+        """Return the hands that fit a whole image, one per place; see ``search``."""
         likely = merge_candidates([one for _, one in self._fit_places(depth, self.detect(depth))], extra)
-        fitting = [one for one in likely if one.cost <= ACCEPT_MM]
-        return min(fitting, key=lambda one: one.total_cost, default=None)
+        return [one for one in likely if one.cost <= ACCEPT_MM]
+
+    def search_near(self, depth: ImageArray, wrist: FloatArray) -> Candidate | None:
+        """Return the best hand of an image (height, width), mm, at about a wrist (3,); None if none fits."""
+        near = [one for one in self.detect(depth) if np.linalg.norm(one.palm - wrist) < _NEAR_WRIST_MM]
+        found = [one for one in self.candidates_at(depth, near) if one.cost <= ACCEPT_MM]
+        return min(found, key=lambda one: one.total_cost, default=None)
+
+    def candidates_at(self, depth: ImageArray, detections: Sequence[Detection]) -> list[Candidate]:
+        """Return the hands at detections in an image (height, width), mm, that may be the best."""
+        return [one for _, one in self._fit_places(depth, detections)]
 
     def appraise(
         self, depth: ImageArray, detections: Sequence[Detection], extra: Sequence[Candidate] = ()
@@ -471,7 +486,7 @@ class Acquisition:
         self, depth: ImageArray, detections: Sequence[Detection]
     ) -> list[tuple[Detection, Candidate]]:
         """Fit the detections, without those whose penalty no cost could make up for."""
-        penalties = [_detection_penalty(detection) for detection in detections]
+        penalties = [detection_penalty(detection) for detection in detections]
         least = min(penalties, default=0.0)
         near = [
             (d, detection)
@@ -580,6 +595,25 @@ def _most_different(fits: Sequence[Fit], count: int) -> list[Fit]:
     return [fits[k] for k in distinct(poses, costs, count)]
 
 
+def cheapest_pair(
+    first: Sequence[Candidate], second: Sequence[Candidate]
+) -> tuple[Candidate | None, Candidate | None]:
+    """Return the places of two hands: of all pairs of candidates at different places, the cheapest.
+
+    Args:
+        first, second: candidates of either hand; a hand without a place costs ``ACCEPT_MM``.
+    """
+    pairs = [(a, b) for a, b in product([*first, None], [*second, None]) if _are_apart(a, b)]
+    return min(pairs, key=lambda pair: sum(ACCEPT_MM if one is None else one.total_cost for one in pair))
+
+
+def _are_apart(first: Candidate | None, second: Candidate | None) -> bool:
+    """Return whether two candidates are different hands; True if one is missing."""
+    if first is None or second is None:
+        return True
+    return bool(np.linalg.norm(first.pose[:3] - second.pose[:3]) > SAME_WRIST_MM)
+
+
 def cheaper_of(first: Candidate | None, second: Candidate | None) -> Candidate | None:
     """Return the candidate of lower cost, if any."""
     both = [candidate for candidate in (first, second) if candidate is not None]
@@ -593,7 +627,7 @@ def merge_candidates(found: Sequence[Candidate], extra: Sequence[Candidate]) -> 
         near = [
             k
             for k, other in enumerate(merged)
-            if np.linalg.norm(other.pose[:3] - one.pose[:3]) < _SAME_WRIST_MM
+            if np.linalg.norm(other.pose[:3] - one.pose[:3]) < SAME_WRIST_MM
         ]
         for k in near:
             best = one if one.cost < merged[k].cost else merged[k]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from bisect import insort
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -29,7 +29,7 @@ from posetrack_cli.hand.model.anatomy import (
 )
 from posetrack_cli.hand.model.hand import HandMaker, HandModel, hand_maker, inside_limits
 from posetrack_cli.hand.observe.observer import Observer
-from posetrack_cli.hand.search import Acquisition
+from posetrack_cli.hand.search import Acquisition, Candidate
 from posetrack_cli.hand.shape_bundle import Bundle, Observe, adjusted
 from posetrack_cli.outputs import whole_or_nothing
 from posetrack_cli.phases import Advance, phase
@@ -113,6 +113,14 @@ MEASURES: tuple[str, ...] = (
     *(f"{finger}_length" for finger in FINGERS),
     *(f"{finger}_radius" for finger in FINGERS),
 )
+
+
+def length_warning(length_mm: float) -> str:
+    """Return a clause about a length that no hand has; empty for a plausible one."""
+    low, high = HAND_LENGTHS_MM
+    if low <= length_mm <= high:
+        return ""
+    return f", outside {low:.0f} to {high:.0f} mm: is the depth in mm (--depth-unit-mm)?"
 
 
 def measures_of(anatomy: HandAnatomy) -> FloatArray:
@@ -251,11 +259,13 @@ class CalibrationOptions:
         side: ``right`` or ``left``; None to detect it.
         frames: number of frames in the last round.
         start: first frame.
+        places: frames to use, and the wrist (3,) of the hand in each, mm; none to select frames.
     """
 
     side: str | None = None
     frames: int = 32
     start: int = 0
+    places: Sequence[tuple[Frame, FloatArray]] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,6 +283,7 @@ class Calibration:
             adjusted hand.
         baseline_cost_mm: cost of good fits of the last round's hand.
         begun_scale, begun_mm: scale and length of the start shape.
+        covariance: (S, S) of the shape's parameters.
     """
 
     side: str
@@ -285,6 +296,7 @@ class Calibration:
     baseline_cost_mm: float
     begun_scale: float
     begun_mm: float
+    covariance: FloatArray
 
     @property
     def length_mm(self) -> float:
@@ -304,9 +316,8 @@ class Calibration:
     @property
     def warning(self) -> str:
         """Return a clause to append to a line about the hand; empty if its shape is plausible."""
-        length, (low, high) = self.length_mm, HAND_LENGTHS_MM
-        if not low <= length <= high:
-            return f", outside {low:.0f} to {high:.0f} mm: is the depth in mm (--depth-unit-mm)?"
+        if implausible := length_warning(self.length_mm):
+            return implausible
         if max((abs(c) for c in self.shape.coefficients), default=0.0) > LARGEST_COEFFICIENT:
             return ", of unusual proportions; check the fit with posetrack view"
         sd, prior = self.measured.sd, self.measured.prior_sd
@@ -359,6 +370,34 @@ def shape_of(recording: Recording, config: HandConfig, options: CalibrationOptio
         good,
         begun.scale,
         begun_mm,
+        found.covariance,
+    )
+
+
+def combined(first: Calibration, second: Calibration, mesh: str | None) -> Calibration:
+    """Return the shape that both hands of a person share, the second mirrored; of the first one's side.
+
+    The product of both posteriors over their common prior N(0, diag sd^2): with information L_k = C_k^-1, L =
+    L_1 + L_2 - diag sd^-2 and theta = L^-1 (L_1 theta_1 + L_2 theta_2).
+
+    Args:
+        first, second: calibrations of the hands.
+        mesh: file of the hand; None for the average hand.
+    """
+    maker, space = hand_maker(mesh), shape_space(mesh)
+    both = (first, second)
+    information = [np.linalg.inv(one.covariance) for one in both]
+    covariance = np.linalg.inv(sum(information) - np.diag(space.sd**-2))
+    weighted = sum(L @ space.theta(one.shape) for L, one in zip(information, both, strict=True))
+    theta = np.clip(covariance @ weighted, space.low, space.high)
+    shape = space.shape(theta)
+    return replace(
+        first,
+        shape=shape,
+        measured=measured(maker, space, first.side, shape, covariance),
+        frames_used=first.frames_used + second.frames_used,
+        baseline_cost_mm=min(one.baseline_cost_mm for one in both),
+        covariance=covariance,
     )
 
 
@@ -374,6 +413,9 @@ class _Calibrator:
         self._recording, self._config, self._options = recording, config, options
         self._side, self._camera = config.hand.side, recording.cameras[0]
         self.maker, self.space = hand_maker(config.hand.mesh), shape_space(config.hand.mesh)
+        if options.places:
+            self.seen, self._frames = len(options.places), [frame for frame, _ in options.places]
+            return
         shown = self._select_frames(HandShape(config.hand.scale))
         self.seen, self._frames = shown.seen, shown.frames
 
@@ -413,13 +455,18 @@ class _Calibrator:
         poses, costs = np.zeros((len(frames), POSE_SIZE)), np.full(len(frames), np.inf)
         poses[:, 6], thumbs = 1.0, np.zeros((len(frames), len(NO_THUMB)))
         with phase(f"finding the {self._side} hand, {round_name}", "frame", len(frames)) as advance:
-            for k, frame in enumerate(frames):
-                found = finder.search(frame.depth)
+            for k in range(len(frames)):
+                found = self._search(finder, k)
                 if found is not None:
                     poses[k], costs[k] = inside_limits(found.pose[None])[0], found.cost
                     thumbs[k] = found.inner[THUMB]
                 advance(1)
         return poses, thumbs, costs
+
+    def _search(self, finder: Acquisition, k: int) -> Candidate | None:
+        """Return the hand in a frame; at its place if that is known."""
+        depth, places = self._frames[k].depth, self._options.places
+        return finder.search_near(depth, places[k][1]) if places else finder.search(depth)
 
     def chosen(self, costs: FloatArray) -> IntArray:
         """Return the indices of well-fitted frames.

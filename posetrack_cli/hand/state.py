@@ -69,6 +69,7 @@ class FrameFit(NamedTuple):
         observation: None without target pixels.
         fits: local fits; None without a guided proposal.
         restarted: True if the track was reinitialised in this frame.
+        hidden: share of the hand behind another hand.
     """
 
     state: HandState
@@ -76,6 +77,7 @@ class FrameFit(NamedTuple):
     observation: Observation | None
     fits: LocalFits | None = None
     restarted: bool = False
+    hidden: float = 0.0
 
     @property
     def inner(self) -> FloatArray:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray
+from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.filtering.errors import check_time_step
 from posetrack_cli.filtering.filters import FILTERS, FilterState, Prior
 from posetrack_cli.filtering.guided import Guide
@@ -23,8 +23,8 @@ from posetrack_cli.hand.model.hand import dynamics, inside_limits, space_of, tan
 from posetrack_cli.hand.model.kinematics import mean_joint_distances
 from posetrack_cli.hand.observe.observation import Observation
 from posetrack_cli.hand.observe.observer import Observer
-from posetrack_cli.hand.policy import Decision, Policy, TrackedFrame, TrackMonitor, status_of
-from posetrack_cli.hand.search import Acquisition, finger_bonus
+from posetrack_cli.hand.policy import MOSTLY_HIDDEN, Decision, Policy, TrackedFrame, TrackMonitor, status_of
+from posetrack_cli.hand.search import Acquisition, Candidate, finger_bonus
 from posetrack_cli.hand.start import START_SPREAD, detected_pose, hand_estimate
 from posetrack_cli.hand.state import FrameAssessment, FrameFit, HandState, state_codec
 from posetrack_cli.recording.base import Frame
@@ -35,6 +35,7 @@ from posetrack_cli.tracking.confidence import PROBABLY
 FIRST_STEP_NS = 33_333_333
 _GIRTH_GAIN = 0.1  # of the running mean of the forearm's girth
 _PRIOR_SHARE = 0.05  # of particles drawn from the prior alone
+_CLEARLY_VISIBLE = 0.4  # share of a hand that another hand does not hide, from which confidence is full
 THUMB_MEMORY = 0.4  # share of a thumb's deviation from RELAXED_INNER that persists to the next frame
 
 
@@ -158,16 +159,25 @@ class HandTracker:
         )
         return new_state, estimate
 
+    def candidates(self, depth: ImageArray) -> list[Candidate]:
+        """Return the hands that fit a whole image (height, width), mm, if the proposal fits frames."""
+        return [] if self._finder is None else self._finder.candidates(depth)
+
     def _observe(self, state: HandState, frame: Frame, dt: float, rng: np.random.Generator) -> FrameFit:
         """Fit the frame around its prediction; search where the hand is lost or the fit is doubtful."""
         hands = () if self._keypoints is None else self._keypoints.of(frame)
         if self._policy is not None and state.monitor.lost:
-            decision = self._policy.decide_lost(state.monitor, frame.depth, hands)
+            monitor = replace(state.monitor, search_wait=0) if _is_after_gap(state, frame) else state.monitor
+            decision = self._policy.decide_lost(monitor, frame.depth, hands)
             return self._apply(decision, FrameFit(state, 0.0, None), frame, rng)
         predicted = self.predict(state, dt)
         observation = self._observer.observe(frame.depth, predicted, state.expected)
+        if observation.target_pixels == 0 and self._policy is not None and _is_after_gap(state, frame):
+            decision = self._policy.decide_lost(replace(state.monitor, search_wait=0), frame.depth, hands)
+            return self._apply(decision, FrameFit(state, dt, None), frame, rng)
         if observation.target_pixels == 0:
-            return FrameFit(state, min(dt, self.config.motion.gap_max_s - state.unseen_ns * 1e-9), None)
+            dt = min(dt, self.config.motion.gap_max_s - state.unseen_ns * 1e-9)
+            return FrameFit(state, dt, None, hidden=observation.hidden)
         if self._policy is None or self._finder is None or dt <= 0.0:
             return FrameFit(state, dt, observation)
         bonus = finger_bonus(self._observer.fingers_mm2(observation))
@@ -182,7 +192,10 @@ class HandTracker:
         )
         observation = replace(observation, inner=fits.inner)
         tracked = TrackedFrame(state.monitor, frame.depth, observation, fits, state.expected)
-        decision = self._policy.decide_tracked(tracked, None if self._keypoints is None else elsewhere)
+        if _is_after_gap(state, frame):
+            decision = self._policy.decide_after_gap(tracked)
+        else:
+            decision = self._policy.decide_tracked(tracked, None if self._keypoints is None else elsewhere)
         return self._apply(decision, FrameFit(state, dt, observation, fits), frame, rng)
 
     def _apply(
@@ -208,8 +221,11 @@ class HandTracker:
     def _assess(self, frame_fit: FrameFit, pose: FloatArray, frame: Frame) -> FrameAssessment:
         """Assess the estimated pose (22,) against the frame."""
         before, settings = frame_fit.state, self.config.status
+        steps = _usual_steps(before, frame)
         if frame_fit.observation is None:
-            return FrameAssessment(None, before.monitor.after_miss(settings), before.evidence, 0.0, False)
+            monitor = before.monitor
+            monitor = monitor if frame_fit.hidden > MOSTLY_HIDDEN else monitor.after_miss(settings, steps)
+            return FrameAssessment(None, monitor, before.evidence, 0.0, False)
         cost = float(self.scorer.costs(pose[None], frame_fit.observation)[0])
         outline = self._observer.outline(frame.depth, pose, frame_fit.inner[THUMB])
         quality = 0.0  # 1 - D / c_max
@@ -220,8 +236,10 @@ class HandTracker:
             quality = max(0.0, 1.0 - cost / self.config.observation.clamp_mm)
             fitted = cost if frame_fit.fits is None else frame_fit.fits.cost
             monitor = before.monitor.after_fit(fitted, quality, settings)
+        elif outline.visible < 1.0 - MOSTLY_HIDDEN:
+            monitor = before.monitor
         else:
-            monitor = before.monitor.after_miss(settings)
+            monitor = before.monitor.after_miss(settings, steps)
         evidence = before.evidence
         if frame_fit.fits is not None:
             innovation = mean_joint_distances(self.anatomy, self.predict(before, frame_fit.dt), pose[None])
@@ -229,13 +247,15 @@ class HandTracker:
             evidence = evidence.after(
                 signs_of(
                     monitor.mean_cost_mm or cost,
-                    float(innovation[0]),
+                    float(innovation[0]) / steps,
                     len(frame_fit.fits.modes),
                     outline.contrast,
                     ratio,
-                )
+                ),
+                steps,
             )
         confidence = probability(evidence) if quality and self._is_calibrated else quality
+        confidence *= min(1.0, outline.visible / _CLEARLY_VISIBLE)
         is_tracked = (
             has_outline and monitor.is_tracked and not (self._is_calibrated and confidence < PROBABLY)
         )
@@ -276,6 +296,20 @@ class HandTracker:
         score = self._log_likelihood(frame_fit.observation)
         advanced = particles.step(frame_fit.dt, self._model, score, rng, guide)
         return *advanced, 0 if score is None else score.count
+
+
+_MOST_STEPS = 3
+"""Usual frame intervals after which a prediction is not trusted."""
+
+
+def _usual_steps(state: HandState, frame: Frame) -> int:
+    """Return the time since a state in usual frame intervals, at least 1."""
+    return max(1, round((frame.stamp_ns - state.stamp_ns) / FIRST_STEP_NS))
+
+
+def _is_after_gap(state: HandState, frame: Frame) -> bool:
+    """Return whether so much time has passed since a state that the hand may be anywhere."""
+    return _usual_steps(state, frame) > _MOST_STEPS
 
 
 def _expected_after(frame_fit: FrameFit) -> FloatArray:

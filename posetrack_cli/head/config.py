@@ -185,6 +185,12 @@ class HeadStatusSettings(Settings):
     lost_after_frames: Count = setting(3, "search for the face again after this many lost frames in a row")
 
 
+class FaceSettings(Settings):
+    """Dense face: points of lips, jaw, lids, irises and brows, actions, blinks and gaze **[ours]**."""
+
+    use: bool = setting(True, "measure the dense face; false tracks the ten points only")
+
+
 class HeadSmoothingSettings(Settings):
     """Smoothed track written with `--smooth` **[ours]**.
 
@@ -233,6 +239,7 @@ class HeadStereoConfig(Settings):
         "Gauss-Newton over pose, deformation and a residual for each point",
     )
     status: HeadStatusSettings = HeadStatusSettings()
+    face: FaceSettings = setting(FaceSettings(), "dense face: lips, jaw, lids, irises, brows")
     smoothing: HeadSmoothingSettings = setting(
         HeadSmoothingSettings(), "--smooth: additional track, smoothed over the whole recording"
     )
@@ -361,6 +368,14 @@ class PersonSettings(Settings):
     interpupillary_sd_mm: NotNegative = setting(0.5, "standard deviation of that measurement")
 
 
+class LensSettings(Settings):
+    """Camera without calibration and without --fov **[ours]**."""
+
+    estimate: bool = setting(
+        True, "estimate its focal length from the face; false assumes a field of view of 53 degrees"
+    )
+
+
 class SkinSettings(Settings):
     """Skin texture between the feature points, used by the second pass to refine the pose **[ours]**."""
 
@@ -387,6 +402,8 @@ class HeadMonoConfig(Settings):
     status: MonoStatusSettings = MonoStatusSettings()
     person: PersonSettings = setting(PersonSettings(), "prior knowledge of the (first) person")
     skin: SkinSettings = setting(SkinSettings(), "skin texture between the feature points (second pass)")
+    lens: LensSettings = setting(LensSettings(), "focal length of a camera without calibration")
+    face: FaceSettings = setting(FaceSettings(), "dense face: lips, jaw, lids, irises, brows")
     smoothing: HeadSmoothingSettings = setting(
         HeadSmoothingSettings(velocity_mm=300.0, velocity_rad=2.0),
         "--smooth: additional track, smoothed over the whole recording",
@@ -408,6 +425,7 @@ BOTH = (
     PrintedSetting("(3.5)", "refinement.rho", 4.0),
     PrintedSetting("3.2.1", "refinement.keyframe_deg", 360.0),
     PrintedSetting("3.4, 4.5", "run.passes", 1),
+    PrintedSetting("5.2", "face.use", False),
 )
 STEREO = (
     PrintedSetting("3.2.1", "model.components", 5),
@@ -448,6 +466,7 @@ MONO = (
     PrintedSetting("4.4.3", "adjustment.neutral_mm", 1e6),
     PrintedSetting("4.4.3", "adjustment.gates_points", True),
     PrintedSetting("3.2.1", "skin.use", False),
+    PrintedSetting("4.5", "lens.estimate", False),
     PrintedSetting("4.4", "status.check_below", 0.0),
 )
 ALWAYS_BOTH = (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -20,6 +20,7 @@ from posetrack_cli.head.landmarks.faces import LandmarkFile
 from posetrack_cli.head.model_file import ATTACHMENT, MEDIA_TYPE, load_model, model_bytes
 from posetrack_cli.head.smoothing.frames import HeadMemory
 from posetrack_cli.head.subject import track_model
+from posetrack_cli.head.tracker.frame_tracker import HeadState
 from posetrack_cli.outputs import check_output, check_target, part_path, state_path, whole_or_nothing
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.grey import PLAIN_BITS, Grey
@@ -30,7 +31,7 @@ from posetrack_cli.results.estimate import Subject
 from posetrack_cli.results.writer import ResultWriter
 from posetrack_cli.tracking import options as tracking_options
 from posetrack_cli.tracking.options import common_record, deviations_record
-from posetrack_cli.tracking.run import Report
+from posetrack_cli.tracking.run import FrameMemory, Report
 from posetrack_cli.tracking.smoothing import smoothing_path
 from posetrack_cli.tracking.two_pass import (
     Learned,
@@ -39,6 +40,11 @@ from posetrack_cli.tracking.two_pass import (
     NothingTrackedError,
     TwoPassRun,
 )
+
+LOOK_BACK_FRAMES, SHOWN_FRAMES = 60, 10
+"""Frames before and after that in which a head was begun late, which are played backwards."""
+LOOK_BACK_GAP_NS = 2_000_000_000
+"""Time between the last frame of the recording and these: the head may be anywhere."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +107,7 @@ class HeadRun(TwoPassRun):
         landmarks = options.landmarks
         self._use = None if landmarks is None else KeypointUse(landmarks.name, landmarks.sets, "landmarks")
         self._origin = np.zeros(len(subject.shape_names)) if origin is None else origin
-        self.subject, self._name, load = subject, name, options.load_model
+        self.subjects, self._name, load = (subject,), name, options.load_model
         self._evidence: FaceEvidence | None = None
         self.tracker = make_tracker(None) if load is None else self._tracker_from_model(load)
         self.record = {**head_record(name, recording, config, options), **extra_record}
@@ -117,6 +123,23 @@ class HeadRun(TwoPassRun):
     def start_state(self, frame: Frame, rng: np.random.Generator) -> Any:
         """Return the state before the first frame."""
         return self.tracker.start(frame, rng)
+
+    def after_first_pass(self, state: Any) -> Any:
+        """Continue with the frames before the head was found, played backwards **[ours]**.
+
+        A head that turns away is tracked farther than one that is found turned away. Frames for which the
+        head was begun late are thus seen by a tracker that knows it, as if they followed the recording.
+        """
+        late = state.begun_late if isinstance(state, HeadState) else None
+        if late is None:
+            return state
+        start, stride = self._options.start, self._options.stride
+        first = start + stride * max((late - start) // stride - LOOK_BACK_FRAMES, 0)
+        frames = list(self._recording.frames(start=first, end=late + SHOWN_FRAMES * stride, stride=stride))
+        turn_ns, rng = state.track.stamp_ns + LOOK_BACK_GAP_NS + frames[-1].stamp_ns, self.new_rng()
+        for frame in reversed(frames):
+            state, _ = self.tracker.step(state, replace(frame, stamp_ns=turn_ns - frame.stamp_ns), rng)
+        return state
 
     def learned_by(self, state: Any, *, for_second_pass: bool = False) -> Learned:
         """Return what the tracker learned of the face.
@@ -137,7 +160,7 @@ class HeadRun(TwoPassRun):
         return self.tracker.learned(state, for_second_pass=for_second_pass)
 
     @contextmanager
-    def open_memory(self, writer: ResultWriter) -> Iterator[HeadMemory | None]:
+    def open_memory(self, writer: ResultWriter) -> Iterator[FrameMemory | None]:
         """Open the store of frames for smoothing; None without smoothing."""
         if not self._options.smooth:
             yield None

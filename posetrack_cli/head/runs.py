@@ -6,15 +6,22 @@ from pathlib import Path
 from typing import Any
 
 from posetrack_cli.errors import UsageError
-from posetrack_cli.head.config import HeadMonoConfig, HeadStereoConfig
+from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.head.config import HeadMonoConfig, HeadStereoConfig, SkinSettings
+from posetrack_cli.head.lens.estimation import estimate_lens
+from posetrack_cli.head.lens.lens import EstimatedLens
 from posetrack_cli.head.multilinear.face_model import FaceModel, load_face_model
-from posetrack_cli.head.run import HeadRun, HeadRunOptions
-from posetrack_cli.head.subject import head_subject, mono_subject
+from posetrack_cli.head.run import HeadRun, HeadRunOptions, check_head_run
+from posetrack_cli.head.several_run import HeadsRun
+from posetrack_cli.head.subject import MONO_TRACK, head_subject, mono_subject, with_dense_face
 from posetrack_cli.head.tracker.given_person import GivenPerson, read_person
-from posetrack_cli.head.tracker.mono import make_mono_tracker
+from posetrack_cli.head.tracker.mono import MonoPeople, make_mono_people, make_mono_tracker
+from posetrack_cli.head.tracker.several import HeadsTracker, people_of
 from posetrack_cli.head.tracker.stereo import components_of, make_stereo_tracker
+from posetrack_cli.recording.camera_of import guess_of_camera
 from posetrack_cli.recording.identity import file_digest, shown_name
 from posetrack_cli.recording.recording import Recording
+from posetrack_cli.results.estimate import Subject
 from posetrack_cli.tracking.run import Report
 from posetrack_cli.tracking.two_pass import Learned, LearningTracker
 
@@ -35,7 +42,7 @@ def make_stereo_run(
         config,
         options,
         name="head-stereo",
-        subject=head_subject(source.cameras[0].name, components_of(config)),
+        subject=_subject(head_subject(source.cameras[0].name, components_of(config)), config),
         flush_frames=config.output.flush_frames,
         make_tracker=make_tracker,
         first_pass=first_pass,
@@ -48,20 +55,40 @@ def make_mono_run(
     options: HeadRunOptions,
     face: int,
     first_pass: Report,
+    *,
+    fov_is_given: bool = False,
 ) -> HeadRun:
-    """Return a run of the tracker for one camera; ``face`` counts from 1, the largest first."""
-    (camera,) = source.cameras
+    """Return a run of the tracker for one camera.
+
+    Args:
+        source: the recording.
+        config: of the run.
+        options: of the run.
+        face: face to track, from 1, the largest first.
+        first_pass: see ``HeadRun``.
+        fov_is_given: whether the user states the focal length of a camera without calibration; otherwise it
+            is estimated.
+    """
     file = None if config.model.file is None else Path(config.model.file)
     clicked = None if options.init is None else Path(options.init)
     model = load_face_model(file)
     given = _given_person(options, config, model)
-    person = {} if given is None else {"systematic_sd": given.systematic_sd}
+    systematic_sd = MONO_TRACK.systematic_sd if given is None else given.systematic_sd
+    source, lens = _with_lens(source, config, options, face, fov_is_given=fov_is_given)
+    (camera,) = source.cameras
 
     def make_tracker(known: Learned | None) -> LearningTracker[Any]:
         if known is None and given is not None:
             known = given.learned
         return make_mono_tracker(
-            config, camera, known, face=face - 1, clicked=clicked, landmarks=options.landmarks, **person
+            config,
+            camera,
+            known,
+            face=face - 1,
+            clicked=clicked,
+            landmarks=options.landmarks,
+            systematic_sd=systematic_sd,
+            lens=lens,
         )
 
     return HeadRun(
@@ -69,28 +96,114 @@ def make_mono_run(
         config,
         options,
         name="head-mono",
-        subject=mono_subject(camera.name, model),
+        subject=_subject(mono_subject(camera.name, model), config),
         flush_frames=config.output.flush_frames,
         make_tracker=make_tracker,
         origin=model.deformation_mean,
         first_pass=first_pass,
-        extra_record=_stated(source, file, face, _scale_from(config, given)),
+        extra_record=_stated(source, lens, file, face, _scale_from(config, given)),
     )
 
 
-def guess_note(source: Recording, option: str, *, is_given: bool) -> str:
+def _with_lens(
+    source: Recording, config: HeadMonoConfig, options: HeadRunOptions, face: int, *, fov_is_given: bool
+) -> tuple[Recording, EstimatedLens | None]:
+    """Return the recording with an estimated camera if it has no calibration, and that camera."""
+    if not (source.is_guessed and config.lens.estimate) or fov_is_given:
+        return source, None
+    check_head_run(source, options)  # before some seconds of work
+    with_skin = config.model_copy(update={"skin": SkinSettings(use=True)})
+    clicked = None if options.init is None else Path(options.init)
+
+    def make_people(camera: Camera) -> MonoPeople:
+        return make_mono_people(
+            with_skin, camera, face=face - 1, clicked=clicked, landmarks=options.landmarks
+        )
+
+    lens = estimate_lens(source, options, make_people)
+    return source.with_camera(lens.camera), lens
+
+
+def _subject(subject: Subject, config: HeadStereoConfig | HeadMonoConfig) -> Subject:
+    return with_dense_face(subject) if config.face.use else subject
+
+
+def make_heads_run(
+    source: Recording,
+    config: HeadMonoConfig,
+    options: HeadRunOptions,
+    first_pass: Report,
+    *,
+    fov_is_given: bool = False,
+) -> HeadsRun:
+    """Return a run that tracks all heads in the images of one camera; see ``HeadsRun`` and ``make_mono_run``.
+
+    Raises:
+        UsageError: an option applies to one person.
+    """
+    file = None if config.model.file is None else Path(config.model.file)
+    model = load_face_model(file)
+    _check_of_all(config, options)
+    source, lens = _with_lens(source, config, options, 1, fov_is_given=fov_is_given)
+    (camera,) = source.cameras
+
+    def make_tracker(known: Learned | None) -> LearningTracker[Any]:
+        if known is None:
+            return HeadsTracker(camera, [make_mono_tracker(config, camera, lens=lens, follows_one=True)])
+        people = people_of(known)
+        trackers = [make_mono_tracker(config, camera, one, lens=lens, follows_one=True) for one, _ in people]
+        return HeadsTracker(camera, trackers, [trail for _, trail in people])
+
+    run = HeadsRun(
+        source,
+        config,
+        options,
+        name="head-mono",
+        subject=_subject(mono_subject(camera.name, model), config),
+        flush_frames=config.output.flush_frames,
+        make_tracker=make_tracker,
+        origin=model.deformation_mean,
+        first_pass=first_pass,
+        extra_record=_stated(source, lens, file, "all", "prior"),
+    )
+    run.check_passes()
+    return run
+
+
+def _check_of_all(config: HeadMonoConfig, options: HeadRunOptions) -> None:
+    """Raise UsageError for options that apply to one person."""
+    given = {
+        "--init": options.init,
+        "--landmarks": options.landmarks,
+        "--load-model": options.load_model,
+        "--save-model": options.save_model,
+        "--person": options.person,
+        "--interpupillary-mm": config.person.interpupillary_mm,
+    }
+    for name, value in given.items():
+        if value is not None:
+            raise UsageError(
+                f"{name} applies to one face", hint="leave out --faces all, or choose one with --face N"
+            )
+
+
+def guess_note(run: HeadRun, option: str) -> str:
     """Return a note on the focal length of an uncalibrated camera; empty for a calibrated one.
 
     Args:
-        source: the recording.
+        run: the run.
         option: name of the option or parameter of the field of view.
-        is_given: whether the user gave it.
     """
-    if not source.is_guessed:
+    (camera,), record = run.cameras, run.record
+    if record["intrinsics"] == "given":
         return ""
-    by = option if is_given else f"field of view of 53 degrees; change it with {option}"
+    focal, fov = f"{camera.fx:.0f}", f"{guess_of_camera(camera).fov_deg:.0f} degrees"
+    if record["intrinsics"] == "guessed":
+        return f"no calibration: focal length set to {focal} px ({fov}); distances are approximate"
+    sd = float(record["focal_sd_px"])
     return (
-        f"no calibration: focal length set to {source.cameras[0].fx:.0f} px ({by}); distances are approximate"
+        f"no calibration: focal length estimated as {focal} +- {sd:.0f} px (field of view {fov}); state the "
+        f"field of view with {option} if you know it"
     )
 
 
@@ -125,13 +238,16 @@ def _scale_from(config: HeadMonoConfig, given: GivenPerson | None) -> str:
     return "prior" if given is None or given.size is None else "person"
 
 
-def _stated(source: Recording, face_model: Path | None, face: int, scale: str) -> dict[str, str]:
+def _stated(
+    source: Recording, lens: EstimatedLens | None, face_model: Path | None, face: int | str, scale: str
+) -> dict[str, str]:
     """Return entries of the run record: assumptions that the images do not determine."""
     stated = {
         "scale": scale,
         "intrinsics": "guessed" if source.is_guessed else "given",
         "face": str(face),
         "face_model": "shipped",
+        **({} if lens is None else lens.record()),
     }
     if face_model is None:
         return stated

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.head.actions import ACTION_NAMES, action_numbers
 from posetrack_cli.head.config import HeadMonoConfig, HeadStereoConfig
+from posetrack_cli.head.dense.numbers import FACE_NUMBERS
 from posetrack_cli.head.face.points import BROWS, LINES, POINT_COUNT, POINT_NAMES, of_kinds
 from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.results.estimate import Subject
@@ -120,6 +121,17 @@ def head_subject(camera_frame: str, components: int, numbers: tuple[str, ...] | 
         colour=COLOUR,
         lines=LINES,
         number_names=(*(stereo_diagnostic_names(components) if numbers is None else numbers), *SIGN_NAMES),
+    )
+
+
+def with_dense_face(subject: Subject) -> Subject:
+    """Return the subject of a head whose dense face is measured as well.
+
+    Its numbers follow those of the head. Actions estimated from the ten points are left out.
+    """
+    return replace(
+        subject,
+        number_names=(*(name for name in subject.number_names if name not in ACTION_NAMES), *FACE_NUMBERS),
     )
 
 

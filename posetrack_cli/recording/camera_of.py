@@ -27,8 +27,7 @@ from posetrack_cli.recording.orientation import Picture
 
 # Source of a guessed model, in run records and descriptions.
 GUESSED = "guessed"
-# Focal length over the longer image side: a field of view of 53 degrees. Webcams and phones film with 50 to
-# 70 degrees, and videos of a face are often cropped.
+# Focal length over the longer image side: a field of view of 53 degrees. Head trackers estimate it.
 LIKELY_FOCAL = 1.0
 NARROWEST_DEG, WIDEST_DEG = 1.0, 170.0  # range in which a pinhole model holds
 

@@ -50,6 +50,7 @@ from posetrack_cli.recording.depth import (
     early,
     other_content,
 )
+from posetrack_cli.recording.exif import focal_ratio_of_file
 from posetrack_cli.recording.grey import PLAIN_BITS, Grey, decode_shown, grey_like, with_bits_of
 from posetrack_cli.recording.identity import files_digest, identity_record
 from posetrack_cli.recording.image_files import (
@@ -214,6 +215,7 @@ def open_grey_folder(path: Path, options: ReadingOptions) -> Recording:
         truth=no_truth if mirror or timing.fps else _truth(path),
         tolerance_ns=tolerance,
         is_guessed=rig.is_guessed,
+        stated_focal=_stated_focal(next(iter(folders.values())), streams[0]) if rig.is_guessed else None,
         why=[GUESSED if rig.is_guessed else rig.path.name] * len(streams),
         remarks=(*chosen.every_remark, *timing.remarks, *_turned(turns), *rig.remarks(sizes)),
     )
@@ -368,6 +370,12 @@ def _folders_of(folders: CameraFolders, rig: Rig) -> CameraFolders:
                 f"no images of camera '{name}'", where=path, found=found, expected=f"a folder {name}"
             )
     return folders.of(rig.cameras)
+
+
+def _stated_focal(images: Sequence[ImageFile], stream: CameraStream) -> float | None:
+    """Return the focal length over the longer side that the EXIF of the first image states."""
+    width, height = stream.camera.width, stream.camera.height
+    return first_decoded(images, lambda image: focal_ratio_of_file(read_image(image), width, height))
 
 
 def _orientation(image: ImageFile) -> Orientation:

@@ -18,7 +18,7 @@ from posetrack_cli.errors import RecordingError
 from posetrack_cli.files import read_input
 from posetrack_cli.mcap.decoding import COMPRESSED_IMAGE
 from posetrack_cli.recording.base import Encoded, UnreadableImageError
-from posetrack_cli.recording.orientation import TIFF_BEGIN
+from posetrack_cli.recording.exif import TIFF_BEGIN
 from posetrack_cli.recording.stamps import order_of_names, order_remark
 from posetrack_cli.recording.tiff import Page, find_pages, page_bytes
 

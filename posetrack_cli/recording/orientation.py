@@ -11,16 +11,9 @@ import numpy as np
 from posetrack_cli.arrays import ImageArray
 from posetrack_cli.errors import PosetrackError
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.recording.exif import NOTHING, SHORT, TIFF_BEGIN, exif_numbers
 
 EXIF_TAG = 274
-EXIF_BEGIN = b"Exif\0\0"
-JPEG_BEGIN, JPEG_MARKERS_WITHOUT_SIZE = b"\xff\xd8", (0x01, *range(0xD0, 0xD8))
-JPEG_APP1, JPEG_SCAN = 0xE1, 0xDA
-TIFF_BEGIN = b"II*\0", b"MM\0*"
-PNG_BEGIN, PNG_EXIF = b"\x89PNG\r\n\x1a\n", b"eXIf"
-RIFF_BEGIN, WEBP_EXIF = b"RIFF", b"EXIF"
-# Limit on EXIF directory entries, JPEG segments and PNG or WebP chunks.
-MOST_ENTRIES = 512
 # Order of polynomial distortion coefficients after exchanging x and y: swaps p1 and p2, s1 s2 and s3 s4.
 TRANSPOSED_COEFFICIENTS = (0, 1, 3, 2, 4, 5, 6, 7, 10, 11, 8, 9)
 # Coefficients that change sign in a reflection of x or of y; the last ones are the sensor tilt.
@@ -129,8 +122,8 @@ OF_EXIF = dict(enumerate(WORDS, 1))  # WORDS is in the order of EXIF's numbers
 
 def orientation_of_file(data: bytes) -> Orientation:
     """Return the orientation stated in a TIFF, or in the EXIF of a JPEG, PNG or WebP file."""
-    exif = _exif(data)
-    return OF_EXIF.get(_stated(exif), UPRIGHT) if exif else UPRIGHT
+    kind, number = exif_numbers(data).get(EXIF_TAG, NOTHING)
+    return OF_EXIF.get(int(number), UPRIGHT) if kind == SHORT else UPRIGHT
 
 
 def orientation_of_decoding(data: bytes) -> Orientation:
@@ -176,68 +169,3 @@ def _signed(camera: Camera, places: tuple[int, ...]) -> tuple[float, ...]:
     if camera.distortion_model == "equidistant":
         return camera.distortion
     return tuple(-value if k in places else value for k, value in enumerate(camera.distortion))
-
-
-def _exif(data: bytes) -> bytes:
-    """Return the EXIF block of a file, starting at its TIFF header; empty if there is none."""
-    if data.startswith(TIFF_BEGIN):
-        return data
-    if data.startswith(JPEG_BEGIN):
-        return _jpeg_exif(data)
-    if data.startswith(PNG_BEGIN):
-        return _chunk(data, len(PNG_BEGIN), ">I4s", PNG_EXIF, 4, 1)
-    if data.startswith(RIFF_BEGIN):
-        return _chunk(data, 12, "<4sI", WEBP_EXIF, 0, 2).removeprefix(EXIF_BEGIN)
-    return b""
-
-
-def _jpeg_exif(data: bytes) -> bytes:
-    at = len(JPEG_BEGIN)
-    for _ in range(MOST_ENTRIES):
-        if at + 4 > len(data) or data[at] != 0xFF:
-            return b""
-        marker = data[at + 1]
-        if marker == 0xFF or marker in JPEG_MARKERS_WITHOUT_SIZE:
-            at += 1 if marker == 0xFF else 2
-            continue
-        size = int.from_bytes(data[at + 2 : at + 4], "big")
-        content = data[at + 4 : at + 2 + size]
-        if marker == JPEG_SCAN or size < 2:
-            return b""
-        if marker == JPEG_APP1 and content.startswith(EXIF_BEGIN):
-            return content.removeprefix(EXIF_BEGIN)
-        at += 2 + size
-    return b""
-
-
-def _chunk(data: bytes, at: int, head: str, wanted: bytes, checksum: int, even: int) -> bytes:
-    """Return the content of a PNG or RIFF chunk; ``head`` is length and type in either order."""
-    for _ in range(MOST_ENTRIES):
-        if at + 8 > len(data):
-            break
-        first, second = struct.unpack_from(head, data, at)
-        length, kind = (first, second) if isinstance(first, int) else (second, first)
-        if kind == wanted:
-            return data[at + 8 : at + 8 + length]
-        at += 8 + length + checksum
-        at += -at % even
-    return b""
-
-
-def _stated(exif: bytes) -> int:
-    """Return the orientation number in the first EXIF directory (TIFF 6.0, section 2); 1 if none."""
-    order = {b"II": "<", b"MM": ">"}.get(exif[:2])
-    if order is None or len(exif) < 8:
-        return 1
-    (start,) = struct.unpack_from(f"{order}I", exif, 4)
-    if start + 2 > len(exif):
-        return 1
-    (count,) = struct.unpack_from(f"{order}H", exif, start)
-    for k in range(min(count, MOST_ENTRIES)):
-        at = start + 2 + 12 * k
-        if at + 12 > len(exif):
-            break
-        tag, kind, _, value = struct.unpack_from(f"{order}HHIH", exif, at)
-        if tag == EXIF_TAG and kind == 3:
-            return int(value)
-    return 1

@@ -5,8 +5,9 @@ from __future__ import annotations
 import queue
 import threading
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from itertools import islice
+from copy import copy
+from dataclasses import dataclass, replace
+from itertools import islice, takewhile
 from pathlib import Path
 from typing import Generic, TypedDict, TypeVar
 
@@ -102,6 +103,7 @@ class Recording:
         truth: yields the messages on ``/truth/...`` topics undecoded, in log-time order if indexed.
         tolerance_ns: maximum stamp difference within a frame.
         is_guessed: True if the intrinsics are a ``Guess``.
+        stated_focal: focal length over the longer image side according to the files of a guessed camera.
         why: source of each camera's model, as text.
         remarks: detections, choices and conversions made on opening, one line each.
     """
@@ -116,10 +118,12 @@ class Recording:
         truth: Callable[[], Iterator[TruthMessage]] = no_truth,
         tolerance_ns: int = 0,
         is_guessed: bool = False,
+        stated_focal: float | None = None,
         why: Sequence[str] = (),
         remarks: Sequence[str] = (),
     ) -> None:
         self.path, self.frame_count, self.is_guessed = path, frame_count, is_guessed
+        self.stated_focal = stated_focal
         self.why, self.remarks = tuple(why), tuple(remarks)
         self.identity, self._truth = identity, truth
         self.cameras: tuple[Camera, ...] = tuple(stream.camera for stream in streams)
@@ -157,6 +161,19 @@ class Recording:
             self.matched(log), log, start=start, end=start + frames * stride, stride=every
         )
         return islice(self._decoded(selected, log), 2 * count)
+
+    def pick(self, indices: Sequence[int]) -> Iterator[Frame]:
+        """Yield the frames with these indices, in ascending order; losses are not recorded."""
+        wanted, last, log = frozenset(indices), max(indices, default=-1), LossLog()
+        upto = takewhile(lambda one: one[0] <= last, self.stored_frames(log))
+        return self._decoded((one for one in upto if one[0] in wanted), log)
+
+    def with_camera(self, camera: Camera) -> Recording:
+        """Return the recording with another model of its only camera."""
+        (stream,) = self._streams
+        other = copy(self)
+        other.cameras, other._streams = (camera,), (replace(stream, camera=camera),)
+        return other
 
     def stored_frames(self, losses: LossLog) -> Iterator[tuple[int, StoredFrame]]:
         """Yield (index, undecoded frame) for every frame that ``frames`` yields."""

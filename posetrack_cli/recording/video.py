@@ -19,6 +19,7 @@ from posetrack_cli.recording.camera_file import Rig, camera_record, load_or_gues
 from posetrack_cli.recording.camera_of import GUESSED, Guess
 from posetrack_cli.recording.depth import Depth
 from posetrack_cli.recording.description import described_cameras, try_open
+from posetrack_cli.recording.exif import ratio_of_35_mm
 from posetrack_cli.recording.grey import Grey, grey_like
 from posetrack_cli.recording.identity import file_digest, identity_record, shown_name
 from posetrack_cli.recording.image_files import encode_jpeg, encoded_file
@@ -89,6 +90,7 @@ def open_video(path: Path, options: ReadingOptions, known: Rig | None = None) ->
         identity=identity,
         frame_count=video.count,
         is_guessed=rig.is_guessed,
+        stated_focal=ratio_of_35_mm(video.focal_35_mm, *video.picture[:2]) if rig.is_guessed else None,
         why=[GUESSED if rig.is_guessed else rig.path.name],
         remarks=remarks + rig.remarks(sizes),
     )
@@ -127,6 +129,7 @@ class VideoImages(Generic[P]):
     Attributes:
         count: number of frames according to the container, None if unknown.
         picture: size and orientation of shown frames.
+        focal_35_mm: stored focal length; see ``OpenVideo``.
         pixels: pixel format of the frames.
     """
 
@@ -140,7 +143,7 @@ class VideoImages(Generic[P]):
     ) -> None:
         self._path, self._fps, self._opened, self._stored = path, fps, opened, stored
         with opened(path) as video:
-            self.count, rate = video.frame_count, video.rate_hz
+            self.count, rate, self.focal_35_mm = video.frame_count, video.rate_hz, video.focal_35_mm
             first, image = _first_image(video, path, stored)
             self.pixels: P = pixels_of(image)
         self.picture = Picture(self.pixels.width, self.pixels.height, orientation_of_frame(first))

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
@@ -64,6 +65,7 @@ DISPLAY_MATRIX = "DISPLAYMATRIX"
 MOST_ASPECT = 8.0  # of pixels; anamorphic film has 2
 # H.273's code for PQ (HDR10, Dolby Vision); HLG looks like ordinary video.
 PQ_TRANSFER = 16
+FOCAL_35_MM = "com.apple.quicktime.camera.focal_length.35mm_equivalent"
 MICROSECONDS = 1_000_000  # FFmpeg's unit of durations
 FFMPEG_LOGGER = "libav"
 BUFFER_BYTES = 1 << 20
@@ -118,6 +120,15 @@ class OpenVideo:
         """Width over height of a pixel; 1 if not stated."""
         aspect = float(self.stream.sample_aspect_ratio or 1)
         return aspect if 1.0 / MOST_ASPECT <= aspect <= MOST_ASPECT else 1.0
+
+    @property
+    def focal_35_mm(self) -> float:
+        """Focal length that gives 35 mm film the same field of view, mm, as phones store it; 0 if unknown."""
+        for stored in (self.stream.metadata, self.container.metadata):
+            text = stored.get(FOCAL_35_MM, "")
+            with suppress(ValueError):
+                return float(text) if 0.0 < float(text) < math.inf else 0.0
+        return 0.0
 
     @property
     def is_pq(self) -> bool:

@@ -65,14 +65,14 @@ ANNOTATIONS = "annotations"
 class TrackChannels:
     """Writer for the estimates of one track, on all its topics.
 
-    Topics, registered in this order: ``transforms``, and below ``prefix``: ``odometry``, ``estimate``,
-    ``joint_states`` (if the shape parameters are angles) and ``scene`` (if the subject has a mesh or
-    lines).
+    Topics, registered in this order below ``prefix``: ``odometry``, ``estimate``, ``joint_states`` (if the
+    shape parameters are angles) and ``scene`` (if the subject has a mesh or lines).
 
     Args:
         sink: output file.
-        subject: tracked subject; its name is also the body's frame id.
-        transforms: topic of the frame transforms.
+        subject: tracked subject.
+        frame: frame id of the body.
+        transforms: channel of the frame transforms.
         prefix: prefix of the other topics, such as ``/hand``.
 
     Attributes:
@@ -80,14 +80,15 @@ class TrackChannels:
         estimate_id: id of the channel with complete estimates.
     """
 
-    def __init__(self, sink: McapSink, subject: Subject, transforms: str, prefix: str) -> None:
+    def __init__(self, sink: McapSink, subject: Subject, frame: str, transforms: int, prefix: str) -> None:
         self._sink = sink
-        self._subject = subject
-        self._transforms = sink.channel(transforms, messages.FrameTransforms)
+        kind = kind_of(subject.name if subject.label else frame)
+        self._subject = subject = replace(subject, name=frame, label="")
+        self._transforms = transforms
         self._odometry = sink.channel(f"{prefix}/odometry", messages.Odometry)
         schema = estimate_schema(subject.number_names)
         self.estimate_id = sink.json_channel(f"{prefix}/estimate", ESTIMATE_SCHEMA_NAME, schema)
-        angles = subject.shape_names and kind_of(subject.name).shape_unit
+        angles = subject.shape_names and kind.shape_unit
         self._joints = sink.channel(f"{prefix}/joint_states", messages.JointStates) if angles else None
         self._scene, self._encoder = None, None
         if subject.triangles is not None or subject.lines:
@@ -129,26 +130,29 @@ class ResultChannels:
     """Writer for estimates and ground truth, on the topics of a sink.
 
     Registers in a fixed order, so that channel ids are equal in all files of one kind of subject:
-    ``/camera/calibration`` (one per camera), ``/tf``, ``/<subject>/...`` (``TrackChannels``), annotations
-    of each camera image (if the subject has lines), and camera poses on ``/tf_static`` (if there are
-    several). Ground truth topics follow as they occur, and finally ``/smoothed/tf`` and
-    ``/smoothed/<subject>/...`` if there is a smoothed track.
+    ``/camera/calibration`` (one per camera), ``/tf``, ``/<subject>/...`` of each subject
+    (``TrackChannels``), annotations of each camera image (if a subject has lines), and camera poses on
+    ``/tf_static`` (if there are several). Ground truth topics follow as they occur, and finally
+    ``/smoothed/tf`` and ``/smoothed/<subject>/...`` if there is a smoothed track.
 
     Args:
         sink: output file.
-        subject: tracked subject.
+        subjects: tracked subjects, in the same camera frame.
         cameras: all cameras; estimates are relative to the first.
     """
 
-    def __init__(self, sink: McapSink, subject: Subject, cameras: Sequence[Camera]) -> None:
+    def __init__(self, sink: McapSink, subjects: Sequence[Subject], cameras: Sequence[Camera]) -> None:
         self._sink = sink
-        self._subject = subject
+        self._subjects = tuple(subjects)
+        self._camera_frame = self._subjects[0].camera_frame
         self._cameras = tuple(cameras)
         self._calibrations = self._channels(CALIBRATION, messages.CameraCalibration)
         self._filtered = self._track(FILTERED, TRANSFORMS_TOPIC)
-        self._smoothed: TrackChannels | None = None
-        self._annotations = self._channels(ANNOTATIONS, ImageAnnotations) if subject.lines else {}
-        self.own_ids = {*self._calibrations, *self._filtered.ids, *self._annotations}
+        self._smoothed: tuple[TrackChannels, ...] = ()
+        has_lines = any(subject.lines for subject in self._subjects)
+        self._annotations = self._channels(ANNOTATIONS, ImageAnnotations) if has_lines else {}
+        own = (channel for track in self._filtered for channel in track.ids)
+        self.own_ids = {*self._calibrations, *own, *self._annotations}
         if len(self._cameras) > 1:
             self._places = sink.channel(PLACES_TOPIC, messages.FrameTransforms)
             self.own_ids.add(self._places)
@@ -163,36 +167,48 @@ class ResultChannels:
             for camera in self._cameras
         }
 
-    def _track(self, track: str, transforms: str) -> TrackChannels:
-        subject = replace(self._subject, name=body_frame(self._subject.name, track))
-        return TrackChannels(self._sink, subject, transforms, topics_prefix(self._subject.name, track))
+    def _track(self, track: str, transforms: str) -> tuple[TrackChannels, ...]:
+        channel = self._sink.channel(transforms, messages.FrameTransforms)
+        places = ((body_frame(one.frame, track), topics_prefix(one.topic, track)) for one in self._subjects)
+        return tuple(
+            TrackChannels(self._sink, subject, frame, channel, prefix)
+            for subject, (frame, prefix) in zip(self._subjects, places, strict=True)
+        )
 
     def write_calibration(self, stamp_ns: int) -> None:
         """Write every camera's calibration, and the poses of the others relative to the first."""
         for channel_id, camera in self._calibrations.items():
             self._sink.write(channel_id, stamp_ns, self._calibration_bytes(camera, stamp_ns))
         if len(self._cameras) > 1:
-            placed = camera_transforms(self._cameras, self._subject.camera_frame, stamp_ns)
+            placed = camera_transforms(self._cameras, self._camera_frame, stamp_ns)
             self._sink.write(self._places, stamp_ns, serialised(placed))
 
-    def write_estimate(self, estimate: Estimate, vertices: FloatArray | None) -> None:
-        """Write one estimate on all its topics.
+    def write_estimates(self, estimates: Sequence[Estimate], vertices: Sequence[FloatArray | None]) -> None:
+        """Write the estimates of one frame, one per subject, on all their topics.
 
         Raises:
-            ResultError: the arrays do not fit the subject or are not finite; nothing is written then.
+            ResultError: the arrays do not fit the subject or are not finite.
         """
-        self._filtered.write(estimate, vertices)
+        for track, estimate, mesh in zip(self._filtered, estimates, vertices, strict=True):
+            track.write(estimate, mesh)
         for channel_id, camera in self._annotations.items():
-            drawn = image_annotations(estimate, self._subject, camera)
-            self._sink.write(channel_id, estimate.stamp_ns, serialised(drawn))
+            drawn = ImageAnnotations()
+            for estimate, subject in zip(estimates, self._subjects, strict=True):
+                drawn.MergeFrom(image_annotations(estimate, subject, camera))
+            self._sink.write(channel_id, estimates[0].stamp_ns, serialised(drawn))
 
-    def write_smoothed(self, estimate: Estimate, vertices: FloatArray | None) -> None:
-        """Write one estimate of the smoothed track, whose topics are registered on first use.
+    def write_smoothed(self, estimate: Estimate, vertices: FloatArray | None, subject: int = 0) -> None:
+        """Write one estimate of a smoothed track, whose topics are registered on first use.
+
+        Args:
+            estimate: the estimate.
+            vertices: mesh, or None.
+            subject: number of the subject.
 
         Raises:
-            ResultError: see ``write_estimate``.
+            ResultError: see ``write_estimates``.
         """
-        self._smoothed_track().write(estimate, vertices)
+        self._smoothed_tracks()[subject].write(estimate, vertices)
 
     def copy(self, messages: Iterable[tuple[str, int, bytes]], track: str = FILTERED) -> None:
         """Write messages (topic, log time, bytes) of another result of the same kind unchanged.
@@ -201,12 +217,12 @@ class ResultChannels:
             ResultError: this result does not have one of the topics.
         """
         if track == SMOOTHED:
-            self._smoothed_track()
+            self._smoothed_tracks()
         for topic, stamp_ns, data in messages:
             self._sink.write(self._sink.channel_of(topic), stamp_ns, data)
 
-    def _smoothed_track(self) -> TrackChannels:
-        if self._smoothed is None:
+    def _smoothed_tracks(self) -> tuple[TrackChannels, ...]:
+        if not self._smoothed:
             self._smoothed = self._track(SMOOTHED, SMOOTHED_TRANSFORMS_TOPIC)
         return self._smoothed
 
@@ -246,8 +262,8 @@ class ResultChannels:
 
     @property
     def estimates_replayed(self) -> int:
-        """Number of replayed estimates of the interrupted run."""
-        return self._replayed[self._filtered.estimate_id]
+        """Number of replayed estimates of each subject of the interrupted run."""
+        return min(self._replayed[track.estimate_id] for track in self._filtered)
 
     @property
     def truth_replayed(self) -> int:
@@ -255,5 +271,5 @@ class ResultChannels:
         return sum(self._replayed[channel_id] for channel_id in self._truth.values())
 
     def _calibration_bytes(self, camera: Camera, stamp_ns: int) -> bytes:
-        frame = self._subject.camera_frame if camera is self._cameras[0] else camera.name
+        frame = self._camera_frame if camera is self._cameras[0] else camera.name
         return serialised(calibration_message(camera, stamp_ns, frame))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
@@ -10,6 +11,8 @@ from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.errors import ResultError
 from posetrack_cli.geometry.rotations import EULER_ORDER, head_roll_pitch_yaw, roll_pitch_yaw
 from posetrack_cli.recording.pixels import PixelKind
+
+_LABEL = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,31}", re.ASCII)
 
 # Properties of a kind of subject that formats, exports and measurements depend on
 
@@ -122,7 +125,7 @@ class Subject:
     """Tracked subject.
 
     Attributes:
-        name: topic prefix and frame id of the body, such as ``hand``.
+        name: kind of the subject, such as ``hand``.
         camera_frame: frame id of the camera that estimates are relative to.
         shape_names: K names of the entries of ``Estimate.shape``.
         point_names: P names of the rows of ``Estimate.points``.
@@ -131,6 +134,7 @@ class Subject:
         colour: colour of mesh and lines, (red, green, blue, alpha), each 0 to 1.
         lines: pairs of points drawn as lines in 3D and on the images.
         number_names: M names of the entries of ``Estimate.numbers``, including units.
+        label: distinguishes the subjects of one result, such as ``left`` or ``1``; empty for an only one.
 
     Raises:
         ResultError: names, parents, triangles or lines are inconsistent.
@@ -145,11 +149,26 @@ class Subject:
     colour: tuple[float, float, float, float] = (0.85, 0.65, 0.52, 1.0)
     lines: tuple[tuple[int, int], ...] = ()
     number_names: tuple[str, ...] = ()
+    label: str = ""
+
+    @property
+    def topic(self) -> str:
+        """Part of the topics' names: ``hand``, ``hand/left``."""
+        return f"{self.name}/{self.label}" if self.label else self.name
+
+    @property
+    def frame(self) -> str:
+        """Frame id of the body: ``hand``, ``hand_left``."""
+        return f"{self.name}_{self.label}" if self.label else self.name
 
     def __post_init__(self) -> None:
         if not self.name or "/" in self.name:
             raise ResultError(
                 "invalid subject name", found=repr(self.name), expected="a name without slashes"
+            )
+        if self.label and not _LABEL.fullmatch(self.label):
+            raise ResultError(
+                "invalid subject label", found=repr(self.label), expected="letters, digits, - and _"
             )
         if len(self.point_parents) != len(self.point_names):
             raise ResultError(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import IO, TYPE_CHECKING
@@ -39,7 +39,7 @@ from posetrack_cli.results.records import (
     SUBJECT_RECORD,
     SUMMARY_RECORD,
     check_run_record,
-    subject_from_record,
+    subjects_from_records,
 )
 from posetrack_cli.results.topics import (
     CALIBRATION_TOPIC,
@@ -71,7 +71,7 @@ class Result:
 
     Attributes:
         path: the file, NAME or NAME.part.
-        subject: tracked subject.
+        subjects: tracked subjects.
         run: run record.
         summary: written at the end; empty for an unfinished run.
         truncated: whether the file has no footer, as after a killed run. All flushed estimates are
@@ -80,12 +80,47 @@ class Result:
     """
 
     path: Path
-    subject: Subject
+    subjects: tuple[Subject, ...]
     run: Mapping[str, str]
     summary: Mapping[str, str]
     truncated: bool
     several_cameras: tuple[Camera, ...] = ()
     _losses: LossLog = field(default_factory=LossLog, repr=False, compare=False)
+
+    @property
+    def subject(self) -> Subject:
+        """The tracked subject.
+
+        Raises:
+            ResultError: there are several; choose one with ``of``.
+        """
+        if len(self.subjects) > 1:
+            found, hint = f"{', '.join(self.labels)}", "choose one with --of NAME, in Python result.of(NAME)"
+            raise ResultError("has several tracks", where=self.path, found=found, hint=hint)
+        return self.subjects[0]
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Labels of the subjects, such as ``left`` and ``right``; empty text for an only one."""
+        return tuple(subject.label for subject in self.subjects)
+
+    def of(self, label: str) -> Result:
+        """Return the part of a result that belongs to one subject.
+
+        Raises:
+            ResultError: no subject has this label.
+        """
+        chosen = tuple(subject for subject in self.subjects if subject.label == label)
+        if not chosen:
+            named = [repr(known) for known in self.labels if known]
+            found = f"tracks {', '.join(named)}" if named else "a single track without a name"
+            raise ResultError(f"has no track '{label}'", where=self.path, found=found)
+        return replace(self, subjects=chosen)
+
+    @property
+    def parts(self) -> tuple[Result, ...]:
+        """The parts of each subject."""
+        return tuple(replace(self, subjects=(subject,)) for subject in self.subjects)
 
     @property
     def finished(self) -> bool:
@@ -100,13 +135,13 @@ class Result:
     @property
     def estimate_topic(self) -> str:
         """Topic of this result's filtered estimates."""
-        return estimate_topic(self.subject.name)
+        return estimate_topic(self.subject.topic)
 
     @property
     def tracks(self) -> tuple[str, ...]:
         """Names of its tracks: ``filtered``, and ``smoothed`` if the backward pass was completed."""
         topics = {channel.topic for _, channel in self.channels}
-        smoothed = self.finished and estimate_topic(self.subject.name, SMOOTHED) in topics
+        smoothed = self.finished and estimate_topic(self.subjects[0].topic, SMOOTHED) in topics
         return TRACKS if smoothed else (FILTERED,)
 
     def topic_of_track(self, track: str = FILTERED) -> str:
@@ -116,7 +151,7 @@ class Result:
             ResultError: unknown track, or the result does not have it. An unfinished run has no smoothed
                 track, as its backward pass did not reach the first frame.
         """
-        topic = estimate_topic(self.subject.name, track)
+        topic = estimate_topic(self.subject.topic, track)
         if track not in self.tracks:
             what = f"has no {track} track{'' if self.finished else ': the run did not finish'}"
             raise ResultError(what, where=self.path, hint="posetrack hand run --smooth writes one")
@@ -391,7 +426,7 @@ def read_result(path: Path | str) -> Result:
     file = McapFile(path)
     with opened(path):
         metadata = {r.name: r.metadata for r in file.extras() if isinstance(r, Metadata)}
-    if RUN_RECORD not in metadata or SUBJECT_RECORD not in metadata:
+    if RUN_RECORD not in metadata or not any(name.startswith(SUBJECT_RECORD) for name in metadata):
         raise ResultError(
             "is not a posetrack result",
             where=path,
@@ -399,14 +434,14 @@ def read_result(path: Path | str) -> Result:
             expected=f"metadata {RUN_RECORD}",
         )
     try:
-        subject = subject_from_record(metadata[SUBJECT_RECORD])
+        subjects = subjects_from_records(metadata)
         check_run_record(metadata[RUN_RECORD])
         cameras = cameras_from_record(metadata[CAMERAS_RECORD]) if CAMERAS_RECORD in metadata else ()
     except ResultError as error:
         raise ResultError(str(error), where=path) from error
     truncated = any(loss.what in (TRUNCATED, DAMAGED) for loss in file.losses.losses)
     summary = metadata.get(SUMMARY_RECORD, {})
-    return Result(path, subject, metadata[RUN_RECORD], summary, truncated, cameras, file.losses)
+    return Result(path, subjects, metadata[RUN_RECORD], summary, truncated, cameras, file.losses)
 
 
 @contextmanager

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -37,6 +37,8 @@ def subject_to_record(subject: Subject) -> dict[str, str]:
         values["lines"] = [list(line) for line in subject.lines]
     if subject.number_names:
         values["number_names"] = list(subject.number_names)
+    if subject.label:
+        values["label"] = subject.label
     return {key: json.dumps(value, separators=(",", ":")) for key, value in values.items()}
 
 
@@ -60,11 +62,44 @@ def subject_from_record(record: Mapping[str, str]) -> Subject:
             colour=(red, green, blue, alpha),
             lines=tuple((a, b) for a, b in values.get("lines", ())),
             number_names=tuple(values.get("number_names", ())),
+            label=values.get("label", ""),
         )
     except KeyError as error:
         raise ResultError(f"metadata {SUBJECT_RECORD} lacks {error}") from error
     except ValueError as error:
         raise ResultError(f"invalid metadata {SUBJECT_RECORD}", found=error) from error
+
+
+def subjects_to_records(subjects: Sequence[Subject]) -> dict[str, dict[str, str]]:
+    """Return a metadata record per subject, by name.
+
+    Raises:
+        ResultError: there is none, or labels are missing or not unique.
+    """
+    labels = [subject.label for subject in subjects]
+    if not labels or len(set(labels)) < len(labels) or (len(labels) > 1 and not all(labels)):
+        raise ResultError("subjects of a result need unique labels", found=", ".join(map(repr, labels)))
+    return {_record_name(subject.label): subject_to_record(subject) for subject in subjects}
+
+
+def subjects_from_records(metadata: Mapping[str, Mapping[str, str]]) -> tuple[Subject, ...]:
+    """Parse the output of ``subjects_to_records`` among other records; () if there is none.
+
+    Raises:
+        ResultError: see ``subject_from_record``; or there are too many, or a record has another label.
+    """
+    names = [name for name in metadata if name == SUBJECT_RECORD or name.startswith(f"{SUBJECT_RECORD}.")]
+    if len(names) > limits.SUBJECTS:
+        raise ResultError("too many subjects", found=len(names), expected=f"at most {limits.SUBJECTS}")
+    subjects = tuple(subject_from_record(metadata[name]) for name in names)
+    for name, subject in zip(names, subjects, strict=True):
+        if name != _record_name(subject.label):
+            raise ResultError(f"invalid metadata {name}", found=f"label {subject.label!r}")
+    return subjects
+
+
+def _record_name(label: str) -> str:
+    return f"{SUBJECT_RECORD}.{label}" if label else SUBJECT_RECORD
 
 
 _INDEX = integer_from(-1, limits.TRIANGLES)
@@ -82,7 +117,11 @@ _REQUIRED = {
         ),
     }.items()
 }
-_OPTIONAL = {"lines": reader_of(list_of(list_of(_INDEX, 2))), "number_names": reader_of(list_of(NAME))}
+_OPTIONAL = {
+    "lines": reader_of(list_of(list_of(_INDEX, 2))),
+    "number_names": reader_of(list_of(NAME)),
+    "label": reader_of(NAME),
+}
 _NAMES = {"point_names", "shape_names", "number_names"}
 
 

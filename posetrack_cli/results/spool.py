@@ -56,7 +56,7 @@ class Progress:
         file_bytes: file size.
         flush_frames: estimates per flush, which determines chunk boundaries.
         truth_messages: number of truth messages copied.
-        statuses: number of estimates per status.
+        statuses: number of estimates per status, and with several subjects per subject.
     """
 
     file_bytes: int

@@ -19,7 +19,11 @@ CALIBRATION_TOPIC = f"{CAMERA_PREFIX}/{CALIBRATION}"
 
 
 def topics_prefix(subject: str, track: str) -> str:
-    """Return the topic prefix of a subject's track: ``/hand``, ``/smoothed/hand``.
+    """Return the topic prefix of a subject's track: ``/hand``, ``/hand/left``, ``/smoothed/hand``.
+
+    Args:
+        subject: ``Subject.topic``.
+        track: one of ``TRACKS``.
 
     Raises:
         ResultError: unknown track.

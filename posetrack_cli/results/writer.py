@@ -20,11 +20,7 @@ from posetrack_cli.results import spool
 from posetrack_cli.results.channels import ResultChannels, StampOrder
 from posetrack_cli.results.columns import COUNTS, LayoutError, check_numbers
 from posetrack_cli.results.estimate import Estimate, Status, Subject
-from posetrack_cli.results.records import (
-    SUBJECT_RECORD,
-    SUMMARY_RECORD,
-    subject_to_record,
-)
+from posetrack_cli.results.records import SUMMARY_RECORD, subjects_to_records
 from posetrack_cli.results.replay import Replay, check_same_run
 from posetrack_cli.results.spool import Checkpoint, Progress
 from posetrack_cli.results.topics import SMOOTHED
@@ -49,7 +45,7 @@ class ResultWriter:
 
     Args:
         path: path of the finished result.
-        subject: tracked subject.
+        subject: tracked subject, or several with unique labels.
         camera: reference camera of the estimates.
         others: further cameras, with poses relative to it.
         run: run record: input, configuration, seed, version; must not contain anything that differs between
@@ -70,10 +66,12 @@ class ResultWriter:
     _channels: ResultChannels
     _run: dict[str, str]
     _flush_frames: int
-    _statuses: dict[str, int]  # number of estimates per status
+    _subjects: tuple[Subject, ...]
+    _cameras: tuple[Camera, ...]
+    _statuses: dict[str, int]  # number of estimates per subject and status, see _counted
     _truth_messages: int
     _attached: set[str]
-    _smoothed: StampOrder  # smoothed track
+    _smoothed: tuple[StampOrder, ...]  # smoothed track of each subject
     _last_index: int
     _flushed: tuple[int, int]  # frame index and number of frames at the last flush
     _progress: Progress  # at the last flush
@@ -83,7 +81,7 @@ class ResultWriter:
     def __init__(
         self,
         path: Path,
-        subject: Subject,
+        subject: Subject | Sequence[Subject],
         camera: Camera,
         run: Mapping[str, str],
         *,
@@ -96,13 +94,13 @@ class ResultWriter:
         check_not_written(part_path(path))
         with _reported(path):
             state_path(path).unlink(missing_ok=True)  # a stale checkpoint of the file replaced now
-        self._begin(path, part_path(path), subject, (camera, *others), run, flush_frames)
+        self._begin(path, part_path(path), _as_tuple(subject), (camera, *others), run, flush_frames)
 
     @classmethod
     def resume(
         cls,
         path: Path,
-        subject: Subject,
+        subject: Subject | Sequence[Subject],
         camera: Camera,
         run: Mapping[str, str],
         *,
@@ -128,18 +126,19 @@ class ResultWriter:
             UsageError: run record, subject, camera or ``flush_frames`` differ from the interrupted run's.
             ResultError: the unfinished result or the checkpoint is missing, damaged or inconsistent.
         """
-        records = _first_records(run, subject, (camera, *others))
+        subjects = _as_tuple(subject)
+        records = _first_records(run, subjects, (camera, *others))
         check_not_written(part_path(path))
         check_same_run(part_path(path), records)
         checkpoint, progress = spool.load(state_path(path))
-        _check_checkpoint(path, checkpoint, progress, run, flush_frames)
+        _check_checkpoint(path, checkpoint, progress, run, flush_frames, subjects)
         try:
             check(checkpoint)
         except (LayoutError, ResultError) as error:
             raise _unusable(path, error) from error
         writer = cls.__new__(cls)
         copy = path.with_name(path.name + ".part.copy")
-        writer._begin(path, copy, subject, (camera, *others), run, flush_frames)
+        writer._begin(path, copy, subjects, (camera, *others), run, flush_frames)
         try:
             writer._restore(checkpoint, progress)
         except BaseException:
@@ -150,12 +149,18 @@ class ResultWriter:
 
     @property
     def frames_written(self) -> int:
-        """Number of estimates written, including those before a resume."""
-        return sum(self._statuses.values())
+        """Number of frames written, including those before a resume."""
+        return _frames(self._statuses, self._subjects)
 
-    def count(self, status: Status) -> int:
-        """Return the number of estimates with a status, including those before a resume."""
-        return self._statuses[status.value]
+    def count(self, status: Status, subject: int | None = None) -> int:
+        """Return the number of estimates with a status, including those before a resume.
+
+        Args:
+            status: the status.
+            subject: number of a subject; None for the one with the fewest.
+        """
+        of = self._subjects if subject is None else self._subjects[subject : subject + 1]
+        return min(self._statuses[_counted(one, status)] for one in of)
 
     @property
     def truth_messages(self) -> int:
@@ -172,7 +177,14 @@ class ResultWriter:
             ResultError: see the class; also if arrays do not fit the subject or are not finite, or the
                 smoothed track has begun.
         """
-        return self._add_filtered(estimate, lambda: self._channels.write_estimate(estimate, vertices))
+        return self.write_frame((estimate,), (vertices,))
+
+    def write_frame(
+        self, estimates: Sequence[Estimate], vertices: Sequence[FloatArray | None] | None = None
+    ) -> bool:
+        """Write the estimates of all subjects at one frame; see ``write``."""
+        meshes = [None] * len(estimates) if vertices is None else vertices
+        return self._add_filtered(estimates, lambda: self._channels.write_estimates(estimates, meshes))
 
     def copy(self, messages: Iterable[tuple[str, int, bytes]], estimate: Estimate) -> bool:
         """Write a frame's messages from another result of the same kind, like ``write``.
@@ -181,47 +193,76 @@ class ResultWriter:
             messages: topic, log time and bytes of each.
             estimate: the estimate among them.
         """
-        return self._add_filtered(estimate, lambda: self._channels.copy(messages))
+        return self._add_filtered((estimate,), lambda: self._channels.copy(messages))
 
-    def write_smoothed(self, estimate: Estimate, vertices: FloatArray | None = None) -> None:
-        """Write one estimate of the smoothed track, after the filtered track is complete; see ``write``.
+    def write_smoothed(
+        self, estimate: Estimate, vertices: FloatArray | None = None, subject: int = 0
+    ) -> None:
+        """Write one estimate of a smoothed track, after the filtered tracks are complete; see ``write``.
 
-        Frames come in order or, from a backward pass, in reverse, each at its own log time. Checkpoints do
-        not cover them: a run interrupted here restarts the smoothed track.
+        With several subjects, the whole track of one follows that of another. Frames come in order or, from
+        a backward pass, in reverse, each at its own log time. Checkpoints do not cover them: a run
+        interrupted here restarts the smoothed track.
 
         Raises:
             ResultError: see ``write``; or the stamp breaks the order.
         """
-        self._add_smoothed(estimate, lambda: self._channels.write_smoothed(estimate, vertices))
+        write = self._channels.write_smoothed
+        self._add_smoothed(estimate, lambda: write(estimate, vertices, subject), subject)
 
     def copy_smoothed(self, messages: Iterable[tuple[str, int, bytes]], estimate: Estimate) -> None:
         """Write a frame's smoothed messages from another result, like ``write_smoothed``."""
-        self._add_smoothed(estimate, lambda: self._channels.copy(messages, SMOOTHED))
+        self._add_smoothed(estimate, lambda: self._channels.copy(messages, SMOOTHED), 0)
 
-    def _add_filtered(self, estimate: Estimate, write: Callable[[], None]) -> bool:
-        if self._smoothed.count:
+    def _add_filtered(self, estimates: Sequence[Estimate], write: Callable[[], None]) -> bool:
+        self._check_frame(estimates)
+        estimate = estimates[0]
+        if self._has_smoothed:
             raise ResultError("filtered frame after the smoothed track began", where=self._part)
         with self._guarded():
             if not self._calibrated:
                 self._channels.write_calibration(estimate.stamp_ns)
                 self._calibrated = True
             write()
-        self._statuses[estimate.status.value] += 1
+        for subject, one in zip(self._subjects, estimates, strict=True):
+            self._statuses[_counted(subject, one.status)] += 1
         self._last_index = estimate.frame_index
         if self.frames_written % self._flush_frames:
             return False
         self._flush()
         return True
 
-    def _add_smoothed(self, estimate: Estimate, write: Callable[[], None]) -> None:
+    def _check_frame(self, estimates: Sequence[Estimate]) -> None:
+        """Raise ResultError unless there is one estimate per subject, all of one frame."""
+        stamps = {estimate.stamp_ns for estimate in estimates}
+        if len(estimates) != len(self._subjects) or len(stamps) != 1:
+            found, expected = f"{len(estimates)} at {len(stamps)} stamps", f"{len(self._subjects)} at one"
+            raise ResultError(
+                "estimates are not of one frame", where=self._part, found=found, expected=expected
+            )
+
+    @property
+    def _has_smoothed(self) -> bool:
+        return any(order.count for order in self._smoothed)
+
+    def _add_smoothed(self, estimate: Estimate, write: Callable[[], None], subject: int) -> None:
+        order = self._smoothed[subject]
         with self._guarded():
-            if not self._smoothed.count:
+            if not self._has_smoothed:
                 self._flush()  # keeps the bytes up to here equal to a run without smoothing
-            self._smoothed.check(estimate.stamp_ns, self._part)
+            order.check(estimate.stamp_ns, self._part)
             write()
-        self._smoothed.add(estimate.stamp_ns)
-        if self._smoothed.count % self._flush_frames == 0:
+        order.add(estimate.stamp_ns)
+        if order.count % self._flush_frames == 0:
             self._flush()
+
+    def restart(self, subjects: Sequence[Subject]) -> None:
+        """Begin again with other subjects; nothing may have been written yet."""
+        self._check_open()
+        if self.frames_written or self._truth_messages:
+            raise ResultError("subjects change after the first frame", where=self._part)
+        self._sink.close()
+        self._begin(self._path, self._part, tuple(subjects), self._cameras, self._run, self._flush_frames)
 
     def add_truth(self, message: TruthMessage) -> None:
         """Copy a message of a ``/truth/...`` topic unchanged."""
@@ -249,7 +290,7 @@ class ResultWriter:
             ResultError: it cannot be saved, or is not of the last flushed frame.
         """
         self._check_open()
-        if self._smoothed.count:
+        if self._has_smoothed:
             raise ResultError("checkpoint after the smoothed track began", where=self._part)
         if (checkpoint.frame_index, checkpoint.frames_written) != self._flushed:
             raise ResultError(
@@ -268,12 +309,15 @@ class ResultWriter:
         Args:
             summary: summary of the run, such as skipped frames; must not contain anything that differs
                 between equal runs, such as durations. Numbers of frames, lost, reinitialised and smoothed
-                frames are added.
+                frames are added; with several subjects the fewest, and those of each, such as ``1.lost``.
         """
         counts = {"frames": self.frames_written}
-        counts |= {status: self._statuses[status] for status in (Status.LOST, Status.REINITIALISED)}
-        if self._smoothed.count:
-            counts[SMOOTHED] = self._smoothed.count
+        counts |= {status: self.count(status) for status in (Status.LOST, Status.REINITIALISED)}
+        if self._has_smoothed:
+            counts[SMOOTHED] = min(order.count for order in self._smoothed)
+        if len(self._subjects) > 1:
+            of_each = (Status.LOST.value, Status.REINITIALISED.value)
+            counts |= {name: n for name, n in self._statuses.items() if name.endswith(of_each)}
         record = {str(key): str(count) for key, count in counts.items()} | dict(summary)
         with self._guarded():
             self._sink.flush()
@@ -312,7 +356,7 @@ class ResultWriter:
         self,
         path: Path,
         written: Path,
-        subject: Subject,
+        subjects: tuple[Subject, ...],
         cameras: Sequence[Camera],
         run: Mapping[str, str],
         flush_frames: int,
@@ -322,21 +366,22 @@ class ResultWriter:
             raise ResultError("invalid flush_frames", found=flush_frames, expected="1 or more")
         self._path, self._part = path, written
         self._run, self._flush_frames = dict(run), flush_frames
-        self._statuses = dict.fromkeys((status.value for status in Status), 0)
+        self._subjects, self._cameras = subjects, tuple(cameras)
+        self._statuses = dict.fromkeys(_counters(subjects), 0)
         self._truth_messages = 0
         self._attached = set()
-        self._smoothed = StampOrder()
+        self._smoothed = tuple(StampOrder() for _ in subjects)
         self._last_index = -1
         self._flushed = (-1, 0)
         self._closed = self._calibrated = False
         self._progress = Progress(0, flush_frames, 0, dict(self._statuses))
         check_place(path)
-        records = _first_records(run, subject, cameras)
+        records = _first_records(run, subjects, cameras)
         self._sink = McapSink(written)
         with self._guarded():
             for name, record in records.items():
                 self._sink.metadata(name, record)
-            self._channels = ResultChannels(self._sink, subject, cameras)
+            self._channels = ResultChannels(self._sink, subjects, cameras)
         self._flush()
 
     def _restore(self, checkpoint: Checkpoint, progress: Progress) -> None:
@@ -394,19 +439,41 @@ class ResultWriter:
                 os.truncate(self._part, self._progress.file_bytes)
 
 
+def _as_tuple(subject: Subject | Sequence[Subject]) -> tuple[Subject, ...]:
+    return (subject,) if isinstance(subject, Subject) else tuple(subject)
+
+
+def _counted(subject: Subject, status: Status) -> str:
+    """Return the name of a counter: ``lost``, or ``left.lost`` for one of several subjects."""
+    return f"{subject.label}.{status.value}" if subject.label else status.value
+
+
+def _counters(subjects: Sequence[Subject]) -> list[str]:
+    return [_counted(subject, status) for subject in subjects for status in Status]
+
+
+def _frames(statuses: Mapping[str, int], subjects: Sequence[Subject]) -> int:
+    return sum(statuses[_counted(subjects[0], status)] for status in Status)
+
+
 def _first_records(
-    run: Mapping[str, str], subject: Subject, cameras: Sequence[Camera]
+    run: Mapping[str, str], subjects: Sequence[Subject], cameras: Sequence[Camera]
 ) -> dict[str, Mapping[str, str]]:
     """Return the initial metadata, sorted, since their order affects the bytes."""
     about: dict[str, Mapping[str, str]] = {
         RUN_RECORD: dict(sorted(run.items())),
-        SUBJECT_RECORD: subject_to_record(subject),
+        **subjects_to_records(subjects),
     }
     return about if len(cameras) == 1 else {**about, CAMERAS_RECORD: cameras_to_record(cameras)}
 
 
 def _check_checkpoint(
-    path: Path, checkpoint: Checkpoint, progress: Progress, run: Mapping[str, str], flush_frames: int
+    path: Path,
+    checkpoint: Checkpoint,
+    progress: Progress,
+    run: Mapping[str, str],
+    flush_frames: int,
+    subjects: Sequence[Subject],
 ) -> None:
     """Check that the checkpoint belongs to this run, has the same flush interval, and is consistent."""
     if checkpoint.fingerprint != spool.fingerprint(run):
@@ -422,11 +489,11 @@ def _check_checkpoint(
             hint=f"resume with its original options, or {spool.RESTART_HINT}",
         )
     try:
-        check_numbers(progress.statuses, {status.value: COUNTS for status in Status})
+        check_numbers(progress.statuses, dict.fromkeys(_counters(subjects), COUNTS))
     except LayoutError as error:
         raise _unusable(path, error) from error
     written = checkpoint.frames_written
-    if written != sum(progress.statuses.values()) or (written > 0) != (checkpoint.frame_index >= 0):
+    if written != _frames(progress.statuses, subjects) or (written > 0) != (checkpoint.frame_index >= 0):
         raise _unusable(path, f"{written} estimates up to frame {checkpoint.frame_index}")
 
 

@@ -44,9 +44,9 @@ class RunningSigns:
         """Return the initial state for ``count`` signs."""
         return cls(np.zeros(count))
 
-    def after(self, signs: FloatArray) -> RunningSigns:
-        """Return the means updated with one frame's signs (S,)."""
-        share = max(MEMORY, 1.0 / (self.frames + 1))
+    def after(self, signs: FloatArray, steps: int = 1) -> RunningSigns:
+        """Return the means updated with one frame's signs (S,), ``steps`` usual frame intervals later."""
+        share = max(1.0 - (1.0 - MEMORY) ** steps if steps > 1 else MEMORY, 1.0 / (self.frames + 1))
         return RunningSigns(self.signs + share * (signs - self.signs), self.frames + 1)
 
 
@@ -56,12 +56,13 @@ def signs_codec(count: int) -> Codec[RunningSigns]:
 
 
 class Regression(NamedTuple):
-    """w_0 and w (S,)."""
+    """w_0 and w (S,); ``most`` is the probability that nothing beyond the signs makes the estimate wrong."""
 
     bias: float
     weights: FloatArray
+    most: float = 1.0
 
     def probability(self, signs: FloatArray) -> float:
         """Return p given signs (S,)."""
         logit = self.bias + float(self.weights @ signs)
-        return float(1.0 / (1.0 + np.exp(-np.clip(logit, -_LARGEST, _LARGEST))))
+        return float(self.most / (1.0 + np.exp(-np.clip(logit, -_LARGEST, _LARGEST))))

@@ -9,6 +9,7 @@ from typing import Annotated, Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
+from posetrack_cli import limits
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.columns import FLAGS, LayoutError, Stamp, check_numbers, floats
@@ -22,10 +23,13 @@ State = TypeVar("State")
 class Tracker(Protocol[State]):
     """Tracker: pure steps from one state to the next, with serialisable states.
 
-    Initial states differ between hands and heads; their own protocols add them.
+    A tracker of several subjects returns one estimate per subject. Initial states differ between hands and
+    heads; their own protocols add them.
     """
 
-    def step(self, state: State, frame: Frame, rng: np.random.Generator) -> tuple[State, Estimate]:
+    def step(
+        self, state: State, frame: Frame, rng: np.random.Generator
+    ) -> tuple[State, Estimate | tuple[Estimate, ...]]:
         """Advance by one frame; the given state is not modified."""
 
     @property
@@ -66,13 +70,13 @@ class RunState(NamedTuple):
         state: tracker state, None before its first frame.
         rng: random generator.
         frame_index: last tracked frame, -1 before the first.
-        velocity: belief about the motion; None if there is none.
+        velocities: belief about the motion of each subject, None if there is none; () before the first frame.
     """
 
     state: Any
     rng: np.random.Generator
     frame_index: int = -1
-    velocity: VelocityBelief | None = None
+    velocities: tuple[VelocityBelief | None, ...] = ()
 
 
 class Step(NamedTuple):
@@ -80,13 +84,18 @@ class Step(NamedTuple):
 
     Attributes:
         frame: the frame.
-        estimate: its estimate.
+        estimates: its estimates, one per subject.
         after: state of the pass after it.
     """
 
     frame: Frame
-    estimate: Estimate
+    estimates: tuple[Estimate, ...]
     after: RunState
+
+    @property
+    def estimate(self) -> Estimate:
+        """The first subject's estimate."""
+        return self.estimates[0]
 
 
 def track_frames(
@@ -104,7 +113,7 @@ def track_frames(
         frames: frames of the recording, from the first one.
         run_state: current state of the pass.
         start_state: creates the state before the first frame.
-        timings: set the milliseconds of every estimate.
+        timings: set the milliseconds of every estimate, those of all subjects together.
     """
     state, rng, last = run_state.state, run_state.rng, run_state.frame_index
     for frame in frames:
@@ -113,15 +122,19 @@ def track_frames(
         if state is None:
             state = start_state(frame, rng)
         began = time.perf_counter()
-        state, estimate = tracker.step(state, frame, rng)
+        state, found = tracker.step(state, frame, rng)
+        estimates = found if isinstance(found, tuple) else (found,)
         if timings:
-            estimate = replace(estimate, milliseconds=1e3 * (time.perf_counter() - began))
-        yield Step(frame, estimate, RunState(state, rng, frame.index))
+            spent = 1e3 * (time.perf_counter() - began)
+            estimates = tuple(replace(one, milliseconds=spent) for one in estimates)
+        yield Step(frame, estimates, RunState(state, rng, frame.index))
 
 
 _VELOCITY = "run_velocity"
 """Checkpoint prefix of the velocity belief's arrays."""
 _VELOCITY_CODEC = Maybe(codec_of(VelocityBelief))
+_SUBJECTS = "subjects"
+"""Key of the number of velocity beliefs in a checkpoint."""
 _BITS_32, _BITS_128 = (0, (1 << 32) - 1), (0, (1 << 128) - 1)
 
 
@@ -130,10 +143,11 @@ def checkpoint_of(tracker: Tracker[Any], run_state: RunState, frames: int) -> Ch
     record: dict[str, Any] = {"rng": run_state.rng.bit_generator.state}
     if run_state.state is None:
         return Checkpoint(run_state.frame_index, frames, {}, record)
-    motion = _VELOCITY_CODEC.to_arrays(run_state.velocity)
-    arrays = tracker.codec.to_arrays(run_state.state) | {
-        joined(_VELOCITY, name): v for name, v in motion.items()
-    }
+    arrays = dict(tracker.codec.to_arrays(run_state.state))
+    for number, belief in enumerate(run_state.velocities):
+        motion = _VELOCITY_CODEC.to_arrays(belief)
+        arrays |= {joined(f"{_VELOCITY}.{number}", name): v for name, v in motion.items()}
+    record[_SUBJECTS] = len(run_state.velocities)
     return Checkpoint(run_state.frame_index, frames, arrays, record)
 
 
@@ -147,9 +161,11 @@ def run_state_at(tracker: Tracker[Any], checkpoint: Checkpoint, rng: np.random.G
     _set_state(rng, record.get("rng"))
     if index < 0:
         return RunState(None, rng, index)
-    motion = part_of(checkpoint.arrays, _VELOCITY)
+    check_numbers(record, {_SUBJECTS: (0, limits.SUBJECTS)})
+    motions = (part_of(checkpoint.arrays, f"{_VELOCITY}.{number}") for number in range(record[_SUBJECTS]))
     own = {name: v for name, v in checkpoint.arrays.items() if not name.startswith(f"{_VELOCITY}.")}
-    return RunState(tracker.codec.from_arrays(own), rng, index, _VELOCITY_CODEC.from_arrays(motion))
+    beliefs = tuple(_VELOCITY_CODEC.from_arrays(motion) for motion in motions)
+    return RunState(tracker.codec.from_arrays(own), rng, index, beliefs)
 
 
 def _set_state(rng: np.random.Generator, state: Any) -> None:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import reduce
 from pathlib import Path
 from typing import NamedTuple
@@ -58,12 +58,13 @@ class RunOutcome:
     Attributes:
         frames: estimates in the result, including those before a resume.
         tracked: frames tracked by this process.
-        lost: estimates with status lost in the result.
+        lost: estimates with status lost in the result; with several subjects, of the one with the fewest.
         seconds: wall-clock time of the frames in all passes, without compilation and the smoothed track.
         losses: data that could not be used.
         stopped: whether the run was interrupted.
         remarks: further notes for the user, one line each.
         failure: likely reason, in one line, if hardly any frame was tracked; empty on success.
+        lost_by_label: lost estimates of each of several subjects.
     """
 
     frames: int
@@ -74,6 +75,7 @@ class RunOutcome:
     stopped: bool
     remarks: tuple[str, ...] = ()
     failure: str = ""
+    lost_by_label: Mapping[str, int] = field(default_factory=dict)
 
 
 def is_hardly_tracked(frames: int, lost: int) -> bool:

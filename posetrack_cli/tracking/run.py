@@ -43,8 +43,8 @@ Stopped = Callable[[], bool]
 class FrameMemory(Protocol):
     """Per-frame data kept by a run to write the smoothed track after the last frame."""
 
-    def remember(self, state: Any, estimate: Estimate) -> None:
-        """Store the data of a frame."""
+    def remember(self, state: Any, *estimates: Estimate) -> None:
+        """Store the data of a frame, with the estimates of all subjects."""
 
     def flush(self) -> None:
         """Sync everything to disk, before a checkpoint relies on it."""
@@ -66,14 +66,14 @@ class Run(ABC):
 
     Attributes:
         tracker: tracker of the current pass; set by the subclass.
-        subject: tracked subject; set by the subclass.
+        subjects: tracked subjects; set by the subclass.
         record: run record; set by the subclass.
         cameras: cameras stored in the result, the reference camera first.
         velocity_model: model for estimating velocities one frame late; None keeps the tracker's velocities.
     """
 
     tracker: Tracker[Any]
-    subject: Subject
+    subjects: tuple[Subject, ...]
     record: Mapping[str, str]
     cameras: tuple[Camera, ...]
     velocity_model: VelocityModel | None = None
@@ -86,6 +86,11 @@ class Run(ABC):
         if frames_ahead(recording, options) == 0:
             raise nothing_to_track(recording)
         self.cameras = recording.cameras
+
+    @property
+    def subject(self) -> Subject:
+        """The first of the tracked subjects."""
+        return self.subjects[0]
 
     def track(self, report: Report, stopped: Stopped = lambda: False) -> RunOutcome:
         """Track every frame; see ``estimates``.
@@ -110,6 +115,8 @@ class Run(ABC):
 
     def estimates(self, stopped: Stopped = lambda: False) -> Generator[Estimate, None, RunOutcome]:
         """Track every frame, yield each estimate after it is written, and return the outcome.
+
+        Of several subjects, only the first one's estimates are yielded.
 
         Closing the generator early leaves the result unfinished, as NAME.part.
 
@@ -136,8 +143,8 @@ class Run(ABC):
     def on_frame(self, frame: Frame) -> None:  # noqa: B027 - optional hook
         """Inspect every frame read, including those tracked before an interruption."""
 
-    def vertices(self, estimate: Estimate) -> FloatArray | None:
-        """Return the mesh (V, 3) of an estimate, mm, camera axes; None for none."""
+    def vertices(self, estimate: Estimate, subject: int = 0) -> FloatArray | None:
+        """Return the mesh (V, 3) of a subject's estimate, mm, camera axes; None for none."""
         return None
 
     def open_memory(self, writer: ResultWriter) -> AbstractContextManager[FrameMemory | None]:
@@ -169,7 +176,8 @@ class Run(ABC):
             LayoutError, ResultError: the checkpoint has no such state.
         """
         reached = run_state_at(self.tracker, checkpoint, self.new_rng())
-        check_belief(reached.velocity, self.velocity_model)
+        for belief in reached.velocities:
+            check_belief(belief, self.velocity_model)
         return reached
 
     def checkpoint(self, run_state: RunState, frames: int) -> Checkpoint:
@@ -204,7 +212,7 @@ class Run(ABC):
             with closing(carrier) as truth, self.open_memory(writer) as memory:
                 steps = self._remembered(self.steps(self._watched(frames), run_state), memory)
                 if self.velocity_model is not None:
-                    steps = with_velocities(steps, self.velocity_model, run_state.velocity)
+                    steps = with_velocities(steps, self.velocity_model, run_state.velocities)
                 for step in steps:
                     truth.send(step.frame.stamp_ns)
                     run_state = step.after
@@ -233,12 +241,13 @@ class Run(ABC):
         """Yield the steps, storing each before the next step can overwrite its per-frame state."""
         for step in steps:
             if memory is not None:
-                memory.remember(step.after.state, step.estimate)
+                memory.remember(step.after.state, *step.estimates)
             yield step
 
     def _write(self, writer: ResultWriter, memory: FrameMemory | None, step: Step) -> None:
         """Write an estimate, and a checkpoint when the result was flushed."""
-        if writer.write(step.estimate, self.vertices(step.estimate)):
+        meshes = [self.vertices(estimate, k) for k, estimate in enumerate(step.estimates)]
+        if writer.write_frame(step.estimates, meshes):
             if memory is not None:
                 memory.flush()
             writer.save_checkpoint(self.checkpoint(step.after, writer.frames_written))
@@ -247,7 +256,7 @@ class Run(ABC):
         """Return the writer and the start state; a resumed state is checked before any file is changed."""
         options, flush = self._options, self._flush_frames
         camera, *others = self.cameras
-        about = self.subject, camera, self.record
+        about = self.subjects, camera, self.record
         if options.resume:
             resumed: list[RunState] = []
             writer, _ = ResultWriter.resume(
@@ -294,7 +303,11 @@ class Run(ABC):
     def _outcome(self, writer: ResultWriter, began: float, *, stopped: bool) -> RunOutcome:
         seconds = (self._ended_s or _clock_s()) - began
         lost = writer.count(Status.LOST)
-        return RunOutcome(writer.frames_written, self._tracked, lost, seconds, self.losses(), stopped)
+        of_each = {subject.label: writer.count(Status.LOST, k) for k, subject in enumerate(self.subjects)}
+        each = of_each if len(of_each) > 1 else {}
+        return RunOutcome(
+            writer.frames_written, self._tracked, lost, seconds, self.losses(), stopped, lost_by_label=each
+        )
 
 
 def _clock_s() -> float:

@@ -108,6 +108,10 @@ class TwoPassRun(Run):
             NothingFoundError: nothing was detected.
         """
 
+    def after_first_pass(self, state: Any) -> Any:
+        """Return the state from which a second pass starts, by default that after the last frame."""
+        return state
+
     def estimates(self, stopped: Stopped = lambda: False) -> Generator[Estimate, None, RunOutcome]:
         """Track every frame; see ``Run.estimates``. Only the last pass yields estimates.
 
@@ -135,13 +139,16 @@ class TwoPassRun(Run):
         return within_second_pass(super().checkpoint(run_state, frames), self._learned)
 
     def before_writing(self, writer: ResultWriter, run_state: RunState, stopped: Stopped) -> RunState | None:
-        """Do the first of two passes unless it is complete."""
+        """Do the first of two passes unless it is complete; it may determine the subjects."""
         if self._passes == 1 or self._learned:
             return run_state
         learned = self._first_pass(writer, run_state, stopped)
         if learned is None:
             return None
+        before = self.subjects
         self._begin_second_pass(learned)
+        if self.subjects is not before:
+            writer.restart(self.subjects)
         beginning = RunState(None, self.new_rng())
         writer.save_checkpoint(self.checkpoint(beginning, 0))
         return beginning
@@ -157,7 +164,7 @@ class TwoPassRun(Run):
                     writer.save_checkpoint(within_first_pass(super().checkpoint(run_state, 0)))
                 if stopped():
                     return None
-        return self.learned_by(run_state.state, for_second_pass=True)
+        return self.learned_by(self.after_first_pass(run_state.state), for_second_pass=True)
 
     def _begin_second_pass(self, learned: Learned) -> None:
         self._learned = learned

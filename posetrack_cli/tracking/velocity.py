@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -274,26 +274,32 @@ def check_belief(belief: VelocityBelief | None, model: VelocityModel | None) -> 
 
 
 def with_velocities(
-    steps: Iterable[Step], model: VelocityModel, belief: VelocityBelief | None
+    steps: Iterable[Step], model: VelocityModel, beliefs: Sequence[VelocityBelief | None] = ()
 ) -> Iterator[Step]:
     """Yield the steps of a pass with velocities, each after the next frame is tracked.
 
     Args:
         steps: steps of the pass.
         model: velocity model.
-        belief: belief after the last step yielded before an interruption.
+        beliefs: belief about each subject after the last step yielded before an interruption.
     """
-    estimator, waiting = VelocityEstimator(model, belief), None
+    estimators, waiting = [VelocityEstimator(model, belief) for belief in beliefs], None
     for step in steps:
-        estimate = estimator.take(step.estimate)
-        if waiting is not None and estimate is not None:
-            yield waiting._replace(estimate=estimate)
+        estimators = estimators or [VelocityEstimator(model) for _ in step.estimates]
+        found = [of.take(estimate) for of, estimate in zip(estimators, step.estimates, strict=True)]
+        if waiting is not None:
+            yield _with_known(waiting, found)
         # All steps share the generator, and tracking the next frame advances it before this step is saved.
-        after = step.after._replace(rng=copy.deepcopy(step.after.rng), velocity=estimator.belief)
+        known = tuple(of.belief for of in estimators)
+        after = step.after._replace(rng=copy.deepcopy(step.after.rng), velocities=known)
         waiting = step._replace(after=after)
-    estimate = estimator.last()
-    if waiting is not None and estimate is not None:
-        yield waiting._replace(estimate=estimate)
+    if waiting is not None:
+        yield _with_known(waiting, [of.last() for of in estimators])
+
+
+def _with_known(step: Step, found: Sequence[Estimate | None]) -> Step:
+    known = tuple(estimate for estimate in found if estimate is not None)
+    return step._replace(estimates=known)
 
 
 def smoothed_velocities(

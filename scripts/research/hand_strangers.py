@@ -28,7 +28,7 @@ from posetrack_cli.hand.confidence import RIGHT_MM
 from posetrack_cli.hand.model.webxr import load_hand
 from posetrack_cli.hand.shape_fit import MEASURES, measures_of
 from posetrack_cli.results.topics import SMOOTHED
-from research import cvar, hands
+from research import cvar, hand_pairs, hands
 from research.hand_accuracy import AVERAGE, NO_MESH
 from research.hand_model.people import person_hand
 from research.report import Column, Figures, Report, number, over, pairs_of, values_of
@@ -557,6 +557,10 @@ def shape_figures(
     return rows, float(inside[:, COUNTED].mean()), float(inside_of_rig[:, COUNTED].mean())
 
 
+def _numbers(options: Options) -> tuple[int, ...]:
+    return tuple(person.number for person in options.people)
+
+
 def _head(options: Options) -> Iterator[str]:
     yield "# Hand tracker on strangers"
     people = ", ".join(str(person.number) for person in options.people)
@@ -606,6 +610,11 @@ STUDY = Study(
         ),
         Part("choices", lambda options: tracked(options, (ARM,), *CHOSEN), _report_choices),
         Part("shape", lambda options: tracked(options, (ARM,), SHAPE_ALONE), _report_shape),
+        Part(
+            "both",
+            lambda options: hand_pairs.jobs(_numbers(options), options.tool),
+            lambda options, files, report: hand_pairs.report(_numbers(options), files, report),
+        ),
     ),
     _head,
     __doc__,

@@ -28,7 +28,8 @@ from posetrack_cli.head.face.points import MEAN_SHAPE, SHAPE_SD
 from posetrack_cli.recording.identity import files_digest
 
 SHARED = PACKAGE.parent.parent / "shared"
-FILE = "@"  # prefix of arguments that are outputs of other steps, or files in output folders
+# Prefix of arguments that are outputs of other steps or files in output folders; also of VALUE in NAME=VALUE
+FILE = "@"
 TOOL = "tool"  # first argument of a step that runs an external Python program; its path follows
 # Sources that determine synthetic head recordings, in addition to the average face
 DRAWING = (
@@ -42,6 +43,12 @@ ONE_CORE = dict.fromkeys(
 )
 
 
+def _placed(argument: str, out: Path) -> str:
+    """Return an argument with the path of an output in a folder, if it names one."""
+    name, equals, value = argument.rpartition("=")
+    return f"{name}{equals}{out / value.removeprefix(FILE)}" if value.startswith(FILE) else argument
+
+
 class Step(NamedTuple):
     """A file or folder, and the command that writes it."""
 
@@ -53,7 +60,8 @@ class Step(NamedTuple):
     @property
     def files(self) -> list[str]:
         """Outputs of other steps used as inputs."""
-        return [one.removeprefix(FILE) for one in self.arguments if one.startswith(FILE)]
+        parts = (one.rpartition("=")[2] for one in self.arguments)
+        return [one.removeprefix(FILE) for one in parts if one.startswith(FILE)]
 
     def run(self, out: Path) -> None:
         """Write the output.
@@ -63,7 +71,7 @@ class Step(NamedTuple):
         """
         path = out / self.output
         path.parent.mkdir(parents=True, exist_ok=True)
-        given = [str(out / one.removeprefix(FILE)) if one.startswith(FILE) else one for one in self.arguments]
+        given = [_placed(one, out) for one in self.arguments]
         if given[0] != TOOL:
             command(*given, "-o", str(path), "--overwrite")
             return

@@ -41,7 +41,7 @@ def rows(text: str) -> list[str]:
 
 def test_formats_are_those_of_the_library() -> None:
     # Hands and heads are no matter of results, BIDS is a folder, and protobuf is chosen by --schemas.
-    of_commands = {"bvh", "openface", "mediapipe", "bids"}
+    of_commands = {"bvh", "openface", "arkit", "blinks", "mediapipe", "bids"}
     assert set(FORMATS) == {*library.FORMATS, *of_commands} - {"protobuf"}
 
 
@@ -114,6 +114,7 @@ def test_an_existing_file_is_kept_unless_it_may_be_replaced(
         ),
         (["{path}", "-o", "{folder}/sub-_task-a_motion.tsv"], EXIT_USAGE, "not a name of BIDS"),
         (["{path}", "--format", "openface"], EXIT_USAGE, "openface requires a result of posetrack head"),
+        (["{path}", "--format", "arkit"], EXIT_USAGE, "arkit requires a result with the dense face"),
         (
             ["{path}", "--format", "mediapipe"],
             EXIT_USAGE,

@@ -13,7 +13,7 @@ import pytest
 
 from posetrack_cli.cli.main import run
 from posetrack_cli.errors import EXIT_DATA_LOST
-from posetrack_cli.evaluation.measuring.evaluate import GUESS_NOTE, PRIOR_NOTE
+from posetrack_cli.evaluation.measuring.evaluate import PRIOR_NOTE
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.config import HeadMonoConfig
 from posetrack_cli.head.face.points import POINT_NAMES
@@ -33,7 +33,7 @@ from support.results import all_messages
 FRAMES = 12
 SEED = ("--frames", str(FRAMES), "--seed", "3", "--camera-count", "1")
 CAMERA = Camera(160, 120, 250.0, 250.0, 79.5, 59.5)
-GUESSED = "no calibration: focal length set to {} px (field of view of 53 degrees; change it with --fov)"
+ESTIMATED = "no calibration: focal length estimated as "
 
 
 def mono(recording: Path, output: Path, *arguments: object) -> int:
@@ -76,7 +76,7 @@ def test_no_face_is_one_line_with_frames_and_score(
     recording = write_noise(tmp_path / "noise")
     assert mono(recording, tmp_path / "r.mcap", "--fps", "30", "--passes", passes) == EXIT_DATA_LOST
     guessed, told = lines(capsys)
-    assert GUESSED.format(160) in guessed
+    assert ESTIMATED in guessed
     assert "no face found, found 3 frames searched, best score 0.00" in told
     # noise of 90 to 109: its 5th and 95th percentile, and nothing to be blamed
     assert "3 images checked (8-bit grey): face in 0; brightness 90 to 109, median 10" in told
@@ -296,19 +296,24 @@ def test_a_folder_with_its_camera_file_is_as_good(made: Path, tracked: Path, tmp
     assert all_messages(tmp_path / "rc.mcap") == all_messages(tmp_path / "r.mcap")
 
 
-def test_a_video_without_calibration_is_tracked_on_a_guess_that_is_said(
+def test_a_video_without_calibration_is_tracked_with_an_estimated_focal_length(
     video: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert mono(video, tmp_path / "r.mcap", "--passes", "1", "--end", "6") == 0
-    assert lines(capsys) == [f"{video}: {GUESSED.format(640)}; distances are approximate"]
     result = read_result(tmp_path / "r.mcap")
-    assert (result.run["intrinsics"], result.camera().fx) == ("guessed", 640.0)
+    focal, sd = (float(result.run[key]) for key in ("focal_px", "focal_sd_px"))
+    assert lines(capsys)[0].startswith(f"{video}: {ESTIMATED}{focal:.0f} +- {sd:.0f} px (field of view ")
+    assert (result.run["intrinsics"], result.camera().fx) == ("estimated", focal)
+    assert json.loads(result.run["camera"])["cx"] == result.camera().cx
+    # the head is 700 mm away from a camera of 1000 px; six frames hardly show the focal length
+    assert abs(np.log(focal / 1000.0)) < 2.0 * sd / focal
     status = load_arrays(result.path)["status"]
     assert len(status) == 6 and not np.any(status == "lost")
     drawn = ["--recording", str(video), "--select", "0:2", "-o", str(tmp_path / "sheet.png")]
     assert run(["view", str(result.path), *drawn]) == 0
     assert run(["eval", str(result.path), "--recording", str(video), "--html", str(tmp_path / "r.html")]) == 0
-    assert GUESS_NOTE in (tmp_path / "r.html").read_text()
+    note = f"the focal length is estimated as {focal} +- {sd} px"
+    assert note in (tmp_path / "r.html").read_text()
     assert run(["export", str(result.path), "-o", str(tmp_path / "r.csv")]) == 0
     assert "identity_10" in (tmp_path / "r.csv").read_text()
 
@@ -433,7 +438,8 @@ def test_the_smaller_of_two_faces_can_be_asked_for(images: list[np.ndarray], tmp
     video = write_video(tmp_path / "both.avi", both)
     distances = []
     for face in (1, 2):
-        assert mono(video, tmp_path / f"{face}.mcap", "--passes", "1", "--face", face) == 0
+        options = ("--passes", "1", "--face", face, "--fov", 40)
+        assert mono(video, tmp_path / f"{face}.mcap", *options) == 0
         result = load_arrays(tmp_path / f"{face}.mcap")
         assert not np.any(result["status"] == "lost")
         assert np.all(np.sign(result["position"][:, 0]) == (-1.0 if face == 1 else 1.0))

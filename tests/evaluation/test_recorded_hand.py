@@ -21,7 +21,7 @@ from support.glb import write_hand
 
 
 def result_of(run: dict[str, str], folder: Path = Path()) -> Result:
-    return Result(folder / "r.mcap", Subject("hand", "cam", (), (), ()), run, {}, False)
+    return Result(folder / "r.mcap", (Subject("hand", "cam", (), (), ()),), run, {}, False)
 
 
 def stating(hand: dict[str, Any], **more: str) -> dict[str, str]:

@@ -201,14 +201,14 @@ class BoxRun(Run):
         super().__init__(recording, options, flush_frames=5)
         self._pose = pose
         self.tracker = BoxTracker(settings, self.cameras[0], device)
-        self.subject = SUBJECT
+        self.subjects = (SUBJECT,)
         self.record = common_record("box", recording, self.cameras[0], settings, options)
 
     def start_state(self, frame: Frame, rng: np.random.Generator) -> BoxState:
         """Return the state at the pose that is given."""
         return self.tracker.start(self._pose, frame.stamp_ns, rng)
 
-    def vertices(self, estimate: Estimate) -> FloatArray:
+    def vertices(self, estimate: Estimate, subject: int = 0) -> FloatArray:
         """Return the corners."""
         return estimate.points
 

@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 from posetrack_cli.hand.config import StatusSettings
 from posetrack_cli.hand.fit.skeleton import NO_INNER
 from posetrack_cli.hand.model.anatomy import make_anatomy
-from posetrack_cli.hand.observe.observation import Observation
 from posetrack_cli.hand.policy import (
     LEAVE_AFTER_SEARCHES,
     Decision,
@@ -360,7 +359,8 @@ def test_what_becomes_of_a_hand_that_is_followed(case: str) -> None:
     monitor, cost, in_window, in_image, expected, asked = TABLE[case]
     finder = Finder(in_window, in_image)
     fits: Any = SimpleNamespace(cost=cost, modes=SimpleNamespace(poses=HERE[None]))
-    sight = TrackedFrame(monitor, np.empty((0, 0), np.float32), cast(Observation, None), fits, NO_INNER)
+    window: Any = SimpleNamespace(hidden=0.0)
+    sight = TrackedFrame(monitor, np.empty((0, 0), np.float32), window, fits, NO_INNER)
     decision = policy_with(finder).decide_tracked(sight, None)
     assert (kind_of(decision), finder.asked) == (expected, asked)
 

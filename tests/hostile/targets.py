@@ -98,6 +98,7 @@ def of_result(name: str) -> st.SearchStrategy[tuple[str, ...]]:
         (1, ("export", name, "-o", "study/sub-01_task-reach_motion.tsv")),
         (1, ("export", name, "--format", "rom")),
         (1, ("export", name, "--format", "openface")),
+        (1, ("export", name, "--format", "arkit")),
         (1, ("export", name, "--format", "mediapipe")),
         (1, ("export", name, "--schemas", "ros2", "-o", "out.mcap")),
         (1, ("export", name, "--schemas", "protobuf", "-o", "out.mcap")),

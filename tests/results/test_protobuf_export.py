@@ -188,7 +188,7 @@ def test_points_are_read_as_truth(result: Path, tmp_path: Path) -> None:
     (tmp_path / "joints.csv").write_text("\n".join(rows) + "\n")
     path = tmp_path / "r.mcap"
     with ResultWriter(path, SUBJECT, CAMERA, RUN) as writer:
-        for message in points_messages(load_csv_track(tmp_path / "joints.csv", SUBJECT)):
+        for message in points_messages(load_csv_track(tmp_path / "joints.csv", SUBJECT), "hand"):
             writer.add_truth(message)
         for k in range(FRAMES):
             writer.write(make_estimate(k))

@@ -20,6 +20,8 @@ def calibration_of(
 ) -> Calibration:
     """What a calibration that found a shape says; ``known`` is the share of the prior's deviations left."""
     space = PopulationSpace()
-    numbers = measured(average_hand, space, side, shape, np.diag((known * space.sd) ** 2))
+    covariance = np.diag((known * space.sd) ** 2)
+    numbers = measured(average_hand, space, side, shape, covariance)
     begun_mm = float(measures_of(average_hand(side, HandShape(begun_scale)).anatomy)[0])
-    return Calibration(side, shape, numbers, 20, 9, 1.234, costs_mm, GOOD_MM, begun_scale, begun_mm)
+    begun = begun_scale, begun_mm, covariance
+    return Calibration(side, shape, numbers, 20, 9, 1.234, costs_mm, GOOD_MM, *begun)

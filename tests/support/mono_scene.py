@@ -60,7 +60,7 @@ class Told:
     there: bool = True
     asked: int = 0
 
-    def detect(self, image: object, *, wanted: int = 1, roll: float | None = None) -> Detection:
+    def detect(self, image: np.ndarray, *, wanted: int = 1, roll: float | None = None) -> Detection:
         self.asked += 1
         if not self.there:
             return Detection((), 0.3)
@@ -69,6 +69,12 @@ class Told:
         scale = CAMERA.fx / pose.position[2]
         guess = FaceGuess(pixels[:4].mean(axis=0), 63.0 * scale, 0.0, 0.9)
         return Detection((FacePoints(pixels, np.full(POINT_COUNT, 0.9), scale, np.zeros(3), guess),), 0.9)
+
+    def detect_quickly(self, image: np.ndarray, index: int, *, wanted: int = 1) -> Detection:
+        return self.detect(image, wanted=wanted)
+
+    def detect_near(self, image: np.ndarray, pixels: np.ndarray) -> Detection:
+        return self.detect(image)
 
 
 @dataclass

@@ -62,9 +62,9 @@ def tracked(
         for estimate in sequence[run_state.frame_index + 1 :]:
             run_state.rng.standard_normal()
             state = (np.arange(3.0), estimate.frame_index)
-            yield Step(cast(Frame, None), estimate, RunState(state, run_state.rng, estimate.frame_index))
+            yield Step(cast(Frame, None), (estimate,), RunState(state, run_state.rng, estimate.frame_index))
 
-    return list(with_velocities(steps(), model, run_state.velocity))
+    return list(with_velocities(steps(), model, run_state.velocities))
 
 
 def dense(stamps: FloatArray, values: FloatArray, frame: int) -> tuple[float, float]:
@@ -201,7 +201,7 @@ def test_a_track_that_is_given_backwards_is_cut_where_it_was_begun_anew() -> Non
 
 def test_a_belief_that_no_run_saved_is_refused() -> None:
     belief = VelocityBelief(0, np.zeros(SIZE + 1), np.zeros(SIZE), np.zeros((3, SIZE)), np.ones(SIZE))
-    reached = RunState((np.arange(3.0), 7), np.random.default_rng(0), 3, belief)
+    reached = RunState((np.arange(3.0), 7), np.random.default_rng(0), 3, (belief,))
     saved = checkpoint_of(TRACKER, reached, 4)
     arrays: dict[str, Any] = dict(saved.arrays)
     name = next(name for name in arrays if name.endswith("covariance"))

@@ -26,6 +26,8 @@ from posetrack_cli.results.topics import FILTERED, SMOOTHED
 
 Layout: TypeAlias = Literal["columns", "rows"]
 T = TypeVar("T")
+EvaluationKey: TypeAlias = tuple[Path, str, str]
+"""File, track and label of the subject."""
 
 DEFAULT_TOLERANCE = 0.05
 MEASURED = "measured"
@@ -66,6 +68,7 @@ class Request:
             rows for more than ``rows.MOST_BESIDE`` recordings.
         parts: keep metrics of parts in the layout ``rows``; those used by gates are always kept.
         own: options of single results.
+        label: label of the subject to evaluate, for results of several; None for all.
         lenient: report unreadable results as failed gates instead of raising an error, even if there are few.
     """
 
@@ -82,6 +85,7 @@ class Request:
     parts: bool = False
     own: Mapping[Path, PerResultOptions] = field(default_factory=dict)
     lenient: bool = False
+    label: str | None = None
 
     @property
     def paths(self) -> tuple[Path, ...]:
@@ -98,10 +102,15 @@ class Request:
         """Return the options of a single result."""
         return self.own.get(path, PerResultOptions())
 
-    def options_of(self, path: Path, which: str) -> EvalOptions:
+    def options_of(self, path: Path, which: str, label: str = "") -> EvalOptions:
         """Return the evaluation options for a track of a result."""
         truth = self.of(path).truth or self.options.truth
-        return replace(self.options, truth=truth, track=which)
+        return replace(self.options, truth=truth, track=which, label=label)
+
+    def labels_of(self, path: Path) -> tuple[str, ...]:
+        """Return the labels of the subjects of a result to evaluate."""
+        result = read_result(path)
+        return result.labels if self.label is None else result.of(self.label).labels
 
     def kept(self, evaluation: Evaluation, rows: bool) -> Evaluation:
         """Return an evaluation without the data that the request does not need."""
@@ -156,7 +165,7 @@ class Assessment:
         return tuple(
             one
             for main in self.evaluations
-            for one in (main, *(b for b in self.other_tracks if b.path == main.path))
+            for one in (main, *(b for b in self.other_tracks if (b.path, b.label) == (main.path, main.label)))
         )
 
     @property
@@ -185,11 +194,11 @@ def assess(request: Request, report: Callable[[], Any] = lambda: None) -> Assess
     groups = _groups(evaluations, request)
     comparison = compare_groups(groups) if groups else None if rows else compare(measured)
     results = set(request.results)
-    given = [one for (path, _), one in evaluations.items() if path in results]
+    given = [one for one in measured if one.path in results]
     pools = make_pools(given, groups, measuring.builders)
     outcomes = [*measuring.unread, *check_gates(request.gates, measured, pools)]
-    for (path, _), one in evaluations.items():
-        outcomes += check_gates(request.of(path).gates, [one])
+    for one in measured:
+        outcomes += check_gates(request.of(one.path).gates, [one])
     notes: tuple[str, ...] = ()
     check: BaselineCheck | None = None
     if request.baseline is not None:
@@ -213,7 +222,7 @@ class _Measuring:
     """Evaluates all results; switches to the layout ``rows`` when there are many recordings.
 
     Attributes:
-        evaluations: evaluations by file and track.
+        evaluations: evaluations by file, track and label of the subject.
         other_tracks: evaluations of other tracks, for the HTML report.
         builders: accumulated distributions of each pool.
         rows: whether the layout is ``rows``.
@@ -221,7 +230,7 @@ class _Measuring:
     """
 
     def __init__(self, request: Request) -> None:
-        self.evaluations: dict[tuple[Path, str], Evaluation] = {}
+        self.evaluations: dict[EvaluationKey, Evaluation] = {}
         self.other_tracks: list[Evaluation] = []
         self.builders: dict[PoolKey, PoolBuilder] = defaultdict(PoolBuilder)
         self.rows = request.layout == "rows"
@@ -253,13 +262,16 @@ class _Measuring:
         """Evaluate the tracks of one result."""
         request = self._request
         several, adds_smoothed = len(request.tracks) > 1, request.page and request.tracks == (FILTERED,)
-        for which in read_result(path).tracks if several else request.tracks:
-            own = track_name(name, which, names) if several else name
-            self._keep(path, evaluate(path, request.options_of(path, which), own))
-        if adds_smoothed and not self.rows and SMOOTHED in read_result(path).tracks:
-            own = track_name(name, SMOOTHED, names)
-            smoothed = evaluate(path, request.options_of(path, SMOOTHED), own)
-            self.other_tracks.append(request.kept(smoothed, rows=False))
+        tracks = read_result(path).tracks if several or adds_smoothed else request.tracks
+        for label in request.labels_of(path):
+            title = f"{name} {label}" if label else name
+            for which in tracks if several else request.tracks:
+                own = track_name(title, which, names) if several else title
+                self._keep(path, evaluate(path, request.options_of(path, which, label), own))
+            if adds_smoothed and not self.rows and SMOOTHED in tracks:
+                own = track_name(title, SMOOTHED, names)
+                smoothed = evaluate(path, request.options_of(path, SMOOTHED, label), own)
+                self.other_tracks.append(request.kept(smoothed, rows=False))
 
     def _keep(self, path: Path, one: Evaluation) -> None:
         for key in self._pool_keys(path, one):
@@ -270,19 +282,19 @@ class _Measuring:
             self.rows, self.other_tracks = True, []
             kept = {place: self._request.kept(other, rows=True) for place, other in self.evaluations.items()}
             self.evaluations = kept
-        self.evaluations[path, one.which] = self._request.kept(one, self.rows)
+        self.evaluations[path, one.which, one.label] = self._request.kept(one, self.rows)
 
 
 def stated_options(options: EvalOptions) -> dict[str, Any]:
-    """Return the options for reports, without the track, which each result states itself."""
-    stated = {key: value for key, value in asdict(options).items() if key != "track"}
+    """Return the options for reports, without track and label, which each result states itself."""
+    stated = {key: value for key, value in asdict(options).items() if key not in ("track", "label")}
     return {key: str(value) if isinstance(value, Path) else value for key, value in stated.items()}
 
 
-def _check_tracks(evaluations: Mapping[tuple[Path, str], Evaluation], request: Request) -> None:
+def _check_tracks(evaluations: Mapping[EvaluationKey, Evaluation], request: Request) -> None:
     """Raise ResultError if several tracks are requested and no result has more than one."""
-    if len(request.tracks) > 1 and evaluations and not any(which == SMOOTHED for _, which in evaluations):
-        read_result(next(iter(evaluations))[0]).topic_of_track(SMOOTHED)
+    if len(request.tracks) > 1 and evaluations and not any(which == SMOOTHED for _, which, _ in evaluations):
+        read_result(next(iter(evaluations))[0]).parts[0].topic_of_track(SMOOTHED)
 
 
 def _pool_keys(request: Request) -> Callable[[Path, Evaluation], Iterator[PoolKey]]:
@@ -304,14 +316,13 @@ def _group_name(request: Request, name: str, which: str) -> str:
     return name if len(request.tracks) == 1 else track_name(name, which, tuple(request.groups))
 
 
-def _groups(
-    evaluations: Mapping[tuple[Path, str], Evaluation], request: Request
-) -> dict[str, list[Evaluation]]:
+def _groups(evaluations: Mapping[EvaluationKey, Evaluation], request: Request) -> dict[str, list[Evaluation]]:
     """Return the members of each group; with several tracks, each track forms its own group."""
     groups: dict[str, list[Evaluation]] = {}
     for name, files in request.groups.items():
         for which in request.tracks:
-            members = [evaluations[path, which] for path in files if (path, which) in evaluations]
+            every = [one for one in evaluations.values() if one.which == which]
+            members = [one for path in files for one in every if one.path == path]
             if members:
                 groups[_group_name(request, name, which)] = members
     return groups

@@ -397,10 +397,10 @@ def compare(evaluations: Sequence[Evaluation]) -> Comparison | None:
     Returns:
         None if no two results are of the same recording.
     """
-    by_recording: dict[str, list[Evaluation]] = {}
+    by_recording: dict[tuple[str, str], list[Evaluation]] = {}
     for one in evaluations:
-        by_recording.setdefault(one.run.get(RECORDING_KEY, ""), []).append(one)
-    alone = [name for name, of in by_recording.items() if len(of) < 2 or not name]
+        by_recording.setdefault((one.run.get(RECORDING_KEY, ""), one.label), []).append(one)
+    alone = [key for key, of in by_recording.items() if len(of) < 2 or not key[0]]
     differences = [
         difference
         for recording, (first, *others) in by_recording.items()

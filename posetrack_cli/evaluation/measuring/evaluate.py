@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, TypeAlias, get_args
@@ -13,6 +13,8 @@ from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.evaluation.measuring.catalogue import addresses, metric_of
 from posetrack_cli.evaluation.measuring.evaluation import Curve, Evaluation, Value
+from posetrack_cli.evaluation.measuring.face_metrics import NAMES as FACE_NAMES
+from posetrack_cli.evaluation.measuring.face_metrics import face_metrics
 from posetrack_cli.evaluation.measuring.honesty import JudgedFrames
 from posetrack_cli.evaluation.measuring.measures import Matched, Measures, rows_of
 from posetrack_cli.evaluation.measuring.subjects import KINDS
@@ -31,6 +33,7 @@ from posetrack_cli.evaluation.reading.alignment import (
     common_factor,
     remove_constant_offset,
 )
+from posetrack_cli.evaluation.reading.identities import Identities, Identity, identities
 from posetrack_cli.evaluation.reading.tracks import (
     Coverage,
     Pairs,
@@ -59,8 +62,12 @@ GUESS_NOTE = "uncalibrated camera: the focal length is a guess, and the distance
 NO_TRUTH = "no ground truth: the result contains none, and --truth was not given"
 NO_IMAGES = "the recording has none of the result's frames"
 NO_OVERLAP = "the estimate overlaps the observed hand in no frame"
+NO_LANDMARKS = "requires landmarks of the face: pass them with --face-truth"
 NO_RECORDING = "requires the images: pass the recording with --recording"
+FALSE_TRACK = "follows no subject of the ground truth"
+_ONE_TRACK = "one track and one subject"
 WITHOUT_TRUTH = {
+    **dict.fromkeys(("identity_switches", "false_tracks", "missed_tracks"), _ONE_TRACK),
     "residual_mm": NO_RECORDING,
     "region_overlap": NO_RECORDING,
     "cost_mm": "the run stored no costs",
@@ -83,8 +90,10 @@ class EvalOptions:
             point, ``similarity`` one scale factor and one constant rigid offset.
         recording: recording of the result, for the metrics that compare with images; None skips them.
         track: name of the track to evaluate.
+        face_truth: landmarks of the dense face, CSV (``face_metrics``); None for none.
         joint_offsets: frame in which the constant offset of each hand joint is removed, see
             ``remove_joint_offsets``; None removes none.
+        label: label of the subject, for a result of several.
 
     Raises:
         UsageError: a value is out of range, or the alignment is unknown.
@@ -97,6 +106,8 @@ class EvalOptions:
     recording: Path | None = None
     track: str = FILTERED
     joint_offsets: OffsetFrame | None = None
+    face_truth: Path | None = None
+    label: str = ""
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.tolerance_ms <= 1e9:
@@ -135,14 +146,44 @@ def evaluate(path: Path, options: EvalOptions = DEFAULT_OPTIONS, name: str | Non
         UsageError: the ground truth is the result itself, or lacks data that the options require.
         RecordingError: ``options.recording`` is not the recording of the result.
     """
-    result = read_result(path)
+    whole = read_result(path)
+    result = whole.of(options.label) if options.label else whole
     if result.subject.name not in KINDS:
         found, expected = f"subject '{result.subject.name}'", " or ".join(KINDS)
         raise ResultError("no metrics for this subject", where=path, found=found, expected=expected)
     track = track_of_result(result, name or plain_name(path), options.track)
-    truth_losses = LossLog()
-    truth = load_truth(result, options.truth, time_offset_s=options.time_offset_s, losses=truth_losses)
-    return _measured(result, track, truth, truth_losses, options)
+    truth_losses, offset_s = LossLog(), options.time_offset_s
+    known = identities(
+        whole, options.truth, options.track, time_offset_s=offset_s, tolerance_ns=options.tolerance_ns
+    )
+    of = Identity(None) if known is None else known.of[result.subject.label]
+    truth = None
+    if known is None or of.truth is not None:
+        truth = load_truth(result, options.truth, time_offset_s=offset_s, losses=truth_losses, label=of.truth)
+    measured = _measured(result, track, truth, truth_losses, options)
+    return measured if known is None else _with_identity(measured, known, of, whole)
+
+
+def _with_identity(measured: Evaluation, known: Identities, of: Identity, whole: Result) -> Evaluation:
+    """Return an evaluation with metrics and notes about the identities of several tracks."""
+    is_first = measured.label == whole.labels[0]  # which reports for all tracks
+    coverage = replace(
+        measured.coverage,
+        has_identities=True,
+        identity_switches=of.switches,
+        false_tracks=int(of.truth is None),
+        missed_tracks=len(known.missed) if is_first else 0,
+    )
+    notes = [FALSE_TRACK] if of.truth is None else [f"ground truth: {of.truth}"] if of.truth else []
+    if is_first and known.missed:
+        notes.append(f"no track of: {', '.join(known.missed)}")
+    metrics = {**measured.metrics, **coverage_metrics(coverage)}
+    absent = {address: reason for address, reason in measured.absent.items() if address not in metrics}
+    order = addresses(measured.subject, measured.track.point_names, measured.track.shape_names)
+    metrics = {address: metrics[address] for address in order if address in metrics}
+    return replace(
+        measured, coverage=coverage, notes=(*notes, *measured.notes), metrics=metrics, absent=absent
+    )
 
 
 def _measured(
@@ -161,6 +202,8 @@ def _measured(
             matched = Matched(track, truth, pairs)
             track, offsets = _without_offsets(measures, result, matched, options.joint_offsets)
         curve, judged = _against_truth(measures, result, Matched(track, truth, pairs), coverage)
+    if options.face_truth is not None:
+        face_metrics(measures, track, options.face_truth, options.tolerance_ns)
     # Series are restricted to matched frames, so that plots and comparisons show the evaluated ones.
     rows = np.arange(len(track), dtype=np.int64) if pairs is None else pairs.estimate
     _without_truth(measures, result, track, options, rows)
@@ -187,6 +230,7 @@ def _measured(
         counts=measures.counts,
         distributions=measures.distributions,
         track_series=measures.track_series,
+        label=result.subject.label,
     )
 
 
@@ -223,8 +267,14 @@ def _run_notes(result: Result, options: EvalOptions) -> list[str]:
     notes += [] if result.finished else ["unfinished run: evaluated over the frames written so far"]
     notes += [PRIOR_NOTE] if result.run.get("scale") == "prior" else []
     notes += [GUESS_NOTE] if result.run.get("intrinsics") == "guessed" else []
+    notes += [_estimated(result.run)] if result.run.get("intrinsics") == "estimated" else []
     stored = {"part of the run's input was unusable": "losses", "run remarks": "remarks"}
     return notes + [f"{what}: {result.summary[key]}" for what, key in stored.items() if key in result.summary]
+
+
+def _estimated(run: Mapping[str, str]) -> str:
+    focal = f"{run.get('focal_px', '')} +- {run.get('focal_sd_px', '')} px"
+    return f"uncalibrated camera: the focal length is estimated as {focal}, and the distance scales with it"
 
 
 def _paired(track: Track, truth: Track, options: EvalOptions) -> Pairs:
@@ -317,6 +367,10 @@ def coverage_metrics(coverage: Coverage) -> dict[str, Value]:
         counts["unmatched"] = coverage.unmatched
         counts["missed"] = coverage.missed
         counts["truth_outside"] = coverage.outside
+    if coverage.has_identities:
+        counts["identity_switches"] = coverage.identity_switches
+        counts["false_tracks"] = coverage.false_tracks
+        counts["missed_tracks"] = coverage.missed_tracks
     return {name: float(count) for name, count in counts.items()}
 
 
@@ -339,6 +393,8 @@ def _in_order(
 def _reason(measures: Measures, address: str, truth: Track | None) -> str:
     """Return why an address has no value: its own or its metric's reason, else that of its group."""
     metric = metric_of(address)
+    if address in FACE_NAMES:
+        return measures.absent.get(address, NO_LANDMARKS)
     if truth is None and metric.group in (*AGAINST_TRUTH, "coverage"):
         return NO_TRUTH
     reason = measures.absent.get(address) or measures.absent.get(metric.name)

@@ -215,6 +215,12 @@ class Evaluation:
     counts: Mapping[str, Count] = field(default_factory=dict)
     distributions: Mapping[str, Distribution] = field(default_factory=dict)
     track_series: Mapping[str, FloatArray] = field(default_factory=dict)
+    label: str = ""
+
+    @property
+    def topic(self) -> str:
+        """Part of the topics' names: ``hand``, ``hand/left``."""
+        return f"{self.subject}/{self.label}" if self.label else self.subject
 
     def placed_series(self) -> dict[str, FloatArray]:
         """Return the series over all N frames of the track; NaN in frames without ground truth."""

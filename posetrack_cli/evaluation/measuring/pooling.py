@@ -113,10 +113,10 @@ def _name(members: Sequence[Evaluation], kinds: Iterable[tuple[str, str]]) -> st
 
 def _same_recording(members: Sequence[Evaluation]) -> str:
     """Return why these results must not be pooled: two are of the same recording. Empty otherwise."""
-    first: dict[str, Evaluation] = {}
+    first: dict[tuple[str, str], Evaluation] = {}
     for one in members:
         recording = one.run.get(RECORDING_KEY, "")
-        other = first.setdefault(recording, one) if recording else one
+        other = first.setdefault((recording, one.label), one) if recording else one
         if other is not one:
             return (
                 f"{other.name} and {one.name} are of the same recording, so the results are not pooled; "
@@ -174,7 +174,11 @@ def _added(coverages: Sequence[Coverage]) -> Coverage:
     """Add up frame counts; the sum has ground truth if all members have."""
     rows = [asdict(one) for one in coverages]
     added = {name: sum(row[name] for row in rows) for name in rows[0]}
-    return Coverage(**{**added, "has_truth": all(one.has_truth for one in coverages)})
+    has = {
+        "has_truth": all(one.has_truth for one in coverages),
+        "has_identities": any(one.has_identities for one in coverages),
+    }
+    return Coverage(**{**added, **has})
 
 
 def _judged(members: Sequence[Evaluation]) -> JudgedFrames | None:

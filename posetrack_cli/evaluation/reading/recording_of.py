@@ -26,7 +26,7 @@ from posetrack_cli.recording.base import (
     NotCalibratedError,
 )
 from posetrack_cli.recording.camera_file import camera_file_text
-from posetrack_cli.recording.camera_of import guess_of_camera
+from posetrack_cli.recording.camera_of import Guess
 from posetrack_cli.recording.camera_record import camera_from_json
 from posetrack_cli.recording.identity import file_digest
 from posetrack_cli.recording.pixels import PixelKind
@@ -221,7 +221,7 @@ def pixels_of(result: Result) -> PixelKind:
         return "grey"
     if {"input.topic", "input.depth_unit_mm"} & result.run.keys():
         return "depth"
-    return kind_of(result.subject.name).pixels
+    return kind_of(result.subjects[0].name).pixels
 
 
 def folders_of(result: Result) -> Iterator[Path]:
@@ -271,6 +271,8 @@ def _same(path: Path, result: Result, opening: Mapping[str, Any]) -> Recording:
         except RecordingError:
             check_bytes(path, run)  # report a changed file rather than the error that this causes
             raise
+        if recording.is_guessed:
+            recording = recording.with_camera(camera_of(run))
         check_identity(recording, run)  # with the camera file, which is part of a folder's identity
     return recording
 
@@ -305,8 +307,8 @@ def _options_of(run: Mapping[str, str]) -> dict[str, Any]:
         raise ResultError("run record cannot be read", found=error) from error
     if run.get("input.topics") and run.get("input.calibration") != "camera file":
         options["cameras"] = run["input.topics"].split(",")  # by topic, as frame names can be ambiguous
-    if run.get("intrinsics") == "guessed":
-        options["guess"] = guess_of_camera(camera_of(run))
+    if run.get("intrinsics") in ("guessed", "estimated"):
+        options["guess"] = Guess()
     return options
 
 
@@ -431,6 +433,8 @@ def _anatomy_of_file(path: Path) -> HandAnatomy:
 def _settings(result: Result) -> HandSettings:
     try:
         stated: Any = json.loads(result.run["configuration"])["hand"]
+        if result.subject.label in ("left", "right"):
+            stated = {**stated, "side": result.subject.label}
         return validated(HandSettings, stated, "run record")
     except (KeyError, TypeError, ValueError, RecursionError, UsageError) as error:
         what = "run record has no hand configuration"

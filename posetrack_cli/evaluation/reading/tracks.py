@@ -415,6 +415,9 @@ class Coverage:
         outside: ground-truth frames before the first or after the last estimate; not counted as missed.
         has_truth: whether there is ground truth.
         tracked_and_matched: estimates that are tracked and matched.
+        has_identities: whether there are several tracks, or ground truth of several subjects.
+        identity_switches: how often a subject changed from one track to another.
+        false_tracks, missed_tracks: tracks without a subject, and subjects without a track.
     """
 
     frames: int
@@ -426,6 +429,10 @@ class Coverage:
     outside: int
     has_truth: bool
     tracked_and_matched: int
+    has_identities: bool = False
+    identity_switches: int = 0
+    false_tracks: int = 0
+    missed_tracks: int = 0
 
     @property
     def share(self) -> float:

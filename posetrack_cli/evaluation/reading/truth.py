@@ -105,11 +105,17 @@ def _numbers(file: Path) -> list[float]:
 
 
 def load_truth(
-    result: Result, path: Path | None = None, *, time_offset_s: float = 0.0, losses: LossLog | None = None
+    result: Result,
+    path: Path | None = None,
+    *,
+    time_offset_s: float = 0.0,
+    losses: LossLog | None = None,
+    label: str | None = None,
 ) -> Track | None:
     """Return the ground truth of a result, with its points in the order of the result.
 
-    Without a path, the topics ``/truth/<subject>/...`` of the result are used: complete estimates, else
+    Without a path, the topics ``/truth/<subject>/...`` of the result are used (``/truth/hand/left/...`` for
+    one of several): complete estimates, else
     Odometry with optional JointStates (``odometry_track``), else points (``points_track``). With a path:
 
     - another result: its **estimates**, without lost ones, such as a stereo track as ground truth for a mono
@@ -123,6 +129,7 @@ def load_truth(
         path: file or folder; None for the ground truth in the result.
         time_offset_s: added to the ground-truth stamps, s.
         losses: receives unreadable parts of the file; those of the result are in ``result.losses``.
+        label: label of the subject in the ground truth; None for that in the result.
 
     Returns:
         None if the result has no ground truth and no path is given.
@@ -133,20 +140,37 @@ def load_truth(
         ResultError, RecordingError: an MCAP file cannot be read, or its stamps do not increase strictly.
     """
     log = LossLog() if losses is None else losses
+    subject = result.subject if label is None else replace(result.subject, label=label)
     if path is None:
-        truth = topics_truth(McapFile(result.path), result.subject, "ground truth")
+        truth = topics_truth(McapFile(result.path), subject, "ground truth")
     else:
-        truth = _given(result, path, log)
+        truth = _given(result, path, subject, log)
     if truth is None:
         return None
     truth = _shifted(truth, time_offset_s)
     # Metrics address points and shape entries by column, in the order of the subject.
-    truth = _with_points_of(truth, result.subject, path or result.path)
-    return _with_shape_of(truth, result.subject)
+    truth = _with_points_of(truth, subject, path or result.path)
+    return _with_shape_of(truth, subject)
 
 
-def _given(result: Result, path: Path, losses: LossLog) -> Track:
-    if path.is_dir() and result.subject.name == HEAD:
+def truth_labels(result: Result, path: Path | None = None) -> tuple[str, ...]:
+    """Return the labels of the subjects with ground truth; see ``load_truth``.
+
+    An only subject has an empty label. Tables and folders have one subject.
+    """
+    name = result.subjects[0].name
+    if path is not None and not (path.is_file() and is_mcap(path)):
+        return ("",)
+    if path is not None and is_result(path):
+        return tuple(one.label for one in read_result(path).subjects if one.name == name)
+    kinds = "estimate|odometry|points"
+    form = re.compile(rf"{TRUTH_PREFIX}{re.escape(name)}(?:/([A-Za-z0-9_-]+))?/(?:{kinds})", re.ASCII)
+    found = (form.fullmatch(topic) for topic in _truth_topics(result.path if path is None else path))
+    return tuple(sorted({match[1] or "" for match in found if match}))
+
+
+def _given(result: Result, path: Path, subject: Subject, losses: LossLog) -> Track:
+    if path.is_dir() and subject.name == HEAD:
         # imported here: other ground truth is read without OpenCV
         from posetrack_cli.evaluation.reading.image_points import load_image_points
 
@@ -161,17 +185,17 @@ def _given(result: Result, path: Path, losses: LossLog) -> Track:
             hint="omit --truth to use the ground truth in the result",
         )
     if not is_mcap(path):
-        return load_csv_track(path, result.subject)
+        return load_csv_track(path, subject)
     if is_result(path):
-        return _estimates_of(path, result.subject, losses)
-    truth = topics_truth(McapFile(path, losses), result.subject, path.name)
+        return _estimates_of(path, subject, losses)
+    truth = topics_truth(McapFile(path, losses), subject, path.name)
     if truth is None:
         raise TruthError(
-            f"no ground truth of a {result.subject.name}",
+            f"no ground truth of a {subject.name}",
             where=path,
             found=", ".join(_truth_topics(path)) or "no /truth topics",
             expected=", ".join(
-                topic(result.subject.name) for topic in (_estimate_topic, odometry_topic, points_topic)
+                topic(subject.topic) for topic in (_estimate_topic, odometry_topic, points_topic)
             ),
         )
     return truth
@@ -180,6 +204,7 @@ def _given(result: Result, path: Path, losses: LossLog) -> Track:
 def _estimates_of(path: Path, subject: Subject, losses: LossLog) -> Track:
     """Return the estimates of another result as ground truth."""
     other = read_result(path)
+    other = other.of(subject.label) if len(other.subjects) > 1 else other
     if other.subject.name != subject.name:
         raise TruthError("wrong subject", where=path, found=other.subject.name, expected=subject.name)
     truth = truth_of_columns(other.columns(fields=MOTION_FIELDS), path.name, other.subject)
@@ -190,18 +215,18 @@ def _estimates_of(path: Path, subject: Subject, losses: LossLog) -> Track:
 def topics_truth(file: McapFile, subject: Subject, name: str) -> Track | None:
     """Return the ground truth on the topics of an MCAP file; None if there is none of this subject."""
     schemas = {c.topic: s.name for s, c in McapFile(file.path).channels() if s is not None}
-    if schemas.get(_estimate_topic(subject.name)) == ESTIMATE_SCHEMA_NAME:
+    if schemas.get(_estimate_topic(subject.topic)) == ESTIMATE_SCHEMA_NAME:
         return _estimates_truth(file, subject, name)
-    if schemas.get(odometry_topic(subject.name)) == ODOMETRY_SCHEMA:
-        return odometry_track(file, subject.name, schemas, name)
-    if schemas.get(points_topic(subject.name)) == POINTS_SCHEMA_NAME:
+    if schemas.get(odometry_topic(subject.topic)) == ODOMETRY_SCHEMA:
+        return odometry_track(file, subject, schemas, name)
+    if schemas.get(points_topic(subject.topic)) == POINTS_SCHEMA_NAME:
         return points_track(file, subject, name)
     return None
 
 
 def _estimates_truth(file: McapFile, subject: Subject, name: str) -> Track:
     """Return the ground truth on a topic of ``posetrack.Estimate``."""
-    items = file.messages([_estimate_topic(subject.name)])
+    items = file.messages([_estimate_topic(subject.topic)])
     messages = (json_of_estimate(item, subject.number_names) for item in items)
     columns = joined(column_blocks(messages, MOTION_FIELDS))
     sizes = Sizes.of(subject)
@@ -212,7 +237,7 @@ def _estimates_truth(file: McapFile, subject: Subject, name: str) -> Track:
     elif found != sizes[:2]:
         raise TruthError(
             "ground truth has a different number of shape entries or points",
-            where=f"{file.path}, {_estimate_topic(subject.name)}",
+            where=f"{file.path}, {_estimate_topic(subject.topic)}",
             found=f"{found[0]} and {found[1]}",
             expected=f"{sizes.shape} and {sizes.points}",
         )

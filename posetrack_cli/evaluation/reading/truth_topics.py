@@ -40,7 +40,7 @@ def joint_states_topic(subject: str) -> str:
     return f"{TRUTH_PREFIX}{subject}/joint_states"
 
 
-def odometry_track(file: McapFile, subject: str, schemas: Mapping[str, str], name: str) -> Track:
+def odometry_track(file: McapFile, subject: Subject, schemas: Mapping[str, str], name: str) -> Track:
     """Return the ground truth on a topic of Odometry and, if available, of JointStates; it has no points.
 
     Odometry states the linear velocity in body axes: v = R v_body with R the rotation of ``camera_T_object``.
@@ -49,7 +49,7 @@ def odometry_track(file: McapFile, subject: str, schemas: Mapping[str, str], nam
 
     Args:
         file: file with a topic ``/truth/<subject>/odometry``.
-        subject: name of the subject.
+        subject: subject of the result.
         schemas: schema names by topic.
         name: name of the track in tables and errors.
 
@@ -58,18 +58,18 @@ def odometry_track(file: McapFile, subject: str, schemas: Mapping[str, str], nam
         ResultError: stamps do not increase strictly.
     """
     poses, joints = _Rows(), _Rows()
-    has_joints = schemas.get(joint_states_topic(subject)) == JOINT_STATES_SCHEMA
-    topics = {odometry_topic(subject), *([joint_states_topic(subject)] if has_joints else [])}
+    has_joints = schemas.get(joint_states_topic(subject.topic)) == JOINT_STATES_SCHEMA
+    topics = {odometry_topic(subject.topic), *([joint_states_topic(subject.topic)] if has_joints else [])}
     for topic, stamp_ns, message in _decoded(file, topics):
-        if topic == odometry_topic(subject):
+        if topic == odometry_topic(subject.topic):
             poses.add(stamp_ns, _POSE, _pose_row(message))
         else:
             joints.add(stamp_ns, tuple(joint.name for joint in message.joints), _joint_row(message))
-    check_stamps(poses.stamps, f"{name}, {odometry_topic(subject)}")
-    check_stamps(joints.stamps, f"{name}, {joint_states_topic(subject)}")
+    check_stamps(poses.stamps, f"{name}, {odometry_topic(subject.topic)}")
+    check_stamps(joints.stamps, f"{name}, {joint_states_topic(subject.topic)}")
     if has_joints:
         poses, joints = _together(poses, joints, file.losses)
-    return _track(poses, joints, subject, name)
+    return _track(poses, joints, subject.name, name)
 
 
 _POSE = ("pose",)
@@ -212,8 +212,8 @@ def points_topic(subject: str) -> str:
     return f"{TRUTH_PREFIX}{subject}/points"
 
 
-def points_messages(track: Track) -> Iterator[TruthMessage]:
-    """Yield the points of a track as ground-truth messages, one per frame.
+def points_messages(track: Track, subject: str) -> Iterator[TruthMessage]:
+    """Yield the points of a track as ground-truth messages of a subject (``Subject.topic``), one per frame.
 
     Raises:
         TruthError: the track has no points, or a negative stamp.
@@ -228,7 +228,7 @@ def points_messages(track: Track) -> Iterator[TruthMessage]:
             for name, (x, y, z) in zip(track.point_names, points, strict=True)
         ]
         data = json.dumps({"stamp_ns": stamp_ns, "points": named}, separators=(",", ":")).encode()
-        topic = points_topic(track.subject)
+        topic = points_topic(subject)
         yield TruthMessage(topic, POINTS_SCHEMA_NAME, "jsonschema", _SCHEMA_TEXT, "json", stamp_ns, data)
 
 
@@ -244,7 +244,7 @@ def points_track(file: McapFile, subject: Subject, name: str) -> Track:
         TruthError: a message is invalid, or the names of the points change.
         ResultError: stamps do not increase strictly.
     """
-    topic = points_topic(subject.name)
+    topic = points_topic(subject.topic)
     names: tuple[str, ...] = ()
     stamps: list[int] = []
     rows: list[FloatArray] = []

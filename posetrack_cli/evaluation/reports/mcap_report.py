@@ -90,7 +90,7 @@ def write_mcaps(
         PosetrackError: a result or its ground truth cannot be read, or a file cannot be written.
     """
     names = [one.name for one in found.evaluations]
-    kept = {} if found.rows else {(one.path, one.which): one for one in found.on_page}
+    kept = {} if found.rows else {(one.path, one.which, one.label): one for one in found.on_page}
     of_path = {one.path: one.name for one in reversed(found.evaluations)}
     for folder in {out.parent for out in outputs.values() if not out.parent.is_dir()}:
         _make_folder(folder)
@@ -99,8 +99,9 @@ def write_mcaps(
             continue  # unreadable; already reported as a failed gate
         available = read_result(path).tracks
         evaluations = [
-            kept.get((path, which))
-            or evaluate(path, request.options_of(path, which), track_name(of_path[path], which, names))
+            kept.get((path, which, label))
+            or evaluate(path, request.options_of(path, which, label), track_name(of_path[path], which, names))
+            for label in request.labels_of(path)
             for which in tracks or available
             if which in available
         ]
@@ -154,7 +155,7 @@ def _copied(schema: Schema | None, channel: Channel) -> Copied | None:
 def _write_metrics(sink: McapSink, evaluation: Evaluation) -> None:
     """Write a message per estimate, at its stamp."""
     values, track = frame_metrics(evaluation), evaluation.track
-    topic = f"{EVAL_PREFIX.rstrip('/')}{topics_prefix(evaluation.subject, evaluation.which)}"
+    topic = f"{EVAL_PREFIX.rstrip('/')}{topics_prefix(evaluation.topic, evaluation.which)}"
     channel_id = sink.json_channel(topic, METRICS_SCHEMA_NAME, metrics_schema(values))
     for row, stamp_ns in enumerate(track.stamp_ns.tolist()):
         message = {"stamp_ns": stamp_ns, "status": track.status(row).value}

@@ -102,15 +102,18 @@ def _tracker(run: Mapping[str, str], configuration: Any) -> tuple[str, list[tupl
             f"a particle filter with {count} particles [1]; deformations were learned during tracking [2]."
         )
         return sentence, [(1, HEAD[0]), (2, HEAD[1])]
-    lens = "a guessed" if run.get("intrinsics") == "guessed" else "a calibrated"
+    lens = {
+        "guessed": "a guessed focal length",
+        "estimated": f"a focal length estimated as {run.get('focal_px')} ± {run.get('focal_sd_px')} pixels",
+    }.get(run.get("intrinsics", ""), "a calibrated focal length")
     scale = {
         "prior": "from the average face",
         "interpupillary": "from the interpupillary distance",
         "person": "from an earlier recording of the person",
     }[run["scale"]]
     sentence = (
-        f"Head pose and facial expression were estimated from one camera of {given}, with {lens} focal "
-        f"length, by a particle filter with {count} particles and a multilinear face model [1, 2]; "
+        f"Head pose and facial expression were estimated from one camera of {given}, with {lens}, "
+        f"by a particle filter with {count} particles and a multilinear face model [1, 2]; "
         f"the scale is {scale}."
     )
     return sentence, [(1, HEAD[0]), (2, HEAD[2])]

@@ -137,6 +137,7 @@ def result_values(evaluation: Evaluation) -> dict[str, Any]:
         "file": str(evaluation.path),
         "track": evaluation.which,
         "subject": evaluation.subject,
+        **({"label": evaluation.label} if evaluation.label else {}),
         **_figures(evaluation),
         "notes": list(evaluation.notes),
         "losses": [asdict(loss) for loss in evaluation.losses],

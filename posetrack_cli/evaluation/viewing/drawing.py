@@ -30,6 +30,15 @@ LOST: Colour = (60, 60, 255)
 FOUND_ANEW: Colour = (60, 190, 255)
 TEXT: Colour = (235, 235, 235)
 TONES = (SKIN, SECOND)
+TOGETHER: tuple[Colour, ...] = (
+    (140, 200, 255),
+    (255, 170, 90),
+    (200, 120, 255),
+    (120, 230, 120),
+    (90, 220, 240),
+    (235, 120, 180),
+)
+"""Colours of subjects in one picture."""
 
 # Most colours are used for the hand and its surroundings; a body further back is dark blue.
 _IN_FRONT_MM, _BEHIND_MM = 90.0, 330.0

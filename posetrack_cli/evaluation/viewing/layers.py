@@ -10,6 +10,7 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.errors import PosetrackError, ResultError, UsageError
 from posetrack_cli.evaluation.measuring.pose_metrics import distances
+from posetrack_cli.evaluation.reading.identities import identities
 from posetrack_cli.evaluation.reading.tracks import (
     Track,
     associate,
@@ -22,6 +23,7 @@ from posetrack_cli.evaluation.viewing.drawing import (
     FOUND_ANEW,
     LOST,
     SKIN,
+    TOGETHER,
     TONES,
     Canvas,
     Colour,
@@ -157,18 +159,22 @@ class Instant:
         frame: the recorded frame.
         when: words of the caption about frame number, time and colour of the ground truth.
         estimates: estimate of each track.
-        truth: ground truth, drawn on top; None for none.
+        truths: ground truth, drawn on top.
     """
 
     frame: Frame
     when: list[str]
     estimates: tuple[DrawnEstimate, ...]
-    truth: DrawnEstimate | None
+    truths: tuple[DrawnEstimate, ...]
+    is_together: bool = False
 
     @property
     def points(self) -> FloatArray | None:
         """Points (P, 3), mm, that the picture is cropped around if the viewport moves."""
-        return self.estimates[0].shown.points
+        if not self.is_together:
+            return self.estimates[0].shown.points
+        known = [one.shown.points for one in self.estimates if one.shown.points is not None]
+        return np.concatenate(known) if known else None
 
 
 def point_errors(track: Track, truth: Track | None) -> FloatArray | None:
@@ -222,20 +228,22 @@ class Drawing:
 
     Attributes:
         tracks: tracks to draw; times in captions are relative to the first frame of the first track.
-        truth: ground truth, drawn on top; None for none.
+        truths: ground truth, drawn on top.
         around: (N, P, 3) points that the pictures are cropped around, mm, in the axes of the first camera;
             None for the whole image.
         scale: picture pixels per image pixel; None enlarges small pictures.
         still: whether all pictures show the same part of the image.
         shrunk: additional factor on the size if ``scale`` is None.
+        is_together: whether the tracks are those of several subjects, drawn into one picture.
     """
 
     tracks: tuple[DrawnTrack, ...]
-    truth: DrawnTrack | None
+    truths: tuple[DrawnTrack, ...]
     around: FloatArray | None = None
     scale: float | None = None
     still: bool = True
     shrunk: float = 1.0
+    is_together: bool = False
 
     @property
     def start_ns(self) -> int:
@@ -253,7 +261,7 @@ class Drawing:
 
     def _when(self, index: int, stamp_ns: int) -> list[str]:
         words = [f"frame {index}", f"{(stamp_ns - self.start_ns) / NS_PER_S:.3f} s"]
-        return words if self.truth is None else [*words, TRUTH_WORDS]
+        return [*words, TRUTH_WORDS] if self.truths else words
 
     def at(self, frame: Frame, stamp_ns: int) -> Instant:
         """Return the content of the picture of a frame, given the stamp of its estimates."""
@@ -261,38 +269,69 @@ class Drawing:
             frame,
             self._when(frame.index, stamp_ns),
             tuple(drawn.at(stamp_ns) for drawn in self.tracks),
-            None if self.truth is None else self.truth.at(stamp_ns),
+            tuple(truth.at(stamp_ns) for truth in self.truths),
+            self.is_together,
         )
 
 
-def truth_of(result: Result, options: ViewOptions) -> Track | None:
-    """Return the ground truth in a result; if it is unusable, raise an error only if it is to be drawn."""
+def truths_of(whole: Result, labels: Sequence[str], options: ViewOptions) -> list[Track | None]:
+    """Return the ground truth in a result; if it is unusable, raise an error only if it is to be drawn.
+
+    Args:
+        whole: result with all its subjects.
+        labels: labels of the subjects to draw.
+        options: view options.
+    """
     try:
-        truth = load_truth(result, None)
+        known = identities(whole, None)
+        of = {} if known is None else {label: one.truth for label, one in known.of.items()}
+        truths = [
+            None
+            if known is not None and of[label] is None
+            else load_truth(whole.of(label), label=of.get(label))
+            for label in labels
+        ]
     except PosetrackError:
         if options.truth:
             raise
-        return None
-    if truth is None and options.truth:
-        raise ResultError("no ground truth in the result", where=result.path, hint="omit --show-truth")
-    return truth
+        return [None] * len(labels)
+    if options.truth and not any(truth is not None for truth in truths):
+        raise ResultError("no ground truth in the result", where=whole.path, hint="omit --show-truth")
+    return truths
+
+
+def is_together(results: Sequence[Result]) -> bool:
+    """Whether the results are parts of one file, which are drawn into one picture."""
+    labels = {(result.path, result.subject.label) for result in results}
+    return len(results) > 1 and len(labels) == len(results) and len({path for path, _ in labels}) == 1
 
 
 def drawn_tracks(
     results: Sequence[Result],
     tracks: Sequence[str],
-    truth: Track | None,
+    truths: Sequence[Track | None],
     drawer_of: Callable[[Result], Drawer],
 ) -> tuple[DrawnTrack, ...]:
-    """Return these tracks of all results with their drawers, colours and names."""
-    names = unique_names([result.path for result in results])
+    """Return these tracks of all results with their drawers, colours and names.
+
+    Args:
+        results: results of one subject each.
+        tracks: names of the tracks.
+        truths: ground truth of each result; the last one also of the others.
+        drawer_of: returns the drawer of a result.
+    """
+    together = is_together(results)
+    paths = [result.path for result in results]
+    names = [result.subject.label for result in results] if together else unique_names(paths)
+    of_result = [truths[min(k, len(truths) - 1)] for k in range(len(results))]
+    tones = [TOGETHER[k % len(TOGETHER)] for k in range(len(results))] if together else TONES
     shown = [
-        (result, which, name if len(tracks) == 1 else f"{name} {which}")
-        for result, name in zip(results, names, strict=True)
+        (result, which, name if len(tracks) == 1 else f"{name} {which}", truth)
+        for result, name, truth in zip(results, names, of_result, strict=True)
         for which in tracks
     ]
     drawn = []
-    for (result, which, name), tone in zip(shown, TONES, strict=False):  # the layout checks the number
+    for (result, which, name, truth), tone in zip(shown, tones, strict=False):  # the layout checks the number
         track = track_of_result(result, name, which)
         shown_name = name if len(shown) > 1 else ""
         drawn.append(DrawnTrack(track, drawer_of(result), tone, shown_name, point_errors(track, truth)))

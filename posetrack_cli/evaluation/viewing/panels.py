@@ -14,6 +14,7 @@ from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.reading.recording_of import configuration_of, hand_of
 from posetrack_cli.evaluation.reading.tracks import Track
 from posetrack_cli.evaluation.viewing.drawing import (
+    LOST,
     TEXT,
     TRUTH,
     Canvas,
@@ -202,8 +203,8 @@ class DepthScene:
             self.skeleton.draw(canvas, drawn.shown, _BONE)
 
     def _outline_truth(self, picture: ImageArray) -> None:
-        if self.instant.truth is not None:
-            self.instant.truth.outline(self._canvas(picture), TRUTH)
+        for truth in self.instant.truths:
+            truth.outline(self._canvas(picture), TRUTH)
 
     def _ink(self, drawn: DrawnEstimate) -> Colour:
         return drawn.mark or (drawn.of.colour if len(self.instant.estimates) > 1 else TEXT)
@@ -218,7 +219,9 @@ def depth_panels(
     results: Sequence[Result], cameras: Sequence[Camera], drawing: Drawing, options: ViewOptions
 ) -> DepthPanels:
     """Return the panels that draw results on depth images."""
-    (camera,), layout = cameras, depth_layout(options, len(drawing.tracks))
+    (camera,), layout = cameras, depth_layout(options, 1 if drawing.is_together else len(drawing.tracks))
+    if drawing.is_together and options.layout is None:
+        layout = "over"
     if layout == "segments":
         drawing = _with_segments(drawing, results, camera)
     skeleton = SkeletonDrawer(results[0].subject.point_parents) if options.skeleton else None
@@ -348,8 +351,11 @@ class ImagePanels:
         self.drawing = drawing
         self._panels = [CameraPanel(camera, drawing) for camera in cameras]
         width, when = self._body_size[0], drawing.longest_when
-        longest = [[*when, *drawn.longest_words, *_longest_angles(drawn)] for drawn in drawing.tracks]
-        self._captions = [Captions([words], width) for words in longest]
+        longest = [[*drawn.longest_words, *_longest_angles(drawn)] for drawn in drawing.tracks]
+        if drawing.is_together:
+            self._captions = [Captions([when, *longest], width)]
+        else:
+            self._captions = [Captions([[*when, *words]], width) for words in longest]
 
     @property
     def _body_size(self) -> tuple[int, int]:
@@ -361,13 +367,19 @@ class ImagePanels:
     def size(self) -> tuple[int, int]:
         """(width, height) of a picture without captions, px."""
         width, height = self._body_size
-        return width, height * len(self.drawing.tracks)
+        return width, height * len(self._captions)
 
     def picture(self, instant: Instant) -> ImageArray:
         """Return the picture (height, width, 3), BGR, of a frame, with a caption below each track."""
+        if self.drawing.is_together:
+            lines = [
+                (instant.when, TEXT),
+                *(([*one.words, *_angles(one)], one.of.colour) for one in instant.estimates),
+            ]
+            return self._captions[0].below(self._body(instant, instant.estimates), lines)
         parts = [
             captions.below(
-                self._body(instant, drawn),
+                self._body(instant, [drawn]),
                 [([*instant.when, *drawn.words, *_angles(drawn)], drawn.mark or TEXT)],
             )
             for captions, drawn in zip(self._captions, instant.estimates, strict=True)
@@ -376,17 +388,19 @@ class ImagePanels:
 
     def plain(self, instant: Instant) -> ImageArray:
         """Return the images with the estimate of the first track, without caption."""
-        return self._body(instant, instant.estimates[0])
+        return self._body(instant, instant.estimates[:1])
 
-    def _body(self, instant: Instant, drawn: DrawnEstimate) -> ImageArray:
+    def _body(self, instant: Instant, drawn: Sequence[DrawnEstimate]) -> ImageArray:
         pictures = []
         for panel, image in zip(self._panels, instant.frame.images, strict=True):
             canvas = panel.canvas(image, instant.points)
             # Ground truth first: its wide lines remain visible around the estimate.
-            if instant.truth is not None:
-                seen_from(canvas.camera, instant.truth).outline(canvas, TRUTH)
-            seen_from(canvas.camera, drawn).draw(canvas)
-            pictures.append(marked(canvas.picture, drawn.mark))
+            for truth in instant.truths:
+                seen_from(canvas.camera, truth).outline(canvas, TRUTH)
+            for one in drawn:
+                if len(drawn) == 1 or one.mark != LOST:  # a lost head would hide the others
+                    seen_from(canvas.camera, one).draw(canvas)
+            pictures.append(marked(canvas.picture, drawn[0].mark if len(drawn) == 1 else None))
         return np.hstack(_equally_high(pictures))
 
 

@@ -93,7 +93,11 @@ def _drawn(
     from posetrack_cli.evaluation.viewing.outputs import png_of
     from posetrack_cli.evaluation.viewing.view import drawer_of, report_panels
 
-    result, track, ordered = read_result(evaluation.path), evaluation.track, np.sort(rows)
+    result, track, ordered = (
+        read_result(evaluation.path).of(evaluation.label),
+        evaluation.track,
+        np.sort(rows),
+    )
     panels = report_panels(result, recording, _drawing(evaluation, rows, drawer_of(result, device)))
     drawn = {}
     numbers = None if track.frame_index is None else track.frame_index[ordered]
@@ -111,7 +115,7 @@ def _drawing(evaluation: Evaluation, rows: IntArray, drawer: Drawer) -> Drawing:
     track, truth = evaluation.track, evaluation.truth
     return Drawing(
         (DrawnTrack(track, drawer),),
-        None if truth is None else DrawnTrack(truth, drawer, TRUTH),
+        () if truth is None else (DrawnTrack(truth, drawer, TRUTH),),
         around=None if track.points is None else track.points[rows],
         still=False,
     )

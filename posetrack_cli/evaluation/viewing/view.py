@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol, TypeAlias
 
+import numpy as np
+
 from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.errors import UsageError
 from posetrack_cli.evaluation.reading.recording_of import cameras_of, hand_of, pixels_of
@@ -14,25 +16,28 @@ from posetrack_cli.evaluation.reading.tracks import matched_frames
 from posetrack_cli.evaluation.viewing.drawing import TRUTH, Drawer, SkeletonDrawer
 from posetrack_cli.evaluation.viewing.frame_choice import fewer_said
 from posetrack_cli.evaluation.viewing.hand_drawing import HandDrawer
+from posetrack_cli.evaluation.viewing.head_drawing import HeadDrawer
 from posetrack_cli.evaluation.viewing.layers import (
     Drawing,
     DrawnTrack,
     Instant,
     ViewOptions,
     drawn_tracks,
+    is_together,
     not_lost,
     rate_of,
     rows_to_draw,
-    truth_of,
+    truths_of,
 )
 from posetrack_cli.evaluation.viewing.outputs import fitting_sheet
 from posetrack_cli.evaluation.viewing.panels import ImagePanels, depth_layout, depth_panels, image_layout
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.head.subject import HEAD
 from posetrack_cli.losses import Loss, LossLog
 from posetrack_cli.recording.pixels import PixelKind
 from posetrack_cli.recording.recording import Recording
 from posetrack_cli.rendering.port import RenderingDevice
-from posetrack_cli.results.reader import Result
+from posetrack_cli.results.reader import Result, read_result
 
 OpenDevice: TypeAlias = Callable[[], RenderingDevice]
 DrawerOf: TypeAlias = Callable[[Result, OpenDevice], Drawer]
@@ -79,7 +84,7 @@ class ResultView:
     """Draws selected frames in recording order.
 
     Args:
-        results: one result, or two of the same recording and kind of subject.
+        results: one result, two of the same recording and kind of subject, or parts of one file.
         recording: recording of the results.
         options: view options.
         device: opens the rendering device; called only if needed.
@@ -97,19 +102,30 @@ class ResultView:
         self, results: Sequence[Result], recording: Recording, options: ViewOptions, device: OpenDevice
     ) -> None:
         self._recording, self._log = recording, LossLog()
-        style = style_of(results)
-        layout = style.layout(options, len(results) * len(options.tracks))
-        truth = truth_of(results[0], options)
-        tracks = drawn_tracks(results, options.tracks, truth, lambda result: drawer_of(result, device))
+        style, together = style_of(results), is_together(results)
+        if together and len(options.tracks) > 1:
+            raise UsageError(
+                "both tracks of several subjects", where=results[0].path, hint="choose a subject with --of"
+            )
+        layout = style.layout(options, 1 if together else len(results) * len(options.tracks))
+        labels = [result.subject.label for result in (results if together else results[:1])]
+        truths = truths_of(read_result(results[0].path), labels, options)
+        tracks = drawn_tracks(results, options.tracks, truths, lambda result: drawer_of(result, device))
+        self._tracks = tracks if together else tracks[:1]
         self._track = tracks[0].track
         self.rows = rows_to_draw(options, tracks[0])
         self.remark = fewer_said(options.frames or "", len(self.rows))
         drawing = Drawing(
             tracks,
-            DrawnTrack(truth, tracks[0].drawer, TRUTH) if options.truth and truth is not None else None,
+            tuple(
+                DrawnTrack(truth, drawn.drawer, TRUTH)
+                for truth, drawn in zip(truths, tracks, strict=False)
+                if options.truth and truth is not None
+            ),
             around=self._around(options, layout),
             scale=options.scale,
             still=not options.sheet,
+            is_together=together,
         )
         cameras = _common_cameras(results, recording)
         self._panels = style.panels(results, cameras, drawing, options)
@@ -145,9 +161,18 @@ class ResultView:
     def _around(self, options: ViewOptions, layout: str) -> FloatArray | None:
         """Return the points that the pictures are cropped around; None for the whole image."""
         is_whole = options.crop == "full" or (options.crop is None and layout != "paper")
-        if is_whole or self._track.points is None:
+        if is_whole or any(drawn.track.points is None for drawn in self._tracks):
             return None
-        return self._track.points[not_lost(self._track, self.rows)]
+        of_each = [
+            one.track.points[not_lost(one.track, self.rows)]
+            for one in self._tracks
+            if one.track.points is not None
+        ]
+        return (
+            np.concatenate([points.reshape(-1, 1, 3) for points in of_each])
+            if len(of_each) > 1
+            else of_each[0]
+        )
 
 
 def style_of(results: Sequence[Result]) -> _Style:
@@ -176,7 +201,9 @@ def drawer_of(result: Result, device: OpenDevice) -> Drawer:
     """Return the drawer for the subject of a result."""
     if result.subject.name in DRAWERS:
         return DRAWERS[result.subject.name](result, device)
-    return SkeletonDrawer(result.subject.point_parents, lines=result.subject.lines)
+    subject = result.subject
+    skeleton = SkeletonDrawer(subject.point_parents, lines=subject.lines)
+    return HeadDrawer(skeleton, subject.number_names) if subject.name == HEAD else skeleton
 
 
 def _common_cameras(results: Sequence[Result], recording: Recording) -> tuple[Camera, ...]:

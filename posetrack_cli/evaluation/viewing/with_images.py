@@ -74,16 +74,20 @@ def write_with_images(
     """
     check_output(out, overwrite=overwrite, source=result.path, source_name="result")
     losses = LossLog()
-    points = {track: f"{topics_prefix(result.subject.name, track)}/points" for track in result.tracks}
+    points = {
+        f"{topics_prefix(part.subject.topic, track)}/points": (part, track)
+        for part in result.parts
+        for track in part.tracks
+    }
     images = _Images(result, recording, losses)
-    replaced = {*points.values(), *images.topics}
+    replaced = {*points, *images.topics}
     with (
         whole_or_nothing(out) as part,
         McapSink(part, chunk_bytes=MIB) as sink,
         copied_result(McapFile(result.path), sink, partial(_copied, replaced, losses)),
     ):
-        for track, topic in points.items():
-            _write_points(sink, sink.channel(topic, PointCloud), result, track)
+        for topic, (of_one, track) in points.items():
+            _write_points(sink, sink.channel(topic, PointCloud), of_one, track)
         count = images.write(sink, advance)
     return count, losses.losses
 
@@ -125,8 +129,8 @@ class _Images:
         self.topics = [
             IMAGE_TOPIC if self._is_depth else camera_topic(camera, IMAGE, len(cameras)) for camera in cameras
         ]
-        self._frames = [result.subject.camera_frame, *(camera.name for camera in cameras[1:])]
-        estimates = result.columns(fields=("frame_index", "stamp_ns"))
+        self._frames = [result.subjects[0].camera_frame, *(camera.name for camera in cameras[1:])]
+        estimates = result.parts[0].columns(fields=("frame_index", "stamp_ns"))
         self._stamps, self._numbers = estimates["stamp_ns"], estimates["frame_index"]
         # Pictures of a video need all earlier ones to be decoded.
         self._is_whole = bool(np.array_equal(self._numbers, np.arange(len(self._numbers))))

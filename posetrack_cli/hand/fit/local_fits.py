@@ -79,6 +79,8 @@ class FrameReading(NamedTuple):
 
 
 _REFOLD_ITERATIONS = 3
+_MOST_HIDDEN = 0.15
+"""Share of a hand behind another from which its visible pixels do not tell its position."""
 SHARPENING = 1.6
 """Ratio of the likelihood's information to that of the fit's residuals, which omit part of the outline."""
 ALTERNATIVE_MM, APART_MM, MAX_MODES = 1.0, 6.0, 4
@@ -137,15 +139,19 @@ class LocalFitter:
         settings, fitter = self._settings, self.fitter
         reading = self.read(observation)
         tile = reading.tile
-        starts = fitter.aligned(tile, fit_starts(expected, others, settings.starts, self._space, rng))
+        starts = fit_starts(expected, others, settings.starts, self._space, rng)
         prior = PosePrior(expected, motion_precision(dt))
-        priors = [prior.about(start[:3]) for start in starts]
+        priors, anywhere = [prior] * len(starts), prior
+        if observation.hidden < _MOST_HIDDEN:
+            # the visible pixels show where the hand is; of a hidden hand only some part
+            starts = fitter.aligned(tile, starts)
+            priors, anywhere = [prior.about(start[:3]) for start in starts], prior.anywhere
         priors += [PosePrior(pose, KEYPOINT_PRECISION) for pose in extra]
         fits = fitter.descend(tile, np.concatenate([starts, extra]), priors, settings.iterations)
-        anywhere = prior.anywhere
         tile = _with_inner(tile, self._best(tile, fits, anywhere).inner)
         best = fitter.swapped(tile, [fits], anywhere)[0]
-        fits += fitter.descend(tile, best[None], [prior.about(best[:3])], settings.polish)
+        last = prior if anywhere is prior else prior.about(best[:3])
+        fits += fitter.descend(tile, best[None], [last], settings.polish)
         renders = len(starts) * (settings.iterations + 2) + 5 * (len(starts) - 1) + settings.polish + 1
         renders += len(extra) * (settings.iterations + 6)
         best_fit = self._best(tile, fits, anywhere)

@@ -91,14 +91,14 @@ def detect(
     distance) **[ours]**. Neither a direction nor a visible body is assumed.
 
     Args:
-        depth: (height, width) mm, 0 = no reading.
+        depth: (height, width) mm, 0 = no reading, negative: of a hand that is already known.
         camera: its camera; lens distortion is removed.
         settings: the depth range.
         sampler: of the camera, for callers with many images.
     """
     window = coarse_window(depth, camera, settings)
     tile = (sampler or PixelSampler(camera)).sample(depth, window)
-    tile[tile > settings.farthest_mm + _REACH_MM] = 0.0
+    tile[(tile > settings.farthest_mm + _REACH_MM) | (tile < 0.0)] = 0.0
     surfaces = surfaces_of(tile, window, camera)
     found: list[_Candidate] = []
     for place in palm_pixels(surfaces, settings).tolist():

@@ -37,6 +37,7 @@ class Observation:
             without one.
         wrist: (3,) expected boundary of hand and forearm, mm.
         reversed: whether the limb continues where fingers are expected, and ends where the forearm is.
+        hidden: share of the predicted hand that another hand hides.
     """
 
     window: Window
@@ -45,6 +46,7 @@ class Observation:
     inner: FloatArray = field(default_factory=NO_INNER.copy)
     wrist: FloatArray = field(default_factory=NO_INNER[:3].copy)
     reversed: bool = False
+    hidden: float = 0.0
 
     def every(self, step: int) -> Observation:
         """Return the observation at every ``step``-th pixel in both directions."""
@@ -57,7 +59,9 @@ class Observation:
 class PixelSampler:
     """Samples depth images at the undistorted pixels of a window; 0 outside the image.
 
-    Nearest pixel, as interpolated depth between hand and wall exists nowhere.
+    Nearest pixel, as interpolated depth between hand and wall exists nowhere. In images of several hands, a
+    negative reading is explained by another hand (``observe.others``): it is a surface that may hide the
+    hand, but never its own.
     """
 
     def __init__(self, camera: Camera) -> None:

@@ -21,7 +21,7 @@ from posetrack_cli.hand.model.forearm import forearm_confidence
 from posetrack_cli.hand.observe.arm import is_forearm
 from posetrack_cli.hand.observe.detection import Detection
 from posetrack_cli.hand.observe.observation import Observation, PixelSampler, everything, window_around
-from posetrack_cli.hand.observe.prediction import PredictedHand, Silhouette, silhouette_of
+from posetrack_cli.hand.observe.prediction import PredictedHand, silhouette_of
 from posetrack_cli.hand.observe.region import thin_mask
 from posetrack_cli.hand.observe.segmentation import Label, Segmentation
 from posetrack_cli.hand.observe.segmentation import segment as segment_hand
@@ -56,10 +56,12 @@ class Outline(NamedTuple):
             holes.
         broken: share of |y_out - y_in| > 15 mm. It is also high for a misplaced estimate whose fingers lie
             over gaps.
+        visible: share of the hand that no other hand hides. Hidden parts count in neither figure.
     """
 
     contrast: float
     broken: float
+    visible: float = 1.0
 
     def shows_hand(self, *, is_known: bool) -> bool:
         """Return whether there is the outline of a hand, regardless of the fit of its surface.
@@ -89,21 +91,32 @@ def outline_of(depth: ImageArray, sampler: PixelSampler, camera: Camera, hand: P
     if silhouette is None:
         return Outline(0.0, 0.0)
     sampled = sampler.sample(depth, window)
+    hidden = silhouette.hidden_by(sampled)
+    visible = 1.0 - float(hidden[silhouette.mask].mean())
+    sampled = np.abs(sampled)
     readings = np.asarray(cv2.medianBlur(np.where(sampled > 0, sampled, _FAR_MM), 3), dtype=np.float32)
-    distance_px, inside = _nearest_inside(readings, silhouette)
+    core = _core_of(silhouette.mask) & ~hidden
+    if not core.any():
+        return Outline(1.0, 1.0, visible)
+    distance_px, inside = _nearest_inside(readings, core)
     distance_mm = distance_px * pixel_mm(float(hand.joints[:, 2].mean()), window, camera) / hand.scale
     surroundings = (distance_mm > _BESIDE_MM[0]) & (distance_mm < _BESIDE_MM[1]) & _in_image(window, camera)
+    surroundings &= ~hidden
     if not surroundings.any():
-        return Outline(1.0, 1.0)
+        return Outline(1.0, 1.0, visible)
     steps = (readings - inside)[surroundings]
     contrast = float(np.clip(steps / _CLEAR_STEP_MM, -1.0, 1.0).mean())
-    return Outline(contrast, float((np.abs(steps) > _BREAK_MM).mean()))
+    return Outline(contrast, float((np.abs(steps) > _BREAK_MM).mean()), visible)
 
 
-def _nearest_inside(readings: Float32Array, silhouette: Silhouette) -> tuple[Float32Array, Float32Array]:
-    """Return distance (h, w), pixels, to the nearest pixel well inside a silhouette, and its reading, mm."""
-    core = cv2.erode(silhouette.mask.astype(np.uint8), _BLOCK) > 0
-    core = core if core.any() else silhouette.mask
+def _core_of(mask: BoolArray) -> BoolArray:
+    """Return the pixels well inside a mask (h, w); all of a thin one."""
+    core: BoolArray = cv2.erode(mask.astype(np.uint8), _BLOCK) > 0
+    return core if core.any() else mask
+
+
+def _nearest_inside(readings: Float32Array, core: BoolArray) -> tuple[Float32Array, Float32Array]:
+    """Return distance (h, w), pixels, to the nearest pixel of a mask (h, w), and its reading, mm."""
     distance, nearest = cv2.distanceTransformWithLabels(
         (~core).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
     )
@@ -225,7 +238,7 @@ class Observer:
         camera, step = self._camera, window.step
         return forearm_confidence(
             drawn,
-            self.sampler.sample(depth, window),
+            np.abs(self.sampler.sample(depth, window)),
             _in_image(window, camera),
             drawn * (step / np.sqrt(camera.fx * camera.fy) / self.anatomy.scale),
             self._config.observation.unread_weight,
@@ -236,8 +249,9 @@ class Observer:
         corners = _corners_of(detection, self._camera)
         window = window_around(corners, self._camera, self._config.observation)
         tile = self.sampler.sample(depth, window)
-        labels = np.where(tile > 0, np.uint8(Label.OTHER), np.uint8(Label.UNREAD))
-        read = without_pinholes(self.sampler.sample(depth, detection.window), _STEP_MM)
+        labels = np.where(tile != 0, np.uint8(Label.OTHER), np.uint8(Label.UNREAD))
+        coarse = np.maximum(self.sampler.sample(depth, detection.window), np.float32(0.0))
+        read = without_pinholes(coarse, _STEP_MM)
         surface = _nearest_in(np.where(detection.mask, read, 0.0), detection.window, window)
         labels[(surface > 0) & (tile > 0) & (np.abs(tile - surface) < _STEP_MM)] = Label.HAND
         if detection.wrist is not None and detection.arm is not None:
@@ -247,7 +261,8 @@ class Observer:
             near = is_forearm(offset[beyond], -detection.arm, self.anatomy.scale)
             labels[beyond] = np.where(near, Label.FOREARM, Label.BEYOND)
         wrist = detection.palm if detection.wrist is None else detection.wrist
-        return self._observation(Segmentation(window, tile, labels, wrist, detection.arm), NO_INNER)
+        found = Segmentation(window, np.abs(tile), labels, wrist, detection.arm)
+        return self._observation(found, NO_INNER)
 
 
 def _corners_of(detection: Detection, camera: Camera) -> FloatArray:

@@ -74,19 +74,27 @@ class Silhouette:
     depth: Float32Array
     outside_px: Float32Array
 
+    @classmethod
+    def of(cls, depth: Float32Array) -> Silhouette:
+        """Return the silhouette of a drawn hand's depth (h, w), mm, 0 outside and positive somewhere."""
+        mask = depth > 0
+        outside, nearest = cv2.distanceTransformWithLabels(
+            (~mask).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
+        )
+        return cls(mask, _spread(depth, mask, nearest), outside.astype(np.float32, copy=False))
+
+    def hidden_by(self, tile: Float32Array) -> BoolArray:
+        """Return the pixels (h, w) of a tile where another hand, of negative readings, is in front."""
+        hidden: BoolArray = (tile < 0.0) & (-tile < self.depth)
+        return hidden
+
 
 def silhouette_of(joints: FloatArray, scale: float, window: Window, camera: Camera) -> Silhouette | None:
     """Draw a hand with joints (21, 3), mm; None outside the window."""
     depth = np.zeros((window.height, window.width), dtype=np.float32)
     for start, end, z, thickness in _pieces(joints, scale, window, camera):
         cv2.line(depth, start, end, z, thickness, cv2.LINE_8, _SUBPIXEL_BITS)
-    mask = depth > 0
-    if not mask.any():
-        return None
-    outside, nearest = cv2.distanceTransformWithLabels(
-        (~mask).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
-    )
-    return Silhouette(mask, _spread(depth, mask, nearest), outside.astype(np.float32, copy=False))
+    return Silhouette.of(depth) if depth.any() else None
 
 
 def _spread(depth: Float32Array, mask: BoolArray, nearest: ImageArray) -> Float32Array:

@@ -59,6 +59,7 @@ class Segmentation:
         wrist: (3,) start of the forearm, on its axis, camera axes, mm.
         arm: (3,) unit vector from the elbow to the wrist, camera axes; None if no forearm is visible.
         reversed: whether the limb continues where fingers are expected, and ends where the forearm is.
+        hidden: share of the predicted hand that another hand hides.
     """
 
     window: Window
@@ -67,6 +68,7 @@ class Segmentation:
     wrist: FloatArray
     arm: FloatArray | None
     reversed: bool = False
+    hidden: float = 0.0
 
     def is_labelled(self, label: Label) -> BoolArray:
         """Return the mask (h, w) of a label."""
@@ -79,7 +81,7 @@ class Segmentation:
         hand = self.is_labelled(Label.HAND)
         image = np.where(hand, self.depth, -self.depth)
         image[self.is_labelled(Label.FOREARM) | self.is_labelled(Label.BEYOND)] = 0.0
-        return Observation(self.window, image, int(np.count_nonzero(hand)))
+        return Observation(self.window, image, int(np.count_nonzero(hand)), hidden=self.hidden)
 
     def observation_with_inner(self, expected: FloatArray) -> Observation:
         """Return the observation for a likelihood with inner numbers.
@@ -95,7 +97,7 @@ class Segmentation:
         image = np.where(target, self.depth, -self.depth)
         image[self.is_labelled(Label.BEYOND)] = IGNORED
         inner[:3], count = -self.arm, int(np.count_nonzero(target))
-        return Observation(self.window, image, count, inner, self.wrist, self.reversed)
+        return Observation(self.window, image, count, inner, self.wrist, self.reversed, self.hidden)
 
 
 def segment(
@@ -114,7 +116,7 @@ def segment(
     the prediction as prior only: a cut at the predicted wrist would let the palm slide along the arm.
 
     Args:
-        depth: (height, width) the frame, mm, 0 = no reading.
+        depth: (height, width) the frame, mm, 0 = no reading, negative: another hand's.
         sampler: of the camera.
         window: the requested pixels; a margin around them is also used, for the arm.
         camera: its camera.
@@ -126,9 +128,22 @@ def segment(
     margin = min(max(margin, 0), window.width)
     wide = _widened(window, margin)
     tile = sampler.sample(depth, wide)
-    labels, arm, is_reversed = _labels(View.of(tile, wide, camera), predicted, is_followed)
+    free = np.maximum(tile, np.float32(0.0))
+    labels, arm, is_reversed = _labels(View.of(free, wide, camera), predicted, is_followed)
+    labels[tile < 0.0] = Label.OTHER
+    hidden = _hidden_share(tile, wide, camera, predicted)
     inner = np.s_[margin : margin + window.height, margin : margin + window.width]
-    return Segmentation(window, tile[inner], labels[inner], arm.wrist, arm.direction, is_reversed)
+    return Segmentation(
+        window, np.abs(tile[inner]), labels[inner], arm.wrist, arm.direction, is_reversed, hidden
+    )
+
+
+def _hidden_share(tile: Float32Array, window: Window, camera: Camera, predicted: PredictedHand) -> float:
+    """Return the share of a predicted hand behind another hand's readings."""
+    if not np.any(tile < 0.0):
+        return 0.0
+    drawn = silhouette_of(predicted.joints, predicted.scale, window, camera)
+    return 0.0 if drawn is None else float(drawn.hidden_by(tile)[drawn.mask].mean())
 
 
 def _widened(window: Window, margin: int) -> Window:

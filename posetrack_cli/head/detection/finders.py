@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
@@ -28,6 +27,7 @@ class FaceGuess:
         eye_distance: pixels between the eye centres, as if the face looked at the camera.
         roll: rad, clockwise in the image, of the line through the eyes.
         score: 0 to 1; the detector's own threshold is at 0.5.
+        yaw: rad, about the camera's y axis, likely one of a head that is turned; 0 for a frontal detector.
         eyes: (n, 2) pixels of candidate centres of the subject's right eye, and of the left eye.
     """
 
@@ -36,54 +36,26 @@ class FaceGuess:
     roll: float
     score: float
     eyes: tuple[FloatArray, FloatArray] = NO_EYES
+    yaw: float = 0.0
 
 
 class FaceFinder(Protocol):
     """Finds faces in a grey image."""
 
-    def find(self, image: ImageArray) -> tuple[FaceGuess, ...]:
-        """Return the faces in a (height, width) uint8 image, largest first, also uncertain ones."""
+    def find(self, image: ImageArray, scale: float = 1.0) -> Sequence[FaceGuess]:
+        """Return the faces in a (height, width) uint8 image, largest first, also uncertain ones.
 
+        Args:
+            image: grey.
+            scale: of the image, if reduced; the smallest faces are reduced with it.
+        """
 
-ROTATIONS = tuple(np.radians([-28.0, 28.0, -54.0, 54.0]))
-"""Rad: a cascade tolerates a roll of some 17 degrees; these rotations extend that to 70."""
-ONE_FACE = 0.6
-"""Faces closer than this, in eye distances, are the same."""
-
-
-def find_rotated(finder: FaceFinder, image: ImageArray, turns: Sequence[float]) -> tuple[FaceGuess, ...]:
-    """Find faces in an image rotated by each of several angles, rad, the largest first.
-
-    Of overlapping detections the best is kept.
-    """
-    found = [guess for turn in turns for guess in _find_rotated(finder, image, turn)]
-    kept: list[FaceGuess] = []
-    for guess in sorted(found, key=lambda one: -one.score):
-        apart = (float(np.linalg.norm(guess.middle - other.middle)) / other.eye_distance for other in kept)
-        if all(away > ONE_FACE for away in apart):
-            kept.append(guess)
-    return tuple(sorted(kept, key=lambda one: -one.eye_distance))
-
-
-def _find_rotated(finder: FaceFinder, image: ImageArray, turn: float) -> Iterator[FaceGuess]:
-    """Yield faces with a roll near ``turn``, clockwise, in the pixels of the original image."""
-    height, width = image.shape
-    cos, sin = float(np.cos(turn)), float(np.sin(turn))
-    size = (
-        math.ceil(width * abs(cos) + height * abs(sin)),
-        math.ceil(width * abs(sin) + height * abs(cos)),
-    )
-    turned_T_image = np.array([[cos, sin], [-sin, cos]])
-    shift = np.array(size) / 2.0 - turned_T_image @ np.array([width, height]) / 2.0
-    transform = np.column_stack([turned_T_image, shift])
-    turned = cv2.warpAffine(image, transform, size, borderMode=cv2.BORDER_REPLICATE)
-    for guess in finder.find(turned):
-        right, left = ((eyes - shift) @ turned_T_image for eyes in guess.eyes)
-        middle = (guess.middle - shift) @ turned_T_image
-        yield replace(guess, middle=middle, roll=guess.roll + turn, eyes=(right, left))
+    def find_turned(self, image: ImageArray, scale: float = 1.0) -> Sequence[FaceGuess]:
+        """Return the faces turned to a side; none if ``find`` returns these."""
 
 
 FACE_CASCADE = "haarcascade_frontalface_alt2.xml"
+PROFILE_CASCADE = "haarcascade_profileface.xml"
 EYE_CASCADE = "haarcascade_eye_tree_eyeglasses.xml"
 # Measured on 72 faces, as fractions of the cascade's box.
 EYES_MIDDLE = np.array([0.502, 0.402])
@@ -96,6 +68,13 @@ BOX_WIDTH_FOR_EYES = 300
 # Offset of the eye box's centre from the midpoint of the eye corners, in eye distances.
 EYE_BOX_OFFSET = np.array([-0.02, -0.04])
 NEIGHBOURS_OF_A_FACE = 3
+LEAST_BOX_PX = 24
+FINE_STEP, COARSE_STEP = 1.1, 1.2
+"""Ratio of the sizes at which images, and reduced ones, are searched."""
+# The same for the profile cascade, which finds heads turned by 15 to 75 degrees to the left of the image.
+PROFILE_ORIGIN = np.array([0.36, 0.447])
+PROFILE_EYE_DISTANCE = 0.29
+PROFILE_YAW = 0.65
 
 
 class HaarFaces:
@@ -109,21 +88,34 @@ class HaarFaces:
     """
 
     def __init__(self, least_width: int = 50) -> None:
-        self._faces = _cascade(FACE_CASCADE)
+        self._faces, self._profiles = _cascade(FACE_CASCADE), _cascade(PROFILE_CASCADE)
         self._eyes = _cascade(EYE_CASCADE)
         self._least = least_width
 
-    def find(self, image: ImageArray) -> tuple[FaceGuess, ...]:
+    def find(self, image: ImageArray, scale: float = 1.0) -> tuple[FaceGuess, ...]:
         """Return the faces in a (height, width) uint8 image, largest first, also uncertain ones."""
-        least = (self._least, self._least)
-        boxes, neighbours = self._faces.detectMultiScale2(
-            image, scaleFactor=1.1, minNeighbors=1, minSize=least
+        return tuple(self._guess(image, box, score) for box, score in self._boxes(self._faces, image, scale))
+
+    def find_turned(self, image: ImageArray, scale: float = 1.0) -> tuple[FaceGuess, ...]:
+        """Return the faces turned to the left or right of the image by 15 to 75 degrees, largest first."""
+        mirrored = np.ascontiguousarray(image[:, ::-1])
+        left = [_turned(box, score) for box, score in self._boxes(self._profiles, image, scale)]
+        right = [_turned(box, score) for box, score in self._boxes(self._profiles, mirrored, scale)]
+        last = image.shape[1] - 1.0
+        right = [replace(one, middle=one.middle * [-1, 1] + [last, 0.0], yaw=-one.yaw) for one in right]
+        return tuple(sorted([*right, *left], key=lambda one: -one.eye_distance))
+
+    def _boxes(self, cascade: Any, image: ImageArray, scale: float) -> list[tuple[FloatArray, float]]:
+        """Return boxes x, y, width, height with scores, largest first."""
+        least = max(round(scale * self._least), LEAST_BOX_PX)
+        step = FINE_STEP if scale == 1.0 else COARSE_STEP
+        boxes, neighbours = cascade.detectMultiScale2(
+            image, scaleFactor=step, minNeighbors=1, minSize=(least, least)
         )
         found = sorted(zip(boxes, np.ravel(neighbours), strict=True), key=lambda face: -int(face[0][2]))
-        return tuple(self._guess(image, np.asarray(box, float), float(count)) for box, count in found)
+        return [(np.asarray(box, float), float(n / (n + NEIGHBOURS_OF_A_FACE))) for box, n in found]
 
-    def _guess(self, image: ImageArray, box: FloatArray, neighbours: float) -> FaceGuess:
-        score = neighbours / (neighbours + NEIGHBOURS_OF_A_FACE)
+    def _guess(self, image: ImageArray, box: FloatArray, score: float) -> FaceGuess:
         distance = EYE_DISTANCE * box[2]
         right, left = (self._eyes_in(image, box, columns) for columns in EYE_COLUMNS)
         offset = EYE_BOX_OFFSET * distance
@@ -146,6 +138,11 @@ class HaarFaces:
         found = np.asarray(boxes, dtype=float).reshape(-1, 4)
         centres: FloatArray = (found[:, :2] + found[:, 2:] / 2.0) / scale + corner
         return centres
+
+
+def _turned(box: FloatArray, score: float) -> FaceGuess:
+    middle = box[:2] + PROFILE_ORIGIN * box[2:]
+    return FaceGuess(middle, PROFILE_EYE_DISTANCE * float(box[2]), 0.0, score, yaw=PROFILE_YAW)
 
 
 def _cascade(name: str) -> Any:
@@ -195,7 +192,11 @@ class YunetFaces:
         except cv2.error as error:
             raise invalid_model(model, error.err) from None
 
-    def find(self, image: ImageArray) -> tuple[FaceGuess, ...]:
+    def find_turned(self, image: ImageArray, scale: float = 1.0) -> tuple[FaceGuess, ...]:
+        """Return nothing: ``find`` returns turned heads as well."""
+        return ()
+
+    def find(self, image: ImageArray, scale: float = 1.0) -> tuple[FaceGuess, ...]:
         """Return the faces in a (height, width) uint8 image, largest first, also uncertain ones."""
         scale = min(1.0, LONGEST_SIDE / max(image.shape))
         small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)

@@ -12,14 +12,14 @@ import numpy as np
 from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray
 from posetrack_cli.head.detection.appearance import Appearance, histograms
 from posetrack_cli.head.detection.responses import MIDDLE, PIXELS_PER_MM
-from posetrack_cli.head.face.points import FEATURES, FITTED, MOUTH, POINT_COUNT
+from posetrack_cli.head.face.points import FEATURES, FITTED, FITTED_NORMALS, MOUTH, POINT_COUNT
 
 # Fit of a mean face to response maps **[ours]**.
 #
 # The projection is weak perspective. A pose has eight numbers: u, v (patch pixels of the head's origin),
 # scale (pixels per mm), roll, yaw, pitch (rad, about the camera's z, y and x axes), and how much higher and
 # wider than on an average face the mouth is, mm. A fixed cloud of poses is scored on the maps; the best poses
-# become the centres of smaller clouds.
+# become the centres of smaller clouds. The scores of turned heads leave out points on the far side.
 
 IN_CAMERA = np.array([1.0, -1.0, -1.0])
 """The head's axes in camera axes, for a head that looks at the camera."""
@@ -27,6 +27,12 @@ POSE_SIZE = 8
 PRIOR_MEAN = np.array([MIDDLE[0], MIDDLE[1], PIXELS_PER_MM, 0.0, 0.0, 0.0, 0.0, 0.0])
 PRIOR_SD = np.array([4.0, 5.0, 0.09 * PIXELS_PER_MM, 0.18, 0.45, 0.25, 5.0, 3.0])
 WEIGHTS = np.array([1.0, 1.0, 1.0, 1.0, 1.2, 1.2, 0.7, 0.7, 0.6, 0.6, 3.0])
+HIDDEN_RESPONSE = 0.35
+"""Response assumed of a hidden point, that of a moderate match."""
+VISIBLE_FROM, VISIBLE_TO = 0.1, 0.4
+"""Cosine between normal and view from which a point counts, and above which it counts fully."""
+MOST_YAW = np.radians(60.0)
+"""Beyond, too few points remain."""
 # Added to responses, so that a single missing point cannot veto a pose.
 LEAST_RESPONSE = 0.1
 # Standard deviations of detected eyes, pixels of the patch, and the likelihood of a false detection.
@@ -57,8 +63,20 @@ def relief_of(angles: FloatArray, shape: FloatArray = FEATURES) -> FloatArray:
     return relief
 
 
+def visible_shares(yaw: FloatArray) -> FloatArray:
+    """Return the visibility (N, K + 1), 0 to 1, of the points of ``FITTED`` on heads with a yaw (N,), rad."""
+    yaw = np.clip(yaw, -MOST_YAW, MOST_YAW)
+    across, out = FITTED_NORMALS[:, 0], FITTED_NORMALS[:, 2]
+    cosines = np.cos(yaw)[:, None] * out + np.sin(yaw)[:, None] * across
+    shares: FloatArray = np.clip((cosines - VISIBLE_FROM) / (VISIBLE_TO - VISIBLE_FROM), 0.0, 1.0)
+    return shares
+
+
 def fit_face(
-    maps: Float32Array, eyes: tuple[FloatArray, FloatArray], start: FloatArray | None = None
+    maps: Float32Array,
+    eyes: tuple[FloatArray, FloatArray],
+    start: FloatArray | None = None,
+    yaw: float = 0.0,
 ) -> FloatArray:
     """Return the pose (8,) that fits response maps (K + 1, height, width) best.
 
@@ -66,30 +84,37 @@ def fit_face(
         maps: one map per feature of ``FITTED``.
         eyes: (n, 2) patch pixels of candidate eye centres, right and left; empty if unknown.
         start: (8,) a pose near which to search; by default the whole prior is searched.
+        yaw: rad, mean of the prior; points on the far side of a turned head are ignored.
     """
     coarse, fine = _blurred(maps, 5, 2.0), _blurred(maps, 3, 1.0)
     if start is None:
         poses = PRIOR_MEAN + PRIOR_SD * _normal(FIRST_CLOUD)
-        scores = _scores(poses, coarse, eyes)
+        poses[:, 4] += yaw
+        scores = _scores(poses, coarse, eyes, yaw)
     else:
-        poses, scores = start[None], _scores(start[None], fine, eyes)
+        poses, scores = start[None], _scores(start[None], fine, eyes, yaw)
     for narrowing in NARROWING:
         best = poses[np.argsort(-scores, kind="stable")[:KEPT]]
         cloud = narrowing * PRIOR_SD * _normal(len(best) * CHILDREN)
         poses = np.concatenate([best, np.repeat(best, CHILDREN, axis=0) + cloud])
-        scores = _scores(poses, fine, eyes)
+        scores = _scores(poses, fine, eyes, yaw)
     pose: FloatArray = poses[np.argmax(scores)]
     return pose
 
 
-def _scores(poses: FloatArray, maps: Float32Array, eyes: tuple[FloatArray, FloatArray]) -> FloatArray:
+def _scores(
+    poses: FloatArray, maps: Float32Array, eyes: tuple[FloatArray, FloatArray], yaw: float
+) -> FloatArray:
     """Return (N,) log-scores: weighted log responses, detected eyes and half the log-prior."""
     pixels = projected(poses)
     height, width = maps.shape[1:]
     columns = np.clip(np.rint(pixels[..., 0]).astype(int), 0, width - 1)
     rows = np.clip(np.rint(pixels[..., 1]).astype(int), 0, height - 1)
     responses = maps[np.arange(len(maps)), rows, columns]
-    prior = -0.5 * np.sum(((poses - PRIOR_MEAN) / PRIOR_SD) ** 2, axis=1)
+    mean = PRIOR_MEAN + yaw * (np.arange(POSE_SIZE) == 4)
+    prior = -0.5 * np.sum(((poses - mean) / PRIOR_SD) ** 2, axis=1)
+    if yaw:
+        responses = HIDDEN_RESPONSE + visible_shares(poses[:, 4]) * (responses - HIDDEN_RESPONSE)
     scores: FloatArray = np.log(LEAST_RESPONSE + responses) @ WEIGHTS + 0.5 * prior
     for found, centres in zip(eyes, (pixels[:, 0:2].mean(axis=1), pixels[:, 2:4].mean(axis=1)), strict=True):
         scores = scores + 0.5 * _eye_score(centres, found)
@@ -147,6 +172,9 @@ BACKGROUND = -1.0
 UNSURE_PX = 1.0
 """Standard deviation of the mean of a distribution."""
 JOINT_POSE_SIZE = 6
+LEAST_VISIBLE = 0.05
+VISIBLE = np.ones(POINT_COUNT)
+"""(K,) visibility of the points of a head that looks at the camera."""
 TURN_PRIOR = np.array([0.45, 0.3])
 """Standard deviations, rad, of yaw and pitch."""
 STEP = 1e-4
@@ -169,7 +197,13 @@ class JointFit:
     misfit_px: float
 
 
-def fit_jointly(grey: ImageArray, expected: FloatArray, pose: FloatArray, appearance: Appearance) -> JointFit:
+def fit_jointly(
+    grey: ImageArray,
+    expected: FloatArray,
+    pose: FloatArray,
+    appearance: Appearance,
+    visible: FloatArray = VISIBLE,
+) -> JointFit:
     """Locate the points in an upright patch.
 
     Args:
@@ -177,19 +211,25 @@ def fit_jointly(grey: ImageArray, expected: FloatArray, pose: FloatArray, appear
         expected: (K, 2) pixels, approximate.
         pose: (6,) of an average face there: u, v, scale, roll, yaw, pitch.
         appearance: appearance model.
+        visible: (K,) 0 to 1; hidden points follow the others.
     """
     picture = histograms(grey)
     windows = [_Window.about(picture, k, place, appearance) for k, place in enumerate(expected)]
-    return _mean_shift(windows, expected, pose, appearance)
+    return _mean_shift(windows, expected, pose, appearance, visible)
 
 
 def _mean_shift(
-    windows: Sequence[_Window], expected: FloatArray, pose: FloatArray, appearance: Appearance
+    windows: Sequence[_Window],
+    expected: FloatArray,
+    pose: FloatArray,
+    appearance: Appearance,
+    visible: FloatArray,
 ) -> JointFit:
     """Iterate means and shape from a start."""
     shape = _Shape(
         np.array(pose, dtype=np.float64), np.zeros(len(appearance.shape_modes)), appearance.shape_modes
     )
+    unseen = 1.0 / np.maximum(visible, LEAST_VISIBLE)
     shape = shape.fitted(expected, np.full(POINT_COUNT, WIDTHS[0]))
     places = expected
     for width in WIDTHS:
@@ -197,7 +237,7 @@ def _mean_shift(
             means = [window.mean(at, width) for window, at in zip(windows, shape.points, strict=True)]
             places = np.array([mean for mean, _ in means])
             doubt = np.array([share for _, share in means])
-            shape = shape.fitted(places, np.hypot(UNSURE_PX, width * doubt))
+            shape = shape.fitted(places, unseen * np.hypot(UNSURE_PX, width * doubt))
     best = np.array([window.best(at, WIDTHS[-1]) for window, at in zip(windows, shape.points, strict=True)])
     misfit = float(np.sqrt(np.mean(np.sum((places - shape.points) ** 2, axis=1))))
     return JointFit(places, 1.0 / (1.0 + np.exp(-best)), shape.pose, misfit)

@@ -10,7 +10,7 @@ from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray, IntArray
 from posetrack_cli.head.detection.appearance import Appearance
 from posetrack_cli.head.detection.finders import NO_EYES, FaceGuess
 from posetrack_cli.head.detection.fit import JOINT_POSE_SIZE as JOINT_POSE
-from posetrack_cli.head.detection.fit import fit_face, fit_jointly, projected
+from posetrack_cli.head.detection.fit import VISIBLE, fit_face, fit_jointly, projected, visible_shares
 from posetrack_cli.head.detection.responses import FacePatch, cut_patch, response_maps
 from posetrack_cli.head.face.points import NOSTRILS, POINT_COUNT
 
@@ -82,6 +82,8 @@ POINT_SD = (3.5, 3.0)
 NOSE_SD = (5.0, 4.0)
 NOSTRIL_SD = (2.0, 2.0)
 EYE_DISTANCE_MM = 63.0
+TURNED_RAD = np.radians(30.0)
+"""Yaw from which points may be hidden."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +92,7 @@ class FacePoints:
 
     Attributes:
         pixels: (K, 2) in the order of ``face.POINT_NAMES``.
-        responses: (K,) 0 to 1, similarity of each place to its point.
+        responses: (K,) 0 to 1, similarity of each place to its point; 0 for a hidden point.
         pixels_per_mm: scale of the face in the image.
         angles: (3,) approximate roll, yaw, pitch, rad: rotations about the camera's z, y and x axis of a head
             that looked at the camera, pitch first.
@@ -105,8 +107,14 @@ class FacePoints:
 
     @property
     def score(self) -> float:
-        """Mean response, 0 to 1."""
-        return float(self.responses.mean())
+        """Mean response of the points that are not hidden, 0 to 1."""
+        return mean_response(self.responses)
+
+
+def mean_response(responses: FloatArray) -> float:
+    """Return the mean of the responses above 0; 0 without any."""
+    seen = responses > 0.0
+    return float(responses[seen].mean()) if seen.any() else 0.0
 
 
 def find_points(image: ImageArray, guess: FaceGuess, appearance: Appearance | None = None) -> FacePoints:
@@ -123,17 +131,20 @@ def find_points(image: ImageArray, guess: FaceGuess, appearance: Appearance | No
     """
     first = cut_patch(image, guess.middle, guess.eye_distance / EYE_DISTANCE_MM, guess.roll)
     eyes = (first.from_image(guess.eyes[0]), first.from_image(guess.eyes[1]))
-    rough = fit_face(response_maps(first.grey), eyes)
+    rough = fit_face(response_maps(first.grey), eyes, yaw=guess.yaw)
+    yaw = guess.yaw or (float(rough[4]) if abs(rough[4]) > TURNED_RAD else 0.0)
     pixels_per_mm, roll = rough[2] / first.scale, first.roll + rough[3]
     upright = cut_patch(image, first.to_image(rough[:2]), pixels_per_mm, roll)
     maps = response_maps(upright.grey)
-    pose = fit_face(maps, NO_EYES, _carried_over(rough, first, upright))
+    pose = fit_face(maps, NO_EYES, _carried_over(rough, first, upright), yaw)
     expected = projected(pose[None])[0]
+    visible = visible_shares(pose[4:5])[0, :POINT_COUNT] if yaw else VISIBLE
     if appearance is None:
         pixels, responses = _strongest(maps, expected)
     else:
-        places = fit_jointly(upright.grey, expected[:POINT_COUNT], pose[:JOINT_POSE], appearance)
+        places = fit_jointly(upright.grey, expected[:POINT_COUNT], pose[:JOINT_POSE], appearance, visible)
         pixels, responses, pose = places.pixels, places.probabilities, places.pose
+    responses = np.where(visible > 0.0, responses, 0.0)
     angles = np.array([upright.roll + pose[3], pose[4], pose[5]])
     return FacePoints(upright.to_image(pixels), responses, float(pose[2] / upright.scale), angles, guess)
 

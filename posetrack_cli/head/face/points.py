@@ -110,6 +110,8 @@ NOSE_BASE = np.array([0.0, -37.0, 26.0])
 """mm: centre of the arc formed by the wings and base of the nose; used in fits only."""
 FITTED = np.vstack([FEATURES, NOSE_BASE])
 """(K + 1, 3) mm: points of the average face used in fits."""
+FITTED_NORMALS = np.vstack([POINT_NORMALS, [0.0, 0.0, 1.0]])
+"""(K + 1, 3) their unit normals."""
 
 FEATURE_SD = np.array([3.5, 3.0, 3.0, 3.5, 6.0, 6.0, 5.0, 5.0, 6.0, 6.0])
 """(K,) mm: combined deviation of identity, expression and detection, for one coordinate **[ours]**."""
@@ -120,7 +122,7 @@ def of_kinds(*, eyes: ArrayLike, mouth: ArrayLike, nostrils: ArrayLike, brows: A
     return np.array([eyes] * 4 + [mouth] * 2 + [nostrils] * 2 + [brows] * 2, dtype=np.float64)
 
 
-for _figures in (MEAN_SHAPE, SHAPE_SD, POINT_NORMALS, FEATURES, FITTED, FEATURE_SD):
+for _figures in (MEAN_SHAPE, SHAPE_SD, POINT_NORMALS, FEATURES, FITTED, FITTED_NORMALS, FEATURE_SD):
     _figures.setflags(write=False)
 
 

@@ -8,12 +8,12 @@ from typing import TypeVar
 
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray, ImageArray
+from posetrack_cli.arrays import BoolArray, FloatArray, ImageArray
 from posetrack_cli.geometry.camera import Camera, undistorted_pixels
 from posetrack_cli.head.adjustment.adjuster import Adjusted, Adjuster, PersonParameters, PointView
 from posetrack_cli.head.config import HeadMonoConfig
-from posetrack_cli.head.detection.detector import FaceDetector
-from posetrack_cli.head.detection.points import FacePoints
+from posetrack_cli.head.detection.detector import Detection, FaceDetector
+from posetrack_cli.head.detection.points import FacePoints, mean_response
 from posetrack_cli.head.face.points import FEATURE_SD, FEATURES, MIRRORED, POINT_COUNT, HeadPose
 from posetrack_cli.head.face.rig_images import RigImages, project
 from posetrack_cli.head.face.templates import TemplateSet, take_templates, tangents
@@ -30,10 +30,13 @@ MEAN_FACE_WEIGHTS = (FEATURE_SD.min() / FEATURE_SD) ** 2
 """(K,) weights of the points in fits of an average face: eyes vary least."""
 SLOPE_DEG = 4.0
 """Maximum standard deviation of the slopes of lines between left and right points."""
+TURNED_SLOPE_DEG = 10.0
+"""The same for a face with hidden points: the lines left are foreshortened."""
 MOST_RESIDUAL = 0.12
 """Maximum RMS distance of the points from the average and the adjusted face, eye distances."""
 DISTANCES_MM = (100.0, 5000.0)
 """Plausible distances of a head; others indicate a wrong focal length or a false detection."""
+ALL_SEEN = np.ones(POINT_COUNT, dtype=bool)
 CLICKED = np.ones(POINT_COUNT)
 """(K,) responses of clicked points."""
 
@@ -45,8 +48,8 @@ class DetectedFace:
     Attributes:
         stamp_ns: of the frame.
         pixels: (K, 2) in the image, with lens distortion.
-        responses: (K,) 0 to 1, similarity of each place to its point; 1 for clicked points.
-        score: 0 to 1, their mean.
+        responses: (K,) 0 to 1, similarity of each place to its point; 1 for clicked, 0 for hidden points.
+        score: 0 to 1, mean of those not hidden.
         eye_distance: pixels, as if the face looked at the camera.
         pose: rough, of an average face.
         misfit: weighted RMS distance of the points from the average face, eye distances.
@@ -65,9 +68,9 @@ def face_at(
     pixels: FloatArray, stamp_ns: int, camera: Camera, responses: FloatArray = CLICKED
 ) -> DetectedFace:
     """Return the face with detected or, without responses (K,), clicked points (K, 2)."""
-    pose, rms_px = pose_of(pixels, MEAN_FACE_WEIGHTS, camera, FEATURES)
+    pose, rms_px = pose_of(pixels, MEAN_FACE_WEIGHTS * (responses > 0.0), camera, FEATURES)
     distance = eye_distance_px(pose, camera)
-    score = float(responses.mean())
+    score = mean_response(responses)
     return DetectedFace(stamp_ns, pixels, responses, score, distance, pose, rms_px / distance)
 
 
@@ -121,13 +124,16 @@ class MonoInitialiser:
         self._camera, self._model = adjuster.camera, adjuster.model
         self._detector, self._choice, self._landmarks = detector, choice, landmarks
 
-    def detect(self, frame: Frame, near: FloatArray | None = None) -> DetectedFace | InitFailure:
+    def detect(
+        self, frame: Frame, near: FloatArray | None = None, *, thoroughly: bool = False
+    ) -> DetectedFace | InitFailure:
         """Return a face in a frame with its points, or the reason why there is none.
 
         Args:
             frame: with one image.
             near: (K, 2) pixels of the face in an earlier frame. The face there is used, whatever the choice,
                 so that another person who approaches does not take over.
+            thoroughly: search the whole image in all ways, not in one of them or near the earlier face.
         """
         (image,) = frame.images
         if image is None:
@@ -136,17 +142,30 @@ class MonoInitialiser:
         if landmark_face is not None:
             pixels = self._start_pixels(image, landmark_face)
             return face_at(pixels, frame.stamp_ns, self._camera, landmark_face.responses)
-        roll = None if near is None else _roll(near)
-        detection = self._detector.detect(image, wanted=self._choice + 1 if near is None else 1, roll=roll)
+        detection = self._detections(image, frame.index, near, thoroughly)
         faces = sorted(detection.faces, key=lambda face: -face.pixels_per_mm)
         face = self._chosen(faces) if near is None else _same(faces, near)
         if isinstance(face, str):
             return InitFailure(face, detection.best_score)
-        deviation = np.rad2deg(slope_deviation(face.pixels, self._camera))
-        if deviation > SLOPE_DEG:
+        deviation = np.rad2deg(slope_deviation(face.pixels, self._camera, face.responses > 0.0))
+        if deviation > (SLOPE_DEG if face.responses.all() else TURNED_SLOPE_DEG):
             reason = f"slopes between left and right points differ by {deviation:.0f} deg"
             return InitFailure(reason, face.score)
         return face_at(face.pixels, frame.stamp_ns, self._camera, face.responses)
+
+    def _detections(
+        self, image: ImageArray, index: int, near: FloatArray | None, thoroughly: bool
+    ) -> Detection:
+        wanted = self._choice + 1
+        if near is None:
+            detect = self._detector
+            return (
+                detect.detect(image, wanted=wanted)
+                if thoroughly
+                else detect.detect_quickly(image, index, wanted=wanted)
+            )
+        found = self._detector.detect(image, roll=_roll(near)) if thoroughly else None
+        return found if found is not None and found.faces else self._detector.detect_near(image, near)
 
     def landmark_face(self, frame: Frame, near: FloatArray | None = None) -> LandmarkFace | None:
         """Return the face from landmarks, chosen like a detected one; None without landmarks."""
@@ -206,7 +225,8 @@ class MonoInitialiser:
     def templates(self, frame: Frame, found: DetectedFace, start: MonoInitialisation) -> TemplateSet:
         """Return the templates of the last frame of an initialisation."""
         images = RigImages((self._camera,), frame.images)
-        return take_templates(images, start.views[-1].pose, self._shape(start), found.pixels[None])
+        seen = take_templates(images, start.views[-1].pose, self._shape(start), found.pixels[None])
+        return replace(seen, seen=seen.seen & (found.responses > 0.0))
 
     def reference(self, first: TemplateSet, start: MonoInitialisation) -> TemplateSet:
         """Return the templates of the first frame at its adjusted pose."""
@@ -248,7 +268,7 @@ RIGHT = tuple(k for k, other in enumerate(MIRRORED) if k < other)
 LEFT = tuple(MIRRORED[k] for k in RIGHT)
 
 
-def slope_deviation(pixels: FloatArray, camera: Camera) -> float:
+def slope_deviation(pixels: FloatArray, camera: Camera, seen: BoolArray = ALL_SEEN) -> float:
     """Return the standard deviation, rad, of the slopes of the K/2 segments from right to left points.
 
     The segments of a symmetric face are parallel in space and, up to perspective, in the image, whatever the
@@ -259,9 +279,13 @@ def slope_deviation(pixels: FloatArray, camera: Camera) -> float:
     Args:
         pixels: (K, 2) with lens distortion.
         camera: of the image.
+        seen: (K,) which points are not hidden.
     """
+    both = seen[list(LEFT)] & seen[list(RIGHT)]
+    if not both.any():
+        return 0.0
     flat = undistorted_pixels(camera, pixels)
-    segments = flat[list(LEFT)] - flat[list(RIGHT)]
+    segments = (flat[list(LEFT)] - flat[list(RIGHT)])[both]
     lengths = np.linalg.norm(segments, axis=1)
     along = segments.sum(axis=0) / max(float(np.linalg.norm(segments.sum(axis=0))), 1e-12)
     across = segments @ along

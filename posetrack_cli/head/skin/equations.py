@@ -276,43 +276,76 @@ def adjust_pose(
     return pose
 
 
+class SkinPrior(NamedTuple):
+    """Expected poses and points.
+
+    Attributes:
+        poses: (n) of the views, from their feature points.
+        surface: (M, 3) X0, mm in the head's frame.
+        pose_sd, point_sd: (6,) and (3,) standard deviations about them.
+    """
+
+    poses: HeadPose
+    surface: FloatArray
+    pose_sd: FloatArray = POSE_SD
+    point_sd: FloatArray = POINT_SD
+
+
 def adjust_skin(
-    observed: Observations, prior: HeadPose, surface: FloatArray, f: FloatArray, steps: int
+    observed: Observations,
+    prior: SkinPrior,
+    f: FloatArray,
+    steps: int,
+    start: tuple[HeadPose, FloatArray] | None = None,
 ) -> tuple[HeadPose, FloatArray]:
     """Adjust the poses (n) of all views and the places (M, 3) of all points.
 
     Args:
         observed: in the views.
-        prior: (n) poses of the views from their feature points, also the start.
-        surface: (M, 3) X0, mm in the head's frame.
+        prior: of poses and points, by default also the start.
         f: (2,) focal lengths, pixels.
         steps: number of Gauss-Newton steps.
+        start: other poses and points to start from.
     """
-    poses, points = prior, surface
-    equations, moves = make_equations(len(prior.position), observed), np.empty_like(surface)
+    poses, points = start or (prior.poses, prior.surface)
+    equations, moves = make_equations(len(poses.position), observed), np.empty_like(points)
     for _ in range(steps):
-        tangents = _solve(observed, poses, points, prior, surface, f, equations)
+        tangents = _solve(observed, poses, points, prior, f, equations)
         move_points(observed, equations, tangents, moves)
         poses, points = poses.moved(tangents), points + moves
     return poses, points
+
+
+def skin_cost(
+    observed: Observations, poses: HeadPose, points: FloatArray, prior: SkinPrior, f: FloatArray
+) -> float:
+    """Return E of adjusted poses and points; see ``adjust_skin``."""
+    owners = np.repeat(np.arange(len(points)), np.diff(observed.first))
+    seen = np.einsum("nij,nj->ni", poses.rotation[observed.views], points[owners])
+    seen += poses.position[observed.views]
+    depths = np.maximum(seen[:, 2:], NEAREST_MM)
+    squared = np.sum(np.square((observed.rays - seen[:, :2] / depths) * f), axis=1)
+    scale = (TAIL * NOISE_PX) ** 2
+    total = 0.5 * TAIL**2 * np.log1p(squared / scale).sum()
+    total += 0.5 * np.sum(np.square(poses.difference(prior.poses) / prior.pose_sd))
+    return float(total + 0.5 * np.sum(np.square((points - prior.surface) / prior.point_sd)))
 
 
 def _solve(
     observed: Observations,
     poses: HeadPose,
     points: FloatArray,
-    prior: HeadPose,
-    surface: FloatArray,
+    prior: SkinPrior,
     f: FloatArray,
     equations: Equations,
 ) -> FloatArray:
     """Build and solve the normal equations; return the tangent vectors (n, 6) of the views."""
-    precisions = np.tile(POSE_SD**-2, len(poses.position))
+    precisions = np.tile(prior.pose_sd**-2, len(poses.position))
     equations.matrix[:] = 0.0
     np.fill_diagonal(equations.matrix, precisions)
-    equations.vector[:] = precisions * poses.difference(prior).ravel()
-    equations.inverses[:] = np.diag(POINT_SD**-2)
-    equations.pulls[:] = (surface - points) / POINT_SD**2
+    equations.vector[:] = precisions * poses.difference(prior.poses).ravel()
+    equations.inverses[:] = np.diag(prior.point_sd**-2)
+    equations.pulls[:] = (prior.surface - points) / prior.point_sd**2
     add_points(observed, poses.rotation, poses.position, points, f, equations)
     tangents = np.linalg.solve(equations.matrix, equations.vector)
     return np.asarray(tangents, dtype=np.float64).reshape(-1, POSE_SIZE)

@@ -20,7 +20,13 @@ from posetrack_cli.geometry.camera import Camera, normalised_from_pixels, pixels
 from posetrack_cli.geometry.rotations import canonical, conjugate, mean_quaternion, multiply, rotate
 from posetrack_cli.head.adjustment.adjuster import PointView
 from posetrack_cli.head.face.points import HeadPose
-from posetrack_cli.head.skin.equations import Observations, adjust_pose, adjust_skin, observations
+from posetrack_cli.head.skin.equations import (
+    Observations,
+    SkinPrior,
+    adjust_pose,
+    adjust_skin,
+    observations,
+)
 from posetrack_cli.head.skin.matching import (
     PX_PER_MM,
     SkinView,
@@ -97,9 +103,23 @@ class SkinPose(NamedTuple):
     unmatched: float
 
 
+class MatchedSkin(NamedTuple):
+    """A map with the data it was adjusted to.
+
+    Attributes:
+        map: adjusted, with a share of 0.
+        observed: matched places in the views.
+        prior: poses of the feature points, and initial surface.
+    """
+
+    map: SkinMap
+    observed: Observations
+    prior: SkinPrior
+
+
 @in_one_thread()
-def make_map(views: Sequence[SkinView], shape: FloatArray, camera: Camera) -> SkinMap | None:
-    """Build a map from views with the poses of one person's points; None if there are too few.
+def match_skin(views: Sequence[SkinView], shape: FloatArray, camera: Camera) -> MatchedSkin | None:
+    """Match the skin of views with the poses of one person's points; None if there are too few.
 
     Args:
         views: in the order of time.
@@ -108,18 +128,26 @@ def make_map(views: Sequence[SkinView], shape: FloatArray, camera: Camera) -> Sk
     """
     if len(views) < LEAST_VIEWS:
         return None
-    begun = _with_points(views, shape, camera)
-    if not len(begun.points):
+    found = _with_points(views, shape, camera)
+    if not len(found.points):
         return None
-    by_points, surface = begun.poses, begun.points
-    focal, found = np.array([camera.fx, camera.fy]), begun
+    prior = SkinPrior(found.poses, found.points)
+    focal = np.array([camera.fx, camera.fy])
     for _ in range(ROUNDS):
         # better poses predict the places of points better, so matching is repeated
         observed = _observe(found, views, camera)
-        poses, points = adjust_skin(observed, by_points, surface, focal, STEPS)
-        poses, points = _in_prior_frame(*_at_prior_distance(poses, points, by_points), by_points)
+        poses, points = adjust_skin(observed, prior, focal, STEPS)
+        poses, points = _in_prior_frame(*_at_prior_distance(poses, points, prior.poses), prior.poses)
         found = replace(found, points=points, poses=poses)
-    return replace(found, share=_share(by_points.difference(found.poses)))
+    return MatchedSkin(found, observed, prior)
+
+
+def make_map(views: Sequence[SkinView], shape: FloatArray, camera: Camera) -> SkinMap | None:
+    """Build a map from views; see ``match_skin``."""
+    matched = match_skin(views, shape, camera)
+    if matched is None:
+        return None
+    return replace(matched.map, share=_share(matched.prior.poses.difference(matched.map.poses)))
 
 
 def _at_prior_distance(

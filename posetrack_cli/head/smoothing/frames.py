@@ -317,6 +317,7 @@ class HeadMemory:
         cameras: number of cameras.
         origin: (B,) coefficients of the neutral face in results.
         kept: number of frames kept from an interrupted run.
+        number: number of the subject in the result.
 
     Raises:
         ResultError: here and in every method, if a file cannot be written or read, or is damaged.
@@ -330,16 +331,18 @@ class HeadMemory:
         cameras: int,
         origin: FloatArray,
         kept: int = 0,
+        number: int = 0,
     ) -> None:
-        self._path, self._cameras, self._origin = path, cameras, origin
+        self._path, self._cameras, self._origin, self._number = path, cameras, origin, number
         self._settings, self._model = config.smoothing, track_model(config)
         self._fits = HeadFits(self._model, cameras)
         self._limit = GapLimit(self._settings.bridge_s)
         self._keeper = FrameRecorder(subject)
         self._spool = RecordSpool(path, kept, self._keeper.blank())
 
-    def remember(self, state: Any, estimate: Estimate) -> None:
+    def remember(self, state: Any, *estimates: Estimate) -> None:
         """Store a frame."""
+        (estimate,) = estimates
         self._spool.append(self._keeper.frame(state, estimate).record)
 
     def flush(self) -> None:
@@ -360,7 +363,7 @@ class HeadMemory:
             placed = with_smoothed_points(track.backward(), self._origin)
             with phase("smoothing, forward pass", "frame", len(track)) as advance:
                 for estimate in smoothed_velocities(placed, self._model.velocity):
-                    writer.write_smoothed(estimate)
+                    writer.write_smoothed(estimate, subject=self._number)
                     advance(1)
             track.delete()
         self._spool.delete()

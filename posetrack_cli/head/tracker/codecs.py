@@ -274,6 +274,10 @@ class ReportedPose:
     coefficients: Annotated[FloatArray, floats(COEFFICIENTS)]
 
 
+TURNED_DEG = 30.0
+"""Direction from which a reference lacks points on the far side of the face."""
+
+
 @dataclass(frozen=True, eq=False)
 class MonoState(HeadState):
     """State of a one-camera tracker after a frame.
@@ -289,6 +293,7 @@ class MonoState(HeadState):
         cut: whether the scene changed since a head was last tracked.
         elsewhere: whether an unknown face was found at another place or of another size after the cut.
         changes: (frame, index of the person) of each change of the person.
+        begun_frame: frame in which the first person was begun.
         trust: score of the last tracked frame, 0 to 1.
         scale: of the processed images, 1 is unscaled; None before the first detection.
         stated: reported pose of the last tracked frame, if it differs from the track.
@@ -304,6 +309,7 @@ class MonoState(HeadState):
     cut: bool = False
     elsewhere: bool = False
     changes: tuple[tuple[int, int], ...] = ()
+    begun_frame: int = 0
     trust: Annotated[float, floats(least=0.0, most=1.0)] = 0.0
     scale: Annotated[float, floats(least=_LEAST_SCALE, most=LARGEST_SCALE)] | None = None
     stated: ReportedPose | None = None
@@ -322,6 +328,18 @@ class MonoState(HeadState):
     def person(self) -> KnownPerson:
         """The tracked person."""
         return self.people[self.current]
+
+    @property
+    def begun_late(self) -> int | None:
+        """The frame in which the first person was begun; None if that was possible at once."""
+        return self.begun_frame if self.people and self.search.frames else None
+
+    @property
+    def is_provisional(self) -> bool:
+        """Whether the only person was begun from a turned face in this run."""
+        if len(self.people) != 1 or self.person.is_settled or self.person.is_held:
+            return False
+        return bool(-self.person.templates[0].facing[2] < np.cos(np.radians(TURNED_DEG)))
 
     @property
     def first_templates(self) -> TemplateSet:
@@ -354,6 +372,7 @@ class MonoState(HeadState):
             checked_ns=LONG_AGO_NS,
             cut=False,
             elsewhere=False,
+            begun_frame=self.begun_frame if index else frame_index,
             changes=(*self.changes, (frame_index, index)) if index else self.changes,
         )
 

@@ -11,6 +11,7 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.config import HeadMonoConfig, HeadStereoConfig
+from posetrack_cli.head.dense.face import KNOWN_FACES, KnownFace
 from posetrack_cli.head.face.points import POINT_COUNT, POSE_SIZE, HeadPose, ShapeModel
 from posetrack_cli.head.face.rig_images import RigImages, project
 from posetrack_cli.head.face.templates import (
@@ -255,6 +256,7 @@ class HeadState:
         first_ns: stamp of the first frame, to which clicked points refer.
         evidence: running confidence signs.
         record: statistics of the track.
+        dense: what is known of the dense face of each person.
     """
 
     track: TrackState | None = None
@@ -263,6 +265,7 @@ class HeadState:
     first_ns: Stamp = LONG_AGO_NS
     evidence: Annotated[RunningSigns, signs_codec(len(SIGNS))] = NO_EVIDENCE
     record: TrackRecord = NO_RECORD
+    dense: Annotated[tuple[KnownFace, ...], KNOWN_FACES] = ()
 
     @property
     def is_found(self) -> bool:
@@ -272,6 +275,11 @@ class HeadState:
     def last_seen_ns(self, frame: SeededFrame) -> int:
         """Return the stamp of the last tracked frame; a frame interval ago before the first."""
         return frame.stamp_ns - round(FRAME_S * 1e9) if self.track is None else self.track.stamp_ns
+
+    @property
+    def begun_late(self) -> int | None:
+        """The frame in which the head was found, if earlier ones may show it; None otherwise."""
+        return None
 
     @property
     def is_continuous(self) -> bool:

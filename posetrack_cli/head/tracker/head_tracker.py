@@ -17,8 +17,10 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.rotations import quaternion_rate
 from posetrack_cli.head.config import HeadStatusSettings
+from posetrack_cli.head.dense.face import KNOWN_FACES, DenseFaces
 from posetrack_cli.head.face.points import MEAN_SHAPE, POSE_SIZE, HeadPose
 from posetrack_cli.head.initialisation.search import InitFailure
+from posetrack_cli.head.model_file import damaged_model
 from posetrack_cli.head.tracker.frame_tracker import (
     NO_SIGNS,
     FrameFit,
@@ -29,9 +31,10 @@ from posetrack_cli.head.tracker.frame_tracker import (
     track_warnings,
 )
 from posetrack_cli.recording.base import Frame
+from posetrack_cli.results.columns import Arrays, LayoutError
 from posetrack_cli.results.estimate import Estimate, Status
 from posetrack_cli.tracking.confidence import PROBABLY, Regression
-from posetrack_cli.tracking.state_codec import Codec
+from posetrack_cli.tracking.state_codec import Codec, joined, part_of
 from posetrack_cli.tracking.two_pass import Learned, NothingFoundError
 
 UNSEEN = HeadPose(np.array([0.0, 0.0, 700.0]), np.array([1.0, 0.0, 0.0, 0.0]))
@@ -138,6 +141,8 @@ def in_body_axes(variance: FloatArray, rotation: FloatArray) -> FloatArray:
     return turned
 
 
+DENSE = "dense"
+"""Part of the learned arrays that belongs to the dense face."""
 State = TypeVar("State", bound=HeadState)
 Found = TypeVar("Found")
 
@@ -165,6 +170,9 @@ class Faces(Protocol[State, Found]):
 
     def is_known(self, state: State) -> bool:
         """Whether a face has been learned, so that a detected one can be recognised."""
+
+    def person_index(self, state: State) -> int:
+        """Return the index of the tracked person."""
 
     def detect(self, state: State, frame: SeededFrame) -> Found | InitFailure:
         """Detect a face in a frame."""
@@ -206,15 +214,31 @@ class Faces(Protocol[State, Found]):
         """Return warnings about a finished run, one line each."""
 
 
+def without_dense(known: Arrays) -> Learned:
+    """Return exported arrays without those of the dense face."""
+    return {name: array for name, array in known.items() if name.partition(".")[0] != DENSE}
+
+
 class HeadTracker(Generic[State, Found]):
     """Tracker of one head.
 
     Args:
         faces: camera-specific part, for several cameras or one.
+        dense: measures the dense face; None without it.
+        known: exported by another tracker, for what is known of the dense face.
+
+    Raises:
+        ResultError: ``known`` has a damaged dense face.
     """
 
-    def __init__(self, faces: Faces[State, Found]) -> None:
-        self._faces = faces
+    def __init__(
+        self, faces: Faces[State, Found], dense: DenseFaces | None = None, known: Arrays | None = None
+    ) -> None:
+        self._faces, self._dense = faces, dense
+        try:
+            self._known_faces = KNOWN_FACES.from_arrays(part_of(known or {}, DENSE))
+        except LayoutError as error:
+            raise damaged_model(error, "a model saved by posetrack head") from error
 
     @property
     def codec(self) -> Codec[State]:
@@ -223,10 +247,20 @@ class HeadTracker(Generic[State, Found]):
 
     def start(self, frame: Frame, rng: np.random.Generator) -> State:
         """Return the state before the first frame."""
-        return replace(self._faces.start(), first_ns=frame.stamp_ns)
+        return replace(self._faces.start(), first_ns=frame.stamp_ns, dense=self._known_faces)
 
     def step(self, state: State, frame: Frame, rng: np.random.Generator) -> tuple[State, Estimate]:
         """Advance by one frame; the given state is not modified."""
+        return self._with_dense(frame, *self._step(state, frame, rng))
+
+    def _with_dense(self, frame: Frame, state: State, estimate: Estimate) -> tuple[State, Estimate]:
+        """Add the dense face to the estimate of a frame."""
+        if self._dense is None:
+            return state, estimate
+        known, estimate = self._dense.add(state.dense, frame, estimate, self._faces.person_index(state))
+        return replace(state, dense=known), estimate
+
+    def _step(self, state: State, frame: Frame, rng: np.random.Generator) -> tuple[State, Estimate]:
         state, prepared = self._faces.prepare(state, frame)
         now = SeededFrame(prepared, rng)
         if state.track is None:  # the face may be known from a model file or the first pass
@@ -240,10 +274,30 @@ class HeadTracker(Generic[State, Found]):
             return self._coast(state, now)
         return self._reacquire(state, now)
 
+    def follow(self, state: State, frame: Frame, rng: np.random.Generator) -> tuple[State, Estimate] | None:
+        """Advance a tracked head by a frame without a search; None if it is not where it is expected."""
+        state, prepared = self._faces.prepare(state, frame)
+        if state.track is None:
+            return None
+        now = SeededFrame(prepared, rng)
+        state, fit = self._faces.fit(state, state.track, now)
+        if not self._accepts(state, fit):
+            return None
+        return self._with_dense(frame, *self._update(state, now, fit, reinitialised=False))
+
+    def miss(self, state: State, frame: Frame, rng: np.random.Generator) -> tuple[State, Estimate]:
+        """Advance by a frame in which the head counts as lost, without a search."""
+        state, prepared = self._faces.prepare(state, frame)
+        waiting = replace(state, lost=max(state.lost, 1))
+        return self._with_dense(frame, *self._coast(waiting, SeededFrame(prepared, rng)))
+
     def learned(self, state: State, *, for_second_pass: bool = False) -> Learned:
         """Return the learned face as arrays by name; empty while no face is known."""
-        known = self._faces.is_known(state)
-        return self._faces.export_model(state, for_second_pass=for_second_pass) if known else {}
+        if not self._faces.is_known(state):
+            return {}
+        learned = self._faces.export_model(state, for_second_pass=for_second_pass)
+        faces = KNOWN_FACES.to_arrays(state.dense) if for_second_pass else {}
+        return learned | {joined(DENSE, name): array for name, array in faces.items()}
 
     def not_found(self, state: State) -> str:
         """Summarise an unsuccessful search; empty once a head was found."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -15,7 +15,8 @@ from posetrack_cli.head.actions import MEAN_DISPLACEMENTS
 from posetrack_cli.head.adjustment.adjuster import Adjuster
 from posetrack_cli.head.adjustment.focal_length import focal_length_check
 from posetrack_cli.head.config import HeadMonoConfig, PersonSettings
-from posetrack_cli.head.detection.detector import FaceDetector
+from posetrack_cli.head.dense.face import DenseFaces
+from posetrack_cli.head.detection.detector import CERTAIN, FaceDetector
 from posetrack_cli.head.face.points import (
     UNSCALED,
     HeadPose,
@@ -37,9 +38,11 @@ from posetrack_cli.head.initialisation.mono import (
 from posetrack_cli.head.initialisation.search import InitFailure
 from posetrack_cli.head.initialisation.single_view import pose_near
 from posetrack_cli.head.landmarks.faces import LandmarkFile, Landmarks
+from posetrack_cli.head.lens.lens import EstimatedLens
 from posetrack_cli.head.multilinear.face_model import FaceModel, load_face_model
 from posetrack_cli.head.particles.particles import velocity_between
-from posetrack_cli.head.subject import MONO_TRACK, MonoDiagnostics
+from posetrack_cli.head.skin.map import MatchedSkin
+from posetrack_cli.head.subject import MONO_TRACK, SIGN_NAMES, MonoDiagnostics, mono_diagnostic_names
 from posetrack_cli.head.tracker.codecs import (
     FOCAL_PX,
     MonoState,
@@ -53,7 +56,7 @@ from posetrack_cli.head.tracker.codecs import (
 )
 from posetrack_cli.head.tracker.face_learning import off_axis_deg, shift_of
 from posetrack_cli.head.tracker.frame_tracker import MONO, MONO_WITH_SKIN, FrameFit, SeededFrame, TrackState
-from posetrack_cli.head.tracker.head_tracker import FaceDescription, HeadTracker
+from posetrack_cli.head.tracker.head_tracker import FaceDescription, HeadTracker, without_dense
 from posetrack_cli.head.tracker.person import (
     CORNERS_SD_MM,
     PRIOR_SD,
@@ -80,6 +83,8 @@ changes the image like a cut but stays near its place."""
 RECOGNITION_SHARE = 0.85
 """After a cut, share of the usual score that a known person must reach. Until then the face is tracked
 without learning."""
+RESEMBLANCE_SHARE = 0.75
+"""Share of the usual score that the only person must reach to be found again among others."""
 LEAST_SIMILARITY = 0.2
 """Minimum score for following a face at the last place and size without its templates, which do not match a
 turned or blurred face."""
@@ -96,6 +101,8 @@ CANDIDATE_SPAN_S = 2.0
 """Longest time span of the frames that initialise a face."""
 CHECK_EVERY_S = 0.5
 """Minimum time between detections in frames with a poor fit."""
+BEGIN_AGAIN_S = 0.2
+"""Minimum time between detections while the person was begun from a turned face."""
 POSITION_TIMEOUT_S = 1.0
 """After this time without the face, it may return anywhere in the image."""
 
@@ -124,6 +131,8 @@ class MonoPeople:
         known: exported people and templates to start from.
         landmarks: of the recorded images, from another program.
         systematic_sd: (6,) standard deviations of the systematic error of a track.
+        lens: uncertainty of the camera if its focal length was estimated.
+        follows_one: another person is not tracked, even after a cut.
 
     Raises:
         UsageError: a face detector without its model.
@@ -141,8 +150,11 @@ class MonoPeople:
         known: Arrays | None = None,
         landmarks: LandmarkFile | None = None,
         systematic_sd: FloatArray = MONO_TRACK.systematic_sd,
+        lens: EstimatedLens | None = None,
+        follows_one: bool = False,
     ) -> None:
-        self._config, self._recorded, self._model = config, camera, model
+        self._config, self._recorded, self._model, self._lens = config, camera, model, lens
+        self._follows_one = follows_one
         self._systematic_sd = systematic_sd
         self._landmarks = landmarks
         self._pupil_distance = interpupillary_distance(config.person)
@@ -153,6 +165,11 @@ class MonoPeople:
         self._people = people_codec(model, config.adjustment)
         self.codec: Codec[MonoState] = mono_codec(self._people)
         self._first = self._known_state(known) if known else MonoState(scale=self._clicked_scale())
+
+    @property
+    def identity_size(self) -> int:
+        """Number of identity coefficients."""
+        return self._model.identity_size
 
     def start(self) -> MonoState:
         """Return the state before the first frame."""
@@ -173,9 +190,13 @@ class MonoPeople:
         """Whether a person has been learned."""
         return bool(state.people)
 
+    def person_index(self, state: MonoState) -> int:
+        """Return the index of the current person."""
+        return state.current
+
     def detect(self, state: MonoState, frame: SeededFrame) -> DetectedFace | InitFailure:
         """Detect a face, near the last position unless that is outdated."""
-        return self._detect_near(state, frame, self._last_pixels(state, frame))
+        return self._detect_near(state, frame.frame, self._last_pixels(state, frame), thoroughly=False)
 
     def begin(self, state: MonoState, frame: SeededFrame) -> tuple[MonoState, FrameFit | InitFailure]:
         """Detect a new person.
@@ -198,6 +219,11 @@ class MonoPeople:
         After a blink or a smile points may slide to places from which they do not return. Landmarks detect
         that even where the fit's score does not.
         """
+        if state.is_provisional and frame.stamp_ns - state.checked_ns >= BEGIN_AGAIN_S * 1e9:
+            state = replace(state, checked_ns=frame.stamp_ns)
+            begun = self._begin_again(state, track, frame)
+            if begun is not None:
+                return begun
         fitter, settings = self._pipeline(state).fitter, self._config.status
         here = self._enlarged(state, frame, self._pixels_of(state, track))
         fit = self._or_whole_face_fit(state, track, here, fitter.fit(state.person, track, here))
@@ -269,12 +295,16 @@ class MonoPeople:
             fit = fitter.fit_detection(state.people[index], found, last_seen_ns, frame)
             last = fit if last is None else last
             yield state.switch_person(index, frame.index), fit
-        if last is not None and last.score > LEAST_SIMILARITY and not self._is_elsewhere(state, found):
+        if last is None or self._follows_one:  # a place is no evidence where heads cross
+            return
+        if last.score > LEAST_SIMILARITY and not self._is_elsewhere(state, found):
             yield state, self._pipeline(state).fitter.fit_anchored(state.person, found, last_seen_ns, frame)
 
     def least_score(self, state: MonoState) -> float:
         """Return the minimum score of a tracked face, higher for some time after a cut."""
         least = self._config.status.tracking_above
+        if self._follows_one and state.lost:
+            least = max(least, RESEMBLANCE_SHARE * state.person.mean_score)
         # soon after a cut poorly matching frames are not learned from, so the usual threshold is safe
         if not state.cut or state.strange < self._patience(state):
             return least
@@ -285,11 +315,12 @@ class MonoPeople:
         if off_axis_deg(found.pose) > NEW_PERSON_OFF_AXIS_DEG:
             return state, False
         state = replace(state, strange=state.strange + 1, elsewhere=self._is_elsewhere(state, found))
-        return state, state.strange >= self._patience(state)
+        return state, state.strange >= self._patience(state) and not self._follows_one
 
     def _patience(self, state: MonoState) -> int:
         """Return the number of frames after which an unknown face becomes a new person."""
-        return NEW_PERSON_FRAMES_AFTER_CUT if state.cut and state.elsewhere else NEW_PERSON_FRAMES
+        is_quick = state.cut and state.elsewhere and not self._follows_one
+        return NEW_PERSON_FRAMES_AFTER_CUT if is_quick else NEW_PERSON_FRAMES
 
     def _is_elsewhere(self, state: MonoState, found: DetectedFace) -> bool:
         """Whether a face is away from the last position of the head or of another size."""
@@ -348,7 +379,10 @@ class MonoPeople:
 
     def regression(self, reported: FrameFit) -> Regression:
         """Return the confidence model for a frame."""
-        return MONO if reported.unmatched is None else MONO_WITH_SKIN
+        regression = MONO if reported.unmatched is None else MONO_WITH_SKIN
+        if self._lens is None:
+            return regression
+        return regression._replace(most=self._lens.share_right(reported.track.pose))
 
     def describe(self, state: MonoState, fit: FrameFit | None) -> FaceDescription:
         """Return deformation and diagnostics of a frame."""
@@ -362,12 +396,23 @@ class MonoPeople:
 
     def _systematic_variance(self, state: MonoState, fit: FrameFit) -> FloatArray:
         """Return the (6,) variances of the systematic error, which grow while the brows are raised."""
-        size = state.person.size if state.people else None
-        variance = size_and_systematic_variance(fit.track.pose, self._systematic_sd, size)
+        pose, size = fit.track.pose, state.person.size if state.people else None
+        variance = size_and_systematic_variance(pose, self._systematic_sd, size)
+        if self._lens is not None:
+            variance += self._lens.variance(pose)
         if not state.people:
             return variance
         neutral = state.person.shape.mean - MEAN_DISPLACEMENTS
         return variance + MONO_TRACK.expression_variance(fit.track.shape - neutral)
+
+    def matched_skin(self, state: MonoState) -> tuple[MatchedSkin, Camera] | None:
+        """Return the skin of the person seen most and the camera of its images; None with too few frames."""
+        if not state.people:
+            return None
+        adjuster = self._pipeline(state).adjuster
+        person = max(state.people, key=lambda one: len(one.skin.views)).adjusted_over_album(adjuster)
+        matched = person.matched_skin(adjuster)
+        return None if matched is None else (matched, adjuster.camera)
 
     def export_model(self, state: MonoState, *, for_second_pass: bool) -> Learned:
         """Return the learned people and the focal length at which they were observed."""
@@ -388,8 +433,13 @@ class MonoPeople:
             f"person {who} is tracked from frame {frame} on (the first person is 0)"
             for frame, who in state.changes
         )
-        check = focal_length_check(state.person, self._pipeline(state).adjuster, state.scale or UNSCALED)
-        return (*people, *check, *self._size_warning(state))
+        return (*people, *self._focal_length_warning(state), *self._size_warning(state))
+
+    def _focal_length_warning(self, state: MonoState) -> tuple[str, ...]:
+        """Warn about wrong intrinsics, unless they were estimated."""
+        if self._lens is not None:
+            return ()
+        return focal_length_check(state.person, self._pipeline(state).adjuster, state.scale or UNSCALED)
 
     def _size_warning(self, state: MonoState) -> tuple[str, ...]:
         """Warn if the interpupillary distance implies an unlikely size of the first person."""
@@ -406,7 +456,10 @@ class MonoPeople:
             return self._begin_with_clicks(self._clicked, state, frame)
         initialiser = self._pipeline(state).initialiser
         state = state.drop_before(frame.stamp_ns - round(CANDIDATE_SPAN_S * 1e9))
-        found = self._detect_near(state, frame, state.candidates[-1].pixels if state.candidates else None)
+        near = state.candidates[-1].pixels if state.candidates else None
+        # after the first frame, frames without a face are searched quickly
+        fresh = not state.search.frames or state.scale is not None
+        found = self._detect_near(state, frame.frame, near, thoroughly=fresh or near is not None)
         if isinstance(found, InitFailure):
             return state, found
         frame = self._enlarged(state, frame, found.pixels)
@@ -422,6 +475,28 @@ class MonoPeople:
         if isinstance(start, InitFailure):
             return state.clear_candidates(), start
         return self._found(state, start, frame)
+
+    def _begin_again(
+        self, state: MonoState, track: TrackState, frame: SeededFrame
+    ) -> tuple[MonoState, FrameFit] | None:
+        """Replace a person begun from a turned face once the face looks at the camera **[ours]**.
+
+        Half of the points of a turned face are hidden, so that its person and templates are poor. None if it
+        does not look at the camera.
+        """
+        found = self._detect_near(state, frame.frame, self._pixels_of(state, track), thoroughly=False)
+        if isinstance(found, InitFailure) or found.score < CERTAIN:
+            return None
+        initialiser, frame = self._pipeline(state).initialiser, self._enlarged(state, frame, found.pixels)
+        start = initialiser.initialise((found,))
+        turned = off_axis_deg(found.pose) > NEW_PERSON_OFF_AXIS_DEG
+        if isinstance(start, InitFailure) or turned:
+            return None
+        search = state.search.failed(InitFailure("face turned away", found.score))
+        kept = {name: getattr(state, name) for name in ("scale", "first_ns", "scene", "evidence", "record")}
+        begun = replace(self._first, search=search, **kept)
+        begun = begun.with_candidate(found, initialiser.templates(frame.frame, found, start))
+        return self._found(begun, start, frame)
 
     def _begin_with_clicks(
         self, clicked: ClickedPoints, state: MonoState, frame: SeededFrame
@@ -469,14 +544,15 @@ class MonoPeople:
         return pixels
 
     def _detect_near(
-        self, state: MonoState, frame: SeededFrame, near: FloatArray | None
+        self, state: MonoState, frame: Frame, near: FloatArray | None, *, thoroughly: bool
     ) -> DetectedFace | InitFailure:
         """Detect a face; small faces in the unscaled image, as magnification adds no information."""
         scale = state.scale or UNSCALED
         if scale <= UNSCALED:
-            return self._pipeline(state).initialiser.detect(frame.frame, near)
+            return self._pipeline(state).initialiser.detect(frame, near, thoroughly=thoroughly)
         recorded = None if near is None else scaled_pixels(near, 1.0 / scale)
-        found = self._pipeline_at(UNSCALED).initialiser.detect(frame.frame, recorded)
+        unscaled = self._pipeline_at(UNSCALED).initialiser
+        found = unscaled.detect(frame, recorded, thoroughly=thoroughly)
         if isinstance(found, InitFailure):
             return found
         pixels, camera = scaled_pixels(found.pixels, scale), self._pipeline(state).adjuster.camera
@@ -579,7 +655,7 @@ def size_and_systematic_variance(pose: HeadPose, systematic_sd: FloatArray, size
 MonoTracker: TypeAlias = HeadTracker[MonoState, DetectedFace]
 
 
-def make_mono_tracker(
+def make_mono_people(
     config: HeadMonoConfig,
     camera: Camera,
     known: Arrays | None = None,
@@ -588,8 +664,10 @@ def make_mono_tracker(
     clicked: Path | None = None,
     landmarks: LandmarkFile | None = None,
     systematic_sd: FloatArray = MONO_TRACK.systematic_sd,
-) -> MonoTracker:
-    """Create the tracker of a run.
+    lens: EstimatedLens | None = None,
+    follows_one: bool = False,
+) -> MonoPeople:
+    """Create the one-camera part of a run's tracker.
 
     Args:
         config: of the run; names the face model's file.
@@ -599,24 +677,34 @@ def make_mono_tracker(
         clicked: table of points in the first frame; without it the face is detected there as well.
         landmarks: of the recorded images, from another program.
         systematic_sd: (6,) standard deviations of the systematic error of a track.
+        lens: uncertainty of the camera if its focal length was estimated.
+        follows_one: another person is not tracked, even after a cut.
 
     Raises:
         UsageError, ResultError: a file is missing or invalid.
         PosetrackError: invalid clicked points.
     """
-    model = load_face_model(None if config.model.file is None else Path(config.model.file))
-    points = None if clicked is None else ClickedPoints.read(clicked, (camera,))
-    people = MonoPeople(
+    return MonoPeople(
         config,
         camera,
-        model,
+        load_face_model(None if config.model.file is None else Path(config.model.file)),
         choice=face,
-        clicked=points,
-        known=known,
+        clicked=None if clicked is None else ClickedPoints.read(clicked, (camera,)),
+        known=None if known is None else without_dense(known),
         landmarks=landmarks,
         systematic_sd=systematic_sd,
+        lens=lens,
+        follows_one=follows_one,
     )
-    return HeadTracker(people)
+
+
+def make_mono_tracker(
+    config: HeadMonoConfig, camera: Camera, known: Arrays | None = None, **options: Any
+) -> MonoTracker:
+    """Create the tracker of a run; see ``make_mono_people``."""
+    people = make_mono_people(config, camera, known, **options)
+    names = (*mono_diagnostic_names(people.identity_size), *SIGN_NAMES)
+    return HeadTracker(people, DenseFaces((camera,), names) if config.face.use else None, known)
 
 
 def _known_scale(known: Arrays, scaling: Scaling) -> float:

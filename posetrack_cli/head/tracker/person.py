@@ -27,8 +27,8 @@ from posetrack_cli.head.initialisation.single_view import pose_of
 from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.head.particles.particles import velocity_between
 from posetrack_cli.head.refinement.refine import KEYFRAME_CORRELATION, KEYFRAME_NEUTRAL_MM, LEAST_DEVIATION_MM
-from posetrack_cli.head.skin.map import SkinMap, cut_view, make_map, pose_on_map
-from posetrack_cli.head.skin.matching import EVERY_NS, MOST_VIEWS, SkinAlbum
+from posetrack_cli.head.skin.map import MatchedSkin, SkinMap, cut_view, make_map, match_skin, pose_on_map
+from posetrack_cli.head.skin.matching import EVERY_NS, MOST_VIEWS, SkinAlbum, SkinView
 from posetrack_cli.head.tracker.face_learning import off_axis_deg
 from posetrack_cli.head.tracker.frame_tracker import (
     FrameFit,
@@ -259,18 +259,28 @@ class KnownPerson:
         )
 
     def with_skin_map(self, adjuster: Adjuster) -> KnownPerson:
-        """Return the person with a skin map for a second pass over the same images **[ours]**.
-
-        The frames' poses are first adjusted to the person as now known.
-        """
-        shown, bare = self.skin.views, self.without_skin()
+        """Return the person with a skin map for a second pass over the same images **[ours]**."""
+        bare, shown = self.without_skin(), self._posed_skin(adjuster)
         if not shown:
             return bare
-        views = [one.view for one in shown]
+        return replace(bare, skin_map=make_map(shown, self._neutral(adjuster), adjuster.camera))
+
+    def matched_skin(self, adjuster: Adjuster) -> MatchedSkin | None:
+        """Return the skin matched in all kept frames; None with too few."""
+        shown = self._posed_skin(adjuster)
+        return match_skin(shown, self._neutral(adjuster), adjuster.camera) if shown else None
+
+    def _posed_skin(self, adjuster: Adjuster) -> list[SkinView]:
+        """Return the kept frames with poses adjusted to the person as now known."""
+        if not self.skin.views:
+            return []
+        views = [one.view for one in self.skin.views]
         adjusted = self._adjusted_views(views, adjuster, adjuster.settings.start_iterations)
-        posed = [replace(one, view=view) for one, view in zip(shown, adjusted.views, strict=True)]
-        shape = person_shape(adjuster.model, self.person).mean
-        return replace(bare, skin_map=make_map(posed, shape, adjuster.camera))
+        return [replace(one, view=view) for one, view in zip(self.skin.views, adjusted.views, strict=True)]
+
+    def _neutral(self, adjuster: Adjuster) -> FloatArray:
+        """Return the neutral face (K, 3), mm, in the scale of the views."""
+        return person_shape(adjuster.model, self.person).mean
 
     def without_skin(self) -> KnownPerson:
         """Return the person without data that is valid only for the images of one recording."""

@@ -14,6 +14,7 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.rigid import rigid_alignment
 from posetrack_cli.geometry.rotations import quaternions_from_matrices
 from posetrack_cli.head.config import HeadStereoConfig, ModelSettings
+from posetrack_cli.head.dense.face import DenseFaces
 from posetrack_cli.head.face.points import POINT_COUNT, HeadPose, rigid_model
 from posetrack_cli.head.face.templates import CAMERAS, TemplateSet, is_new_direction, take_templates
 from posetrack_cli.head.initialisation.clicked import ClickedInitialiser, ClickedPoints
@@ -26,7 +27,7 @@ from posetrack_cli.head.refinement.refine import (
     KEYFRAME_NEUTRAL_MM,
     refine_initial_depth,
 )
-from posetrack_cli.head.subject import STEREO_TRACK, StereoDiagnostics
+from posetrack_cli.head.subject import SIGN_NAMES, STEREO_TRACK, StereoDiagnostics, stereo_diagnostic_names
 from posetrack_cli.head.tracker.codecs import search_codec
 from posetrack_cli.head.tracker.face_learning import Ccipca, FaceLearning, new_face
 from posetrack_cli.head.tracker.frame_tracker import (
@@ -38,7 +39,7 @@ from posetrack_cli.head.tracker.frame_tracker import (
     TrackState,
     initial_fit,
 )
-from posetrack_cli.head.tracker.head_tracker import FaceDescription, HeadTracker, padded
+from posetrack_cli.head.tracker.head_tracker import FaceDescription, HeadTracker, padded, without_dense
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.columns import Arrays, LayoutError, counts, floats
 from posetrack_cli.tracking.confidence import Regression
@@ -119,6 +120,10 @@ class StereoFace:
     def is_known(self, state: StereoState) -> bool:
         """Whether the face has been learned."""
         return state.face is not None
+
+    def person_index(self, state: StereoState) -> int:
+        """Return 0: templates belong to one person."""
+        return 0
 
     def detect(self, state: StereoState, frame: SeededFrame) -> StereoInitialisation | InitFailure:
         """Detect a face in a frame."""
@@ -252,7 +257,10 @@ def make_stereo_tracker(
     else:
         points = ClickedPoints.read(clicked, cameras)
         initialiser = ClickedInitialiser(settings, cameras, points, faces)
-    return HeadTracker(StereoFace(config, cameras, initialiser, known))
+    model = None if known is None else without_dense(known)
+    names = (*stereo_diagnostic_names(components_of(config)), *SIGN_NAMES)
+    dense = DenseFaces(cameras, names) if config.face.use else None
+    return HeadTracker(StereoFace(config, cameras, initialiser, model), dense, known)
 
 
 StereoTracker: TypeAlias = HeadTracker[StereoState, StereoInitialisation]

@@ -71,7 +71,7 @@ class Place:
         if written != out.name.removesuffix(ENDING) or not complete:
             expected = "DATASET/sub-01_task-reach, optionally with ses, tracksys, acq and run"
             raise UsageError("not a name of BIDS", where=out, found=out.name, expected=expected)
-        given.setdefault("tracksys", re.sub("[^0-9A-Za-z]", "", subject.name) or "posetrack")
+        given.setdefault("tracksys", re.sub("[^0-9A-Za-z]", "", subject.frame) or "posetrack")
         place = cls(out.parent, {key: given[key] for key in ENTITIES if key in given})
         inside = place.folder.relative_to(out.parent).parts
         return (

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from itertools import repeat
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +41,23 @@ def csv_text(source: ExportSource) -> Iterator[str]:
     yield csv_of([[name for group in groups for name in group.names]])
     for block in blocks:
         yield csv_of(zip(*_cells(groups, block), strict=True))
+
+
+def tracks_csv_text(sources: Sequence[ExportSource]) -> Iterator[str]:
+    """Yield ``csv_text`` of several subjects, one after the other, with a first column ``track``.
+
+    Raises:
+        UsageError: the subjects have different columns.
+    """
+    headers = [[name for group in source.table for name in group.names] for source in sources]
+    if any(header != headers[0] for header in headers):
+        where = sources[0].result.path
+        raise UsageError("tracks have different columns", where=where, hint="export each with --of NAME")
+    yield csv_of([["track", *headers[0]]])
+    for source in sources:
+        for block in source.begun_blocks():
+            cells = _cells(source.table, block)
+            yield csv_of(zip(repeat(source.result.subject.label), *cells))
 
 
 def tum_text(source: ExportSource) -> Iterator[str]:

@@ -198,6 +198,7 @@ def header_values(source: ExportSource) -> dict[str, Any]:
         "finished": result.finished,
         "lost_frames": "in" if source.lost else "out",
         "subject": result.subject.name,
+        **({"label": result.subject.label} if result.subject.label else {}),
         "camera_frame": result.subject.camera_frame,
         "camera_axes": CAMERA_AXES,
         "cameras": [

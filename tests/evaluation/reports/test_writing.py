@@ -28,6 +28,7 @@ def measured(monkeypatch: pytest.MonkeyPatch) -> None:
         return result(name, 1.0 + NAMES.index(name), path=path)
 
     monkeypatch.setattr(assessment, "evaluate", made_up)
+    monkeypatch.setattr(Request, "labels_of", lambda request, path: ("",))
 
 
 def request(*names: str) -> Request:

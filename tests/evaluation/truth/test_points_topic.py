@@ -39,7 +39,7 @@ def with_truth(path: Path, messages: list[TruthMessage]) -> Path:
 
 
 def test_points_come_back_to_the_last_bit_and_nothing_else(tmp_path: Path) -> None:
-    result = read_result(with_truth(tmp_path / "r.mcap", list(points_messages(joints()))))
+    result = read_result(with_truth(tmp_path / "r.mcap", list(points_messages(joints(), "hand"))))
     truth = load_truth(result)
     assert truth is not None and truth.position is None and truth.quaternion is None and truth.shape is None
     np.testing.assert_array_equal(truth.points, joints().points)
@@ -48,7 +48,7 @@ def test_points_come_back_to_the_last_bit_and_nothing_else(tmp_path: Path) -> No
 
 
 def test_a_result_is_measured_by_them(tmp_path: Path) -> None:
-    path = with_truth(tmp_path / "r.mcap", list(points_messages(joints())))
+    path = with_truth(tmp_path / "r.mcap", list(points_messages(joints(), "hand")))
     found = evaluate(path)
     own = track_of_result(read_result(path), "r").points
     assert own is not None
@@ -60,7 +60,7 @@ def test_a_result_is_measured_by_them(tmp_path: Path) -> None:
 
 def test_points_in_another_order_are_matched_by_name(tmp_path: Path) -> None:
     turned = replace(joints(), point_names=HAND.point_names[::-1], points=joints().points[:, ::-1])
-    truth = load_truth(read_result(with_truth(tmp_path / "r.mcap", list(points_messages(turned)))))
+    truth = load_truth(read_result(with_truth(tmp_path / "r.mcap", list(points_messages(turned, "hand")))))
     assert truth is not None
     np.testing.assert_array_equal(truth.points, joints().points)
     assert truth.point_names == HAND.point_names
@@ -71,7 +71,7 @@ def test_a_recording_s_points_are_a_truth_given_by_path(tmp_path: Path) -> None:
     from posetrack_cli.mcap.sink import McapSink, SchemaText
 
     with McapSink(tmp_path / "in.mcap") as sink:
-        for message in points_messages(joints()):
+        for message in points_messages(joints(), "hand"):
             if message.log_time_ns == 0:
                 channel = sink.raw_channel(
                     message.topic, SchemaText(message.schema_name, "jsonschema", message.schema_data), "json"
@@ -93,7 +93,7 @@ def test_a_recording_s_points_are_a_truth_given_by_path(tmp_path: Path) -> None:
     ],
 )
 def test_damage_is_one_line_with_its_place(tmp_path: Path, change, told: str) -> None:
-    messages = list(points_messages(joints()))
+    messages = list(points_messages(joints(), "hand"))
     fields = json.loads(messages[2].data)
     change(fields)
     messages[2] = replace(messages[2], data=json.dumps(fields).encode())
@@ -105,12 +105,12 @@ def test_damage_is_one_line_with_its_place(tmp_path: Path, change, told: str) ->
 
 def test_points_of_another_hand_are_refused(tmp_path: Path) -> None:
     few = replace(joints(), point_names=HAND.point_names[:4], points=joints().points[:, :4])
-    result = read_result(with_truth(tmp_path / "r.mcap", list(points_messages(few))))
+    result = read_result(with_truth(tmp_path / "r.mcap", list(points_messages(few, "hand"))))
     with pytest.raises(TruthError, match="ground truth has other points than the result"):
         load_truth(result)
 
 
 def test_a_track_without_points_has_no_messages() -> None:
     with pytest.raises(TruthError, match="has no points"):
-        list(points_messages(replace(joints(), points=None)))
+        list(points_messages(replace(joints(), points=None), "hand"))
     assert points_topic(HEAD.name) == "/truth/head/points"

@@ -44,7 +44,7 @@ def frame_of(drawer: HandDrawer, track: Track, row: int = 1, camera: Camera = KI
 
 
 def picture_of(frame: Frame, *tracks: DrawnTrack, layout: str) -> np.ndarray:
-    drawing = Drawing(tracks, None, scale=1.0)
+    drawing = Drawing(tracks, (), scale=1.0)
     panels = DepthPanels(KINECT, drawing, DepthRange(500.0, 1000.0), layout)
     return panels.picture(drawing.at(frame, frame.stamp_ns))
 
@@ -52,7 +52,7 @@ def picture_of(frame: Frame, *tracks: DrawnTrack, layout: str) -> np.ndarray:
 def scene_of(
     frame: Frame, *tracks: DrawnTrack, camera: Camera = KINECT, truth: DrawnTrack | None = None
 ) -> DepthScene:
-    drawing = Drawing(tracks, truth, scale=1.0)
+    drawing = Drawing(tracks, () if truth is None else (truth,), scale=1.0)
     panels = DepthPanels(camera, drawing, DepthRange(500.0, 1000.0))
     return panels.scene(drawing.at(frame, frame.stamp_ns))
 

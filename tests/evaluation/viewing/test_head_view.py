@@ -12,9 +12,10 @@ import pytest
 
 from posetrack_cli.cli.main import run
 from posetrack_cli.evaluation.reading.recording_of import required_recording
-from posetrack_cli.evaluation.viewing.drawing import AXIS_COLOURS, AXIS_MM, LOST, SKIN, TRUTH
+from posetrack_cli.evaluation.viewing.drawing import AXIS_COLOURS, AXIS_MM, LOST, SKIN, TOGETHER, TRUTH
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.subject import head_subject
+from posetrack_cli.mcap.stream import McapFile
 from posetrack_cli.recording.base import TruthMessage
 from posetrack_cli.recording.camera_file import camera_file_text
 from posetrack_cli.recording.opening import open_recording
@@ -132,6 +133,34 @@ def test_truth_and_estimate_are_both_seen(
         for x, y in np.rint(4 * (seen(CAMERAS[0], points, bent=False) + 0.5)).astype(int):
             around = picture[y - 1 : y + 2, x - off_px - 1 : x - off_px + 2].reshape(-1, 3)
             assert np.abs(around.astype(int) - colour).max(axis=1).min() <= 30
+
+
+def test_several_heads_are_drawn_into_one_picture(recording: Path, tmp_path: Path) -> None:
+    opened = open_recording(recording, "grey", fps=FPS)
+    record = {f"input.{key}": value for key, value in opened.identity().items()} | {"configuration": "{}"}
+    subjects = [replace(head_subject("left", 0), label=label) for label in "12"]
+    middle = np.array([0.0, 0.0, 600.0])
+    # two heads of half the size, the second with points between those of the first
+    shown = [
+        replace(estimate(0, Status.TRACKING), points=scale * (POINTS - middle) + middle) for scale in (1, 0.5)
+    ]
+    path = tmp_path / "two.mcap"
+    with ResultWriter(path, subjects, CAMERAS[0], record, others=CAMERAS[1:]) as writer:
+        writer.write_frame(shown)
+        writer.finish({})
+    assert view(path, "-o", tmp_path / "p", "--recording", recording, "--zoom", 1) == 0
+    picture = cv2.imread(str(tmp_path / "p" / "frame_000000.png"))
+    assert picture.shape[1] == 640
+    for one, colour in zip(shown, TOGETHER, strict=False):
+        x, y = np.rint(seen(CAMERAS[0], one.points, bent=False)[0]).astype(int)
+        assert np.abs(picture[y, x].astype(int) - colour).max() <= 30
+    assert view(path, "-o", tmp_path / "one", "--recording", recording, "--zoom", 1, "--of", "2") == 0
+    alone = cv2.imread(str(tmp_path / "one" / "frame_000000.png"))
+    assert len(alone) < len(picture)
+    assert view(path, path, "-o", tmp_path / "p2", "--recording", recording) == 2
+    assert view(path, "-o", tmp_path / "p.mcap", "--recording", recording) == 0
+    topics = {channel.topic for _, channel in McapFile(tmp_path / "p.mcap").channels()}
+    assert {"/head/1/points", "/head/2/points"} <= topics
 
 
 def test_axes_point_where_the_head_does(result: Callable[..., Path], recording: Path, tmp_path: Path) -> None:

@@ -12,7 +12,8 @@ from posetrack_cli import limits
 from posetrack_cli.errors import PosetrackError, UsageError
 from posetrack_cli.head.config import DetectionSettings
 from posetrack_cli.head.detection.detector import FaceDetector
-from posetrack_cli.head.detection.finders import ROTATIONS, FaceGuess, HaarFaces, YunetFaces, find_rotated
+from posetrack_cli.head.detection.finders import FaceGuess, HaarFaces, YunetFaces
+from posetrack_cli.head.detection.search import ROTATIONS, SearchedImage, Way
 from posetrack_cli.head.face.points import EYES, MIRRORED
 
 # The detector's points lie within these of the truth's vertices, mm, once each point's constant offset is
@@ -136,25 +137,35 @@ def test_a_missing_model_and_a_file_that_is_none_are_refused(tmp_path: Path) -> 
 class Upright:
     """Finds a drawn face by the dark square above the bright one, where these stand upright."""
 
-    def find(self, image: np.ndarray) -> tuple[FaceGuess, ...]:
+    def find(self, image: np.ndarray, scale: float = 1.0) -> tuple[FaceGuess, ...]:
         dark, bright = (np.argwhere(mask).mean(axis=0)[::-1] for mask in (image < 40, image > 215))
-        upright = bright[1] - dark[1] > 0.95 * np.linalg.norm(bright - dark)
-        return (FaceGuess(dark, 20.0, 0.0, 0.9, (dark[None], dark[None])),) if upright else ()
+        upright = bright[1] - dark[1] > 0.97 * np.linalg.norm(bright - dark)
+        return (FaceGuess(dark, scale * 20.0, 0.0, 0.9, (dark[None], dark[None])),) if upright else ()
+
+    def find_turned(self, image: np.ndarray, scale: float = 1.0) -> tuple[FaceGuess, ...]:
+        return ()
 
 
-@pytest.mark.parametrize("degrees", [-60.0, -35.0, 30.0, 58.0])
-def test_a_rolled_face_is_found_where_it_is(degrees: float) -> None:
-    image, roll = np.full((160, 220), 128, np.uint8), np.radians(degrees)
-    dark = np.array([90.0, 70.0])
-    bright = dark + 40.0 * np.array([-np.sin(roll), np.cos(roll)])
+@pytest.mark.parametrize("degrees", [-60.0, -35.0, 30.0, 90.0, 179.0])
+@pytest.mark.parametrize("scale", [1.0, 0.5])
+def test_a_rolled_face_is_found_where_it_is(degrees: float, scale: float) -> None:
+    """By one of the rotations, which are 24 degrees apart; a reduced pixel is two recorded ones wide."""
+    image, roll = np.full((320, 440), 128, np.uint8), np.radians(degrees)
+    dark = np.array([180.0, 140.0])
+    bright = dark + 80.0 * np.array([-np.sin(roll), np.cos(roll)])
     for place, value in ((dark, 0), (bright, 255)):
         x, y = np.rint(place).astype(int)
-        image[y - 6 : y + 7, x - 6 : x + 7] = value
-    (found,) = find_rotated(Upright(), image, (0.0, *ROTATIONS))
-    np.testing.assert_allclose(found.middle, dark, atol=1.0)
-    np.testing.assert_allclose(found.eyes[0][0], dark, atol=1.0)
-    assert abs(np.degrees(found.roll) - degrees) < 17.0 + 1.2
-    assert not find_rotated(Upright(), image, (roll + np.pi,))
+        image[y - 12 : y + 13, x - 12 : x + 13] = value
+    searched = SearchedImage.part(image, scale**2 * image.size)
+    found = [face for turn in ROTATIONS for face in searched.faces(Upright(), Way(roll=turn))]
+    assert found
+    for face in found:
+        np.testing.assert_allclose(face.middle, dark, atol=1.0 / scale)
+        np.testing.assert_allclose(face.eyes[0][0], dark, atol=1.0 / scale)
+        assert face.eye_distance == pytest.approx(20.0)
+        off = (np.degrees(face.roll) - degrees + 180.0) % 360.0 - 180.0
+        assert abs(off) < 14.1 + 1.2  # arccos .97, and a pixel
+    assert not list(searched.faces(Upright(), Way(roll=roll + np.pi)))
 
 
 def test_an_opencv_without_cascades_is_named_with_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

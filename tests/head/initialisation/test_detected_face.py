@@ -116,13 +116,16 @@ def test_of_two_people_the_nearer_or_the_other_is_found(measured_data: Path) -> 
     image = two_people(measured_data)
     camera = Camera(image.shape[1], 480, 1000.0, 1000.0, 320.0, 240.0)
     detector, frame = FaceDetector(), Frame(0, 0, (image,))
-    first, second = (initialiser(camera, detector, choice).detect(frame) for choice in (0, 1))
+    first, second = (
+        initialiser(camera, detector, choice).detect(frame, thoroughly=True) for choice in (0, 1)
+    )
     assert not isinstance(first, InitFailure)
     assert not isinstance(second, InitFailure)
     assert first.pixels[EYES, 0].max() < 640 < second.pixels[EYES, 0].min()
     again = initialiser(camera, detector).detect(frame, near=second.pixels + 3.0)
     assert not isinstance(again, InitFailure)
-    np.testing.assert_array_equal(again.pixels, second.pixels)
+    # the search near it starts from another box: corners agree to a pixel or two
+    np.testing.assert_allclose(again.pixels, second.pixels, atol=2.0)
 
 
 # Slopes of the segments between left and right points: what changes them and what does not

@@ -19,6 +19,7 @@ from posetrack_cli.head.skin.equations import (
     POSE_SD,
     TAIL,
     Observations,
+    SkinPrior,
     _solve,
     adjust_pose,
     adjust_skin,
@@ -74,7 +75,7 @@ class Case:
         return observations(self.views, self.of_points, self.rays, len(self.points))
 
     def run(self, steps: int) -> tuple[HeadPose, np.ndarray]:
-        return adjust_skin(self.observed, self.told, self.surface, F, steps)
+        return adjust_skin(self.observed, SkinPrior(self.told, self.surface), F, steps)
 
     def terms(self, poses: HeadPose, points: np.ndarray) -> np.ndarray:
         """Residuals of which half the sum of squares is E: Cauchy's loss as if it were a square."""
@@ -259,7 +260,7 @@ def test_a_step_solves_the_dense_normal_equations(seed: int, views: int, points:
     assume(len(case.rays))
     poses, skin = case.moved(case.told, case.surface, 0.2 * case.units * rng.normal(size=len(case.units)))
     equations, moves = make_equations(views, case.observed), np.empty_like(skin)
-    turns = _solve(case.observed, poses, skin, case.told, case.surface, F, equations)
+    turns = _solve(case.observed, poses, skin, SkinPrior(case.told, case.surface), F, equations)
     move_points(case.observed, equations, turns, moves)
     wanted = np.linalg.solve(*dense(case, poses, skin)) / case.units
     found = np.concatenate([turns.ravel(), moves.ravel()]) / case.units

@@ -58,7 +58,12 @@ STATES = {
         record=TrackRecord(frames=9, doubtful=2, gap_ns=10**9, gap_frame=4, last_frame=8),
     ),
     "another person": replace(
-        KNOWN, people=(ONE, TWO, random_known(7, MODEL)), current=2, track=TRACK, changes=((7, 1), (16, 2))
+        KNOWN,
+        people=(ONE, TWO, random_known(7, MODEL)),
+        current=2,
+        track=TRACK,
+        changes=((7, 1), (16, 2)),
+        begun_frame=3,
     ),
     "after a cut": replace(
         KNOWN,

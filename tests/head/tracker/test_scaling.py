@@ -84,6 +84,12 @@ class Told:
         guess = FaceGuess(pixels[:4].mean(axis=0), 63.0 * per_mm, 0.0, 0.9)
         return Detection((FacePoints(pixels, np.full(POINT_COUNT, 0.9), per_mm, np.zeros(3), guess),), 0.9)
 
+    def detect_quickly(self, image: np.ndarray, index: int, *, wanted: int = 1) -> Detection:
+        return self.detect(image, wanted=wanted)
+
+    def detect_near(self, image: np.ndarray, pixels: np.ndarray) -> Detection:
+        return self.detect(image)
+
 
 class Scene:
     """A tracker of the drawn face, in images of so much of their size."""

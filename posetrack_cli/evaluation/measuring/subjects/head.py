@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from posetrack_cli.evaluation.measuring.face_metrics import FACE_METRICS
 from posetrack_cli.evaluation.measuring.head_metrics import (
     HEAD_POSE,
     STATE_PARTS,
@@ -11,6 +12,7 @@ from posetrack_cli.evaluation.measuring.head_metrics import (
 from posetrack_cli.evaluation.measuring.measures import Matched, Measures, Metric
 from posetrack_cli.evaluation.measuring.subjects.kind import SubjectKind
 from posetrack_cli.head.actions import ACTION_NAMES
+from posetrack_cli.head.dense.numbers import MEASURED_SHARES
 from posetrack_cli.head.subject import RIGHT_DEG, RIGHT_MM
 from posetrack_cli.results.reader import Result
 
@@ -55,6 +57,7 @@ _METRICS = (
         "annotated outer eye corners.",
         spoken="normalised mean landmark error",
     ),
+    *FACE_METRICS,
 )
 
 
@@ -88,5 +91,5 @@ HEAD = SubjectKind(
     right={"rotation_deg": RIGHT_DEG, "point_error_mm": RIGHT_MM},
     far={"rotation_deg": FAR_DEG},
     measure_of_result=_landmarks,
-    expressions=tuple(name for name in ACTION_NAMES if not name.endswith("_sd")),
+    expressions=(*(name for name in ACTION_NAMES if not name.endswith("_sd")), *MEASURED_SHARES),
 )

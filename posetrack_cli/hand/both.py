@@ -1,0 +1,142 @@
+"""Whether a recording shows both hands of a person, and the shape that these share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from itertools import islice
+from typing import NamedTuple
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.errors import RecordingError
+from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.fit.gauss_newton import STIFF_THUMB
+from posetrack_cli.hand.model.hand import hand_maker
+from posetrack_cli.hand.search import Acquisition, Candidate, cheapest_pair, detection_penalty
+from posetrack_cli.hand.shape_fit import Calibration, CalibrationOptions, combined, shape_of
+from posetrack_cli.phases import phase
+from posetrack_cli.recording.base import Frame
+from posetrack_cli.recording.recording import Recording
+
+SIDES = ("right", "left")
+BOTH, ONE_OF_TWO = "2", "1 of 2"
+"""Values of ``hand.count`` with two hands in view."""
+QUICK_SEARCH = {"scattered": 4, "finished": 3}
+"""Settings of a search for comparisons that do not need the last 0.1 mm."""
+FRAMES = 16
+"""Frames of the whole recording that are searched for two hands."""
+SECOND_MM = 10.0
+"""Largest total cost of the costlier of two hands **[ours]**.
+
+In recordings of one hand, faces, elbows and backgrounds cost at least 13.8 mm as a second one (16 in real
+ones); in every recording of two hands some frame costs less than 7 mm.
+"""
+LIKELY_MM = 15.0
+"""Likewise in a recording that is known to show two hands."""
+_LEAST_COST_MM = 2.5
+"""Cost of the best fits of an average hand of the right size."""
+
+
+class PairFrame(NamedTuple):
+    """A frame with two hands.
+
+    Attributes:
+        frame: the frame.
+        wrists: (3,) of the right and of the left hand, mm.
+    """
+
+    frame: Frame
+    wrists: tuple[FloatArray, FloatArray]
+
+
+class PairFinder:
+    """Finds frames with a right and a left hand, over the whole recording.
+
+    Args:
+        recording: depth frames.
+        config: of hand and search.
+        scale: of the hands.
+        start: first frame.
+    """
+
+    def __init__(self, recording: Recording, config: HandConfig, scale: float, start: int) -> None:
+        self._finders = [_finder(config, side, scale, recording) for side in SIDES]
+        count = recording.frame_count
+        stride = FRAMES if count is None else max(1, (count - start) // FRAMES)
+        self._recording, self._start, self._stride = recording, start, stride
+
+    @property
+    def shows_two(self) -> bool:
+        """Whether some frame clearly shows two hands."""
+        return any(self._pairs("looking for a second hand", SECOND_MM))
+
+    @property
+    def frames(self) -> list[PairFrame]:
+        """The frames that probably show both of two hands."""
+        return list(self._pairs("finding both hands", LIKELY_MM))
+
+    def _pairs(self, name: str, limit_mm: float) -> Iterator[PairFrame]:
+        frames = self._recording.frames(start=self._start, end=None, stride=self._stride)
+        with phase(name, "frame", FRAMES) as advance:
+            for frame in islice(frames, FRAMES):
+                pair = self._pair_in(frame, limit_mm)
+                if pair is not None:
+                    yield pair
+                advance(1)
+
+    def _pair_in(self, frame: Frame, limit_mm: float) -> PairFrame | None:
+        """Return a frame's two hands, each with a total cost below a limit; None without them."""
+        likely = [
+            (penalty, detection)
+            for detection in self._finders[0].detect(frame.depth)
+            if (penalty := detection_penalty(detection)) < limit_mm - _LEAST_COST_MM
+        ]
+        found: list[list[Candidate]] = [[], []]
+        places = len(likely)
+        # the least likely first: without a second hand, the fits of the first one are not needed
+        for _, detection in sorted(likely, key=lambda one: -one[0]):
+            if places < len(SIDES):
+                return None
+            fits = [finder.candidates_at(frame.depth, [detection]) for finder in self._finders]
+            good = [[one for one in these if one.total_cost < limit_mm] for these in fits]
+            places -= not any(good)
+            found = [known + more for known, more in zip(found, good, strict=True)]
+        right, left = cheapest_pair(*found)
+        return None if right is None or left is None else PairFrame(frame, (right.pose[:3], left.pose[:3]))
+
+
+def _finder(config: HandConfig, side: str, scale: float, recording: Recording) -> Acquisition:
+    quick = config.acquisition.model_copy(update=QUICK_SEARCH)
+    never = config.status.model_copy(update={"doubt_above_mm": config.observation.clamp_mm})
+    config = config.model_copy(update={"acquisition": quick, "status": never})
+    hand = hand_maker(config.hand.mesh)(side, replace(config.hand.shape, scale=scale))
+    return Acquisition(config, hand, recording.cameras[0], STIFF_THUMB)
+
+
+def shape_of_both(
+    recording: Recording,
+    config: HandConfig,
+    found: Sequence[PairFrame],
+    is_usable: Callable[[Calibration], bool],
+) -> Calibration | None:
+    """Estimate the shape that two hands share; None if neither hand has a usable one.
+
+    Args:
+        recording: depth frames.
+        config: with the size of the hands.
+        found: frames that show both.
+        is_usable: whether to use the shape of one hand.
+    """
+    shapes = []
+    for side, name in enumerate(SIDES):
+        hand = config.hand.model_copy(update={"side": name})
+        places = [(pair.frame, pair.wrists[side]) for pair in found]
+        options = CalibrationOptions(side=name, places=places)
+        try:
+            one = shape_of(recording, config.model_copy(update={"hand": hand}), options)
+        except RecordingError:  # too few frames
+            continue
+        shapes += [one] if is_usable(one) else []
+    if len(shapes) == len(SIDES):
+        return combined(shapes[0], shapes[1], config.hand.mesh)
+    return shapes[0] if shapes else None

@@ -1,0 +1,1 @@
+"""Training of the dense facial points on rendered faces of ICT-FaceKit; see ``build``."""

@@ -1,0 +1,60 @@
+"""Recordings of few frames: stills, large strides, dropped frames."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from posetrack_cli.arrays import FloatArray
+from posetrack_cli.hand.config import StatusSettings
+from posetrack_cli.hand.policy import TrackMonitor
+from posetrack_cli.recording.base import Frame
+from posetrack_cli.rendering.port import RenderingDevice
+from posetrack_cli.results.estimate import Status
+from posetrack_cli.tracking.confidence import MEMORY, RunningSigns
+from support.hand_scene import HANDS, Stage, relaxed, tracker
+
+HAND = HANDS["right"]
+FIT_MM = 8.0
+"""Mean joint error of a clearly visible hand of known shape: measured 1 to 3 mm."""
+
+
+def stills() -> list[FloatArray]:
+    """A hand at another place in every image, half of the time a fist."""
+    places = ((-120.0, 40.0, 600.0), (110.0, 80.0, 750.0), (0.0, 20.0, 650.0), (-60.0, 90.0, 820.0))
+    poses = [relaxed(*place, turn=(0.1 * k, 0.2 - 0.1 * k, 0.3 * k)) for k, place in enumerate(places)]
+    for pose in poses[1::2]:
+        pose[[10, 12, 13, 15, 16, 18, 19, 21]] += 0.9
+    return poses
+
+
+@pytest.mark.parametrize("seconds", [0.2, 1.0])
+def test_a_hand_that_may_be_anywhere_after_a_gap_is_found_in_every_image(
+    device: RenderingDevice, seconds: float
+) -> None:
+    poses, stage, follower = stills(), Stage(device, HAND), tracker(device, HAND)
+    rng, state = np.random.default_rng(1), cast(Any, None)
+    for k, pose in enumerate(poses):
+        frame = Frame(k, round(k * seconds * 1e9), (stage.depth(pose),))
+        state = follower.start_unknown(relaxed(), frame, rng) if state is None else state
+        state, estimate = follower.step(state, frame, rng)
+        found = np.concatenate([estimate.position, estimate.quaternion, estimate.shape])
+        assert estimate.status is not Status.LOST and stage.error(found, pose) < FIT_MM
+
+
+def test_a_sign_after_a_gap_counts_like_as_many_equal_ones() -> None:
+    once = many = RunningSigns(np.array([1.0, -2.0]), 100)
+    new = np.array([3.0, 4.0])
+    for _ in range(6):
+        many = many.after(new)
+    np.testing.assert_allclose(once.after(new, 6).signs, many.signs, rtol=1e-12)
+    assert once.after(new).signs[0] == 1.0 + MEMORY * 2.0
+
+
+def test_a_miss_after_a_gap_counts_like_as_many_misses() -> None:
+    status = StatusSettings()
+    few = status.lost_after_frames - 1
+    assert not TrackMonitor().after_miss(status, few).lost
+    assert TrackMonitor().after_miss(status, status.lost_after_frames).lost

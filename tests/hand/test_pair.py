@@ -1,0 +1,175 @@
+"""Two hands in one recording: what each explains, who is who after a crossing, and their common shape."""
+
+from __future__ import annotations
+
+import filecmp
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from posetrack_cli.arrays import Float32Array, FloatArray
+from posetrack_cli.errors import UsageError
+from posetrack_cli.hand.autodetect import detect_hand
+from posetrack_cli.hand.both import PairFinder
+from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.fit.skeleton import NO_INNER
+from posetrack_cli.hand.model.anatomy import HandShape, PopulationSpace
+from posetrack_cli.hand.model.kinematics import joint_positions, mirrored_poses
+from posetrack_cli.hand.observe.others import HandDrawer, SeenHand, without_others
+from posetrack_cli.hand.run import HandRun, RunOptions
+from posetrack_cli.hand.shape_fit import combined
+from posetrack_cli.rendering.port import RenderingDevice
+from posetrack_cli.results import read_result
+from posetrack_cli.results.columns import Columns
+from posetrack_cli.results.topics import FILTERED, SMOOTHED, estimate_topic
+from support.calibrations import calibration_of
+from support.flat_recording import after
+from support.hand import KINECT
+from support.hand_scene import HANDS, WALL_MM, Drawn, Stage, relaxed
+
+FRAMES, FEW = 24, 12
+BOTH = HandConfig.model_validate(
+    {"hand": {"count": "2"}, "init": {"shape": "given"}, "output": {"flush_frames": 5, "mesh": "none"}}
+)
+NEAR_MM, FAR_MM = 600.0, 720.0
+FIT_MM = 8.0
+"""Mean joint error of a clearly visible hand of known shape with noise of 3 mm: measured 2 to 4 mm."""
+WRONG_MM = 20.0
+"""Mean joint error beyond which an estimate must not be tracked."""
+
+
+def crossing(t: float, reach: float = 110.0) -> tuple[FloatArray, FloatArray]:
+    """Poses (22,) of the right hand, in front, and of the left one at a time from 0 to 1."""
+    x = reach * np.cos(np.pi * t)
+    left = mirrored_poses(relaxed(x=x, z=FAR_MM)[None])[0]
+    return relaxed(x=x, z=NEAR_MM), left
+
+
+def seen(device: RenderingDevice, poses: Sequence[tuple[FloatArray, FloatArray]]) -> Drawn:
+    """What a sensor with noise of 3 mm sees of a right and a left hand."""
+    right, left = Stage(device, HANDS["right"]), Stage(device, HANDS["left"])
+    rng = np.random.default_rng(4)
+    depths = (np.minimum(right.depth(a), left.depth(b)) for a, b in poses)
+    return Drawn(tuple((one + rng.normal(0.0, 3.0, one.shape)).astype(np.float32) for one in depths))
+
+
+@pytest.fixture(scope="module")
+def poses() -> list[tuple[FloatArray, FloatArray]]:
+    return [crossing(t) for t in np.linspace(0.0, 1.0, FRAMES)]
+
+
+@pytest.fixture(scope="module")
+def recording(device: RenderingDevice, poses: list[tuple[FloatArray, FloatArray]]) -> Drawn:
+    return seen(device, poses)
+
+
+def joints(side: str, pose: FloatArray) -> FloatArray:
+    return joint_positions(HANDS[side].anatomy, pose[None])[0]
+
+
+def columns(path: Path, label: str, track: str = FILTERED) -> Columns:
+    """Estimates of one of the hands."""
+    result = read_result(path).of(label)
+    return result.columns(estimate_topic(result.subject.topic, track))
+
+
+def errors(path: Path, label: str, side: str, poses: Sequence[FloatArray]) -> FloatArray:
+    """Mean joint error (F,) of a track, mm."""
+    found = columns(path, label)["points"]
+    return np.array(
+        [
+            np.linalg.norm(one - joints(side, pose), axis=1).mean()
+            for one, pose in zip(found, poses, strict=True)
+        ]
+    )
+
+
+def test_a_reading_belongs_to_the_hand_whose_surface_is_nearest(device: RenderingDevice) -> None:
+    right, left = Stage(device, HANDS["right"]), Stage(device, HANDS["left"])
+    a, b = crossing(0.46)
+    near, far = right.depth(a), left.depth(b)
+    both: Float32Array = np.minimum(near, far)
+    of_right, of_left = (near < WALL_MM) & (near <= far), (far < WALL_MM) & (far < near)
+    assert of_left.any() and of_right.any() and ((near < WALL_MM) & (far < WALL_MM)).any()
+    hands = {
+        side: SeenHand(HandDrawer(device, HANDS[side], KINECT), pose, NO_INNER)
+        for side, pose in (("right", a), ("left", b))
+    }
+    masked = without_others(both, hands["right"], [hands["left"]], KINECT)
+    # readings at outlines may count for either hand
+    assert np.mean(masked[of_left] < 0.0) > 0.93 and np.mean(masked[of_right] < 0.0) < 0.01
+    assert np.all(masked[both == WALL_MM] > 0.0) and np.array_equal(np.abs(masked), both)
+    unsure = without_others(both, replace(hands["right"], is_sure=False), [hands["left"]], KINECT)
+    assert np.count_nonzero(unsure < 0.0) >= np.count_nonzero(masked < 0.0)
+    assert without_others(both, hands["right"], [], KINECT) is both
+
+
+def test_crossing_hands_keep_their_identity(
+    device: RenderingDevice, recording: Drawn, poses: list[tuple[FloatArray, FloatArray]], tmp_path: Path
+) -> None:
+    out = tmp_path / "r.mcap"
+    HandRun(recording, BOTH, RunOptions(out), device).track(lambda estimate: None)
+    assert read_result(out).labels == ("right", "left")
+    rights, lefts = ([pair[k] for pair in poses] for k in (0, 1))
+    assert errors(out, "right", "right", rights).max() < FIT_MM
+    left = errors(out, "left", "left", lefts)
+    lost = columns(out, "left")["status"] == "lost"
+    assert left[[0, 1, 2, -3, -2, -1]].max() < FIT_MM and not lost[-3:].any()
+    assert np.all(lost | (left < WRONG_MM))
+
+
+def test_one_of_two_hands_is_followed_through_a_crossing(
+    device: RenderingDevice, recording: Drawn, poses: list[tuple[FloatArray, FloatArray]], tmp_path: Path
+) -> None:
+    config = BOTH.model_copy(update={"hand": BOTH.hand.model_copy(update={"count": "1", "side": "left"})})
+    found = detect_hand(recording, config, 0)
+    assert found.config.hand.count == "1 of 2"
+    out = tmp_path / "r.mcap"
+    HandRun(recording, found.config, RunOptions(out), device).track(lambda estimate: None)
+    assert read_result(out).labels == ("",)
+    left = errors(out, "", "left", [pair[1] for pair in poses])
+    assert left[[0, -1]].max() < FIT_MM
+
+
+def test_an_interrupted_run_of_two_hands_goes_on_as_if_it_had_not_been(
+    device: RenderingDevice, recording: Drawn, tmp_path: Path
+) -> None:
+    whole, parts = tmp_path / "whole.mcap", tmp_path / "parts.mcap"
+    for out, stop, resume in ((whole, FEW + 1, False), (parts, 7, False), (parts, FEW + 1, True)):
+        options = RunOptions(out, smooth=True, resume=resume, end=FEW)
+        HandRun(recording, BOTH, options, device).track(lambda estimate: None, after(stop))
+    assert filecmp.cmp(whole, parts, shallow=False)
+    smoothed = columns(whole, "left", SMOOTHED)
+    assert len(smoothed["stamp_ns"]) == FEW
+
+
+def test_two_hands_are_counted_and_one_before_a_wall_is_not_two(
+    device: RenderingDevice, recording: Drawn, poses: list[tuple[FloatArray, FloatArray]]
+) -> None:
+    one = Drawn.of(Stage(device, HANDS["right"]), [pair[0] for pair in poses[::6]])
+    assert PairFinder(recording, HandConfig(), 1.0, 0).shows_two
+    assert not PairFinder(one, HandConfig(), 1.0, 0).shows_two
+
+
+def test_a_filter_that_fits_no_frames_refuses_two_hands(recording: Drawn) -> None:
+    config = HandConfig.model_validate({"hand": {"count": "2"}, "filter": {"kind": "pso"}})
+    with pytest.raises(UsageError, match="two hands cannot be tracked"):
+        detect_hand(recording, config, 0)
+
+
+def test_the_shape_of_both_hands_is_the_product_of_what_each_shows() -> None:
+    """With equal precision k^-2 / s^2 of both and a prior 1 / s^2: mean weights 1 / (2 - k^2)."""
+    space, share = PopulationSpace(), 0.2
+    first, second = (
+        calibration_of(HandShape(scale, coefficients=(c,)), known=share)
+        for scale, c in ((1.0, 0.4), (1.1, -0.2))
+    )
+    both = combined(first, second, None)
+    weight = 1.0 / (2.0 - share**2)
+    expected = weight * (space.theta(first.shape) + space.theta(second.shape))
+    np.testing.assert_allclose(space.theta(both.shape), expected, atol=1e-12)
+    np.testing.assert_allclose(np.diag(both.covariance), share**2 * weight * space.sd**2, rtol=1e-9)
+    assert both.measured.sd["hand_length"] < first.measured.sd["hand_length"]
