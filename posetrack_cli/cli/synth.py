@@ -270,17 +270,18 @@ def _hand_progress(frames: int) -> Iterator[Callable[[Any], None]]:
     option(
         "--camera-count",
         "cameras",
-        metavar="1|2",
+        metavar="1..4",
         default=2,
         show_default=True,
-        help="Number of cameras; two converge on the head.",
+        help="Number of cameras, which converge on the head: the second to the right of the first, the "
+        "third to its left, the fourth above.",
     ),
     option(
         "--baseline-mm",
         metavar="MM",
         default=120.0,
         show_default=True,
-        help="Distance between two cameras in mm.",
+        help="Distance of the other cameras from the first in mm.",
     ),
     option(
         "--image-size",
@@ -308,7 +309,7 @@ def _hand_progress(frames: int) -> Iterator[Callable[[Any], None]]:
 )
 @volume_options
 def head_synth(output: Path, image_format: str, overwrite: bool, **values: Any) -> None:
-    """Generate a recording of a moving head from one or two grey cameras, with ground truth on /truth/head.
+    """Generate a recording of a moving head from one to four grey cameras, with ground truth on /truth/head.
 
     The head is synthetic and rendered with OpenGL. The same options give an identical file on the same
     machine.

@@ -107,7 +107,9 @@ class RefinementSettings(Settings):
 
     `recalculation = "printed"` is the thesis's method: raw intensities with `rho` and `epsilon`, (3.3) and
     (3.5). The comparison with the previous frame is weighted by the point's best correlation with a stored
-    template, raised to `previous_likeness`, so that a point that slid off its feature does not stay there.
+    template, raised to `previous_likeness`, so that a point that slid off its feature, or that something
+    covers, does not stay there. With `expressions`, named actions such as raised brows are unknowns next to
+    the deformation, so that points moved by them do not turn the head.
     """
 
     joint: bool = setting(True, "refine the pose; false keeps the filter's pose")
@@ -121,6 +123,9 @@ class RefinementSettings(Settings):
         0.0,
         "exponent: weight the previous frame by the correlation with stored templates to this power; "
         "0 disables the weighting",
+    )
+    expressions: bool = setting(
+        False, "add the named actions to the deformations of the face model in the refinement of the pose"
     )
     keyframe_deg: Positive = setting(
         10.0, "minimum angle between a new keyframe and all stored ones, degrees"
@@ -230,7 +235,8 @@ class HeadStereoConfig(Settings):
     model: ModelSettings = setting(ModelSettings(), "face deformation model, learned while tracking")
     particles: ParticleSettings = ParticleSettings()
     refinement: StereoRefinementSettings = setting(
-        StereoRefinementSettings(), "Gauss-Newton over pose, deformation and a residual for each point"
+        StereoRefinementSettings(previous_likeness=1.0, expressions=True),
+        "Gauss-Newton over pose, deformation and a residual for each point",
     )
     status: HeadStatusSettings = HeadStatusSettings()
     face: FaceSettings = setting(FaceSettings(), "dense face: lips, jaw, lids, irises, brows")
@@ -432,6 +438,8 @@ STEREO = (
     PrintedSetting("(3.27)", "particles.sigma", 3.0),
     PrintedSetting("3.3.1", "particles.kappa", 0.5),
     PrintedSetting("(3.3)", "refinement.epsilon", 2000.0),
+    PrintedSetting("(3.4)", "refinement.previous_likeness", 0.0),
+    PrintedSetting("(3.1)", "refinement.expressions", False),
     PrintedSetting("3.2.2", "refinement.settling_mm", 0.01),
 )
 MONO = (

@@ -10,7 +10,7 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.head.actions import ACTION_NAMES, action_numbers
 from posetrack_cli.head.config import HeadMonoConfig, HeadStereoConfig
 from posetrack_cli.head.dense.numbers import FACE_NUMBERS
-from posetrack_cli.head.face.points import LINES, POINT_COUNT, POINT_NAMES, of_kinds
+from posetrack_cli.head.face.points import BROWS, LINES, POINT_COUNT, POINT_NAMES, of_kinds
 from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.results.estimate import Subject
 from posetrack_cli.tracking.confidence import SIGN
@@ -30,12 +30,24 @@ class TrackModel:
         velocity: motion model of the six pose components, for the velocity in results.
         deformation: for smoothing, scale of the standard deviations of the deformation; 0 disables it.
         expression_mm: (K,) for smoothing, additional motion of each point in expressions.
+        pitch_per_brow: rad per mm, standard deviation of the pitch that raised or lowered brows cause.
     """
 
     systematic_sd: FloatArray
     velocity: VelocityModel
     deformation: float
     expression_mm: FloatArray
+    pitch_per_brow: float
+
+    def expression_variance(self, moved: FloatArray) -> FloatArray:
+        """Return the (6,) variances of the pose error from an expression, as ``systematic_sd`` squared.
+
+        Args:
+            moved: (K, 3) displacements from the neutral face, mm in head axes.
+        """
+        variance = np.zeros(6)
+        variance[3] = (self.pitch_per_brow * moved[BROWS, 1].mean()) ** 2
+        return variance
 
 
 def _six(position: float, rotation: float) -> FloatArray:
@@ -52,6 +64,7 @@ STEREO_TRACK = TrackModel(
     # the cameras measure points directly, and the deformations are learned from few frames
     deformation=0.0,
     expression_mm=of_kinds(eyes=0.3, mouth=5.0, nostrils=1.0, brows=2.0),
+    pitch_per_brow=np.radians(0.3),
 )
 MONO_TRACK = TrackModel(
     # tuned on twelve people, leaving out each person from the training of the appearance model
@@ -59,6 +72,7 @@ MONO_TRACK = TrackModel(
     velocity=VelocityModel(_six(90.0, 0.8), _six(0.3, 0.003), START_SD),
     deformation=1.0,
     expression_mm=of_kinds(eyes=0.5, mouth=1.2, nostrils=0.9, brows=1.5),
+    pitch_per_brow=np.radians(0.8),
 )
 
 

@@ -43,7 +43,7 @@ def test_defaults_of_command_and_library_are_the_same() -> None:
         ("--speed", "-1"),
         ("--noise-factor", "-1"),
         ("--identity", "-1"),
-        ("--camera-count", "3"),
+        ("--camera-count", "5"),
         ("--distance-mm", "10"),
         ("--baseline-mm", "0"),
         ("--image-size", "10x10"),

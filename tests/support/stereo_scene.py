@@ -35,7 +35,6 @@ class Told:
     there: bool = True
     failure: InitFailure = field(default_factory=lambda: InitFailure(NO_FACE, 0.3))
     asked: int = 0
-    doubt: tuple[int, ...] = ()
 
     def from_landmarks(self, frame: object, tracked: object = None) -> None:
         """No landmarks tell anything."""
@@ -47,7 +46,7 @@ class Told:
         pose = pose_at(self.index).moved(np.array([1.0, -1.0, 1.0, 0.0, 0.0, 0.0]))
         pixels = project(CAMERAS, pose.points(SHAPE)).pixels
         known = np.ones(len(SHAPE), dtype=bool)
-        return StereoInitialisation(pose, SHAPE.copy(), pixels, known, 0.9, self.doubt)
+        return StereoInitialisation(pose, SHAPE.copy(), pixels, known, 0.9)
 
 
 @dataclass

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -45,8 +45,7 @@ class StereoInitialisation:
         pixels: (C, K, 2) of the points in every image; NaN for a camera without one.
         matched: (K,) points found in more than one image; the others have an average face's depth.
         score: 0 to 1, mean correlation of the matched points.
-        alternative_order: image order that separately detected faces fit better, although the head was found
-            in the recorded order; empty if none.
+        reprojection_px: largest reprojection error of each point, averaged over the matched points.
     """
 
     pose: HeadPose
@@ -54,15 +53,19 @@ class StereoInitialisation:
     pixels: FloatArray
     matched: BoolArray
     score: float
-    alternative_order: tuple[int, ...] = ()
+    reprojection_px: float = 0.0
 
     def is_better_than(self, other: StereoInitialisation) -> bool:
-        """Whether more points match than in another image order, and resemble a face more closely."""
+        """Whether the points fit the cameras clearly better than in another image order.
+
+        More of them match, they resemble a face more closely, and they reproject at least as well.
+        """
         deviations = [
             MeasuredFace(one.pose.points(one.shape), np.ones(POINT_COUNT, dtype=bool)).deviation
             for one in (self, other)
         ]
-        return bool(self.matched.sum() > other.matched.sum()) and deviations[0] < deviations[1]
+        closer = deviations[0] < deviations[1] and self.reprojection_px <= other.reprojection_px
+        return bool(self.matched.sum() > other.matched.sum()) and closer
 
 
 class StereoInitialiser:
@@ -183,9 +186,7 @@ class StereoAttempt:
         views, most_px = self.views, self.settings.reprojection_px
         used = [c for c, view in enumerate(views) if view is not None]
         cameras = [required(views[c]).camera for c in used]
-        points, known = triangulate(cameras, pixels[used])
-        errors = reprojection_errors(cameras, points, pixels[used])
-        known &= np.where(np.isnan(pixels[used, :, 0]), 0.0, errors).max(axis=0) <= most_px
+        points, known, errors = _consistent_points(cameras, pixels[used], most_px)
         score, face = float(correlations.mean()), MeasuredFace(points, known)
         if face.known.sum() >= MATCHED_POINTS:
             face = face.without_outliers()
@@ -199,7 +200,12 @@ class StereoAttempt:
         pose, shape = pose_and_shape(points)
         pixels = np.where((known | (np.arange(len(views)) == camera)[:, None])[..., None], pixels, np.nan)
         return StereoInitialisation(
-            pose, shape, self._filled(points, pixels), known, float(correlations[known].mean())
+            pose,
+            shape,
+            self._filled(points, pixels),
+            known,
+            float(correlations[known].mean()),
+            float(errors[known].mean()),
         )
 
     def _from_face(self, camera: int, face: FacePoints) -> StereoInitialisation | InitFailure:
@@ -260,9 +266,9 @@ class StereoAttempt:
         """Return the outcome, or a failure if the images are clearly swapped.
 
         Separately detected faces may fit another order by chance, since on a wide baseline they are off by
-        more than a point's width. A head must therefore also be found in that order and, if one was found as
-        recorded, match more points and resemble a face more closely; otherwise the outcome only notes the
-        other order **[ours]**.
+        more than a point's width. Points that match between the images reproject to within a pixel in the
+        right order. A head must therefore also be found in the other order and, if one was found as recorded,
+        fit the cameras better **[ours]**.
         """
         views, cameras = self.views, self.images.cameras
         if any(view is None for view in views) or not any(one.faces for one in detections.values()):
@@ -278,7 +284,7 @@ class StereoAttempt:
         other = self._find_in_order(order, faces)
         if isinstance(outcome, StereoInitialisation):
             if other is None or not other.is_better_than(outcome):
-                return replace(outcome, alternative_order=order)
+                return outcome
         elif other is None:
             return outcome
         names = ", ".join(cameras[c].name for c in order)
@@ -297,6 +303,32 @@ class StereoAttempt:
             if isinstance(found, StereoInitialisation):
                 return found
         return None
+
+
+def _consistent_points(
+    cameras: Sequence[Camera], pixels: FloatArray, most_px: float
+) -> tuple[FloatArray, BoolArray, FloatArray]:
+    """Triangulate points from the cameras that agree.
+
+    With three or more cameras, a point that one of them contradicts is triangulated without it.
+
+    Args:
+        cameras: of the pixels.
+        pixels: (C, K, 2), NaN if not found.
+        most_px: maximum reprojection error.
+
+    Returns:
+        (K, 3) points, mm, (K,) whether their cameras agree, and (K,) their largest reprojection errors.
+    """
+    seen = np.isfinite(pixels[..., 0])
+    while True:
+        points, known = triangulate(cameras, pixels, seen)
+        errors = np.where(seen, reprojection_errors(cameras, points, pixels), 0.0)
+        largest = errors.max(axis=0)
+        wrong = known & (largest > most_px) & (seen.sum(axis=0) > 2)
+        if not wrong.any():
+            return points, known & (largest <= most_px), largest
+        seen[errors[:, wrong].argmax(axis=0), np.flatnonzero(wrong)] = False
 
 
 def complete_camera(pixels: FloatArray) -> int | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -410,9 +411,9 @@ def _optics(cameras: Sequence[Camera], projection: Projection) -> Optics:
 
 
 def _pairs(now: FloatArray, seen: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Pair each camera with the first one that has an image."""
+    """Pair all cameras that have an image, so that none is needed for the others to agree."""
     there = np.flatnonzero(seen.any(axis=1))
-    pairs = np.array([(c, there[0]) for c in there[1:]], dtype=np.int64).reshape(-1, 2)
+    pairs = np.array([(c, b) for b, c in combinations(there, 2)], dtype=np.int64).reshape(-1, 2)
     warps = warps_between(now[pairs[:, 0]], now[pairs[:, 1]])
     weights = BETWEEN_CAMERAS * np.minimum(seen[pairs[:, 0]], seen[pairs[:, 1]])
     return pairs, warps, np.where(np.isnan(warps[..., 0, 0]), 0.0, weights)

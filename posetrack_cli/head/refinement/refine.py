@@ -11,6 +11,7 @@ from posetrack_cli.arrays import BoolArray, FloatArray
 from posetrack_cli.compiled import inlined, kernel
 from posetrack_cli.geometry.least_squares import student_t
 from posetrack_cli.geometry.rotations import quaternions_from_matrices
+from posetrack_cli.head.actions import USUAL, displacements
 from posetrack_cli.head.config import RefinementSettings, StereoRefinementSettings
 from posetrack_cli.head.face.points import HeadPose, ShapeModel, of_kinds
 from posetrack_cli.head.face.rig_images import RigImages
@@ -285,8 +286,8 @@ def _best(scene: Scene, k: int, patch: FloatArray) -> float:
 WIDE_PRIOR = np.array([50.0] * 3 + [0.5] * 3)
 """(6,) standard deviations about the predicted pose, mm and rad; regularises unobserved directions."""
 LEAST_DEVIATION_MM = 1e-3
-ITERATIONS = 3
-"""Maximum number of joint Gauss-Newton steps."""
+ITERATIONS, WITH_EXPRESSIONS = 3, 5
+"""Maximum number of joint Gauss-Newton steps, without and with expressions."""
 RESIDUAL_MM = of_kinds(eyes=0.8, mouth=2.5, nostrils=3.0, brows=0.9)
 """(K,) standard deviations of the points about the model."""
 RECALCULATION_MM = of_kinds(eyes=1.0, mouth=12.0, nostrils=2.5, brows=2.0)
@@ -343,14 +344,28 @@ def refine(frame: ComparedFrame, model: ShapeModel, pose: HeadPose, coefficients
         model: shape model of the face.
         pose, coefficients: start, (B,) mm.
     """
-    residuals = np.zeros_like(model.mean)
+    residuals, own = np.zeros_like(model.mean), len(coefficients)
+    if frame.settings.expressions:
+        model = _with_expressions(model)
+        coefficients = np.concatenate([coefficients, np.zeros(model.size - own)])
     # lenses are linearised at the start, so distorted ones need a second round from the result
     for _ in range(2 if any(camera.is_distorted for camera in frame.images.cameras) else 1):
         shape = model.shapes(coefficients) + residuals
         scene, seen = frame.scene(pose, shape)
         state = _descended(scene, model, pose, coefficients, residuals, frame.settings)
         pose, coefficients, residuals = _pose(state), state.coefficients, state.residuals
-    return Refined(pose, coefficients, residuals, state.correlations, seen, scene)
+    return Refined(pose, coefficients[:own], residuals, state.correlations, seen, scene)
+
+
+def _with_expressions(model: ShapeModel) -> ShapeModel:
+    """Return the model with the named actions as further directions, each with a usual strength's deviation.
+
+    A learned model lacks expressions that it has not seen; points moved by one would turn the head.
+    """
+    moved = np.moveaxis(displacements(), 0, -1)
+    lengths = np.linalg.norm(moved, axis=(0, 1))
+    basis = np.concatenate([model.basis, moved / lengths], axis=-1)
+    return ShapeModel(model.mean, basis, np.concatenate([model.deviations, USUAL * lengths]))
 
 
 def recalculate(
@@ -423,7 +438,8 @@ def _descended(
     )
     precisions = np.maximum(model.deviations, LEAST_DEVIATION_MM) ** -2
     face = Face(np.array(model.mean), np.ascontiguousarray(model.basis), precisions)
-    descend(scene, face, make_prior(RESIDUAL_MM), ITERATIONS if settings.joint else 0, state)
+    most = WITH_EXPRESSIONS if settings.expressions else ITERATIONS
+    descend(scene, face, make_prior(RESIDUAL_MM), most if settings.joint else 0, state)
     return state
 
 

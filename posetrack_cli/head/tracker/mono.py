@@ -387,17 +387,23 @@ class MonoPeople:
     def describe(self, state: MonoState, fit: FrameFit | None) -> FaceDescription:
         """Return deformation and diagnostics of a frame."""
         mean = self._model.deformation_mean
-        size = state.person.size if state.people else None
         return FaceDescription(
             mean if fit is None else fit.coefficients + mean,
             self._model.deformation_deviations,
             self._diagnostics(state, fit).numbers(),
-            None if fit is None else self._systematic_variance(fit.track.pose, size),
+            None if fit is None else self._systematic_variance(state, fit),
         )
 
-    def _systematic_variance(self, pose: HeadPose, size: Size | None) -> FloatArray:
+    def _systematic_variance(self, state: MonoState, fit: FrameFit) -> FloatArray:
+        """Return the (6,) variances of the systematic error, which grow while the brows are raised."""
+        pose, size = fit.track.pose, state.person.size if state.people else None
         variance = size_and_systematic_variance(pose, self._systematic_sd, size)
-        return variance if self._lens is None else variance + self._lens.variance(pose)
+        if self._lens is not None:
+            variance += self._lens.variance(pose)
+        if not state.people:
+            return variance
+        neutral = state.person.shape.mean - MEAN_DISPLACEMENTS
+        return variance + MONO_TRACK.expression_variance(fit.track.shape - neutral)
 
     def matched_skin(self, state: MonoState) -> tuple[MatchedSkin, Camera] | None:
         """Return the skin of the person seen most and the camera of its images; None with too few frames."""

@@ -139,7 +139,7 @@ class StereoFace:
         face = new_face(shape, self._config.model)
         reference = take_templates(images, found.pose, shape)
         track = self._frame_tracker.start(frame, found.pose, shape, face.model, reference)
-        search = replace(state.search, order=found.alternative_order, swapped=0)
+        search = replace(state.search, order=(), swapped=0)
         state = replace(state, face=face, templates=(reference,), track=track, lost=0, search=search)
         return state, initial_fit(track, found.score, found.pixels)
 
@@ -194,7 +194,7 @@ class StereoFace:
             padded(nothing if fit is None else fit.coefficients, count),
             padded(nothing if face is None else face.model.deviations, count),
             _diagnostics(face, fit).numbers(count),
-            None if fit is None else np.square(STEREO_TRACK.systematic_sd),
+            None if face is None or fit is None else _systematic_variance(face, fit),
         )
 
     def export_model(self, state: StereoState, *, for_second_pass: bool) -> Learned:
@@ -202,14 +202,8 @@ class StereoFace:
         return self._codecs.to_model(state)
 
     def remarks(self, state: StereoState) -> tuple[str, ...]:
-        """Warn if the images may belong to other cameras."""
-        if not state.search.order:
-            return ()
-        names = ", ".join(self.cameras[c].name for c in state.search.order)
-        return (
-            f"at initialisation, faces fitted the calibration better with the images in the order {names},"
-            " but the points matched as recorded: check the assignment of cameras and the calibration",
-        )
+        """Return nothing: a head that was found as recorded confirms the order of the cameras."""
+        return ()
 
     def _is_keyframe(self, templates: Sequence[TemplateSet], fit: FrameFit) -> bool:
         """Whether a nearly neutral face is seen from a direction without templates."""
@@ -274,6 +268,12 @@ StereoTracker: TypeAlias = HeadTracker[StereoState, StereoInitialisation]
 def components_of(config: HeadStereoConfig) -> int:
     """Return B, the number of deformation coefficients in the result."""
     return 0 if config.model.kind == "rigid" else config.model.components
+
+
+def _systematic_variance(face: FaceLearning, fit: FrameFit) -> FloatArray:
+    """Return the (6,) variances of the systematic error of a track, which grow while the brows are raised."""
+    moved = fit.track.shape - face.model.mean
+    return np.square(STEREO_TRACK.systematic_sd) + STEREO_TRACK.expression_variance(moved)
 
 
 def _diagnostics(face: FaceLearning | None, fit: FrameFit | None) -> StereoDiagnostics:

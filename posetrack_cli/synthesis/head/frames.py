@@ -45,7 +45,7 @@ from posetrack_cli.synthesis.head.person import (
 )
 from posetrack_cli.synthesis.recording import Timeline, dropped_images, nominal_stamps
 
-# Grey cameras: one, or two that converge; with blur, distortion, exposure, noise
+# Grey cameras: one, or several that converge; with blur, distortion, exposure, noise
 
 EXPOSURE = 245.0
 """Grey value of light 1."""
@@ -59,7 +59,9 @@ FOCAL_WIDTHS = 1000.0 / 640.0
 """Focal length in image widths: a field of view of 35.5 degrees."""
 DISTORTION = (-0.14, 0.06, 0.0006, -0.0004, 0.0)
 """Left or only lens; the first two coefficients of the right one are a tenth smaller."""
-NAMES = ("left", "right")
+NAMES = ("left", "right", "third", "fourth")
+DIRECTIONS = ((1.0, 0.0), (-1.0, 0.0), (0.0, -1.0))
+"""Directions of the other cameras from the first, in its image: right and down."""
 
 
 class Sensor:
@@ -124,19 +126,31 @@ def _distortion_maps(camera: Camera, drawn: Camera) -> tuple[Float32Array, Float
 def make_cameras(options: HeadSynthOptions) -> tuple[Camera, ...]:
     """Return the cameras, the reference camera first.
 
-    The second one is ``baseline_mm`` to the right and looks at the point ``distance_mm`` in front of the
-    first.
+    The others are ``baseline_mm`` to its right, to its left and above, and look at the point ``distance_mm``
+    in front of it.
     """
-    reference = _camera(options, NAMES[0] if options.cameras == 2 else "camera", DISTORTION)
-    if options.cameras == 1:
-        return (reference,)
+    reference = _camera(options, NAMES[0] if options.cameras > 1 else "camera", DISTORTION)
+    others = zip(NAMES[1 : options.cameras], DIRECTIONS, strict=False)
+    return reference, *(_other_camera(options, name, direction) for name, direction in others)
+
+
+def _other_camera(options: HeadSynthOptions, name: str, direction: tuple[float, float]) -> Camera:
+    """Return the camera in a direction (right, down) from the reference, turned towards the head."""
+    x, y = direction
     toe_in = float(np.arctan2(options.baseline_mm, options.distance_mm))
     c, s = np.cos(toe_in), np.sin(toe_in)
-    rotation = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
-    translation = -rotation @ [options.baseline_mm, 0.0, 0.0]
-    rows = np.column_stack([rotation, translation]).tolist()
-    other = tuple(0.9 * value for value in DISTORTION[:2]) + DISTORTION[2:]
-    return reference, _camera(options, NAMES[1], other, tuple(tuple(row) for row in rows))
+    # rotation by the toe-in about the axis in the image plane at right angles to the direction
+    rotation = np.array(
+        [
+            [y * y + c * x * x, (c - 1.0) * x * y, s * x],
+            [(c - 1.0) * x * y, x * x + c * y * y, s * y],
+            [-s * x, -s * y, c],
+        ]
+    )
+    translation = -rotation @ [options.baseline_mm * x, options.baseline_mm * y, 0.0]
+    rows = (np.column_stack([rotation, translation]) + 0.0).tolist()  # no negative zeros
+    lens = tuple(0.9 * value for value in DISTORTION[:2]) + DISTORTION[2:]
+    return _camera(options, name, lens, tuple(tuple(row) for row in rows))
 
 
 def _camera(
@@ -481,7 +495,7 @@ class Plan:
 def make_plan(options: HeadSynthOptions) -> Plan:
     """Draw all events, each kind from its own random stream.
 
-    Motion, expressions and light of a seed are thus the same for all persons and for one or two cameras.
+    Motion, expressions and light of a seed are thus the same for all persons and numbers of cameras.
     """
     streams = np.random.default_rng(options.seed).spawn(7)
     moving, speaking, occluding, lighting, scenery, sensing, missing = streams

@@ -10,7 +10,7 @@ MOTIONS = ("natural", "slight", "turn", "still")
 FREE, TWO_MOTIONS = "free", "two-motions"
 SCRIPTS = (FREE, TWO_MOTIONS)
 LIGHTS = ("slow", "sudden", "steady")
-CAMERAS = (1, 2)
+MOST_CAMERAS = 4
 MOST_FRAMES = 1_000_000
 SIZES_PX = (64, 4096)
 DISTANCES_MM = (350.0, 3000.0)
@@ -24,7 +24,7 @@ class HeadSynthOptions:
     """Options of a synthetic head recording; equal options give equal frames on the same machine.
 
     Attributes:
-        cameras: 1, or 2 that converge at the head's initial position.
+        cameras: 1, or up to 4 that converge at the head's initial position.
         identity: seed of the person.
         frames: number of frames.
         fps: frame rate, Hz.
@@ -44,7 +44,7 @@ class HeadSynthOptions:
         drops: whether cameras occasionally miss images.
         width, height: image size, pixels; the horizontal field of view is fixed.
         distance_mm: initial distance of the head from the reference camera.
-        baseline_mm: distance between two cameras.
+        baseline_mm: distance of the other cameras from the first.
 
     Raises:
         UsageError: invalid value.
@@ -78,7 +78,7 @@ class HeadSynthOptions:
             "script", self.script, self.expressions or self.script == FREE, "expressions to be enabled"
         )
         check_option("light", self.light, self.light in LIGHTS, " or ".join(LIGHTS))
-        check_option("camera-count", self.cameras, self.cameras in CAMERAS, "1 or 2")
+        check_option("camera-count", self.cameras, 1 <= self.cameras <= MOST_CAMERAS, f"1 to {MOST_CAMERAS}")
         for name in ("identity", "seed"):
             check_option(name, getattr(self, name), getattr(self, name) >= 0, "0 or more")
         ranges = {

@@ -22,7 +22,7 @@ from posetrack_cli.recording.base import CAMERA_FILE_NAME, TRUTH_FILE_NAME
 from posetrack_cli.recording.camera_file import camera_file_text
 from posetrack_cli.recording.message_cameras import calibration_message, camera_transforms
 from posetrack_cli.recording.stamps import STAMPS_FILE_NAME
-from posetrack_cli.synthesis.head.frames import Plan, SyntheticHeadFrame, make_plan, render_plan
+from posetrack_cli.synthesis.head.frames import NAMES, Plan, SyntheticHeadFrame, make_plan, render_plan
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
 from posetrack_cli.synthesis.head.person import deforming_interval
 from posetrack_cli.synthesis.recording import (
@@ -42,7 +42,7 @@ JPEG_QUALITY = 95
 PNG_LEVEL = 1
 """Noise hardly compresses: level 9 is ten times slower for a few per cent."""
 TRANSFORMS_TOPIC = "/tf"
-OWN_NAMES = {CAMERA_FILE_NAME, STAMPS_FILE_NAME, TRUTH_FILE_NAME, "left", "right", "camera"}
+OWN_NAMES = {CAMERA_FILE_NAME, STAMPS_FILE_NAME, TRUTH_FILE_NAME, *NAMES, "camera"}
 
 Report = Callable[[SyntheticHeadFrame], None]
 
@@ -58,7 +58,7 @@ def write_synthetic(
     """Write a synthetic recording; equal options give equal bytes on the same machine.
 
     If ``out`` ends in ``.mcap``, it is a file with images of camera NAME on ``/NAME/image``
-    (foxglove.CompressedImage or RawImage), intrinsics on ``/NAME/calibration``, the second camera's pose on
+    (foxglove.CompressedImage or RawImage), intrinsics on ``/NAME/calibration``, the other cameras' poses on
     ``/tf``, ground truth on ``/truth/head/...``, and the options in the metadata ``posetrack.synth``.
     Otherwise it is a folder with a subfolder of images per camera, ``camera.toml``, ``timestamps.csv`` and
     ``truth.mcap``.

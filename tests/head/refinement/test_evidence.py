@@ -163,3 +163,15 @@ def test_likeness_does_not_touch_the_stored_templates():
     some, none = (evidence_at(scene_of(reference=1.0, previous_likeness=power), k, X) for power in (2.0, 0.0))
     np.testing.assert_array_equal(some.gradient, none.gradient)
     assert np.linalg.norm(some.gradient) > 0.0
+
+
+def test_cameras_with_images_are_compared_with_each_other_whichever_is_missing():
+    cameras = stereo(3)
+    images = textured_face().render(cameras, FACING, SHAPE)
+    templates = take_templates(RigImages(cameras, images), FACING, SHAPE)
+    for missing, pairs in ((None, [[1, 0], [2, 0], [2, 1]]), (0, [[2, 1]]), (2, [[1, 0]])):
+        there = [None if c == missing else image for c, image in enumerate(images)]
+        scene, _ = ComparedFrame(RigImages(cameras, there), [templates], None, RefinementSettings()).scene(
+            FACING, SHAPE
+        )
+        np.testing.assert_array_equal(scene.targets.pairs, pairs)

@@ -8,11 +8,18 @@ import numpy as np
 import pytest
 
 from posetrack_cli.geometry.camera import pixels_from_points
+from posetrack_cli.head.actions import displacement
 from posetrack_cli.head.config import RefinementSettings
+from posetrack_cli.head.face.points import rigid_model
 from posetrack_cli.head.face.rig_images import RigImages, project
 from posetrack_cli.head.face.templates import take_templates
 from posetrack_cli.head.refinement.evidence import ComparedFrame
-from posetrack_cli.head.refinement.refine import PrintedConstants, recalculate, recalculate_2d_as_printed
+from posetrack_cli.head.refinement.refine import (
+    PrintedConstants,
+    recalculate,
+    recalculate_2d_as_printed,
+    refine,
+)
 from support.textured_face import FACING, SHAPE, stereo, textured_face
 
 (CAMERA,) = stereo(1)
@@ -79,3 +86,24 @@ def test_the_start_is_left_as_it_is():
     start = SHAPE.copy()
     found(start=start)
     np.testing.assert_array_equal(start, SHAPE)
+
+
+STRENGTH, TURNED_DEG = 0.2, 0.2
+"""Of the action, and what remains of up to 1 deg: the prior of strengths keeps a tenth of the motion."""
+
+
+@pytest.mark.parametrize("action", ["brows_up", "jaw_open", "mouth_wide", "mouth_left"])
+def test_expressions_do_not_turn_a_rigid_head(action):
+    """A face whose model knows no deformation moves."""
+    cameras, face = stereo(2), textured_face()
+    templates = take_templates(RigImages(cameras, face.render(cameras, TURNED, SHAPE)), TURNED, SHAPE)
+    moved = SHAPE + STRENGTH * displacement(action)
+    images = RigImages(cameras, face.render(cameras, TURNED, moved, noise=2.0))
+    turned_deg = []
+    for expressions in (False, True):
+        settings = RefinementSettings(expressions=expressions)
+        frame = ComparedFrame(images, [templates], templates, settings)
+        refined = refine(frame, rigid_model(SHAPE), TURNED, np.zeros(0))
+        assert refined.coefficients.shape == (0,)
+        turned_deg.append(np.degrees(np.linalg.norm(TURNED.difference(refined.pose)[3:])))
+    assert turned_deg[1] < TURNED_DEG and turned_deg[1] < 0.5 * turned_deg[0]

@@ -11,8 +11,15 @@ from hypothesis import strategies as st
 
 from posetrack_cli.errors import ResultError
 from posetrack_cli.head.actions import ACTION_NAMES
-from posetrack_cli.head.face.points import POINT_NAMES, HeadPose
-from posetrack_cli.head.subject import MonoDiagnostics, mono_diagnostic_names, mono_subject
+from posetrack_cli.head.face.points import BROWS, MOUTH, POINT_NAMES, HeadPose
+from posetrack_cli.head.subject import (
+    MONO_TRACK,
+    STEREO_TRACK,
+    MonoDiagnostics,
+    TrackModel,
+    mono_diagnostic_names,
+    mono_subject,
+)
 from posetrack_cli.head.tracker.head_tracker import FaceDescription, lost_estimate
 from posetrack_cli.head.tracker.mono import size_and_systematic_variance
 from posetrack_cli.head.tracker.person import PRIOR_SD, Size
@@ -80,3 +87,13 @@ def test_what_a_whole_track_is_wrong_by_grows_with_the_distance() -> None:
     np.testing.assert_allclose(np.degrees(np.sqrt(variance[3:])), [2.0, 1.0, 0.5])
     told = size_and_systematic_variance(pose, own, Size(1.2, 0.01))
     np.testing.assert_allclose(np.sqrt(told[:3]), np.hypot([0.1, 0.2, 7.0], [1.0, 2.0, 3.0]))
+
+
+@pytest.mark.parametrize("track", [MONO_TRACK, STEREO_TRACK])
+def test_raised_brows_make_the_pitch_uncertain(track: TrackModel) -> None:
+    raised, smiling = np.zeros((10, 3)), np.zeros((10, 3))
+    raised[BROWS, 1], smiling[MOUTH, 1] = 4.0, 4.0
+    variance = track.expression_variance(raised)
+    assert np.sqrt(variance[3]) == pytest.approx(4.0 * track.pitch_per_brow)
+    np.testing.assert_array_equal(variance[[0, 1, 2, 4, 5]], 0.0)
+    np.testing.assert_array_equal(track.expression_variance(smiling), 0.0)

@@ -139,14 +139,12 @@ def test_what_was_learned_begins_another_run() -> None:
     assert distances.max() < 2.0 * POSITION_MM and angles.max() < ROTATION_RAD
 
 
-def test_a_head_that_is_found_in_spite_of_a_doubt_is_tracked_and_the_doubt_is_said() -> None:
-    scene = Scene(told=Told(doubt=(1, 0)))
-    assert [scene.step(index).status for index in range(4)] == [Status.TRACKING] * 4
-    (remark,) = scene.tracker.remarks(scene.state)
-    assert "in the order camera1, camera0" in remark and "matched as recorded" in remark
-    plain = Scene()
-    plain.step(0)
-    assert plain.tracker.remarks(plain.state) == ()
+def test_a_head_that_is_found_confirms_the_order_of_the_cameras() -> None:
+    scene = Scene(told=Told(there=False, failure=InitFailure("points do not fit", 0.9, (1, 0))))
+    scene.step(0)
+    scene.told.there = True
+    assert scene.step(1).status is Status.TRACKING
+    assert scene.state.search.order == () and scene.tracker.remarks(scene.state) == ()
 
 
 def test_exchanged_images_are_refused() -> None:

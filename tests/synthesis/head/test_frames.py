@@ -92,22 +92,22 @@ def test_nostrils_are_dark_and_the_pupils_too(device: RenderingDevice) -> None:
     assert image[ten[6:8, 1], ten[6:8, 0]].max() < 0.4 * cheek
 
 
-def test_both_cameras_see_the_same_head(device: RenderingDevice) -> None:
-    """The left patch around a point is found in the right image where the truth says, to a pixel."""
-    options = replace(SHORT, noise=0.5)
+def test_all_cameras_see_the_same_head(device: RenderingDevice) -> None:
+    """The left patch around a point is found in the other images where the truth says, to a pixel."""
+    options = replace(SHORT, noise=0.5, cameras=4)
     frame = first(options, device)
-    left, right = make_cameras(options)
-    at_left, at_right = pixels(left, frame), pixels(right, frame)
-    for k in (0, 1, 2, 3, 4, 5, 8, 9):
-        (u, v), (x, y) = np.rint(at_left[k]).astype(int), np.rint(at_right[k]).astype(int)
-        patch = frame.images[0][v - 10 : v + 11, u - 10 : u + 11]
-        scores = cv2.matchTemplate(
-            frame.images[1][y - 25 : y + 26, x - 25 : x + 26], patch, cv2.TM_CCOEFF_NORMED
-        )
-        _, best, _, where = cv2.minMaxLoc(scores)
-        found = np.array([x, y]) - 15 + where + (at_left[k] - [u, v])
-        assert best > 0.7
-        np.testing.assert_allclose(found, at_right[k], atol=1.5)
+    left, *others = make_cameras(options)
+    at_left = pixels(left, frame)
+    for other, image in zip(others, frame.images[1:], strict=True):
+        at_other = pixels(other, frame)
+        for k in (0, 1, 2, 3, 4, 5, 8, 9):
+            (u, v), (x, y) = np.rint(at_left[k]).astype(int), np.rint(at_other[k]).astype(int)
+            patch = frame.images[0][v - 10 : v + 11, u - 10 : u + 11]
+            scores = cv2.matchTemplate(image[y - 25 : y + 26, x - 25 : x + 26], patch, cv2.TM_CCOEFF_NORMED)
+            _, best, _, where = cv2.minMaxLoc(scores)
+            found = np.array([x, y]) - 15 + where + (at_left[k] - [u, v])
+            assert best > 0.7
+            np.testing.assert_allclose(found, at_other[k], atol=1.5)
 
 
 def test_one_camera_sees_what_the_left_of_two_sees(device: RenderingDevice) -> None:
