@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
-from posetrack_cli.arrays import BoolArray, FloatArray
+from posetrack_cli.arrays import BoolArray, FloatArray, ImageArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.rigid import reprojection_errors, rigid_alignment, triangulate
 from posetrack_cli.geometry.rotations import quaternions_from_matrices
@@ -92,7 +92,8 @@ class StereoInitialiser:
     def find(self, frame: Frame, *, is_first: bool) -> StereoInitialisation | InitFailure:
         """Return the head in a frame, or the reason why there is none."""
         found = self.from_landmarks(frame)
-        return self._attempt(frame).find(self._detector) if found is None else found
+        index = None if is_first else frame.index
+        return self._attempt(frame).find(self._detector, index) if found is None else found
 
     def from_landmarks(self, frame: Frame, tracked: FloatArray | None = None) -> StereoInitialisation | None:
         """Return the head from the landmarks of the largest face, None without landmarks.
@@ -132,28 +133,33 @@ class StereoAttempt:
         """Each camera with its image, None where it has none."""
         return self.images.views
 
-    def find(self, detector: FaceDetector) -> StereoInitialisation | InitFailure:
+    def find(self, detector: FaceDetector, index: int | None = None) -> StereoInitialisation | InitFailure:
         """Detect a face and return its head, or the reason why there is none.
 
         The reference camera's image is searched first, then the others'.
+
+        Args:
+            detector: of faces.
+            index: of the frame, for a quick search; by default the images are searched thoroughly.
         """
         cameras = self.images.cameras
         present = [c for c, view in enumerate(self.views) if view is not None]
         if len(present) < 2:
             return InitFailure("fewer than two cameras have an image")
+        detect = detector.detect if index is None else partial(detector.detect_quickly, index=index)
         detections: dict[int, Detection] = {}
         failures = [InitFailure(NO_FACE)]
         # stable sort with the reference camera first
         for camera in sorted(present, key=lambda c: not is_reference(cameras[c])):
-            detections[camera] = detector.detect(required(self.views[camera]).image)
+            detections[camera] = detect(required(self.views[camera]).image)
             failures.append(InitFailure(NO_FACE, detections[camera].best_score))
             outcomes = [self._from_face(camera, face) for face in detections[camera].faces]
             failures += [one for one in outcomes if isinstance(one, InitFailure)]
             starts = [one for one in outcomes if isinstance(one, StereoInitialisation)]
             if starts:
-                return self._check_order(starts[0], detections, detector)
+                return self._check_order(starts[0], detections, detect)
         worst = max(failures, key=lambda one: (one.reason != NO_FACE, one.score))
-        return self._check_order(worst, detections, detector)
+        return self._check_order(worst, detections, detect)
 
     def from_clicked(self, clicked: FloatArray) -> StereoInitialisation | InitFailure:
         """Return the head from clicked points.
@@ -261,7 +267,7 @@ class StereoAttempt:
         self,
         outcome: StereoInitialisation | InitFailure,
         detections: dict[int, Detection],
-        detector: FaceDetector,
+        detect: Callable[[ImageArray], Detection],
     ) -> StereoInitialisation | InitFailure:
         """Return the outcome, or a failure if the images are clearly swapped.
 
@@ -275,7 +281,7 @@ class StereoAttempt:
             return outcome
         faces = np.full((len(views), POINT_COUNT, 2), np.nan)
         for camera, view in enumerate(views):
-            detection = detections.get(camera) or detector.detect(required(view).image)
+            detection = detections.get(camera) or detect(required(view).image)
             if detection.faces:
                 faces[camera] = detection.faces[0].pixels
         order = swapped_order(cameras, faces)
