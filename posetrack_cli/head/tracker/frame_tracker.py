@@ -191,6 +191,7 @@ class FrameFit:
             templates.
         unmatched: share of the skin points that were not found; None without a skin map.
         skin_share: share of the skin in the pose, 0 to 1.
+        by_camera: (C, K) correlations of the refined points in every camera; None before tracking.
     """
 
     track: TrackState
@@ -206,6 +207,7 @@ class FrameFit:
     is_anchored: bool = False
     unmatched: float | None = None
     skin_share: float = 0.0
+    by_camera: FloatArray | None = None
 
 
 LONG_AGO_NS = -(2**62)
@@ -367,6 +369,7 @@ class FrameTracker:
             score,
             own.pixels,
             filtered.effective_sample_size,
+            by_camera=own.correlations,
         )
 
     def _recalculates(self, pose: HeadPose, score: float) -> bool:

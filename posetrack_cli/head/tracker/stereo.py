@@ -173,7 +173,7 @@ class StereoFace:
         expected = state.known_face.model.shapes(fit.coefficients)
         face = state.known_face.after(now.shape, self._steadiness, now.pose, fit.correlations, expected)
         if now.templates is not None and self._is_keyframe(templates, fit):
-            templates = (*templates, now.templates)
+            templates = (*templates, _keyframe(now.templates, fit))
         return replace(state, face=face, templates=templates), fit
 
     def report_fit(
@@ -268,6 +268,14 @@ StereoTracker: TypeAlias = HeadTracker[StereoState, StereoInitialisation]
 def components_of(config: HeadStereoConfig) -> int:
     """Return B, the number of deformation coefficients in the result."""
     return 0 if config.model.kind == "rigid" else config.model.components
+
+
+def _keyframe(templates: TemplateSet, fit: FrameFit) -> TemplateSet:
+    """Return a frame's templates without points that a camera does not see, or sees covered."""
+    if fit.by_camera is None:
+        return templates
+    alike = np.nan_to_num(fit.by_camera) > KEYFRAME_CORRELATION
+    return replace(templates, seen=templates.seen & alike)
 
 
 def _systematic_variance(face: FaceLearning, fit: FrameFit) -> FloatArray:
