@@ -42,6 +42,24 @@ if TYPE_CHECKING:
 # posetrack convert
 
 
+class SideAndFile(click.ParamType[Any]):
+    """``[SIDE=]FILE`` as side and path; the side is empty if it is not given."""
+
+    name = "file"
+    sides = ("right", "left")
+
+    def convert(
+        self, value: Any, parameter: click.Parameter | None, context: click.Context | None
+    ) -> tuple[str, Path]:
+        """Split the text."""
+        if isinstance(value, tuple):
+            return value
+        side, equals, path = value.partition("=")
+        if not equals or side not in self.sides:
+            side, path = "", value
+        return side, Path(FILE.convert(path, parameter, context))
+
+
 @click.command(
     cls=Command,
     examples=(
@@ -64,6 +82,7 @@ if TYPE_CHECKING:
     option(
         "--truth",
         metavar="[SIDE=]FILE",
+        type=SideAndFile(),
         multiple=True,
         help="Ground truth of hand joints to add, CSV: stamp_ns or t_s, and <joint>_x_mm, _y_mm, _z_mm in "
         "camera axes; of two hands left=FILE and right=FILE. Repeatable.",
@@ -82,7 +101,7 @@ if TYPE_CHECKING:
 def convert(
     recording: Path,
     output: Path,
-    truth: tuple[str, ...],
+    truth: tuple[tuple[str, Path], ...],
     overwrite: bool,
     raw: bool,
     images: bool,
@@ -120,21 +139,10 @@ def convert(
         click.get_current_context().exit(EXIT_DATA_LOST)
 
 
-def _joints(given: Sequence[str], source: Recording) -> list[TruthMessage]:
+def _joints(given: Sequence[tuple[str, Path]], source: Recording) -> list[TruthMessage]:
     """Read joints of one or two hands from CSV as ground truth messages in log-time order."""
-    each = [_joints_of(*_side_and_file(text), source) for text in given]
+    each = [_joints_of(side, path, source) for side, path in given]
     return list(heapq.merge(*each, key=lambda message: message.log_time_ns))
-
-
-_SIDES = ("right", "left")
-
-
-def _side_and_file(text: str) -> tuple[str, Path]:
-    """Return side and path of ``[SIDE=]FILE``; the side is empty if it is not given."""
-    side, equals, path = text.partition("=")
-    if not equals or side not in _SIDES:
-        side, path = "", text
-    return side, Path(FILE.convert(path, None, None))
 
 
 def _joints_of(side: str, path: Path, source: Recording) -> list[TruthMessage]:

@@ -93,9 +93,9 @@ hand.add_command(hand_synth)
     ),
     option(
         "--hands",
-        type=click.Choice(["auto", "1", "2"]),
-        help="Hands to track: one, both, or as many as the recording shows (auto; one with --hand-side).  "
-        "[default: auto]",
+        type=click.Choice(["auto", "1", "2", "1 of 2"]),
+        help="Hands to track: one, both, one beside another that is in view, or as many as the recording "
+        "shows (auto; one with --hand-side).  [default: auto]",
     ),
     option(
         "--shape",

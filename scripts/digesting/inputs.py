@@ -68,6 +68,29 @@ def _write_depth(target: Path, path: Path, camera: Path, per_mm: float) -> None:
     camera.write_text("".join(lines))
 
 
+def write_pair_folder(folder: Path) -> None:
+    """Write depth of a hand and of its mirror image beside it, with a camera file."""
+    _write_depth(folder / "pair", folder / "hand-C.mcap", folder / "pair" / "camera.toml", 1.0)
+    for path in sorted((folder / "pair").glob("*.png")):
+        depth = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        assert depth is not None
+        both = [np.roll(one, shift, axis=1) for one, shift in ((depth, -90), (depth[:, ::-1], 90))]
+        far = np.where(np.array(both) > 0, both, np.iinfo(np.uint16).max).min(axis=0)
+        cv2.imwrite(str(path), np.where(far == np.iinfo(np.uint16).max, 0, far).astype(np.uint16))
+
+
+def write_face_truth(folder: Path) -> None:
+    """Write 68 landmarks of a face whose mouth opens."""
+    stamps = [one["stamp_ns"] for one, _ in truth_of(folder / "one.mcap", "/truth/head/estimate")]
+    names = [f"p{k}_{axis}_mm" for k in range(68) for axis in "xyz"]
+    rows = [",".join(["stamp_ns", *names])]
+    for k, stamp in enumerate(stamps):
+        points = np.zeros((68, 3))
+        points[66, 1] = -float(k)
+        rows.append(",".join([str(stamp), *map(str, points.ravel())]))
+    (folder / "face-truth.csv").write_text("\n".join(rows) + "\n")
+
+
 def copy_images(folder: Path) -> None:
     """Copy the images of one camera without calibration."""
     (folder / "uncalibrated").mkdir()

@@ -95,9 +95,17 @@ def recordings() -> Iterator[Step]:
     yield made("kinect", inputs.write_kinect_file, "kinect.mkv")
     yield made("keypoints", inputs.write_keypoints, "keypoints.json joints.csv", "hand-C")
     yield made("landmarks", inputs.write_landmarks, "landmarks.csv clicked.csv", "two")
+    yield from _later_inputs()
     yield made("people", inputs.write_people, "person-0.mcap person-1.mcap person-2.mcap")
     yield made("boards", inputs.write_boards, "chessboard charuco")
     yield made("lists", inputs.write_lists, "manifest.toml list.txt gates.txt", "hand-C near keypoints two")
+
+
+def _later_inputs() -> Iterator[Step]:
+    turned = "--seed 4 --frames 4 --camera-count 1 --yaw-range 40 --roll 15"
+    yield command("turned", f"head synth {turned} -o turned.mcap")
+    yield made("pair", inputs.write_pair_folder, "pair", "hand-C")
+    yield made("face-truth", inputs.write_face_truth, "face-truth.csv", "one")
 
 
 def conversions() -> Iterator[Step]:
@@ -145,6 +153,7 @@ def hand_runs() -> Iterator[Step]:
         "bag-run": f"{{bags}} {OF_BAG} --end 8 {FEW}",
         "ros2-run": f"{{ros2}} --end 8 --stride 2 {FEW}",
         "kinect-run": f"{{kinect}} --hand-side right {FEW}",
+        "pair-run": f"{{pair}} --fps 30 --hands 2 --shape average --smooth --end 8 {FEW}",
     }
     for name, line in runs.items():
         yield command(name, f"hand run {line} -o {name}.mcap")
@@ -197,6 +206,7 @@ def head_runs() -> Iterator[Step]:
         "mono-mirror": f"{{faces}} --cameras left --camera faces/camera.toml --mirror --passes 1 {FEWER}",
         "mono-bag": f"{{bags:1}} --cameras {GREY_TOPIC} --end 8 --passes 1 {FEWER}",
         "mono-paper": f"{{two}} --cameras left --config head-mono-paper --end 8 --passes 1 {FEWER}",
+        "mono-faces": f"{{one}} --faces all --end 10 {FEWER}",
         "mono-set": f"{{two}} --cameras left --set adjustment.views=4 --end 8 --passes 1 {FEWER}",
     }
     saved = {"stereo": ("stereo.npz",), "mono": ("mono.npz",)}
@@ -225,6 +235,7 @@ def exports() -> Iterator[Step]:
     }.items():
         for kind in kinds.split():
             yield command(f"export-{name}-{kind}", f"export {{{name}}} -o exported-{name}.{kind}")
+    yield command("export-pair", "export {pair-run} --of left -o exported-left.csv")
     yield command("export-smoothed", "export {smooth} --track smoothed --no-lost -o exported-smoothed.csv")
     yield command("export-protobuf", "export {smooth} --schemas protobuf -o exported-protobuf.mcap")
     ros2 = "--format mcap --schemas ros2 --estimate-topic /truth/hand/estimate --overwrite"
@@ -254,7 +265,8 @@ def reports() -> Iterator[Step]:
         f"{gates}",
         "joints": f"{{started}} --truth {{keypoints:1}} {gates}",
         "stereo": f"{{stereo}} --truth {{two}} --align rigid+points --parts --track smoothed {of_heads}",
-        "mono": "{mono} --truth {one} --align similarity --gates {lists:2}",
+        "mono": "{mono} --truth {one} --align similarity --face-truth {face-truth} --gates {lists:2}",
+        "pair": "{pair-run} --of left",
         "compared": f"{{rbpf}} {{pf}} {{fast}} --truth {{hand-C}} {gates}",
         "groups": f"{{rbpf}} {{pf}} {{fast}} {{own-shape}} --group a=rbpf.mcap --group b=pf.mcap {gates}",
         "rows": "{rbpf} {pf} {fast} {smooth} {left} --rows --worst 3 --honesty --baseline {eval-rbpf} "
@@ -286,6 +298,7 @@ def pictures() -> Iterator[Step]:
         "messages": "{smooth} --recording {hand-C} -o view-smooth.mcap",
         "images": "{stereo} --recording {two} -o view-stereo.mcap",
         "bag": f"{{bag-run}} --recording {{bags}} {OF_BAG} --select 2,4 -o view-bag",
+        "pair": "{pair-run} --recording {pair} --fps 30 --of left --select 2 -o view-pair",
         "tenths": f"{{folder-tenths}} --recording {{tenths}} {of_folder} --select 2 -o view-tenths",
     }
     for name, line in drawn.items():

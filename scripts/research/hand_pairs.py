@@ -89,7 +89,8 @@ def report(people: tuple[int, ...], files: Files, report: Report) -> None:
         report.judge(f"{what}: frames far off, not lost", over(figures, "far"), most=0.01, percent=True)
         for title, column, least in (("sides right", "sides", 2.0), ("no swap", "swapped", 0.0)):
             right = values_of(figures, column) == least
-            report.judge(f"{what}: {title}, of {len(right)}", float(right.sum()), least=len(right), digits=0)
+            count = float(right.sum()) if len(right) else None
+            report.judge(f"{what}: {title}, of {len(right)}", count, least=len(right), digits=0)
 
 
 def _figures(path: Path) -> dict[str, float]:
