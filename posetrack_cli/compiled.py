@@ -35,6 +35,7 @@ KERNEL_SOURCES = (
     "rendering/port.py",
     "rendering/raster.py",
     "head/dense/network.py",
+    "head/actions.py",
     "head/detection/appearance.py",
     "head/face/templates.py",
     "head/face/points.py",

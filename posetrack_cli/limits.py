@@ -148,8 +148,6 @@ NAME_CHARACTERS = 256
 """Names of joints, shape parameters and cameras."""
 LIST_ENTRIES = 10_000
 """Points, shape parameters etc. of a subject: a hand has 21 joints, a face about a hundred points."""
-SUBJECTS = 64
-"""Subjects of a result."""
 TRIANGLES = 1_000_000
 """Triangles of a subject's mesh."""
 CAMERAS = 1000

@@ -94,8 +94,7 @@ hand.add_command(hand_synth)
     option(
         "--hands",
         type=click.Choice(["auto", "1", "2", "1 of 2"]),
-        help="Hands to track: one, both, one beside another that is in view, or as many as the recording "
-        "shows (auto; one with --hand-side).  [default: auto]",
+        help="Hands to track; 1 of 2: one, with another in view; auto: all seen.  [default: auto]",
     ),
     option(
         "--shape",

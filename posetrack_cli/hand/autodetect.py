@@ -483,7 +483,8 @@ def _counted(recording: Recording, config: HandConfig, start: int, scale: float)
         )
     if count in (BOTH, ONE_OF_TWO):
         return config
-    if not fits or config.init.method != "auto":
+    is_given = count == "auto" and config.hand.side != "auto" and not is_size_unknown(config)
+    if not fits or config.init.method != "auto" or is_given:
         return _with_hand(config, {"count": "1"})
     is_one = count == "1" or config.hand.side != "auto"
     shows_two = PairFinder(recording, config, scale, start).shows_two

@@ -12,6 +12,8 @@ from posetrack_cli.errors import ResultError
 from posetrack_cli.geometry.rotations import EULER_ORDER, head_roll_pitch_yaw, roll_pitch_yaw
 from posetrack_cli.recording.pixels import PixelKind
 
+MOST_SUBJECTS = 64
+"""Largest number of subjects of a result."""
 _LABEL = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,31}", re.ASCII)
 
 # Properties of a kind of subject that formats, exports and measurements depend on

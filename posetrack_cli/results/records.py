@@ -14,7 +14,7 @@ from pydantic_core import core_schema as schemas
 from posetrack_cli import limits
 from posetrack_cli.errors import ResultError
 from posetrack_cli.recording.base import RUN_RECORD
-from posetrack_cli.results.estimate import Subject
+from posetrack_cli.results.estimate import MOST_SUBJECTS, Subject
 from posetrack_cli.strict_json import NAME, integer_from, list_of, number_from, reader_of, text_of
 
 SUBJECT_RECORD = "posetrack.subject"
@@ -89,8 +89,8 @@ def subjects_from_records(metadata: Mapping[str, Mapping[str, str]]) -> tuple[Su
         ResultError: see ``subject_from_record``; or there are too many, or a record has another label.
     """
     names = [name for name in metadata if name == SUBJECT_RECORD or name.startswith(f"{SUBJECT_RECORD}.")]
-    if len(names) > limits.SUBJECTS:
-        raise ResultError("too many subjects", found=len(names), expected=f"at most {limits.SUBJECTS}")
+    if len(names) > MOST_SUBJECTS:
+        raise ResultError("too many subjects", found=len(names), expected=f"at most {MOST_SUBJECTS}")
     subjects = tuple(subject_from_record(metadata[name]) for name in names)
     for name, subject in zip(names, subjects, strict=True):
         if name != _record_name(subject.label):

@@ -9,11 +9,10 @@ from typing import Annotated, Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
-from posetrack_cli import limits
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.columns import FLAGS, LayoutError, Stamp, check_numbers, floats
-from posetrack_cli.results.estimate import Estimate
+from posetrack_cli.results.estimate import MOST_SUBJECTS, Estimate
 from posetrack_cli.results.spool import Checkpoint
 from posetrack_cli.tracking.state_codec import Codec, Maybe, codec_of, joined, part_of
 
@@ -161,7 +160,7 @@ def run_state_at(tracker: Tracker[Any], checkpoint: Checkpoint, rng: np.random.G
     _set_state(rng, record.get("rng"))
     if index < 0:
         return RunState(None, rng, index)
-    check_numbers(record, {_SUBJECTS: (0, limits.SUBJECTS)})
+    check_numbers(record, {_SUBJECTS: (0, MOST_SUBJECTS)})
     motions = (part_of(checkpoint.arrays, f"{_VELOCITY}.{number}") for number in range(record[_SUBJECTS]))
     own = {name: v for name, v in checkpoint.arrays.items() if not name.startswith(f"{_VELOCITY}.")}
     beliefs = tuple(_VELOCITY_CODEC.from_arrays(motion) for motion in motions)

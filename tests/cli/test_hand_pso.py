@@ -89,7 +89,11 @@ def test_the_shipped_configuration_is_the_default_swarm(recording: Path, tmp_pat
 def test_an_interrupted_run_resumes_to_the_same_bytes(recording: Path, result: Path, tmp_path: Path) -> None:
     output, seen = tmp_path / "r.mcap", list[int]()
     flushing = {"flush_frames": 2}
-    tables = {"hand": {"side": "right"}, "filter": {"kind": "pso", "particles": 32}, "pso": SWARM}
+    tables = {
+        "hand": {"side": "right", "count": "1"},
+        "filter": {"kind": "pso", "particles": 32},
+        "pso": SWARM,
+    }
     config = HandConfig.model_validate(tables)
     assert HandConfig.model_validate_json(read_result(result).run["configuration"]) == config
     whole = tmp_path / "whole.mcap"

@@ -17,7 +17,7 @@ from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.config import HeadStereoConfig
 from posetrack_cli.head.face.points import POINT_NAMES
 from posetrack_cli.head.run import HeadRun, HeadRunOptions
-from posetrack_cli.head.subject import head_subject
+from posetrack_cli.head.subject import head_subject, with_dense_face
 from posetrack_cli.head.tracker.stereo import components_of, make_stereo_tracker
 from posetrack_cli.recording.camera_file import camera_file_text
 from posetrack_cli.recording.opening import open_recording
@@ -210,7 +210,7 @@ def test_the_tracker_goes_on_from_its_checkpoint_to_the_same_bytes(
             config,
             HeadRunOptions(tmp_path / name, resume=resume, smooth=True),
             name="head-stereo",
-            subject=head_subject(source.cameras[0].name, components_of(config)),
+            subject=with_dense_face(head_subject(source.cameras[0].name, components_of(config))),
             flush_frames=config.output.flush_frames,
             make_tracker=lambda known: make_stereo_tracker(config, source.cameras, known),
         ).track(lambda estimate: None, lambda: next(asked) == stop_after)

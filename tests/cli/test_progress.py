@@ -259,7 +259,7 @@ def test_lines_of_several_workers_break_no_bar_of_a_batch(monkeypatch: pytest.Mo
     assert sorted(line.partition("] ")[2] or line for line in lines) == sorted(
         [*failed, *(f"{name}: noted" for name in names)]
     )
-    assert re.fullmatch(r"batch: 100%\|.*\| 100/100 \[.*, 100 failed, 0 frames.*", last), last
+    assert re.fullmatch(r"batch: 100%\|.*\| 100/100 \[.*, 100 failed, 0 frame.*", last), last
 
 
 WAITING = """

@@ -114,10 +114,16 @@ def without_others(
         if own is not None and (own.is_sure or not other.is_sure):
             nearest = distance if own.is_sure == other.is_sure else _EXPLAINED_MM * own.scale
             explained &= _distance_mm(coarse, own, window, camera) > nearest
-        fine = explained.repeat(window.step, axis=0).repeat(window.step, axis=1)
-        fine = fine[: part.shape[0], : part.shape[1]]
+        fine = _enlarged(explained, window.step, part)
+        # at outlines, the pixels between two compared ones may read another surface
+        fine &= np.abs(np.abs(part) - _enlarged(coarse, window.step, part)) < _EXPLAINED_MM * other.scale
         part[fine] = -np.abs(part[fine])
     return out
+
+
+def _enlarged(image: ImageArray, step: int, like: ImageArray) -> ImageArray:
+    """Return an image with every pixel repeated, cut to the size of another one."""
+    return image.repeat(step, axis=0).repeat(step, axis=1)[: like.shape[0], : like.shape[1]]
 
 
 def _distance_mm(depth: Float32Array, hand: SeenHand, window: Window, camera: Camera) -> Float32Array:

@@ -69,7 +69,7 @@ class Written:
     def __init__(self) -> None:
         self.estimates: list[Estimate] = []
 
-    def write_smoothed(self, estimate: Estimate) -> None:
+    def write_smoothed(self, estimate: Estimate, vertices: None = None, subject: int = 0) -> None:
         self.estimates.append(estimate)
 
 

@@ -12,6 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from posetrack_cli.head.config import AdjustmentSettings
+from posetrack_cli.head.dense.face import KnownFace, NeutralFace
+from posetrack_cli.head.dense.lengths import UNKNOWN_PERSON
+from posetrack_cli.head.dense.points import DENSE_COUNT
 from posetrack_cli.head.initialisation.search import Search
 from posetrack_cli.head.subject import SIGNS
 from posetrack_cli.head.tracker.codecs import (
@@ -67,6 +70,13 @@ STATES = {
     ),
     "after a cut": replace(
         KNOWN,
+        dense=(
+            KnownFace(
+                replace(UNKNOWN_PERSON, histogram=UNKNOWN_PERSON.histogram + 3),
+                NeutralFace(np.full((DENSE_COUNT, 3), 0.1), np.full(DENSE_COUNT, 2.5)),
+                is_closed=True,
+            ),
+        ),
         track=TRACK,
         scene=np.random.default_rng(11).random(SCENE_WIDTH * SCENE_HEIGHT),
         cut=True,
