@@ -134,7 +134,10 @@ def track_hand(
     resume: bool = False,
     device: int | Literal["cpu"] | None = None,
 ) -> Tracking:
-    """Track a hand in depth images; same as ``posetrack hand run``, with the same defaults.
+    """Track a hand in depth images; same as ``posetrack hand run --hands 1``, with the same defaults.
+
+    With the setting ``hand.count`` of ``2``, both hands are written to ``output``, and iteration yields the
+    estimates of the right one.
 
     Side, size and shape are estimated before this function returns, which takes about ten seconds. Warns if
     the estimate is doubtful.
@@ -176,7 +179,7 @@ def track_hand(
     files = _as_list(config)
     given = read_shape(None if shape == "auto" else shape)
     own = {"hand.side": None if side == "auto" else side, "init.shape": given.init}
-    values = {**parse_assignments(given.assignments), **(settings or {}), **own}
+    values = {"hand.count": "1", **parse_assignments(given.assignments), **(settings or {}), **own}
     configuration = _configured(HandConfig, [*files, *given.files], values)
     if isinstance(depth, Recording):
         _check_unset(camera=camera, fps=fps, stamps_ns=stamps_ns, depth_unit_mm=depth_unit_mm)

@@ -228,8 +228,10 @@ def _hand_assignments(path: Path) -> tuple[str, ...]:
         raise ResultError(
             "result has no hand shape", where=path, expected="a result of posetrack hand run"
         ) from error
+    # both hands of a person have one shape; how many there are is not part of it
+    left_out = {"count", "side"} if settings.count == "2" else {"count"}
     # texts, numbers and lists of numbers are the same in JSON and in TOML
-    values = settings.model_dump(mode="json", exclude_none=True)
+    values = settings.model_dump(mode="json", exclude_none=True, exclude=left_out)
     return tuple(f"hand.{name}={json.dumps(value)}" for name, value in values.items())
 
 

@@ -20,7 +20,7 @@ from posetrack_cli.hand.model.anatomy import HandShape, PopulationSpace
 from posetrack_cli.hand.model.kinematics import joint_positions, mirrored_poses
 from posetrack_cli.hand.observe.others import HandDrawer, SeenHand, without_others
 from posetrack_cli.hand.run import HandRun, RunOptions
-from posetrack_cli.hand.shape_fit import combined
+from posetrack_cli.hand.shape_fit import combined, read_shape
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.results import read_result
 from posetrack_cli.results.columns import Columns
@@ -152,6 +152,19 @@ def test_two_hands_are_counted_and_one_before_a_wall_is_not_two(
     one = Drawn.of(Stage(device, HANDS["right"]), [pair[0] for pair in poses[::6]])
     assert PairFinder(recording, HandConfig(), 1.0, 0).shows_two
     assert not PairFinder(one, HandConfig(), 1.0, 0).shows_two
+
+
+@pytest.mark.parametrize(("count", "kept"), [("1", "left"), ("2", "auto")])
+def test_a_shape_from_a_result_says_nothing_of_how_many_hands(
+    device: RenderingDevice, recording: Drawn, tmp_path: Path, count: str, kept: str
+) -> None:
+    """Nor, of both, which one."""
+    hand = {"count": count, "side": "left", "scale": 0.9}
+    config = HandConfig.model_validate(BOTH.model_dump() | {"hand": hand})
+    HandRun(recording, config, RunOptions(tmp_path / "r.mcap", end=1), device).track(lambda estimate: None)
+    named = dict(one.split("=", 1) for one in read_shape(tmp_path / "r.mcap").assignments)
+    assert named["hand.scale"] == "0.9" and "hand.count" not in named
+    assert named.get("hand.side", '"auto"') == f'"{kept}"'
 
 
 def test_a_filter_that_fits_no_frames_refuses_two_hands(recording: Drawn) -> None:
