@@ -179,7 +179,8 @@ class DepthScene:
         """Return the panel with semi-transparent estimates over the depth, and the true contour on top."""
         ground = cv2.convertScaleAbs(self.observed, alpha=_DIMMED)
         painted = ground.copy()
-        for drawn in estimates:
+        # of several subjects in one place, the nearest hides the others
+        for drawn in sorted(estimates, key=_nearness) if self.instant.is_together else estimates:
             self._draw(painted, drawn)
         picture: ImageArray = cv2.addWeighted(painted, _OPACITY, ground, 1.0 - _OPACITY, 0.0)
         self._outline_truth(picture)
@@ -208,6 +209,12 @@ class DepthScene:
 
     def _ink(self, drawn: DrawnEstimate) -> Colour:
         return drawn.mark or (drawn.of.colour if len(self.instant.estimates) > 1 else TEXT)
+
+
+def _nearness(drawn: DrawnEstimate) -> float:
+    """Return the sort key of an estimate: the farthest first, and those without points before all others."""
+    points = drawn.shown.points
+    return -np.inf if points is None else -float(np.mean(points[:, 2]))
 
 
 def _caption_lines(when: list[str], said: Sequence[list[str]], *, named: bool) -> list[list[str]]:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
 
 import cv2
 import numpy as np
 import pytest
 
 from posetrack_cli.evaluation.reading.tracks import Track
+from posetrack_cli.evaluation.viewing import panels
 from posetrack_cli.evaluation.viewing.drawing import LOST, SECOND, SKIN, TRUTH, DepthRange, Shown
 from posetrack_cli.evaluation.viewing.hand_drawing import HandDrawer
 from posetrack_cli.evaluation.viewing.layers import Drawing, DrawnTrack, point_errors
@@ -205,3 +208,12 @@ def test_point_errors_are_mean_distances_at_equal_stamps(track: Track) -> None:
         assert found is not None
         np.testing.assert_allclose(found, 10.0)
     assert point_errors(replace(track, points=None, position=None), track) is None
+
+
+def test_of_several_subjects_the_nearest_is_drawn_last() -> None:
+    """And so hides the others; one without points comes first."""
+    far, near = (np.full((3, 3), z) for z in (900.0, 600.0))
+    shown = [SimpleNamespace(shown=SimpleNamespace(points=points)) for points in (near, None, far)]
+    ordered = sorted(shown, key=cast(Any, panels._nearness))
+    assert [one.shown.points is near for one in ordered] == [False, False, True]
+    assert ordered[0].shown.points is None
