@@ -25,10 +25,10 @@ QUICK_SEARCH = {"scattered": 4, "finished": 3}
 """Settings of a search for comparisons that do not need the last 0.1 mm."""
 FRAMES = 16
 """Frames of the whole recording that are searched for two hands."""
-SECOND_MM = 10.0
+SECOND_MM = 8.0
 """Largest total cost of the costlier of two hands **[ours]**.
 
-In recordings of one hand, faces, elbows and backgrounds cost at least 13.8 mm as a second one (16 in real
+In recordings of one hand, elbows, bodies and backgrounds cost at least 9.9 mm as a second one (16 in real
 ones); in every recording of two hands some frame costs less than 7 mm.
 """
 LIKELY_MM = 15.0

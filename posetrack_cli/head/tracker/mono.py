@@ -400,7 +400,7 @@ class MonoPeople:
         variance = size_and_systematic_variance(pose, self._systematic_sd, size)
         if self._lens is not None:
             variance += self._lens.variance(pose)
-        if not state.people:
+        if not state.people or not self._config.face.use:  # the papers state no error of expressions
             return variance
         neutral = state.person.shape.mean - MEAN_DISPLACEMENTS
         return variance + MONO_TRACK.expression_variance(fit.track.shape - neutral)

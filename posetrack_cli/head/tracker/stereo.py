@@ -194,8 +194,15 @@ class StereoFace:
             padded(nothing if fit is None else fit.coefficients, count),
             padded(nothing if face is None else face.model.deviations, count),
             _diagnostics(face, fit).numbers(count),
-            None if face is None or fit is None else _systematic_variance(face, fit),
+            None if face is None or fit is None else self._systematic_variance(face, fit),
         )
+
+    def _systematic_variance(self, face: FaceLearning, fit: FrameFit) -> FloatArray:
+        """Return the (6,) variances of the systematic error, which grow while the brows are raised."""
+        variance = np.square(STEREO_TRACK.systematic_sd)
+        if not self._config.face.use:  # the papers state no error of expressions
+            return variance
+        return variance + STEREO_TRACK.expression_variance(fit.track.shape - face.model.mean)
 
     def export_model(self, state: StereoState, *, for_second_pass: bool) -> Learned:
         """Return the learned shape model and templates."""
@@ -276,12 +283,6 @@ def _keyframe(templates: TemplateSet, fit: FrameFit) -> TemplateSet:
         return templates
     alike = np.nan_to_num(fit.by_camera) > KEYFRAME_CORRELATION
     return replace(templates, seen=templates.seen & alike)
-
-
-def _systematic_variance(face: FaceLearning, fit: FrameFit) -> FloatArray:
-    """Return the (6,) variances of the systematic error of a track, which grow while the brows are raised."""
-    moved = fit.track.shape - face.model.mean
-    return np.square(STEREO_TRACK.systematic_sd) + STEREO_TRACK.expression_variance(moved)
 
 
 def _diagnostics(face: FaceLearning | None, fit: FrameFit | None) -> StereoDiagnostics:
