@@ -12,16 +12,16 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.both import BOTH, ONE_OF_TWO, QUICK_SEARCH, SIDES, PairFinder, shape_of_both
-from posetrack_cli.hand.config import HandConfig, HandSettings
+from posetrack_cli.hand.both import SIDES, PairFinder, shape_of_both
+from posetrack_cli.hand.config import BOTH, ONE_OF_TWO, HandConfig, HandSettings
 from posetrack_cli.hand.evidence import DepthEvidence
 from posetrack_cli.hand.fit.gauss_newton import STIFF_THUMB
-from posetrack_cli.hand.fit.likelihood import PROPOSALS
+from posetrack_cli.hand.fit.likelihood import fits_frames
 from posetrack_cli.hand.keypoints.file import KeypointFile
 from posetrack_cli.hand.keypoints.hands import KeypointSide, keypoint_candidates
 from posetrack_cli.hand.model.hand import hand_maker
 from posetrack_cli.hand.observe.detection import Detection
-from posetrack_cli.hand.search import Acquisition
+from posetrack_cli.hand.search import Acquisition, quick_search
 from posetrack_cli.hand.shape_fit import (
     Calibration,
     CalibrationOptions,
@@ -181,7 +181,7 @@ def is_size_unknown(config: HandConfig) -> bool:
     """Return whether the shape is not configured and matters, as the tracker fits frames."""
     is_given = config.init.shape == "given" or config.hand.mesh is not None
     is_given = is_given or config.hand.shape != HandSettings().shape
-    return not is_given and PROPOSALS[config.filter.proposal].fits_frames and config.filter.kind != "pso"
+    return not is_given and fits_frames(config)
 
 
 class SideAndScaleSearch:
@@ -208,10 +208,7 @@ class SideAndScaleSearch:
         has_sizes: bool,
     ) -> None:
         self._keypoints, self._keypoint_side = keypoints, KeypointSide(keypoints, camera)
-        quick = config.acquisition.model_copy(update=QUICK_SEARCH)
-        never = config.status.model_copy(update={"doubt_above_mm": config.observation.clamp_mm})
-        self._quick = config.model_copy(update={"acquisition": quick, "status": never})
-        self._config, self._camera = config, camera
+        self._quick, self._config, self._camera = quick_search(config), config, camera
         self._make_hand = hand_maker(config.hand.mesh)
         self.sides, self.frame_count, self._log_odds = sides, 0, 0.0
         own = config.hand.scale
@@ -439,7 +436,7 @@ def detect_hand(
 
     config = _counted(recording, config, start, search.scale(search.side))
     if config.hand.count in (BOTH, ONE_OF_TWO):
-        return _both_hands(recording, config, start, search)
+        return _both_hands(recording, config, start, search, is_open=is_open)
     estimate = _shapes(recording, config, search, CalibrationOptions(start=start))
 
     def estimate_usable(side: str) -> Calibration | None:
@@ -473,8 +470,7 @@ def _size_warning(config: HandConfig) -> str:
 
 def _counted(recording: Recording, config: HandConfig, start: int, scale: float) -> HandConfig:
     """Return the configuration with the number of hands in view; one if the tracker fits no frames."""
-    count = config.hand.count
-    fits = PROPOSALS[config.filter.proposal].fits_frames and config.filter.kind != "pso"
+    count, fits = config.hand.count, fits_frames(config)
     if count == BOTH and not fits:
         raise UsageError(
             "two hands cannot be tracked",
@@ -492,13 +488,13 @@ def _counted(recording: Recording, config: HandConfig, start: int, scale: float)
 
 
 def _both_hands(
-    recording: Recording, config: HandConfig, start: int, search: SideAndScaleSearch
+    recording: Recording, config: HandConfig, start: int, search: SideAndScaleSearch, *, is_open: bool
 ) -> DetectedHand:
     """Estimate the shape that two hands share, if it is open."""
     side = search.side if config.hand.side == "auto" else config.hand.side
     scale = search.scale(search.side)
     config, found = _with_hand(config, {"side": side, "scale": scale}), None
-    if is_size_unknown(config.model_copy(update={"hand": HandSettings(mesh=config.hand.mesh)})):
+    if is_open:
         frames = PairFinder(recording, config, scale, start).frames
         found = shape_of_both(recording, config, frames, _is_usable)
     hands = "two hands" if config.hand.count == BOTH else f"the {side} one of two hands"

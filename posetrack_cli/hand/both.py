@@ -12,17 +12,13 @@ from posetrack_cli.errors import RecordingError
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.fit.gauss_newton import STIFF_THUMB
 from posetrack_cli.hand.model.hand import hand_maker
-from posetrack_cli.hand.search import Acquisition, Candidate, cheapest_pair, detection_penalty
+from posetrack_cli.hand.search import Acquisition, Candidate, cheapest_pair, detection_penalty, quick_search
 from posetrack_cli.hand.shape_fit import Calibration, CalibrationOptions, combined, shape_of
 from posetrack_cli.phases import phase
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.recording import Recording
 
 SIDES = ("right", "left")
-BOTH, ONE_OF_TWO = "2", "1 of 2"
-"""Values of ``hand.count`` with two hands in view."""
-QUICK_SEARCH = {"scattered": 4, "finished": 3}
-"""Settings of a search for comparisons that do not need the last 0.1 mm."""
 FRAMES = 16
 """Frames of the whole recording that are searched for two hands."""
 SECOND_MM = 8.0
@@ -106,11 +102,8 @@ class PairFinder:
 
 
 def _finder(config: HandConfig, side: str, scale: float, recording: Recording) -> Acquisition:
-    quick = config.acquisition.model_copy(update=QUICK_SEARCH)
-    never = config.status.model_copy(update={"doubt_above_mm": config.observation.clamp_mm})
-    config = config.model_copy(update={"acquisition": quick, "status": never})
     hand = hand_maker(config.hand.mesh)(side, replace(config.hand.shape, scale=scale))
-    return Acquisition(config, hand, recording.cameras[0], STIFF_THUMB)
+    return Acquisition(quick_search(config), hand, recording.cameras[0], STIFF_THUMB)
 
 
 def shape_of_both(

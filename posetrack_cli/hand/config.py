@@ -23,6 +23,10 @@ Coefficient = Annotated[float, Field(ge=-MOST_COEFFICIENT, le=MOST_COEFFICIENT)]
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
+BOTH, ONE_OF_TWO = "2", "1 of 2"
+"""Values of ``hand.count`` with two hands in view."""
+
+
 class HandSettings(Settings):
     """Side, size and proportions of the hand; with ``mesh``, of the hand in that file.
 

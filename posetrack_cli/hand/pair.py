@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from typing import Annotated
 
 import numpy as np
@@ -49,18 +50,6 @@ def _state_of(hands: Iterable[HandState]) -> PairState:
     return PairState((first, second), np.array([first.expected, second.expected]), np.zeros(2))
 
 
-def _both(first: HandState, second: HandState) -> tuple[HandState, HandState]:
-    return first, second
-
-
-def _first(hands: tuple[HandState, HandState]) -> HandState:
-    return hands[0]
-
-
-def _second(hands: tuple[HandState, HandState]) -> HandState:
-    return hands[1]
-
-
 class PairTracker:
     """Tracks two hands.
 
@@ -81,8 +70,9 @@ class PairTracker:
         self.trackers, self._drawers, self._reported = tuple(trackers), tuple(drawers), reported
         self._camera = pinhole(camera)
         self._sampler = PixelSampler(camera) if camera.is_distorted else None
-        right, left = (tracker.codec for tracker in self.trackers)
-        hands = Fields(_both, first=(_first, right), second=(_second, left))
+        codecs = (tracker.codec for tracker in self.trackers)
+        first, second = ((itemgetter(k), codec) for k, codec in enumerate(codecs))
+        hands = Fields(lambda first, second: (first, second), first=first, second=second)
         self.codec: Codec[PairState] = codec_of(PairState, hands=hands)
 
     def start(self, pose: FloatArray, stamp_ns: int, rng: np.random.Generator) -> PairState:

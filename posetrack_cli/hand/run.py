@@ -15,10 +15,9 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import UsageError
 from posetrack_cli.filtering.smoothing import Memory
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.both import BOTH, ONE_OF_TWO
-from posetrack_cli.hand.config import ComponentSettings, HandConfig, deviations_from_print
+from posetrack_cli.hand.config import BOTH, ONE_OF_TWO, ComponentSettings, HandConfig, deviations_from_print
 from posetrack_cli.hand.evidence import DepthEvidence
-from posetrack_cli.hand.fit.likelihood import PROPOSALS, RenderedCosts
+from posetrack_cli.hand.fit.likelihood import PROPOSALS, RenderedCosts, fits_frames
 from posetrack_cli.hand.fit.local_fits import FOREARM_CONFIDENCE, INNER, HandFits
 from posetrack_cli.hand.fit.skeleton import NO_INNER, THUMB, inner_of
 from posetrack_cli.hand.keypoints.file import KeypointFile
@@ -371,8 +370,7 @@ def check_run(recording: Recording, config: HandConfig, options: RunOptions) -> 
             found="--filter pso, which has no distribution",
             expected="rbpf or pf",
         )
-    fits = config.filter.kind != "pso" and PROPOSALS[config.filter.proposal].fits_frames
-    if options.keypoints is not None and not fits:
+    if options.keypoints is not None and not fits_frames(config):
         raise UsageError(
             "--keypoints cannot be used",
             found=f"--filter {config.filter.kind} --proposal {config.filter.proposal}, which fits no frames",

@@ -399,6 +399,16 @@ _ROUGH_STEP, _MIN_ROUGH_TILE_PX = 2, 48
 """Rough fits use every second pixel in both directions, unless the tile is small."""
 
 
+_QUICK_SEARCH = {"scattered": 4, "finished": 3}
+
+
+def quick_search(config: HandConfig) -> HandConfig:
+    """Return the configuration of a search for comparisons that do not need the last 0.1 mm."""
+    quick = config.acquisition.model_copy(update=_QUICK_SEARCH)
+    never = config.status.model_copy(update={"doubt_above_mm": config.observation.clamp_mm})
+    return config.model_copy(update={"acquisition": quick, "status": never})
+
+
 class Acquisition:
     """Finds hands without a prediction: the best of many hypotheses are fitted, first roughly, then fully.
 

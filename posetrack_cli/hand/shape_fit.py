@@ -15,7 +15,7 @@ from pydantic import ValidationError
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.errors import RecordingError, ResultError
 from posetrack_cli.files import write_output
-from posetrack_cli.hand.config import HandConfig, HandSettings
+from posetrack_cli.hand.config import BOTH, HandConfig, HandSettings
 from posetrack_cli.hand.fit.fitter import tile_of
 from posetrack_cli.hand.fit.skeleton import FOREARM, NO_INNER, NO_THUMB, THUMB
 from posetrack_cli.hand.fit.terms import Terms, Tile
@@ -229,7 +229,7 @@ def _hand_assignments(path: Path) -> tuple[str, ...]:
             "result has no hand shape", where=path, expected="a result of posetrack hand run"
         ) from error
     # both hands of a person have one shape; how many there are is not part of it
-    left_out = {"count", "side"} if settings.count == "2" else {"count"}
+    left_out = {"count", "side"} if settings.count == BOTH else {"count"}
     # texts, numbers and lists of numbers are the same in JSON and in TOML
     values = settings.model_dump(mode="json", exclude_none=True, exclude=left_out)
     return tuple(f"hand.{name}={json.dumps(value)}" for name, value in values.items())

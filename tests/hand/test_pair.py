@@ -154,6 +154,13 @@ def test_two_hands_are_counted_and_one_before_a_wall_is_not_two(
     assert not PairFinder(one, HandConfig(), 1.0, 0).shows_two
 
 
+def test_a_configured_shape_of_two_hands_stays(recording: Drawn) -> None:
+    hand = {"count": "auto", "finger_lengths": (1.0, 1.05, 1.0, 1.0, 1.0)}
+    found = detect_hand(recording, HandConfig.model_validate({"hand": hand}), 0).config.hand
+    assert found.count == "2" and found.finger_lengths == hand["finger_lengths"]
+    assert found.coefficients == () and found.padding_mm == 0.0
+
+
 @pytest.mark.parametrize(("count", "kept"), [("1", "left"), ("2", "auto")])
 def test_a_shape_from_a_result_says_nothing_of_how_many_hands(
     device: RenderingDevice, recording: Drawn, tmp_path: Path, count: str, kept: str

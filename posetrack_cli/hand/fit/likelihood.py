@@ -11,7 +11,7 @@ import numpy as np
 from posetrack_cli.arrays import Float32Array, FloatArray
 from posetrack_cli.filtering.model import LogLikelihood, Sampling
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.config import MixtureSettings, ObservationSettings
+from posetrack_cli.hand.config import HandConfig, MixtureSettings, ObservationSettings
 from posetrack_cli.hand.fit.skeleton import THUMB
 from posetrack_cli.hand.model.forearm import forearm_window, transforms_with_forearm
 from posetrack_cli.hand.model.hand import HandModel
@@ -242,6 +242,11 @@ PROPOSALS: Mapping[str, Proposal] = MappingProxyType(
         "paper": Proposal(fits_frames=False, sampling="paper"),
     }
 )
+
+
+def fits_frames(config: HandConfig) -> bool:
+    """Return whether a configuration's tracker fits every frame locally."""
+    return config.filter.kind != "pso" and PROPOSALS[config.filter.proposal].fits_frames
 
 
 class CountedLikelihood:

@@ -142,15 +142,15 @@ class LocalFitter:
         starts = fit_starts(expected, others, settings.starts, self._space, rng)
         prior = PosePrior(expected, motion_precision(dt))
         priors, anywhere = [prior] * len(starts), prior
-        if observation.hidden < _MOST_HIDDEN:
-            # the visible pixels show where the hand is; of a hidden hand only some part
+        shows_place = observation.hidden < _MOST_HIDDEN
+        if shows_place:  # of a hidden hand, the visible pixels are only some part
             starts = fitter.aligned(tile, starts)
             priors, anywhere = [prior.about(start[:3]) for start in starts], prior.anywhere
         priors += [PosePrior(pose, KEYPOINT_PRECISION) for pose in extra]
         fits = fitter.descend(tile, np.concatenate([starts, extra]), priors, settings.iterations)
         tile = _with_inner(tile, self._best(tile, fits, anywhere).inner)
         best = fitter.swapped(tile, [fits], anywhere)[0]
-        last = prior if anywhere is prior else prior.about(best[:3])
+        last = prior.about(best[:3]) if shows_place else prior
         fits += fitter.descend(tile, best[None], [last], settings.polish)
         renders = len(starts) * (settings.iterations + 2) + 5 * (len(starts) - 1) + settings.polish + 1
         renders += len(extra) * (settings.iterations + 6)
