@@ -13,8 +13,8 @@ from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.evaluation.measuring.catalogue import addresses, metric_of
 from posetrack_cli.evaluation.measuring.evaluation import Curve, Evaluation, Value
+from posetrack_cli.evaluation.measuring.face_metrics import GAZE_NAMES, face_metrics
 from posetrack_cli.evaluation.measuring.face_metrics import NAMES as FACE_NAMES
-from posetrack_cli.evaluation.measuring.face_metrics import face_metrics
 from posetrack_cli.evaluation.measuring.honesty import JudgedFrames
 from posetrack_cli.evaluation.measuring.measures import Matched, Measures, rows_of
 from posetrack_cli.evaluation.measuring.subjects import KINDS
@@ -63,6 +63,7 @@ NO_TRUTH = "no ground truth: the result contains none, and --truth was not given
 NO_IMAGES = "the recording has none of the result's frames"
 NO_OVERLAP = "the estimate overlaps the observed hand in no frame"
 NO_LANDMARKS = "requires landmarks of the face: pass them with --face-truth"
+NO_EYES = "the ground truth has no gaze"
 NO_RECORDING = "requires the images: pass the recording with --recording"
 FALSE_TRACK = "follows no subject of the ground truth"
 _ONE_TRACK = "one track and one subject"
@@ -394,7 +395,7 @@ def _reason(measures: Measures, address: str, truth: Track | None) -> str:
     """Return why an address has no value: its own or its metric's reason, else that of its group."""
     metric = metric_of(address)
     if address in FACE_NAMES:
-        return measures.absent.get(address, NO_LANDMARKS)
+        return measures.absent.get(address, NO_EYES if address in GAZE_NAMES else NO_LANDMARKS)
     if truth is None and metric.group in (*AGAINST_TRUTH, "coverage"):
         return NO_TRUTH
     reason = measures.absent.get(address) or measures.absent.get(metric.name)

@@ -219,8 +219,6 @@ def track_of_result(result: Result, name: str, which: str = FILTERED) -> Track:
         evaluations=_known(columns["evaluations"]),
         resampled=columns["resampled"],
         frame_index=columns["frame_index"],
-        numbers=columns.get(NUMBERS),
-        number_names=result.subject.number_names,
     )
 
 
@@ -260,6 +258,8 @@ def _motion(columns: Columns, name: str, subject: Subject) -> dict[str, Any]:
         "shape": columns["shape"],
         "twist": _known(columns["twist"]),
         "points": columns["points"] if subject.point_names else None,
+        "numbers": columns.get(NUMBERS),
+        "number_names": subject.number_names if NUMBERS in columns else (),
     }
 
 
