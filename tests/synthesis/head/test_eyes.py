@@ -70,7 +70,7 @@ def test_lids_close_and_follow_the_gaze_upwards() -> None:
 def test_the_iris_is_drawn_where_its_sphere_is(
     side: float, up: float, yaw: float, device: RenderingDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A bright spot in place of the pupil, seen from aside; shaded, and .2 mm are 1 deg of a sphere of 12 mm."""
+    """A bright spot in place of the pupil, seen from aside; it is shaded. .2 mm are 1 deg of the sphere."""
 
     def spot(self: eyes._PaintedEye, s: FloatArray, gaze: FloatArray) -> FloatArray:
         return np.where(BALL_MM * np.linalg.norm(self._directions - gaze, axis=-1) < 1.0, 1.0, 0.0)
