@@ -2,7 +2,7 @@
 
 ICT-FaceKit is a face model of the USC Institute for Creative Technologies (MIT licence). The results contain
 trained weights and mean displacements, no geometry and no image. The shipped networks were trained in rounds
-of these steps: on 800 people, and then on 220 more with more beards. The network of gazes was trained last, on
+of these steps: on 800 people, and then on 220 more with more beards; the network of gazes at last, on
 300 rendered and 120 drawn people.
 """
 
