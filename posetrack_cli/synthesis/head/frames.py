@@ -32,7 +32,7 @@ from posetrack_cli.synthesis.head.form import (
     smooth_field,
     smooth_step,
 )
-from posetrack_cli.synthesis.head.movement import Movement, Occluder, make_movement, make_occluder
+from posetrack_cli.synthesis.head.movement import BEGIN_S, Movement, Occluder, make_movement, make_occluder
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
 from posetrack_cli.synthesis.head.painting import head_texture
 from posetrack_cli.synthesis.head.person import (
@@ -589,10 +589,11 @@ def render_plan(plan: Plan, *, device: RenderingDevice | None = None) -> Iterato
 
 
 def _eyes(plan: Plan, poses: FloatArray, strengths: FloatArray) -> list[tuple[OpenEye, ...]]:
-    """Return both eyes in every frame."""
+    """Return both eyes in every frame; they begin with a look at the reference camera."""
     gazes = np.broadcast_to(LOOKING_AHEAD.gaze, (len(poses), 2, 3))
     if plan.script.target is not None:
-        targets = plan.script.target(plan.timeline.seconds)
+        times = plan.timeline.seconds
+        targets = minimum_jerk(times / BEGIN_S)[:, None] * plan.script.target(times)
         gazes = gazes_at(targets, poses, plan.person.surface.eyeballs)
     closing = np.clip(strengths[:, EXPRESSIONS.index("blink")], 0.0, 1.0).tolist()
     return [
