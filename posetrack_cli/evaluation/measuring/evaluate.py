@@ -35,6 +35,7 @@ from posetrack_cli.evaluation.reading.alignment import (
 )
 from posetrack_cli.evaluation.reading.identities import Identities, Identity, identities
 from posetrack_cli.evaluation.reading.tracks import (
+    MOTION_FIELDS,
     Coverage,
     Pairs,
     Track,
@@ -43,9 +44,10 @@ from posetrack_cli.evaluation.reading.tracks import (
     measure_coverage,
     nearest_rows,
     plain_name,
-    track_of_result,
+    track_fields,
+    track_of_columns,
 )
-from posetrack_cli.evaluation.reading.truth import load_truth
+from posetrack_cli.evaluation.reading.truth import estimate_truth_topic, load_truth
 from posetrack_cli.evaluation.reading.truth_tables import truth_warnings
 from posetrack_cli.losses import Loss, LossLog
 from posetrack_cli.results.reader import Result, read_result
@@ -151,15 +153,26 @@ def evaluate(path: Path, options: EvalOptions = DEFAULT_OPTIONS, name: str | Non
     if result.subject.name not in KINDS:
         found, expected = f"subject '{result.subject.name}'", " or ".join(KINDS)
         raise ResultError("no metrics for this subject", where=path, found=found, expected=expected)
-    track = track_of_result(result, name or plain_name(path), options.track)
     truth_losses, offset_s = LossLog(), options.time_offset_s
     known = identities(
         whole, options.truth, options.track, time_offset_s=offset_s, tolerance_ns=options.tolerance_ns
     )
     of = Identity(None) if known is None else known.of[result.subject.label]
+    has_truth = known is None or of.truth is not None
+    topic = result.topic_of_track(options.track)
+    true = estimate_truth_topic(result, options.truth, of.truth) if has_truth else None
+    columns = result.columns_of({topic: track_fields(result)} | ({true: MOTION_FIELDS} if true else {}))
+    track = track_of_columns(columns.pop(topic), result, name or plain_name(path))
     truth = None
-    if known is None or of.truth is not None:
-        truth = load_truth(result, options.truth, time_offset_s=offset_s, losses=truth_losses, label=of.truth)
+    if has_truth:
+        truth = load_truth(
+            result,
+            options.truth,
+            time_offset_s=offset_s,
+            losses=truth_losses,
+            label=of.truth,
+            columns=columns.pop(true) if true else None,
+        )
     measured = _measured(result, track, truth, truth_losses, options)
     return measured if known is None else _with_identity(measured, known, of, whole)
 
