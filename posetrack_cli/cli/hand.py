@@ -183,11 +183,10 @@ def hand_run(recording: Path, **options: Any) -> None:
             name_partial_result(output),
         ):
             outcome = run.track(report, stopped)
-    if found.line and not outcome.failure:
-        if found.is_doubtful:
-            print_remark(recording, found.line)
-        else:
-            print_info(f"{recording}: {found.line}")
+    if found.line and found.is_doubtful:
+        print_remark(recording, found.line)
+    elif found.line and not outcome.failure:
+        print_info(f"{recording}: {found.line}")
     close(recording, output, outcome)
 
 

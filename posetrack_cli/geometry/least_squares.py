@@ -59,17 +59,17 @@ def damped_step(matrix: FloatArray, vector: FloatArray, damping: float) -> Float
     return np.asarray(step, dtype=np.float64)
 
 
-# Robust weights rho'(e) / e of residuals e with cost rho, for scalars and arrays; compiled.
+# Robust weights rho'(e) / e of residuals e with cost rho; compiled, for scalars and (new) arrays.
 
 
-@inlined
+@kernel
 def geman_mcclure(square: Value) -> Value:
     """Return (1 + s)^-2, s the square of e / tau; rho = tau^2 / 2 s / (1 + s) (Geman and McClure 1987)."""
     spread = 1.0 + square
     return 1.0 / (spread * spread)
 
 
-@inlined
+@kernel
 def cauchy(square: Value) -> Value:
     """Return 1 / (1 + s), s the square of e / tau, for rho = tau^2 / 2 log(1 + s)."""
     return 1.0 / (1.0 + square)
@@ -85,14 +85,14 @@ def student_t(square: float, dimensions: float, freedom: float, scale: float) ->
     return (freedom + dimensions) / (freedom * scale * scale + square)
 
 
-@inlined
+@kernel
 def huber(length: Value, bound: float) -> Value:
     """Return rho = e^2 / 2, or bound (e - bound / 2) for e >= bound; e >= 0 (Huber 1964)."""
     small: Value = np.minimum(length, bound)
     return small * (length - 0.5 * small)
 
 
-@inlined
+@kernel
 def huber_weight(length: Value, bound: float) -> Value:
     """Return the weight of ``huber``: 1 or bound / e."""
     weight: Value = np.minimum(1.0, bound / length)

@@ -224,6 +224,12 @@ class HeadOutputSettings(Settings):
     flush_frames: Count = setting(30, "frames between two checkpoints")
 
 
+class SkinSettings(Settings):
+    """Skin texture between the feature points, used by the second pass to refine the pose **[ours]**."""
+
+    use: bool = setting(True, "use the skin texture; false uses the feature points only")
+
+
 class HeadStereoConfig(Settings):
     """Configuration of ``head stereo``: everything a run depends on except recording and seed."""
 
@@ -239,6 +245,7 @@ class HeadStereoConfig(Settings):
         "Gauss-Newton over pose, deformation and a residual for each point",
     )
     status: HeadStatusSettings = HeadStatusSettings()
+    skin: SkinSettings = setting(SkinSettings(), "skin texture between the feature points (second pass)")
     face: FaceSettings = setting(FaceSettings(), "dense face: lips, jaw, lids, irises, brows")
     smoothing: HeadSmoothingSettings = setting(
         HeadSmoothingSettings(), "--smooth: additional track, smoothed over the whole recording"
@@ -376,12 +383,6 @@ class LensSettings(Settings):
     )
 
 
-class SkinSettings(Settings):
-    """Skin texture between the feature points, used by the second pass to refine the pose **[ours]**."""
-
-    use: bool = setting(True, "use the skin texture; false uses the feature points only")
-
-
 class HeadMonoConfig(Settings):
     """Configuration of ``head mono``: everything a run depends on except recording and seed."""
 
@@ -424,6 +425,7 @@ BOTH = (
     PrintedSetting("3.2.3, 4.4.3", "refinement.recalculation", "printed"),
     PrintedSetting("(3.5)", "refinement.rho", 4.0),
     PrintedSetting("3.2.1", "refinement.keyframe_deg", 360.0),
+    PrintedSetting("3.2.1", "skin.use", False),
     PrintedSetting("3.4, 4.5", "run.passes", 1),
     PrintedSetting("5.2", "face.use", False),
 )
@@ -465,7 +467,6 @@ MONO = (
     PrintedSetting("(4.18)", "adjustment.pixel_sd", ALIKE),
     PrintedSetting("4.4.3", "adjustment.neutral_mm", 1e6),
     PrintedSetting("4.4.3", "adjustment.gates_points", True),
-    PrintedSetting("3.2.1", "skin.use", False),
     PrintedSetting("4.5", "lens.estimate", False),
     PrintedSetting("4.4", "status.check_below", 0.0),
 )

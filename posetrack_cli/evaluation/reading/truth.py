@@ -41,6 +41,7 @@ from posetrack_cli.units import NS_PER_S
 # neither the camera nor the origin of the head frame; ``--align rigid`` removes both constants.
 
 
+HAND, LABEL_SUFFIXES = "hand", (".txt", ".mat")
 POSE_FILE = re.compile(r"frame_([0-9]{1,9})_pose\.txt")
 NUMBERS = 12
 """Numbers in a pose file: nine of the rotation, three of the centre."""
@@ -123,7 +124,8 @@ def load_truth(
       track; not its ``/truth`` topics;
     - another MCAP file, such as the recording: its ``/truth`` topics;
     - another file: read as a table (``load_csv_track``);
-    - a folder, for heads: Biwi poses, or annotated landmarks (``image_points``).
+    - a folder, for heads: Biwi poses, or annotated landmarks (``image_points``);
+    - for hands, a file or folder of a public dataset (``hand_labels``).
 
     Args:
         result: result to evaluate.
@@ -188,6 +190,11 @@ def _given(result: Result, path: Path, subject: Subject, losses: LossLog) -> Tra
         from posetrack_cli.evaluation.reading.image_points import load_image_points
 
         return load_biwi_poses(path, result.run) if holds_poses(path) else load_image_points(path, result)
+    if subject.name == HAND and (path.is_dir() or path.suffix in LABEL_SUFFIXES):
+        from posetrack_cli.evaluation.reading.hand_labels import is_labels, load_labels
+
+        if is_labels(path):
+            return load_labels(path, result)
     if not path.is_file():
         raise TruthError("not a file" if path.exists() else "no such file", where=path)
     # samefile also recognises links; all errors would be 0.
@@ -276,7 +283,7 @@ def _shifted(truth: Track, offset_s: float) -> Track:
         return truth
     if truth.frame_index is not None:
         raise UsageError(
-            "time offset does not apply: image points are matched by frame number",
+            "time offset does not apply: annotations are matched by frame number",
             hint="omit --time-offset-s",
         )
     offset = round(offset_s * NS_PER_S)
@@ -288,10 +295,14 @@ def _shifted(truth: Track, offset_s: float) -> Track:
 def _with_points_of(truth: Track, subject: Subject, where: Path) -> Track:
     if truth.points is None or truth.point_names == subject.point_names:
         return truth
-    check_point_names(subject.point_names, truth.point_names, where)
-    columns = [truth.point_names.index(name) for name in subject.point_names]
+    known = tuple(name for name in subject.point_names if name in truth.point_names)
+    # Annotations of hands may have some of the joints, which are compared by name.
+    if subject.name != HAND or not known:
+        check_point_names(subject.point_names, truth.point_names, where)
+    columns = [truth.point_names.index(name) for name in known]
     points = truth.points[:, columns] if columns else None
-    return replace(truth, point_names=subject.point_names, point_parents=subject.point_parents, points=points)
+    parents = subject.point_parents if known == subject.point_names else ()
+    return replace(truth, point_names=known, point_parents=parents, points=points)
 
 
 def _with_shape_of(truth: Track, subject: Subject) -> Track:

@@ -17,7 +17,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray, IntArray
-from posetrack_cli.compiled import inlined, kernel
+from posetrack_cli.compiled import borrowing, inlined
 from posetrack_cli.geometry.least_squares import geman_mcclure
 from posetrack_cli.hand.fit.normal_equations import RESIDUAL, ROW, NormalEquations, add_row
 from posetrack_cli.hand.fit.skeleton import NO_INNER, Posed, Skin, point_row
@@ -86,22 +86,24 @@ class TermBuffers(NamedTuple):
         vertices: (V,) visible vertices.
         places: (3, V) their positions, one row per coordinate.
         squares: (V,) squared distances from a point.
+        row: (12,) of one residual.
     """
 
     points: FloatArray
     vertices: IntArray
     places: FloatArray
     squares: FloatArray
+    row: FloatArray
 
 
 def empty_buffers(skin: Skin, height: int, width: int) -> TermBuffers:
     """Return the buffers for one image."""
     count = len(skin.mesh.vertices)
     points, vertices = np.zeros((height * width, 3)), np.zeros(count, dtype=np.int64)
-    return TermBuffers(points, vertices, np.zeros((3, count)), np.zeros(count))
+    return TermBuffers(points, vertices, np.zeros((3, count)), np.zeros(count), np.zeros(ROW))
 
 
-@kernel
+@borrowing
 def add_terms(
     tile: Tile,
     posed: Posed,
@@ -126,7 +128,7 @@ def add_terms(
         buffers: overwritten.
         equations: residuals are added to its blocks.
     """
-    view, row, (image, inverses) = tile.projection, np.empty(ROW), (tile.image, drawing.inverse)
+    view, row, (image, inverses) = tile.projection, buffers.row, (tile.image, drawing.inverse)
     fingers, reaches, normals = skin.triangle_fingers, skin.triangle_reaches, drawing.normals
     error, both, missed, unexplained = 0.0, 0, 0.0, 0
     for j in range(image.shape[0]):
@@ -213,7 +215,7 @@ def _outline_pull(
     return dx, dy, -(dx * x + dy * y), distance, share * weight  # orthogonal to the ray
 
 
-@kernel
+@borrowing
 def _add_closest(
     posed: Posed,
     skin: Skin,
@@ -231,7 +233,7 @@ def _add_closest(
     if facing == 0:
         return
     stride = (count + terms.most_unexplained - 1) // terms.most_unexplained
-    row, vertices = np.empty(ROW), drawing.vertices
+    row, vertices = buffers.row, drawing.vertices
     for k in range(0, count, stride):
         x, y, z = buffers.points[k, 0], buffers.points[k, 1], buffers.points[k, 2]
         v = buffers.vertices[_nearest(buffers.places, buffers.squares, facing, x, y, z)]
@@ -261,7 +263,7 @@ def _note_facing(drawing: Drawing, buffers: TermBuffers) -> int:
     return count
 
 
-@kernel
+@borrowing
 def _nearest(places: FloatArray, squares: FloatArray, count: int, x: float, y: float, z: float) -> int:
     """Return the index of the first nearest one of the ``count`` first places (3, V)."""
     for m in range(count):
@@ -278,7 +280,7 @@ def _nearest(places: FloatArray, squares: FloatArray, count: int, x: float, y: f
     return first
 
 
-@kernel
+@borrowing
 def union_cost(tile: Tile, drawing: Drawing, terms: Terms) -> float:
     """Return the union cost D of a rendered pose, mm."""
     error, both, missed = 0.0, 0, 0.0

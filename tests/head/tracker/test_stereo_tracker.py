@@ -9,6 +9,7 @@ import pytest
 
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.rotations import angle_between
+from posetrack_cli.head.config import RunSettings
 from posetrack_cli.head.initialisation.search import InitFailure
 from posetrack_cli.head.subject import STEREO_TRACK
 from posetrack_cli.head.tracker import stereo
@@ -16,6 +17,7 @@ from posetrack_cli.head.tracker.head_tracker import UNSEEN, HeadTracker
 from posetrack_cli.head.tracker.stereo import StereoFace
 from posetrack_cli.results.estimate import Estimate, Status
 from support.codecs import assert_lawful
+from support.mono_scene import map_skin_soon
 from support.stereo_scene import CAMERAS, FEW, Scene, Told
 from support.textured_face import pose_at, textured_face
 
@@ -75,6 +77,25 @@ def test_another_face_in_its_place_is_not_taken_for_it() -> None:
     scene.face = textured_face(seed=7)
     others = [scene.step(index) for index in range(10, 20)]
     assert {e.status for e in others} == {Status.LOST}
+
+
+def test_skin_takes_part_in_the_pose_of_a_second_pass(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The map comes from the first pass and is not saved for other recordings; points stay where they are."""
+    map_skin_soon(monkeypatch)
+    twice = FEW.model_copy(update={"run": RunSettings(passes=2)})
+    first = Scene(config=twice)
+    for index in range(30):
+        first.step(index)
+    assert not [name for name in first.tracker.learned(first.state) if "skin" in name]
+    known = first.tracker.learned(first.state, for_second_pass=True)
+    second, plain = Scene(config=twice, known=known), Scene(known={**known, "skin_map.share": np.array(0.0)})
+    found = [[scene.step(index) for index in range(30)] for scene in (second, plain)]
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_allclose(one.points, other.points, atol=1e-9)
+    moved = [angle_between(one.quaternion, other.quaternion) for one, other in zip(*found, strict=True)]
+    assert 0.0 < np.max(moved) < ROTATION_RAD
+    assert errors(found[0])[1].max() < ROTATION_RAD
+    assert_lawful(second.tracker.codec, second.state)
 
 
 def test_a_saved_state_goes_on_alike() -> None:
