@@ -15,7 +15,7 @@ from posetrack_cli.hand.fit.skeleton import INNER_SIZE
 from posetrack_cli.hand.model.kinematics import joint_set_distance
 from posetrack_cli.hand.observe.observation import PixelSampler
 from posetrack_cli.hand.observe.others import HandDrawer, SeenHand, without_others
-from posetrack_cli.hand.policy import SAME_PLACE_MM
+from posetrack_cli.hand.policy import MOSTLY_HIDDEN, SAME_PLACE_MM
 from posetrack_cli.hand.search import Candidate, cheapest_pair
 from posetrack_cli.hand.state import HandState
 from posetrack_cli.hand.tracker import HandTracker
@@ -29,7 +29,7 @@ from posetrack_cli.tracking.state_codec import Codec, Fields, codec_of
 _BOTH = (0, 1)
 _SEARCH_FRAMES = 4
 """A hand that is not where it is expected is searched in every so many frames."""
-_MAX_COST_RATIO = 1.6
+_MAX_COST_RATIO = 1.25
 """Largest cost of a hand that is found again, relative to good fits: an elbow or a forearm costs more."""
 
 
@@ -105,8 +105,8 @@ class PairTracker:
         seen = [self._predicted(k, state, frame) for k in _BOTH]
         found = self._found(state, seen, frame.depth)
         for k, one in enumerate(found):
-            if one is not None:
-                seen[k] = SeenHand(self._drawers[k], one.pose, one.inner)
+            if (at := self._seen_at(k, one)) is not None:
+                seen[k] = replace(at, is_sure=not state.is_sure(1 - k))
         states, inner, unsure = list(state.hands), state.inner.copy(), state.unsure.copy()
         estimates: dict[int, Estimate] = {}
         for k in sorted(_BOTH, key=lambda k: _depth_mm(seen[k])):
@@ -137,33 +137,37 @@ class PairTracker:
     ) -> list[Candidate | None]:
         """Return where unsure hands are, if they are not at their predicted places.
 
-        A hand is searched without what the other one explains, if that one is sure: alone, a right hand's
-        model would also fit the left hand. If that does not help, both are searched: of all pairs of places,
-        the cheapest counts.
+        If neither is sure, both are searched: of all pairs of places, the cheapest counts. Then a hand is
+        searched without what the other one explains: alone, a right hand's model would also fit the left one.
         """
         found: list[Candidate | None] = [None, None]
         turn = [k for k in _BOTH if not state.is_sure(k) and state.unsure[k] % _SEARCH_FRAMES == 0]
-        if len(turn) == 1 and (other := seen[1 - turn[0]]) is not None and other.is_sure:
-            (k,) = turn
-            rest = without_others(depth, None, (other,), self._camera)
-            best = min(self.trackers[k].candidates(rest), key=lambda one: one.total_cost, default=None)
-            found[k] = self._accepted(k, best, state)
-        elif turn:
+        if turn and not any(one is not None and one.is_sure for one in seen):
             best_pair = cheapest_pair(*(tracker.candidates(depth) for tracker in self.trackers))
-            found = [self._accepted(k, one, state) for k, one in enumerate(best_pair)]
+            found = [self._accepted(k, one, state, depth) for k, one in enumerate(best_pair)]
+        for k in turn:
+            other = self._seen_at(1 - k, found[1 - k]) or seen[1 - k]
+            if found[k] is None and other is not None and other.is_sure:
+                rest = without_others(depth, None, (other,), self._camera)
+                best = min(self.trackers[k].candidates(rest), key=lambda one: one.total_cost, default=None)
+                found[k] = self._accepted(k, best, state, rest)
         return found
 
-    def _accepted(self, k: int, found: Candidate | None, state: PairState) -> Candidate | None:
-        """Return a candidate if it fits about as well as hands do, elsewhere than the hand's track."""
+    def _seen_at(self, k: int, found: Candidate | None) -> SeenHand | None:
+        return None if found is None else SeenHand(self._drawers[k], found.pose, found.inner)
+
+    def _accepted(
+        self, k: int, found: Candidate | None, state: PairState, depth: ImageArray
+    ) -> Candidate | None:
+        """Return a candidate if it is a visible hand, elsewhere than the hand's track."""
         if found is None:
             return None
-        hand, anatomy = state.hands[k], self.trackers[k].anatomy
-        settings = self.trackers[k].config.status
-        ratio = max(one.monitor.cost_ratio(found.cost, settings) for one in state.hands)
-        if hand.monitor.was_found and ratio > _MAX_COST_RATIO:
-            return None
-        is_elsewhere = joint_set_distance(anatomy, found.pose, hand.pose) > SAME_PLACE_MM
-        return found if hand.monitor.lost or is_elsewhere else None
+        hand, tracker = state.hands[k], self.trackers[k]
+        ratio = max(one.monitor.cost_ratio(found.cost, tracker.config.status) for one in state.hands)
+        is_hand = ratio < _MAX_COST_RATIO or not hand.monitor.was_found
+        is_hand &= tracker.visible_share(depth, found) > 1.0 - MOSTLY_HIDDEN
+        is_elsewhere = joint_set_distance(tracker.anatomy, found.pose, hand.pose) > SAME_PLACE_MM
+        return found if is_hand and (hand.monitor.lost or is_elsewhere) else None
 
 
 def _depth_mm(hand: SeenHand | None) -> float:
