@@ -124,3 +124,17 @@ def test_a_texture_lies_as_its_coordinates_say(device: RenderingDevice) -> None:
     assert image[30, 20] == 0.0
     assert image[34, 42] == pytest.approx(100 * CODE, abs=FLOAT)
     assert image[9, 46] == pytest.approx(200 * CODE, abs=FLOAT)
+
+
+def test_painted_texels_replace_a_part_of_the_texture(device: RenderingDevice) -> None:
+    """Also where texels are smaller than pixels, for which a coarser level of the texture is used."""
+    for half_mm in (100.0, 5.0):
+        vertices = half_mm * SQUARE + [0.0, 0.0, 250.0]
+        renderer = device.surface_renderer((CAMERA.width, CAMERA.height), [square_surface(0.2)], 1)
+        renderer.place(0, vertices, TOWARDS)
+        renderer.paint(0, (0, 4), np.full((8, 4, 2), 153, dtype=np.uint8) * np.array([1, 0], dtype=np.uint8))
+        image = renderer.image(CAMERA, lamp(0.0, 1.0))
+        renderer.release()
+        left, right = image[24, 31 - round(0.2 * half_mm)], image[24, 32 + round(0.2 * half_mm)]
+        assert left == pytest.approx(51 * CODE, abs=10 * FLOAT)
+        assert right == pytest.approx(153 * CODE, abs=10 * FLOAT)
