@@ -54,7 +54,7 @@ LIP_ERROR_MM = (-1.5, 1.5)
 UNLIKE_MM = (3.0, 3.5)
 """Mean standard deviation of the lips' points, seen from the front: up to the first, a mouth is seen;
 from the second on something else, such as a face mask. Turned faces have larger ones."""
-RIGHT_UNLIKE, UNLIKE_SD = 0.6, np.radians([7.0, 4.0, 1.0])
+RIGHT_UNLIKE, UNLIKE_SD = 0.55, np.radians([12.0, 5.0, 1.0])
 """Probability that a pose is right whose mouth is something else, and the standard deviations of its pitch,
 yaw and roll: one camera takes the points there for those of a face."""
 PRIOR_FACES = 10.0
