@@ -38,7 +38,7 @@ from posetrack_cli.hand.model.anatomy import HandAnatomy
 from posetrack_cli.hand.model.kinematics import joint_set_distance
 from posetrack_cli.hand.observe.observation import Observation
 from posetrack_cli.hand.observe.observer import Observer
-from posetrack_cli.hand.search import Acquisition, Candidate, cheaper_of, depth_penalty
+from posetrack_cli.hand.search import Acquisition, Bar, Candidate, cheaper_of, depth_penalty
 from posetrack_cli.results.columns import NotNegative
 from posetrack_cli.results.estimate import Status
 
@@ -129,7 +129,11 @@ class TrackMonitor:
 
     def prefers(self, cost_mm: float, other_mm: float) -> bool:
         """Return whether a fit of cost ``other_mm`` is good enough to replace one of ``cost_mm``."""
-        return other_mm < max(_SWITCH_FACTOR * cost_mm, cost_mm - SWITCH_MARGIN_MM)
+        return other_mm < self.limit_mm(cost_mm)
+
+    def limit_mm(self, cost_mm: float) -> float:
+        """Return the cost below which a fit replaces one of another cost."""
+        return max(_SWITCH_FACTOR * cost_mm, cost_mm - SWITCH_MARGIN_MM)
 
     def cost_ratio(self, cost_mm: float, settings: StatusSettings) -> float:
         """Return the ratio of a cost to the baseline, at least 1; 1 without a baseline.
@@ -370,9 +374,10 @@ class Policy:
     def _search(self, frame: TrackedFrame) -> Decision:
         """Search the window for a hand that looks alike and, if that does not help, the whole image."""
         monitor, cost = frame.monitor, frame.fits.cost
-        candidate = self._finder.reconsider(frame.observation, frame.pose)
+        bar = Bar(monitor.limit_mm(cost), frame.total_cost - SWITCH_MARGIN_MM)
+        candidate = self._finder.reconsider(frame.observation, frame.pose, bar.cost)
         if candidate is None or monitor.is_doubtful(candidate.cost, self._settings):
-            in_image = self._finder.search(frame.depth)  # the window itself may be wrong
+            in_image = self._finder.search(frame.depth, bar=bar)  # the window itself may be wrong
             if in_image is None or self._is_near(in_image.pose, frame.pose):
                 candidate = cheaper_of(candidate, in_image)
                 monitor = replace(monitor, better_elsewhere=0)
@@ -398,9 +403,10 @@ class Policy:
             return Decision(monitor.after_retry_wait())
         # the window around the prediction may have cut fingers off
         window = self._observer.observe(frame.depth, pose, frame.expected)
-        candidate = self._finder.reconsider(window, pose)
+        bar = Bar(max(monitor.limit_mm(cost), cost - _SAME_FACING_MARGIN_MM))
+        candidate = self._finder.reconsider(window, pose, bar.cost)
         if monitor.is_far_above_baseline(cost, self._settings):
-            in_image = self._finder.search(frame.depth)
+            in_image = self._finder.search(frame.depth, bar=bar)
             if in_image is not None and self._faces_alike(in_image.pose, pose):
                 candidate = cheaper_of(candidate, in_image)
         helped = candidate is not None and (
