@@ -106,7 +106,7 @@ def say_costs(
     told = {"right": iter(right), "left": iter(left)}
 
     def appraise(
-        self: Acquisition, depth: object, places: list[Detection], others: object
+        self: Acquisition, depth: object, places: list[Detection], others: object, below_mm: float
     ) -> tuple[float, list[Detection]]:
         return next(told[self.observer.anatomy.side]), places
 
@@ -177,7 +177,7 @@ def strange(monkeypatch: pytest.MonkeyPatch) -> None:
     """No hand explains the frames, of either side and whatever size; the right one does less badly."""
 
     def appraise(
-        self: Acquisition, depth: object, places: list[Detection], others: object
+        self: Acquisition, depth: object, places: list[Detection], others: object, below_mm: float
     ) -> tuple[float, list[Detection]]:
         away = abs(self.observer.anatomy.scale - 1.0)
         return KNOWN_HAND_MM + 2.0 + 3.0 * (self.observer.anatomy.is_left) + 10.0 * away, places
