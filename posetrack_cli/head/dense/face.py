@@ -26,12 +26,13 @@ from posetrack_cli.head.dense.lengths import (
 from posetrack_cli.head.dense.measure import DensePoints, average_face, measure, together
 from posetrack_cli.head.dense.network import shipped_networks
 from posetrack_cli.head.dense.numbers import FACE_NUMBERS
-from posetrack_cli.head.dense.points import DENSE_COUNT
+from posetrack_cli.head.dense.points import DENSE_COUNT, OUTER_LIPS, rows
 from posetrack_cli.head.face.points import HeadPose
 from posetrack_cli.head.face.rig_images import RigImages
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.columns import floats
 from posetrack_cli.results.estimate import Estimate
+from posetrack_cli.tracking.confidence import PROBABLY
 from posetrack_cli.tracking.state_codec import Codec, Fields, Stacked, codec_of, flag
 
 DECIMALS = 3
@@ -46,9 +47,16 @@ EYE_DISTANCE_MM, LEAST_EYES_PX = 63.0, 40.0
 """Usual distance of the eyes, and their distance in the reference image from which the gaze is stated."""
 AT_REST_MM = np.array([1.5, 2.0, 3.0, 1.5, 1.5, 1.5, 1.5, 2.5, 2.5])
 """(L,) mm, difference of lengths from rest up to which a face counts as neutral."""
+_LIPS = rows(*OUTER_LIPS)
 CLOSED_LIPS_MM = LENGTHS[GAP].usual_mm
 LIP_ERROR_MM = (-1.5, 1.5)
 """Limits of a person's constant error of the lip gap."""
+UNLIKE_MM = (3.0, 3.5)
+"""Mean standard deviation of the lips' points, seen from the front: up to the first, a mouth is seen;
+from the second on something else, such as a face mask. Turned faces have larger ones."""
+RIGHT_UNLIKE, UNLIKE_SD = 0.6, np.radians([7.0, 4.0, 1.0])
+"""Probability that a pose is right whose mouth is something else, and the standard deviations of its pitch,
+yaw and roll: one camera takes the points there for those of a face."""
 PRIOR_FACES = 10.0
 """Number of frames that the average face counts for in a person's neutral face."""
 
@@ -140,10 +148,28 @@ class DenseFaces:
         known = (*known[:person], face, *known[person + 1 :])
         camera = self._cameras[0]
         eyes_px = EYE_DISTANCE_MM * np.sqrt(camera.fx * camera.fy) / estimate.position[2]
+        if eyes_px >= LEAST_EYES_PX and len(self._cameras) == 1:
+            estimate = doubted(estimate, points)
         gazes = points.gazes if eyes_px >= LEAST_EYES_PX else np.full((2, 3), np.nan)
         numbers = [own, _actions(face, lengths, points), _gazes(face, lengths, gazes, pose)]
         numbers.append(_dense(points, pose, camera))
         return known, replace(estimate, numbers=np.concatenate(numbers))
+
+
+def doubted(estimate: Estimate, points: DensePoints) -> Estimate:
+    """Return an estimate with the confidence and the variances that a mouth leaves that looks like none."""
+    pose = HeadPose(estimate.position, estimate.quaternion)
+    facing = float(-pose.rotation[:, 2] @ pose.position / np.linalg.norm(pose.position))
+    low, high = np.array(UNLIKE_MM) / max(facing, 0.1) ** 2
+    sd = float(np.sqrt(points.variances[_LIPS]).mean())
+    unlike = float(np.clip((sd - low) / (high - low), 0.0, 1.0)) if np.isfinite(sd) else 0.0
+    confidence = estimate.confidence * (1.0 - unlike * (1.0 - RIGHT_UNLIKE))
+    if estimate.confidence >= PROBABLY:  # the status stays
+        confidence = max(confidence, PROBABLY)
+    variance = estimate.pose_variance
+    if variance is not None:
+        variance = variance + np.pad(np.square(unlike * UNLIKE_SD), (3, len(variance) - 6))
+    return replace(estimate, confidence=confidence, pose_variance=variance)
 
 
 def _openings(person: Person, lengths: Lengths) -> tuple[FloatArray, FloatArray]:

@@ -10,10 +10,11 @@ import pytest
 
 from posetrack_cli.geometry.camera import Camera, pixels_wherever
 from posetrack_cli.head.actions import ACTION_NAMES
-from posetrack_cli.head.dense.face import KNOWN_FACES, DenseFaces
+from posetrack_cli.head.dense.face import KNOWN_FACES, RIGHT_UNLIKE, UNLIKE_SD, DenseFaces, doubted
 from posetrack_cli.head.dense.measure import (
     CONVERGENCE_RAD,
     CONVERGENCE_SD_RAD,
+    DensePoints,
     average_face,
     measure,
     together,
@@ -27,6 +28,7 @@ from posetrack_cli.head.subject import head_subject, with_dense_face
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Status
 from posetrack_cli.results.fields import check_estimate
+from posetrack_cli.tracking.confidence import PROBABLY
 from support.results import make_estimate, with_fields
 
 LEFT = Camera(640, 480, 900.0, 900.0, 319.5, 239.5, name="left")
@@ -161,6 +163,26 @@ def test_one_eye_keeps_its_gaze():
     gazes = np.array([[0.1, 0.2, 0.05], [np.nan] * 3])
 
     np.testing.assert_array_equal(together(gazes), gazes)
+
+
+def lips_with_deviation(sd_mm: float) -> DensePoints:
+    covariances = np.tile(sd_mm**2 * np.eye(3), (DENSE_COUNT, 1, 1))
+    return DensePoints(np.zeros((DENSE_COUNT, 3)), covariances, np.full((2, 3), np.nan))
+
+
+def test_a_mouth_that_looks_like_none_makes_the_pose_doubtful():
+    plain = tracked(confidence=0.95)
+
+    seen, unlike = (doubted(plain, lips_with_deviation(sd)) for sd in (2.5, 5.0))
+
+    assert seen.confidence == 0.95
+    np.testing.assert_array_equal(seen.pose_variance, plain.pose_variance)
+    assert unlike.confidence == pytest.approx(RIGHT_UNLIKE * 0.95)
+    added = unlike.pose_variance - plain.pose_variance
+    np.testing.assert_allclose(added[:6], [0.0, 0.0, 0.0, *np.square(UNLIKE_SD)])
+    # neither does it hide a head that was tracked, nor show one that was not
+    assert doubted(tracked(confidence=0.6), lips_with_deviation(5.0)).confidence == PROBABLY
+    assert doubted(tracked(confidence=0.4), lips_with_deviation(5.0)).confidence < 0.4
 
 
 def test_people_are_learned_separately():
