@@ -284,7 +284,7 @@ class HandTracker:
                 steps,
             )
         confidence = probability(evidence) if quality and self._is_calibrated else quality
-        confidence *= min(1.0, outline.visible / _CLEARLY_VISIBLE)
+        confidence *= settings.hand_probability * min(1.0, outline.visible / _CLEARLY_VISIBLE)
         is_tracked = (
             has_outline and monitor.is_tracked and not (self._is_calibrated and confidence < PROBABLY)
         )
