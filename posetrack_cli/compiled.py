@@ -59,12 +59,20 @@ _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 
 def kernel(function: Function) -> Function:
     """Compile a function of arrays and numbers on its first call; it releases the GIL."""
-    return _compiled(function)
+    return _compiled(function, _nrt=True)
+
+
+def borrowing(function: Function) -> Function:
+    """Compile a kernel that makes and returns no arrays, without counting references to its own.
+
+    Counting costs more than the arithmetic of a small function that is called per pixel.
+    """
+    return _compiled(function, _nrt=False)
 
 
 def inlined(function: Function) -> Function:
-    """Compile a small per-pixel function and inline it into its callers."""
-    return _compiled(function, forceinline=True)
+    """Compile a small per-pixel function like ``borrowing`` and inline it into its callers."""
+    return _compiled(function, forceinline=True, _nrt=False)
 
 
 def _compiled(function: Function, **options: Any) -> Function:

@@ -98,10 +98,11 @@ hand.add_command(hand_synth)
     ),
     option(
         "--shape",
-        metavar="auto|average|FILE",
+        metavar="auto|average|FILE|FOLDER",
         type=NameOrFile("auto", "average"),
-        help="Hand size and shape: estimated from the recording (auto), average, or from FILE, written by "
-        "hand calibrate or an earlier hand run.  [default: auto]",
+        help="Hand size and shape: estimated from the recording (auto), average, from FILE, written by "
+        "hand calibrate or an earlier hand run, or the mean over the results of one person in FOLDER.  "
+        "[default: auto]",
     ),
     scale_option,
     hand_mesh_option,

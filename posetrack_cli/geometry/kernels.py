@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.compiled import inlined, kernel
+from posetrack_cli.compiled import borrowing, inlined
 
 SMALL_SQUARED_ANGLE = 1e-6
 """Below it, three terms of the series in ``rotate_with_jacobian`` are exact to rounding."""
@@ -61,7 +61,7 @@ def _arc_over_sine(square: float, cosine: float) -> float:
     return math.atan2(sine, cosine) / sine
 
 
-@kernel
+@borrowing
 def rotation_matrix(q: FloatArray, out: FloatArray) -> None:
     """Write the matrix (3, 3) of a unit quaternion (4,)."""
     x, y, z, w = q[0], q[1], q[2], q[3]
@@ -70,7 +70,7 @@ def rotation_matrix(q: FloatArray, out: FloatArray) -> None:
     out[2, 0], out[2, 1], out[2, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
 
 
-@kernel
+@borrowing
 def matrix_product(a: FloatArray, b: FloatArray, out: FloatArray) -> None:
     """Write the product a b of (3, 3) matrices; ``out`` must not alias them."""
     for i in range(3):
@@ -78,7 +78,7 @@ def matrix_product(a: FloatArray, b: FloatArray, out: FloatArray) -> None:
             out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
 
 
-@kernel
+@borrowing
 def rotate_in_place(R: FloatArray, w: FloatArray) -> None:
     """Replace R (3, 3) by exp(w) R, applying Rodrigues' formula to its columns.
 
@@ -96,7 +96,7 @@ def rotate_in_place(R: FloatArray, w: FloatArray) -> None:
         R[2, j] = c * cosine + (x * b - y * a) * sine + z * along
 
 
-@kernel
+@borrowing
 def rotate_with_jacobian(w: FloatArray, R: FloatArray, rotated: FloatArray, left: FloatArray) -> None:
     """Write exp(w) R and the left Jacobian J of d exp(w) = [J dw]_x exp(w), all (3, 3)."""
     squared = w[0] * w[0] + w[1] * w[1] + w[2] * w[2]

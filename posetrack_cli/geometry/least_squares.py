@@ -11,7 +11,7 @@ from typing import TypeVar
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.compiled import inlined, kernel
+from posetrack_cli.compiled import borrowing, inlined, kernel
 
 Value = TypeVar("Value", float, FloatArray)
 
@@ -59,17 +59,17 @@ def damped_step(matrix: FloatArray, vector: FloatArray, damping: float) -> Float
     return np.asarray(step, dtype=np.float64)
 
 
-# Robust weights rho'(e) / e of residuals e with cost rho, for scalars and arrays; compiled.
+# Robust weights rho'(e) / e of residuals e with cost rho; compiled, for scalars and (new) arrays.
 
 
-@inlined
+@kernel
 def geman_mcclure(square: Value) -> Value:
     """Return (1 + s)^-2, s the square of e / tau; rho = tau^2 / 2 s / (1 + s) (Geman and McClure 1987)."""
     spread = 1.0 + square
     return 1.0 / (spread * spread)
 
 
-@inlined
+@kernel
 def cauchy(square: Value) -> Value:
     """Return 1 / (1 + s), s the square of e / tau, for rho = tau^2 / 2 log(1 + s)."""
     return 1.0 / (1.0 + square)
@@ -85,14 +85,14 @@ def student_t(square: float, dimensions: float, freedom: float, scale: float) ->
     return (freedom + dimensions) / (freedom * scale * scale + square)
 
 
-@inlined
+@kernel
 def huber(length: Value, bound: float) -> Value:
     """Return rho = e^2 / 2, or bound (e - bound / 2) for e >= bound; e >= 0 (Huber 1964)."""
     small: Value = np.minimum(length, bound)
     return small * (length - 0.5 * small)
 
 
-@inlined
+@kernel
 def huber_weight(length: Value, bound: float) -> Value:
     """Return the weight of ``huber``: 1 or bound / e."""
     weight: Value = np.minimum(1.0, bound / length)
@@ -108,6 +108,26 @@ def solve(matrix: FloatArray, vector: FloatArray, out: FloatArray) -> None:
     solution = np.linalg.solve(matrix, vector)
     for i in range(len(out)):
         out[i] = solution[i]
+
+
+@borrowing
+def solve_positive(matrix: FloatArray, vector: FloatArray, out: FloatArray) -> None:
+    """Write H^-1 g of a positive definite matrix, which is overwritten, by elimination without pivots."""
+    count = len(out)
+    for i in range(count):
+        out[i] = vector[i]
+    for k in range(count):
+        pivots = matrix[k]
+        for i in range(k + 1, count):
+            share, across = pivots[i] / pivots[k], matrix[i]
+            out[i] -= share * out[k]
+            for j in range(i, count):
+                across[j] -= share * pivots[j]
+    for i in range(count - 1, -1, -1):
+        across = matrix[i]
+        for j in range(i + 1, count):
+            out[i] -= across[j] * out[j]
+        out[i] /= across[i]
 
 
 @kernel

@@ -298,13 +298,20 @@ class Policy:
         anatomy: the hand.
         finder: search without a prediction.
         observer: cuts out windows.
+        alone: whether to search whole images; with other hands in them, their tracker does.
     """
 
     def __init__(
-        self, settings: StatusSettings, anatomy: HandAnatomy, finder: Acquisition, observer: Observer
+        self,
+        settings: StatusSettings,
+        anatomy: HandAnatomy,
+        finder: Acquisition,
+        observer: Observer,
+        *,
+        alone: bool = True,
     ) -> None:
         self._settings, self._anatomy = settings, anatomy
-        self._finder, self._observer = finder, observer
+        self._finder, self._observer, self._alone = finder, observer, alone
 
     def decide_lost(
         self, monitor: TrackMonitor, depth: ImageArray, hands: Sequence[KeypointHand]
@@ -314,7 +321,7 @@ class Policy:
         Without a candidate the frame is a miss.
         """
         from_keypoints = fit_candidates(self._finder, depth, hands)
-        if monitor.search_wait > 0:
+        if monitor.search_wait > 0 or not self._alone:
             candidate = best_candidate(from_keypoints, monitor.accept_below_mm)
             otherwise = monitor.after_search_wait()
         else:
@@ -345,7 +352,7 @@ class Policy:
     def decide_after_gap(self, frame: TrackedFrame) -> Decision:
         """Decide on a frame after a gap **[ours]**: the hand may be anywhere, the cheapest place counts."""
         monitor = replace(frame.monitor, better_elsewhere=0, search_wait=0)
-        candidate = self._finder.search(frame.depth)
+        candidate = self._in_image(frame)
         if candidate is None or candidate.cost > frame.fits.cost - _AFTER_GAP_MM:
             return Decision(monitor)
         return Decision(monitor, candidate, restart=True)
@@ -372,7 +379,7 @@ class Policy:
         monitor, cost = frame.monitor, frame.fits.cost
         candidate = self._finder.reconsider(frame.observation, frame.pose)
         if candidate is None or monitor.is_doubtful(candidate.cost, self._settings):
-            in_image = self._finder.search(frame.depth)  # the window itself may be wrong
+            in_image = self._in_image(frame)  # the window itself may be wrong
             if in_image is None or self._is_near(in_image.pose, frame.pose):
                 candidate = cheaper_of(candidate, in_image)
                 monitor = replace(monitor, better_elsewhere=0)
@@ -400,7 +407,7 @@ class Policy:
         window = self._observer.observe(frame.depth, pose, frame.expected)
         candidate = self._finder.reconsider(window, pose)
         if monitor.is_far_above_baseline(cost, self._settings):
-            in_image = self._finder.search(frame.depth)
+            in_image = self._in_image(frame)
             if in_image is not None and self._faces_alike(in_image.pose, pose):
                 candidate = cheaper_of(candidate, in_image)
         helped = candidate is not None and (
@@ -408,6 +415,10 @@ class Policy:
             or (candidate.cost < cost - _SAME_FACING_MARGIN_MM and self._faces_alike(candidate.pose, pose))
         )
         return Decision(monitor.after_retry(cost, helped=helped), candidate if helped else None)
+
+    def _in_image(self, frame: TrackedFrame) -> Candidate | None:
+        """Return the best hand of the whole image."""
+        return self._finder.search(frame.depth) if self._alone else None
 
     def _faces_alike(self, pose: FloatArray, other: FloatArray) -> bool:
         """Return whether two poses (22,) are at one place and face the same way."""

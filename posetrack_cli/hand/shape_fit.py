@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from posetrack_cli.arrays import FloatArray, IntArray
-from posetrack_cli.errors import RecordingError, ResultError
+from posetrack_cli.errors import RecordingError, ResultError, UsageError
 from posetrack_cli.files import write_output
 from posetrack_cli.hand.config import BOTH, HandConfig, HandSettings
 from posetrack_cli.hand.fit.fitter import tile_of
@@ -217,9 +217,13 @@ class GivenShape(NamedTuple):
 
 
 def read_shape(shape: str | Path | None) -> GivenShape:
-    """Return the configuration of ``auto``, ``average``, a file of ``hand calibrate`` or a hand result.
+    """Return the configuration of ``auto``, ``average``, a file of ``hand calibrate``, or hand results.
+
+    Args:
+        shape: a folder stands for the mean over its results, which are of one person.
 
     Raises:
+        UsageError: a folder without results.
         ResultError: not a hand result.
     """
     name = None if shape is None else str(shape)
@@ -229,29 +233,59 @@ def read_shape(shape: str | Path | None) -> GivenShape:
         return GivenShape("auto")
     if name == "average":
         return GivenShape("given")
-    if Path(name).suffix == ".mcap":
-        return GivenShape("given", assignments=_hand_assignments(Path(name)))
+    path = Path(name)
+    if path.is_dir():
+        return GivenShape("given", assignments=_assignments(_mean_settings(path), {"count", "side"}))
+    if path.suffix == ".mcap":
+        settings = _settings_of(path)
+        # both hands of a person have one shape; how many there are is not part of it
+        left_out = {"count", "side"} if settings.count == BOTH else {"count"}
+        return GivenShape("given", assignments=_assignments(settings, left_out))
     return GivenShape(files=(name,))
 
 
-def _hand_assignments(path: Path) -> tuple[str, ...]:
-    """Return the ``[hand]`` table of a result's run as assignments, such as ``hand.scale=1.05``.
-
-    Args:
-        path: of a result of ``hand run``, finished or not.
+def _settings_of(path: Path) -> HandSettings:
+    """Return the ``[hand]`` table of a result's run, finished or not.
 
     Raises:
         ResultError: not a hand result.
     """
     run = read_result(path).run
     try:
-        settings = HandSettings.model_validate(json.loads(run["configuration"])["hand"])
+        return HandSettings.model_validate(json.loads(run["configuration"])["hand"])
     except (KeyError, TypeError, ValueError, RecursionError, ValidationError) as error:
         raise ResultError(
             "result has no hand shape", where=path, expected="a result of posetrack hand run"
         ) from error
-    # both hands of a person have one shape; how many there are is not part of it
-    left_out = {"count", "side"} if settings.count == BOTH else {"count"}
+
+
+def _mean_settings(folder: Path) -> HandSettings:
+    """Return the mean shape of all results in a folder, which are of one person.
+
+    Raises:
+        UsageError: there is no result.
+        ResultError: one is not of a hand, or the hands come from different files.
+    """
+    each = [_settings_of(path) for path in sorted(folder.rglob("*.mcap"))]
+    if not each:
+        raise UsageError("folder has no results", where=folder, expected="results of posetrack hand run")
+    meshes = {one.mesh for one in each}
+    if len(meshes) > 1:
+        found = " and ".join(sorted(str(mesh) for mesh in meshes))
+        raise ResultError("results are of hands from different files", where=folder, found=found)
+    space = shape_space(each[0].mesh)
+    shape = space.shape(np.mean([space.theta(one.shape) for one in each], axis=0))
+    return each[0].model_copy(update=_shape_settings(shape))
+
+
+def _shape_settings(shape: HandShape) -> dict[str, object]:
+    """Return a shape as keys of the ``[hand]`` table."""
+    named = {name: getattr(shape, name) for name in HandSettings.model_fields if hasattr(shape, name)}
+    return {name: _rounded(value) for name, value in named.items()}
+
+
+def _assignments(settings: HandSettings, left_out: set[str]) -> tuple[str, ...]:
+    """Return a ``[hand]`` table as assignments, such as ``hand.scale=1.05``."""
     # texts, numbers and lists of numbers are the same in JSON and in TOML
     values = settings.model_dump(mode="json", exclude_none=True, exclude=left_out)
     return tuple(f"hand.{name}={json.dumps(value)}" for name, value in values.items())
@@ -355,10 +389,7 @@ class Calibration:
     @property
     def settings(self) -> dict[str, object]:
         """Return the shape as keys of the ``[hand]`` table."""
-        named = {
-            name: getattr(self.shape, name) for name in HandSettings.model_fields if hasattr(self.shape, name)
-        }
-        return {name: _rounded(value) for name, value in named.items()}
+        return _shape_settings(self.shape)
 
 
 def shape_of(recording: Recording, config: HandConfig, options: CalibrationOptions) -> Calibration:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from posetrack_cli.arrays import Float32Array, FloatArray
-from posetrack_cli.compiled import inlined, kernel, thread_count
+from posetrack_cli.compiled import borrowing, inlined, thread_count
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.rendering.mesh import SkinnedMesh
 from posetrack_cli.rendering.pixel_model import (
@@ -141,7 +141,7 @@ def _unexplained(y: float, model: Mixture) -> float:
     return float(np.log(1.0 + 1.0 / outlier))
 
 
-@kernel
+@borrowing
 def _fill_depths(inverses: FloatArray, depths: FloatArray) -> None:
     """Write a tile's depths, inf where empty, into the interior of ``empty_depths``."""
     for j in range(inverses.shape[0]):
@@ -149,7 +149,7 @@ def _fill_depths(inverses: FloatArray, depths: FloatArray) -> None:
             depths[j + REACH_PX, i + REACH_PX] = 1.0 / inverses[j, i]
 
 
-@kernel
+@borrowing
 def _misfit_with_neighbours(depths: FloatArray, i: int, j: int, reading: Reading, model: Mixture) -> float:
     """Return the misfit of a target pixel with the best-fitting surface within ``REACH_PX``."""
     y = reading.image[j, i]
@@ -178,7 +178,7 @@ def _relief(depths: FloatArray, i: int, j: int, reading: Reading, model: Mixture
     return max(0.0, _unexplained(reading.image[j, i], model) - beside) if beside < np.inf else 0.0
 
 
-@kernel
+@borrowing
 def _box(drawing: Drawing) -> tuple[int, int, int, int]:
     """Return first column and row, then one past the last, of the covered area and its surroundings."""
     screen, (height, width) = drawing.screen, drawing.inverse.shape
@@ -196,7 +196,7 @@ def _box(drawing: Drawing) -> tuple[int, int, int, int]:
     )
 
 
-@kernel
+@borrowing
 def add_sums(drawing: Drawing, depths: FloatArray, reading: Reading, model: Mixture, row: FloatArray) -> None:
     """Write the sums over a rendered tile to a row (8,).
 
@@ -244,7 +244,7 @@ def add_sums(drawing: Drawing, depths: FloatArray, reading: Reading, model: Mixt
     row[4], row[5], row[6], row[7] = misfit, hidden, matched, relief
 
 
-@kernel
+@borrowing
 def sum_poses(
     mesh: RestMesh,
     bones: FloatArray,
@@ -264,7 +264,7 @@ def sum_poses(
             add_sums(drawing, depths, reading, model, rows[n])
 
 
-@kernel
+@borrowing
 def draw_poses(
     mesh: RestMesh,
     bones: FloatArray,

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
-from posetrack_cli.compiled import inlined, kernel
+from posetrack_cli.compiled import borrowing, inlined
 from posetrack_cli.rendering.mesh import SkinnedMesh
 
 NEAR_MM = 50.0
@@ -88,7 +88,7 @@ def empty_drawing(mesh: RestMesh, height: int, width: int) -> Drawing:
     )
 
 
-@kernel
+@borrowing
 def _place(mesh: RestMesh, bones: FloatArray, view: View, out: Drawing) -> bool:
     """Pose and project the vertices; return False if one is too near."""
     vertices, indices, weights = mesh.vertices, mesh.bones, mesh.weights
@@ -155,13 +155,13 @@ def _write_normal(out: Drawing, t: int, a: int, b: int, c: int) -> None:
     out.normals[t, 0], out.normals[t, 1], out.normals[t, 2] = x * share, y * share, z * share
 
 
-@kernel
+@borrowing
 def draw(mesh: RestMesh, bones: FloatArray, view: View, out: Drawing) -> bool:
     """Render the mesh posed by bones (B, 3, 4); return False, with empty buffers, if it is too near."""
     return _draw(mesh, bones, view, True, out)
 
 
-@kernel
+@borrowing
 def draw_depth(mesh: RestMesh, bones: FloatArray, view: View, out: Drawing) -> bool:
     """Render like ``draw``, but without triangles, normals and facing vertices."""
     return _draw(mesh, bones, view, False, out)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.compiled import inlined, kernel
+from posetrack_cli.compiled import borrowing, inlined
 from posetrack_cli.filtering.model import step_noise
 from posetrack_cli.geometry import rotations
 from posetrack_cli.geometry.kernels import quaternion_from_vector, quaternion_product, vector_from_quaternion
@@ -35,7 +35,7 @@ def _sign(x: float, y: float, z: float, w: float) -> float:
     return 1.0
 
 
-@kernel
+@borrowing
 def _retract_each(x: FloatArray, delta: FloatArray, out: FloatArray) -> bool:
     """Write x (+) delta of poses (N, 7 + K) and tangent vectors (N, 6 + K); False on invalid rotations."""
     for n in range(len(x)):
@@ -53,7 +53,7 @@ def _retract_each(x: FloatArray, delta: FloatArray, out: FloatArray) -> bool:
     return True
 
 
-@kernel
+@borrowing
 def _subtract_each(x: FloatArray, y: FloatArray, out: FloatArray) -> None:
     """Write y (-) x, tangent vectors (N, 6 + K), of poses (N, 7 + K)."""
     for n in range(len(x)):

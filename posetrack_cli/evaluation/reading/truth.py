@@ -23,14 +23,16 @@ from posetrack_cli.evaluation.reading.truth_topics import (
 )
 from posetrack_cli.geometry.rigid import rotation_from_rows
 from posetrack_cli.geometry.rotations import canonical, quaternions_from_matrices
+from posetrack_cli.head.dense.numbers import TRUE_NUMBERS
 from posetrack_cli.head.subject import HEAD
 from posetrack_cli.losses import LossLog
 from posetrack_cli.mcap.stream import McapFile, is_mcap
 from posetrack_cli.recording.base import TRUTH_PREFIX
 from posetrack_cli.recording.matching import LATEST_NS
-from posetrack_cli.results.columns import column_blocks, empty_columns, joined
+from posetrack_cli.results.columns import Columns, column_blocks, empty_columns, joined
 from posetrack_cli.results.estimate import Subject
 from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA_NAME, json_of_estimate
+from posetrack_cli.results.fields import NUMBERS as FURTHER
 from posetrack_cli.results.fields import Sizes
 from posetrack_cli.results.reader import Result, is_result, read_result
 from posetrack_cli.units import NS_PER_S
@@ -112,6 +114,7 @@ def load_truth(
     time_offset_s: float = 0.0,
     losses: LossLog | None = None,
     label: str | None = None,
+    columns: Columns | None = None,
 ) -> Track | None:
     """Return the ground truth of a result, with its points in the order of the result.
 
@@ -132,6 +135,7 @@ def load_truth(
         time_offset_s: added to the ground-truth stamps, s.
         losses: receives unreadable parts of the file; those of the result are in ``result.losses``.
         label: label of the subject in the ground truth; None for that in the result.
+        columns: columns of ``estimate_truth_topic``, if they are read already.
 
     Returns:
         None if the result has no ground truth and no path is given.
@@ -143,7 +147,10 @@ def load_truth(
     """
     log = LossLog() if losses is None else losses
     subject = result.subject if label is None else replace(result.subject, label=label)
-    if path is None:
+    truth: Track | None
+    if columns is not None:
+        truth = _of_columns(columns, subject, result.path, "ground truth")
+    elif path is None:
         truth = topics_truth(McapFile(result.path), subject, "ground truth")
     else:
         truth = _given(result, path, subject, log)
@@ -153,6 +160,14 @@ def load_truth(
     # Metrics address points and shape entries by column, in the order of the subject.
     truth = _with_points_of(truth, subject, path or result.path)
     return _with_shape_of(truth, subject)
+
+
+def estimate_truth_topic(result: Result, path: Path | None, label: str | None) -> str | None:
+    """Return the topic of the true estimates in a result; None if ``load_truth`` reads other data."""
+    subject = result.subject if label is None else replace(result.subject, label=label)
+    topic = _estimate_topic(subject.topic)
+    known = (channel.topic for schema, channel in result.channels if schema.name == ESTIMATE_SCHEMA_NAME)
+    return topic if path is None and topic in known else None
 
 
 def truth_labels(result: Result, path: Path | None = None) -> tuple[str, ...]:
@@ -234,17 +249,29 @@ def topics_truth(file: McapFile, subject: Subject, name: str) -> Track | None:
 def _estimates_truth(file: McapFile, subject: Subject, name: str) -> Track:
     """Return the ground truth on a topic of ``posetrack.Estimate``."""
     items = file.messages([_estimate_topic(subject.topic)])
-    messages = (json_of_estimate(item, subject.number_names) for item in items)
-    columns = joined(column_blocks(messages, MOTION_FIELDS))
+    fields, names = truth_fields(subject)
+    messages = (json_of_estimate(item, names or subject.number_names) for item in items)
+    columns = joined(column_blocks(messages, fields, number_names=names))
+    sizes = Sizes.of(subject)._replace(numbers=len(names))
+    return _of_columns(columns or empty_columns(fields, sizes), subject, file.path, name)
+
+
+def truth_fields(subject: Subject) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the fields of true estimates that are read, and the names of their additional numbers."""
+    return ((*MOTION_FIELDS, FURTHER), TRUE_NUMBERS) if subject.name == HEAD else (MOTION_FIELDS, ())
+
+
+def _of_columns(columns: Columns, subject: Subject, path: Path, name: str) -> Track:
+    """Return the ground truth of true estimates; ``name`` is that of the track."""
     sizes = Sizes.of(subject)
-    columns = columns or empty_columns(MOTION_FIELDS, sizes)
+    subject = replace(subject, number_names=truth_fields(subject)[1])
     found = columns["shape"].shape[1], columns["points"].shape[1]
     if found == (0, sizes.points):  # heads, whose deformation is only given by the points
         subject = replace(subject, shape_names=())
     elif found != sizes[:2]:
         raise TruthError(
             "ground truth has a different number of shape entries or points",
-            where=f"{file.path}, {_estimate_topic(subject.topic)}",
+            where=f"{path}, {_estimate_topic(subject.topic)}",
             found=f"{found[0]} and {found[1]}",
             expected=f"{sizes.shape} and {sizes.points}",
         )

@@ -27,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.compiled import kernel
+from posetrack_cli.compiled import borrowing, kernel
 from posetrack_cli.hand.fit.normal_equations import ROW, THUMB_PART, THUMB_PLACE, NormalEquations
 from posetrack_cli.hand.fit.skeleton import THUMB_ROW, Posed, Skeleton, point_row, pose_bones
 from posetrack_cli.hand.model.anatomy import ANGLE_LIMITS, HandAnatomy
@@ -150,7 +150,7 @@ def _converging(anatomy: HandAnatomy) -> FloatArray:
     return out
 
 
-@kernel
+@borrowing
 def _add_angle(equations: NormalEquations, k: int, residual: float, weight: float) -> float:
     """Add a residual of angle k; return its potential."""
     equations.matrix[6 + k, 6 + k] += weight
@@ -158,7 +158,7 @@ def _add_angle(equations: NormalEquations, k: int, residual: float, weight: floa
     return 0.5 * weight * residual * residual
 
 
-@kernel
+@borrowing
 def _add_limits(about: Plausibility, angles: FloatArray, equations: NormalEquations) -> float:
     value = 0.0
     for k in range(15):
@@ -176,7 +176,7 @@ def _add_limits(about: Plausibility, angles: FloatArray, equations: NormalEquati
     return value
 
 
-@kernel
+@borrowing
 def _add_rest(about: Plausibility, angles: FloatArray, equations: NormalEquations) -> float:
     """Replace a thumb's relaxed prior by the resting one, with the probability that it rests.
 
@@ -197,7 +197,7 @@ def _add_rest(about: Plausibility, angles: FloatArray, equations: NormalEquation
     return float(np.log(1.0 + np.exp(about.resting_odds)) - most - np.log(whole))
 
 
-@kernel
+@borrowing
 def _add_folds(about: Plausibility, angles: FloatArray, equations: NormalEquations) -> float:
     """Replace fingers' relaxed prior by a mixture with closing and straight fingers.
 
@@ -235,7 +235,7 @@ def _add_folds(about: Plausibility, angles: FloatArray, equations: NormalEquatio
     return value
 
 
-@kernel
+@borrowing
 def _add_neighbours(about: Plausibility, angles: FloatArray, equations: NormalEquations) -> float:
     """Pull joints 2 of neighbouring fingers together; the weight is treated as constant, as in ``taut``."""
     value = 0.0
@@ -249,7 +249,7 @@ def _add_neighbours(about: Plausibility, angles: FloatArray, equations: NormalEq
     return value
 
 
-@kernel
+@borrowing
 def _add_coupled(
     equations: NormalEquations, a: int, b: int, coupling: float, residual: float, weight: float
 ) -> None:
@@ -263,7 +263,7 @@ def _add_coupled(
     g[j] += weight * residual
 
 
-@kernel
+@borrowing
 def place_spheres(posed: Posed, out: FloatArray) -> None:
     """Write the centres (5, SPHERES, 3) of the fingers' spheres, camera coordinates, mm."""
     for f in range(5):
@@ -318,7 +318,7 @@ def _add_overlap(
             H[at, THUMB_PLACE + j] += moved * row[THUMB_PART + j]
 
 
-@kernel
+@borrowing
 def _add_collisions(
     about: Plausibility, posed: Posed, spheres: FloatArray, f: int, h: int, equations: NormalEquations
 ) -> float:
@@ -338,7 +338,7 @@ def _add_collisions(
     return value
 
 
-@kernel
+@borrowing
 def add_anatomy(
     about: Plausibility, pose: FloatArray, posed: Posed, spheres: FloatArray, equations: NormalEquations
 ) -> float:
@@ -361,7 +361,7 @@ def add_anatomy(
     return value
 
 
-@kernel
+@borrowing
 def potentials(
     about: Plausibility,
     skeleton: Skeleton,

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.compiled import inlined, kernel
+from posetrack_cli.compiled import borrowing, inlined, kernel
 from posetrack_cli.geometry.kernels import quaternion_product
-from posetrack_cli.geometry.least_squares import solve
+from posetrack_cli.geometry.least_squares import solve_positive
 from posetrack_cli.hand.fit.anatomy_terms import SPHERES, Plausibility, add_anatomy
 from posetrack_cli.hand.fit.normal_equations import (
     ARM_PLACE,
@@ -152,7 +152,7 @@ def _fit_at(fits: Fit, k: int) -> Fit:
     return Fit(fits.pose[k], fits.inner[k], one, fits.cost[k])
 
 
-@kernel
+@borrowing
 def _difference(mean: FloatArray, pose: FloatArray, out: FloatArray) -> None:
     """Write mean (-) pose (21,), in the pose's body frame."""
     for i in range(3):
@@ -167,7 +167,7 @@ def _difference(mean: FloatArray, pose: FloatArray, out: FloatArray) -> None:
         out[6 + i] = mean[7 + i] - pose[7 + i]
 
 
-@kernel
+@borrowing
 def step_pose(pose: FloatArray, delta: FloatArray, most: Steps) -> None:
     """Move a pose by a tangent vector, within the limits of ``most``."""
     length = np.sqrt(delta[0] ** 2 + delta[1] ** 2 + delta[2] ** 2)
@@ -187,7 +187,7 @@ def step_pose(pose: FloatArray, delta: FloatArray, most: Steps) -> None:
         pose[7 + i] += min(max(delta[6 + i], -most.angle_rad), most.angle_rad)
 
 
-@kernel
+@borrowing
 def add_inner_prior(
     expected: FloatArray, inner: FloatArray, thumb: FloatArray, posed: Posed, equations: NormalEquations
 ) -> None:
@@ -233,7 +233,7 @@ def _add_arm_prior(expected: FloatArray, arm: FloatArray, posed: Posed, equation
             H[i, j] += STIFF_BEND * row[i] * row[j]
 
 
-@kernel
+@borrowing
 def _move_inner(inner: FloatArray, delta: FloatArray, posed: Posed, most: Steps) -> None:
     """Move the inner numbers by the last part of a step (26,): thumb angles, forearm swing and girth."""
     for k in range(2):
@@ -242,7 +242,7 @@ def _move_inner(inner: FloatArray, delta: FloatArray, posed: Posed, most: Steps)
     _move_arm(inner, delta[ARM_PLACE:THUMB_PLACE], posed, most)
 
 
-@kernel
+@borrowing
 def _move_arm(arm: FloatArray, delta: FloatArray, posed: Posed, most: Steps) -> None:
     """Swing the forearm by two angles about its axes, and scale its girth by the third of ``delta``."""
     axes, x, y, z = posed.axes, arm[0], arm[1], arm[2]
@@ -260,16 +260,17 @@ def _move_arm(arm: FloatArray, delta: FloatArray, posed: Posed, most: Steps) -> 
     arm[3] = min(max(arm[3] + delta[2], -MAX_GIRTH), MAX_GIRTH)
 
 
-@kernel
+@borrowing
 def _keep(pose: FloatArray, inner: FloatArray, data: NormalEquations, cost: float, out: Fit) -> None:
     out.cost[0] = cost
-    out.inner[:] = inner
+    for i in range(INNER_SIZE):
+        out.inner[i] = inner[i]
     for i in range(POSE_SIZE):
         out.pose[i] = pose[i]
     copy(data, out.data)
 
 
-@kernel
+@borrowing
 def _add_prior_terms(
     hand: Hand,
     pose: FloatArray,
@@ -351,12 +352,12 @@ def descend(
             _keep(pose, inner, workspace.data, cost, out)
         if k < iterations:
             add_inner_prior(tile.expected, inner, hand.thumb, workspace.posed, workspace.whole)
-            solve(workspace.whole.matrix, workspace.whole.vector, delta)
+            solve_positive(workspace.whole.matrix, workspace.whole.vector, delta)
             step_pose(pose, delta, most)
             _move_inner(inner, delta, workspace.posed, most)
 
 
-@kernel
+@borrowing
 def descend_each(
     hand: Hand,
     tile: Tile,
@@ -377,7 +378,7 @@ def descend_each(
         descend(hand, tile, starts[k], mean, precision, terms, most, iterations, workspace, fit)
 
 
-@kernel
+@borrowing
 def write_costs(
     hand: Hand,
     tile: Tile,
@@ -438,7 +439,7 @@ def swap_fingers_each(
                 best[place : place + 3] = poses[g, chosen, place : place + 3]
 
 
-@kernel
+@borrowing
 def align_each(
     hand: Hand, tile: Tile, poses: FloatArray, first: int, stride: int, workspace: Workspace
 ) -> None:
@@ -447,7 +448,7 @@ def align_each(
         align(hand, tile, poses[n], workspace)
 
 
-@kernel
+@borrowing
 def cost_of(hand: Hand, tile: Tile, pose: FloatArray, terms: Terms, workspace: Workspace) -> float:
     """Return the union cost D, mm, of a pose (22,)."""
     pose_bones(hand.skeleton, pose, tile.inner, workspace.posed)
@@ -456,7 +457,7 @@ def cost_of(hand: Hand, tile: Tile, pose: FloatArray, terms: Terms, workspace: W
     return union_cost(tile, workspace.drawing, terms)
 
 
-@kernel
+@borrowing
 def assess(hand: Hand, tile: Tile, pose: FloatArray, terms: Terms, workspace: Workspace, out: Fit) -> None:
     """Write the fit of a pose without a step."""
     pose_bones(hand.skeleton, pose, tile.inner, workspace.posed)
@@ -499,7 +500,7 @@ def align(hand: Hand, tile: Tile, pose: FloatArray, workspace: Workspace) -> boo
     return True
 
 
-@kernel
+@borrowing
 def _add_middle(image: FloatArray, seen: FloatArray, inverted: bool, total: FloatArray) -> int:
     """Sum column, row and depth of positive pixels where ``seen`` is not ignored; return their number."""
     count = 0
@@ -514,7 +515,7 @@ def _add_middle(image: FloatArray, seen: FloatArray, inverted: bool, total: Floa
     return count
 
 
-@kernel
+@borrowing
 def _place_middle(total: FloatArray, count: int, view: View) -> None:
     """Convert sums over pixels to the 3-D point, mm, of their mean."""
     z = total[2] / count

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.compiled import inlined, kernel
+from posetrack_cli.compiled import borrowing, inlined
 from posetrack_cli.hand.fit.skeleton import THUMB_ROW
 from posetrack_cli.hand.model.anatomy import TANGENT_SIZE
 
@@ -46,7 +46,7 @@ def empty_equations() -> NormalEquations:
     return NormalEquations(np.zeros((size, size)), np.zeros(size), blocks, np.zeros((2, ROW)))
 
 
-@kernel
+@borrowing
 def clear(equations: NormalEquations) -> None:
     """Remove all residuals."""
     equations.matrix[:] = 0.0
@@ -55,7 +55,7 @@ def clear(equations: NormalEquations) -> None:
     equations.thumb[:] = 0.0
 
 
-@kernel
+@borrowing
 def copy(equations: NormalEquations, out: NormalEquations) -> None:
     """Copy matrix and vector to other equations."""
     for i in range(UNKNOWNS):
@@ -80,7 +80,7 @@ def add_row(equations: NormalEquations, finger: int, row: FloatArray, weight: fl
                 equations.thumb[i, j] += scaled * row[j]
 
 
-@kernel
+@borrowing
 def gather(equations: NormalEquations) -> None:
     """Add the blocks to matrix and vector, and clear them."""
     H, g, blocks, thumb = equations.matrix, equations.vector, equations.blocks, equations.thumb

@@ -16,9 +16,9 @@ from typing import NamedTuple
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray, IntArray
-from posetrack_cli.compiled import kernel
+from posetrack_cli.compiled import borrowing, kernel
 from posetrack_cli.geometry import rotations
-from posetrack_cli.geometry.least_squares import geman_mcclure, solve
+from posetrack_cli.geometry.least_squares import geman_mcclure, solve_positive
 from posetrack_cli.geometry.rigid import rigid_alignment
 from posetrack_cli.hand.fit.anatomy_terms import SPHERES, Plausibility, add_anatomy, plausibility_of
 from posetrack_cli.hand.fit.gauss_newton import Steps, step_pose
@@ -81,7 +81,7 @@ def make_point_workspace() -> PointWorkspace:
     return PointWorkspace(empty_posed(), np.zeros((5, SPHERES, 3)), empty_equations())
 
 
-@kernel
+@borrowing
 def _joint(posed: Posed, k: int, out: FloatArray) -> None:
     """Write joint k of a posed hand, in the order of ``JOINT_NAMES``."""
     f, j = (k - 1) // 4, (k - 1) % 4
@@ -94,7 +94,7 @@ def _joint(posed: Posed, k: int, out: FloatArray) -> None:
             out[i] = posed.centres[f, j, i]
 
 
-@kernel
+@borrowing
 def _misfit(targets: JointTargets, k: int, at: FloatArray, e: FloatArray, p: FloatArray) -> float:
     """Write difference and precisions (3,) of a joint along its target's axes; return s^2."""
     square = 0.0
@@ -164,8 +164,7 @@ def fit_targets(
             equations.matrix[i, i] += (
                 _MIN_PRECISION[0] if i < 3 else (_MIN_PRECISION[1] if i < 6 else _MIN_PRECISION[2])
             )
-        of_pose = equations.matrix[:TANGENT_SIZE, :TANGENT_SIZE].copy()  # inner numbers are not fitted
-        solve(of_pose, equations.vector[:TANGENT_SIZE].copy(), step)
+        solve_positive(equations.matrix, equations.vector, step)  # inner numbers are not fitted
         step_pose(pose, step, most)
 
 

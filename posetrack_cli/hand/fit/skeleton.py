@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from posetrack_cli.arrays import BoolArray, Float32Array, FloatArray, IntArray
-from posetrack_cli.compiled import inlined, kernel
+from posetrack_cli.compiled import borrowing, inlined, kernel
 from posetrack_cli.geometry.kernels import matrix_product, rotation_matrix
 from posetrack_cli.hand.model.anatomy import ARM_BONE, BONE_COUNT, HandAnatomy
 from posetrack_cli.rendering.mesh import SkinnedMesh
@@ -48,12 +48,14 @@ class Posed(NamedTuple):
             direction to the elbow; 0 without one.
         centres: (5, 3, 3) joints 3, 2, 1 in camera coordinates, mm.
         tips: (5, 3) mm.
+        turns: (6, 3, 3) buffer: rotations of the palm, of a finger's frame and bones.
     """
 
     bones: FloatArray
     axes: FloatArray
     centres: FloatArray
     tips: FloatArray
+    turns: FloatArray
 
 
 def skeleton_of(anatomy: HandAnatomy) -> Skeleton:
@@ -70,10 +72,10 @@ def skeleton_of(anatomy: HandAnatomy) -> Skeleton:
 def empty_posed() -> Posed:
     """Return empty bones of one pose."""
     bones, axes = np.zeros((BONE_COUNT + 1, 3, 4)), np.zeros((6, 3, 3))
-    return Posed(bones, axes, np.zeros((5, 3, 3)), np.zeros((5, 3)))
+    return Posed(bones, axes, np.zeros((5, 3, 3)), np.zeros((5, 3)), np.zeros((6, 3, 3)))
 
 
-@kernel
+@borrowing
 def _bent(s: float, a: float, t: float, out: FloatArray) -> None:
     """Write Rx(s) Rz(a) Rx(t)."""
     cs, ss, ca, sa, ct, st = np.cos(s), np.sin(s), np.cos(a), np.sin(a), np.cos(t), np.sin(t)
@@ -82,7 +84,7 @@ def _bent(s: float, a: float, t: float, out: FloatArray) -> None:
     out[2, 0], out[2, 1], out[2, 2] = ss * sa, ss * ca * ct + cs * st, -ss * ca * st + cs * ct
 
 
-@kernel
+@borrowing
 def _finger_turns(pose: FloatArray, inner: FloatArray, f: int, sign: float, turns: FloatArray) -> None:
     """Write rotations (3, 3, 3) of a finger's bones from rest, in the finger's frame."""
     k, aside, more = 7 + 3 * f, 0.0, 0.0
@@ -96,7 +98,7 @@ def _finger_turns(pose: FloatArray, inner: FloatArray, f: int, sign: float, turn
     _bent(base, spread + aside, first + (1.0 + HALF) * second + more, turns[2])
 
 
-@kernel
+@borrowing
 def _finger_axes(
     pose: FloatArray, inner: FloatArray, f: int, sign: float, frame: FloatArray, axes: FloatArray
 ) -> None:
@@ -118,14 +120,14 @@ def _finger_axes(
             axes[0, i], axes[1, i], axes[2, i] = flexion, abduction, 0.0
 
 
-@kernel
+@borrowing
 def pose_bones(skeleton: Skeleton, pose: FloatArray, inner: FloatArray, posed: Posed) -> None:
     """Write bones, hinge axes and joint centres of one pose (22,) with inner numbers (6,).
 
     Without a visible forearm its bone collapses into the wrist.
     """
     posed.bones[ARM_BONE, :, :3], posed.axes[ARM] = 0.0, 0.0
-    palm, frame, turned, turns = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3, 3))
+    palm, frame, turned, turns = posed.turns[0], posed.turns[1], posed.turns[2], posed.turns[3:]
     rotation_matrix(pose[3:7], palm)
     for i in range(3):
         posed.bones[0, i, 3] = posed.bones[ARM_BONE, i, 3] = pose[i]
@@ -171,7 +173,7 @@ def place_joints(
             joints[n, 4 + 4 * f] = posed.tips[f]
 
 
-@kernel
+@borrowing
 def _place_arm(arm: FloatArray, posed: Posed) -> None:
     """Write the forearm's bone and axes of a posed hand, from inner numbers (6,).
 
@@ -200,7 +202,7 @@ def _place_arm(arm: FloatArray, posed: Posed) -> None:
         bone[i, 0], bone[i, 1], bone[i, 2] = girth * axes[0, i], arm[i], girth * axes[1, i]
 
 
-@kernel
+@borrowing
 def _place_bone(skeleton: Skeleton, f: int, k: int, turned: FloatArray, at: FloatArray, posed: Posed) -> None:
     """Write bone k of a finger, ``turned`` camera_R_bone, and move ``at`` from its joint to the next one."""
     base, rest, bone = skeleton.base_rotations[f], skeleton.rest_origins[f, k], posed.bones[1 + 3 * f + k]

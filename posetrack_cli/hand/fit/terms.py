@@ -16,8 +16,8 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray, IntArray
-from posetrack_cli.compiled import inlined, kernel
+from posetrack_cli.arrays import Float32Array, FloatArray, IntArray
+from posetrack_cli.compiled import borrowing, inlined
 from posetrack_cli.geometry.least_squares import geman_mcclure
 from posetrack_cli.hand.fit.normal_equations import RESIDUAL, ROW, NormalEquations, add_row
 from posetrack_cli.hand.fit.skeleton import NO_INNER, Posed, Skin, point_row
@@ -74,6 +74,9 @@ class Terms(NamedTuple):
     most_unexplained: int = 96
 
 
+_INDEX = np.int32(2**14 - 1)
+"""Bits of a float32 that hold an index."""
+
 Pull: TypeAlias = tuple[float, float, float, float, float]
 """Direction of the point (3), residual, mm, and weight, 1 / mm^2 (0 for none)."""
 
@@ -84,24 +87,28 @@ class TermBuffers(NamedTuple):
     Attributes:
         points: (h w, 3) unexplained points.
         vertices: (V,) visible vertices.
-        places: (3, V) their positions, one row per coordinate.
+        places: (3, V) their positions, one row per coordinate; accurate enough to find the nearest.
         squares: (V,) squared distances from a point.
+        row: (12,) of one residual.
     """
 
     points: FloatArray
     vertices: IntArray
-    places: FloatArray
-    squares: FloatArray
+    places: Float32Array
+    squares: Float32Array
+    row: FloatArray
 
 
 def empty_buffers(skin: Skin, height: int, width: int) -> TermBuffers:
     """Return the buffers for one image."""
     count = len(skin.mesh.vertices)
     points, vertices = np.zeros((height * width, 3)), np.zeros(count, dtype=np.int64)
-    return TermBuffers(points, vertices, np.zeros((3, count)), np.zeros(count))
+    return TermBuffers(
+        points, vertices, np.zeros((3, count), np.float32), np.zeros(count, np.float32), np.zeros(ROW)
+    )
 
 
-@kernel
+@borrowing
 def add_terms(
     tile: Tile,
     posed: Posed,
@@ -126,7 +133,7 @@ def add_terms(
         buffers: overwritten.
         equations: residuals are added to its blocks.
     """
-    view, row, (image, inverses) = tile.projection, np.empty(ROW), (tile.image, drawing.inverse)
+    view, row, (image, inverses) = tile.projection, buffers.row, (tile.image, drawing.inverse)
     fingers, reaches, normals = skin.triangle_fingers, skin.triangle_reaches, drawing.normals
     error, both, missed, unexplained = 0.0, 0, 0.0, 0
     for j in range(image.shape[0]):
@@ -213,7 +220,7 @@ def _outline_pull(
     return dx, dy, -(dx * x + dy * y), distance, share * weight  # orthogonal to the ray
 
 
-@kernel
+@borrowing
 def _add_closest(
     posed: Posed,
     skin: Skin,
@@ -231,10 +238,11 @@ def _add_closest(
     if facing == 0:
         return
     stride = (count + terms.most_unexplained - 1) // terms.most_unexplained
-    row, vertices = np.empty(ROW), drawing.vertices
+    row, vertices = buffers.row, drawing.vertices
     for k in range(0, count, stride):
         x, y, z = buffers.points[k, 0], buffers.points[k, 1], buffers.points[k, 2]
-        v = buffers.vertices[_nearest(buffers.places, buffers.squares, facing, x, y, z)]
+        place = np.float32(x), np.float32(y), np.float32(z)
+        v = buffers.vertices[_nearest(buffers.places, buffers.squares, facing, *place)]
         px, py, pz = vertices[v, 0], vertices[v, 1], vertices[v, 2]
         dx, dy, dz = x - px, y - py, z - pz
         distance = np.sqrt(dx * dx + dy * dy + dz * dz)
@@ -261,24 +269,26 @@ def _note_facing(drawing: Drawing, buffers: TermBuffers) -> int:
     return count
 
 
-@kernel
-def _nearest(places: FloatArray, squares: FloatArray, count: int, x: float, y: float, z: float) -> int:
-    """Return the index of the first nearest one of the ``count`` first places (3, V)."""
+@borrowing
+def _nearest(
+    places: Float32Array, squares: Float32Array, count: int, x: np.float32, y: np.float32, z: np.float32
+) -> int:
+    """Return the index of the nearest one of the ``count`` first places (3, V).
+
+    Squares within 2^-9 of each other count as equal: their last bits hold the index, and as non-negative
+    floats sort like their bits, the least bits name the nearest. Minima of integers vectorise.
+    """
+    across, down, along = places[0], places[1], places[2]
     for m in range(count):
-        ex, ey, ez = x - places[0, m], y - places[1, m], z - places[2, m]
+        ex, ey, ez = x - across[m], y - down[m], z - along[m]
         squares[m] = ex * ex + ey * ey + ez * ez
-    # non-negative floats sort like their bits, and a minimum of integers vectorises
-    bits = squares.view(np.int64)
-    least = bits[0]
-    for m in range(1, count):
-        least = min(least, bits[m])
-    first = 0
-    while bits[first] != least:
-        first += 1
-    return first
+    bits, least = squares.view(np.int32), np.int32(2**31 - 1)
+    for m in range(count):
+        least = min(least, np.int32((bits[m] & ~_INDEX) | m))
+    return least & _INDEX
 
 
-@kernel
+@borrowing
 def union_cost(tile: Tile, drawing: Drawing, terms: Terms) -> float:
     """Return the union cost D of a rendered pose, mm."""
     error, both, missed = 0.0, 0, 0.0

@@ -319,7 +319,7 @@ def correlate(image: ImageArray, template: Float32Array, box: IntArray, scores: 
         _add_row(window[row], np.float32(-1.0), sums, squares)
 
 
-@inlined
+@kernel
 def _window(image: ImageArray, box: IntArray) -> Float32Array:
     """Return the pixels under a template anywhere in a box, minus their rounded mean."""
     width, height = box[RIGHT] - box[LEFT] + PATCH, box[BOTTOM] - box[TOP] + PATCH

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.compiled import inlined, kernel
+from posetrack_cli.compiled import kernel
 from posetrack_cli.geometry.kernels import rotate_in_place
 from posetrack_cli.geometry.least_squares import invert_symmetric, solve, student_t
 from posetrack_cli.head.refinement.evidence import (
@@ -131,7 +131,7 @@ def write_correlations(
             state.correlations[c, k] = evidence.correlations[c]
 
 
-@inlined
+@kernel
 def point_in_camera(face: Face, state: FaceUnknowns, k: int, arm: FloatArray) -> None:
     """Write R M_k (3,), the point relative to the head's origin in camera axes."""
     local = np.empty(3)
