@@ -123,6 +123,7 @@ def test_costs_that_hardly_differ_are_said_to_with_a_probability(
     found = detect_hand(open_path(seen[1]), with_hand(scale=1.0), start=0)
     assert found.config.hand.side == "left"
     assert found.line == "a left hand, but uncertain (probability 0.88); set --hand-side"
+    assert found.config.status.hand_probability == pytest.approx(0.88, abs=0.005)
 
 
 def test_frames_are_asked_until_they_agree_and_none_decides_alone(
