@@ -115,6 +115,7 @@ class Job:
         digests: digests of the recording's files that an earlier process computed (``identity.Digests``).
         sources: digest of the posetrack sources that must run the job (``build.source_digest``).
         url: of a remote recording, whose local copy is ``recording``; empty for a local one.
+        person: whom the recording shows; empty if unknown.
     """
 
     name: str
@@ -134,6 +135,7 @@ class Job:
     digests: Mapping[str, tuple[int, str]] = field(default_factory=dict)
     sources: str = field(default_factory=source_digest)
     url: str = ""
+    person: str = ""
 
     @property
     def shown_recording(self) -> str:

@@ -30,12 +30,16 @@ PieceArguments = Callable[[Job, int, Path], tuple[str, ...]]
 """Return the options of a piece except its frame range, from the job, the number of the piece, and the result
 of the first piece, which initialises the others."""
 
+PersonArguments = Callable[[Job, Path], tuple[str, ...]]
+"""Return the options of a job that takes the shape of its person from the result of another recording."""
+
 
 def run_batch(
     engine: JobEngine,
     jobs: Sequence[Job],
     limits: Limits,
     piece_arguments: PieceArguments | None = None,
+    person_arguments: PersonArguments = lambda job, learned: job.arguments,
     report: Callable[[Outcome], None] = lambda outcome: None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> list[Outcome]:
@@ -46,6 +50,7 @@ def run_batch(
         jobs: one per recording, with unique names.
         limits: resource limits of each job.
         piece_arguments: options of the pieces of long recordings; None does not split recordings.
+        person_arguments: options of the other recordings of a person, once the first one has a result.
         report: called with the outcome of each recording.
         stopped: polled several times per second; returns True to stop the batch.
 
@@ -55,7 +60,8 @@ def run_batch(
     parts = {job.name: _Recording(job, piece_arguments) for job in jobs}
     found: dict[str, Outcome] = {}
     is_stopping = False
-    for recording in parts.values():
+    people = _People(parts.values(), person_arguments)
+    for recording in people.first:
         engine.submit(recording.first, limits)
     while len(found) < len(parts):
         if not is_stopping and stopped():
@@ -71,7 +77,42 @@ def run_batch(
         if recording.result is not None and recording.job.name not in found:
             found[recording.job.name] = recording.result
             report(recording.result)
+            for other in people.after(recording):
+                engine.submit(other.first, limits)
     return [found[job.name] for job in jobs]
+
+
+class _People:
+    """Recordings of one person: the first determines the shape, the others wait for it.
+
+    Only the order of the recordings decides which one is first, so results do not depend on the workers. A
+    first recording without a usable result passes its part on to the next one.
+
+    Attributes:
+        first: recordings that wait for no other.
+    """
+
+    def __init__(self, recordings: Iterable[_Recording], arguments: PersonArguments) -> None:
+        self._arguments = arguments
+        self._waiting: dict[str, list[_Recording]] = {}
+        self.first: list[_Recording] = []
+        for one in recordings:
+            person = one.job.person
+            if person and person in self._waiting:
+                self._waiting[person].append(one)
+            else:
+                self.first.append(one)
+                self._waiting[person] = []
+
+    def after(self, ended: _Recording) -> list[_Recording]:
+        """Return the recordings that may start after one has ended."""
+        waiting, result = self._waiting.get(ended.job.person, []), ended.result
+        if result is None or not result.has_result or result.lost_data:
+            return [waiting.pop(0)] if waiting else []
+        self._waiting[ended.job.person] = []
+        for one in waiting:
+            one.job = replace(one.job, arguments=self._arguments(one.job, ended.job.output))
+        return waiting
 
 
 @dataclass

@@ -202,6 +202,7 @@ class Source:
         options: command options by long name without dashes; strings, numbers, true for flags, or lists.
         truth: ground-truth file for its result.
         gates: gates for its result.
+        person: whom it shows; recordings of one person share the shape of the hand or face. Empty if unknown.
         manifest: manifest that lists the recording; None if it was given otherwise.
         url: of a remote recording, whose ``path`` is its file name; empty for a local one.
     """
@@ -211,6 +212,7 @@ class Source:
     options: Mapping[str, Any] = field(default_factory=dict)
     truth: Path | None = None
     gates: tuple[str, ...] = ()
+    person: str = ""
     manifest: Path | None = None
     url: str = ""
 
@@ -224,6 +226,7 @@ class ManifestRecording(Settings):
         options: command options.
         truth: ground-truth file, relative to the manifest; defaults to ground truth in the recording.
         gates: gates for the result.
+        person: whom it shows; its first recording determines the shape of the hand or face for the others.
     """
 
     path: str
@@ -231,6 +234,7 @@ class ManifestRecording(Settings):
     options: dict[str, bool | int | float | str | list[str]] = Field(default_factory=dict)
     truth: str | None = None
     gates: tuple[str, ...] = ()
+    person: str = ""
 
 
 class Manifest(Settings):
@@ -389,7 +393,8 @@ def _manifest_sources(
     options = {key: resolved_option(path, key, value) for key, value in given.items()}
     gates = (*manifest.gates, *one.gates)
     for recording, name, url in found:
-        yield Source(recording, _checked_name(path, one.name or name), options, truth, gates, path, url)
+        place = _checked_name(path, one.name or name)
+        yield Source(recording, place, options, truth, gates, one.person, path, url)
 
 
 def _checked_name(path: object, name: str) -> str:

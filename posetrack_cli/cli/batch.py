@@ -7,7 +7,7 @@ import re
 import shutil
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,7 +31,7 @@ from posetrack_cli.errors import EXIT_DONE, PosetrackError, UsageError
 
 if TYPE_CHECKING:
     from posetrack_cli.batch.jobs import Job, Limits, Outcome
-    from posetrack_cli.batch.scheduling import PieceArguments
+    from posetrack_cli.batch.scheduling import PersonArguments, PieceArguments
     from posetrack_cli.batch.sources import Source
     from posetrack_cli.batch.summary import Judging, Summary
 
@@ -197,6 +197,7 @@ class _Plan:
     jobs: tuple[Job, ...]
     limits: Limits
     piece_arguments: PieceArguments | None
+    person_arguments: PersonArguments
 
 
 def run_batch_command(
@@ -298,6 +299,7 @@ def _planned(
                 chunk_s=chunk_s or 0.0,
                 overlap_s=options["overlap_s"] if chunk_s else 0.0,
                 url=source.url,
+                person=source.person,
             )
         )
     _check_places(folder, jobs)
@@ -306,7 +308,10 @@ def _planned(
     def piece_arguments(job: Job, number: int, learned: Path) -> tuple[str, ...]:
         return command.of_piece(job.arguments, number, learned)
 
-    return _Plan(tuple(jobs), limits, piece_arguments if chunk_s else None)
+    def person_arguments(job: Job, learned: Path) -> tuple[str, ...]:
+        return command.of_person(job.arguments, learned)
+
+    return _Plan(tuple(jobs), limits, piece_arguments if chunk_s else None, person_arguments)
 
 
 def _check_places(folder: Path, jobs: Sequence[Job], alike: Callable[[str], str] = str) -> None:
@@ -351,7 +356,10 @@ def _show_plan(plan: _Plan) -> None:
     """Print the action for each recording."""
     from posetrack_cli.batch.execution import planned_action
 
+    first: dict[str, Path] = {}  # results of each person's first recording
     for job in plan.jobs:
+        if job.person and (learned := first.setdefault(job.person, job.output)) != job.output:
+            job = replace(job, arguments=plan.person_arguments(job, learned))
         try:
             way = planned_action(job, plan.limits)
         except PosetrackError as error:
@@ -414,7 +422,15 @@ def _run(plan: _Plan, options: dict[str, Any]) -> list[Outcome]:
         stop_signals() as stopped,
         open_engine(where, run_job, shown.on_progress, shown.note) as engine,
     ):
-        return run_batch(engine, plan.jobs, plan.limits, plan.piece_arguments, shown.on_outcome, stopped)
+        return run_batch(
+            engine,
+            plan.jobs,
+            plan.limits,
+            plan.piece_arguments,
+            plan.person_arguments,
+            shown.on_outcome,
+            stopped,
+        )
 
 
 @contextmanager

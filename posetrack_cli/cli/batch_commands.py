@@ -110,6 +110,9 @@ class BatchCommand:
         open: opens a recording, given the command's options.
         learned: returns options that start a piece from the shape or model of another one, given the
             recording's options and that piece's result.
+        shared: option that takes the person's hand or face from the result of another recording, and further
+            ones to add to it; empty if the command measures each person itself.
+        excluding: options that determine the hand or face themselves.
         recordings: argument for the examples in the help.
     """
 
@@ -118,6 +121,8 @@ class BatchCommand:
     open: Callable[[Path, dict[str, Any]], Recording]
     learned: Callable[[Sequence[str], Path], tuple[str, ...]]
     recordings: str
+    shared: tuple[str, ...] = ()
+    excluding: tuple[str, ...] = ()
 
     @property
     def examples(self) -> tuple[str, ...]:
@@ -190,6 +195,14 @@ class BatchCommand:
         kept = [one for one in arguments if one.partition("=")[0].lstrip("-") not in left_out]
         return tuple(kept) if number == 0 else (*kept, *self.learned(kept, learned))
 
+    def of_person(self, arguments: Sequence[str], learned: Path) -> tuple[str, ...]:
+        """Return the options of a recording that takes the hand or face from a result of the same person."""
+        given = {one.partition("=")[0] for one in arguments}
+        if not self.shared or given & {self.shared[0], *self.excluding} or "--faces=all" in arguments:
+            return tuple(arguments)
+        added = (one for one in self.shared[1:] if one.partition("=")[0] not in given)
+        return (*arguments, f"{self.shared[0]}={learned}", *added)
+
 
 def _is_given(context: click.Context, parameter: click.Parameter) -> bool:
     return context.get_parameter_source(str(parameter.name)) is ParameterSource.COMMANDLINE
@@ -228,8 +241,24 @@ def _head_learned(arguments: Sequence[str], result: Path) -> tuple[str, ...]:
 
 
 _EVERY = (
-    BatchCommand(("hand", "run"), hand_run, open_hand_recording, _hand_learned, "'in/**/*.mcap'"),
+    BatchCommand(
+        ("hand", "run"),
+        hand_run,
+        open_hand_recording,
+        _hand_learned,
+        "'in/**/*.mcap'",
+        ("--shape", "--hand-side=auto"),  # a person's hands have one shape, and either may be shown
+        ("--scale", "--hand-mesh"),
+    ),
     BatchCommand(("head", "stereo"), head_stereo, open_stereo_recording, _head_learned, "'in/**/*.mcap'"),
-    BatchCommand(("head", "mono"), head_mono, open_mono_recording, _head_learned, "'in/*.mp4'"),
+    BatchCommand(
+        ("head", "mono"),
+        head_mono,
+        open_mono_recording,
+        _head_learned,
+        "'in/*.mp4'",
+        ("--person",),
+        ("--load-model", "--init", "--interpupillary-mm", "--landmarks"),
+    ),
 )
 BATCH_COMMANDS = {one.words: one for one in _EVERY}

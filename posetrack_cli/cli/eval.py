@@ -76,7 +76,8 @@ def _list_metrics(context: click.Context, parameter: click.Parameter, value: boo
 @click.argument("results", metavar="RESULT...", nargs=-1, type=FILE)
 @option_group(
     truth_option(
-        "Ground truth: a recording, result, CSV file or folder of .pts files.  [default: from the result]"
+        "Ground truth: a recording, result, CSV file, or annotations of a public dataset.  "
+        "[default: from the result]"
     ),
     option(
         "--face-truth",

@@ -85,7 +85,7 @@ class SideAndFile(click.ParamType[Any]):
         type=SideAndFile(),
         multiple=True,
         help="Ground truth of hand joints to add, CSV: stamp_ns or t_s, and <joint>_x_mm, _y_mm, _z_mm in "
-        "camera axes; of two hands left=FILE and right=FILE. Repeatable.",
+        "camera axes, or labels of a public dataset; of two hands left=FILE and right=FILE. Repeatable.",
         meaning="Ground truth file",
     ),
     title="Ground truth",
@@ -140,23 +140,34 @@ def convert(
 
 
 def _joints(given: Sequence[tuple[str, Path]], source: Recording) -> list[TruthMessage]:
-    """Read joints of one or two hands from CSV as ground truth messages in log-time order."""
+    """Read joints of one or two hands as ground truth messages in log-time order."""
     each = [_joints_of(side, path, source) for side, path in given]
     return list(heapq.merge(*each, key=lambda message: message.log_time_ns))
 
 
 def _joints_of(side: str, path: Path, source: Recording) -> list[TruthMessage]:
-    """Read joints from CSV as ground truth messages; refuse recordings that already have some."""
+    """Read joints as ground truth messages; refuse recordings that already have some."""
+    import numpy as np
+
+    from posetrack_cli.evaluation.reading.hand_labels import is_labels, read_labels
     from posetrack_cli.evaluation.reading.truth_tables import load_csv_track
     from posetrack_cli.evaluation.reading.truth_topics import points_messages, points_topic
     from posetrack_cli.hand.model.anatomy import ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS
+    from posetrack_cli.losses import LossLog
     from posetrack_cli.results.estimate import Subject
 
     names = ANGLE_NAMES, JOINT_NAMES, JOINT_PARENTS
     subject = Subject("hand", source.cameras[0].name, *names, label=side)
     if any(message.topic == points_topic(subject.topic) for message in source.truth()):
         raise UsageError("recording already has ground truth joints", where=source.path, hint="omit --truth")
-    return list(points_messages(load_csv_track(path, subject), subject.topic))
+    if not is_labels(path):
+        return list(points_messages(load_csv_track(path, subject), subject.topic))
+    labels = read_labels(path, source.path.name)
+    stamps = {k: f.stamp_ns for k, f in enumerate(source.matched(LossLog())) if f is not None}
+    frames = np.array([frame for frame in labels.frames.tolist() if frame in stamps], dtype=np.int64)
+    stamp_ns = np.array([stamps[frame] for frame in frames.tolist()], dtype=np.int64)
+    mirrored = source.identity().get("mirror") == "true"
+    return list(points_messages(labels.track(path, stamp_ns, frames, mirrored=mirrored), subject.topic))
 
 
 # posetrack export

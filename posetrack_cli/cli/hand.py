@@ -98,10 +98,11 @@ hand.add_command(hand_synth)
     ),
     option(
         "--shape",
-        metavar="auto|average|FILE",
+        metavar="auto|average|FILE|FOLDER",
         type=NameOrFile("auto", "average"),
-        help="Hand size and shape: estimated from the recording (auto), average, or from FILE, written by "
-        "hand calibrate or an earlier hand run.  [default: auto]",
+        help="Hand size and shape: estimated from the recording (auto), average, from FILE, written by "
+        "hand calibrate or an earlier hand run, or the mean over the results of one person in FOLDER.  "
+        "[default: auto]",
     ),
     scale_option,
     hand_mesh_option,
@@ -182,11 +183,10 @@ def hand_run(recording: Path, **options: Any) -> None:
             name_partial_result(output),
         ):
             outcome = run.track(report, stopped)
-    if found.line and not outcome.failure:
-        if found.is_doubtful:
-            print_remark(recording, found.line)
-        else:
-            print_info(f"{recording}: {found.line}")
+    if found.line and found.is_doubtful:
+        print_remark(recording, found.line)
+    elif found.line and not outcome.failure:
+        print_info(f"{recording}: {found.line}")
     close(recording, output, outcome)
 
 

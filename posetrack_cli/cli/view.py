@@ -123,7 +123,7 @@ DRAWN = {
     "--any-recording", is_flag=True, help="Accept a --recording other than that of the result.", group=READ
 )
 @recording_options
-@device_option("EGL device to render with, or cpu.  [default: chosen by the driver, else cpu]")
+@device_option("EGL device to render with, or cpu.  [default: a GPU if available, else cpu]")
 @volume_options
 def view(paths: tuple[Path, ...], output: Path, **options: Any) -> None:
     """Render RESULT over its recording: depth in false colour (red near, blue far) and the tracked hand.
@@ -208,7 +208,7 @@ def _prepare(results: Sequence[Result], output: Path, options: dict[str, Any]) -
     from posetrack_cli.evaluation.viewing.layers import ViewOptions
     from posetrack_cli.evaluation.viewing.outputs import is_sheet
     from posetrack_cli.evaluation.viewing.view import ResultView, style_of
-    from posetrack_cli.rendering.devices import open_usual_device
+    from posetrack_cli.rendering.devices import open_fastest_device
 
     tracks = chosen_tracks(options["track"])
     drawn = {name: options[called] for name, called in DRAWN.items()}
@@ -217,7 +217,7 @@ def _prepare(results: Sequence[Result], output: Path, options: dict[str, Any]) -
     style_of(results)
     recording = _recording_of(results[0], options)
     # The device is opened on first use: heads are drawn without one.
-    device = cache(lambda: open_usual_device(options["device"]))
+    device = cache(lambda: open_fastest_device(options["device"]))
     return ResultView(results, recording, view_options, device)
 
 

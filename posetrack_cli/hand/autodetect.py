@@ -25,12 +25,14 @@ from posetrack_cli.hand.search import Acquisition, quick_search
 from posetrack_cli.hand.shape_fit import (
     Calibration,
     CalibrationOptions,
+    length_probability,
     length_warning,
     measures_of,
     shape_of,
 )
 from posetrack_cli.phases import Advance, phase
 from posetrack_cli.recording.base import Frame
+from posetrack_cli.recording.depth import unit_mm_of
 from posetrack_cli.recording.recording import Recording
 
 # Side from the estimated shapes, where the average hand leaves it open
@@ -454,19 +456,25 @@ def detect_hand(
     if found is not None:
         line = f"{hand}, {found.length_mm:.0f} mm long{warning}{found.warning}"
         config = _with_baseline(_with_hand(sized, found.settings), found)
+        config = _with_probability(config, likelier, found.length_mm)
         return DetectedHand(config, line, bool(warning or found.warning))
     changed = sized.hand.scale != config.hand.scale
-    warning += _size_warning(sized) if changed else ""
+    length_mm = _length_mm(sized)
+    warning += _size_warning(length_mm, recording) if changed else ""
+    sized = _with_probability(sized, likelier, length_mm if changed else None)
     line = hand + (f" of scale {sized.hand.scale:.2f}" if changed else "") + warning
     return DetectedHand(sized, line if len(sides) > 1 or changed else "", bool(warning))
 
 
-def _size_warning(config: HandConfig) -> str:
+def _length_mm(config: HandConfig) -> float:
+    """Return the length of the configured hand."""
+    return float(measures_of(hand_maker(config.hand.mesh)(config.hand.side, config.hand.shape).anatomy)[0])
+
+
+def _size_warning(length_mm: float, recording: Recording) -> str:
     """Return a clause about a hand whose size is none of a person's, with its length; else empty."""
-    hand = hand_maker(config.hand.mesh)(config.hand.side, config.hand.shape)
-    length = float(measures_of(hand.anatomy)[0])
-    doubt = length_warning(length)
-    return f", {length:.0f} mm long{doubt}" if doubt else ""
+    doubt = length_warning(length_mm, unit_mm_of(recording.pixels[0]))
+    return f", {length_mm:.0f} mm long{doubt}" if doubt else ""
 
 
 def _counted(recording: Recording, config: HandConfig, start: int, scale: float) -> HandConfig:
@@ -500,9 +508,12 @@ def _both_hands(
         found = shape_of_both(recording, config, frames, _is_usable)
     hands = "two hands" if config.hand.count == BOTH else f"the {side} one of two hands"
     if found is None:
-        warning = _size_warning(config)
+        length_mm = _length_mm(config)
+        warning = _size_warning(length_mm, recording)
+        config = _with_probability(config, None, length_mm)
         return DetectedHand(config, f"{hands} of scale {scale:.2f}{warning}", bool(warning))
     config = _with_baseline(_with_hand(config, found.settings), found)
+    config = _with_probability(config, None, found.length_mm)
     return DetectedHand(config, f"{hands}, {found.length_mm:.0f} mm long{found.warning}", bool(found.warning))
 
 
@@ -527,7 +538,7 @@ def calibrate(recording: Recording, config: HandConfig, options: CalibrationOpti
         options: the rest.
 
     Raises:
-        RecordingError: no frame, or no hand found in at least four frames.
+        RecordingError: no frame, or no hand found in four frames (or all of fewer).
         UsageError: the configured mesh is not a usable hand.
     """
     sides = (options.side,) if options.side else SIDES
@@ -600,4 +611,12 @@ def _with_baseline(config: HandConfig, found: Calibration) -> HandConfig:
     if config.status.baseline_cost_mm > 0.0:
         return config
     status = config.status.model_copy(update={"baseline_cost_mm": round(found.baseline_cost_mm, 4)})
+    return config.model_copy(update={"status": status})
+
+
+def _with_probability(config: HandConfig, side: SideEstimate | None, length_mm: float | None) -> HandConfig:
+    """Set the probability of a detected side and an estimated length; None for what was given."""
+    is_right = 1.0 if side is None or side.is_sure else side.probability
+    is_right *= 1.0 if length_mm is None else length_probability(length_mm)
+    status = config.status.model_copy(update={"hand_probability": round(is_right, 4)})
     return config.model_copy(update={"status": status})

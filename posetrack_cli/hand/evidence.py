@@ -11,7 +11,14 @@ from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.observe.detection import Detection, detect
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.camera_of import principal_point_fault
-from posetrack_cli.recording.depth import MM_PER_M, Depth, content_of, length_words, likely_units, range_words
+from posetrack_cli.recording.depth import (
+    MM_PER_M,
+    content_of,
+    length_words,
+    likely_units,
+    range_words,
+    unit_mm_of,
+)
 from posetrack_cli.recording.recording import Recording
 
 NARROWEST_DEG, WIDEST_DEG = 15.0, 150.0
@@ -35,8 +42,7 @@ class DepthEvidence:
 
     def __init__(self, recording: Recording, config: HandConfig, frames: Sequence[Frame]) -> None:
         self._camera, self._config, self._frames = recording.cameras[0], config, frames
-        pixels = recording.pixels[0]
-        self._unit_mm = pixels.unit_mm if isinstance(pixels, Depth) else 1.0
+        self._unit_mm = unit_mm_of(recording.pixels[0])
         self.content = content_of((frame.depth for frame in frames), self._camera)
         self._hands = [detect(frame.depth, self._camera, config.detection) for frame in frames]
 

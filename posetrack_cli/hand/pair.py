@@ -9,20 +9,28 @@ from typing import Annotated
 
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray, ImageArray
+from posetrack_cli.arrays import FloatArray, ImageArray, IntArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.hand.fit.skeleton import INNER_SIZE
+from posetrack_cli.hand.model.kinematics import joint_set_distance
 from posetrack_cli.hand.observe.observation import PixelSampler
 from posetrack_cli.hand.observe.others import HandDrawer, SeenHand, without_others
-from posetrack_cli.hand.search import cheapest_pair
+from posetrack_cli.hand.policy import MOSTLY_HIDDEN, SAME_PLACE_MM
+from posetrack_cli.hand.search import Candidate, cheapest_pair
 from posetrack_cli.hand.state import HandState
 from posetrack_cli.hand.tracker import HandTracker
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.rendering.port import Window
-from posetrack_cli.results.columns import floats
+from posetrack_cli.results.columns import counts, floats
 from posetrack_cli.results.estimate import Estimate
 from posetrack_cli.tracking.confidence import PROBABLY
 from posetrack_cli.tracking.state_codec import Codec, Fields, codec_of
+
+_BOTH = (0, 1)
+_SEARCH_FRAMES = 4
+"""A hand that is not where it is expected is searched in every so many frames."""
+_MAX_COST_RATIO = 1.25
+"""Largest cost of a hand that is found again, relative to good fits: an elbow or a forearm costs more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,12 +40,16 @@ class PairState:
     Attributes:
         hands: states of the trackers.
         inner: (2, 6) inner numbers of the last frame, without a forearm if none was visible.
-        confidence: (2,) of the last frame.
+        unsure: (2,) frames in a row in which a hand was probably elsewhere or lost.
     """
 
     hands: tuple[HandState, HandState]
     inner: Annotated[FloatArray, floats(2, INNER_SIZE)]
-    confidence: Annotated[FloatArray, floats(2)]
+    unsure: Annotated[IntArray, counts(2)]
+
+    def is_sure(self, k: int) -> bool:
+        """Return whether a hand is probably where its track is."""
+        return not self.hands[k].monitor.lost and int(self.unsure[k]) == 0
 
 
 def pinhole(camera: Camera) -> Camera:
@@ -47,7 +59,7 @@ def pinhole(camera: Camera) -> Camera:
 
 def _state_of(hands: Iterable[HandState]) -> PairState:
     first, second = hands
-    return PairState((first, second), np.array([first.expected, second.expected]), np.zeros(2))
+    return PairState((first, second), np.array([first.expected, second.expected]), np.zeros(2, np.int64))
 
 
 class PairTracker:
@@ -90,19 +102,26 @@ class PairTracker:
         if self._sampler is not None:
             whole = Window(0, 0, 1, self._camera.width, self._camera.height)
             frame = replace(frame, images=(self._sampler.sample(frame.depth, whole),))
-        seen = self._with_candidates([self._predicted(k, state, frame) for k in (0, 1)], state, frame.depth)
-        states, inner, confidence = list(state.hands), state.inner.copy(), state.confidence.copy()
+        seen = [self._predicted(k, state, frame) for k in _BOTH]
+        found = self._found(state, seen, frame.depth)
+        for k, one in enumerate(found):
+            if (at := self._seen_at(k, one)) is not None:
+                seen[k] = replace(at, is_sure=not state.is_sure(1 - k))
+        states, inner, unsure = list(state.hands), state.inner.copy(), state.unsure.copy()
         estimates: dict[int, Estimate] = {}
-        for k in sorted((0, 1), key=lambda k: _depth_mm(seen[k])):
+        for k in sorted(_BOTH, key=lambda k: _depth_mm(seen[k])):
             other = seen[1 - k]
             depth = without_others(frame.depth, seen[k], () if other is None else (other,), self._camera)
-            after, estimates[k] = self.trackers[k].step(states[k], replace(frame, images=(depth,)), rng)
-            states[k], confidence[k] = after, estimates[k].confidence
+            after, estimates[k] = self.trackers[k].step(
+                states[k], replace(frame, images=(depth,)), rng, found[k]
+            )
+            is_sure = estimates[k].confidence >= PROBABLY
+            states[k], unsure[k] = after, 0 if is_sure else unsure[k] + 1
             inner[k] = after.expected if after.observation is None else after.observation.inner
-            seen[k] = None
-            if not after.monitor.lost:
-                seen[k] = SeenHand(self._drawers[k], after.pose, inner[k], bool(confidence[k] >= PROBABLY))
-        after_both = PairState((states[0], states[1]), inner, confidence)
+            seen[k] = SeenHand(self._drawers[k], after.pose, inner[k], is_sure)
+            if after.monitor.lost:
+                seen[k] = None
+        after_both = PairState((states[0], states[1]), inner, unsure)
         return after_both, tuple(estimates[k] for k in range(self._reported))
 
     def _predicted(self, k: int, state: PairState, frame: Frame) -> SeenHand | None:
@@ -111,23 +130,44 @@ class PairTracker:
         if hand.monitor.lost:
             return None
         dt = min((frame.stamp_ns - hand.stamp_ns) * 1e-9, tracker.config.motion.gap_max_s)
-        is_sure = bool(state.confidence[k] >= PROBABLY)
-        return SeenHand(self._drawers[k], tracker.predict(hand, dt), state.inner[k], is_sure)
+        return SeenHand(self._drawers[k], tracker.predict(hand, dt), state.inner[k], state.is_sure(k))
 
-    def _with_candidates(
-        self, seen: list[SeenHand | None], state: PairState, depth: ImageArray
-    ) -> list[SeenHand | None]:
-        """Return the hands with places for two lost ones, so that each searches without the other's.
+    def _found(
+        self, state: PairState, seen: Sequence[SeenHand | None], depth: ImageArray
+    ) -> list[Candidate | None]:
+        """Return where unsure hands are, if they are not at their predicted places.
 
-        Alone, a right hand's model would also fit the left hand. Of all pairs of places, the cheapest counts.
+        If neither is sure, both are searched: of all pairs of places, the cheapest counts. Then a hand is
+        searched without what the other one explains: alone, a right hand's model would also fit the left one.
         """
-        if any(one is not None for one in seen) or any(hand.monitor.search_wait for hand in state.hands):
-            return seen
-        best = cheapest_pair(*(tracker.candidates(depth) for tracker in self.trackers))
-        return [
-            None if one is None else SeenHand(drawer, one.pose, one.inner)
-            for drawer, one in zip(self._drawers, best, strict=True)
-        ]
+        found: list[Candidate | None] = [None, None]
+        turn = [k for k in _BOTH if not state.is_sure(k) and state.unsure[k] % _SEARCH_FRAMES == 0]
+        if turn and not any(one is not None and one.is_sure for one in seen):
+            best_pair = cheapest_pair(*(tracker.candidates(depth) for tracker in self.trackers))
+            found = [self._accepted(k, one, state, depth) for k, one in enumerate(best_pair)]
+        for k in turn:
+            other = self._seen_at(1 - k, found[1 - k]) or seen[1 - k]
+            if found[k] is None and other is not None and other.is_sure:
+                rest = without_others(depth, None, (other,), self._camera)
+                best = min(self.trackers[k].candidates(rest), key=lambda one: one.total_cost, default=None)
+                found[k] = self._accepted(k, best, state, rest)
+        return found
+
+    def _seen_at(self, k: int, found: Candidate | None) -> SeenHand | None:
+        return None if found is None else SeenHand(self._drawers[k], found.pose, found.inner)
+
+    def _accepted(
+        self, k: int, found: Candidate | None, state: PairState, depth: ImageArray
+    ) -> Candidate | None:
+        """Return a candidate if it is a visible hand, elsewhere than the hand's track."""
+        if found is None:
+            return None
+        hand, tracker = state.hands[k], self.trackers[k]
+        ratio = max(one.monitor.cost_ratio(found.cost, tracker.config.status) for one in state.hands)
+        is_hand = ratio < _MAX_COST_RATIO or not hand.monitor.was_found
+        is_hand &= tracker.visible_share(depth, found) > 1.0 - MOSTLY_HIDDEN
+        is_elsewhere = joint_set_distance(tracker.anatomy, found.pose, hand.pose) > SAME_PLACE_MM
+        return found if is_hand and (hand.monitor.lost or is_elsewhere) else None
 
 
 def _depth_mm(hand: SeenHand | None) -> float:

@@ -38,7 +38,7 @@ from posetrack_cli.hand.model.anatomy import HandAnatomy
 from posetrack_cli.hand.model.kinematics import joint_set_distance
 from posetrack_cli.hand.observe.observation import Observation
 from posetrack_cli.hand.observe.observer import Observer
-from posetrack_cli.hand.search import Acquisition, Bar, Candidate, cheaper_of, depth_penalty
+from posetrack_cli.hand.search import NO_BAR, Acquisition, Bar, Candidate, cheaper_of, depth_penalty
 from posetrack_cli.results.columns import NotNegative
 from posetrack_cli.results.estimate import Status
 
@@ -302,13 +302,20 @@ class Policy:
         anatomy: the hand.
         finder: search without a prediction.
         observer: cuts out windows.
+        alone: whether to search whole images; with other hands in them, their tracker does.
     """
 
     def __init__(
-        self, settings: StatusSettings, anatomy: HandAnatomy, finder: Acquisition, observer: Observer
+        self,
+        settings: StatusSettings,
+        anatomy: HandAnatomy,
+        finder: Acquisition,
+        observer: Observer,
+        *,
+        alone: bool = True,
     ) -> None:
         self._settings, self._anatomy = settings, anatomy
-        self._finder, self._observer = finder, observer
+        self._finder, self._observer, self._alone = finder, observer, alone
 
     def decide_lost(
         self, monitor: TrackMonitor, depth: ImageArray, hands: Sequence[KeypointHand]
@@ -318,7 +325,7 @@ class Policy:
         Without a candidate the frame is a miss.
         """
         from_keypoints = fit_candidates(self._finder, depth, hands)
-        if monitor.search_wait > 0:
+        if monitor.search_wait > 0 or not self._alone:
             candidate = best_candidate(from_keypoints, monitor.accept_below_mm)
             otherwise = monitor.after_search_wait()
         else:
@@ -349,7 +356,7 @@ class Policy:
     def decide_after_gap(self, frame: TrackedFrame) -> Decision:
         """Decide on a frame after a gap **[ours]**: the hand may be anywhere, the cheapest place counts."""
         monitor = replace(frame.monitor, better_elsewhere=0, search_wait=0)
-        candidate = self._finder.search(frame.depth)
+        candidate = self._in_image(frame)
         if candidate is None or candidate.cost > frame.fits.cost - _AFTER_GAP_MM:
             return Decision(monitor)
         return Decision(monitor, candidate, restart=True)
@@ -377,7 +384,7 @@ class Policy:
         bar = Bar(monitor.limit_mm(cost), frame.total_cost - SWITCH_MARGIN_MM)
         candidate = self._finder.reconsider(frame.observation, frame.pose, bar.cost)
         if candidate is None or monitor.is_doubtful(candidate.cost, self._settings):
-            in_image = self._finder.search(frame.depth, bar=bar)  # the window itself may be wrong
+            in_image = self._in_image(frame, bar)  # the window itself may be wrong
             if in_image is None or self._is_near(in_image.pose, frame.pose):
                 candidate = cheaper_of(candidate, in_image)
                 monitor = replace(monitor, better_elsewhere=0)
@@ -406,7 +413,7 @@ class Policy:
         bar = Bar(max(monitor.limit_mm(cost), cost - _SAME_FACING_MARGIN_MM))
         candidate = self._finder.reconsider(window, pose, bar.cost)
         if monitor.is_far_above_baseline(cost, self._settings):
-            in_image = self._finder.search(frame.depth, bar=bar)
+            in_image = self._in_image(frame, bar)
             if in_image is not None and self._faces_alike(in_image.pose, pose):
                 candidate = cheaper_of(candidate, in_image)
         helped = candidate is not None and (
@@ -414,6 +421,10 @@ class Policy:
             or (candidate.cost < cost - _SAME_FACING_MARGIN_MM and self._faces_alike(candidate.pose, pose))
         )
         return Decision(monitor.after_retry(cost, helped=helped), candidate if helped else None)
+
+    def _in_image(self, frame: TrackedFrame, bar: Bar = NO_BAR) -> Candidate | None:
+        """Return the best hand of the whole image."""
+        return self._finder.search(frame.depth, bar=bar) if self._alone else None
 
     def _faces_alike(self, pose: FloatArray, other: FloatArray) -> bool:
         """Return whether two poses (22,) are at one place and face the same way."""

@@ -66,6 +66,8 @@ def make_tracker(
     camera: Camera,
     device: RenderingDevice,
     keypoints: KeypointFile | None = None,
+    *,
+    alone: bool = True,
 ) -> HandTrackerProtocol[Any]:
     """Return the tracker of ``filter.kind``.
 
@@ -75,6 +77,7 @@ def make_tracker(
         camera: of the depth images.
         device: renders the poses.
         keypoints: from another program, for a proposal that fits frames.
+        alone: whether no other hand is tracked.
 
     Raises:
         RenderingError: the device cannot render such a window.
@@ -92,8 +95,10 @@ def make_tracker(
     if is_swarm:
         objective = RenderedObjective(device, hand, camera, config)
         return SwarmTracker(config, hand.anatomy, objective, observer, finder)
-    keypoint_hands = None if keypoints is None else KeypointHands(keypoints, camera, hand.anatomy)
-    return HandTracker(config, hand.anatomy, scorer, observer, finder, keypoint_hands)
+    keypoint_hands = None
+    if keypoints is not None:
+        keypoint_hands = KeypointHands(keypoints, camera, hand.anatomy, alone=alone)
+    return HandTracker(config, hand.anatomy, scorer, observer, finder, keypoint_hands, alone=alone)
 
 
 # Two hands
@@ -132,7 +137,7 @@ def _tracker_of(
         return make_tracker(configs[0], hands[0], camera, device, keypoints)
     images = pinhole(camera)
     made = (
-        make_tracker(config, hand, images, device, keypoints)
+        make_tracker(config, hand, images, device, keypoints, alone=False)
         for config, hand in zip(configs, hands, strict=True)
     )
     trackers = [tracker for tracker in made if isinstance(tracker, HandTracker)]

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from posetrack_cli.arrays import FloatArray, IntArray
-from posetrack_cli.errors import RecordingError, ResultError
+from posetrack_cli.errors import RecordingError, ResultError, UsageError
 from posetrack_cli.files import write_output
 from posetrack_cli.hand.config import BOTH, HandConfig, HandSettings
 from posetrack_cli.hand.fit.fitter import tile_of
@@ -35,6 +35,7 @@ from posetrack_cli.hand.shape_bundle import Bundle, Observe, adjusted
 from posetrack_cli.outputs import whole_or_nothing
 from posetrack_cli.phases import Advance, phase
 from posetrack_cli.recording.base import Frame
+from posetrack_cli.recording.depth import USUAL_UNITS_MM, unit_mm_of
 from posetrack_cli.recording.recording import Recording
 from posetrack_cli.results.reader import read_result
 
@@ -97,6 +98,8 @@ class FrameSelector:
 # Limits of plausible shapes
 
 HAND_LENGTHS_MM = (120.0, 225.0)  # wrist to tip, from a three-year-old to the largest men
+AVERAGE_LENGTH_MM = 179.0  # of scale 1
+_LENGTH_SD_MM = 8.0  # of the population's ends and of an estimated length
 LARGEST_COEFFICIENT = 3.0  # exceeded by one hand in 400
 UNOBSERVED_SHARE = 0.8  # of the prior standard deviation; a measure above it was hardly observed
 _PARTS = {
@@ -116,12 +119,31 @@ MEASURES: tuple[str, ...] = (
 )
 
 
-def length_warning(length_mm: float) -> str:
-    """Return a clause about a length that no hand has; empty for a plausible one."""
+def length_warning(length_mm: float, unit_mm: float) -> str:
+    """Return a clause about a length that no hand has; empty for a plausible one.
+
+    Lengths are proportional to the depth unit, so the unit of a usual hand follows: a common one if that
+    gives a plausible length, else that of the average hand.
+
+    Args:
+        length_mm: of the hand.
+        unit_mm: millimetres per stored unit of depth, as it was read.
+    """
     low, high = HAND_LENGTHS_MM
     if low <= length_mm <= high:
         return ""
-    return f", outside {low:.0f} to {high:.0f} mm: is the depth in mm (--depth-unit-mm)?"
+    common = [unit for unit in USUAL_UNITS_MM if low <= length_mm * unit / unit_mm <= high]
+    likely = common or [float(f"{unit_mm * AVERAGE_LENGTH_MM / length_mm:.2g}")]
+    unit = min(likely, key=lambda unit: abs(np.log(length_mm * unit / unit_mm / AVERAGE_LENGTH_MM)))
+    better = f"--depth-unit-mm {unit:g} would give {length_mm * unit / unit_mm:.0f} mm"
+    return f", outside {low:.0f} to {high:.0f} mm: {better}"
+
+
+def length_probability(length_mm: float) -> float:
+    """Return the probability of a hand's length against an error of size or unit: 1 if it is plausible."""
+    low, high = HAND_LENGTHS_MM
+    beyond = max(low - length_mm, length_mm - high, 0.0)
+    return float(np.exp(-0.5 * (beyond / _LENGTH_SD_MM) ** 2))
 
 
 def measures_of(anatomy: HandAnatomy) -> FloatArray:
@@ -196,9 +218,13 @@ class GivenShape(NamedTuple):
 
 
 def read_shape(shape: str | Path | None) -> GivenShape:
-    """Return the configuration of ``auto``, ``average``, a file of ``hand calibrate`` or a hand result.
+    """Return the configuration of ``auto``, ``average``, a file of ``hand calibrate``, or hand results.
+
+    Args:
+        shape: a folder stands for the mean over its results, which are of one person.
 
     Raises:
+        UsageError: a folder without results.
         ResultError: not a hand result.
     """
     name = None if shape is None else str(shape)
@@ -208,29 +234,59 @@ def read_shape(shape: str | Path | None) -> GivenShape:
         return GivenShape("auto")
     if name == "average":
         return GivenShape("given")
-    if Path(name).suffix == ".mcap":
-        return GivenShape("given", assignments=_hand_assignments(Path(name)))
+    path = Path(name)
+    if path.is_dir():
+        return GivenShape("given", assignments=_assignments(_mean_settings(path), {"count", "side"}))
+    if path.suffix == ".mcap":
+        settings = _settings_of(path)
+        # both hands of a person have one shape; how many there are is not part of it
+        left_out = {"count", "side"} if settings.count == BOTH else {"count"}
+        return GivenShape("given", assignments=_assignments(settings, left_out))
     return GivenShape(files=(name,))
 
 
-def _hand_assignments(path: Path) -> tuple[str, ...]:
-    """Return the ``[hand]`` table of a result's run as assignments, such as ``hand.scale=1.05``.
-
-    Args:
-        path: of a result of ``hand run``, finished or not.
+def _settings_of(path: Path) -> HandSettings:
+    """Return the ``[hand]`` table of a result's run, finished or not.
 
     Raises:
         ResultError: not a hand result.
     """
     run = read_result(path).run
     try:
-        settings = HandSettings.model_validate(json.loads(run["configuration"])["hand"])
+        return HandSettings.model_validate(json.loads(run["configuration"])["hand"])
     except (KeyError, TypeError, ValueError, RecursionError, ValidationError) as error:
         raise ResultError(
             "result has no hand shape", where=path, expected="a result of posetrack hand run"
         ) from error
-    # both hands of a person have one shape; how many there are is not part of it
-    left_out = {"count", "side"} if settings.count == BOTH else {"count"}
+
+
+def _mean_settings(folder: Path) -> HandSettings:
+    """Return the mean shape of all results in a folder, which are of one person.
+
+    Raises:
+        UsageError: there is no result.
+        ResultError: one is not of a hand, or the hands come from different files.
+    """
+    each = [_settings_of(path) for path in sorted(folder.rglob("*.mcap"))]
+    if not each:
+        raise UsageError("folder has no results", where=folder, expected="results of posetrack hand run")
+    meshes = {one.mesh for one in each}
+    if len(meshes) > 1:
+        found = " and ".join(sorted(str(mesh) for mesh in meshes))
+        raise ResultError("results are of hands from different files", where=folder, found=found)
+    space = shape_space(each[0].mesh)
+    shape = space.shape(np.mean([space.theta(one.shape) for one in each], axis=0))
+    return each[0].model_copy(update=_shape_settings(shape))
+
+
+def _shape_settings(shape: HandShape) -> dict[str, object]:
+    """Return a shape as keys of the ``[hand]`` table."""
+    named = {name: getattr(shape, name) for name in HandSettings.model_fields if hasattr(shape, name)}
+    return {name: _rounded(value) for name, value in named.items()}
+
+
+def _assignments(settings: HandSettings, left_out: set[str]) -> tuple[str, ...]:
+    """Return a ``[hand]`` table as assignments, such as ``hand.scale=1.05``."""
     # texts, numbers and lists of numbers are the same in JSON and in TOML
     values = settings.model_dump(mode="json", exclude_none=True, exclude=left_out)
     return tuple(f"hand.{name}={json.dumps(value)}" for name, value in values.items())
@@ -245,7 +301,7 @@ def _hand_assignments(path: Path) -> tuple[str, ...]:
 SAMPLED_FRAMES = 64  # evenly over the recording; up to twice as many where its length does not divide
 _ASSUMED_FRAMES = 900  # of a recording of unknown length: half a minute
 ROUNDS, MAX_ROUNDS = 2, 3  # a shape with extreme padding recovers in the third round
-_MIN_FRAMES = 4
+_MIN_FRAMES = 4  # or all of a recording with fewer
 _MAX_COST_RATIO = 1.15  # to the median cost; the hand is misplaced in costlier frames
 _ITERATIONS = 8
 _MAX_SIZE_RATIO = 1.25  # a shape that changes size by more explains something else
@@ -287,6 +343,7 @@ class Calibration:
         baseline_cost_mm: cost of good fits of the last round's hand.
         begun_scale, begun_mm: scale and length of the start shape.
         covariance: (S, S) of the shape's parameters.
+        unit_mm: millimetres per stored unit of depth.
     """
 
     side: str
@@ -300,6 +357,7 @@ class Calibration:
     begun_scale: float
     begun_mm: float
     covariance: FloatArray
+    unit_mm: float = 1.0
 
     @property
     def length_mm(self) -> float:
@@ -319,7 +377,7 @@ class Calibration:
     @property
     def warning(self) -> str:
         """Return a clause to append to a line about the hand; empty if its shape is plausible."""
-        if implausible := length_warning(self.length_mm):
+        if implausible := length_warning(self.length_mm, self.unit_mm):
             return implausible
         if max((abs(c) for c in self.shape.coefficients), default=0.0) > LARGEST_COEFFICIENT:
             return ", of unusual proportions; check the fit with posetrack view"
@@ -332,17 +390,14 @@ class Calibration:
     @property
     def settings(self) -> dict[str, object]:
         """Return the shape as keys of the ``[hand]`` table."""
-        named = {
-            name: getattr(self.shape, name) for name in HandSettings.model_fields if hasattr(self.shape, name)
-        }
-        return {name: _rounded(value) for name, value in named.items()}
+        return _shape_settings(self.shape)
 
 
 def shape_of(recording: Recording, config: HandConfig, options: CalibrationOptions) -> Calibration:
     """Estimate the shape of a hand whose side and approximate size are configured.
 
     Raises:
-        RecordingError: no frame, or no hand found in at least four frames.
+        RecordingError: no frame, or no hand found in four frames (or all of fewer).
     """
     calibrator = _Calibrator(recording, config, options)
     side, shape, found = config.hand.side, HandShape(config.hand.scale), None
@@ -375,6 +430,7 @@ def shape_of(recording: Recording, config: HandConfig, options: CalibrationOptio
         begun.scale,
         begun_mm,
         found.covariance,
+        unit_mm_of(recording.pixels[0]),
     )
 
 
@@ -498,12 +554,13 @@ class _Calibrator:
             _MAX_COST_RATIO * float(np.median(costs[np.isfinite(costs)])) if np.isfinite(costs).any() else 0.0
         )
         good = np.flatnonzero(costs <= limit)
-        if good.size < _MIN_FRAMES:
+        least = min(_MIN_FRAMES, len(self._frames))
+        if good.size < least:
             raise RecordingError(
                 "no trackable hand",
                 where=self._recording.path,
                 found=f"{good.size} of {len(costs)} frames",
-                expected=f"{_MIN_FRAMES} or more",
+                expected=f"{least} or more",
                 hint="use a recording of one clearly visible hand, open and with its fingers bent",
             )
         return good

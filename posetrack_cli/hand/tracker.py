@@ -24,7 +24,7 @@ from posetrack_cli.hand.model.kinematics import mean_joint_distances
 from posetrack_cli.hand.observe.observation import Observation
 from posetrack_cli.hand.observe.observer import Observer
 from posetrack_cli.hand.policy import MOSTLY_HIDDEN, Decision, Policy, TrackedFrame, TrackMonitor, status_of
-from posetrack_cli.hand.search import Acquisition, Candidate, finger_bonus
+from posetrack_cli.hand.search import ACCEPT_MM, Acquisition, Candidate, detection_penalty, finger_bonus
 from posetrack_cli.hand.start import START_SPREAD, detected_pose, hand_estimate
 from posetrack_cli.hand.state import FrameAssessment, FrameFit, HandState, state_codec
 from posetrack_cli.recording.base import Frame
@@ -36,6 +36,7 @@ FIRST_STEP_NS = 33_333_333
 _GIRTH_GAIN = 0.1  # of the running mean of the forearm's girth
 _PRIOR_SHARE = 0.05  # of particles drawn from the prior alone
 _CLEARLY_VISIBLE = 0.4  # share of a hand that another hand does not hide, from which confidence is full
+_LIKELY_MM = 6.0  # largest penalty of a place at which one of several hands is searched
 THUMB_MEMORY = 0.4  # share of a thumb's deviation from RELAXED_INNER that persists to the next frame
 
 
@@ -50,6 +51,7 @@ class HandTracker:
         finder: local fits and detection. The guided proposal uses it in every frame, others at the start
             only.
         keypoints: hands from keypoints, for proposals that fit frames; None without any.
+        alone: whether no other hand is tracked in the images, whose tracker searches for both.
     """
 
     def __init__(
@@ -60,13 +62,17 @@ class HandTracker:
         observer: Observer,
         finder: Acquisition | None = None,
         keypoints: KeypointHands | None = None,
+        *,
+        alone: bool = True,
     ) -> None:
         self.config, self.anatomy, self._keypoints = config, anatomy, keypoints
         self.scorer, self._observer, self._start_finder = scorer, observer, finder
         self._proposal = PROPOSALS[config.filter.proposal]
         self._finder = finder if self._proposal.fits_frames else None
         self._policy = (
-            None if self._finder is None else Policy(config.status, anatomy, self._finder, observer)
+            None
+            if self._finder is None
+            else Policy(config.status, anatomy, self._finder, observer, alone=alone)
         )
         self._is_calibrated = self._finder is not None and config.observation.models_pixels
         self._space, self.dynamics = space_of(config.filter), dynamics(config)
@@ -95,8 +101,16 @@ class HandTracker:
             return replace(self.start(pose, frame.stamp_ns, rng), monitor=lost)
         return self.start(detected_pose(self._start_finder, frame, pose), frame.stamp_ns, rng)
 
-    def step(self, state: HandState, frame: Frame, rng: np.random.Generator) -> tuple[HandState, Estimate]:
+    def step(
+        self,
+        state: HandState,
+        frame: Frame,
+        rng: np.random.Generator,
+        found: Candidate | None = None,
+    ) -> tuple[HandState, Estimate]:
         """Advance by one frame; the given state is not modified.
+
+        The track starts again at a hand ``found`` in the frame.
 
         The confidence is the probability that the estimate is right (``hand.confidence``); for other
         proposals and costs it is 1 - D / c_max with D the cost of the estimate. Without the outline of a hand
@@ -112,7 +126,11 @@ class HandTracker:
         """
         elapsed_ns = frame.stamp_ns - state.stamp_ns
         check_time_step(elapsed_ns * 1e-9)
-        frame_fit = self._observe(state, frame, min(elapsed_ns * 1e-9, self.config.motion.gap_max_s), rng)
+        if found is None:
+            frame_fit = self._observe(state, frame, min(elapsed_ns * 1e-9, self.config.motion.gap_max_s), rng)
+        else:
+            decision = Decision(state.monitor, found, restart=True)
+            frame_fit = self._apply(decision, FrameFit(state, 0.0, None), frame, rng)
         particles, posterior, drawn = self._filter(frame_fit, rng)
         assessment = self._assess(frame_fit, posterior.pose, frame)
         is_seen = frame_fit.observation is not None
@@ -160,8 +178,19 @@ class HandTracker:
         return new_state, estimate
 
     def candidates(self, depth: ImageArray) -> list[Candidate]:
-        """Return the hands that fit a whole image (height, width), mm, if the proposal fits frames."""
-        return [] if self._finder is None else self._finder.candidates(depth)
+        """Return the hands that fit a whole image (height, width), mm, if the proposal fits frames.
+
+        Every place that is likely to be a hand is fitted as well as if it was the only one.
+        """
+        if self._finder is None:
+            return []
+        likely = (one for one in self._finder.detect(depth) if detection_penalty(one) < _LIKELY_MM)
+        found = (one for place in likely for one in self._finder.candidates_at(depth, [place]))
+        return [one for one in found if one.cost <= ACCEPT_MM]
+
+    def visible_share(self, depth: ImageArray, found: Candidate) -> float:
+        """Return the share of a hand in an image (height, width), mm, that no other hand hides."""
+        return self._observer.outline(depth, found.pose, found.inner[THUMB]).visible
 
     def _observe(self, state: HandState, frame: Frame, dt: float, rng: np.random.Generator) -> FrameFit:
         """Fit the frame around its prediction; search where the hand is lost or the fit is doubtful."""
@@ -255,7 +284,7 @@ class HandTracker:
                 steps,
             )
         confidence = probability(evidence) if quality and self._is_calibrated else quality
-        confidence *= min(1.0, outline.visible / _CLEARLY_VISIBLE)
+        confidence *= settings.hand_probability * min(1.0, outline.visible / _CLEARLY_VISIBLE)
         is_tracked = (
             has_outline and monitor.is_tracked and not (self._is_calibrated and confidence < PROBABLY)
         )

@@ -172,8 +172,9 @@ class ParticleSettings(Settings):
 class HeadStatusSettings(Settings):
     """Status of a frame: tracking or lost **[ours]**.
 
-    A frame's score is the mean correlation of its visible points. Confidence is the probability that the
-    frame is right; a frame below `doubtful_below` is reported as lost, but tracking continues from it.
+    A frame's score is the mean correlation of its visible points. Below `check_below`, the motion of the
+    whole face since the previous frame is tried. Confidence is the probability that the frame is right; a
+    frame below `doubtful_below` is reported as lost, but tracking continues from it.
     """
 
     tracking_above: Fraction = setting(
@@ -183,6 +184,7 @@ class HeadStatusSettings(Settings):
         PROBABLY, "report frames with a lower confidence as lost, but keep tracking"
     )
     lost_after_frames: Count = setting(3, "search for the face again after this many lost frames in a row")
+    check_below: Fraction = setting(0.6, "below this score, try the motion of the whole face")
 
 
 class FaceSettings(Settings):
@@ -224,6 +226,12 @@ class HeadOutputSettings(Settings):
     flush_frames: Count = setting(30, "frames between two checkpoints")
 
 
+class SkinSettings(Settings):
+    """Skin texture between the feature points, used by the second pass to refine the pose **[ours]**."""
+
+    use: bool = setting(True, "use the skin texture; false uses the feature points only")
+
+
 class HeadStereoConfig(Settings):
     """Configuration of ``head stereo``: everything a run depends on except recording and seed."""
 
@@ -239,6 +247,7 @@ class HeadStereoConfig(Settings):
         "Gauss-Newton over pose, deformation and a residual for each point",
     )
     status: HeadStatusSettings = HeadStatusSettings()
+    skin: SkinSettings = setting(SkinSettings(), "skin texture between the feature points (second pass)")
     face: FaceSettings = setting(FaceSettings(), "dense face: lips, jaw, lids, irises, brows")
     smoothing: HeadSmoothingSettings = setting(
         HeadSmoothingSettings(), "--smooth: additional track, smoothed over the whole recording"
@@ -376,12 +385,6 @@ class LensSettings(Settings):
     )
 
 
-class SkinSettings(Settings):
-    """Skin texture between the feature points, used by the second pass to refine the pose **[ours]**."""
-
-    use: bool = setting(True, "use the skin texture; false uses the feature points only")
-
-
 class HeadMonoConfig(Settings):
     """Configuration of ``head mono``: everything a run depends on except recording and seed."""
 
@@ -424,6 +427,7 @@ BOTH = (
     PrintedSetting("3.2.3, 4.4.3", "refinement.recalculation", "printed"),
     PrintedSetting("(3.5)", "refinement.rho", 4.0),
     PrintedSetting("3.2.1", "refinement.keyframe_deg", 360.0),
+    PrintedSetting("3.2.1", "skin.use", False),
     PrintedSetting("3.4, 4.5", "run.passes", 1),
     PrintedSetting("5.2", "face.use", False),
 )
@@ -440,6 +444,7 @@ STEREO = (
     PrintedSetting("(3.3)", "refinement.epsilon", 2000.0),
     PrintedSetting("(3.4)", "refinement.previous_likeness", 0.0),
     PrintedSetting("(3.1)", "refinement.expressions", False),
+    PrintedSetting("3.3", "status.check_below", 0.0),
     PrintedSetting("3.2.2", "refinement.settling_mm", 0.01),
 )
 MONO = (
@@ -465,7 +470,6 @@ MONO = (
     PrintedSetting("(4.18)", "adjustment.pixel_sd", ALIKE),
     PrintedSetting("4.4.3", "adjustment.neutral_mm", 1e6),
     PrintedSetting("4.4.3", "adjustment.gates_points", True),
-    PrintedSetting("3.2.1", "skin.use", False),
     PrintedSetting("4.5", "lens.estimate", False),
     PrintedSetting("4.4", "status.check_below", 0.0),
 )

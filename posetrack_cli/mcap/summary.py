@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Iterable
+from functools import lru_cache
 from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
@@ -33,17 +34,22 @@ _SUMMARY_KINDS: dict[int, Any] = {
 
 
 def read_summary(path: Path) -> Summary | None:
-    """Return a file's index, or None if messages cannot be found by it.
+    """Return a file's index, or None if messages cannot be found by it; it is shared and not to be changed.
 
     That is so for truncated files, files without chunks or index, and an index that points to one place
     twice or outside the file. None of its own records is decompressed.
     """
     with open_input(path) as stream:
         try:
-            summary = _parsed(_summary_bytes(stream))
+            return _usable(_summary_bytes(stream), stream.seek(0, 2))
         except DAMAGE:
             return None
-        size = stream.seek(0, 2)
+
+
+# An index of an hour takes .3 s to parse, and one command opens its file several times.
+@lru_cache(maxsize=2)
+def _usable(records: bytes, size: int) -> Summary | None:
+    summary = _parsed(records)
     return summary if summary is not None and _is_usable(summary, size) else None
 
 

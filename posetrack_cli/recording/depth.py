@@ -430,6 +430,11 @@ def likely_units(content: DepthContent, unit_mm: float = 1.0) -> tuple[float, ..
     )
 
 
+def unit_mm_of(pixels: object) -> float:
+    """Return the millimetres per stored unit of a stream's pixels; 1 if they are not depth."""
+    return pixels.unit_mm if isinstance(pixels, Depth) else 1.0
+
+
 def range_words(low_mm: float, high_mm: float) -> str:
     """Return a range of lengths as text: ``4.8 to 6.6 m``."""
     low, high = length_words(low_mm), length_words(high_mm)

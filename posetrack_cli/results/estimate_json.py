@@ -33,7 +33,7 @@ from posetrack_cli.strict_json import object_of, reader_of
 
 ESTIMATE_SCHEMA_NAME = "posetrack.Estimate"
 
-_LENGTH_TOLERANCE = 1e-3
+LENGTH_TOLERANCE = 1e-3
 """Tolerance of the quaternion norm; other writers round their values."""
 _ARRAYS = tuple(f.name for f in FIELDS if f.shape is not None and f.name != "points")
 
@@ -158,7 +158,7 @@ def parse_fields(data: bytes) -> dict[str, Any]:
     """
     fields: dict[str, Any] = _read(data)
     x, y, z, w = fields["quaternion"]
-    if abs(math.sqrt(x * x + y * y + z * z + w * w) - 1.0) > _LENGTH_TOLERANCE:
+    if abs(math.sqrt(x * x + y * y + z * z + w * w) - 1.0) > LENGTH_TOLERANCE:
         raise ValueError(f"'quaternion' is {fields['quaternion']}, not a unit quaternion")
     return fields
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import IO, TYPE_CHECKING
 
 from mcap.records import Attachment, Channel, Metadata, Schema
@@ -30,7 +31,14 @@ from posetrack_cli.mcap.summary import read_summary
 from posetrack_cli.outputs import part_path
 from posetrack_cli.recording.base import RUN_RECORD, TRUTH_PREFIX, TruthMessage, truth_message
 from posetrack_cli.recording.camera_record import CAMERAS_RECORD, camera_from_json, cameras_from_record
-from posetrack_cli.results.columns import Columns, column_blocks, empty_columns, joined
+from posetrack_cli.results.columns import (
+    BLOCK_FRAMES,
+    BlockReader,
+    Columns,
+    Joiner,
+    column_blocks,
+    empty_columns,
+)
 from posetrack_cli.results.derived import derived, joint_angle_names, range_of_motion
 from posetrack_cli.results.estimate import Estimate, Subject
 from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA_NAME, estimate_from_json, json_of_estimate
@@ -57,6 +65,9 @@ if TYPE_CHECKING:
 PATTERN = "the shell expands patterns only if they are not quoted"
 NO_SCHEMA = Schema(id=0, name="", encoding="", data=b"")
 NO_ESTIMATES = "the file has no estimates: the run ended before its first flush"
+
+
+NO_NAMES: Mapping[str, Sequence[str]] = MappingProxyType({})
 
 
 class ResultWarning(UserWarning):
@@ -223,17 +234,17 @@ class Result:
         blocks = column_blocks(
             messages, fields, where=f"{self.path}, {topic}", number_names=self.subject.number_names
         )
-        own = not topic.startswith(TRUTH_PREFIX)
         # map instead of a loop: the loop variable would keep a block alive while the next one grows
-        yield from map(partial(self._checked, topic), blocks) if own else blocks
+        yield from map(partial(self._checked, topic), blocks)
 
     def _json(self, item: McapItem) -> bytes:
         return json_of_estimate(item, self.subject.number_names)
 
     def _checked(self, topic: str, block: Columns) -> Columns:
-        """Return a block after checking its array sizes against the subject."""
-        sized = ("shape", "points")
-        self._check_sizes(topic, {name: block[name].shape[1] for name in sized if name in block})
+        """Return a block after checking the array sizes of a track against the subject."""
+        if not topic.startswith(TRUTH_PREFIX):
+            sized = (name for name in ("shape", "points") if name in block)
+            self._check_sizes(topic, {name: block[name].shape[1] for name in sized})
         return block
 
     def _check_sizes(self, topic: str, sizes: Mapping[str, int]) -> None:
@@ -263,8 +274,33 @@ class Result:
             ResultError: see ``estimates``; or array sizes differ between messages or, on tracks, from the
                 subject's.
         """
-        fields = fields or self.field_names
-        return joined(self.column_blocks(topic, fields)) or empty_columns(fields, Sizes.of(self.subject))
+        topic = self.topic_of_estimates(topic)
+        return self.columns_of({topic: fields or self.field_names})[topic]
+
+    def columns_of(
+        self, wanted: Mapping[str, Collection[str]], names: Mapping[str, Sequence[str]] = NO_NAMES
+    ) -> dict[str, Columns]:
+        """Return the ``columns`` of several topics, read in one pass over the file.
+
+        Args:
+            wanted: fields by topic.
+            names: names of the additional numbers to return by topic, by default the subject's.
+        """
+        numbers = {topic: names.get(topic, self.subject.number_names) for topic in wanted}
+        readers = {
+            topic: BlockReader(fields, BLOCK_FRAMES, f"{self.path}, {topic}", numbers[topic])
+            for topic, fields in wanted.items()
+        }
+        grown = {topic: Joiner() for topic in wanted}
+        for item in self._messages(tuple(wanted)):
+            topic = item[1].topic
+            if (block := readers[topic].add(json_of_estimate(item, numbers[topic]))) is not None:
+                grown[topic].add(self._checked(topic, block))
+        for topic, reader in readers.items():
+            if (block := reader.rest()) is not None:
+                grown[topic].add(self._checked(topic, block))
+        sizes = Sizes.of(self.subject)
+        return {topic: one.columns() or empty_columns(wanted[topic], sizes) for topic, one in grown.items()}
 
     def to_numpy(self, track: str = FILTERED) -> Columns:
         """Return a track as arrays by field, frames (N) along the first axis; see ``columns``.

@@ -15,6 +15,7 @@ from posetrack_cli.evaluation.measuring.evaluate import EvalOptions, evaluate
 from posetrack_cli.evaluation.measuring.evaluation import Evaluation
 from posetrack_cli.evaluation.measuring.hand_metrics import central_differences, joint_errors
 from posetrack_cli.evaluation.measuring.measures import Matched, common_columns, rows_of
+from posetrack_cli.evaluation.reading.tracks import usual_interval
 from posetrack_cli.hand.model.anatomy import JOINT_NAMES
 from posetrack_cli.results.reader import read_result
 from posetrack_cli.results.topics import FILTERED
@@ -95,7 +96,7 @@ def velocities_of(result: Path | None, track: str = FILTERED) -> dict[str, float
     if truth is None or pairs is None or whole is None or of_wrist is None:
         return {}
     joints = common_columns(raw.track.point_names, truth.point_names)
-    true = rows_of(central_differences(truth), pairs.truth)[:, joints.truth]
+    true = central_differences(truth, pairs.truth, usual_interval(truth.stamp_ns))[:, joints.truth]
     points, stamps = raw.track.points, raw.track.stamp_ns
     assert points is not None
     backward = np.full(points.shape, np.nan)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -135,3 +136,53 @@ def test_a_stop_ends_every_recording() -> None:
     asked = iter([False, False, True])
     found = run_batch(engine, make_jobs("a", "b", "c", "d"), Limits(), stopped=lambda: next(asked, True))
     assert [one.state for one in found] == [State.DONE, State.DONE, State.STOPPED, State.STOPPED]
+
+
+def of_people(*people: str) -> list[Job]:
+    """Jobs 0, 1, ... of these people; empty for an unknown one."""
+    names = [str(number) for number in range(len(people))]
+    return [replace(job, person=person) for job, person in zip(make_jobs(*names), people, strict=True)]
+
+
+def with_shape(job: Job, learned: Path) -> tuple[str, ...]:
+    return (*job.arguments, f"--shape={learned}")
+
+
+def shapes_of(engine: OneByOne) -> dict[str, str]:
+    """Name of the recording whose shape each job has, empty for its own."""
+    given = {
+        job.name: [Path(one).stem for one in job.arguments if one.startswith("--shape")]
+        for job in engine.done
+    }
+    return {name: shapes[0] if shapes else "" for name, shapes in given.items()}
+
+
+def test_the_first_recording_of_a_person_determines_the_shape_of_the_others() -> None:
+    engine = OneByOne(tracked)
+    found = run_batch(
+        engine, of_people("p", "q", "", "p", "q", "p", ""), Limits(), person_arguments=with_shape
+    )
+    assert [one.name for one in found] == list("0123456")
+    assert shapes_of(engine) == {"0": "", "1": "", "2": "", "3": "0", "4": "1", "5": "0", "6": ""}
+
+
+@pytest.mark.parametrize(
+    "bad", [Outcome("0", State.FAILED), Outcome("0", State.DONE, lost_data=True)], ids=str
+)
+def test_a_person_s_next_recording_takes_the_place_of_a_bad_first_one(bad: Outcome) -> None:
+    engine = OneByOne(lambda job: bad if job.name == "0" else tracked(job))
+    run_batch(engine, of_people("p", "p", "p"), Limits(), person_arguments=with_shape)
+    assert shapes_of(engine) == {"0": "", "1": "", "2": "1"}
+
+
+def test_pieces_of_a_person_s_recording_have_its_shape() -> None:
+    engine = OneByOne(tracked)
+    run_batch(engine, of_people("p", "p"), Limits(), piece_arguments(), with_shape)
+    pieces = [job for job in engine.done if job.name.startswith("1//")]
+    assert len(pieces) == 3 and all("--shape=out/0.mcap" in job.arguments for job in pieces)
+
+
+def test_a_stop_ends_recordings_that_wait_for_a_shape() -> None:
+    engine = OneByOne(tracked)
+    found = run_batch(engine, of_people("p", "p", "p"), Limits(), stopped=lambda: True)
+    assert {one.state for one in found} == {State.STOPPED}

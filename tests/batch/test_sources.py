@@ -70,12 +70,13 @@ def test_a_manifest_gives_each_recording_its_own(folder: Path) -> None:
         'gates = ["coverage < 0.9"]\n[options]\nseed = 3\ncamera = "camera.toml"\n'
         '[[recordings]]\npath = "a.mcap"\nname = "first/a"\ntruth = "truth.csv"\n'
         "[recordings.options]\nseed = 4\nsmooth = true\n"
-        '[[recordings]]\npath = "day*/b.mcap"\ngates = ["lost > 3"]\n'
+        '[[recordings]]\npath = "day*/b.mcap"\nperson = "p1"\ngates = ["lost > 3"]\n'
     )
     first, second, third = find_sources(["in/set.toml"])
     assert (first.name, first.truth) == ("first/a", Path("in/truth.csv"))
     assert first.options == {"seed": 4, "camera": "in/camera.toml", "smooth": True}
     assert (second.name, third.name) == ("day1/b", "day2/b")
+    assert [one.person for one in (first, second, third)] == ["", "p1", "p1"]
     assert second.options == {"seed": 3, "camera": "in/camera.toml"}
     assert second.gates == ("coverage < 0.9", "lost > 3")
 

@@ -561,3 +561,26 @@ def test_no_option_of_a_command_is_hidden_by_one_of_the_batch(command: object) -
     names = {name for one in BATCH_OPTIONS for name in (*one.opts, *one.secondary_opts, str(one.name))}
     own = [name for one in command.parameters for name in (*one.opts, *one.secondary_opts, str(one.name))]  # type: ignore[attr-defined]
     assert not names & set(own)
+
+
+@pytest.mark.parametrize(
+    ("words", "given", "added"),
+    [
+        (("hand", "run"), ["--seed=1"], ["--shape=a.mcap", "--hand-side=auto"]),
+        (("hand", "run"), ["--hand-side=left"], ["--shape=a.mcap"]),
+        (("hand", "run"), ["--shape=average"], []),
+        (("hand", "run"), ["--scale=0.9"], []),
+        (("head", "mono"), ["--passes=1"], ["--person=a.mcap"]),
+        (("head", "mono"), ["--faces=all"], []),
+        (("head", "mono"), ["--load-model=m"], []),
+        (("head", "stereo"), [], []),
+    ],
+    ids=str,
+)
+def test_what_is_known_of_a_person_does_not_override_options(
+    words: tuple[str, str], given: list[str], added: list[str]
+) -> None:
+    """Nor does stereo, which measures each face, take one from another recording."""
+    command = BATCH_COMMANDS[words]
+    assert list(command.of_person(given, Path("a.mcap"))) == [*given, *added]
+    command.check(command.of_person(given, Path("a.mcap")))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import sys
 from pathlib import Path
@@ -17,6 +18,7 @@ from posetrack_cli.cli.main import run
 from posetrack_cli.errors import EXIT_DATA_LOST, EXIT_DONE, EXIT_INTERRUPTED, EXIT_USAGE, UsageError
 from posetrack_cli.evaluation.reading.truth_topics import points_topic
 from posetrack_cli.hand.model.anatomy import JOINT_NAMES
+from posetrack_cli.losses import LossLog
 from posetrack_cli.mcap.stream import McapFile
 from posetrack_cli.recording import conversion
 from posetrack_cli.recording.opening import open_recording
@@ -150,3 +152,18 @@ def test_joints_of_a_csv_go_along(tmp_path: Path, folder: Path) -> None:
     assert run(again) == 0
     assert list(open_recording(tmp_path / "again.mcap").truth()) == messages
     assert run([*again, "--overwrite", "--truth", str(truth)]) == EXIT_USAGE
+
+
+def test_labels_of_a_dataset_have_the_stamps_of_their_frames(tmp_path: Path, folder: Path) -> None:
+    """MSRA's rows are frames; its y points up and its z backwards, and a mirrored image has -x."""
+    reading = ["--camera", str(tmp_path / "camera.toml"), "--fps", "30"]
+    labels = tmp_path / "joint.txt"
+    labels.write_text("9\n" + "".join(f"{' '.join([str(k), '2', '-3'] * 21)}\n" for k in range(9)))
+    for extra, sign in (([], 1.0), (["--mirror"], -1.0)):
+        out = tmp_path / f"out{sign}.mcap"
+        assert run(["convert", str(folder), "-o", str(out), *reading, *extra, "--truth", str(labels)]) == 0
+        messages = list(open_recording(out).truth())
+        frames = [frame.stamp_ns for frame in open_recording(out).matched(LossLog()) if frame is not None]
+        assert [message.log_time_ns for message in messages] == frames
+        points = json.loads(messages[1].data)["points"]
+        assert points[20] == {"name": "little_tip", "x": sign, "y": -2.0, "z": 3.0}

@@ -21,6 +21,7 @@ from posetrack_cli.synthesis.hand.options import SynthOptions
 from support.calibrations import calibration_of
 from support.glb import write_hand
 from support.hand import REST
+from support.results import RUN, write_result
 
 SHAPE = HandShape(0.8, coefficients=(1.5, -1.0))
 FRAMES, REST_HAND = 4, make_anatomy()
@@ -136,6 +137,22 @@ def test_a_file_is_a_shape(
     assert all(config.hand.coefficients == pytest.approx(SHAPE.coefficients) for config in used)
 
 
+def test_a_folder_of_results_is_the_mean_of_their_shapes(
+    recording: Path, tmp_path: Path, estimated: list[CalibrationOptions], used: list[HandConfig]
+) -> None:
+    """Of one person, who may show either hand."""
+    for name, side, scale, coefficients in (("a", "right", 0.9, [1.0, 0.5]), ("b/c", "left", 1.0, [2.0])):
+        hand = {"side": side, "scale": scale, "coefficients": coefficients}
+        path = tmp_path / f"p/{name}.mcap"
+        path.parent.mkdir(exist_ok=True)
+        write_result(path, 1, run=RUN | {"configuration": json.dumps({"hand": hand})})
+    track(recording, tmp_path, "--shape", str(tmp_path / "p"))
+    (config,) = used
+    assert not estimated and config.hand.side == "right"  # --hand-side of track
+    assert config.hand.scale == round(float(np.sqrt(0.9)), 4)  # sizes multiply
+    assert config.hand.coefficients[:2] == (1.5, 0.25) and not any(config.hand.coefficients[2:])
+
+
 def test_a_result_is_a_shape(
     recording: Path, hand_file: Path, tmp_path: Path, estimated: list[CalibrationOptions]
 ) -> None:
@@ -199,7 +216,7 @@ def test_a_run_that_cannot_be_done_is_refused_before_a_shape_is_estimated(
     ("options", "said"),
     [
         (("--shape", "none.toml"), "none.toml: no such configuration"),
-        (("--shape", "FOLDER"), "configuration cannot be read"),
+        (("--shape", "FOLDER"), "folder has no results"),
         (("--shape", "FILE", "--hand-mesh", "MESH"), "no hand.coefficients together with hand.mesh"),
         (
             ("--hand-mesh", "MESH", "--set", "hand.coefficients=[1.0]"),

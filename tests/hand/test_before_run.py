@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from posetrack_cli.errors import RecordingError
@@ -15,7 +16,12 @@ from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.model.anatomy import HandShape
 from posetrack_cli.hand.observe.detection import Detection
 from posetrack_cli.hand.search import Acquisition
-from posetrack_cli.hand.shape_fit import Calibration, CalibrationOptions
+from posetrack_cli.hand.shape_fit import (
+    Calibration,
+    CalibrationOptions,
+    length_probability,
+    length_warning,
+)
 from posetrack_cli.recording.opening import open_recording
 from posetrack_cli.recording.recording import Recording
 from posetrack_cli.synthesis.hand.frames import write_synthetic
@@ -187,7 +193,31 @@ def test_a_size_that_no_person_has_is_doubted(
     monkeypatch.setattr(autodetect.SideAndScaleSearch, "scale", lambda *arguments: 1.75)
     found = detect_hand(open_path(seen[1]), FEW, start=0)
     assert found.is_doubtful and "scale 1.75" in found.line
-    assert "313 mm long, outside 120 to 225 mm: is the depth in mm (--depth-unit-mm)?" in found.line
+    # 179 / 313 = 0.57, and 313 mm times 0.57 are 179 mm; no common unit is near
+    assert "313 mm long, outside 120 to 225 mm: --depth-unit-mm 0.57 would give 179 mm" in found.line
+    assert found.config.status.hand_probability < 0.01
+
+
+@pytest.mark.parametrize(
+    ("length_mm", "unit_mm", "better"),
+    [
+        (1790.0, 1.0, "0.1 would give 179 mm"),  # tenths of a millimetre, read as whole ones
+        (1432.0, 1.0, "0.125 would give 179 mm"),  # of the SR305
+        (0.179, 1e-3, "1 would give 179 mm"),
+        (268.0, 1.0, "0.67 would give 180 mm"),
+        (90.0, 2.0, "4 would give 180 mm"),
+    ],
+)
+def test_an_impossible_length_names_the_unit_of_a_usual_hand(
+    length_mm: float, unit_mm: float, better: str
+) -> None:
+    assert length_warning(length_mm, unit_mm) == f", outside 120 to 225 mm: --depth-unit-mm {better}"
+
+
+def test_the_probability_of_a_length_is_1_for_people_and_falls_beyond() -> None:
+    assert [length_probability(length) for length in (120.0, 179.0, 225.0)] == [1.0] * 3
+    assert length_probability(225.0 + 8.0) == length_probability(120.0 - 8.0) == pytest.approx(np.exp(-0.5))
+    assert length_probability(313.0) < 1e-9
 
 
 @pytest.mark.usefixtures("strange")

@@ -93,7 +93,7 @@ def random_skin(seed: int, model: FaceModel, views: int = 2) -> SkinAlbum:
         crop = rng.integers(0, 256, (HEIGHT, WIDTH), dtype=np.uint8)
         a, b = rng.normal(size=2)
         placement = np.column_stack([[[a, -b], [b, a]], rng.uniform(0.0, 400.0, 2)])
-        shown.append(SkinView(random_view(rng, 10**18 + index, model), crop, placement))
+        shown.append(SkinView(random_view(rng, 10**18 + index, model), crop[None], placement[None]))
     return SkinAlbum(tuple(shown), 250_000_000 * 2 ** (seed % 3))
 
 
@@ -103,7 +103,7 @@ def random_map(seed: int, views: int = 3, points: int = 7) -> SkinMap:
     poses = [random_pose(rng) for _ in range(views)]
     return SkinMap(
         10**18 + np.arange(views),
-        rng.integers(0, 256, (views, HEIGHT, WIDTH), dtype=np.uint8),
+        rng.integers(0, 256, (views, 1, HEIGHT, WIDTH), dtype=np.uint8),
         HeadPose.stacked(poses),
         np.sort(rng.integers(0, views, points)),
         rng.uniform(0.0, WIDTH, (points, 2)),

@@ -18,6 +18,7 @@ from posetrack_cli.head.face.rig_images import project
 from posetrack_cli.head.initialisation.clicked import ClickedPoints
 from posetrack_cli.head.multilinear.face_model import FaceModel, load_face_model
 from posetrack_cli.head.skin import map as skin_map
+from posetrack_cli.head.skin import matching
 from posetrack_cli.head.subject import mono_subject
 from posetrack_cli.head.tracker import mono, person
 from posetrack_cli.head.tracker.codecs import MonoState
@@ -46,7 +47,7 @@ MODEL = drawn_model()
 
 def map_skin_soon(patched: pytest.MonkeyPatch, every_ns: int = 100_000_000, most: int = 120) -> None:
     """Make maps of a face with skin about its points only, which is seen for less than a second."""
-    patched.setattr(person, "EVERY_NS", every_ns)
+    patched.setattr(matching, "EVERY_NS", every_ns)
     patched.setattr(person, "MOST_VIEWS", most)
     patched.setattr(skin_map, "LEAST_POINTS", 6)
     patched.setattr(skin_map, "ENOUGH_POINTS", 20)

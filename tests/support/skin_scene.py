@@ -103,5 +103,5 @@ def shown(count: int, error_deg: float) -> Shown:
         pose = told_at(index, error_deg)
         pixels = pixels_wherever(CAMERA, pose.points(SHAPE))
         view = PointView(index * FRAME_NS, pixels, np.ones(POINT_COUNT), pose, np.zeros(5))
-        views.append(cut_view(drawn(pose_at(index), seed=index), CAMERA, view))
+        views.append(cut_view((drawn(pose_at(index), seed=index),), (CAMERA,), view))
     return Shown(views, [pose_at(index) for index in range(count)])

@@ -39,7 +39,7 @@ class Told:
     def from_landmarks(self, frame: object, tracked: object = None) -> None:
         """No landmarks tell anything."""
 
-    def find(self, frame: object, *, is_first: bool) -> StereoInitialisation | InitFailure:
+    def find(self, frame: object, *, is_first: bool, is_known: bool) -> StereoInitialisation | InitFailure:
         self.asked += 1
         if not self.there:
             return self.failure
@@ -58,10 +58,11 @@ class Scene:
     told: Told = field(default_factory=Told)
     tracker: StereoTracker = field(init=False)
     state: object = None
+    known: dict[str, np.ndarray] | None = None
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
 
     def __post_init__(self) -> None:
-        self.tracker = HeadTracker(StereoFace(self.config, CAMERAS, self.told))
+        self.tracker = HeadTracker(StereoFace(self.config, CAMERAS, self.told, self.known))
 
     def frame(self, index: int, seen: tuple[bool, ...] = (True, True), blank: bool = False) -> Frame:
         images = [image.copy() for image in moving(self.face, tuple(CAMERAS), index, NOISE)]

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 
-from posetrack_cli.arrays import BoolArray, FloatArray
+from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
 from posetrack_cli.errors import PosetrackError
 from posetrack_cli.evaluation.measuring import pose_metrics
 from posetrack_cli.evaluation.measuring.evaluation import Count, Curve
@@ -240,45 +240,12 @@ def _angles(measures: Measures, matched: Matched) -> None:
 
 
 METRICS = {f"joint_{name}": half_width for name, half_width in pose_metrics.INTERVALS.items()}
-BLOCK_FRAMES = 512
+BLOCK_FRAMES = 256
 """Number of frames per block, as the Jacobians of a long track need many times its memory."""
 
 
-def joint_variances(
-    anatomy: HandAnatomy, poses: FloatArray, thumbs: FloatArray, variances: FloatArray
-) -> FloatArray:
-    """Return the variances (N, 21, 3) of the joint coordinates in camera axes, mm^2.
-
-    Args:
-        anatomy: anatomy of the hand.
-        poses: (N, 22) position, mm, quaternion and angles, rad.
-        thumbs: (N, 2) inner angles of the thumb (``hand.fit.skeleton``), rad.
-        variances: (N, 21) variances of the tangent vector's entries, mm^2 and rad^2.
-    """
-    found: FloatArray = np.empty((len(poses), len(JOINT_NAMES), 3))
-    with np.errstate(all="ignore"):  # poses of untrusted results can overflow the derivatives
-        for rows, jacobian in jacobians(anatomy, poses, thumbs):
-            found[rows] = np.einsum("njck,nk->njc", jacobian**2, variances[rows])
-    return found
-
-
-def jacobians(
-    anatomy: HandAnatomy, poses: FloatArray, thumbs: FloatArray
-) -> Iterator[tuple[slice, FloatArray]]:
-    """Yield blocks of rows and the Jacobians J (n, 21, 3, 21) of their poses; see ``joint_variances``."""
-    for rows in (slice(first, first + BLOCK_FRAMES) for first in range(0, len(poses), BLOCK_FRAMES)):
-        yield rows, joint_jacobian(anatomy, poses[rows], thumbs[rows])
-
-
-def poses_of(matched: Matched) -> tuple[FloatArray, FloatArray]:
-    """Return the estimated poses (M, 22) and the inner angles of the thumb (M, 2)."""
-    poses = np.hstack([matched.of_estimate(name) for name in ("position", "quaternion", "shape")])
-    numbers = None if matched.estimate.numbers is None else matched.of_estimate("numbers")
-    return poses, thumbs_of(numbers, len(poses))
-
-
-def joint_intervals(measures: Measures, matched: Matched, anatomy: Callable[[], HandAnatomy]) -> None:
-    """Add the shares of true joint coordinates inside the 50 % and 90 % intervals, overall and per joint.
+def joints_by_pose(measures: Measures, matched: Matched, anatomy: Callable[[], HandAnatomy]) -> None:
+    """Add the metrics of ``JointIntervals`` and ``JointVelocities``, or why there are none.
 
     Args:
         measures: collector.
@@ -286,20 +253,88 @@ def joint_intervals(measures: Measures, matched: Matched, anatomy: Callable[[], 
         anatomy: returns the anatomy of the tracked hand, or raises PosetrackError; called only if needed.
     """
     joints = common_columns(matched.estimate.point_names, matched.truth.point_names)
-    reason = hand_lacks(matched, joints) or ("" if len(matched) else measures.nothing)
-    if reason:
-        return measures.lack(reason, *METRICS)
-    inside: dict[str, dict[str, BoolArray]] = {metric: {} for metric in METRICS}
+    lacking = hand_lacks(matched, joints) or ("" if len(matched) else measures.nothing)
+    wanted: list[JointIntervals | JointVelocities] = []
+    for kind, names in ((JointIntervals, METRICS), (JointVelocities, (ERROR, *INTERVALS))):
+        if reason := lacking or kind.lacks(matched):
+            measures.lack(reason, *names)
+        else:
+            wanted.append(kind(matched, joints))
+    if not wanted:
+        return
     try:
-        for name, normalised in _normalised(matched, joints, anatomy()):
-            for metric, half_width in METRICS.items():
-                inside[metric][name] = pose_metrics.inside_interval(normalised, half_width)
+        of_hand = anatomy()
     except PosetrackError as error:
-        return measures.lack(f"unknown hand anatomy: {error}", *METRICS)
-    for metric, of_joints in inside.items():
-        measures.share(metric, np.stack(list(of_joints.values()), axis=1))
-        for name, own in of_joints.items():
-            measures.share(f"{metric}.{name}", own)
+        for one in wanted:
+            measures.lack(f"unknown hand anatomy: {error}", *one.names)
+        return
+    with np.errstate(all="ignore"):  # poses of untrusted results can overflow the derivatives
+        for first in range(0, len(matched), BLOCK_FRAMES):
+            rows = slice(first, first + BLOCK_FRAMES)
+            jacobian = _jacobian(of_hand, matched.estimate, matched.pairs.estimate[rows])
+            for one in wanted:
+                one.add(rows, jacobian)
+    for one in wanted:
+        one.finish(measures)
+
+
+def _jacobian(anatomy: HandAnatomy, track: Track, rows: IntArray) -> FloatArray:
+    """Return the derivatives J (n, 21, 3, 21) of the joints in some rows of a track."""
+    assert track.position is not None and track.quaternion is not None and track.shape is not None
+    poses = np.hstack([track.position[rows], track.quaternion[rows], track.shape[rows]])
+    thumbs = thumbs_of(None if track.numbers is None else track.numbers[rows], len(rows))
+    return joint_jacobian(anatomy, poses, thumbs)
+
+
+def propagated(jacobian: FloatArray, variances: FloatArray) -> FloatArray:
+    """Return the variances (n, 21, 3) of joints with derivatives J (n, 21, 3, 21) by pose entries."""
+    found: FloatArray = np.einsum("njck,nk->njc", jacobian**2, variances)
+    return found
+
+
+class JointIntervals:
+    """Shares of true joint coordinates inside the 50 % and 90 % intervals, overall and per joint."""
+
+    names = tuple(METRICS)
+
+    def __init__(self, matched: Matched, joints: Common) -> None:
+        self._matched, self._joints = matched, joints
+        self._variances = matched.of_estimate("pose_variance")
+        self._inside = _masks(METRICS, matched, joints)
+
+    @staticmethod
+    def lacks(matched: Matched) -> str:
+        """Return why there are none."""
+        return ""
+
+    def add(self, rows: slice, jacobian: FloatArray) -> None:
+        """Add a block of frames, with the derivatives J (n, 21, 3, 21) of the joints."""
+        mine, joints = self._matched, self._joints
+        assert mine.truth.points is not None and mine.estimate.points is not None
+        estimated = mine.estimate.points[mine.pairs.estimate[rows]][:, joints.estimate]
+        errors = mine.truth.points[mine.pairs.truth[rows]][:, joints.truth] - estimated
+        variances = propagated(jacobian, self._variances[rows])[:, joints.estimate]
+        normalised = pose_metrics.normalised_squares(errors, variances)
+        for metric, half_width in METRICS.items():
+            self._inside[metric][rows] = pose_metrics.inside_interval(normalised, half_width)
+
+    def finish(self, measures: Measures) -> None:
+        """Add the metrics."""
+        _add_shares(measures, self._inside, self._joints)
+
+
+def _masks(metrics: Iterable[str], matched: Matched, joints: Common) -> dict[str, BoolArray]:
+    return {metric: np.empty((len(matched), len(joints.names), 3), dtype=np.bool_) for metric in metrics}
+
+
+def _add_shares(
+    measures: Measures, masks: Mapping[str, BoolArray], joints: Common, known: BoolArray | slice = slice(None)
+) -> None:
+    for metric, inside in masks.items():
+        chosen = inside[known]
+        measures.share(metric, chosen)
+        for column, name in enumerate(joints.names):
+            measures.share(f"{metric}.{name}", chosen[:, column])
 
 
 def hand_lacks(matched: Matched, joints: Common) -> str:
@@ -310,14 +345,6 @@ def hand_lacks(matched: Matched, joints: Common) -> str:
     if track.point_names != JOINT_NAMES or track.shape_names != ANGLE_NAMES:
         return "the result has other joints or angles than the hand model"
     return matched.lacks("points") or ("" if joints.names else OTHER_JOINTS)
-
-
-def _normalised(matched: Matched, joints: Common, anatomy: HandAnatomy) -> Iterator[tuple[str, FloatArray]]:
-    """Yield the squared errors over variances (M, 3) of each joint."""
-    variances = joint_variances(anatomy, *poses_of(matched), matched.of_estimate("pose_variance"))
-    for name, mine, theirs in zip(joints.names, joints.estimate, joints.truth, strict=True):
-        errors = matched.of_truth("points", theirs) - matched.of_estimate("points", mine)
-        yield name, pose_metrics.normalised_squares(errors, variances[:, mine])
 
 
 # Joint velocities against central differences of the true positions, for ground truth of joints only.
@@ -339,73 +366,72 @@ FARTHEST = 3.0
 frame."""
 
 
-def joint_velocities(measures: Measures, matched: Matched, anatomy: Callable[[], HandAnatomy]) -> None:
-    """Add |J u - v_true| of joints, and the shares of true velocities inside the 50 % and 90 % intervals.
+class JointVelocities:
+    """|J u - v_true| of joints, and the shares of true velocities inside the 50 % and 90 % intervals."""
+
+    names = (ERROR, *INTERVALS)
+
+    def __init__(self, matched: Matched, joints: Common) -> None:
+        self._matched, self._joints = matched, joints
+        self._twist, self._variances = matched.of_estimate("twist"), matched.of_estimate("twist_variance")
+        self._distances = np.empty((len(matched), len(joints.names)))
+        self._inside = _masks(INTERVALS, matched, joints)
+        self._is_known = False  # in any frame
+        self._usual_ns = usual_interval(matched.truth.stamp_ns) if len(matched.truth) > 1 else 0.0
+
+    @staticmethod
+    def lacks(matched: Matched) -> str:
+        """Return why a result has no joint velocities; empty if it has."""
+        track = matched.estimate
+        if len(track) and _is_moved(track):
+            return "not available after alignment of the poses"
+        if track.twist is None or track.twist_variance is None or estimates_no_velocity(track):
+            return "the run does not estimate velocities"
+        return ""
+
+    def add(self, rows: slice, jacobian: FloatArray) -> None:
+        """Add a block of frames, with the derivatives J (n, 21, 3, 21) of the joints."""
+        mine, joints = self._matched, self._joints
+        true = central_differences(mine.truth, mine.pairs.truth[rows], self._usual_ns)[:, joints.truth]
+        self._is_known |= bool(known_frames(true).any())
+        velocity = np.einsum("njck,nk->njc", jacobian, self._twist[rows])
+        off = true - velocity[:, joints.estimate]
+        self._distances[rows] = np.linalg.norm(off, axis=-1)
+        variances = propagated(jacobian, self._variances[rows])[:, joints.estimate]
+        normalised = pose_metrics.normalised_squares(off, variances)
+        for metric, half_width in INTERVALS.items():
+            self._inside[metric][rows] = pose_metrics.inside_interval(normalised, half_width)
+
+    def finish(self, measures: Measures) -> None:
+        """Add the metrics, of the frames with a true and an estimated velocity."""
+        if not self._is_known:
+            return measures.lack(NO_VELOCITY, *self.names)
+        known = known_frames(self._distances)
+        measures.add(ERROR, self._distances, known)
+        measures.summarise_parts(ERROR, self._distances[known], self._joints.names)
+        _add_shares(measures, self._inside, self._joints, known)
+
+
+def central_differences(truth: Track, rows: IntArray, usual_ns: float) -> FloatArray:
+    """Return the velocities (n, P, 3), mm/s, of the true points in some rows; NaN without two close
+    neighbours.
 
     Args:
-        measures: collector.
-        matched: the frames with ground truth.
-        anatomy: returns the anatomy of the tracked hand, or raises PosetrackError; called only if needed.
+        truth: with points.
+        rows: (n,) row numbers.
+        usual_ns: its frame interval, ns.
     """
-    joints = common_columns(matched.estimate.point_names, matched.truth.point_names)
-    reason = hand_lacks(matched, joints) or matched.lacks("points") or _lacks(matched.estimate)
-    if reason or not len(matched):
-        return measures.lack(reason or measures.nothing, ERROR, *INTERVALS)
-    true = rows_of(central_differences(matched.truth), matched.pairs.truth)[:, joints.truth]
-    if not known_frames(true).any():
-        return measures.lack(NO_VELOCITY, ERROR, *INTERVALS)
-    distances = np.empty(true.shape[:2])
-    insides = {metric: np.empty(true.shape, dtype=np.bool_) for metric in INTERVALS}
-    try:
-        for rows, velocity, variance in _of_joints(matched, anatomy()):
-            off = true[rows] - velocity[:, joints.estimate]
-            distances[rows] = np.linalg.norm(off, axis=-1)
-            normalised = pose_metrics.normalised_squares(off, variance[:, joints.estimate])
-            for metric, half_width in INTERVALS.items():
-                insides[metric][rows] = pose_metrics.inside_interval(normalised, half_width)
-    except PosetrackError as error:
-        return measures.lack(f"unknown hand anatomy: {error}", ERROR, *INTERVALS)
-    known = known_frames(distances)
-    measures.add(ERROR, distances, known)
-    measures.summarise_parts(ERROR, distances[known], joints.names)
-    for metric, inside in insides.items():
-        measures.share(metric, inside[known])
-        for column, name in enumerate(joints.names):
-            measures.share(f"{metric}.{name}", inside[known, column])
-
-
-def central_differences(truth: Track) -> FloatArray:
-    """Return the velocities (N, P, 3), mm/s, of the true points; NaN without two close neighbours."""
     assert truth.points is not None
-    velocities: FloatArray = np.full(truth.points.shape, np.nan)
-    if len(truth) < 3:
-        return velocities
-    spans = (truth.stamp_ns[2:] - truth.stamp_ns[:-2]) / NS_PER_S
-    near = spans <= FARTHEST * usual_interval(truth.stamp_ns) / NS_PER_S
-    rows = 1 + np.flatnonzero(near)
-    velocities[rows] = (truth.points[rows + 1] - truth.points[rows - 1]) / spans[near][:, None, None]
+    velocities: FloatArray = np.full((len(rows), *truth.points.shape[1:]), np.nan)
+    at = np.flatnonzero((rows > 0) & (rows < len(truth) - 1))
+    spans = (truth.stamp_ns[rows[at] + 1] - truth.stamp_ns[rows[at] - 1]) / NS_PER_S
+    near = spans <= FARTHEST * usual_ns / NS_PER_S
+    at, spans = at[near], spans[near]
+    velocities[at] = (truth.points[rows[at] + 1] - truth.points[rows[at] - 1]) / spans[:, None, None]
     return velocities
-
-
-def _lacks(track: Track) -> str:
-    """Return why a result has no joint velocities; empty if it has."""
-    if len(track) and _is_moved(track):
-        return "not available after alignment of the poses"
-    if track.twist is None or track.twist_variance is None or estimates_no_velocity(track):
-        return "the run does not estimate velocities"
-    return ""
 
 
 def _is_moved(track: Track) -> bool:
     """Whether an alignment has moved the poses away from the wrist joint, their origin."""
     assert track.position is not None and track.points is not None
     return not np.allclose(track.position, track.points[:, 0], rtol=0.0, atol=_SAME_MM)
-
-
-def _of_joints(matched: Matched, anatomy: HandAnatomy) -> Iterator[tuple[slice, FloatArray, FloatArray]]:
-    """Yield blocks of rows, the estimated joint velocities (n, 21, 3), mm/s, and their variances."""
-    twist, variance = matched.of_estimate("twist"), matched.of_estimate("twist_variance")
-    with np.errstate(all="ignore"):  # poses of untrusted results can overflow the derivatives
-        for rows, jacobian in jacobians(anatomy, *poses_of(matched)):
-            velocity = np.einsum("njck,nk->njc", jacobian, twist[rows])
-            yield rows, velocity, np.einsum("njck,nk->njc", jacobian**2, variance[rows])

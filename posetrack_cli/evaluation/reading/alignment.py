@@ -305,11 +305,12 @@ class JointOffsets:
     @property
     def note(self) -> str:
         """Note for reports."""
-        largest = float(self.lengths.max())
+        known = self.lengths[self.lengths > 0.0]
+        mean, largest = (float(known.mean()), float(known.max())) if known.size else (0.0, 0.0)
         names = ", ".join(self.capped)
         capped = f"; limited to {MOST_MM:g} mm for {names}, as larger offsets are errors" if names else ""
         return (
-            f"removed constant offset of each joint {AXES[self.frame]}: mean {self.lengths.mean():.1f} mm, "
+            f"removed constant offset of each joint {AXES[self.frame]}: mean {mean:.1f} mm, "
             f"max {largest:.1f} mm{capped}"
         )
 
@@ -328,7 +329,7 @@ def remove_joint_offsets(
 
     Args:
         track: estimate of a hand with pose, finger angles and joints.
-        truth: ground truth with the same joints.
+        truth: ground truth with some or all of the joints.
         pairs: associated rows; without any, nothing is removed.
         anatomy: anatomy of the estimated hand.
         frame: ``bone``, the bone that ends in the joint (the palm for wrist and knuckles); ``palm``; or
@@ -364,7 +365,7 @@ def _check_joints(track: Track, truth: Track) -> None:
         if missing:
             what = f"cannot remove joint offsets: the {side} has no {' and no '.join(missing)}"
             raise UsageError(what, where=one.name, hint="omit --joint-offsets")
-    if track.point_names != truth.point_names:
+    if not set(truth.point_names) <= set(track.point_names):
         raise UsageError(
             "cannot remove joint offsets: ground truth and result have different joints", where=truth.name
         )
@@ -400,11 +401,12 @@ def _blocks(rows: int) -> Iterator[slice]:
 
 
 def _offsets(track: Track, truth: Track, pairs: tuple[IntArray, IntArray], turns: Turns) -> FloatArray:
-    """Return the median (P, 3) of the differences in the frame of each joint."""
+    """Return the median (P, 3) of the differences in the frame of each joint; 0 without ground truth."""
     assert track.points is not None and truth.points is not None
     mine, theirs = pairs
-    differences = np.full_like(track.points, np.nan)
-    differences[mine] = truth.points[theirs] - track.points[mine]
+    columns = [track.point_names.index(name) for name in truth.point_names]
+    differences = np.zeros_like(track.points)
+    differences[mine[:, None], columns] = truth.points[theirs] - track.points[mine[:, None], columns]
     for rows in _blocks(len(track)):
         differences[rows] = np.einsum("npji,npj->npi", turns(rows), differences[rows])
     return np.asarray(np.median(differences[mine], axis=0), dtype=np.float64)

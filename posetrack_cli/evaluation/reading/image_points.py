@@ -65,7 +65,7 @@ def load_image_points(folder: Path, result: Result) -> Track:
         shape_names=(),
         point_names=FACE_POINTS.names,
         point_parents=(),
-        stamp_ns=_stamps(folder, frames, result),
+        stamp_ns=stamps_of_frames(folder, frames, result),
         frame_index=frames,
         pixels=pixels,
     )
@@ -144,7 +144,7 @@ def _check_inside(folder: Path, pixels: FloatArray, result: Result) -> None:
         )
 
 
-def _stamps(folder: Path, frames: IntArray, result: Result) -> IntArray:
+def stamps_of_frames(folder: Path, frames: IntArray, result: Result) -> IntArray:
     """Return the stamps of frames, interpolated or extrapolated for those that the result does not have."""
     own = result.columns(fields=("stamp_ns", "frame_index"))
     known, stamp_ns = own["frame_index"], own["stamp_ns"]

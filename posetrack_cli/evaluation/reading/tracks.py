@@ -203,8 +203,16 @@ def track_of_result(result: Result, name: str, which: str = FILTERED) -> Track:
     Raises:
         ResultError: nothing is readable, stamps do not increase strictly, or the track does not exist.
     """
-    further = (NUMBERS,) if result.subject.number_names else ()
-    columns = result.columns(result.topic_of_track(which), _TRACK_FIELDS + further)
+    return track_of_columns(result.columns(result.topic_of_track(which), track_fields(result)), result, name)
+
+
+def track_fields(result: Result) -> tuple[str, ...]:
+    """Return the fields that ``track_of_columns`` requires."""
+    return (*_TRACK_FIELDS, NUMBERS) if result.subject.number_names else _TRACK_FIELDS
+
+
+def track_of_columns(columns: Columns, result: Result, name: str) -> Track:
+    """Return the track of a result's columns; see ``track_of_result``."""
     status = columns["status"]
     return Track(
         **_motion(columns, name, result.subject),
@@ -219,8 +227,6 @@ def track_of_result(result: Result, name: str, which: str = FILTERED) -> Track:
         evaluations=_known(columns["evaluations"]),
         resampled=columns["resampled"],
         frame_index=columns["frame_index"],
-        numbers=columns.get(NUMBERS),
-        number_names=result.subject.number_names,
     )
 
 
@@ -260,6 +266,8 @@ def _motion(columns: Columns, name: str, subject: Subject) -> dict[str, Any]:
         "shape": columns["shape"],
         "twist": _known(columns["twist"]),
         "points": columns["points"] if subject.point_names else None,
+        "numbers": columns.get(NUMBERS),
+        "number_names": subject.number_names if NUMBERS in columns else (),
     }
 
 

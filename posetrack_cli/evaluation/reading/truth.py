@@ -23,14 +23,16 @@ from posetrack_cli.evaluation.reading.truth_topics import (
 )
 from posetrack_cli.geometry.rigid import rotation_from_rows
 from posetrack_cli.geometry.rotations import canonical, quaternions_from_matrices
+from posetrack_cli.head.dense.numbers import TRUE_NUMBERS
 from posetrack_cli.head.subject import HEAD
 from posetrack_cli.losses import LossLog
 from posetrack_cli.mcap.stream import McapFile, is_mcap
 from posetrack_cli.recording.base import TRUTH_PREFIX
 from posetrack_cli.recording.matching import LATEST_NS
-from posetrack_cli.results.columns import column_blocks, empty_columns, joined
+from posetrack_cli.results.columns import Columns, column_blocks, empty_columns, joined
 from posetrack_cli.results.estimate import Subject
 from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA_NAME, json_of_estimate
+from posetrack_cli.results.fields import NUMBERS as FURTHER
 from posetrack_cli.results.fields import Sizes
 from posetrack_cli.results.reader import Result, is_result, read_result
 from posetrack_cli.units import NS_PER_S
@@ -41,6 +43,7 @@ from posetrack_cli.units import NS_PER_S
 # neither the camera nor the origin of the head frame; ``--align rigid`` removes both constants.
 
 
+HAND, LABEL_SUFFIXES = "hand", (".txt", ".mat")
 POSE_FILE = re.compile(r"frame_([0-9]{1,9})_pose\.txt")
 NUMBERS = 12
 """Numbers in a pose file: nine of the rotation, three of the centre."""
@@ -111,6 +114,7 @@ def load_truth(
     time_offset_s: float = 0.0,
     losses: LossLog | None = None,
     label: str | None = None,
+    columns: Columns | None = None,
 ) -> Track | None:
     """Return the ground truth of a result, with its points in the order of the result.
 
@@ -122,7 +126,8 @@ def load_truth(
       track; not its ``/truth`` topics;
     - another MCAP file, such as the recording: its ``/truth`` topics;
     - another file: read as a table (``load_csv_track``);
-    - a folder, for heads: Biwi poses, or annotated landmarks (``image_points``).
+    - a folder, for heads: Biwi poses, or annotated landmarks (``image_points``);
+    - for hands, a file or folder of a public dataset (``hand_labels``).
 
     Args:
         result: result to evaluate.
@@ -130,6 +135,7 @@ def load_truth(
         time_offset_s: added to the ground-truth stamps, s.
         losses: receives unreadable parts of the file; those of the result are in ``result.losses``.
         label: label of the subject in the ground truth; None for that in the result.
+        columns: columns of ``estimate_truth_topic``, if they are read already.
 
     Returns:
         None if the result has no ground truth and no path is given.
@@ -141,7 +147,10 @@ def load_truth(
     """
     log = LossLog() if losses is None else losses
     subject = result.subject if label is None else replace(result.subject, label=label)
-    if path is None:
+    truth: Track | None
+    if columns is not None:
+        truth = _of_columns(columns, subject, result.path, "ground truth")
+    elif path is None:
         truth = topics_truth(McapFile(result.path), subject, "ground truth")
     else:
         truth = _given(result, path, subject, log)
@@ -151,6 +160,14 @@ def load_truth(
     # Metrics address points and shape entries by column, in the order of the subject.
     truth = _with_points_of(truth, subject, path or result.path)
     return _with_shape_of(truth, subject)
+
+
+def estimate_truth_topic(result: Result, path: Path | None, label: str | None) -> str | None:
+    """Return the topic of the true estimates in a result; None if ``load_truth`` reads other data."""
+    subject = result.subject if label is None else replace(result.subject, label=label)
+    topic = _estimate_topic(subject.topic)
+    known = (channel.topic for schema, channel in result.channels if schema.name == ESTIMATE_SCHEMA_NAME)
+    return topic if path is None and topic in known else None
 
 
 def truth_labels(result: Result, path: Path | None = None) -> tuple[str, ...]:
@@ -175,6 +192,11 @@ def _given(result: Result, path: Path, subject: Subject, losses: LossLog) -> Tra
         from posetrack_cli.evaluation.reading.image_points import load_image_points
 
         return load_biwi_poses(path, result.run) if holds_poses(path) else load_image_points(path, result)
+    if subject.name == HAND and (path.is_dir() or path.suffix in LABEL_SUFFIXES):
+        from posetrack_cli.evaluation.reading.hand_labels import is_labels, load_labels
+
+        if is_labels(path):
+            return load_labels(path, result)
     if not path.is_file():
         raise TruthError("not a file" if path.exists() else "no such file", where=path)
     # samefile also recognises links; all errors would be 0.
@@ -227,17 +249,29 @@ def topics_truth(file: McapFile, subject: Subject, name: str) -> Track | None:
 def _estimates_truth(file: McapFile, subject: Subject, name: str) -> Track:
     """Return the ground truth on a topic of ``posetrack.Estimate``."""
     items = file.messages([_estimate_topic(subject.topic)])
-    messages = (json_of_estimate(item, subject.number_names) for item in items)
-    columns = joined(column_blocks(messages, MOTION_FIELDS))
+    fields, names = truth_fields(subject)
+    messages = (json_of_estimate(item, names or subject.number_names) for item in items)
+    columns = joined(column_blocks(messages, fields, number_names=names))
+    sizes = Sizes.of(subject)._replace(numbers=len(names))
+    return _of_columns(columns or empty_columns(fields, sizes), subject, file.path, name)
+
+
+def truth_fields(subject: Subject) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the fields of true estimates that are read, and the names of their additional numbers."""
+    return ((*MOTION_FIELDS, FURTHER), TRUE_NUMBERS) if subject.name == HEAD else (MOTION_FIELDS, ())
+
+
+def _of_columns(columns: Columns, subject: Subject, path: Path, name: str) -> Track:
+    """Return the ground truth of true estimates; ``name`` is that of the track."""
     sizes = Sizes.of(subject)
-    columns = columns or empty_columns(MOTION_FIELDS, sizes)
+    subject = replace(subject, number_names=truth_fields(subject)[1])
     found = columns["shape"].shape[1], columns["points"].shape[1]
     if found == (0, sizes.points):  # heads, whose deformation is only given by the points
         subject = replace(subject, shape_names=())
     elif found != sizes[:2]:
         raise TruthError(
             "ground truth has a different number of shape entries or points",
-            where=f"{file.path}, {_estimate_topic(subject.topic)}",
+            where=f"{path}, {_estimate_topic(subject.topic)}",
             found=f"{found[0]} and {found[1]}",
             expected=f"{sizes.shape} and {sizes.points}",
         )
@@ -259,7 +293,7 @@ def _shifted(truth: Track, offset_s: float) -> Track:
         return truth
     if truth.frame_index is not None:
         raise UsageError(
-            "time offset does not apply: image points are matched by frame number",
+            "time offset does not apply: annotations are matched by frame number",
             hint="omit --time-offset-s",
         )
     offset = round(offset_s * NS_PER_S)
@@ -271,10 +305,14 @@ def _shifted(truth: Track, offset_s: float) -> Track:
 def _with_points_of(truth: Track, subject: Subject, where: Path) -> Track:
     if truth.points is None or truth.point_names == subject.point_names:
         return truth
-    check_point_names(subject.point_names, truth.point_names, where)
-    columns = [truth.point_names.index(name) for name in subject.point_names]
+    known = tuple(name for name in subject.point_names if name in truth.point_names)
+    # Annotations of hands may have some of the joints, which are compared by name.
+    if subject.name != HAND or not known:
+        check_point_names(subject.point_names, truth.point_names, where)
+    columns = [truth.point_names.index(name) for name in known]
     points = truth.points[:, columns] if columns else None
-    return replace(truth, point_names=subject.point_names, point_parents=subject.point_parents, points=points)
+    parents = subject.point_parents if known == subject.point_names else ()
+    return replace(truth, point_names=known, point_parents=parents, points=points)
 
 
 def _with_shape_of(truth: Track, subject: Subject) -> Track:

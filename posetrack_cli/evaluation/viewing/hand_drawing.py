@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections import deque
+from dataclasses import dataclass
+from typing import TypeAlias
+
 import cv2
 import numpy as np
 
@@ -21,6 +25,7 @@ from posetrack_cli.hand.observe.segmentation import Label, Segmentation, segment
 from posetrack_cli.hand.start import forearm_confidence_of
 from posetrack_cli.rendering.port import DepthRenderer, RenderingDevice, Window
 
+Box: TypeAlias = tuple[slice, slice]
 _RIM = np.ones((3, 3), np.uint8)
 
 
@@ -32,6 +37,30 @@ LABEL_COLOURS: dict[Label, Colour] = {
     Label.BEYOND: (60, 110, 170),
 }
 _OPACITY = 0.7
+
+
+_KEPT = 4
+"""Number of rendered estimates to keep: one frame's panels show the same estimates and ground truths."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Surface:
+    """A rendered estimate.
+
+    Attributes:
+        box: rows and columns of the picture around the hand.
+        hand: (h, w) pixels of the hand in the box.
+        light: (n,) brightness of these pixels, 0 to 1.
+        rim: (h, w) its contour in the box.
+        arm_box, arm_rim: likewise for the forearm, except on the hand; None if it is not shown.
+    """
+
+    box: Box
+    hand: BoolArray
+    light: FloatArray
+    rim: BoolArray
+    arm_box: Box
+    arm_rim: BoolArray | None
 
 
 class HandDrawer:
@@ -46,6 +75,7 @@ class HandDrawer:
         self._device, self._hand = device, hand
         self._renderers: dict[bool, DepthRenderer] = {}
         self._skeleton = SkeletonDrawer(JOINT_PARENTS, axes=False)
+        self._kept: deque[tuple[Shown, Camera, _Surface]] = deque(maxlen=_KEPT)
 
     def depth(self, camera: Camera, shown: Shown) -> Float32Array | None:
         """Return the depth (h, w) of the hand, mm, 0 for background; None if the pose is unknown."""
@@ -59,34 +89,55 @@ class HandDrawer:
 
     def draw(self, canvas: Canvas, shown: Shown, colour: Colour) -> None:
         """Draw the shaded hand; see ``Drawer``."""
-        depth = self.depth(canvas.camera, shown)
-        if depth is None:
+        surface = self._surface(canvas.camera, shown)
+        if surface is None:
             self._skeleton.draw(canvas, shown, colour)
             return
-        hand = depth > 0
-        if hand.any():
-            mm_per_pixel = float(depth[hand].mean()) / canvas.camera.fx
-            canvas.picture[hand] = shaded(np.array(colour), lit(depth, mm_per_pixel))[hand]
-            canvas.picture[_rim(hand)] = 255
-        self._outline_arm(canvas, shown, hand)
+        part = canvas.picture[surface.box]
+        part[surface.hand] = shaded(np.array(colour), surface.light)
+        part[surface.rim] = 255
+        self._outline_arm(canvas, surface)
 
     def outline(self, canvas: Canvas, shown: Shown, colour: Colour) -> None:
         """Draw the contour of the hand."""
-        depth = self.depth(canvas.camera, shown)
-        if depth is None:
+        surface = self._surface(canvas.camera, shown)
+        if surface is None:
             self._skeleton.draw(canvas, shown, colour)  # thin lines, visible on a filled hand
         else:
-            canvas.picture[_rim(depth > 0)] = colour
-            self._outline_arm(canvas, shown, depth > 0)
+            canvas.picture[surface.box][surface.rim] = colour
+            self._outline_arm(canvas, surface)
 
-    def _outline_arm(self, canvas: Canvas, shown: Shown, hand: BoolArray) -> None:
-        """Draw the contour of a confident forearm estimate, except on the pixels (h, w) of the hand."""
-        inner, camera = inner_of(shown.numbers), canvas.camera
+    def _outline_arm(self, canvas: Canvas, surface: _Surface) -> None:
+        if surface.arm_rim is not None:
+            canvas.picture[surface.arm_box][surface.arm_rim] = LABEL_COLOURS[Label.FOREARM]
+
+    def _surface(self, camera: Camera, shown: Shown) -> _Surface | None:
+        """Return an estimate as rendered for a picture; None if the pose is unknown."""
+        for kept, its_camera, surface in self._kept:
+            if kept is shown and its_camera == camera:
+                return surface
+        depth = self.depth(camera, shown)
+        if depth is None:
+            return None
+        whole = depth > 0
+        box, arm_rim = _box(whole), self._arm_rim(camera, shown, whole)
+        hand = whole[box]
+        mm_per_pixel = float(depth[box][hand].mean()) / camera.fx if hand.any() else 0.0
+        light = lit(depth[box], mm_per_pixel)[hand] if hand.any() else np.empty(0)
+        arm_box = box if arm_rim is None else _box(arm_rim)
+        arm_part = None if arm_rim is None else arm_rim[arm_box]
+        surface = _Surface(box, hand, light, _rim(hand), arm_box, arm_part)
+        self._kept.append((shown, camera, surface))
+        return surface
+
+    def _arm_rim(self, camera: Camera, shown: Shown, hand: BoolArray) -> BoolArray | None:
+        """Return the contour (h, w) of a confident forearm estimate, except on the pixels of the hand."""
+        inner = inner_of(shown.numbers)
         if not inner[:3].any() or forearm_confidence_of(shown.numbers) < LEAST_CONFIDENCE:
-            return
+            return None
         bones = transforms_with_forearm(self._hand.anatomy, _pose_of(shown)[None], inner)
         depth = self._renderer(camera, with_arm=True).depth(bones, camera, Window.whole(camera))[0]
-        canvas.picture[_rim((depth > 0) & ~hand)] = LABEL_COLOURS[Label.FOREARM]
+        return _rim((depth > 0) & ~hand)
 
     def _renderer(self, camera: Camera, *, with_arm: bool) -> DepthRenderer:
         """Return the renderer for the picture size, which is the same for all pictures of a view."""
@@ -106,6 +157,12 @@ def _pose_of(shown: Shown) -> FloatArray:
 def _thumb_of(shown: Shown) -> FloatArray:
     """Return the inner angles (2,) of the thumb."""
     return inner_of(shown.numbers)[THUMB]
+
+
+def _box(mask: BoolArray) -> Box:
+    """Return rows and columns around the pixels of a mask, with a border of one pixel inside the image."""
+    left, top, width, height = cv2.boundingRect(mask.view(np.uint8))
+    return slice(max(top - 1, 0), top + height + 1), slice(max(left - 1, 0), left + width + 1)
 
 
 def _rim(mask: BoolArray) -> BoolArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -9,9 +10,10 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.compiled import inlined, kernel
 from posetrack_cli.geometry.least_squares import cauchy, invert_symmetric
+from posetrack_cli.geometry.rotations import multiply, quaternions_from_matrices
 from posetrack_cli.head.face.points import POSE_SIZE, HeadPose
 
-# Normal equations of poses and points; compiled.
+# Normal equations of poses and points; compiled. A view is an image of one camera, in that camera's axes.
 #
 # With A and V the diagonal blocks of views and points, W those between them, b and c the right-hand sides:
 #
@@ -148,15 +150,14 @@ def add_points(
     f: FloatArray,
     equations: Equations,
 ) -> None:
-    """Add all observations to the equations, which contain the priors, and eliminate the points.
+    """Add all observations to the equations, which contain the priors of points, and eliminate the points.
 
     Args:
         observed: in the views.
         rotations, positions: (n, 3, 3), (n, 3) of the views.
         points: (M, 3).
         f: (2,) focal lengths, pixels.
-        equations: with the priors of the views in ``matrix`` and ``vector``, those of the points in
-            ``inverses`` (V, not yet inverted) and ``pulls``.
+        equations: with the priors of the points in ``inverses`` (V, not yet inverted) and ``pulls``.
     """
     residual, J, V = np.empty(2), np.empty((2, POSE + PLACE)), np.empty((PLACE, PLACE))
     for j in range(len(points)):
@@ -230,10 +231,16 @@ def move_points(
 #         + 1/2 sum_i |pose_i (-) prior_i|^2 / S_p  +  1/2 sum_j |X_j - X0_j|^2 / S_x
 #
 # pi(x, y, z) = (x, y) / z, r_o the ray of an observation of point j in view i, rho Cauchy's function. Points
-# are eliminated (Schur complement).
+# are eliminated (Schur complement). With several cameras, the views of a frame have the same pose in the axes
+# of the reference camera: R_c R_i and R_c t_i + t_c in those of camera c.
 
+ONLY = np.eye(3, 4)[None]
+"""camera_T_reference (1, 3, 4) of a single camera."""
 POSE_SD = np.array([6.0, 6.0, 25.0, *np.radians([6.0, 6.0, 6.0])])
 """(6,) mm and rad about the poses of the feature points: wide, as these may slide."""
+MEASURED_SD = np.array([0.1, 0.1, 0.2, *np.radians([0.3, 0.3, 0.3])])
+"""(6,) the same with several cameras, which measure the points. Matches of neighbouring views are biased
+towards no motion, which adds up over wide turns."""
 POINT_SD = np.array([2.0, 2.0, 8.0])
 """(3,) mm about the surface."""
 CONVERGED = 1e-4
@@ -253,25 +260,61 @@ def observations(views: IntArray, points: IntArray, rays: FloatArray, count: int
     return Observations(views[order], first, rays[order])
 
 
-def adjust_pose(
-    rays: FloatArray, points: FloatArray, start: HeadPose, prior: HeadPose, f: FloatArray, steps: int
-) -> HeadPose:
-    """Fit the pose in which points (N, 3), mm in the head's frame, lie on rays (N, 2).
+def in_cameras(poses: HeadPose, transforms: FloatArray) -> HeadPose:
+    """Return poses (n) in the axes of each of C cameras, (n C), those of a frame together.
 
     Args:
-        rays, points: of observations.
+        poses: in the axes of the reference camera.
+        transforms: (C, 3, 4) camera_T_reference, mm.
+    """
+    if len(transforms) == 1:  # the reference itself
+        return poses
+    rotations = transforms[:, :, :3]
+    positions = np.einsum("cij,nj->nci", rotations, poses.position) + transforms[:, :, 3]
+    turned = multiply(quaternions_from_matrices(rotations), poses.quaternion[:, None])
+    return HeadPose(positions.reshape(-1, 3), turned.reshape(-1, 4))
+
+
+def _tangent_maps(transforms: FloatArray) -> FloatArray:
+    """Return (C, 6, 6), from tangent vectors of a pose to those of the same pose in each camera's axes."""
+    maps = np.zeros((len(transforms), POSE, POSE))
+    maps[:, :3, :3] = maps[:, 3:, 3:] = transforms[:, :, :3]
+    return maps
+
+
+def adjust_pose(
+    seen: Sequence[tuple[FloatArray, FloatArray]],
+    start: HeadPose,
+    prior: HeadPose,
+    f: FloatArray,
+    steps: int,
+    transforms: FloatArray = ONLY,
+    pose_sd: FloatArray = POSE_SD,
+) -> HeadPose:
+    """Fit the pose in which points lie on rays.
+
+    Args:
+        seen: rays (N, 2) and points (N, 3), mm in the head's frame, observed by each camera.
         start: of the optimisation.
         prior: pose of the feature points.
         f: (2,) focal lengths, pixels.
         steps: maximum number of Gauss-Newton steps.
+        transforms: (C, 3, 4) camera_T_reference, mm.
+        pose_sd: (6,) standard deviations about the prior.
     """
-    pose, precisions = start, POSE_SD**-2
+    pose, precisions = start, pose_sd**-2
+    maps = _tangent_maps(transforms)
     for _ in range(steps):
         matrix, vector = np.diag(precisions), precisions * pose.difference(prior)
-        add_to_pose(rays, points, pose.rotation, pose.position, f, matrix, vector)
+        own = in_cameras(HeadPose(pose.position[None], pose.quaternion[None]), transforms)
+        for c, (rays, points) in enumerate(seen):
+            of_camera, pull = np.zeros((POSE, POSE)), np.zeros(POSE)
+            add_to_pose(rays, points, own.rotation[c], own.position[c], f, of_camera, pull)
+            matrix += maps[c].T @ of_camera @ maps[c]
+            vector += maps[c].T @ pull
         tangent = np.asarray(np.linalg.solve(matrix, vector), dtype=np.float64)
         pose = pose.moved(tangent)
-        if np.all(np.abs(tangent) < CONVERGED * POSE_SD):
+        if np.all(np.abs(tangent) < CONVERGED * pose_sd):
             break
     return pose
 
@@ -297,21 +340,25 @@ def adjust_skin(
     f: FloatArray,
     steps: int,
     start: tuple[HeadPose, FloatArray] | None = None,
+    transforms: FloatArray = ONLY,
 ) -> tuple[HeadPose, FloatArray]:
-    """Adjust the poses (n) of all views and the places (M, 3) of all points.
+    """Adjust the poses (n) of all frames and the places (M, 3) of all points.
 
     Args:
-        observed: in the views.
+        observed: in the views, C of each frame.
         prior: of poses and points, by default also the start.
         f: (2,) focal lengths, pixels.
         steps: number of Gauss-Newton steps.
         start: other poses and points to start from.
+        transforms: (C, 3, 4) camera_T_reference, mm.
     """
     poses, points = start or (prior.poses, prior.surface)
-    equations, moves = make_equations(len(poses.position), observed), np.empty_like(points)
+    views, maps = len(transforms) * len(poses.position), _tangent_maps(transforms)
+    equations, moves = make_equations(views, observed), np.empty_like(points)
     for _ in range(steps):
-        tangents = _solve(observed, poses, points, prior, f, equations)
-        move_points(observed, equations, tangents, moves)
+        tangents = _solve(observed, poses, points, prior, f, equations, transforms)
+        of_views = np.einsum("cij,nj->nci", maps, tangents).reshape(views, POSE)
+        move_points(observed, equations, of_views, moves)
         poses, points = poses.moved(tangents), points + moves
     return poses, points
 
@@ -319,7 +366,7 @@ def adjust_skin(
 def skin_cost(
     observed: Observations, poses: HeadPose, points: FloatArray, prior: SkinPrior, f: FloatArray
 ) -> float:
-    """Return E of adjusted poses and points; see ``adjust_skin``."""
+    """Return E of adjusted poses and points of one camera; see ``adjust_skin``."""
     owners = np.repeat(np.arange(len(points)), np.diff(observed.first))
     seen = np.einsum("nij,nj->ni", poses.rotation[observed.views], points[owners])
     seen += poses.position[observed.views]
@@ -338,14 +385,22 @@ def _solve(
     prior: SkinPrior,
     f: FloatArray,
     equations: Equations,
+    transforms: FloatArray = ONLY,
 ) -> FloatArray:
-    """Build and solve the normal equations; return the tangent vectors (n, 6) of the views."""
-    precisions = np.tile(prior.pose_sd**-2, len(poses.position))
-    equations.matrix[:] = 0.0
-    np.fill_diagonal(equations.matrix, precisions)
-    equations.vector[:] = precisions * poses.difference(prior.poses).ravel()
+    """Build and solve the normal equations; return the tangent vectors (n, 6) of the frames."""
+    matrix, vector = equations.matrix, equations.vector
+    matrix[:] = vector[:] = 0.0
     equations.inverses[:] = np.diag(prior.point_sd**-2)
     equations.pulls[:] = (prior.surface - points) / prior.point_sd**2
-    add_points(observed, poses.rotation, poses.position, points, f, equations)
-    tangents = np.linalg.solve(equations.matrix, equations.vector)
+    views, frames, cameras = in_cameras(poses, transforms), len(poses.position), len(transforms)
+    add_points(observed, views.rotation, views.position, points, f, equations)
+    if cameras > 1:
+        maps, blocks = _tangent_maps(transforms), matrix.reshape(2 * (frames, cameras, POSE))
+        matrix = np.einsum("cai,ncamdb,dbj->nimj", maps, blocks, maps, optimize=True).reshape(
+            POSE * frames, -1
+        )
+        vector = np.einsum("cai,nca->ni", maps, vector.reshape(frames, cameras, POSE)).ravel()
+    precisions = np.tile(prior.pose_sd**-2, frames)
+    pull = vector + precisions * poses.difference(prior.poses).ravel()
+    tangents = np.linalg.solve(matrix + np.diag(precisions), pull)
     return np.asarray(tangents, dtype=np.float64).reshape(-1, POSE_SIZE)

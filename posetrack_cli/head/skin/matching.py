@@ -41,19 +41,19 @@ class SkinView:
 
     Attributes:
         view: its feature points and their pose.
-        crop: (HEIGHT, WIDTH) fine detail.
-        placement: (2, 3) from pixels of the crop to those of the image.
+        crops: (C, HEIGHT, WIDTH) fine detail in each camera's image.
+        placements: (C, 2, 3) from pixels of the crops to those of the images.
     """
 
     view: PointView
-    crop: ImageArray
-    placement: FloatArray
+    crops: ImageArray
+    placements: FloatArray
 
     def rescaled(self, ratio: float) -> SkinView:
         """Return the view for an image scaled by a ratio."""
-        placement = ratio * self.placement
-        placement[:, 2] += 0.5 * (ratio - 1.0)
-        return replace(self, view=self.view.rescaled(ratio), placement=placement)
+        placements = ratio * self.placements
+        placements[..., 2] += 0.5 * (ratio - 1.0)
+        return replace(self, view=self.view.rescaled(ratio), placements=placements)
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +62,7 @@ class SkinAlbum:
 
     Attributes:
         views: in the order of time.
-        every_ns: minimum time between two of them; ``SOONEST`` of it while the head turns.
+        every_ns: minimum time between two of them, ``SOONEST`` of it while the head turns; 0 without frames.
     """
 
     views: tuple[SkinView, ...] = ()
@@ -80,10 +80,8 @@ class SkinAlbum:
         """Return the album with a frame; beyond ``most``, every second one is dropped and the interval
         doubled.
         """
-        views = (*self.views, view)
-        if len(views) <= most:
-            return replace(self, views=views)
-        return SkinAlbum(views[::2], 2 * self.every_ns)
+        views, every_ns = (*self.views, view), self.every_ns or EVERY_NS
+        return SkinAlbum(views, every_ns) if len(views) <= most else SkinAlbum(views[::2], 2 * every_ns)
 
     def rescaled(self, ratio: float) -> SkinAlbum:
         """Return the frames for images scaled by a ratio."""
@@ -93,7 +91,8 @@ class SkinAlbum:
 def place_crop(camera: Camera, pose: HeadPose) -> FloatArray:
     """Return (2, 3), the similarity transform from pixels of a crop to pixels of an image.
 
-    The rotation is arbitrary for a head along the camera's x axis, which has no upright direction.
+    The pose is in the camera's axes. The rotation is arbitrary for a head along the camera's x axis, which
+    has no upright direction.
     """
     middle = pose.points(MIDDLE)
     centre, right = pixels_wherever(camera, np.stack([middle, middle + pose.rotation[:, 0]]))

@@ -125,9 +125,9 @@ def people_codec(model: FaceModel, settings: AdjustmentSettings) -> Codec[tuple[
         is_held=flag(),
         size=Maybe(codec_of(Size)),
         album=_AlbumCodec(model),
-        skin=_skin_codec(model),
-        skin_map=Maybe(_map_codec()),
-        views=Stacked(Fields(_view, **_view_parts(model)), "views"),
+        skin=skin_codec(1, model.deformation_size),
+        skin_map=Maybe(map_codec(1)),
+        views=Stacked(Fields(_view, **_view_parts(model.deformation_size)), "views"),
         sets=("templates", Stacked(codec_of(TemplateSet, ONE), "sets", least=1)),
     )
     return Numbered(one, counted=PEOPLE, called="person", most=limits.PEOPLE)
@@ -156,7 +156,10 @@ class _AlbumCodec(Codec[Album]):
     """Codec of an album's frames with their scores; an empty album has no scores."""
 
     def __init__(self, model: FaceModel) -> None:
-        of_view = {name: (_second(take), codec) for name, (take, codec) in _view_parts(model).items()}
+        of_view = {
+            name: (_second(take), codec)
+            for name, (take, codec) in _view_parts(model.deformation_size).items()
+        }
         self._frames: Stacked[_ScoredView] = Stacked(
             Fields(
                 lambda scores, **view: (scores, _view(**view)),
@@ -185,55 +188,56 @@ class _AlbumCodec(Codec[Album]):
         return album
 
 
-def _skin_codec(model: FaceModel) -> Codec[SkinAlbum]:
-    """Return the codec of the frames with skin."""
+def skin_codec(cameras: int, deformations: int) -> Codec[SkinAlbum]:
+    """Return the codec of the frames with skin, seen by C cameras, with deformations (A,)."""
 
-    def build(placement: Array, **parts: Any) -> SkinView:
-        (a, b), (c, d) = turn = placement[:, :2]
+    def build(placements: Array, **parts: Any) -> SkinView:
+        turns = placements[:, :, :2]
         # a rotation with scale has a determinant of half the squared norm; 0.4 allows for rounding
-        if a * d - b * c < max(_LEAST_AREA, 0.4 * np.sum(turn**2)):
-            raise LayoutError("'placement' is not a similarity transform")
-        return SkinView(placement=placement, **parts)
+        least = np.maximum(_LEAST_AREA, 0.4 * np.sum(turns**2, axis=(1, 2)))
+        if np.any(turns[:, 0, 0] * turns[:, 1, 1] - turns[:, 0, 1] * turns[:, 1, 0] < least):
+            raise LayoutError("'placements' are not similarity transforms")
+        return SkinView(placements=placements, **parts)
 
     view: Codec[SkinView] = Fields(
         build,
-        view=Fields(_view, **_view_parts(model)),
-        crop=Value(Layout("uint8", (HEIGHT, WIDTH))),
-        placement=Value(floats(2, 3)),
+        view=Fields(_view, **_view_parts(deformations)),
+        crops=Value(Layout("uint8", (cameras, HEIGHT, WIDTH))),
+        placements=Value(floats(cameras, 2, 3)),
     )
     return Fields(SkinAlbum, views=Stacked(view, "skin"), every_ns=whole())
 
 
-def _map_codec() -> Codec[SkinMap]:
-    """Return the codec of a skin map."""
+def map_codec(cameras: int) -> Codec[SkinMap]:
+    """Return the codec of a skin map of C cameras."""
 
-    def build(views: Array, positions: Array, quaternions: Array, **parts: Any) -> SkinMap:
-        if np.any(np.diff(views) < 0) or views[-1] >= len(parts["stamps"]):
-            raise LayoutError("'views' is not in ascending order")
-        return SkinMap(views=views, poses=HeadPose(positions, quaternions), **parts)
+    def build(images: Array, positions: Array, quaternions: Array, **parts: Any) -> SkinMap:
+        if np.any(np.diff(images) < 0) or images[-1] >= cameras * len(parts["stamps"]):
+            raise LayoutError("'images' is not in ascending order")
+        return SkinMap(images=images, poses=HeadPose(positions, quaternions), **parts)
 
     return Fields(
         build,
         stamps=Value(stamps("map views")),
-        crops=Value(Layout("uint8", ("map views", HEIGHT, WIDTH))),
+        crops=Value(Layout("uint8", ("map views", cameras, HEIGHT, WIDTH))),
         positions=(lambda found: found.poses.position, Value(floats("map views", 3))),
         quaternions=(lambda found: found.poses.quaternion, Value(units("map views", 4))),
-        views=Value(counts("map points")),
+        images=Value(counts("map points")),
         places=Value(floats("map points", 2)),
         points=Value(floats("map points", 3)),
         share=real(floats(least=0.0, most=1.0)),
     )
 
 
-def _view_parts(model: FaceModel) -> dict[str, tuple[Callable[[PointView], Any], Codec[Any]]]:
-    """Return the fields of a view with their codecs."""
+def _view_parts(deformations: int) -> dict[str, tuple[Callable[[PointView], Any], Codec[Any]]]:
+    """Return the fields of a view with deformations (A,), with their codecs."""
     return {
         "stamps": (lambda view: view.stamp_ns, stamp()),
         "pixels": (lambda view: view.pixels, Value(places(POINT_COUNT, 2))),
         "weights": (lambda view: view.weights, Value(floats(POINT_COUNT, least=0.0))),
         "positions": (lambda view: view.pose.position, Value(floats(3))),
         "quaternions": (lambda view: view.pose.quaternion, Value(units(4))),
-        "deformations": (lambda view: view.deformation, Value(floats(model.deformation_size))),
+        "deformations": (lambda view: view.deformation, Value(floats(deformations))),
     }
 
 
@@ -294,7 +298,6 @@ class MonoState(HeadState):
         elsewhere: whether an unknown face was found at another place or of another size after the cut.
         changes: (frame, index of the person) of each change of the person.
         begun_frame: frame in which the first person was begun.
-        trust: score of the last tracked frame, 0 to 1.
         scale: of the processed images, 1 is unscaled; None before the first detection.
         stated: reported pose of the last tracked frame, if it differs from the track.
     """
@@ -310,7 +313,6 @@ class MonoState(HeadState):
     elsewhere: bool = False
     changes: tuple[tuple[int, int], ...] = ()
     begun_frame: int = 0
-    trust: Annotated[float, floats(least=0.0, most=1.0)] = 0.0
     scale: Annotated[float, floats(least=_LEAST_SCALE, most=LARGEST_SCALE)] | None = None
     stated: ReportedPose | None = None
 

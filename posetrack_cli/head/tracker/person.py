@@ -28,7 +28,7 @@ from posetrack_cli.head.multilinear.face_model import FaceModel
 from posetrack_cli.head.particles.particles import velocity_between
 from posetrack_cli.head.refinement.refine import KEYFRAME_CORRELATION, KEYFRAME_NEUTRAL_MM, LEAST_DEVIATION_MM
 from posetrack_cli.head.skin.map import MatchedSkin, SkinMap, cut_view, make_map, match_skin, pose_on_map
-from posetrack_cli.head.skin.matching import EVERY_NS, MOST_VIEWS, SkinAlbum, SkinView
+from posetrack_cli.head.skin.matching import MOST_VIEWS, SkinAlbum, SkinView
 from posetrack_cli.head.tracker.face_learning import off_axis_deg
 from posetrack_cli.head.tracker.frame_tracker import (
     FrameFit,
@@ -263,12 +263,12 @@ class KnownPerson:
         bare, shown = self.without_skin(), self._posed_skin(adjuster)
         if not shown:
             return bare
-        return replace(bare, skin_map=make_map(shown, self._neutral(adjuster), adjuster.camera))
+        return replace(bare, skin_map=make_map(shown, self._neutral(adjuster), (adjuster.camera,)))
 
     def matched_skin(self, adjuster: Adjuster) -> MatchedSkin | None:
         """Return the skin matched in all kept frames; None with too few."""
         shown = self._posed_skin(adjuster)
-        return match_skin(shown, self._neutral(adjuster), adjuster.camera) if shown else None
+        return match_skin(shown, self._neutral(adjuster), (adjuster.camera,)) if shown else None
 
     def _posed_skin(self, adjuster: Adjuster) -> list[SkinView]:
         """Return the kept frames with poses adjusted to the person as now known."""
@@ -378,15 +378,6 @@ class PersonFitter:
         before = replace(track, particles=now)
         return self._frame_tracker.step(before, frame, person.templates, person.shape)
 
-    def fit_from(
-        self, person: KnownPerson, track: TrackState, there: HeadPose, frame: SeededFrame
-    ) -> FrameFit:
-        """Track a person into a frame, starting at another pose."""
-        about = replace(track.at_rest(), pose=there, particles=replace(track.particles, pose=there))
-        fit = self.fit(person, about, frame)
-        velocity = velocity_between(track.pose, fit.track.pose, fit.dt)
-        return replace(fit, track=replace(fit.track, velocity=velocity))
-
     def fit_detection(
         self, person: KnownPerson, found: DetectedFace, last_seen_ns: int, frame: SeededFrame
     ) -> FrameFit:
@@ -470,21 +461,20 @@ class PersonFitter:
         (image,) = frame.frame.images
         if image is None:
             return person
-        album = person.skin if person.skin.views else SkinAlbum(every_ns=EVERY_NS)
-        shown = cut_view(image, self._camera, self._view(person, frame, fit))
-        return replace(person, skin=album.with_view(shown, MOST_VIEWS))
+        shown = cut_view((image,), (self._camera,), self._view(person, frame, fit))
+        return replace(person, skin=person.skin.with_view(shown, MOST_VIEWS))
 
     def fit_on_skin(self, person: KnownPerson, frame: SeededFrame, fit: FrameFit) -> FrameFit:
         """Return the fit with a pose between those of feature points and skin **[ours]**.
 
         The points stay at their pixels; the deformation becomes the most likely one for them.
         """
-        (image,) = frame.frame.images
-        if person.skin_map is None or image is None:
+        images = frame.frame.images
+        if person.skin_map is None or images[0] is None:
             return fit
         by_points, factor = fit.track.pose, person.factor
         in_map = scaled_pose(by_points, 1.0 / factor)  # the map has the scale of the views
-        found = pose_on_map(person.skin_map, image, frame.stamp_ns, in_map, self._camera)
+        found = pose_on_map(person.skin_map, images, frame.stamp_ns, in_map, (self._camera,))
         pose, pixels = scaled_pose(found.pose, factor), fit.pixels[0]
         coefficients = self._deformation_at(pose, person.shape, pixels, fit.weights)
         shape = self._on_rays(pose, person.shape.shapes(coefficients), pixels)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -13,6 +13,7 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.rigid import rigid_alignment
 from posetrack_cli.geometry.rotations import quaternions_from_matrices
+from posetrack_cli.head.adjustment.adjuster import PointView
 from posetrack_cli.head.config import HeadStereoConfig, ModelSettings
 from posetrack_cli.head.dense.face import DenseFaces
 from posetrack_cli.head.face.points import POINT_COUNT, HeadPose, rigid_model
@@ -27,8 +28,10 @@ from posetrack_cli.head.refinement.refine import (
     KEYFRAME_NEUTRAL_MM,
     refine_initial_depth,
 )
+from posetrack_cli.head.skin.map import SkinMap, cut_view, make_map, pose_on_map
+from posetrack_cli.head.skin.matching import MOST_VIEWS, SkinAlbum
 from posetrack_cli.head.subject import SIGN_NAMES, STEREO_TRACK, StereoDiagnostics, stereo_diagnostic_names
-from posetrack_cli.head.tracker.codecs import search_codec
+from posetrack_cli.head.tracker.codecs import map_codec, search_codec, skin_codec
 from posetrack_cli.head.tracker.face_learning import Ccipca, FaceLearning, new_face
 from posetrack_cli.head.tracker.frame_tracker import (
     STEREO,
@@ -40,6 +43,7 @@ from posetrack_cli.head.tracker.frame_tracker import (
     initial_fit,
 )
 from posetrack_cli.head.tracker.head_tracker import FaceDescription, HeadTracker, padded
+from posetrack_cli.head.tracker.whole_face import whole_face_fit
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.columns import Arrays, LayoutError, counts, floats
 from posetrack_cli.tracking.confidence import Regression
@@ -64,10 +68,14 @@ class StereoState(HeadState):
     Attributes:
         face: the learned face; None before the first detection.
         templates: reference first; empty before the first detection.
+        skin: frames of the first of two passes for the skin map of the second.
+        skin_map: from the first pass; None during it.
     """
 
     face: FaceLearning | None = None
     templates: tuple[TemplateSet, ...] = ()
+    skin: SkinAlbum = field(default_factory=SkinAlbum)
+    skin_map: SkinMap | None = None
 
     @property
     def known_face(self) -> FaceLearning:
@@ -127,7 +135,8 @@ class StereoFace:
 
     def detect(self, state: StereoState, frame: SeededFrame) -> StereoInitialisation | InitFailure:
         """Detect a face in a frame."""
-        return self._initialiser.find(frame.frame, is_first=frame.stamp_ns == state.first_ns)
+        is_first, is_known = frame.stamp_ns == state.first_ns, self.is_known(state)
+        return self._initialiser.find(frame.frame, is_first=is_first, is_known=is_known)
 
     def begin(self, state: StereoState, frame: SeededFrame) -> tuple[StereoState, FrameFit | InitFailure]:
         """Detect a face and start to learn it."""
@@ -145,7 +154,14 @@ class StereoFace:
 
     def fit(self, state: StereoState, track: TrackState, frame: SeededFrame) -> tuple[StereoState, FrameFit]:
         """Track the head into a frame; restart from landmarks if the points slid **[ours]**."""
-        fit = self._frame_tracker.step(track, frame, state.templates, state.known_face.model)
+
+        def refit(about: TrackState, templates: Sequence[TemplateSet] | None) -> FrameFit:
+            return self._frame_tracker.step(
+                about, frame, templates or state.templates, state.known_face.model
+            )
+
+        images, clear = self._frame_tracker.images(frame), self._config.status.check_below
+        fit = whole_face_fit(refit(track, None), track, images, refit, clear=clear, trust=state.trust)
         landmarks = self._initialiser.from_landmarks(frame.frame, fit.pixels[0])
         if landmarks is None:
             return state, fit
@@ -169,18 +185,41 @@ class StereoFace:
 
     def learn(self, state: StereoState, frame: SeededFrame, fit: FrameFit) -> tuple[StereoState, FrameFit]:
         """Learn the deformation, and templates from new directions."""
+        state = replace(state, trust=min(fit.score, 1.0))
+        if fit.is_anchored:  # no templates matched, so the frame shows nothing new of the face
+            return state, fit
         now, templates = fit.track, state.templates
         expected = state.known_face.model.shapes(fit.coefficients)
         face = state.known_face.after(now.shape, self._steadiness, now.pose, fit.correlations, expected)
         if now.templates is not None and self._is_keyframe(templates, fit):
             templates = (*templates, _keyframe(now.templates, fit))
-        return replace(state, face=face, templates=templates), fit
+        return self._keep_skin(replace(state, face=face, templates=templates), frame, fit), fit
+
+    def _keep_skin(self, state: StereoState, frame: SeededFrame, fit: FrameFit) -> StereoState:
+        """Return the state with a frame's skin if another pass follows **[ours]**."""
+        images = [image for image in frame.frame.images if image is not None]
+        is_used = self._config.skin.use and self._config.run.passes > 1 and state.skin_map is None
+        is_whole = len(images) == len(self.cameras)
+        if not (is_used and is_whole and state.skin.wants(frame.stamp_ns, fit.track.pose)):
+            return state
+        view = PointView(frame.stamp_ns, fit.pixels[0], fit.weights, fit.track.pose, np.zeros(0))
+        shown = cut_view(images, self.cameras, view)
+        return replace(state, skin=state.skin.with_view(shown, MOST_VIEWS // len(self.cameras)))
 
     def report_fit(
         self, state: StereoState, frame: SeededFrame, fit: FrameFit
     ) -> tuple[StereoState, FrameFit]:
-        """Return the tracked fit."""
-        return state, fit
+        """Return the fit for the result, in a second pass with a pose between points and skin **[ours]**.
+
+        The points stay where they are.
+        """
+        if state.skin_map is None:
+            return state, fit
+        now, images = fit.track, frame.frame.images
+        found = pose_on_map(state.skin_map, images, frame.stamp_ns, now.pose, self.cameras)
+        shape = (now.pose.points(now.shape) - found.pose.position) @ found.pose.rotation
+        now = replace(now, pose=found.pose, shape=shape)
+        return state, replace(fit, track=now, unmatched=found.unmatched, skin_share=found.share)
 
     def regression(self, reported: FrameFit) -> Regression:
         """Return the confidence model for a frame."""
@@ -205,8 +244,9 @@ class StereoFace:
         return variance + STEREO_TRACK.expression_variance(fit.track.shape - face.model.mean)
 
     def export_model(self, state: StereoState, *, for_second_pass: bool) -> Learned:
-        """Return the learned shape model and templates."""
-        return self._codecs.to_model(state)
+        """Return the learned shape model and templates, for a second pass with the map of the skin."""
+        views, mean = state.skin.views if for_second_pass else (), state.known_face.model.mean
+        return self._codecs.to_model(replace(state, skin_map=make_map(views, mean, self.cameras)))
 
     def remarks(self, state: StereoState) -> tuple[str, ...]:
         """Return nothing: a head that was found as recorded confirms the order of the cameras."""
@@ -327,18 +367,23 @@ class StereoCodecs:
         )
         templates = codec_of(TemplateSet, {CAMERAS: cameras})
         needed = Stacked(templates, "sets", least=1)
-        self._known: Codec[StereoState] = Fields(_state, face=faces, sets=("templates", needed))
+        skin_map = Maybe(map_codec(cameras))
+        self._known: Codec[StereoState] = Fields(
+            _state, face=faces, sets=("templates", needed), skin_map=skin_map
+        )
         learned: dict[str, Any] = {
             "search": search_codec(cameras),
+            "skin_map": skin_map,
             "face": Maybe(faces),
             "sets": ("templates", Stacked(templates, "sets")),
         }
         self._model: Codec[StereoState] = Fields(_state, **learned)
         own = parts_of(HeadState, {CAMERAS: cameras}, search=learned["search"])
+        own["skin"] = skin_codec(cameras, 0)
         self.state: Codec[StereoState] = Fields(_state, **(learned | own))
 
     def to_model(self, state: StereoState) -> Learned:
-        """Return the arrays of a model file: face, templates and search statistics."""
+        """Return the arrays of a model file: face, templates, search statistics and a map of the skin."""
         return self._model.to_arrays(state)
 
     def from_model(self, learned: Mapping[str, Array]) -> StereoState:

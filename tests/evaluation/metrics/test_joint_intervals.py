@@ -10,11 +10,11 @@ import pytest
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import ResultError
 from posetrack_cli.evaluation.measuring import hand_metrics as module
-from posetrack_cli.evaluation.measuring.hand_metrics import METRICS, joint_intervals, joint_variances
+from posetrack_cli.evaluation.measuring.hand_metrics import METRICS, joints_by_pose, propagated
 from posetrack_cli.evaluation.measuring.measures import Matched, Measures
 from posetrack_cli.evaluation.reading.tracks import Track
 from posetrack_cli.hand.model.anatomy import JOINT_NAMES, HandAnatomy, make_anatomy
-from posetrack_cli.hand.model.kinematics import joint_positions
+from posetrack_cli.hand.model.kinematics import joint_jacobian, joint_positions
 from support.metrics import NOTHING, all_pairs, number
 from support.tracks import hand_track, random_hand
 
@@ -50,7 +50,7 @@ def hand(poses: FloatArray, variance: FloatArray | None) -> Track:
 
 def measured(estimate: Track, truth: Track, anatomy: object = make_anatomy) -> Measures:
     measures = Measures(NOTHING)
-    joint_intervals(measures, Matched(estimate, truth, all_pairs(len(estimate))), anatomy)  # type: ignore[arg-type]
+    joints_by_pose(measures, Matched(estimate, truth, all_pairs(len(estimate))), anatomy)  # type: ignore[arg-type]
     return measures
 
 
@@ -79,9 +79,8 @@ def test_the_wrist_s_variances_are_those_of_the_position() -> None:
     assert track.position is not None and track.quaternion is not None and track.shape is not None
     poses, variances = np.hstack([track.position, track.quaternion, track.shape]), track.pose_variance
     assert variances is not None
-    np.testing.assert_allclose(
-        joint_variances(make_anatomy(), poses, np.zeros((len(poses), 2)), variances)[:, 0], variances[:, :3]
-    )
+    jacobian = joint_jacobian(make_anatomy(), poses)
+    np.testing.assert_allclose(propagated(jacobian, variances)[:, 0], variances[:, :3])
 
 
 def test_long_tracks_are_worked_off_in_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -130,10 +129,10 @@ def test_what_cannot_be_told_has_a_reason(
 ) -> None:
     estimate, truth = random_hand(3, 1), random_hand(3, 2)
     measures = measured(replace(estimate, **change), replace(truth, **of_truth), unknown_bones)  # type: ignore[arg-type]
-    assert measures.absent == dict.fromkeys(METRICS, reason) and not measures.metrics
+    assert {measures.absent[name] for name in METRICS} == {reason} and not measures.metrics
 
 
 def test_bones_that_are_not_known_are_a_reason_and_no_error() -> None:
     measures = measured(random_hand(3, 1), random_hand(3, 2), unknown_bones)
     reason = "unknown hand anatomy: hand file of the run not found"
-    assert measures.absent == dict.fromkeys(METRICS, reason)
+    assert {measures.absent[name] for name in METRICS} == {reason}

@@ -13,7 +13,7 @@ from posetrack_cli.evaluation.measuring.hand_metrics import (
     ERROR,
     INTERVALS,
     central_differences,
-    joint_velocities,
+    joints_by_pose,
 )
 from posetrack_cli.evaluation.measuring.measures import Matched, Measures
 from posetrack_cli.evaluation.reading.tracks import Track
@@ -64,7 +64,7 @@ def hand(
 
 def measured(estimate: Track, truth: Track) -> Measures:
     measures = Measures(NOTHING)
-    joint_velocities(measures, Matched(estimate, truth, all_pairs(len(estimate))), make_anatomy)
+    joints_by_pose(measures, Matched(estimate, truth, all_pairs(len(estimate))), make_anatomy)
     return measures
 
 
@@ -92,7 +92,7 @@ def test_a_missing_frame_of_the_truth_has_no_difference_across_more() -> None:
     assert truth.points is not None
     kept = np.delete(np.arange(FRAMES), [50, 100, 101])
     sparse = replace(truth, stamp_ns=truth.stamp_ns[kept], points=truth.points[kept])
-    velocities = central_differences(sparse)
+    velocities = central_differences(sparse, np.arange(len(sparse)), NS_PER_FRAME)
     unknown = kept[np.isnan(velocities).any(axis=(1, 2))]
     # Across 50 the neighbours are three frames apart, across 100 and 101 four.
     assert unknown.tolist() == [0, 99, 102, FRAMES - 1]

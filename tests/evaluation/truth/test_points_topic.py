@@ -104,10 +104,21 @@ def test_damage_is_one_line_with_its_place(tmp_path: Path, change, told: str) ->
 
 
 def test_points_of_another_hand_are_refused(tmp_path: Path) -> None:
-    few = replace(joints(), point_names=HAND.point_names[:4], points=joints().points[:, :4])
+    few = replace(joints(), point_names=("a", "b"), points=joints().points[:, :2])
     result = read_result(with_truth(tmp_path / "r.mcap", list(points_messages(few, "hand"))))
     with pytest.raises(TruthError, match="ground truth has other points than the result"):
         load_truth(result)
+
+
+def test_some_of_the_joints_are_compared_by_name(tmp_path: Path) -> None:
+    chosen = [7, 2, 20]
+    some = tuple(HAND.point_names[k] for k in chosen)
+    few = replace(joints(), point_names=some, points=joints().points[:, chosen])
+    path = with_truth(tmp_path / "r.mcap", list(points_messages(few, "hand")))
+    own = track_of_result(read_result(path), "r").points
+    assert own is not None
+    expected = np.linalg.norm(own - joints().points, axis=2)[:, chosen]
+    assert evaluate(path).metrics["joint_error_mm"].mean == pytest.approx(expected.mean(), rel=1e-12)
 
 
 def test_a_track_without_points_has_no_messages() -> None:

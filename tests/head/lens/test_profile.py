@@ -36,7 +36,7 @@ def skin_of(camera: Camera, assumed: Camera, turn_deg: float, views: int = 12) -
     nearer = HeadPose(position * [1.0, 1.0, assumed.fx / camera.fx], poses.quaternion)
     index = np.indices((views, len(points))).reshape(2, -1)
     observed = observations(index[0], index[1], rays.reshape(-1, 2), len(points))
-    crops = np.zeros((views, 1, 1), np.uint8)
+    crops = np.zeros((views, 1, 1, 1), np.uint8)
     found = SkinMap(np.arange(views), crops, nearer, np.zeros(len(points), int), points[:, :2], points, 0.0)
     return MatchedSkin(found, observed, SkinPrior(nearer, points))
 

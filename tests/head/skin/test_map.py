@@ -52,7 +52,7 @@ def spread(errors: FloatArray) -> float:
 
 
 def made(error_deg: float = ERROR_DEG) -> SkinMap:
-    found = make_map(shown(VIEWS, error_deg).views, SHAPE, CAMERA)
+    found = make_map(shown(VIEWS, error_deg).views, SHAPE, (CAMERA,))
     assert found is not None
     return found
 
@@ -94,12 +94,12 @@ def test_points_come_to_lie_on_the_face(known: SkinMap) -> None:
 def test_a_map_holds_its_views_and_each_point_once(known: SkinMap) -> None:
     views = shown(VIEWS, ERROR_DEG).views
     assert known.stamps.tolist() == [FRAME_NS * index for index in range(VIEWS)]
-    np.testing.assert_array_equal(known.crops, [one.crop for one in views])
-    assert len(known.views) == len(known.places) == len(known.points)
-    counts = [known.of_view(index).stop - known.of_view(index).start for index in range(VIEWS)]
+    np.testing.assert_array_equal(known.crops, [one.crops for one in views])
+    assert len(known.images) == len(known.places) == len(known.points)
+    counts = [known.of_image(index).stop - known.of_image(index).start for index in range(VIEWS)]
     assert sum(counts) == len(known.points) and 0 < min(counts) <= max(counts) <= POINTS
     for index in range(VIEWS):
-        assert set(known.views[known.of_view(index)]) == {index}
+        assert set(known.images[known.of_image(index)]) == {index}
     assert np.all(known.places >= 0.0) and np.all(known.places < [WIDTH, HEIGHT])
 
 
@@ -159,31 +159,35 @@ def test_points_of_a_view_are_found_by_their_bounds(views: list[int], more: int)
     count = int(max(views, default=0)) + 1 + more
     nothing = np.zeros((len(views), 2))
     poses = HeadPose(np.zeros((count, 3)), np.zeros((count, 4)))
-    found = SkinMap(np.arange(count), np.zeros((count, 1, 1), np.uint8), poses, owners, nothing, nothing, 0.5)
+    found = SkinMap(
+        np.arange(count), np.zeros((count, 1, 1, 1), np.uint8), poses, owners, nothing, nothing, 0.5
+    )
     for index in range(count):
         np.testing.assert_array_equal(
-            np.arange(len(views))[found.of_view(index)], np.flatnonzero(owners == index)
+            np.arange(len(views))[found.of_image(index)], np.flatnonzero(owners == index)
         )
 
 
 def test_too_few_views_make_none() -> None:
     views = shown(VIEWS, 0.0).views
-    assert make_map(views[: LEAST_VIEWS - 1], SHAPE, CAMERA) is None
-    assert make_map(views[:LEAST_VIEWS], SHAPE, CAMERA) is not None
-    assert make_map([], SHAPE, CAMERA) is None
+    assert make_map(views[: LEAST_VIEWS - 1], SHAPE, (CAMERA,)) is None
+    assert make_map(views[:LEAST_VIEWS], SHAPE, (CAMERA,)) is not None
+    assert make_map([], SHAPE, (CAMERA,)) is None
 
 
 def test_even_views_make_none() -> None:
-    views = [replace(one, crop=np.full((HEIGHT, WIDTH), 128, np.uint8)) for one in shown(VIEWS, 0.0).views]
-    assert make_map(views, SHAPE, CAMERA) is None
+    views = [
+        replace(one, crops=np.full((1, HEIGHT, WIDTH), 128, np.uint8)) for one in shown(VIEWS, 0.0).views
+    ]
+    assert make_map(views, SHAPE, (CAMERA,)) is None
 
 
 def test_a_view_in_which_nothing_is_seen_stays_as_it_is_told() -> None:
     """But for what all heads are turned and moved by to lie, on average, as they are told to."""
     views = list(shown(VIEWS, 0.0).views)
-    views[5] = replace(views[5], crop=np.full((HEIGHT, WIDTH), 128, np.uint8))
-    found = make_map(views, SHAPE, CAMERA)
-    assert found is not None and found.of_view(5).start == found.of_view(5).stop
+    views[5] = replace(views[5], crops=np.full((1, HEIGHT, WIDTH), 128, np.uint8))
+    found = make_map(views, SHAPE, (CAMERA,))
+    assert found is not None and found.of_image(5).start == found.of_image(5).stop
     told, there = views[5].view.pose, found.poses.of_frame(5)
     assert np.degrees(np.linalg.norm(told.difference(there)[3:])) < TOGETHER_DEG
     np.testing.assert_allclose(there.position, told.position, atol=0.02 * told.position[2])
@@ -232,7 +236,7 @@ def test_a_map_of_poses_told_wrongly_is_believed(known: SkinMap) -> None:
 def located(known: SkinMap, index: float, told: HeadPose) -> HeadPose:
     """Where a frame's head is that is not one of the map's."""
     image = drawn(pose_at(index), seed=1000 + round(10 * index))
-    return pose_on_map(known, image, round(index * FRAME_NS), told, CAMERA).pose
+    return pose_on_map(known, (image,), round(index * FRAME_NS), told, (CAMERA,)).pose
 
 
 def disturbed(index: float, yaw_deg: float = 2.5) -> HeadPose:
@@ -266,12 +270,12 @@ def test_a_pose_goes_as_far_as_the_map_is_believed(known: SkinMap, share: float)
 def test_few_points_count_the_more_of_them_there_are(known: SkinMap, every: int) -> None:
     """In proportion, from none of those that say nothing to all of those that say all; else to the bit."""
     told, index = disturbed(7.3), 7.3
-    parts = {name: getattr(known, name)[::every] for name in ("views", "places", "points")}
+    parts = {name: getattr(known, name)[::every] for name in ("images", "places", "points")}
     thin, stamp_ns = replace(known, **parts), round(index * FRAME_NS)
-    pose, share, unmatched = pose_on_map(thin, drawn(pose_at(index), seed=1073), stamp_ns, told, CAMERA)
+    pose, share, unmatched = pose_on_map(thin, (drawn(pose_at(index), seed=1073),), stamp_ns, told, (CAMERA,))
     away = np.abs(known.stamps - stamp_ns).astype(np.float64)
     chosen = views_for(told.quaternion, away, known.poses.quaternion, NEAR, ALIKE)
-    looked_for = sum(len(thin.places[thin.of_view(view)]) for view in chosen)
+    looked_for = sum(len(thin.places[thin.of_image(view)]) for view in chosen)
     count = round((1.0 - unmatched) * looked_for)
     assert share == pytest.approx(known.share * np.clip((count - 15) / 45, 0.0, 1.0))
     assert (pose is told) == (count <= 15)
@@ -280,7 +284,7 @@ def test_few_points_count_the_more_of_them_there_are(known: SkinMap, every: int)
 
 def test_an_even_image_leaves_what_is_told(known: SkinMap) -> None:
     told = disturbed(7.3)
-    pose, share, unmatched = pose_on_map(known, even(), 0, told, CAMERA)
+    pose, share, unmatched = pose_on_map(known, (even(),), 0, told, (CAMERA,))
     assert pose is told and (share, unmatched) == (0.0, 1.0)
 
 
@@ -292,19 +296,20 @@ def test_skin_that_is_covered_is_not_found(known: SkinMap) -> None:
     covered = image.copy()
     covered[below:] = 128
     unmatched = [
-        pose_on_map(known, one, round(index * FRAME_NS), told, CAMERA).unmatched for one in (image, covered)
+        pose_on_map(known, (one,), round(index * FRAME_NS), told, (CAMERA,)).unmatched
+        for one in (image, covered)
     ]
     assert unmatched[0] < 0.15 and 0.3 < unmatched[1] < 0.8
 
 
 def test_a_face_outside_the_image_is_where_it_is_told(known: SkinMap) -> None:
     told = disturbed(7.3).moved(np.array([2000.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
-    pose, share, unmatched = pose_on_map(known, drawn(pose_at(7.3)), 0, told, CAMERA)
+    pose, share, unmatched = pose_on_map(known, (drawn(pose_at(7.3)),), 0, told, (CAMERA,))
     assert pose is told and (share, unmatched) == (0.0, 1.0)
 
 
 def test_a_map_without_views_that_look_alike_leaves_what_is_told(known: SkinMap) -> None:
     """Turned away by 60 degrees."""
     told = disturbed(7.3, 60.0)
-    pose, share, unmatched = pose_on_map(known, drawn(told), 0, told, CAMERA)
+    pose, share, unmatched = pose_on_map(known, (drawn(told),), 0, told, (CAMERA,))
     assert pose is told and (share, unmatched) == (0.0, 1.0)

@@ -75,7 +75,7 @@ def mapped() -> dict[str, np.ndarray]:
 
 
 MAP, VIEWS = "person0.skin_map", "person0.skin.views"
-OF_A_MAP = ("stamps", "crops", "positions", "quaternions", "views", "places", "points", "share")
+OF_A_MAP = ("stamps", "crops", "positions", "quaternions", "images", "places", "points", "share")
 
 
 @pytest.mark.parametrize("name", OF_A_MAP)
@@ -110,16 +110,16 @@ def test_a_map_is_believed_by_a_share(share: float) -> None:
 
 
 @pytest.mark.parametrize(
-    "views",
+    "images",
     [[0, 0, 1, 1, 2, 2, 3], [0, 1, 2, 1, 2, 2, 2], [2, 1, 1, 1, 1, 0, 0], [0, 0, 0, 0, 0, 0, 2**53]],
     ids=["beyond the last", "one back", "falling", "far beyond the last"],
 )
-def test_points_of_a_map_belong_to_its_views_in_order(views: list[int]) -> None:
-    assert_refused(mapped() | {f"{MAP}.views": np.array(views)}, "'views' is not in ascending order")
+def test_points_of_a_map_belong_to_its_views_in_order(images: list[int]) -> None:
+    assert_refused(mapped() | {f"{MAP}.images": np.array(images)}, "'images' is not in ascending order")
 
 
 def test_points_of_no_view_at_all_are_refused() -> None:
-    assert_refused(mapped() | {f"{MAP}.views": np.array([-1, 0, 0, 1, 1, 2, 2])}, f"'{MAP}.views' has")
+    assert_refused(mapped() | {f"{MAP}.images": np.array([-1, 0, 0, 1, 1, 2, 2])}, f"'{MAP}.images' has")
 
 
 @pytest.mark.parametrize(
@@ -130,12 +130,12 @@ def test_points_of_no_view_at_all_are_refused() -> None:
 def test_crops_are_only_turned_scaled_and_moved(turn: list[list[float]]) -> None:
     """Of others there is no way back from the image."""
     arrays = mapped()
-    placement = arrays[f"{VIEWS}.placement"].copy()
-    placement[1, :, :2] = turn
-    assert_refused(arrays | {f"{VIEWS}.placement": placement}, "'placement' is not a similarity transform")
+    placement = arrays[f"{VIEWS}.placements"].copy()
+    placement[1, 0, :, :2] = turn
+    assert_refused(arrays | {f"{VIEWS}.placements": placement}, "'placements' are not similarity transforms")
 
 
-@pytest.mark.parametrize("name", ["view.stamps", "view.pixels", "crop", "placement"])
+@pytest.mark.parametrize("name", ["view.stamps", "view.pixels", "crops", "placements"])
 def test_frames_of_skin_need_all_their_arrays(name: str) -> None:
     arrays = mapped()
     del arrays[f"{VIEWS}.{name}"]
@@ -145,8 +145,8 @@ def test_frames_of_skin_need_all_their_arrays(name: str) -> None:
 
 
 def test_crops_of_another_size_are_refused() -> None:
-    for name in (f"{VIEWS}.crop", f"{MAP}.crops"):
-        assert_refused(mapped() | {name: mapped()[name][:, 1:]}, f"'{name}' is uint8")
+    for name in (f"{VIEWS}.crops", f"{MAP}.crops"):
+        assert_refused(mapped() | {name: mapped()[name][:, :, 1:]}, f"'{name}' is uint8")
 
 
 def test_arrays_are_plain() -> None:

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from posetrack_cli.errors import PosetrackError
+from posetrack_cli.head.config import RunSettings
 from posetrack_cli.results.columns import LayoutError
 from support.damage import Arrays, damaged_arrays, wild_numbers
 from support.mono_scene import Scene as MonoScene
 from support.mono_scene import map_skin_soon
+from support.stereo_scene import FEW, Told
 from support.stereo_scene import Scene as StereoScene
-from support.stereo_scene import Told
 
 Put = Callable[[Arrays], object]
 Saved = tuple[Put, Callable[[Any], object], Arrays]
@@ -28,8 +29,8 @@ def _soon() -> Iterator[None]:
         yield
 
 
-def stereo(frames: int = 5) -> Saved:
-    scene = StereoScene()
+def stereo(frames: int = 5, passes: int = 1) -> Saved:
+    scene = StereoScene(config=FEW.model_copy(update={"run": RunSettings(passes=passes)}))
     for index in range(frames):
         scene.step(index)
     arrays = scene.tracker.codec.to_arrays(scene.state)
@@ -69,12 +70,13 @@ def on_skin() -> Saved:
     for index in range(20):
         scene.step(index)
     known = scene.tracker.learned(scene.state, for_second_pass=True)
-    assert "person0.skin_map.views" in known
+    assert "person0.skin_map.images" in known
     return mono(3, known)
 
 
 STATES: dict[str, Callable[[], Saved]] = {
     "stereo": stereo,
+    "stereo, first of two passes": lambda: stereo(5, passes=2),
     "stereo, searching": searching,
     "mono, collecting": lambda: mono(2),
     "mono, following": lambda: mono(14),

@@ -106,7 +106,7 @@ def test_the_skin_is_learned_for_a_second_pass_alone() -> None:
     scene = first_pass()
     assert of_skin(scene.tracker.learned(scene.state)) == {"person0.skin.every_ns"}
     for_second = learned()
-    assert SHARED in for_second and "person0.skin.views.crop" not in for_second
+    assert SHARED in for_second and "person0.skin.views.crops" not in for_second
     assert len(for_second["person0.skin_map.stamps"]) >= LEAST_VIEWS
     others = {name: array for name, array in for_second.items() if ".skin_map." not in name}
     assert_same(others, scene.tracker.learned(scene.state))
@@ -171,7 +171,7 @@ def test_a_pose_between_track_and_skin_is_stated(config: HeadMonoConfig) -> None
         factor, (image,) = state.person.factor, scene.frame(index).images
         assert (factor > 1.05) == (config is LARGE)
         usual, whole = scaled_pose(told, 1.0 / factor), replace(found, share=1.0)
-        on_skin = pose_on_map(whole, image, estimate.stamp_ns, usual, CAMERA)
+        on_skin = pose_on_map(whole, (image,), estimate.stamp_ns, usual, (CAMERA,))
         apart.append(usual.difference(scaled_pose(pose_of(estimate), 1.0 / factor)))
         np.testing.assert_allclose(apart[-1], SHARE * usual.difference(on_skin.pose), atol=ROUNDING)
         assert_same(pose_of(estimate), state.stated.pose)
@@ -337,10 +337,10 @@ def test_frames_kept_follow_the_scale_of_the_images() -> None:
     back = larger.at_scale(state.scale)
     assert_lawful(first_pass().tracker.codec, larger)
     for one, there, again in zip(*(s.person.skin.views for s in (state, larger, back)), strict=True):
-        np.testing.assert_allclose(again.placement, one.placement, atol=ROUNDING)
+        np.testing.assert_allclose(again.placements, one.placements, atol=ROUNDING)
         np.testing.assert_allclose(again.view.pixels, one.view.pixels, atol=ROUNDING)
-        np.testing.assert_allclose(there.placement[:, :2], 2.0 * one.placement[:, :2])
-        assert again.crop is one.crop
+        np.testing.assert_allclose(there.placements[:, :, :2], 2.0 * one.placements[:, :, :2])
+        assert again.crops is one.crops
     found = first_pass().tracker.learned(larger, for_second_pass=True)
     turned = angle_between(found["person0.skin_map.quaternions"], learned()["person0.skin_map.quaternions"])
     assert turned.max() < TURNED_RAD
@@ -352,8 +352,8 @@ WILD = {
     "weights": [0.0, 1e9],
     "positions": [0.0, -700.0, 1e9, -1e9],
     "deformations": [0.0, 1e9],
-    "placement": [0.0, 1.0, 1e9],
-    "crop": [0, 255],
+    "placements": [0.0, 1.0, 1e9],
+    "crops": [0, 255],
 }
 
 
@@ -369,7 +369,7 @@ def test_frames_that_no_camera_took_make_no_harm(name: str) -> None:
         try:
             state = scene.tracker.codec.from_arrays(arrays | {full: wild})
         except LayoutError as error:
-            assert name == "placement" and "\n" not in str(error)
+            assert name == "placements" and "\n" not in str(error)
             continue
         known = scene.tracker.learned(state, for_second_pass=True)
         try:
@@ -382,7 +382,7 @@ WILD_MAPS = {
     "stamps": [0, -(2**62), 2**62],
     "crops": [0, 255],
     "positions": [0.0, 1e9, -1e9],
-    "views": [0],
+    "images": [0],
     "places": [0.0, -1e9, 1e9],
     "points": [0.0, 1e9, -1e9],
 }

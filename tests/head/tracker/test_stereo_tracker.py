@@ -9,6 +9,7 @@ import pytest
 
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.geometry.rotations import angle_between
+from posetrack_cli.head.config import RunSettings
 from posetrack_cli.head.initialisation.search import InitFailure
 from posetrack_cli.head.subject import STEREO_TRACK
 from posetrack_cli.head.tracker import stereo
@@ -16,8 +17,9 @@ from posetrack_cli.head.tracker.head_tracker import UNSEEN, HeadTracker
 from posetrack_cli.head.tracker.stereo import StereoFace
 from posetrack_cli.results.estimate import Estimate, Status
 from support.codecs import assert_lawful
+from support.mono_scene import map_skin_soon
 from support.stereo_scene import CAMERAS, FEW, Scene, Told
-from support.textured_face import pose_at, textured_face
+from support.textured_face import SHAPE, pose_at, textured_face
 
 POSITION_MM, ROTATION_RAD = 0.3, np.radians(0.3)
 """Far above that, which leaves room for the planes' edges, and far below a pixel: 0.7 mm."""
@@ -75,6 +77,25 @@ def test_another_face_in_its_place_is_not_taken_for_it() -> None:
     scene.face = textured_face(seed=7)
     others = [scene.step(index) for index in range(10, 20)]
     assert {e.status for e in others} == {Status.LOST}
+
+
+def test_skin_takes_part_in_the_pose_of_a_second_pass(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The map comes from the first pass and is not saved for other recordings; points stay where they are."""
+    map_skin_soon(monkeypatch)
+    twice = FEW.model_copy(update={"run": RunSettings(passes=2)})
+    first = Scene(config=twice)
+    for index in range(30):
+        first.step(index)
+    assert not [name for name in first.tracker.learned(first.state) if "skin" in name]
+    known = first.tracker.learned(first.state, for_second_pass=True)
+    second, plain = Scene(config=twice, known=known), Scene(known={**known, "skin_map.share": np.array(0.0)})
+    found = [[scene.step(index) for index in range(30)] for scene in (second, plain)]
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_allclose(one.points, other.points, atol=1e-9)
+    moved = [angle_between(one.quaternion, other.quaternion) for one, other in zip(*found, strict=True)]
+    assert 0.0 < np.max(moved) < ROTATION_RAD
+    assert errors(found[0])[1].max() < ROTATION_RAD
+    assert_lawful(second.tracker.codec, second.state)
 
 
 def test_a_saved_state_goes_on_alike() -> None:
@@ -153,3 +174,16 @@ def test_exchanged_images_are_refused() -> None:
     scene.step(1)
     with pytest.raises(RecordingError, match="camera1, camera0"):
         scene.step(2)
+
+
+def test_a_head_that_jumps_is_followed_by_its_whole_face() -> None:
+    """By 40 px between two frames, farther than a patch reaches, in the images of both cameras."""
+    scene = Scene()
+    for index in range(6):
+        scene.step(index)
+    scene.told.there = False
+    there = pose_at(6).moved(np.array([60.0, 15.0, 0.0, 0.0, 0.1, 0.0]))
+    images = scene.face.render(tuple(CAMERAS), there, SHAPE, noise=2.0)
+    scene.state, found = scene.tracker.step(scene.state, replace(scene.frame(6), images=images), scene.rng)
+    assert scene.told.asked == 1 and found.points is not None
+    np.testing.assert_allclose(found.points, there.points(SHAPE), atol=2.0)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cache
 from typing import TYPE_CHECKING
 
 from posetrack_cli.arrays import FloatArray
@@ -57,12 +56,10 @@ def _without_offsets(
 
 
 def _joints_by_pose(measures: Measures, result: Result, matched: Matched) -> None:
-    from posetrack_cli.evaluation.measuring.hand_metrics import joint_intervals, joint_velocities
+    from posetrack_cli.evaluation.measuring.hand_metrics import joints_by_pose
     from posetrack_cli.evaluation.reading.recording_of import anatomy_of
 
-    anatomy = cache(lambda: anatomy_of(result))
-    joint_intervals(measures, matched, anatomy)
-    joint_velocities(measures, matched, anatomy)
+    joints_by_pose(measures, matched, lambda: anatomy_of(result))
 
 
 def _inside(percent: int, half_width: float, prefix: str, spoken: str, stated: str) -> Metric:
