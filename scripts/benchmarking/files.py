@@ -23,6 +23,7 @@ CENTS_PER_CORE_HOUR = 2.0
 FACEMESH_MS = 3.6
 """CPU time per frame of clip-a with decoding, MediaPipe 0.10.21; measured once on this kind of machine."""
 FPS = 30.0
+WARM_UP_FRAMES = 40
 STRANGER = 800  # person and motion of foreign_hand.py, for measuring only
 
 
@@ -58,7 +59,7 @@ def files(frames: int | None, repeats: int, previous: Path | None) -> Iterator[R
         for case in _cases(folder):
             runs: dict[str, list[Usage]] = {version: [] for version in versions}
             for command in versions.values():
-                _run(command, case, folder, 3)  # compiles the kernels
+                _run(command, case, folder, WARM_UP_FRAMES)  # compiles the kernels
             for repeat in range(repeats):
                 for version in list(versions)[:: 1 if repeat % 2 else -1]:
                     runs[version].append(_run(versions[version], case, folder, frames))
