@@ -78,17 +78,25 @@ class Tracking:
     can be resumed.
 
     Attributes:
-        subject: tracked subject, with names of points and shape parameters.
         run: run record.
         outcome: counts, losses and remarks; None before the last frame.
     """
 
     def __init__(self, run: Run, folder: ExitStack) -> None:
-        self.subject: Subject = run.subject
         self.run: Mapping[str, str] = run.record
         self.outcome: RunOutcome | None = None
-        self._folder = folder
+        self._folder, self._run = folder, run
         self._estimates = self._each(run)
+
+    @property
+    def subject(self) -> Subject:
+        """Tracked subject, with names of points and shape parameters; the first of several."""
+        return self._run.subject
+
+    @property
+    def current(self) -> tuple[Estimate, ...]:
+        """Estimates of all subjects in the last frame, such as one per face."""
+        return self._run.current
 
     def _each(self, run: Run) -> Generator[Estimate, None, None]:
         try:
@@ -210,6 +218,7 @@ def track_head(
     stamps_ns: Sequence[int] | None = None,
     fov_deg: float | None = None,
     face: int = 1,
+    faces: Literal["all"] | None = None,
     person: Path | str | None = None,
     config: str | Path | Sequence[str | Path] = (),
     settings: Mapping[str, Any] | None = None,
@@ -231,6 +240,8 @@ def track_head(
         fps, stamps_ns: see ``track_hand``.
         fov_deg: field of view along the longer side of one uncalibrated camera; None estimates it.
         face: which face to track with one camera, 1 for the largest.
+        faces: ``all`` tracks each face in the images of one camera. Iteration yields estimates of the first;
+            the attribute ``current`` has those of all faces.
         person: earlier head result of the same person, whose shape and size one camera then uses.
         config, settings, seed, smooth, output, overwrite, resume: see ``track_hand``.
 
@@ -243,7 +254,7 @@ def track_head(
     """
     from posetrack_cli.head.config import HeadMonoConfig, HeadStereoConfig
     from posetrack_cli.head.run import HeadRunOptions
-    from posetrack_cli.head.runs import guess_note, make_mono_run, make_stereo_run
+    from posetrack_cli.head.runs import guess_note, make_heads_run, make_mono_run, make_stereo_run
 
     recording = _head_recording(images, cameras, fps, stamps_ns, fov_deg)
     path, folder = _output(output, smooth=smooth, resume=resume)
@@ -252,13 +263,21 @@ def track_head(
     files, own = _as_list(config), dict(settings or {})
     with folder:
         if len(recording.cameras) > 1:
-            if person is not None:
-                raise UsageError("person applies to one camera", found=f"{len(recording.cameras)} cameras")
+            for name, given in {"person": person, "faces": faces}.items():
+                if given is not None:
+                    found = f"{len(recording.cameras)} cameras"
+                    raise UsageError(f"{name} applies to one camera", found=found)
             stereo = _configured(HeadStereoConfig, files, own)
             run = make_stereo_run(recording, stereo, options, _ignore)
         else:
             mono = _configured(HeadMonoConfig, files, own)
-            run = make_mono_run(recording, mono, options, face, _ignore, fov_is_given=fov_deg is not None)
+            known_fov = fov_deg is not None
+            if faces is not None and face != 1:
+                raise UsageError("face and faces are mutually exclusive", found=face)
+            if faces is None:
+                run = make_mono_run(recording, mono, options, face, _ignore, fov_is_given=known_fov)
+            else:
+                run = make_heads_run(recording, mono, options, _ignore, fov_is_given=known_fov)
             note = guess_note(run, "fov_deg")
             if note and fov_deg is None:
                 warnings.warn(note, stacklevel=2)

@@ -11,7 +11,7 @@ from typing import TypeVar
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.compiled import inlined, kernel
+from posetrack_cli.compiled import borrowing, inlined, kernel
 
 Value = TypeVar("Value", float, FloatArray)
 
@@ -108,6 +108,26 @@ def solve(matrix: FloatArray, vector: FloatArray, out: FloatArray) -> None:
     solution = np.linalg.solve(matrix, vector)
     for i in range(len(out)):
         out[i] = solution[i]
+
+
+@borrowing
+def solve_positive(matrix: FloatArray, vector: FloatArray, out: FloatArray) -> None:
+    """Write H^-1 g of a positive definite matrix, which is overwritten, by elimination without pivots."""
+    count = len(out)
+    for i in range(count):
+        out[i] = vector[i]
+    for k in range(count):
+        pivots = matrix[k]
+        for i in range(k + 1, count):
+            share, across = pivots[i] / pivots[k], matrix[i]
+            out[i] -= share * out[k]
+            for j in range(i, count):
+                across[j] -= share * pivots[j]
+    for i in range(count - 1, -1, -1):
+        across = matrix[i]
+        for j in range(i + 1, count):
+            out[i] -= across[j] * out[j]
+        out[i] /= across[i]
 
 
 @kernel

@@ -15,7 +15,7 @@ from posetrack_cli.hand.fit.skeleton import INNER_SIZE
 from posetrack_cli.hand.model.kinematics import joint_set_distance
 from posetrack_cli.hand.observe.observation import PixelSampler
 from posetrack_cli.hand.observe.others import HandDrawer, SeenHand, without_others
-from posetrack_cli.hand.policy import SAME_PLACE_MM
+from posetrack_cli.hand.policy import MOSTLY_HIDDEN, SAME_PLACE_MM
 from posetrack_cli.hand.search import Candidate, cheapest_pair
 from posetrack_cli.hand.state import HandState
 from posetrack_cli.hand.tracker import HandTracker
@@ -29,7 +29,7 @@ from posetrack_cli.tracking.state_codec import Codec, Fields, codec_of
 _BOTH = (0, 1)
 _SEARCH_FRAMES = 4
 """A hand that is not where it is expected is searched in every so many frames."""
-_MAX_COST_RATIO = 1.6
+_MAX_COST_RATIO = 1.25
 """Largest cost of a hand that is found again, relative to good fits: an elbow or a forearm costs more."""
 
 
@@ -106,7 +106,7 @@ class PairTracker:
         found = self._found(state, seen, frame.depth)
         for k, one in enumerate(found):
             if one is not None:
-                seen[k] = SeenHand(self._drawers[k], one.pose, one.inner)
+                seen[k] = SeenHand(self._drawers[k], one.pose, one.inner, not state.is_sure(1 - k))
         states, inner, unsure = list(state.hands), state.inner.copy(), state.unsure.copy()
         estimates: dict[int, Estimate] = {}
         for k in sorted(_BOTH, key=lambda k: _depth_mm(seen[k])):
@@ -147,23 +147,24 @@ class PairTracker:
             (k,) = turn
             rest = without_others(depth, None, (other,), self._camera)
             best = min(self.trackers[k].candidates(rest), key=lambda one: one.total_cost, default=None)
-            found[k] = self._accepted(k, best, state)
+            found[k] = self._accepted(k, best, state, rest)
         elif turn:
             best_pair = cheapest_pair(*(tracker.candidates(depth) for tracker in self.trackers))
-            found = [self._accepted(k, one, state) for k, one in enumerate(best_pair)]
+            found = [self._accepted(k, one, state, depth) for k, one in enumerate(best_pair)]
         return found
 
-    def _accepted(self, k: int, found: Candidate | None, state: PairState) -> Candidate | None:
-        """Return a candidate if it fits about as well as hands do, elsewhere than the hand's track."""
+    def _accepted(
+        self, k: int, found: Candidate | None, state: PairState, depth: ImageArray
+    ) -> Candidate | None:
+        """Return a candidate if it is a visible hand, elsewhere than the hand's track."""
         if found is None:
             return None
-        hand, anatomy = state.hands[k], self.trackers[k].anatomy
-        settings = self.trackers[k].config.status
-        ratio = max(one.monitor.cost_ratio(found.cost, settings) for one in state.hands)
-        if hand.monitor.was_found and ratio > _MAX_COST_RATIO:
-            return None
-        is_elsewhere = joint_set_distance(anatomy, found.pose, hand.pose) > SAME_PLACE_MM
-        return found if hand.monitor.lost or is_elsewhere else None
+        hand, tracker = state.hands[k], self.trackers[k]
+        ratio = max(one.monitor.cost_ratio(found.cost, tracker.config.status) for one in state.hands)
+        is_hand = ratio < _MAX_COST_RATIO or not hand.monitor.was_found
+        is_hand &= tracker.visible_share(depth, found) > 1.0 - MOSTLY_HIDDEN
+        is_elsewhere = joint_set_distance(tracker.anatomy, found.pose, hand.pose) > SAME_PLACE_MM
+        return found if is_hand and (hand.monitor.lost or is_elsewhere) else None
 
 
 def _depth_mm(hand: SeenHand | None) -> float:

@@ -95,7 +95,9 @@ def make_tracker(
     if is_swarm:
         objective = RenderedObjective(device, hand, camera, config)
         return SwarmTracker(config, hand.anatomy, objective, observer, finder)
-    keypoint_hands = None if keypoints is None else KeypointHands(keypoints, camera, hand.anatomy)
+    keypoint_hands = None
+    if keypoints is not None:
+        keypoint_hands = KeypointHands(keypoints, camera, hand.anatomy, alone=alone)
     return HandTracker(config, hand.anatomy, scorer, observer, finder, keypoint_hands, alone=alone)
 
 

@@ -188,6 +188,10 @@ class HandTracker:
         found = (one for place in likely for one in self._finder.candidates_at(depth, [place]))
         return [one for one in found if one.cost <= ACCEPT_MM]
 
+    def visible_share(self, depth: ImageArray, found: Candidate) -> float:
+        """Return the share of a hand in an image (height, width), mm, that no other hand hides."""
+        return self._observer.outline(depth, found.pose, found.inner[THUMB]).visible
+
     def _observe(self, state: HandState, frame: Frame, dt: float, rng: np.random.Generator) -> FrameFit:
         """Fit the frame around its prediction; search where the hand is lost or the fit is doubtful."""
         hands = () if self._keypoints is None else self._keypoints.of(frame)

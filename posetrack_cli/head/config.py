@@ -172,8 +172,9 @@ class ParticleSettings(Settings):
 class HeadStatusSettings(Settings):
     """Status of a frame: tracking or lost **[ours]**.
 
-    A frame's score is the mean correlation of its visible points. Confidence is the probability that the
-    frame is right; a frame below `doubtful_below` is reported as lost, but tracking continues from it.
+    A frame's score is the mean correlation of its visible points. Below `check_below`, the motion of the
+    whole face since the previous frame is tried. Confidence is the probability that the frame is right; a
+    frame below `doubtful_below` is reported as lost, but tracking continues from it.
     """
 
     tracking_above: Fraction = setting(
@@ -183,6 +184,7 @@ class HeadStatusSettings(Settings):
         PROBABLY, "report frames with a lower confidence as lost, but keep tracking"
     )
     lost_after_frames: Count = setting(3, "search for the face again after this many lost frames in a row")
+    check_below: Fraction = setting(0.6, "below this score, try the motion of the whole face")
 
 
 class FaceSettings(Settings):
@@ -442,6 +444,7 @@ STEREO = (
     PrintedSetting("(3.3)", "refinement.epsilon", 2000.0),
     PrintedSetting("(3.4)", "refinement.previous_likeness", 0.0),
     PrintedSetting("(3.1)", "refinement.expressions", False),
+    PrintedSetting("3.3", "status.check_below", 0.0),
     PrintedSetting("3.2.2", "refinement.settling_mm", 0.01),
 )
 MONO = (

@@ -255,6 +255,12 @@ class SurfaceRenderer(Protocol):
     def place(self, index: int, vertices: FloatArray, normals: FloatArray) -> None:
         """Move a surface: vertices (V, 3) mm and normals (V, 3); zero normals disable shading."""
 
+    def paint(self, index: int, first: tuple[int, int], texels: ImageArray) -> None:
+        """Replace texels (height, width, 2) of a surface's texture, from a first row and column.
+
+        Coarser levels of the texture follow as far as powers of two divide the window's place and size.
+        """
+
     def image(self, camera: Camera, lighting: Lighting) -> Float32Array:
         """Return the camera's image (height, width), reflectance times light; 0 where empty."""
 

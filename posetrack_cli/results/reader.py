@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import IO, TYPE_CHECKING
 
 from mcap.records import Attachment, Channel, Metadata, Schema
@@ -64,6 +65,9 @@ if TYPE_CHECKING:
 PATTERN = "the shell expands patterns only if they are not quoted"
 NO_SCHEMA = Schema(id=0, name="", encoding="", data=b"")
 NO_ESTIMATES = "the file has no estimates: the run ended before its first flush"
+
+
+NO_NAMES: Mapping[str, Sequence[str]] = MappingProxyType({})
 
 
 class ResultWarning(UserWarning):
@@ -273,21 +277,24 @@ class Result:
         topic = self.topic_of_estimates(topic)
         return self.columns_of({topic: fields or self.field_names})[topic]
 
-    def columns_of(self, wanted: Mapping[str, Collection[str]]) -> dict[str, Columns]:
+    def columns_of(
+        self, wanted: Mapping[str, Collection[str]], names: Mapping[str, Sequence[str]] = NO_NAMES
+    ) -> dict[str, Columns]:
         """Return the ``columns`` of several topics, read in one pass over the file.
 
         Args:
             wanted: fields by topic.
+            names: names of the additional numbers to return by topic, by default the subject's.
         """
-        where, numbers = f"{self.path}, ", self.subject.number_names
+        numbers = {topic: names.get(topic, self.subject.number_names) for topic in wanted}
         readers = {
-            topic: BlockReader(fields, BLOCK_FRAMES, f"{where}{topic}", numbers)
+            topic: BlockReader(fields, BLOCK_FRAMES, f"{self.path}, {topic}", numbers[topic])
             for topic, fields in wanted.items()
         }
         grown = {topic: Joiner() for topic in wanted}
         for item in self._messages(tuple(wanted)):
             topic = item[1].topic
-            if (block := readers[topic].add(self._json(item))) is not None:
+            if (block := readers[topic].add(json_of_estimate(item, numbers[topic]))) is not None:
                 grown[topic].add(self._checked(topic, block))
         for topic, reader in readers.items():
             if (block := reader.rest()) is not None:

@@ -19,7 +19,7 @@ from posetrack_cli.recording.base import TRUTH_PREFIX
 from posetrack_cli.recording.conversion import CHUNK_BYTES
 from posetrack_cli.results import messages
 from posetrack_cli.results.estimate import Estimate, Subject
-from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA, ESTIMATE_SCHEMA_NAME, estimate_to_json
+from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA_NAME, estimate_schema, estimate_to_json
 
 # Timeline: stamps, late and missing frames
 
@@ -232,11 +232,12 @@ class TruthChannels:
         prefix = f"{TRUTH_PREFIX}{subject.name}"
         self._odometry = sink.channel(f"{prefix}/odometry", messages.Odometry)
         self._joints = sink.channel(f"{prefix}/{joints}", messages.JointStates)
-        self._estimate = sink.json_channel(f"{prefix}/estimate", ESTIMATE_SCHEMA_NAME, ESTIMATE_SCHEMA)
+        schema = estimate_schema(subject.number_names)
+        self._estimate = sink.json_channel(f"{prefix}/estimate", ESTIMATE_SCHEMA_NAME, schema)
 
     def write(self, frame: SyntheticFrame) -> None:
         """Write the ground truth of one frame."""
         truth = frame.truth()
         self._sink.write(self._odometry, frame.stamp_ns, serialised(messages.odometry(truth, self._subject)))
         self._sink.write(self._joints, frame.stamp_ns, serialised(frame.joint_states()))
-        self._sink.write(self._estimate, frame.stamp_ns, estimate_to_json(truth))
+        self._sink.write(self._estimate, frame.stamp_ns, estimate_to_json(truth, self._subject.number_names))

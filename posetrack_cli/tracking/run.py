@@ -70,6 +70,7 @@ class Run(ABC):
         record: run record; set by the subclass.
         cameras: cameras stored in the result, the reference camera first.
         velocity_model: model for estimating velocities one frame late; None keeps the tracker's velocities.
+        current: estimates of all subjects in the last frame written.
     """
 
     tracker: Tracker[Any]
@@ -83,6 +84,7 @@ class Run(ABC):
         self._tracked = 0  # frames tracked by this process
         self._ended_s: float | None = None  # time at which all frames were tracked
         self._stamps = StampCheck()
+        self.current: tuple[Estimate, ...] = ()
         if frames_ahead(recording, options) == 0:
             raise nothing_to_track(recording)
         self.cameras = recording.cameras
@@ -116,7 +118,7 @@ class Run(ABC):
     def estimates(self, stopped: Stopped = lambda: False) -> Generator[Estimate, None, RunOutcome]:
         """Track every frame, yield each estimate after it is written, and return the outcome.
 
-        Of several subjects, only the first one's estimates are yielded.
+        Of several subjects, only the first one's estimates are yielded; ``current`` has all of that frame.
 
         Closing the generator early leaves the result unfinished, as NAME.part.
 
@@ -218,6 +220,7 @@ class Run(ABC):
                     run_state = step.after
                     self._write(writer, memory, step)
                     self._tracked += 1
+                    self.current = step.estimates
                     yield step.estimate
                     if stopped():
                         return self._outcome(writer, began, stopped=True)

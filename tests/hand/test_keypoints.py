@@ -129,6 +129,19 @@ def test_points_within_millimetres_are_no_hand(scatter_mm: float) -> None:
         assert KeypointHands(told_of([points]), KINECT, RIGHT.anatomy).of(frame) == ()
 
 
+@pytest.mark.parametrize(
+    ("alone", "sides", "used"), [(False, "as told", 1), (False, UNSURE, 2), (True, "as told", 2)]
+)
+def test_of_two_tracked_hands_each_uses_its_own_keypoints(alone: bool, sides: str, used: int) -> None:
+    own, other = (relaxed(x, 0.0, 650.0) for x in (-90.0, 90.0))
+    points = np.array([joints_of(own), joints_of(other)])
+    sets = KeypointSets(np.zeros(2, dtype=np.int64), False, points, np.ones((2, 21)), np.array([1.0, 0.0]))
+    file = KeypointFile("k", "", sets, False, "mm", sides)
+    frame = Frame(0, 0, (np.zeros((424, 512), dtype=np.float32),))
+    hands = KeypointHands(file, KINECT, RIGHT.anatomy, alone=alone).of(frame)
+    assert len(hands) == used and error(hands[0].pose, own) < FITTED_MM
+
+
 # Pixels and depth
 
 

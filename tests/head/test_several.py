@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from posetrack_cli.api import track_head
 from posetrack_cli.cli.main import run
+from posetrack_cli.configuration import load_settings
 from posetrack_cli.evaluation.measuring.evaluate import EvalOptions, evaluate
 from posetrack_cli.evaluation.measuring.evaluation import Statistics
 from posetrack_cli.geometry.camera import Camera
@@ -27,9 +29,8 @@ from support.two_people import Walker, make_recording
 
 FPS, FRAMES = 15.0, 24
 CAMERA = Camera(400, 300, 350.0, 350.0, 199.5, 149.5)
-CONFIG = HeadMonoConfig.model_validate(
-    {"particles": {"count": 100}, "adjustment": {"views": 6}, "skin": {"use": False}}
-)
+SETTINGS = {"particles.count": 100, "adjustment.views": 6, "skin.use": False}
+CONFIG = load_settings(HeadMonoConfig, [], SETTINGS)
 HIDDEN = range(10, 14)
 """Frames in which the head behind is covered by more than half."""
 
@@ -66,7 +67,10 @@ def tracked(recording: Path, output: Path, *, stop_after: int | None = None, res
 @pytest.fixture(scope="module")
 def result(crossing: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("result") / "two.mcap"
-    tracked(crossing, path)
+    source = open_recording(crossing, "grey", fps=FPS)
+    tracking = track_head(source, faces="all", settings=SETTINGS, output=path, smooth=True)
+    counts = {len(tracking.current) for _ in tracking}
+    assert counts == {2} and tracking.subject.label == "1"
     return path
 
 

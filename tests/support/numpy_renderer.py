@@ -6,11 +6,11 @@ have one sample a pixel and the nearest texel.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from posetrack_cli.arrays import Float32Array, FloatArray, IntArray
+from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray, IntArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.rendering.mesh import SkinnedMesh
 from posetrack_cli.rendering.port import (
@@ -99,12 +99,19 @@ class NumpySurfaceRenderer:
     """Draws lit surfaces (``rendering.port.SurfaceRenderer``)."""
 
     def __init__(self, size: tuple[int, int], surfaces: list[Surface]) -> None:
-        self._size, self._surfaces = size, surfaces
+        self._size, self._surfaces = size, list(surfaces)
         self._vertices = [np.zeros((len(surface.texcoords), 3)) for surface in surfaces]
         self._normals = [np.zeros((len(surface.texcoords), 3)) for surface in surfaces]
 
     def place(self, index: int, vertices: FloatArray, normals: FloatArray) -> None:
         self._vertices[index], self._normals[index] = np.array(vertices), np.array(normals)
+
+    def paint(self, index: int, first: tuple[int, int], texels: ImageArray) -> None:
+        row, column = first
+        surface = self._surfaces[index]
+        texture = surface.texture.copy()
+        texture[row : row + len(texels), column : column + texels.shape[1]] = texels
+        self._surfaces[index] = replace(surface, texture=texture)
 
     def image(self, camera: Camera, lighting: Lighting) -> Float32Array:
         transform = np.array(camera.camera_T_reference)

@@ -13,8 +13,8 @@ from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.errors import ResultError, UsageError
 from posetrack_cli.evaluation.measuring.catalogue import addresses, metric_of
 from posetrack_cli.evaluation.measuring.evaluation import Curve, Evaluation, Value
+from posetrack_cli.evaluation.measuring.face_metrics import GAZE_NAMES, face_metrics
 from posetrack_cli.evaluation.measuring.face_metrics import NAMES as FACE_NAMES
-from posetrack_cli.evaluation.measuring.face_metrics import face_metrics
 from posetrack_cli.evaluation.measuring.honesty import JudgedFrames
 from posetrack_cli.evaluation.measuring.measures import Matched, Measures, rows_of
 from posetrack_cli.evaluation.measuring.subjects import KINDS
@@ -35,7 +35,6 @@ from posetrack_cli.evaluation.reading.alignment import (
 )
 from posetrack_cli.evaluation.reading.identities import Identities, Identity, identities
 from posetrack_cli.evaluation.reading.tracks import (
-    MOTION_FIELDS,
     Coverage,
     Pairs,
     Track,
@@ -47,7 +46,7 @@ from posetrack_cli.evaluation.reading.tracks import (
     track_fields,
     track_of_columns,
 )
-from posetrack_cli.evaluation.reading.truth import estimate_truth_topic, load_truth
+from posetrack_cli.evaluation.reading.truth import estimate_truth_topic, load_truth, truth_fields
 from posetrack_cli.evaluation.reading.truth_tables import truth_warnings
 from posetrack_cli.losses import Loss, LossLog
 from posetrack_cli.results.reader import Result, read_result
@@ -65,6 +64,7 @@ NO_TRUTH = "no ground truth: the result contains none, and --truth was not given
 NO_IMAGES = "the recording has none of the result's frames"
 NO_OVERLAP = "the estimate overlaps the observed hand in no frame"
 NO_LANDMARKS = "requires landmarks of the face: pass them with --face-truth"
+NO_EYES = "the ground truth has no gaze"
 NO_RECORDING = "requires the images: pass the recording with --recording"
 FALSE_TRACK = "follows no subject of the ground truth"
 _ONE_TRACK = "one track and one subject"
@@ -161,7 +161,9 @@ def evaluate(path: Path, options: EvalOptions = DEFAULT_OPTIONS, name: str | Non
     has_truth = known is None or of.truth is not None
     topic = result.topic_of_track(options.track)
     true = estimate_truth_topic(result, options.truth, of.truth) if has_truth else None
-    columns = result.columns_of({topic: track_fields(result)} | ({true: MOTION_FIELDS} if true else {}))
+    fields, names = truth_fields(result.subject)
+    wanted = {topic: track_fields(result)} | ({true: fields} if true else {})
+    columns = result.columns_of(wanted, {true: names} if true and names else {})
     track = track_of_columns(columns.pop(topic), result, name or plain_name(path))
     truth = None
     if has_truth:
@@ -407,7 +409,7 @@ def _reason(measures: Measures, address: str, truth: Track | None) -> str:
     """Return why an address has no value: its own or its metric's reason, else that of its group."""
     metric = metric_of(address)
     if address in FACE_NAMES:
-        return measures.absent.get(address, NO_LANDMARKS)
+        return measures.absent.get(address, NO_EYES if address in GAZE_NAMES else NO_LANDMARKS)
     if truth is None and metric.group in (*AGAINST_TRUTH, "coverage"):
         return NO_TRUTH
     reason = measures.absent.get(address) or measures.absent.get(metric.name)

@@ -1,4 +1,5 @@
-"""Metrics of the dense face against landmarks: lips, lids, brows, blinks."""
+"""Metrics of the dense face: lips, lids, brows and blinks against landmarks, or lids, blinks and gaze against
+the ground truth of synthetic recordings."""
 
 from __future__ import annotations
 
@@ -6,10 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray, IntArray
-from posetrack_cli.evaluation.measuring.measures import Measures, Metric
+from posetrack_cli.arrays import BoolArray, FloatArray, IntArray
+from posetrack_cli.evaluation.measuring.measures import Matched, Measures, Metric
+from posetrack_cli.evaluation.measuring.pose_metrics import inside_interval
 from posetrack_cli.evaluation.reading.tracks import Track, associate
 from posetrack_cli.evaluation.reading.truth_tables import Columns, open_table, read_columns
+from posetrack_cli.geometry.rotations import conjugate, rotate
 from posetrack_cli.head.blinks import intervals
 from posetrack_cli.head.dense.numbers import CLOSED
 
@@ -19,6 +22,9 @@ CLOSED_BELOW = 0.5
 """Opening of the lids, between a recording's least and usual one, below which true eyes are closed."""
 SLACK_S = 0.1
 """Time by which a detected blink may miss a true one."""
+
+
+SIDES = ("right", "left")
 
 
 def _pair(name: str, of: str) -> tuple[Metric, Metric]:
@@ -39,8 +45,21 @@ FACE_METRICS = (
         better="higher",
         scalar=True,
     ),
+    *(
+        Metric(f"{side}_gaze_deg", "deg", f"Angle between the estimated and the true gaze of the {side} eye.")
+        for side in SIDES
+    ),
+    Metric(
+        "gaze_inside_90",
+        "",
+        "Share of the gazes' angles within their stated 90 % interval.",
+        better="neither",
+        scalar=True,
+        pooled=True,
+    ),
 )
 NAMES = tuple(metric.name for metric in FACE_METRICS)
+GAZE_NAMES = NAMES[-3:]
 
 
 def face_metrics(measures: Measures, track: Track, path: Path, tolerance_ns: int) -> None:
@@ -59,27 +78,68 @@ def face_metrics(measures: Measures, track: Track, path: Path, tolerance_ns: int
         return measures.lack("the result has no dense face", *NAMES)
     truth = read_columns(open_table(path), [f"p{k}_{axis}_mm" for k in NUMBERS_USED for axis in "xyz"])
     pairs = associate(track.stamp_ns, truth.stamp_ns, tolerance_ns)
-    numbers = track.numbers[pairs.estimate].copy()
-    if track.lost is not None:
-        numbers[track.lost[pairs.estimate]] = np.nan
-    stated = dict(zip(track.number_names, numbers.T, strict=True))
+    stated = _stated(track, pairs.estimate)
     true = _lengths(truth, pairs.truth)
     _compare(measures, "lip_gap", stated["action_lip_gap_mm"][:, None], true["gap"])
-    lids = np.stack([stated[f"action_{side}_lid_mm"] for side in ("right", "left")], axis=1)
-    _compare(measures, "lid_opening", lids, true["lids"], relative=True)
+    _compare(measures, "lid_opening", _lids(stated), true["lids"], relative=True)
     brows = np.stack(
-        [
-            0.5 * sum(stated[f"action_{side}_brow_{part}_mm"] for part in ("inner", "outer"))
-            for side in ("right", "left")
-        ],
+        [0.5 * sum(stated[f"action_{side}_brow_{part}_mm"] for part in ("inner", "outer")) for side in SIDES],
         axis=1,
     )
     _compare(measures, "brow_height", brows, true["brows"], relative=True)
     lid = true["lids"].mean(axis=1)
     low, usual = np.quantile(lid, [0.02, 0.6]) if len(lid) else (0.0, 0.0)
     closed = lid < low + CLOSED_BELOW * (usual - low)
-    stamps = truth.stamp_ns[pairs.truth]
-    score = blink_f1(intervals(stated[CLOSED] == 1.0, stamps), intervals(closed, stamps))
+    _blinks(measures, stated, closed, truth.stamp_ns[pairs.truth])
+
+
+def eye_metrics(measures: Measures, matched: Matched) -> None:
+    """Add the metrics of lids, blinks and gaze against true numbers (``TRUE_NUMBERS``), if there are some."""
+    track, truth = matched.estimate, matched.truth
+    if CLOSED not in track.number_names or truth.numbers is None or np.isnan(truth.numbers).all():
+        return None
+    stated, true = _stated(track, matched.pairs.estimate), _stated(truth, matched.pairs.truth)
+    _compare(measures, "lid_opening", _lids(stated), _lids(true), relative=True)
+    _blinks(measures, stated, true[CLOSED] == 1.0, truth.stamp_ns[matched.pairs.truth])
+    if matched.lacks("quaternion"):
+        return None
+    from_camera = conjugate(matched.of_truth("quaternion"))
+    normalised = []
+    for side in SIDES:
+        mine, theirs = (
+            np.stack([numbers[f"{side}_gaze_{axis}"] for axis in "xyz"], axis=1) for numbers in (stated, true)
+        )
+        known = ~np.isnan((mine + theirs).sum(axis=1))
+        if not known.any():
+            return measures.lack("no gaze is known", *GAZE_NAMES)
+        cosine = np.clip(np.sum(mine * theirs, axis=1), -1.0, 1.0)
+        measures.add(f"{side}_gaze_deg", np.degrees(np.arccos(cosine)), known)
+        off = _angles(rotate(from_camera, mine)) - _angles(rotate(from_camera, theirs))
+        normalised.append(np.square(off / stated[f"{side}_gaze_sd_rad"][:, None])[known])
+    return measures.share("gaze_inside_90", inside_interval(np.concatenate(normalised)))
+
+
+def _angles(gaze: FloatArray) -> FloatArray:
+    """Return the angles (..., 2) to the left and up of directions (..., 3) in the head's axes."""
+    x, y, z = np.moveaxis(gaze, -1, 0)
+    return np.stack([np.arctan2(x, z), np.arcsin(np.clip(y, -1.0, 1.0))], axis=-1)
+
+
+def _stated(track: Track, rows: IntArray) -> dict[str, FloatArray]:
+    """Return rows of a track's numbers by name; NaN in lost frames."""
+    assert track.numbers is not None
+    numbers = track.numbers[rows].copy()
+    if track.lost is not None:
+        numbers[track.lost[rows]] = np.nan
+    return dict(zip(track.number_names, numbers.T, strict=True))
+
+
+def _lids(numbers: dict[str, FloatArray]) -> FloatArray:
+    return np.stack([numbers[f"action_{side}_lid_mm"] for side in SIDES], axis=1)
+
+
+def _blinks(measures: Measures, stated: dict[str, FloatArray], closed: BoolArray, stamp_ns: IntArray) -> None:
+    score = blink_f1(intervals(stated[CLOSED] == 1.0, stamp_ns), intervals(closed, stamp_ns))
     if np.isnan(score):
         measures.lack("no blink in result or truth", "blink_f1")
     else:

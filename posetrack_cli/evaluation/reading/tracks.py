@@ -227,8 +227,6 @@ def track_of_columns(columns: Columns, result: Result, name: str) -> Track:
         evaluations=_known(columns["evaluations"]),
         resampled=columns["resampled"],
         frame_index=columns["frame_index"],
-        numbers=columns.get(NUMBERS),
-        number_names=result.subject.number_names,
     )
 
 
@@ -268,6 +266,8 @@ def _motion(columns: Columns, name: str, subject: Subject) -> dict[str, Any]:
         "shape": columns["shape"],
         "twist": _known(columns["twist"]),
         "points": columns["points"] if subject.point_names else None,
+        "numbers": columns.get(NUMBERS),
+        "number_names": subject.number_names if NUMBERS in columns else (),
     }
 
 

@@ -23,6 +23,7 @@ from posetrack_cli.evaluation.reading.truth_topics import (
 )
 from posetrack_cli.geometry.rigid import rotation_from_rows
 from posetrack_cli.geometry.rotations import canonical, quaternions_from_matrices
+from posetrack_cli.head.dense.numbers import TRUE_NUMBERS
 from posetrack_cli.head.subject import HEAD
 from posetrack_cli.losses import LossLog
 from posetrack_cli.mcap.stream import McapFile, is_mcap
@@ -31,6 +32,7 @@ from posetrack_cli.recording.matching import LATEST_NS
 from posetrack_cli.results.columns import Columns, column_blocks, empty_columns, joined
 from posetrack_cli.results.estimate import Subject
 from posetrack_cli.results.estimate_json import ESTIMATE_SCHEMA_NAME, json_of_estimate
+from posetrack_cli.results.fields import NUMBERS as FURTHER
 from posetrack_cli.results.fields import Sizes
 from posetrack_cli.results.reader import Result, is_result, read_result
 from posetrack_cli.units import NS_PER_S
@@ -247,14 +249,22 @@ def topics_truth(file: McapFile, subject: Subject, name: str) -> Track | None:
 def _estimates_truth(file: McapFile, subject: Subject, name: str) -> Track:
     """Return the ground truth on a topic of ``posetrack.Estimate``."""
     items = file.messages([_estimate_topic(subject.topic)])
-    messages = (json_of_estimate(item, subject.number_names) for item in items)
-    columns = joined(column_blocks(messages, MOTION_FIELDS))
-    return _of_columns(columns or empty_columns(MOTION_FIELDS, Sizes.of(subject)), subject, file.path, name)
+    fields, names = truth_fields(subject)
+    messages = (json_of_estimate(item, names or subject.number_names) for item in items)
+    columns = joined(column_blocks(messages, fields, number_names=names))
+    sizes = Sizes.of(subject)._replace(numbers=len(names))
+    return _of_columns(columns or empty_columns(fields, sizes), subject, file.path, name)
+
+
+def truth_fields(subject: Subject) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the fields of true estimates that are read, and the names of their additional numbers."""
+    return ((*MOTION_FIELDS, FURTHER), TRUE_NUMBERS) if subject.name == HEAD else (MOTION_FIELDS, ())
 
 
 def _of_columns(columns: Columns, subject: Subject, path: Path, name: str) -> Track:
     """Return the ground truth of true estimates; ``name`` is that of the track."""
     sizes = Sizes.of(subject)
+    subject = replace(subject, number_names=truth_fields(subject)[1])
     found = columns["shape"].shape[1], columns["points"].shape[1]
     if found == (0, sizes.points):  # heads, whose deformation is only given by the points
         subject = replace(subject, shape_names=())

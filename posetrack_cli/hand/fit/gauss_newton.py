@@ -9,7 +9,7 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.compiled import borrowing, inlined, kernel
 from posetrack_cli.geometry.kernels import quaternion_product
-from posetrack_cli.geometry.least_squares import solve
+from posetrack_cli.geometry.least_squares import solve_positive
 from posetrack_cli.hand.fit.anatomy_terms import SPHERES, Plausibility, add_anatomy
 from posetrack_cli.hand.fit.normal_equations import (
     ARM_PLACE,
@@ -352,7 +352,7 @@ def descend(
             _keep(pose, inner, workspace.data, cost, out)
         if k < iterations:
             add_inner_prior(tile.expected, inner, hand.thumb, workspace.posed, workspace.whole)
-            solve(workspace.whole.matrix, workspace.whole.vector, delta)
+            solve_positive(workspace.whole.matrix, workspace.whole.vector, delta)
             step_pose(pose, delta, most)
             _move_inner(inner, delta, workspace.posed, most)
 

@@ -18,7 +18,7 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray, IntArray
 from posetrack_cli.compiled import borrowing, kernel
 from posetrack_cli.geometry import rotations
-from posetrack_cli.geometry.least_squares import geman_mcclure, solve
+from posetrack_cli.geometry.least_squares import geman_mcclure, solve_positive
 from posetrack_cli.geometry.rigid import rigid_alignment
 from posetrack_cli.hand.fit.anatomy_terms import SPHERES, Plausibility, add_anatomy, plausibility_of
 from posetrack_cli.hand.fit.gauss_newton import Steps, step_pose
@@ -164,8 +164,7 @@ def fit_targets(
             equations.matrix[i, i] += (
                 _MIN_PRECISION[0] if i < 3 else (_MIN_PRECISION[1] if i < 6 else _MIN_PRECISION[2])
             )
-        of_pose = equations.matrix[:TANGENT_SIZE, :TANGENT_SIZE].copy()  # inner numbers are not fitted
-        solve(of_pose, equations.vector[:TANGENT_SIZE].copy(), step)
+        solve_positive(equations.matrix, equations.vector, step)  # inner numbers are not fitted
         step_pose(pose, step, most)
 
 

@@ -16,7 +16,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray, IntArray
+from posetrack_cli.arrays import Float32Array, FloatArray, IntArray
 from posetrack_cli.compiled import borrowing, inlined
 from posetrack_cli.geometry.least_squares import geman_mcclure
 from posetrack_cli.hand.fit.normal_equations import RESIDUAL, ROW, NormalEquations, add_row
@@ -74,6 +74,9 @@ class Terms(NamedTuple):
     most_unexplained: int = 96
 
 
+_INDEX = np.int32(2**14 - 1)
+"""Bits of a float32 that hold an index."""
+
 Pull: TypeAlias = tuple[float, float, float, float, float]
 """Direction of the point (3), residual, mm, and weight, 1 / mm^2 (0 for none)."""
 
@@ -84,15 +87,15 @@ class TermBuffers(NamedTuple):
     Attributes:
         points: (h w, 3) unexplained points.
         vertices: (V,) visible vertices.
-        places: (3, V) their positions, one row per coordinate.
+        places: (3, V) their positions, one row per coordinate; accurate enough to find the nearest.
         squares: (V,) squared distances from a point.
         row: (12,) of one residual.
     """
 
     points: FloatArray
     vertices: IntArray
-    places: FloatArray
-    squares: FloatArray
+    places: Float32Array
+    squares: Float32Array
     row: FloatArray
 
 
@@ -100,7 +103,9 @@ def empty_buffers(skin: Skin, height: int, width: int) -> TermBuffers:
     """Return the buffers for one image."""
     count = len(skin.mesh.vertices)
     points, vertices = np.zeros((height * width, 3)), np.zeros(count, dtype=np.int64)
-    return TermBuffers(points, vertices, np.zeros((3, count)), np.zeros(count), np.zeros(ROW))
+    return TermBuffers(
+        points, vertices, np.zeros((3, count), np.float32), np.zeros(count, np.float32), np.zeros(ROW)
+    )
 
 
 @borrowing
@@ -236,7 +241,8 @@ def _add_closest(
     row, vertices = buffers.row, drawing.vertices
     for k in range(0, count, stride):
         x, y, z = buffers.points[k, 0], buffers.points[k, 1], buffers.points[k, 2]
-        v = buffers.vertices[_nearest(buffers.places, buffers.squares, facing, x, y, z)]
+        place = np.float32(x), np.float32(y), np.float32(z)
+        v = buffers.vertices[_nearest(buffers.places, buffers.squares, facing, *place)]
         px, py, pz = vertices[v, 0], vertices[v, 1], vertices[v, 2]
         dx, dy, dz = x - px, y - py, z - pz
         distance = np.sqrt(dx * dx + dy * dy + dz * dz)
@@ -264,20 +270,22 @@ def _note_facing(drawing: Drawing, buffers: TermBuffers) -> int:
 
 
 @borrowing
-def _nearest(places: FloatArray, squares: FloatArray, count: int, x: float, y: float, z: float) -> int:
-    """Return the index of the first nearest one of the ``count`` first places (3, V)."""
+def _nearest(
+    places: Float32Array, squares: Float32Array, count: int, x: np.float32, y: np.float32, z: np.float32
+) -> int:
+    """Return the index of the nearest one of the ``count`` first places (3, V).
+
+    Squares within 2^-9 of each other count as equal: their last bits hold the index, and as non-negative
+    floats sort like their bits, the least bits name the nearest. Minima of integers vectorise.
+    """
+    across, down, along = places[0], places[1], places[2]
     for m in range(count):
-        ex, ey, ez = x - places[0, m], y - places[1, m], z - places[2, m]
+        ex, ey, ez = x - across[m], y - down[m], z - along[m]
         squares[m] = ex * ex + ey * ey + ez * ez
-    # non-negative floats sort like their bits, and a minimum of integers vectorises
-    bits = squares.view(np.int64)
-    least = bits[0]
-    for m in range(1, count):
-        least = min(least, bits[m])
-    first = 0
-    while bits[first] != least:
-        first += 1
-    return first
+    bits, least = squares.view(np.int32), np.int32(2**31 - 1)
+    for m in range(count):
+        least = min(least, np.int32((bits[m] & ~_INDEX) | m))
+    return least & _INDEX
 
 
 @borrowing

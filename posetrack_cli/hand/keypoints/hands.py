@@ -105,16 +105,22 @@ class KeypointHands:
         keypoints: the file.
         camera: of the depth images.
         anatomy: the hand that is fitted.
+        alone: whether no other hand is tracked; else sets that are surely the other side's are left out.
     """
 
-    def __init__(self, keypoints: KeypointFile, camera: Camera, anatomy: HandAnatomy) -> None:
+    def __init__(
+        self, keypoints: KeypointFile, camera: Camera, anatomy: HandAnatomy, *, alone: bool = True
+    ) -> None:
         self._file, self._camera, self._anatomy = keypoints, camera, anatomy
+        self._trusts_labels = not alone and keypoints.sides != UNSURE
 
     def of(self, frame: Frame) -> tuple[KeypointHand, ...]:
         """Return the hands fitted to a frame's sets, without sets that fit no hand."""
         sets = self._file.sets
         rows = sets.of(frame.index, frame.stamp_ns)
         best = rows.start + np.argsort(-sets.scores[rows].mean(axis=1), kind="stable")[:MAX_HANDS]
+        if self._trusts_labels:
+            best = best[~(sets.right[best] > 0.5 if self._anatomy.is_left else sets.right[best] < 0.5)]
         return tuple(hand for k in best if (hand := self._hand(frame.depth, int(k))) is not None)
 
     def shares(self, frame: Frame) -> list[float]:

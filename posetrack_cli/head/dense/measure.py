@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.head.dense.network import EYE_NETWORK, LEAST_SD, MOUTH_NETWORK, Located, Network
-from posetrack_cli.head.dense.points import DENSE_COUNT, EYE_POINTS, MOUTH_POINTS
+from posetrack_cli.head.dense.network import EYE_NETWORK, GAZE_NETWORK, MOUTH_NETWORK, Network
+from posetrack_cli.head.dense.points import DENSE_COUNT, EYE_POINTS, MOUTH_POINTS, RIGHT_LIDS
 from posetrack_cli.head.dense.regions import (
     LEFT_EYE,
     MOUTH_REGION,
     RIGHT_EYE,
     Region,
     crop,
+    gaze_region,
     image_from_crop,
 )
 from posetrack_cli.head.face.points import HeadPose
@@ -31,6 +32,13 @@ _PARTS: tuple[tuple[Region, str, tuple[int, ...]], ...] = (
     (RIGHT_EYE, EYE_NETWORK, EYE_POINTS[0]),
     (LEFT_EYE, EYE_NETWORK, EYE_POINTS[1]),
 )
+
+
+_CORNERS = [EYE_POINTS[0].index(RIGHT_LIDS[corner]) for corner in (0, 3)]
+CONVERGENCE_RAD, CONVERGENCE_SD_RAD = 0.05, 0.04
+"""Usual angle between the eyes, which look at places 1.3 m away, and its standard deviation."""
+EYES_ALIKE = 0.3
+"""Correlation of both eyes' errors."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +69,7 @@ def measure(networks: Mapping[str, Network], images: RigImages, pose: HeadPose) 
     estimates of several images are added as information.
     """
     information, weighted = np.zeros((DENSE_COUNT, 3, 3)), np.zeros((DENSE_COUNT, 3))
-    gaze_information, gaze = np.zeros((2, 1)), np.zeros((2, 2))
+    gazes: tuple[list[FloatArray], list[FloatArray]] = ([], [])
     for view in images.views:
         if view is None:
             continue
@@ -75,27 +83,24 @@ def measure(networks: Mapping[str, Network], images: RigImages, pose: HeadPose) 
                 continue
             information[rows] += seen.information
             weighted[rows] += np.einsum("kij,kj->ki", seen.information, seen.places)
-            if seen.gaze is not None:
-                side = int(region.mirrored)
-                weight = seen.gaze[2] ** -2
-                gaze_information[side] += weight
-                gaze[side] += weight * seen.gaze[:2]
+            if name == EYE_NETWORK:
+                middle = seen.places[_CORNERS].mean(axis=0)
+                gazes[int(region.mirrored)].extend(
+                    _gaze(networks[GAZE_NETWORK], gaze_region(middle, mirrored=region.mirrored), view, pose)
+                )
     known = information[:, 0, 0] > 0.0
     places, covariances = np.full((DENSE_COUNT, 3), np.nan), np.full((DENSE_COUNT, 3, 3), np.nan)
     covariances[known] = np.linalg.inv(information[known])
     places[known] = np.einsum("kij,kj->ki", covariances[known], weighted[known])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        gazes = np.hstack([gaze / gaze_information, gaze_information**-0.5])
-    return DensePoints(places, covariances, np.where(np.isfinite(gazes), gazes, np.nan))
+    return DensePoints(places, covariances, together(np.array([_mean_gaze(one) for one in gazes])))
 
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """Points of a region in one image: places (P, 3) mm, information (P, 3, 3), gaze (3,) of an eye."""
+    """Points of a region in one image: places (P, 3) mm and information (P, 3, 3)."""
 
     places: FloatArray
     information: FloatArray
-    gaze: FloatArray | None
 
 
 def _in_view(
@@ -118,16 +123,40 @@ def _in_view(
     depth_sd = DEPTH_SD_MM / np.abs(along[:, 2])
     information = (np.eye(3) - outer) / np.square(across_sd)[:, None, None]
     information += outer / np.square(depth_sd)[:, None, None]
-    return _Seen(places, information, _gaze(found, region))
+    return _Seen(places, information)
 
 
-def _gaze(found: Located, region: Region) -> FloatArray | None:
-    if not found.further.size:
-        return None
-    side, up, log_spread = found.further
-    # the spread is that of a Laplace distribution
-    sd = np.sqrt(2.0) * (np.exp(log_spread) + LEAST_SD)
-    return np.array([-side if region.mirrored else side, up, sd])
+def _gaze(network: Network, region: Region, view: CameraImage, pose: HeadPose) -> Iterator[FloatArray]:
+    """Yield the gaze (3,) of an eye in one image, if it is inside."""
+    homography = image_from_crop(region, pose, view.camera)
+    if homography is not None and _is_inside(homography, region, view.image):
+        side, up, sd = network.gaze(crop(view.image, homography, region))
+        yield np.array([-side if region.mirrored else side, up, sd])
+
+
+def _mean_gaze(views: Sequence[FloatArray]) -> FloatArray:
+    """Return the mean of an eye's gazes (3,); their errors are those of the person, so they do not cancel."""
+    if not views:
+        return np.full(3, np.nan)
+    values = np.array(views)
+    weights = values[:, 2] ** -2
+    return np.append(weights @ values[:, :2] / weights.sum(), weights.mean() ** -0.5)
+
+
+def together(gazes: FloatArray) -> FloatArray:
+    """Return gazes (2, 3) of eyes that look at one place, given each eye's own estimate.
+
+    Their angles upwards are equal, and they converge by an angle of which something is known before.
+    """
+    if np.isnan(gazes).any():
+        return gazes
+    (right, left), variances = gazes[:, :2], gazes[:, 2] ** 2
+    share = variances[::-1] / variances.sum()
+    known = CONVERGENCE_SD_RAD**2 / (CONVERGENCE_SD_RAD**2 + variances.sum())
+    half = 0.5 * (CONVERGENCE_RAD + known * (right[0] - left[0] - CONVERGENCE_RAD))
+    ahead = share @ (gazes[:, :2] - [[half, 0.0], [-half, 0.0]])
+    sd = np.sqrt(0.5 * (1.0 + EYES_ALIKE) * variances.mean())
+    return np.array([[ahead[0] + half, ahead[1], sd], [ahead[0] - half, ahead[1], sd]])
 
 
 def _camera_centre(camera: Camera, pose: HeadPose) -> FloatArray:

@@ -1,7 +1,8 @@
 """Small convolutional networks that locate points in crops of a face **[ours]**.
 
 A crop of mean 0 and standard deviation 1 passes convolutions with stride 2 and two full layers. The outputs
-are, for each point, crop pixels, mm in front of the region's plane, and the log of a standard deviation.
+are, for each point, crop pixels, mm in front of the region's plane, and the log of a standard deviation; or
+the angles of a gaze with the log of a deviation.
 ``scripts/build face-dense`` trains the weights on rendered faces.
 """
 
@@ -31,7 +32,7 @@ LEAST_SD = 0.02
 LEAST_CONTRAST = 4.0
 """Grey levels added to a crop's standard deviation, so that noise is not amplified."""
 SHIPPED = Path(__file__).with_name("networks.npz")
-MOUTH_NETWORK, EYE_NETWORK = "mouth", "eye"
+MOUTH_NETWORK, EYE_NETWORK, GAZE_NETWORK = "mouth", "eye", "gaze"
 
 
 @kernel
@@ -81,13 +82,11 @@ class Located:
         pixels: (P, 2) crop pixels.
         depths: (P,) mm in front of the region's plane.
         deviations: (P,) standard deviation of each coordinate, crop pixels.
-        further: remaining outputs.
     """
 
     pixels: FloatArray
     depths: FloatArray
     deviations: FloatArray
-    further: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +97,7 @@ class Network:
         convolutions: kernels (size, size, inputs, outputs) and biases.
         full: matrices (inputs, outputs) and biases; inputs of the first are in the order y, x, channel.
         middle: (P, 3) mean places.
-        spread: (P,) factor from stated to actual deviations.
+        spread: (P,) factor from stated to actual deviations; (1,) for the network of gazes.
     """
 
     convolutions: tuple[tuple[Float32Array, Float32Array], ...]
@@ -108,17 +107,25 @@ class Network:
 
     def locate(self, crop: ImageArray) -> Located:
         """Locate the points in a crop."""
+        out = self._outputs(crop)
+        count = len(self.middle)
+        places = out[: 3 * count].reshape(count, 3) * POSITION_SCALE + self.middle
+        deviations = (np.exp(out[3 * count :]) + LEAST_SD) * POSITION_SCALE * self.spread
+        return Located(places[:, :2], places[:, 2], deviations)
+
+    def gaze(self, crop: ImageArray) -> FloatArray:
+        """Return the gaze in an eye's crop: angles to the side of its columns and up, and deviation, rad."""
+        side, up, log_spread = self._outputs(crop)
+        return np.array([side, up, (np.exp(log_spread) + LEAST_SD) * self.spread[0]])
+
+    def _outputs(self, crop: ImageArray) -> FloatArray:
         grey = crop.astype(np.float32)
         layer = ((grey - grey.mean()) / (grey.std() + np.float32(LEAST_CONTRAST)))[..., None]
         for weights, bias in self.convolutions:
             layer = _convolved(np.ascontiguousarray(layer), weights, bias)
         (first, last) = self.full
         hidden = np.maximum(_connected(layer.ravel(), *first), np.float32(0.0))
-        out = _connected(hidden, *last).astype(np.float64)
-        count = len(self.middle)
-        places = out[: 3 * count].reshape(count, 3) * POSITION_SCALE + self.middle
-        deviations = (np.exp(out[3 * count : 4 * count]) + LEAST_SD) * POSITION_SCALE * self.spread
-        return Located(places[:, :2], places[:, 2], deviations, out[4 * count :])
+        return _connected(hidden, *last).astype(np.float64)
 
 
 @lru_cache(maxsize=1)
@@ -137,5 +144,5 @@ def shipped_networks() -> Mapping[str, Network]:
             arrays[f"{name}.middle"],
             arrays[f"{name}.spread"],
         )
-        for name in (MOUTH_NETWORK, EYE_NETWORK)
+        for name in (MOUTH_NETWORK, EYE_NETWORK, GAZE_NETWORK)
     }

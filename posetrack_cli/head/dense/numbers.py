@@ -28,6 +28,14 @@ GAZES = tuple(
     f"{side}_gaze_{part}" for side in _SIDES for part in ("to_left_rad", "up_rad", "sd_rad", "x", "y", "z")
 )
 """Per eye: angles in the head's frame with their standard deviation, and the direction in camera axes."""
+TRUE_NUMBERS = (
+    "action_right_lid_mm",
+    "action_left_lid_mm",
+    *_OPEN,
+    CLOSED,
+    *(name for name in GAZES if not name.endswith("_sd_rad")),
+)
+"""Numbers that synthetic recordings have as ground truth."""
 _PARTS = ("x_mm", "y_mm", "z_mm", "sd_mm", "u_px", "v_px", "sd_px")
 DENSE_NUMBERS = tuple(f"{name}_{part}" for name in DENSE_NAMES for part in _PARTS)
 """Each point in the head's frame and in the reference camera's image, with standard deviations of each

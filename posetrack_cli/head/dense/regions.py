@@ -57,6 +57,12 @@ LEFT_EYE = Region("left_eye", (35.0, 14.0, 4.0), 1.1, 56, 56, mirrored=True)
 REGIONS = (MOUTH_REGION, RIGHT_EYE, LEFT_EYE)
 
 
+def gaze_region(middle: FloatArray, *, mirrored: bool) -> Region:
+    """Return the region of an eye, given the middle (3,) of its corners, mm in the head's frame."""
+    x, y, z = middle.tolist()
+    return Region("gaze", (x, y, z), 0.75, 48, 28, mirrored)
+
+
 def image_from_crop(region: Region, pose: HeadPose, camera: Camera) -> FloatArray | None:
     """Return the homography (3, 3) from crop to image pixels; None for a region behind the camera.
 

@@ -238,8 +238,9 @@ ONLY = np.eye(3, 4)[None]
 """camera_T_reference (1, 3, 4) of a single camera."""
 POSE_SD = np.array([6.0, 6.0, 25.0, *np.radians([6.0, 6.0, 6.0])])
 """(6,) mm and rad about the poses of the feature points: wide, as these may slide."""
-MEASURED_SD = np.array([0.3, 0.3, 0.6, *np.radians([6.0, 6.0, 6.0])])
-"""(6,) the same with several cameras, which measure the position of the points."""
+MEASURED_SD = np.array([0.1, 0.1, 0.2, *np.radians([0.3, 0.3, 0.3])])
+"""(6,) the same with several cameras, which measure the points. Matches of neighbouring views are biased
+towards no motion, which adds up over wide turns."""
 POINT_SD = np.array([2.0, 2.0, 8.0])
 """(3,) mm about the surface."""
 CONVERGED = 1e-4

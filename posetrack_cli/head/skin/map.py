@@ -54,8 +54,8 @@ ROUNDS, STEPS = 2, 8
 """Rounds of matching and adjustment, and steps of each."""
 NEAR, ALIKE = 2, 1
 """Number of views near in time, and with similar pose, that a frame is compared with."""
-ERROR_DEG = 1.5
-"""Typical error of poses from skin; determines their weight."""
+ERROR_DEG, MEASURED_ERROR_DEG = 1.5, 0.7
+"""Typical error of poses from skin with one camera and with several; determines their weight."""
 LEAST_POINTS, ENOUGH_POINTS = 15, 60
 """Number of matched points below which the skin has no weight, and above which it has its full weight."""
 POSE_STEPS = 5
@@ -160,7 +160,8 @@ def make_map(views: Sequence[SkinView], shape: FloatArray, cameras: Sequence[Cam
     matched = match_skin(views, shape, cameras)
     if matched is None:
         return None
-    return replace(matched.map, share=_share(matched.prior.poses.difference(matched.map.poses)))
+    error_deg = ERROR_DEG if len(cameras) == 1 else MEASURED_ERROR_DEG
+    return replace(matched.map, share=_share(matched.prior.poses.difference(matched.map.poses), error_deg))
 
 
 def _transforms(cameras: Sequence[Camera]) -> FloatArray:
@@ -262,15 +263,15 @@ def _matched(
     return which.start + np.flatnonzero(there), places[there]
 
 
-def _share(apart: FloatArray) -> float:
+def _share(apart: FloatArray, error_deg: float) -> float:
     """Return the weight of the skin, d^2 / (d^2 + s^2), d the RMS of pose differences (n, 6).
 
-    Both have errors; that of the skin is about s, ``ERROR_DEG``, so a larger d is due to the feature points.
+    Both have errors; that of the skin is about s, ``error_deg``, so a larger d is due to the feature points.
     """
     # a constant rotation between the two is a matter of convention, not an error
     turns = apart[:, 3:] - np.median(apart[:, 3:], axis=0)
     squared = float(np.mean(np.sum(np.degrees(turns) ** 2, axis=1)))
-    return squared / (squared + ERROR_DEG**2)
+    return squared / (squared + error_deg**2)
 
 
 @in_one_thread()

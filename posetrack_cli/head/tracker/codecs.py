@@ -298,7 +298,6 @@ class MonoState(HeadState):
         elsewhere: whether an unknown face was found at another place or of another size after the cut.
         changes: (frame, index of the person) of each change of the person.
         begun_frame: frame in which the first person was begun.
-        trust: score of the last tracked frame, 0 to 1.
         scale: of the processed images, 1 is unscaled; None before the first detection.
         stated: reported pose of the last tracked frame, if it differs from the track.
     """
@@ -314,7 +313,6 @@ class MonoState(HeadState):
     elsewhere: bool = False
     changes: tuple[tuple[int, int], ...] = ()
     begun_frame: int = 0
-    trust: Annotated[float, floats(least=0.0, most=1.0)] = 0.0
     scale: Annotated[float, floats(least=_LEAST_SCALE, most=LARGEST_SCALE)] | None = None
     stated: ReportedPose | None = None
 

@@ -1,106 +1,17 @@
-"""Face model learned while tracking, and the motion of a whole face between frames."""
+"""Face model learned while tracking."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
 
-import cv2
 import numpy as np
 
-from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray, IntArray
+from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.rigid import rigid_alignment
 from posetrack_cli.head.config import ModelSettings
 from posetrack_cli.head.face.points import HeadPose, ShapeModel, rigid_model
-from posetrack_cli.head.face.templates import WINDOW, TemplateSet, angle_deg
-
-# Motion of the whole face between frames, for heads that move farther than a patch reaches **[ours]**.
-#
-# The shift is the one with the best mean correlation of all windows of the previous frame, which together
-# cover most of the face. Each window may deviate from it by ``SLACK``; the individual best places then show
-# rotation and approach.
-
-REDUCED = 2
-"""Image reduction: a start needs no full resolution."""
-REACH_PX = 96
-"""Longest shift along an axis: slightly more than the eye distance in scaled images."""
-SLACK = 5
-"""Reduced pixels by which a point may deviate from the common shift along an axis: an eighth of the eye
-distance, as in a turn by some 20 degrees within a frame."""
-
-
-class Shift(NamedTuple):
-    """Motion of a face in the image.
-
-    Attributes:
-        pixels: (2,) x and y.
-        likeness: mean correlation there, -1 to 1, each window's best within the slack.
-        places: (K, 2) pixels of the points' own best places; NaN for points not seen before.
-        likenesses: (K,) their correlations; 0 if negative or not seen before.
-    """
-
-    pixels: FloatArray
-    likeness: float
-    places: FloatArray
-    likenesses: FloatArray
-
-
-def shift_of(image: ImageArray, templates: TemplateSet, pixels: FloatArray) -> Shift | None:
-    """Find the motion of a face since the previous frame; None if none of its points was seen there.
-
-    Args:
-        image: (height, width) grey, of the only camera.
-        templates: of the previous frame.
-        pixels: (K, 2) of the points in it.
-    """
-    seen = np.flatnonzero(templates.seen[0])
-    if not len(seen):
-        return None
-    # replicated borders keep the correlation maps of all points the same size
-    margin = (REACH_PX + WINDOW) // REDUCED
-    small = cv2.resize(image, None, fx=1.0 / REDUCED, fy=1.0 / REDUCED, interpolation=cv2.INTER_AREA)
-    wide = cv2.copyMakeBorder(small, margin, margin, margin, margin, cv2.BORDER_REPLICATE)
-    corners = np.rint((pixels - templates.centres[0]) / REDUCED).astype(int)
-    corners = np.clip(corners, 0, np.array(small.shape[::-1]) - WINDOW // REDUCED)
-    each = [_likeness(wide, templates.windows[0, k], corners[k] + margin) for k in seen]
-    near = np.ones((2 * SLACK + 1, 2 * SLACK + 1), np.uint8)  # dilation takes each map's maximum within it
-    mean = np.mean([cv2.dilate(one, near) for one in each], axis=0)
-    roughly = np.array(np.unravel_index(int(np.argmax(mean)), mean.shape))
-    middle = np.rint(np.median(_best_near(each, roughly), axis=0)).astype(int)
-    places, likenesses = np.full(pixels.shape, np.nan), np.zeros(len(pixels))
-    best = _best_near(each, middle)
-    places[seen] = pixels[seen] + _moved(best)
-    likenesses[seen] = [
-        max(float(one[row, column]), 0.0) for one, (row, column) in zip(each, best, strict=True)
-    ]
-    return Shift(_moved(middle), float(mean[tuple(roughly)]), places, likenesses)
-
-
-def _best_near(each: Sequence[Float32Array], place: IntArray) -> IntArray:
-    """Return the row and column (n, 2) of the maximum of each map within the slack of a place."""
-    first, found = np.maximum(place - SLACK, 0), []
-    for one in each:
-        part = one[first[0] : place[0] + SLACK + 1, first[1] : place[1] + SLACK + 1]
-        found.append(first + np.unravel_index(int(np.argmax(part)), part.shape))
-    return np.array(found)
-
-
-def _moved(places: IntArray) -> FloatArray:
-    """Convert rows and columns of a correlation map to shifts (..., 2), pixels along x and y."""
-    shifts: FloatArray = REDUCED * places[..., ::-1].astype(np.float64) - REACH_PX
-    return shifts
-
-
-def _likeness(wide: ImageArray, window: ImageArray, corner: IntArray) -> Float32Array:
-    """Return the correlations of a window with an image for all shifts from its corner."""
-    side, reach = WINDOW // REDUCED, REACH_PX // REDUCED
-    template = cv2.resize(window, (side, side), interpolation=cv2.INTER_AREA)
-    left, top = int(corner[0]) - reach, int(corner[1]) - reach
-    around = wide[top : top + side + 2 * reach, left : left + side + 2 * reach]
-    return np.asarray(cv2.matchTemplate(around, template, cv2.TM_CCOEFF_NORMED), dtype=np.float32)
-
+from posetrack_cli.head.face.templates import angle_deg
 
 # Incremental principal components of the face's shape (thesis, 3.2.4): CCIPCA (Weng, Zhang and Hwang 2003).
 #

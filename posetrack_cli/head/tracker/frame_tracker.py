@@ -259,6 +259,7 @@ class HeadState:
         evidence: running confidence signs.
         record: statistics of the track.
         dense: what is known of the dense face of each person.
+        trust: score of the last tracked frame, 0 to 1.
     """
 
     track: TrackState | None = None
@@ -268,6 +269,7 @@ class HeadState:
     evidence: Annotated[RunningSigns, signs_codec(len(SIGNS))] = NO_EVIDENCE
     record: TrackRecord = NO_RECORD
     dense: Annotated[tuple[KnownFace, ...], KNOWN_FACES] = ()
+    trust: Annotated[float, floats(least=0.0, most=1.0)] = 0.0
 
     @property
     def is_found(self) -> bool:

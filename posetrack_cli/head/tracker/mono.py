@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray, ImageArray
+from posetrack_cli.arrays import FloatArray
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.head.actions import MEAN_DISPLACEMENTS
 from posetrack_cli.head.adjustment.adjuster import Adjuster
@@ -26,7 +26,8 @@ from posetrack_cli.head.face.points import (
     scaled_camera,
     scaled_pixels,
 )
-from posetrack_cli.head.face.rig_images import project
+from posetrack_cli.head.face.rig_images import RigImages, project
+from posetrack_cli.head.face.templates import TemplateSet
 from posetrack_cli.head.initialisation.clicked import ClickedPoints
 from posetrack_cli.head.initialisation.mono import (
     DetectedFace,
@@ -36,7 +37,6 @@ from posetrack_cli.head.initialisation.mono import (
     face_at,
 )
 from posetrack_cli.head.initialisation.search import InitFailure
-from posetrack_cli.head.initialisation.single_view import pose_near
 from posetrack_cli.head.landmarks.faces import LandmarkFile, Landmarks
 from posetrack_cli.head.lens.lens import EstimatedLens
 from posetrack_cli.head.multilinear.face_model import FaceModel, load_face_model
@@ -54,7 +54,7 @@ from posetrack_cli.head.tracker.codecs import (
     people_codec,
     thumbnail,
 )
-from posetrack_cli.head.tracker.face_learning import off_axis_deg, shift_of
+from posetrack_cli.head.tracker.face_learning import off_axis_deg
 from posetrack_cli.head.tracker.frame_tracker import MONO, MONO_WITH_SKIN, FrameFit, SeededFrame, TrackState
 from posetrack_cli.head.tracker.head_tracker import FaceDescription, HeadTracker
 from posetrack_cli.head.tracker.person import (
@@ -67,6 +67,7 @@ from posetrack_cli.head.tracker.person import (
     new_person,
     person_shape,
 )
+from posetrack_cli.head.tracker.whole_face import whole_face_fit
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.columns import Arrays
 from posetrack_cli.tracking.confidence import Regression
@@ -90,11 +91,6 @@ LEAST_SIMILARITY = 0.2
 turned or blurred face."""
 NEW_PERSON_OFF_AXIS_DEG = 25.0
 """Only faces that look at the camera count as a new person: profiles differ from the templates anyway."""
-WHOLE_FACE_CORRELATION = 0.4
-"""Minimum mean correlation of a face's windows between two frames of the same face."""
-SCORE_DECAY, SAME_FACE_CORRELATION = 0.98, 0.8
-"""Factor on the score after each frame followed only from the previous one, and the mean correlation of equal
-faces; between a sharp and a blurred frame it is not higher."""
 SWITCH_MARGIN = 0.03
 """Minimum score gain for a new detection to replace the track."""
 CANDIDATE_SPAN_S = 2.0
@@ -241,48 +237,16 @@ class MonoPeople:
     def _or_whole_face_fit(
         self, state: MonoState, track: TrackState, frame: SeededFrame, fit: FrameFit
     ) -> FrameFit:
-        """Return the fit, or for a poor one a better fit from the whole face's motion **[ours]**.
+        """Return the fit, or for a poor one a better fit from the whole face's motion **[ours]**."""
+        pipeline = self._pipeline(state)
 
-        After an unexpected motion the points lock onto similar places near the predicted pose. A blurred or
-        turned face, or one with a new expression, resembles its templates nowhere, but it resembles the
-        previous frame. The score of a fit to the previous frame is that frame's score times their similarity,
-        so that a sliding track loses confidence over time.
-        """
+        def refit(about: TrackState, templates: Sequence[TemplateSet] | None) -> FrameFit:
+            person = state.person if templates is None else replace(state.person, templates=tuple(templates))
+            return pipeline.fitter.fit(person, about, frame)
+
+        images = RigImages((pipeline.adjuster.camera,), frame.frame.images)
         clear = max(self.least_score(state), self._config.status.check_below)
-        # the search costs several fits, so only poor frames are searched
-        if fit.score >= clear or track.templates is None:
-            return fit
-        (image,), fitter = frame.frame.images, self._pipeline(state).fitter
-        there = None if image is None else self._whole_face_pose(state, track, image)
-        if there is None:
-            return fit
-        again = fitter.fit_from(state.person, track, there, frame)
-        # compare weights, not scores: the score ignores points outside the image
-        best = again if again.weights.mean() > fit.weights.mean() else fit
-        if best.score >= clear:
-            return best
-        as_before = replace(state.person, templates=(track.templates,))
-        followed = fitter.fit_from(as_before, track, there, frame)
-        alike = float(np.clip(followed.score / SAME_FACE_CORRELATION, 0.0, 1.0))
-        score = SCORE_DECAY * state.trust * alike
-        if score <= best.score:
-            return best
-        weights = np.minimum(followed.weights, best.weights)  # the previous frame may have been wrong already
-        return replace(followed, score=score, weights=weights, is_anchored=True)
-
-    def _whole_face_pose(self, state: MonoState, track: TrackState, image: ImageArray) -> HeadPose | None:
-        """Return the pose after the motion of the whole face in the image; None if it is not found.
-
-        The common shift comes first; the individual places of the points then give rotation and distance.
-        """
-        camera, templates = self._pipeline(state).adjuster.camera, track.templates
-        before = project((camera,), track.pose.points(track.shape)).pixels[0]
-        shift = None if templates is None else shift_of(image, templates, before)
-        if shift is None or shift.likeness < WHOLE_FACE_CORRELATION:
-            return None
-        aside = shift.pixels / np.array([camera.fx, camera.fy]) * track.pose.position[2]
-        moved = replace(track.pose, position=track.pose.position + np.append(aside, 0.0))
-        return pose_near(moved, shift.places, shift.likenesses, camera, track.shape)
+        return whole_face_fit(fit, track, images, refit, clear=clear, trust=state.trust)
 
     def recognise(
         self, state: MonoState, found: DetectedFace, frame: SeededFrame

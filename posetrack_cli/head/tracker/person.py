@@ -378,15 +378,6 @@ class PersonFitter:
         before = replace(track, particles=now)
         return self._frame_tracker.step(before, frame, person.templates, person.shape)
 
-    def fit_from(
-        self, person: KnownPerson, track: TrackState, there: HeadPose, frame: SeededFrame
-    ) -> FrameFit:
-        """Track a person into a frame, starting at another pose."""
-        about = replace(track.at_rest(), pose=there, particles=replace(track.particles, pose=there))
-        fit = self.fit(person, about, frame)
-        velocity = velocity_between(track.pose, fit.track.pose, fit.dt)
-        return replace(fit, track=replace(fit.track, velocity=velocity))
-
     def fit_detection(
         self, person: KnownPerson, found: DetectedFace, last_seen_ns: int, frame: SeededFrame
     ) -> FrameFit:

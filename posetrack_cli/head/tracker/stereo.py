@@ -43,6 +43,7 @@ from posetrack_cli.head.tracker.frame_tracker import (
     initial_fit,
 )
 from posetrack_cli.head.tracker.head_tracker import FaceDescription, HeadTracker, padded
+from posetrack_cli.head.tracker.whole_face import whole_face_fit
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.columns import Arrays, LayoutError, counts, floats
 from posetrack_cli.tracking.confidence import Regression
@@ -152,7 +153,14 @@ class StereoFace:
 
     def fit(self, state: StereoState, track: TrackState, frame: SeededFrame) -> tuple[StereoState, FrameFit]:
         """Track the head into a frame; restart from landmarks if the points slid **[ours]**."""
-        fit = self._frame_tracker.step(track, frame, state.templates, state.known_face.model)
+
+        def refit(about: TrackState, templates: Sequence[TemplateSet] | None) -> FrameFit:
+            return self._frame_tracker.step(
+                about, frame, templates or state.templates, state.known_face.model
+            )
+
+        images, clear = self._frame_tracker.images(frame), self._config.status.check_below
+        fit = whole_face_fit(refit(track, None), track, images, refit, clear=clear, trust=state.trust)
         landmarks = self._initialiser.from_landmarks(frame.frame, fit.pixels[0])
         if landmarks is None:
             return state, fit
@@ -176,6 +184,9 @@ class StereoFace:
 
     def learn(self, state: StereoState, frame: SeededFrame, fit: FrameFit) -> tuple[StereoState, FrameFit]:
         """Learn the deformation, and templates from new directions."""
+        state = replace(state, trust=min(fit.score, 1.0))
+        if fit.is_anchored:  # no templates matched, so the frame shows nothing new of the face
+            return state, fit
         now, templates = fit.track, state.templates
         expected = state.known_face.model.shapes(fit.coefficients)
         face = state.known_face.after(now.shape, self._steadiness, now.pose, fit.correlations, expected)

@@ -9,7 +9,7 @@ from typing import Any
 import moderngl
 import numpy as np
 
-from posetrack_cli.arrays import Float32Array, FloatArray
+from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray
 from posetrack_cli.errors import RenderingError
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.rendering.mesh import SkinnedMesh
@@ -75,6 +75,10 @@ class TexturedRenderer:
         """Move a surface: vertices (V, 3) mm and normals (V, 3); zero normals disable shading."""
         self._surfaces[index].place(vertices, normals)
 
+    def paint(self, index: int, first: tuple[int, int], texels: ImageArray) -> None:
+        """Replace texels (height, width, 2) of a surface's texture, from a first row and column."""
+        self._surfaces[index].paint(first, texels)
+
     def image(self, camera: Camera, lighting: Lighting) -> Float32Array:
         """Return the camera's image (height, width), reflectance times light; 0 where empty."""
         transform = np.array(camera.camera_T_reference)
@@ -128,6 +132,17 @@ class _Drawn:
     def place(self, vertices: FloatArray, normals: FloatArray) -> None:
         self._changing[:, :3], self._changing[:, 3:] = vertices, normals
         self._buffer.write(self._changing.tobytes())
+
+    def paint(self, first: tuple[int, int], texels: ImageArray) -> None:
+        (row, column), level = first, 0
+        while texels.size:
+            height, width = texels.shape[:2]
+            self._texture.write(texels.tobytes(), (column, row, width, height), level=level, alignment=1)
+            if (row | column | height | width) % 2:
+                break
+            quarters = texels.reshape(height // 2, 2, width // 2, 2, 2).mean(axis=(1, 3))
+            texels = np.rint(quarters).astype(np.uint8)
+            row, column, level = row // 2, column // 2, level + 1
 
     def draw(self) -> None:
         self._texture.use(0)

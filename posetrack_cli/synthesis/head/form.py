@@ -220,6 +220,11 @@ def angle_of(x: FloatArray, level: FloatArray) -> FloatArray:
     return angle
 
 
+def on_smooth_head(x: FloatArray, y: FloatArray) -> FloatArray:
+    """Return points (..., 3), mm, of the smooth head's front at x and y."""
+    return smooth_head(angle_of(x, y), y)
+
+
 def _profile(level: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     from scipy.interpolate import PchipInterpolator
 
@@ -238,6 +243,18 @@ def along_and_above(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArra
     axis = (OUTER - INNER) / LENGTH
     dx, dy = np.abs(x) - INNER[0], y - INNER[1]
     return (dx * axis[0] + dy * axis[1]) / LENGTH, dy * axis[0] - dx * axis[1]
+
+
+def eye_places(s: FloatArray, above: FloatArray, side: float) -> tuple[FloatArray, FloatArray]:
+    """Return x and y (...), mm, of eye coordinates; side 1 is the subject's left, -1 right."""
+    axis = (OUTER - INNER) / LENGTH
+    along = LENGTH * s
+    x = INNER[0] + along * axis[0] - above * axis[1]
+    return side * x, INNER[1] + along * axis[1] + above * axis[0]
+
+
+EYE_MIDDLE = np.array(eye_places(np.array(0.5), np.array(1.1), 1.0))
+"""Place of the left pupil of an eye that looks ahead."""
 
 
 class LidPlaces(NamedTuple):

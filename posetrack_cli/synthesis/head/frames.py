@@ -12,12 +12,14 @@ from posetrack_cli.geometry import rotations
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.geometry.rigid import in_camera
 from posetrack_cli.geometry.rotations import quaternion_rate
+from posetrack_cli.head.dense.numbers import TRUE_NUMBERS
 from posetrack_cli.head.face.points import HeadPose
 from posetrack_cli.head.subject import head_subject
 from posetrack_cli.rendering.devices import device_or_default
 from posetrack_cli.rendering.port import Lighting, RenderingDevice, Surface
 from posetrack_cli.results import messages
 from posetrack_cli.results.estimate import Estimate, Status, Subject
+from posetrack_cli.synthesis.head.eyes import LOOKING_AHEAD, EyePainter, OpenEye, gazes_at, lid_opening_mm
 from posetrack_cli.synthesis.head.form import (
     SkinGrid,
     Sway,
@@ -30,7 +32,7 @@ from posetrack_cli.synthesis.head.form import (
     smooth_field,
     smooth_step,
 )
-from posetrack_cli.synthesis.head.movement import Movement, Occluder, make_movement, make_occluder
+from posetrack_cli.synthesis.head.movement import BEGIN_S, Movement, Occluder, make_movement, make_occluder
 from posetrack_cli.synthesis.head.options import HeadSynthOptions
 from posetrack_cli.synthesis.head.painting import head_texture
 from posetrack_cli.synthesis.head.person import (
@@ -279,6 +281,7 @@ class Scene:
         rng: np.random.Generator,
     ) -> None:
         self._person, self._rest = person, rest
+        self._eyes = EyePainter(person.surface, looks)
         self._trunk = trunk_vertices()
         ears, cloth, wall, board = rng.spawn(4)
         ear = ear_surface(looks, ears)
@@ -288,8 +291,12 @@ class Scene:
         self.renderer = device.surface_renderer(size, surfaces, LAMPS)
         self._place(WALL, wall_vertices(float(rest.position[2])), facing=True)
 
-    def set(self, pose: HeadPose, strengths: FloatArray, occluder: FloatArray | None) -> None:
-        """Set the head's pose, the strengths (J,) of its expressions, and the occluder's centre (3,)."""
+    def set(
+        self, pose: HeadPose, strengths: FloatArray, eyes: tuple[OpenEye, ...], occluder: FloatArray | None
+    ) -> None:
+        """Set the head's pose, its expressions (J,), both eyes, and the occluder's centre (3,)."""
+        for first, texels in self._eyes(eyes):
+            self.renderer.paint(SKIN, first, texels)
         trunk = self._trunk_pose(pose)
         skin = self._person.skin(strengths)
         self._place(SKIN, _between(skin, pose, trunk))
@@ -403,6 +410,8 @@ def _two_channels(tone: FloatArray | Float32Array, gloss: float) -> ImageArray:
 
 # Frames
 
+CLOSED_BELOW = 0.5
+"""Opening of the lids, as a share of the usual one, below which true eyes are closed."""
 COMPONENTS = 0
 """The truth has no deformation coefficients, as they are specific to a model; points show the deformation."""
 
@@ -419,6 +428,8 @@ class SyntheticHeadFrame:
         twist: (6,) velocity: mm/s in camera axes, rad/s in the head's frame.
         strengths: (J,) of ``EXPRESSIONS``.
         shape: (K, 3) landmarks, mm, head's frame.
+        eyes: right and left eye.
+        lids_mm: openings of their lids when they are open and look ahead, and now.
     """
 
     index: int
@@ -428,9 +439,14 @@ class SyntheticHeadFrame:
     twist: FloatArray
     strengths: FloatArray
     shape: FloatArray
+    eyes: tuple[OpenEye, ...]
+    lids_mm: tuple[FloatArray, FloatArray]
 
     def truth(self) -> Estimate:
-        """Return the ground truth as an estimate; its points are the ten landmarks in reference axes."""
+        """Return the ground truth as an estimate; its points are the ten landmarks in reference axes.
+
+        Its numbers are those of the eyes, ``TRUE_NUMBERS``.
+        """
         none = np.zeros(6)
         turning = quaternion_rate(self.pose.quaternion, self.twist[3:])
         return Estimate(
@@ -448,7 +464,14 @@ class SyntheticHeadFrame:
             points=self.pose.points(self.shape),
             effective_sample_size=None,
             resampled=False,
+            numbers=self._face_numbers(),
         )
+
+    def _face_numbers(self) -> FloatArray:
+        usual, present = self.lids_mm
+        shares = present / usual
+        gazes = [np.append(eye.angles, self.pose.rotation @ eye.gaze) for eye in self.eyes]
+        return np.concatenate([present, shares, [float(shares.mean() < CLOSED_BELOW)], *gazes])
 
     def joint_states(self) -> messages.JointStates:
         """Return the strengths of the expressions, which results do not have."""
@@ -489,7 +512,8 @@ class Plan:
     @property
     def subject(self) -> Subject:
         """Subject of the ground truth, in the reference camera."""
-        return head_subject(self.cameras[0].name, COMPONENTS)
+        subject = head_subject(self.cameras[0].name, COMPONENTS)
+        return replace(subject, number_names=TRUE_NUMBERS)
 
 
 def make_plan(options: HeadSynthOptions) -> Plan:
@@ -542,11 +566,13 @@ def render_plan(plan: Plan, *, device: RenderingDevice | None = None) -> Iterato
         scene = Scene(drawing, plan.person, looks, plan.grid, size, rest, plan.scenery)
         poses, twists = plan.movement.poses(times), plan.movement.twists(times)
         strengths = plan.script.strengths(times)
+        eyes = _eyes(plan, poses, strengths)
+        usual_mm = _lids_mm(plan, (LOOKING_AHEAD, LOOKING_AHEAD))
         try:
             for index, seconds in enumerate(times.tolist()):
                 pose = HeadPose(poses[index, :3], poses[index, 3:])
                 occluder = None if plan.occluder is None else plan.occluder.place(seconds, pose.position)
-                scene.set(pose, strengths[index], occluder)
+                scene.set(pose, strengths[index], eyes[index], occluder)
                 yield SyntheticHeadFrame(
                     index=index,
                     stamp_ns=int(plan.timeline.stamps_ns[index]),
@@ -555,9 +581,30 @@ def render_plan(plan: Plan, *, device: RenderingDevice | None = None) -> Iterato
                     twist=twists[index],
                     strengths=strengths[index],
                     shape=plan.person.shape(strengths[index]),
+                    eyes=eyes[index],
+                    lids_mm=(usual_mm, _lids_mm(plan, eyes[index])),
                 )
         finally:
             scene.release()
+
+
+def _eyes(plan: Plan, poses: FloatArray, strengths: FloatArray) -> list[tuple[OpenEye, ...]]:
+    """Return both eyes in every frame; they begin with a look at the reference camera."""
+    gazes = np.broadcast_to(LOOKING_AHEAD.gaze, (len(poses), 2, 3))
+    if plan.script.target is not None:
+        times = plan.timeline.seconds
+        targets = minimum_jerk(times / BEGIN_S)[:, None] * plan.script.target(times)
+        gazes = gazes_at(targets, poses, plan.person.surface.eyeballs)
+    closing = np.clip(strengths[:, EXPRESSIONS.index("blink")], 0.0, 1.0).tolist()
+    return [
+        (OpenEye(right, closed), OpenEye(left, closed))
+        for (right, left), closed in zip(gazes, closing, strict=True)
+    ]
+
+
+def _lids_mm(plan: Plan, eyes: tuple[OpenEye, ...]) -> FloatArray:
+    looks = plan.identity.looks
+    return np.array([lid_opening_mm(plan.person.surface, looks, side, eye) for side, eye in enumerate(eyes)])
 
 
 def _images(scene: Scene, sensors: list[Sensor], plan: Plan, index: int) -> tuple[ImageArray | None, ...]:

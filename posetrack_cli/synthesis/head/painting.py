@@ -12,7 +12,6 @@ from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray
 from posetrack_cli.head.face.points import MEAN_SHAPE
 from posetrack_cli.synthesis.head.form import (
     BOTTOM,
-    LENGTH,
     MOUTH_X,
     MOUTH_Y,
     POCKET_BAND,
@@ -74,7 +73,7 @@ class Canvas:
     def polish(self, box: Box, gloss: float, cover: Callable[[FloatArray, FloatArray], FloatArray]) -> None:
         """Blend in a gloss with opacity cover(x, y)."""
         window = self.window(box)
-        x, y = self._seen(window)
+        x, y = self.seen(window)
         part = self.gloss[window]
         part += cover(x, y) * (gloss - part)
 
@@ -83,7 +82,7 @@ class Canvas:
     ) -> None:
         """Replace the reflectance in a box by new(x, y, old)."""
         window = self.window(box)
-        x, y = self._seen(window)
+        x, y = self.seen(window)
         self.reflectance[window] = new(x, y, self.reflectance[window])
 
     def texture(self) -> ImageArray:
@@ -105,7 +104,7 @@ class Canvas:
         angle = float(pick(angle_of(np.full(len(levels), x), levels).tolist()))
         return int((angle / np.pi + 1.0) / 2.0 * len(self._angles))
 
-    def _seen(self, window: tuple[slice, slice]) -> tuple[FloatArray, FloatArray]:
+    def seen(self, window: tuple[slice, slice]) -> tuple[FloatArray, FloatArray]:
         """Return x and y, mm, (rows, columns) of a window's texels in frontal view."""
         levels, angles = self._levels[window[0]], self._angles[window[1]]
         x = half_width(levels)[:, None] * np.sin(angles)[None, :]
@@ -254,13 +253,9 @@ def _paint_stubble(canvas: Canvas, looks: Looks, rng: np.random.Generator) -> No
     canvas.reflectance *= (1.0 - looks.stubble * beard * hairs * (places[..., 2] > -90.0)).astype(np.float32)
 
 
-# Eyes, brows, mouth, nostrils, hair
+# Lids, brows, mouth, nostrils, hair
 
 EYES: tuple[Box, Box] = ((-54.0, -12.0, -14.0, 18.0), (12.0, 54.0, -14.0, 18.0))
-IRIS_MM, PUPIL_MM = 5.9, 2.1
-IRIS_ALONG, IRIS_ABOVE = 0.5, 1.1
-SCLERA = 0.58
-"""Hardly brighter than skin, as it is in the shade of the lids."""
 BROW_INNER = (float(MEAN_SHAPE[9, 0]), float(MEAN_SHAPE[9, 1]))
 BROW_OUTER_X = 54.0
 BROWS: tuple[Box, Box] = ((-60.0, -8.0, 8.0, 40.0), (8.0, 60.0, 8.0, 40.0))
@@ -274,29 +269,24 @@ TOOTH_MM = 8.0
 
 @functools.lru_cache(maxsize=2)  # for repeated recordings of a person
 def head_texture(looks: Looks) -> ImageArray:
-    """Return the texture (rows, columns, 2) uint8 of a head, reflectance and gloss; read-only."""
-    skin, hair, brows, mouth, eyes = np.random.default_rng(looks.texture_seed).spawn(5)
+    """Return the texture (rows, columns, 2) uint8 of a head, reflectance and gloss; read-only.
+
+    It has no eyes: ``eyes.EyePainter`` adds them.
+    """
+    skin, hair, brows, mouth = np.random.default_rng(looks.texture_seed).spawn(4)
     canvas = Canvas(looks.skin)
     paint_skin(canvas, looks, skin)
     shade_folds(canvas, looks)
     paint_lips(canvas, looks, mouth)
     paint_nostrils(canvas)
     paint_brows(canvas, looks, brows)
-    paint_eyes(canvas, looks, eyes)
+    for box in EYES:
+        canvas.change(box, lambda x, y, old: _lids(looks.lids(x, y), old, looks.wrinkles))
     paint_hair(canvas, looks, hair)
     paint_pocket(canvas, mouth)
     texture = canvas.texture()
     texture.setflags(write=False)
     return texture
-
-
-def paint_eyes(canvas: Canvas, looks: Looks, rng: np.random.Generator) -> None:
-    """Paint both eyes; the corners of their openings are landmarks."""
-    rays = rng.standard_normal(24)
-    for box in EYES:
-        canvas.change(box, lambda x, y, old: _lids(looks.lids(x, y), old, looks.wrinkles))
-        canvas.change(box, lambda x, y, old: _opening(looks.lids(x, y), old, looks, rays))
-        canvas.polish(box, 0.35, lambda x, y: _open(looks.lids(x, y), 0.6))
 
 
 def paint_brows(canvas: Canvas, looks: Looks, rng: np.random.Generator) -> None:
@@ -330,47 +320,6 @@ def _lids(at: LidPlaces, old: Float32Array, wrinkles: float) -> FloatArray:
     crease = ends * np.exp(-0.5 * ((above - top - 3.4 + 1.0 * (2 * s - 1) ** 2) / 0.75) ** 2)
     bag = ends * np.exp(-0.5 * ((above - bottom + 3.0) / 0.9) ** 2)
     return old * (1.0 - 0.42 * crease) * (1.0 - 0.12 * wrinkles * bag)
-
-
-def _open(at: LidPlaces, soft: float) -> FloatArray:
-    """Return how far (...) places are inside the opening: 1 inside."""
-    s, above, top, bottom = at
-    along = inside(s * LENGTH, soft) * inside((1.0 - s) * LENGTH, soft)
-    opening: FloatArray = inside(top - above, soft) * inside(above - bottom, soft) * along
-    return opening
-
-
-def _opening(at: LidPlaces, old: Float32Array, looks: Looks, rays: FloatArray) -> FloatArray:
-    """Return the eyeball in the opening, and the lashes around it."""
-    s, above, top, bottom = at
-    shown = _open(at, 0.7)
-    ball = _eyeball(s, above, looks, rays) * (1.0 - 0.5 * inside(above - top + 2.4, 3.6))
-    ball *= 1.0 - 0.25 * inside(bottom + 1.0 - above, 1.6)
-    ends = inside(s + 0.015, 0.05) * inside(1.025 - s, 0.05)
-    upper = ends * np.exp(-0.5 * ((above - top - 0.3) / (0.75 + 0.35 * s)) ** 2)
-    lower = 0.55 * ends * np.exp(-0.5 * ((above - bottom + 0.2) / 0.55) ** 2)
-    corner = np.exp(-0.5 * ((s * LENGTH - 0.7) / 1.0) ** 2 - 0.5 * (above / 0.9) ** 2)
-    corner += np.exp(-0.5 * (((1.0 - s) * LENGTH - 0.6) / 1.0) ** 2 - 0.5 * (above / 0.9) ** 2)
-    painted = old + shown * (ball - old)
-    for cover, tone in ((np.clip(0.7 * corner, 0.0, 0.7), 0.14), (0.92 * upper, 0.05), (0.8 * lower, 0.18)):
-        painted = painted + cover * (tone - painted)
-    return painted
-
-
-def _eyeball(s: FloatArray, above: FloatArray, looks: Looks, rays: FloatArray) -> FloatArray:
-    """Return sclera, iris with dark rim and rays, pupil and glint; the inner corner is darker."""
-    dx, dy = (s - IRIS_ALONG) * LENGTH, above - IRIS_ABOVE
-    radius, angle = np.hypot(dx, dy), np.arctan2(dy, dx)
-    ray = sum(
-        (0.05 * rays[k] * np.cos((k + 3) * angle + rays[k + 12]) for k in range(12)), start=np.zeros(s.shape)
-    )
-    iris = looks.iris * (1.0 + ray) * (1.0 - 0.55 * inside(radius - IRIS_MM + 0.9, 1.0))
-    iris = iris + inside(PUPIL_MM - radius, 0.6) * (0.03 - iris)
-    white = SCLERA * (1.0 - 0.30 * np.abs(2.0 * s - 1.0) ** 2) * (1.0 - 0.3 * inside(0.12 - s, 0.08))
-    ball = white + inside(IRIS_MM - radius, 0.9) * (iris - white)
-    glint = np.exp(-0.5 * ((dx - 1.6) / 0.7) ** 2 - 0.5 * ((dy - 1.9) / 0.7) ** 2)
-    shown: FloatArray = ball + 0.8 * glint * (0.95 - ball)
-    return shown
 
 
 def paint_lips(canvas: Canvas, looks: Looks, rng: np.random.Generator) -> None:

@@ -11,6 +11,7 @@ from posetrack_cli.arrays import FloatArray
 from posetrack_cli.head.face.points import EYES, MEAN_SHAPE, MIRRORED, SHAPE_SD
 from posetrack_cli.synthesis.head.form import (
     AXIS_Z,
+    EYE_MIDDLE,
     MOUTH_X,
     MOUTH_Y,
     POCKET_MM,
@@ -18,13 +19,13 @@ from posetrack_cli.synthesis.head.form import (
     LidPlaces,
     Relief,
     SkinGrid,
+    Sway,
     along_and_above,
-    angle_of,
     forward,
     lower_edge,
-    minimum_jerk,
+    on_smooth_head,
     pulse,
-    smooth_head,
+    random_sway,
     smooth_step,
     upper_edge,
 )
@@ -185,14 +186,15 @@ def hair_share(places: FloatArray, looks: Looks, *, soft_mm: float = 8.0) -> Flo
 #
 # Free script: after a neutral start the face deforms during the first two thirds of the recording, then only
 # the head moves. Model building: first the mouth becomes wide and narrow, then the face long and short (brows
-# and jaw together), each slowly and several times. Blinks and eye movements continue throughout.
+# and jaw together), each slowly and several times. Blinks continue throughout.
 
 NEUTRAL_S, NEUTRAL_PART = 2.0, 0.15
 """Duration of the neutral start, at most this fraction of the recording."""
 DEFORMING_PART = 2.0 / 3.0
 RISE_S, HOLD_S, FALL_S, REST_S = (0.25, 0.6), (0.2, 1.0), (0.25, 0.6), (0.0, 0.4)
 BLINK_EVERY_S, BLINK_S = (2.5, 6.0), (0.06, 0.02, 0.10)
-GAZE_EVERY_S, GAZE_MOVE_S, GAZE = (0.8, 3.0), 0.06, 0.5
+TARGET_MM, TARGET_HZ = (220.0, 120.0, 100.0), (0.1, 0.4)
+"""Range of the motion of what the eyes look at, around the reference camera, for a head at 700 mm."""
 # Simultaneous expressions, with minimum and maximum strength
 _FACES: tuple[dict[str, tuple[float, float]], ...] = (
     {"jaw_open": (0.4, 0.9)},
@@ -244,11 +246,11 @@ class ExpressionScript:
 
     Attributes:
         episodes: in any order; strengths with the same name add up.
-        gazes: (G, 2) time of an eye movement, s, and its target, -1 to 1.
+        target: motion of the point that the eyes look at, mm in reference axes; None if they look ahead.
     """
 
     episodes: tuple[Episode, ...]
-    gazes: FloatArray
+    target: Sway | None
 
     def strengths(self, times: FloatArray) -> FloatArray:
         """Return strengths (T, J) of ``EXPRESSIONS`` at times (T,), s."""
@@ -256,26 +258,19 @@ class ExpressionScript:
         for one in self.episodes:
             shape = pulse(times, one.start, one.rise, one.hold, one.fall)
             values[:, EXPRESSIONS.index(one.name)] += one.strength * shape
-        values[:, EXPRESSIONS.index("gaze")] = self._gaze(times)
         return values
-
-    def _gaze(self, times: FloatArray) -> FloatArray:
-        gaze, before = np.zeros(len(times)), 0.0
-        for start, target in self.gazes:
-            gaze += (target - before) * minimum_jerk((times - start) / GAZE_MOVE_S)
-            before = target
-        return gaze
 
 
 def make_script(options: HeadSynthOptions, rng: np.random.Generator) -> ExpressionScript:
     """Draw the expressions of a recording; without expressions the face is completely still."""
     if not options.expressions:
-        return ExpressionScript((), np.zeros((0, 2)))
+        return ExpressionScript((), None)
     deforming, blinking, looking = rng.spawn(3)
     duration_s = options.duration_s
     drawn = two_motions if options.script == TWO_MOTIONS else _deformations
     episodes = [*drawn(duration_s, deforming), *_blinks(duration_s, blinking)]
-    return ExpressionScript(tuple(episodes), _gazes(duration_s, looking))
+    target = random_sway(np.array(TARGET_MM) * options.distance_mm / 700.0, TARGET_HZ, looking)
+    return ExpressionScript(tuple(episodes), target)
 
 
 def deforming_interval(options: HeadSynthOptions) -> tuple[float, float] | None:
@@ -310,14 +305,6 @@ def _blinks(duration_s: float, rng: np.random.Generator) -> list[Episode]:
         episodes.append(Episode("blink", 1.0, time, *BLINK_S))
         time += float(rng.uniform(*BLINK_EVERY_S))
     return episodes
-
-
-def _gazes(duration_s: float, rng: np.random.Generator) -> FloatArray:
-    time, gazes = float(rng.uniform(*GAZE_EVERY_S)), []
-    while time < duration_s:
-        gazes.append((time, float(rng.uniform(-GAZE, GAZE))))
-        time += float(rng.uniform(*GAZE_EVERY_S))
-    return np.array(gazes, dtype=np.float64).reshape(-1, 2)
 
 
 def two_motions(duration_s: float, rng: np.random.Generator) -> tuple[Episode, ...]:
@@ -359,15 +346,16 @@ EXPRESSIONS = (
     "brows_up",
     "brows_down",
     "blink",
-    "gaze",
 )
-"""Names of the strengths, 0 (neutral) to 1, or -1 to 1 for ``BOTH_WAYS``, positive to the subject's left."""
-BOTH_WAYS = ("mouth_sideways", "gaze")
+"""Names of the strengths, 0 (neutral) to 1, or -1 to 1 for ``BOTH_WAYS``, positive to the subject's left.
+
+A blink does not deform the skin: lids are painted (``synthesis.head.eyes``).
+"""
+BOTH_WAYS = ("mouth_sideways",)
 
 MOTION_REACH_MM = 26.0
 HINGE = np.array([-14.0, AXIS_Z])  # y, z of the jaw axis, mm
 JAW_RAD = float(np.radians(16.4))
-GAZE_MM = 3.0
 Anchors = list[tuple[float, float, float, float, float]]
 
 # x, y of a place; its displacement in x, y, z at full strength, mm. Magnitudes as measured on ICT-FaceKit's
@@ -417,16 +405,16 @@ _BROWS_DOWN: Anchors = [
 ]
 
 
-def displacements(places: FloatArray, below: FloatArray, looks: Looks) -> FloatArray:
-    """Return the displacements of every expression (J, ..., 3), mm at full strength.
+def displacements(places: FloatArray, below: FloatArray) -> FloatArray:
+    """Return the displacements of every expression except blinks (J - 1, ..., 3), mm at full strength.
 
     Args:
         places: (..., 3) on the average head, mm.
         below: (...) 1 where the skin moves with the lower side of the mouth, 0 with the upper.
-        looks: appearance; the lid edges are used.
     """
     xy = places[..., :2]
     front = np.clip((places[..., 2] - AXIS_Z) / 40.0, 0.0, 1.0)[..., None]
+    front = front * (1.0 - on_eyeball(places))
     fields = [
         _jaw(places, below),
         _mirrored(_field(_SMILE), xy),
@@ -435,8 +423,6 @@ def displacements(places: FloatArray, below: FloatArray, looks: Looks) -> FloatA
         _field(_PUCKER)(xy),
         _field(_BROWS_UP)(xy),
         _field(_BROWS_DOWN)(xy),
-        _blink(xy, looks),
-        _gaze(xy, looks),
     ]
     return np.stack([front * field for field in fields])
 
@@ -489,30 +475,12 @@ def _turned(hung: FloatArray, sine: float, cosine: float) -> tuple[FloatArray, F
     return (cosine - 1.0) * y - sine * z, sine * y + (cosine - 1.0) * z
 
 
-def _blink(xy: FloatArray, looks: Looks) -> FloatArray:
-    """Return the upper lid's motion to the lower lid; the visible eyeball is compressed behind its edge."""
-    s, above, top, bottom = looks.lids(xy[..., 0], xy[..., 1])
-    within = smooth_step((s + 0.12) / 0.12) * smooth_step((1.12 - s) / 0.12)
-    opening = np.maximum(top - bottom, 1e-6)
-    part = np.clip((above - bottom) / opening, 0.0, 1.0)
-    lid = smooth_step((top + 9.0 - above) / 9.0)
-    down = np.where(above < top, part, lid) * opening * within * 0.96
-    down = np.where(above < bottom, 0.0, down)
-    return np.stack([np.zeros_like(down), -down, 0.1 * down], axis=-1)
-
-
-def _gaze(xy: FloatArray, looks: Looks) -> FloatArray:
-    """Return the motion of the visible eyeball to the subject's left, zero at the lid edges."""
-    s, above, top, bottom = looks.lids(xy[..., 0], xy[..., 1])
-    height = np.clip((above - bottom) / np.maximum(top - bottom, 1e-6), 0.0, 1.0)
-    inside = np.clip(4.0 * s * (1.0 - s), 0.0, 1.0) * np.minimum(1.0, 6.0 * height * (1.0 - height))
-    aside = GAZE_MM * inside * (xy[..., 1] < 12.0)
-    return np.stack([aside, np.zeros_like(aside), np.zeros_like(aside)], axis=-1)
-
-
 # Renderable head: neutral skin, displacements by expressions, and the ten true landmarks
 
 REACH_MM = 30.0
+BALL_MM = 12.0
+ON_BALL_MM = (7.5, 11.0)
+"""Distance from the middle of the opening up to which skin lies on the eyeball, and where it has left it."""
 EAR_MIDDLE = np.array([72.0, -16.0, -88.0])
 EAR_MM = np.array([7.0, 31.0, 17.0])
 
@@ -522,13 +490,15 @@ class Person:
     """Head that deforms linearly: skin = neutral + sum_j strength_j moved_j.
 
     Attributes:
+        surface: the neutral face without hair.
         neutral: (R, C, 3) vertices of ``form``, mm, head's frame.
-        moved: (J, R, C, 3) displacement by each of ``EXPRESSIONS`` at full strength, mm.
+        moved: (J - 1, R, C, 3) displacement by each of ``EXPRESSIONS`` but the blink at full strength, mm.
         points: (K, 3) landmarks of the neutral face, on the skin.
-        points_moved: (J, K, 3) their displacements.
+        points_moved: (J - 1, K, 3) their displacements.
         ears: right and left, vertex grids, mm.
     """
 
+    surface: FaceSurface
     neutral: FloatArray
     moved: FloatArray
     points: FloatArray
@@ -537,33 +507,72 @@ class Person:
 
     def skin(self, strengths: FloatArray) -> FloatArray:
         """Return vertices (R, C, 3), mm, for strengths (J,)."""
-        skin: FloatArray = self.neutral + np.tensordot(strengths, self.moved, axes=1)
+        skin: FloatArray = self.neutral + np.tensordot(strengths[:-1], self.moved, axes=1)
         return skin
 
     def shape(self, strengths: FloatArray) -> FloatArray:
         """Return landmarks (..., K, 3), mm, for strengths (..., J)."""
-        shape: FloatArray = self.points + np.tensordot(strengths, self.points_moved, axes=1)
+        shape: FloatArray = self.points + np.tensordot(strengths[..., :-1], self.points_moved, axes=1)
         return shape
 
 
 def make_person(identity: Identity, grid: SkinGrid) -> Person:
     """Return the head of an identity."""
-    places = _with_face(grid.places, identity)
-    places[grid.inside, :, 2] -= _pocket_depth(grid)
+    surface = FaceSurface(identity)
+    depth = np.zeros(grid.places.shape)
+    depth[grid.inside, :, 2] = _pocket_depth(grid)
+    vertices = surface(grid.places, depth) + _hair(grid, identity)
+    faced = _with_face(grid.places, identity) - depth
     ten = _with_face(_ten_places(), identity)
-    proportions = _Proportions(ten, identity.points)
-    below = _below(grid)
-    vertices = proportions(places) + _hair(grid, identity)
-    moved = displacements(places, below, identity.looks)
-    points_moved = displacements(ten, belongs_below(ten[:, 0], ten[:, 1]), identity.looks)
-    ears = proportions(ear_vertices(-1.0)), proportions(ear_vertices(1.0))
-    return Person(vertices, moved, proportions(ten), points_moved, ears)
+    return Person(
+        surface,
+        vertices,
+        displacements(faced, _below(grid)),
+        surface(_ten_places()),
+        displacements(ten, belongs_below(ten[:, 0], ten[:, 1])),
+        (surface.warped(ear_vertices(-1.0)), surface.warped(ear_vertices(1.0))),
+    )
+
+
+class FaceSurface:
+    """Skin of a person's neutral face; around the pupils it lies on the eyeballs.
+
+    Attributes:
+        eyeballs: (2, 3) centres of the right and left eyeball, mm in the head's frame.
+    """
+
+    def __init__(self, identity: Identity) -> None:
+        self._identity = identity
+        self._warp = _Proportions(_with_face(_ten_places(), identity), identity.points)
+        pupils = np.array([[side * EYE_MIDDLE[0], EYE_MIDDLE[1]] for side in (-1.0, 1.0)])
+        flat = on_smooth_head(pupils[:, 0], pupils[:, 1])
+        self.eyeballs: FloatArray = self.warped(_with_face(flat, identity)) - [0.0, 0.0, BALL_MM]
+
+    def __call__(self, places: FloatArray, depth: FloatArray | float = 0.0) -> FloatArray:
+        """Return the skin (..., 3), mm, at places (..., 3) of the smooth average head, less a depth."""
+        skin = self.warped(_with_face(places, self._identity) - depth)
+        for eyeball in self.eyeballs:
+            off = skin[..., :2] - eyeball[:2]
+            ball = eyeball[2] + np.sqrt(np.maximum(BALL_MM**2 - np.square(off).sum(axis=-1), 0.0))
+            share = on_eyeball(places) * (np.sign(places[..., 0]) == np.sign(eyeball[0]))[..., None]
+            skin[..., 2] += share[..., 0] * (ball - skin[..., 2])
+        return skin
+
+    def warped(self, places: FloatArray) -> FloatArray:
+        """Return places (..., 3) of an average head in this person's proportions."""
+        return self._warp(places)
+
+
+def on_eyeball(places: FloatArray) -> FloatArray:
+    """Return the share (..., 1) of the skin that lies on an eyeball, at places of the average head."""
+    near, far = ON_BALL_MM
+    away = np.hypot(np.abs(places[..., 0]) - EYE_MIDDLE[0], places[..., 1] - EYE_MIDDLE[1])
+    return ((places[..., 2] > AXIS_Z) * smooth_step((far - away) / (far - near)))[..., None]
 
 
 def _ten_places() -> FloatArray:
     """Return the landmarks (K, 3) on the smooth average head."""
-    x, y = MEAN_SHAPE[:, 0], MEAN_SHAPE[:, 1]
-    return smooth_head(angle_of(x, y), y)
+    return on_smooth_head(MEAN_SHAPE[:, 0], MEAN_SHAPE[:, 1])
 
 
 def _with_face(places: FloatArray, identity: Identity) -> FloatArray:

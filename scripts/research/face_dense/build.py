@@ -2,22 +2,24 @@
 
 ICT-FaceKit is a face model of the USC Institute for Creative Technologies (MIT licence). The results contain
 trained weights and mean displacements, no geometry and no image. The shipped networks were trained in rounds
-of these steps: on 800 people, and then on 220 more with more beards.
+of these steps: on 800 people, and then on 220 more with more beards; the network of gazes at last, on
+300 rendered and 120 drawn people.
 """
 
 from __future__ import annotations
 
 import multiprocessing
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray
+from posetrack_cli.arrays import FloatArray, ImageArray
 from posetrack_cli.head.dense import expressions, network
 from posetrack_cli.head.dense.expressions import BLEND_SHAPES
-from posetrack_cli.head.dense.network import EYE_NETWORK, MOUTH_NETWORK
+from posetrack_cli.head.dense.network import EYE_NETWORK, GAZE_NETWORK, MOUTH_NETWORK
 from posetrack_cli.head.dense.points import (
     DENSE_COUNT,
     EYE_POINTS,
@@ -26,10 +28,13 @@ from posetrack_cli.head.dense.points import (
     NUMBERS,
     RIGHT_IRIS,
 )
+from research.face_dense.drawn import draw_gazes
 from research.face_dense.mesh import LANDMARKS, FaceKit, read_face_kit
-from research.face_dense.samples import Samples, draw_samples, joined
+from research.face_dense.samples import GazeSample, Samples, draw_samples, joined, kit_gazes
 
 PEOPLE, PEOPLE_PER_PART, CHECKED_PEOPLE = 800, 100, 40
+GAZE_PEOPLE, DRAWN_PEOPLE, DRAWN_CHECKED = 300, 120, 10
+"""People whose gaze is learned, of ICT-FaceKit and as ``head synth`` draws them."""
 SEED = 1
 MOUTH_PAIRS = ((62, 66), (61, 67), (63, 65), (51, 57), (48, 54), (60, 64))
 EYE_PAIRS = ((37, 41), (38, 40), (36, 39))
@@ -65,6 +70,21 @@ def _part(job: tuple[FaceKit, int]) -> dict[str, Samples]:
     return draw_samples(kit, PEOPLE_PER_PART if part else CHECKED_PEOPLE, part)
 
 
+def gaze_arrays(kit: FaceKit) -> dict[str, FloatArray]:
+    """Train the network of gazes on rendered and drawn people; return its arrays."""
+    from research.face_dense.training import gaze_spread, train_gaze, weights_of
+
+    crops, gazes = arrays_of([*kit_gazes(kit, GAZE_PEOPLE, 1), *draw_gazes(DRAWN_PEOPLE, 1)])
+    checked, true = arrays_of([*kit_gazes(kit, CHECKED_PEOPLE, 0), *draw_gazes(DRAWN_CHECKED, 0)])
+    trained = train_gaze(crops, gazes, SEED)
+    return weights_of(trained, checked) | {"spread": gaze_spread(trained, checked, true)}
+
+
+def arrays_of(samples: Sequence[GazeSample]) -> tuple[ImageArray, FloatArray]:
+    """Return the crops (N, height, width) and gazes (N, 2) of samples."""
+    return np.array([one.crop for one in samples]), np.array([one.gaze for one in samples])
+
+
 @click.command()
 @click.argument("face_kit", type=click.Path(exists=True, file_okay=False, path_type=Path))
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), default=network.SHIPPED.parent)
@@ -73,7 +93,7 @@ def build(face_kit: Path, out: Path) -> None:
 
     PyTorch must be installed in .venv; nothing else needs it.
     """
-    from research.face_dense.training import train, weights_of
+    from research.face_dense.training import spread_of, train, weights_of
 
     kit = read_face_kit(face_kit)
     np.savez_compressed(
@@ -90,8 +110,11 @@ def build(face_kit: Path, out: Path) -> None:
     ):
         rows = [(numbers.index(a), numbers.index(b)) for a, b in pairs]
         mirrored = [numbers.index(_MIRRORED[one]) for one in numbers] if name == MOUTH_NETWORK else None
-        trained = weights_of(train(learned[name], rows, mirrored, SEED), checked[name])
-        arrays |= {f"{name}.{key}": array for key, array in trained.items()}
+        trained = train(learned[name], rows, mirrored, SEED)
+        found = weights_of(trained, checked[name].crops) | {"spread": spread_of(trained, checked[name])}
+        arrays |= {f"{name}.{key}": array for key, array in found.items()}
+    gaze = gaze_arrays(kit)
+    arrays |= {f"{GAZE_NETWORK}.{key}": array for key, array in gaze.items()}
     np.savez_compressed(out / network.SHIPPED.name, **arrays)
 
 

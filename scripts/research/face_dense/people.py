@@ -37,6 +37,9 @@ PAIRS = (
     "cheekSquint",
 )
 BROWS = ("browDown", "browInnerUp", "browOuterUp")
+LIDS = ([37, 38, 40, 41], [43, 44, 46, 47])
+BALL_MM = 12.0
+"""Radius of an eyeball."""
 LOOK_FULL_RAD = (0.55, 0.45)
 """Gaze, to the side and up, at which the lids have moved by the full expression ``eyeLook...``."""
 
@@ -48,7 +51,8 @@ class Face:
     Attributes:
         vertices: (V, 3).
         landmarks: (68, 3).
-        eyes: (2, 3) centres of the right and left eyeball.
+        eyes: (2, 3) centres of the right and left eyeball, ``BALL_MM`` behind its front: the model's spheres
+            are larger than eyes, and not tied to the lids.
         gazes: (2, 3) unit vectors.
     """
 
@@ -66,14 +70,15 @@ def random_identity(kit: FaceKit, rng: np.random.Generator) -> FloatArray:
     return centred
 
 
-def random_face(kit: FaceKit, identity: FloatArray, rng: np.random.Generator) -> Face:
-    """Return an identity's face with a random expression and gaze."""
-    side, up = rng.normal(0.0, 0.22), rng.normal(0.0, 0.15)
-    gazes = []
-    for squint in (0.03, -0.03):
-        x, y = np.clip([side + rng.uniform(0.0, 1.0) * squint, up], -0.6, 0.6)
-        gaze = np.array([np.sin(x) * np.cos(y), np.sin(y), np.cos(x) * np.cos(y)])
-        gazes.append(gaze)
+def random_pupils(rng: np.random.Generator) -> float:
+    """Return how far a person's pupils are above the middle of the lids when they look ahead, mm."""
+    return float(rng.normal(0.5, 0.4))
+
+
+def random_face(kit: FaceKit, identity: FloatArray, pupils_mm: float, rng: np.random.Generator) -> Face:
+    """Return a face with a random expression and gaze, given a neutral face and ``random_pupils``."""
+    gazes = random_gazes(rng)
+    side, up = np.arctan2(gazes[:, 0], gazes[:, 2]).mean(), np.arcsin(gazes[0, 1])
     weights = random_expression(rng) | _looking(side, up)
     moved = sum((weight * kit.expressions[name] for name, weight in weights.items()), np.zeros_like(identity))
     vertices = identity + moved
@@ -81,7 +86,19 @@ def random_face(kit: FaceKit, identity: FloatArray, rng: np.random.Generator) ->
     for index, ball in enumerate(kit.eyeballs):
         vertices[ball] = identity[ball]
         centres[index] = _sphere_centre(identity[ball])
-    return Face(vertices, vertices[LANDMARKS], centres, np.array(gazes))
+        centres[index, 1] = identity[LANDMARKS[LIDS[index]], 1].mean() + pupils_mm
+        centres[index, 2] = identity[ball, 2].max() - BALL_MM
+    return Face(vertices, vertices[LANDMARKS], centres, gazes)
+
+
+def random_gazes(rng: np.random.Generator) -> FloatArray:
+    """Return directions (2, 3) of the right and left eye in the head's axes."""
+    side, up = rng.normal(0.0, 0.22), rng.normal(0.0, 0.15)
+    gazes = []
+    for squint in (0.03, -0.03):
+        x, y = np.clip([side + rng.uniform(0.0, 1.0) * squint, up], -0.6, 0.6)
+        gazes.append([np.sin(x) * np.cos(y), np.sin(y), np.cos(x) * np.cos(y)])
+    return np.array(gazes)
 
 
 def random_expression(rng: np.random.Generator) -> dict[str, float]:

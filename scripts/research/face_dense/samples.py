@@ -4,25 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from posetrack_cli.arrays import FloatArray, ImageArray
-from posetrack_cli.geometry.camera import pixels_wherever
+from posetrack_cli.geometry.camera import Camera, pixels_wherever
 from posetrack_cli.head.dense.points import LEFT_LIDS, MOUTH_POINTS, RIGHT_LIDS
 from posetrack_cli.head.dense.regions import (
     LEFT_EYE,
     MOUTH_REGION,
     RIGHT_EYE,
-    Region,
     crop,
+    gaze_region,
     image_from_crop,
 )
 from posetrack_cli.head.face.points import HeadPose
 from research.face_dense.mesh import FaceKit
-from research.face_dense.people import Face, random_face, random_identity
-from research.face_dense.scenes import BALL_MM, Scene, degraded, random_scene
+from research.face_dense.people import BALL_MM, Face, random_face, random_identity, random_pupils
+from research.face_dense.scenes import Scene, degraded, random_scene
 from research.face_dense.skin import SkinPainter
 
 VARIANTS = 2
@@ -37,13 +38,11 @@ class Samples:
     Attributes:
         crops: (N, height, width) uint8.
         targets: (N, P, 3) crop pixels, and mm in front of the region's plane.
-        gazes: (N, 2) rad, to the side of the crop's columns and up; zeros for the mouth.
         people: (N,) index of the person.
     """
 
     crops: ImageArray
     targets: FloatArray
-    gazes: FloatArray
     people: FloatArray
 
 
@@ -56,15 +55,15 @@ def joined(parts: Sequence[Samples]) -> Samples:
 
 def draw_samples(kit: FaceKit, people: int, seed: int) -> dict[str, Samples]:
     """Draw faces of random people; return samples of the mouth and of the eyes."""
-    found: dict[str, list[tuple[ImageArray, FloatArray, FloatArray, int]]] = {"mouth": [], "eye": []}
+    found: dict[str, list[tuple[ImageArray, FloatArray, int]]] = {"mouth": [], "eye": []}
     painter = SkinPainter(kit)
     for person in range(people):
         rng = np.random.default_rng([seed, person])
-        identity = random_identity(kit, rng)
+        identity, pupils_mm = random_identity(kit, rng), random_pupils(rng)
         skin = painter.paint(rng)
         brows = kit.on_skin(skin.brows)
         for _ in range(FACES_PER_PERSON):
-            face = random_face(kit, identity, rng)
+            face = random_face(kit, identity, pupils_mm, rng)
             scene = random_scene(kit, face, skin.texture, rng)
             for _ in range(VARIANTS):
                 for region, sample in _samples_of(scene, face, brows.of(face.vertices), rng):
@@ -73,8 +72,7 @@ def draw_samples(kit: FaceKit, people: int, seed: int) -> dict[str, Samples]:
         name: Samples(
             np.array([one[0] for one in rows]),
             np.array([one[1] for one in rows], np.float32),
-            np.array([one[2] for one in rows], np.float32),
-            np.array([one[3] for one in rows]),
+            np.array([one[2] for one in rows]),
         )
         for name, rows in found.items()
     }
@@ -82,19 +80,8 @@ def draw_samples(kit: FaceKit, people: int, seed: int) -> dict[str, Samples]:
 
 def _samples_of(
     scene: Scene, face: Face, brows: FloatArray, rng: np.random.Generator
-) -> Iterator[tuple[str, tuple[ImageArray, FloatArray, FloatArray]]]:
-    image, scale = degraded(scene.image, rng)
-    height, width = image.shape
-    old = scene.camera
-    camera = replace(
-        old,
-        width=width,
-        height=height,
-        fx=old.fx * scale,
-        fy=old.fy * scale,
-        cx=(old.cx + 0.5) * scale - 0.5,
-        cy=(old.cy + 0.5) * scale - 0.5,
-    )
+) -> Iterator[tuple[str, tuple[ImageArray, FloatArray]]]:
+    image, camera = _recorded(scene, rng)
     pose = _inaccurate(scene.pose, rng)
     irises = face.eyes + BALL_MM * face.gazes
     for region, points in (
@@ -107,15 +94,97 @@ def _samples_of(
         seen = pixels_wherever(camera, scene.pose.points(points))
         at = cv2.perspectiveTransform(seen[None], np.linalg.inv(homography))[0]
         target = np.column_stack([at, points[:, 2] - region.centre_mm[2]])
-        yield region.name.split("_")[-1], (crop(image, homography, region), target, _gaze(region, face))
+        yield region.name.split("_")[-1], (crop(image, homography, region), target)
 
 
-def _gaze(region: Region, face: Face) -> FloatArray:
-    if region is MOUTH_REGION:
-        return np.zeros(2)
-    gaze = face.gazes[1 if region.mirrored else 0]
-    side = np.arctan2(gaze[0], gaze[2]) * (-1.0 if region.mirrored else 1.0)
-    return np.array([side, np.arcsin(gaze[1])])
+def _recorded(scene: Scene, rng: np.random.Generator) -> tuple[ImageArray, Camera]:
+    """Return a scene's image of random quality, and its camera."""
+    image, scale = degraded(scene.image, rng)
+    height, width = image.shape
+    old = scene.camera
+    camera = replace(
+        old,
+        width=width,
+        height=height,
+        fx=old.fx * scale,
+        fy=old.fy * scale,
+        cx=(old.cx + 0.5) * scale - 0.5,
+        cy=(old.cy + 0.5) * scale - 0.5,
+    )
+    return image, camera
+
+
+class GazeSample(NamedTuple):
+    """Crop (height, width) uint8 of an eye, and its gaze (2,) rad, to the side of the columns and up."""
+
+    crop: ImageArray
+    gaze: FloatArray
+
+
+CORNERS = ((36, 39), (42, 45))
+LEAST_OPENING_MM = 3.0
+"""Lids of a person whose gaze is learned."""
+
+
+def kit_gazes(kit: FaceKit, people: int, seed: int) -> list[GazeSample]:
+    """Draw faces of random people with open eyes; return samples of their eyes."""
+    painter, found = SkinPainter(kit), []
+    for person in range(people):
+        rng = np.random.default_rng([seed, person])
+        identity, pupils_mm = random_identity(kit, rng), random_pupils(rng)
+        skin = painter.paint(rng)
+        for _ in range(FACES_PER_PERSON):
+            face = random_face(kit, identity, pupils_mm, rng)
+            opening = np.linalg.norm(
+                face.landmarks[[37, 38, 43, 44]] - face.landmarks[[41, 40, 47, 46]], axis=1
+            )
+            if opening.min() < LEAST_OPENING_MM:
+                continue
+            scene = random_scene(kit, face, skin.texture, rng)
+            corners = face.landmarks[list(CORNERS)]
+            for _ in range(VARIANTS):
+                image, camera = _recorded(scene, rng)
+                found += gaze_samples(image, camera, scene.pose, corners, face.gazes, rng)
+    return found
+
+
+CORNER_SD_MM = 0.7
+"""Errors of located eye corners."""
+
+
+def gaze_samples(
+    image: ImageArray,
+    camera: Camera,
+    pose: HeadPose,
+    corners: FloatArray,
+    gazes: FloatArray,
+    rng: np.random.Generator,
+) -> list[GazeSample]:
+    """Return a sample of each eye, at an inaccurate pose.
+
+    The gaze is in the axes of that pose, as no crop shows its error.
+
+    Args:
+        image, camera, pose: of the face.
+        corners: (2, 2, 3) mm, of the right and left eye.
+        gazes: (2, 3) unit vectors in the head's axes.
+        rng: draws errors.
+    """
+    inaccurate = _inaccurate(pose, rng)
+    found = []
+    for side, (own, gaze) in enumerate(zip(corners, gazes, strict=True)):
+        seen = pose.points(own.mean(axis=0))
+        # what the errors of the pose and of the corners leave: the middle's place in the image
+        ray = seen / seen[2] * inaccurate.position[2]
+        middle = inaccurate.rotation.T @ (ray - inaccurate.position)
+        middle = middle + CORNER_SD_MM * rng.standard_normal(3) * (1.0, 1.0, 2.0)
+        region = gaze_region(middle, mirrored=side == 1)
+        homography = image_from_crop(region, inaccurate, camera)
+        assert homography is not None
+        x, y, z = inaccurate.rotation.T @ (pose.rotation @ gaze)
+        to_side = np.arctan2(x, z) * (-1.0 if region.mirrored else 1.0)
+        found.append(GazeSample(crop(image, homography, region), np.array([to_side, np.arcsin(y)])))
+    return found
 
 
 def _inaccurate(pose: HeadPose, rng: np.random.Generator) -> HeadPose:

@@ -14,13 +14,13 @@ from posetrack_cli.geometry.rotations import head_quaternion_from_roll_pitch_yaw
 from posetrack_cli.head.face.points import HeadPose
 from research.face_dense.drawing import rasterise, vertex_normals
 from research.face_dense.mesh import EYEBALLS, GUMS, SKIN, TEETH, FaceKit
-from research.face_dense.people import Face
+from research.face_dense.people import BALL_MM, Face
 
 WIDTH, HEIGHT = 310, 340
 PX_PER_MM = 1.5
 """Resolution of drawn faces."""
 EYE_DISTANCE_MM = 63.0
-IRIS_MM, BALL_MM = 5.9, 12.0
+IRIS_MM = 5.9
 Mask: TypeAlias = np.ndarray[Any, np.dtype[Any]]
 """Share (HEIGHT, WIDTH) of a covering thing in each pixel."""
 
@@ -39,11 +39,8 @@ def random_scene(kit: FaceKit, face: Face, skin: ImageArray, rng: np.random.Gene
     distance = np.exp(rng.uniform(np.log(300.0), np.log(1800.0)))
     focal = PX_PER_MM * distance
     camera = Camera(WIDTH, HEIGHT, focal, focal, WIDTH / 2 - 0.5, 0.37 * HEIGHT)
-    angles = np.radians(
-        [rng.normal(0.0, 8.0), rng.normal(0.0, 11.0), rng.choice([12.0, 30.0]) * rng.normal(0.0, 1.0)]
-    )
-    angles = np.clip(angles, np.radians([-25.0, -35.0, -55.0]), np.radians([25.0, 35.0, 55.0]))
-    pose = HeadPose(np.array([0.0, 0.0, distance]), head_quaternion_from_roll_pitch_yaw(angles))
+    quaternion = head_quaternion_from_roll_pitch_yaw(random_angles(rng))
+    pose = HeadPose(np.array([0.0, 0.0, distance]), quaternion)
     points = pose.points(face.vertices)
     values = np.hstack([face.vertices, vertex_normals(points, kit.triangles)])
     drawn, kinds = rasterise(
@@ -61,6 +58,14 @@ def random_scene(kit: FaceKit, face: Face, skin: ImageArray, rng: np.random.Gene
         if rng.random() < chance:
             image = add(image, camera, pose, rng)
     return Scene(np.clip(image, 0.0, 1.0), camera, pose)
+
+
+def random_angles(rng: np.random.Generator) -> FloatArray:
+    """Return roll, pitch and yaw (3,) of a head, rad."""
+    angles = np.radians(
+        [rng.normal(0.0, 8.0), rng.normal(0.0, 11.0), rng.choice([12.0, 30.0]) * rng.normal(0.0, 1.0)]
+    )
+    return np.clip(angles, np.radians([-25.0, -35.0, -55.0]), np.radians([25.0, 35.0, 55.0]))
 
 
 def _lit(

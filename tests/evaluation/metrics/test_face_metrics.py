@@ -8,8 +8,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from posetrack_cli.evaluation.measuring.face_metrics import NAMES, NUMBERS_USED, blink_f1, face_metrics
-from posetrack_cli.evaluation.measuring.measures import Measures
+from posetrack_cli.evaluation.measuring.face_metrics import (
+    GAZE_NAMES,
+    NAMES,
+    NUMBERS_USED,
+    SIDES,
+    blink_f1,
+    eye_metrics,
+    face_metrics,
+)
+from posetrack_cli.evaluation.measuring.measures import Matched, Measures
+from posetrack_cli.evaluation.reading.tracks import Pairs, Track
 from posetrack_cli.head.dense.numbers import CLOSED
 
 FRAMES = 40
@@ -86,6 +95,50 @@ def test_result_without_the_dense_face(landmarks: Path) -> None:
     )
 
     assert set(_metrics(track, landmarks).absent) == set(NAMES)
+
+
+def _gazes(angle: float) -> dict[str, np.ndarray]:
+    """Numbers of eyes that look ahead, of a head that faces the camera, but for an angle to the left."""
+    named = {f"action_{side}_lid_mm": OPENING for side in SIDES} | {CLOSED: (OPENING < 5.0).astype(float)}
+    gaze = {"x": np.sin(angle), "y": 0.0, "z": -np.cos(angle), "sd_rad": np.radians(2.0)}
+    return named | {f"{side}_gaze_{k}": np.full(FRAMES, value) for side in SIDES for k, value in gaze.items()}
+
+
+def _matched(mine: dict[str, np.ndarray], theirs: dict[str, np.ndarray]) -> Matched:
+    rows = np.arange(FRAMES)
+
+    def track(named: dict[str, np.ndarray]) -> Track:
+        facing = np.tile([1.0, 0.0, 0.0, 0.0], (FRAMES, 1))
+        numbers = np.stack(list(named.values()), axis=1)
+        kept = {"quaternion": facing, "numbers": numbers, "number_names": tuple(named)}
+        return Track("a", "head", (), (), (), stamp_ns=rows * 33_000_000, **kept)
+
+    return Matched(track(mine), track(theirs), Pairs(rows, rows))
+
+
+def test_gaze_against_the_truth() -> None:
+    off, true = _gazes(np.radians(3.0)), _gazes(0.0)
+    off["left_gaze_x"] = np.full(FRAMES, np.nan)
+    off["right_gaze_x"] = np.where(OPENING < 5.0, np.nan, off["right_gaze_x"])
+    off["left_gaze_x"][0] = true["left_gaze_x"][0]
+    off["left_gaze_z"][0] = true["left_gaze_z"][0]
+    measures = Measures("nothing")
+    eye_metrics(measures, _matched(off, true))
+
+    found = measures.metrics
+    assert found["right_gaze_deg"].mean == pytest.approx(3.0)
+    assert found["left_gaze_deg"].mean == pytest.approx(0.0, abs=1e-6)
+    # 3 deg are inside 1.645 times 2 deg
+    assert found["gaze_inside_90"] == 1.0
+    assert found["blink_f1"] == 1.0
+
+
+def test_no_gaze_is_known() -> None:
+    unknown = _gazes(0.0) | {"right_gaze_x": np.full(FRAMES, np.nan)}
+    measures = Measures("nothing")
+    eye_metrics(measures, _matched(unknown, _gazes(0.0)))
+
+    assert set(GAZE_NAMES) <= set(measures.absent)
 
 
 @pytest.mark.parametrize(

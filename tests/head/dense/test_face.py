@@ -11,7 +11,13 @@ import pytest
 from posetrack_cli.geometry.camera import Camera, pixels_wherever
 from posetrack_cli.head.actions import ACTION_NAMES
 from posetrack_cli.head.dense.face import KNOWN_FACES, DenseFaces
-from posetrack_cli.head.dense.measure import average_face, measure
+from posetrack_cli.head.dense.measure import (
+    CONVERGENCE_RAD,
+    CONVERGENCE_SD_RAD,
+    average_face,
+    measure,
+    together,
+)
 from posetrack_cli.head.dense.network import shipped_networks
 from posetrack_cli.head.dense.numbers import CLOSED, FACE_NUMBERS, dense_points
 from posetrack_cli.head.dense.points import DENSE_COUNT, DENSE_NAMES, NUMBERS
@@ -127,6 +133,34 @@ def test_a_face_turned_away_is_unknown():
 
     assert np.isnan(found.places).all()
     assert np.isnan(found.gazes).all()
+
+
+def test_eyes_that_converge_as_usual_keep_their_gazes():
+    half, sd = 0.5 * CONVERGENCE_RAD, 0.05
+    gazes = np.array([[0.1 + half, -0.2, sd], [0.1 - half, -0.2, sd]])
+
+    found = together(gazes)
+
+    np.testing.assert_allclose(found[:, :2], gazes[:, :2])
+    assert (found[:, 2] < sd).all()
+
+
+def test_both_eyes_look_up_alike_and_do_not_diverge_much():
+    """The more certain eye counts more; a difference as likely before as measured is halved."""
+    sd = CONVERGENCE_SD_RAD / np.sqrt(2.0)
+    found = together(np.array([[-0.1, 0.1, sd], [0.1, 0.3, sd]]))
+    assert found[0, 1] == found[1, 1] == pytest.approx(0.2)
+    assert found[:, 0].sum() == pytest.approx(0.0)
+    assert found[0, 0] - found[1, 0] == pytest.approx(0.5 * (CONVERGENCE_RAD - 0.2))
+
+    uneven = together(np.array([[0.0, 0.1, 0.02], [0.0, 0.3, 0.06]]))
+    assert uneven[0, 1] == pytest.approx(0.12)
+
+
+def test_one_eye_keeps_its_gaze():
+    gazes = np.array([[0.1, 0.2, 0.05], [np.nan] * 3])
+
+    np.testing.assert_array_equal(together(gazes), gazes)
 
 
 def test_people_are_learned_separately():

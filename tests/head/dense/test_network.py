@@ -4,8 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from posetrack_cli.head.dense.network import EYE_NETWORK, LEAST_CONTRAST, POSITION_SCALE, shipped_networks
-from posetrack_cli.head.dense.regions import RIGHT_EYE
+from posetrack_cli.head.dense.network import (
+    EYE_NETWORK,
+    GAZE_NETWORK,
+    LEAST_CONTRAST,
+    LEAST_SD,
+    POSITION_SCALE,
+    shipped_networks,
+)
+from posetrack_cli.head.dense.regions import RIGHT_EYE, gaze_region
 
 
 def _outputs(network, crop):
@@ -35,7 +42,16 @@ def test_network_equals_brute_force():
     places = expected[: 3 * count].reshape(count, 3) * POSITION_SCALE + network.middle
     # float32 sums of up to 1600 terms against float64
     np.testing.assert_allclose(found.pixels, places[:, :2], atol=2e-3)
-    np.testing.assert_allclose(found.further, expected[4 * count :], atol=2e-3)
+
+
+def test_gaze_equals_brute_force():
+    network, region = shipped_networks()[GAZE_NETWORK], gaze_region(np.zeros(3), mirrored=False)
+    crop = np.random.default_rng(1).integers(0, 256, (region.height, region.width)).astype(np.uint8)
+
+    side, up, log_spread = _outputs(network, crop)
+
+    expected = [side, up, (np.exp(log_spread) + LEAST_SD) * network.spread[0]]
+    np.testing.assert_allclose(network.gaze(crop), expected, atol=2e-4)
 
 
 def test_equal_crops_give_equal_bits():

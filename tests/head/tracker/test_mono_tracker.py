@@ -261,9 +261,15 @@ def test_a_head_that_jumps_and_turns_within_a_frame_is_followed_without_a_search
     assert scene.told.asked == STARTING
 
 
-def scored(method: Callable[..., FrameFit], score: float, weights: np.ndarray) -> Callable[..., FrameFit]:
-    """A way to fit that comes to a score of its own."""
-    return lambda *where: replace(method(*where), score=score, weights=weights)
+def scored(method: Callable[..., FrameFit], *outcomes: tuple[float, np.ndarray]) -> Callable[..., FrameFit]:
+    """A way to fit that comes to these scores and weights in turn, and to the last one from then on."""
+    left = list(outcomes)
+
+    def fit(*where: object) -> FrameFit:
+        score, weights = left.pop(0) if len(left) > 1 else left[0]
+        return replace(method(*where), score=score, weights=weights)
+
+    return fit
 
 
 def test_of_two_places_the_one_counts_in_which_more_of_the_face_is_seen() -> None:
@@ -272,10 +278,8 @@ def test_of_two_places_the_one_counts_in_which_more_of_the_face_is_seen() -> Non
     for index in range(STARTING + 6):
         scene.step(index)
     scene.told.there, scene.state = False, replace(scene.state, trust=0.0)
-    with (
-        patch.object(PersonFitter, "fit_from", scored(PersonFitter.fit_from, 0.6, np.full(10, 0.6))),
-        patch.object(PersonFitter, "fit", scored(PersonFitter.fit, 0.65, half)),
-    ):
+    places = scored(PersonFitter.fit, (0.65, half), (0.6, np.full(10, 0.6)))
+    with patch.object(PersonFitter, "fit", places):
         found = scene.step(STARTING + 6)
     assert numbers_of(scene, found)["score"] == 0.6
 

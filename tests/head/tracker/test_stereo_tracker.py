@@ -19,7 +19,7 @@ from posetrack_cli.results.estimate import Estimate, Status
 from support.codecs import assert_lawful
 from support.mono_scene import map_skin_soon
 from support.stereo_scene import CAMERAS, FEW, Scene, Told
-from support.textured_face import pose_at, textured_face
+from support.textured_face import SHAPE, pose_at, textured_face
 
 POSITION_MM, ROTATION_RAD = 0.3, np.radians(0.3)
 """Far above that, which leaves room for the planes' edges, and far below a pixel: 0.7 mm."""
@@ -174,3 +174,16 @@ def test_exchanged_images_are_refused() -> None:
     scene.step(1)
     with pytest.raises(RecordingError, match="camera1, camera0"):
         scene.step(2)
+
+
+def test_a_head_that_jumps_is_followed_by_its_whole_face() -> None:
+    """By 40 px between two frames, farther than a patch reaches, in the images of both cameras."""
+    scene = Scene()
+    for index in range(6):
+        scene.step(index)
+    scene.told.there = False
+    there = pose_at(6).moved(np.array([60.0, 15.0, 0.0, 0.0, 0.1, 0.0]))
+    images = scene.face.render(tuple(CAMERAS), there, SHAPE, noise=2.0)
+    scene.state, found = scene.tracker.step(scene.state, replace(scene.frame(6), images=images), scene.rng)
+    assert scene.told.asked == 1 and found.points is not None
+    np.testing.assert_allclose(found.points, there.points(SHAPE), atol=2.0)

@@ -8,7 +8,7 @@ import pytest
 from posetrack_cli.head.face.rig_images import RigImages, project
 from posetrack_cli.head.face.templates import TemplateSet, take_templates
 from posetrack_cli.head.initialisation.single_view import pose_near
-from posetrack_cli.head.tracker.face_learning import REDUCED, SLACK, shift_of
+from posetrack_cli.head.tracker.whole_face import REDUCED, SLACK, shift_of
 from support.mono_scene import CAMERA, FACE
 from support.textured_face import SHAPE, pose_at
 

@@ -98,7 +98,7 @@ def test_deformations_take_two_thirds_and_leave_a_neutral_beginning() -> None:
     assert interval is not None
     start, end = interval
     assert (start, end) == pytest.approx((2.0, 2.0 / 3.0 * MINUTE.duration_s))
-    deforming = [k for k, name in enumerate(EXPRESSIONS) if name not in ("blink", "gaze")]
+    deforming = [k for k, name in enumerate(EXPRESSIONS) if name != "blink"]
     outside = (seconds <= start) | (seconds >= end)
     np.testing.assert_allclose(strengths[outside][:, deforming], 0.0, atol=ROUNDING)
     assert (np.abs(strengths).max(axis=0) > 0.4).all()  # every expression occurs

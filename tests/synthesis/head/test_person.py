@@ -103,15 +103,6 @@ def test_the_mouth_is_closed_until_the_jaw_opens_and_never_torn(average: Person)
     assert (opened[np.abs(x) < 0.9 * MOUTH_X] > 0.0).all()
 
 
-def test_a_blink_shuts_the_eyes(average: Person) -> None:
-    """What the opening shows at its middle comes down by nearly the opening's height, the lower lid rests."""
-    moved = average.moved[EXPRESSIONS.index("blink")]
-    x, y = GRID.places[..., 0], GRID.places[..., 1]
-    near = (np.abs(np.abs(x) - 31.5) < 2.0) & (GRID.places[..., 2] > -40.0)
-    assert moved[near & (np.abs(y - 5.0) < 2.0), 1].min() < -7.0
-    assert np.abs(moved[near & (y < -7.0), 1]).max() == 0.0
-
-
 def test_the_skin_faces_outwards(average: Person) -> None:
     normals = grid_normals(average.neutral)
     outwards = average.neutral - np.array([0.0, 0.0, -80.0])

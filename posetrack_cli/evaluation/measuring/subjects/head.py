@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from posetrack_cli.evaluation.measuring.face_metrics import FACE_METRICS
+from posetrack_cli.evaluation.measuring.face_metrics import FACE_METRICS, eye_metrics
 from posetrack_cli.evaluation.measuring.head_metrics import (
     HEAD_POSE,
     STATE_PARTS,
@@ -61,8 +61,9 @@ _METRICS = (
 )
 
 
-def _landmarks(measures: Measures, result: Result, matched: Matched) -> None:
+def _face(measures: Measures, result: Result, matched: Matched) -> None:
     landmark_metrics(measures, matched, result.camera)
+    eye_metrics(measures, matched)
 
 
 HEAD = SubjectKind(
@@ -90,6 +91,6 @@ HEAD = SubjectKind(
     worst_by=("point_error_mm", "position_mm", "landmark_error_px"),
     right={"rotation_deg": RIGHT_DEG, "point_error_mm": RIGHT_MM},
     far={"rotation_deg": FAR_DEG},
-    measure_of_result=_landmarks,
+    measure_of_result=_face,
     expressions=(*(name for name in ACTION_NAMES if not name.endswith("_sd")), *MEASURED_SHARES),
 )
