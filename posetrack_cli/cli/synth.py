@@ -33,7 +33,7 @@ from posetrack_cli.errors import UsageError
 
 SWITCHES = (
     ("noise", "Depth noise, and range limits of 0.5 to 4.5 m."),
-    ("edges", "Missing readings at depth edges."),
+    ("edges", "Missing and displaced readings at depth edges."),
     ("background", "Render a room behind the hand."),
     ("body", "Render trunk and head behind the hand."),
     ("forearm", "Render the forearm."),
@@ -117,10 +117,20 @@ shape_options = option_group(
 )
 @option_group(hand_side_option("right", "left", text="Left or right hand.", default="right"), title="Hand")
 @shape_options
+@option_group(
+    option(
+        "--sensor",
+        metavar="NAME",
+        default="kinect2",
+        help="Sensor: kinect1, kinect2, azure-nfov, azure-wfov, d415, d435, l515, sr305 or iphone-lidar.  "
+        "[default: kinect2]",
+    ),
+    title="Sensor",
+)
 @switch_options
 @volume_options
 def hand_synth(output: Path, overwrite: bool, **values: Any) -> None:
-    """Generate OUT.mcap, a Kinect v2 depth recording of a moving hand with ground truth on /truth/hand.
+    """Generate OUT.mcap, a depth recording of a moving hand with ground truth on /truth/hand.
 
     By default, all switches are on for motion C and off for A and B. The same options give an identical file.
     """

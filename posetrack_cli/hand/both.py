@@ -19,8 +19,8 @@ from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.recording import Recording
 
 SIDES = ("right", "left")
-FRAMES = 16
-"""Frames of the whole recording that are searched for two hands."""
+FRAMES, _FEW = 16, 6
+"""Frames of the whole recording that are searched for two hands, and least number that show both."""
 SECOND_MM = 8.0
 """Largest total cost of the costlier of two hands **[ours]**.
 
@@ -29,6 +29,9 @@ ones); in every recording of two hands some frame costs less than 7 mm.
 """
 LIKELY_MM = 15.0
 """Likewise in a recording that is known to show two hands."""
+_FINGERS_MM, _ALIKE_MM = 4.0, 2.0
+"""Further cost of two hands that both show fingers, and largest difference of their costs: real hands of
+average shape cost up to 12 mm, with or without a second one."""
 _LEAST_COST_MM = 2.5
 """Cost of the best fits of an average hand of the right size."""
 
@@ -38,11 +41,16 @@ class PairFrame(NamedTuple):
 
     Attributes:
         frame: the frame.
-        wrists: (3,) of the right and of the left hand, mm.
+        wrists: (3,) of the right and of the left hand, mm; None for one that was not found.
     """
 
     frame: Frame
-    wrists: tuple[FloatArray, FloatArray]
+    wrists: tuple[FloatArray | None, FloatArray | None]
+
+    @property
+    def shows_both(self) -> bool:
+        """Return whether both hands were found."""
+        return all(wrist is not None for wrist in self.wrists)
 
 
 class PairFinder:
@@ -64,12 +72,14 @@ class PairFinder:
     @property
     def shows_two(self) -> bool:
         """Whether some frame clearly shows two hands."""
-        return any(self._pairs("looking for a second hand", SECOND_MM))
+        return any(one.shows_both for one in self._pairs("looking for a second hand", SECOND_MM))
 
     @property
     def frames(self) -> list[PairFrame]:
-        """The frames that probably show both of two hands."""
-        return list(self._pairs("finding both hands", LIKELY_MM))
+        """The frames that probably show both of two hands; if they are few, also those that show one."""
+        found = list(self._pairs("finding both hands", LIKELY_MM))
+        both = [one for one in found if one.shows_both]
+        return both if len(both) >= _FEW else found
 
     def _pairs(self, name: str, limit_mm: float) -> Iterator[PairFrame]:
         frames = self._recording.frames(start=self._start, end=None, stride=self._stride)
@@ -81,7 +91,7 @@ class PairFinder:
                 advance(1)
 
     def _pair_in(self, frame: Frame, limit_mm: float) -> PairFrame | None:
-        """Return a frame's two hands, each with a total cost below a limit; None without them."""
+        """Return a frame's hands, each with a total cost below a limit; None if it cannot show two."""
         likely = [
             (penalty, detection)
             for detection in self._finders[0].detect(frame.depth)
@@ -90,15 +100,21 @@ class PairFinder:
         found: list[list[Candidate]] = [[], []]
         places = len(likely)
         # the least likely first: without a second hand, the fits of the first one are not needed
-        for _, detection in sorted(likely, key=lambda one: -one[0]):
+        for penalty, detection in sorted(likely, key=lambda one: -one[0]):
             if places < len(SIDES):
                 return None
             fits = [finder.candidates_at(frame.depth, [detection]) for finder in self._finders]
-            good = [[one for one in these if one.total_cost < limit_mm] for these in fits]
+            most = limit_mm + (_FINGERS_MM if penalty < 0.0 else 0.0)
+            good = [[one for one in these if one.total_cost < most] for these in fits]
             places -= not any(good)
             found = [known + more for known, more in zip(found, good, strict=True)]
         right, left = cheapest_pair(*found)
-        return None if right is None or left is None else PairFrame(frame, (right.pose[:3], left.pose[:3]))
+        wrists = None if right is None else right.pose[:3], None if left is None else left.pose[:3]
+        if right is not None and left is not None:
+            low, high = sorted((right.total_cost, left.total_cost))
+            if high >= limit_mm and high >= low + _ALIKE_MM:
+                return None
+        return PairFrame(frame, wrists)
 
 
 def _finder(config: HandConfig, side: str, scale: float, recording: Recording) -> Acquisition:
@@ -123,7 +139,7 @@ def shape_of_both(
     shapes = []
     for side, name in enumerate(SIDES):
         hand = config.hand.model_copy(update={"side": name})
-        places = [(pair.frame, pair.wrists[side]) for pair in found]
+        places = [(one.frame, wrist) for one in found if (wrist := one.wrists[side]) is not None]
         options = CalibrationOptions(side=name, places=places)
         try:
             one = shape_of(recording, config.model_copy(update={"hand": hand}), options)

@@ -105,8 +105,8 @@ class PairTracker:
         seen = [self._predicted(k, state, frame) for k in _BOTH]
         found = self._found(state, seen, frame.depth)
         for k, one in enumerate(found):
-            if one is not None:
-                seen[k] = SeenHand(self._drawers[k], one.pose, one.inner, not state.is_sure(1 - k))
+            if (at := self._seen_at(k, one)) is not None:
+                seen[k] = replace(at, is_sure=not state.is_sure(1 - k))
         states, inner, unsure = list(state.hands), state.inner.copy(), state.unsure.copy()
         estimates: dict[int, Estimate] = {}
         for k in sorted(_BOTH, key=lambda k: _depth_mm(seen[k])):
@@ -137,21 +137,24 @@ class PairTracker:
     ) -> list[Candidate | None]:
         """Return where unsure hands are, if they are not at their predicted places.
 
-        A hand is searched without what the other one explains, if that one is sure: alone, a right hand's
-        model would also fit the left hand. If that does not help, both are searched: of all pairs of places,
-        the cheapest counts.
+        If neither is sure, both are searched: of all pairs of places, the cheapest counts. Then a hand is
+        searched without what the other one explains: alone, a right hand's model would also fit the left one.
         """
         found: list[Candidate | None] = [None, None]
         turn = [k for k in _BOTH if not state.is_sure(k) and state.unsure[k] % _SEARCH_FRAMES == 0]
-        if len(turn) == 1 and (other := seen[1 - turn[0]]) is not None and other.is_sure:
-            (k,) = turn
-            rest = without_others(depth, None, (other,), self._camera)
-            best = min(self.trackers[k].candidates(rest), key=lambda one: one.total_cost, default=None)
-            found[k] = self._accepted(k, best, state, rest)
-        elif turn:
+        if turn and not any(one is not None and one.is_sure for one in seen):
             best_pair = cheapest_pair(*(tracker.candidates(depth) for tracker in self.trackers))
             found = [self._accepted(k, one, state, depth) for k, one in enumerate(best_pair)]
+        for k in turn:
+            other = self._seen_at(1 - k, found[1 - k]) or seen[1 - k]
+            if found[k] is None and other is not None and other.is_sure:
+                rest = without_others(depth, None, (other,), self._camera)
+                best = min(self.trackers[k].candidates(rest), key=lambda one: one.total_cost, default=None)
+                found[k] = self._accepted(k, best, state, rest)
         return found
+
+    def _seen_at(self, k: int, found: Candidate | None) -> SeenHand | None:
+        return None if found is None else SeenHand(self._drawers[k], found.pose, found.inner)
 
     def _accepted(
         self, k: int, found: Candidate | None, state: PairState, depth: ImageArray

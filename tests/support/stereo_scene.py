@@ -39,7 +39,7 @@ class Told:
     def from_landmarks(self, frame: object, tracked: object = None) -> None:
         """No landmarks tell anything."""
 
-    def find(self, frame: object, *, is_first: bool) -> StereoInitialisation | InitFailure:
+    def find(self, frame: object, *, is_first: bool, is_known: bool) -> StereoInitialisation | InitFailure:
         self.asked += 1
         if not self.there:
             return self.failure

@@ -23,7 +23,7 @@ from posetrack_cli.head.dense.lengths import (
     Person,
     lengths_of,
 )
-from posetrack_cli.head.dense.measure import DensePoints, average_face, measure
+from posetrack_cli.head.dense.measure import DensePoints, average_face, measure, together
 from posetrack_cli.head.dense.network import shipped_networks
 from posetrack_cli.head.dense.numbers import FACE_NUMBERS
 from posetrack_cli.head.dense.points import DENSE_COUNT
@@ -194,7 +194,7 @@ def _gazes(face: KnownFace, lengths: Lengths, gazes: FloatArray, pose: HeadPose)
     """Return the numbers of both eyes' gazes (2, 3): angles, deviation, direction in camera axes."""
     # False for unknown lids
     is_open = (_openings(face.lengths, lengths)[0] >= SHUT_BELOW) & (not face.is_closed)
-    gazes = np.where(is_open[:, None], gazes, np.nan)
+    gazes = together(np.where(is_open[:, None], gazes, np.nan))
     side, up = gazes[:, 0], gazes[:, 1]
     in_head = np.stack([np.sin(side) * np.cos(up), np.sin(up), np.cos(side) * np.cos(up)], axis=1)
     numbers: FloatArray = np.hstack([gazes, in_head @ pose.rotation.T]).ravel()

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -144,7 +145,7 @@ class Person:
         values: FloatArray = _LEAST + BIN_MM * (above + within)
         return values
 
-    @property
+    @cached_property
     def rest(self) -> FloatArray:
         """(L,) mm, lengths of the face at rest."""
         return self.quantiles(_REST)

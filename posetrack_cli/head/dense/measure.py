@@ -48,7 +48,8 @@ class DensePoints:
     Attributes:
         places: (D, 3) mm in the head's frame.
         covariances: (D, 3, 3) mm^2.
-        gazes: (2, 3) right and left eye: angles to the subject's left and up, and standard deviation, rad.
+        gazes: (2, 3) of the right and left eye, each by itself: angles to the subject's left and up, and
+            standard deviation, rad.
     """
 
     places: FloatArray
@@ -92,7 +93,7 @@ def measure(networks: Mapping[str, Network], images: RigImages, pose: HeadPose) 
     places, covariances = np.full((DENSE_COUNT, 3), np.nan), np.full((DENSE_COUNT, 3, 3), np.nan)
     covariances[known] = np.linalg.inv(information[known])
     places[known] = np.einsum("kij,kj->ki", covariances[known], weighted[known])
-    return DensePoints(places, covariances, together(np.array([_mean_gaze(one) for one in gazes])))
+    return DensePoints(places, covariances, np.array([_mean_gaze(one) for one in gazes]))
 
 
 @dataclass(frozen=True, eq=False)

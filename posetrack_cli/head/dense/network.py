@@ -22,7 +22,7 @@ from posetrack_cli.files import read_input
 from posetrack_cli.npz import read_npz
 
 CHANNELS, KERNELS = (16, 24, 32, 32), (5, 3, 3, 3)
-"""Output channels and kernel sizes of the convolutions."""
+"""Output channels, multiples of 8, and kernel sizes of the convolutions."""
 HIDDEN = 96
 """Size of the first full layer."""
 POSITION_SCALE = 10.0
@@ -39,26 +39,29 @@ MOUTH_NETWORK, EYE_NETWORK, GAZE_NETWORK = "mouth", "eye", "gaze"
 def _convolved(image: Float32Array, weights: Float32Array, bias: Float32Array) -> Float32Array:
     """Return the convolution with stride 2 of (H, W, C), padded with zeros, cut off below zero.
 
-    The innermost loop runs over output channels, which keeps the order of sums and uses vector instructions.
+    Eight output channels at a time are summed in a vector register. The order of each sum is fixed.
     """
     height, width, channels = image.shape
     size, count = weights.shape[0], weights.shape[3]
-    margin = size // 2
+    margin, zero = size // 2, np.float32(0.0)
     out = np.empty(((height + 1) // 2, (width + 1) // 2, count), np.float32)
     for y in range(out.shape[0]):
         for x in range(out.shape[1]):
-            total = out[y, x]
-            total[:] = bias
-            for i in range(max(0, margin - 2 * y), min(size, height + margin - 2 * y)):
-                for j in range(max(0, margin - 2 * x), min(size, width + margin - 2 * x)):
-                    for c in range(channels):
-                        value = image[2 * y + i - margin, 2 * x + j - margin, c]
-                        if value != 0.0:
-                            row = weights[i, j, c]
-                            for k in range(count):
-                                total[k] += value * row[k]
-            for k in range(count):
-                total[k] = max(total[k], np.float32(0.0))
+            for k in range(0, count, 8):
+                b, o = bias[k : k + 8], out[y, x, k : k + 8]
+                s0, s1, s2, s3, s4, s5, s6, s7 = b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7]
+                for i in range(max(0, margin - 2 * y), min(size, height + margin - 2 * y)):
+                    for j in range(max(0, margin - 2 * x), min(size, width + margin - 2 * x)):
+                        for c in range(channels):
+                            value = image[2 * y + i - margin, 2 * x + j - margin, c]
+                            if value != 0.0:
+                                w = weights[i, j, c, k : k + 8]
+                                s0, s1 = s0 + value * w[0], s1 + value * w[1]
+                                s2, s3 = s2 + value * w[2], s3 + value * w[3]
+                                s4, s5 = s4 + value * w[4], s5 + value * w[5]
+                                s6, s7 = s6 + value * w[6], s7 + value * w[7]
+                o[0], o[1], o[2], o[3] = max(s0, zero), max(s1, zero), max(s2, zero), max(s3, zero)
+                o[4], o[5], o[6], o[7] = max(s4, zero), max(s5, zero), max(s6, zero), max(s7, zero)
     return out
 
 

@@ -78,14 +78,16 @@ class ClickedInitialiser(StereoInitialiser):
         super().__init__(settings, cameras, landmarks)
         self._clicked = clicked
 
-    def find(self, frame: Frame, *, is_first: bool) -> StereoInitialisation | InitFailure:
+    def find(
+        self, frame: Frame, *, is_first: bool, is_known: bool = False
+    ) -> StereoInitialisation | InitFailure:
         """Return the head in a frame, or the reason why there is none.
 
         Raises:
             NothingFoundError: the clicked points are not those of a face.
         """
         if not is_first:
-            return super().find(frame, is_first=False)
+            return super().find(frame, is_first=False, is_known=is_known)
         found = self._attempt(frame).from_clicked(self._clicked.pixels)
         if isinstance(found, InitFailure):
             raise self._clicked.no_head_error(found)

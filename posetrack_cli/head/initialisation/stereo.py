@@ -89,11 +89,21 @@ class StereoInitialiser:
         self._settings, self._cameras, self._landmarks = settings, tuple(cameras), landmarks
         self._detector = FaceDetector(settings.detection)
 
-    def find(self, frame: Frame, *, is_first: bool) -> StereoInitialisation | InitFailure:
-        """Return the head in a frame, or the reason why there is none."""
+    def find(
+        self, frame: Frame, *, is_first: bool, is_known: bool = False
+    ) -> StereoInitialisation | InitFailure:
+        """Return the head in a frame, or the reason why there is none.
+
+        Args:
+            frame: of all cameras.
+            is_first: whether it is searched thoroughly.
+            is_known: whether the face was found before; its cameras are then searched in turn.
+        """
         found = self.from_landmarks(frame)
+        if found is not None:
+            return found
         index = None if is_first else frame.index
-        return self._attempt(frame).find(self._detector, index) if found is None else found
+        return self._attempt(frame).find(self._detector, index, in_turn=is_known)
 
     def from_landmarks(self, frame: Frame, tracked: FloatArray | None = None) -> StereoInitialisation | None:
         """Return the head from the landmarks of the largest face, None without landmarks.
@@ -133,7 +143,9 @@ class StereoAttempt:
         """Each camera with its image, None where it has none."""
         return self.images.views
 
-    def find(self, detector: FaceDetector, index: int | None = None) -> StereoInitialisation | InitFailure:
+    def find(
+        self, detector: FaceDetector, index: int | None = None, *, in_turn: bool = False
+    ) -> StereoInitialisation | InitFailure:
         """Detect a face and return its head, or the reason why there is none.
 
         The reference camera's image is searched first, then the others'.
@@ -141,25 +153,30 @@ class StereoAttempt:
         Args:
             detector: of faces.
             index: of the frame, for a quick search; by default the images are searched thoroughly.
+            in_turn: a quick search looks at one camera's image per frame.
         """
         cameras = self.images.cameras
         present = [c for c, view in enumerate(self.views) if view is not None]
         if len(present) < 2:
             return InitFailure("fewer than two cameras have an image")
+        # stable sort with the reference camera first
+        order = sorted(present, key=lambda c: not is_reference(cameras[c]))
+        in_turn = in_turn and index is not None
+        if in_turn and index is not None:
+            order, index = [order[index % len(order)]], index // len(order)
         detect = detector.detect if index is None else partial(detector.detect_quickly, index=index)
         detections: dict[int, Detection] = {}
         failures = [InitFailure(NO_FACE)]
-        # stable sort with the reference camera first
-        for camera in sorted(present, key=lambda c: not is_reference(cameras[c])):
+        for camera in order:
             detections[camera] = detect(required(self.views[camera]).image)
             failures.append(InitFailure(NO_FACE, detections[camera].best_score))
             outcomes = [self._from_face(camera, face) for face in detections[camera].faces]
             failures += [one for one in outcomes if isinstance(one, InitFailure)]
             starts = [one for one in outcomes if isinstance(one, StereoInitialisation)]
             if starts:
-                return self._check_order(starts[0], detections, detect)
+                return starts[0] if in_turn else self._check_order(starts[0], detections, detect)
         worst = max(failures, key=lambda one: (one.reason != NO_FACE, one.score))
-        return self._check_order(worst, detections, detect)
+        return worst if in_turn else self._check_order(worst, detections, detect)
 
     def from_clicked(self, clicked: FloatArray) -> StereoInitialisation | InitFailure:
         """Return the head from clicked points.

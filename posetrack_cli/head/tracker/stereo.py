@@ -135,7 +135,8 @@ class StereoFace:
 
     def detect(self, state: StereoState, frame: SeededFrame) -> StereoInitialisation | InitFailure:
         """Detect a face in a frame."""
-        return self._initialiser.find(frame.frame, is_first=frame.stamp_ns == state.first_ns)
+        is_first, is_known = frame.stamp_ns == state.first_ns, self.is_known(state)
+        return self._initialiser.find(frame.frame, is_first=is_first, is_known=is_known)
 
     def begin(self, state: StereoState, frame: SeededFrame) -> tuple[StereoState, FrameFit | InitFailure]:
         """Detect a face and start to learn it."""

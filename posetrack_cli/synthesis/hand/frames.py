@@ -38,6 +38,7 @@ from posetrack_cli.results.estimate import Estimate, Status, Subject
 from posetrack_cli.synthesis.hand import person
 from posetrack_cli.synthesis.hand.motion import Motion, WalkNoise, make_motion
 from posetrack_cli.synthesis.hand.options import Switches, SynthOptions
+from posetrack_cli.synthesis.hand.sensors import JUMP_MM, KINECT_2, SENSORS, nearer_side, smooth_field
 from posetrack_cli.synthesis.recording import (
     Synthesis,
     Timeline,
@@ -144,7 +145,7 @@ def _box_depth(rays: FloatArray, low: FloatArray, high: FloatArray) -> FloatArra
     return np.where((enters <= leaves) & (enters > 0.0), enters, np.inf)
 
 
-# Sensor: a Kinect v2's camera, range, noise, and missing readings at depth edges.
+# A Kinect v2's camera, range, noise, and missing readings at depth edges; see ``sensors`` for others.
 #
 # On the farther side of an edge, light of both surfaces mixes and the projector is shadowed, so the sensor
 # drops the reading. ``MISSING_FRACTIONS`` are measured fractions 1 to 8 px outside a hand's edge (hand.md),
@@ -163,9 +164,6 @@ CORNER_FACTOR = 2.5
 MISSING_FRACTIONS = (0.82, 0.65, 0.37, 0.30, 0.24, 0.21, 0.18, 0.16)
 REACH_PX = 12.0
 """[ours] Beyond the measured 8 px the fraction falls linearly to 0 at this distance."""
-
-JUMP_MM = 40.0
-"""Minimum depth step of an edge."""
 
 FULL_JUMP_MM = 200.0
 """[ours] Step of the edges that were measured, 300 mm and more, with a margin.
@@ -236,7 +234,7 @@ def missing_beside_edges(
         rng: draws one number per pixel.
         mirrored: whether the projector is on the other side.
     """
-    patches = _patches(depth.shape, rng)
+    patches = smooth_field(depth.shape, PATCH_PX, rng)
     rows, columns, distance, cosine = _band(depth)
     side = -SHADOW_SIDE if mirrored else SHADOW_SIDE
     field = np.sqrt(1.0 - SHADOW_SHARE) * patches[rows, columns] + (
@@ -262,7 +260,7 @@ def _band(depth: Float32Array) -> tuple[ImageArray, ImageArray, FloatArray, Floa
     """
     import cv2
 
-    edge = _nearer_side(depth)
+    edge = nearer_side(depth)
     if not edge.any():
         return np.zeros(0, int), np.zeros(0, int), np.zeros(0), np.zeros(0)
     distance, labels = cv2.distanceTransformWithLabels(
@@ -279,29 +277,6 @@ def _band(depth: Float32Array) -> tuple[ImageArray, ImageArray, FloatArray, Floa
     pixels = np.hypot(offset_x, offset_y)
     counted = pixels * np.maximum(1.0, FULL_JUMP_MM / np.maximum(jump, JUMP_MM))
     return rows[far], columns[far], counted[far], (offset_x / pixels)[far]
-
-
-def _nearer_side(depth: Float32Array) -> BoolArray:
-    """Return the pixels (height, width) with a neighbour that is farther by at least a jump."""
-    edge = np.zeros(depth.shape, dtype=np.bool_)
-    across, down = np.diff(depth, axis=1), np.diff(depth, axis=0)
-    edge[:, :-1] |= across > JUMP_MM
-    edge[:, 1:] |= across < -JUMP_MM
-    edge[:-1] |= down > JUMP_MM
-    edge[1:] |= down < -JUMP_MM
-    return edge & (depth > 0.0)
-
-
-def _patches(shape: tuple[int, ...], rng: np.random.Generator) -> Float32Array:
-    """Return a Gaussian field of unit variance, smooth over some pixels."""
-    import cv2
-
-    size = 2 * round(3.0 * PATCH_PX) + 1
-    kernel = cv2.getGaussianKernel(size, PATCH_PX)
-    noise = rng.standard_normal(shape, dtype=np.float32)
-    smooth = cv2.sepFilter2D(noise, cv2.CV_32F, kernel, kernel)
-    unit: Float32Array = smooth / np.float32(np.sum(kernel**2))  # sd after both passes is sum k^2
-    return unit
 
 
 def _uniform_of(field: FloatArray) -> FloatArray:
@@ -334,7 +309,7 @@ class SyntheticHandFrame:
         index: position among the existing frames, from 0.
         instant: position among all instants including dropped ones, from 0.
         stamp_ns: time of frame and truth, integer nanoseconds.
-        depth: (424, 512) uint16, mm, 0 = no reading.
+        depth: (height, width) uint16, mm, 0 = no reading.
         pose: (22,) of the hand, camera axes.
         twist: (21,) velocity in the tangent space, per second; None for a motion without velocity (A).
         joints: (21, 3) mm, camera axes, in the order of ``JOINT_NAMES``.
@@ -397,6 +372,11 @@ class Plan:
         return self.hand.anatomy
 
     @property
+    def camera(self) -> Camera:
+        """Camera of the sensor."""
+        return CAMERA if self.options.sensor == KINECT_2 else SENSORS[self.options.sensor].camera
+
+    @property
     def written(self) -> BoolArray:
         """(T,) whether an instant has a frame."""
         return ~self.timeline.dropped
@@ -424,7 +404,7 @@ def make_plan(options: SynthOptions, noise: WalkNoise | None = None) -> Plan:
 def synthesise(
     options: SynthOptions, *, noise: WalkNoise | None = None, device: RenderingDevice | None = None
 ) -> Iterator[SyntheticHandFrame]:
-    """Yield the frames of a synthetic recording; the camera is ``CAMERA``.
+    """Yield the frames of a synthetic recording.
 
     Args:
         options: options of the recording.
@@ -461,21 +441,25 @@ def _frames(plan: Plan, device: RenderingDevice) -> Iterator[SyntheticHandFrame]
 
 
 class _Sensor:
-    """Renders the scene and simulates a Kinect's readings."""
+    """Renders the scene and simulates a sensor's readings."""
 
     def __init__(self, plan: Plan, device: RenderingDevice) -> None:
         self._switches, self._rng = plan.options.switches, plan.rng
-        self._mirrored = plan.anatomy.is_left
+        self._mirrored, self._camera = plan.anatomy.is_left, plan.camera
+        self._sensor = SENSORS.get(plan.options.sensor)
         self._scene = Scene(plan.hand, self._switches)
-        self._window = Window.whole(CAMERA)
-        size = (CAMERA.width, CAMERA.height)
+        self._window = Window.whole(self._camera)
+        size = (self._camera.width, self._camera.height)
         self._renderer = device.depth_renderer(self._scene.mesh, size, most=1)
-        room = room_depth(CAMERA)
+        room = room_depth(self._camera)
         self._room = room[:, ::-1] if self._mirrored else room
 
     def image(self, pose: FloatArray, seconds: float) -> ImageArray:
         """Return the readings (height, width) uint16, mm."""
         depth = self._ideal(pose, seconds)
+        if self._sensor is not None:
+            sensor = self._sensor.limited(noise=self._switches.noise, edges=self._switches.edges)
+            return quantised(sensor.readings(depth, self._rng, mirrored=self._mirrored))
         readings = noisy(depth, CAMERA, self._rng) if self._switches.noise else depth.copy()
         if self._switches.edges:
             readings[missing_beside_edges(depth, self._rng, mirrored=self._mirrored)] = 0.0
@@ -484,7 +468,7 @@ class _Sensor:
     def _ideal(self, pose: FloatArray, seconds: float) -> Float32Array:
         """Return the ideal depth (height, width), mm, 0 where empty."""
         transforms = self._scene.transforms(pose, seconds)
-        drawn: Float32Array = self._renderer.depth(transforms, CAMERA, self._window)[0]
+        drawn: Float32Array = self._renderer.depth(transforms, self._camera, self._window)[0]
         if not self._switches.background:
             return drawn
         return np.where(drawn > 0.0, np.minimum(drawn, self._room), self._room)
@@ -531,7 +515,7 @@ def write_synthetic(
     record = synth_record(options, _facts(plan, noise))
     frames = reported(render_plan(plan), report)
     with recording_file(out) as sink:
-        write_all(sink, record, frames, lambda sink: _Channels(sink, int(stamps[0])))
+        write_all(sink, record, frames, lambda sink: _Channels(sink, plan.camera, int(stamps[0])))
     return Synthesis(len(stamps), int(plan.timeline.dropped.sum()), float(stamps[-1] - stamps[0]) * 1e-9)
 
 
@@ -558,9 +542,9 @@ def _facts(plan: Plan, noise: WalkNoise) -> dict[str, str]:
 class _Channels:
     """Writer of calibration, images and truth."""
 
-    def __init__(self, sink: McapSink, first_ns: int) -> None:
+    def __init__(self, sink: McapSink, camera: Camera, first_ns: int) -> None:
         self._sink = sink
-        calibration = calibration_message(CAMERA, first_ns, CAMERA.name)
+        calibration = calibration_message(camera, first_ns, camera.name)
         calibrations = sink.channel(CALIBRATION_TOPIC, type(calibration))
         self._images = sink.channel(IMAGE_TOPIC, CompressedImage)
         self._truth = TruthChannels(sink, SUBJECT, "joint_states")

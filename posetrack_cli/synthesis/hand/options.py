@@ -17,6 +17,7 @@ from posetrack_cli.hand.model.anatomy import (
     random_shape,
 )
 from posetrack_cli.hand.model.hand import HandModel, hand_maker
+from posetrack_cli.synthesis.hand.sensors import KINECT_2, SENSORS
 from posetrack_cli.synthesis.recording import check_option
 
 MOTIONS = ("A", "B", "C")
@@ -83,6 +84,7 @@ class SynthOptions:
         padding_mm: see ``HandShape``; 0 to 12.
         mesh: GLB file of the hand; None for a hand from the population model.
         fps: nominal frame rate, Hz.
+        sensor: ``kinect2`` or one of ``SENSORS``.
         switches: additions to the bare hand.
 
     Raises:
@@ -106,12 +108,15 @@ class SynthOptions:
     padding_mm: float = 0.0
     mesh: str | None = None
     fps: float = 30.0
+    sensor: str = KINECT_2
     switches: Switches = field(default_factory=Switches.all_on)
 
     def __post_init__(self) -> None:
         check_option("motion", self.motion, self.motion in MOTIONS, " or ".join(MOTIONS))
         check_option("side", self.side, self.side in SIDES, " or ".join(SIDES))
         check_option("frames", self.frames, 1 <= self.frames <= MOST_FRAMES, f"1 to {MOST_FRAMES}")
+        sensors = (KINECT_2, *SENSORS)
+        check_option("sensor", self.sensor, self.sensor in sensors, " or ".join(sensors))
         check_option("seed", self.seed, self.seed >= 0, "0 or more")
         check_option("fps", self.fps, 1.0 <= self.fps <= 1000.0, "1 to 1000")
         low, high = SPEEDS

@@ -12,7 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.head.detection.detector import FaceDetector
+from posetrack_cli.head.detection.detector import Detection, FaceDetector
 from posetrack_cli.head.face.points import FEATURE_SD, FEATURES, HeadPose
 from posetrack_cli.head.face.rig_images import RigImages
 from posetrack_cli.head.initialisation import stereo
@@ -110,6 +110,21 @@ def test_fewer_than_two_images_are_no_start() -> None:
 
 def test_a_blank_image_has_no_face() -> None:
     assert ATTEMPT.find(FaceDetector()) == InitFailure("no face", 0.0)
+
+
+def test_cameras_of_a_known_face_are_searched_in_turn() -> None:
+    """One image per frame, and each in all ways, as if the others were not there."""
+    looked_at = []
+
+    class Noting:
+        def detect_quickly(self, image: np.ndarray, index: int) -> Detection:
+            looked_at.append((int(image[0, 0]), index))
+            return Detection((), 0.2)
+
+    attempt = StereoAttempt(RigImages(CAMERAS, (BLANK, BLANK + 1)))
+    for index in range(4):
+        assert attempt.find(Noting(), index, in_turn=True) == InitFailure("no face", 0.2)
+    assert looked_at == [(0, 0), (1, 0), (0, 1), (1, 1)]
 
 
 class Person:

@@ -32,7 +32,7 @@ CODECS = StereoCodecs(2, ModelSettings())
 class Nobody:
     """Finds no face."""
 
-    def find(self, frame: Frame, *, is_first: bool) -> InitFailure:
+    def find(self, frame: Frame, *, is_first: bool, is_known: bool) -> InitFailure:
         return InitFailure(NO_FACE)
 
 
