@@ -236,7 +236,10 @@ def read_shape(shape: str | Path | None) -> GivenShape:
         return GivenShape("given")
     path = Path(name)
     if path.is_dir():
-        return GivenShape("given", assignments=_assignments(_mean_settings(path), {"count", "side"}))
+        if not (results := sorted(path.rglob("*.mcap"))):
+            expected = "results of posetrack hand run"
+            raise UsageError("folder has no results", where=path, expected=expected)
+        return GivenShape("given", assignments=_mean_assignments(results))
     if path.suffix == ".mcap":
         settings = _settings_of(path)
         # both hands of a person have one shape; how many there are is not part of it
@@ -260,23 +263,30 @@ def _settings_of(path: Path) -> HandSettings:
         ) from error
 
 
-def _mean_settings(folder: Path) -> HandSettings:
-    """Return the mean shape of all results in a folder, which are of one person.
+def write_mean_shape(results: Sequence[Path], path: Path) -> None:
+    """Write a configuration of the mean shape of hand results; replace an existing file.
 
     Raises:
-        UsageError: there is no result.
+        ResultError: see ``_mean_assignments``.
+    """
+    write_output(path, "".join(f"{line}\n" for line in _mean_assignments(results)).encode())
+
+
+def _mean_assignments(results: Sequence[Path]) -> tuple[str, ...]:
+    """Return the mean shape of results of one person, of either hand.
+
+    Raises:
         ResultError: one is not of a hand, or the hands come from different files.
     """
-    each = [_settings_of(path) for path in sorted(folder.rglob("*.mcap"))]
-    if not each:
-        raise UsageError("folder has no results", where=folder, expected="results of posetrack hand run")
-    meshes = {one.mesh for one in each}
+    each = [_settings_of(path) for path in results]
+    meshes = {one.mesh and str(Path(one.mesh).absolute()) for one in each}
     if len(meshes) > 1:
         found = " and ".join(sorted(str(mesh) for mesh in meshes))
-        raise ResultError("results are of hands from different files", where=folder, found=found)
+        raise ResultError("results are of hands from different files", where=results[0], found=found)
     space = shape_space(each[0].mesh)
     shape = space.shape(np.mean([space.theta(one.shape) for one in each], axis=0))
-    return each[0].model_copy(update=_shape_settings(shape))
+    mean = each[0].model_copy(update={**_shape_settings(shape), "mesh": meshes.pop()})
+    return _assignments(mean, {"count", "side"})
 
 
 def _shape_settings(shape: HandShape) -> dict[str, object]:
