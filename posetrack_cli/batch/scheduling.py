@@ -30,8 +30,8 @@ PieceArguments = Callable[[Job, int, Path], tuple[str, ...]]
 """Return the options of a piece except its frame range, from the job, the number of the piece, and the result
 of the first piece, which initialises the others."""
 
-PersonArguments = Callable[[Job, Path], tuple[str, ...]]
-"""Return the options of a job that takes the shape of its person from the result of another recording."""
+PersonArguments = Callable[[Job, Sequence[Job]], tuple[str, ...]]
+"""Return the options of a job that takes the shape of its person from the results of other jobs."""
 
 
 def run_batch(
@@ -40,6 +40,7 @@ def run_batch(
     limits: Limits,
     piece_arguments: PieceArguments | None = None,
     person_arguments: PersonArguments = lambda job, learned: job.arguments,
+    determining: int = 1,
     report: Callable[[Outcome], None] = lambda outcome: None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> list[Outcome]:
@@ -50,7 +51,8 @@ def run_batch(
         jobs: one per recording, with unique names.
         limits: resource limits of each job.
         piece_arguments: options of the pieces of long recordings; None does not split recordings.
-        person_arguments: options of the other recordings of a person, once the first one has a result.
+        person_arguments: options of the other recordings of a person, once the first ones have results.
+        determining: number of recordings that determine the shape of a person.
         report: called with the outcome of each recording.
         stopped: polled several times per second; returns True to stop the batch.
 
@@ -60,7 +62,7 @@ def run_batch(
     parts = {job.name: _Recording(job, piece_arguments) for job in jobs}
     found: dict[str, Outcome] = {}
     is_stopping = False
-    people = _People(parts.values(), person_arguments)
+    people = _People(parts.values(), person_arguments, determining)
     for recording in people.first:
         engine.submit(recording.first, limits)
     while len(found) < len(parts):
@@ -83,35 +85,45 @@ def run_batch(
 
 
 class _People:
-    """Recordings of one person: the first determines the shape, the others wait for it.
+    """Recordings of one person: the first ones determine the shape, the others wait for them.
 
-    Only the order of the recordings decides which one is first, so results do not depend on the workers. A
-    first recording without a usable result passes its part on to the next one.
+    Only the order of the recordings decides which are first, so results do not depend on the workers. A first
+    recording without a usable result passes its part on to the next one.
 
     Attributes:
         first: recordings that wait for no other.
     """
 
-    def __init__(self, recordings: Iterable[_Recording], arguments: PersonArguments) -> None:
-        self._arguments = arguments
+    def __init__(
+        self, recordings: Iterable[_Recording], arguments: PersonArguments, determining: int
+    ) -> None:
+        self._arguments, self._determining = arguments, determining
+        self._begun: dict[str, list[_Recording]] = {}
         self._waiting: dict[str, list[_Recording]] = {}
         self.first: list[_Recording] = []
         for one in recordings:
-            person = one.job.person
-            if person and person in self._waiting:
-                self._waiting[person].append(one)
+            begun = self._begun.setdefault(one.job.person, [])
+            if one.job.person and len(begun) == determining:
+                self._waiting.setdefault(one.job.person, []).append(one)
             else:
+                begun.append(one)
                 self.first.append(one)
-                self._waiting[person] = []
 
     def after(self, ended: _Recording) -> list[_Recording]:
         """Return the recordings that may start after one has ended."""
-        waiting, result = self._waiting.get(ended.job.person, []), ended.result
-        if result is None or not result.has_result or result.lost_data:
-            return [waiting.pop(0)] if waiting else []
-        self._waiting[ended.job.person] = []
+        person = ended.job.person
+        waiting, begun = self._waiting.get(person, []), self._begun[person]
+        if not waiting:
+            return []
+        if not ended.is_usable:
+            begun.append(waiting.pop(0))
+            return begun[-1:]
+        learned = [one.job for one in begun if one.is_usable]
+        if len(learned) < self._determining:
+            return []
+        self._waiting[person] = []
         for one in waiting:
-            one.job = replace(one.job, arguments=self._arguments(one.job, ended.job.output))
+            one.job = replace(one.job, arguments=self._arguments(one.job, learned))
         return waiting
 
 
@@ -125,6 +137,11 @@ class _Recording:
     _split: tuple[Piece, ...] = ()
     _pieces: dict[str, Outcome] = field(default_factory=dict)
     _before: list[Outcome] = field(default_factory=list)
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether there is a result without losses."""
+        return self.result is not None and self.result.has_result and not self.result.lost_data
 
     @property
     def first(self) -> Job:

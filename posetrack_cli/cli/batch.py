@@ -31,7 +31,7 @@ from posetrack_cli.errors import EXIT_DONE, PosetrackError, UsageError
 
 if TYPE_CHECKING:
     from posetrack_cli.batch.jobs import Job, Limits, Outcome
-    from posetrack_cli.batch.scheduling import PersonArguments, PieceArguments
+    from posetrack_cli.batch.scheduling import PieceArguments
     from posetrack_cli.batch.sources import Source
     from posetrack_cli.batch.summary import Judging, Summary
 
@@ -197,7 +197,12 @@ class _Plan:
     jobs: tuple[Job, ...]
     limits: Limits
     piece_arguments: PieceArguments | None
-    person_arguments: PersonArguments
+    command: BatchCommand
+
+    def person_arguments(self, job: Job, learned: Sequence[Job]) -> tuple[str, ...]:
+        """Return the options of a job that takes the shape of its person from other results."""
+        shared = self.command.share(learned)
+        return self.command.of_person(job.arguments, learned[0]) if shared else job.arguments
 
 
 def run_batch_command(
@@ -308,10 +313,7 @@ def _planned(
     def piece_arguments(job: Job, number: int, learned: Path) -> tuple[str, ...]:
         return command.of_piece(job.arguments, number, learned)
 
-    def person_arguments(job: Job, learned: Path) -> tuple[str, ...]:
-        return command.of_person(job.arguments, learned)
-
-    return _Plan(tuple(jobs), limits, piece_arguments if chunk_s else None, person_arguments)
+    return _Plan(tuple(jobs), limits, piece_arguments if chunk_s else None, command)
 
 
 def _check_places(folder: Path, jobs: Sequence[Job], alike: Callable[[str], str] = str) -> None:
@@ -356,10 +358,13 @@ def _show_plan(plan: _Plan) -> None:
     """Print the action for each recording."""
     from posetrack_cli.batch.execution import planned_action
 
-    first: dict[str, Path] = {}  # results of each person's first recording
+    first: dict[str, list[Job]] = {}  # recordings that determine a person
     for job in plan.jobs:
-        if job.person and (learned := first.setdefault(job.person, job.output)) != job.output:
-            job = replace(job, arguments=plan.person_arguments(job, learned))
+        known = first.setdefault(job.person, [])
+        if job.person and len(known) == plan.command.determining:
+            job = replace(job, arguments=plan.command.of_person(job.arguments, known[0]))
+        else:
+            known.append(job)
         try:
             way = planned_action(job, plan.limits)
         except PosetrackError as error:
@@ -428,6 +433,7 @@ def _run(plan: _Plan, options: dict[str, Any]) -> list[Outcome]:
             plan.limits,
             plan.piece_arguments,
             plan.person_arguments,
+            plan.command.determining,
             shown.on_outcome,
             stopped,
         )

@@ -125,6 +125,7 @@ _SAME_SIZE_MM, _SAME_SIZE = 4.0, 0.03  # cost, and relative difference, at which
 _SIZE_SD, _MAX_SIZE_PENALTY_MM = (0.12, 0.15), 2.5
 
 _HOPELESS_MM = 4.0  # a side this much worse is not tried in other sizes
+_FAR_WORSE_MM = 3.0  # a hand this much worse is only fitted roughly: it decides nothing
 
 
 def search_early_frames(
@@ -236,7 +237,7 @@ class SideAndScaleSearch:
             finder = self._finder(side, k, quick=k != own or costs.min() <= KNOWN_HAND_MM)
             extra = keypoint_candidates(self._keypoints, self._camera, finder, frame)
             advance(1)
-            return finder.appraise(frame.depth, detections, extra)
+            return finder.appraise(frame.depth, detections, extra, costs.min() + _FAR_WORSE_MM)
 
         costs = np.full(self._costs.shape, self._config.observation.clamp_mm)
         costs[0, own], likely = cost_of(0, own, detections)

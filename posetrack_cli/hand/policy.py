@@ -38,7 +38,7 @@ from posetrack_cli.hand.model.anatomy import HandAnatomy
 from posetrack_cli.hand.model.kinematics import joint_set_distance
 from posetrack_cli.hand.observe.observation import Observation
 from posetrack_cli.hand.observe.observer import Observer
-from posetrack_cli.hand.search import Acquisition, Candidate, cheaper_of, depth_penalty
+from posetrack_cli.hand.search import NO_BAR, Acquisition, Bar, Candidate, cheaper_of, depth_penalty
 from posetrack_cli.results.columns import NotNegative
 from posetrack_cli.results.estimate import Status
 
@@ -129,7 +129,11 @@ class TrackMonitor:
 
     def prefers(self, cost_mm: float, other_mm: float) -> bool:
         """Return whether a fit of cost ``other_mm`` is good enough to replace one of ``cost_mm``."""
-        return other_mm < max(_SWITCH_FACTOR * cost_mm, cost_mm - SWITCH_MARGIN_MM)
+        return other_mm < self.limit_mm(cost_mm)
+
+    def limit_mm(self, cost_mm: float) -> float:
+        """Return the cost below which a fit replaces one of another cost."""
+        return max(_SWITCH_FACTOR * cost_mm, cost_mm - SWITCH_MARGIN_MM)
 
     def cost_ratio(self, cost_mm: float, settings: StatusSettings) -> float:
         """Return the ratio of a cost to the baseline, at least 1; 1 without a baseline.
@@ -377,9 +381,10 @@ class Policy:
     def _search(self, frame: TrackedFrame) -> Decision:
         """Search the window for a hand that looks alike and, if that does not help, the whole image."""
         monitor, cost = frame.monitor, frame.fits.cost
-        candidate = self._finder.reconsider(frame.observation, frame.pose)
+        bar = Bar(monitor.limit_mm(cost), frame.total_cost - SWITCH_MARGIN_MM)
+        candidate = self._finder.reconsider(frame.observation, frame.pose, bar.cost)
         if candidate is None or monitor.is_doubtful(candidate.cost, self._settings):
-            in_image = self._in_image(frame)  # the window itself may be wrong
+            in_image = self._in_image(frame, bar)  # the window itself may be wrong
             if in_image is None or self._is_near(in_image.pose, frame.pose):
                 candidate = cheaper_of(candidate, in_image)
                 monitor = replace(monitor, better_elsewhere=0)
@@ -405,9 +410,10 @@ class Policy:
             return Decision(monitor.after_retry_wait())
         # the window around the prediction may have cut fingers off
         window = self._observer.observe(frame.depth, pose, frame.expected)
-        candidate = self._finder.reconsider(window, pose)
+        bar = Bar(max(monitor.limit_mm(cost), cost - _SAME_FACING_MARGIN_MM))
+        candidate = self._finder.reconsider(window, pose, bar.cost)
         if monitor.is_far_above_baseline(cost, self._settings):
-            in_image = self._in_image(frame)
+            in_image = self._in_image(frame, bar)
             if in_image is not None and self._faces_alike(in_image.pose, pose):
                 candidate = cheaper_of(candidate, in_image)
         helped = candidate is not None and (
@@ -416,9 +422,9 @@ class Policy:
         )
         return Decision(monitor.after_retry(cost, helped=helped), candidate if helped else None)
 
-    def _in_image(self, frame: TrackedFrame) -> Candidate | None:
+    def _in_image(self, frame: TrackedFrame, bar: Bar = NO_BAR) -> Candidate | None:
         """Return the best hand of the whole image."""
-        return self._finder.search(frame.depth) if self._alone else None
+        return self._finder.search(frame.depth, bar=bar) if self._alone else None
 
     def _faces_alike(self, pose: FloatArray, other: FloatArray) -> bool:
         """Return whether two poses (22,) are at one place and face the same way."""

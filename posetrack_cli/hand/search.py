@@ -363,8 +363,6 @@ _HOPELESS_MM, _CLOSE_MM, _ALIKE_MM = 8.0, 2.0, 4.0
 
 _SIZES = (0.66, 1.25)
 """Range of hand scales, from a three-year-old to the largest men."""
-_NEAR_WRIST_MM = 130.0
-"""Distance of a detected palm from the wrist of a hand at the same place."""
 SAME_WRIST_MM = 60.0
 """Wrist distance up to which two candidates are the same hand."""
 
@@ -402,6 +400,25 @@ _ROUGH_STEP, _MIN_ROUGH_TILE_PX = 2, 48
 _QUICK_SEARCH = {"scattered": 4, "finished": 3}
 
 
+_ROUGH_EXCESS_MM = 0.75
+"""By how much a first rough fit may cost more than a fit to all pixels that starts from it."""
+
+
+class Bar(NamedTuple):
+    """Costs, mm, one of which a hand has to stay below to be of use; others are only fitted roughly.
+
+    Attributes:
+        cost: of the hand.
+        total_cost: with the penalties of its place.
+    """
+
+    cost: float = np.inf
+    total_cost: float = np.inf
+
+
+NO_BAR = Bar()
+
+
 def quick_search(config: HandConfig) -> HandConfig:
     """Return the configuration of a search for comparisons that do not need the last 0.1 mm."""
     quick = config.acquisition.model_copy(update=_QUICK_SEARCH)
@@ -435,32 +452,33 @@ class Acquisition:
         rough_px, terms = -(-size // self._step), fit_terms(config)
         self._rough = HandFitter(hand, camera, rough_px, terms, skin=hand.lean_with_arm, thumb=thumb)
 
-    def search(self, depth: ImageArray, extra: Sequence[Candidate] = ()) -> Candidate | None:
+    def search(
+        self, depth: ImageArray, extra: Sequence[Candidate] = (), bar: Bar = NO_BAR
+    ) -> Candidate | None:
         """Return the best hand in a whole image, None if none fits.
 
         Args:
             depth: (height, width) mm.
             extra: further candidates, such as from keypoints.
+            bar: what the hand is needed for.
         """
-        return min(self.candidates(depth, extra), key=lambda one: one.total_cost, default=None)
+        found = [one for _, one in self._fit_places(depth, self.detect(depth), bar)]
+        return best_of(merge_candidates(found, extra))
 
-    def candidates(self, depth: ImageArray, extra: Sequence[Candidate] = ()) -> list[Candidate]:
-        """Return the hands that fit a whole image, one per place; see ``search``."""
-        likely = merge_candidates([one for _, one in self._fit_places(depth, self.detect(depth))], extra)
-        return [one for one in likely if one.cost <= ACCEPT_MM]
-
-    def search_near(self, depth: ImageArray, wrist: FloatArray) -> Candidate | None:
-        """Return the best hand of an image (height, width), mm, at about a wrist (3,); None if none fits."""
-        near = [one for one in self.detect(depth) if np.linalg.norm(one.palm - wrist) < _NEAR_WRIST_MM]
-        found = [one for one in self.candidates_at(depth, near) if one.cost <= ACCEPT_MM]
-        return min(found, key=lambda one: one.total_cost, default=None)
+    def candidates(self, depth: ImageArray) -> list[Candidate]:
+        """Return the hands that fit a whole image (height, width), mm, one per place."""
+        return [one for one in self.candidates_at(depth, self.detect(depth)) if one.cost <= ACCEPT_MM]
 
     def candidates_at(self, depth: ImageArray, detections: Sequence[Detection]) -> list[Candidate]:
         """Return the hands at detections in an image (height, width), mm, that may be the best."""
         return [one for _, one in self._fit_places(depth, detections)]
 
     def appraise(
-        self, depth: ImageArray, detections: Sequence[Detection], extra: Sequence[Candidate] = ()
+        self,
+        depth: ImageArray,
+        detections: Sequence[Detection],
+        extra: Sequence[Candidate] = (),
+        below_mm: float = np.inf,
     ) -> tuple[float, list[Detection]]:
         """Return the cost of the best hand, mm, and the detections that may be best for another side or size.
 
@@ -470,8 +488,9 @@ class Acquisition:
             depth: (height, width) mm.
             detections: of ``detect``.
             extra: further candidates, such as from keypoints.
+            below_mm: cost above which a rough one is sufficient.
         """
-        found = self._fit_places(depth, detections)
+        found = self._fit_places(depth, detections, Bar(below_mm))
         candidates = merge_candidates([one for _, one in found], extra)
         if not candidates:
             return self._config.observation.clamp_mm, list(detections)
@@ -493,7 +512,7 @@ class Acquisition:
         return detections if unit == 1.0 else [detection.enlarged(unit) for detection in detections]
 
     def _fit_places(
-        self, depth: ImageArray, detections: Sequence[Detection]
+        self, depth: ImageArray, detections: Sequence[Detection], bar: Bar = NO_BAR
     ) -> list[tuple[Detection, Candidate]]:
         """Fit the detections, without those whose penalty no cost could make up for."""
         penalties = [detection_penalty(detection) for detection in detections]
@@ -503,7 +522,10 @@ class Acquisition:
             for d, detection in zip(penalties, detections, strict=True)
             if d < least + _HOPELESS_MM
         ]
-        fitted = ((penalty, detection, self._fit_detection(depth, detection)) for penalty, detection in near)
+        fitted = (
+            (p, detection, self._fit_detection(depth, detection, max(bar.cost, bar.total_cost - p)))
+            for p, detection in near
+        )
         found = [
             (p, replace(one, total_cost=one.cost + penalty)) for penalty, p, one in fitted if one is not None
         ]
@@ -517,17 +539,27 @@ class Acquisition:
         """Return the candidate, or a cheaper lookalike if it fits poorly."""
         if found.cost <= self._config.status.doubt_above_mm:
             return found
-        other = self.reconsider(self.observer.observe(depth, found.pose), found.pose)
+        other = self.reconsider(self.observer.observe(depth, found.pose), found.pose, found.cost)
         if other is None or other.cost >= found.cost:
             return found
         return replace(other, total_cost=found.total_cost + other.cost - found.cost)
 
-    def reconsider(self, observation: Observation, pose: FloatArray) -> Candidate | None:
-        """Return the best fit among hands that look like a pose (22,); None without a target pixel."""
+    def reconsider(
+        self, observation: Observation, pose: FloatArray, below_mm: float = np.inf
+    ) -> Candidate | None:
+        """Return the best fit among hands that look like a pose (22,); None without a target pixel.
+
+        It is a rough one if even a full one would probably cost more than ``below_mm``.
+        """
         if observation.target_pixels == 0:
             return None
         hypotheses = turned_poses(pose, self._hand.anatomy), self._poses_from_fingers(observation)
-        return self._best_fit(observation, np.concatenate(hypotheses))
+        return self._best_fit(observation, np.concatenate(hypotheses), below_mm)
+
+    def refit(self, depth: ImageArray, pose: FloatArray) -> Candidate | None:
+        """Return the best fit around a pose (22,) in an image (height, width), mm; None without a target."""
+        observation = self.observer.observe(depth, pose)
+        return None if observation.target_pixels == 0 else self._best_fit(observation, pose[None])
 
     def starts_from_fingers(self, observation: Observation) -> FloatArray:
         """Return the best poses (K, 22) from extended fingers, as starts of a frame's fits."""
@@ -540,12 +572,14 @@ class Acquisition:
     def _poses_from_fingers(self, observation: Observation) -> FloatArray:
         return poses_from_fingers(observation, self._hand.anatomy, self._camera)
 
-    def _fit_detection(self, depth: ImageArray, detection: Detection) -> Candidate | None:
+    def _fit_detection(self, depth: ImageArray, detection: Detection, below_mm: float) -> Candidate | None:
         observation = self.observer.observe_detection(depth, detection)
         if observation.target_pixels == 0:
             return None
         hypotheses = detected_poses(detection, self._hand.anatomy), self._poses_from_fingers(observation)
-        first = self._fit_roughly(observation, np.concatenate(hypotheses))
+        first = self._fit_roughly(observation, np.concatenate(hypotheses), below_mm)
+        if _is_too_costly(first[0], below_mm):
+            return _candidate(first[0])
         again = self.observer.observe(depth, first[0].pose)  # cut at the fitted wrist
         if again.target_pixels == 0:
             return self._fit_fully(observation, first)
@@ -553,16 +587,25 @@ class Acquisition:
             return None
         return self._best_fit(again, first[0].pose[None])
 
-    def _best_fit(self, observation: Observation, poses: FloatArray) -> Candidate:
-        return self._fit_fully(observation, self._fit_roughly(observation, poses))
+    def _best_fit(self, observation: Observation, poses: FloatArray, below_mm: float = np.inf) -> Candidate:
+        rough = self._fit_roughly(observation, poses, below_mm)
+        is_rough = _is_too_costly(rough[0], below_mm)
+        return _candidate(rough[0]) if is_rough else self._fit_fully(observation, rough)
 
-    def _fit_roughly(self, observation: Observation, poses: FloatArray) -> list[Fit]:
-        """Fit the best distinct hypotheses to a subset of pixels and refine them; best first."""
+    def _fit_roughly(
+        self, observation: Observation, poses: FloatArray, below_mm: float = np.inf
+    ) -> list[Fit]:
+        """Fit the best distinct hypotheses to a subset of pixels and refine them; best first.
+
+        They are not refined if even the best is far from ``below_mm``.
+        """
         settings, fitter = self._settings, self._rough
         tile = fitter.tile(observation.every(self._step))
         poses = fitter.aligned(tile, poses)
         starts = poses[distinct(poses, fitter.costs(tile, poses), settings.fitted)]
         fits = self._descend_groups(fitter, tile, starts[None])
+        if _is_too_costly(min(fits, key=_cost), below_mm):
+            return _most_different(fits, settings.finished)
         rng, none = np.random.default_rng(_SCATTER_SEED), np.empty((0, POSE_SIZE))
         around = np.array(
             [
@@ -578,8 +621,7 @@ class Acquisition:
         """Fit rough fits to all pixels and return the best."""
         fitter, poses = self.local_fitter.fitter, np.array([fit.pose for fit in rough])
         fits = self._descend_groups(fitter, fitter.tile(observation), poses[None])
-        best = min(fits, key=_cost)
-        return Candidate(best.pose.copy(), _cost(best), inner=best.inner.copy())
+        return _candidate(min(fits, key=_cost))
 
     def _descend_groups(self, fitter: HandFitter, tile: Tile, groups: FloatArray) -> list[Fit]:
         """Fit groups of starts (G, K, 22), and for each group the best fit with the fingers of the others."""
@@ -597,6 +639,22 @@ class Acquisition:
 
 def _cost(fit: Fit) -> float:
     return float(fit.cost[0])
+
+
+def _candidate(fit: Fit) -> Candidate:
+    return Candidate(fit.pose.copy(), _cost(fit), inner=fit.inner.copy())
+
+
+def _is_too_costly(rough: Fit, below_mm: float) -> bool:
+    """Return whether a full fit that starts from a rough one probably costs more than a bound."""
+    return _cost(rough) > below_mm + _ROUGH_EXCESS_MM
+
+
+def best_of(candidates: Sequence[Candidate]) -> Candidate | None:
+    """Return the candidate of least total cost among those that fit; None if none does."""
+    return min(
+        (one for one in candidates if one.cost <= ACCEPT_MM), key=lambda one: one.total_cost, default=None
+    )
 
 
 def _most_different(fits: Sequence[Fit], count: int) -> list[Fit]:

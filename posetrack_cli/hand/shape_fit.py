@@ -28,8 +28,9 @@ from posetrack_cli.hand.model.anatomy import (
     shape_space,
 )
 from posetrack_cli.hand.model.hand import HandMaker, HandModel, hand_maker, inside_limits
+from posetrack_cli.hand.observe.detection import Detection
 from posetrack_cli.hand.observe.observer import Observer
-from posetrack_cli.hand.search import Acquisition, Candidate
+from posetrack_cli.hand.search import Acquisition, best_of
 from posetrack_cli.hand.shape_bundle import Bundle, Observe, adjusted
 from posetrack_cli.outputs import whole_or_nothing
 from posetrack_cli.phases import Advance, phase
@@ -235,7 +236,10 @@ def read_shape(shape: str | Path | None) -> GivenShape:
         return GivenShape("given")
     path = Path(name)
     if path.is_dir():
-        return GivenShape("given", assignments=_assignments(_mean_settings(path), {"count", "side"}))
+        if not (results := sorted(path.rglob("*.mcap"))):
+            expected = "results of posetrack hand run"
+            raise UsageError("folder has no results", where=path, expected=expected)
+        return GivenShape("given", assignments=_mean_assignments(results))
     if path.suffix == ".mcap":
         settings = _settings_of(path)
         # both hands of a person have one shape; how many there are is not part of it
@@ -259,23 +263,30 @@ def _settings_of(path: Path) -> HandSettings:
         ) from error
 
 
-def _mean_settings(folder: Path) -> HandSettings:
-    """Return the mean shape of all results in a folder, which are of one person.
+def write_mean_shape(results: Sequence[Path], path: Path) -> None:
+    """Write a configuration of the mean shape of hand results; replace an existing file.
 
     Raises:
-        UsageError: there is no result.
+        ResultError: see ``_mean_assignments``.
+    """
+    write_output(path, "".join(f"{line}\n" for line in _mean_assignments(results)).encode())
+
+
+def _mean_assignments(results: Sequence[Path]) -> tuple[str, ...]:
+    """Return the mean shape of results of one person, of either hand.
+
+    Raises:
         ResultError: one is not of a hand, or the hands come from different files.
     """
-    each = [_settings_of(path) for path in sorted(folder.rglob("*.mcap"))]
-    if not each:
-        raise UsageError("folder has no results", where=folder, expected="results of posetrack hand run")
-    meshes = {one.mesh for one in each}
+    each = [_settings_of(path) for path in results]
+    meshes = {one.mesh and str(Path(one.mesh).absolute()) for one in each}
     if len(meshes) > 1:
         found = " and ".join(sorted(str(mesh) for mesh in meshes))
-        raise ResultError("results are of hands from different files", where=folder, found=found)
+        raise ResultError("results are of hands from different files", where=results[0], found=found)
     space = shape_space(each[0].mesh)
     shape = space.shape(np.mean([space.theta(one.shape) for one in each], axis=0))
-    return each[0].model_copy(update=_shape_settings(shape))
+    mean = each[0].model_copy(update={**_shape_settings(shape), "mesh": meshes.pop()})
+    return _assignments(mean, {"count", "side"})
 
 
 def _shape_settings(shape: HandShape) -> dict[str, object]:
@@ -400,17 +411,18 @@ def shape_of(recording: Recording, config: HandConfig, options: CalibrationOptio
     """
     calibrator = _Calibrator(recording, config, options)
     side, shape, found = config.hand.side, HandShape(config.hand.scale), None
+    known: dict[int, FloatArray] = {}
     medians: list[float] = []  # of the first frames, for the shape before each adjustment
     while len(medians) < ROUNDS or (len(medians) < MAX_ROUNDS and medians[-1] >= medians[0]):
         round_name = f"round {len(medians) + 1} of {ROUNDS}" if len(medians) < ROUNDS else "extra round"
         most = options.frames if medians else FIRST_FRAMES
-        poses, thumbs, costs = calibrator.find(shape, most, round_name)
+        poses, thumbs, costs = calibrator.find(shape, most, round_name, known)
         chosen = calibrator.chosen(costs)
         medians.append(float(np.median(costs[:FIRST_FRAMES])))
         found = calibrator.adjust(chosen, poses[chosen], thumbs[chosen], shape)
-        shape = found.shape
+        shape, known = found.shape, dict(zip(chosen.tolist(), found.poses, strict=True))
     if medians[-1] >= medians[0]:  # the last median is of the shape before the last adjustment
-        medians.append(float(np.median(calibrator.find(shape, FIRST_FRAMES, "final shape")[2])))
+        medians.append(float(np.median(calibrator.find(shape, FIRST_FRAMES, "final shape", known)[2])))
     assert found is not None
     numbers = measured(calibrator.maker, calibrator.space, side, shape, found.covariance)
     cost, good = (medians[0], medians[-1]), baseline_cost(costs)
@@ -464,6 +476,14 @@ def baseline_cost(costs: FloatArray) -> float:
     return float(np.percentile(costs, _BASELINE_PERCENT, method="lower"))
 
 
+_NEAR_WRIST_MM = 130.0
+"""Distance of a detected palm from the wrist of a hand at the same place."""
+
+
+def _is_near(detection: Detection, wrist: FloatArray) -> bool:
+    return bool(np.linalg.norm(detection.palm - wrist) < _NEAR_WRIST_MM)
+
+
 class _Calibrator:
     """Steps of a calibration."""
 
@@ -471,13 +491,19 @@ class _Calibrator:
         self._recording, self._config, self._options = recording, config, options
         self._side, self._camera = config.hand.side, recording.cameras[0]
         self.maker, self.space = hand_maker(config.hand.mesh), shape_space(config.hand.mesh)
+        self._detections: dict[int, list[Detection]] = {}  # by frame index
+        finder = self._finder(HandShape(config.hand.scale))
         if options.places:
             self.seen, self._frames = len(options.places), [frame for frame, _ in options.places]
+            for frame, wrist in options.places:
+                near = [one for one in finder.detect(frame.depth) if _is_near(one, wrist)]
+                self._detections[frame.index] = near
             return
-        shown = self._select_frames(HandShape(config.hand.scale))
+        shown = self._select_frames(finder)
         self.seen, self._frames = shown.seen, shown.frames
+        self._detections = {frame.index: self._detections[frame.index] for frame in self._frames}
 
-    def _select_frames(self, shape: HandShape) -> FrameSelector:
+    def _select_frames(self, finder: Acquisition) -> FrameSelector:
         """Select the frames with the most visible fingers, the first round's first.
 
         Raises:
@@ -486,11 +512,11 @@ class _Calibrator:
         options, count = self._options, self._recording.frame_count
         ahead = _ASSUMED_FRAMES if count is None else count - options.start
         stride = max(1, ahead // SAMPLED_FRAMES)
-        finder, shown = self._finder(shape), FrameSelector(options.frames, -(-ahead // stride))
+        shown = FrameSelector(options.frames, -(-ahead // stride))
         with phase("selecting frames", "frame", -(-ahead // stride)) as advance:
             for frame in self._recording.frames(start=options.start, end=None, stride=stride):
-                area = max((place.fingers_mm2 for place in finder.detect(frame.depth)), default=0.0)
-                shown.add(frame, area)
+                found = self._detections[frame.index] = finder.detect(frame.depth)
+                shown.add(frame, max((place.fingers_mm2 for place in found), default=0.0))
                 advance(1)
         if not shown.seen:
             raise RecordingError("recording has no frame", where=self._recording.path)
@@ -499,7 +525,9 @@ class _Calibrator:
     def _finder(self, shape: HandShape) -> Acquisition:
         return Acquisition(self._config, self.maker(self._side, shape), self._camera)
 
-    def find(self, shape: HandShape, most: int, round_name: str) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def find(
+        self, shape: HandShape, most: int, round_name: str, known: Mapping[int, FloatArray]
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return poses (F, 22), thumb inner angles (F, 2) and costs (F,), mm, of the hand in each frame.
 
         A cost is infinite without a hand.
@@ -508,23 +536,23 @@ class _Calibrator:
             shape: of the hand.
             most: number of frames, the first round's first.
             round_name: for the progress bar.
+            known: poses (22,) of the hand, by frame; other frames are searched.
         """
         finder, frames = self._finder(shape), self._frames[:most]
         poses, costs = np.zeros((len(frames), POSE_SIZE)), np.full(len(frames), np.inf)
         poses[:, 6], thumbs = 1.0, np.zeros((len(frames), len(NO_THUMB)))
         with phase(f"finding the {self._side} hand, {round_name}", "frame", len(frames)) as advance:
             for k in range(len(frames)):
-                found = self._search(finder, k)
+                depth = frames[k].depth
+                if k in known:
+                    found = finder.refit(depth, known[k])
+                else:
+                    found = best_of(finder.candidates_at(depth, self._detections[frames[k].index]))
                 if found is not None:
                     poses[k], costs[k] = inside_limits(found.pose[None])[0], found.cost
                     thumbs[k] = found.inner[THUMB]
                 advance(1)
         return poses, thumbs, costs
-
-    def _search(self, finder: Acquisition, k: int) -> Candidate | None:
-        """Return the hand in a frame; at its place if that is known."""
-        depth, places = self._frames[k].depth, self._options.places
-        return finder.search_near(depth, places[k][1]) if places else finder.search(depth)
 
     def chosen(self, costs: FloatArray) -> IntArray:
         """Return the indices of well-fitted frames.

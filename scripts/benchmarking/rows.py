@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from posetrack_cli.arrays import FloatArray
 from posetrack_cli.build import build_name
 from posetrack_cli.rendering.port import RenderingDevice
 
@@ -68,18 +67,6 @@ def describe_machine(device: RenderingDevice, script: str) -> dict[str, str]:
     }
 
 
-def median_ms(seconds: Sequence[float]) -> float:
-    """Return the median of times in ms."""
-    return 1e3 * float(np.median(seconds))
-
-
 def median_of_pairs(one: Sequence[float], other: Sequence[float]) -> float:
     """Return the median ratio of times measured alternately."""
     return float(np.median(np.divide(one, other)))
-
-
-def fitted_line(numbers: FloatArray, milliseconds: FloatArray) -> tuple[float, float]:
-    """Return offset and slope of the least-squares fit of relative residuals."""
-    design = np.stack([np.ones_like(numbers), numbers], axis=1) / milliseconds[:, None]
-    (offset, slope), *_ = np.linalg.lstsq(design, np.ones_like(numbers), rcond=None)
-    return float(offset), float(slope)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -14,33 +14,24 @@ from posetrack_cli.hand.run import make_tracker
 from posetrack_cli.hand.start import centre_pose
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.rendering.port import RenderingDevice
-from posetrack_cli.results.estimate import Estimate, Status
 from posetrack_cli.synthesis.hand.frames import CAMERA
 
 Name = TypeVar("Name")
 FRAME_NS = 33_333_333
-SETTLING = 10  # untimed first frames of a head: face detection, cold caches
 
 
 class Walker:
-    """A tracker that is timed frame by frame; a head tracker initialises in its first frame."""
+    """A tracker that is timed frame by frame."""
 
-    def __init__(self, tracker: Any, state: Any = None, rng: np.random.Generator | None = None) -> None:
-        self.tracker, self.state = tracker, state
-        self._rng = rng or np.random.default_rng(0)
-        self.lost = 0
-        self.last: Estimate | None = None
+    def __init__(self, tracker: Any, state: Any, rng: np.random.Generator) -> None:
+        self._tracker, self._state, self._rng = tracker, state, rng
 
     def step(self, index: int, shown: Any) -> float:
         """Track one frame; return the duration in seconds."""
         frame = Frame(index, (index + 1) * FRAME_NS, shown)
-        if self.state is None:
-            self.state = self.tracker.start(frame, self._rng)
         began = time.perf_counter()
-        self.state, self.last = self.tracker.step(self.state, frame, self._rng)
-        seconds = time.perf_counter() - began
-        self.lost += self.last is not None and self.last.status == Status.LOST
-        return seconds
+        self._state, _ = self._tracker.step(self._state, frame, self._rng)
+        return time.perf_counter() - began
 
 
 def hand_walker(device: RenderingDevice, config: HandConfig, first: Any) -> Walker:
@@ -63,21 +54,3 @@ def in_turn(walkers: Mapping[Name, Any], recorded: Sequence[Any], warm_up: int) 
             if index >= warm_up:
                 times[name].append(seconds)
     return times
-
-
-class FrameClock:
-    """CPU time (all threads) per frame of a head run, without the first ``SETTLING`` estimates."""
-
-    def __init__(self, now: Callable[[], float] = time.process_time) -> None:
-        self._now = now
-        self._times: list[float] = []
-
-    def note(self, estimate: object) -> None:
-        """Record the time of an estimate."""
-        self._times.append(self._now())
-
-    @property
-    def ms_a_frame(self) -> float:
-        """CPU milliseconds per frame; NaN for fewer than two estimates."""
-        times = self._times[min(SETTLING, len(self._times) // 2) :]  # keeps half of a short run
-        return 1e3 * (times[-1] - times[0]) / (len(times) - 1) if len(times) > 1 else float("nan")

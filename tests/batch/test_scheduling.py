@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -144,8 +144,8 @@ def of_people(*people: str) -> list[Job]:
     return [replace(job, person=person) for job, person in zip(make_jobs(*names), people, strict=True)]
 
 
-def with_shape(job: Job, learned: Path) -> tuple[str, ...]:
-    return (*job.arguments, f"--shape={learned}")
+def with_shape(job: Job, learned: Sequence[Job]) -> tuple[str, ...]:
+    return (*job.arguments, *(f"--shape={one.output}" for one in learned))
 
 
 def shapes_of(engine: OneByOne) -> dict[str, str]:
@@ -154,7 +154,7 @@ def shapes_of(engine: OneByOne) -> dict[str, str]:
         job.name: [Path(one).stem for one in job.arguments if one.startswith("--shape")]
         for job in engine.done
     }
-    return {name: shapes[0] if shapes else "" for name, shapes in given.items()}
+    return {name: " ".join(shapes) for name, shapes in given.items()}
 
 
 def test_the_first_recording_of_a_person_determines_the_shape_of_the_others() -> None:
@@ -173,6 +173,26 @@ def test_a_person_s_next_recording_takes_the_place_of_a_bad_first_one(bad: Outco
     engine = OneByOne(lambda job: bad if job.name == "0" else tracked(job))
     run_batch(engine, of_people("p", "p", "p"), Limits(), person_arguments=with_shape)
     assert shapes_of(engine) == {"0": "", "1": "", "2": "1"}
+
+
+@pytest.mark.parametrize("bad", ["", "0", "1", "0 1"])
+def test_two_recordings_determine_a_person_whatever_order_they_end_in(bad: str) -> None:
+    """The last one submitted ends first."""
+
+    class Reversed(OneByOne):
+        def submit(self, job: Job, limits: Limits, *, is_continuation: bool = False) -> None:
+            self._waiting.insert(0, job)
+
+    def does(job: Job) -> Outcome:
+        return Outcome(job.name, State.FAILED) if job.name in bad.split() else tracked(job)
+
+    jobs, shapes = of_people("p", "p", "p", "p", "p"), []
+    for engine in (OneByOne(does), Reversed(does)):
+        run_batch(engine, jobs, Limits(), person_arguments=with_shape, determining=2)
+        shapes.append(shapes_of(engine))
+    first = [name for name in "01234" if name not in bad.split()][:2]
+    others = [name for name in "01234" if name > first[-1]]
+    assert shapes[0] == shapes[1] == dict.fromkeys("01234", "") | dict.fromkeys(others, " ".join(first))
 
 
 def test_pieces_of_a_person_s_recording_have_its_shape() -> None:

@@ -29,10 +29,13 @@ from posetrack_cli.build import PACKAGE, source_digest
 from posetrack_cli.cli.batch import BATCH_OPTIONS
 from posetrack_cli.cli.batch_commands import BATCH_COMMANDS
 from posetrack_cli.cli.main import run
+from posetrack_cli.configuration import load_settings
 from posetrack_cli.errors import PosetrackError
 from posetrack_cli.evaluation.measuring.evaluate import evaluate
+from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.outputs import state_path
 from posetrack_cli.results import load_arrays, read_result
+from support.results import RUN, write_result
 
 POSETRACK = [sys.executable, "-m", "posetrack_cli.cli.main"]
 KNOWN = ["--hand-side", "right", "--shape", "average", "--particles", "32", "--set", "output.flush_frames=2"]
@@ -566,8 +569,7 @@ def test_no_option_of_a_command_is_hidden_by_one_of_the_batch(command: object) -
 @pytest.mark.parametrize(
     ("words", "given", "added"),
     [
-        (("hand", "run"), ["--seed=1"], ["--shape=a.mcap", "--hand-side=auto"]),
-        (("hand", "run"), ["--hand-side=left"], ["--shape=a.mcap"]),
+        (("hand", "run"), ["--seed=1"], ["--shape=r/a.person.toml"]),
         (("hand", "run"), ["--shape=average"], []),
         (("hand", "run"), ["--scale=0.9"], []),
         (("head", "mono"), ["--passes=1"], ["--person=a.mcap"]),
@@ -582,5 +584,23 @@ def test_what_is_known_of_a_person_does_not_override_options(
 ) -> None:
     """Nor does stereo, which measures each face, take one from another recording."""
     command = BATCH_COMMANDS[words]
-    assert list(command.of_person(given, Path("a.mcap"))) == [*given, *added]
-    command.check(command.of_person(given, Path("a.mcap")))
+    first = Job("a", words, Path("in.mcap"), (), Path("a.mcap"), Path("r/a.json"), Path())
+    assert list(command.of_person(given, first)) == [*given, *added]
+    command.check(command.of_person(given, first))
+
+
+def test_a_person_s_hand_is_the_mean_of_results(tmp_path: Path) -> None:
+    """As a configuration, which says nothing of the side."""
+    jobs = [
+        Job(name, ("hand", "run"), tmp_path, (), tmp_path / f"{name}.mcap", tmp_path / "a.json", tmp_path)
+        for name in ("a", "b")
+    ]
+    for job, scale in zip(jobs, (0.9, 1.0), strict=True):
+        hand = {"side": "left", "scale": scale}
+        write_result(job.output, 1, run=RUN | {"configuration": json.dumps({"hand": hand})})
+    command = BATCH_COMMANDS["hand", "run"]
+    assert command.share(jobs)
+    config = load_settings(HandConfig, tmp_path / "a.person.toml", {})
+    assert config.hand.scale == round(float(np.sqrt(0.9)), 4) and config.hand.side == "auto"
+    jobs[1].output.unlink()
+    assert not command.share(jobs)

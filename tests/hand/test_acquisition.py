@@ -11,7 +11,7 @@ from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.model.anatomy import ANGLES
 from posetrack_cli.hand.model.kinematics import joint_positions
 from posetrack_cli.hand.observe.observer import Observer
-from posetrack_cli.hand.search import Acquisition, Candidate, cheaper_of, distinct
+from posetrack_cli.hand.search import ACCEPT_MM, Acquisition, Bar, Candidate, cheaper_of, distinct
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.synthesis.hand.frames import CAMERA, synthesise
 from posetrack_cli.synthesis.hand.options import SynthOptions
@@ -63,6 +63,26 @@ def test_the_nearer_of_two_hands_is_found(finder: Acquisition, stage: Stage) -> 
     found = finder.search(stage.depth(near, far))
     assert found is not None
     assert stage.error(found.pose, near) < FOUND_MM
+
+
+def test_hands_that_are_of_no_use_are_only_fitted_roughly(
+    finder: Acquisition, stage: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A hand above its bar is found as well, only not as closely."""
+    depth = stage.depth(relaxed())
+    full = finder.search(depth, bar=Bar(cost=3.0))
+    monkeypatch.setattr(Acquisition, "_fit_fully", lambda *_: pytest.fail("fitted to all pixels"))
+    rough = finder.search(depth, bar=Bar(cost=-10.0, total_cost=-10.0))
+    assert full is not None and rough is not None
+    assert full.cost <= rough.cost < ACCEPT_MM
+    assert stage.error(rough.pose, relaxed()) < FOUND_MM
+
+
+def test_a_known_hand_is_refitted(finder: Acquisition, stage: Stage) -> None:
+    truth, start = relaxed(), relaxed(8.0, -6.0)
+    found = finder.refit(stage.depth(truth), start)
+    assert found is not None and stage.error(found.pose, truth) < FOUND_MM
+    assert finder.refit(np.zeros((KINECT.height, KINECT.width), dtype=np.float32), start) is None
 
 
 def test_where_there_is_no_hand_none_is_found(finder: Acquisition) -> None:

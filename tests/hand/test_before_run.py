@@ -106,7 +106,7 @@ def say_costs(
     told = {"right": iter(right), "left": iter(left)}
 
     def appraise(
-        self: Acquisition, depth: object, places: list[Detection], others: object
+        self: Acquisition, depth: object, places: list[Detection], others: object, below_mm: float
     ) -> tuple[float, list[Detection]]:
         return next(told[self.observer.anatomy.side]), places
 
@@ -123,6 +123,7 @@ def test_costs_that_hardly_differ_are_said_to_with_a_probability(
     found = detect_hand(open_path(seen[1]), with_hand(scale=1.0), start=0)
     assert found.config.hand.side == "left"
     assert found.line == "a left hand, but uncertain (probability 0.88); set --hand-side"
+    assert found.config.status.hand_probability == pytest.approx(0.88, abs=0.005)
 
 
 def test_frames_are_asked_until_they_agree_and_none_decides_alone(
@@ -177,7 +178,7 @@ def strange(monkeypatch: pytest.MonkeyPatch) -> None:
     """No hand explains the frames, of either side and whatever size; the right one does less badly."""
 
     def appraise(
-        self: Acquisition, depth: object, places: list[Detection], others: object
+        self: Acquisition, depth: object, places: list[Detection], others: object, below_mm: float
     ) -> tuple[float, list[Detection]]:
         away = abs(self.observer.anatomy.scale - 1.0)
         return KNOWN_HAND_MM + 2.0 + 3.0 * (self.observer.anatomy.is_left) + 10.0 * away, places

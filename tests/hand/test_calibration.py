@@ -412,8 +412,9 @@ def test_a_hand_that_fits_no_better_is_adjusted_once_more(
     told: list[str] = []
 
     def find(
-        calibrator: _Calibrator, shape: HandShape, most: int, again: str
+        calibrator: _Calibrator, shape: HandShape, most: int, again: str, known: dict[int, FloatArray]
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        assert bool(known) == bool(found_with)
         found_with.append(shape.scale)
         searched.append(most)
         told.append(again)
@@ -422,12 +423,12 @@ def test_a_hand_that_fits_no_better_is_adjusted_once_more(
         return np.zeros((most, 22)), np.zeros((most, 2)), costs
 
     def adjust(
-        calibrator: _Calibrator, chosen: object, poses: object, thumbs: object, shape: HandShape
+        calibrator: _Calibrator, chosen: object, poses: FloatArray, thumbs: object, shape: HandShape
     ) -> shape_bundle.Bundle:
         covariance = np.diag(PopulationSpace.sd**2)
         nothing = np.zeros(0)
         larger = replace(shape, scale=shape.scale + 0.1)
-        return shape_bundle.Bundle(larger, nothing, nothing, covariance, 2.0, 3)
+        return shape_bundle.Bundle(larger, poses, nothing, covariance, 2.0, 3)
 
     monkeypatch.setattr(_Calibrator, "find", find)
     monkeypatch.setattr(_Calibrator, "adjust", adjust)
@@ -449,7 +450,9 @@ def test_a_hand_that_fits_no_better_is_adjusted_once_more(
 def trial_of(shown: Shown, monkeypatch: pytest.MonkeyPatch, length: float = 0.86) -> SideAndScaleSearch:
     """What a right hand of a size tells that no hand explains well, and a left one less."""
 
-    def appraise(finder: Acquisition, depth: object, places: list[object], told: object) -> object:
+    def appraise(
+        finder: Acquisition, depth: object, places: list[object], told: object, below_mm: float
+    ) -> object:
         anatomy = finder.observer.anatomy
         return 5.0 + anatomy.is_left + 20.0 * abs(np.log(anatomy.scale / length)), places
 

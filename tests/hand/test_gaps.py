@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from posetrack_cli.arrays import FloatArray
-from posetrack_cli.hand.config import StatusSettings
+from posetrack_cli.hand.config import HandConfig, StatusSettings
 from posetrack_cli.hand.policy import TrackMonitor
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.rendering.port import RenderingDevice
@@ -58,3 +58,16 @@ def test_a_miss_after_a_gap_counts_like_as_many_misses() -> None:
     few = status.lost_after_frames - 1
     assert not TrackMonitor().after_miss(status, few).lost
     assert TrackMonitor().after_miss(status, status.lost_after_frames).lost
+
+
+def test_doubt_about_side_or_size_is_part_of_the_confidence(device: RenderingDevice) -> None:
+    """A clear frame of a hand that is the right one with probability .4: as likely wrong, so it is lost."""
+    pose, confidences = relaxed(), []
+    frame = Frame(0, 0, (Stage(device, HAND).depth(pose),))
+    for probability in (1.0, 0.4):
+        config = HandConfig.model_validate({"status": {"hand_probability": probability}})
+        follower, rng = tracker(device, HAND, config), np.random.default_rng(1)
+        _, estimate = follower.step(follower.start_unknown(pose, frame, rng), frame, rng)
+        assert (estimate.status is Status.LOST) == (probability < 0.5)
+        confidences.append(estimate.confidence)
+    assert confidences[1] == pytest.approx(0.4 * confidences[0], rel=1e-6)

@@ -21,6 +21,7 @@ from posetrack_cli.hand.model.kinematics import joint_positions, mirrored_poses
 from posetrack_cli.hand.observe.others import HandDrawer, SeenHand, without_others
 from posetrack_cli.hand.run import HandRun, RunOptions
 from posetrack_cli.hand.shape_fit import combined, read_shape
+from posetrack_cli.hand.tracker import FIRST_STEP_NS
 from posetrack_cli.rendering.port import RenderingDevice
 from posetrack_cli.results import read_result
 from posetrack_cli.results.columns import Columns
@@ -37,6 +38,10 @@ BOTH = HandConfig.model_validate(
 NEAR_MM, FAR_MM = 600.0, 720.0
 FIT_MM = 8.0
 """Mean joint error of a clearly visible hand of known shape with noise of 3 mm: measured 2 to 4 mm."""
+GOOD_MM = 2.5
+"""Cost of good fits to noise of 3 mm."""
+SWAPPED_BACK = 6
+"""Frames until identities are right: the search after four frames of doubt, and a refit."""
 WRONG_MM = 20.0
 """Mean joint error beyond which an estimate must not be tracked."""
 
@@ -119,6 +124,24 @@ def test_crossing_hands_keep_their_identity(
     lost = columns(out, "left")["status"] == "lost"
     assert left[[0, 1, 2, -3, -2, -1]].max() < FIT_MM and not lost[-3:].any()
     assert np.all(lost | (left < WRONG_MM))
+
+
+def test_trackers_on_each_others_hands_exchange_them(
+    device: RenderingDevice, recording: Drawn, poses: list[tuple[FloatArray, FloatArray]], tmp_path: Path
+) -> None:
+    """A right hand's model fits a left hand from its back, so both doubt where they are."""
+    known = BOTH.status.model_copy(update={"baseline_cost_mm": GOOD_MM})
+    config = BOTH.model_copy(update={"status": known})
+    tracker = HandRun(recording, config, RunOptions(tmp_path / "r.mcap"), device).tracker
+    rng, frame = np.random.default_rng(0), next(recording.frames(start=0, end=None))
+    start = tracker.start_unknown(poses[0][0], frame, rng)
+    right, left = poses[0]
+    swapped = (tracker.trackers[k].start(pose, -FIRST_STEP_NS, rng) for k, pose in enumerate((left, right)))
+    state = replace(start, hands=tuple(swapped))
+    for k in range(SWAPPED_BACK):
+        state, _ = tracker.step(state, replace(frame, index=k, stamp_ns=k * FIRST_STEP_NS), rng)
+    for hand, side, pose in zip(state.hands, ("right", "left"), poses[0], strict=True):
+        assert np.linalg.norm(joints(side, hand.pose) - joints(side, pose), axis=1).mean() < FIT_MM
 
 
 def test_one_of_two_hands_is_followed_through_a_crossing(

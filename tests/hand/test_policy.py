@@ -23,7 +23,7 @@ from posetrack_cli.hand.policy import (
     TrackMonitor,
     status_of,
 )
-from posetrack_cli.hand.search import Acquisition, Candidate
+from posetrack_cli.hand.search import NO_BAR, Acquisition, Bar, Candidate
 from posetrack_cli.hand.start import rest_pose
 from posetrack_cli.results.estimate import Status
 from support.hand_scene import turned_about_its_length
@@ -264,13 +264,16 @@ class Finder:
     def __init__(self, in_window: Candidate | None = None, in_image: Candidate | None = None) -> None:
         self._in_window, self._in_image = in_window, in_image
         self.asked: list[str] = []
+        self.bar = NO_BAR  # of the last search
 
-    def reconsider(self, observation: object, pose: object) -> Candidate | None:
+    def reconsider(self, observation: object, pose: object, below_mm: float) -> Candidate | None:
         self.asked.append("window")
+        self.bar = Bar(below_mm, -np.inf)
         return self._in_window
 
-    def search(self, depth: object, told: object = ()) -> Candidate | None:
+    def search(self, depth: object, told: object = (), bar: Bar = NO_BAR) -> Candidate | None:
         self.asked.append("image")
+        self.bar = bar
         return self._in_image
 
 
@@ -363,6 +366,8 @@ def test_what_becomes_of_a_hand_that_is_followed(case: str) -> None:
     sight = TrackedFrame(monitor, np.empty((0, 0), np.float32), window, fits, NO_INNER)
     decision = policy_with(finder).decide_tracked(sight, None)
     assert (kind_of(decision), finder.asked) == (expected, asked)
+    if (found := decision.candidate) is not None:  # a search may stop at its bar, so what is used is below
+        assert found.cost < finder.bar.cost or found.total_cost < finder.bar.total_cost
 
 
 @pytest.mark.parametrize(

@@ -289,7 +289,7 @@ def test_a_fit_that_costs_far_more_is_replaced_by_a_hand_found_in_the_whole_imag
     there = turned_about_its_length(pose, np.pi) if turned else pose
     searched: list[np.ndarray] = []
 
-    def search(_: Acquisition, depth: np.ndarray) -> Candidate:
+    def search(_: Acquisition, depth: np.ndarray, **_bar: object) -> Candidate:
         searched.append(depth)
         return Candidate(there, 0.0)
 

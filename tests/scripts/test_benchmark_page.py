@@ -8,6 +8,8 @@ import pytest
 
 import benchmark_page
 from benchmark_page import MeasurementError, collect, figures_of, page_of
+from benchmarking.files import Usage
+from benchmarking.files import _rows as files_rows
 
 SOURCE = {"command": "scripts/reproduce hand", "posetrack": "1.0", "processor": "a CPU"}
 STUDY = {
@@ -67,3 +69,20 @@ def test_figures_of_two_versions_are_not_mixed_under_one_source() -> None:
         collect(found, "hand", newer | {"figures": STUDY["figures"]}, TEMPLATE)
     collect(found, "hand", newer | {"figures": STUDY["figures"], "targets": STUDY["targets"]}, TEMPLATE)
     assert found["hand"]["source"]["posetrack"] == "2.0"  # type: ignore[index]
+
+
+def test_whole_commands_are_one_table() -> None:
+    """18 s of CPU time for 6 recorded seconds are 3 core-hours an hour, of 2 cents each."""
+    runs = {"": [Usage(18.0, 12.0, 180, 6.0)], "previous version": [Usage(36.0, 12.0, 180, 6.0)]}
+    rows = [vars(row) for row in files_rows("Kinect folder", runs)]
+    found: dict[str, object] = {}
+    collect(found, "files", {"source": SOURCE, "rows": rows}, "{{files table}}")
+    lines = page_of(found, "{{files table}}").splitlines()
+    assert lines[-1] == (
+        "| Kinect v2 folder, 181 frames, `hand run` | 18.0 | 100.0 | 200.0 | 15.0 | 3.00 | 6.0 |"
+    )
+    assert {line.count("|") for line in lines[2:]} == {8}
+
+
+def test_without_whole_commands_there_is_no_table() -> None:
+    assert page_of(measured(), "a{{files table}}b") == "ab"

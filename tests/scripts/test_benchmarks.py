@@ -16,7 +16,7 @@ from click.testing import CliRunner
 from benchmarking.__main__ import main
 from benchmarking.processes import usage_of
 from benchmarking.recordings import link_recording
-from benchmarking.rows import fitted_line, median_of_pairs
+from benchmarking.rows import median_of_pairs
 from benchmarking.stepping import in_turn
 from posetrack_cli.recording.camera_file import camera_file_text
 from posetrack_cli.recording.opening import open_recording
@@ -62,18 +62,6 @@ def test_a_long_recording_of_a_head_shows_both_cameras_to_and_fro(tmp_path: Path
     frames = list(open_recording(tmp_path / "long", "grey", fps=30.0).frames())
     shown = [[int(image[0, 0]) for image in frame.images if image is not None] for frame in frames]
     assert shown == [[10 * k, 100 + 10 * k] for k in (0, 1, 2, 1, 0, 1, 2)]
-
-
-def test_a_line_is_found_and_every_number_of_particles_counts_alike() -> None:
-    particles = np.array([64.0, 512.0, 8192.0])
-    np.testing.assert_allclose(fitted_line(particles, 4.0 + 0.065 * particles), (4.0, 0.065), rtol=1e-9)
-    # of points on no line: the relative residuals' derivatives are zero
-    bent = np.array([10.0, 20.0, 40.0])
-    offset, slope = fitted_line(np.array([0.0, 1.0, 2.0]), bent)
-    relative = (offset + slope * np.arange(3.0)) / bent - 1.0
-    np.testing.assert_allclose(
-        [np.sum(relative / bent), np.sum(relative * np.arange(3) / bent)], 0, atol=1e-12
-    )
 
 
 def test_a_process_is_measured_by_itself() -> None:

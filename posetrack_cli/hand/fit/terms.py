@@ -285,7 +285,7 @@ def _nearest(
     bits, least = squares.view(np.int32), np.int32(2**31 - 1)
     for m in range(count):
         least = min(least, np.int32((bits[m] & ~_INDEX) | m))
-    return least & _INDEX
+    return int(least & _INDEX)
 
 
 @borrowing

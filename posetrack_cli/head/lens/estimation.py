@@ -31,7 +31,7 @@ from posetrack_cli.tracking.options import RunOptions
 
 FIRST_FOCAL = 1.6
 """Focal length over the longer image side with which the frames are tracked: 35 degrees."""
-FRAMES, STRETCHES = 300, 5
+FRAMES, STRETCHES = 150, 5
 """Number of frames tracked; of longer recordings, in this number of stretches."""
 MOST_LOST = 60
 """Lost frames after which no more are looked at; searching for a face is slow."""
