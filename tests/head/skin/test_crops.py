@@ -171,9 +171,9 @@ def test_a_frame_seen_larger_has_its_crop_where_the_image_is_larger(
     view, place = view_at(5, placement), np.array([column, row])
     larger = view.rescaled(ratio)
     wanted = scaled_pixels(to_image(placement, place), ratio)
-    np.testing.assert_allclose(to_image(larger.placement, place), wanted, atol=ROUNDING)
+    np.testing.assert_allclose(to_image(larger.placements[0], place), wanted, atol=ROUNDING)
     np.testing.assert_array_equal(larger.view.pixels, scaled_pixels(view.view.pixels, ratio))
-    assert larger.crop is view.crop and larger.view.pose is view.view.pose
+    assert larger.crops is view.crops and larger.view.pose is view.view.pose
     back = larger.rescaled(1.0 / ratio)
     np.testing.assert_allclose(back.placements[0], placement, atol=ROUNDING)
 

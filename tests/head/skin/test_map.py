@@ -205,9 +205,9 @@ def test_it_is_believed_the_more_the_two_are_apart_and_never_alone(
     seed: int, size: float, count: int
 ) -> None:
     apart = size * np.random.default_rng(seed).normal(size=(count, POSE_SIZE))
-    share = _share(apart)
+    share = _share(apart, SKIN_ERROR_DEG)
     assert 0.0 <= share < 1.0
-    assert share <= _share(1.5 * apart)
+    assert share <= _share(1.5 * apart, SKIN_ERROR_DEG)
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 30))
@@ -215,13 +215,13 @@ def test_where_both_agree_but_for_a_turn_of_all_it_is_not_believed(seed: int, co
     """Which of them is turned nothing tells; and where heads are, the share does not ask."""
     rng = np.random.default_rng(seed)
     apart = np.hstack([rng.normal(size=(count, 3)), np.tile(rng.normal(size=3), (count, 1))])
-    assert _share(apart) == 0.0
+    assert _share(apart, SKIN_ERROR_DEG) == 0.0
 
 
 def test_half_is_believed_where_they_are_apart_by_its_own_error() -> None:
     apart = np.zeros((4, POSE_SIZE))
     apart[:, 4] = np.radians(SKIN_ERROR_DEG) * np.array([1.0, -1.0, 1.0, -1.0])
-    assert _share(apart) == pytest.approx(0.5)
+    assert _share(apart, SKIN_ERROR_DEG) == pytest.approx(0.5)
 
 
 def test_a_map_of_poses_told_wrongly_is_believed(known: SkinMap) -> None:
