@@ -307,7 +307,7 @@ def make_drawn(theta: FloatArray) -> FloatArray:
 class Shown:
     """A recording of frames of which each is told how much of fingers it shows."""
 
-    path, cameras = Path("shown.mcap"), (KINECT,)
+    path, cameras, pixels = Path("shown.mcap"), (KINECT,), (None,)
 
     def __init__(self, areas: Sequence[float], counted: bool = True) -> None:
         self._areas, self.frame_count = areas, len(areas) if counted else None

@@ -262,7 +262,7 @@ def test_a_look_is_at_the_window_about_the_fit(
     monkeypatch.setattr(Acquisition, "reconsider", lambda _, *look: looks.append(look))
     monkeypatch.setattr(TrackMonitor, "is_above_baseline", lambda *_: True)
     tracking.step(states[-1], frames[3], np.random.default_rng(3))
-    ((seen, fit),) = looks
+    ((seen, fit, _below_mm),) = looks
     assert stage.error(fit, after) < TRACKED_MM
     observer = Observer(tracking.config, HAND.anatomy, KINECT, segment=True, with_arm=True, follows=True)
     about_fit, about_before = (
@@ -329,7 +329,7 @@ def test_fingers_seen_before_do_not_keep_a_track_that_lies_end_for_end_along_its
     state = replace(states[-1], monitor=replace(states[-1].monitor, finger_bonus_mm=4.0))
     monkeypatch.setattr(TrackMonitor, "is_doubtful", lambda *_: True)
     monkeypatch.setattr(Acquisition, "reconsider", lambda *_: None)
-    monkeypatch.setattr(Acquisition, "search", lambda *_: found)
+    monkeypatch.setattr(Acquisition, "search", lambda *_, **_bar: found)
     cut = []
     for frame in frames[3:]:
         state, _ = tracking.step(state, frame, np.random.default_rng(frame.index))
