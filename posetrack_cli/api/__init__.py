@@ -68,6 +68,8 @@ def open_recording(
     """
     from posetrack_cli.recording import opening
 
+    if (file := options.get("camera_file")) is not None:
+        options["camera_file"] = Path(file)  # as text, like the path
     return opening.open_recording(Path(path), kind, **options)
 
 

@@ -107,6 +107,12 @@ def test_a_run_that_is_closed_can_be_resumed_to_equal_estimates(depth: Depth, tm
     assert_equal([*first[:kept], *rest], posetrack.read(output).to_numpy())
 
 
+def test_a_recording_takes_a_camera_as_text(depth: Depth) -> None:
+    given: Any = {"camera_file": "kinect2"}
+    camera = posetrack.open_recording(depth.path, **given).cameras[0]
+    assert camera.fx == posetrack.open_recording(depth.path, camera_file=Path("kinect2")).cameras[0].fx
+
+
 def test_nothing_is_left_of_a_run_without_output(depth: Depth, tmp_path: Path, monkeypatch: Any) -> None:
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     with depth.track() as tracking:
