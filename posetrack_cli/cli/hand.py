@@ -100,9 +100,8 @@ hand.add_command(hand_synth)
         "--shape",
         metavar="auto|average|FILE|FOLDER",
         type=NameOrFile("auto", "average"),
-        help="Hand size and shape: estimated from the recording (auto), average, from FILE, written by "
-        "hand calibrate or an earlier hand run, or the mean over the results of one person in FOLDER.  "
-        "[default: auto]",
+        help="Hand size and shape: estimated from the recording (auto), average, from a result or the FILE "
+        "of hand calibrate, or the mean of a person's results in FOLDER.  [default: auto]",
     ),
     scale_option,
     hand_mesh_option,

@@ -70,7 +70,7 @@ def recordings() -> Iterator[Step]:
     switches = "--noise --edges --background --body --forearm --drops --late"
     without = switches.replace("--", "--no-")
     yield command("hand-C", f"{hand} 16 --motion C -o hand-C.mcap")
-    yield command("hand-A", f"{hand} 12 --motion A --speed 1.2 {shape} -o hand-A.mcap")
+    yield command("hand-A", f"{hand} 12 --motion A --speed 1.2 {shape} --sensor d435 -o hand-A.mcap")
     yield command("hand-B", f"{hand} 16 --motion B --random-hand {switches} -o hand-B.mcap")
     yield command("near", f"{hand} 12 --hand-side left {without} --overwrite -o near.mcap")
     yield command("slow", f"{hand} 24 --fps 10 --speed .3 -o slow.mcap")

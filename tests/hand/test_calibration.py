@@ -525,7 +525,7 @@ class Altered:
     def __init__(self, recording: Recording, smeared_px: int = 0, unit: float = 1.0) -> None:
         self._recording, self._unit = recording, unit
         self._around = np.ones((2 * smeared_px + 1,) * 2, np.uint8)
-        self.path, self.cameras = recording.path, recording.cameras
+        self.path, self.cameras, self.pixels = recording.path, recording.cameras, recording.pixels
         self.frame_count = recording.frame_count
 
     def frames(self, **chosen: int | None) -> Iterator[Frame]:

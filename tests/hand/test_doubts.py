@@ -36,7 +36,7 @@ def test_no_hand_is_so_large_or_so_small(length_mm: float) -> None:
     found = calibration_of(HandShape(length_mm / HAND_LENGTH_MM, coefficients=(LARGEST_COEFFICIENT + 1.0,)))
     said = found.warning
     assert found.length_mm == pytest.approx(length_mm, abs=1.5)
-    assert "120 to 225 mm" in said and "is the depth in mm" in said and "--depth-unit-mm" in said
+    assert "120 to 225 mm" in said and "--depth-unit-mm" in said and "would give" in said
     assert "proportions" not in said
 
 

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from posetrack_cli.geometry.camera import Camera
+from posetrack_cli.head.dense.numbers import TRUE_NUMBERS
 from posetrack_cli.mcap.sink import McapSink
 from posetrack_cli.recording.base import TRUTH_FILE_NAME
 from posetrack_cli.recording.camera_file import camera_file_text
@@ -87,14 +88,20 @@ def make_recording(folder: Path, walkers: Sequence[Walker], options: HeadSynthOp
     camera = made[0][0]
     with McapSink(folder / TRUTH_FILE_NAME) as sink:
         channels = [
-            sink.json_channel(f"/truth/head/{k + 1}/estimate", ESTIMATE_SCHEMA_NAME, estimate_schema(()))
+            sink.json_channel(
+                f"/truth/head/{k + 1}/estimate", ESTIMATE_SCHEMA_NAME, estimate_schema(TRUE_NUMBERS)
+            )
             for k in range(len(walkers))
         ]
         for instant in zip(*(frames for _, frames in made), strict=True):
             cv2.imwrite(str(folder / f"{instant[0].index:05d}.png"), together(camera, instant))
             for channel, frame in zip(channels, instant, strict=True):
                 stamp_ns = frame.stamp_ns - made[0][1][0].stamp_ns  # folders begin at 0
-                sink.write(channel, stamp_ns, estimate_to_json(replace(frame.truth(), stamp_ns=stamp_ns)))
+                sink.write(
+                    channel,
+                    stamp_ns,
+                    estimate_to_json(replace(frame.truth(), stamp_ns=stamp_ns), TRUE_NUMBERS),
+                )
         sink.finish()
     (folder / "camera.toml").write_text(camera_file_text((camera,)))
     return folder

@@ -314,7 +314,7 @@ def adjust_pose(
             vector += maps[c].T @ pull
         tangent = np.asarray(np.linalg.solve(matrix, vector), dtype=np.float64)
         pose = pose.moved(tangent)
-        if np.all(np.abs(tangent) < CONVERGED * pose_sd):
+        if np.all(np.abs(tangent) < CONVERGED * np.minimum(pose_sd, POSE_SD)):
             break
     return pose
 

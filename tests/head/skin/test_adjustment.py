@@ -130,8 +130,12 @@ def random_case(
     return Case(i, j, exact + pixels / F, told, surface, poses, skin, transforms)
 
 
-def differences(case: Case, poses: HeadPose, points: np.ndarray, h: float = 1e-4) -> np.ndarray:
-    """The gradient of E per standard deviation of each change, by central differences."""
+def differences(case: Case, poses: HeadPose, points: np.ndarray, h: float = 3e-5) -> np.ndarray:
+    """The gradient of E per standard deviation of each change, by central differences.
+
+    Two cameras see so well that E changes a thousandfold per standard deviation of what is told: with a
+    step of 1e-4 the third derivative adds 1e-5.
+    """
     found = []
     for index, unit in enumerate(case.units):
         by = np.zeros(len(case.units))
@@ -291,7 +295,7 @@ def test_a_step_solves_the_dense_normal_equations(seed: int, views: int, points:
 @pytest.mark.parametrize("outliers", [0.0, 0.1])
 @pytest.mark.parametrize(("seed", "cameras"), [(0, 1), (1, 1), (2, 1), (0, 2), (1, 2)])
 def test_it_ends_where_the_cost_falls_no_further(seed: int, outliers: float, cameras: int) -> None:
-    """Its gradient is zero, to what differences of a cost of order 100 can tell: 1e-16 100 / 1e-4."""
+    """Its gradient is zero, to what differences of a cost of order 100 can tell: 1e-16 100 / 3e-5."""
     case = random_case(seed, outliers=outliers, cameras=cameras)
     begun = np.abs(differences(case, case.told, case.surface)).max()
     found = case.run(MANY)
