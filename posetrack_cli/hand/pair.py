@@ -16,7 +16,7 @@ from posetrack_cli.hand.model.kinematics import joint_set_distance
 from posetrack_cli.hand.observe.observation import PixelSampler
 from posetrack_cli.hand.observe.others import HandDrawer, SeenHand, without_others
 from posetrack_cli.hand.policy import MOSTLY_HIDDEN, SAME_PLACE_MM
-from posetrack_cli.hand.search import Candidate, cheapest_pair, lead_of
+from posetrack_cli.hand.search import Candidate, cheapest_pair, lead_of, least_cost_at
 from posetrack_cli.hand.state import HandState
 from posetrack_cli.hand.tracker import HandTracker
 from posetrack_cli.recording.base import Frame
@@ -171,10 +171,17 @@ class PairTracker:
         for k in turn:
             other = self._seen_at(1 - k, found[1 - k]) or seen[1 - k]
             if found[k] is None and other is not None and other.is_sure:
-                rest = without_others(depth, None, (other,), self._camera)
-                best = min(self.trackers[k].candidates(rest), key=lambda one: one.total_cost, default=None)
-                found[k] = self._accepted(k, best, state, rest, found[1 - k])
+                found[k] = self._found_alone(k, state, without_others(depth, None, (other,), self._camera))
         return found
+
+    def _found_alone(self, k: int, state: PairState, rest: ImageArray) -> Candidate | None:
+        """Return a hand in an image without the other one, unless the other side fits as well: an arm."""
+        best = min(self.trackers[k].candidates(rest), key=lambda one: one.total_cost, default=None)
+        best = self._accepted(k, best, state, rest, None)
+        if best is None:
+            return None
+        exchanged = least_cost_at(best, self.trackers[1 - k].candidates(rest))
+        return best if exchanged > best.total_cost + _LEAD_MM else None
 
     def _seen_at(self, k: int, found: Candidate | None) -> SeenHand | None:
         return None if found is None else SeenHand(self._drawers[k], found.pose, found.inner)

@@ -681,10 +681,11 @@ def lead_of(
     """Return by how much a pair of places costs less than the exchanged hands at the same places, mm."""
     here = sum(one.total_cost for one in pair if one is not None)
     exchanged = zip((second, first), pair, strict=True)
-    return sum(_least_cost_at(place, found) for found, place in exchanged if place is not None) - here
+    return sum(least_cost_at(place, found) for found, place in exchanged if place is not None) - here
 
 
-def _least_cost_at(place: Candidate, candidates: Sequence[Candidate]) -> float:
+def least_cost_at(place: Candidate, candidates: Sequence[Candidate]) -> float:
+    """Return the least total cost of candidates at a place, mm; ``ACCEPT_MM`` without one."""
     costs = [one.total_cost for one in candidates if not _are_apart(one, place)]
     return min(costs, default=ACCEPT_MM)
 
