@@ -133,9 +133,7 @@ class PairTracker:
             seen[k] = SeenHand(self._drawers[k], after.pose, inner[k], is_sure)
             if after.monitor.lost:
                 seen[k] = None
-        compare_in = max(0, state.compare_in - 1)
-        if _have_met(states):
-            compare_in = _APART_FRAMES
+        compare_in = _APART_FRAMES if _have_met(states) else max(0, state.compare_in - 1)
         after_both = PairState((states[0], states[1]), inner, unsure, compare_in)
         return after_both, tuple(estimates[k] for k in range(self._reported))
 
