@@ -16,7 +16,7 @@ from posetrack_cli.hand.model.kinematics import joint_set_distance
 from posetrack_cli.hand.observe.observation import PixelSampler
 from posetrack_cli.hand.observe.others import HandDrawer, SeenHand, without_others
 from posetrack_cli.hand.policy import MOSTLY_HIDDEN, SAME_PLACE_MM
-from posetrack_cli.hand.search import Candidate, cheapest_pair
+from posetrack_cli.hand.search import Candidate, cheapest_pair, lead_of, least_cost_at
 from posetrack_cli.hand.state import HandState
 from posetrack_cli.hand.tracker import HandTracker
 from posetrack_cli.recording.base import Frame
@@ -29,8 +29,15 @@ from posetrack_cli.tracking.state_codec import Codec, Fields, codec_of
 _BOTH = (0, 1)
 _SEARCH_FRAMES = 4
 """A hand that is not where it is expected is searched in every so many frames."""
+_BOTH_AFTER_FRAMES = 12
+"""After so many frames without one hand, both are searched: what the other one explains may be wrong."""
 _MAX_COST_RATIO = 1.25
 """Largest cost of a hand that is found again, relative to good fits: an elbow or a forearm costs more."""
+_LEAD_MM = 1.0
+"""By how much a pair has to cost less than the exchanged one: with the right shape, pairs lead by 2.7 mm or
+more and lone hands by 1.3 mm."""
+_MET_MM, _APART_FRAMES = 80.0, 8
+"""Distance of wrists that have met, and frames after which the sides of hands that met are compared."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,11 +48,13 @@ class PairState:
         hands: states of the trackers.
         inner: (2, 6) inner numbers of the last frame, without a forearm if none was visible.
         unsure: (2,) frames in a row in which a hand was probably elsewhere or lost.
+        compare_in: frames until the sides are compared, after the hands met; 0 = never.
     """
 
     hands: tuple[HandState, HandState]
     inner: Annotated[FloatArray, floats(2, INNER_SIZE)]
     unsure: Annotated[IntArray, counts(2)]
+    compare_in: int = _APART_FRAMES
 
     def is_sure(self, k: int) -> bool:
         """Return whether a hand is probably where its track is."""
@@ -113,7 +122,10 @@ class PairTracker:
             other = seen[1 - k]
             depth = without_others(frame.depth, seen[k], () if other is None else (other,), self._camera)
             after, estimates[k] = self.trackers[k].step(
-                states[k], replace(frame, images=(depth,)), rng, found[k]
+                _with_common_baseline(states[k], states[1 - k]),
+                replace(frame, images=(depth,)),
+                rng,
+                found[k],
             )
             is_sure = estimates[k].confidence >= PROBABLY
             states[k], unsure[k] = after, 0 if is_sure else unsure[k] + 1
@@ -121,7 +133,8 @@ class PairTracker:
             seen[k] = SeenHand(self._drawers[k], after.pose, inner[k], is_sure)
             if after.monitor.lost:
                 seen[k] = None
-        after_both = PairState((states[0], states[1]), inner, unsure)
+        compare_in = _APART_FRAMES if _have_met(states) else max(0, state.compare_in - 1)
+        after_both = PairState((states[0], states[1]), inner, unsure, compare_in)
         return after_both, tuple(estimates[k] for k in range(self._reported))
 
     def _predicted(self, k: int, state: PairState, frame: Frame) -> SeenHand | None:
@@ -137,37 +150,68 @@ class PairTracker:
     ) -> list[Candidate | None]:
         """Return where unsure hands are, if they are not at their predicted places.
 
-        If neither is sure, both are searched: of all pairs of places, the cheapest counts. Then a hand is
-        searched without what the other one explains: alone, a right hand's model would also fit the left one.
+        If neither is sure, one was not found for long, or both have met, both are searched: of all pairs of
+        places, the cheapest counts, if exchanged hands cost more. Then a hand is searched without what the
+        other one explains: alone, a right hand's model would also fit the left one.
         """
         found: list[Candidate | None] = [None, None]
         turn = [k for k in _BOTH if not state.is_sure(k) and state.unsure[k] % _SEARCH_FRAMES == 0]
-        if turn and not any(one is not None and one.is_sure for one in seen):
-            best_pair = cheapest_pair(*(tracker.candidates(depth) for tracker in self.trackers))
-            found = [self._accepted(k, one, state, depth) for k, one in enumerate(best_pair)]
+        is_long = any(state.unsure[k] and state.unsure[k] % _BOTH_AFTER_FRAMES == 0 for k in turn)
+        if is_long or state.compare_in == 1 or (turn and not any(state.is_sure(k) for k in _BOTH)):
+            places = [tracker.candidates(depth) for tracker in self.trackers]
+            best_pair = cheapest_pair(*places)
+            if lead_of(best_pair, *places) > _LEAD_MM:
+                found = [
+                    self._accepted(k, one, state, depth, best_pair[1 - k]) for k, one in enumerate(best_pair)
+                ]
+            if None in found:  # a sure hand moves only together with the other one
+                found = [None if state.is_sure(k) else one for k, one in enumerate(found)]
         for k in turn:
             other = self._seen_at(1 - k, found[1 - k]) or seen[1 - k]
             if found[k] is None and other is not None and other.is_sure:
-                rest = without_others(depth, None, (other,), self._camera)
-                best = min(self.trackers[k].candidates(rest), key=lambda one: one.total_cost, default=None)
-                found[k] = self._accepted(k, best, state, rest)
+                found[k] = self._found_alone(k, state, without_others(depth, None, (other,), self._camera))
         return found
+
+    def _found_alone(self, k: int, state: PairState, rest: ImageArray) -> Candidate | None:
+        """Return a hand in an image without the other one, unless the other side fits as well: an arm."""
+        best = min(self.trackers[k].candidates(rest), key=lambda one: one.total_cost, default=None)
+        best = self._accepted(k, best, state, rest, None)
+        if best is None:
+            return None
+        exchanged = least_cost_at(best, self.trackers[1 - k].candidates(rest))
+        return best if exchanged > best.total_cost + _LEAD_MM else None
 
     def _seen_at(self, k: int, found: Candidate | None) -> SeenHand | None:
         return None if found is None else SeenHand(self._drawers[k], found.pose, found.inner)
 
     def _accepted(
-        self, k: int, found: Candidate | None, state: PairState, depth: ImageArray
+        self, k: int, found: Candidate | None, state: PairState, depth: ImageArray, other: Candidate | None
     ) -> Candidate | None:
-        """Return a candidate if it is a visible hand, elsewhere than the hand's track."""
+        """Return a candidate if it is a visible hand, elsewhere than the hand's track.
+
+        Its cost is compared with good fits in the recording and with the other hand's candidate.
+        """
         if found is None:
             return None
         hand, tracker = state.hands[k], self.trackers[k]
         ratio = max(one.monitor.cost_ratio(found.cost, tracker.config.status) for one in state.hands)
-        is_hand = ratio < _MAX_COST_RATIO or not hand.monitor.was_found
-        is_hand &= tracker.visible_share(depth, found) > 1.0 - MOSTLY_HIDDEN
+        ratio = max(ratio, 1.0 if other is None else found.cost / other.cost)
+        is_hand = ratio < _MAX_COST_RATIO and tracker.visible_share(depth, found) > 1.0 - MOSTLY_HIDDEN
         is_elsewhere = joint_set_distance(tracker.anatomy, found.pose, hand.pose) > SAME_PLACE_MM
         return found if is_hand and (hand.monitor.lost or is_elsewhere) else None
+
+
+def _with_common_baseline(hand: HandState, other: HandState) -> HandState:
+    """Return a hand whose good fits cost little more than the other's: both have one shape."""
+    levels = hand.monitor.baseline_cost_mm, _MAX_COST_RATIO * other.monitor.baseline_cost_mm
+    baseline_mm = min((level for level in levels if level > 0.0), default=0.0)
+    return replace(hand, monitor=replace(hand.monitor, baseline_cost_mm=baseline_mm))
+
+
+def _have_met(hands: Sequence[HandState]) -> bool:
+    """Return whether hands are so close, or one so hidden, that trackers may exchange them."""
+    is_hidden = any(one.observation is None or one.observation.hidden > MOSTLY_HIDDEN for one in hands)
+    return is_hidden or bool(np.linalg.norm(hands[0].pose[:3] - hands[1].pose[:3]) < _MET_MM)
 
 
 def _depth_mm(hand: SeenHand | None) -> float:

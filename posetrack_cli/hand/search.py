@@ -675,6 +675,21 @@ def cheapest_pair(
     return min(pairs, key=lambda pair: sum(ACCEPT_MM if one is None else one.total_cost for one in pair))
 
 
+def lead_of(
+    pair: Sequence[Candidate | None], first: Sequence[Candidate], second: Sequence[Candidate]
+) -> float:
+    """Return by how much a pair of places costs less than the exchanged hands at the same places, mm."""
+    here = sum(one.total_cost for one in pair if one is not None)
+    exchanged = zip((second, first), pair, strict=True)
+    return sum(least_cost_at(place, found) for found, place in exchanged if place is not None) - here
+
+
+def least_cost_at(place: Candidate, candidates: Sequence[Candidate]) -> float:
+    """Return the least total cost of candidates at a place, mm; ``ACCEPT_MM`` without one."""
+    costs = [one.total_cost for one in candidates if not _are_apart(one, place)]
+    return min(costs, default=ACCEPT_MM)
+
+
 def _are_apart(first: Candidate | None, second: Candidate | None) -> bool:
     """Return whether two candidates are different hands; True if one is missing."""
     if first is None or second is None:

@@ -20,6 +20,7 @@ from posetrack_cli.hand.model.anatomy import HandShape, PopulationSpace
 from posetrack_cli.hand.model.kinematics import joint_positions, mirrored_poses
 from posetrack_cli.hand.observe.others import HandDrawer, SeenHand, without_others
 from posetrack_cli.hand.run import HandRun, RunOptions
+from posetrack_cli.hand.search import ACCEPT_MM, Candidate, lead_of
 from posetrack_cli.hand.shape_fit import combined, read_shape
 from posetrack_cli.hand.tracker import FIRST_STEP_NS
 from posetrack_cli.rendering.port import RenderingDevice
@@ -142,6 +143,31 @@ def test_trackers_on_each_others_hands_exchange_them(
         state, _ = tracker.step(state, replace(frame, index=k, stamp_ns=k * FIRST_STEP_NS), rng)
     for hand, side, pose in zip(state.hands, ("right", "left"), poses[0], strict=True):
         assert np.linalg.norm(joints(side, hand.pose) - joints(side, pose), axis=1).mean() < FIT_MM
+
+
+def test_sides_are_compared_after_hands_met(
+    device: RenderingDevice, recording: Drawn, poses: list[tuple[FloatArray, FloatArray]], tmp_path: Path
+) -> None:
+    """Also of trackers that are sure: without another frame, these do not know what good fits cost."""
+    tracker = HandRun(recording, BOTH, RunOptions(tmp_path / "r.mcap"), device).tracker
+    rng, frame = np.random.default_rng(0), next(recording.frames(start=0, end=None))
+    start = tracker.start_unknown(poses[0][0], frame, rng)
+    right, left = poses[0]
+    swapped = (tracker.trackers[k].start(pose, -FIRST_STEP_NS, rng) for k, pose in enumerate((left, right)))
+    state = replace(start, hands=tuple(swapped), compare_in=1)
+    state, _ = tracker.step(state, frame, rng)
+    for hand, side, pose in zip(state.hands, ("right", "left"), poses[0], strict=True):
+        assert np.linalg.norm(joints(side, hand.pose) - joints(side, pose), axis=1).mean() < FIT_MM
+
+
+def test_a_pair_leads_by_what_exchanged_hands_cost_more() -> None:
+    def at(x: float, cost: float) -> Candidate:
+        return Candidate(relaxed(x=x, z=NEAR_MM), cost, cost)
+
+    rights, lefts = [at(-200.0, 3.0), at(200.0, 6.0)], [at(-190.0, 7.0), at(210.0, 4.0)]
+    assert lead_of((rights[0], lefts[1]), rights, lefts) == (6.0 + 7.0) - (3.0 + 4.0)
+    assert lead_of((rights[0], None), rights, lefts) == 7.0 - 3.0
+    assert lead_of((rights[0], None), rights, lefts[1:]) == ACCEPT_MM - 3.0
 
 
 def test_one_of_two_hands_is_followed_through_a_crossing(
