@@ -226,7 +226,7 @@ class ManifestRecording(Settings):
         options: command options.
         truth: ground-truth file, relative to the manifest; defaults to ground truth in the recording.
         gates: gates for the result.
-        person: whom it shows; its first recording determines the shape of the hand or face for the others.
+        person: whom it shows; its first recordings determine the shape of the hand or face for the others.
     """
 
     path: str

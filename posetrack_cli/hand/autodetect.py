@@ -12,8 +12,8 @@ import numpy as np
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import RecordingError, UsageError
 from posetrack_cli.geometry.camera import Camera
-from posetrack_cli.hand.both import SIDES, PairFinder, shape_of_both
-from posetrack_cli.hand.config import BOTH, ONE_OF_TWO, HandConfig, HandSettings
+from posetrack_cli.hand.both import PairFinder, shape_of_both
+from posetrack_cli.hand.config import BOTH, ONE_OF_TWO, SIDES, HandConfig, HandSettings
 from posetrack_cli.hand.evidence import DepthEvidence
 from posetrack_cli.hand.fit.gauss_newton import STIFF_THUMB
 from posetrack_cli.hand.fit.likelihood import fits_frames
@@ -459,9 +459,9 @@ def detect_hand(
         config = _with_probability(config, likelier, found.length_mm)
         return DetectedHand(config, line, bool(warning or found.warning))
     changed = sized.hand.scale != config.hand.scale
-    length_mm = _length_mm(sized)
-    warning += _size_warning(length_mm, recording) if changed else ""
-    sized = _with_probability(sized, likelier, length_mm if changed else None)
+    length_mm = _length_mm(sized) if changed else None  # makes the hand, from a file if there is one
+    warning += "" if length_mm is None else _size_warning(length_mm, recording)
+    sized = _with_probability(sized, likelier, length_mm)
     line = hand + (f" of scale {sized.hand.scale:.2f}" if changed else "") + warning
     return DetectedHand(sized, line if len(sides) > 1 or changed else "", bool(warning))
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import RecordingError
-from posetrack_cli.hand.config import HandConfig
+from posetrack_cli.hand.config import SIDES, HandConfig
 from posetrack_cli.hand.fit.gauss_newton import STIFF_THUMB
 from posetrack_cli.hand.model.hand import hand_maker
 from posetrack_cli.hand.search import Acquisition, Candidate, cheapest_pair, detection_penalty, quick_search
@@ -18,7 +18,6 @@ from posetrack_cli.phases import phase
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.recording.recording import Recording
 
-SIDES = ("right", "left")
 FRAMES, _FEW = 16, 6
 """Frames of the whole recording that are searched for two hands, and least number that show both."""
 SECOND_MM = 8.0

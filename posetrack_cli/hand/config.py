@@ -23,6 +23,8 @@ Coefficient = Annotated[float, Field(ge=-MOST_COEFFICIENT, le=MOST_COEFFICIENT)]
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
+SIDES = ("right", "left")
+"""Sides of hands, in this order where both are tracked."""
 BOTH, ONE_OF_TWO = "2", "1 of 2"
 """Values of ``hand.count`` with two hands in view."""
 

@@ -21,6 +21,7 @@ from posetrack_cli.hand.fit.skeleton import FOREARM, NO_INNER, NO_THUMB, THUMB
 from posetrack_cli.hand.fit.terms import Terms, Tile
 from posetrack_cli.hand.model.anatomy import (
     FINGERS,
+    HAND_LENGTH_MM,
     POSE_SIZE,
     HandAnatomy,
     HandShape,
@@ -98,7 +99,6 @@ class FrameSelector:
 # Limits of plausible shapes
 
 HAND_LENGTHS_MM = (120.0, 225.0)  # wrist to tip, from a three-year-old to the largest men
-AVERAGE_LENGTH_MM = 179.0  # of scale 1
 _LENGTH_SD_MM = 8.0  # of the population's ends and of an estimated length
 LARGEST_COEFFICIENT = 3.0  # exceeded by one hand in 400
 UNOBSERVED_SHARE = 0.8  # of the prior standard deviation; a measure above it was hardly observed
@@ -133,8 +133,8 @@ def length_warning(length_mm: float, unit_mm: float) -> str:
     if low <= length_mm <= high:
         return ""
     common = [unit for unit in USUAL_UNITS_MM if low <= length_mm * unit / unit_mm <= high]
-    likely = common or [float(f"{unit_mm * AVERAGE_LENGTH_MM / length_mm:.2g}")]
-    unit = min(likely, key=lambda unit: abs(np.log(length_mm * unit / unit_mm / AVERAGE_LENGTH_MM)))
+    likely = common or [float(f"{unit_mm * HAND_LENGTH_MM / length_mm:.2g}")]
+    unit = min(likely, key=lambda unit: abs(np.log(length_mm * unit / unit_mm / HAND_LENGTH_MM)))
     better = f"--depth-unit-mm {unit:g} would give {length_mm * unit / unit_mm:.0f} mm"
     return f", outside {low:.0f} to {high:.0f} mm: {better}"
 

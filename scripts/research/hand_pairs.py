@@ -13,13 +13,13 @@ from posetrack_cli.evaluation.measuring.catalogue import figure_of
 from posetrack_cli.evaluation.measuring.subjects.hand import FAR_MM
 from posetrack_cli.evaluation.reading.tracks import associate, track_of_result
 from posetrack_cli.evaluation.reading.truth import load_truth
+from posetrack_cli.hand.config import SIDES
 from posetrack_cli.results.reader import Result, read_result
 from research import hands
 from research.hand_accuracy import NO_MESH
 from research.report import Column, Report, over, values_of
 from research.runner import FILE, TOOL, Files, Job, Step
 
-SIDES = ("right", "left")
 APART_MM = (260, 120)
 """Distance between the places of the hands: side by side, and crossing each other."""
 FRAMES = 200

@@ -23,9 +23,9 @@ MEASURED_SHARES = tuple(name for name in (*_OPEN, *STRENGTH_NAMES) if name != "a
 """Shares and strengths that the ten points do not have."""
 CLOSED = "eyes_closed"
 """1 while both eyes are closed, 0 while they are open."""
-_SIDES = ("right", "left")
+SIDES = ("right", "left")
 GAZES = tuple(
-    f"{side}_gaze_{part}" for side in _SIDES for part in ("to_left_rad", "up_rad", "sd_rad", "x", "y", "z")
+    f"{side}_gaze_{part}" for side in SIDES for part in ("to_left_rad", "up_rad", "sd_rad", "x", "y", "z")
 )
 """Per eye: angles in the head's frame with their standard deviation, and the direction in camera axes."""
 TRUE_NUMBERS = (

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 
+from posetrack_cli.hand.config import SIDES
 from posetrack_cli.hand.model.anatomy import (
     COEFFICIENTS,
     FINGERS,
@@ -21,7 +22,6 @@ from posetrack_cli.synthesis.hand.sensors import KINECT_2, SENSORS
 from posetrack_cli.synthesis.recording import check_option
 
 MOTIONS = ("A", "B", "C")
-SIDES = ("right", "left")
 SCALES = (0.5, 1.5)
 """Smallest and largest hand, which stay in the image throughout the motion region."""
 PROPORTIONS = (0.7, 1.4)
