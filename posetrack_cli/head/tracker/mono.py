@@ -155,7 +155,9 @@ class MonoPeople:
         self._landmarks = landmarks
         self._pupil_distance = interpupillary_distance(config.person)
         self.cameras, self.status = (camera,), config.status
-        self._detector, self._choice, self._clicked = FaceDetector(config.start.detection), choice, clicked
+        # the papers' configurations, which have no dense face, look once
+        self._detector = FaceDetector(config.start.detection, twice=config.face.use)
+        self._choice, self._clicked = choice, clicked
         self._scaling = Scaling(config.start.eye_distance_px, config.start.largest_scale, camera)
         self._pipelines: dict[float, _ScalePipeline] = {}
         self._people = people_codec(model, config.adjustment)
