@@ -300,9 +300,13 @@ class HeadTracker(Generic[State, Found]):
         waiting = replace(state, lost=max(state.lost, 1))
         return self._with_dense(frame, *self._coast(waiting, SeededFrame(prepared, rng)))
 
+    def is_known(self, state: State) -> bool:
+        """Whether a face has been learned."""
+        return self._faces.is_known(state)
+
     def learned(self, state: State, *, for_second_pass: bool = False) -> Learned:
         """Return the learned face as arrays by name; empty while no face is known."""
-        if not self._faces.is_known(state):
+        if not self.is_known(state):
             return {}
         learned = self._faces.export_model(state, for_second_pass=for_second_pass)
         faces = KNOWN_FACES.to_arrays(state.dense)
