@@ -58,9 +58,13 @@ def statistics(values: ArrayLike) -> Statistics:
         nan = float("nan")
         return Statistics(nan, nan, nan, nan, nan, nan, 0)
     with np.errstate(invalid="ignore"):  # inf - inf
-        mean, sd, largest = float(flat.mean()), _deviation(flat), float(flat.max())
-    p5, median, p95 = _percentiles(flat, [5.0, 50.0, 95.0])
-    return Statistics(mean, sd, float(median), float(p95), largest, float(p5), flat.size)
+        mean, sd = float(flat.mean()), _deviation(flat)
+    flat.sort()  # NaN goes to the end
+    largest = float(flat[-1])
+    p5, median, p95 = _percentiles_of_ranked(lambda place: float(flat[place]), flat.size, (5.0, 50.0, 95.0))
+    if math.isnan(largest):
+        p5 = median = p95 = largest
+    return Statistics(mean, sd, median, p95, largest, p5, flat.size)
 
 
 def _deviation(flat: FloatArray) -> float:
@@ -87,22 +91,12 @@ def _percentiles_of_ranked(
     found = []
     for one in percent:
         place = one / 100.0 * (count - 1)
-        low, high = ranked(math.floor(place)), ranked(math.ceil(place))
-        between = math.isfinite(low) and math.isfinite(high)
-        found.append(low + (place - math.floor(place)) * (high - low) if between else high)
+        low, high, share = ranked(math.floor(place)), ranked(math.ceil(place)), place - math.floor(place)
+        if not (math.isfinite(low) and math.isfinite(high)):
+            found.append(high)
+        else:  # from the nearer of both, as numpy does
+            found.append(low + share * (high - low) if share < 0.5 else high - (1.0 - share) * (high - low))
     return found
-
-
-def _percentiles(flat: FloatArray, percent: list[float]) -> FloatArray:
-    """Return percentiles with linear interpolation, also of infinite values; may change their order."""
-    if not np.isinf(flat).any():
-        return np.percentile(flat, percent, overwrite_input=True)
-    # np.percentile interpolates to NaN next to an infinite value.
-    low, high = (np.percentile(flat, percent, method=method) for method in ("lower", "higher"))
-    finite = np.isfinite(low) & np.isfinite(high)
-    with np.errstate(invalid="ignore"):
-        between = np.where(finite, np.percentile(flat, percent), high)
-    return np.where(low == high, low, between)
 
 
 @dataclass(frozen=True, eq=False)

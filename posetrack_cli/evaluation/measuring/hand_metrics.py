@@ -240,7 +240,7 @@ def _angles(measures: Measures, matched: Matched) -> None:
 
 
 METRICS = {f"joint_{name}": half_width for name, half_width in pose_metrics.INTERVALS.items()}
-BLOCK_FRAMES = 256
+BLOCK_FRAMES = 512
 """Number of frames per block, as the Jacobians of a long track need many times its memory."""
 
 
