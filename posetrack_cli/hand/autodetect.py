@@ -246,7 +246,8 @@ class SideAndScaleSearch:
             if (side, k) == (0, own):
                 return
             # detection depends on the palm's size, so far sizes need their own
-            here = likely if abs(k - own) <= 1 else self._finder(side, k, quick=True).detect(frame.depth)
+            far = self._finder(side, k, quick=True)
+            here = likely if abs(k - own) <= 1 else far.detect(frame.depth, is_sized=True)
             costs[side, k] = cost_of(side, k, here)[0]
 
         for side in range(len(self.sides)):

@@ -20,17 +20,15 @@ from posetrack_cli.recording.recording import Recording
 
 FRAMES, _FEW = 16, 6
 """Frames of the whole recording that are searched for two hands, and least number that show both."""
-SECOND_MM = 8.0
-"""Largest total cost of the costlier of two hands **[ours]**.
+SECOND_MM = 12.0
+"""Largest cost of the costlier of two hands, with twice the penalty of its place **[ours]**.
 
-In recordings of one hand, elbows, bodies and backgrounds cost at least 9.9 mm as a second one (16 in real
-ones); in every recording of two hands some frame costs less than 7 mm.
+Open hands that the average hand does not fit cost up to 10 mm. In recordings of one hand, upper arms, bodies
+and backgrounds cost at least 14 mm as a second one. An elbow may look like a hand, but lies on the same arm
+(``search.cheapest_pair``).
 """
-LIKELY_MM = 15.0
+LIKELY_MM = 16.0
 """Likewise in a recording that is known to show two hands."""
-_FINGERS_MM, _ALIKE_MM = 4.0, 2.0
-"""Further cost of two hands that both show fingers, and largest difference of their costs: real hands of
-average shape cost up to 12 mm, with or without a second one."""
 _LEAST_COST_MM = 2.5
 """Cost of the best fits of an average hand of the right size."""
 
@@ -90,30 +88,29 @@ class PairFinder:
                 advance(1)
 
     def _pair_in(self, frame: Frame, limit_mm: float) -> PairFrame | None:
-        """Return a frame's hands, each with a total cost below a limit; None if it cannot show two."""
+        """Return a frame's hands, each with a cost below a limit; None if it cannot show two."""
         likely = [
             (penalty, detection)
-            for detection in self._finders[0].detect(frame.depth)
-            if (penalty := detection_penalty(detection)) < limit_mm - _LEAST_COST_MM
+            for detection in self._finders[0].detect(frame.depth, is_sized=True)
+            if 2.0 * (penalty := detection_penalty(detection)) < limit_mm - _LEAST_COST_MM
         ]
         found: list[list[Candidate]] = [[], []]
         places = len(likely)
         # the least likely first: without a second hand, the fits of the first one are not needed
-        for penalty, detection in sorted(likely, key=lambda one: -one[0]):
+        for _, detection in sorted(likely, key=lambda one: -one[0]):
             if places < len(SIDES):
                 return None
             fits = [finder.candidates_at(frame.depth, [detection]) for finder in self._finders]
-            most = limit_mm + (_FINGERS_MM if penalty < 0.0 else 0.0)
-            good = [[one for one in these if one.total_cost < most] for these in fits]
-            places -= not any(good)
-            found = [known + more for known, more in zip(found, good, strict=True)]
-        right, left = cheapest_pair(*found)
-        wrists = None if right is None else right.pose[:3], None if left is None else left.pose[:3]
-        if right is not None and left is not None:
-            low, high = sorted((right.total_cost, left.total_cost))
-            if high >= limit_mm and high >= low + _ALIKE_MM:
-                return None
-        return PairFrame(frame, wrists)
+            places -= not any(_cost_mm(one) < limit_mm for these in fits for one in these)
+            found = [known + more for known, more in zip(found, fits, strict=True)]
+        pair = cheapest_pair(*found)
+        right, left = (None if one is None or _cost_mm(one) >= limit_mm else one.pose[:3] for one in pair)
+        return PairFrame(frame, (right, left))
+
+
+def _cost_mm(found: Candidate) -> float:
+    """Return the cost of a hand with twice the penalty of its place."""
+    return 2.0 * found.total_cost - found.cost
 
 
 def _finder(config: HandConfig, side: str, scale: float, recording: Recording) -> Acquisition:

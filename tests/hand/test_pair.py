@@ -20,7 +20,7 @@ from posetrack_cli.hand.model.anatomy import HandShape, PopulationSpace
 from posetrack_cli.hand.model.kinematics import joint_positions, mirrored_poses
 from posetrack_cli.hand.observe.others import HandDrawer, SeenHand, without_others
 from posetrack_cli.hand.run import HandRun, RunOptions
-from posetrack_cli.hand.search import ACCEPT_MM, Candidate, lead_of
+from posetrack_cli.hand.search import ACCEPT_MM, Candidate, cheapest_pair, lead_of
 from posetrack_cli.hand.shape_fit import combined, read_shape
 from posetrack_cli.hand.tracker import FIRST_STEP_NS
 from posetrack_cli.rendering.port import RenderingDevice
@@ -168,6 +168,30 @@ def test_a_pair_leads_by_what_exchanged_hands_cost_more() -> None:
     assert lead_of((rights[0], lefts[1]), rights, lefts) == (6.0 + 7.0) - (3.0 + 4.0)
     assert lead_of((rights[0], None), rights, lefts) == 7.0 - 3.0
     assert lead_of((rights[0], None), rights, lefts[1:]) == ACCEPT_MM - 3.0
+
+
+def test_a_hand_and_its_elbow_are_no_pair() -> None:
+    """They lie on one line, each at the end of the other's forearm."""
+
+    def at(y: float, arm: float) -> Candidate:
+        return Candidate(relaxed(y=y, z=NEAR_MM), 3.0, 3.0, np.array([0.0, arm, 0.0, 0.0, 0.0, 0.0]))
+
+    hand, elbow, below = at(-50.0, 1.0), at(50.0, -1.0), at(50.0, 1.0)
+    assert cheapest_pair([hand], [elbow]) in {(hand, None), (None, elbow)}
+    assert cheapest_pair([hand], [below]) == (hand, below)
+
+
+def test_either_hand_is_tried_at_a_place_of_the_other(
+    device: RenderingDevice, recording: Drawn, poses: list[tuple[FloatArray, FloatArray]], tmp_path: Path
+) -> None:
+    tracker = HandRun(recording, BOTH, RunOptions(tmp_path / "r.mcap"), device).tracker
+    depth, (pose, _) = next(recording.frames(start=0, end=None)).depth, poses[0]
+    right, left = tracker.trackers
+    known = Candidate(pose, GOOD_MM, GOOD_MM + 1.0)
+    assert (other := left.lookalike(depth, known)) is not None
+    assert (again := right.lookalike(depth, other)) is not None
+    assert np.linalg.norm(joints("right", again.pose) - joints("right", pose), axis=1).mean() < FIT_MM
+    assert other.cost > again.cost and again.total_cost == pytest.approx(again.cost + 1.0)
 
 
 def test_one_of_two_hands_is_followed_through_a_crossing(
