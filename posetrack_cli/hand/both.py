@@ -12,7 +12,14 @@ from posetrack_cli.errors import RecordingError
 from posetrack_cli.hand.config import SIDES, HandConfig
 from posetrack_cli.hand.fit.gauss_newton import STIFF_THUMB
 from posetrack_cli.hand.model.hand import hand_maker
-from posetrack_cli.hand.search import Acquisition, Candidate, cheapest_pair, detection_penalty, quick_search
+from posetrack_cli.hand.search import (
+    LIKELY_PAIR_MM,
+    Acquisition,
+    Candidate,
+    cheapest_pair,
+    detection_penalty,
+    quick_search,
+)
 from posetrack_cli.hand.shape_fit import Calibration, CalibrationOptions, combined, shape_of
 from posetrack_cli.phases import phase
 from posetrack_cli.recording.base import Frame
@@ -21,14 +28,12 @@ from posetrack_cli.recording.recording import Recording
 FRAMES, _FEW = 16, 6
 """Frames of the whole recording that are searched for two hands, and least number that show both."""
 SECOND_MM = 12.0
-"""Largest cost of the costlier of two hands, with twice the penalty of its place **[ours]**.
+"""Largest cautious cost of the costlier of two hands **[ours]**.
 
 Open hands that the average hand does not fit cost up to 10 mm. In recordings of one hand, upper arms, bodies
 and backgrounds cost at least 14 mm as a second one. An elbow may look like a hand, but lies on the same arm
 (``search.cheapest_pair``).
 """
-LIKELY_MM = 16.0
-"""Likewise in a recording that is known to show two hands."""
 _LEAST_COST_MM = 2.5
 """Cost of the best fits of an average hand of the right size."""
 
@@ -74,7 +79,7 @@ class PairFinder:
     @property
     def frames(self) -> list[PairFrame]:
         """The frames that probably show both of two hands; if they are few, also those that show one."""
-        found = list(self._pairs("finding both hands", LIKELY_MM))
+        found = list(self._pairs("finding both hands", LIKELY_PAIR_MM))
         both = [one for one in found if one.shows_both]
         return both if len(both) >= _FEW else found
 
@@ -101,16 +106,11 @@ class PairFinder:
             if places < len(SIDES):
                 return None
             fits = [finder.candidates_at(frame.depth, [detection]) for finder in self._finders]
-            places -= not any(_cost_mm(one) < limit_mm for these in fits for one in these)
+            places -= not any(one.cautious_cost < limit_mm for these in fits for one in these)
             found = [known + more for known, more in zip(found, fits, strict=True)]
         pair = cheapest_pair(*found)
-        right, left = (None if one is None or _cost_mm(one) >= limit_mm else one.pose[:3] for one in pair)
+        right, left = (None if one is None or one.cautious_cost >= limit_mm else one.pose[:3] for one in pair)
         return PairFrame(frame, (right, left))
-
-
-def _cost_mm(found: Candidate) -> float:
-    """Return the cost of a hand with twice the penalty of its place."""
-    return 2.0 * found.total_cost - found.cost
 
 
 def _finder(config: HandConfig, side: str, scale: float, recording: Recording) -> Acquisition:

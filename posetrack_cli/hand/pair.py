@@ -16,7 +16,14 @@ from posetrack_cli.hand.model.kinematics import joint_set_distance
 from posetrack_cli.hand.observe.observation import PixelSampler
 from posetrack_cli.hand.observe.others import HandDrawer, SeenHand, without_others
 from posetrack_cli.hand.policy import MOSTLY_HIDDEN, SAME_PLACE_MM
-from posetrack_cli.hand.search import ACCEPT_MM, Candidate, cheapest_pair, lead_of, least_cost_at
+from posetrack_cli.hand.search import (
+    ACCEPT_MM,
+    LIKELY_PAIR_MM,
+    Candidate,
+    cheapest_pair,
+    lead_of,
+    least_cost_at,
+)
 from posetrack_cli.hand.state import HandState
 from posetrack_cli.hand.tracker import HandTracker
 from posetrack_cli.recording.base import Frame
@@ -203,7 +210,7 @@ class PairTracker:
 
         Its cost is compared with good fits in the recording and with the other hand's candidate.
         """
-        if found is None:
+        if found is None or found.cautious_cost >= LIKELY_PAIR_MM:
             return None
         hand, tracker = state.hands[k], self.trackers[k]
         ratio = max(one.monitor.cost_ratio(found.cost, tracker.config.status) for one in state.hands)

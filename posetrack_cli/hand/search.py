@@ -365,6 +365,8 @@ _SIZES = (0.66, 1.25)
 """Range of hand scales, from a three-year-old to the largest men."""
 SAME_WRIST_MM = 60.0
 """Wrist distance up to which two candidates are the same hand."""
+LIKELY_PAIR_MM = 16.0
+"""Largest cautious cost of a hand in a recording that is known to show two."""
 _ONE_ARM_MM, _ASIDE_MM = 200.0, 40.0
 """Largest distance of a wrist along the other hand's forearm, and aside, on one arm **[ours]**: the hand and
 its elbow, taken for another hand, are 60 to 110 mm apart and at most 30 mm aside."""
@@ -390,6 +392,11 @@ class Candidate:
     cost: float
     total_cost: float = np.inf
     inner: FloatArray = field(default_factory=NO_INNER.copy)
+
+    @property
+    def cautious_cost(self) -> float:
+        """Return the cost with twice the penalties of its place, mm: low only for what looks like a hand."""
+        return 2.0 * self.total_cost - self.cost
 
 
 _FINGER_STARTS = 2
