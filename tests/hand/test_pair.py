@@ -239,11 +239,12 @@ def test_a_shape_from_a_result_says_nothing_of_how_many_hands(
     device: RenderingDevice, recording: Drawn, tmp_path: Path, count: str, kept: str
 ) -> None:
     """Nor, of both, which one."""
-    hand = {"count": count, "side": "left", "scale": 0.9}
-    config = HandConfig.model_validate(BOTH.model_dump() | {"hand": hand})
+    hand, status = {"count": count, "side": "left", "scale": 0.9}, {"baseline_cost_mm": GOOD_MM}
+    config = HandConfig.model_validate(BOTH.model_dump() | {"hand": hand, "status": status})
     HandRun(recording, config, RunOptions(tmp_path / "r.mcap", end=1), device).track(lambda estimate: None)
     named = dict(one.split("=", 1) for one in read_shape(tmp_path / "r.mcap").assignments)
     assert named["hand.scale"] == "0.9" and "hand.count" not in named
+    assert named["status.baseline_cost_mm"] == str(GOOD_MM)  # what good fits of this shape cost
     assert named.get("hand.side", '"auto"') == f'"{kept}"'
 
 
