@@ -7,17 +7,21 @@ from dataclasses import replace
 from itertools import islice
 from typing import NamedTuple
 
+import numpy as np
+
 from posetrack_cli.arrays import FloatArray
 from posetrack_cli.errors import RecordingError
 from posetrack_cli.hand.config import SIDES, HandConfig
 from posetrack_cli.hand.fit.gauss_newton import STIFF_THUMB
 from posetrack_cli.hand.model.hand import hand_maker
 from posetrack_cli.hand.search import (
+    ACCEPT_MM,
     LIKELY_PAIR_MM,
     Acquisition,
     Candidate,
     cheapest_pair,
     detection_penalty,
+    least_cost_at,
     quick_search,
 )
 from posetrack_cli.hand.shape_fit import Calibration, CalibrationOptions, combined, shape_of
@@ -37,6 +41,9 @@ and backgrounds cost at least 14 mm as a second one. An elbow may look like a ha
 _LEAST_COST_MM = 2.5
 """Cost of the best fits of an average hand of the right size."""
 
+_MOST_LEAD_MM, _CLEAR_LEAD_MM = 2.7, 3.6
+"""Largest evidence of a frame for a side, and least evidence of all: 3 and 4 log odds (``autodetect``)."""
+
 
 class PairFrame(NamedTuple):
     """A frame with two hands.
@@ -44,15 +51,22 @@ class PairFrame(NamedTuple):
     Attributes:
         frame: the frame.
         wrists: (3,) of the right and of the left hand, mm; None for one that was not found.
+        leads: by how much either hand costs less than one of the other side at its place, mm.
     """
 
     frame: Frame
     wrists: tuple[FloatArray | None, FloatArray | None]
+    leads: tuple[float, float]
 
     @property
     def shows_both(self) -> bool:
         """Return whether both hands were found."""
         return all(wrist is not None for wrist in self.wrists)
+
+    def only(self, side: str) -> PairFrame:
+        """Return the frame with the hand of one side alone."""
+        right, left = self.wrists
+        return self._replace(wrists=(right, None) if side == SIDES[0] else (None, left))
 
 
 class PairFinder:
@@ -109,8 +123,22 @@ class PairFinder:
             places -= not any(one.cautious_cost < limit_mm for these in fits for one in these)
             found = [known + more for known, more in zip(found, fits, strict=True)]
         pair = cheapest_pair(*found)
+        first, second = (_lead_mm(one, others) for one, others in zip(pair, reversed(found), strict=True))
         right, left = (None if one is None or one.cautious_cost >= limit_mm else one.pose[:3] for one in pair)
-        return PairFrame(frame, (right, left))
+        return PairFrame(frame, (right, left), (first, second))
+
+
+def _lead_mm(found: Candidate | None, others: Sequence[Candidate]) -> float:
+    """Return by how much a hand costs less than the other side at its place; 0 if either was not found."""
+    other_mm = ACCEPT_MM if found is None else least_cost_at(found, others)
+    return 0.0 if found is None or other_mm == ACCEPT_MM else other_mm - found.total_cost
+
+
+def common_side(found: Sequence[PairFrame]) -> str | None:
+    """Return the side of which both hands are, as those of two people; None for a right and a left hand."""
+    both = [np.clip(one.leads, -_MOST_LEAD_MM, _MOST_LEAD_MM) for one in found if one.shows_both]
+    leads = np.sum(both, axis=0) if both else np.zeros(len(SIDES))
+    return SIDES[1 - int(np.argmin(leads))] if leads.min() < -_CLEAR_LEAD_MM else None
 
 
 def _finder(config: HandConfig, side: str, scale: float, recording: Recording) -> Acquisition:

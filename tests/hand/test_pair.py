@@ -13,7 +13,7 @@ import pytest
 from posetrack_cli.arrays import Float32Array, FloatArray
 from posetrack_cli.errors import UsageError
 from posetrack_cli.hand.autodetect import detect_hand
-from posetrack_cli.hand.both import PairFinder
+from posetrack_cli.hand.both import PairFinder, PairFrame, common_side
 from posetrack_cli.hand.config import HandConfig
 from posetrack_cli.hand.fit.skeleton import NO_INNER
 from posetrack_cli.hand.model.anatomy import HandShape, PopulationSpace
@@ -225,6 +225,19 @@ def test_two_hands_are_counted_and_one_before_a_wall_is_not_two(
     one = Drawn.of(Stage(device, HANDS["right"]), [pair[0] for pair in poses[::6]])
     assert PairFinder(recording, HandConfig(), 1.0, 0).shows_two
     assert not PairFinder(one, HandConfig(), 1.0, 0).shows_two
+
+
+def test_two_people_show_hands_of_one_side(recording: Drawn) -> None:
+    """At the other hand's place, too, this side costs less."""
+    frame, at = next(recording.frames(start=0, end=None)), np.zeros(3)
+
+    def side_of(*leads: tuple[float, float]) -> str | None:
+        return common_side([PairFrame(frame, (at, at), one) for one in leads])
+
+    assert side_of((5.0, 2.0), (1.0, 3.0), (-1.0, 2.0)) is None
+    assert side_of((5.0, -2.0), (2.0, -2.0)) == "right" and side_of((-9.0, 5.0), (-1.0, 1.0)) == "left"
+    assert side_of((3.0, -9.0)) is None and side_of() is None  # one frame may be wrong
+    assert common_side([PairFrame(frame, (at, None), (2.0, -9.0))] * 9) is None
 
 
 def test_a_configured_shape_of_two_hands_stays(recording: Drawn) -> None:
