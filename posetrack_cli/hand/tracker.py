@@ -25,7 +25,7 @@ from posetrack_cli.hand.observe.observation import Observation
 from posetrack_cli.hand.observe.observer import Observer
 from posetrack_cli.hand.policy import MOSTLY_HIDDEN, Decision, Policy, TrackedFrame, TrackMonitor, status_of
 from posetrack_cli.hand.search import ACCEPT_MM, Acquisition, Candidate, detection_penalty, finger_bonus
-from posetrack_cli.hand.start import START_SPREAD, detected_pose, hand_estimate
+from posetrack_cli.hand.start import START_SPREAD, detected_pose, hand_estimate, with_doubt
 from posetrack_cli.hand.state import FrameAssessment, FrameFit, HandState, state_codec
 from posetrack_cli.recording.base import Frame
 from posetrack_cli.results.estimate import Estimate
@@ -153,6 +153,7 @@ class HandTracker:
         variance = posterior.pose_variance
         if self._is_calibrated:
             variance = with_model_error(variance, assessment.monitor.mean_cost_mm)
+            variance = with_doubt(variance, assessment.confidence)
         estimate = hand_estimate(
             self.anatomy,
             posterior.pose,
