@@ -38,7 +38,7 @@ _SEARCH_FRAMES = 4
 """A hand that is not where it is expected is searched in every so many frames."""
 _BOTH_AFTER_FRAMES = 12
 """After so many frames without one hand, both are searched: what the other one explains may be wrong."""
-_MAX_COST_RATIO = 1.25
+_MAX_COST_RATIO = 1.5
 """Largest cost of a hand that is found again, relative to good fits: an elbow or a forearm costs more."""
 _LEAD_MM = 1.0
 """By how much a pair has to cost less than the exchanged one: with the right shape, pairs lead by 2.7 mm or
@@ -208,11 +208,15 @@ class PairTracker:
     ) -> Candidate | None:
         """Return a candidate if it is a visible hand, elsewhere than the hand's track.
 
-        Its cost is compared with good fits in the recording and with the other hand's candidate.
+        Its cost is compared with good fits in the recording, as far as these are known, and with the other
+        hand's candidate.
         """
-        if found is None or found.cautious_cost >= LIKELY_PAIR_MM:
-            return None
         hand, tracker = state.hands[k], self.trackers[k]
+        levels = [tracker.config.status.baseline_cost_mm]
+        levels += [one.monitor.baseline_cost_mm for one in state.hands]
+        is_known = any(level > 0.0 for level in levels)
+        if found is None or not (is_known or found.cautious_cost < LIKELY_PAIR_MM):
+            return None
         ratio = max(one.monitor.cost_ratio(found.cost, tracker.config.status) for one in state.hands)
         ratio = max(ratio, 1.0 if other is None else found.cost / other.cost)
         is_hand = ratio < _MAX_COST_RATIO and tracker.visible_share(depth, found) > 1.0 - MOSTLY_HIDDEN
