@@ -191,9 +191,14 @@ class HandTracker:
         """
         if self._finder is None:
             return []
-        likely = (one for one in self._finder.detect(depth) if detection_penalty(one) < _LIKELY_MM)
+        places = self._finder.detect(depth, is_sized=True)
+        likely = (one for one in places if detection_penalty(one) < _LIKELY_MM)
         found = (one for place in likely for one in self._finder.candidates_at(depth, [place]))
         return [one for one in found if one.cost <= ACCEPT_MM]
+
+    def lookalike(self, depth: ImageArray, place: Candidate) -> Candidate | None:
+        """Return the hand that looks most like one of the other side in an image (height, width), mm."""
+        return None if self._finder is None else self._finder.lookalike(depth, place)
 
     def visible_share(self, depth: ImageArray, found: Candidate) -> float:
         """Return the share of a hand in an image (height, width), mm, that no other hand hides."""
