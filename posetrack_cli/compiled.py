@@ -199,7 +199,7 @@ def announced(
 
     def say() -> None:
         if (count := next(counts)) == 1:
-            report(f"compiling kernels: about 75 s of CPU time, {kept}")
+            report(f"compiling kernels: about 40 s of CPU time, {kept}")
         each(count)
 
     with _listening(say, lambda: None):

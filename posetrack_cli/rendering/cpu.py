@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from posetrack_cli.arrays import Float32Array, FloatArray
-from posetrack_cli.compiled import borrowing, inlined, thread_count
+from posetrack_cli.arrays import Float32Array, FloatArray, ImageArray, IntArray
+from posetrack_cli.compiled import borrowing, thread_count
 from posetrack_cli.geometry.camera import Camera
 from posetrack_cli.rendering.mesh import SkinnedMesh
 from posetrack_cli.rendering.pixel_model import (
@@ -37,13 +37,34 @@ from posetrack_cli.rendering.raster import Drawing, RestMesh, View, draw_depth, 
 
 # Sums over one rendered tile, as defined by ``port.sums_in_numpy``; compiled. CPU version of
 # ``gl/shaders/tile_sums.comp``.
+#
+# With a pixel model, pixels are first sorted into lists by what they need. Loops over lists of float32 have
+# no branches and few arrays, so that LLVM vectorises them. Sums have a fixed order, in float64.
 
-_FAR = 40.0  # log odds beyond which the smaller share is below the last bit of the larger one
-_SMALL = 0.1  # exp of smaller arguments is computed by a polynomial
-_MUCH = np.exp(NEIGHBOUR_MISFIT)  # ratio of densities at a misfit of NEIGHBOUR_MISFIT
-_LARGE, _TINY = 1e150, 1e-150  # range of products of densities, far from overflow
+_MUCH = np.float32(np.exp(NEIGHBOUR_MISFIT))  # ratio of densities at a misfit of NEIGHBOUR_MISFIT
+_LARGE, _TINY = 1e200, 1e-200  # range of products of densities, far from overflow
+_ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
+_NONE = np.float32(1e30)  # depth, or ratio of densities, of no surface
+_LEAST, _MOST = np.float32(-80.0), np.float32(80.0)  # range of exponents
+_TO_INTEGER = np.float32(1.5 * 2**23)  # adding and subtracting it rounds
+_LOG2_E, _LN_2 = np.float32(1.0 / np.log(2.0)), np.float32(np.log(2.0))
+_TAYLOR = tuple(np.float32(1.0 / factor) for factor in (720, 120, 24, 6, 2, 1))
+_BIAS, _FRACTION_BITS = np.int32(127), np.int32(23)  # of float32
+_INDEX = np.int32(15)
+"""Bits of a float32 that hold the index of a neighbour."""
+_MANY = np.int32(2**31 - 1)
+_REACH = range(-REACH_PX, REACH_PX + 1)
+_NEIGHBOURS = tuple(
+    (j + REACH_PX, i + REACH_PX) for j in _REACH for i in _REACH if 0 < i * i + j * j <= REACH_PX * REACH_PX
+)
+_SQUARES = tuple(np.float32((j - REACH_PX) ** 2 + (i - REACH_PX) ** 2) for j, i in _NEIGHBOURS)
+"""Rows and columns of a pixel's neighbours in ``empty_depths``, and their squared distances, pixels."""
 ROW = 8
 """Sums per tile, in the order of ``TileSums.from_rows``."""
+_LISTS = 10
+_APART = (
+    48  # numbers between lists beyond the pixels: lists at multiples of 4096 bytes would share cache lines
+)
 
 
 class Reading(NamedTuple):
@@ -57,125 +78,290 @@ class Reading(NamedTuple):
         slope: width of a pixel, mm, per mm of depth.
     """
 
-    image: FloatArray
-    off: FloatArray
-    before: FloatArray
+    image: Float32Array
+    off: Float32Array
+    before: Float32Array
     clamp_mm: float
     match_mm: float
-    slope: float
+    slope: np.float32
 
 
 class Mixture(NamedTuple):
     """Parameters of a ``PixelMixture``; ``enabled`` is False without one."""
 
     enabled: bool
-    near_sd: float = 1.0
-    sd_growth: float = 0.0
-    occluder_rate: float = 1.0
-    occluded_per_sd: float = 0.0
-    outlier_per_sd: float = 0.0
-    outline_sd: float = 1.0
-    unread_weight: float = 0.0
+    near_sd: np.float32 = _ONE
+    sd_growth: np.float32 = _ZERO
+    occluder_rate: np.float32 = _ONE
+    occluded_per_sd: np.float32 = _ZERO
+    outlier_per_sd: np.float32 = _ZERO
+    outline_sd: np.float32 = _ONE
+    unread_weight: np.float32 = _ZERO
+
+
+class Pixels(NamedTuple):
+    """Buffers for lists of pixels.
+
+    Attributes:
+        depths: (h + 2 r, w + 2 r) rendered, with a border of r = ``REACH_PX``; inf where empty.
+        lists: (10, P) depth, reading and ``Reading.before`` of target pixels; four intermediate results;
+            depth, reading and ``Reading.off`` of other pixels.
+        near: (12, P) depths of neighbours.
+        places: (2, P) rows and columns.
+        bits, floats: (P,) bits of float32, and the same memory as float32.
+        keys: (P,) least squares of neighbours, with indices in their last bits.
+    """
+
+    depths: Float32Array
+    lists: Float32Array
+    near: Float32Array
+    places: IntArray
+    bits: ImageArray
+    floats: Float32Array
+    keys: ImageArray
 
 
 def mixture_of(model: PixelMixture | None) -> Mixture:
     """Return a pixel model in the form used by the kernels."""
-    return Mixture(False) if model is None else Mixture(True, **model.uniforms)
+    if model is None:
+        return Mixture(False)
+    return Mixture(True, **{name: np.float32(value) for name, value in model.uniforms.items()})
 
 
-def reading_of(comparison: Comparison, off: FloatArray, slope: float) -> Reading:
+def reading_of(comparison: Comparison, off: Float32Array, slope: float) -> Reading:
     """Return an observation and comparison parameters in the form used by the kernels."""
-    image = comparison.observed.astype(np.float64)
+    image = comparison.observed
     rate = 0.0 if comparison.model is None else comparison.model.uniforms["occluder_rate"]
-    before = np.exp(-rate * np.maximum(image, 0.0))
-    return Reading(image, off, before, comparison.clamp_mm, comparison.match_mm, slope)
+    before = np.exp(-rate * np.maximum(image.astype(np.float64), 0.0)).astype(np.float32)
+    return Reading(image, off, before, comparison.clamp_mm, comparison.match_mm, np.float32(slope))
 
 
-def empty_depths(height: int, width: int) -> FloatArray:
-    """Return depths (h + 2 r, w + 2 r) of a tile with a border of r = ``REACH_PX``, all inf (empty)."""
-    return np.full((height + 2 * REACH_PX, width + 2 * REACH_PX), np.inf)
-
-
-@inlined
-def _exponential(x: float) -> float:
-    """Return exp(x), with relative error 2e-11 for small x, as between two depths of one hand."""
-    if abs(x) > _SMALL:
-        return float(np.exp(x))
-    return 1.0 + x * (1.0 + x * (1.0 / 2 + x * (1.0 / 6 + x * (1.0 / 24 + x * (1.0 / 120 + x / 720)))))
-
-
-@inlined
-def _densities(d: float, y: float, before: float, off: float, model: Mixture) -> tuple[float, float]:
-    """Return the densities of the best possible reading and of y, up to a common factor.
-
-    The logarithm of their ratio is the misfit.
-    """
-    sd = model.near_sd + model.sd_growth * d * d
-    outlier, occluded = model.outlier_per_sd * sd, model.occluded_per_sd * sd
-    t, s = (y - d) / sd, off / model.outline_sd
-    far_end = before * _exponential(model.occluder_rate * (y - d))
-    nearer, front = 1.0 - far_end, occluded * before if y <= d else 0.0
-    here = np.exp(-0.5 * (t * t + s * s))
-    return nearer * (1.0 + outlier) + occluded * far_end, nearer * (here + outlier) + front
-
-
-@inlined
-def _misfit_of_other(d: float, y: float, off: float, model: Mixture) -> float:
-    """Return ``PixelMixture.misfit_of_other`` of a reading -y, or ``misfit_of_unread`` for y = 0."""
-    sd = model.near_sd + model.sd_growth * d * d
-    outlier, t = model.outlier_per_sd * sd, off / model.outline_sd
-    behind = -LOGISTIC_OF_NORMAL * (d + y) / sd
-    if y < 0.0 and behind < -_FAR:  # clearly in front: explained as an occluder
-        return 0.0
-    beside = (np.exp(-0.5 * t * t) + outlier) / (1.0 + outlier)
-    if y == 0.0:
-        return float(-model.unread_weight * np.log(beside))
-    front = 1.0 / (1.0 + np.exp(behind)) if behind < _FAR else 0.0
-    return float(-np.log(front + (1.0 - front) * beside))
-
-
-@inlined
-def _unexplained(y: float, model: Mixture) -> float:
-    """Return ``PixelMixture.unexplained``."""
-    outlier = model.outlier_per_sd * (model.near_sd + model.sd_growth * y * y)
-    return float(np.log(1.0 + 1.0 / outlier))
+def empty_pixels(height: int, width: int) -> Pixels:
+    """Return the buffers for one tile."""
+    count = height * width + _APART
+    bits = np.zeros(count, np.int32)
+    return Pixels(
+        np.full((height + 2 * REACH_PX, width + 2 * REACH_PX), np.inf, np.float32),
+        np.zeros((_LISTS, count), np.float32),
+        np.zeros((len(_NEIGHBOURS), count), np.float32),
+        np.zeros((2, count), np.int64),
+        bits,
+        bits.view(np.float32),
+        np.zeros(count, np.int32),
+    )
 
 
 @borrowing
-def _fill_depths(inverses: FloatArray, depths: FloatArray) -> None:
-    """Write a tile's depths, inf where empty, into the interior of ``empty_depths``."""
+def _exponentiate(values: Float32Array, bits: ImageArray, floats: Float32Array, count: int) -> None:
+    """Replace the first ``count`` values x by exp(x), with relative error 2e-7; x is at most ``_MOST``."""
+    a, b, c, d, e, f = _TAYLOR
+    for n in range(count):
+        x = max(values[n], _LEAST) * _LOG2_E
+        whole = (x + _TO_INTEGER) - _TO_INTEGER
+        x = (x - whole) * _LN_2
+        values[n] = _ONE + x * (f + x * (e + x * (d + x * (c + x * (b + x * a)))))
+        bits[n] = (np.int32(whole) + _BIAS) << _FRACTION_BITS
+    for n in range(count):
+        values[n] *= floats[n]
+
+
+@borrowing
+def _sort(
+    box: tuple[int, int, int, int], reading: Reading, model: Mixture, pixels: Pixels
+) -> tuple[int, int, int]:
+    """List the pixels of a tile by what they need; return how many are in the three lists.
+
+    Returns:
+        Number of covered target pixels, of uncovered target pixels (whose places come last), and of covered
+        other pixels.
+    """
+    (left, top, right, bottom), depths, image = box, pixels.depths, reading.image
+    d, y, before, places = pixels.lists[0], pixels.lists[1], pixels.lists[2], pixels.places
+    other_d, other_y, other_off = pixels.lists[7], pixels.lists[8], pixels.lists[9]
+    both, uncovered, other, last = 0, 0, 0, places.shape[1] - 1
+    for j in range(top, bottom):
+        for i in range(left, right):
+            depth, value = depths[j + REACH_PX, i + REACH_PX], image[j, i]
+            if value > _ZERO:
+                if depth < _NONE:
+                    d[both], y[both], before[both] = depth, value, reading.before[j, i]
+                    places[0, both], places[1, both] = j, i
+                    both += 1
+                else:
+                    places[0, last - uncovered], places[1, last - uncovered] = j, i
+                    uncovered += 1
+            elif depth < _NONE:
+                other_d[other], other_y[other], other_off[other] = depth, value, reading.off[j, i]
+                other += 1
+    return both, uncovered, other
+
+
+@borrowing
+def _write_ratios(count: int, off: Float32Array, model: Mixture, pixels: Pixels) -> None:
+    """Write the ratio of the densities of the best possible reading and of y to list 3.
+
+    Its logarithm is the misfit.
+
+    Args:
+        count: number of pixels in lists 0 to 2.
+        off: (P,) half the squared distance of surface and pixel in standard deviations of the outline.
+        model: of a pixel.
+        pixels: buffers; lists 3 to 5 are overwritten.
+    """
+    d, y, before = pixels.lists[0], pixels.lists[1], pixels.lists[2]
+    here, behind, front = pixels.lists[3], pixels.lists[4], pixels.lists[5]
+    near_sd, growth, rate = model.near_sd, model.sd_growth, model.occluder_rate
+    for n in range(count):
+        t = (y[n] - d[n]) / (near_sd + growth * d[n] * d[n])
+        here[n] = -_HALF * t * t - off[n]
+    for n in range(count):
+        behind[n] = min(rate * (y[n] - d[n]), _MOST)
+    _exponentiate(here, pixels.bits, pixels.floats, count)
+    _exponentiate(behind, pixels.bits, pixels.floats, count)
+    outlier_per_sd, occluded_per_sd = model.outlier_per_sd, model.occluded_per_sd
+    for n in range(count):
+        behind[n] *= before[n]
+        front[n] = before[n] if y[n] <= d[n] else _ZERO
+    for n in range(count):
+        sd = near_sd + growth * d[n] * d[n]
+        outlier, occluded, nearer = outlier_per_sd * sd, occluded_per_sd * sd, _ONE - behind[n]
+        best = nearer * (_ONE + outlier) + occluded * behind[n]
+        here[n] = best / (nearer * (here[n] + outlier) + occluded * front[n])
+
+
+@borrowing
+def _add_targets(both: int, reading: Reading, model: Mixture, pixels: Pixels, row: FloatArray) -> int:
+    """Add the sums over covered target pixels; return the number of misfits, and list those first.
+
+    Those misfits are above ``NEIGHBOUR_MISFIT`` and not added.
+    """
+    d, y, before, places = pixels.lists[0], pixels.lists[1], pixels.lists[2], pixels.places
+    ratios, apart, off = pixels.lists[3], pixels.lists[4], pixels.lists[6]
+    off[:both] = _ZERO
+    _write_ratios(both, off, model, pixels)
+    for n in range(both):
+        apart[n] = abs(d[n] - y[n])
+    error, matched, misfit, product, far = 0.0, 0, 0.0, 1.0, 0
+    for n in range(both):
+        error += min(apart[n], reading.clamp_mm)
+        matched += apart[n] < reading.match_mm
+        if ratios[n] > _MUCH:
+            y[far], before[far], off[far] = y[n], before[n], ratios[n]
+            places[0, far], places[1, far] = places[0, n], places[1, n]
+            far += 1
+            continue
+        product *= ratios[n]
+        if product > _LARGE:
+            misfit, product = misfit + np.log(product), 1.0
+    row[0], row[1], row[6] = error, both, matched
+    row[4] += misfit + np.log(product)
+    return far
+
+
+@borrowing
+def _find_surfaces(count: int, reading: Reading, model: Mixture, pixels: Pixels) -> None:
+    """Write the depth of the best-fitting surface next to each pixel of the lists to list 0.
+
+    List 5 gets half its squared distance, in standard deviations of the outline; ``_NONE`` without a surface.
+    """
+    y, places, near, depths = pixels.lists[1], pixels.places, pixels.near, pixels.depths
+    d, precision, outline, off = pixels.lists[0], pixels.lists[3], pixels.lists[4], pixels.lists[5]
+    for n in range(count):
+        j, i = places[0, n], places[1, n]
+        for k in range(len(_NEIGHBOURS)):
+            near[k, n] = depths[j + _NEIGHBOURS[k][0], i + _NEIGHBOURS[k][1]]
+    near_sd, growth, scale = model.near_sd, model.sd_growth, reading.slope / model.outline_sd
+    keys, bits, squares = pixels.keys, pixels.bits, pixels.floats
+    keys[:count] = _MANY
+    for n in range(count):
+        precision[n] = _ONE / (near_sd + growth * y[n] * y[n])
+        outline[n] = scale * y[n] * scale * y[n]
+    for k in range(len(_NEIGHBOURS)):
+        one, square = near[k], _SQUARES[k]
+        for n in range(count):
+            t = (y[n] - one[n]) * precision[n]
+            squares[n] = min(t * t + square * outline[n], _NONE)
+        # non-negative floats sort like their bits, the last of which hold the index; such minima vectorise
+        for n in range(count):
+            keys[n] = min(keys[n], np.int32((bits[n] & ~_INDEX) | np.int32(k)))
+    for n in range(count):
+        best = np.int64(keys[n] & _INDEX)
+        found = near[best, n] < _NONE
+        d[n] = near[best, n] if found else _ONE
+        off[n] = _HALF * _SQUARES[best] * outline[n] if found else _NONE
+
+
+@borrowing
+def _add_neighbours(
+    far: int, uncovered: int, reading: Reading, model: Mixture, pixels: Pixels, row: FloatArray
+) -> None:
+    """Add the misfits of ``far`` covered target pixels, and the relief of uncovered ones."""
+    y, before, places, off = pixels.lists[1], pixels.lists[2], pixels.places, pixels.lists[6]
+    count, last = far + uncovered, places.shape[1] - 1
+    for n in range(far, count):
+        j, i = places[0, last - n + far], places[1, last - n + far]
+        y[n], before[n], off[n] = reading.image[j, i], reading.before[j, i], _ZERO
+        places[0, n], places[1, n] = j, i
+    _find_surfaces(count, reading, model, pixels)
+    own, ratios, relief = pixels.near[0], pixels.lists[3], pixels.lists[4]
+    for n in range(count):
+        own[n], off[n] = off[n], pixels.lists[5][n]
+    _write_ratios(count, off, model, pixels)
+    near_sd, growth, outlier_per_sd = model.near_sd, model.sd_growth, model.outlier_per_sd
+    for n in range(far, count):
+        relief[n] = (_ONE + _ONE / (outlier_per_sd * (near_sd + growth * y[n] * y[n]))) / ratios[n]
+    misfit, product = 0.0, 1.0
+    for n in range(far):
+        product *= float(min(own[n], ratios[n]) if off[n] < _NONE else own[n])
+        if product > _LARGE:
+            misfit, product = misfit + np.log(product), 1.0
+    row[4] += misfit + np.log(product)
+    misfit, product = 0.0, 1.0
+    for n in range(far, count):
+        product *= float(max(_ONE, relief[n]) if off[n] < _NONE else _ONE)
+        if product > _LARGE:
+            misfit, product = misfit + np.log(product), 1.0
+    row[7] = misfit + np.log(product)
+
+
+@borrowing
+def _add_others(count: int, reading: Reading, model: Mixture, pixels: Pixels, row: FloatArray) -> None:
+    """Add the sums over covered pixels of other objects, and over those without a reading."""
+    d, y, off = pixels.lists[7], pixels.lists[8], pixels.lists[9]
+    beside, behind = pixels.lists[3], pixels.lists[4]
+    near_sd, growth, outlier_per_sd = model.near_sd, model.sd_growth, model.outlier_per_sd
+    scale, logistic = reading.slope / model.outline_sd, np.float32(LOGISTIC_OF_NORMAL)
+    for n in range(count):
+        t = scale * off[n] * d[n]
+        beside[n] = -_HALF * t * t
+    for n in range(count):
+        t = min(-logistic * (d[n] + y[n]) / (near_sd + growth * d[n] * d[n]), _MOST)
+        behind[n] = t if y[n] < _ZERO else _MOST
+    _exponentiate(beside, pixels.bits, pixels.floats, count)
+    _exponentiate(behind, pixels.bits, pixels.floats, count)
+    for n in range(count):
+        outlier, front = outlier_per_sd * (near_sd + growth * d[n] * d[n]), _ONE / (_ONE + behind[n])
+        beside[n] = front + (_ONE - front) * (beside[n] + outlier) / (_ONE + outlier)
+    other, hidden, product, of_unread, misfit, unread_misfit = 0, 0, 1.0, 1.0, 0.0, 0.0
+    for n in range(count):
+        if y[n] < _ZERO:
+            other, hidden, product = other + 1, hidden + (-y[n] < d[n]), product * beside[n]
+            if product < _TINY:
+                misfit, product = misfit - np.log(product), 1.0
+            continue
+        of_unread *= beside[n]
+        if of_unread < _TINY:
+            unread_misfit, of_unread = unread_misfit - np.log(of_unread), 1.0
+    row[2], row[3], row[5] = other, count - other, hidden
+    row[4] += misfit - np.log(product) + model.unread_weight * (unread_misfit - np.log(of_unread))
+
+
+@borrowing
+def _fill_depths(inverses: FloatArray, depths: Float32Array) -> None:
+    """Write a tile's depths, inf where empty, into the interior of a bordered image."""
     for j in range(inverses.shape[0]):
         for i in range(inverses.shape[1]):
-            depths[j + REACH_PX, i + REACH_PX] = 1.0 / inverses[j, i]
-
-
-@borrowing
-def _misfit_with_neighbours(depths: FloatArray, i: int, j: int, reading: Reading, model: Mixture) -> float:
-    """Return the misfit of a target pixel with the best-fitting surface within ``REACH_PX``."""
-    y = reading.image[j, i]
-    per_sd, pixel = 1.0 / (model.near_sd + model.sd_growth * y * y), reading.slope * y
-    per_pixel2 = (pixel / model.outline_sd) ** 2
-    least, depth, nearest = np.inf, np.inf, 0.0
-    for dj in range(-REACH_PX, REACH_PX + 1):
-        for di in range(-REACH_PX, REACH_PX + 1):
-            off2 = float(di * di + dj * dj)
-            if off2 == 0.0 or off2 > REACH_PX * REACH_PX:
-                continue
-            d = depths[j + dj + REACH_PX, i + di + REACH_PX]
-            square = ((y - d) * per_sd) ** 2 + off2 * per_pixel2
-            if square < least:
-                least, depth, nearest = square, d, off2
-    if depth == np.inf:
-        return np.inf
-    best, found = _densities(depth, y, reading.before[j, i], np.sqrt(nearest) * pixel, model)
-    return float(np.log(best / found))
-
-
-@inlined
-def _relief(depths: FloatArray, i: int, j: int, reading: Reading, model: Mixture) -> float:
-    """Return the cost reduction of an uncovered target pixel due to a surface next to it."""
-    beside = _misfit_with_neighbours(depths, i, j, reading, model)
-    return max(0.0, _unexplained(reading.image[j, i], model) - beside) if beside < np.inf else 0.0
+            depths[j + REACH_PX, i + REACH_PX] = np.float32(1.0 / inverses[j, i])
 
 
 @borrowing
@@ -197,51 +383,48 @@ def _box(drawing: Drawing) -> tuple[int, int, int, int]:
 
 
 @borrowing
-def add_sums(drawing: Drawing, depths: FloatArray, reading: Reading, model: Mixture, row: FloatArray) -> None:
+def _add_counts(drawing: Drawing, box: tuple[int, int, int, int], reading: Reading, row: FloatArray) -> None:
+    """Add the sums over a rendered tile that need no pixel model."""
+    left, top, right, bottom = box
+    error, both, other, unread, hidden, matched = 0.0, 0, 0, 0, 0, 0
+    for j in range(top, bottom):
+        for i in range(left, right):
+            inverse, y = drawing.inverse[j, i], reading.image[j, i]
+            if inverse == 0.0:
+                continue
+            d = 1.0 / inverse
+            if y > _ZERO:
+                apart = abs(d - y)
+                both, error = both + 1, error + min(apart, reading.clamp_mm)
+                matched += apart < reading.match_mm
+                continue
+            unread, other = unread + (y == _ZERO), other + (y < _ZERO)
+            hidden += (y < _ZERO) & (-y < d)
+    row[0], row[1], row[2], row[3], row[5], row[6] = error, both, other, unread, hidden, matched
+
+
+@borrowing
+def add_sums(drawing: Drawing, reading: Reading, model: Mixture, pixels: Pixels, row: FloatArray) -> None:
     """Write the sums over a rendered tile to a row (8,).
 
     Misfits are summed as the logarithm of a ratio of products, i.e. one logarithm for many pixels.
 
     Args:
         drawing: rendered tile.
-        depths: buffer of ``empty_depths``; overwritten.
         reading, model: observation and pixel model.
+        pixels: buffers; overwritten.
         row: output.
     """
-    image = reading.image
-    _fill_depths(drawing.inverse, depths)
-    left, top, right, bottom = _box(drawing)
-    error, misfit, relief, most, found = 0.0, 0.0, 0.0, 1.0, 1.0
-    both, other, unread, hidden, matched = 0, 0, 0, 0, 0
-    for j in range(top, bottom):
-        for i in range(left, right):
-            d, y = depths[j + REACH_PX, i + REACH_PX], image[j, i]
-            if d == np.inf:
-                if model.enabled and y > 0.0:
-                    relief += _relief(depths, i, j, reading, model)
-                continue
-            if y > 0.0:
-                apart = abs(d - y)
-                both, error = both + 1, error + min(apart, reading.clamp_mm)
-                matched += apart < reading.match_mm
-                if model.enabled:
-                    of_best, of_this = _densities(d, y, reading.before[j, i], 0.0, model)
-                    if of_best > _MUCH * of_this:
-                        beside = _misfit_with_neighbours(depths, i, j, reading, model)
-                        misfit += min(np.log(of_best / of_this), beside)
-                        continue
-                    most, found = most * of_best, found * of_this
-                    if most > _LARGE or found < _TINY:
-                        misfit += np.log(most / found)
-                        most, found = 1.0, 1.0
-                continue
-            unread, other = unread + (y == 0.0), other + (y < 0.0)
-            hidden += (y < 0.0) & (-y < d)
-            if model.enabled:
-                misfit += _misfit_of_other(d, y, reading.off[j, i] * reading.slope * d, model)
-    misfit += np.log(most / found)
-    row[0], row[1], row[2], row[3] = error, both, other, unread
-    row[4], row[5], row[6], row[7] = misfit, hidden, matched, relief
+    row[:] = 0.0
+    box = _box(drawing)
+    if not model.enabled:
+        _add_counts(drawing, box, reading, row)
+        return
+    _fill_depths(drawing.inverse, pixels.depths)
+    both, uncovered, other = _sort(box, reading, model, pixels)
+    _add_others(other, reading, model, pixels, row)
+    far = _add_targets(both, reading, model, pixels, row)
+    _add_neighbours(far, uncovered, reading, model, pixels, row)
 
 
 @borrowing
@@ -254,14 +437,14 @@ def sum_poses(
     reading: Reading,
     model: Mixture,
     drawing: Drawing,
-    depths: FloatArray,
+    pixels: Pixels,
     rows: FloatArray,
 ) -> None:
     """Render every ``stride``-th of poses (N, B, 3, 4) and write its sums (N, 8)."""
     for n in range(first, len(bones), stride):
         rows[n, :] = 0.0
         if draw_depth(mesh, bones[n], view, drawing):
-            add_sums(drawing, depths, reading, model, rows[n])
+            add_sums(drawing, reading, model, pixels, rows[n])
 
 
 @borrowing
@@ -301,7 +484,7 @@ class CompiledDepthRenderer:
         self.tile, self.bones = tile, mesh.weights.shape[1]
         self._mesh, self._threads = rest_mesh(mesh), thread_count()
         self._drawings = [empty_drawing(self._mesh, tile[1], tile[0]) for _ in range(self._threads)]
-        self._depths = [empty_depths(tile[1], tile[0]) for _ in range(self._threads)]
+        self._pixels = [empty_pixels(tile[1], tile[0]) for _ in range(self._threads)]
         self._pool = ThreadPoolExecutor(self._threads)
 
     def depth(self, transforms: Float32Array, camera: Camera, window: Window) -> Float32Array:
@@ -325,12 +508,12 @@ class CompiledDepthRenderer:
         bones, view = _bones_of(transforms), View(*window.tile_projection(camera))
         model = mixture_of(comparison.model)
         off = outline_distances(comparison.observed) if model.enabled else comparison.observed
-        reading = reading_of(comparison, off.astype(np.float64), window.step / camera.fx)
+        reading = reading_of(comparison, off, window.step / camera.fx)
         rows = np.empty((len(bones), ROW))
 
         def sum_part(thread: int) -> None:
-            drawing, depths = self._drawings[thread], self._depths[thread]
-            sum_poses(self._mesh, bones, thread, self._threads, view, reading, model, drawing, depths, rows)
+            drawing, pixels = self._drawings[thread], self._pixels[thread]
+            sum_poses(self._mesh, bones, thread, self._threads, view, reading, model, drawing, pixels, rows)
 
         self._on_all_threads(sum_part, len(bones))
         return TileSums.from_rows(rows, float(np.count_nonzero(comparison.observed > 0)))

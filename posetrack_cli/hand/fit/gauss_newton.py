@@ -423,20 +423,24 @@ def swap_fingers_each(
     trial, off = np.empty(POSE_SIZE), np.empty(TANGENT_SIZE)
     for g in range(first, len(poses), stride):
         best, least = out[g], objectives[g]
-        best[:] = poses[g, 0]
+        # element by element: assigning slices takes seconds to compile
+        for i in range(POSE_SIZE):
+            best[i] = poses[g, 0, i]
         for f in range(5):
             place, chosen = 7 + 3 * f, 0
-            trial[:] = best
+            for i in range(POSE_SIZE):
+                trial[i] = best[i]
             for k in range(1, poses.shape[1]):
-                trial[place : place + 3] = poses[g, k, place : place + 3]
+                for i in range(place, place + 3):
+                    trial[i] = poses[g, k, i]
                 other = cost_of(hand, tile, trial, terms, workspace)
                 if tile.mm_per_nat > 0.0:
                     clear(workspace.whole)
                     other += tile.mm_per_nat * _add_prior_terms(hand, trial, mean, precision, workspace, off)
                 if other < least:
                     chosen, least = k, other
-            if chosen > 0:
-                best[place : place + 3] = poses[g, chosen, place : place + 3]
+            for i in range(place, place + 3):
+                best[i] = poses[g, chosen, i]
 
 
 @borrowing

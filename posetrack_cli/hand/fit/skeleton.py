@@ -167,10 +167,12 @@ def place_joints(
     ``JOINT_NAMES``."""
     for n in range(len(poses)):
         pose_bones(skeleton, poses[n], inner[n], posed)
-        joints[n, 0] = poses[n, :3]
-        for f in range(5):
-            joints[n, 1 + 4 * f : 4 + 4 * f] = posed.centres[f]
-            joints[n, 4 + 4 * f] = posed.tips[f]
+        for k in range(3):  # element by element: assigning slices takes seconds to compile
+            joints[n, 0, k] = poses[n, k]
+            for f in range(5):
+                for joint in range(3):
+                    joints[n, 1 + 4 * f + joint, k] = posed.centres[f, joint, k]
+                joints[n, 4 + 4 * f, k] = posed.tips[f, k]
 
 
 @borrowing
