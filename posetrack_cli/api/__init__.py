@@ -77,7 +77,7 @@ class Tracking:
     """Estimates of a run, one per frame, in order; iterate once.
 
     Closing it early, or leaving it as a context manager, ends the run; its output then stays unfinished and
-    can be resumed.
+    can be resumed. Until the run ends, linear algebra of numpy and scipy uses one thread in this process.
 
     Attributes:
         run: run record.
@@ -388,13 +388,22 @@ def _camera_file(camera: object, stamps_ns: object) -> Path | None:
 
 
 def _output(output: Path | str | None, *, smooth: bool, resume: bool) -> tuple[Path, ExitStack]:
-    """Return where the result goes: the given path, or a temporary folder, which the stack deletes."""
+    """Return where the result goes: the given path, or a temporary folder, which the stack deletes.
+
+    While the stack is open, BLAS uses one thread, as on the command line: results would otherwise depend on
+    the number of cores.
+    """
+    import scipy.linalg  # noqa: F401  loads scipy's own OpenBLAS, so that it is limited as well
+    from threadpoolctl import threadpool_limits
+
+    if output is None:
+        for name, value in {"smooth": smooth, "resume": resume}.items():
+            if value:
+                raise UsageError(f"{name} needs a result file", hint="pass output=")
     folder = ExitStack()
+    folder.enter_context(threadpool_limits(1, user_api="blas"))
     if output is not None:
         return Path(output), folder
-    for name, value in {"smooth": smooth, "resume": resume}.items():
-        if value:
-            raise UsageError(f"{name} needs a result file", hint="pass output=")
     return Path(folder.enter_context(TemporaryDirectory(prefix="posetrack-"))) / _RESULT, folder
 
 

@@ -204,7 +204,7 @@ def quaternion_rate(q: FloatArray, body_angular_velocity: FloatArray) -> FloatAr
 def _canonical_sign(q: FloatArray) -> FloatArray:
     """Return the sign (...) of w or, if it is 0, of the first non-zero of x, y, z."""
     sign = np.sign(q[..., 3])
-    if sign.all():
+    if sign if q.ndim == 1 else sign.all():
         return sign
     for component in range(3):
         sign = np.where(sign == 0.0, np.sign(q[..., component]), sign)

@@ -420,8 +420,8 @@ class MonoPeople:
         initialiser = self._pipeline(state).initialiser
         state = state.drop_before(frame.stamp_ns - round(CANDIDATE_SPAN_S * 1e9))
         near = state.candidates[-1].pixels if state.candidates else None
-        # after the first frame, frames without a face are searched quickly
-        fresh = not state.search.frames or state.scale is not None
+        # quickly after the first frame, except at a new scale; another person's face was just found so
+        fresh = not state.people and (not state.search.frames or state.scale is not None)
         found = self._detect_near(state, frame.frame, near, thoroughly=fresh or near is not None)
         if isinstance(found, InitFailure):
             return state, found
