@@ -13,7 +13,6 @@ import os
 import pickle
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from importlib.util import find_spec
 from pathlib import Path
 from threading import Lock
 from time import perf_counter
@@ -56,7 +55,6 @@ THREADS_VARIABLE = "POSETRACK_THREADS"
 # thus the summation order under fastmath, depends on what was compiled or loaded before. Equal runs would
 # differ in their last bits.
 _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
-_HAS_NUMBA = find_spec("numba") is not None
 
 
 def kernel(function: Function) -> Function:
@@ -78,8 +76,6 @@ def inlined(function: Function) -> Function:
 
 
 def _compiled(function: Function, **options: Any) -> Function:
-    if not _HAS_NUMBA:  # an installation for evaluation, which calls no kernels; trackers refuse it
-        return function
     later: Any = _Kernel(function, options)
     return cast("Function", later)
 
@@ -102,14 +98,15 @@ class _Kernel:
     @functools.cached_property
     def dispatcher(self) -> Any:
         """The function as numba calls it."""
-        import numba
-        import numba.core.config
-
-        compiled: Any = numba.njit(**_OPTIONS, **self._options)(self.__wrapped__)  # type: ignore[attr-defined]
+        function: Any = self.__wrapped__  # type: ignore[attr-defined]
+        try:
+            import numba
+            import numba.core.config
+        except ModuleNotFoundError:  # an installation for evaluation; trackers refuse it
+            return function
+        compiled: Any = numba.njit(**_OPTIONS, **self._options)(function)
         compiled.get_call_template = functools.partial(_resolved_by_type, compiled.get_call_template)
-        config: Any = (
-            numba.core.config
-        )  # attributes are created at run time, so type checkers do not see them
+        config: Any = numba.core.config  # its attributes are created at run time
         folder, others = kernel_folder(), config.CACHE_DIR
         if folder is not None:
             config.CACHE_DIR = folder
