@@ -77,7 +77,7 @@ class Tracking:
     """Estimates of a run, one per frame, in order; iterate once.
 
     Closing it early, or leaving it as a context manager, ends the run; its output then stays unfinished and
-    can be resumed.
+    can be resumed. Until the run ends, linear algebra of numpy and scipy uses one thread in this process.
 
     Attributes:
         run: run record.
@@ -242,8 +242,8 @@ def track_head(
         fps, stamps_ns: see ``track_hand``.
         fov_deg: field of view along the longer side of one uncalibrated camera; None estimates it.
         face: which face to track with one camera, 1 for the largest.
-        faces: ``all`` tracks each face in the images of one camera. Iteration yields estimates of the first;
-            the attribute ``current`` has those of all faces.
+        faces: ``all`` tracks each face, in two passes. Iteration yields estimates of the first; the attribute
+            ``current`` has those of all faces.
         person: earlier head result of the same person, whose shape and size one camera then uses.
         config, settings, seed, smooth, output, overwrite, resume: see ``track_hand``.
 
@@ -265,12 +265,10 @@ def track_head(
     files, own = _as_list(config), dict(settings or {})
     with folder:
         if len(recording.cameras) > 1:
-            for name, given in {"person": person, "faces": faces}.items():
-                if given is not None:
-                    found = f"{len(recording.cameras)} cameras"
-                    raise UsageError(f"{name} applies to one camera", found=found)
+            if person is not None:
+                raise UsageError("person applies to one camera", found=f"{len(recording.cameras)} cameras")
             stereo = _configured(HeadStereoConfig, files, own)
-            run = make_stereo_run(recording, stereo, options, _ignore)
+            run = make_stereo_run(recording, stereo, options, _ignore, all_faces=faces is not None)
         else:
             mono = _configured(HeadMonoConfig, files, own)
             known_fov = fov_deg is not None
@@ -390,13 +388,22 @@ def _camera_file(camera: object, stamps_ns: object) -> Path | None:
 
 
 def _output(output: Path | str | None, *, smooth: bool, resume: bool) -> tuple[Path, ExitStack]:
-    """Return where the result goes: the given path, or a temporary folder, which the stack deletes."""
+    """Return where the result goes: the given path, or a temporary folder, which the stack deletes.
+
+    While the stack is open, BLAS uses one thread, as on the command line: results would otherwise depend on
+    the number of cores.
+    """
+    import scipy.linalg  # noqa: F401  loads scipy's own OpenBLAS, so that it is limited as well
+    from threadpoolctl import threadpool_limits
+
+    if output is None:
+        for name, value in {"smooth": smooth, "resume": resume}.items():
+            if value:
+                raise UsageError(f"{name} needs a result file", hint="pass output=")
     folder = ExitStack()
+    folder.enter_context(threadpool_limits(1, user_api="blas"))
     if output is not None:
         return Path(output), folder
-    for name, value in {"smooth": smooth, "resume": resume}.items():
-        if value:
-            raise UsageError(f"{name} needs a result file", hint="pass output=")
     return Path(folder.enter_context(TemporaryDirectory(prefix="posetrack-"))) / _RESULT, folder
 
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 import posetrack_cli as posetrack
 from posetrack_cli.cli.main import run
@@ -111,6 +112,21 @@ def test_a_recording_takes_a_camera_as_text(depth: Depth) -> None:
     given: Any = {"camera_file": "kinect2"}
     camera = posetrack.open_recording(depth.path, **given).cameras[0]
     assert camera.fx == posetrack.open_recording(depth.path, camera_file=Path("kinect2")).cameras[0].fx
+
+
+def test_linear_algebra_has_one_thread_until_the_run_ends(depth: Depth) -> None:
+    """With more, rounding would depend on the number of cores, and results differ from the command line's."""
+
+    def threads() -> set[int]:
+        return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
+
+    import scipy.linalg  # noqa: F401  loads scipy's own library
+
+    with threadpool_limits(2, user_api="blas"):
+        with depth.track() as tracking:
+            next(tracking)
+            assert threads() == {1}
+        assert threads() == {2}
 
 
 def test_nothing_is_left_of_a_run_without_output(depth: Depth, tmp_path: Path, monkeypatch: Any) -> None:

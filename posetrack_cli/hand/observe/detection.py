@@ -101,9 +101,10 @@ def detect(
     tile[(tile > settings.farthest_mm + _REACH_MM) | (tile < 0.0)] = 0.0
     surfaces = surfaces_of(tile, window, camera)
     found: list[_Candidate] = []
-    for place in palm_pixels(surfaces, settings).tolist():
-        if not any(_is_on_palm(surfaces, place, candidate) for candidate in found):
-            found.append(_move_outwards(surfaces, place))
+    known: dict[tuple[int, int], _Candidate] = {}  # several places of an arm have one outer end
+    for row, column in palm_pixels(surfaces, settings).tolist():
+        if not any(_is_on_palm(surfaces, (row, column), candidate) for candidate in found):
+            found.append(_move_outwards(surfaces, (row, column), known))
     likely = [candidate for candidate in found if candidate.score >= _MIN_SCORE]
     kept: list[Detection] = []
     for candidate in sorted(likely, key=_rank, reverse=True):
@@ -134,7 +135,7 @@ class _Candidate:
     arm: FloatArray | None  # from elbow to wrist
 
 
-def _is_on_palm(surfaces: Surfaces, place: list[int], candidate: _Candidate) -> bool:
+def _is_on_palm(surfaces: Surfaces, place: tuple[int, int], candidate: _Candidate) -> bool:
     """Return whether a place is on the palm of a certain candidate."""
     if candidate.score < _SURE:
         return False
@@ -147,22 +148,29 @@ def _rank(candidate: _Candidate) -> float:
     return candidate.score * region.radius_mm / max(float(region.palm[2]), 1.0)
 
 
-def _move_outwards(surfaces: Surfaces, place: list[int]) -> _Candidate:
+def _move_outwards(
+    surfaces: Surfaces, place: tuple[int, int], known: dict[tuple[int, int], _Candidate]
+) -> _Candidate:
     """Return the candidate at a place, or one farther out on the limb of about the same score."""
-    here = _candidate(surfaces, place)
+
+    def at(place: tuple[int, int]) -> _Candidate:
+        if place not in known:
+            known[place] = _candidate(surfaces, *place)
+        return known[place]
+
+    here = at(place)
     for _ in range(_STEPS_OUTWARDS):
         outwards = None if here.score == 0.0 else _farther_out(surfaces, here)
         if outwards is None:
             break
-        outer = _candidate(surfaces, outwards)
+        outer = at(outwards)
         if outer.score < _AS_LIKELY * here.score:
             break
         here = outer
     return here
 
 
-def _candidate(surfaces: Surfaces, place: list[int]) -> _Candidate:
-    row, column = place
+def _candidate(surfaces: Surfaces, row: int, column: int) -> _Candidate:
     reach = max(_REACH_MM, _REACH_OF_RADIUS * float(surfaces.radius[row, column]))
     region = region_around(surfaces, row, column, reach)
     leaving = arm_exit(region)
@@ -172,7 +180,7 @@ def _candidate(surfaces: Surfaces, place: list[int]) -> _Candidate:
     return _Candidate(region, likeness(region), arm / max(float(np.linalg.norm(arm)), 1e-9))
 
 
-def _farther_out(surfaces: Surfaces, candidate: _Candidate) -> list[int] | None:
+def _farther_out(surfaces: Surfaces, candidate: _Candidate) -> tuple[int, int] | None:
     """Return the palm's place if the region extends farther from the arm than a hand from its palm."""
     region, arm = candidate.region, candidate.arm
     if arm is None:
@@ -187,7 +195,7 @@ def _farther_out(surfaces: Surfaces, candidate: _Candidate) -> list[int] | None:
     if not radius.any():
         return None
     row, column = np.unravel_index(int(np.argmax(radius)), radius.shape)
-    return [region.rows.start + int(row), region.columns.start + int(column)]
+    return region.rows.start + int(row), region.columns.start + int(column)
 
 
 def _detection(surfaces: Surfaces, candidate: _Candidate) -> Detection:

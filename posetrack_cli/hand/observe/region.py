@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -155,7 +155,7 @@ class Region:
         widest_mm: of the largest disc near the palm.
         area_mm2: seen from the front.
         behind: share of its rim behind a nearer surface.
-        exits: places where it continues.
+        exits: places where it continues; not determined for surfaces that are certainly not a hand.
     """
 
     rows: slice
@@ -187,7 +187,6 @@ def region_around(surfaces: Surfaces, row: int, column: int, reach_mm: float) ->
     within = (numbers > 0) & (squared < reach_mm**2)
     at = (row - rows.start, column - columns.start)
     own = _connected(within & (numbers == numbers[at]), at)
-    exits = _exits(own, squared > (reach_mm - _RING_MM) ** 2, surfaces, rows, columns)
     mask = own | _islands(within, numbers, surfaces, rows, columns)
     area = float(np.sum(surfaces.pixel_mm[rows, columns][mask] ** 2))
     radius = float(surfaces.radius[row, column])
@@ -195,7 +194,11 @@ def region_around(surfaces: Surfaces, row: int, column: int, reach_mm: float) ->
     rim = own & (surfaces.radius[rows, columns] <= surfaces.pixel_mm[rows, columns])
     hidden = int(np.count_nonzero(rim & surfaces.behind[rows, columns]))
     behind = hidden / max(1, int(np.count_nonzero(rim)))
-    return Region(rows, columns, mask, points, palm.astype(np.float64), radius, widest, area, behind, exits)
+    region = Region(rows, columns, mask, points, palm.astype(np.float64), radius, widest, area, behind, ())
+    if _of_surface(region) == 0.0:  # exits would not change that
+        return region
+    far = squared > (reach_mm - _RING_MM) ** 2
+    return replace(region, exits=_exits(own, far, surfaces, rows, columns))
 
 
 def _part(surfaces: Surfaces, row: int, column: int, reach_mm: float) -> tuple[slice, slice]:
@@ -241,14 +244,16 @@ def _exits(
     ):
         if at_border:
             leaving[edge] |= own[edge]
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(leaving.astype(np.uint8), connectivity=8)
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(leaving.astype(np.uint8), connectivity=8)
     points, apart = surfaces.points[rows, columns], surfaces.pixel_mm[rows, columns]
     exits = []
-    for number in range(1, count):
-        if stats[number, cv2.CC_STAT_AREA] >= _MIN_PIXELS:
-            part = labels == number
-            width = extent_mm(points[part].astype(np.float64), float(apart[part].mean()))
-            exits.append(Exit(points[part].mean(axis=0, dtype=np.float64), width))
+    for number, (left, top, across, down, area) in enumerate(stats.tolist()):
+        if number > 0 and area >= _MIN_PIXELS:
+            box = slice(top, top + down), slice(left, left + across)
+            part = labels[box] == number
+            inside = points[box][part].astype(np.float64)
+            width = extent_mm(inside, float(apart[box][part].mean()))
+            exits.append(Exit(inside.mean(axis=0), width))
     return tuple(exits)
 
 
@@ -293,13 +298,17 @@ def likeness(region: Region) -> float:
     A hand's exit is not as wide as a body; a fingertip is not the widest part of its surroundings; a surface
     visible between nearer ones is background.
     """
+    return _of_surface(region) * _of_exits(region)
+
+
+def _of_surface(region: Region) -> float:
     low, high = PALM_RADIUS_MM
     disc = _plateau(region.radius_mm, 0.8 * low, 1.3 * low, 0.8 * high, 1.1 * high)
     widest = float(np.interp(region.radius_mm / region.widest_mm, _OF_WIDEST, [_NARROW, 1.0]))
     area = _plateau(region.area_mm2, *_AREAS_MM2)
     before = float(np.interp(region.behind, _BEHIND, [1.0, 0.0]))
     larger = 1.0 - _LARGER_FIRST * (1.0 - min(1.0, region.radius_mm / high))
-    return disc * widest * area * before * larger * _of_exits(region)
+    return disc * widest * area * before * larger
 
 
 def _of_exits(region: Region) -> float:
