@@ -38,7 +38,7 @@ _SEARCH_FRAMES = 4
 """A hand that is not where it is expected is searched in every so many frames."""
 _BOTH_AFTER_FRAMES = 12
 """After so many frames without one hand, both are searched: what the other one explains may be wrong."""
-_MAX_COST_RATIO = 1.5
+_MAX_COST_RATIO = 1.25
 """Largest cost of a hand that is found again, relative to good fits: an elbow or a forearm costs more."""
 _LEAD_MM = 1.0
 """By how much a pair has to cost less than the exchanged one: with the right shape, pairs lead by 2.7 mm or
